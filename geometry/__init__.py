@@ -1,0 +1,30 @@
+"""Shapes: what a sensor is, how it is meshed and how it deforms. Knows no physics."""
+
+from eitskin.geometry.bend import Bend, Hinge
+from eitskin.geometry.errors import (
+    ConfigurationError,
+    DataError,
+    DeviceError,
+    EitskinError,
+    FrameError,
+    PartialError,
+)
+from eitskin.geometry.mesh import Mesh
+from eitskin.geometry.sensor import Electrode, Rectangle, SensorDesign
+from eitskin.geometry.structured import structured_mesh
+
+__all__ = [
+    "Bend",
+    "ConfigurationError",
+    "DataError",
+    "DeviceError",
+    "EitskinError",
+    "Electrode",
+    "FrameError",
+    "Hinge",
+    "Mesh",
+    "PartialError",
+    "Rectangle",
+    "SensorDesign",
+    "structured_mesh",
+]

@@ -1,0 +1,53 @@
+"""Structured meshes: they fill the layer, fit the electrodes, and are numbered along x."""
+
+import numpy as np
+import pytest
+
+from eitskin.geometry import SensorDesign, structured_mesh
+from eitskin.geometry.structured import Grading
+
+GRADING = Grading(finest=1e-3, coarsest=4e-3, growth=0.5, layers=2)
+
+
+def test_cells_fill_the_layer_with_right_handed_boxes() -> None:
+    mesh = structured_mesh(SensorDesign.reference(), GRADING)
+    corners = mesh.points[mesh.cells]
+    edges = corners[:, [1, 3, 4]] - corners[:, :1]
+    volumes = np.linalg.det(edges)
+    assert volumes.min() > 0
+    assert volumes.sum() == pytest.approx(0.150 * 0.060 * 0.005, rel=1e-12)
+
+
+def test_electrode_facets_have_the_electrodes_area_and_place() -> None:
+    design = SensorDesign.reference()
+    mesh = structured_mesh(design, GRADING)
+    for electrode, facets in zip(design.electrodes, mesh.electrode_facets, strict=True):
+        corners = mesh.points[facets]
+        across, along = corners[:, 1] - corners[:, 0], corners[:, 3] - corners[:, 0]
+        areas = np.linalg.norm(np.cross(across, along), axis=1)
+        assert areas.sum() == pytest.approx(electrode.width * design.thickness, rel=1e-12)
+        centre = (corners.mean(axis=1) * areas[:, None]).sum(axis=0) / areas.sum()
+        assert centre == pytest.approx([electrode.x, electrode.y, design.thickness / 2], abs=1e-12)
+
+
+def test_cells_are_fine_at_the_electrode_edges_and_coarse_elsewhere() -> None:
+    mesh = structured_mesh(SensorDesign.reference(), GRADING)
+    x = np.unique(mesh.points[:, 0])
+    sizes = np.diff(x)
+    at_edge = sizes[np.searchsorted(x, 0.020 + 1e-9) - 1]
+    assert at_edge < 1.3 * GRADING.finest
+    assert 0.7 * GRADING.coarsest < sizes.max() <= GRADING.coarsest * (1 + 1e-9)
+
+
+def test_breaks_are_cell_faces() -> None:
+    mesh = structured_mesh(SensorDesign.reference(), GRADING, breaks=(0.0531, 0.0969))
+    x = np.unique(mesh.points[:, 0])
+    assert np.abs(x - 0.0531).min() < 1e-12
+    assert np.abs(x - 0.0969).min() < 1e-12
+
+
+def test_points_are_numbered_upwards_then_along_y_then_x() -> None:
+    mesh = structured_mesh(SensorDesign.reference(), GRADING)
+    order = np.lexsort(mesh.points.T)
+    assert np.array_equal(np.lexsort(mesh.points[:, ::-1].T), np.arange(len(mesh.points)))
+    assert len(order) == len(mesh.points)
