@@ -1,0 +1,256 @@
+"""The discrete complete electrode model: matrices that are linear in the conductivity tensor.
+
+The weak form (Somersalo, Cheney and Isaacson 1992), for potential u and electrode potentials U:
+
+    int sigma grad u . grad v  +  sum_l 1/z_l int_{E_l} (u - U_l) (v - V_l)  =  sum_l I_l V_l
+
+Written out with finite elements, A = stiffness + contact, and for the electrodes
+A u = B U,  I = D U - B^T u.
+
+Cells are affine images of one reference cell, so a cell's matrix is one fixed matrix times the
+tensor pulled back to that reference cell: a new scene costs one dense product.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import skfem
+from numpy.typing import NDArray
+
+from eitskin.geometry import Mesh
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+_TENSOR_ROWS = np.array([0, 1, 2, 0, 0, 1])
+_TENSOR_COLUMNS = np.array([0, 1, 2, 1, 2, 2])
+
+
+@dataclass(frozen=True, slots=True)
+class ExtrudedElement:
+    """Shape functions on the unit cube: products of a plane one and an upright one.
+
+    The layer is thin, so the order upwards is chosen apart from the order in the plane.
+    """
+
+    order: tuple[int, int]
+
+    @property
+    def plane(self) -> skfem.Element:
+        """The element on the unit square."""
+        return {1: skfem.ElementQuad1, 2: skfem.ElementQuad2}[self.order[0]]()
+
+    @property
+    def upright(self) -> skfem.Element:
+        """The element on the unit interval."""
+        return {1: skfem.ElementLineP1, 2: skfem.ElementLineP2}[self.order[1]]()
+
+    def values(self, X: Array) -> Array:
+        """phi_i, (functions, ...), at X (3, ...)."""
+        flat, upright = self._parts(X)
+        return np.stack([f[0] * u[0] for f in flat for u in upright])
+
+    def gradients(self, X: Array) -> Array:
+        """d phi_i / dX, (functions, 3, ...), at X (3, ...)."""
+        flat, upright = self._parts(X)
+        return np.stack(
+            [
+                np.stack([f[1][0] * u[0], f[1][1] * u[0], f[0] * u[1][0]])
+                for f in flat
+                for u in upright
+            ]
+        )
+
+    def _parts(self, X: Array) -> tuple[list[tuple[Array, Array]], list[tuple[Array, Array]]]:
+        plane, upright = self.plane, self.upright
+        return (
+            [plane.lbasis(X[:2], i) for i in range((self.order[0] + 1) ** 2)],
+            [upright.lbasis(X[2:], i) for i in range(self.order[1] + 1)],
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Contact:
+    """The electrode terms of one scene.
+
+    Attributes:
+        values: of 1/z phi_i phi_j, one per entry of `Assembly.rows` after the stiffness entries.
+        coupling: B, int_{E_l} phi_i / z_l, (unknowns, electrodes) [S].
+        admittance: diagonal of D, int_{E_l} 1 / z_l, (electrodes,) [S].
+    """
+
+    values: Array
+    coupling: Array
+    admittance: Array
+
+
+class Assembly:
+    """Maps conductivity tensors and contact impedances to matrix values on one mesh.
+
+    Attributes:
+        unknowns: number of potential unknowns.
+        places: where they sit, (unknowns, 3) [m].
+        rows, columns: of each value in the lower triangle of A; values of equal place add up.
+        points: quadrature points of the cells, (cells, q, 3) [m].
+        facet_points, facet_normals: of the electrodes, (facets, q, 3) [m], [-].
+        facet_electrode: the electrode that each facet belongs to, (facets,).
+    """
+
+    def __init__(self, mesh: Mesh, order: tuple[int, int]) -> None:
+        """Prepare elements of polynomial `order` (in the plane, upwards), each 1 or 2."""
+        layers = len(mesh.heights) - 1
+        plane = skfem.MeshQuad(
+            np.ascontiguousarray(mesh.points[:: layers + 1, :2].T),
+            np.ascontiguousarray(mesh.cells[::layers, :4].T // (layers + 1)),
+            sort_t=False,
+        )
+        column = skfem.MeshLine(mesh.heights)
+        self.element = ExtrudedElement(order)
+        self._intorder = 2 * max(order)
+        flat = skfem.CellBasis(plane, self.element.plane, intorder=self._intorder)
+        upright = skfem.CellBasis(column, self.element.upright, intorder=self._intorder)
+        self.unknowns: int = flat.N * upright.N
+        self.places: Array = np.concatenate(
+            [np.repeat(flat.doflocs, upright.N, axis=1), np.tile(upright.doflocs, flat.N)]
+        ).T
+        self.cell_unknowns: Indices = (
+            flat.element_dofs.T[:, None, :, None] * upright.N
+            + upright.element_dofs.T[None, :, None, :]
+        ).reshape(mesh.cells.shape[0], -1)
+        self._pairs = np.tril_indices(self.cell_unknowns.shape[1])
+        self._prepare_cells(mesh)
+        self._prepare_electrodes(mesh)
+        self.rows: Indices = np.concatenate([self._cell_rows, self._facet_rows])
+        self.columns: Indices = np.concatenate([self._cell_columns, self._facet_columns])
+
+    def _prepare_cells(self, mesh: Mesh) -> None:
+        X, weights = _box_rule(self._intorder)
+        gradients = self.element.gradients(X)
+        i, j = self._pairs
+        a, b = _TENSOR_ROWS, _TENSOR_COLUMNS
+        # int S_ab d_a phi_i d_b phi_j, the six entries of a symmetric S at each point.
+        products = np.einsum("iaq,jbq->ijabq", gradients, gradients, optimize=True)
+        symmetric = products + products.swapaxes(2, 3)
+        symmetric = symmetric[:, :, a, b] * np.where(a == b, 0.5, 1.0)[:, None]
+        self._reference = np.ascontiguousarray(
+            (symmetric[i, j] * weights).transpose(2, 1, 0)
+        )  # (q, 6, pairs)
+        corners = mesh.points[mesh.cells]
+        edges = corners[:, [1, 3, 4]] - corners[:, :1]
+        self.origins: Array = corners[:, 0]
+        inverses = np.linalg.inv(edges.swapaxes(1, 2))
+        self.inverses = np.asarray(inverses, dtype=np.float64)
+        self.volumes: Array = np.abs(np.linalg.det(edges))
+        self.points: Array = self.origins[:, None] + X.T @ edges
+        self._cell_rows, self._cell_columns = self._lower(self.cell_unknowns)
+
+    def _prepare_electrodes(self, mesh: Mesh) -> None:
+        sizes = [len(facets) for facets in mesh.electrode_facets]
+        facets = np.concatenate(mesh.electrode_facets)
+        owners = _owners(facets, mesh.cells)
+        self.electrodes = len(sizes)
+        self.facet_electrode: Indices = np.repeat(np.arange(self.electrodes), sizes)
+        corners = mesh.points[facets]
+        across, along = corners[:, 1] - corners[:, 0], corners[:, 3] - corners[:, 0]
+        nodes, weights = skfem.quadrature.get_quadrature(skfem.refdom.RefQuad, self._intorder)
+        self.facet_points: Array = (
+            corners[:, :1]
+            + nodes[0][:, None] * across[:, None]
+            + nodes[1][:, None] * along[:, None]
+        )
+        normals = np.cross(across, along)
+        areas = np.asarray(np.linalg.norm(normals, axis=1), dtype=np.float64)
+        self.facet_normals: Array = np.broadcast_to(
+            (normals / areas[:, None])[:, None], self.facet_points.shape
+        )
+        X = np.einsum(
+            "fab,fqb->afq", self.inverses[owners], self.facet_points - self.origins[owners][:, None]
+        )
+        shape = self.element.values(X)
+        i, j = self._pairs
+        self._facet_unknowns: Indices = self.cell_unknowns[owners]
+        self._facet_areas = areas[:, None] * weights
+        self._facet_shape = np.einsum("ifq,fq->fiq", shape, self._facet_areas)
+        self._facet_products = np.einsum("pfq,pfq,fq->fpq", shape[i], shape[j], self._facet_areas)
+        self._facet_rows, self._facet_columns = self._lower(self._facet_unknowns)
+
+    def _lower(self, unknowns: Indices) -> tuple[Indices, Indices]:
+        """Row >= column of every pair of a cell's unknowns, flattened."""
+        i, j = self._pairs
+        first, second = unknowns[:, i].ravel(), unknowns[:, j].ravel()
+        return np.maximum(first, second), np.minimum(first, second)
+
+    def stiffness(self, conductivity: Array) -> Array:
+        """Stiffness values for tensors (cells, 3, 3) or, per point, (cells, q, 3, 3) [S/m]."""
+        tensors = conductivity if conductivity.ndim == 4 else conductivity[:, None]
+        inverses = self.inverses[:, None]
+        reference = inverses @ tensors @ inverses.swapaxes(-1, -2)
+        entries = reference[..., _TENSOR_ROWS, _TENSOR_COLUMNS] * self.volumes[:, None, None]
+        matrix = self._reference if tensors.shape[1] > 1 else self._reference.sum(axis=0)
+        flat = entries.reshape(len(entries), -1) @ matrix.reshape(-1, matrix.shape[-1])
+        values: Array = flat.ravel()
+        return values
+
+    def contact(self, impedance: Array, area_ratio: Array | float = 1.0) -> Contact:
+        """Electrode terms for z per electrode [ohm m2] and the deformed over the flat area.
+
+        z_ref = z / area_ratio: the current through a contact grows with its area.
+        """
+        conductance = np.broadcast_to(
+            area_ratio / impedance[self.facet_electrode][:, None], self._facet_areas.shape
+        )
+        L = self.electrodes
+        loads = np.einsum("fiq,fq->fi", self._facet_shape, conductance)
+        cells = self._facet_unknowns * L + self.facet_electrode[:, None]
+        coupling = _sums(cells, loads, self.unknowns * L)
+        totals = (self._facet_areas * conductance).sum(axis=1)
+        return Contact(
+            values=np.einsum("fpq,fq->fp", self._facet_products, conductance).ravel(),
+            coupling=coupling.reshape(self.unknowns, L),
+            admittance=_sums(self.facet_electrode, totals, L),
+        )
+
+    def cell_gram(self, potentials: Array) -> Array:
+        """int_cell grad u_k . grad u_l, (cells, k, k), of potentials (unknowns, k)."""
+        cells, (i, j) = len(self.cell_unknowns), self._pairs
+        values = self.stiffness(np.broadcast_to(np.eye(3), (cells, 3, 3))).reshape(cells, -1)
+        matrices = np.empty((cells, i.max() + 1, i.max() + 1))
+        matrices[:, i, j] = values
+        matrices[:, j, i] = values
+        local = potentials[self.cell_unknowns]
+        gram: Array = np.einsum("cik,cil->ckl", local, matrices @ local)
+        return gram
+
+    def gradients(self, potentials: Array, cells: Indices, points: Array) -> Array:
+        """grad u_k, (n, 3, k), at `points` (n, 3) [m] that lie in `cells` (n,)."""
+        X = np.einsum("nab,nb->an", self.inverses[cells], points - self.origins[cells])
+        total = np.zeros((len(points), 3, potentials.shape[1]))
+        shape = self.element.gradients(X)
+        for slope, unknowns in zip(shape, self.cell_unknowns[cells].T, strict=True):
+            total += slope.T[:, :, None] * potentials[unknowns][:, None, :]
+        gradients: Array = np.einsum("nab,nak->nbk", self.inverses[cells], total)
+        return gradients
+
+
+def _sums(places: Indices, values: Array, size: int) -> Array:
+    """Add up the values that belong to each place, (size,)."""
+    return np.asarray(np.bincount(places.ravel(), values.ravel(), size), dtype=np.float64)
+
+
+def _box_rule(order: int) -> tuple[Array, Array]:
+    """Gauss points (3, q) and weights (q,) on the unit cube, exact to `order` in each direction."""
+    plane, plane_weights = skfem.quadrature.get_quadrature(skfem.refdom.RefQuad, order)
+    line, line_weights = skfem.quadrature.get_quadrature(skfem.refdom.RefLine, order)
+    points = [np.repeat(plane, line.shape[1], axis=1), np.tile(line, plane.shape[1])]
+    return np.concatenate(points), np.outer(plane_weights, line_weights).ravel()
+
+
+def _owners(facets: Indices, cells: Indices) -> Indices:
+    """The cell that each boundary facet belongs to, (facets,)."""
+    holders: dict[int, set[int]] = {int(point): set() for point in np.unique(facets)}
+    for cell in np.flatnonzero(np.isin(cells, facets).sum(axis=1) >= facets.shape[1]):
+        for point in cells[cell]:
+            if int(point) in holders:
+                holders[int(point)].add(int(cell))
+    owners = [set.intersection(*(holders[int(point)] for point in facet)) for facet in facets]
+    return np.array([min(cells_with_facet) for cells_with_facet in owners])

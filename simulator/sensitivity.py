@@ -1,0 +1,62 @@
+"""Energy products of potentials over pixels, for Jacobians on a regular grid."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.geometry import ConfigurationError, Mesh, Rectangle
+from eitskin.simulator.assembly import Assembly
+
+Array = NDArray[np.float64]
+
+
+def pixel_gram(
+    assembly: Assembly, mesh: Mesh, potentials: Array, outline: Rectangle, pixels: tuple[int, int]
+) -> Array:
+    """int over each pixel column of grad u_k . grad u_l, (rows * columns, k, k).
+
+    Every box in which a mesh cell and a pixel overlap is integrated by itself with a Gauss rule
+    that is exact for the elements, so the pixels need not fit the mesh.
+    """
+    rows, columns = pixels
+    if rows < 1 or columns < 1:
+        raise ConfigurationError(f"pixels must be two positive numbers, got {pixels}")
+    x, y, z = (np.unique(mesh.points[:, axis]) for axis in range(3))
+    x_nodes, x_weights, x_cell, x_pixel = _overlaps(x, np.linspace(0, outline.length, columns + 1))
+    y_nodes, y_weights, y_cell, y_pixel = _overlaps(y, np.linspace(0, outline.width, rows + 1))
+    z_nodes, z_weights, z_cell, _ = _overlaps(z, z[[0, -1]])
+    count = potentials.shape[1]
+    total = np.zeros((rows * columns, count, count))
+    # One line of x at a time keeps memory flat.
+    for node, weight, cell, pixel in zip(x_nodes, x_weights, x_cell, x_pixel, strict=True):
+        points = np.stack(np.meshgrid([node], y_nodes, z_nodes, indexing="ij"), -1).reshape(-1, 3)
+        cells = _cell_numbers(cell, y_cell, z_cell, (len(x), len(y), len(z)))
+        gradients = assembly.gradients(potentials, cells.ravel(), points)
+        weights = (weight * y_weights[:, None] * z_weights).ravel()
+        products = np.einsum("n,nak,nal->nkl", weights, gradients, gradients, optimize=True)
+        by_y = products.reshape(len(y_nodes), -1, count, count).sum(axis=1)
+        np.add.at(total, y_pixel * columns + pixel, by_y)
+    return total
+
+
+def _cell_numbers(
+    ix: int, iy: NDArray[np.int64], iz: NDArray[np.int64], shape: tuple[int, int, int]
+) -> NDArray[np.int64]:
+    """Numbers of the boxes (ix, iy, iz) of a structured mesh with `shape` lines, (iy, iz)."""
+    return (ix * (shape[1] - 1) + iy[:, None]) * (shape[2] - 1) + iz
+
+
+def _overlaps(
+    faces: Array, pixel_edges: Array
+) -> tuple[Array, Array, NDArray[np.int64], NDArray[np.int64]]:
+    """Gauss points and weights on all overlaps of cells and pixels, and both their numbers."""
+    edges = np.unique(np.concatenate([faces, pixel_edges]).round(12))
+    start, size = edges[:-1], np.diff(edges)
+    nodes, weights = np.polynomial.legendre.leggauss(3)
+    points = (start[:, None] + 0.5 * (nodes + 1.0) * size[:, None]).ravel()
+    middle = np.repeat(start + 0.5 * size, len(nodes))
+    return (
+        points,
+        (0.5 * weights * size[:, None]).ravel(),
+        np.searchsorted(faces, middle) - 1,
+        np.searchsorted(pixel_edges, middle) - 1,
+    )

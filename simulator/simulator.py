@@ -1,0 +1,109 @@
+"""From a scene to the frame that its sensor would give."""
+
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.geometry import ConfigurationError, Hinge, SensorDesign
+from eitskin.geometry.bend import HingeBend
+from eitskin.geometry.deformation import Composed, Deformation, area_ratio, pulled_back
+from eitskin.simulator.forward import ForwardModel, Resolution
+from eitskin.simulator.frame import Frame
+from eitskin.simulator.instrument import WhiteNoise
+from eitskin.simulator.protocol import Protocol
+from eitskin.simulator.scene import Scene
+from eitskin.simulator.touch import Dents
+
+Array = NDArray[np.float64]
+
+
+class Simulator:
+    """One sensor on one fixture, meshed once; `measure` gives the frame of any scene.
+
+    Attributes:
+        design: the sensor.
+        fixture: the hinge that bends it.
+        protocol: which pairs are measured.
+        model: the forward model; `model.factorisations` counts the work done.
+    """
+
+    def __init__(
+        self,
+        design: SensorDesign,
+        resolution: Resolution = "standard",
+        fixture: Hinge | None = None,
+        protocol: Protocol | None = None,
+    ) -> None:
+        """Mesh the sensor, with faces where the fixture clamps it.
+
+        Args:
+            design: the sensor.
+            resolution: "fast", "standard" or "fine".
+            fixture: the default hinge when omitted.
+            protocol: every pair of electrodes when omitted.
+        """
+        self.design = design
+        self.fixture = fixture or Hinge()
+        self.protocol = protocol or Protocol.pairwise(len(design.electrodes))
+        middle, half = design.outline.length / 2, self.fixture.span / 2
+        self.model = ForwardModel(design, resolution, breaks=(middle - half, middle + half))
+        self._last: tuple[Scene, Array] | None = None
+
+    @cached_property
+    def full_scale(self) -> float:
+        """Largest resistance of the flat, untouched sensor [ohm]."""
+        return float(np.abs(self.protocol.measure(self.model.impedance())).max())
+
+    def deformation(self, scene: Scene) -> Deformation | None:
+        """How the scene deforms the sensor, touch first, then bend; None where it does not."""
+        for touch in scene.touches:
+            outline = self.design.outline
+            if not (0.0 <= touch.x <= outline.length and 0.0 <= touch.y <= outline.width):
+                raise ConfigurationError(
+                    f"a touch must lie on the {outline.length:g} x {outline.width:g} m layer, got "
+                    f"({touch.x:g}, {touch.y:g}) m; are the units metres?"
+                )
+        parts: list[Deformation] = []
+        if scene.touches:
+            parts.append(Dents(scene.touches))
+        if scene.bend.angle_deg:
+            parts.append(HingeBend(self.design, self.fixture, scene.bend))
+        if len(parts) == 2:
+            return Composed(*parts)
+        return parts[0] if parts else None
+
+    def measure(
+        self,
+        scene: Scene,
+        instrument: WhiteNoise | None = None,
+        rng: np.random.Generator | None = None,
+    ) -> Frame:
+        """The frame of `scene`, noise-free unless an `instrument` is given.
+
+        The scene measured last is kept: asked for again, it costs only new noise.
+
+        Raises:
+            ConfigurationError: for a touch off the layer, an angle that cannot be reached, or an
+                instrument without a random generator.
+        """
+        if self._last is None or self._last[0] != scene:
+            self._last = (scene, self._impedance(scene))
+        impedance = self.protocol.measure(self._last[1]).astype(np.complex128)
+        if instrument is not None:
+            if rng is None:
+                raise ConfigurationError(
+                    "an instrument needs rng=numpy.random.default_rng(seed) for its noise"
+                )
+            impedance = instrument.apply(impedance, self.full_scale, rng)
+        return Frame(impedance=impedance, protocol=self.protocol)
+
+    def _impedance(self, scene: Scene) -> Array:
+        deformation = self.deformation(scene)
+        if deformation is None:
+            return self.model.impedance()
+        sigma = self.design.conductivity
+        return self.model.impedance(
+            conductivity=lambda x: sigma * pulled_back(deformation.gradient(x)),
+            area_ratio=lambda x, normal: area_ratio(deformation.gradient(x), normal),
+        )

@@ -1,0 +1,135 @@
+"""Bends and dents: F is the derivative of the map, volumes are kept, limits are met."""
+
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from eitskin.geometry import Bend, ConfigurationError, Hinge, SensorDesign
+from eitskin.geometry.bend import HingeBend
+from eitskin.geometry.deformation import Composed, area_ratio, pulled_back
+from eitskin.simulator import Touch
+from eitskin.simulator.touch import DentKernel, Dents
+
+DESIGN = SensorDesign.reference()
+HINGE = Hinge(span=0.040, offset=0.008)
+
+
+def points(n: int = 200, seed: int = 3, clear: float = 1e-4) -> NDArray[np.float64]:
+    """Random points of the layer, off the clamps where F jumps."""
+    rng = np.random.default_rng(seed)
+    x = rng.uniform([0, 0, 0], [0.150, 0.060, 0.005], (n, 3))
+    return x[np.abs(np.abs(x[:, 0] - 0.075) - 0.020) > clear]
+
+
+def derivative(deformation, x: NDArray[np.float64], step: float = 1e-7) -> NDArray[np.float64]:
+    """Central differences of positions, (..., 3, 3)."""
+    columns = [
+        (deformation.positions(x + e) - deformation.positions(x - e)) / (2 * step)
+        for e in step * np.eye(3)
+    ]
+    return np.stack(columns, axis=-1)
+
+
+DENTS = Dents((Touch(0.050, 0.020, 10.0), Touch(0.090, 0.041, 7.0)))
+DEFORMATIONS = {
+    "bend": HingeBend(DESIGN, HINGE, Bend(40.0)),
+    "bend back": HingeBend(DESIGN, HINGE, Bend(-20.0)),
+    "slight bend": HingeBend(DESIGN, HINGE, Bend(1e-7)),
+    "dents": DENTS,
+    "dents, then bend": Composed(DENTS, HingeBend(DESIGN, HINGE, Bend(30.0))),
+}
+
+
+@pytest.mark.parametrize("name", DEFORMATIONS)
+def test_gradient_is_the_derivative_of_positions(name) -> None:
+    deformation, x = DEFORMATIONS[name], points()
+    assert deformation.gradient(x) == pytest.approx(derivative(deformation, x), abs=1e-6)
+
+
+@pytest.mark.parametrize("angle", [-60.0, -20.0, 1e-6, 50.0, 140.0])
+def test_bending_keeps_volume(angle) -> None:
+    F = HingeBend(DESIGN, HINGE, Bend(angle)).gradient(points())
+    assert np.linalg.det(F) == pytest.approx(1.0, abs=1e-13)
+
+
+@pytest.mark.parametrize("force", [0.01, 5.0, 10.0, 12.0])
+def test_a_dent_keeps_volume(force) -> None:
+    F = Dents((Touch(0.075, 0.030, force),)).gradient(points())
+    assert np.linalg.det(F) == pytest.approx(1.0, abs=1e-12)
+
+
+def test_dent_passes_through_the_published_fits() -> None:
+    for force, amplitude, width in ((5.0, 0.21, 0.0120), (10.0, 0.48, 0.0112)):
+        kernel = DentKernel.of_force(force)
+        assert (kernel.amplitude, kernel.width) == pytest.approx((amplitude, width), rel=1e-12)
+        _, w, _ = kernel.displacement(np.array([0.0, width]))
+        assert w == pytest.approx([-amplitude, 0.0], abs=1e-15)
+
+
+def test_dent_is_regular_on_its_axis_and_fades() -> None:
+    touch = Touch(0.075, 0.030, 10.0)
+    on_axis = Dents((touch,)).gradient(np.array([[0.075, 0.030, 0.002]]))[0]
+    thinned = 1 - 0.48
+    assert np.diag(on_axis) == pytest.approx([thinned**-0.5, thinned**-0.5, thinned], rel=1e-12)
+    far = Dents((touch,)).gradient(np.array([[0.002, 0.030, 0.002]]))[0]
+    assert np.abs(far - np.eye(3)).max() < 0.01
+
+
+def test_ends_of_a_bent_sensor_are_rigid_and_turned_by_half_the_angle() -> None:
+    F = HingeBend(DESIGN, HINGE, Bend(40.0)).gradient(np.array([[0.01, 0.03, 0.004]]))[0]
+    half = math.radians(20.0)
+    turned = [[math.cos(half), 0, -math.sin(half)], [0, 1, 0], [math.sin(half), 0, math.cos(half)]]
+    assert F == pytest.approx(np.array(turned), abs=1e-14)
+
+
+def test_bent_sensor_is_continuous_at_mid_layer_and_convex_on_top() -> None:
+    bend = HingeBend(DESIGN, HINGE, Bend(50.0))
+    clamp = np.array([[0.095, 0.03, 0.0025]])
+    nudge = np.array([[1e-10, 0, 0]])
+    assert bend.positions(clamp - nudge) == pytest.approx(bend.positions(clamp + nudge), abs=1e-9)
+    middle, end = bend.positions(np.array([[0.075, 0.03, 0.0025], [0.150, 0.03, 0.0025]]))
+    assert middle[2] > end[2] + 0.02
+    top, bottom = bend.gradient(np.array([[0.075, 0.03, 0.005], [0.075, 0.03, 0.0]]))[:, 0, 0]
+    assert top > bottom
+
+
+def test_mid_layer_arc_closes_the_hinge_triangle() -> None:
+    """Arc length over the span is lambda_0 s, whatever the angle."""
+    for angle in (-20.0, 30.0, 90.0):
+        bend = HingeBend(DESIGN, HINGE, Bend(angle))
+        x = np.linspace(0.055, 0.095, 4001)
+        path = bend.positions(np.stack([x, 0 * x + 0.03, 0 * x + 0.0025], axis=1))
+        length = np.linalg.norm(np.diff(path, axis=0), axis=1).sum()
+        assert length == pytest.approx(bend.mid_stretch * 0.040, rel=1e-6)
+
+
+def test_impossible_angles_name_the_last_possible_one() -> None:
+    with pytest.raises(ConfigurationError, match=r"last possible angle in this direction is -\d+"):
+        HingeBend(DESIGN, HINGE, Bend(-85.0))
+    with pytest.raises(ConfigurationError, match="last possible angle") as error:
+        HingeBend(DESIGN, HINGE, Bend(300.0))
+    limit = float(str(error.value).split("direction is ")[1].split(" deg")[0])
+    HingeBend(DESIGN, HINGE, Bend(limit))
+    with pytest.raises(ConfigurationError):
+        HingeBend(DESIGN, HINGE, Bend(limit + 0.2))
+
+
+def test_pull_back_and_area_ratio_agree_with_their_definitions() -> None:
+    rng = np.random.default_rng(5)
+    F = np.eye(3) + 0.3 * rng.standard_normal((50, 3, 3))
+    F = F[np.linalg.det(F) > 0.1]
+    J, inverse = np.linalg.det(F), np.linalg.inv(F)
+    expected = J[:, None, None] * inverse @ inverse.swapaxes(1, 2)
+    assert pulled_back(F) == pytest.approx(expected, rel=1e-10)
+    normals = rng.standard_normal((len(F), 3))
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    nanson = J[:, None] * np.einsum("nji,nj->ni", inverse, normals)
+    assert area_ratio(F, normals) == pytest.approx(np.linalg.norm(nanson, axis=1), rel=1e-12)
+
+
+@pytest.mark.parametrize("force", [0.0, -1.0, 13.0, float("nan")])
+def test_forces_outside_the_fit_are_refused(force) -> None:
+    with pytest.raises(ConfigurationError, match="force must be above 0"):
+        Touch(0.05, 0.02, force)

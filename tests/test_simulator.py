@@ -1,0 +1,144 @@
+"""Simulator: scenes to frames, and no work that a scene does not need."""
+
+import numpy as np
+import pytest
+
+from eitskin.geometry import Bend, ConfigurationError, FrameError, Hinge, SensorDesign
+from eitskin.simulator import (
+    Cylinder,
+    Frame,
+    Protocol,
+    Scene,
+    Simulator,
+    Status,
+    Touch,
+    WhiteNoise,
+)
+
+
+@pytest.fixture(scope="module")
+def sim() -> Simulator:
+    return Simulator(SensorDesign.reference(), resolution="fast")
+
+
+@pytest.fixture
+def flat(sim):
+    return sim.measure(Scene()).impedance.real
+
+
+def test_frame_has_the_protocol_order_and_is_real_without_instrument(sim) -> None:
+    frame = sim.measure(Scene())
+    assert frame.impedance.shape == (28,)
+    assert np.all(frame.impedance.imag == 0)
+    assert sim.full_scale == frame.impedance.real.max()
+    assert not frame.status.any()
+
+
+def test_convex_bends_stretch_the_layer_and_concave_ones_shorten_it(sim, flat) -> None:
+    out = sim.measure(Scene(bend=Bend(50.0))).impedance.real / flat - 1
+    back = sim.measure(Scene(bend=Bend(-20.0))).impedance.real / flat - 1
+    assert np.median(out) > 0.02
+    assert np.median(back) < -0.01
+
+
+def test_without_hinge_offset_the_bend_signal_is_second_order() -> None:
+    """d = 0: the sign of the angle is lost, and half the angle is a quarter of the signal."""
+    neutral = Simulator(SensorDesign.reference(), "fast", fixture=Hinge(offset=0.0))
+    flat = neutral.measure(Scene()).impedance.real
+    signal = {
+        a: neutral.measure(Scene(bend=Bend(a))).impedance.real / flat - 1 for a in (20, -20, 10)
+    }
+    assert signal[20] == pytest.approx(signal[-20], rel=0.02, abs=1e-6)
+    assert signal[20] == pytest.approx(4 * signal[10], rel=0.02, abs=1e-5)
+
+
+def test_touch_signal_is_below_one_percent_and_grows_with_force(sim, flat) -> None:
+    signals = [
+        np.abs(sim.measure(Scene(touches=(Touch(0.06, 0.02, force),))).impedance.real / flat - 1)
+        for force in (2.0, 5.0, 10.0)
+    ]
+    assert signals[0].max() < signals[1].max() < signals[2].max() < 0.01
+    assert signals[2].max() > 0.001
+
+
+def test_vanishing_deformations_meet_the_flat_sensor(sim, flat) -> None:
+    bent = sim.measure(Scene(bend=Bend(1e-6))).impedance.real
+    touched = sim.measure(Scene(touches=(Touch(0.06, 0.02, 1e-6),))).impedance.real
+    assert bent == pytest.approx(flat, rel=1e-7)
+    assert touched == pytest.approx(flat, rel=1e-7)
+
+
+def test_mirrored_touches_give_mirrored_frames(sim) -> None:
+    protocol = sim.protocol
+    mirror = [2, 1, 0, 7, 6, 5, 4, 3]
+    names = [tuple(sorted((mirror[a], mirror[b]))) for a, b, _, _ in protocol.table]
+    order = [next(i for i, r in enumerate(protocol.table) if r[:2] == n) for n in names]
+    left = sim.measure(Scene(bend=Bend(20.0), touches=(Touch(0.040, 0.021),)))
+    right = sim.measure(Scene(bend=Bend(20.0), touches=(Touch(0.110, 0.021),)))
+    assert right.impedance[order] == pytest.approx(left.impedance, rel=1e-9)
+
+
+def test_the_same_scene_costs_no_new_factorisation(sim) -> None:
+    scene = Scene(bend=Bend(12.5))
+    sim.measure(scene)
+    before = sim.model.factorisations
+    sim.measure(scene, WhiteNoise(), np.random.default_rng(0))
+    assert sim.model.factorisations == before
+    sim.measure(Scene(bend=Bend(12.6)))
+    assert sim.model.factorisations == before + 1
+
+
+def test_flat_scenes_ask_for_no_deformation(sim, monkeypatch) -> None:
+    def unwanted(*_):
+        raise AssertionError("a flat, untouched scene computed a deformation")
+
+    monkeypatch.setattr("eitskin.simulator.simulator.pulled_back", unwanted)
+    monkeypatch.setattr("eitskin.simulator.simulator.area_ratio", unwanted)
+    assert sim.deformation(Scene()) is None
+    sim.measure(Scene(bend=Bend(0.0)))
+    sim.measure(Scene())
+
+
+def test_noise_has_the_stated_deviation_and_follows_its_seed(sim) -> None:
+    clean = sim.measure(Scene()).impedance
+    rng = np.random.default_rng(4)
+    noise = np.array(
+        [sim.measure(Scene(), WhiteNoise(75.0), rng).impedance - clean for _ in range(400)]
+    )
+    deviation = sim.full_scale * 10 ** (-75 / 20)
+    assert noise.real.std() == pytest.approx(deviation, rel=0.03)
+    assert noise.imag.std() == pytest.approx(deviation, rel=0.03)
+    one, two = (sim.measure(Scene(), WhiteNoise(), np.random.default_rng(9)) for _ in range(2))
+    assert np.array_equal(one.impedance, two.impedance)
+    with pytest.raises(ConfigurationError, match="default_rng"):
+        sim.measure(Scene(), WhiteNoise())
+
+
+def test_impossible_scenes_are_refused(sim) -> None:
+    with pytest.raises(ConfigurationError, match="are the units metres"):
+        sim.measure(Scene(touches=(Touch(50.0, 20.0),)))
+    with pytest.raises(ConfigurationError, match="last possible angle"):
+        sim.measure(Scene(bend=Bend(-90.0)))
+    with pytest.raises(ConfigurationError, match="radius"):
+        Touch(0.05, 0.02, 10.0, Cylinder(0.02))
+
+
+def test_scenes_read_from_toml(tmp_path) -> None:
+    path = tmp_path / "scene.toml"
+    path.write_text("[bend]\nangle_deg = 30\n[[touches]]\nx = 0.05\ny = 0.02\nforce = 8\n")
+    assert Scene.from_toml(path) == Scene(Bend(30.0), (Touch(0.05, 0.02, 8.0),))
+    path.write_text("[[touches]]\nx = 0.05\nz = 0.02\n")
+    with pytest.raises(ConfigurationError, match=r"touches\[0\]: unknown key 'z'"):
+        Scene.from_toml(path)
+
+
+def test_frames_own_their_values_and_check_their_shape() -> None:
+    protocol = Protocol.pairwise(3)
+    values = np.ones(3, complex)
+    frame = Frame(values, protocol, status=np.array([0, Status.OPEN, 0], np.uint8))
+    values[0] = 5.0
+    assert frame.impedance[0] == 1.0
+    with pytest.raises(ValueError, match="read-only"):
+        frame.impedance[0] = 2.0
+    with pytest.raises(FrameError, match="3 measurements"):
+        Frame(np.ones(4), protocol)
