@@ -1,10 +1,11 @@
-"""Strict reading of TOML into frozen dataclasses.
+"""Frozen dataclasses from TOML, strictly, and back.
 
 Types are checked by msgspec; keys that no field takes are errors that name the nearest field.
 """
 
 import dataclasses
 import difflib
+import json
 import tomllib
 import types
 import typing
@@ -69,3 +70,42 @@ def _refuse_unknown_keys(kind: Any, data: Any, where: str) -> None:
                 hint = f"; did you mean '{near[0]}'?" if near else f"; known: {', '.join(names)}"
                 raise ConfigurationError(f"{where}: unknown key '{key}'{hint}")
             _refuse_unknown_keys(hints[key], value, f"{where}.{key}")
+
+
+def to_toml(value: object) -> str:
+    """Write a dataclass as TOML: plain values first, then one table per dataclass within it.
+
+    Equal dataclasses give equal text. Fields that are None are left out.
+    """
+    plain, tables = [], []
+    for name, item in _items(value):
+        if dataclasses.is_dataclass(item):
+            tables += ["", f"[{name}]", *_lines(item)]
+        elif isinstance(item, tuple) and item and dataclasses.is_dataclass(item[0]):
+            for row in item:
+                tables += ["", f"[[{name}]]", *_lines(row)]
+        else:
+            plain.append(f"{name} = {_inline(item)}")
+    return "\n".join(plain + tables) + "\n"
+
+
+def _items(value: Any) -> list[tuple[str, Any]]:
+    fields = [(field.name, getattr(value, field.name)) for field in dataclasses.fields(value)]
+    return [(name, item) for name, item in fields if item is not None]
+
+
+def _lines(value: object) -> list[str]:
+    return [f"{name} = {_inline(item)}" for name, item in _items(value)]
+
+
+def _inline(value: object) -> str:
+    """One value; JSON's strings are TOML's too, but for DEL, which TOML wants escaped."""
+    if dataclasses.is_dataclass(value):
+        return "{ " + ", ".join(_lines(value)) + " }"
+    if isinstance(value, tuple | list):
+        return "[" + ", ".join(_inline(item) for item in value) + "]"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    return repr(value)

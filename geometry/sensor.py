@@ -1,12 +1,11 @@
 """What a sensor is: outline, thickness, electrodes, materials."""
 
-import dataclasses
 import itertools
 import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from eitskin.geometry.config import read_toml
+from eitskin.geometry.config import read_toml, to_toml
 from eitskin.geometry.errors import ConfigurationError
 
 
@@ -109,22 +108,7 @@ class SensorDesign:
 
     def to_toml(self) -> str:
         """Write the design as TOML; `from_toml` of it is this design."""
-        lines = [
-            f"thickness = {self.thickness!r}  # m",
-            f"conductivity = {self.conductivity!r}  # S/m",
-            f"encapsulated_thickness = {self.encapsulated_thickness!r}  # m",
-            "",
-            "[outline]  # m",
-            f"length = {self.outline.length!r}",
-            f"width = {self.outline.width!r}",
-        ]
-        for electrode in self.electrodes:
-            lines += ["", "[[electrodes]]  # m, ohm m2"]
-            lines += [
-                f"{field.name} = {getattr(electrode, field.name)!r}"
-                for field in dataclasses.fields(electrode)
-            ]
-        return "\n".join(lines) + "\n"
+        return to_toml(self)
 
     def side(self, index: int) -> int:
         """Side that electrode `index` lies on: 0 y = 0, 1 x = length, 2 y = width, 3 x = 0."""
