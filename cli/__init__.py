@@ -1,0 +1,7 @@
+"""The commands: `eitskin simulate`, `generate`, `train`, `evaluate`, `live` and so on."""
+
+import os
+
+# The solver's blocks are too small to share between threads: two threads on busy cores took 26
+# times as long as one. Set before numpy loads its BLAS; the user's own setting wins.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

@@ -1,0 +1,55 @@
+"""Options and output that every command shares."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console, RenderableType
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+Seed = Annotated[int, typer.Option(help="Seed of everything random; same seed, same result.")]
+Json = Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, only the result.")]
+Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Say more about what is done.")]
+
+
+@dataclass
+class Output:
+    """Where a command says things: the result on stdout, all else on stderr."""
+
+    as_json: bool = False
+    quiet: bool = False
+    verbose: bool = False
+    console: Console = field(default_factory=Console)
+    notes: Console = field(default_factory=lambda: Console(stderr=True))
+
+    def result(self, data: Mapping[str, Any], shown: RenderableType) -> None:
+        """Print the result: `data` with --json, else `shown`."""
+        if self.as_json:
+            self.console.print_json(json.dumps(data, allow_nan=False))
+        else:
+            self.console.print(shown)
+
+    def note(self, text: str) -> None:
+        """Say what is going on, unless quiet."""
+        if not self.quiet:
+            self.notes.print(text, highlight=False)
+
+    def detail(self, text: str) -> None:
+        """Say what only --verbose wants to know."""
+        if self.verbose and not self.quiet:
+            self.notes.print(text, style="dim", highlight=False)
+
+    def progress(self) -> Progress:
+        """A progress bar on stderr with count and time left; silent when quiet."""
+        return Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[rate]}"),
+            TimeRemainingColumn(),
+            console=self.notes,
+            disable=self.quiet,
+        )

@@ -1,0 +1,141 @@
+"""What a dataset is made of: sensor, specimens, scenes, instrument and seed."""
+
+import dataclasses
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from eitskin.datasets.scene_group import SceneGroup
+from eitskin.datasets.schema import LIMITS
+from eitskin.datasets.specimen import Specimens
+from eitskin.geometry import Bend, ConfigurationError, Hinge, SensorDesign
+from eitskin.geometry.bend import HingeBend
+from eitskin.geometry.config import from_dict, to_toml
+from eitskin.simulator import WhiteNoise
+from eitskin.simulator.forward import Resolution
+
+SHIPPED = Path(__file__).parent / "recipes"
+
+
+@dataclass(frozen=True, slots=True)
+class Recipe:
+    """Everything that decides over a dataset; equal recipes make equal datasets.
+
+    Attributes:
+        name: short, of the recipe.
+        scenes: groups of scenes, which are interleaved.
+        seed: of everything random.
+        description: for people.
+        resolution: of the simulator, "fast", "standard" or "fine".
+        frames_per_shard: how many frames share a file and a piece of work.
+        sensor: the design. In TOML also "reference" or the path of a design file.
+        hinge: that bends the sensor.
+        instrument: that measures it.
+        specimens: how many sensors there are and how they differ.
+    """
+
+    name: str
+    scenes: tuple[SceneGroup, ...]
+    seed: int = 0
+    description: str = ""
+    resolution: Resolution = "fast"
+    frames_per_shard: int = 256
+    sensor: SensorDesign = field(default_factory=SensorDesign.reference)
+    hinge: Hinge = field(default_factory=Hinge)
+    instrument: WhiteNoise = field(default_factory=WhiteNoise)
+    specimens: Specimens = field(default_factory=Specimens)
+
+    def __post_init__(self) -> None:
+        """Refuse a recipe that contradicts itself, with everything that is wrong with it."""
+        problems = list(self._problems())
+        if problems:
+            raise ConfigurationError(
+                f"recipe '{self.name}' cannot be made:\n- " + "\n- ".join(problems)
+            )
+
+    @classmethod
+    def from_toml(cls, path: str | Path) -> "Recipe":
+        """Read a recipe; raises ConfigurationError for anything that does not fit."""
+        path = Path(path)
+        try:
+            data = tomllib.loads(path.read_text(encoding="utf-8"))
+        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+            raise ConfigurationError(f"cannot read the recipe {path}: {error}") from error
+        return from_dict(cls, _with_sensor(data, path.parent), str(path))
+
+    @classmethod
+    def shipped(cls, name: str) -> "Recipe":
+        """One of the recipes that come with eitskin; see `shipped_names`."""
+        if name not in shipped_names():
+            raise ConfigurationError(
+                f"there is no shipped recipe '{name}'; shipped are {', '.join(shipped_names())}. "
+                "For a recipe of your own, give the path of its .toml file"
+            )
+        return cls.from_toml(SHIPPED / f"{name}.toml")
+
+    def to_toml(self) -> str:
+        """The recipe as TOML that needs no other file; `from_toml` of it is this recipe."""
+        return to_toml(self)
+
+    @property
+    def frames(self) -> int:
+        """Number of frames."""
+        return sum(group.frames for group in self.scenes)
+
+    @property
+    def shards(self) -> int:
+        """Number of files; the last may be shorter."""
+        return -(-self.frames // self.frames_per_shard)
+
+    def shard_range(self, shard: int) -> range:
+        """Numbers of the frames in `shard`."""
+        start = shard * self.frames_per_shard
+        return range(start, min(start + self.frames_per_shard, self.frames))
+
+    def _problems(self) -> Iterator[str]:
+        if not self.name:
+            yield "name must not be empty"
+        if not 0 <= self.seed < 2**63:
+            yield f"seed must be from 0 to 2^63 - 1, got {self.seed}"
+        if not 1 <= self.frames_per_shard <= LIMITS["frame"]:
+            yield (
+                f"frames_per_shard must be from 1 to {LIMITS['frame']}, got {self.frames_per_shard}"
+            )
+        yield from self.specimens.problems()
+        if not self.scenes:
+            yield "scenes must hold at least one group"
+        for number, group in enumerate(self.scenes):
+            problems = [*group.problems(self.sensor.outline), *self._bend_problems(group)]
+            for problem in problems:
+                yield f"scenes[{number}] ({group.state}): {problem}"
+
+    def _bend_problems(self, group: SceneGroup) -> Iterator[str]:
+        for angle in group.angle_deg:
+            try:
+                HingeBend(self.sensor, self.hinge, Bend(angle))
+            except ConfigurationError as error:
+                yield str(error)
+
+
+def shipped_names() -> tuple[str, ...]:
+    """Names of the recipes that come with eitskin."""
+    return tuple(sorted(path.stem for path in SHIPPED.glob("*.toml")))
+
+
+def _with_sensor(data: Mapping[str, Any], folder: Path) -> Mapping[str, Any]:
+    """`data` with a sensor that is given by name or path put in place."""
+    given = data.get("sensor")
+    if not isinstance(given, str):
+        return data
+    if given == "reference":
+        design = SensorDesign.reference()
+    else:
+        design = SensorDesign.from_toml(folder / given)
+    return {**data, "sensor": tomllib.loads(design.to_toml())}
+
+
+def with_seed(recipe: Recipe, seed: int | None) -> Recipe:
+    """`recipe` with another seed, where one is given."""
+    return recipe if seed is None else dataclasses.replace(recipe, seed=seed)

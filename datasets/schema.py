@@ -1,0 +1,101 @@
+"""The arrays of a dataset: names, types, axes and units. What `docs/dataset-format.md` says."""
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+FORMAT: Final = "eitskin-dataset"
+FORMAT_VERSION: Final = 1
+MAX_TOUCHES: Final = 4
+
+# Sizes above these are refused before memory is asked for: a shard from elsewhere may claim any.
+LIMITS: Final = {"frame": 1 << 20, "channel": 1 << 14, "specimen": 1 << 16, "touch": MAX_TOUCHES}
+MAX_VALUES: Final = 1 << 26
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """One array of the format.
+
+    Attributes:
+        name: of the attribute of `Dataset`.
+        path: of the HDF5 dataset.
+        dtype: in memory and in the file.
+        axes: names of its axes, of "frame", "channel", "touch" and "specimen".
+        units: SI, or "1".
+        description: one line, written into the file.
+        finite: whether NaN and infinity are refused.
+        missing: what stands for "not known".
+    """
+
+    name: str
+    path: str
+    dtype: np.dtype[Any]
+    axes: tuple[str, ...]
+    units: str
+    description: str
+    finite: bool = False
+    missing: float = 0
+
+
+def _field(
+    name: str,
+    dtype: str,
+    axes: str,
+    units: str,
+    description: str,
+    *,
+    finite: bool = False,
+    missing: float = 0,
+) -> Field:
+    path = name.replace("touch_", "touch/", 1) if axes == "frame touch" else name
+    split = tuple(axes.split())
+    return Field(name, path, np.dtype(dtype), split, units, description, finite, missing)
+
+
+NAN: Final = float("nan")
+FIELDS: Final = (
+    _field("impedance", "<c8", "frame channel", "ohm", "measured transfer impedance", finite=True),
+    _field(
+        "touch_reference",
+        "<c8",
+        "frame channel",
+        "ohm",
+        "untouched sensor at the same bend, measured with its own noise; NaN where unknown",
+        missing=NAN,
+    ),
+    _field(
+        "reference",
+        "<c8",
+        "specimen channel",
+        "ohm",
+        "flat untouched sensor, free of noise where simulated",
+        finite=True,
+    ),
+    _field("specimen", "<u4", "frame", "1", "which sensor, a row of reference", finite=True),
+    _field("state", "|u1", "frame", "1", "idle, touch or bend; 255 where unknown", missing=255),
+    _field("bend_angle_deg", "<f4", "frame", "degree", "bend; NaN where unknown", missing=NAN),
+    _field("touch_x", "<f4", "frame touch", "m", "place of a touch; NaN where absent", missing=NAN),
+    _field("touch_y", "<f4", "frame touch", "m", "place of a touch; NaN where absent", missing=NAN),
+    _field(
+        "touch_force",
+        "<f4",
+        "frame touch",
+        "N",
+        "force of a touch; NaN where absent or unknown",
+        missing=NAN,
+    ),
+    _field(
+        "touch_radius",
+        "<f4",
+        "frame touch",
+        "m",
+        "radius of the indenter; NaN where absent or unknown",
+        missing=NAN,
+    ),
+    _field("time", "<f8", "frame", "s", "since the episode began", finite=True),
+    _field("status", "|u1", "frame channel", "1", "status bits of the board, 0 is good"),
+    _field("episode", "<u4", "frame", "1", "frames of one episode follow each other in time"),
+)
+FRAME_FIELDS: Final = tuple(field for field in FIELDS if field.axes[0] == "frame")

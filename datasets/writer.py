@@ -1,0 +1,141 @@
+"""A dataset that grows frame by frame, as a recording does."""
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.datasets.dataset import Dataset
+from eitskin.datasets.folder import Manifest, ShardEntry, new_folder, shard_entry, write_manifest
+from eitskin.datasets.schema import MAX_TOUCHES
+from eitskin.datasets.shard import shard_name, write_shard
+from eitskin.datasets.state import UNKNOWN_STATE
+from eitskin.geometry import ConfigurationError, FrameError, SensorDesign
+from eitskin.simulator import Frame, Touch
+
+
+class ShardWriter:
+    """Writes frames into a new folder, a shard at a time, and the manifest when closed.
+
+    A crash costs the frames of the last, unfinished shard. Use as a context manager:
+
+        with ShardWriter("run", reference) as writer:
+            writer.append(frame)
+    """
+
+    def __init__(
+        self,
+        folder: str | Path,
+        reference: NDArray[Any] | None = None,
+        *,
+        design: SensorDesign | None = None,
+        source: str = "measured",
+        frames_per_shard: int = 256,
+    ) -> None:
+        """Start a dataset in `folder`, which must be new or empty.
+
+        Args:
+            folder: where the shards go.
+            reference: the flat untouched sensor, (C,) [ohm]; the first frame when omitted.
+            design: of the sensor, where known.
+            source: "measured" or "simulated".
+            frames_per_shard: how many frames a crash can cost.
+        """
+        self.folder = new_folder(Path(folder))
+        self._reference = reference
+        self._shared: dict[str, Any] = {"design": design, "source": source}
+        self._frames_per_shard = frames_per_shard
+        self._rows: list[tuple[Frame, Mapping[str, Any]]] = []
+        self._entries: list[ShardEntry] = []
+
+    def append(
+        self,
+        frame: Frame,
+        *,
+        state: int = UNKNOWN_STATE,
+        bend_angle_deg: float = np.nan,
+        touches: Sequence[Touch] = (),
+        touch_reference: NDArray[Any] | None = None,
+    ) -> None:
+        """Add one frame with what is known about it; raises FrameError for another protocol."""
+        protocol = self._shared.setdefault("protocol", frame.protocol)
+        if frame.protocol != protocol:
+            raise FrameError(
+                f"expected frames of one protocol with {len(protocol)} measurements, got another "
+                f"with {len(frame.protocol)}; record each protocol into its own folder"
+            )
+        if self._reference is None:
+            self._reference = frame.impedance
+        self._shared.setdefault("frequency", frame.frequency)
+        labels: dict[str, Any] = {"state": state, "bend_angle_deg": bend_angle_deg}
+        labels["touch_reference"] = (
+            np.full(len(protocol), np.nan) if touch_reference is None else touch_reference
+        )
+        labels |= touch_columns(touches)
+        self._rows.append((frame, labels))
+        if len(self._rows) == self._frames_per_shard:
+            self._finish_shard()
+
+    def close(self) -> None:
+        """Write what is left and the manifest; a writer without frames leaves no dataset."""
+        if self._rows:
+            self._finish_shard()
+        if self._entries:
+            frames = sum(entry.count for entry in self._entries)
+            write_manifest(
+                self.folder,
+                Manifest(
+                    source=self._shared["source"],
+                    recipe_sha256=hashlib.sha256(b"").hexdigest(),
+                    seed=0,
+                    frames=frames,
+                    shards=tuple(self._entries),
+                ),
+            )
+
+    def __enter__(self) -> "ShardWriter":
+        """Give the writer itself."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close; what was appended is kept after an error too."""
+        self.close()
+
+    def _finish_shard(self) -> None:
+        frames = [frame for frame, _ in self._rows]
+        labels = {name: np.array([row[name] for _, row in self._rows]) for name in self._rows[0][1]}
+        data = Dataset.from_arrays(
+            np.array([frame.impedance for frame in frames]),
+            self._reference,
+            time=np.array([frame.time for frame in frames]),
+            status=np.array([frame.status for frame in frames]),
+            episode=np.array([frame.session for frame in frames]),
+            **labels,
+            **self._shared,
+        )
+        name = shard_name(len(self._entries))
+        first = sum(entry.count for entry in self._entries)
+        write_shard(self.folder / name, data, first)
+        self._entries.append(shard_entry(self.folder, name, first, len(data)))
+        self._rows.clear()
+
+
+def touch_columns(touches: Sequence[Touch]) -> dict[str, NDArray[np.float32]]:
+    """The four touch arrays of one frame, (4,) each; raises ConfigurationError for more touches."""
+    if len(touches) > MAX_TOUCHES:
+        raise ConfigurationError(
+            f"a dataset holds at most {MAX_TOUCHES} touches per frame, got {len(touches)}"
+        )
+    columns = np.full((4, MAX_TOUCHES), np.nan, dtype=np.float32)
+    for number, touch in enumerate(touches):
+        columns[:, number] = touch.x, touch.y, touch.force, touch.indenter.radius
+    return dict(zip(("touch_x", "touch_y", "touch_force", "touch_radius"), columns, strict=True))

@@ -1,0 +1,538 @@
+"""Shards and datasets: round trips, equal bytes, damage, hostile files, full disks."""
+
+import dataclasses
+import errno
+import json
+import os
+
+import h5py
+import numpy as np
+import pytest
+
+from eitskin.datasets import (
+    UNKNOWN_STATE,
+    Dataset,
+    ShardWriter,
+    State,
+    open_dataset,
+    read_shard,
+    save_dataset,
+    touch_maps,
+    write_shard,
+)
+from eitskin.datasets.schema import FIELDS, FORMAT_VERSION
+from eitskin.geometry import (
+    ConfigurationError,
+    DataError,
+    FrameError,
+    PartialError,
+    SensorDesign,
+)
+from eitskin.simulator import Frame, Protocol, Touch
+
+
+def make(n=40, specimens=2, **changes):
+    """A dataset with something in every array."""
+    rng = np.random.default_rng(1)
+    complex_values = rng.normal(500, 50, (n, 28)) + 1j * rng.normal(0, 5, (n, 28))
+    touches = np.full((4, n, 4), np.nan)
+    touches[:, ::2, 0] = np.array([0.05, 0.02, 10.0, 0.0075])[:, None]
+    known = {
+        "touch_reference": complex_values * 1.01,
+        "specimen": np.arange(n) % specimens,
+        "state": np.where(np.arange(n) % 2, State.BEND, State.TOUCH),
+        "bend_angle_deg": rng.uniform(-20, 50, n),
+        "touch_x": touches[0],
+        "touch_y": touches[1],
+        "touch_force": touches[2],
+        "touch_radius": touches[3],
+        "time": np.arange(n) * 0.1,
+        "status": rng.integers(0, 64, (n, 28)),
+        "episode": np.arange(n) // 10,
+        "protocol": Protocol.pairwise(8),
+        "frequency": 50e3,
+        "source": "simulated",
+        "recipe": 'name = "made for a test"\n',
+        "seed": 7,
+        "design": SensorDesign.reference(),
+    }
+    return Dataset.from_arrays(complex_values, complex_values[:specimens], **known | changes)
+
+
+def assert_same(a, b):
+    for field in FIELDS:
+        first, second = getattr(a, field.name), getattr(b, field.name)
+        assert first.dtype == second.dtype == field.dtype
+        assert np.array_equal(first, second, equal_nan=field.dtype.kind in "fc"), field.name
+    for name in ("protocol", "frequency", "source", "recipe", "seed", "design"):
+        assert getattr(a, name) == getattr(b, name)
+
+
+@pytest.fixture
+def shard(tmp_path):
+    path = tmp_path / "shard.h5"
+    write_shard(path, make())
+    return path
+
+
+# Round trips
+
+
+def test_everything_comes_back(shard):
+    assert_same(read_shard(shard), make())
+
+
+def test_what_is_unknown_comes_back_as_unknown(tmp_path):
+    data = Dataset.from_arrays(np.arange(12.0).reshape(3, 4) + 1)
+    write_shard(tmp_path / "s.h5", data)
+    again = read_shard(tmp_path / "s.h5")
+    assert_same(again, data)
+    assert again.protocol is None
+    assert again.design is None
+    assert (again.state == UNKNOWN_STATE).all()
+    assert np.isnan(again.touch_reference).all()
+    assert np.isnan(again.bend_angle_deg).all()
+    assert np.array_equal(again.reference, data.impedance[:1])
+
+
+def test_folder_of_several_shards_comes_back_as_one(tmp_path):
+    manifest = save_dataset(make(50), tmp_path / "set", frames_per_shard=20)
+    assert [entry.count for entry in manifest.shards] == [20, 20, 10]
+    assert_same(open_dataset(tmp_path / "set"), make(50))
+
+
+def test_equal_data_give_equal_bytes(tmp_path):
+    contents = set()
+    for number in range(20):
+        litter = np.random.default_rng(number).bytes(1000 * (number + 1))
+        write_shard(tmp_path / "s.h5", make(600))
+        contents.add((tmp_path / "s.h5").read_bytes())
+        assert litter
+    assert len(contents) == 1
+
+
+def test_file_describes_itself(shard):
+    with h5py.File(shard) as file:
+        assert file.attrs["format"] == "eitskin-dataset"
+        assert file.attrs["format_version"] == FORMAT_VERSION
+        assert (file.attrs["first_index"], file.attrs["count"], file.attrs["seed"]) == (0, 40, 7)
+        assert json.loads(file.attrs["packages"])["numpy"] == np.__version__
+        assert h5py.check_enum_dtype(file["state"].dtype) == {
+            "idle": 0,
+            "touch": 1,
+            "bend": 2,
+            "unknown": 255,
+        }
+        for path in (*(field.path for field in FIELDS), "protocol"):
+            stored = file[path]
+            assert stored.attrs["units"]
+            assert stored.attrs["description"]
+            assert (stored.compression, stored.shuffle, stored.fletcher32) == ("gzip", True, True)
+            assert all(dimension.label for dimension in stored.dims)
+        assert file["impedance"].dims[0][0] == file["time"]
+        assert set(file) == {f.path.split("/")[0] for f in FIELDS} | {"protocol"}
+
+
+# Damage and hostility
+
+
+def test_every_flipped_byte_is_noticed_through_the_manifest(tmp_path):
+    save_dataset(make(), tmp_path / "set")
+    path = tmp_path / "set" / "shard-000000.h5"
+    whole = path.read_bytes()
+    for place in np.random.default_rng(0).integers(0, len(whole), 100):
+        broken = bytearray(whole)
+        broken[place] ^= 0x10
+        path.write_bytes(broken)
+        with pytest.raises(DataError, match="SHA-256"):
+            open_dataset(tmp_path / "set")
+
+
+def test_flipped_bytes_in_values_are_noticed_without_a_manifest(shard):
+    whole = shard.read_bytes()
+    with h5py.File(shard) as file:
+        chunk = file["impedance"].id.get_chunk_info(0)
+    for place in np.random.default_rng(0).integers(0, chunk.size, 50):
+        broken = bytearray(whole)
+        broken[chunk.byte_offset + place] ^= 0x01
+        shard.write_bytes(broken)
+        with pytest.raises(DataError, match="make or copy it again"):
+            read_shard(shard)
+
+
+@pytest.mark.parametrize("length", [0, 100, 5000, -1])
+def test_cut_files_are_refused(shard, length):
+    shard.write_bytes(shard.read_bytes()[:length])
+    with pytest.raises(DataError, match="not a whole shard"):
+        read_shard(shard)
+
+
+def replace(file, name, **options):
+    del file[name]
+    return file.create_dataset(name, **options)
+
+
+def newer(file):
+    file.attrs["format_version"] = FORMAT_VERSION + 1
+
+
+def other_format(file):
+    file.attrs["format"] = "something"
+
+
+def no_format(file):
+    del file.attrs["format"]
+
+
+def missing_array(file):
+    del file["touch/x"]
+
+
+def wrong_shape(file):
+    replace(file, "time", data=np.zeros(3))
+
+
+def wrong_type(file):
+    replace(file, "impedance", data=np.ones((40, 28)))
+
+
+def text_for_numbers(file):
+    replace(file, "time", data=np.array(["a"] * 40, dtype=object), dtype=h5py.string_dtype())
+
+
+def not_finite(file):
+    file["impedance"][3, 4] = np.nan
+
+
+def unknown_state(file):
+    file["state"][0] = 9
+
+
+def missing_reference(file):
+    file["specimen"][0] = 2
+
+
+def half_a_touch(file):
+    file["touch/x"][0, 0] = np.nan
+
+
+def other_recipe(file):
+    file.attrs["recipe"] = "forged"
+
+
+def claims_too_much(file):
+    file.attrs["count"] = 2**40
+
+
+def external_link(file):
+    del file["time"]
+    file["time"] = h5py.ExternalLink("other.h5", "/time")
+
+
+def soft_link(file):
+    del file["time"]
+    file["time"] = h5py.SoftLink("/bend_angle_deg")
+
+
+def deep_link(file):
+    del file["touch/x"]
+    file["touch/x"] = h5py.ExternalLink("other.h5", "/x")
+
+
+def endless_group(file):
+    file["touch/again"] = file["/"]
+
+
+def external_storage(file):
+    replace(file, "time", shape=(40,), dtype="f8", external=[("/etc/hostname", 0, 320)])
+
+
+def virtual(file):
+    del file["time"]
+    layout = h5py.VirtualLayout(shape=(40,), dtype="f8")
+    layout[:] = h5py.VirtualSource("other.h5", "time", shape=(40,))
+    file.create_virtual_dataset("time", layout)
+
+
+def foreign_filter(file):
+    replace(file, "time", data=np.zeros(40), chunks=(40,), scaleoffset=3)
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (newer, f"version {FORMAT_VERSION + 1} is newer .* upgrade"),
+        (other_format, "expected format 'eitskin-dataset', got 'something'"),
+        (no_format, "expected format 'eitskin-dataset', got None"),
+        (missing_array, "not a whole shard"),
+        (wrong_shape, r"'time' must have shape \(40,\), got \(3,\)"),
+        (wrong_type, "'impedance' must hold complex64, got float64"),
+        (text_for_numbers, "'time' must hold float64, got object"),
+        (not_finite, "impedance must be finite, but frame 3 is not"),
+        (unknown_state, r"states must be .*got \[9\]"),
+        (missing_reference, "specimen 2 has no reference"),
+        (half_a_touch, "both touch_x and touch_y"),
+        (other_recipe, "recipe and its checksum disagree"),
+        (claims_too_much, "expected at most"),
+        (external_link, "soft or external link"),
+        (soft_link, "soft or external link"),
+        (deep_link, "soft or external link"),
+        (endless_group, "nested, virtual or elsewhere"),
+        (external_storage, "nested, virtual or elsewhere"),
+        (virtual, "nested, virtual or elsewhere"),
+        (foreign_filter, "uses filter"),
+    ],
+)
+def test_files_that_the_format_does_not_allow_are_refused(shard, damage, message):
+    with h5py.File(shard, "r+") as file:
+        damage(file)
+    with pytest.raises(DataError, match=message) as caught:
+        read_shard(shard)
+    assert str(shard) in str(caught.value)
+
+
+def test_a_huge_claim_costs_no_memory(shard):
+    with h5py.File(shard, "r+") as file:
+        file.attrs["count"] = 2**20
+        for field in FIELDS:
+            if field.axes[0] == "frame":
+                shape = (2**20, *file[field.path].shape[1:])
+                if field.name in ("impedance", "touch_reference", "status"):
+                    shape = (2**20, 4096)
+                replace(file, field.path, shape=shape, dtype=field.dtype, chunks=True)
+    with pytest.raises(DataError, match="above the format's limits"):
+        read_shard(shard)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"format_version": FORMAT_VERSION + 1, "new": 1}, "newer than .* upgrade"),
+        ({"format": "other"}, "expected format"),
+        ({"frames": 41}, "expected 41 frames, its shards hold 40"),
+        ({"shards": []}, "expected 40 frames, its shards hold 0"),
+        ({"seed": "x"}, "not a manifest"),
+    ],
+)
+def test_manifests_that_do_not_fit_are_refused(tmp_path, change, message):
+    save_dataset(make(), tmp_path / "set")
+    path = tmp_path / "set" / "manifest.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | change))
+    with pytest.raises(DataError, match=message):
+        open_dataset(tmp_path / "set")
+
+
+def test_manifest_may_not_lead_out_of_its_folder(tmp_path):
+    save_dataset(make(), tmp_path / "set")
+    write_shard(tmp_path / "elsewhere.h5", make())
+    path = tmp_path / "set" / "manifest.json"
+    content = json.loads(path.read_text())
+    content["shards"][0]["name"] = "../elsewhere.h5"
+    path.write_text(json.dumps(content))
+    with pytest.raises(DataError, match="must lie beside the manifest"):
+        open_dataset(tmp_path / "set")
+
+
+@pytest.mark.parametrize("content", [b"", b"[]", b"7", b"{", b"\xff"])
+def test_rubbish_for_a_manifest_is_refused(tmp_path, content):
+    (tmp_path / "manifest.json").write_bytes(content)
+    with pytest.raises(DataError, match="manifest"):
+        open_dataset(tmp_path)
+
+
+def test_unfinished_and_absent_datasets_say_what_to_do(tmp_path, shard):
+    shard.rename(tmp_path / "shard-000000.h5")
+    with pytest.raises(DataError, match=r"1 finished shards .*--resume"):
+        open_dataset(tmp_path)
+    with pytest.raises(DataError, match="eitskin generate or eitskin import"):
+        open_dataset(tmp_path / "absent")
+
+
+def test_lost_shard_is_named(tmp_path):
+    save_dataset(make(), tmp_path / "set")
+    (tmp_path / "set" / "shard-000000.h5").unlink()
+    with pytest.raises(DataError, match=r"shard-000000\.h5, which the manifest names"):
+        open_dataset(tmp_path / "set")
+
+
+# Disks
+
+
+def test_full_disk_leaves_the_old_file_and_nothing_else(tmp_path, shard, monkeypatch):
+    before = shard.read_bytes()
+
+    def full(_handle):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(PartialError, match=r"shard\.h5 .*No space left.*--resume") as caught:
+        write_shard(shard, make(60))
+    assert caught.value.exit_code == 5
+    assert shard.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [shard]
+
+
+def test_write_that_the_system_cuts_short_leaves_nothing(tmp_path):
+    resource = pytest.importorskip("resource")
+    old = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, old[1]))
+    try:
+        with pytest.raises(PartialError, match="could not write"):
+            write_shard(tmp_path / "s.h5", make())
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, old)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_absent_folder_is_a_clear_error(tmp_path):
+    with pytest.raises(PartialError, match="No such file"):
+        write_shard(tmp_path / "absent" / "s.h5", make())
+
+
+# Datasets in memory
+
+
+def test_frame_is_what_a_board_would_give():
+    data = make()
+    frame = data.frame(13)
+    assert np.array_equal(frame.impedance, data.impedance[13])
+    assert (frame.protocol, frame.frequency) == (data.protocol, 50e3)
+    assert (frame.number, frame.session) == (13, 1)
+    assert frame.time == pytest.approx(1.3)
+    assert np.array_equal(frame.status, data.status[13])
+
+
+def test_frames_need_a_protocol():
+    with pytest.raises(DataError, match="--protocol"):
+        dataclasses.replace(make(), protocol=None).frame(0)
+
+
+def test_select_keeps_order_and_specimens():
+    data = make()
+    part = data.select([5, 3])
+    assert len(part) == 2
+    assert np.array_equal(part.impedance, data.impedance[[5, 3]])
+    assert np.array_equal(part.touch_x, data.touch_x[[5, 3]], equal_nan=True)
+    assert np.array_equal(part.reference, data.reference)
+    assert len(data.select(data.state == State.BEND)) == 20
+    assert len(data.select([])) == 0
+
+
+def test_split_by_frames_where_specimens_are_few():
+    parts = make(100, specimens=1).split((0.6, 0.2, 0.2), seed=3)
+    assert [len(part) for part in parts] == [60, 20, 20]
+    assert np.array_equal(np.sort(np.concatenate(parts)), np.arange(100))
+    again = make(100, specimens=1).split((0.6, 0.2, 0.2), seed=3)
+    other = make(100, specimens=1).split((0.6, 0.2, 0.2), seed=4)
+    assert all(np.array_equal(a, b) for a, b in zip(parts, again, strict=True))
+    assert not np.array_equal(parts[0], other[0])
+
+
+def test_split_by_specimens_where_they_are_enough():
+    data = make(100, specimens=10)
+    train, validate, test = (set(data.specimen[part]) for part in data.split((0.6, 0.2, 0.2), 0))
+    assert (len(train), len(validate), len(test)) == (6, 2, 2)
+    assert train | validate | test == set(range(10))
+
+
+def test_split_refuses_what_does_not_sum_to_one():
+    with pytest.raises(ConfigurationError, match="sum to one"):
+        make().split((0.5, 0.2))
+
+
+def test_parts_that_do_not_belong_together_are_refused():
+    with pytest.raises(DataError, match="not made together"):
+        Dataset.concatenate([make(), make(recipe="other")])
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"time": np.zeros(3)}, r"time must have shape \(40,\)"),
+        ({"protocol": Protocol.pairwise(4)}, "6 measurements, .* 28 channels"),
+        ({"source": "guessed"}, "source must be"),
+    ],
+)
+def test_arrays_that_do_not_fit_are_refused(changes, message):
+    with pytest.raises(DataError, match=message):
+        make(**changes)
+
+
+# Touch maps
+
+
+def test_touch_maps_are_discs_of_the_right_area_and_place():
+    x, y = np.array([[0.05, np.nan], [0.10, 0.03]]), np.array([[0.02, np.nan], [0.04, 0.02]])
+    maps = touch_maps(x, y, np.where(np.isnan(x), np.nan, 0.0075))
+    assert maps.shape == (2, 32, 80)
+    assert maps.dtype == np.float32
+    assert maps.min() == 0.0
+    assert maps.max() == 1.0
+    pixel = 0.001875
+    assert maps[0].sum() * pixel**2 == pytest.approx(np.pi * 0.0075**2, rel=0.02)
+    assert maps[1].sum() * pixel**2 == pytest.approx(2 * np.pi * 0.0075**2, rel=0.02)
+    rows, columns = np.mgrid[:32, :80]
+    assert (maps[0] * columns).sum() / maps[0].sum() == pytest.approx(0.05 / pixel - 0.5, abs=0.05)
+    assert (maps[0] * rows).sum() / maps[0].sum() == pytest.approx(0.02 / pixel - 0.5, abs=0.05)
+
+
+def test_overlapping_discs_stay_at_one():
+    maps = touch_maps([[0.05, 0.052]], [[0.02, 0.02]], [[0.0075, 0.0075]])
+    assert maps.max() == 1.0
+
+
+def test_untouched_frames_have_empty_maps():
+    assert not touch_maps(*np.full((3, 2, 4), np.nan)).any()
+
+
+def test_touch_maps_need_radii():
+    with pytest.raises(DataError, match="radius"):
+        touch_maps([[0.05]], [[0.02]], [[np.nan]])
+
+
+# Recording
+
+
+def frames(n, protocol=None):
+    protocol = protocol or Protocol.pairwise(4)
+    for number in range(n):
+        values = np.arange(len(protocol)) + 1.0 + number
+        yield Frame(values, protocol, time=number * 0.5, number=number, session=number // 4)
+
+
+def test_recorded_frames_come_back_with_their_labels(tmp_path):
+    touch = Touch(0.05, 0.02, 9.0)
+    with ShardWriter(tmp_path / "run", frames_per_shard=3) as writer:
+        for frame in frames(8):
+            writer.append(frame, state=State.TOUCH, bend_angle_deg=5.0, touches=(touch,))
+    data = open_dataset(tmp_path / "run")
+    assert (len(data), data.source) == (8, "measured")
+    assert len(list((tmp_path / "run").glob("shard-*.h5"))) == 3
+    assert np.array_equal(data.impedance[:, 0], np.arange(8) + 1.0)
+    assert np.array_equal(data.time, np.arange(8) * 0.5)
+    assert np.array_equal(data.episode, np.arange(8) // 4)
+    assert np.array_equal(data.reference[0], data.impedance[0])
+    assert data.touch_force[7, 0] == 9.0
+    assert np.isnan(data.touch_force[7, 1])
+    assert np.isnan(data.touch_reference).all()
+
+
+def test_recording_keeps_what_came_before_an_error(tmp_path):
+    def record():
+        with ShardWriter(tmp_path / "run") as writer:
+            for frame in frames(5):
+                writer.append(frame)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        record()
+    assert len(open_dataset(tmp_path / "run")) == 5
+
+
+def test_recording_refuses_another_protocol_and_an_occupied_folder(tmp_path):
+    with ShardWriter(tmp_path / "run") as writer:
+        writer.append(next(frames(1)))
+        with pytest.raises(FrameError, match="one protocol"):
+            writer.append(next(frames(1, Protocol.pairwise(5))))
+    with pytest.raises(ConfigurationError, match="not empty"):
+        ShardWriter(tmp_path / "run")
