@@ -38,7 +38,9 @@ class ExtrudedElement:
     @property
     def plane(self) -> skfem.Element:
         """The element on the unit square."""
-        return {1: skfem.ElementQuad1, 2: skfem.ElementQuad2}[self.order[0]]()
+        order = self.order[0]
+        known = {1: skfem.ElementQuad1, 2: skfem.ElementQuad2}
+        return known[order]() if order in known else skfem.ElementQuadP(order)
 
     @property
     def upright(self) -> skfem.Element:
@@ -89,7 +91,7 @@ class Assembly:
 
     Attributes:
         unknowns: number of potential unknowns.
-        places: where they sit, (unknowns, 3) [m].
+        places: middle of the point, edge or cell that each belongs to, (unknowns, 3) [m].
         rows, columns: of each value in the lower triangle of A; values of equal place add up.
         points: quadrature points of the cells, (cells, q, 3) [m].
         facet_points, facet_normals: of the electrodes, (facets, q, 3) [m], [-].
@@ -97,7 +99,7 @@ class Assembly:
     """
 
     def __init__(self, mesh: Mesh, order: tuple[int, int]) -> None:
-        """Prepare elements of polynomial `order` (in the plane, upwards), each 1 or 2."""
+        """Prepare elements of polynomial `order` (in the plane, upwards)."""
         layers = len(mesh.heights) - 1
         plane = skfem.MeshQuad(
             np.ascontiguousarray(mesh.points[:: layers + 1, :2].T),
@@ -106,12 +108,11 @@ class Assembly:
         )
         column = skfem.MeshLine(mesh.heights)
         self.element = ExtrudedElement(order)
-        self._intorder = 2 * max(order)
-        flat = skfem.CellBasis(plane, self.element.plane, intorder=self._intorder)
-        upright = skfem.CellBasis(column, self.element.upright, intorder=self._intorder)
+        flat = skfem.CellBasis(plane, self.element.plane, intorder=1)
+        upright = skfem.CellBasis(column, self.element.upright, intorder=1)
         self.unknowns: int = flat.N * upright.N
         self.places: Array = np.concatenate(
-            [np.repeat(flat.doflocs, upright.N, axis=1), np.tile(upright.doflocs, flat.N)]
+            [np.repeat(_places(flat), upright.N, axis=1), np.tile(_places(upright), flat.N)]
         ).T
         self.cell_unknowns: Indices = (
             flat.element_dofs.T[:, None, :, None] * upright.N
@@ -124,7 +125,7 @@ class Assembly:
         self.columns: Indices = np.concatenate([self._cell_columns, self._facet_columns])
 
     def _prepare_cells(self, mesh: Mesh) -> None:
-        X, weights = _box_rule(self._intorder)
+        X, weights = _box_rule(*self.element.order)
         gradients = self.element.gradients(X)
         i, j = self._pairs
         a, b = _TENSOR_ROWS, _TENSOR_COLUMNS
@@ -152,7 +153,9 @@ class Assembly:
         self.facet_electrode: Indices = np.repeat(np.arange(self.electrodes), sizes)
         corners = mesh.points[facets]
         across, along = corners[:, 1] - corners[:, 0], corners[:, 3] - corners[:, 0]
-        nodes, weights = skfem.quadrature.get_quadrature(skfem.refdom.RefQuad, self._intorder)
+        nodes, weights = skfem.quadrature.get_quadrature(
+            skfem.refdom.RefQuad, 2 * max(self.element.order)
+        )
         self.facet_points: Array = (
             corners[:, :1]
             + nodes[0][:, None] * across[:, None]
@@ -237,12 +240,26 @@ def _sums(places: Indices, values: Array, size: int) -> Array:
     return np.asarray(np.bincount(places.ravel(), values.ravel(), size), dtype=np.float64)
 
 
-def _box_rule(order: int) -> tuple[Array, Array]:
-    """Gauss points (3, q) and weights (q,) on the unit cube, exact to `order` in each direction."""
-    plane, plane_weights = skfem.quadrature.get_quadrature(skfem.refdom.RefQuad, order)
-    line, line_weights = skfem.quadrature.get_quadrature(skfem.refdom.RefLine, order)
+def _box_rule(plane_order: int, upright_order: int) -> tuple[Array, Array]:
+    """Gauss points (3, q) and weights (q,) on the unit cube, exact for products of elements."""
+    rule = skfem.quadrature.get_quadrature
+    plane, plane_weights = rule(skfem.refdom.RefQuad, 2 * plane_order)
+    line, line_weights = rule(skfem.refdom.RefLine, 2 * upright_order)
     points = [np.repeat(plane, line.shape[1], axis=1), np.tile(line, plane.shape[1])]
     return np.concatenate(points), np.outer(plane_weights, line_weights).ravel()
+
+
+def _places(basis: skfem.CellBasis) -> Array:
+    """The middle of the point, edge or cell that each unknown belongs to, (dim, unknowns) [m]."""
+    grid, dofs = basis.mesh, basis.dofs
+    places = np.empty((grid.dim(), basis.N))
+    entities = [(dofs.nodal_dofs, grid.p), (dofs.interior_dofs, grid.p[:, grid.t].mean(axis=1))]
+    if grid.dim() == 2:
+        entities.append((dofs.facet_dofs, grid.p[:, grid.facets].mean(axis=1)))
+    for numbers, middles in entities:
+        for row in numbers:
+            places[:, row] = middles
+    return places
 
 
 def _owners(facets: Indices, cells: Indices) -> Indices:

@@ -11,19 +11,21 @@ from eitskin.geometry.structured import Grading
 from eitskin.simulator.assembly import Assembly, Contact
 from eitskin.simulator.protocol import Protocol
 from eitskin.simulator.sensitivity import pixel_gram
-from eitskin.simulator.solvers import BlockCholesky, Factorisation, Solver
+from eitskin.simulator.solvers import BlockCholesky, Solver
 
 Array = NDArray[np.float64]
 Field = Callable[[Array], ArrayLike]
 Conductivity: TypeAlias = float | Array | Field
 AreaRatio: TypeAlias = Callable[[Array, Array], Array]
 Resolution = Literal["fast", "standard", "fine"]
+Discretisation: TypeAlias = tuple[tuple[int, int], Grading]
 
-# Element order (in the plane, upwards) and cell sizes; cost and error of each: docs/accuracy.md.
-RESOLUTIONS: dict[str, tuple[tuple[int, int], Grading]] = {
+# Element order (in the plane, upwards) and cell sizes. What each costs and how wrong it is:
+# `python -m eitskin.benchmarks.accuracy`.
+RESOLUTIONS: dict[str, Discretisation] = {
     "fast": ((2, 1), Grading(finest=1e-3, coarsest=4e-3, growth=0.7, layers=1)),
-    "standard": ((2, 2), Grading(finest=2e-4, coarsest=3e-3, growth=1.0, layers=1)),
-    "fine": ((2, 2), Grading(finest=1e-4, coarsest=2.5e-3, growth=0.7, layers=1)),
+    "standard": ((3, 2), Grading(finest=1.2e-4, coarsest=5e-3, growth=2.5, layers=1)),
+    "fine": ((4, 2), Grading(finest=5e-5, coarsest=6e-3, growth=3.0, layers=1)),
 }
 
 
@@ -44,7 +46,7 @@ class ForwardModel:
     def __init__(
         self,
         design: SensorDesign,
-        resolution: Resolution | tuple[tuple[int, int], Grading] = "standard",
+        resolution: Resolution | Discretisation = "standard",
         breaks: Sequence[float] = (),
     ) -> None:
         """Mesh the design.
@@ -70,6 +72,11 @@ class ForwardModel:
         strip += self._assembly.places[:, 0] > faces[strip] + 1e-12
         self.solver: Solver = BlockCholesky(self._assembly.rows, self._assembly.columns, strip)
 
+    @property
+    def unknowns(self) -> int:
+        """Number of potential unknowns."""
+        return self._assembly.unknowns
+
     def impedance(
         self, conductivity: Conductivity | None = None, area_ratio: AreaRatio | None = None
     ) -> Array:
@@ -87,12 +94,17 @@ class ForwardModel:
         Raises:
             ConfigurationError: for a conductivity of another shape, or not positive.
         """
-        return self._solve(conductivity, area_ratio)[2]
+        values, contact = self._system(conductivity, area_ratio)
+        eliminated = self.solver.congruence(values, contact.coupling)
+        return _inverse_of_admittance(np.diag(contact.admittance) - eliminated)
 
     def potentials(self, conductivity: Conductivity | None = None) -> tuple[Array, Array]:
         """Z [ohm] and potentials per unit electrode current, (unknowns, electrodes) [V/A]."""
-        factors, contact, Z = self._solve(conductivity, None)
-        return Z, factors.solve(contact.coupling) @ Z
+        values, contact = self._system(conductivity, None)
+        potentials = self.solver.factorise(values).solve(contact.coupling)
+        Y = np.diag(contact.admittance) - contact.coupling.T @ potentials
+        Z = _inverse_of_admittance(Y)
+        return Z, potentials @ Z
 
     def sensitivity(
         self,
@@ -122,10 +134,10 @@ class ForwardModel:
         J: Array = -np.einsum("em,cef,fm->mc", drive, gram, sense, optimize=True)
         return J
 
-    def _solve(
+    def _system(
         self, conductivity: Conductivity | None, area_ratio: AreaRatio | None
-    ) -> tuple[Factorisation, Contact, Array]:
-        """Factorise one scene and eliminate the potentials: the factors, the contacts, and Z."""
+    ) -> tuple[Array, Contact]:
+        """The matrix values of one scene, and its contacts; counts as a factorisation."""
         assembly = self._assembly
         ratio = (
             1.0 if area_ratio is None else area_ratio(assembly.facet_points, assembly.facet_normals)
@@ -134,9 +146,7 @@ class ForwardModel:
         contact = assembly.contact(impedances, ratio)
         stiffness = assembly.stiffness(self._tensors(conductivity))
         self.factorisations += 1
-        factors = self.solver.factorise(np.concatenate([stiffness, contact.values]))
-        Y = np.diag(contact.admittance) - factors.congruence(contact.coupling)
-        return factors, contact, _inverse_of_admittance(Y)
+        return np.concatenate([stiffness, contact.values]), contact
 
     def _tensors(self, conductivity: Conductivity | None) -> Array:
         """The conductivity as tensors, (cells, 3, 3) or, per point, (cells, q, 3, 3)."""

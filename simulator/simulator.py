@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from eitskin.geometry import ConfigurationError, Hinge, SensorDesign
 from eitskin.geometry.bend import HingeBend
 from eitskin.geometry.deformation import Composed, Deformation, area_ratio, pulled_back
-from eitskin.simulator.forward import ForwardModel, Resolution
+from eitskin.simulator.forward import Discretisation, ForwardModel, Resolution
 from eitskin.simulator.frame import Frame
 from eitskin.simulator.instrument import WhiteNoise
 from eitskin.simulator.protocol import Protocol
@@ -31,7 +31,7 @@ class Simulator:
     def __init__(
         self,
         design: SensorDesign,
-        resolution: Resolution = "standard",
+        resolution: Resolution | Discretisation = "standard",
         fixture: Hinge | None = None,
         protocol: Protocol | None = None,
     ) -> None:
@@ -39,7 +39,7 @@ class Simulator:
 
         Args:
             design: the sensor.
-            resolution: "fast", "standard" or "fine".
+            resolution: "fast", "standard" or "fine", or element order and grading.
             fixture: the default hinge when omitted.
             protocol: every pair of electrodes when omitted.
         """

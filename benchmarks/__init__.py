@@ -1,0 +1,1 @@
+"""Measurements of error against run time; every published figure comes from one of these."""

@@ -1,0 +1,298 @@
+"""Stages that are learned: bend angle, state, touch map, touches, touch position."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from eitskin.datasets import RecordingNames, read_recording
+from eitskin.geometry import ConfigurationError, DataError
+from eitskin.training import RecordedTouches
+from eitskin.training.bend_angle import BendAngle
+from eitskin.training.classifier import Classifier
+from eitskin.training.networks import single_thread, weights_of
+from eitskin.training.postprocessor import PostProcessor
+from eitskin.training.reconstruction import Reconstruction
+from eitskin.training.settings import NetworkSettings, TrainingSettings
+from eitskin.training.touch_position import TouchPosition
+from eitskin.training.touches import find_touches
+
+DATA = Path(os.environ.get("EITSKIN_DATA", Path(__file__).parents[2] / "shared" / "data"))
+SHAPE = (8, 16)
+OUTLINE = (0.16, 0.08)
+X, Y = np.meshgrid((np.arange(16) + 0.5) * 0.01, (np.arange(8) + 0.5) * 0.01)
+
+
+# A toy sensor of 8 x 16 pixels: thirty channels, each of which sees a blurred column or row.
+JACOBIAN = np.array(
+    [np.exp(-((X - place) ** 2) / 3e-4).ravel() for place in np.linspace(0, 0.16, 20)]
+    + [np.exp(-((Y - place) ** 2) / 3e-4).ravel() for place in np.linspace(0, 0.08, 10)]
+)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def one_thread():
+    """Small networks gain nothing from more, and lose where cores are shared."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.fixture(scope="module")
+def reconstruction():
+    return Reconstruction.fit(JACOBIAN, snr=100.0, shape=SHAPE)
+
+
+@pytest.fixture(scope="module")
+def presses():
+    """dV and touch maps of 300 presses of the toy sensor, 20 mm across."""
+    rng = np.random.default_rng(0)
+    centres = rng.uniform([0.02, 0.02], [0.14, 0.06], size=(300, 2))
+    distance = np.hypot(X - centres[:, :1, None], Y - centres[:, 1:, None])
+    maps = np.clip(1.5 - distance / 0.01, 0, 1).astype(np.float32)
+    return maps.reshape(300, -1) @ JACOBIAN.T, maps, centres
+
+
+# Bend angle
+
+
+def bends(count=200, seed=0):
+    """Two of six channels follow the angle; the others are noise."""
+    rng = np.random.default_rng(seed)
+    angle = rng.uniform(-20, 50, count)
+    dV = rng.normal(size=(count, 6)) * 1e-4
+    dV[:, 1] += 1e-3 * angle
+    dV[:, 4] -= 2e-3 * angle
+    return dV, angle
+
+
+def test_bend_angle_selects_the_channels_that_follow_it():
+    dV, angle = bends()
+    stage = BendAngle.fit(dV, angle, np.zeros(len(angle)))
+    assert {1, 4} <= set(stage.channels)
+    unseen, truth = bends(seed=1)
+    assert np.std(stage.apply(unseen) - truth) < 0.1
+    assert stage.apply(unseen[0]).shape == ()
+
+
+def test_number_of_channels_is_chosen_on_specimens_left_out():
+    """A channel that tells specimens apart, not angles, helps only on specimens seen before."""
+    rng = np.random.default_rng(2)
+    specimen = np.repeat(np.arange(10), 20)
+    angle = np.repeat(rng.uniform(-20, 50, 10), 20) + rng.normal(size=200)
+    dV = np.stack([angle + rng.normal(size=200) * 4, np.tile(rng.normal(size=200), 1)], axis=1)
+    dV[:, 1] = np.repeat(rng.permutation(10), 20) * 10.0 + angle * 0.3
+    grouped = BendAngle.fit(dV, angle, specimen)
+    assert grouped.channels.tolist() == [0]
+    assert len(BendAngle.fit(dV, angle, np.zeros(200)).channels) == 2
+
+
+def test_bend_angle_survives_its_arrays_and_refuses_too_few():
+    dV, angle = bends()
+    stage = BendAngle.fit(dV, angle, np.zeros(len(angle)))
+    again = BendAngle.from_arrays(stage.arrays())
+    np.testing.assert_array_equal(again.apply(dV), stage.apply(dV))
+    with pytest.raises(DataError, match="at least 10 frames"):
+        BendAngle.fit(dV[:5], angle[:5], np.zeros(5))
+
+
+# Networks
+
+BRIEF = NetworkSettings(3e-3, epochs=20, batch=16)
+
+
+@pytest.fixture(scope="module")
+def states(presses):
+    """dV and states: nothing, presses, and a smooth change along the sensor."""
+    dV, _, _ = presses
+    rng = np.random.default_rng(3)
+    state = np.arange(300) % 3
+    bend = np.concatenate([np.linspace(-1, 1, 20), np.zeros(10)]) * dV.std() * 3
+    signal = np.where((state == 1)[:, None], dV, 0) + np.outer((state == 2), bend)
+    return signal + rng.normal(size=dV.shape) * dV.std() * 0.05, state
+
+
+def test_classifier_learns_and_generalises(states, reconstruction):
+    dV, state = states
+    stage = Classifier.fit(dV[:240], state[:240], reconstruction, BRIEF)
+    probabilities = stage.apply(reconstruction.apply(dV[240:]))
+    np.testing.assert_allclose(probabilities.sum(axis=1), 1.0)
+    assert np.mean(probabilities.argmax(axis=1) == state[240:]) > 0.95
+
+
+def test_classifier_is_the_papers(reconstruction):
+    settings = NetworkSettings(1e-3, epochs=1)
+    stage = Classifier.fit(np.eye(30)[:4], [0, 1, 2, 0], reconstruction, settings)
+    kinds = [type(m).__name__ for m in stage.network.modules()]
+    assert [kinds.count(k) for k in ("Conv2d", "MaxPool2d", "ConvTranspose2d")] == [3, 3, 3]
+    widths = [m.out_channels for m in stage.network.modules() if isinstance(m, torch.nn.Conv2d)]
+    assert widths == [16, 32, 64]
+    assert stage.network.layers[-3].out_features == 16
+    paper = TrainingSettings.preset("paper").classifier
+    assert (paper.learning_rate, paper.epochs, paper.batch) == (1e-5, 150, 64)
+    assert not paper.one_cycle
+
+
+def test_training_is_the_seeds_alone_and_leaves_torch_as_it_was(states, reconstruction):
+    dV, state = (array[:64] for array in states)
+    settings = NetworkSettings(1e-3, epochs=2, noise=1.0)
+
+    def weights(seed):
+        stage = Classifier.fit(dV, state, reconstruction, settings, noise=0.01, seed=seed)
+        return np.concatenate([w.ravel() for w in weights_of(stage.network).values()])
+
+    torch.manual_seed(5)
+    before = torch.random.get_rng_state()
+    first = weights(1)
+    assert torch.equal(torch.random.get_rng_state(), before)
+    torch.rand(3)
+    np.testing.assert_array_equal(weights(1), first)
+    assert not np.array_equal(weights(2), first)
+
+
+def test_constant_learning_rate_is_the_one_asked_for(states, reconstruction):
+    """Adam's first step moves a weight by the learning rate, whatever the gradient."""
+    dV, state = (array[:64] for array in states)
+    moved = []
+    for rate in (1e-5, 1e-3):
+        settings = NetworkSettings(rate, epochs=1, batch=64, one_cycle=False)
+        stage = Classifier.fit(dV, state, reconstruction, settings)
+        moved.append(stage.network.layers[-1].bias.detach().numpy())
+    assert np.max(np.abs(moved[0] - moved[1])) == pytest.approx(1e-3 - 1e-5, rel=0.01)
+
+
+def test_postprocessor_sharpens(presses, reconstruction):
+    dV, maps, centres = presses
+    stage = PostProcessor.fit(dV[:240], maps[:240], reconstruction, BRIEF)
+    made = stage.apply(reconstruction.apply(dV[240:]))
+    assert made.shape == (60, *SHAPE)
+    assert made.min() >= 0
+    assert made.max() <= 1
+    assert np.mean((made - maps[240:]) ** 2) < 0.2 * maps[240:].var()
+    places = [find_touches(touch_map, OUTLINE)[0][:2] for touch_map in made]
+    assert np.mean(np.linalg.norm(places - centres[240:], axis=1)) < 0.006
+
+
+def test_networks_survive_their_arrays(presses, reconstruction):
+    dV, maps, _ = presses
+    settings = NetworkSettings(1e-3, epochs=1)
+    stage = PostProcessor.fit(dV[:32], maps[:32], reconstruction, settings)
+    again = PostProcessor.from_arrays(stage.arrays(), SHAPE)
+    pictures = reconstruction.apply(dV[:5])
+    np.testing.assert_array_equal(again.apply(pictures), stage.apply(pictures))
+    with pytest.raises(DataError, match="missing"):
+        PostProcessor.from_arrays({"scale": np.array(1.0)}, SHAPE)
+    with pytest.raises(DataError, match="other shapes"):
+        Classifier.from_arrays(_classifier_arrays(dV, reconstruction), (16, 16))
+
+
+def _classifier_arrays(dV, reconstruction):
+    settings = NetworkSettings(1e-3, epochs=1)
+    return Classifier.fit(dV[:4], [0, 1, 2, 0], reconstruction, settings).arrays()
+
+
+def test_single_thread_gives_the_threads_back():
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    try:
+        with pytest.raises(KeyError), single_thread():
+            assert torch.get_num_threads() == 1
+            raise KeyError
+        assert torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(before)
+
+
+def test_settings_refuse_nonsense():
+    with pytest.raises(ConfigurationError, match="must be positive"):
+        NetworkSettings(0.0, epochs=1)
+    with pytest.raises(ConfigurationError, match="'quick' or 'paper', got 'best'"):
+        TrainingSettings.preset("best")
+
+
+# Touches in a map
+
+
+def test_touches_are_weighted_centroids_strongest_first():
+    touch_map = np.zeros((32, 80))
+    touch_map[10:14, 20:24] = 0.8
+    touch_map[20:24, 60:64] = [[0.5, 0.5, 1.0, 1.0]] * 4
+    (x0, y0, s0), (x1, y1, s1) = find_touches(touch_map, (0.150, 0.060))
+    pixel = 0.150 / 80
+    weighted = (60.5 + 61.5 + 2 * 62.5 + 2 * 63.5) / 6
+    assert (x0, y0, s0) == pytest.approx((weighted * pixel, 22 * pixel, 1.0))
+    assert (x1, y1, s1) == pytest.approx((22 * pixel, 12 * pixel, 0.8))
+
+
+def test_faint_and_tiny_regions_are_no_touches():
+    touch_map = np.zeros((32, 80))
+    touch_map[10:14, 20:24] = 0.2
+    touch_map[20, 60:63] = 1.0
+    assert find_touches(touch_map, (0.150, 0.060)) == ()
+
+
+# Touch position without geometry
+
+
+def recorded(count=150, seed=0):
+    """Ratios of a toy skin of eight channels, each feeling presses near its own place."""
+    rng = np.random.default_rng(seed)
+    places = rng.uniform(-0.05, 0.05, size=(count, 2))
+    angles = np.arange(8) * np.pi / 4
+    own = 0.05 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    distance = np.linalg.norm(places[:, None] - own, axis=2)
+    strength = rng.uniform(0.5, 2.0, size=(count, 1))
+    change = 0.02 * strength * np.exp(-((distance / 0.04) ** 2))
+    return 1 + change + rng.normal(size=change.shape) * 1e-5, places
+
+
+def test_touch_position_is_learned_whatever_the_strength():
+    stage = TouchPosition.fit(*recorded())
+    ratio, places = recorded(50, seed=1)
+    assert np.mean(np.linalg.norm(stage.apply(ratio) - places, axis=1)) < 0.002
+    harder = stage.apply(ratio**3)  # three times the press, in log ratios
+    np.testing.assert_allclose(harder, stage.apply(ratio), atol=1e-9)
+
+
+def test_touch_position_is_scikit_learns_prediction():
+    from sklearn.gaussian_process import GaussianProcessRegressor
+    from sklearn.gaussian_process.kernels import Matern
+
+    ratio, places = recorded()
+    stage = TouchPosition.fit(ratio, places)
+    kernel = stage.variance * Matern(stage.length, nu=2.5)
+    process = GaussianProcessRegressor(kernel, optimizer=None)
+    process.X_train_, process.alpha_ = stage.directions, stage.weights
+    process._y_train_mean, process._y_train_std = 0.0, 1.0
+    process.kernel_ = kernel
+    logs = np.log(ratio) / stage.channel_scale
+    directions = logs / np.linalg.norm(logs, axis=1, keepdims=True)
+    np.testing.assert_allclose(
+        process.predict(directions) + stage.centre, stage.apply(ratio), atol=1e-9
+    )
+
+
+def test_touch_position_edges():
+    ratio, places = recorded()
+    stage = TouchPosition.fit(ratio, places)
+    ratio[0, 0], ratio[1] = np.nan, 1.0
+    assert np.isfinite(stage.apply(ratio)).all()
+    with pytest.raises(DataError, match="8 channels, got 7"):
+        stage.apply(ratio[:, :7])
+    with pytest.raises(DataError, match="at least 20"):
+        TouchPosition.fit(ratio[:5], places[:5])
+
+
+def test_measured_hydrogel_skin():
+    """500 presses of a real skin: better than extremely randomised trees' 4.5 mm."""
+    if not (DATA / "ohmc8.mat").is_file():
+        pytest.skip(f"no ohmc8.mat in {DATA}; set EITSKIN_DATA to the folder that holds it")
+    names = RecordingNames("responsedowns", "responseups", "positions")
+    recording = read_recording(DATA / "ohmc8.mat", names)
+    score = RecordedTouches.fit(recording).evaluate(recording)
+    assert score.frames == 100
+    assert score.mean_error_mm < 3.0
+    assert score.guess_error_mm > 40.0
