@@ -19,6 +19,7 @@ class Status(IntFlag):
     OPEN = 8
     LOW_CURRENT = 16
     UNCALIBRATED = 32
+    NOT_FINITE = 64  # set by the host, where a board sends NaN or infinity
 
 
 @dataclass(frozen=True, slots=True, eq=False)

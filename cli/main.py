@@ -1,0 +1,42 @@
+"""The `eitskin` command: assembles the commands and turns errors into exit codes."""
+
+import sys
+
+import typer
+
+from eitskin.cli import board, demo, evaluate, generate, import_recording, live, simulate, train
+from eitskin.geometry import EitskinError
+
+app = typer.Typer(
+    name="eitskin",
+    help="Simulate electrical-impedance robot skin, make training sets, train on them, go live.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+app.command("simulate")(simulate.command)
+app.command("generate")(generate.command)
+app.command("import")(import_recording.command)
+app.command("train")(train.command)
+app.command("evaluate")(evaluate.command)
+app.command("board")(board.command)
+app.command("live")(live.command)
+app.command("demo")(demo.command)
+
+EXIT_USAGE = 2
+EXIT_INTERRUPTED = 130
+
+
+def run() -> None:
+    """Entry point: exit codes 0 ok, 2 usage, 3 data, 4 device, 5 partial, 130 interrupted."""
+    try:
+        app(standalone_mode=True)
+    except EitskinError as error:
+        typer.secho(f"eitskin: {error}", fg=typer.colors.RED, err=True)
+        sys.exit(error.exit_code)
+    except ImportError as error:
+        typer.secho(f"eitskin: {error}", fg=typer.colors.RED, err=True)
+        sys.exit(EXIT_USAGE)
+    except KeyboardInterrupt:
+        typer.secho("eitskin: interrupted", err=True)
+        sys.exit(EXIT_INTERRUPTED)

@@ -1,0 +1,130 @@
+"""What happens to a virtual board's sensor, frame by frame, and what is then measured."""
+
+import tomllib
+import typing
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.geometry import ConfigurationError
+from eitskin.geometry.config import read_toml
+from eitskin.simulator import Frame, Protocol, Scene, WhiteNoise
+
+Complex = NDArray[np.complex128]
+SceneSource = Callable[[int], Scene]
+"""The scene of the frame with a given number."""
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """A scene that lasts for a number of frames."""
+
+    scene: Scene
+    frames: int = 1
+
+    def __post_init__(self) -> None:
+        """Check the number."""
+        if self.frames < 1:
+            raise ConfigurationError(f"a step lasts for at least one frame, got {self.frames}")
+
+
+@dataclass(frozen=True, slots=True)
+class Script:
+    """Scenes that follow each other.
+
+    Attributes:
+        steps: in the order in which they are played.
+        repeat: from the first again after the last; else the last one stays.
+    """
+
+    steps: tuple[Step, ...]
+    repeat: bool = True
+
+    def __post_init__(self) -> None:
+        """Check that there is something to play."""
+        if not self.steps:
+            raise ConfigurationError("a script needs at least one step, got none")
+
+    @classmethod
+    def from_toml(cls, path: str | Path) -> "Script":
+        """Read a script ([[steps]] with frames and a scene), or a scene that stays for ever."""
+        path = Path(path)
+        if path.is_file() and "steps" in _top_keys(path):
+            return read_toml(cls, path)
+        return cls((Step(Scene.from_toml(path)),))
+
+    def __call__(self, number: int) -> Scene:
+        """The scene of frame `number`."""
+        total = sum(step.frames for step in self.steps)
+        place = number % total if self.repeat else min(number, total - 1)
+        for step in self.steps:
+            if place < step.frames:
+                break
+            place -= step.frames
+        return step.scene
+
+
+class Measuring(typing.Protocol):
+    """What is used of a `Simulator`."""
+
+    @property
+    def protocol(self) -> Protocol:
+        """What it measures."""
+
+    @property
+    def full_scale(self) -> float:
+        """Largest resistance of the flat, untouched sensor [ohm]."""
+
+    def measure(self, scene: Scene) -> Frame:
+        """The noise-free frame of `scene`."""
+
+
+class SimulatedSensor:
+    """The impedances that a virtual board measures; each scene is computed once.
+
+    Attributes:
+        protocol: what is measured.
+    """
+
+    def __init__(
+        self,
+        simulator: Measuring,
+        scenes: SceneSource,
+        noise: WhiteNoise | None = None,
+        seed: int = 0,
+    ) -> None:
+        """Compute the scenes of a script now, so that none of its frames is late.
+
+        Args:
+            simulator: of the sensor.
+            scenes: a `Script`, or any function from frame number to scene.
+            noise: added to every frame.
+            seed: of the noise; frame and seed decide it, whatever was measured before.
+        """
+        self.protocol = simulator.protocol
+        self._scenes, self._noise, self._seed = scenes, noise, seed
+        self._full_scale = simulator.full_scale
+        self._clean = lru_cache(maxsize=1024)(lambda scene: simulator.measure(scene).impedance)
+        if isinstance(scenes, Script):
+            for step in scenes.steps:
+                self._clean(step.scene)
+
+    def __call__(self, number: int) -> Complex:
+        """Impedance in frame `number`, (measurements,) complex [ohm]."""
+        impedance: Complex = self._clean(self._scenes(number))
+        if self._noise is None:
+            return impedance
+        rng = np.random.default_rng((self._seed, number))
+        return self._noise.apply(impedance, self._full_scale, rng)
+
+
+def _top_keys(path: Path) -> set[str]:
+    """Keys at the top of a TOML file; none where it is not TOML, which reading it will say."""
+    try:
+        return set(tomllib.loads(path.read_text(encoding="utf-8")))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError):
+        return set()

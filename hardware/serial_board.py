@@ -1,0 +1,359 @@
+"""The host's side of the wire: a board on a serial port.
+
+Nothing is made up here. What is lost is counted, what is damaged is dropped and counted, and a
+board that has fallen silent is an error, never an old frame.
+"""
+
+import logging
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from types import TracebackType
+from typing import Self, TypeVar
+
+import numpy as np
+
+from eitskin.geometry import ConfigurationError, DeviceError
+from eitskin.hardware.board import Counts
+from eitskin.hardware.messages import (
+    Ack,
+    Calibrate,
+    Event,
+    FrameData,
+    GetTable,
+    Hello,
+    Info,
+    Message,
+    MessageError,
+    Reply,
+    Request,
+    Start,
+    Stop,
+    Table,
+    pack,
+    unpack,
+)
+from eitskin.hardware.packets import Decoder, Drop, encode
+from eitskin.hardware.port import BAUD, GONE, Port, open_port, ports_here
+from eitskin.simulator import Frame, Protocol, Status
+
+REPLY_WITHIN = 0.5  # s
+TRIES = 3
+SILENT_PERIODS = 3
+_CHUNK = 4096  # bytes, what a terminal's input queue holds
+_BACKLOG = 2**17  # bytes; Linux keeps 64 KiB behind that queue, other systems less
+
+log = logging.getLogger(__name__)
+Answer = TypeVar("Answer", bound=Message)
+Result = TypeVar("Result")
+
+
+class SerialBoard:
+    """A board behind a port that is open; see `eitskin.hardware.Board`.
+
+    Attributes:
+        uri: what it was opened as.
+        info: who it is; replaced when it has restarted.
+        protocol: what it measures.
+        events: the last lines of text that its firmware sent.
+    """
+
+    def __init__(
+        self,
+        port: Port,
+        uri: str,
+        clock: Callable[[], float] = time.monotonic,
+        and_close: Callable[[], None] = lambda: None,
+    ) -> None:
+        """Ask the board who it is and what it measures.
+
+        Args:
+            port: an open port that gives what there is after a short while.
+            uri: to name it in messages.
+            clock: seconds, to know how long it has been silent.
+            and_close: called once when the board is closed.
+
+        Raises DeviceError where it does not answer as expected.
+        """
+        self.uri = uri
+        self.events: deque[Event] = deque(maxlen=20)
+        self._port, self._clock, self._and_close = port, clock, and_close
+        self._read_at = clock()
+        self._closed = False
+        self._decoder = Decoder()
+        self._inbox: deque[Message] = deque()
+        self._malformed = ""
+        self._seq = 0
+        self._expected: int | None = None
+        self._restarted = False
+        self._frames = self._lost = self._skipped = 0
+        try:
+            self._guarded(port.reset_input_buffer)
+            self.info = self._request(Hello(), Info)
+            self.protocol = self._read_protocol()
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def lost(self) -> int:
+        """Frames lost so far, by their numbers."""
+        return self._lost
+
+    @property
+    def counts(self) -> Counts:
+        """What has come through so far."""
+        dropped = {reason.value: n for reason, n in sorted(self._decoder.drops.items())}
+        return Counts(self._frames, self._lost, self._skipped, dropped)
+
+    def frames(self, newest: bool = False) -> Iterator[Frame]:
+        """Start the board and give its frames as they come.
+
+        Args:
+            newest: give only the newest of the frames that are waiting; the others are counted
+                as skipped.
+
+        Raises DeviceError where three periods pass without a frame, or the board goes away.
+        """
+        self._guarded(self._port.reset_input_buffer)
+        self._inbox.clear()
+        self._start()
+        while True:
+            if newest:
+                self._discard_old()
+            frame = self._next_frame()
+            if newest:
+                frame = self._overtaken_by(frame)
+            self._frames += 1
+            yield frame
+
+    def calibrate(self) -> None:
+        """Have the board measure its calibration resistor again before its next frame."""
+        self._request(Calibrate(), Ack)
+
+    def close(self) -> None:
+        """Ask the board to stop and let go of the port; a second time does nothing."""
+        if self._closed:
+            return
+        try:
+            self._send(Stop(), self._seq + 1)
+        except DeviceError:
+            pass  # it is gone, and so needs no stopping
+        finally:
+            self._closed = True
+            self._port.close()
+            self._and_close()
+
+    def __enter__(self) -> Self:
+        """Give the board itself."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close the board."""
+        self.close()
+
+    def _read_protocol(self) -> Protocol:
+        table = self._request(GetTable(), Table)
+        said = (self.info.n_measurements, self.info.table_crc32)
+        if (len(table.rows), table.crc32) != said:
+            raise DeviceError(
+                f"{self.uri}: the board announced a table of {said[0]} measurements with CRC "
+                f"{said[1]:08x} and sent {len(table.rows)} with CRC {table.crc32:08x}; its "
+                "firmware contradicts itself, flash a good one"
+            )
+        try:
+            return Protocol.from_rows(table.rows, self.info.n_electrodes)
+        except ConfigurationError as error:
+            raise DeviceError(
+                f"{self.uri}: the board's measurement table cannot be: {error}; flash a good one"
+            ) from error
+
+    def _start(self) -> None:
+        """Start the frames; those that come before the answer are old and are passed over."""
+        self._request(Start(), Ack)
+        self._expected = None
+        self._restarted = False
+
+    def _next_frame(self) -> Frame:
+        for message in self._messages(SILENT_PERIODS * self.info.period):
+            if isinstance(message, FrameData):
+                frame = self._accept(message)
+                if frame is not None:
+                    return frame
+            else:
+                self._note(message)
+            if self._restarted:
+                self._start()
+                return self._next_frame()
+        raise DeviceError(
+            f"{self.uri}: the stream is stale, no frame came for {SILENT_PERIODS} periods of "
+            f"{self.info.period:.3f} s{self._hearsay()}; check power and cable, then connect again"
+        )
+
+    def _discard_old(self) -> None:
+        """Throw away what waits in a port that nobody has read for long.
+
+        Its queues are full of the oldest frames then, and so is the board's own, which holds one.
+        """
+        if self._clock() - self._read_at > SILENT_PERIODS * self.info.period:
+            self._guarded(self._port.reset_input_buffer)
+            self._inbox.clear()
+            self._next_frame()
+            self._skipped += 1
+
+    def _overtaken_by(self, frame: Frame) -> Frame:
+        """The newest frame among those that have arrived by now, `frame` if there is none."""
+        # A board that never pauses is not followed for ever.
+        for _ in range(_BACKLOG // _CHUNK):
+            while self._inbox and not self._restarted:
+                message = self._inbox.popleft()
+                if not isinstance(message, FrameData):
+                    self._note(message)
+                elif (later := self._accept(message)) is not None:
+                    self._skipped += 1
+                    frame = later
+            if self._restarted or not self._guarded(lambda: self._port.in_waiting):
+                break
+            self._receive()
+        return frame
+
+    def _accept(self, data: FrameData) -> Frame | None:
+        """The frame in `data`; None where it is late, or not of this protocol."""
+        if len(data.impedance) != len(self.protocol):
+            self._drop_malformed(
+                f"FRAME of {len(data.impedance)} channels, expected {len(self.protocol)}"
+            )
+            return None
+        gap = 0 if self._expected is None else (data.number - self._expected) % 2**32
+        if gap >= 2**31:  # behind, not ahead: numbers wrap
+            self._decoder.drops[Drop.STALE] += 1
+            return None
+        self._lost += gap
+        self._expected = (data.number + 1) % 2**32
+        if data.kind != 0:
+            return None
+        status = data.status.copy()
+        status[~np.isfinite(data.impedance)] |= np.uint8(Status.NOT_FINITE)
+        return Frame(
+            impedance=data.impedance.astype(np.complex128),
+            protocol=self.protocol,
+            time=data.time,
+            number=data.number,
+            session=self.info.boot_count,
+            frequency=self.info.frequency,
+            status=status,
+        )
+
+    def _note(self, message: Message) -> None:
+        """Take in what came unasked."""
+        if isinstance(message, Event):
+            self.events.append(message)
+            log.info("%s: %s", self.uri, message.text)
+        elif isinstance(message, Info) and message.boot_count != self.info.boot_count:
+            if message.table_crc32 != self.info.table_crc32:
+                raise DeviceError(
+                    f"{self.uri}: the board restarted with another measurement table; connect again"
+                )
+            self.info = message
+            self._restarted = True
+
+    def _request(self, request: Request, answer: type[Answer]) -> Answer:
+        """Send `request` until it is answered; every try has the same number."""
+        self._seq = (self._seq + 1) % 2**16
+        for _ in range(TRIES):
+            self._send(request, self._seq)
+            for message in self._messages(REPLY_WITHIN):
+                if isinstance(message, Ack):
+                    if message.request != self._seq:
+                        continue
+                    self._require_done(request, message)
+                if isinstance(message, answer):
+                    return message
+                self._note(message)
+        raise DeviceError(
+            f"{self.uri}: expected an answer to {type(request).__name__.upper()} within "
+            f"{REPLY_WITHIN:g} s, none came in {TRIES} tries{self._hearsay()}; check that this is "
+            "the EIT board, its power and its cable"
+        )
+
+    def _require_done(self, request: Request, ack: Ack) -> None:
+        if ack.status != Reply.DONE:
+            known = ack.status in Reply.__members__.values()
+            reason = Reply(ack.status).name.lower() if known else f"status {ack.status}"
+            raise DeviceError(
+                f"{self.uri}: the board refused {type(request).__name__.upper()}: "
+                f"{reason.replace('_', ' ')}; check that its firmware fits this eitskin"
+            )
+
+    def _hearsay(self) -> str:
+        """What came instead of what was expected."""
+        drops = self._decoder.drops
+        if drops[Drop.VERSION]:
+            return " (it speaks another version of the protocol: update eitskin or the firmware)"
+        if self._malformed:
+            return f" (it sent {self._malformed})"
+        if drops.total():
+            return f" (dropped: {dict(self.counts.dropped)}; a wrong baud rate looks like this)"
+        return ""
+
+    def _send(self, request: Request, seq: int) -> None:
+        self._guarded(lambda: self._port.write(encode(pack(request, seq))))
+
+    def _messages(self, seconds: float) -> Iterator[Message]:
+        """What comes within so many seconds; what is not taken stays for the next time."""
+        deadline = self._clock() + seconds
+        while True:
+            # Look before giving up: this process may have slept past the deadline itself.
+            if not self._inbox:
+                self._receive()
+            while self._inbox:
+                yield self._inbox.popleft()
+            if self._clock() >= deadline:
+                return
+
+    def _receive(self) -> None:
+        """Read once and decode; waits a short while at most."""
+        self._read_at = self._clock()
+        data = self._guarded(
+            lambda: self._port.read(max(1, min(self._port.in_waiting, _CHUNK))),
+        )
+        for packet in self._decoder.feed(data):
+            try:
+                self._inbox.append(unpack(packet))
+            except MessageError as error:
+                self._drop_malformed(str(error))
+
+    def _drop_malformed(self, what: str) -> None:
+        self._decoder.drops[Drop.MALFORMED] += 1
+        self._malformed = what
+
+    def _guarded(self, use: Callable[[], Result]) -> Result:
+        """Use the port; whatever shows that it is gone becomes one DeviceError."""
+        if self._closed:
+            raise DeviceError(f"{self.uri} is closed; open it again")
+        try:
+            return use()
+        except GONE as error:
+            raise DeviceError(
+                f"{self.uri}: the board went away ({error}); check power and cable, then connect "
+                "again"
+            ) from error
+
+
+def open_serial(path: str, uri: str, baud: int = BAUD) -> SerialBoard:
+    """Open the board at the serial port `path`, for this process alone.
+
+    Raises:
+        ConfigurationError: where no port is named.
+        DeviceError: where it cannot be opened, or no board answers there.
+    """
+    if not path:
+        raise ConfigurationError(
+            f"serial: needs a port, such as serial:/dev/ttyACM0; {ports_here()}"
+        )
+    return SerialBoard(open_port(path, uri, baud), uri)

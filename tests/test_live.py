@@ -1,0 +1,261 @@
+"""The live loop and its command, on fake pipelines."""
+
+import itertools
+import json
+import sys
+import types
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+import typer
+from rich.console import Console
+from typer.testing import CliRunner
+
+from eitskin.cli import live as cli
+from eitskin.datasets import State, open_dataset
+from eitskin.geometry import ConfigurationError, DeviceError
+from eitskin.hardware import Counts, Reading, Script, Step, open_board, run_live
+from eitskin.simulator import Frame, Protocol, Scene, Status
+
+PROTOCOL = Protocol.pairwise(8)
+
+
+class FakeSimulator:
+    protocol = PROTOCOL
+    full_scale = 820.0
+
+    def measure(self, scene):
+        return Frame(np.linspace(400.0, 820.0, 28) + scene.bend.angle_deg, PROTOCOL)
+
+
+@dataclass
+class Estimate:
+    state: State | str = State.TOUCH
+    probabilities: tuple = (0.1, 0.8, 0.1)
+    bend_angle_deg: float = -12.5
+    touch_map: np.ndarray = field(default_factory=lambda: np.zeros((32, 80)))
+    touches: tuple = ((0.05, 0.02, 0.9),)
+    problems: tuple = ()
+
+
+class FakePipeline:
+    """Gives one estimate for every frame; may be slow, or be interrupted."""
+
+    def __init__(self, estimate=None, interrupt_at=None):
+        self.estimate, self.interrupt_at = estimate or Estimate(), interrupt_at
+        self.seen = []
+
+    def process(self, frame):
+        self.seen.append(frame.number)
+        if len(self.seen) == self.interrupt_at:
+            raise KeyboardInterrupt
+        return self.estimate
+
+
+class FakeBoard:
+    """Frames from a list; remembers how it was asked."""
+
+    counts = Counts()
+
+    def __init__(self, frames):
+        self._frames = frames
+
+    def frames(self, newest=False):
+        self.newest = newest
+        yield from self._frames
+
+
+def frame(number=0, **changes):
+    return Frame(np.full(28, 600.0), PROTOCOL, 0.3 * number, number, **changes)
+
+
+def test_every_frame_comes_with_its_estimate_latency_and_rate():
+    ticks = itertools.count(0.0, 0.25)
+    board, pipeline = FakeBoard([frame(0), frame(1), frame(2)]), FakePipeline()
+    readings = list(run_live(board, pipeline, clock=lambda: next(ticks)))
+    assert [reading.frame.number for reading in readings] == pipeline.seen == [0, 1, 2]
+    assert all(reading.estimate is pipeline.estimate for reading in readings)
+    assert [reading.latency for reading in readings] == [0.25] * 3
+    assert np.isnan(readings[0].rate)
+    assert readings[2].rate == pytest.approx(2.0)
+    assert board.newest
+
+
+def test_every_frame_can_be_asked_for():
+    board = FakeBoard([frame()])
+    list(run_live(board, FakePipeline(), newest=False))
+    assert board.newest is False
+
+
+def test_a_pipeline_runs_on_a_virtual_board():
+    script = Script((Step(Scene(), 3),))
+    with open_board("virtual:?speed=max", scene=script, simulator=FakeSimulator()) as board:
+        readings = list(itertools.islice(run_live(board, FakePipeline(), newest=False), 20))
+        assert [reading.frame.number for reading in readings] == list(range(20))
+        assert board.counts.frames == 20
+
+
+def test_a_slow_pipeline_sees_new_frames_and_the_rest_is_counted():
+    # The board fills the terminal's queue while the pipeline works; what is then waiting goes.
+    with open_board("virtual:?speed=max", simulator=FakeSimulator()) as board:
+        numbers = []
+        for reading in run_live(board, FakePipeline()):
+            numbers.append(reading.frame.number)
+            if board.counts.skipped:
+                break
+        assert board.counts.skipped + len(numbers) == numbers[-1] + 1
+        assert board.lost == 0
+
+
+# ---- the command ----
+
+
+@pytest.fixture
+def run(monkeypatch):
+    """Runs the command with the given pipeline in place of a trained one."""
+
+    def invoke(pipeline, *arguments):
+        loaded = types.SimpleNamespace(load=lambda _: pipeline)
+        module = types.ModuleType("eitskin.training")
+        module.Pipeline = loaded
+        monkeypatch.setitem(sys.modules, "eitskin.training", module)
+        monkeypatch.setattr("eitskin.hardware.virtual.Simulator", lambda *_, **__: FakeSimulator())
+        app = typer.Typer()
+        app.command()(cli.command)
+        return CliRunner().invoke(app, ["a.eitmodel", *arguments])
+
+    return invoke
+
+
+def test_json_is_one_object_per_frame(run):
+    result = run(FakePipeline(), "--board", "virtual:?speed=max", "--json", "--frames", "4")
+    assert result.exit_code == 0
+    lines = [json.loads(line) for line in result.stdout.splitlines()]
+    assert len(lines) == 4
+    assert lines[0]["state"] == "touch"
+    assert lines[0]["touches"] == [[0.05, 0.02, 0.9]]
+    assert lines[0]["bend_angle_deg"] == -12.5
+    assert lines[0]["rate_hz"] is None
+    assert lines[-1]["bad_channels"] == {}
+    assert lines[-1]["problems"] == []
+    assert lines[-1]["number"] == lines[-1]["skipped"] + 3
+
+
+def test_unknown_values_are_null_in_json_and_states_may_be_text():
+    estimate = Estimate(state="idle", bend_angle_deg=float("nan"), problems=("no reference",))
+    data = cli.plain(Reading(frame(), estimate, 0.001, float("nan")), Counts())
+    assert json.loads(json.dumps(data, allow_nan=False))["bend_angle_deg"] is None
+    assert (data["state"], data["problems"]) == ("idle", ["no reference"])
+
+
+def test_the_terminal_shows_state_angle_touches_losses_and_health(run):
+    result = run(
+        FakePipeline(),
+        "--board",
+        "virtual:?speed=max&faults=nan_channel@0:1",
+        "--frames",
+        "3",
+        "--every-frame",
+    )
+    assert result.exit_code == 0
+    for shown in ("touch", "-12.5 deg", "(50, 20) mm 0.90", "0 lost", "0-2 not finite"):
+        assert shown in result.stdout
+    assert "3 frames processed" in result.stderr
+
+
+def test_quiet_says_nothing_but_works(run):
+    pipeline = FakePipeline()
+    result = run(pipeline, "--board", "virtual:?speed=max", "--frames", "3", "-q")
+    assert (result.exit_code, result.output, len(pipeline.seen)) == (0, "", 3)
+
+
+def test_ctrl_c_ends_cleanly_and_keeps_the_recording(run, tmp_path):
+    result = run(
+        FakePipeline(interrupt_at=5),
+        "--board",
+        "virtual:?speed=max",
+        "--record",
+        str(tmp_path / "r"),
+    )
+    assert result.exit_code == 130
+    assert len(open_dataset(tmp_path / "r")) == 4
+
+
+def test_a_recording_can_be_replayed(run, tmp_path):
+    folder = tmp_path / "recording"
+    result = run(
+        FakePipeline(),
+        "--board",
+        "virtual:?speed=max",
+        "--frames",
+        "6",
+        "--record",
+        str(folder),
+        "--json",
+    )
+    numbers = [json.loads(line)["number"] for line in result.stdout.splitlines()]
+    assert numbers == list(range(6))
+    data = open_dataset(folder)
+    assert (data.source, data.protocol, len(data)) == ("measured", PROTOCOL, 6)
+    assert np.allclose(data.time, 0.2968 * np.arange(6))
+    pipeline = FakePipeline()
+    assert run(pipeline, "--board", f"replay:{folder}").exit_code == 0
+    assert pipeline.seen == list(range(6))
+
+
+def test_frames_that_are_not_finite_are_left_out_of_the_recording(run, tmp_path):
+    board = "virtual:?speed=max&faults=nan_channel@4:1"
+    result = run(FakePipeline(), "--board", board, "--frames", "6", "--record", str(tmp_path / "r"))
+    assert len(open_dataset(tmp_path / "r")) == 4
+    assert "2 frames with values that are not finite left unrecorded" in " ".join(
+        result.stderr.split()
+    )
+
+
+def test_the_seed_is_the_virtual_boards(run, tmp_path):
+    def recorded(name, *arguments):
+        run(FakePipeline(), "--frames", "2", "--record", str(tmp_path / name), *arguments)
+        return open_dataset(tmp_path / name).impedance
+
+    first = recorded("a", "--board", "virtual:?speed=max", "--seed", "5")
+    assert np.array_equal(first, recorded("b", "--board", "virtual:?speed=max&seed=5"))
+    assert not np.array_equal(first, recorded("c", "--board", "virtual:?speed=max"))
+
+
+@pytest.mark.parametrize(
+    ("uri", "error"),
+    [("serial:/dev/none", DeviceError), ("nothing", ConfigurationError)],
+)
+def test_errors_keep_their_kind(run, uri, error):
+    assert isinstance(run(FakePipeline(), "--board", uri).exception, error)
+
+
+# ---- pictures ----
+
+
+def test_the_touch_map_is_drawn_with_y_up():
+    touch_map = np.zeros((32, 80))
+    touch_map[0, 0] = 1.0  # (0, 0) mm, lower left
+    touch_map[31, 79] = 1.0  # (150, 60) mm, upper right
+    touch_map[16:18, 40] = 1.0
+    lines = cli.touch_picture(touch_map).plain.split("\n")
+    assert [len(line) for line in lines] == [80] * 16
+    assert (lines[15][0], lines[0][79], lines[7][40]) == ("▄", "▀", "█")
+    assert sum(line.count(" ") for line in lines) == 80 * 16 - 3
+
+
+def test_channel_health_names_what_is_wrong():
+    status = np.zeros(28, np.uint8)
+    status[[0, 27]] = Status.OPEN | Status.CLIPPED, 128
+    assert cli.bad_channels(frame(status=status)) == {"0-1": "clipped, open", "6-7": "status 0x80"}
+
+
+def test_problems_are_shown():
+    console = Console(width=100)
+    with console.capture() as capture:
+        reading = Reading(frame(), Estimate(problems=("electrode 3 is open",)), 0.002, 3.37)
+        console.print(cli.draw(reading, Counts(lost=2, dropped={"bad checksum": 1})))
+    shown = capture.get()
+    for text in ("electrode 3 is open", "3.4 frames/s", "2.0 ms", "2 lost", "1 bad checksum"):
+        assert text in shown
