@@ -8,7 +8,8 @@ Written out with finite elements, A = stiffness + contact, and for the electrode
 A u = B U,  I = D U - B^T u.
 
 Cells are affine images of one reference cell, so a cell's matrix is one fixed matrix times the
-tensor pulled back to that reference cell: a new scene costs one dense product.
+tensor pulled back to that reference cell: a new scene costs one dense product. Unknowns inside a
+cell meet no other cell and are eliminated there (static condensation, Guyan 1965).
 """
 
 from dataclasses import dataclass
@@ -47,6 +48,11 @@ class ExtrudedElement:
         """The element on the unit interval."""
         return {1: skfem.ElementLineP1, 2: skfem.ElementLineP2}[self.order[1]]()
 
+    @property
+    def inner(self) -> int:
+        """How many functions, the last ones, vanish on all upright faces of the cube."""
+        return (self.order[0] - 1) ** 2 * (self.order[1] + 1)
+
     def values(self, X: Array) -> Array:
         """phi_i, (functions, ...), at X (3, ...)."""
         flat, upright = self._parts(X)
@@ -72,6 +78,19 @@ class ExtrudedElement:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Stiffness:
+    """The stiffness of one scene, its inner unknowns eliminated.
+
+    Attributes:
+        values: one per entry of `Assembly.rows` before the contact entries.
+        inner: what gives a cell's inner unknowns from its others, (cells, inner, outer).
+    """
+
+    values: Array
+    inner: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Contact:
     """The electrode terms of one scene.
 
@@ -90,7 +109,7 @@ class Assembly:
     """Maps conductivity tensors and contact impedances to matrix values on one mesh.
 
     Attributes:
-        unknowns: number of potential unknowns.
+        unknowns: number of potential unknowns, those inside cells left out.
         places: middle of the point, edge or cell that each belongs to, (unknowns, 3) [m].
         rows, columns: of each value in the lower triangle of A; values of equal place add up.
         points: quadrature points of the cells, (cells, q, 3) [m].
@@ -110,14 +129,16 @@ class Assembly:
         self.element = ExtrudedElement(order)
         flat = skfem.CellBasis(plane, self.element.plane, intorder=1)
         upright = skfem.CellBasis(column, self.element.upright, intorder=1)
-        self.unknowns: int = flat.N * upright.N
-        self.places: Array = np.concatenate(
-            [np.repeat(_places(flat), upright.N, axis=1), np.tile(_places(upright), flat.N)]
-        ).T
-        self.cell_unknowns: Indices = (
+        # Unknowns inside plane cells come last, in the whole and in each cell.
+        outer = flat.N - flat.dofs.interior_dofs.size
+        self.unknowns: int = outer * upright.N
+        places = [np.repeat(_places(flat), upright.N, axis=1), np.tile(_places(upright), flat.N)]
+        self.places: Array = np.concatenate(places).T[: self.unknowns]
+        unknowns = (
             flat.element_dofs.T[:, None, :, None] * upright.N
             + upright.element_dofs.T[None, :, None, :]
-        ).reshape(mesh.cells.shape[0], -1)
+        ).reshape(len(mesh.cells), -1)
+        self.cell_unknowns: Indices = unknowns[:, : unknowns.shape[1] - self.element.inner]
         self._pairs = np.tril_indices(self.cell_unknowns.shape[1])
         self._prepare_cells(mesh)
         self._prepare_electrodes(mesh)
@@ -127,15 +148,18 @@ class Assembly:
     def _prepare_cells(self, mesh: Mesh) -> None:
         X, weights = _box_rule(*self.element.order)
         gradients = self.element.gradients(X)
-        i, j = self._pairs
         a, b = _TENSOR_ROWS, _TENSOR_COLUMNS
         # int S_ab d_a phi_i d_b phi_j, the six entries of a symmetric S at each point.
         products = np.einsum("iaq,jbq->ijabq", gradients, gradients, optimize=True)
         symmetric = products + products.swapaxes(2, 3)
-        symmetric = symmetric[:, :, a, b] * np.where(a == b, 0.5, 1.0)[:, None]
+        weighted = symmetric[:, :, a, b] * np.where(a == b, 0.5, 1.0)[:, None] * weights
+        i, j = self._pairs
+        outer = self.cell_unknowns.shape[1]
+        blocks = (weighted[i, j], weighted[outer:, :outer], weighted[outer:, outer:])
+        # (q, 6, entries): of each cell the lower triangle of the outer block, then the others.
         self._reference = np.ascontiguousarray(
-            (symmetric[i, j] * weights).transpose(2, 1, 0)
-        )  # (q, 6, pairs)
+            np.concatenate([block.reshape(-1, *block.shape[-2:]) for block in blocks]).T
+        )
         corners = mesh.points[mesh.cells]
         edges = corners[:, [1, 3, 4]] - corners[:, :1]
         self.origins: Array = corners[:, 0]
@@ -169,7 +193,7 @@ class Assembly:
         X = np.einsum(
             "fab,fqb->afq", self.inverses[owners], self.facet_points - self.origins[owners][:, None]
         )
-        shape = self.element.values(X)
+        shape = self.element.values(X)[: self.cell_unknowns.shape[1]]
         i, j = self._pairs
         self._facet_unknowns: Indices = self.cell_unknowns[owners]
         self._facet_areas = areas[:, None] * weights
@@ -183,16 +207,27 @@ class Assembly:
         first, second = unknowns[:, i].ravel(), unknowns[:, j].ravel()
         return np.maximum(first, second), np.minimum(first, second)
 
-    def stiffness(self, conductivity: Array) -> Array:
-        """Stiffness values for tensors (cells, 3, 3) or, per point, (cells, q, 3, 3) [S/m]."""
+    def stiffness(self, conductivity: Array) -> Stiffness:
+        """Stiffness for tensors (cells, 3, 3) or, per point, (cells, q, 3, 3) [S/m]."""
         tensors = conductivity if conductivity.ndim == 4 else conductivity[:, None]
         inverses = self.inverses[:, None]
         reference = inverses @ tensors @ inverses.swapaxes(-1, -2)
         entries = reference[..., _TENSOR_ROWS, _TENSOR_COLUMNS] * self.volumes[:, None, None]
         matrix = self._reference if tensors.shape[1] > 1 else self._reference.sum(axis=0)
         flat = entries.reshape(len(entries), -1) @ matrix.reshape(-1, matrix.shape[-1])
-        values: Array = flat.ravel()
-        return values
+        (i, j), inner, outer = self._pairs, self.element.inner, self.cell_unknowns.shape[1]
+        own, joining, within = np.split(flat, [len(i), len(i) + inner * outer], axis=1)
+        if not inner:
+            return Stiffness(own.ravel(), np.zeros((len(flat), 0, outer)))
+        joining = joining.reshape(-1, inner, outer)
+        solved = -np.linalg.solve(within.reshape(-1, inner, inner), joining)
+        own = own + (joining.swapaxes(1, 2) @ solved)[:, i, j]
+        return Stiffness(own.ravel(), solved)
+
+    def in_cells(self, potentials: Array, stiffness: Stiffness) -> Array:
+        """Potentials (unknowns, k) cell by cell, inner ones filled in, (cells, functions, k)."""
+        outer = potentials[self.cell_unknowns]
+        return np.concatenate([outer, stiffness.inner @ outer], axis=1)
 
     def contact(self, impedance: Array, area_ratio: Array | float = 1.0) -> Contact:
         """Electrode terms for z per electrode [ohm m2] and the deformed over the flat area.
@@ -214,24 +249,23 @@ class Assembly:
         )
 
     def cell_gram(self, potentials: Array) -> Array:
-        """int_cell grad u_k . grad u_l, (cells, k, k), of potentials (unknowns, k)."""
-        cells, (i, j) = len(self.cell_unknowns), self._pairs
-        values = self.stiffness(np.broadcast_to(np.eye(3), (cells, 3, 3))).reshape(cells, -1)
-        matrices = np.empty((cells, i.max() + 1, i.max() + 1))
-        matrices[:, i, j] = values
-        matrices[:, j, i] = values
-        local = potentials[self.cell_unknowns]
-        gram: Array = np.einsum("cik,cil->ckl", local, matrices @ local)
+        """int_cell grad u_k . grad u_l, (cells, k, k), of potentials (cells, functions, k)."""
+        X, weights = _box_rule(*self.element.order)
+        shape = np.einsum("iaq,cab->cqib", self.element.gradients(X), self.inverses, optimize=True)
+        gradients = np.einsum("cqib,cik->cqbk", shape, potentials, optimize=True)
+        gram: Array = np.einsum(
+            "q,c,cqbk,cqbl->ckl", weights, self.volumes, gradients, gradients, optimize=True
+        )
         return gram
 
     def gradients(self, potentials: Array, cells: Indices, points: Array) -> Array:
-        """grad u_k, (n, 3, k), at `points` (n, 3) [m] that lie in `cells` (n,)."""
+        """grad u_k, (n, 3, k), at `points` (n, 3) [m] that lie in `cells` (n,).
+
+        Potentials are given cell by cell, (cells, functions, k).
+        """
         X = np.einsum("nab,nb->an", self.inverses[cells], points - self.origins[cells])
-        total = np.zeros((len(points), 3, potentials.shape[1]))
-        shape = self.element.gradients(X)
-        for slope, unknowns in zip(shape, self.cell_unknowns[cells].T, strict=True):
-            total += slope.T[:, :, None] * potentials[unknowns][:, None, :]
-        gradients: Array = np.einsum("nab,nak->nbk", self.inverses[cells], total)
+        shape = np.einsum("ian,nab->nib", self.element.gradients(X), self.inverses[cells])
+        gradients: Array = np.einsum("nib,nik->nbk", shape, potentials[cells], optimize=True)
         return gradients
 
 

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from eitskin.geometry import ConfigurationError, Mesh, SensorDesign, structured_mesh
 from eitskin.geometry.structured import Grading
-from eitskin.simulator.assembly import Assembly, Contact
+from eitskin.simulator.assembly import Assembly, Contact, Stiffness
 from eitskin.simulator.protocol import Protocol
 from eitskin.simulator.sensitivity import pixel_gram
 from eitskin.simulator.solvers import BlockCholesky, Solver
@@ -74,7 +74,7 @@ class ForwardModel:
 
     @property
     def unknowns(self) -> int:
-        """Number of potential unknowns."""
+        """Number of potential unknowns that are solved for."""
         return self._assembly.unknowns
 
     def impedance(
@@ -94,17 +94,10 @@ class ForwardModel:
         Raises:
             ConfigurationError: for a conductivity of another shape, or not positive.
         """
-        values, contact = self._system(conductivity, area_ratio)
+        stiffness, contact = self._system(conductivity, area_ratio)
+        values = np.concatenate([stiffness.values, contact.values])
         eliminated = self.solver.congruence(values, contact.coupling)
         return _inverse_of_admittance(np.diag(contact.admittance) - eliminated)
-
-    def potentials(self, conductivity: Conductivity | None = None) -> tuple[Array, Array]:
-        """Z [ohm] and potentials per unit electrode current, (unknowns, electrodes) [V/A]."""
-        values, contact = self._system(conductivity, None)
-        potentials = self.solver.factorise(values).solve(contact.coupling)
-        Y = np.diag(contact.admittance) - contact.coupling.T @ potentials
-        Z = _inverse_of_admittance(Y)
-        return Z, potentials @ Z
 
     def sensitivity(
         self,
@@ -124,7 +117,7 @@ class ForwardModel:
                 conductivity of columns over this grid on the outline instead of cells; the
                 result is (measurements, rows * columns), row by row, x and y increasing.
         """
-        _, u = self.potentials(conductivity)
+        u = self._cell_potentials(conductivity)
         if pixels is None:
             gram = self._assembly.cell_gram(u)
         else:
@@ -136,17 +129,24 @@ class ForwardModel:
 
     def _system(
         self, conductivity: Conductivity | None, area_ratio: AreaRatio | None
-    ) -> tuple[Array, Contact]:
-        """The matrix values of one scene, and its contacts; counts as a factorisation."""
+    ) -> tuple[Stiffness, Contact]:
+        """The matrices of one scene; counts as a factorisation."""
         assembly = self._assembly
         ratio = (
             1.0 if area_ratio is None else area_ratio(assembly.facet_points, assembly.facet_normals)
         )
         impedances = np.array([e.contact_impedance for e in self.design.electrodes])
         contact = assembly.contact(impedances, ratio)
-        stiffness = assembly.stiffness(self._tensors(conductivity))
         self.factorisations += 1
-        return np.concatenate([stiffness, contact.values]), contact
+        return assembly.stiffness(self._tensors(conductivity)), contact
+
+    def _cell_potentials(self, conductivity: Conductivity | None) -> Array:
+        """Potentials per unit electrode current, (cells, functions, electrodes) [V/A]."""
+        stiffness, contact = self._system(conductivity, None)
+        values = np.concatenate([stiffness.values, contact.values])
+        potentials = self.solver.factorise(values).solve(contact.coupling)
+        Y = np.diag(contact.admittance) - contact.coupling.T @ potentials
+        return self._assembly.in_cells(potentials @ _inverse_of_admittance(Y), stiffness)
 
     def _tensors(self, conductivity: Conductivity | None) -> Array:
         """The conductivity as tensors, (cells, 3, 3) or, per point, (cells, q, 3, 3)."""

@@ -24,7 +24,7 @@ def pixel_gram(
     x_nodes, x_weights, x_cell, x_pixel = _overlaps(x, np.linspace(0, outline.length, columns + 1))
     y_nodes, y_weights, y_cell, y_pixel = _overlaps(y, np.linspace(0, outline.width, rows + 1))
     z_nodes, z_weights, z_cell, _ = _overlaps(z, z[[0, -1]])
-    count = potentials.shape[1]
+    count = potentials.shape[-1]
     total = np.zeros((rows * columns, count, count))
     # One line of x at a time keeps memory flat.
     for node, weight, cell, pixel in zip(x_nodes, x_weights, x_cell, x_pixel, strict=True):
