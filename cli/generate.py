@@ -2,7 +2,7 @@
 
 import time
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -31,11 +31,17 @@ def command(
 ) -> None:
     """Generate a dataset from a recipe; it can be interrupted and resumed."""
     output = Output(as_json, quiet, verbose)
-    chosen = with_seed(_read(recipe), seed)
-    output.detail(f"{chosen.frames} frames in {chosen.shards} shards, {workers} workers")
+    output.result(*make_dataset(with_seed(_read(recipe), seed), out, workers, resume, output))
+
+
+def make_dataset(
+    recipe: Recipe, out: Path, workers: int, resume: bool, output: Output
+) -> tuple[dict[str, Any], str]:
+    """Generate with a progress bar; what was made, as data and as a sentence."""
+    output.detail(f"{recipe.frames} frames in {recipe.shards} shards, {workers} workers")
     start = time.perf_counter()
     with output.progress() as bar:
-        task = bar.add_task(chosen.name, total=chosen.frames, rate="")
+        task = bar.add_task(recipe.name, total=recipe.frames, rate="")
         kept: list[int] = []
 
         def show(done: int, total: int) -> None:
@@ -44,23 +50,23 @@ def command(
             rate = made / (time.perf_counter() - start)
             bar.update(task, completed=done, total=total, rate=f"{rate:.0f}/s" if made else "")
 
-        manifest = generate(chosen, out, workers, progress=show, resume=resume)
+        manifest = generate(recipe, out, workers, progress=show, resume=resume)
     seconds = time.perf_counter() - start
     made = manifest.frames - kept[0]
     megabytes = sum((out / shard.name).stat().st_size for shard in manifest.shards) / 1e6
-    output.result(
-        {
-            "out": str(out),
-            "recipe": chosen.name,
-            "seed": chosen.seed,
-            "frames": manifest.frames,
-            "made": made,
-            "seconds": round(seconds, 3),
-            "frames_per_second": round(made / seconds, 1),
-            "megabytes": round(megabytes, 3),
-        },
+    data = {
+        "out": str(out),
+        "recipe": recipe.name,
+        "seed": recipe.seed,
+        "frames": manifest.frames,
+        "made": made,
+        "seconds": round(seconds, 3),
+        "frames_per_second": round(made / seconds, 1),
+        "megabytes": round(megabytes, 3),
+    }
+    return data, (
         f"{manifest.frames} frames in {out}: {made} made in {seconds:.1f} s "
-        f"({made / seconds:.0f}/s), {megabytes:.1f} MB",
+        f"({made / seconds:.0f}/s), {megabytes:.1f} MB"
     )
 
 

@@ -32,6 +32,16 @@ class Output:
         else:
             self.console.print(shown)
 
+    def heading(self, text: str) -> None:
+        """Begin a part of a long command; left out with --json."""
+        if not self.as_json:
+            self.console.print(f"\n[bold]{text}[/bold]", highlight=False)
+
+    def show(self, shown: RenderableType) -> None:
+        """Print a part of the result; left out with --json, whose one object holds it."""
+        if not self.as_json:
+            self.console.print(shown, highlight=False)
+
     def note(self, text: str) -> None:
         """Say what is going on, unless quiet."""
         if not self.quiet:

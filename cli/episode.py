@@ -1,0 +1,90 @@
+"""The paper's real-time episode on a virtual board: touches at four bends, beside the truth."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from rich.table import Table
+
+from eitskin.geometry import Bend
+from eitskin.simulator import Scene, Touch
+
+if TYPE_CHECKING:
+    from eitskin.hardware.live import FramePipeline, Reading
+
+FRAMES = 12  # that each step lasts
+
+_SPREAD = (Touch(0.025, 0.018), Touch(0.050, 0.042), Touch(0.100, 0.042), Touch(0.125, 0.018))
+_OTHERS = (Touch(0.025, 0.042), Touch(0.060, 0.018), Touch(0.090, 0.042), Touch(0.125, 0.018))
+STEPS = (
+    Scene(),
+    Scene(Bend(-10.0)),
+    Scene(Bend(-10.0), (Touch(0.040, 0.020), Touch(0.110, 0.040))),
+    Scene(Bend(20.0)),
+    Scene(Bend(20.0), (Touch(0.030, 0.040), Touch(0.075, 0.018), Touch(0.120, 0.040))),
+    Scene(Bend(40.0)),
+    Scene(Bend(40.0), _SPREAD),
+    Scene(),
+    Scene(touches=_OTHERS),
+)
+
+
+def run_episode(pipeline: "FramePipeline", seed: int) -> list[dict[str, Any]]:
+    """Play the episode through a virtual board and `pipeline`; one row of results per step.
+
+    Every frame crosses the pseudo-terminal as packets, as from a real board. A step's row holds
+    the state that most of its frames were given, the median angle, and the touches of its last.
+    """
+    from eitskin.hardware import Script, Step, open_board
+    from eitskin.hardware.live import run_live
+
+    script = Script(tuple(Step(scene, FRAMES) for scene in STEPS), repeat=False)
+    readings: list[Reading] = []
+    with open_board("virtual:", scene=script, speed="max", seed=seed) as board:
+        for reading in run_live(board, pipeline, newest=False):
+            readings.append(reading)
+            if len(readings) == FRAMES * len(STEPS):
+                break
+    return [_row(scene, readings[i * FRAMES : (i + 1) * FRAMES]) for i, scene in enumerate(STEPS)]
+
+
+def episode_table(rows: Sequence[dict[str, Any]]) -> Table:
+    """Truth beside estimate for each step."""
+    table = Table("true", "state", "angle, deg", "touches: true", "found", "error, mm", "ms/frame")
+    for row in rows:
+        table.add_row(
+            row["true_state"],
+            f"{row['state']} ({row['right_frames']}/{FRAMES})",
+            f"{row['angle_deg']:+.1f} (true {row['true_angle_deg']:+.0f})",
+            _places(row["true_touches_mm"]),
+            _places(row["touches_mm"]),
+            ", ".join(f"{error:.1f}" for error in row["errors_mm"]) or "-",
+            f"{row['latency_ms']:.1f}",
+        )
+    return table
+
+
+def _row(scene: Scene, readings: Sequence["Reading"]) -> dict[str, Any]:
+    from eitskin.training import metrics
+
+    estimates = [reading.estimate for reading in readings]
+    names = [str(getattr(e.state, "name", e.state)).lower() for e in estimates]
+    truth = "touch" if scene.touches else "bend" if scene.bend.angle_deg else "idle"
+    true = [(touch.x, touch.y) for touch in scene.touches]
+    found = [(float(x), float(y)) for x, y, _ in estimates[-1].touches]
+    errors = metrics.localisation([(np.array(true).reshape(-1, 2), found)]).errors if true else []
+    return {
+        "true_state": truth,
+        "state": max(set(names), key=names.count),
+        "right_frames": names.count(truth),
+        "true_angle_deg": scene.bend.angle_deg,
+        "angle_deg": float(np.median([e.bend_angle_deg for e in estimates])),
+        "true_touches_mm": [[1e3 * x, 1e3 * y] for x, y in true],
+        "touches_mm": [[1e3 * x, 1e3 * y] for x, y in found],
+        "errors_mm": [1e3 * float(error) for error in errors],
+        "latency_ms": 1e3 * float(np.median([reading.latency for reading in readings])),
+    }
+
+
+def _places(places: Sequence[Sequence[float]]) -> str:
+    return " ".join(f"({x:.0f},{y:.0f})" for x, y in places) or "-"

@@ -1,0 +1,65 @@
+"""Definitions of the figures that are reported."""
+
+import numpy as np
+import pytest
+
+from eitskin.training.metrics import (
+    GATE,
+    confusion,
+    determination,
+    localisation,
+    match_distances,
+    percentiles,
+    root_mean_square,
+    similarity,
+)
+
+
+def test_matching_minimises_the_total_distance_not_the_nearest_first():
+    true = [(0.010, 0.0), (0.020, 0.0)]
+    found = [(0.0145, 0.0), (0.005, 0.0)]  # the nearest pair first: 4.5 mm, then 15 mm beyond gate
+    assert sorted(match_distances(true, found)) == pytest.approx([0.005, 0.0055])
+
+
+def test_as_many_pairs_as_there_can_be():
+    """The smallest total alone would be one pair of 0 mm, the other beyond the gate."""
+    true, found = [(0.0, 0.0), (0.014, 0.0)], [(0.014, 0.0), (0.014, 0.0145)]
+    assert match_distances(true, found) == pytest.approx([0.014, 0.0145])
+
+
+def test_misses_and_false_touches_are_counted_apart():
+    frames = [
+        ([(0.03, 0.03), (0.10, 0.03)], [(0.031, 0.03)]),
+        ([(0.05, 0.03)], [(0.05, 0.03 + GATE * 1.01), (0.05, 0.03 - GATE * 0.99)]),
+        (np.zeros((0, 2)), [(0.01, 0.01)]),
+        ([(0.02, 0.02)], []),
+    ]
+    score = localisation(frames)
+    assert score.errors == pytest.approx((0.001, GATE * 0.99))
+    assert (score.true, score.missed, score.false) == (4, 2, 2)
+
+
+def test_similarity():
+    truth = np.zeros((32, 80))
+    truth[10:18, 30:38] = 1.0
+    assert similarity(truth * 0.2, truth) == pytest.approx(1.0)
+    assert similarity(truth - 5.0 * (truth == 0), truth) == pytest.approx(1.0)
+    assert similarity(np.roll(truth, 3), truth) < 0.95
+    assert similarity(np.zeros_like(truth), truth) < 0.95
+
+
+def test_angles():
+    true = np.array([-20.0, 0.0, 50.0])
+    assert determination(true, true) == 1.0
+    assert determination(true, np.full(3, true.mean())) == pytest.approx(0.0)
+    assert determination(np.ones(3), true) is None
+    assert root_mean_square([3.0, -4.0]) == pytest.approx(np.sqrt(12.5))
+
+
+def test_confusion_has_the_truth_in_rows():
+    counts = confusion([0, 0, 1, 2, 2], [0, 1, 1, 0, 2])
+    assert counts.tolist() == [[1, 1, 0], [0, 1, 0], [1, 0, 1]]
+
+
+def test_percentiles():
+    assert percentiles(list(range(101))) == (50.0, 99.0)

@@ -1,0 +1,229 @@
+"""The stages of the paper in a row: what two differences say, without any memory."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from eitskin.datasets import UNKNOWN_STATE, Dataset, State, touch_maps
+from eitskin.geometry import DataError
+from eitskin.simulator import ForwardModel
+from eitskin.training.bend_angle import BendAngle
+from eitskin.training.bend_subspace import bend_free
+from eitskin.training.classifier import Classifier
+from eitskin.training.differences import Differences, noise_of
+from eitskin.training.layout import Layout
+from eitskin.training.postprocessor import PostProcessor
+from eitskin.training.reconstruction import Reconstruction, relative_jacobian, signal_to_noise
+from eitskin.training.settings import Progress, TrainingSettings, silent
+
+PIXELS = (32, 80)  # 1.875 mm squares on the reference sensor
+
+Arrays = dict[str, NDArray[np.generic]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Perceived:
+    """What the stages say of n frames.
+
+    Attributes:
+        probabilities: of `State` (n, 3).
+        bend_angle_deg: (n,) [deg].
+        touch_map: (n, rows, columns), 0 to 1; zero in frames that are not touched.
+    """
+
+    probabilities: NDArray[np.float64]
+    bend_angle_deg: NDArray[np.float64]
+    touch_map: NDArray[np.float32]
+
+    @property
+    def state(self) -> NDArray[np.int64]:
+        """The most probable `State` of each frame (n,)."""
+        state: NDArray[np.int64] = self.probabilities.argmax(axis=1)
+        return state
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Perception:
+    """The trained stages."""
+
+    reconstruction: Reconstruction
+    classifier: Classifier
+    bend_angle: BendAngle
+    postprocessor: PostProcessor
+
+    @classmethod
+    def fit(
+        cls,
+        dataset: Dataset,
+        layout: Layout,
+        settings: TrainingSettings,
+        progress: Progress = silent,
+    ) -> "Perception":
+        """Train every stage on all frames of `dataset`.
+
+        Raises DataError where it lacks a state.
+        """
+        counts = {state: int(np.sum(dataset.state == state)) for state in State}
+        if not all(counts.values()):
+            found = ", ".join(f"{count} {state.name.lower()}" for state, count in counts.items())
+            raise DataError(
+                f"training needs idle, touch and bend frames, got {found}; add the missing ones"
+            )
+        differences = Differences.of(dataset)
+        noise = noise_of(dataset, differences)
+        touched = dataset.state == State.TOUCH
+        reconstruction = Reconstruction.fit(
+            _jacobian(layout), signal_to_noise(differences.dynamic[touched], noise), PIXELS
+        )
+        return cls(
+            reconstruction,
+            _fit_classifier(dataset, differences, reconstruction, settings, noise, progress),
+            _fit_bend_angle(dataset, differences, settings.seed),
+            _fit_postprocessor(
+                dataset.select(touched),
+                differences.dynamic[touched],
+                layout,
+                reconstruction,
+                settings,
+                noise,
+                progress,
+            ),
+        )
+
+    def estimate(self, static: ArrayLike, dynamic: ArrayLike) -> Perceived:
+        """What n frames show, from dV to the static and dynamic reference (n, measurements).
+
+        A touch disturbs the channels that tell the angle by more than a degree of bend does, so
+        the angle of a touched frame is that of its dynamic reference, the sensor as the touch
+        found it: V/ref_bend over V/ref_touch is ref_touch/ref_bend.
+        """
+        flat, free = np.asarray(static, dtype=float), np.asarray(dynamic, dtype=float)
+        probabilities = self.classifier.apply(flat)
+        touched = probabilities.argmax(axis=1) == State.TOUCH
+        untouched_dV = np.where(touched[:, None], (1 + flat) / (1 + free) - 1, flat)
+        maps = np.zeros((len(flat), *self.reconstruction.shape), np.float32)
+        if touched.any():
+            maps[touched] = self.postprocessor.apply(self.reconstruction.apply(free[touched]))
+        return Perceived(probabilities, self.bend_angle.apply(untouched_dV), maps)
+
+    def outputs(self, differences: Differences) -> Arrays:
+        """What every stage makes of n frames, whatever the others say; for checking copies."""
+        dynamic = self.reconstruction.apply(differences.dynamic)
+        return {
+            "picture": dynamic,
+            "probabilities": self.classifier.apply(differences.static),
+            "bend_angle_deg": self.bend_angle.apply(differences.static),
+            "touch_map": self.postprocessor.apply(dynamic),
+        }
+
+    def arrays(self) -> Arrays:
+        """What `from_arrays` needs to make these stages again."""
+        stages = {
+            "reconstruction": self.reconstruction.arrays(),
+            "classifier": self.classifier.arrays(),
+            "bend_angle": self.bend_angle.arrays(),
+            "postprocessor": self.postprocessor.arrays(),
+        }
+        return {
+            f"{stage}.{name}": array
+            for stage, arrays in stages.items()
+            for name, array in arrays.items()
+        }
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[np.generic]]) -> "Perception":
+        """The stages that `arrays` came from; raises KeyError or DataError where they lack some."""
+
+        def stage(name: str) -> Arrays:
+            mine = (key for key in arrays if key.startswith(f"{name}."))
+            return {key.removeprefix(f"{name}."): arrays[key] for key in mine}
+
+        reconstruction = Reconstruction.from_arrays(stage("reconstruction"))
+        return cls(
+            reconstruction,
+            Classifier.from_arrays(stage("classifier"), reconstruction.shape),
+            BendAngle.from_arrays(stage("bend_angle")),
+            PostProcessor.from_arrays(stage("postprocessor"), reconstruction.shape),
+        )
+
+
+def _jacobian(layout: Layout) -> NDArray[np.float64]:
+    """Relative Jacobian of the flat nominal sensor (measurements, pixels)."""
+    model = ForwardModel(layout.design, resolution="fast")
+    sensitivity = model.sensitivity(layout.protocol, pixels=PIXELS)
+    impedance = layout.protocol.measure(model.impedance())
+    return relative_jacobian(sensitivity, impedance, layout.design.conductivity)
+
+
+def _fit_classifier(
+    dataset: Dataset,
+    differences: Differences,
+    reconstruction: Reconstruction,
+    settings: TrainingSettings,
+    noise: float,
+    progress: Progress,
+) -> Classifier:
+    """On the map of the paper and, unless the settings leave it out, one without the bend.
+
+    A bend changes dV ten to fifty times more than a light touch on top of it, which the network
+    then has to find in the last percent of its input.
+    """
+    known = dataset.state != UNKNOWN_STATE
+    maps = [reconstruction.matrix]
+    if settings.bend_free_map:
+        idle, bend = (differences.static[dataset.state == s] for s in (State.IDLE, State.BEND))
+        idle_noise = float(np.sqrt(np.mean(idle**2)))
+        maps.append(reconstruction.matrix @ bend_free(bend, idle_noise))
+    return Classifier.fit(
+        differences.static[known],
+        dataset.state[known],
+        np.stack(maps),
+        reconstruction.shape,
+        settings.classifier,
+        noise,
+        settings.seed,
+        progress,
+    )
+
+
+def _fit_bend_angle(dataset: Dataset, differences: Differences, seed: int) -> BendAngle:
+    """On all frames that no touch disturbs; an idle sensor is flat."""
+    idle = dataset.state == State.IDLE
+    angle = np.where(idle, 0.0, dataset.bend_angle_deg)
+    usable = (idle | (dataset.state == State.BEND)) & np.isfinite(angle)
+    return BendAngle.fit(differences.static[usable], angle[usable], dataset.specimen[usable], seed)
+
+
+def _fit_postprocessor(
+    touched: Dataset,
+    dynamic: NDArray[np.float64],
+    layout: Layout,
+    reconstruction: Reconstruction,
+    settings: TrainingSettings,
+    noise: float,
+    progress: Progress,
+) -> PostProcessor:
+    placed = touched.touch_count > 0
+    if not placed.any():
+        raise DataError(
+            "the touch map is learned from touch frames whose places are known, and this dataset "
+            "has none; record or generate some"
+        )
+    truth = touch_maps(
+        touched.touch_x[placed],
+        touched.touch_y[placed],
+        touched.touch_radius[placed],
+        layout.outline,
+        reconstruction.shape,
+    )
+    return PostProcessor.fit(
+        dynamic[placed],
+        truth,
+        reconstruction,
+        settings.postprocessor,
+        noise,
+        settings.seed,
+        progress,
+    )

@@ -1,0 +1,263 @@
+"""The perception pipeline: from frames, one after another, to what the skin feels."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.datasets import Dataset, State
+from eitskin.geometry import DataError
+from eitskin.geometry.config import from_dict
+from eitskin.simulator import Frame
+from eitskin.training.differences import Differences, fingerprint, noise_of
+from eitskin.training.layout import Layout
+from eitskin.training.missing_channels import MissingChannels
+from eitskin.training.model_card import perception_card
+from eitskin.training.perception import Perceived, Perception
+from eitskin.training.references import References, relative_difference
+from eitskin.training.saved_pipeline import (
+    SavedPipeline,
+    read_pipeline,
+    require_kind,
+    write_pipeline,
+)
+from eitskin.training.settings import Progress, TrainingSettings, silent
+from eitskin.training.touches import find_touches
+
+KIND = "perception"
+FRACTIONS = (0.6, 0.2, 0.2)  # training, validation and test part, as in the paper
+LONGEST_GAP = 5.0  # s without frames after which the dynamic reference may be out of date
+GOLDEN_PER_STATE = 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Estimate:
+    """What the skin feels in one frame.
+
+    Attributes:
+        state: idle, touched or bent; a bent sensor that is touched is touched.
+        probabilities: of the three states, in the order of `State`, (3,).
+        bend_angle_deg: [deg]; while touched, that of the sensor just before the touch.
+        touch_map: probability of each pixel to be touched, (rows, columns), 0 to 1; rows and
+            columns grow with y and x. Zero unless the state is touch.
+        touches: x [m], y [m] and strength, the largest value of the map there, strongest first.
+        problems: what is wrong with the frame, in words; empty when all is well.
+        number: of the frame.
+        time: of the frame [s].
+    """
+
+    state: State
+    probabilities: NDArray[np.float64]
+    bend_angle_deg: float
+    touch_map: NDArray[np.float32]
+    touches: tuple[tuple[float, float, float], ...]
+    problems: tuple[str, ...]
+    number: int
+    time: float
+
+
+@dataclass(eq=False)
+class Pipeline:
+    """Trained stages, and the references of the session that they are applied to.
+
+    Attributes:
+        layout: what it was trained for.
+        perception: the stages, which remember nothing.
+        missing_static, missing_dynamic: fill in the bad channels of dV from either reference.
+        noise: rms of the relative difference of two frames of a still sensor.
+        settings: how it was trained.
+        trained_on: fingerprint and split of the training set.
+        examples: a few training frames that a saved pipeline is checked with.
+        metrics: how good it was found to be; whoever evaluates it writes them here.
+    """
+
+    layout: Layout
+    perception: Perception
+    missing_static: MissingChannels
+    missing_dynamic: MissingChannels
+    noise: float
+    settings: TrainingSettings
+    trained_on: Mapping[str, Any]
+    examples: Differences
+    metrics: dict[str, Any] = field(default_factory=dict)
+    _references: References = field(init=False, repr=False)
+    _last: Frame | None = field(init=False, repr=False, default=None)
+    _outdated: bool = field(init=False, repr=False, default=False)
+
+    def __post_init__(self) -> None:
+        """Begin without references."""
+        self._references = References(self.noise)
+
+    @classmethod
+    def fit(
+        cls,
+        dataset: Dataset,
+        settings: TrainingSettings | None = None,
+        progress: Progress = silent,
+    ) -> "Pipeline":
+        """Train on the first part of the dataset's 60/20/20 split; `held_out` gives the last.
+
+        One machine, one seed, one number of torch threads: the same pipeline.
+
+        Raises DataError where the dataset says too little to train on.
+        """
+        settings = settings or TrainingSettings()
+        if dataset.design is None or dataset.protocol is None:
+            raise DataError(
+                "a perception pipeline needs a dataset that knows its sensor's geometry and table "
+                "of measurements; of this one only touch positions can be learned"
+            )
+        train = dataset.select(dataset.split(FRACTIONS, settings.seed)[0])
+        specimens = np.unique(train.specimen)
+        reference = np.median(np.abs(dataset.reference[specimens]), axis=0).astype(float)
+        layout = Layout(dataset.design, dataset.protocol, dataset.frequency, reference)
+        perception = Perception.fit(train, layout, settings, progress)
+        differences = Differences.of(train)
+        noise = noise_of(train, differences)
+        chosen = np.concatenate(
+            [np.flatnonzero(train.state == state)[:GOLDEN_PER_STATE] for state in State]
+        )
+        return cls(
+            layout,
+            perception,
+            MissingChannels.fit(differences.static, noise),
+            MissingChannels.fit(differences.dynamic, noise),
+            noise,
+            settings,
+            {"sha256": fingerprint(dataset), "frames": len(train), "source": dataset.source},
+            Differences(differences.static[chosen], differences.dynamic[chosen]),
+        )
+
+    def held_out(self, dataset: Dataset) -> NDArray[np.int64]:
+        """Frames that training never saw: the test part of its own dataset, all of another."""
+        if fingerprint(dataset) == self.trained_on["sha256"]:
+            return dataset.split(FRACTIONS, self.settings.seed)[2]
+        return np.arange(len(dataset))
+
+    def reset(self) -> None:
+        """Forget the session; the next frame must be of the flat, untouched sensor."""
+        self._references.drop()
+        self._last, self._outdated = None, False
+
+    def process(self, frame: Frame) -> Estimate:
+        """The estimate for the next frame of a session.
+
+        The first frame becomes both references: the sensor must be flat and untouched then. Stay
+        so for some frames and the references become better, up to 32. A new session, or a number
+        or time that runs backwards, begins again.
+
+        Raises FrameError for a frame of another sensor, table or frequency, or with too few good
+        channels; such a frame changes nothing.
+        """
+        voltages, problems = self.layout.voltages(frame)
+        self._notice_session(frame)
+        references = self._references
+        first = references.empty
+        if first:
+            self.layout.require_same_sensor(voltages)
+            references.follow(voltages)
+        perceived = self._perceive(
+            self.missing_static.apply(relative_difference(voltages, references.bend)),
+            self.missing_dynamic.apply(relative_difference(voltages, references.touch)),
+        )
+        state = State(int(perceived.state[0]))
+        if state is State.TOUCH:
+            references.freeze()
+        elif not first:
+            references.follow(voltages)
+            self._outdated = False
+        self._last = frame
+        return Estimate(
+            state=state,
+            probabilities=perceived.probabilities[0],
+            bend_angle_deg=float(perceived.bend_angle_deg[0]),
+            touch_map=perceived.touch_map[0],
+            touches=find_touches(perceived.touch_map[0], self.layout.outline),
+            problems=(*problems, *self._reference_problems(state)),
+            number=frame.number,
+            time=frame.time,
+        )
+
+    def _perceive(self, static: NDArray[np.float64], dynamic: NDArray[np.float64]) -> Perceived:
+        """The stages on one frame, with one thread: more only wait for each other."""
+        from eitskin.training.networks import single_thread
+
+        with single_thread():
+            return self.perception.estimate(static[None], dynamic[None])
+
+    def _notice_session(self, frame: Frame) -> None:
+        """Begin again with a new session; notice that no frames came for long."""
+        last = self._last
+        if last is None:
+            return
+        if frame.session != last.session or frame.number < last.number or frame.time < last.time:
+            self.reset()
+        elif frame.time - last.time > LONGEST_GAP:
+            self._outdated = True
+
+    def _reference_problems(self, state: State) -> tuple[str, ...]:
+        problems = []
+        for i in np.flatnonzero(~np.isfinite(self._references.bend)):
+            label = self.layout.protocol.labels[i]
+            problems.append(f"channel {label} is left out: it was bad when the session began")
+        if self._outdated and state is State.TOUCH:
+            problems.append(
+                f"no frames came for more than {LONGEST_GAP:g} s before this touch: its place is "
+                "wrong where the sensor has been bent since"
+            )
+        return tuple(problems)
+
+    def save(self, path: str | Path) -> Path:
+        """Write the pipeline as the folder NAME.eitmodel; a pipeline there is replaced."""
+        outputs = self.perception.outputs(self.examples)
+        golden: dict[str, NDArray[Any]] = {
+            "input.static": self.examples.static,
+            "input.dynamic": self.examples.dynamic,
+        }
+        golden |= {f"output.{name}": array for name, array in outputs.items()}
+        weights = {
+            **self.perception.arrays(),
+            "layout.reference": self.layout.reference,
+            "missing_static.covariance": self.missing_static.covariance,
+            "missing_dynamic.covariance": self.missing_dynamic.covariance,
+        }
+        document = {
+            "layout": self.layout.document(),
+            "noise": self.noise,
+            "settings": asdict(self.settings),
+            "trained_on": dict(self.trained_on),
+            "metrics": self.metrics,
+        }
+        saved = SavedPipeline(KIND, document, weights, golden, perception_card(document))
+        return write_pipeline(path, saved)
+
+    @classmethod
+    def load(cls, path: str | Path) -> "Pipeline":
+        """Read a saved pipeline and check that it computes here what it did when it was saved.
+
+        Raises DataError where it is damaged, changed, newer than this eitskin, or does not.
+        """
+        saved = read_pipeline(path)
+        require_kind(saved, KIND, path)
+        try:
+            document, weights = saved.document, saved.weights
+            pipeline = cls(
+                Layout.from_document(document["layout"], weights["layout.reference"]),
+                Perception.from_arrays(weights),
+                MissingChannels(weights["missing_static.covariance"]),
+                MissingChannels(weights["missing_dynamic.covariance"]),
+                float(document["noise"]),
+                from_dict(TrainingSettings, document["settings"], "settings"),
+                dict(document["trained_on"]),
+                Differences(saved.golden["input.static"], saved.golden["input.dynamic"]),
+                dict(document["metrics"]),
+            )
+            saved.require_golden(pipeline.perception.outputs(pipeline.examples))
+        except DataError:
+            raise
+        except (KeyError, TypeError, ValueError, IndexError) as error:
+            raise DataError(f"{path} is not whole: {error}; save the pipeline again") from error
+        return pipeline
