@@ -76,7 +76,7 @@ def _add_scene(plotter: Any, pv: Any, sim: Simulator, scene: Scene, scale: bool)
         split_sharp_edges=True,
         show_scalar_bar=scale,
         scalar_bar_args={
-            "title": "conductance change along x [%]",
+            "title": "conductance change along x [%]\n",
             "color": "black",
             "title_font_size": 14,
             "label_font_size": 13,

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from eitskin.datasets import State
 from eitskin.geometry.optional import require
 from eitskin.training.settings import NetworkSettings, Progress, silent
 
@@ -15,9 +16,13 @@ if TYPE_CHECKING:
 class Classifier:
     """Probabilities of the three states of `eitskin.datasets.State`.
 
+    A touch may be three times the noise and a bend a hundred times. The network therefore sees
+    asinh of the maps in units of their noise: linear for what is small, logarithmic for what is
+    large.
+
     Attributes:
         network: trained, in evaluation mode.
-        embedding: linear, from dV to the maps that the network sees, (maps, pixels, measurements).
+        embedding: linear, from dV to maps in those units, (maps, pixels, measurements).
         shape: of a map.
     """
 
@@ -58,13 +63,16 @@ class Classifier:
 
         from eitskin.training.networks import StateNetwork, noisy_maps, seeded, train
 
-        scaled = _of_unit_spread(np.asarray(embedding, dtype=float), np.asarray(difference))
+        states = np.asarray(state, dtype=np.int64)
+        scaled = _in_units_of_noise(
+            np.asarray(embedding, dtype=float), np.asarray(difference), states == State.IDLE
+        )
         network = seeded(lambda: StateNetwork(shape, len(scaled)), seed)
         maps = noisy_maps(difference, scaled, shape, settings.noise * noise)
-        targets = torch.as_tensor(np.asarray(state, dtype=np.int64))
+        targets = torch.as_tensor(states)
         train(
             network,
-            lambda chosen, generator: (maps(chosen, generator), targets[chosen]),
+            lambda chosen, generator: (torch.asinh(maps(chosen, generator)), targets[chosen]),
             torch.nn.functional.cross_entropy,
             len(targets),
             settings,
@@ -79,7 +87,7 @@ class Classifier:
 
         dV = np.asarray(difference, dtype=float)
         maps = np.stack([dV @ layer.T for layer in self.embedding], axis=1)
-        logits = evaluate(self.network, maps.reshape(len(dV), -1, *self.shape))
+        logits = evaluate(self.network, np.arcsinh(maps).reshape(len(dV), -1, *self.shape))
         odds = np.exp(logits - logits.max(axis=1, keepdims=True))
         probabilities: NDArray[np.float64] = odds / odds.sum(axis=1, keepdims=True)
         return probabilities
@@ -102,10 +110,13 @@ class Classifier:
         return cls(with_weights(StateNetwork(shape, len(embedding)), arrays), embedding, shape)
 
 
-def _of_unit_spread(
-    embedding: NDArray[np.float64], difference: NDArray[np.floating]
+def _in_units_of_noise(
+    embedding: NDArray[np.float64], difference: NDArray[np.floating], idle: NDArray[np.bool_]
 ) -> NDArray[np.float64]:
-    """The embedding with each map divided by its standard deviation over the training frames."""
-    spread = np.array([np.std(difference @ layer.T) for layer in embedding])
-    scaled: NDArray[np.float64] = embedding / np.where(spread > 0, spread, 1.0)[:, None, None]
+    """The embedding with each map divided by twice its standard deviation over the idle frames."""
+    scaled = np.empty_like(embedding)
+    for i, layer in enumerate(embedding):
+        maps = difference @ layer.T
+        noise = float(np.std(maps[idle])) if idle.any() else 0.0
+        scaled[i] = layer / (2.0 * noise or float(np.std(maps)) or 1.0)
     return scaled
