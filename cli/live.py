@@ -125,10 +125,14 @@ class Session:
             return "waiting for the first frame"
         return draw(self.newest, self.board.counts)
 
+    @property
+    def _unusable(self) -> int:
+        return self.newest.unusable if self.newest is not None else 0
+
     def sum_up(self) -> None:
         """Say what came through; on stderr, so that --json stays one object per frame."""
         counts = self.board.counts
-        text = f"{self.processed} frames processed, {_losses(counts)}"
+        text = f"{self.processed} frames processed, {_losses(counts, self._unusable)}"
         if self.latencies:
             half, most = np.percentile(self.latencies, (50, 99)) * 1e3
             text += f"; latency {half:.1f} ms median, {most:.1f} ms p99"
@@ -178,7 +182,7 @@ def draw(reading: "Reading", counts: "Counts") -> RenderableType:
     numbers.add_row("touches", ", ".join(places) or "none")
     rate = f"{reading.rate:.1f} frames/s" if math.isfinite(reading.rate) else "-"
     numbers.add_row("rate", f"{rate}, latency {reading.latency * 1e3:.1f} ms")
-    numbers.add_row("losses", _losses(counts))
+    numbers.add_row("losses", _losses(counts, reading.unusable))
     bad = bad_channels(frame)
     health = ", ".join(f"{label} {what}" for label, what in bad.items())
     good = f"all {len(frame.status)} good"
@@ -207,9 +211,12 @@ def touch_picture(touch_map: NDArray[np.floating]) -> Text:
     return picture
 
 
-def _losses(counts: "Counts") -> str:
+def _losses(counts: "Counts", unusable: int) -> str:
     dropped = ", ".join(f"{count} {reason}" for reason, count in counts.dropped.items())
-    return f"{counts.lost} lost, {counts.skipped} skipped, dropped: {dropped or 'none'}"
+    return (
+        f"{counts.lost} lost, {counts.skipped} skipped, {unusable} unusable, "
+        f"dropped: {dropped or 'none'}"
+    )
 
 
 def _state(estimate: "Estimate") -> str:

@@ -8,6 +8,7 @@ from eitskin.geometry.errors import (
     EitskinError,
     FrameError,
     PartialError,
+    UnusableFrameError,
 )
 from eitskin.geometry.mesh import Mesh
 from eitskin.geometry.sensor import Electrode, Rectangle, SensorDesign
@@ -26,5 +27,6 @@ __all__ = [
     "PartialError",
     "Rectangle",
     "SensorDesign",
+    "UnusableFrameError",
     "structured_mesh",
 ]

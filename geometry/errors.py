@@ -4,6 +4,7 @@
     +-- ConfigurationError   a design, scene, recipe or option that cannot be; exit code 2
     +-- DataError            a dataset, recording or saved pipeline that cannot be used; exit code 3
     |   +-- FrameError       a frame that this pipeline cannot use
+    |       +-- UnusableFrameError   of the right sensor, but too damaged; the next may be good
     +-- DeviceError          a board that is absent, silent or speaks otherwise; exit code 4
     +-- PartialError         work that stopped part-way and can be resumed; exit code 5
 
@@ -31,6 +32,10 @@ class DataError(EitskinError, ValueError):
 
 class FrameError(DataError):
     """A frame of another protocol, shape or frequency than the one expected."""
+
+
+class UnusableFrameError(FrameError):
+    """A frame of the right sensor with too few good values; the next one may be good."""
 
 
 class DeviceError(EitskinError, OSError):

@@ -10,8 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.datasets import State
+from eitskin.geometry import UnusableFrameError
 from eitskin.hardware.board import Board
 from eitskin.simulator import Frame
+
+UNUSABLE_IN_A_ROW = 10  # three seconds of a real board
 
 
 class Estimate(typing.Protocol):
@@ -58,12 +61,14 @@ class Reading:
         estimate: what the pipeline makes of it.
         latency: from having the frame to having the estimate [s].
         rate: frames per second over the last seconds; NaN for the first.
+        unusable: frames so far that were too damaged for an estimate.
     """
 
     frame: Frame
     estimate: Estimate
     latency: float
     rate: float
+    unusable: int = 0
 
 
 def run_live(
@@ -81,13 +86,26 @@ def run_live(
             queue grows; the board counts them.
         clock: seconds, for latency and rate.
 
-    Raises DeviceError where the board falls silent or goes away.
+    A damaged frame is counted and passed over.
+
+    Raises:
+        DeviceError: where the board falls silent or goes away.
+        UnusableFrameError: for so many damaged frames in a row that the sensor must be at fault.
+        FrameError: for a board of another sensor.
     """
+    unusable = in_a_row = 0
     arrivals: deque[float] = deque(maxlen=20)
     for frame in board.frames(newest=newest):
         arrivals.append(clock())
-        estimate = pipeline.process(frame)
-        yield Reading(frame, estimate, clock() - arrivals[-1], _rate(arrivals))
+        try:
+            estimate = pipeline.process(frame)
+        except UnusableFrameError:
+            unusable, in_a_row = unusable + 1, in_a_row + 1
+            if in_a_row == UNUSABLE_IN_A_ROW:
+                raise
+            continue
+        in_a_row = 0
+        yield Reading(frame, estimate, clock() - arrivals[-1], _rate(arrivals), unusable)
 
 
 def _rate(arrivals: deque[float]) -> float:

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from eitskin.cli import live as cli
 from eitskin.datasets import State, open_dataset
-from eitskin.geometry import ConfigurationError, DeviceError
+from eitskin.geometry import ConfigurationError, DeviceError, UnusableFrameError
 from eitskin.hardware import Counts, Reading, Script, Step, open_board, run_live
 from eitskin.simulator import Frame, Protocol, Scene, Status
 
@@ -68,6 +68,35 @@ class FakeBoard:
 
 def frame(number=0, **changes):
     return Frame(np.full(28, 600.0), PROTOCOL, 0.3 * number, number, **changes)
+
+
+class DamagedFrames(FakePipeline):
+    """Cannot use the frames with these numbers."""
+
+    def __init__(self, damaged):
+        super().__init__()
+        self.damaged = damaged
+
+    def process(self, frame):
+        if frame.number in self.damaged:
+            raise UnusableFrameError("all channels are open; check the cable")
+        return super().process(frame)
+
+
+def test_damaged_frames_are_counted_and_passed_over():
+    board = FakeBoard([frame(number) for number in range(6)])
+    readings = list(run_live(board, DamagedFrames({1, 2, 5})))
+    assert [(reading.frame.number, reading.unusable) for reading in readings] == [
+        (0, 0),
+        (3, 2),
+        (4, 2),
+    ]
+
+
+def test_nothing_but_damaged_frames_ends_with_the_reason():
+    board = FakeBoard([frame(number) for number in range(30)])
+    with pytest.raises(UnusableFrameError, match="check the cable"):
+        list(run_live(board, DamagedFrames(range(3, 30))))
 
 
 def test_every_frame_comes_with_its_estimate_latency_and_rate():

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.geometry import FrameError, SensorDesign
+from eitskin.geometry import FrameError, SensorDesign, UnusableFrameError
 from eitskin.geometry.config import from_dict
 from eitskin.simulator import Frame, Protocol
 
@@ -72,7 +72,7 @@ class Layout:
             for i in np.flatnonzero(~good)
         )
         if good.mean() < FEWEST_CHANNELS:
-            raise FrameError(
+            raise UnusableFrameError(
                 f"expected at least {FEWEST_CHANNELS:.0%} usable channels, got {good.sum()} of "
                 f"{good.size}; {problems[0]}; check the cable and the electrodes"
             )
