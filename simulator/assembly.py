@@ -167,6 +167,7 @@ class Assembly:
         self.inverses = np.asarray(inverses, dtype=np.float64)
         self.volumes: Array = np.abs(np.linalg.det(edges))
         self.points: Array = self.origins[:, None] + X.T @ edges
+        self._to_reference = _tensor_map(self.inverses) * self.volumes[:, None, None]
         self._cell_rows, self._cell_columns = self._lower(self.cell_unknowns)
 
     def _prepare_electrodes(self, mesh: Mesh) -> None:
@@ -210,9 +211,7 @@ class Assembly:
     def stiffness(self, conductivity: Array) -> Stiffness:
         """Stiffness for tensors (cells, 3, 3) or, per point, (cells, q, 3, 3) [S/m]."""
         tensors = conductivity if conductivity.ndim == 4 else conductivity[:, None]
-        inverses = self.inverses[:, None]
-        reference = inverses @ tensors @ inverses.swapaxes(-1, -2)
-        entries = reference[..., _TENSOR_ROWS, _TENSOR_COLUMNS] * self.volumes[:, None, None]
+        entries = tensors[..., _TENSOR_ROWS, _TENSOR_COLUMNS] @ self._to_reference
         matrix = self._reference if tensors.shape[1] > 1 else self._reference.sum(axis=0)
         flat = entries.reshape(len(entries), -1) @ matrix.reshape(-1, matrix.shape[-1])
         (i, j), inner, outer = self._pairs, self.element.inner, self.cell_unknowns.shape[1]
@@ -272,6 +271,15 @@ class Assembly:
 def _sums(places: Indices, values: Array, size: int) -> Array:
     """Add up the values that belong to each place, (size,)."""
     return np.asarray(np.bincount(places.ravel(), values.ravel(), size), dtype=np.float64)
+
+
+def _tensor_map(A: Array) -> Array:
+    """Six entries of symmetric S to those of A S A^T, (cells, from, to), for A (cells, 3, 3)."""
+    a, b = _TENSOR_ROWS, _TENSOR_COLUMNS
+    first = A[:, a][:, :, a] * A[:, b][:, :, b]
+    second = A[:, a][:, :, b] * A[:, b][:, :, a]
+    to_from = first + np.where(a == b, 0.0, second)
+    return to_from.swapaxes(1, 2)
 
 
 def _box_rule(plane_order: int, upright_order: int) -> tuple[Array, Array]:
