@@ -1,8 +1,8 @@
 """Making a dataset from a recipe, on all cores, so that it can be interrupted and resumed."""
 
+import ctypes
 import hashlib
 import multiprocessing
-import multiprocessing.synchronize
 import os
 import signal
 import threading
@@ -125,16 +125,19 @@ def _make(
 ) -> list[int]:
     """Make `shards`; returns those that were lost because a worker died."""
     context = multiprocessing.get_context("spawn")
-    stop = context.Event()
+    # Shared memory without a lock: one held at the wrong moment would stop the workers for ever.
+    stop = context.RawValue(ctypes.c_bool, False)
     lost = set(shards)
     with (
+        _one_interrupt(stop),
         _one_thread_per_process(),
         ProcessPoolExecutor(
             min(workers, len(shards)), context, initializer=_start_worker, initargs=(stop,)
         ) as pool,
     ):
         try:
-            futures = [pool.submit(_make_shard, recipe, folder, shard) for shard in shards]
+            with _interrupts_held_back():  # workers start here, and keep them blocked
+                futures = [pool.submit(_make_shard, recipe, folder, shard) for shard in shards]
             for future in as_completed(futures):
                 if isinstance(future.exception(), BrokenProcessPool):
                     continue
@@ -143,10 +146,43 @@ def _make(
         except BrokenProcessPool:  # from submit
             pass
         except BaseException:
-            stop.set()
-            pool.shutdown(wait=False, cancel_futures=True)
+            stop.value = True
+            # Waits while further interrupts are still swallowed: after a shutdown that does not
+            # wait, nobody would, and one of them could cut the pool off from its workers.
+            pool.shutdown(wait=True, cancel_futures=True)
             raise
     return sorted(lost)
+
+
+@contextmanager
+def _one_interrupt(stop: ctypes.c_bool) -> Iterator[None]:
+    """Let Ctrl-C stop the workers and be raised once; more would disturb the clearing up."""
+
+    def interrupt(number: int, frame: object) -> None:  # noqa: ARG001
+        if not stop.value:
+            stop.value = True
+            raise KeyboardInterrupt
+
+    # Only the main thread may say what a signal does, and only it gets the interrupt.
+    before = signal.getsignal(signal.SIGINT)
+    ours = threading.current_thread() is threading.main_thread() and callable(before)
+    if ours:
+        signal.signal(signal.SIGINT, interrupt)
+    try:
+        yield
+    finally:
+        if ours:
+            signal.signal(signal.SIGINT, before)
+
+
+@contextmanager
+def _interrupts_held_back() -> Iterator[None]:
+    """Keep Ctrl-C waiting; processes that are started meanwhile never get it."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextmanager
@@ -183,18 +219,17 @@ def _manifest(recipe: Recipe, folder: Path) -> Manifest:
 
 # From here on: what runs in a worker.
 
-_stop: multiprocessing.synchronize.Event | None = None
+_stop: ctypes.c_bool | None = None
 
 
 class _Stopped(Exception):  # noqa: N818 - it is no error
     """The parent has asked for an end."""
 
 
-def _start_worker(stop: multiprocessing.synchronize.Event) -> None:
-    """Leave Ctrl-C to the parent, which then sets `stop`; end when the parent has gone."""
+def _start_worker(stop: ctypes.c_bool) -> None:
+    """Look to `stop`, which the parent sets; end when the parent has gone."""
     global _stop  # noqa: PLW0603 - the one way to reach tasks from a pool's initializer
     _stop = stop
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 
@@ -213,5 +248,5 @@ def _make_shard(recipe: Recipe, folder: Path, shard: int) -> int:
 
 
 def _check_stop() -> None:
-    if _stop is not None and _stop.is_set():
+    if _stop is not None and _stop.value:
         raise _Stopped

@@ -3,6 +3,7 @@
 import multiprocessing
 import os
 import signal
+import subprocess
 import sys
 
 import numpy as np
@@ -242,3 +243,42 @@ def test_shard_is_a_function_of_recipe_and_number(whole):
     assert np.array_equal(data.impedance, again.impedance)
     assert np.array_equal(data.touch_reference, again.touch_reference)
     assert np.array_equal(data.touch_x, again.touch_x, equal_nan=True)
+
+
+SCRIPT = """
+import sys
+from eitskin.datasets import Recipe, generate
+from eitskin.geometry.config import parse_toml
+
+if __name__ == "__main__":
+    recipe = parse_toml(Recipe, sys.argv[1])
+    generate(recipe, sys.argv[2], 2, lambda done, total: print(done, flush=True), resume=True)
+"""
+LONG = """
+name = "long"
+frames_per_shard = 5
+[[scenes]]
+state = "bend"
+count = 5000
+angle_deg = [1, 9]
+"""
+
+
+def test_interrupts_in_a_row_end_it_once_and_leave_it_resumable(tmp_path) -> None:
+    """As Ctrl-C pressed twice in a terminal, which signals the workers too."""
+    script, out = tmp_path / "make.py", tmp_path / "set"
+    script.write_text(SCRIPT)
+    run = [sys.executable, str(script), LONG, str(out)]
+    for _ in range(2):
+        with subprocess.Popen(
+            run, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+        ) as process:
+            assert process.stdout is not None
+            before = int(process.stdout.readline())
+            assert int(process.stdout.readline()) > before  # a shard is finished, others are begun
+            os.killpg(process.pid, signal.SIGINT)
+            os.killpg(process.pid, signal.SIGINT)
+            _, said = process.communicate(timeout=60)
+        assert said.count("Traceback") == 1
+        assert said.rstrip().endswith("KeyboardInterrupt")
+    assert before > 0  # what the first run finished, the second kept
