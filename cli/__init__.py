@@ -2,6 +2,6 @@
 
 import os
 
-# The solver's blocks are too small to share between threads: two threads on busy cores took 26
-# times as long as one. Set before numpy loads its BLAS; the user's own setting wins.
+# The solver's blocks are too small to share between threads: on busy cores several threads only
+# wait for each other. Set before numpy loads its BLAS; the user's own setting wins.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
