@@ -10,13 +10,14 @@ from eitskin.geometry.errors import (
     PartialError,
     UnusableFrameError,
 )
-from eitskin.geometry.mesh import Mesh
+from eitskin.geometry.mesh import Contacts, Mesh
 from eitskin.geometry.sensor import Electrode, Rectangle, SensorDesign
 from eitskin.geometry.structured import structured_mesh
 
 __all__ = [
     "Bend",
     "ConfigurationError",
+    "Contacts",
     "DataError",
     "DeviceError",
     "EitskinError",

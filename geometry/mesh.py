@@ -1,4 +1,4 @@
-"""A mesh of the conductive layer and the facets on which its electrodes sit."""
+"""A mesh of the conductive layer and where its electrodes touch it."""
 
 from dataclasses import dataclass
 
@@ -7,20 +7,53 @@ from numpy.typing import NDArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Mesh:
-    """Points, cells and electrode facets.
+class Contacts:
+    """The pieces of cell faces that electrodes touch, cut exactly at the electrodes' rims.
 
-    The mesh is an extrusion: a plane mesh repeated at each height. Points and cells are numbered
-    upwards first, so point `i` of the plane mesh at height `k` is point `i * len(heights) + k`.
+    Attributes:
+        electrode: the electrode of each piece, (n,).
+        cell: the cell that it bounds, (n,).
+        corners: counter-clockwise seen from outside, (n, 3, 3) triangles or (n, 4, 3)
+            parallelograms [m].
+        facets: per electrode the faces that it touches, (k, 3) or (k, 4) point numbers.
+    """
+
+    electrode: NDArray[np.int64]
+    cell: NDArray[np.int64]
+    corners: NDArray[np.float64]
+    facets: tuple[NDArray[np.int64], ...]
+
+    @property
+    def areas(self) -> NDArray[np.float64]:
+        """Area of each piece, (n,) [m2]."""
+        edges = self.corners[:, [1, -1]] - self.corners[:, :1]
+        parallelogram = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+        share = 0.5 if self.corners.shape[1] == 3 else 1.0
+        areas: NDArray[np.float64] = share * parallelogram
+        return areas
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mesh:
+    """Points, cells and contacts.
+
+    Hexahedra and wedges form an extrusion: a plane mesh repeated at each height. Points and cells
+    are then numbered upwards first, so point `i` of the plane mesh at height `k` is point
+    `i * len(heights) + k`.
 
     Attributes:
         points: (n, 3) [m].
-        cells: (m, 8) hexahedra, point numbers in VTK's order.
-        electrode_facets: per electrode (k, 4) quadrilaterals, point numbers around the facet.
-        heights: z of the layers of points, rising [m].
+        cells: (m, 8) hexahedra, (m, 6) wedges or (m, 4) tetrahedra, point numbers in VTK's order.
+        contacts: where the electrodes touch.
+        heights: z of the layers of points, rising [m]; None for tetrahedra.
     """
 
     points: NDArray[np.float64]
     cells: NDArray[np.int64]
-    electrode_facets: tuple[NDArray[np.int64], ...]
-    heights: NDArray[np.float64]
+    contacts: Contacts
+    heights: NDArray[np.float64] | None
+
+    @property
+    def electrode_facets(self) -> tuple[NDArray[np.int64], ...]:
+        """Per electrode the faces that it touches, (k, 3) or (k, 4) point numbers."""
+        return self.contacts.facets

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.geometry.mesh import Mesh
+from eitskin.geometry.mesh import Contacts, Mesh
 from eitskin.geometry.sensor import SensorDesign
 
 Lines = NDArray[np.float64]
@@ -64,7 +64,18 @@ def structured_mesh(design: SensorDesign, grading: Grading, breaks: Sequence[flo
         face = sides[side]
         quads = np.stack([face[:-1, :-1], face[1:, :-1], face[1:, 1:], face[:-1, 1:]], axis=-1)
         facets.append(quads[covered].reshape(-1, 4))
-    return Mesh(points.reshape(-1, 3), cells.reshape(-1, 8), tuple(facets), z_lines)
+    points, cells = points.reshape(-1, 3), cells.reshape(-1, 8)
+    return Mesh(points, cells, _contacts(points, cells, facets), z_lines)
+
+
+def _contacts(
+    points: NDArray[np.float64], cells: NDArray[np.int64], facets: list[NDArray[np.int64]]
+) -> Contacts:
+    """Whole facets, each with the cell that it bounds."""
+    every = np.concatenate(facets)
+    owners = [np.flatnonzero(np.isin(cells, facet).sum(axis=1) == 4)[0] for facet in every]
+    numbers = np.repeat(np.arange(len(facets)), [len(f) for f in facets])
+    return Contacts(numbers, np.array(owners), points[every], tuple(facets))
 
 
 def _plane_lines(

@@ -119,6 +119,7 @@ class Assembly:
 
     def __init__(self, mesh: Mesh, order: tuple[int, int]) -> None:
         """Prepare elements of polynomial `order` (in the plane, upwards)."""
+        assert mesh.heights is not None
         layers = len(mesh.heights) - 1
         plane = skfem.MeshQuad(
             np.ascontiguousarray(mesh.points[:: layers + 1, :2].T),
@@ -171,12 +172,10 @@ class Assembly:
         self._cell_rows, self._cell_columns = self._lower(self.cell_unknowns)
 
     def _prepare_electrodes(self, mesh: Mesh) -> None:
-        sizes = [len(facets) for facets in mesh.electrode_facets]
-        facets = np.concatenate(mesh.electrode_facets)
-        owners = _owners(facets, mesh.cells)
-        self.electrodes = len(sizes)
-        self.facet_electrode: Indices = np.repeat(np.arange(self.electrodes), sizes)
-        corners = mesh.points[facets]
+        contacts = mesh.contacts
+        owners, corners = contacts.cell, contacts.corners
+        self.electrodes = len(contacts.facets)
+        self.facet_electrode: Indices = contacts.electrode
         across, along = corners[:, 1] - corners[:, 0], corners[:, 3] - corners[:, 0]
         nodes, weights = skfem.quadrature.get_quadrature(
             skfem.refdom.RefQuad, 2 * max(self.element.order)
@@ -302,14 +301,3 @@ def _places(basis: skfem.CellBasis) -> Array:
         for row in numbers:
             places[:, row] = middles
     return places
-
-
-def _owners(facets: Indices, cells: Indices) -> Indices:
-    """The cell that each boundary facet belongs to, (facets,)."""
-    holders: dict[int, set[int]] = {int(point): set() for point in np.unique(facets)}
-    for cell in np.flatnonzero(np.isin(cells, facets).sum(axis=1) >= facets.shape[1]):
-        for point in cells[cell]:
-            if int(point) in holders:
-                holders[int(point)].add(int(cell))
-    owners = [set.intersection(*(holders[int(point)] for point in facet)) for facet in facets]
-    return np.array([min(cells_with_facet) for cells_with_facet in owners])
