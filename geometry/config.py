@@ -1,23 +1,61 @@
 """Frozen dataclasses from TOML, strictly, and back.
 
-Types are checked by msgspec; keys that no field takes are errors that name the nearest field.
+The types of a dataclass say what its file may hold: other dataclasses are tables, a union of
+dataclasses is the one whose keys are there, `complex` is a number or [real, imaginary], `Path` is
+relative to the file. Everything else is checked by msgspec. Keys that nothing takes are errors
+that name the nearest one that is known; numbers must be finite.
 """
 
 import dataclasses
 import difflib
+import inspect
+import itertools
 import json
+import math
+import numbers
+import os
+import tempfile
 import tomllib
 import types
 import typing
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeGuard, TypeVar
 
 import msgspec
 
 from eitskin.geometry.errors import ConfigurationError
 
 T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where plain data stands: for messages, and for paths that are relative to their file.
+
+    Attributes:
+        source: name of the file, or of whatever else the data is from.
+        folder: that relative paths start from.
+        key: dotted keys down to the data; empty at the top.
+    """
+
+    source: str
+    folder: Path = Path()
+    key: str = ""
+
+    def under(self, key: str) -> "Place":
+        """The place of the value of `key`."""
+        return dataclasses.replace(self, key=f"{self.key}.{key}" if self.key else key)
+
+    def item(self, number: int) -> "Place":
+        """The place of item `number` of a list."""
+        return dataclasses.replace(self, key=f"{self.key}[{number}]")
+
+    def error(self, message: object) -> ConfigurationError:
+        """An error that names this place."""
+        where = f"{self.source}: {self.key}" if self.key else self.source
+        return ConfigurationError(f"{where}: {message}")
 
 
 def read_toml(kind: type[T], path: str | Path) -> T:
@@ -30,46 +68,147 @@ def read_toml(kind: type[T], path: str | Path) -> T:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigurationError(f"cannot read {path}: {error}") from error
-    return parse_toml(kind, text, where=str(path))
+    return parse_toml(kind, text, str(path), path.parent)
 
 
-def parse_toml(kind: type[T], text: str, where: str = "TOML text") -> T:
+def parse_toml(kind: type[T], text: str, where: str = "TOML text", folder: Path = Path()) -> T:
     """Read TOML text into the dataclass `kind`; `where` names the source in messages."""
     try:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise ConfigurationError(f"{where} is not valid TOML: {error}") from error
-    return from_dict(kind, data, where)
+    return from_dict(kind, data, where, folder)
 
 
-def from_dict(kind: type[T], data: Mapping[str, Any], where: str) -> T:
+def from_dict(kind: type[T], data: Mapping[str, Any], where: str, folder: Path = Path()) -> T:
     """Build the dataclass `kind` from plain `data`; the same checks as `read_toml`."""
-    _refuse_unknown_keys(kind, data, where)
+    return build(kind, data, Place(where, folder))
+
+
+def build(make: Callable[..., T], data: Any, place: Place) -> T:
+    """Call `make`, a dataclass or a function, with the keyword arguments that `data` holds.
+
+    A dataclass may have a classmethod `spelled_out(data, place)` that returns the data with
+    abbreviations written out; what it builds itself it puts in place of the plain data.
+
+    Raises ConfigurationError for keys that are unknown or missing, values of another type, and
+    everything that `make` refuses.
+    """
+    if not isinstance(data, Mapping):
+        raise place.error(f"expected a table ({_keys(make)}), got `{type(data).__name__}`")
+    spelled_out = getattr(make, "spelled_out", None)
+    if spelled_out is not None:
+        data = spelled_out(data, place)
+    known = _parameters(make)
+    for key in data:
+        if key not in known:
+            hint = _nearest(key, known) or f"; known: {', '.join(known)}"
+            raise place.error(f"unknown key '{key}'{hint}")
+    arguments = {
+        key: read(known[key].annotation, value, place.under(key)) for key, value in data.items()
+    }
+    for name in _required(make):
+        if name not in data:
+            raise place.error(f"missing required field `{name}`")
     try:
-        return msgspec.convert(data, kind)
-    except msgspec.ValidationError as error:
-        raise ConfigurationError(f"{where}: {error}") from error
+        return make(**arguments)
+    except ValueError as error:
+        raise place.error(error) from error
 
 
-def _refuse_unknown_keys(kind: Any, data: Any, where: str) -> None:
-    """Walk `data` beside the dataclass `kind` and refuse keys that it has no field for."""
+def choose(makers: Iterable[Callable[..., T]], data: Any, place: Place) -> Callable[..., T]:
+    """The first of `makers` that takes every key of `data` and needs none beyond them."""
+    makers = tuple(makers)
+    listed = " or ".join(f"{_name(make)} ({_keys(make)})" for make in makers)
+    if not isinstance(data, Mapping):
+        raise place.error(f"expected a table, {listed}, got `{type(data).__name__}`")
+    for make in makers:
+        if set(_required(make)) <= data.keys() <= _parameters(make).keys():
+            return make
+    known = list(itertools.chain.from_iterable(_parameters(make) for make in makers))
+    hints = "".join(_nearest(key, known) for key in data if key not in known)
+    given = ", ".join(data) if data else "no keys"
+    raise place.error(f"expected the keys of one of {listed}, got {given}{hints}")
+
+
+def read(kind: Any, data: Any, place: Place) -> Any:
+    """What the type `kind` says, from plain `data`; what is built already is passed on."""
     origin, arguments = typing.get_origin(kind), typing.get_args(kind)
     if origin in (typing.Union, types.UnionType):
-        for choice in arguments:
-            if dataclasses.is_dataclass(choice) and isinstance(data, Mapping):
-                _refuse_unknown_keys(choice, data, where)
-    elif origin in (tuple, list) and isinstance(data, list):
-        for i, item in enumerate(data):
-            _refuse_unknown_keys(arguments[0], item, f"{where}[{i}]")
-    elif dataclasses.is_dataclass(kind) and isinstance(data, Mapping):
-        hints = typing.get_type_hints(kind)
-        names = [field.name for field in dataclasses.fields(kind) if field.init]
-        for key, value in data.items():
-            if key not in names:
-                near = difflib.get_close_matches(key, names, n=1)
-                hint = f"; did you mean '{near[0]}'?" if near else f"; known: {', '.join(names)}"
-                raise ConfigurationError(f"{where}: unknown key '{key}'{hint}")
-            _refuse_unknown_keys(hints[key], value, f"{where}.{key}")
+        choices = tuple(choice for choice in arguments if _is_dataclass(choice))
+        if choices and data is not None and not isinstance(data, choices):
+            kind = choices[0] if len(choices) == 1 else choose(choices, data, place)
+    if _is_dataclass(kind) and not isinstance(data, kind):
+        return build(kind, data, place)
+    if origin in (tuple, list) and isinstance(data, list | tuple) and arguments[1:] in ((), (...,)):
+        return origin(read(arguments[0], item, place.item(i)) for i, item in enumerate(data))
+    if kind is complex:
+        return _complex(data, place)
+    if kind is Path:
+        return place.folder / _plain(str, data, place)
+    return _plain(kind, data, place)
+
+
+def _is_dataclass(kind: Any) -> TypeGuard[type]:
+    return isinstance(kind, type) and dataclasses.is_dataclass(kind)
+
+
+def _plain(kind: Any, data: Any, place: Place) -> Any:
+    """A value that msgspec checks; numbers in it must be finite."""
+    try:
+        value = msgspec.convert(data, kind)
+    except msgspec.ValidationError as error:
+        raise place.error(error) from error
+    for number in value if isinstance(value, tuple | list) else (value,):
+        if isinstance(number, float) and not math.isfinite(number):
+            raise place.error(f"expected a finite number, got {number}")
+    return value
+
+
+def _complex(data: Any, place: Place) -> complex:
+    if isinstance(data, list):
+        return complex(*_plain(tuple[float, float], data, place))
+    return float(_plain(float, data, place))
+
+
+def _parameters(make: Callable[..., Any]) -> Mapping[str, inspect.Parameter]:
+    return inspect.signature(make, eval_str=True).parameters
+
+
+def _required(make: Callable[..., Any]) -> list[str]:
+    parameters = _parameters(make).items()
+    return [name for name, parameter in parameters if parameter.default is parameter.empty]
+
+
+def _keys(make: Callable[..., Any]) -> str:
+    """The keys that `make` takes, for people; those that it can do without in brackets."""
+    required = _required(make)
+    return ", ".join(name if name in required else f"[{name}]" for name in _parameters(make))
+
+
+def _name(make: Any) -> str:
+    return str(getattr(make, "func", make).__name__)
+
+
+def _nearest(key: str, known: Iterable[str]) -> str:
+    near = difflib.get_close_matches(key, known, n=1)
+    return f"; did you mean '{near[0]}'?" if near else ""
+
+
+def to_dict(value: Any) -> Any:
+    """A dataclass as plain data, as TOML and JSON take it; fields that are None are left out."""
+    if dataclasses.is_dataclass(value):
+        items = ((field.name, getattr(value, field.name)) for field in dataclasses.fields(value))
+        return {name: to_dict(item) for name, item in items if item is not None}
+    if isinstance(value, tuple | list):
+        return [to_dict(item) for item in value]
+    if isinstance(value, Path):
+        return str(value)
+    if isinstance(value, bool | str):
+        return value
+    if isinstance(value, numbers.Integral):
+        return int(value)
+    return float(value.real) if value.imag == 0 else [float(value.real), float(value.imag)]
 
 
 def to_toml(value: object) -> str:
@@ -78,10 +217,10 @@ def to_toml(value: object) -> str:
     Equal dataclasses give equal text. Fields that are None are left out.
     """
     plain, tables = [], []
-    for name, item in _items(value):
-        if dataclasses.is_dataclass(item):
+    for name, item in to_dict(value).items():
+        if isinstance(item, dict):
             tables += ["", f"[{name}]", *_lines(item)]
-        elif isinstance(item, tuple) and item and dataclasses.is_dataclass(item[0]):
+        elif isinstance(item, list) and item and isinstance(item[0], dict):
             for row in item:
                 tables += ["", f"[[{name}]]", *_lines(row)]
         else:
@@ -89,20 +228,36 @@ def to_toml(value: object) -> str:
     return "\n".join(plain + tables) + "\n"
 
 
-def _items(value: Any) -> list[tuple[str, Any]]:
-    fields = [(field.name, getattr(value, field.name)) for field in dataclasses.fields(value)]
-    return [(name, item) for name, item in fields if item is not None]
+def write_toml(value: object, path: str | Path) -> str:
+    """Write a dataclass to the TOML file `path`, whole or not at all, and return the text.
+
+    Raises ConfigurationError where the file cannot be written.
+    """
+    path, text = Path(path), to_toml(value)
+    try:
+        handle, name = tempfile.mkstemp(prefix=f".{path.name}-", dir=path.parent)
+        try:
+            with os.fdopen(handle, "w", encoding="utf-8") as file:
+                file.write(text)
+            Path(name).chmod(0o644)  # mkstemp's 0600 would keep others from reading it
+            Path(name).replace(path)
+        except BaseException:
+            Path(name).unlink()
+            raise
+    except OSError as error:
+        raise ConfigurationError(f"cannot write {path}: {error.strerror or error}") from error
+    return text
 
 
-def _lines(value: object) -> list[str]:
-    return [f"{name} = {_inline(item)}" for name, item in _items(value)]
+def _lines(table: Mapping[str, Any]) -> list[str]:
+    return [f"{name} = {_inline(item)}" for name, item in table.items()]
 
 
 def _inline(value: object) -> str:
     """One value; JSON's strings are TOML's too, but for DEL, which TOML wants escaped."""
-    if dataclasses.is_dataclass(value):
+    if isinstance(value, dict):
         return "{ " + ", ".join(_lines(value)) + " }"
-    if isinstance(value, tuple | list):
+    if isinstance(value, list):
         return "[" + ", ".join(_inline(item) for item in value) + "]"
     if isinstance(value, bool):
         return str(value).lower()
