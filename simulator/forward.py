@@ -8,24 +8,27 @@ from numpy.typing import ArrayLike, NDArray
 
 from eitskin.geometry import ConfigurationError, Mesh, SensorDesign, structured_mesh
 from eitskin.geometry.structured import Grading
-from eitskin.simulator.assembly import Assembly, Contact, Stiffness
+from eitskin.simulator.assembly import TENSOR_COLUMNS, TENSOR_ROWS, Assembly, Stiffness
 from eitskin.simulator.protocol import Protocol
 from eitskin.simulator.sensitivity import pixel_gram
-from eitskin.simulator.solvers import BlockCholesky, Solver
+from eitskin.simulator.solvers import Solver, SolverName, choose_solver
+from eitskin.simulator.system import Places, System, zero_sums
 
 Array = NDArray[np.float64]
+Numbers = NDArray[np.inexact]
 Field = Callable[[Array], ArrayLike]
 Conductivity: TypeAlias = float | Array | Field
 AreaRatio: TypeAlias = Callable[[Array, Array], Array]
 Resolution = Literal["fast", "standard", "fine"]
-Discretisation: TypeAlias = tuple[tuple[int, int], Grading]
+Discretisation: TypeAlias = tuple[tuple[int, ...], Grading]
+CellKind = Literal["hexahedra", "prisms", "tetrahedra"]
 
-# Element order (in the plane, upwards) and cell sizes. What each costs and how wrong it is:
-# `python -m eitskin.benchmarks.accuracy`.
+# Orders in the plane of the constant, linear, quadratic part upwards, and cell sizes. What each
+# costs and how wrong it is: `eitskin bench accuracy`.
 RESOLUTIONS: dict[str, Discretisation] = {
-    "fast": ((2, 1), Grading(finest=1e-3, coarsest=4e-3, growth=0.7, layers=1)),
-    "standard": ((3, 2), Grading(finest=1.2e-4, coarsest=5e-3, growth=2.5, layers=1)),
-    "fine": ((4, 2), Grading(finest=5e-5, coarsest=6e-3, growth=3.0, layers=1)),
+    "fast": ((2, 2), Grading(finest=1e-3, coarsest=4e-3, growth=0.7, layers=1)),
+    "standard": ((3, 3, 3), Grading(finest=1.2e-4, coarsest=5e-3, growth=2.5, layers=1)),
+    "fine": ((4, 4, 4), Grading(finest=5e-5, coarsest=6e-3, growth=3.0, layers=1)),
 }
 
 
@@ -48,29 +51,38 @@ class ForwardModel:
         design: SensorDesign,
         resolution: Resolution | Discretisation = "standard",
         breaks: Sequence[float] = (),
+        cells: CellKind | None = None,
+        solver: SolverName | None = None,
     ) -> None:
         """Mesh the design.
 
         Args:
             design: the sensor.
-            resolution: a name, or element order (in the plane, upwards) and grading.
-            breaks: further x at which the mesh has faces [m].
+            resolution: a name, or element order and grading.
+            breaks: further x at which a mesh of hexahedra has faces [m].
+            cells: kind of mesh; hexahedra for rectangles, prisms for other outlines and
+                tetrahedra for surfaces when omitted.
+            solver: "block Cholesky" or "sparse LU"; chosen by the shape when omitted.
         """
-        if isinstance(resolution, str):
-            if resolution not in RESOLUTIONS:
-                raise ConfigurationError(
-                    f"resolution must be one of {', '.join(RESOLUTIONS)}, got '{resolution}'"
-                )
-            resolution = RESOLUTIONS[resolution]
-        order, grading = resolution
+        order, grading = _discretisation(resolution)
         self.design = design
         self.mesh: Mesh = structured_mesh(design, grading, breaks)
         self.factorisations = 0
         self._assembly = Assembly(self.mesh, order)
-        faces = np.unique(self.mesh.points[:, 0])
-        strip = np.searchsorted(faces - 1e-12, self._assembly.places[:, 0], side="right") - 1
-        strip += self._assembly.places[:, 0] > faces[strip] + 1e-12
-        self.solver: Solver = BlockCholesky(self._assembly.rows, self._assembly.columns, strip)
+        self._places = Places(self._assembly)
+        self.solver: Solver = choose_solver(
+            solver,
+            self._places.rows,
+            self._places.columns,
+            self._assembly.space.numbers,
+            self._first(),
+        )
+
+    def _first(self) -> NDArray[np.int64]:
+        """The elements at the body's lower end in x."""
+        x = self.mesh.points[self.mesh.cells, 0].min(axis=1)
+        touching = np.flatnonzero(x <= x.min() + 1e-9 * np.ptp(self.mesh.points[:, 0]))
+        return np.unique(touching // self._assembly.space.element.cells)
 
     @property
     def unknowns(self) -> int:
@@ -79,11 +91,11 @@ class ForwardModel:
 
     def impedance(
         self, conductivity: Conductivity | None = None, area_ratio: AreaRatio | None = None
-    ) -> Array:
+    ) -> Numbers:
         """Electrode impedance matrix Z [ohm], (electrodes, electrodes).
 
         Z maps injected currents, which add up to zero, to electrode potentials of zero mean: its
-        rows and columns sum to zero.
+        rows and columns sum to zero. It is complex where a contact impedance is.
 
         Args:
             conductivity: [S/m] a scalar, (cells,), (cells, 3, 3), or f(x) with x (..., 3) [m]
@@ -94,17 +106,15 @@ class ForwardModel:
         Raises:
             ConfigurationError: for a conductivity of another shape, or not positive.
         """
-        stiffness, contact = self._system(conductivity, area_ratio)
-        values = np.concatenate([stiffness.values, contact.values])
-        eliminated = self.solver.congruence(values, contact.coupling)
-        return _inverse_of_admittance(np.diag(contact.admittance) - eliminated)
+        _, system = self._system(conductivity, area_ratio)
+        return system.impedance(self.solver.congruence(system.values, system.coupling))
 
     def sensitivity(
         self,
         protocol: Protocol,
         conductivity: Conductivity | None = None,
         pixels: tuple[int, int] | None = None,
-    ) -> Array:
+    ) -> Numbers:
         """Adjoint Jacobian d measurement / d conductivity [ohm per S/m], (measurements, cells).
 
         d V_m / d sigma_c = - int_c grad u_drive . grad u_sense (Geselowitz 1971), exact for the
@@ -114,92 +124,167 @@ class ForwardModel:
             protocol: the measurements.
             conductivity: at which the derivative is taken, as in `impedance`.
             pixels: (rows along y, columns along x): differentiate with respect to the
-                conductivity of columns over this grid on the outline instead of cells; the
-                result is (measurements, rows * columns), row by row, x and y increasing.
+                conductivity of columns over this grid on the outline's bounding box instead of
+                cells; the result is (measurements, rows * columns), row by row, x and y
+                increasing.
         """
-        u = self._cell_potentials(conductivity)
+        u = self._element_potentials(conductivity)
         if pixels is None:
             gram = self._assembly.cell_gram(u)
         else:
-            outline = self.design.outline
-            gram = pixel_gram(self._assembly, self.mesh, u, outline, pixels)
+            gram = pixel_gram(self._assembly, self.mesh, u, self.design.outline, pixels)
         drive, sense = protocol.patterns()
-        J: Array = -np.einsum("em,cef,fm->mc", drive, gram, sense, optimize=True)
+        J: Numbers = -np.einsum("em,cef,fm->mc", drive, gram, sense, optimize=True)
         return J
+
+    def contact_sensitivity(
+        self, protocol: Protocol, conductivity: Conductivity | None = None
+    ) -> Numbers:
+        """d measurement / d contact impedance [ohm per ohm m2], (measurements, electrodes).
+
+        d V_m / d z_l = int_{E_l} j_drive j_sense with the current densities
+        j = (U_l - u) / z_l (Vilhunen et al. 2002), exact for the discrete model.
+        """
+        assembly, z = self._assembly, self._contact_impedance
+        _, system, w, U = self._solve(conductivity)
+        on = np.einsum("fiq,fie->fqe", assembly.facet_shape, w[assembly.facet_numbers])
+        # u - U_l is w itself where the electrode's own potential is lifted off.
+        lifted = np.asarray(system.lift).any(axis=0)
+        own = np.where(lifted[:, np.newaxis], 0.0, U)
+        electrode = assembly.facet_electrode
+        j = (own[electrode][:, None] - on) / z[electrode][:, None, None]
+        pieces = np.einsum("fq,fqk,fql->fkl", assembly.facet_weights, j, j, optimize=True)
+        gram = np.zeros((len(z), *pieces.shape[1:]), dtype=pieces.dtype)
+        np.add.at(gram, electrode, pieces)
+        drive, sense = protocol.patterns()
+        J: Numbers = np.einsum("em,lef,fm->ml", drive, gram, sense, optimize=True)
+        return J
+
+    def potentials(self, conductivity: Conductivity | None = None) -> Numbers:
+        """Potential at the mesh's points per unit current into each electrode [V/A].
+
+        Shape (points, electrodes); the current leaves through all electrodes alike, so that
+        differences of columns are the potentials of drive pairs.
+        """
+        space, cells = self._assembly.space, self.mesh.cells
+        u = self._element_potentials(conductivity)
+        elements = np.arange(len(cells)) // space.element.cells
+        X = space.reference(elements, self.mesh.points[cells])
+        values = np.einsum("ick,cie->cke", space.element.values(X), u[elements], optimize=True)
+        at_points = np.empty((len(self.mesh.points), u.shape[-1]), dtype=u.dtype)
+        at_points[cells] = values
+        return at_points
+
+    def current_density(
+        self, drive: tuple[int, int], conductivity: Conductivity | None = None
+    ) -> Numbers:
+        """Mean current density in each cell per unit current [A/m2 per A], (cells, 3)."""
+        plus, minus = drive
+        u = self._element_potentials(conductivity)
+        assembly = self._assembly
+        gradients = assembly.cell_gradients(u[..., [plus]] - u[..., [minus]])[..., 0]
+        sigma = _symmetric(self._conductivity(conductivity))
+        weights = assembly.cell_weights
+        flux = -np.einsum("cqab,cqb->cqa", np.broadcast_to(sigma, (*gradients.shape, 3)), gradients)
+        mean: Numbers = np.einsum("cq,cqa->ca", weights, flux) / weights.sum(axis=1)[:, None]
+        return mean
+
+    @property
+    def _contact_impedance(self) -> Numbers:
+        z = np.array([e.contact_impedance for e in self.design.electrodes])
+        return z if np.any(np.imag(z)) else np.real(z)
 
     def _system(
         self, conductivity: Conductivity | None, area_ratio: AreaRatio | None
-    ) -> tuple[Stiffness, Contact]:
-        """The matrices of one scene; counts as a factorisation."""
+    ) -> tuple[Stiffness, System]:
+        """Stiffness and system of one scene; counts as a factorisation."""
         assembly = self._assembly
         ratio = (
             1.0 if area_ratio is None else area_ratio(assembly.facet_points, assembly.facet_normals)
         )
-        impedances = np.array([e.contact_impedance for e in self.design.electrodes])
-        contact = assembly.contact(impedances, ratio)
+        contact = assembly.contact(self._contact_impedance, ratio)
+        stiffness = assembly.stiffness(self._conductivity(conductivity))
         self.factorisations += 1
-        return assembly.stiffness(self._tensors(conductivity)), contact
+        return stiffness, self._places.system(stiffness.values, contact)
 
-    def _cell_potentials(self, conductivity: Conductivity | None) -> Array:
-        """Potentials per unit electrode current, (cells, functions, electrodes) [V/A]."""
-        stiffness, contact = self._system(conductivity, None)
-        values = np.concatenate([stiffness.values, contact.values])
-        potentials = self.solver.factorise(values).solve(contact.coupling)
-        Y = np.diag(contact.admittance) - contact.coupling.T @ potentials
-        return self._assembly.in_cells(potentials @ _inverse_of_admittance(Y), stiffness)
+    def _solve(
+        self, conductivity: Conductivity | None
+    ) -> tuple[Stiffness, System, Numbers, Numbers]:
+        """Stiffness, system, w (unknowns, electrodes) and U, per unit electrode current [V/A].
 
-    def _tensors(self, conductivity: Conductivity | None) -> Array:
-        """The conductivity as tensors, (cells, 3, 3) or, per point, (cells, q, 3, 3)."""
+        The currents leave through all electrodes alike.
+        """
+        stiffness, system = self._system(conductivity, None)
+        per_potential = self.solver.factorise(system.values).solve(system.coupling)
+        T = system.coupling.T @ per_potential
+        U = np.linalg.solve(system.admittance - 0.5 * (T + T.T), zero_sums(np.eye(len(T))))
+        return stiffness, system, per_potential @ U, U
+
+    def _element_potentials(self, conductivity: Conductivity | None) -> Numbers:
+        """Potentials per unit electrode current, (elements, functions, electrodes) [V/A]."""
+        stiffness, system, w, U = self._solve(conductivity)
+        return self._assembly.space.in_elements(w + system.lift @ U, stiffness.inner)
+
+    def _conductivity(self, conductivity: Conductivity | None) -> Array:
+        """The conductivity as `Assembly.stiffness` takes it, (cells, q or 1, 1 or 6)."""
         if conductivity is None:
             conductivity = self.design.conductivity
         field = callable(conductivity)
-        points = self._assembly.points if field else self._assembly.points[:, 0]
+        points = self._assembly.points if field else self._assembly.points[:, :1]
         given = conductivity(points) if callable(conductivity) else conductivity
         value = np.asarray(given, dtype=np.float64)
-        scalar, tensor = points.shape[:-1], (*points.shape[:-1], 3, 3)
-        if value.shape == scalar or value.ndim == 0:
-            value = value[..., None, None] * np.eye(3)
-        elif value.shape != tensor:
-            asked = f"from f(x) of x with shape {points.shape}" if field else "per cell"
-            raise ConfigurationError(
-                f"conductivity must be a scalar, or {asked} of shape {scalar} or {tensor}, "
-                f"got shape {value.shape}"
+        shape = points.shape[:-1]
+        if not field and value.ndim:
+            value = value[:, None]
+        if value.shape == shape or value.ndim == 0:
+            entries = np.broadcast_to(value, shape)[..., None]
+        elif value.shape == (*shape, 3, 3):
+            entries = value[..., TENSOR_ROWS, TENSOR_COLUMNS]
+        else:
+            n = len(points)
+            asked = (
+                f"from f(x) of x with shape {points.shape} of shape {shape} or {(*shape, 3, 3)}"
+                if field
+                else f"per cell of shape ({n},) or ({n}, 3, 3)"
             )
-        if not _positive_definite(value):
+            raise ConfigurationError(
+                f"conductivity must be a scalar, or {asked}, got shape {np.shape(given)}"
+            )
+        if not _positive_definite(value, entries):
             raise ConfigurationError(
                 "conductivity must be finite, symmetric and positive everywhere, in S/m; "
-                f"smallest entry on the diagonal: {np.diagonal(value, 0, -2, -1).min():g}"
+                f"smallest entry on the diagonal: {entries[..., :3].min():g}"
             )
-        return np.broadcast_to(value, tensor)
+        return entries
 
 
-def _positive_definite(S: Array) -> bool:
-    """Whether all symmetric tensors S (..., 3, 3) are positive definite (Sylvester's minors)."""
-    first = S[..., 0, 0]
-    second = first * S[..., 1, 1] - S[..., 0, 1] ** 2
-    third = (
-        second * S[..., 2, 2]
-        - first * S[..., 1, 2] ** 2
-        - S[..., 1, 1] * S[..., 0, 2] ** 2
-        + 2.0 * S[..., 0, 1] * S[..., 0, 2] * S[..., 1, 2]
-    )
+def _discretisation(resolution: Resolution | Discretisation) -> Discretisation:
+    if not isinstance(resolution, str):
+        return resolution
+    if resolution not in RESOLUTIONS:
+        raise ConfigurationError(
+            f"resolution must be one of {', '.join(RESOLUTIONS)}, got '{resolution}'"
+        )
+    return RESOLUTIONS[resolution]
+
+
+def _symmetric(entries: Array) -> Array:
+    """Tensors (..., 3, 3) of the entries (..., 1 or 6)."""
+    if entries.shape[-1] == 1:
+        return entries[..., None] * np.eye(3)
+    tensors = np.empty((*entries.shape[:-1], 3, 3))
+    tensors[..., TENSOR_ROWS, TENSOR_COLUMNS] = entries
+    tensors[..., TENSOR_COLUMNS, TENSOR_ROWS] = entries
+    return tensors
+
+
+def _positive_definite(given: Array, entries: Array) -> bool:
+    """Whether all scalars, or all tensors of these entries, are positive (Sylvester's minors)."""
+    if entries.shape[-1] == 1:
+        return bool(np.all(given > 0.0) and np.all(np.isfinite(given)))
+    xx, yy, zz, xy, xz, yz = np.moveaxis(entries, -1, 0)
+    second = xx * yy - xy**2
+    third = second * zz - xx * yz**2 - yy * xz**2 + 2.0 * xy * xz * yz
     # NaN fails every comparison, so it is refused too.
-    positive = all(bool(np.all(m > 0.0) and np.all(np.isfinite(m))) for m in (first, second, third))
-    return positive and bool(np.allclose(S, np.swapaxes(S, -1, -2), rtol=1e-9, atol=0.0))
-
-
-def _inverse_of_admittance(Y: Array) -> Array:
-    """Z of Y on the currents that add up to zero: rows and columns of both sum to zero.
-
-    The constant vector is Y's null space. Filled with a mode of Y's own size it can be inverted;
-    that mode is taken off again afterwards. Unlike a pseudo-inverse this has no threshold that
-    rounding could decide.
-    """
-    n = len(Y)
-    Y = 0.5 * (Y + Y.T)
-    level = np.trace(Y) / n**2
-    Z = np.linalg.inv(Y + level) - 1.0 / (level * n**2)
-    Z -= Z.mean(axis=0)
-    Z -= Z.mean(axis=1)[:, None]
-    symmetric: Array = 0.5 * (Z + Z.T)
-    return symmetric
+    positive = all(bool(np.all(m > 0.0) and np.all(np.isfinite(m))) for m in (xx, second, third))
+    return positive and bool(np.allclose(given, np.swapaxes(given, -1, -2), rtol=1e-9, atol=0.0))

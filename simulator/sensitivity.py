@@ -7,30 +7,54 @@ from eitskin.geometry import ConfigurationError, Mesh, Rectangle
 from eitskin.simulator.assembly import Assembly
 
 Array = NDArray[np.float64]
+Numbers = NDArray[np.inexact]
 
 
 def pixel_gram(
-    assembly: Assembly, mesh: Mesh, potentials: Array, outline: Rectangle, pixels: tuple[int, int]
-) -> Array:
+    assembly: Assembly, mesh: Mesh, potentials: Numbers, outline: Rectangle, pixels: tuple[int, int]
+) -> Numbers:
     """int over each pixel column of grad u_k . grad u_l, (rows * columns, k, k).
 
-    Every box in which a mesh cell and a pixel overlap is integrated by itself with a Gauss rule
-    that is exact for the elements, so the pixels need not fit the mesh.
+    Pixels divide the outline's bounding box. On boxes, every overlap of a cell and a pixel is
+    integrated by itself, exactly; on other cells a pixel owns the quadrature points within it,
+    which is exact for a conductivity given by pixels as a function of place.
     """
     rows, columns = pixels
     if rows < 1 or columns < 1:
         raise ConfigurationError(f"pixels must be two positive numbers, got {pixels}")
+    x_edges = np.linspace(0, outline.length, columns + 1)
+    y_edges = np.linspace(0, outline.width, rows + 1)
+    if mesh.cells.shape[1] == 8:
+        return _boxes_gram(assembly, mesh, potentials, x_edges, y_edges)
+    x, y = assembly.points[..., 0], assembly.points[..., 1]
+    column = np.clip(np.searchsorted(x_edges, x, side="right") - 1, 0, columns - 1)
+    row = np.clip(np.searchsorted(y_edges, y, side="right") - 1, 0, rows - 1)
+    gradients = assembly.cell_gradients(potentials)
+    products = np.einsum(
+        "cq,cqbk,cqbl->cqkl", assembly.cell_weights, gradients, gradients, optimize=True
+    )
+    total = np.zeros((rows * columns, *products.shape[2:]), dtype=products.dtype)
+    np.add.at(total, row * columns + column, products)
+    return total
+
+
+def _boxes_gram(
+    assembly: Assembly, mesh: Mesh, potentials: Numbers, x_edges: Array, y_edges: Array
+) -> Numbers:
+    """The integrals on boxes, by a Gauss rule on every overlap that is exact for the elements."""
     x, y, z = (np.unique(mesh.points[:, axis]) for axis in range(3))
-    x_nodes, x_weights, x_cell, x_pixel = _overlaps(x, np.linspace(0, outline.length, columns + 1))
-    y_nodes, y_weights, y_cell, y_pixel = _overlaps(y, np.linspace(0, outline.width, rows + 1))
-    z_nodes, z_weights, z_cell, _ = _overlaps(z, z[[0, -1]])
-    count = potentials.shape[-1]
-    total = np.zeros((rows * columns, count, count))
+    order = assembly.space.element.face_degree + 1
+    x_nodes, x_weights, x_cell, x_pixel = _overlaps(x, x_edges, order)
+    y_nodes, y_weights, y_cell, y_pixel = _overlaps(y, y_edges, order)
+    z_nodes, z_weights, z_cell, _ = _overlaps(z, z[[0, -1]], order)
+    count, columns = potentials.shape[-1], len(x_edges) - 1
+    total = np.zeros((columns * (len(y_edges) - 1), count, count), dtype=potentials.dtype)
     # One line of x at a time keeps memory flat.
     for node, weight, cell, pixel in zip(x_nodes, x_weights, x_cell, x_pixel, strict=True):
         points = np.stack(np.meshgrid([node], y_nodes, z_nodes, indexing="ij"), -1).reshape(-1, 3)
         cells = _cell_numbers(cell, y_cell, z_cell, (len(x), len(y), len(z)))
-        gradients = assembly.gradients(potentials, cells.ravel(), points)
+        elements = cells.ravel() // assembly.space.element.cells
+        gradients = assembly.space.gradients(potentials, elements, points)
         weights = (weight * y_weights[:, None] * z_weights).ravel()
         products = np.einsum("n,nak,nal->nkl", weights, gradients, gradients, optimize=True)
         by_y = products.reshape(len(y_nodes), -1, count, count).sum(axis=1)
@@ -46,12 +70,12 @@ def _cell_numbers(
 
 
 def _overlaps(
-    faces: Array, pixel_edges: Array
+    faces: Array, pixel_edges: Array, order: int
 ) -> tuple[Array, Array, NDArray[np.int64], NDArray[np.int64]]:
     """Gauss points and weights on all overlaps of cells and pixels, and both their numbers."""
     edges = np.unique(np.concatenate([faces, pixel_edges]).round(12))
     start, size = edges[:-1], np.diff(edges)
-    nodes, weights = np.polynomial.legendre.leggauss(3)
+    nodes, weights = np.polynomial.legendre.leggauss(order)
     points = (start[:, None] + 0.5 * (nodes + 1.0) * size[:, None]).ravel()
     middle = np.repeat(start + 0.5 * size, len(nodes))
     return (

@@ -48,7 +48,7 @@ class Simulator:
         self.protocol = protocol or Protocol.pairwise(len(design.electrodes))
         middle, half = design.outline.length / 2, self.fixture.span / 2
         self.model = ForwardModel(design, resolution, breaks=(middle - half, middle + half))
-        self._last: tuple[Scene, Array] | None = None
+        self._last: tuple[Scene, NDArray[np.inexact]] | None = None
 
     @cached_property
     def full_scale(self) -> float:
@@ -98,7 +98,7 @@ class Simulator:
             impedance = instrument.apply(impedance, self.full_scale, rng)
         return Frame(impedance=impedance, protocol=self.protocol)
 
-    def _impedance(self, scene: Scene) -> Array:
+    def _impedance(self, scene: Scene) -> NDArray[np.inexact]:
         deformation = self.deformation(scene)
         if deformation is None:
             return self.model.impedance()

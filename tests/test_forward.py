@@ -9,13 +9,7 @@ from eitskin.geometry import ConfigurationError, Electrode, Rectangle, SensorDes
 from eitskin.geometry.deformation import area_ratio, pulled_back
 from eitskin.geometry.structured import Grading
 from eitskin.simulator import ForwardModel, Protocol
-from eitskin.simulator.assembly import (
-    _TENSOR_COLUMNS,
-    _TENSOR_ROWS,
-    _box_rule,
-    _tensor_map,
-)
-from eitskin.simulator.solvers import SparseDirect
+from eitskin.simulator.assembly import TENSOR_COLUMNS, TENSOR_ROWS, _tensor_map
 
 from alternatives import plain_impedance
 
@@ -43,7 +37,7 @@ def test_flat_reference_sensor_matches_the_hp_solution() -> None:
 
 
 @pytest.mark.parametrize("z", [1e-6, 1e-3, 1.0])
-@pytest.mark.parametrize("order", [(1, 1), (2, 1), (2, 2), (3, 2)])
+@pytest.mark.parametrize("order", [(1,), (1, 1), (2, 1), (2, 2, 2), (3, 2, 1), (5, 4)])
 def test_block_with_full_end_electrodes_is_exact(z, order) -> None:
     """R = L / (sigma A) + 2 z / A: the potential is linear, so every element has it."""
     ends = (Electrode(0.0, 0.02, 0.04, z), Electrode(0.1, 0.02, 0.04, z))
@@ -64,7 +58,7 @@ def test_anisotropic_block_conducts_along_its_axis() -> None:
 def test_errors_fall_with_refinement() -> None:
     design = with_contact(REFERENCE, 1e-4)
     sums = [
-        PAIRS.measure(ForwardModel(design, ((2, 1), Grading(finest, 5e-3, 1.0, 1))).impedance())
+        PAIRS.measure(ForwardModel(design, ((2, 2), Grading(finest, 5e-3, 1.0, 1))).impedance())
         for finest in (2e-3, 1e-3, 5e-4)
     ]
     errors = [abs(R.sum() / 16209.0957 - 1) for R in sums]
@@ -72,15 +66,13 @@ def test_errors_fall_with_refinement() -> None:
 
 
 def test_impedance_is_reciprocal_and_its_rows_sum_to_zero(model) -> None:
-    """Before any symmetrisation: D - B^T A^-1 B by solving, not by the symmetric short cut."""
+    """Before any symmetrisation: the electrodes' own potentials, by solving for each current."""
     Z = model.impedance()
     assert Z.sum(axis=0) == pytest.approx(0, abs=1e-10)
-    stiffness, contact = model._system(None, None)
-    factors = model.solver.factorise(np.concatenate([stiffness.values, contact.values]))
-    Y = np.diag(contact.admittance) - contact.coupling.T @ factors.solve(contact.coupling)
-    assert pytest.approx(Y.T, rel=1e-9) == Y
-    assert Y.sum(axis=1) == pytest.approx(0, abs=1e-12)
-    assert pytest.approx(np.eye(8) - 1 / 8, abs=1e-9) == Y @ Z
+    U = model._solve(None)[-1]
+    U = U - U.mean(axis=0)
+    assert pytest.approx(U.T, rel=1e-9, abs=1e-9) == U
+    assert pytest.approx(Z, rel=1e-9, abs=1e-9) == U
 
 
 def test_power_is_positive(model) -> None:
@@ -114,7 +106,7 @@ def test_renumbering_electrodes_renumbers_the_matrix(model) -> None:
     order = [3, 1, 7, 0, 5, 2, 6, 4]
     electrodes = tuple(REFERENCE.electrodes[i] for i in order)
     other = ForwardModel(dataclasses.replace(REFERENCE, electrodes=electrodes), "fast")
-    assert other.impedance() == pytest.approx(model.impedance()[np.ix_(order, order)], abs=1e-9)
+    assert other.impedance() == pytest.approx(model.impedance()[np.ix_(order, order)], abs=1e-8)
 
 
 def test_conductivity_per_cell_equals_the_same_field(model) -> None:
@@ -126,18 +118,6 @@ def test_conductivity_per_cell_equals_the_same_field(model) -> None:
     assert by_cell == pytest.approx(smooth, rel=2e-3, abs=0.5)
 
 
-def test_block_cholesky_equals_sparse_lu(model) -> None:
-    assembly = model._assembly
-    twin = SparseDirect(assembly.rows, assembly.columns, assembly.unknowns)
-    stiffness, contact = model._system(lambda x: 1 + 3 * x[..., 1], None)
-    values, B = np.concatenate([stiffness.values, contact.values]), contact.coupling
-    solution = twin.factorise(values).solve(B)
-    assert model.solver.factorise(values).solve(B) == pytest.approx(solution, rel=1e-9, abs=1e-12)
-    plain = twin.congruence(values, B)
-    assert model.solver.congruence(values, B) == pytest.approx(plain, rel=1e-11, abs=1e-15)
-    assert model.solver.name != twin.name
-
-
 def skewed(x):
     """A smooth map of space that keeps nothing straight."""
     moved = x.copy()
@@ -145,6 +125,22 @@ def skewed(x):
     moved[..., 1] += 0.2 * x[..., 0] ** 2
     moved[..., 2] += 0.5 * x[..., 0] * x[..., 2]
     return moved
+
+
+def trilinear_gradients(mesh, moved, cells, points):
+    """d moved / dX at `points` (n, 3) of the boxes `cells` (n,), (n, 3, 3)."""
+    corners, images = mesh.points[mesh.cells[cells]], moved[mesh.cells[cells]]
+    size = corners[:, 6] - corners[:, 0]
+    t = (points - corners[:, 0]) / size
+    F = np.zeros((len(points), 3, 3))
+    for corner in range(8):
+        sign = np.sign(corners[:, corner] - corners.mean(axis=1))
+        factors = np.where(sign > 0, t, 1 - t)
+        for axis in range(3):
+            others = np.delete(factors, axis, axis=1).prod(axis=1)
+            slope = sign[:, axis] / size[:, axis] * others
+            F[:, :, axis] += images[:, corner] * slope[:, None]
+    return F
 
 
 def test_assembly_equals_scikit_fem_on_the_flat_mesh() -> None:
@@ -160,17 +156,12 @@ def test_pull_back_equals_a_truly_deformed_mesh() -> None:
 
     def F(points, cells):
         return np.stack(
-            [
-                assembly.gradients(moved[assembly.cell_unknowns], c, p)
-                for p, c in zip(points, cells, strict=True)
-            ]
-        ).swapaxes(-1, -2)
+            [trilinear_gradients(mesh, moved, c, p) for p, c in zip(points, cells, strict=True)]
+        )
 
     q = assembly.points.shape[1]
     cells = np.repeat(np.arange(len(mesh.cells))[:, None], q, axis=1)
-    facets = np.concatenate(mesh.electrode_facets)
-    owners = [np.flatnonzero(np.isin(mesh.cells, f).sum(axis=1) == 4)[0] for f in facets]
-    owners = np.repeat(np.array(owners)[:, None], assembly.facet_points.shape[1], axis=1)
+    owners = mesh.contacts.cell[:, None].repeat(assembly.facet_points.shape[1], axis=1)
     Z = model.impedance(
         lambda x: pulled_back(F(x, cells)), lambda x, normal: area_ratio(F(x, owners), normal)
     )
@@ -201,40 +192,12 @@ def test_an_unknown_resolution_is_refused() -> None:
         ForwardModel(REFERENCE, "finest")  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("order", [(2, 1), (3, 2)])
-def test_condensed_cells_equal_the_whole_system(order) -> None:
-    """All unknowns kept, assembled and solved densely, give the same impedances."""
-    grading = Grading(finest=5e-3, coarsest=2e-2, growth=1.0, layers=1)
-    model = ForwardModel(REFERENCE, (order, grading))
-    assembly, n = model._assembly, model.unknowns
-    cells, inner = len(model.mesh.cells), assembly.element.inner
-    numbers = n + np.arange(cells * inner).reshape(cells, inner)
-    numbers = np.concatenate([assembly.cell_unknowns, numbers], axis=1)
-    X, weights = _box_rule(*order)
-    shape = np.einsum("iaq,cab->cqib", assembly.element.gradients(X), assembly.inverses)
-    sigma = 1 + 4 * assembly.points[..., 1]
-    scale = sigma * weights * assembly.volumes[:, None]
-    K = np.einsum("cq,cqib,cqjb->cij", scale, shape, shape, optimize=True)
-    A = np.zeros((numbers.max() + 1,) * 2)
-    np.add.at(A, (numbers[:, :, None], numbers[:, None, :]), K)
-    contact = assembly.contact(np.full(8, 1e-3))
-    rows, columns = (p[len(p) - len(contact.values) :] for p in (assembly.rows, assembly.columns))
-    np.add.at(A, (rows, columns), contact.values)
-    off = rows != columns
-    np.add.at(A, (columns[off], rows[off]), contact.values[off])
-    B = np.zeros((len(A), 8))
-    B[:n] = contact.coupling
-    Y = np.diag(contact.admittance) - B.T @ np.linalg.solve(A, B)
-    Z = model.impedance(lambda x: 1 + 4 * x[..., 1])
-    assert pytest.approx(np.eye(8) - 1 / 8, abs=1e-9) == Y @ Z
-
-
 def test_tensors_are_pulled_back_to_skewed_cells_too() -> None:
-    """The meshes of today are boxes; the map to the reference cell holds for any affine cell."""
+    """The map of a tensor to the reference cell, entry by entry, is A S A^T."""
     rng = np.random.default_rng(6)
     A, S = rng.standard_normal((2, 5, 3, 3))
     S = S + S.swapaxes(1, 2)
-    entries = S[:, _TENSOR_ROWS, _TENSOR_COLUMNS]
+    entries = S[:, TENSOR_ROWS, TENSOR_COLUMNS]
     mapped = np.einsum("ck,ckl->cl", entries, _tensor_map(A))
-    expected = (A @ S @ A.swapaxes(1, 2))[:, _TENSOR_ROWS, _TENSOR_COLUMNS]
+    expected = (A @ S @ A.swapaxes(1, 2))[:, TENSOR_ROWS, TENSOR_COLUMNS]
     assert mapped == pytest.approx(expected, rel=1e-12)

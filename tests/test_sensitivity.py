@@ -1,5 +1,7 @@
 """The adjoint Jacobian against finite differences of the forward model."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -58,6 +60,30 @@ def test_scaling_law(model) -> None:
     R = PROTOCOL.measure(model.impedance())
     assert np.all(J[:2].sum(axis=1) < 0)
     assert np.all(-J[:2].sum(axis=1) < R[:2])
+
+
+@pytest.mark.parametrize("z", [1e-3, 1e-9, 10.0, 1e-3 - 5e-4j])
+def test_contact_sensitivity_agrees_with_central_differences(z) -> None:
+    """For every electrode alone, in both forms of the electrode terms, real and complex."""
+    reference = SensorDesign.reference()
+
+    def measured(number: int, factor: float):
+        electrodes = tuple(
+            dataclasses.replace(e, contact_impedance=z * (factor if i == number else 1.0))
+            for i, e in enumerate(reference.electrodes)
+        )
+        design = dataclasses.replace(reference, electrodes=electrodes)
+        return ForwardModel(design, ((2, 1), COARSE))
+
+    J = measured(0, 1.0).contact_sensitivity(PROTOCOL)
+    assert J.shape == (3, 8)
+    step = 1e-4 if abs(z) > 1e-6 else 0.3  # at 1e-9 R depends on z by its tenth digit
+    for number in (0, 1, 6):
+        ahead, behind = (
+            PROTOCOL.measure(measured(number, 1 + s * step).impedance()) for s in (1, -1)
+        )
+        expected = (ahead - behind) / (2 * step * z)
+        assert J[:, number] == pytest.approx(expected, rel=1e-4, abs=1e-4 * abs(J).max())
 
 
 def test_pixels_must_be_positive(model) -> None:

@@ -1,0 +1,130 @@
+"""Finite element functions on a mesh: which unknown stands for which function of which element."""
+
+import numpy as np
+import skfem
+from numpy.typing import NDArray
+
+from eitskin.geometry import ConfigurationError, Mesh
+from eitskin.simulator.elements import Element, ExtrudedElement, TetrahedralElement
+
+Array = NDArray[np.float64]
+Numbers = NDArray[np.inexact]
+Indices = NDArray[np.int64]
+
+
+class FunctionSpace:
+    """Continuous functions on a mesh, with affine maps from one reference element.
+
+    An element is a column of cells of an extrusion, or one tetrahedron.
+
+    Attributes:
+        element: the functions on the reference element.
+        unknowns: number of unknowns; functions inside elements are not counted.
+        numbers: unknown of each outer function, (elements, outer functions).
+        origins: images of X = 0, (elements, 3) [m].
+        inverses: dX/dx, (elements, 3, 3).
+        jacobians: |det dx/dX|, (elements,).
+        points: quadrature points, cell by cell, (cells, q, 3) [m].
+        weights: their reference weights, (cells in an element * q,).
+    """
+
+    def __init__(self, mesh: Mesh, order: tuple[int, ...]) -> None:
+        """Number the unknowns for elements of `order`, one number for tetrahedra."""
+        if mesh.heights is None:
+            self._tetrahedra(mesh, order)
+        else:
+            self._columns(mesh, mesh.heights, order)
+        X, self.weights = self.element.rule()
+        points = self.origins[:, None] + X.T @ self._edges
+        self.points: Array = points.reshape(len(mesh.cells), -1, 3)
+
+    def _tetrahedra(self, mesh: Mesh, order: tuple[int, ...]) -> None:
+        if len(order) != 1:
+            raise ConfigurationError(f"tetrahedra take one order, (1,) or (2,), got {order}")
+        element = TetrahedralElement(order[0])
+        grid = skfem.MeshTet(
+            np.ascontiguousarray(mesh.points.T), np.ascontiguousarray(mesh.cells.T)
+        )
+        basis = skfem.CellBasis(grid, element.element, intorder=1)
+        self.element: Element = element
+        self.numbers: Indices = basis.element_dofs.T.astype(np.int64)
+        self.unknowns = int(basis.N)
+        corners = mesh.points[grid.t.T]
+        self._map(corners[:, 0], corners[:, 1:] - corners[:, :1])
+
+    def _columns(self, mesh: Mesh, heights: Array, order: tuple[int, ...]) -> None:
+        levels, base = len(heights), mesh.cells.shape[1] // 2
+        flat = np.ascontiguousarray(mesh.points[::levels, :2].T)
+        cells = np.ascontiguousarray(mesh.cells[:: levels - 1, :base].T // levels)
+        # Squares keep their corners' order, which gives shared edges one direction on a
+        # structured mesh; triangles are sorted by scikit-fem, which does so on any mesh.
+        grid = (
+            skfem.MeshTri(flat, cells) if base == 3 else skfem.MeshQuad(flat, cells, sort_t=False)
+        )
+        lateral = np.ptp(mesh.contacts.corners[..., 2], axis=1) > 0.0
+        element = ExtrudedElement(
+            base="triangle" if base == 3 else "quadrilateral",
+            order=order,
+            heights=tuple(heights.tolist()),
+            condensed=bool(lateral.all()),
+        )
+        self.element = element
+        degree, i, mode = element.functions.T
+        bases = [skfem.CellBasis(grid, plane, intorder=1) for plane in element.planes]
+        offsets = np.cumsum([0] + [b.N * element.modes(d) for d, b in enumerate(bases)])
+        numbers = np.stack(
+            [
+                offsets[d] + bases[d].element_dofs[k] * element.modes(d) + m
+                for d, k, m in zip(degree, i, mode, strict=True)
+            ],
+            axis=1,
+        )
+        outer = numbers[:, : numbers.shape[1] - element.inner]
+        kept, renumbered = np.unique(outer, return_inverse=True)
+        self.numbers = renumbered.reshape(outer.shape)
+        self.unknowns = len(kept)
+        corners = grid.p.T[grid.t.T]
+        edges: Array = np.zeros((corners.shape[0], 3, 3))
+        edges[:, :2, :2] = corners[:, [1, -1]] - corners[:, :1]
+        edges[:, 2, 2] = 1.0
+        self._map(np.pad(corners[:, 0], ((0, 0), (0, 1))), edges)
+
+    def _map(self, origins: Array, edges: Array) -> None:
+        self.origins: Array = origins
+        self._edges: Array = edges
+        self.inverses: Array = np.asarray(np.linalg.inv(edges.swapaxes(1, 2)), dtype=np.float64)
+        self.jacobians: Array = np.asarray(np.abs(np.linalg.det(edges)), dtype=np.float64)
+
+    @property
+    def constant(self) -> Array:
+        """Coefficients of the function that is one, (functions,)."""
+        X, _ = self.element.rule()
+        ones: Array = np.linalg.lstsq(self.element.values(X).T, np.ones(X.shape[1]))[0]
+        return np.where(np.abs(ones) < 0.5, 0.0, np.round(ones))
+
+    def reference(self, elements: Indices, points: Array) -> Array:
+        """X, (3, n, ...), of `points` (n, ..., 3) [m] in `elements` (n,)."""
+        moved = points - np.expand_dims(self.origins[elements], tuple(range(1, points.ndim - 1)))
+        X: Array = np.einsum("nab,n...b->an...", self.inverses[elements], moved)
+        return X
+
+    def in_elements(self, potentials: Numbers, inner: Array) -> Numbers:
+        """Potentials (unknowns, k) element by element, (elements, functions, k).
+
+        `inner` gives an element's inner unknowns from its others, (elements, inner, outer).
+        """
+        outer = potentials[self.numbers]
+        return np.concatenate([outer, inner @ outer], axis=1)
+
+    def gradients(self, potentials: Numbers, elements: Indices, points: Array) -> Numbers:
+        """grad u_k, (n, 3, k), at `points` (n, 3) [m] that lie in `elements` (n,).
+
+        Potentials are given element by element, (elements, functions, k).
+        """
+        shape = np.einsum(
+            "ian,nab->nib",
+            self.element.gradients(self.reference(elements, points)),
+            self.inverses[elements],
+        )
+        gradients: Numbers = np.einsum("nib,nik->nbk", shape, potentials[elements], optimize=True)
+        return gradients
