@@ -135,17 +135,27 @@ def read(kind: Any, data: Any, place: Place) -> Any:
     """What the type `kind` says, from plain `data`; what is built already is passed on."""
     origin, arguments = typing.get_origin(kind), typing.get_args(kind)
     if origin in (typing.Union, types.UnionType):
-        choices = tuple(choice for choice in arguments if _is_dataclass(choice))
-        if choices and data is not None and not isinstance(data, choices):
-            kind = choices[0] if len(choices) == 1 else choose(choices, data, place)
-    if _is_dataclass(kind) and not isinstance(data, kind):
-        return build(kind, data, place)
+        return _read_union(kind, data, place)
     if origin in (tuple, list) and isinstance(data, list | tuple) and arguments[1:] in ((), (...,)):
         return origin(read(arguments[0], item, place.item(i)) for i, item in enumerate(data))
+    if _is_dataclass(kind):
+        return data if isinstance(data, kind) else build(kind, data, place)
     if kind is complex:
         return _complex(data, place)
     if kind is Path:
         return place.folder / _plain(str, data, place)
+    return _plain(kind, data, place)
+
+
+def _read_union(kind: Any, data: Any, place: Place) -> Any:
+    members = tuple(member for member in typing.get_args(kind) if member is not types.NoneType)
+    if data is None and types.NoneType in typing.get_args(kind):
+        return None
+    if len(members) == 1:
+        return read(members[0], data, place)
+    if all(map(_is_dataclass, members)):
+        known = isinstance(data, members)
+        return data if known else build(choose(members, data, place), data, place)
     return _plain(kind, data, place)
 
 
@@ -165,10 +175,10 @@ def _plain(kind: Any, data: Any, place: Place) -> Any:
     return value
 
 
-def _complex(data: Any, place: Place) -> complex:
+def _complex(data: Any, place: Place) -> Any:
     if isinstance(data, list):
         return complex(*_plain(tuple[float, float], data, place))
-    return float(_plain(float, data, place))
+    return _plain(float, data, place)
 
 
 def _parameters(make: Callable[..., Any]) -> Mapping[str, inspect.Parameter]:

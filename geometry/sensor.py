@@ -1,151 +1,192 @@
 """What a sensor is: outline, thickness, electrodes, materials."""
 
-import itertools
-import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import Any
 
-from eitskin.geometry.config import read_toml, to_toml
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from eitskin.geometry.config import Place, build, choose, read, read_toml, to_toml, write_toml
+from eitskin.geometry.electrode import Electrode
 from eitskin.geometry.errors import ConfigurationError
+from eitskin.geometry.layouts import grid, uniform
+from eitskin.geometry.limits import require_length, require_positive
+from eitskin.geometry.outline import Outline, Rectangle
+from eitskin.geometry.patches import Patch
+from eitskin.geometry.placement import placed, require_apart
+from eitskin.geometry.strip import Strip
+from eitskin.geometry.surface import Surface
+
+Array = NDArray[np.float64]
+
+_SAME = 1e-9  # how far thicknesses that should agree may be apart, relative
+_SAME_HEIGHT = 1e-6  # the same for the height of a surface, which files give in few digits
+_POINTS_PER_EDGE = 8
 
 
 @dataclass(frozen=True, slots=True)
-class Rectangle:
-    """Outline with a corner at the origin: length along x, width along y [m]."""
+class Layer:
+    """A conductive sheet of a layered sensor: thickness [m], conductivity [S/m]."""
 
-    length: float
-    width: float
-
-    def __post_init__(self) -> None:
-        """Check the sizes."""
-        _require_positive("outline.length", self.length, "m")
-        _require_positive("outline.width", self.width, "m")
-
-
-@dataclass(frozen=True, slots=True)
-class Electrode:
-    """Contact on a lateral face, over the full thickness of the layer.
-
-    Attributes:
-        x, y: centre of the contact, on the outline [m].
-        width: extent along the outline [m].
-        contact_impedance: z of the complete electrode model [ohm m2].
-    """
-
-    x: float
-    y: float
-    width: float = 0.005
-    contact_impedance: float = 1e-3
+    thickness: float
+    conductivity: float
 
     def __post_init__(self) -> None:
-        """Check the numbers that need no outline."""
-        _require_positive("electrode width", self.width, "m")
-        _require_positive("electrode contact_impedance", self.contact_impedance, "ohm m2")
+        """Check the numbers."""
+        require_length("layer thickness", self.thickness)
+        require_positive("layer conductivity", self.conductivity, "S/m")
 
 
 @dataclass(frozen=True, slots=True)
 class SensorDesign:
-    """A flat conductive layer with electrodes on its rim, inside a soft encapsulation.
+    """A conductive body with electrodes, flat or of any shape, inside a soft encapsulation.
 
     Attributes:
-        outline: of the conductive layer; its lower left corner is the origin.
-        thickness: of the conductive layer, along z [m].
+        outline: of the body. The bounding box of a plane outline starts at the origin, and the
+            body stands on it from z = 0 to `thickness`; a surface is where its file says.
+        thickness: of the conductive body, along z [m].
         electrodes: in the order in which they are numbered.
-        conductivity: of the layer [S/m].
-        encapsulated_thickness: of layer and encapsulation together, layer centred [m].
+        conductivity: of the body [S/m].
+        layers: sheets from the bottom upwards, instead of one conductivity; their thicknesses add
+            up to `thickness`.
+        encapsulated_thickness: of body and encapsulation together, body centred [m].
     """
 
-    outline: Rectangle
+    outline: Outline
     thickness: float
     electrodes: tuple[Electrode, ...]
     conductivity: float = 1.0
+    layers: tuple[Layer, ...] = ()
     encapsulated_thickness: float = 0.012
 
     def __post_init__(self) -> None:
-        """Check that the electrodes lie on the outline and do not overlap."""
-        _require_positive("thickness", self.thickness, "m")
-        _require_positive("conductivity", self.conductivity, "S/m")
-        if not self.encapsulated_thickness >= self.thickness:
-            raise ConfigurationError(
-                f"encapsulated_thickness must be at least the layer's {self.thickness:g} m, "
-                f"got {self.encapsulated_thickness:g} m"
-            )
+        """Check that everything fits together and that no electrodes overlap."""
+        self._check_thickness()
+        require_positive("conductivity", self.conductivity, "S/m")
+        self._check_layers()
         if len(self.electrodes) < 2:
             raise ConfigurationError(
                 f"a sensor needs at least two electrodes, got {len(self.electrodes)}"
             )
-        spans = sorted((*self.perimeter_span(i), i) for i in range(len(self.electrodes)))
-        for (_, end, i), (start, _, j) in itertools.pairwise(spans):
-            if start < end - 1e-12:
-                raise ConfigurationError(
-                    f"electrodes {i} and {j} overlap by {(end - start) * 1e3:g} mm along the "
-                    "outline; move them apart or make them narrower"
-                )
+        require_apart(placed(self.electrodes, self.outline, self.thickness))
 
     @classmethod
     def reference(cls) -> "SensorDesign":
         """The sensor of the paper: 150 x 60 x 5 mm, eight 5 mm electrodes, counter-clockwise."""
-        places = [
-            (0.0225, 0.0),
-            (0.075, 0.0),
-            (0.1275, 0.0),
-            (0.150, 0.030),
-            (0.1275, 0.060),
-            (0.075, 0.060),
-            (0.0225, 0.060),
-            (0.0, 0.030),
-        ]
-        return cls(
-            outline=Rectangle(0.150, 0.060),
-            thickness=0.005,
-            electrodes=tuple(Electrode(x, y) for x, y in places),
-        )
+        outline = Rectangle(0.150, 0.060)
+        return cls(outline, thickness=0.005, electrodes=uniform(outline, 8, start=0.0225))
 
     @classmethod
     def from_toml(cls, path: str | Path) -> "SensorDesign":
         """Read a design; raises ConfigurationError for anything that does not fit."""
         return read_toml(cls, path)
 
-    def to_toml(self) -> str:
-        """Write the design as TOML; `from_toml` of it is this design."""
-        return to_toml(self)
+    @classmethod
+    def spelled_out(cls, data: Mapping[str, Any], place: Place) -> Mapping[str, Any]:
+        """Plain data of a design whose `electrodes` may be one table: a layout, by its keys."""
+        table = data.get("electrodes")
+        if not isinstance(table, Mapping):
+            return data
+        if "outline" not in data:
+            raise place.error("missing required field `outline`, which the layout goes around")
+        where = place.under("electrodes")
+        outline = read(Outline, data["outline"], place.under("outline"))
+        layout = choose([partial(make, outline) for make in (uniform, grid)], table, where)
+        return {**data, "outline": outline, "electrodes": build(layout, table, where)}
+
+    def to_toml(self, path: str | Path | None = None) -> str:
+        """The design as TOML, written to `path` where one is given; `from_toml` reads it back.
+
+        Raises ConfigurationError where the file cannot be written; what was there is kept.
+        """
+        return to_toml(self) if path is None else write_toml(self, path)
+
+    def patches(self) -> tuple[Patch, ...]:
+        """Where the body's boundary, or a sheet inside it, is touched by each electrode."""
+        contacts = placed(self.electrodes, self.outline, self.thickness)
+        return tuple(contact.patch() for contact in contacts)
+
+    def edges(self, spacing: float | None = None) -> Array:
+        """Points (k, 3) [m] along the electrodes' edges, where potentials are singular.
+
+        Edges of the body are left out: the potential continues mirrored across them.
+
+        Args:
+            spacing: most distance between points of one edge; an eighth of the smallest
+                electrode's extent when omitted [m].
+        """
+        extents = [e.width for e in self.electrodes]
+        extents += [e.height or self.thickness for e in self.electrodes]
+        spacing = spacing or min(extents) / _POINTS_PER_EDGE
+        contacts = placed(self.electrodes, self.outline, self.thickness)
+        return np.concatenate([contact.edges(spacing) for contact in contacts])
+
+    def conductivity_at(self, points: ArrayLike) -> Array:
+        """Conductivity (...) [S/m] at points (..., 3) [m].
+
+        A place between two layers belongs to the upper one, one outside the body to the nearest.
+        """
+        z = np.asarray(points, dtype=float)[..., 2]
+        if not self.layers:
+            return np.full(z.shape, float(self.conductivity))
+        bottom = self.outline.bounds[0, 2] if isinstance(self.outline, Surface) else 0.0
+        tops = bottom + np.cumsum([layer.thickness for layer in self.layers])
+        values = np.array([layer.conductivity for layer in self.layers], dtype=float)
+        inside: Array = values[np.searchsorted(tops[:-1], z, side="right")]
+        return inside
+
+    def _check_thickness(self) -> None:
+        require_length("thickness", self.thickness)
+        require_length("encapsulated_thickness", self.encapsulated_thickness)
+        if not self.encapsulated_thickness >= self.thickness:
+            raise ConfigurationError(
+                f"encapsulated_thickness must be at least the layer's {self.thickness:g} m, "
+                f"got {self.encapsulated_thickness:g} m"
+            )
+        if isinstance(self.outline, Surface):
+            height = self.outline.height
+            if abs(self.thickness - height) > _SAME_HEIGHT * height:
+                raise ConfigurationError(
+                    f"thickness must be the height of the surface, {height:.9g} m, "
+                    f"got {self.thickness:g} m"
+                )
+
+    def _check_layers(self) -> None:
+        if not self.layers:
+            return
+        total = sum(layer.thickness for layer in self.layers)
+        if abs(total - self.thickness) > _SAME * self.thickness:
+            raise ConfigurationError(
+                f"the layers' thicknesses must add up to the thickness of {self.thickness:g} m, "
+                f"got {total:.9g} m"
+            )
+        if self.conductivity != 1.0:
+            raise ConfigurationError(
+                "give either one conductivity or layers with conductivities of their own, got "
+                f"conductivity {self.conductivity:g} S/m and {len(self.layers)} layers"
+            )
 
     def side(self, index: int) -> int:
         """Side that electrode `index` lies on: 0 y = 0, 1 x = length, 2 y = width, 3 x = 0."""
-        electrode = self.electrodes[index]
-        length, width = self.outline.length, self.outline.width
-        distances = (
-            abs(electrode.y),
-            abs(electrode.x - length),
-            abs(electrode.y - width),
-            abs(electrode.x),
-        )
-        along = (electrode.x, electrode.y, electrode.x, electrode.y)
-        extent = (length, width, length, width)
-        for side in range(4):
-            inside = electrode.width / 2 - 1e-9 <= along[side]
-            inside = inside and along[side] <= extent[side] - electrode.width / 2 + 1e-9
-            if distances[side] < 1e-9 and inside:
-                return side
-        raise ConfigurationError(
-            f"electrode {index} at ({electrode.x:g}, {electrode.y:g}) m, {electrode.width:g} m "
-            f"wide, must lie wholly on one side of the {length:g} x {width:g} m outline; its "
-            "centre is off the outline or its end passes a corner"
-        )
+        strip = self._strip(index)
+        corners = np.append(strip.outline.corners, strip.outline.perimeter)
+        side = int(np.searchsorted(corners, strip.start + 1e-9, side="right")) - 1
+        if side < 0 or strip.end > corners[side + 1] + 1e-9:
+            raise ConfigurationError(
+                f"electrode {index} passes a corner of the outline; it must lie wholly on one side"
+            )
+        return side
 
     def perimeter_span(self, index: int) -> tuple[float, float]:
         """Start and end of electrode `index` along the outline, counter-clockwise from 0 [m]."""
-        electrode = self.electrodes[index]
-        length, width = self.outline.length, self.outline.width
-        centre = (
-            electrode.x,
-            length + electrode.y,
-            2 * length + width - electrode.x,
-            2 * (length + width) - electrode.y,
-        )[self.side(index)]
-        return centre - electrode.width / 2, centre + electrode.width / 2
+        strip = self._strip(index)
+        return strip.start, strip.end
 
-
-def _require_positive(name: str, value: float, unit: str) -> None:
-    if not (math.isfinite(value) and value > 0):
-        raise ConfigurationError(f"{name} must be a positive number of {unit}, got {value!r}")
+    def _strip(self, index: int) -> Strip:
+        (strip,) = placed(self.electrodes[index : index + 1], self.outline, self.thickness)
+        if not isinstance(strip, Strip):
+            raise ConfigurationError(f"electrode {index} is not on the side")
+        return strip

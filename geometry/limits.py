@@ -1,0 +1,23 @@
+"""Sizes that can be: what is refused is most likely in another unit."""
+
+import math
+
+from eitskin.geometry.errors import ConfigurationError
+
+SHORTEST, LONGEST = 1e-6, 10.0
+
+
+def require_positive(name: str, value: float, unit: str) -> None:
+    """Raise ConfigurationError unless `value` is finite and above zero."""
+    if not (math.isfinite(value) and value > 0):
+        raise ConfigurationError(f"{name} must be a positive number of {unit}, got {value!r}")
+
+
+def require_length(name: str, value: float) -> None:
+    """Raise ConfigurationError unless `value` [m] is a length that a sensor can have."""
+    require_positive(name, value, "m")
+    if not SHORTEST <= value <= LONGEST:
+        raise ConfigurationError(
+            f"{name} must be between {SHORTEST * 1e6:g} um and {LONGEST:g} m, got {value:g} m; "
+            "lengths are in metres, so 5 mm is 0.005"
+        )
