@@ -11,7 +11,7 @@ from rich.table import Table
 from eitskin.cli.options import Json, Output, Quiet, Seed, Verbose
 from eitskin.geometry import ConfigurationError, SensorDesign
 from eitskin.simulator import Frame, Protocol, Scene, Simulator, WhiteNoise
-from eitskin.simulator.forward import Resolution
+from eitskin.simulator.resolution import Resolution
 
 
 def command(

@@ -10,11 +10,11 @@ from typing import Any
 from eitskin.datasets.scene_group import SceneGroup
 from eitskin.datasets.schema import LIMITS
 from eitskin.datasets.specimen import Specimens
-from eitskin.geometry import Bend, ConfigurationError, Hinge, SensorDesign
+from eitskin.geometry import Bend, ConfigurationError, Hinge, SensorDesign, Surface
 from eitskin.geometry.bend import HingeBend
 from eitskin.geometry.config import from_dict, to_toml
 from eitskin.simulator import WhiteNoise
-from eitskin.simulator.forward import Resolution
+from eitskin.simulator.resolution import Resolution
 
 SHIPPED = Path(__file__).parent / "recipes"
 
@@ -63,7 +63,7 @@ class Recipe:
             data = tomllib.loads(path.read_text(encoding="utf-8"))
         except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
             raise ConfigurationError(f"cannot read the recipe {path}: {error}") from error
-        return from_dict(cls, _with_sensor(data, path.parent), str(path))
+        return from_dict(cls, _with_sensor(data, path.parent), str(path), path.parent)
 
     @classmethod
     def shipped(cls, name: str) -> "Recipe":
@@ -106,8 +106,12 @@ class Recipe:
         yield from self.specimens.problems()
         if not self.scenes:
             yield "scenes must hold at least one group"
+        outline = self.sensor.outline
+        if isinstance(outline, Surface):
+            yield "sensor: bending and touches need a rectangle, disc or polygon, not a surface"
+            return
         for number, group in enumerate(self.scenes):
-            problems = [*group.problems(self.sensor.outline), *self._bend_problems(group)]
+            problems = [*group.problems(outline), *self._bend_problems(group)]
             for problem in problems:
                 yield f"scenes[{number}] ({group.state}): {problem}"
 
@@ -133,7 +137,7 @@ def _with_sensor(data: Mapping[str, Any], folder: Path) -> Mapping[str, Any]:
         design = SensorDesign.reference()
     else:
         design = SensorDesign.from_toml(folder / given)
-    return {**data, "sensor": tomllib.loads(design.to_toml())}
+    return {**data, "sensor": design}
 
 
 def with_seed(recipe: Recipe, seed: int | None) -> Recipe:

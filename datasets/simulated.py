@@ -13,7 +13,7 @@ from eitskin.datasets.sampling import Sample, Stream, generator, sample, specime
 from eitskin.datasets.specimen import Specimen
 from eitskin.datasets.writer import touch_columns
 from eitskin.simulator import Frame, Scene, Simulator
-from eitskin.simulator.forward import Resolution
+from eitskin.simulator.resolution import Resolution
 
 Impedance = NDArray[np.complex128]
 Solved = Mapping[tuple[int, Scene], Impedance]

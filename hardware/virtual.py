@@ -35,7 +35,7 @@ from eitskin.hardware.pseudo_terminal import Pace, PseudoTerminal
 from eitskin.hardware.script import Complex, Measuring, SceneSource, Script, SimulatedSensor, Step
 from eitskin.hardware.serial_board import SerialBoard
 from eitskin.simulator import Protocol, Scene, Simulator, WhiteNoise
-from eitskin.simulator.forward import Resolution
+from eitskin.simulator.resolution import Resolution
 
 PAIR_TIME = 10.6e-3
 """One pair of 2048-point transforms of the AD5940 at an oversampling ratio of 2 [s]."""

@@ -154,8 +154,10 @@ class Assembly:
         reference = self._reference if conductivity.shape[1] > 1 else self._cell_reference
         elements = len(self.space.numbers)
         if conductivity.shape[2] == 1:
-            isotropic = self._to_reference[:, :3].sum(axis=1)  # of the unit tensor
-            entries = conductivity.reshape(elements, -1, 1) * isotropic[:, None]
+            unit = self._to_reference[:, :3].sum(axis=1)  # what the unit tensor becomes
+            if not unit[:, 3:].any():  # on boxes it stays diagonal
+                unit, reference = unit[:, :3], reference[:, :3]
+            entries = conductivity.reshape(elements, -1, 1) * unit[:, None]
         else:
             entries = conductivity.reshape(elements, -1, 6) @ self._to_reference
         flat = entries.reshape(elements, -1) @ reference.reshape(-1, reference.shape[-1])

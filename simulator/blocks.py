@@ -112,12 +112,12 @@ class BlockCholesky:
         if np.iscomplexobj(sums):
             product: Numbers = B.T @ ComplexBlockFactors(self._strips, sums).solve(B)
             return product
-        total = np.zeros((B.shape[1], B.shape[1]))
+        total: Numbers = np.zeros((B.shape[1], B.shape[1]))
         half: Numbers = np.zeros((0, B.shape[1]))
         joined: Numbers = np.zeros((0, 0))
         for strip, (factor, joining) in zip(self._strips, self._sweep(sums), strict=True):
             half = _forward(strip, factor, joined, half, B)
-            total += half.T @ half
+            total = total + half.T @ half
             joined = joining
         return total
 

@@ -1,15 +1,17 @@
 """The forward model: from a conductivity to the impedances between electrodes."""
 
 from collections.abc import Callable, Sequence
-from typing import Literal, TypeAlias
+from functools import cached_property
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from eitskin.geometry import ConfigurationError, Mesh, SensorDesign, structured_mesh
-from eitskin.geometry.structured import Grading
+from eitskin.geometry import ConfigurationError, Mesh, SensorDesign
+from eitskin.geometry.meshing import CellKind, mesh_of, natural_cells
 from eitskin.simulator.assembly import TENSOR_COLUMNS, TENSOR_ROWS, Assembly, Stiffness
 from eitskin.simulator.protocol import Protocol
+from eitskin.simulator.resolution import Discretisation, Resolution, discretisation
 from eitskin.simulator.sensitivity import pixel_gram
 from eitskin.simulator.solvers import Solver, SolverName, choose_solver
 from eitskin.simulator.system import Places, System, zero_sums
@@ -19,17 +21,6 @@ Numbers = NDArray[np.inexact]
 Field = Callable[[Array], ArrayLike]
 Conductivity: TypeAlias = float | Array | Field
 AreaRatio: TypeAlias = Callable[[Array, Array], Array]
-Resolution = Literal["fast", "standard", "fine"]
-Discretisation: TypeAlias = tuple[tuple[int, ...], Grading]
-CellKind = Literal["hexahedra", "prisms", "tetrahedra"]
-
-# Orders in the plane of the constant, linear, quadratic part upwards, and cell sizes. What each
-# costs and how wrong it is: `eitskin bench accuracy`.
-RESOLUTIONS: dict[str, Discretisation] = {
-    "fast": ((2, 2), Grading(finest=1e-3, coarsest=4e-3, growth=0.7, layers=1)),
-    "standard": ((3, 3, 3), Grading(finest=1.2e-4, coarsest=5e-3, growth=2.5, layers=1)),
-    "fine": ((4, 4, 4), Grading(finest=5e-5, coarsest=6e-3, growth=3.0, layers=1)),
-}
 
 
 class ForwardModel:
@@ -64,9 +55,10 @@ class ForwardModel:
                 tetrahedra for surfaces when omitted.
             solver: "block Cholesky" or "sparse LU"; chosen by the shape when omitted.
         """
-        order, grading = _discretisation(resolution)
+        cells = cells or natural_cells(design)
+        order, grading = discretisation(resolution, design, cells)
         self.design = design
-        self.mesh: Mesh = structured_mesh(design, grading, breaks)
+        self.mesh: Mesh = mesh_of(design, grading, cells, breaks)
         self.factorisations = 0
         self._assembly = Assembly(self.mesh, order)
         self._places = Places(self._assembly)
@@ -149,8 +141,7 @@ class ForwardModel:
         _, system, w, U = self._solve(conductivity)
         on = np.einsum("fiq,fie->fqe", assembly.facet_shape, w[assembly.facet_numbers])
         # u - U_l is w itself where the electrode's own potential is lifted off.
-        lifted = np.asarray(system.lift).any(axis=0)
-        own = np.where(lifted[:, np.newaxis], 0.0, U)
+        own = U * (1.0 - system.lift.max(axis=0))[:, None]
         electrode = assembly.facet_electrode
         j = (own[electrode][:, None] - on) / z[electrode][:, None, None]
         pieces = np.einsum("fq,fqk,fql->fkl", assembly.facet_weights, j, j, optimize=True)
@@ -188,6 +179,18 @@ class ForwardModel:
         flux = -np.einsum("cqab,cqb->cqa", np.broadcast_to(sigma, (*gradients.shape, 3)), gradients)
         mean: Numbers = np.einsum("cq,cqa->ca", weights, flux) / weights.sum(axis=1)[:, None]
         return mean
+
+    @cached_property
+    def _own_conductivity(self) -> Conductivity:
+        """The design's conductivity: one number, or of each cell's layer.
+
+        Tetrahedra do not keep to the layers, so theirs is a function of place.
+        """
+        if not self.design.layers:
+            return self.design.conductivity
+        if self.mesh.heights is None:
+            return self.design.conductivity_at
+        return self.design.conductivity_at(self.mesh.points[self.mesh.cells].mean(axis=1))
 
     @property
     def _contact_impedance(self) -> Numbers:
@@ -228,7 +231,7 @@ class ForwardModel:
     def _conductivity(self, conductivity: Conductivity | None) -> Array:
         """The conductivity as `Assembly.stiffness` takes it, (cells, q or 1, 1 or 6)."""
         if conductivity is None:
-            conductivity = self.design.conductivity
+            conductivity = self._own_conductivity
         field = callable(conductivity)
         points = self._assembly.points if field else self._assembly.points[:, :1]
         given = conductivity(points) if callable(conductivity) else conductivity
@@ -256,16 +259,6 @@ class ForwardModel:
                 f"smallest entry on the diagonal: {entries[..., :3].min():g}"
             )
         return entries
-
-
-def _discretisation(resolution: Resolution | Discretisation) -> Discretisation:
-    if not isinstance(resolution, str):
-        return resolution
-    if resolution not in RESOLUTIONS:
-        raise ConfigurationError(
-            f"resolution must be one of {', '.join(RESOLUTIONS)}, got '{resolution}'"
-        )
-    return RESOLUTIONS[resolution]
 
 
 def _symmetric(entries: Array) -> Array:

@@ -3,7 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.geometry import ConfigurationError, Mesh, Rectangle
+from eitskin.geometry import ConfigurationError, Mesh
+from eitskin.geometry.outline import Outline
 from eitskin.simulator.assembly import Assembly
 
 Array = NDArray[np.float64]
@@ -11,7 +12,7 @@ Numbers = NDArray[np.inexact]
 
 
 def pixel_gram(
-    assembly: Assembly, mesh: Mesh, potentials: Numbers, outline: Rectangle, pixels: tuple[int, int]
+    assembly: Assembly, mesh: Mesh, potentials: Numbers, outline: Outline, pixels: tuple[int, int]
 ) -> Numbers:
     """int over each pixel column of grad u_k . grad u_l, (rows * columns, k, k).
 

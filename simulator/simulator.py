@@ -8,10 +8,11 @@ from numpy.typing import NDArray
 from eitskin.geometry import ConfigurationError, Hinge, SensorDesign
 from eitskin.geometry.bend import HingeBend
 from eitskin.geometry.deformation import Composed, Deformation, area_ratio, pulled_back
-from eitskin.simulator.forward import Discretisation, ForwardModel, Resolution
+from eitskin.simulator.forward import ForwardModel
 from eitskin.simulator.frame import Frame
 from eitskin.simulator.instrument import WhiteNoise
 from eitskin.simulator.protocol import Protocol
+from eitskin.simulator.resolution import Discretisation, Resolution
 from eitskin.simulator.scene import Scene
 from eitskin.simulator.touch import Dents
 
@@ -102,8 +103,8 @@ class Simulator:
         deformation = self.deformation(scene)
         if deformation is None:
             return self.model.impedance()
-        sigma = self.design.conductivity
+        sigma = self.design.conductivity_at
         return self.model.impedance(
-            conductivity=lambda x: sigma * pulled_back(deformation.gradient(x)),
+            conductivity=lambda x: sigma(x)[..., None, None] * pulled_back(deformation.gradient(x)),
             area_ratio=lambda x, normal: area_ratio(deformation.gradient(x), normal),
         )

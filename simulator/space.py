@@ -84,23 +84,24 @@ class FunctionSpace:
         self.numbers = renumbered.reshape(outer.shape)
         self.unknowns = len(kept)
         corners = grid.p.T[grid.t.T]
-        edges: Array = np.zeros((corners.shape[0], 3, 3))
-        edges[:, :2, :2] = corners[:, [1, -1]] - corners[:, :1]
-        edges[:, 2, 2] = 1.0
-        self._map(np.pad(corners[:, 0], ((0, 0), (0, 1))), edges)
+        columns = np.zeros((len(corners), 3, 3))
+        columns[:, :2, :2] = corners[:, [1, -1]] - corners[:, :1]
+        columns[:, 2, 2] = 1.0
+        self._map(np.pad(corners[:, 0], ((0, 0), (0, 1))), columns)
 
     def _map(self, origins: Array, edges: Array) -> None:
         self.origins: Array = origins
         self._edges: Array = edges
         self.inverses: Array = np.asarray(np.linalg.inv(edges.swapaxes(1, 2)), dtype=np.float64)
-        self.jacobians: Array = np.asarray(np.abs(np.linalg.det(edges)), dtype=np.float64)
+        volumes = np.asarray(np.linalg.det(edges), dtype=np.float64)
+        self.jacobians: Array = np.abs(volumes)
 
     @property
     def constant(self) -> Array:
         """Coefficients of the function that is one, (functions,)."""
         X, _ = self.element.rule()
-        ones: Array = np.linalg.lstsq(self.element.values(X).T, np.ones(X.shape[1]))[0]
-        return np.where(np.abs(ones) < 0.5, 0.0, np.round(ones))
+        ones = np.linalg.lstsq(self.element.values(X).T, np.ones(X.shape[1]))[0]
+        return np.asarray(np.round(ones), dtype=np.float64)
 
     def reference(self, elements: Indices, points: Array) -> Array:
         """X, (3, n, ...), of `points` (n, ..., 3) [m] in `elements` (n,)."""

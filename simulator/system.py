@@ -80,7 +80,8 @@ class Places:
         entry = np.concatenate([np.arange(count), np.flatnonzero(off), [-1]])
         to = np.concatenate([rows, columns[off], [self._ground]])
         source = np.concatenate([columns, rows[off], [self._ground]])
-        met = np.flatnonzero(self._lift.any(axis=1)[source])
+        lifted = np.abs(self._lift).max(axis=1)
+        met = np.flatnonzero(lifted[source])
         self._entry, self._to, self._source = entry[met], to[met], source[met]
         self._grounded = np.flatnonzero((rows == self._ground) & (columns == self._ground))
 

@@ -1,0 +1,53 @@
+"""From a design to its mesh, by the kind of cells."""
+
+from collections.abc import Sequence
+from typing import Literal, get_args
+
+from eitskin.geometry.errors import ConfigurationError
+from eitskin.geometry.grading import Grading
+from eitskin.geometry.mesh import Mesh
+from eitskin.geometry.outline import Rectangle
+from eitskin.geometry.sensor import SensorDesign
+from eitskin.geometry.structured import structured_mesh
+from eitskin.geometry.surface import Surface
+
+CellKind = Literal["hexahedra", "prisms", "tetrahedra"]
+
+
+def natural_cells(design: SensorDesign) -> CellKind:
+    """Hexahedra for rectangles, prisms for other plane outlines, tetrahedra for surfaces."""
+    if isinstance(design.outline, Surface):
+        return "tetrahedra"
+    return "hexahedra" if isinstance(design.outline, Rectangle) else "prisms"
+
+
+def mesh_of(
+    design: SensorDesign,
+    grading: Grading,
+    cells: CellKind | None = None,
+    breaks: Sequence[float] = (),
+) -> Mesh:
+    """Mesh a design.
+
+    Args:
+        design: the sensor.
+        grading: cell sizes.
+        cells: kind of cells; what suits the outline when omitted.
+        breaks: further x at which hexahedra have faces [m]; other cells pay them no heed.
+
+    Raises:
+        ConfigurationError: where the cells cannot fill the outline.
+        ImportError: for tetrahedra without the extra "mesh".
+    """
+    cells = cells or natural_cells(design)
+    if cells == "hexahedra":
+        return structured_mesh(design, grading, breaks)
+    if cells == "prisms":
+        from eitskin.geometry.triangulated import triangulated_mesh
+
+        return triangulated_mesh(design, grading)
+    if cells == "tetrahedra":
+        from eitskin.geometry.tetrahedral import tetrahedral_mesh
+
+        return tetrahedral_mesh(design, grading)
+    raise ConfigurationError(f"cells must be one of {', '.join(get_args(CellKind))}, got {cells!r}")
