@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from eitskin.datasets.schema import MAX_TOUCHES
 from eitskin.datasets.state import State
-from eitskin.geometry import Bend, ConfigurationError, Rectangle
+from eitskin.geometry import Bend, ConfigurationError, PlaneOutline
 from eitskin.simulator import Scene, Touch
 from eitskin.simulator.touch import MAX_FORCE
 
@@ -55,7 +55,7 @@ class SceneGroup:
         """What the frames are labelled with."""
         return State[self.state.upper()]
 
-    def problems(self, outline: Rectangle) -> Iterator[str]:
+    def problems(self, outline: PlaneOutline) -> Iterator[str]:
         """Everything about the group that contradicts itself or the sensor's `outline`."""
         for name in ("angle_deg", "touches", "force"):
             low, high = getattr(self, name)
@@ -79,7 +79,7 @@ class SceneGroup:
         if self.state == "bend" and self.angle_deg == (0.0, 0.0):
             yield "state 'bend' needs a range of angle_deg other than [0, 0]"
 
-    def draw(self, number: int, outline: Rectangle, rng: np.random.Generator) -> Scene:
+    def draw(self, number: int, outline: PlaneOutline, rng: np.random.Generator) -> Scene:
         """Scene `number` of the group, of what `rng` gives."""
         bend = Bend(float(rng.uniform(*self.angle_deg)))
         if self.state != "touch":
@@ -98,19 +98,19 @@ class SceneGroup:
             ),
         )
 
-    def _position_problems(self, outline: Rectangle) -> Iterator[str]:
+    def _position_problems(self, outline: PlaneOutline) -> Iterator[str]:
         if self.count:
             yield "count follows from positions and repeats; leave it out"
         if self.repeats < 1:
             yield f"repeats must be at least 1, got {self.repeats}"
         for x, y in self.positions:
-            if not (0.0 <= x <= outline.length and 0.0 <= y <= outline.width):
+            if not outline.contains(np.array([x, y])):
                 yield (
                     f"position ({x:g}, {y:g}) m is off the {outline.length:g} x "
                     f"{outline.width:g} m sensor; are the units metres?"
                 )
 
-    def _touch_problems(self, outline: Rectangle) -> Iterator[str]:
+    def _touch_problems(self, outline: PlaneOutline) -> Iterator[str]:
         few, many = self.touches
         if not (self.force[0] > 0.0 and self.force[1] <= MAX_FORCE):
             yield f"force must be above 0 and at most {MAX_FORCE:g} N, got {list(self.force)}"
@@ -131,7 +131,7 @@ class SceneGroup:
                 "not fit, or almost never; ask for fewer, or less spacing or margin"
             )
 
-    def _has_room(self, amount: int, outline: Rectangle) -> bool:
+    def _has_room(self, amount: int, outline: PlaneOutline) -> bool:
         try:
             draw_places(amount, outline, self.margin, self.spacing, np.random.default_rng(0))
         except ConfigurationError:
@@ -140,7 +140,7 @@ class SceneGroup:
 
 
 def draw_places(
-    amount: int, outline: Rectangle, margin: float, spacing: float, rng: np.random.Generator
+    amount: int, outline: PlaneOutline, margin: float, spacing: float, rng: np.random.Generator
 ) -> NDArray[np.float64]:
     """Draw `amount` places (x, y) [m] that keep their distances, all such sets equally likely.
 
@@ -153,7 +153,8 @@ def draw_places(
     for _ in range(_TRIES):
         sets = rng.uniform(low, high, size=(_SETS_AT_ONCE, amount, 2))
         apart = np.linalg.norm(sets[:, first] - sets[:, second], axis=-1)
-        good = np.flatnonzero((apart >= spacing).all(axis=1))
+        within = outline.contains(sets, margin).all(axis=1)
+        good = np.flatnonzero((apart >= spacing).all(axis=1) & within)
         if good.size:
             places: NDArray[np.float64] = sets[good[0]]
             return places

@@ -49,7 +49,7 @@ def draw_specimen(
     spread: Specimens, design: SensorDesign, hinge: Hinge, rng: np.random.Generator
 ) -> Specimen:
     """A sensor that differs from `design` and `hinge` by `spread`; itself where that is zero."""
-    conductivity = design.conductivity * _factor(spread.conductivity, rng)
+    design = _conducting(design, _factor(spread.conductivity, rng))
     electrodes = tuple(
         dataclasses.replace(
             electrode,
@@ -59,9 +59,17 @@ def draw_specimen(
     )
     offset = hinge.offset + spread.hinge_offset * float(rng.standard_normal())
     return Specimen(
-        design=dataclasses.replace(design, conductivity=conductivity, electrodes=electrodes),
+        design=dataclasses.replace(design, electrodes=electrodes),
         hinge=dataclasses.replace(hinge, offset=offset),
     )
+
+
+def _conducting(design: SensorDesign, factor: float) -> SensorDesign:
+    """`design` with every conductivity times `factor`."""
+    if not design.layers:
+        return dataclasses.replace(design, conductivity=factor * design.conductivity)
+    layers = (dataclasses.replace(x, conductivity=factor * x.conductivity) for x in design.layers)
+    return dataclasses.replace(design, layers=tuple(layers))
 
 
 def _factor(relative_deviation: float, rng: np.random.Generator) -> float:

@@ -36,12 +36,13 @@ class Place:
 
     Attributes:
         source: name of the file, or of whatever else the data is from.
-        folder: that relative paths start from.
+        folder: that relative paths start from; None where no files may be named, because the data
+            is not from a file of the user's.
         key: dotted keys down to the data; empty at the top.
     """
 
     source: str
-    folder: Path = Path()
+    folder: Path | None = None
     key: str = ""
 
     def under(self, key: str) -> "Place":
@@ -71,8 +72,15 @@ def read_toml(kind: type[T], path: str | Path) -> T:
     return parse_toml(kind, text, str(path), path.parent)
 
 
-def parse_toml(kind: type[T], text: str, where: str = "TOML text", folder: Path = Path()) -> T:
-    """Read TOML text into the dataclass `kind`; `where` names the source in messages."""
+def parse_toml(kind: type[T], text: str, where: str = "TOML text", folder: Path | None = None) -> T:
+    """Read TOML text into the dataclass `kind`.
+
+    Args:
+        kind: the dataclass.
+        text: TOML.
+        where: names the source in messages.
+        folder: that relative paths start from; without it the text may name no files.
+    """
     try:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -80,8 +88,8 @@ def parse_toml(kind: type[T], text: str, where: str = "TOML text", folder: Path 
     return from_dict(kind, data, where, folder)
 
 
-def from_dict(kind: type[T], data: Mapping[str, Any], where: str, folder: Path = Path()) -> T:
-    """Build the dataclass `kind` from plain `data`; the same checks as `read_toml`."""
+def from_dict(kind: type[T], data: Mapping[str, Any], where: str, folder: Path | None = None) -> T:
+    """Build the dataclass `kind` from plain `data`; the same checks as `parse_toml`."""
     return build(kind, data, Place(where, folder))
 
 
@@ -143,7 +151,7 @@ def read(kind: Any, data: Any, place: Place) -> Any:
     if kind is complex:
         return _complex(data, place)
     if kind is Path:
-        return place.folder / _plain(str, data, place)
+        return _path(data, place)
     return _plain(kind, data, place)
 
 
@@ -179,6 +187,12 @@ def _complex(data: Any, place: Place) -> Any:
     if isinstance(data, list):
         return complex(*_plain(tuple[float, float], data, place))
     return _plain(float, data, place)
+
+
+def _path(data: Any, place: Place) -> Path:
+    if place.folder is None:
+        raise place.error("names a file, which is possible only in a TOML file of its own")
+    return place.folder / str(_plain(str, data, place))
 
 
 def _parameters(make: Callable[..., Any]) -> Mapping[str, inspect.Parameter]:

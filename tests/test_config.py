@@ -33,7 +33,7 @@ class Thing:
 
 
 def thing(text):
-    return parse_toml(Thing, text, "thing.toml")
+    return parse_toml(Thing, text, "thing.toml", Path("folder"))
 
 
 def test_a_union_is_the_member_whose_keys_are_there():
@@ -106,7 +106,13 @@ def test_numbers_of_numpy_are_written_as_plain_ones():
 def test_paths_start_from_the_folder_of_their_file(tmp_path):
     (tmp_path / "thing.toml").write_text("file = 'part.stl'\nshape = { radius = 1 }")
     assert read_toml(Thing, tmp_path / "thing.toml").file == tmp_path / "part.stl"
+    assert thing("file = 'part.stl'\nshape = { radius = 1 }").file == Path("folder/part.stl")
     assert thing("file = '/part.stl'\nshape = { radius = 1 }").file == Path("/part.stl")
+
+
+def test_text_that_is_no_file_of_the_users_names_no_files():
+    with pytest.raises(ConfigurationError, match="TOML text: file: names a file"):
+        parse_toml(Thing, "file = '/etc/hosts'\nshape = { radius = 1 }")
 
 
 def test_a_file_is_written_whole_or_not_at_all(tmp_path):

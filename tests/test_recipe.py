@@ -10,7 +10,18 @@ from eitskin.datasets.recipe import shipped_names, with_seed
 from eitskin.datasets.sampling import Stream, generator, sample, specimen
 from eitskin.datasets.scene_group import SceneGroup, draw_places
 from eitskin.datasets.specimen import Specimens
-from eitskin.geometry import Bend, ConfigurationError, Hinge, Rectangle, SensorDesign
+from eitskin.geometry import (
+    Bend,
+    ConfigurationError,
+    Disc,
+    Electrode,
+    Hinge,
+    Layer,
+    Rectangle,
+    SensorDesign,
+    Surface,
+)
+from eitskin.geometry.layouts import uniform
 from eitskin.simulator import WhiteNoise
 
 IDLE = SceneGroup("idle", count=30)
@@ -220,3 +231,36 @@ def test_specimens_differ_by_the_spread_that_was_asked_for():
     assert contact.std() / contact.mean() == pytest.approx(0.3, rel=0.1)
     assert offset.std() == pytest.approx(0.0005, rel=0.14)
     assert abs(np.corrcoef(contact[:, 0], contact[:, 1])[0, 1]) < 0.2
+
+
+def test_touches_lie_on_the_sensor_whatever_its_outline():
+    disc = Disc(0.04)
+    design = SensorDesign(disc, 0.005, uniform(disc, 8))
+    group = SceneGroup("touch", count=50, touches=(1, 2), margin=0.010, spacing=0.02)
+    recipe = Recipe("round", scenes=(group,), sensor=design)
+    drawn = [sample(recipe, index).scene.touches for index in range(recipe.frames)]
+    places = np.array([(touch.x, touch.y) for touches in drawn for touch in touches])
+    assert np.hypot(*(places - 0.04).T).max() <= 0.030
+    with pytest.raises(ConfigurationError, match=r"\(0.005, 0.005\) m is off the"):
+        Recipe("off", scenes=(SceneGroup("touch", positions=((0.005, 0.005),)),), sensor=design)
+
+
+def test_a_surface_can_be_no_sensor_of_a_recipe(tmp_path):
+    import trimesh
+
+    trimesh.creation.box(bounds=[[0, 0, 0], [0.15, 0.06, 0.005]]).export(tmp_path / "box.stl")
+    pads = tuple(Electrode(x, 0.03, z=0.005, on="surface") for x in (0.02, 0.12))
+    design = SensorDesign(Surface(tmp_path / "box.stl"), 0.005, pads)
+    with pytest.raises(ConfigurationError, match="need a rectangle, disc or polygon"):
+        Recipe("solid", scenes=(IDLE,), sensor=design)
+
+
+def test_conductivities_of_layers_scatter_together():
+    layers = (Layer(0.002, 0.5), Layer(0.003, 2.0))
+    design = dataclasses.replace(SensorDesign.reference(), layers=layers)
+    spread = Specimens(50, conductivity=0.1)
+    recipe = dataclasses.replace(MIXED, specimens=spread, sensor=design)
+    made = [specimen(recipe, number).design.layers for number in range(50)]
+    conductivity = np.array([[layer.conductivity for layer in layers] for layers in made])
+    assert conductivity[:, 1] / conductivity[:, 0] == pytest.approx(np.full(50, 4.0))
+    assert 0.05 < np.log(conductivity[:, 0] / 0.5).std() < 0.15

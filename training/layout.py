@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.geometry import FrameError, SensorDesign, UnusableFrameError
-from eitskin.geometry.config import from_dict
+from eitskin.geometry.config import from_dict, to_dict
 from eitskin.simulator import Frame, Protocol
 
 FREQUENCY_TOLERANCE = 0.01  # relative
@@ -39,7 +39,7 @@ class Layout:
     def document(self) -> dict[str, Any]:
         """All but `reference` as JSON takes it."""
         return {
-            "design": asdict(self.design),
+            "design": to_dict(self.design),
             "protocol": asdict(self.protocol),
             "frequency": self.frequency,
             "units": {"impedance": "ohm", "frequency": "Hz", "length": "m", "angle": "degree"},

@@ -4,6 +4,9 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
+from eitskin.geometry import SensorDesign
+from eitskin.geometry.config import from_dict
+
 PERCEPTION = """\
 # A perception pipeline for electrical-impedance robot skin
 
@@ -55,9 +58,10 @@ units. From a frame and a frame of the untouched sensor it says where one touch 
 def perception_card(document: Mapping[str, Any]) -> str:
     """Markdown for a perception pipeline described by `document`."""
     layout = document["layout"]
+    outline = from_dict(SensorDesign, layout["design"], "layout.design").outline
     return PERCEPTION.format(
-        length=layout["design"]["outline"]["length"] * 1e3,
-        width=layout["design"]["outline"]["width"] * 1e3,
+        length=outline.length * 1e3,
+        width=outline.width * 1e3,
         electrodes=layout["protocol"]["n_electrodes"],
         measurements=len(layout["protocol"]["table"]),
         frequency=layout["frequency"] / 1e3,
