@@ -5,7 +5,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.geometry import ConfigurationError, Hinge, SensorDesign
+from eitskin.geometry import ConfigurationError, Hinge, SensorDesign, Surface
 from eitskin.geometry.bend import HingeBend
 from eitskin.geometry.deformation import Composed, Deformation, area_ratio, pulled_back
 from eitskin.simulator.forward import ForwardModel
@@ -58,9 +58,15 @@ class Simulator:
 
     def deformation(self, scene: Scene) -> Deformation | None:
         """How the scene deforms the sensor, touch first, then bend; None where it does not."""
+        outline = self.design.outline
+        if isinstance(outline, Surface):
+            if scene == Scene():
+                return None
+            raise ConfigurationError(
+                "bending and touches need a rectangle, disc or polygon as outline, not a surface"
+            )
         for touch in scene.touches:
-            outline = self.design.outline
-            if not (0.0 <= touch.x <= outline.length and 0.0 <= touch.y <= outline.width):
+            if not outline.contains(np.array([touch.x, touch.y])):
                 raise ConfigurationError(
                     f"a touch must lie on the {outline.length:g} x {outline.width:g} m layer, got "
                     f"({touch.x:g}, {touch.y:g}) m; are the units metres?"
