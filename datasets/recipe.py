@@ -11,7 +11,6 @@ from eitskin.datasets.scene_group import SceneGroup
 from eitskin.datasets.schema import LIMITS
 from eitskin.datasets.specimen import Specimens
 from eitskin.geometry import Bend, ConfigurationError, Hinge, SensorDesign, Surface
-from eitskin.geometry.bend import HingeBend
 from eitskin.geometry.config import from_dict, to_toml
 from eitskin.simulator import WhiteNoise
 from eitskin.simulator.resolution import Resolution
@@ -118,7 +117,7 @@ class Recipe:
     def _bend_problems(self, group: SceneGroup) -> Iterator[str]:
         for angle in group.angle_deg:
             try:
-                HingeBend(self.sensor, self.hinge, Bend(angle))
+                self.hinge.flexure(self.sensor, Bend(angle))
             except ConfigurationError as error:
                 yield str(error)
 

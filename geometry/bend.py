@@ -1,34 +1,14 @@
-"""Bending about y by the kinematic model: constant curvature over a hinge's span."""
+"""Fixtures that bend a sensor about y, and how far they can."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from eitskin.geometry.deformation import Gradients, Points
 from eitskin.geometry.errors import ConfigurationError
+from eitskin.geometry.flexure import Flexure
 from eitskin.geometry.sensor import SensorDesign
-
-
-@dataclass(frozen=True, slots=True)
-class Hinge:
-    """Two plates that clamp the sensor's ends and turn about one axis under its middle.
-
-    Attributes:
-        span: free length between the clamps, centred on the sensor [m].
-        offset: of the hinge axis below the mid-plane of the conductive layer [m].
-    """
-
-    span: float = 0.040
-    offset: float = 0.008
-
-    def __post_init__(self) -> None:
-        """Check the numbers."""
-        if not (math.isfinite(self.span) and self.span > 0):
-            raise ConfigurationError(f"hinge span must be a positive length in m, got {self.span}")
-        if not math.isfinite(self.offset):
-            raise ConfigurationError(f"hinge offset must be finite, in m, got {self.offset}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,135 +22,167 @@ class Bend:
     angle_deg: float
 
     def __post_init__(self) -> None:
-        """Check the number; whether the angle can be reached depends on hinge and sensor."""
+        """Check the number; whether the angle can be reached depends on fixture and sensor."""
         if not math.isfinite(self.angle_deg):
             raise ConfigurationError(f"angle_deg must be a finite number, got {self.angle_deg}")
 
 
 @dataclass(frozen=True, slots=True)
-class HingeBend:
-    """The deformation of a sensor on a hinge (Rivlin flexure, plane strain, isochoric).
+class Hinge:
+    """Two plates that clamp the sensor's ends and turn about one axis under its middle.
 
-    Over the span the layer has constant curvature c = theta / s per flat length, and with Z the
-    flat height above mid-layer lambda^2 = lambda_0^2 + 2 c Z, F = diag(lambda, 1, 1/lambda) in
-    the turned frame (Rivlin 1949). The ends turn rigidly by +-theta/2 about the hinge axis at
-    distance d below mid-layer; their distance sets the arc:
-    lambda_0 = (theta/2) cot(theta/2) + d theta / s.
+    The ends turn rigidly by +-theta/2 about the axis at distance d below mid-layer; their
+    distance sets the stretch of the arc between them. For constant curvature over the span s,
 
-    At the clamps F jumps from its bent value to a rotation: positions agree there at mid-layer
-    and are apart by at most |Z| |2 / (lambda + lambda_0) - 1| elsewhere.
+        lambda_0 = (theta/2) cot(theta/2) + d theta / s.
 
-    Raises ConfigurationError, naming the last possible angle, where some fibre of the
-    encapsulated sensor would be compressed to nothing or the ends would cross.
+    Attributes:
+        span: free length between the clamps, centred on the sensor [m].
+        offset: d, of the hinge axis below the mid-plane of the conductive layer [m].
+        transition: flat length over which the curvature rises, at each clamp [m].
+        contraction: of the width, 0 as a plate to 1 as a beam; see Flexure.
     """
 
-    design: SensorDesign
-    hinge: Hinge
-    bend: Bend
+    span: float = 0.040
+    offset: float = 0.008
+    transition: float = 0.0
+    contraction: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check that the angle can be reached."""
-        length = self.design.outline.length
-        if self.hinge.span > length:
+        """Check the numbers."""
+        if not (math.isfinite(self.span) and self.span > 0):
+            raise ConfigurationError(f"hinge span must be a positive length in m, got {self.span}")
+        if not math.isfinite(self.offset):
+            raise ConfigurationError(f"hinge offset must be finite, in m, got {self.offset}")
+        _check_profile("hinge", self.span, self.transition, self.contraction)
+
+    def flexure(self, design: SensorDesign, bend: Bend) -> Flexure:
+        """The deformation; ConfigurationError, naming the last possible angle, past it."""
+        return _within_limits(self, self._flexure, design, bend)
+
+    def _flexure(self, design: SensorDesign, theta: float) -> Flexure:
+        centre, half = _centre(design), 0.5 * theta
+        clamp = 0.5 * self.span
+        unstretched = Flexure(centre, self.span, theta, 1.0, self.transition)
+        stretched = Flexure(centre, self.span, theta, 2.0, self.transition)
+        straight, more = (
+            float(f.centre_line(np.array(clamp))[0]) for f in (unstretched, stretched)
+        )
+        # The centre line's length along x is linear in the stretch; it must end at the clamp.
+        wanted = clamp * math.cos(half) + self.offset * math.sin(half)
+        stretch = 1.0 + (wanted - straight) / (more - straight)
+        made = Flexure(centre, self.span, theta, stretch, self.transition, self.contraction)
+        down = float(made.centre_line(np.array(clamp))[1])
+        height = -clamp * math.sin(half) + self.offset * (math.cos(half) - 1.0)
+        return Flexure(
+            centre, self.span, theta, stretch, self.transition, self.contraction, height + down
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class FreeArc:
+    """No fixture: the sensor is bent by moments alone into an arc over some of its length.
+
+    Without forces at the ends, lambda_0^2 = sqrt(1 + (c h)^2) for a stack of thickness h, as for
+    a uniform neo-Hookean block (Rivlin 1949).
+
+    Attributes:
+        length: flat length of the arc, centred on the sensor [m].
+        transition, contraction: as for a Hinge.
+    """
+
+    length: float
+    transition: float = 0.0
+    contraction: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        if not (math.isfinite(self.length) and self.length > 0):
             raise ConfigurationError(
-                f"the hinge's span of {self.hinge.span:g} m must not exceed the sensor's length "
-                f"of {length:g} m"
+                f"arc length must be a positive length in m, got {self.length}"
             )
-        if not self._possible(self.theta):
-            limit = self._last_possible_angle_deg()
-            raise ConfigurationError(
-                f"a bend of {self.bend.angle_deg:g} deg is not possible with {self.hinge}; the "
-                f"last possible angle in this direction is {limit:.1f} deg. Bend less, widen the "
-                "span, or change the offset"
-            )
+        _check_profile("arc", self.length, self.transition, self.contraction)
 
     @property
-    def theta(self) -> float:
-        """Bend angle [rad]."""
-        return math.radians(self.bend.angle_deg)
+    def span(self) -> float:
+        """Flat length that bends [m]."""
+        return self.length
 
-    @property
-    def curvature(self) -> float:
-        """Turning per flat length over the span, c = theta / s [1/m]."""
-        return self.theta / self.hinge.span
+    def flexure(self, design: SensorDesign, bend: Bend) -> Flexure:
+        """The deformation; ConfigurationError, naming the last possible angle, past it."""
+        return _within_limits(self, self._flexure, design, bend)
 
-    @property
-    def mid_stretch(self) -> float:
-        """lambda_0, the stretch along x at mid-layer within the span."""
-        return self._mid_stretch(self.theta)
+    def _flexure(self, design: SensorDesign, theta: float) -> Flexure:
+        c = theta / (self.length - self.transition)
+        stretch = (1.0 + (c * design.encapsulated_thickness) ** 2) ** 0.25
+        return Flexure(
+            _centre(design), self.length, theta, stretch, self.transition, self.contraction
+        )
 
-    def positions(self, points: Points) -> Points:
-        """Deformed places [m], (..., 3), of flat points [m], (..., 3)."""
-        x, y, Z, inside, turn, stretch = self._local(points)
-        lam0, c, s, d = self.mid_stretch, self.curvature, self.hinge.span, self.hinge.offset
-        cos, sin = np.cos(turn), np.sin(turn)
-        # Within the span; every term stays regular as theta -> 0. np.sinc(t) = sin(pi t)/(pi t).
-        depth = 2.0 * Z / (stretch + lam0)
-        arc_x = lam0 * x * np.sinc(turn / np.pi) + depth * sin
-        sagitta = 0.5 * lam0 * c * x**2 * np.sinc(turn / (2.0 * np.pi)) ** 2
-        arc_z = depth * cos - sagitta - 0.5 * s * math.tan(self.theta / 4.0)
-        # Outside: rigid rotation by +-theta/2 about the hinge axis.
-        arm_x = x * cos + (Z + d) * sin
-        arm_z = -x * sin + (Z + d) * cos - d
-        moved = np.empty_like(points)
-        moved[..., 0] = np.where(inside, arc_x, arm_x) + 0.5 * self.design.outline.length
-        moved[..., 1] = y
-        moved[..., 2] = np.where(inside, arc_z, arm_z) + 0.5 * self.design.thickness
-        return moved
 
-    def gradient(self, points: Points) -> Gradients:
-        """Deformation gradient, (..., 3, 3); det F = 1 everywhere."""
-        _, _, _, _, turn, stretch = self._local(points)
-        cos, sin = np.cos(turn), np.sin(turn)
-        F = np.zeros((*points.shape, 3))
-        F[..., 0, 0], F[..., 2, 0] = stretch * cos, -stretch * sin
-        F[..., 1, 1] = 1.0
-        F[..., 0, 2], F[..., 2, 2] = sin / stretch, cos / stretch
-        return F
+Fixture = Hinge | FreeArc
 
-    def _local(
-        self, points: Points
-    ) -> tuple[Points, Points, Points, NDArray[np.bool_], Points, Points]:
-        """x from the middle, y, height above mid-layer, inside the span, turning, stretch."""
-        x = points[..., 0] - 0.5 * self.design.outline.length
-        Z = points[..., 2] - 0.5 * self.design.thickness
-        inside = np.abs(x) <= 0.5 * self.hinge.span
-        turn = self.curvature * np.clip(x, -0.5 * self.hinge.span, 0.5 * self.hinge.span)
-        squared = np.where(inside, self.mid_stretch**2 + 2.0 * self.curvature * Z, 1.0)
-        if np.any(squared <= 0.0):
-            raise ConfigurationError(
-                f"a point at height {Z[squared <= 0.0].flat[0]:g} m above mid-layer lies outside "
-                "the bent sensor; keep points within the encapsulated thickness"
-            )
-        return x, points[..., 1], Z, inside, turn, np.sqrt(squared)
 
-    def _mid_stretch(self, theta: float) -> float:
-        half = theta / 2.0
-        cotangent_term = half / math.tan(half) if half else 1.0
-        return cotangent_term + self.hinge.offset * theta / self.hinge.span
+def _check_profile(name: str, span: float, transition: float, contraction: float) -> None:
+    if not 0.0 <= transition <= 0.5 * span:
+        raise ConfigurationError(
+            f"{name} transition must be from 0 to half the bent length, {0.5 * span:g} m, got "
+            f"{transition}"
+        )
+    if not 0.0 <= contraction <= 1.0:
+        raise ConfigurationError(
+            f"{name} contraction must be from 0 (plate) to 1 (beam), got {contraction}"
+        )
 
-    def _possible(self, theta: float) -> bool:
-        """Whether every fibre keeps a positive stretch and the ends do not cross."""
-        if abs(theta) >= 2.0 * math.pi:
-            return False
-        lam0 = self._mid_stretch(theta)
-        inner = -math.copysign(0.5 * self.design.encapsulated_thickness, theta)
-        if lam0 <= 0.0 or lam0**2 + 2.0 * theta / self.hinge.span * inner <= 0.0:
-            return False
-        # The inner face of the right-hand end, from clamp to tip, must stay right of the middle.
-        cos, sin = math.cos(theta / 2.0), math.sin(theta / 2.0)
-        ends = (0.5 * self.hinge.span, 0.5 * self.design.outline.length)
-        return all(x * cos + (inner + self.hinge.offset) * sin > 0.0 for x in ends)
 
-    def _last_possible_angle_deg(self) -> float:
-        sign = math.copysign(1.0, self.theta)
-        good = 0.0
-        bad = next(a for a in range(1, 361) if not self._possible(sign * math.radians(a)))
-        good, bad_angle = bad - 1.0, float(bad)
-        for _ in range(30):
-            middle = 0.5 * (good + bad_angle)
-            if self._possible(sign * math.radians(middle)):
-                good = middle
-            else:
-                bad_angle = middle
-        return sign * math.floor(good * 10.0) / 10.0
+def _centre(design: SensorDesign) -> tuple[float, float, float]:
+    outline = design.outline
+    return (0.5 * outline.length, 0.5 * outline.width, 0.5 * design.thickness)
+
+
+def _within_limits(
+    fixture: Fixture,
+    flexure: Callable[[SensorDesign, float], Flexure],
+    design: SensorDesign,
+    bend: Bend,
+) -> Flexure:
+    """The flexure, where every fibre of the stack keeps its length positive and no ends cross."""
+    length = design.outline.length
+    if fixture.span > length:
+        raise ConfigurationError(
+            f"the bent length of {fixture.span:g} m must not exceed the sensor's length of "
+            f"{length:g} m"
+        )
+
+    def possible(degrees: float) -> bool:
+        theta = math.radians(degrees)
+        return abs(degrees) <= 360.0 and _possible(flexure(design, theta), design)
+
+    if possible(bend.angle_deg):
+        return flexure(design, math.radians(bend.angle_deg))
+    sign = math.copysign(1.0, bend.angle_deg)
+    good, bad = 0.0, min(abs(bend.angle_deg), 361.0)
+    for step in range(1, 361):
+        if not possible(sign * step):
+            good, bad = step - 1.0, float(step)
+            break
+    while bad - good > 1e-3:
+        middle = 0.5 * (good + bad)
+        good, bad = (middle, bad) if possible(sign * middle) else (good, middle)
+    raise ConfigurationError(
+        f"a bend of {bend.angle_deg:g} deg is not possible with {fixture}; the last possible "
+        f"angle in this direction is {sign * math.floor(good * 10.0) / 10.0:.1f} deg. Bend less, "
+        "bend over a greater length, or change the fixture"
+    )
+
+
+def _possible(flexure: Flexure, design: SensorDesign) -> bool:
+    """Whether the stack keeps all fibres, and its inner face stays on its side of the middle."""
+    half = 0.5 * design.encapsulated_thickness
+    inner = -math.copysign(half, flexure.angle)
+    X = np.linspace(0.0, 0.5 * design.outline.length, 400)[1:]
+    face = np.stack([X, np.zeros_like(X), np.full_like(X, inner)], axis=-1) + flexure.centre
+    if flexure.stretch <= 0.0 or flexure.stretch**2 + 2.0 * flexure.curvature * inner <= 0.0:
+        return False
+    x = flexure.positions(face)[:, 0] - flexure.centre[0]
+    return bool(x.min() > -1e-9)

@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.geometry import ConfigurationError, Hinge, SensorDesign, Surface
-from eitskin.geometry.bend import HingeBend
 from eitskin.geometry.deformation import Composed, Deformation, area_ratio, pulled_back
 from eitskin.simulator.forward import ForwardModel
 from eitskin.simulator.frame import Frame
@@ -75,7 +74,7 @@ class Simulator:
         if scene.touches:
             parts.append(Dents(scene.touches))
         if scene.bend.angle_deg:
-            parts.append(HingeBend(self.design, self.fixture, scene.bend))
+            parts.append(self.fixture.flexure(self.design, scene.bend))
         if len(parts) == 2:
             return Composed(*parts)
         return parts[0] if parts else None

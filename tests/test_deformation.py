@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from eitskin.geometry import Bend, ConfigurationError, Hinge, SensorDesign
-from eitskin.geometry.bend import HingeBend
+from eitskin.geometry.bend import FreeArc
 from eitskin.geometry.deformation import Composed, area_ratio, pulled_back
 from eitskin.simulator import Touch
 from eitskin.simulator.touch import DentKernel, Dents
@@ -34,11 +34,15 @@ def derivative(deformation, x: NDArray[np.float64], step: float = 1e-7) -> NDArr
 
 DENTS = Dents((Touch(0.050, 0.020, 10.0), Touch(0.090, 0.041, 7.0)))
 DEFORMATIONS = {
-    "bend": HingeBend(DESIGN, HINGE, Bend(40.0)),
-    "bend back": HingeBend(DESIGN, HINGE, Bend(-20.0)),
-    "slight bend": HingeBend(DESIGN, HINGE, Bend(1e-7)),
+    "bend": HINGE.flexure(DESIGN, Bend(40.0)),
+    "bend back": HINGE.flexure(DESIGN, Bend(-20.0)),
+    "slight bend": HINGE.flexure(DESIGN, Bend(1e-7)),
+    "soft clamps": Hinge(transition=0.006, contraction=0.5).flexure(DESIGN, Bend(45.0)),
+    "soft clamps, back": Hinge(transition=0.02, contraction=1.0).flexure(DESIGN, Bend(-25.0)),
+    "free arc": FreeArc(0.150).flexure(DESIGN, Bend(300.0)),
+    "free arc over a part": FreeArc(0.06, 0.01, 0.3).flexure(DESIGN, Bend(-120.0)),
     "dents": DENTS,
-    "dents, then bend": Composed(DENTS, HingeBend(DESIGN, HINGE, Bend(30.0))),
+    "dents, then bend": Composed(DENTS, HINGE.flexure(DESIGN, Bend(30.0))),
 }
 
 
@@ -50,7 +54,7 @@ def test_gradient_is_the_derivative_of_positions(name) -> None:
 
 @pytest.mark.parametrize("angle", [-60.0, -20.0, 1e-6, 50.0, 140.0])
 def test_bending_keeps_volume(angle) -> None:
-    F = HingeBend(DESIGN, HINGE, Bend(angle)).gradient(points())
+    F = HINGE.flexure(DESIGN, Bend(angle)).gradient(points())
     assert np.linalg.det(F) == pytest.approx(1.0, abs=1e-13)
 
 
@@ -78,14 +82,14 @@ def test_dent_is_regular_on_its_axis_and_fades() -> None:
 
 
 def test_ends_of_a_bent_sensor_are_rigid_and_turned_by_half_the_angle() -> None:
-    F = HingeBend(DESIGN, HINGE, Bend(40.0)).gradient(np.array([[0.01, 0.03, 0.004]]))[0]
+    F = HINGE.flexure(DESIGN, Bend(40.0)).gradient(np.array([[0.01, 0.03, 0.004]]))[0]
     half = math.radians(20.0)
     turned = [[math.cos(half), 0, -math.sin(half)], [0, 1, 0], [math.sin(half), 0, math.cos(half)]]
     assert F == pytest.approx(np.array(turned), abs=1e-14)
 
 
 def test_bent_sensor_is_continuous_at_mid_layer_and_convex_on_top() -> None:
-    bend = HingeBend(DESIGN, HINGE, Bend(50.0))
+    bend = HINGE.flexure(DESIGN, Bend(50.0))
     clamp = np.array([[0.095, 0.03, 0.0025]])
     nudge = np.array([[1e-10, 0, 0]])
     assert bend.positions(clamp - nudge) == pytest.approx(bend.positions(clamp + nudge), abs=1e-9)
@@ -98,22 +102,22 @@ def test_bent_sensor_is_continuous_at_mid_layer_and_convex_on_top() -> None:
 def test_mid_layer_arc_closes_the_hinge_triangle() -> None:
     """Arc length over the span is lambda_0 s, whatever the angle."""
     for angle in (-20.0, 30.0, 90.0):
-        bend = HingeBend(DESIGN, HINGE, Bend(angle))
+        bend = HINGE.flexure(DESIGN, Bend(angle))
         x = np.linspace(0.055, 0.095, 4001)
         path = bend.positions(np.stack([x, 0 * x + 0.03, 0 * x + 0.0025], axis=1))
         length = np.linalg.norm(np.diff(path, axis=0), axis=1).sum()
-        assert length == pytest.approx(bend.mid_stretch * 0.040, rel=1e-6)
+        assert length == pytest.approx(bend.stretch * 0.040, rel=1e-6)
 
 
 def test_impossible_angles_name_the_last_possible_one() -> None:
     with pytest.raises(ConfigurationError, match=r"last possible angle in this direction is -\d+"):
-        HingeBend(DESIGN, HINGE, Bend(-85.0))
+        HINGE.flexure(DESIGN, Bend(-85.0))
     with pytest.raises(ConfigurationError, match="last possible angle") as error:
-        HingeBend(DESIGN, HINGE, Bend(300.0))
+        HINGE.flexure(DESIGN, Bend(300.0))
     limit = float(str(error.value).split("direction is ")[1].split(" deg")[0])
-    HingeBend(DESIGN, HINGE, Bend(limit))
+    HINGE.flexure(DESIGN, Bend(limit))
     with pytest.raises(ConfigurationError):
-        HingeBend(DESIGN, HINGE, Bend(limit + 0.2))
+        HINGE.flexure(DESIGN, Bend(limit + 0.2))
 
 
 def test_pull_back_and_area_ratio_agree_with_their_definitions() -> None:
