@@ -6,6 +6,7 @@ import numpy as np
 
 from eitskin.geometry.electrode import Electrode, Shape
 from eitskin.geometry.errors import ConfigurationError
+from eitskin.geometry.limits import MOST_ELECTRODES, require_count
 from eitskin.geometry.outline import Outline, PlaneOutline
 from eitskin.geometry.pad import beyond
 from eitskin.geometry.surface import Surface
@@ -36,8 +37,7 @@ def uniform(
     Raises ConfigurationError for fewer than two, a surface, and what no electrode can be.
     """
     outline = _plane(outline)
-    if count < 2:
-        raise ConfigurationError(f"a uniform layout needs a count of at least two, got {count}")
+    require_count("the count of a uniform layout", count, 2, MOST_ELECTRODES)
     pitch = outline.perimeter / count
     first = 0.5 * pitch if start is None else start
     if not np.isfinite(first):
@@ -76,8 +76,8 @@ def grid(
     Raises ConfigurationError for pads that overlap or none that fits, and for a surface.
     """
     outline = _plane(outline)
-    if rows < 1 or columns < 1:
-        raise ConfigurationError(f"a grid needs rows and columns, got {rows} x {columns}")
+    require_count("the rows of a grid", rows, 1, MOST_ELECTRODES)
+    require_count(f"the columns of a grid of {rows} rows", columns, 1, MOST_ELECTRODES // rows)
     pitch_x, pitch_y = outline.length / columns, outline.width / rows
     if size > min(pitch_x, pitch_y):
         raise ConfigurationError(

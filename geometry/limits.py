@@ -1,10 +1,11 @@
-"""Sizes that can be: what is refused is most likely in another unit."""
+"""Sizes and numbers that can be: longer lengths are most likely in another unit."""
 
 import math
 
 from eitskin.geometry.errors import ConfigurationError
 
 SHORTEST, LONGEST = 1e-6, 10.0
+MOST_ELECTRODES, MOST_POINTS = 1024, 4096
 
 
 def require_positive(name: str, value: float, unit: str) -> None:
@@ -21,3 +22,9 @@ def require_length(name: str, value: float) -> None:
             f"{name} must be between {SHORTEST * 1e6:g} um and {LONGEST:g} m, got {value:g} m; "
             "lengths are in metres, so 5 mm is 0.005"
         )
+
+
+def require_count(name: str, value: int, least: int, most: int) -> None:
+    """Raise ConfigurationError unless `value` is from `least` to `most`."""
+    if not least <= value <= most:
+        raise ConfigurationError(f"{name} must be from {least} to {most}, got {value}")

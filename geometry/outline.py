@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from eitskin.geometry.errors import ConfigurationError
-from eitskin.geometry.limits import require_length
+from eitskin.geometry.limits import MOST_POINTS, require_count, require_length
 from eitskin.geometry.surface import Surface
 
 Array = NDArray[np.float64]
@@ -160,10 +160,9 @@ class Polygon(_Sided):
 
     def __post_init__(self) -> None:
         """Check that the points make one simple outline."""
-        if len(self.points) < 3 or any(len(point) != 2 for point in self.points):
-            raise ConfigurationError(
-                f"outline.points must be at least three pairs (x, y) in m, got {self.points}"
-            )
+        require_count("the number of outline.points", len(self.points), 3, MOST_POINTS)
+        if any(len(point) != 2 for point in self.points):
+            raise ConfigurationError("outline.points must be pairs (x, y), in m")
         given = np.array(self.points, dtype=float)
         if not np.isfinite(given).all():
             raise ConfigurationError("outline.points must be finite, in m")

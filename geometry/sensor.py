@@ -13,7 +13,7 @@ from eitskin.geometry.config import Place, build, choose, read, read_toml, to_to
 from eitskin.geometry.electrode import Electrode
 from eitskin.geometry.errors import ConfigurationError
 from eitskin.geometry.layouts import grid, uniform
-from eitskin.geometry.limits import require_length, require_positive
+from eitskin.geometry.limits import MOST_ELECTRODES, require_count, require_length, require_positive
 from eitskin.geometry.outline import Outline, Rectangle
 from eitskin.geometry.patches import Patch
 from eitskin.geometry.placement import placed, require_apart
@@ -67,10 +67,7 @@ class SensorDesign:
         self._check_thickness()
         require_positive("conductivity", self.conductivity, "S/m")
         self._check_layers()
-        if len(self.electrodes) < 2:
-            raise ConfigurationError(
-                f"a sensor needs at least two electrodes, got {len(self.electrodes)}"
-            )
+        require_count("the number of electrodes", len(self.electrodes), 2, MOST_ELECTRODES)
         require_apart(placed(self.electrodes, self.outline, self.thickness))
 
     @classmethod

@@ -77,10 +77,11 @@ def test_a_grid_leaves_out_the_pads_that_do_not_fit(outline):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda o: uniform(o, 1), "count of at least two, got 1"),
+        (lambda o: uniform(o, 1), "count of a uniform layout must be from 2 to 1024, got 1"),
         (lambda o: uniform(o, 8, start=float("nan")), "start must be a finite"),
         (lambda o: uniform(o, 8, width=-1.0), "electrode width must be a positive"),
-        (lambda o: grid(o, 0, 3, 0.001), "needs rows and columns, got 0 x 3"),
+        (lambda o: grid(o, 0, 3, 0.001), "rows of a grid must be from 1 to 1024, got 0"),
+        (lambda o: grid(o, 100, 11, 0.001), "grid of 100 rows must be from 1 to 10, got 11"),
         (lambda o: grid(o, 2, 3, 0.04), "room for pads of 0.03 m, got a size of 0.04 m"),
         (lambda _: grid(Disc(0.01), 1, 1, 0.019), "no pad of the grid fits"),
     ],

@@ -101,8 +101,8 @@ def test_clockwise_points_are_turned_around_their_first():
 @pytest.mark.parametrize(
     ("points", "message"),
     [
-        (((0, 0), (1, 0)), "at least three pairs"),
-        (((0, 0), (1, 0, 0), (0, 1)), "at least three pairs"),
+        (((0, 0), (1, 0)), "number of outline.points must be from 3 to 4096, got 2"),
+        (((0, 0), (1, 0, 0), (0, 1)), "must be pairs"),
         (((0, 0), (1, 0), (0, math.nan)), "must be finite"),
         (((0.1, -0.2), (1, 0), (0.5, 1)), r"shift the points by \(-0\.1, 0\.2\) m"),
         (((0, 0), (1, 1), (1, 0), (0, 1)), "crosses itself: .* point 0 .* point 2"),

@@ -282,8 +282,8 @@ def part(x, z, height=0.001):
             [Electrode(x, 0.02, z=0.001, on="inside") for x in (0.02, 0.024)],
             "overlap by 1 mm in their plane",
         ),
-        ((Electrode(0.02, 0.0),), "at least two electrodes, got 1"),
-        ((), "at least two electrodes, got 0"),
+        ((Electrode(0.02, 0.0),), "number of electrodes must be from 2 to 1024, got 1"),
+        ((), "from 2 to 1024, got 0"),
     ],
 )
 def test_overlapping_or_missing_electrodes_are_refused(electrodes, message):

@@ -2,6 +2,8 @@
 
 import dataclasses
 import itertools
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,6 +23,7 @@ from eitskin.geometry import (
 from eitskin.geometry.config import parse_toml
 from eitskin.geometry.layouts import grid, uniform
 
+PAGE = Path(__file__).resolve().parent.parent / "docs" / "sensor-design.md"
 SLAB = Rectangle(0.1, 0.05)
 LEFT, RIGHT = Electrode(0.0, 0.025), Electrode(0.1, 0.025)
 
@@ -160,13 +163,30 @@ def test_every_design_is_the_same_after_writing_and_reading(design) -> None:
 
 def test_electrodes_may_be_a_layout_of_any_outline() -> None:
     text = "thickness = 0.005\noutline = { radius = 0.05 }\n[electrodes]\ncount = 16\nwidth = 0.008"
-    design = parse_toml(SensorDesign, text)
-    assert design == SensorDesign(Disc(0.05), 0.005, uniform(Disc(0.05), 16, width=0.008))
+    design = parse_toml(SensorDesign, text + "\ncontact_impedance = [1e-3, -1e-4]")
+    made = uniform(Disc(0.05), 16, width=0.008, contact_impedance=1e-3 - 1e-4j)
+    assert design == SensorDesign(Disc(0.05), 0.005, made)
     assert design.to_toml().count("[[electrodes]]") == 16
     text = (
         text.partition("[")[0] + "[electrodes]\nrows = 3\ncolumns = 4\nsize = 0.01\non = 'bottom'"
     )
     assert parse_toml(SensorDesign, text).electrodes == grid(Disc(0.05), 3, 4, 0.01, on="bottom")
+
+
+EXAMPLES = re.findall("```toml\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+
+
+@pytest.mark.parametrize("number", range(len(EXAMPLES)))
+def test_examples_of_the_page_are_designs(tmp_path, number) -> None:
+    import trimesh
+
+    capsule = trimesh.creation.capsule(height=40.0, radius=8.0).apply_translation((0, 0, 20))
+    capsule.export(tmp_path / "fingertip.stl")
+    (tmp_path / "sensor.toml").write_text(EXAMPLES[number], encoding="utf-8")
+    design = SensorDesign.from_toml(tmp_path / "sensor.toml")
+    assert len(design.electrodes) == [8, 32, 12, 3, 8, 4, 3, 2, 12][number]
+    if number == 0:
+        assert design == SensorDesign.reference()
 
 
 @pytest.mark.parametrize(
@@ -180,7 +200,10 @@ def test_electrodes_may_be_a_layout_of_any_outline() -> None:
         ("electrodes = { count = 8 }", "missing required field `outline`, which the layout"),
         ("outline = { radius = 0.1 }\nelectrodes = { cuont = 8 }", "did you mean 'count'"),
         ("outline = { radius = 0.1 }\nelectrodes = { count = 8, rows = 2 }", r"uniform \(count, "),
-        ("outline = { radius = 0.1 }\nelectrodes = { count = 1 }", "electrodes: a uniform layout"),
+        (
+            "outline = { radius = 0.1 }\nelectrodes = { count = 1 }",
+            "electrodes: the count of a uniform layout",
+        ),
         ("electrodes = [{ x = 0, y = 0, width = -1 }]", r"electrodes\[0\]: electrode width must"),
         ("electrodes = [{ x = 0, y = 0, on = 'up' }]", r"electrodes\[0\].on: Invalid enum value"),
     ],
