@@ -166,12 +166,12 @@ def _within_limits(
         if not possible(sign * step):
             good, bad = step - 1.0, float(step)
             break
-    while bad - good > 1e-3:
+    while bad - good > 1e-9:
         middle = 0.5 * (good + bad)
         good, bad = (middle, bad) if possible(sign * middle) else (good, middle)
     raise ConfigurationError(
         f"a bend of {bend.angle_deg:g} deg is not possible with {fixture}; the last possible "
-        f"angle in this direction is {sign * math.floor(good * 10.0) / 10.0:.1f} deg. Bend less, "
+        f"angle in this direction is {sign * math.floor(good * 10.0 + 1e-6) / 10.0:.1f} deg. Bend less, "
         "bend over a greater length, or change the fixture"
     )
 

@@ -1,10 +1,13 @@
 """How points of the flat sensor move: what every deformation offers, and composition."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+
+from eitskin.geometry.errors import ConfigurationError
 
 Points = NDArray[np.float64]
 Gradients = NDArray[np.float64]
@@ -37,6 +40,45 @@ class Composed:
         """Deformation gradient, (..., 3, 3), by the chain rule."""
         outer = self.second.gradient(self.first.positions(points))
         F: Gradients = np.matmul(outer, self.first.gradient(points))
+        return F
+
+
+@dataclass(frozen=True, slots=True)
+class Displaced:
+    """Any displacement given as a function of the flat points.
+
+    Attributes:
+        displacement: u(x) [m], (..., 3), of flat points (..., 3) [m].
+        derivative: du/dx, (..., 3, 3); central differences of `displacement` when omitted.
+        step: of those differences [m]; they are exact to about (step / size)^2.
+    """
+
+    displacement: Callable[[Points], Points]
+    derivative: Callable[[Points], Gradients] | None = None
+    step: float = 1e-6
+
+    def positions(self, points: Points) -> Points:
+        """Deformed places [m], (..., 3)."""
+        return points + self.displacement(points)
+
+    def gradient(self, points: Points) -> Gradients:
+        """Deformation gradient, (..., 3, 3).
+
+        Raises ConfigurationError where the displacement turns the body inside out.
+        """
+        if self.derivative is not None:
+            slope = self.derivative(points)
+        else:
+            steps = self.step * np.eye(3)
+            ends = [self.displacement(points + e) - self.displacement(points - e) for e in steps]
+            slope = np.stack(ends, axis=-1) / (2.0 * self.step)
+        F: Gradients = np.eye(3) + slope
+        J = np.linalg.det(F)
+        if not np.all(J > 0.0):
+            raise ConfigurationError(
+                "the displacement turns the body inside out or is not a number at "
+                f"{int((~(J > 0.0)).sum())} of {J.size} points; make it smaller or smoother"
+            )
         return F
 
 

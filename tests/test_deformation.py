@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from eitskin.geometry import Bend, ConfigurationError, Hinge, SensorDesign
 from eitskin.geometry.bend import FreeArc
-from eitskin.geometry.deformation import Composed, area_ratio, pulled_back
+from eitskin.geometry.deformation import Composed, Displaced, area_ratio, pulled_back
+from eitskin.geometry.twist import Roll, Twist
 from eitskin.simulator import Touch
 from eitskin.simulator.touch import DentKernel, Dents
 
@@ -41,6 +42,10 @@ DEFORMATIONS = {
     "soft clamps, back": Hinge(transition=0.02, contraction=1.0).flexure(DESIGN, Bend(-25.0)),
     "free arc": FreeArc(0.150).flexure(DESIGN, Bend(300.0)),
     "free arc over a part": FreeArc(0.06, 0.01, 0.3).flexure(DESIGN, Bend(-120.0)),
+    "twist": Twist(40.0).deformation(DESIGN),
+    "roll": Roll(-200.0).deformation(DESIGN),
+    "roll, then twist": Composed(Roll(30.0).deformation(DESIGN), Twist(20.0).deformation(DESIGN)),
+    "displaced": Displaced(lambda x: 0.02 * np.sin(10 * x[..., [1, 2, 0]])),
     "dents": DENTS,
     "dents, then bend": Composed(DENTS, HINGE.flexure(DESIGN, Bend(30.0))),
 }
@@ -50,6 +55,53 @@ DEFORMATIONS = {
 def test_gradient_is_the_derivative_of_positions(name) -> None:
     deformation, x = DEFORMATIONS[name], points()
     assert deformation.gradient(x) == pytest.approx(derivative(deformation, x), abs=1e-6)
+
+
+@pytest.mark.parametrize("name", [n for n in DEFORMATIONS if n not in ("dents", "displaced")])
+def test_gels_keep_their_volume(name) -> None:
+    """Two presses superposed keep it up to the product of their strains where they overlap."""
+    J = np.linalg.det(DEFORMATIONS[name].gradient(points()))
+    assert J == pytest.approx(1.0, abs=2e-3 if "dents" in name else 1e-12)
+
+
+def test_a_full_circle_closes_and_no_more() -> None:
+    arc = FreeArc(0.150)
+    ends = np.array([[0.0, 0.03, 0.0025], [0.150, 0.03, 0.0025]])
+    left, right = arc.flexure(DESIGN, Bend(360.0)).positions(ends)
+    assert left == pytest.approx(right, abs=1e-6)
+    with pytest.raises(ConfigurationError, match=r"last possible angle .* is 360\.0 deg"):
+        arc.flexure(DESIGN, Bend(361.0))
+    short = FreeArc(0.060)
+    with pytest.raises(ConfigurationError, match="last possible angle"):
+        short.flexure(DESIGN, Bend(350.0))  # its straight ends would cross
+
+
+def test_sharp_clamps_are_the_limit_of_soft_ones_and_obey_the_hinge() -> None:
+    """lambda_0 = (theta/2) cot(theta/2) + d theta / s."""
+    theta = math.radians(50.0)
+    expected = theta / 2 / math.tan(theta / 2) + 0.008 * theta / 0.040
+    assert HINGE.flexure(DESIGN, Bend(50.0)).stretch == pytest.approx(expected, rel=1e-9)
+    x = points(clear=2e-3)
+    sharp = HINGE.flexure(DESIGN, Bend(50.0)).positions(x)
+    apart = [
+        np.abs(Hinge(transition=t).flexure(DESIGN, Bend(50.0)).positions(x) - sharp).max()
+        for t in (2e-3, 1e-3)
+    ]
+    assert 2e-6 < apart[1] < 0.6 * apart[0]
+
+
+def test_soft_clamps_leave_no_jump_in_the_gradient() -> None:
+    flexure = Hinge(transition=0.004, contraction=0.3).flexure(DESIGN, Bend(40.0))
+    for clamp in (0.055, 0.095, 0.059, 0.091, 0.075):
+        sides = np.array([[clamp - 1e-9, 0.05, 0.004], [clamp + 1e-9, 0.05, 0.004]])
+        before, after = flexure.gradient(sides)
+        assert before == pytest.approx(after, abs=1e-5)
+
+
+def test_a_displacement_that_turns_the_body_inside_out_is_refused() -> None:
+    inside_out = Displaced(lambda x: -2.0 * x)
+    with pytest.raises(ConfigurationError, match="inside out"):
+        inside_out.gradient(points())
 
 
 @pytest.mark.parametrize("angle", [-60.0, -20.0, 1e-6, 50.0, 140.0])
