@@ -18,8 +18,12 @@ _COLUMNS: dict[str, tuple[tuple[int, ...], float, float, float]] = {
     "standard": ((3, 2, 1), 0.024, 0.10, 2.5),
     "fine": ((5, 4, 3), 4e-4, 0.117, 2.0),
 }
-# Triangles go to order four and are refined where needed only.
-_PRISMS = {**_COLUMNS, "fine": ((4, 3, 2), 1e-4, 0.08, 1.0)}
+# Triangles are refined around electrode edges only, not along whole lines, so they can be finer.
+_PRISMS: dict[str, tuple[tuple[int, ...], float, float, float]] = {
+    "fast": ((2, 1, 1), 0.2, 0.10, 0.7),
+    "standard": ((3, 2, 1), 0.04, 0.10, 1.0),
+    "fine": ((4, 3, 2), 2e-3, 0.13, 1.0),
+}
 _TETRAHEDRA: dict[str, tuple[tuple[int, ...], float, float, float]] = {
     "fast": ((1,), 0.3, 0.10, 0.7),
     "standard": ((2,), 0.2, 0.10, 0.7),
