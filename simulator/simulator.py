@@ -1,11 +1,12 @@
 """From a scene to the frame that its sensor would give."""
 
-from functools import cached_property
+from functools import cached_property, reduce
 
 import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.geometry import ConfigurationError, Hinge, SensorDesign, Surface
+from eitskin.geometry.bend import Fixture
 from eitskin.geometry.deformation import Composed, Deformation, area_ratio, pulled_back
 from eitskin.simulator.forward import ForwardModel
 from eitskin.simulator.frame import Frame
@@ -23,7 +24,7 @@ class Simulator:
 
     Attributes:
         design: the sensor.
-        fixture: the hinge that bends it.
+        fixture: what bends it.
         protocol: which pairs are measured.
         model: the forward model; `model.factorisations` counts the work done.
     """
@@ -32,7 +33,7 @@ class Simulator:
         self,
         design: SensorDesign,
         resolution: Resolution | Discretisation = "standard",
-        fixture: Hinge | None = None,
+        fixture: Fixture | None = None,
         protocol: Protocol | None = None,
     ) -> None:
         """Mesh the sensor, with faces where the fixture clamps it.
@@ -44,10 +45,12 @@ class Simulator:
             protocol: every pair of electrodes when omitted.
         """
         self.design = design
-        self.fixture = fixture or Hinge()
+        self.fixture: Fixture = fixture or Hinge()
         self.protocol = protocol or Protocol.pairwise(len(design.electrodes))
         middle, half = design.outline.length / 2, self.fixture.span / 2
-        self.model = ForwardModel(design, resolution, breaks=(middle - half, middle + half))
+        # Without a transition F jumps at the clamps: the mesh must have faces there.
+        breaks = () if self.fixture.transition else (middle - half, middle + half)
+        self.model = ForwardModel(design, resolution, breaks=breaks)
         self._last: tuple[Scene, NDArray[np.inexact]] | None = None
 
     @cached_property
@@ -73,11 +76,17 @@ class Simulator:
         parts: list[Deformation] = []
         if scene.touches:
             parts.append(Dents(scene.touches))
+        if scene.roll is not None:
+            parts.append(scene.roll.deformation(self.design))
         if scene.bend.angle_deg:
             parts.append(self.fixture.flexure(self.design, scene.bend))
-        if len(parts) == 2:
-            return Composed(*parts)
-        return parts[0] if parts else None
+        if scene.twist is not None:
+            parts.append(scene.twist.deformation(self.design))
+        return reduce(Composed, parts) if parts else None
+
+    def deformed(self, deformation: Deformation) -> Frame:
+        """The frame of the sensor under any deformation, such as `Displaced` by a function."""
+        return Frame(self._measured(self._deformed(deformation)), self.protocol)
 
     def measure(
         self,
@@ -95,7 +104,7 @@ class Simulator:
         """
         if self._last is None or self._last[0] != scene:
             self._last = (scene, self._impedance(scene))
-        impedance = self.protocol.measure(self._last[1]).astype(np.complex128)
+        impedance = self._measured(self._last[1])
         if instrument is not None:
             if rng is None:
                 raise ConfigurationError(
@@ -106,10 +115,15 @@ class Simulator:
 
     def _impedance(self, scene: Scene) -> NDArray[np.inexact]:
         deformation = self.deformation(scene)
-        if deformation is None:
-            return self.model.impedance()
+        return self.model.impedance() if deformation is None else self._deformed(deformation)
+
+    def _deformed(self, deformation: Deformation) -> NDArray[np.inexact]:
         sigma = self.design.conductivity_at
         return self.model.impedance(
             conductivity=lambda x: sigma(x)[..., None, None] * pulled_back(deformation.gradient(x)),
             area_ratio=lambda x, normal: area_ratio(deformation.gradient(x), normal),
         )
+
+    def _measured(self, impedance: NDArray[np.inexact]) -> NDArray[np.complex128]:
+        measured: NDArray[np.complex128] = self.protocol.measure(impedance).astype(np.complex128)
+        return measured

@@ -4,6 +4,9 @@ import numpy as np
 import pytest
 
 from eitskin.geometry import Bend, ConfigurationError, FrameError, Hinge, SensorDesign
+from eitskin.geometry.bend import FreeArc
+from eitskin.geometry.deformation import Displaced
+from eitskin.geometry.twist import Roll, Twist
 from eitskin.simulator import (
     Cylinder,
     Frame,
@@ -50,6 +53,46 @@ def test_without_hinge_offset_the_bend_signal_is_second_order() -> None:
     }
     assert signal[20] == pytest.approx(signal[-20], rel=0.02, abs=1e-6)
     assert signal[20] == pytest.approx(4 * signal[10], rel=0.02, abs=1e-5)
+
+
+def test_composing_with_what_does_nothing_changes_nothing(sim) -> None:
+    touch = (Touch(0.06, 0.02, 8.0),)
+    plain = sim.measure(Scene(Bend(20.0), touch)).impedance
+    same = sim.measure(Scene(Bend(20.0), touch, roll=Roll(0.0), twist=Twist(0.0))).impedance
+    assert same == pytest.approx(plain, rel=1e-12)
+    still = sim.deformed(Displaced(np.zeros_like)).impedance
+    assert still == pytest.approx(sim.measure(Scene()).impedance, rel=1e-10)
+
+
+def test_rigid_motions_are_not_felt(sim, flat) -> None:
+    turn = np.array([[0.6, -0.8, 0.0], [0.8, 0.6, 0.0], [0.0, 0.0, 1.0]])
+    moved = sim.deformed(Displaced(lambda x: x @ (turn.T - np.eye(3)) + 0.1)).impedance
+    assert moved.real == pytest.approx(flat, rel=1e-9)
+
+
+def test_a_twist_does_not_know_its_sense_but_by_the_electrodes(sim, flat) -> None:
+    """Twisting back mirrors the sensor: electrodes 0, 1, 2 take the places of 6, 5, 4."""
+    there, back = (
+        sim.measure(Scene(twist=Twist(sign * 60.0))).impedance.real for sign in (1.0, -1.0)
+    )
+    mirror = [6, 5, 4, 3, 2, 1, 0, 7]
+    labels = list(Protocol.pairwise(8).table)
+    pairs = [tuple(sorted((mirror[a], mirror[b]))) for a, b, _, _ in labels]
+    order = [labels.index((a, b, a, b)) for a, b in pairs]
+    assert there[order] == pytest.approx(back, rel=1e-9)
+    assert np.abs(there / flat - 1).max() > 1e-3
+
+
+def test_a_roll_stretches_nothing_at_first_order(sim, flat) -> None:
+    one, two = (sim.measure(Scene(roll=Roll(a))).impedance.real / flat - 1 for a in (20.0, 40.0))
+    assert np.linalg.norm(two) == pytest.approx(4 * np.linalg.norm(one), rel=0.1)
+
+
+def test_a_free_arc_bends_the_sensor_into_a_ring(flat) -> None:
+    ring = Simulator(SensorDesign.reference(), "fast", fixture=FreeArc(0.150))
+    R = ring.measure(Scene(Bend(360.0))).impedance.real
+    assert np.all(np.isfinite(R))
+    assert np.abs(R / flat - 1).max() < 0.5
 
 
 def test_touch_signal_is_below_one_percent_and_grows_with_force(sim, flat) -> None:
