@@ -60,7 +60,7 @@ class Pad:
         step = np.roll(self.corners, -1, axis=0) - self.corners
         lines = []
         for start, along in zip(self.corners, step, strict=True):
-            count = math.ceil(float(np.linalg.norm(along)) / spacing - 1e-9)
+            count = max(1, math.ceil(float(np.linalg.norm(along)) / spacing - 1e-9))
             lines.append(start + np.arange(count)[:, None] / count * along)
         return np.concatenate(lines)
 

@@ -177,11 +177,6 @@ class SensorDesign:
             )
         return side
 
-    def perimeter_span(self, index: int) -> tuple[float, float]:
-        """Start and end of electrode `index` along the outline, counter-clockwise from 0 [m]."""
-        strip = self._strip(index)
-        return strip.start, strip.end
-
     def _strip(self, index: int) -> Strip:
         (strip,) = placed(self.electrodes[index : index + 1], self.outline, self.thickness)
         if not isinstance(strip, Strip):

@@ -55,8 +55,8 @@ class Strip:
 
     def edges(self, spacing: float) -> Array:
         """Points along its rim, where that is not the rim of the layer, (k, 3) [m]."""
-        rows = np.linspace(self.low, self.high, _count(self.high - self.low, spacing))
-        around = np.linspace(self.start, self.end, _count(self.end - self.start, spacing))
+        rows = _divided(self.low, self.high, spacing)
+        around = np.concatenate([_divided(a, b, spacing) for a, b in self._pieces()])
         lines = [(np.full_like(rows, s), rows) for s in (self.start, self.end)]
         # At the rim of the layer the potential has no singularity: it continues mirrored.
         same = _SAME * self.thickness
@@ -116,9 +116,9 @@ def on_side(electrode: Electrode, outline: PlaneOutline, thickness: float) -> St
     return Strip(outline, thickness, start, end, max(low, 0.0), min(high, thickness))
 
 
-def _count(length: float, spacing: float) -> int:
-    """How many points along a line are at most `spacing` apart."""
-    return math.ceil(length / spacing - 1e-9) + 1
+def _divided(start: float, end: float, spacing: float) -> Array:
+    """Both ends, and places between that are at most `spacing` apart."""
+    return np.linspace(start, end, max(2, math.ceil((end - start) / spacing - 1e-9) + 1))
 
 
 def _depth(outline: PlaneOutline, a: Array, b: Array) -> float:

@@ -169,6 +169,15 @@ def test_edges_of_the_reference_sensor_are_upright_lines():
     assert np.diff(line).max() <= 0.005 / 8 + 1e-12
 
 
+def test_edges_have_both_ends_however_wide_the_spacing():
+    round_the_corner = Electrode(0.0, 0.002, 0.01, height=0.002)
+    pad = Electrode(0.03, 0.025, 0.01, height=0.02, on="top")
+    edges = SensorDesign(SLAB, THICKNESS, (round_the_corner, pad)).edges(spacing=math.inf)
+    corners = [(x, y, THICKNESS) for x in (0.025, 0.035) for y in (0.015, 0.035)]
+    corners += [(x, y, z) for x, y in ((0, 0.007), (0, 0), (0.003, 0)) for z in (0.001, 0.003)]
+    assert {tuple(p) for p in (edges + 0.0).round(9).tolist()} == set(corners)
+
+
 def test_edges_run_around_what_lies_within_a_face(ball):
     part = Electrode(0.03, 0.0, height=0.002, z=0.002)
     standing = Electrode(0.06, 0.0, height=0.002, z=0.001)
