@@ -70,8 +70,9 @@ class Simulator:
         for touch in scene.touches:
             if not outline.contains(np.array([touch.x, touch.y])):
                 raise ConfigurationError(
-                    f"a touch must lie on the {outline.length:g} x {outline.width:g} m layer, got "
-                    f"({touch.x:g}, {touch.y:g}) m; are the units metres?"
+                    f"a touch must lie on the {type(outline).__name__.lower()} of "
+                    f"{outline.length:g} x {outline.width:g} m, got ({touch.x:g}, {touch.y:g}) m; "
+                    "are the units metres?"
                 )
         parts: list[Deformation] = []
         if scene.touches:

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from eitskin.geometry import Bend, ConfigurationError, FrameError, Hinge, SensorDesign
+from eitskin.geometry import Bend, ConfigurationError, Disc, FrameError, Hinge, SensorDesign
 from eitskin.geometry.bend import FreeArc
 from eitskin.geometry.deformation import Displaced
+from eitskin.geometry.layouts import uniform
 from eitskin.geometry.twist import Roll, Twist
 from eitskin.simulator import (
     Cylinder,
@@ -164,6 +165,14 @@ def test_impossible_scenes_are_refused(sim) -> None:
         sim.measure(Scene(bend=Bend(-90.0)))
     with pytest.raises(ConfigurationError, match="radius"):
         Touch(0.05, 0.02, 10.0, Cylinder(0.02))
+
+
+def test_a_touch_lies_on_the_outline_not_only_in_its_bounding_box() -> None:
+    disc = Disc(0.04)
+    round_sensor = Simulator(SensorDesign(disc, 0.005, uniform(disc, 4)), resolution="fast")
+    assert np.isfinite(round_sensor.measure(Scene(touches=(Touch(0.02, 0.04),))).impedance).all()
+    with pytest.raises(ConfigurationError, match=r"lie on the disc of 0.08 x 0.08 m, got \(0.005,"):
+        round_sensor.measure(Scene(touches=(Touch(0.005, 0.005),)))
 
 
 def test_scenes_read_from_toml(tmp_path) -> None:
