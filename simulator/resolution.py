@@ -20,9 +20,9 @@ _COLUMNS: dict[str, tuple[tuple[int, ...], float, float, float]] = {
 }
 # Triangles are refined around electrode edges only, not along whole lines, so they can be finer.
 _PRISMS: dict[str, tuple[tuple[int, ...], float, float, float]] = {
-    "fast": ((2, 1, 1), 0.2, 0.10, 0.7),
-    "standard": ((3, 2, 1), 0.04, 0.10, 1.0),
-    "fine": ((4, 3, 2), 2e-3, 0.13, 1.0),
+    "fast": ((2, 1, 1), 0.2, 0.12, 1.2),
+    "standard": ((3, 2, 1), 0.04, 0.13, 1.2),
+    "fine": ((4, 3, 2), 4e-3, 0.13, 1.5),
 }
 _TETRAHEDRA: dict[str, tuple[tuple[int, ...], float, float, float]] = {
     "fast": ((1,), 0.3, 0.10, 0.7),
