@@ -169,10 +169,11 @@ def _within_limits(
     while bad - good > 1e-9:
         middle = 0.5 * (good + bad)
         good, bad = (middle, bad) if possible(sign * middle) else (good, middle)
+    last = sign * math.floor(good * 10.0 + 1e-6) / 10.0
     raise ConfigurationError(
         f"a bend of {bend.angle_deg:g} deg is not possible with {fixture}; the last possible "
-        f"angle in this direction is {sign * math.floor(good * 10.0 + 1e-6) / 10.0:.1f} deg. Bend less, "
-        "bend over a greater length, or change the fixture"
+        f"angle in this direction is {last:.1f} deg. Bend less, bend over a greater length, or "
+        "change the fixture"
     )
 
 

@@ -13,8 +13,6 @@ import itertools
 import json
 import math
 import numbers
-import os
-import tempfile
 import tomllib
 import types
 import typing
@@ -26,6 +24,7 @@ from typing import Any, TypeGuard, TypeVar
 import msgspec
 
 from eitskin.geometry.errors import ConfigurationError
+from eitskin.geometry.whole_file import whole_file
 
 T = TypeVar("T")
 
@@ -257,19 +256,9 @@ def write_toml(value: object, path: str | Path) -> str:
 
     Raises ConfigurationError where the file cannot be written.
     """
-    path, text = Path(path), to_toml(value)
-    try:
-        handle, name = tempfile.mkstemp(prefix=f".{path.name}-", dir=path.parent)
-        try:
-            with os.fdopen(handle, "w", encoding="utf-8") as file:
-                file.write(text)
-            Path(name).chmod(0o644)  # mkstemp's 0600 would keep others from reading it
-            Path(name).replace(path)
-        except BaseException:
-            Path(name).unlink()
-            raise
-    except OSError as error:
-        raise ConfigurationError(f"cannot write {path}: {error.strerror or error}") from error
+    text = to_toml(value)
+    with whole_file(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
     return text
 
 

@@ -10,6 +10,7 @@ from eitskin.geometry.outline import Rectangle
 from eitskin.geometry.sensor import SensorDesign
 from eitskin.geometry.structured import structured_mesh
 from eitskin.geometry.surface import Surface
+from eitskin.geometry.triangulated import triangulated_mesh
 
 CellKind = Literal["hexahedra", "prisms", "tetrahedra"]
 
@@ -43,8 +44,6 @@ def mesh_of(
     if cells == "hexahedra":
         return structured_mesh(design, grading, breaks)
     if cells == "prisms":
-        from eitskin.geometry.triangulated import triangulated_mesh
-
         return triangulated_mesh(design, grading)
     if cells == "tetrahedra":
         from eitskin.geometry.tetrahedral import tetrahedral_mesh

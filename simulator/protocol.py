@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from eitskin.geometry import ConfigurationError
-from eitskin.simulator.whole_file import whole_file
+from eitskin.geometry.whole_file import whole_file
 
 Row: TypeAlias = tuple[int, int, int, int]
 

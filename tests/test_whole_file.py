@@ -3,7 +3,7 @@
 import pytest
 
 from eitskin.geometry import ConfigurationError
-from eitskin.simulator.whole_file import whole_file
+from eitskin.geometry.whole_file import whole_file
 
 
 def test_a_block_that_raises_leaves_the_old_file_and_nothing_else(tmp_path) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from eitskin.geometry import ConfigurationError
+from eitskin.geometry.errors import ConfigurationError
 
 
 @contextmanager
