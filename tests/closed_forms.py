@@ -30,16 +30,27 @@ def sector_between_arcs(angle: float, inner: float, outer: float, z: float = 0.0
     return (np.log(outer / inner) + z * (1 / inner + 1 / outer)) / angle
 
 
-def shunt_pair(a: float, b: float, edges: Sequence[Place]) -> float:
-    """K(1-m) / K(m): a rectangle a x b between two shunt electrodes on its rim.
+def shunt_resistance(m: float, rest: float) -> float:
+    """K(1-m) / K(m): a half-plane between two shunt electrodes; `rest` is 1 - m.
 
-    `edges` are the ends of the first and of the second electrode, in turn round the rim. m is the
-    cross-ratio of the four after the map of the rectangle to the upper half-plane by sn
-    (Schwarz-Christoffel), so that the rest is a rectangle K(1-m) long and K(m) wide.
+    m is the cross-ratio (a1 - a2) (b1 - b2) / ((a1 - b1) (a2 - b2)) of the ends a1, a2 of one
+    electrode and b1, b2 of the other, in turn. The half-plane is then a rectangle K(1-m) long
+    and K(m) wide.
+    """
+    return float(ellipkm1(m) / ellipkm1(rest))
+
+
+def shunt_pair(a: float, b: float, edges: Sequence[Place]) -> float:
+    """A rectangle a x b between two shunt electrodes on its rim.
+
+    `edges` are the ends of the first and of the second electrode, in turn round the rim. sn maps
+    the rectangle to the upper half-plane (Schwarz-Christoffel).
     """
     p = [_on_real_line(a, b, place) for place in edges]
-    m = abs(_minor(p[0], p[1]) * _minor(p[2], p[3]) / (_minor(p[0], p[2]) * _minor(p[1], p[3])))
-    return float(ellipkm1(m) / ellipk(m))
+    whole = _minor(p[0], p[2]) * _minor(p[1], p[3])
+    m = abs(_minor(p[0], p[1]) * _minor(p[2], p[3]) / whole)
+    rest = abs(_minor(p[0], p[3]) * _minor(p[1], p[2]) / whole)
+    return shunt_resistance(m, rest)
 
 
 def _minor(p: Place, q: Place) -> float:
