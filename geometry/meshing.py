@@ -7,6 +7,7 @@ from eitskin.geometry.errors import ConfigurationError
 from eitskin.geometry.grading import Grading
 from eitskin.geometry.mesh import Mesh
 from eitskin.geometry.outline import Rectangle
+from eitskin.geometry.quality import check_quality
 from eitskin.geometry.sensor import SensorDesign
 from eitskin.geometry.structured import structured_mesh
 from eitskin.geometry.surface import Surface
@@ -37,16 +38,21 @@ def mesh_of(
         breaks: further x at which hexahedra have faces [m]; other cells pay them no heed.
 
     Raises:
-        ConfigurationError: where the cells cannot fill the outline.
+        ConfigurationError: where the cells cannot fill the outline, or some are misshapen.
         ImportError: for tetrahedra without the extra "mesh".
     """
     cells = cells or natural_cells(design)
+    if cells not in get_args(CellKind):
+        raise ConfigurationError(
+            f"cells must be one of {', '.join(get_args(CellKind))}, got {cells!r}"
+        )
     if cells == "hexahedra":
-        return structured_mesh(design, grading, breaks)
-    if cells == "prisms":
-        return triangulated_mesh(design, grading)
-    if cells == "tetrahedra":
+        mesh = structured_mesh(design, grading, breaks)
+    elif cells == "prisms":
+        mesh = triangulated_mesh(design, grading)
+    else:
         from eitskin.geometry.tetrahedral import tetrahedral_mesh
 
-        return tetrahedral_mesh(design, grading)
-    raise ConfigurationError(f"cells must be one of {', '.join(get_args(CellKind))}, got {cells!r}")
+        mesh = tetrahedral_mesh(design, grading)
+    check_quality(mesh)
+    return mesh
