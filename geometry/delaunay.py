@@ -21,8 +21,8 @@ Flags = NDArray[np.bool_]
 _COARSE = 20.0
 _WORST_RATIO = 0.5 / np.sin(np.radians(28.0))
 _CHORDS = 24  # a circle has at least so many
-_MOST_ROUNDS = 1000
-_MOST_POINTS = 1_000_000
+_MOST_ROUNDS = 300
+_MOST_POINTS = 500_000
 _SAME = 1e-9  # what counts as one place or length, relative
 
 
@@ -45,7 +45,7 @@ def triangulated(
         points: (n, 2), by rising x [m].
         triangles: (m, 3) point numbers, counter-clockwise.
 
-    Raises ConfigurationError where more than a million points were needed, or where electrode
+    Raises ConfigurationError where more than half a million points were needed, or where electrode
     ends and corners allow no triangulation.
     """
     points, triangles = coarse_triangulation(outline, fixed, coarsest)
@@ -56,8 +56,9 @@ def triangulated(
         large = np.flatnonzero(longest > size(corners.mean(axis=1)) * (1.0 + _SAME))
         if not len(large):
             return _numbered_along_x(mesh.p.T, mesh.t.T.astype(np.int64))
+        # Each takes at least one new edge midpoint, shared with one other.
+        _require_few(mesh.p.shape[1] + len(large) // 2)
         mesh = mesh.refined(large)
-        _require_few(mesh.p.shape[1])
         if isinstance(outline, Disc):
             rim = mesh.boundary_nodes()
             arc, _ = outline.nearest(mesh.p.T[rim])

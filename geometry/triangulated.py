@@ -27,7 +27,8 @@ def triangulated_mesh(design: SensorDesign, grading: Grading) -> Mesh:
         design: the sensor; its outline must be plane.
         grading: longest edges of the triangles, and layers.
 
-    Raises ConfigurationError for a surface, and where more than a million points were needed.
+    Raises ConfigurationError for a surface, and where the triangles needed more than half a
+    million points.
     """
     outline = design.outline
     if isinstance(outline, Surface):
