@@ -1,0 +1,148 @@
+"""Equilibrium of a solid under loads: Newton's method, and loads applied in steps."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csc_array
+from scipy.sparse.linalg import splu
+
+from eitskin.geometry import ConfigurationError
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+_ITERATIONS = 14
+_TOLERANCE = 1e-7  # last correction against the largest unknown; what is left is its square
+_HALVINGS = 6  # of a correction that would turn a cell inside out
+_SMALLEST_STEP = 1.0 / 200.0
+
+
+class SolidError(ConfigurationError):
+    """A load under which a solid has no stable equilibrium that was found.
+
+    Attributes:
+        reached: the fraction of the load that was carried.
+    """
+
+    def __init__(self, message: str, reached: float = 0.0) -> None:
+        """Say what was asked, what was reached and what to change."""
+        super().__init__(message)
+        self.reached = reached
+
+
+class Part(Protocol):
+    """Something that exerts forces on the unknowns: a solid, a contact."""
+
+    @property
+    def multipliers(self) -> int:
+        """How many unknowns are multipliers of constraints, such as pressures."""
+        ...
+
+    def linearise(self, x: Array) -> tuple[Array, csc_array]:
+        """Forces (n,) and symmetric stiffness (n, n) at the unknowns x (n,)."""
+        ...
+
+    def admissible(self, x: Array) -> bool:
+        """Whether x is possible at all."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Load:
+    """What acts on the unknowns.
+
+    Attributes:
+        fixed: unknowns that are prescribed.
+        values: their values, (len(fixed),).
+        forces: dead forces on all unknowns, (n,).
+    """
+
+    fixed: Indices
+    values: Array
+    forces: Array
+
+
+def newton(parts: Sequence[Part], x: Array, load: Load) -> Array:
+    """The stable equilibrium near x; corrections that would invert a cell are halved.
+
+    Raises SolidError where none is found; `follow` takes smaller steps then.
+    """
+    free = np.setdiff1d(np.arange(len(x)), load.fixed)
+    constraints = sum(part.multipliers for part in parts)
+    for _ in range(_ITERATIONS):
+        step, negative = _correction(parts, x, load, free)
+        trials = (x + 0.5**k * step for k in range(_HALVINGS + 1))
+        trial = next((y for y in trials if all(part.admissible(y) for part in parts)), None)
+        if trial is None:
+            raise SolidError("cells are turned inside out")
+        x = trial
+        if np.abs(step).max() <= _TOLERANCE * np.abs(x).max():
+            if negative != constraints:
+                raise SolidError("the equilibrium is unstable: it would buckle or crease")
+            return x
+    raise SolidError(f"Newton's method does not converge in {_ITERATIONS} iterations")
+
+
+def _correction(parts: Sequence[Part], x: Array, load: Load, free: Indices) -> tuple[Array, int]:
+    """The Newton step and the number of negative pivots of the stiffness.
+
+    The potential has a minimum over displacements, given the constraints, where there are as many
+    negative pivots as multipliers (Sylvester's law of inertia).
+    """
+    linearised = [part.linearise(x) for part in parts]
+    residual = sum((forces for forces, _ in linearised), start=-load.forces)
+    K = sum((stiffness for _, stiffness in linearised[1:]), start=linearised[0][1])
+    step = np.zeros_like(x)
+    step[load.fixed] = load.values - x[load.fixed]
+    try:
+        # Pivots stay on the diagonal, where their signs count; what that costs in accuracy the
+        # next iteration mends, since it starts from the true forces.
+        lu = splu(
+            K[free][:, free].tocsc(),
+            permc_spec="MMD_AT_PLUS_A",
+            diag_pivot_thresh=0.0,
+            options={"SymmetricMode": True},
+        )
+    except RuntimeError as error:
+        raise SolidError("the stiffness is singular") from error
+    step[free] = lu.solve((-residual - K @ step)[free])
+    if not np.all(np.isfinite(step)):
+        raise SolidError("the stiffness is singular")
+    return step, int(np.count_nonzero(lu.U.diagonal() < 0.0))
+
+
+def follow(
+    parts: Sequence[Part],
+    x: Array,
+    path: Callable[[float], Load],
+    first_step: float = 1.0,
+) -> Array:
+    """The equilibrium under path(1), from x under path(0), in as few steps as will do.
+
+    Raises SolidError, with the fraction reached, where even small steps find no equilibrium.
+    """
+    t, step, growth = 0.0, first_step, 2.0
+    previous, previous_t = x, 0.0
+    while t < 1.0:
+        target = min(1.0, t + step)
+        slope = (x - previous) / (t - previous_t) if t > previous_t else 0.0
+        guess = x + (target - t) * slope
+        if not all(part.admissible(guess) for part in parts):
+            guess = x
+        try:
+            reached = newton(parts, guess, path(target))
+        except SolidError as error:
+            step, growth = 0.5 * (target - t), 1.0
+            if step < _SMALLEST_STEP:
+                raise SolidError(
+                    f"the solid carries {t:.1%} of the load only; beyond, {error}. Load it less, "
+                    "or refine the mesh where it is strained most",
+                    reached=t,
+                ) from None
+            continue
+        previous, previous_t, x, t = x, t, reached, target
+        step, growth = growth * step, 2.0
+    return x
