@@ -59,7 +59,10 @@ def graded_lines(
     attractors = near if len(near) else np.array([-np.inf])
     pieces = [fixed[:1]]
     for start, end in itertools.pairwise(fixed):
-        fine = np.linspace(start, end, 513)
+        # Samples close enough to follow the size: even ones, and geometric ones from both ends.
+        steps = np.geomspace(min(1e-2 * grading.finest, end - start), end - start, 400)
+        even = np.linspace(start, end, 401)
+        fine = np.unique(np.clip(np.concatenate([even, start + steps, end - steps]), start, end))
         middle = 0.5 * (fine[:-1] + fine[1:])
         size = grading.size(np.abs(middle[:, None] - attractors).min(axis=1))
         # Cumulative number of cells; lines go where it crosses equal steps.

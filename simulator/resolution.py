@@ -15,8 +15,8 @@ Discretisation: TypeAlias = tuple[tuple[int, ...], Grading]
 # and how wrong it is: `eitskin bench accuracy`.
 _COLUMNS: dict[str, tuple[tuple[int, ...], float, float, float]] = {
     "fast": ((2, 1, 1), 0.2, 0.10, 1.5),
-    "standard": ((3, 2, 1), 0.024, 0.10, 2.5),
-    "fine": ((5, 4, 3), 4e-4, 0.117, 2.0),
+    "standard": ((3, 2, 1), 0.04, 0.117, 2.0),
+    "fine": ((5, 4, 3), 4e-3, 0.13, 2.0),
 }
 # Triangles are refined around electrode edges only, not along whole lines, so they can be finer.
 _PRISMS: dict[str, tuple[tuple[int, ...], float, float, float]] = {
