@@ -36,8 +36,8 @@ LIMITS = {
     "sheet": (1e-9, np.inf),
     "contact": (1e-7, 1.0),
     "contacts": (0.0, 1.0),
-    "place": (-0.025, 0.025),
-    "width": (0.1, 1.4),
+    "place": (-0.03, 0.03),
+    "width": (0.1, 1.3),
     "constant": (-np.inf, np.inf),
 }
 

@@ -101,7 +101,7 @@ def test_two_shunt_electrodes_on_a_rectangle(name) -> None:
         Rectangle(0.15, 0.06), *(Electrode(*place, 0.005, 1e-9) for place in places)
     )
     R = resistance(ForwardModel(design, ((4,), SHARP)))
-    assert R * THICKNESS == pytest.approx(exact, rel=5e-4)
+    assert R * THICKNESS == pytest.approx(exact, rel=5e-5)
 
 
 def test_shunt_electrodes_over_whole_sides_leave_a_plain_rectangle() -> None:

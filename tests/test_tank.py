@@ -17,7 +17,7 @@ from eitskin.geometry.grading import Grading
 
 DATA = Path(os.environ.get("EITSKIN_DATA", Path(__file__).parents[2] / "shared" / "data"))
 QUICK = ((3,), Grading(finest=1e-3, coarsest=6e-2, growth=1.5))
-COUNT, RADIUS, WIDTH = 8, 0.115, 0.35
+COUNT, RADIUS, WIDTH = 6, 0.115, 0.5
 SHEET, CONTACT = 1.7, 2e-3
 
 
@@ -124,8 +124,8 @@ def test_files_are_read(tank, tmp_path) -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"Injref": np.ones((COUNT, 14))}, "one positive and one negative"),
-        ({"Uelref": np.ones(5)}, "expected 14 patterns x 7 channels of voltages, got 5"),
+        ({"Injref": np.ones((COUNT, 10))}, "one positive and one negative"),
+        ({"Uelref": np.ones(5)}, "expected 10 patterns x 5 channels of voltages, got 5"),
         ({"g": np.random.default_rng(0).random((3 * COUNT, 2))}, "at equal distances"),
     ],
 )
