@@ -4,7 +4,17 @@ import sys
 
 import typer
 
-from eitskin.cli import board, demo, evaluate, generate, import_recording, live, simulate, train
+from eitskin.cli import (
+    bench,
+    board,
+    demo,
+    evaluate,
+    generate,
+    import_recording,
+    live,
+    simulate,
+    train,
+)
 from eitskin.geometry import EitskinError
 
 app = typer.Typer(
@@ -22,6 +32,7 @@ app.command("evaluate")(evaluate.command)
 app.command("board")(board.command)
 app.command("live")(live.command)
 app.command("demo")(demo.command)
+app.add_typer(bench.app, name="bench")
 
 EXIT_USAGE = 2
 EXIT_INTERRUPTED = 130

@@ -1,0 +1,135 @@
+"""`eitskin bench`: measurements of the package itself, with what they were made on."""
+
+import dataclasses
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.table import Table
+
+from eitskin.cli.options import Json, Output, Quiet, Seed, Verbose
+from eitskin.geometry import ConfigurationError
+
+if TYPE_CHECKING:
+    from eitskin.benchmarks.accuracy import Accuracy
+
+app = typer.Typer(help="Measure errors and times.", no_args_is_help=True)
+
+
+@app.callback()
+def benchmarks() -> None:
+    """Keep the names of the benchmarks, even while there is only one."""
+
+
+@app.command("accuracy")
+def accuracy(
+    out: Annotated[Path, typer.Option(help="Folder for the tables and the plot.")] = Path(
+        "build/bench"
+    ),
+    *,
+    quick: Annotated[bool, typer.Option("--quick", help="Few models, in seconds.")] = False,
+    seed: Seed = 0,
+    json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Error against run time of the forward model, beside pyEIT: table, CSV and plot."""
+    from eitskin.benchmarks.accuracy import run
+    from eitskin.benchmarks.accuracy_report import misses, write
+
+    output = Output(json, quiet, verbose)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigurationError(f"cannot make the folder {out}: {error.strerror}") from error
+    found = run(seed, quick, _watched(output))
+    paths = write(found, out)
+    output.result(_as_data(found, paths), _as_table(found))
+    output.show(_deformed_table(found))
+    for line in (*_sentences(found), *misses(found)):
+        output.show(line)
+    output.note("written: " + ", ".join(str(path) for path in paths))
+
+
+def _watched(output: Output) -> "Any":
+    """A progress bar around the items that a benchmark goes through."""
+
+    def watch(text: str, items: Sequence[Any]) -> Iterable[Any]:
+        with output.progress() as bar:
+            task = bar.add_task(text, total=len(items), rate="")
+            for item in items:
+                bar.update(task, rate=str(getattr(item, "family", "")))
+                yield item
+                bar.advance(task)
+
+    return watch
+
+
+def _as_data(found: "Accuracy", paths: list[Path]) -> dict[str, Any]:
+    return dataclasses.asdict(found) | {
+        "ratios": [duel.ratio for duel in found.duels],
+        "files": [str(path) for path in paths],
+    }
+
+
+def _as_table(found: "Accuracy") -> Table:
+    table = Table(
+        "mesh, element, solver",
+        "resolution",
+        "solved by",
+        "nodes",
+        "unknowns",
+        "setup, s",
+        "ms/frame",
+        "error of R",
+        "of signal",
+        "z = 1e-4",
+        caption=str(found.provenance),
+    )
+    for column in table.columns[3:]:
+        column.justify = "right"
+    last = None
+    for point in found.points:
+        table.add_row(
+            point.family if point.family != last else "",
+            point.name,
+            point.solver,
+            str(point.nodes),
+            str(point.unknowns),
+            f"{point.setup_seconds:.2f}",
+            f"{1e3 * point.frame_seconds:.1f}",
+            f"{point.resistance_error:.1e}",
+            f"{point.signal_error:.1e}",
+            "" if point.published_error is None else f"{point.published_error:.1e}",
+        )
+        last = point.family
+    return table
+
+
+def _deformed_table(found: "Accuracy") -> Table:
+    scenes = list(found.deformed[0].signal_errors)
+    table = Table("signal errors", "ms/frame", *scenes)
+    for column in table.columns[1:]:
+        column.justify = "right"
+    for row in found.deformed:
+        errors = [f"{row.signal_errors[scene]:.1e}" for scene in scenes]
+        table.add_row(row.name, f"{1e3 * row.frame_seconds:.1f}", *errors)
+    return table
+
+
+def _sentences(found: "Accuracy") -> Iterable[str]:
+    yield (
+        f"two references differ by {found.resistance_error:.1e} in R and "
+        f"{found.signal_error:.1e} in the signal"
+    )
+    for duel in found.duels:
+        yield (
+            f"{duel.other.family}, {duel.other.nodes} nodes: pyEIT "
+            f"{1e3 * duel.other.frame_seconds:.0f} ms per frame with the seven drives it needs, "
+            f"ours on the same nodes {1e3 * duel.own.frame_seconds:.1f} ms, "
+            f"{duel.ratio:.0f} times faster; new geometry {duel.other.setup_seconds:.1f} s against "
+            f"{duel.own.setup_seconds:.2f} s"
+        )
+    if not found.duels:
+        yield "pyEIT is not installed and was left out: pip install 'eitskin[bench]'"
