@@ -23,9 +23,10 @@ def between(start, end, z=1e-9):
     return Electrode(*OUTLINE.at((start + end) / 2).tolist(), end - start, z)
 
 
-def resistance(design, order=(4,), finest=1e-6) -> complex:
-    grading = Grading(finest, coarsest=2e-2, growth=1.5, layers=1)
-    return Protocol.pairwise(2).measure(ForwardModel(design, (order, grading)).impedance())[0]
+def resistance(design, order=(4,), finest=1e-6, growth=1.5, cells=None) -> complex:
+    grading = Grading(finest, coarsest=2e-2, growth=growth, layers=1)
+    model = ForwardModel(design, (order, grading), cells=cells)
+    return Protocol.pairwise(2).measure(model.impedance())[0]
 
 
 # Electrodes: tiny, huge, round corners
@@ -40,14 +41,27 @@ SPANS = {
 }
 
 
+def shunt_pair(spans):
+    """The design, and its resistance times its thickness."""
+    ends = OUTLINE.at(np.array(spans)).reshape(4, 2)
+    electrodes = tuple(between(*span, 1e-10) for span in spans)
+    exact = closed_forms.shunt_pair(OUTLINE.length, OUTLINE.width, ends.tolist())
+    return SensorDesign(OUTLINE, THICKNESS, electrodes), exact
+
+
 @pytest.mark.parametrize("name", SPANS)
 def test_shunt_electrodes_of_any_size(name) -> None:
-    spans = SPANS[name]
-    ends = OUTLINE.at(np.array(spans)).reshape(4, 2)
-    exact = closed_forms.shunt_pair(0.15, 0.06, ends.tolist())
-    design = SensorDesign(OUTLINE, THICKNESS, tuple(between(*span, 1e-10) for span in spans))
-    R = resistance(design, finest=1e-3 * np.diff(np.ravel(spans)).min())
+    design, exact = shunt_pair(SPANS[name])
+    R = resistance(design, finest=1e-3 * np.diff(np.ravel(SPANS[name])).min())
     assert R * THICKNESS == pytest.approx(exact, rel=1e-4)
+
+
+@pytest.mark.parametrize("name", ["10 um and 5 mm", "round one corner"])
+def test_shunt_electrodes_of_any_size_on_prisms(name) -> None:
+    design, exact = shunt_pair(SPANS[name])
+    finest = 1e-2 * np.diff(np.ravel(SPANS[name])).min()
+    R = resistance(design, finest=finest, growth=1.0, cells="prisms")
+    assert R * THICKNESS == pytest.approx(exact, rel=2e-4)
 
 
 def test_overlapping_electrodes_are_refused() -> None:
