@@ -1,0 +1,64 @@
+"""Fields on a grid of boxes, quadratic in each."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+_AT_ONCE = 20_000  # points, so that what is gathered for them stays small
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class QuadraticField:
+    """A continuous field that is quadratic along each axis within each box, and its derivative.
+
+    Points outside the grid belong to the nearest box.
+
+    Attributes:
+        lines: where the boxes end along x, y and z [m].
+        values: at corners and middles of the boxes, (2 nx + 1, 2 ny + 1, 2 nz + 1, k).
+    """
+
+    lines: tuple[Array, Array, Array]
+    values: Array
+
+    def __call__(self, points: Array) -> Array:
+        """The field, (..., k), at points (..., 3) [m]."""
+        return self._in_parts(points, ((0, 0, 0),))[..., 0]
+
+    def derivative(self, points: Array) -> Array:
+        """Its derivative along x, y and z, (..., k, 3), exact inside the boxes."""
+        return self._in_parts(points, ((1, 0, 0), (0, 1, 0), (0, 0, 1)))
+
+    def _in_parts(self, points: Array, orders: tuple[tuple[int, int, int], ...]) -> Array:
+        flat = points.reshape(-1, 3)
+        parts = [
+            self._evaluated(flat[start : start + _AT_ONCE], orders)
+            for start in range(0, max(len(flat), 1), _AT_ONCE)
+        ]
+        return np.concatenate(parts).reshape(*points.shape[:-1], -1, len(orders))
+
+    def _evaluated(self, points: Array, orders: tuple[tuple[int, int, int], ...]) -> Array:
+        """Derivatives of these orders, (points, k, orders)."""
+        (i, a), (j, b), (k, c) = (
+            _functions(line, x) for line, x in zip(self.lines, points.T, strict=True)
+        )
+        near = self.values[i[:, :, None, None], j[:, None, :, None], k[:, None, None, :]]
+        found = np.empty((len(points), self.values.shape[-1], len(orders)))
+        for order, (x, y, z) in enumerate(orders):
+            plane = np.einsum("nabck,na->nbck", near, a[x])
+            found[..., order] = np.einsum("nbck,nb,nc->nk", plane, b[y], c[z], optimize=True)
+        return found
+
+
+def _functions(lines: Array, x: Array) -> tuple[Indices, tuple[Array, Array]]:
+    """Numbers of the three values along one axis that count, shape functions and slopes (n, 3)."""
+    cell = np.clip(np.searchsorted(lines, x, side="right") - 1, 0, len(lines) - 2)
+    size = np.diff(lines)[cell]
+    t = (x - lines[cell]) / size
+    values = np.stack([(1 - t) * (1 - 2 * t), 4 * t * (1 - t), t * (2 * t - 1)], axis=-1)
+    slopes = np.stack([4 * t - 3, 4 - 8 * t, 4 * t - 1], axis=-1) / size[:, None]
+    return 2 * cell[:, None] + np.arange(3), (values, slopes)
