@@ -15,22 +15,16 @@ class Contacts:
         cell: the cell that it bounds, (n,).
         corners: counter-clockwise seen from outside, (n, 3, 3) triangles or (n, 4, 3)
             parallelograms [m].
+        areas: that each piece stands for, (n,) [m2]. On flat faces its own; the chords of a curved
+            face are a little short, and are scaled so that an electrode has its true area.
         facets: per electrode the faces that it touches, (k, 3) or (k, 4) point numbers.
     """
 
     electrode: NDArray[np.int64]
     cell: NDArray[np.int64]
     corners: NDArray[np.float64]
+    areas: NDArray[np.float64]
     facets: tuple[NDArray[np.int64], ...]
-
-    @property
-    def areas(self) -> NDArray[np.float64]:
-        """Area of each piece, (n,) [m2]."""
-        edges = self.corners[:, [1, -1]] - self.corners[:, :1]
-        parallelogram = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
-        share = 0.5 if self.corners.shape[1] == 3 else 1.0
-        areas: NDArray[np.float64] = share * parallelogram
-        return areas
 
 
 @dataclass(frozen=True, slots=True, eq=False)

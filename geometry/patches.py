@@ -87,7 +87,7 @@ def electrode_contacts(points: Array, cells: Numbers, patches: Sequence[Patch]) 
     normals = _area_vectors(corners)
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     snap = _SNAP * float(np.linalg.norm(np.ptp(points, axis=0)))
-    pieces = []
+    pieces, stretch = [], []
     for number, patch in enumerate(patches):
         if patch.sheet is None:
             parts = [_on_boundary(corners, normals, owners, r, snap) for r in patch.regions]
@@ -96,13 +96,15 @@ def electrode_contacts(points: Array, cells: Numbers, patches: Sequence[Patch]) 
         found = _joined(parts)
         areas = np.linalg.norm(_area_vectors(found.polygons), axis=1)
         _check_area(number, float(areas.sum()), patch.area)
+        stretch.append(patch.area / areas.sum())
         real = areas > 1e-12 * patch.area
         pieces.append(_Pieces(found.polygons[real], found.cells[real], found.faces[real]))
     everything = _joined(pieces)
     electrode = np.repeat(np.arange(len(patches)), [len(p.cells) for p in pieces])
     chosen, shapes = _shapes(everything.polygons)
+    areas = np.linalg.norm(_area_vectors(shapes), axis=1) * np.array(stretch)[electrode[chosen]]
     facets = tuple(_facets(faces, piece.faces) for piece in pieces)
-    return Contacts(electrode[chosen], everything.cells[chosen], shapes, facets)
+    return Contacts(electrode[chosen], everything.cells[chosen], shapes, areas, facets)
 
 
 def boundary_faces(cells: Numbers) -> tuple[Numbers, Numbers]:

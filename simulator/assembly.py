@@ -65,6 +65,7 @@ class Assembly:
         unknowns: number of potential unknowns, those inside elements left out.
         rows, columns: of each value in the lower triangle of A; values of equal place add up.
         contact_entries: how many of them, the last ones, are the electrodes'.
+        contacts: where the electrodes touch.
         points: quadrature points of the cells, (cells, q, 3) [m].
         facet_points, facet_normals: of the electrodes' pieces, (pieces, q, 3) [m], [-].
         facet_electrode: the electrode that each piece belongs to, (pieces,).
@@ -110,6 +111,7 @@ class Assembly:
 
     def _prepare_electrodes(self, contacts: Contacts) -> None:
         space = self.space
+        self.contacts = contacts
         self.electrodes = len(contacts.facets)
         self.facet_electrode: Indices = contacts.electrode
         owners = contacts.cell // space.element.cells
@@ -135,7 +137,7 @@ class Assembly:
         i, j = self._pairs
         self.facet_shape: Array = shape
         self.facet_numbers: Indices = space.numbers[owners]
-        self.facet_weights: Array = lengths[:, None] * weights
+        self.facet_weights: Array = contacts.areas[:, None] * (weights / weights.sum())
         self._facet_products = shape[:, i] * shape[:, j]
         self._facet_rows, self._facet_columns = self._lower(self.facet_numbers)
 

@@ -35,6 +35,13 @@ class Element(Protocol):
     @property
     def face_degree(self) -> int: ...  # noqa: D102
 
+    def indicator(self, low: float, high: float) -> Array:
+        """Coefficients, (functions,), of a function that is one from height `low` to `high` [m].
+
+        It falls to zero at the next heights of points, where there are any.
+        """
+        ...
+
     def values(self, X: Array) -> Array:
         """phi_i, (functions, ...), at X (3, ...)."""
         ...
@@ -62,6 +69,15 @@ def plane_element(base: Base, order: int) -> skfem.Element:
         return known[order]()
     square = {1: skfem.ElementQuad1, 2: skfem.ElementQuad2}
     return square[order]() if order in square else skfem.ElementQuadP(order)
+
+
+def _coefficients_of_one(element: skfem.Element, base: Base) -> Array:
+    """Coefficients of the function that is one: all ones, or ones at the corners."""
+    shape = skfem.refdom.RefTri if base == "triangle" else skfem.refdom.RefQuad
+    X, _ = skfem.quadrature.get_quadrature(shape, 2 * element.maxdeg)
+    values = np.stack([element.lbasis(X, i)[0] for i in range(len(element.doflocs))])
+    found = np.linalg.lstsq(values.T, np.ones(X.shape[1]))[0]
+    return np.asarray(np.round(found), dtype=np.float64)
 
 
 @dataclass(frozen=True)
@@ -124,6 +140,20 @@ class ExtrudedElement:
     def modes(self, degree: int) -> int:
         """Number of upright functions of a degree."""
         return 1 if degree == 0 else self.cells
+
+    def indicator(self, low: float, high: float) -> Array:
+        """Coefficients, (functions,), of a function that is one from height `low` to `high` [m]."""
+        h = np.array(self.heights)
+        same = 1e-9 * (h[-1] - h[0])
+        wanted = ((h > low - same) & (h < high + same)).astype(float)
+        if len(self.order) == 1:
+            wanted[:] = 1.0
+        # The constant gives the value at the lowest height, hats what others have beyond it.
+        upright = {(0, 0): wanted[0]}
+        upright |= {(1, m): wanted[m + 1] - wanted[0] for m in range(self.cells)}
+        flat = [_coefficients_of_one(plane, self.base) for plane in self.planes]
+        factors = [flat[d][i] * upright.get((d, m), 0.0) for d, i, m in self.functions.tolist()]
+        return np.array(factors)
 
     def values(self, X: Array) -> Array:
         """phi_i, (functions, ...), at X (3, ...)."""
@@ -202,6 +232,10 @@ class TetrahedralElement:
     def element(self) -> skfem.Element:
         """The scikit-fem element."""
         return {1: skfem.ElementTetP1, 2: skfem.ElementTetP2}[self.order]()
+
+    def indicator(self, low: float, high: float) -> Array:  # noqa: ARG002
+        """Coefficients, (functions,), of the function that is one, at any height."""
+        return np.ones(len(self.element.doflocs))
 
     def values(self, X: Array) -> Array:
         """phi_i, (functions, ...), at X (3, ...)."""

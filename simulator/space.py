@@ -96,13 +96,6 @@ class FunctionSpace:
         volumes = np.asarray(np.linalg.det(edges), dtype=np.float64)
         self.jacobians: Array = np.abs(volumes)
 
-    @property
-    def constant(self) -> Array:
-        """Coefficients of the function that is one, (functions,)."""
-        X, _ = self.element.rule()
-        ones = np.linalg.lstsq(self.element.values(X).T, np.ones(X.shape[1]))[0]
-        return np.asarray(np.round(ones), dtype=np.float64)
-
     def reference(self, elements: Indices, points: Array) -> Array:
         """X, (3, n, ...), of `points` (n, ..., 3) [m] in `elements` (n,)."""
         moved = points - np.expand_dims(self.origins[elements], tuple(range(1, points.ndim - 1)))

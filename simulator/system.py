@@ -8,7 +8,7 @@ the weak form of `assembly` becomes
 in two ways per electrode:
 
     E_l = 0:                B_l = int phi / z_l,    D_ll = int 1 / z_l
-    E_l = 1 on electrode l: B_l = -K E_l,           D_ll = E_l^T K E_l
+    E_l = 1 on electrode l: B_l = -K E_l,           D_lm = E_l^T K E_m
 
 In the first, D grows like 1/z while I = D U - B^T w does not; in the second it does not depend on z
 at all, but is too large once 1/z is small. The one with the smaller D_ll is taken: both ends,
@@ -127,12 +127,17 @@ def _ground(assembly: Assembly) -> int:
 
 
 def _lift(assembly: Assembly) -> tuple[Array, NDArray[np.bool_]]:
-    """E (unknowns, electrodes), and the electrodes that share none of its unknowns with others."""
+    """E (unknowns, electrodes), and the electrodes whose column is one on them, zero on others."""
     E = np.zeros((assembly.unknowns, assembly.electrodes))
-    one = assembly.space.constant[: assembly.space.numbers.shape[1]]
+    outer = assembly.facet_numbers.shape[1]
     touching = np.abs(assembly.facet_shape).max(axis=2) > 1e-12
-    piece, function = np.nonzero(touching & (one != 0.0))
-    E[assembly.facet_numbers[piece, function], assembly.facet_electrode[piece]] = one[function]
-    own = E != 0.0
-    shared = own[own.sum(axis=1) > 1]
-    return E, np.logical_not(shared.any(axis=0))
+    heights = assembly.contacts.corners[..., 2]
+    for electrode in range(assembly.electrodes):
+        own = np.flatnonzero(assembly.facet_electrode == electrode)
+        one = assembly.space.element.indicator(heights[own].min(), heights[own].max())[:outer]
+        piece, function = np.nonzero(touching[own] & (one != 0.0))
+        E[assembly.facet_numbers[own[piece], function], electrode] = one[function]
+    on = np.einsum("fiq,fie->fqe", assembly.facet_shape, E[assembly.facet_numbers])
+    wanted = np.eye(assembly.electrodes)[assembly.facet_electrode][:, None]
+    wrong = np.abs(on - wanted).max(axis=(0, 1))
+    return E, wrong < 1e-9

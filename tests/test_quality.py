@@ -29,7 +29,7 @@ def mesh_of(points, cells=None):
     if cells is None:
         cells = np.arange(len(points))[None]
     empty = np.zeros(0, dtype=int)
-    return Mesh(points, cells, Contacts(empty, empty, np.zeros((0, 3, 3)), ()), None)
+    return Mesh(points, cells, Contacts(empty, empty, np.zeros((0, 3, 3)), np.zeros(0), ()), None)
 
 
 def crooked(ideal, count, amount):

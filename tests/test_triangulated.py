@@ -85,14 +85,16 @@ def test_triangles_are_fine_around_pads_and_coarse_elsewhere():
     assert 0.5 * GRADING.coarsest < longest[far].mean() < GRADING.coarsest
 
 
-def test_arcs_are_approached_by_chords():
+def test_arcs_are_approached_by_chords_and_weighed_by_their_true_area():
     disc = Disc(0.115)
     design = SensorDesign(disc, 0.07, uniform(disc, 32, width=0.0125), encapsulated_thickness=0.1)
     mesh = triangulated_mesh(design, GRADING)
+    assert areas_per_electrode(mesh, 32) == pytest.approx(0.0125 * 0.07, rel=1e-12)
     sides = mesh.contacts.corners[:, [1, -1]] - mesh.contacts.corners[:, :1]
     longest = np.linalg.norm(sides[..., :2], axis=2).max()
     # A chord c of radius R is shorter than its arc by (c / R)^2 / 24.
-    missing = 1 - areas_per_electrode(mesh, 32) / (0.0125 * 0.07)
+    flat = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
+    missing = 1 - np.bincount(mesh.contacts.electrode, flat) / (0.0125 * 0.07)
     assert missing.min() > 0
     bound = (longest / disc.radius) ** 2 / 24
     assert 0.1 * bound < missing.max() < 1.001 * bound
