@@ -9,7 +9,7 @@ from eitskin.geometry.errors import ConfigurationError
 from eitskin.geometry.grading import Grading, layer_heights
 from eitskin.geometry.mesh import Mesh
 from eitskin.geometry.patches import electrode_contacts
-from eitskin.geometry.placement import placed
+from eitskin.geometry.placement import Contact, placed
 from eitskin.geometry.sensor import SensorDesign
 from eitskin.geometry.strip import Strip
 from eitskin.geometry.surface import Surface
@@ -38,7 +38,8 @@ def triangulated_mesh(design: SensorDesign, grading: Grading) -> Mesh:
     contacts = placed(design.electrodes, outline, design.thickness)
     strips = [contact for contact in contacts if isinstance(contact, Strip)]
     ends = np.array([end for strip in strips for end in (strip.start, strip.end)])
-    edges = cKDTree(np.unique(design.edges(grading.finest)[:, :2].round(12), axis=0))
+    rims = [c.edges(np.inf if _full(c) else grading.finest) for c in contacts]
+    edges = cKDTree(np.unique(np.concatenate(rims)[:, :2].round(12), axis=0))
 
     def size(places: Array) -> Array:
         distance, _ = edges.query(places)
@@ -51,3 +52,8 @@ def triangulated_mesh(design: SensorDesign, grading: Grading) -> Mesh:
     lower = (triangles[:, None] * count + np.arange(count - 1)[:, None]).reshape(-1, 3)
     cells = np.hstack([lower, lower + 1])
     return Mesh(points, cells, electrode_contacts(points, cells, design.patches()), heights)
+
+
+def _full(contact: Contact) -> bool:
+    """Whether an electrode covers the full thickness: from above, only its ends are edges."""
+    return isinstance(contact, Strip) and contact.high - contact.low >= contact.thickness
