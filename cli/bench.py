@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich import box
 from rich.table import Table
 
 from eitskin.cli.options import Json, Output, Quiet, Seed, Verbose
@@ -75,29 +76,25 @@ def _as_data(found: "Accuracy", paths: list[Path]) -> dict[str, Any]:
 
 def _as_table(found: "Accuracy") -> Table:
     table = Table(
-        "mesh, element, solver",
-        "resolution",
-        "solved by",
-        "nodes",
+        "mesh and element",
         "unknowns",
-        "setup, s",
         "ms/frame",
         "error of R",
         "of signal",
         "z = 1e-4",
+        box=box.SIMPLE,
         caption=str(found.provenance),
+        caption_justify="left",
     )
-    for column in table.columns[3:]:
-        column.justify = "right"
+    for column in table.columns[1:]:
+        column.justify, column.no_wrap = "right", True
     last = None
     for point in found.points:
+        if point.family != last:
+            table.add_row(f"[bold]{point.family}[/bold]")
         table.add_row(
-            point.family if point.family != last else "",
-            point.name,
-            point.solver,
-            str(point.nodes),
+            f"  {point.name} ({point.solver.split()[0]})",
             str(point.unknowns),
-            f"{point.setup_seconds:.2f}",
             f"{1e3 * point.frame_seconds:.1f}",
             f"{point.resistance_error:.1e}",
             f"{point.signal_error:.1e}",
@@ -109,7 +106,7 @@ def _as_table(found: "Accuracy") -> Table:
 
 def _deformed_table(found: "Accuracy") -> Table:
     scenes = list(found.deformed[0].signal_errors)
-    table = Table("signal errors", "ms/frame", *scenes)
+    table = Table("signal errors", "ms/frame", *scenes, box=box.SIMPLE)
     for column in table.columns[1:]:
         column.justify = "right"
     for row in found.deformed:
