@@ -8,14 +8,13 @@ one width for all electrodes, and a constant per voltmeter channel.
 """
 
 import argparse
-import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from eitskin.benchmarks.tank_data import Tank, read_tank
-from eitskin.benchmarks.tank_fit import FIRST, FITS, RESOLUTION, Fit, fit, slopes, start
+from eitskin.benchmarks.tank_fit import FIRST, FITS, Fit, fit, slopes, start
 from eitskin.geometry.grading import Grading
 from eitskin.geometry.optional import require
 
@@ -25,39 +24,39 @@ COARSER = (
     ((2,), Grading(finest=5.6e-3, coarsest=6e-3, growth=1.0)),
     ((3,), Grading(finest=1e-3, coarsest=3e-2, growth=1.5)),
 )
-PARTS = f"{'all %':>10}{'driven %':>10}{'others %':>10}"
-SIZES = f"{'sigma h mS':>12}{'z sigma mm':>20}{'width %':>11}{'turned deg':>12}"
+COLUMNS = (
+    f"{'fitted':40}{'numbers':>8}{'cells':>7}{'order':>6}{'unknowns':>9}"
+    f"{'all %':>8}{'driven %':>9}{'others %':>9}"
+    f"{'sigma h mS':>11}{'z sigma mm':>17}{'width %':>8}{'turned deg':>11}"
+)
 
 
-def mesh_table(fits: Sequence[Fit]) -> str:
-    """The same fit on several meshes, a line each."""
-    lines = [f"{FIRST}, mesh by mesh", f"{'cells':>8}{'order':>7}{'unknowns':>10}" + PARTS]
-    lines += [
-        f"{len(one.model.mesh.cells):8}{order:7}{one.model.unknowns:10}" + _percent(one)
-        for one, ((order,), _) in zip(fits, (*COARSER, RESOLUTION), strict=True)
-    ]
-    return "\n".join(lines)
+def explain(tank: Tank) -> Iterator[Fit]:
+    """The first fit on coarser meshes and on the chosen one, then on that one all others."""
+    first = start(tank)
+    frozen = {name: np.zeros((tank.voltages.size, len(first[name]))) for name in ("place", "width")}
+    for resolution in COARSER:
+        yield fit(tank, FIRST, first, frozen, resolution)
+    chosen = fit(tank, FIRST, first, frozen)
+    yield chosen
+    by_place_and_width = slopes(tank)
+    for name in FITS:
+        if name != FIRST:
+            yield fit(tank, name, chosen.values, by_place_and_width)
 
 
-def table(fits: Sequence[Fit]) -> str:
-    """The fits, a line each."""
-    lines = [f"{'fitted':40}{'numbers':>8}" + PARTS + SIZES]
-    for one in fits:
-        values = one.values
-        contacts = 1e3 * (values["contact"] + values["contacts"])
-        lines.append(
-            f"{one.name:40}{one.unknowns:8}"
-            + _percent(one)
-            + f"{1 / values['sheet'][0]:12.4f}"
-            + f"{f'{contacts.min():.2g} .. {contacts.max():.2g}':>20}"
-            + f"{100 * values['width'][0]:11.1f}"
-            + f"{np.degrees(np.abs(values['place']).max()):12.2f}"
-        )
-    return "\n".join(lines)
-
-
-def _percent(one: Fit) -> str:
-    return "".join(f"{100 * part:10.2f}" for part in one.residual)
+def row(one: Fit) -> str:
+    """A line under `COLUMNS`."""
+    values = one.values
+    contacts = 1e3 * (values["contact"] + values["contacts"])
+    model, ((order, *_), _) = one.model, one.resolution
+    parts = [100 * part for part in one.residual]
+    return (
+        f"{one.name:40}{one.unknowns:8}{len(model.mesh.cells):7}{order:6}{model.unknowns:9}"
+        f"{parts[0]:8.2f}{parts[1]:9.2f}{parts[2]:9.2f}{1 / values['sheet'][0]:11.4f}"
+        f"{f'{contacts.min():.2g} .. {contacts.max():.2g}':>17}{100 * values['width'][0]:8.1f}"
+        f"{np.degrees(np.abs(values['place']).max()):11.2f}"
+    )
 
 
 def draw(tank: Tank, fits: Sequence[Fit], path: str | Path) -> None:
@@ -84,29 +83,21 @@ def draw(tank: Tank, fits: Sequence[Fit], path: str | Path) -> None:
     plt.close(figure)
 
 
-def run(folder: str | Path, picture: Path | None = None) -> str:
-    """Fit the tank of a folder; gives the tables and draws `picture`."""
-    tank = read_tank(folder)
-    begin = time.perf_counter()
-    by_place_and_width = slopes(tank)
-    meshes = [fit(tank, FIRST, start(tank), by_place_and_width, r) for r in (*COARSER, RESOLUTION)]
-    first = meshes[-1]
-    others = [fit(tank, name, first.values, by_place_and_width) for name in FITS if name != FIRST]
-    if picture is not None:
-        draw(tank, [first, others[-1]], picture)
-    return (
-        f"{tank.voltages.size} voltages, {tank.driven.sum()} of which sense a driven electrode; "
-        f"{time.perf_counter() - begin:.0f} s\n\n{mesh_table(meshes)}\n\n{table([first, *others])}"
-    )
-
-
 def main() -> None:
-    """Fit, print the tables, draw the picture."""
+    """Fit, print each fit as it is found, draw the picture."""
     parser = argparse.ArgumentParser(description=__doc__, prog="eitskin.benchmarks.tank")
     parser.add_argument("folder", type=Path, help="where the two .mat files are")
     parser.add_argument("--picture", type=Path, help="PNG of measured against modelled voltages")
     options = parser.parse_args()
-    print(run(options.folder, options.picture))
+    tank = read_tank(options.folder)
+    print(f"{tank.voltages.size} voltages, {tank.driven.sum()} of which sense a driven electrode")
+    print(COLUMNS)
+    fits = []
+    for one in explain(tank):
+        print(row(one), flush=True)
+        fits.append(one)
+    if options.picture is not None:
+        draw(tank, [fits[len(COARSER)], fits[-1]], options.picture)
 
 
 if __name__ == "__main__":

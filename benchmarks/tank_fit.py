@@ -36,8 +36,8 @@ LIMITS = {
     "sheet": (1e-9, np.inf),
     "contact": (1e-7, 1.0),
     "contacts": (0.0, 1.0),
-    "place": (-0.03, 0.03),
-    "width": (0.1, 1.3),
+    "place": (-0.025, 0.025),
+    "width": (0.1, 1.4),
     "constant": (-np.inf, np.inf),
 }
 
@@ -67,7 +67,7 @@ class Fit:
         values: of everything.
         voltages: modelled, (channels, patterns) [V].
         residual: relative, of all voltages, of those that sense a driven electrode, of the others.
-        model: the last one.
+        resolution, model: on which mesh.
     """
 
     name: str
@@ -75,6 +75,7 @@ class Fit:
     values: Values
     voltages: Array
     residual: tuple[float, float, float]
+    resolution: Discretisation
     model: ForwardModel
 
 
@@ -106,7 +107,7 @@ def fit(
         if np.linalg.norm(voltages - before) < SETTLED * np.linalg.norm(voltages):
             break
     modelled = voltages.reshape(tank.voltages.shape[::-1]).T
-    return Fit(name, len(x), values, modelled, residuals(tank, modelled), model)
+    return Fit(name, len(x), values, modelled, residuals(tank, modelled), resolution, model)
 
 
 def start(tank: Tank) -> dict[str, Array]:

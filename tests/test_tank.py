@@ -158,4 +158,4 @@ def test_the_real_tank() -> None:
     frozen = {"place": np.zeros((2356, 32)), "width": np.zeros((2356, 1))}
     found = fit(tank, FIRST, begin, frozen, report.COARSER[-1])
     assert found.residual == pytest.approx(exact, rel=0.04)
-    assert f"{100 * found.residual[0]:.2f}" in report.table([found])
+    assert f"{100 * found.residual[0]:.2f}" in report.row(found)
