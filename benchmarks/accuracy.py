@@ -2,7 +2,7 @@
 
 Two errors on the reference sensor: of the 28 flat resistances, and of their change under smooth
 touch-sized drops of conductivity, the signal; each against a reference far finer, whose own error
-is known. Times are per frame of 28 after meshing, on one core.
+is known. Times are per frame of 28 after meshing, of one core.
 """
 
 import dataclasses
@@ -133,9 +133,9 @@ def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> Accura
 
 def measure(case: Case, truth: Truth) -> Result:
     """Errors and times of one of our models."""
-    start = time.perf_counter()
+    start = time.process_time()
     model = case.model(truth.design)
-    setup = time.perf_counter() - start
+    setup = time.process_time() - start
     found = judge(model_frame(model), truth)
     order, _ = discretisation(case.resolution, truth.design, case.cells)
     return Result(
