@@ -108,9 +108,12 @@ class ClampedStack:
 
     The plates hold the top and bottom faces of the encapsulation wherever |x| >= span / 2 from the
     middle, without slip, over the full width; they turn by +-theta/2 about the hinge axis. All
-    else is free: top and bottom between the plates, and the long sides everywhere. Symmetry about
-    the middles of length and width leaves a quarter to solve. Deeper than `inside` between the
-    plates, everything turns with them.
+    else is free: top and bottom between the plates, and the sides everywhere. Symmetry about the
+    middles of length and width leaves a quarter to solve.
+
+    Between the plates little moves, but far: the pressure of an incompressible layer whose faces
+    are held obeys Laplace's equation, so what the bend squeezes in decays along x by a factor e
+    only over width / pi.
 
     Attributes:
         solid: the quarter, from the middle of the sensor at mid-layer [m].
@@ -133,7 +136,8 @@ class ClampedStack:
             grading: finest at the edges of the plates and at the long sides of the gel, `layers`
                 cells in each of encapsulation, gel and encapsulation; by the thickness of the
                 sensor when omitted.
-            inside: length solved within each clamp [m]; two thicknesses when omitted.
+            inside: length solved within each clamp, beyond which all turns with the plate [m]; all
+                of it when omitted.
         """
         hinge, self._stack = hinge or Hinge(), stack or Stack()
         outline, margin = design.outline, self._stack.margin
@@ -150,7 +154,7 @@ class ClampedStack:
             raise ConfigurationError(
                 f"the span of {hinge.span:g} m must not exceed the sensor's {outline.length:g} m"
             )
-        end = self._clamp + (2.0 * thickness if inside is None else inside)
+        end = whole if inside is None else self._clamp + inside
         self._truncated = end < whole
         width = self._gel[1]
         self._lines = (
@@ -223,7 +227,7 @@ class ClampedStack:
 
 def default_grading(thickness: float) -> Grading:
     """Cells fit for a stack of this thickness [m]."""
-    return Grading(finest=thickness / 5.0, coarsest=thickness / 2.0, growth=0.4)
+    return Grading(finest=thickness / 5.0, coarsest=0.75 * thickness, growth=0.4)
 
 
 def _heights(gel: float, stack: float, layers: int) -> Array:
