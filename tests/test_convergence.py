@@ -47,8 +47,9 @@ def onto_itself(points, amount, waves):
     return F
 
 
-def split(mesh: Mesh, kind: str) -> Mesh:
+def split(design: SensorDesign, grading: Grading, kind: str) -> Mesh:
     """Each box of a structured mesh cut into two prisms, or into six tetrahedra (Kuhn)."""
+    mesh = structured_mesh(design, grading)
     if kind == "prisms":
         halves = mesh.cells[:, [[0, 1, 2, 4, 5, 6], [0, 2, 3, 4, 6, 7]]]
         columns = halves.reshape(-1, len(mesh.heights) - 1, 2, 6)
@@ -72,25 +73,27 @@ def split(mesh: Mesh, kind: str) -> Mesh:
         odd = np.array([np.linalg.det(np.diff(walk, axis=0)) < 0 for walk in walks])
         corners[odd] = corners[odd][:, [0, 2, 1, 3]]
         cells, heights = mesh.cells[:, corners].reshape(-1, 4), None
-    contacts = electrode_contacts(mesh.points, cells, BLOCK.patches())
+    contacts = electrode_contacts(mesh.points, cells, design.patches())
     return Mesh(mesh.points, cells, contacts, heights)
 
 
-def error(order, cells, layers, kind="hexahedra") -> float:
-    """Relative error of R with `cells` along x; a single layer is mapped in the plane only."""
-    h = SIZE[0] / cells
-    grading = Grading(h, h, 1.0, layers)
-    boxes = structured_mesh(BLOCK, grading)
+def model(design, order, grading, kind) -> ForwardModel:
+    """The forward model on boxes cut up, so that halving them halves every cell."""
     with pytest.MonkeyPatch.context() as patch:
         if kind != "hexahedra":
-            patch.setattr(forward, "mesh_of", lambda *_: split(boxes, kind))
-        model = ForwardModel(BLOCK, (order, grading))
+            patch.setattr(forward, "mesh_of", lambda *_: split(design, grading, kind))
+        return ForwardModel(design, (order, grading))
+
+
+def error(order, cells, layers, kind) -> float:
+    """Relative error of R with `cells` along x; a single layer is mapped in the plane only."""
+    h = SIZE[0] / cells
     amount, waves = ((0.2, 0.2, 0.2), 1.0) if layers > 1 else ((0.15, 0.15), 3.0)
 
     def gradient(x):
         return onto_itself(x, amount, waves)
 
-    Z = model.impedance(
+    Z = model(BLOCK, order, Grading(h, h, 1.0, layers), kind).impedance(
         lambda x: pulled_back(gradient(x)), lambda x, normal: area_ratio(gradient(x), normal)
     )
     return abs(Protocol.pairwise(2).measure(Z)[0] / EXACT - 1)
@@ -139,16 +142,13 @@ def test_rate(kind, order, cells) -> None:
 # hp-FEM for sigma = 1 S/m, z = 1e-4 ohm m2, converged to nine digits: pairs (0,1) .. (0,7) and
 # the sum of all 28 [ohm].
 HP = [530.08615, 718.93029, 744.02202, 720.20649, 548.07843, 470.82818, 407.32498, 16209.0957]
-REFERENCE = SensorDesign.reference()
 PAIRS = Protocol.pairwise(8)
 
 
-def twenty_eight(contact, *resolution, **kind):
-    electrodes = tuple(
-        dataclasses.replace(e, contact_impedance=contact) for e in REFERENCE.electrodes
-    )
-    design = dataclasses.replace(REFERENCE, electrodes=electrodes)
-    return PAIRS.measure(ForwardModel(design, *resolution, **kind).impedance())
+def reference(contact) -> SensorDesign:
+    whole = SensorDesign.reference()
+    electrodes = (dataclasses.replace(e, contact_impedance=contact) for e in whole.electrodes)
+    return dataclasses.replace(whole, electrodes=tuple(electrodes))
 
 
 @pytest.mark.parametrize("cells", ["hexahedra", "prisms"])
@@ -156,27 +156,39 @@ def twenty_eight(contact, *resolution, **kind):
     ("resolution", "close"), [("fast", 1.5e-2), ("standard", 1e-3), ("fine", 1e-5)]
 )
 def test_flat_reference_sensor_matches_the_hp_solution(resolution, close, cells) -> None:
-    R = twenty_eight(1e-4, resolution, cells=cells)
+    R = PAIRS.measure(ForwardModel(reference(1e-4), resolution, cells=cells).impedance())
     assert [*R[:7], R.sum()] == pytest.approx(HP, rel=close)
 
 
 @pytest.fixture(scope="module")
 def converged():
-    return twenty_eight(1e-3, ((5,), Grading(2e-6, 7e-3, 1.5)))
+    finest = ((5,), Grading(2e-6, 7e-3, 1.5))
+    return PAIRS.measure(ForwardModel(reference(1e-3), finest).impedance())
 
 
-@pytest.mark.parametrize("cells", ["hexahedra", "prisms"])
-@pytest.mark.parametrize(("order", "close", "times"), [((1, 1), 5e-3, 3.2), ((2, 2), 6e-4, 5.0)])
-def test_all_meshes_and_elements_fall_to_the_same_values(
-    converged, cells, order, close, times
-) -> None:
+FALLS = [
+    ("hexahedra", (1, 1), 5e-3, 3.2),
+    ("hexahedra", (2, 2), 6e-4, 5.0),
+    ("prisms", (1, 1), 1e-2, 3.2),
+    ("prisms", (2, 2), 1.5e-3, 5.0),
+    ("tetrahedra", (1,), 1e-2, 3.2),
+    ("tetrahedra", (2,), 1.5e-3, 5.0),
+]
+
+
+@pytest.mark.parametrize(("kind", "order", "close", "times"), FALLS)
+def test_all_elements_fall_to_the_same_values(converged, kind, order, close, times) -> None:
     """Cells half as large everywhere leave a third of the error, quadratics a fifth and less."""
-    sizes = 4e-4 * np.array([order[0], order[0] / 2])
-    errors = [
-        np.abs(
-            twenty_eight(1e-3, (order, Grading(h, 12 * h, 2e3 * h)), cells=cells) / converged - 1
-        )
-        for h in sizes
-    ]
-    assert errors[1].max() < close
-    assert errors[0].max() > times * errors[1].max()
+    errors = []
+    for h in (4e-4 * order[0], 2e-4 * order[0]):
+        cut = model(reference(1e-3), order, Grading(h, 12 * h, 2e3 * h), kind)
+        errors.append(np.abs(PAIRS.measure(cut.impedance()) / converged - 1).max())
+    assert errors[1] < close
+    assert errors[0] > times * errors[1]
+
+
+@pytest.mark.parametrize(("order", "close"), [((1, 1), 5e-3), ((2, 2), 6e-4)])
+def test_triangulated_prisms_meet_the_same_values(converged, order, close) -> None:
+    h = 2e-4 * order[0]
+    prisms = ForwardModel(reference(1e-3), (order, Grading(h, 12 * h, 2e3 * h)), cells="prisms")
+    assert PAIRS.measure(prisms.impedance()) == pytest.approx(converged, rel=close)
