@@ -1,0 +1,128 @@
+"""The kinematic bend against the 3D one: `python -m eitskin.benchmarks.bends`.
+
+Prints, for the reference sensor on the default hinge, what the 3D model of the clamped stack gives
+and how far the bend signals of kinematic models are from it, relative to the norm of the signal.
+"""
+
+import itertools
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.geometry import Bend, ConfigurationError, Hinge, SensorDesign
+from eitskin.geometry.deformation import Deformation
+from eitskin.geometry.grading import Grading
+from eitskin.simulator import Simulator
+from eitskin.simulator.clamped import BentStack, ClampedStack
+from eitskin.simulator.equilibrium import SolidError
+
+Array = NDArray[np.float64]
+
+ANGLES = (-20.0, 10.0, 20.0, 30.0, 50.0, 70.0, 90.0)
+SPANS = (0.040, 0.044, 0.048)
+TRANSITIONS = (0.0, 0.004, 0.006, 0.008, 0.012)
+CONTRACTIONS = (0.0, 0.25, 0.5, 0.75, 1.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solved:
+    """The 3D model at one angle.
+
+    Attributes:
+        bent: the equilibrium.
+        signal: relative change of each measurement, (m,).
+        solve_seconds, frame_seconds: to find the one and the other.
+    """
+
+    bent: BentStack
+    signal: Array
+    solve_seconds: float
+    frame_seconds: float
+
+
+def signal(sim: Simulator, deformation: Deformation) -> Array:
+    """Relative change of each resistance that a deformation makes, (m,)."""
+    flat = sim.protocol.measure(sim.model.impedance()).real
+    change: Array = sim.deformed(deformation).impedance.real / flat - 1.0
+    return change
+
+
+def solved(
+    sim: Simulator, hinge: Hinge, angles_deg: Sequence[float], grading: Grading | None = None
+) -> tuple[list[Solved], list[str]]:
+    """The 3D model at all angles that it reaches, and why it does not reach the others."""
+    stack = ClampedStack(sim.design, hinge, grading=grading)
+    found, refused = [], []
+    downwards = sorted((a for a in angles_deg if a < 0.0), reverse=True)
+    for path in (downwards, sorted(a for a in angles_deg if a >= 0.0)):
+        equilibria = stack.bent(path)
+        try:
+            for _ in path:
+                start = time.perf_counter()
+                bent = next(equilibria)
+                between = time.perf_counter()
+                change = signal(sim, bent)
+                end = time.perf_counter()
+                found.append(Solved(bent, change, between - start, end - between))
+        except SolidError as error:
+            refused.append(str(error))
+    return sorted(found, key=lambda s: s.bent.angle_deg), refused
+
+
+def errors(sim: Simulator, hinge: Hinge, references: Sequence[Solved]) -> Array:
+    """Error of the kinematic signal over norm of the signal, per angle; inf where it refuses."""
+    found = []
+    for reference in references:
+        try:
+            flexure = hinge.flexure(sim.design, Bend(reference.bent.angle_deg))
+        except ConfigurationError:
+            found.append(np.inf)
+            continue
+        difference = np.linalg.norm(signal(sim, flexure) - reference.signal)
+        found.append(float(difference / np.linalg.norm(reference.signal)))
+    return np.array(found)
+
+
+def compared(
+    sim: Simulator, hinges: Iterable[Hinge], references: Sequence[Solved]
+) -> dict[Hinge, Array]:
+    """`errors` of several kinematic models, the one with the smallest mean first."""
+    found = {hinge: errors(sim, hinge, references) for hinge in hinges}
+    return dict(sorted(found.items(), key=lambda item: float(item[1].mean())))
+
+
+def main() -> None:
+    """Print both tables."""
+    hinge = Hinge()
+    # The simulator of a hinge without transition has faces at the clamps, which suits all.
+    sim = Simulator(SensorDesign.reference(), "standard", replace(hinge, transition=0.0))
+    references, refused = solved(sim, hinge, ANGLES)
+    print("3D: angle [deg], solve and frame [s], energy [mJ], moment [mN m], signal [%]")
+    for s in references:
+        print(
+            f"{s.bent.angle_deg:+5.0f} {s.solve_seconds:7.1f} {s.frame_seconds:5.2f} "
+            f"{1e3 * s.bent.energy:7.2f} {1e3 * s.bent.moment:+7.1f}   "
+            f"{100 * s.signal.min():+.2f} .. {100 * s.signal.max():+.2f}"
+        )
+    print(*refused, sep="\n", end="\n" if refused else "")
+    print("kinematic: span, transition [mm], contraction, error [% of the signal] per angle, mean")
+    hinges = [
+        Hinge(span, hinge.offset, transition, contraction)
+        for span, transition, contraction in itertools.product(SPANS, TRANSITIONS, CONTRACTIONS)
+    ]
+    start = time.perf_counter()
+    for model, error in compared(sim, hinges, references).items():
+        print(
+            f"{1e3 * model.span:4.0f} {1e3 * model.transition:4.0f} {model.contraction:5.2f}  "
+            + " ".join(f"{100 * e:6.1f}" for e in error)
+            + f"  {100 * error.mean():6.1f}"
+        )
+    frames = len(hinges) * len(references)
+    print(f"{(time.perf_counter() - start) / frames:.2f} s per kinematic frame")
+
+
+if __name__ == "__main__":
+    main()
