@@ -1,6 +1,5 @@
 """The electrical rows of the verification table, each against a closed form of its own."""
 
-import closed_forms
 import numpy as np
 import pytest
 
@@ -8,6 +7,8 @@ from eitskin.geometry import Electrode, Rectangle, SensorDesign
 from eitskin.geometry.deformation import area_ratio, pulled_back
 from eitskin.geometry.grading import Grading
 from eitskin.simulator import ForwardModel, Protocol
+
+import closed_forms
 
 THICKNESS = 0.005
 COARSE = Grading(finest=2.5e-3, coarsest=1e-2, growth=1.0, layers=1)

@@ -5,7 +5,6 @@ Each gives the number of a closed form, or a ConfigurationError: never a NaN.
 
 import dataclasses
 
-import closed_forms
 import numpy as np
 import pytest
 
@@ -13,6 +12,8 @@ from eitskin.geometry import ConfigurationError, Electrode, Rectangle, SensorDes
 from eitskin.geometry.grading import Grading
 from eitskin.geometry.sensor import Layer
 from eitskin.simulator import ForwardModel, Protocol
+
+import closed_forms
 
 OUTLINE = Rectangle(0.15, 0.06)
 THICKNESS = 0.005

@@ -9,7 +9,19 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 FOLDERS = ("geometry", "simulator", "datasets", "training", "hardware", "cli", "benchmarks")
-HEAVY = ("torch", "pyvista", "matplotlib", "serial", "sklearn", "skimage", "safetensors", "h5py")
+HEAVY = (
+    "torch",
+    "pyvista",
+    "matplotlib",
+    "serial",
+    "sklearn",
+    "skimage",
+    "safetensors",
+    "h5py",
+    "trimesh",
+    "pytetwild",
+    "pyeit",
+)
 
 
 def test_the_wheel_holds_every_module_of_the_tree(tmp_path) -> None:

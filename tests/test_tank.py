@@ -4,7 +4,6 @@ import dataclasses
 import os
 from pathlib import Path
 
-import closed_forms
 import numpy as np
 import pytest
 from scipy.io import savemat
@@ -14,6 +13,8 @@ from eitskin.benchmarks.tank_data import Tank, read_tank
 from eitskin.benchmarks.tank_fit import FIRST, fit, residuals, slopes, start
 from eitskin.geometry import DataError
 from eitskin.geometry.grading import Grading
+
+import closed_forms
 
 DATA = Path(os.environ.get("EITSKIN_DATA", Path(__file__).parents[2] / "shared" / "data"))
 QUICK = ((3,), Grading(finest=1e-3, coarsest=6e-2, growth=1.5))
