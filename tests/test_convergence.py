@@ -9,7 +9,6 @@ order p.
 import dataclasses
 from itertools import permutations
 
-import closed_forms
 import numpy as np
 import pytest
 
@@ -19,6 +18,8 @@ from eitskin.geometry.grading import Grading
 from eitskin.geometry.patches import electrode_contacts
 from eitskin.geometry.structured import structured_mesh
 from eitskin.simulator import ForwardModel, Protocol, forward
+
+import closed_forms
 
 SIZE = np.array([0.04, 0.02, 0.01])
 CONTACT = 1e-3
