@@ -150,6 +150,8 @@ class ClampedStack:
         self._gel = 0.5 * np.array([outline.length, outline.width, design.thickness])
         self._clamp, self._offset = 0.5 * hinge.span, hinge.offset
         whole = self._gel[0] + margin
+        if inside is not None and not inside > 0.0:
+            raise ConfigurationError(f"inside must be a positive length in m, got {inside}")
         if self._clamp > self._gel[0]:
             raise ConfigurationError(
                 f"the span of {hinge.span:g} m must not exceed the sensor's {outline.length:g} m"
