@@ -7,7 +7,7 @@ and how far the bend signals of kinematic models are from it, relative to the no
 import itertools
 import time
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,12 +16,14 @@ from eitskin.geometry import Bend, ConfigurationError, Hinge, SensorDesign
 from eitskin.geometry.deformation import Deformation
 from eitskin.geometry.grading import Grading
 from eitskin.simulator import Simulator
+from eitskin.simulator.bend_table import BendTable
 from eitskin.simulator.clamped import BentStack, ClampedStack
 from eitskin.simulator.equilibrium import SolidError
 
 Array = NDArray[np.float64]
 
 ANGLES = (-20.0, 10.0, 20.0, 30.0, 50.0, 70.0, 90.0)
+BETWEEN = (-15.0, 5.0, 25.0, 45.0, 82.0)
 SPANS = (0.040, 0.044, 0.048)
 TRANSITIONS = (0.0, 0.004, 0.006, 0.008, 0.012)
 CONTRACTIONS = (0.0, 0.25, 0.5, 0.7, 0.8, 1.0)
@@ -57,10 +59,9 @@ def signal(sim: Simulator, deformation: Deformation) -> Array:
 
 
 def solved(
-    sim: Simulator, hinge: Hinge, angles_deg: Sequence[float], grading: Grading | None = None
+    sim: Simulator, stack: ClampedStack, angles_deg: Sequence[float]
 ) -> tuple[list[Solved], list[str]]:
     """The 3D model at all angles that it reaches, and why it does not reach the others."""
-    stack = ClampedStack(sim.design, hinge, grading=grading)
     found, refused = [], []
     downwards = sorted((a for a in angles_deg if a < 0.0), reverse=True)
     for path in (downwards, sorted(a for a in angles_deg if a >= 0.0)):
@@ -100,12 +101,23 @@ def compared(
     return dict(sorted(found.items(), key=lambda item: float(item[1].mean())))
 
 
-def main() -> None:
-    """Print both tables."""
-    hinge = Hinge()
-    # The simulator of a hinge without transition has faces at the clamps, which suits all.
-    sim = Simulator(SensorDesign.reference(), "standard", replace(hinge, transition=0.0))
-    references, refused = solved(sim, hinge, ANGLES, MESHES[0])
+def between(
+    sim: Simulator, stack: ClampedStack, angles_deg: Sequence[float]
+) -> tuple[float, dict[float, float]]:
+    """Seconds to solve a table of bends, and the error of its signals between what was solved."""
+    start = time.perf_counter()
+    table = BendTable.of(stack)
+    seconds = time.perf_counter() - start
+    direct, _ = solved(sim, stack, angles_deg)
+    found = {}
+    for s in direct:
+        difference = np.linalg.norm(signal(sim, table.at(s.bent.angle_deg)) - s.signal)
+        found[s.bent.angle_deg] = float(difference / np.linalg.norm(s.signal))
+    return seconds, found
+
+
+def print_solved(references: Sequence[Solved], refused: Sequence[str]) -> None:
+    """What the 3D model gives, and where it does not go on."""
     print("3D: angle [deg], solve and frame [s], energy [mJ], moment [mN m], signal [%]")
     for s in references:
         print(
@@ -114,14 +126,22 @@ def main() -> None:
             f"{100 * s.signal.min():+.2f} .. {100 * s.signal.max():+.2f}"
         )
     print(*refused, sep="\n", end="\n" if refused else "")
+
+
+def print_meshes(sim: Simulator, references: Sequence[Solved], angle_deg: float) -> None:
+    """How much the signal at one of the angles changes on finer meshes."""
+    used = next(s.signal for s in references if s.bent.angle_deg == angle_deg)
     for grading in MESHES[1:]:
-        ((finer,), _) = solved(sim, hinge, (20.0,), grading)
-        used = next(s.signal for s in references if s.bent.angle_deg == 20.0)
+        ((finer,), _) = solved(sim, ClampedStack(sim.design, grading=grading), (angle_deg,))
         change = np.linalg.norm(used - finer.signal) / np.linalg.norm(finer.signal)
-        print(f"+20 deg on {grading}: {finer.solve_seconds:.0f} s, signal off by {change:.2%}")
+        print(f"{angle_deg:+g} deg on {grading}: {finer.solve_seconds:.0f} s, {change:.2%} apart")
+
+
+def print_kinematic(sim: Simulator, references: Sequence[Solved]) -> None:
+    """How far kinematic models are from the 3D one."""
     print("kinematic: span, transition [mm], contraction, error [% of the signal] per angle, mean")
     hinges = [
-        Hinge(span, hinge.offset, transition, contraction)
+        Hinge(span, transition=transition, contraction=contraction)
         for span, transition, contraction in itertools.product(SPANS, TRANSITIONS, CONTRACTIONS)
     ]
     start = time.perf_counter()
@@ -133,6 +153,20 @@ def main() -> None:
         )
     frames = len(hinges) * len(references)
     print(f"{(time.perf_counter() - start) / frames:.2f} s per kinematic frame")
+
+
+def main() -> None:
+    """Print everything."""
+    # The simulator of a hinge without transition has faces at the clamps, which suits all.
+    sim = Simulator(SensorDesign.reference(), "standard", Hinge(transition=0.0))
+    stack = ClampedStack(sim.design, grading=MESHES[0])
+    references, refused = solved(sim, stack, ANGLES)
+    print_solved(references, refused)
+    print_meshes(sim, references, 20.0)
+    seconds, errors_between = between(sim, stack, BETWEEN)
+    print(f"table of bends: {seconds:.0f} s; error of the signal between what was solved:")
+    print(*(f"{angle:+g} deg {error:.2%}" for angle, error in errors_between.items()), sep=", ")
+    print_kinematic(sim, references)
 
 
 if __name__ == "__main__":

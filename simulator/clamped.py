@@ -174,17 +174,24 @@ class ClampedStack:
         Raises SolidError where there is none, or none that is stable; it says which angle was
         reached.
         """
-        x = np.zeros(self.solid.unknowns)
+        flat = np.zeros(self.solid.unknowns)
+        x = flat
         for before, angle in itertools.pairwise([0.0, *angles_deg]):
-            try:
-                x = follow([self.solid], x, partial(self._between, before, angle))
-            except SolidError as error:
-                reached = before + error.reached * (angle - before)
-                raise SolidError(
-                    f"the clamped stack was bent to {reached:.1f} deg of {angle:g} deg: {error}",
-                    error.reached,
-                ) from error
+            if angle == 0.0:
+                x = flat  # without any strain no correction is small against the others
+            elif angle != before:
+                x = self._followed(x, before, angle)
             yield self._result(angle, x)
+
+    def _followed(self, x: Array, before: float, angle: float) -> Array:
+        try:
+            return follow([self.solid], x, partial(self._between, before, angle))
+        except SolidError as error:
+            reached = before + error.reached * (angle - before)
+            raise SolidError(
+                f"the clamped stack was bent to {reached:.1f} deg of {angle:g} deg: {error}",
+                error.reached,
+            ) from error
 
     def _meshed(self) -> Solid:
         mesh = skfem.MeshHex.init_tensor(*self._lines)
