@@ -55,7 +55,10 @@ def triangulated(
         longest = _edges(corners).max(axis=1)
         large = np.flatnonzero(longest > size(corners.mean(axis=1)) * (1.0 + _SAME))
         if not len(large):
-            return _numbered_along_x(mesh.p.T, mesh.t.T.astype(np.int64))
+            clockwise = _doubled_areas(corners) < 0.0
+            triangles = mesh.t.T.astype(np.int64)
+            triangles[clockwise] = triangles[clockwise][:, ::-1]
+            return numbered_along_x(mesh.p.T, triangles)
         # Each takes at least one new edge midpoint, shared with one other.
         _require_few(mesh.p.shape[1] + len(large) // 2)
         mesh = mesh.refined(large)
@@ -253,14 +256,12 @@ def _far_apart(triangles: Numbers, centres: Array, radii: Array) -> Numbers:
     return chosen
 
 
-def _numbered_along_x(points: Array, triangles: Numbers) -> tuple[Array, Numbers]:
+def numbered_along_x(points: Array, cells: Numbers) -> tuple[Array, Numbers]:
+    """The same mesh with its points (n, d) by rising x, then y; matrices get a narrow band."""
     order = np.lexsort(points.T[::-1])
     number = np.empty_like(order)
     number[order] = np.arange(len(order))
-    triangles = triangles.copy()
-    clockwise = _doubled_areas(points[triangles]) < 0.0
-    triangles[clockwise] = triangles[clockwise][:, ::-1]
-    return points[order], number[triangles]
+    return points[order], number[cells]
 
 
 def _require_few(count: int) -> None:

@@ -11,6 +11,7 @@ from eitskin.geometry.mesh import Mesh
 from eitskin.geometry.patches import FACES
 
 Array = NDArray[np.float64]
+Numbers = NDArray[np.int64]
 
 # For every corner of a cell the corners at the other ends of its three edges, right-handed.
 _CORNERS = {
@@ -58,13 +59,13 @@ def quality(mesh: Mesh) -> Quality:
     Formulas: Stimpson et al., The Verdict Geometric Quality Library, SAND2007-1751, as in VTK;
     for hexahedra without its extra value at the centre.
     """
-    shapes = scaled_jacobians(mesh)
-    ratios = _edge_ratios(mesh)
-    angles = _dihedral_angles(mesh)
+    shapes = scaled_jacobians(mesh.points, mesh.cells)
+    corners = mesh.points[mesh.cells]
+    ratios, angles = _edge_ratios(corners), _dihedral_angles(corners)
     return Quality(
         cells=len(mesh.cells),
         points=len(mesh.points),
-        volume=float(volumes(mesh).sum()),
+        volume=float(volumes(mesh.points, mesh.cells).sum()),
         scaled_jacobian=float(shapes.min()),
         worst=int(shapes.argmin()),
         aspect_ratio=float(ratios.max()),
@@ -87,7 +88,7 @@ def check_quality(mesh: Mesh, least: float = _LEAST_SCALED_JACOBIAN) -> None:
             f"point {lost[0]} of the mesh, and {len(lost) - 1} others, are not finite: "
             f"{mesh.points[lost[0]]}; check the outline and the deformation for sizes out of range"
         )
-    shapes = scaled_jacobians(mesh)
+    shapes = scaled_jacobians(mesh.points, mesh.cells)
     worst = int(shapes.argmin())
     if shapes[worst] < least:
         x, y, z = mesh.points[mesh.cells[worst]].mean(axis=0)
@@ -100,10 +101,10 @@ def check_quality(mesh: Mesh, least: float = _LEAST_SCALED_JACOBIAN) -> None:
         )
 
 
-def scaled_jacobians(mesh: Mesh) -> Array:
+def scaled_jacobians(points: Array, cells: Numbers) -> Array:
     """Least scaled Jacobian of each cell, (m,); 0 where an edge has no length."""
-    kind = mesh.cells.shape[1]
-    corners = mesh.points[mesh.cells]
+    kind = cells.shape[1]
+    corners = points[cells]
     shapes = np.full(len(corners), np.inf)
     for corner, ends in enumerate(_CORNERS[kind]):
         edges = corners[:, ends] - corners[:, corner, None]
@@ -115,35 +116,34 @@ def scaled_jacobians(mesh: Mesh) -> Array:
     return shapes
 
 
-def volumes(mesh: Mesh) -> Array:
+def volumes(points: Array, cells: Numbers) -> Array:
     """Volume of each cell (m,) [m3], negative when inverted (divergence theorem)."""
-    corners = mesh.points[mesh.cells]
+    corners = points[cells]
     middle = corners.mean(axis=1)
     total = np.zeros(len(corners))
-    for area, face in zip(_face_vectors(mesh), FACES[mesh.cells.shape[1]], strict=True):
+    for area, face in zip(_face_vectors(corners), FACES[cells.shape[1]], strict=True):
         total += np.einsum("ni,ni->n", area, corners[:, face[0]] - middle) / 3.0
     return total
 
 
-def _edge_ratios(mesh: Mesh) -> Array:
+def _edge_ratios(corners: Array) -> Array:
     """Longest over shortest edge of each cell, (m,)."""
     pairs = {
-        tuple(sorted((a, b))) for a, ends in enumerate(_CORNERS[mesh.cells.shape[1]]) for b in ends
+        tuple(sorted((a, b))) for a, ends in enumerate(_CORNERS[corners.shape[1]]) for b in ends
     }
     ends = np.array(sorted(pairs))
-    corners = mesh.points[mesh.cells]
     lengths = np.linalg.norm(corners[:, ends[:, 0]] - corners[:, ends[:, 1]], axis=2)
     with np.errstate(divide="ignore"):
         ratios: Array = lengths.max(axis=1) / lengths.min(axis=1)
     return ratios
 
 
-def _dihedral_angles(mesh: Mesh) -> Array:
+def _dihedral_angles(corners: Array) -> Array:
     """Angles between faces that share an edge, (m, edges) [degree]."""
-    faces = FACES[mesh.cells.shape[1]]
+    faces = FACES[corners.shape[1]]
     tiny = np.finfo(float).tiny
     normals = [
-        v / np.maximum(np.linalg.norm(v, axis=1), tiny)[:, None] for v in _face_vectors(mesh)
+        v / np.maximum(np.linalg.norm(v, axis=1), tiny)[:, None] for v in _face_vectors(corners)
     ]
     angles = [
         180.0 - np.degrees(np.arccos(np.clip((normals[a] * normals[b]).sum(axis=1), -1.0, 1.0)))
@@ -153,11 +153,10 @@ def _dihedral_angles(mesh: Mesh) -> Array:
     return np.column_stack(angles)
 
 
-def _face_vectors(mesh: Mesh) -> list[Array]:
-    """Area times outward normal (m, 3) [m2] of each face of the cells."""
-    corners = mesh.points[mesh.cells]
+def _face_vectors(corners: Array) -> list[Array]:
+    """Area times outward normal (m, 3) [m2] of each face of cells with `corners` (m, k, 3)."""
     vectors = []
-    for face in FACES[mesh.cells.shape[1]]:
+    for face in FACES[corners.shape[1]]:
         # Half the cross product of the diagonals; of two edges for a triangle.
         a, b, c, d = (corners[:, k] for k in (*face, face[-1])[:4])
         vectors.append(0.5 * np.cross(c - a, d - b))
