@@ -12,6 +12,7 @@ from eitskin.cli import (
     generate,
     import_recording,
     live,
+    mesh,
     simulate,
     train,
 )
@@ -25,6 +26,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 app.command("simulate")(simulate.command)
+app.command("mesh")(mesh.command)
 app.command("generate")(generate.command)
 app.command("import")(import_recording.command)
 app.command("train")(train.command)
