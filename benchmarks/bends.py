@@ -141,7 +141,7 @@ def print_kinematic(sim: Simulator, references: Sequence[Solved]) -> None:
     """How far kinematic models are from the 3D one."""
     print("kinematic: span, transition [mm], contraction, error [% of the signal] per angle, mean")
     hinges = [
-        Hinge(span, transition=transition, contraction=contraction)
+        Hinge(span, give=0.0, transition=transition, contraction=contraction)
         for span, transition, contraction in itertools.product(SPANS, TRANSITIONS, CONTRACTIONS)
     ]
     start = time.perf_counter()
@@ -158,7 +158,7 @@ def print_kinematic(sim: Simulator, references: Sequence[Solved]) -> None:
 def main() -> None:
     """Print everything."""
     # The simulator of a hinge without transition has faces at the clamps, which suits all.
-    sim = Simulator(SensorDesign.reference(), "standard", Hinge(transition=0.0))
+    sim = Simulator(SensorDesign.reference(), "standard", Hinge(give=0.0))
     stack = ClampedStack(sim.design, grading=MESHES[0])
     references, refused = solved(sim, stack, ANGLES)
     print_solved(references, refused)

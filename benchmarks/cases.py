@@ -94,6 +94,7 @@ FULL: tuple[Case, ...] = (
     *ladder((1, 1), Grading(2e-3, 4e-3, 0.7), 3, "prisms"),
     *ladder((2, 2, 1), Grading(1e-3, 5e-3, 0.7), 2, "prisms"),
     *ladder((3, 2, 1), Grading(1e-3, 6e-3, 0.7), 3, "prisms"),
+    *named("tetrahedra"),
 )
 # Meshes that pyEIT is measured on, cut into tetrahedra or, the plane ones, into triangles.
 PEERS = (uniform(4.4e-3, 2), uniform(2.2e-3, 4), uniform(2e-3, 0), uniform(9.5e-4, 0))

@@ -39,14 +39,23 @@ class Hinge:
     Attributes:
         span: free length between the clamps, centred on the sensor [m].
         offset: d, of the hinge axis below the mid-plane of the conductive layer [m].
-        transition: flat length over which the curvature rises, at each clamp [m].
+        give: how far the bend reaches into each clamp, as soft layers between stiff plates do [m].
+        transition: flat length over which the curvature rises, at each end of the bend [m].
         contraction: of the width, 0 as a plate to 1 as a beam; see Flexure.
+
+    The defaults of the last three fit the 3D model best (`python -m eitskin.benchmarks.bends`).
     """
 
     span: float = 0.040
     offset: float = 0.008
+    give: float = 0.002
     transition: float = 0.0
-    contraction: float = 0.0
+    contraction: float = 0.8
+
+    @property
+    def bent_length(self) -> float:
+        """Flat length that bends [m]."""
+        return self.span + 2.0 * self.give
 
     def __post_init__(self) -> None:
         """Check the numbers."""
@@ -54,7 +63,9 @@ class Hinge:
             raise ConfigurationError(f"hinge span must be a positive length in m, got {self.span}")
         if not math.isfinite(self.offset):
             raise ConfigurationError(f"hinge offset must be finite, in m, got {self.offset}")
-        _check_profile("hinge", self.span, self.transition, self.contraction)
+        if not (math.isfinite(self.give) and self.give >= 0):
+            raise ConfigurationError(f"hinge give must be a length in m, got {self.give}")
+        _check_profile("hinge", self.bent_length, self.transition, self.contraction)
 
     def flexure(self, design: SensorDesign, bend: Bend) -> Flexure:
         """The deformation; ConfigurationError, naming the last possible angle, past it."""
@@ -62,20 +73,21 @@ class Hinge:
 
     def _flexure(self, design: SensorDesign, theta: float) -> Flexure:
         centre, half = _centre(design), 0.5 * theta
-        clamp = 0.5 * self.span
-        unstretched = Flexure(centre, self.span, theta, 1.0, self.transition)
-        stretched = Flexure(centre, self.span, theta, 2.0, self.transition)
+        length = self.bent_length
+        clamp = 0.5 * length
+        unstretched = Flexure(centre, length, theta, 1.0, self.transition)
+        stretched = Flexure(centre, length, theta, 2.0, self.transition)
         straight, more = (
             float(f.centre_line(np.array(clamp))[0]) for f in (unstretched, stretched)
         )
         # The centre line's length along x is linear in the stretch; it must end at the clamp.
         wanted = clamp * math.cos(half) + self.offset * math.sin(half)
         stretch = 1.0 + (wanted - straight) / (more - straight)
-        made = Flexure(centre, self.span, theta, stretch, self.transition, self.contraction)
+        made = Flexure(centre, length, theta, stretch, self.transition, self.contraction)
         down = float(made.centre_line(np.array(clamp))[1])
         height = -clamp * math.sin(half) + self.offset * (math.cos(half) - 1.0)
         return Flexure(
-            centre, self.span, theta, stretch, self.transition, self.contraction, height + down
+            centre, length, theta, stretch, self.transition, self.contraction, height + down
         )
 
 
@@ -88,7 +100,7 @@ class FreeArc:
 
     Attributes:
         length: flat length of the arc, centred on the sensor [m].
-        transition, contraction: as for a Hinge.
+        transition, contraction: as of a Hinge.
     """
 
     length: float
@@ -104,7 +116,7 @@ class FreeArc:
         _check_profile("arc", self.length, self.transition, self.contraction)
 
     @property
-    def span(self) -> float:
+    def bent_length(self) -> float:
         """Flat length that bends [m]."""
         return self.length
 
@@ -148,9 +160,9 @@ def _within_limits(
 ) -> Flexure:
     """The flexure, where every fibre of the stack keeps its length positive and no ends cross."""
     length = design.outline.length
-    if fixture.span > length:
+    if fixture.bent_length > length:
         raise ConfigurationError(
-            f"the bent length of {fixture.span:g} m must not exceed the sensor's length of "
+            f"the bent length of {fixture.bent_length:g} m must not exceed the sensor's length of "
             f"{length:g} m"
         )
 

@@ -14,7 +14,7 @@ Discretisation: TypeAlias = tuple[tuple[int, ...], Grading]
 # the smallest electrode, coarsest relative to the body's shorter side, and growth. What each costs
 # and how wrong it is: `eitskin bench accuracy`.
 _COLUMNS: dict[str, tuple[tuple[int, ...], float, float, float]] = {
-    "fast": ((2, 1, 1), 0.2, 0.10, 1.5),
+    "fast": ((2, 1, 1), 0.2, 0.11, 1.7),
     "standard": ((3, 2, 1), 0.04, 0.117, 2.0),
     "fine": ((5, 4, 3), 4e-3, 0.13, 2.0),
 }
@@ -25,9 +25,9 @@ _PRISMS: dict[str, tuple[tuple[int, ...], float, float, float]] = {
     "fine": ((4, 3, 2), 4e-3, 0.13, 1.5),
 }
 _TETRAHEDRA: dict[str, tuple[tuple[int, ...], float, float, float]] = {
-    "fast": ((1,), 0.3, 0.10, 0.7),
-    "standard": ((2,), 0.2, 0.10, 0.7),
-    "fine": ((2,), 0.08, 0.08, 0.5),
+    "fast": ((2,), 0.3, 0.10, 0.7),
+    "standard": ((2,), 0.1, 0.08, 0.7),
+    "fine": ((2,), 0.04, 0.08, 0.5),
 }
 _NAMED = {"hexahedra": _COLUMNS, "prisms": _PRISMS, "tetrahedra": _TETRAHEDRA}
 

@@ -47,7 +47,7 @@ class Simulator:
         self.design = design
         self.fixture: Fixture = fixture or Hinge()
         self.protocol = protocol or Protocol.pairwise(len(design.electrodes))
-        middle, half = design.outline.length / 2, self.fixture.span / 2
+        middle, half = design.outline.length / 2, self.fixture.bent_length / 2
         # Without a transition F jumps at the clamps: the mesh must have faces there.
         breaks = () if self.fixture.transition else (middle - half, middle + half)
         self.model = ForwardModel(design, resolution, breaks=breaks)

@@ -15,13 +15,17 @@ from eitskin.simulator.touch import DentKernel, Dents
 
 DESIGN = SensorDesign.reference()
 HINGE = Hinge(span=0.040, offset=0.008)
+SHARP = Hinge(give=0.0, contraction=0.0)  # Rivlin's flexure between rigid ends
 
 
 def points(n: int = 200, seed: int = 3, clear: float = 1e-4) -> NDArray[np.float64]:
     """Random points of the layer, off the clamps where F jumps."""
     rng = np.random.default_rng(seed)
     x = rng.uniform([0, 0, 0], [0.150, 0.060, 0.005], (n, 3))
-    return x[np.abs(np.abs(x[:, 0] - 0.075) - 0.020) > clear]
+    return x[
+        (np.abs(np.abs(x[:, 0] - 0.075) - 0.020) > clear)
+        & (np.abs(np.abs(x[:, 0] - 0.075) - 0.022) > clear)
+    ]
 
 
 def derivative(deformation, x: NDArray[np.float64], step: float = 1e-7) -> NDArray[np.float64]:
@@ -54,7 +58,7 @@ DEFORMATIONS = {
 @pytest.mark.parametrize("name", DEFORMATIONS)
 def test_gradient_is_the_derivative_of_positions(name) -> None:
     deformation, x = DEFORMATIONS[name], points()
-    assert deformation.gradient(x) == pytest.approx(derivative(deformation, x), abs=1e-6)
+    assert deformation.gradient(x) == pytest.approx(derivative(deformation, x), abs=3e-6)
 
 
 @pytest.mark.parametrize("name", [n for n in DEFORMATIONS if n not in ("dents", "displaced")])
@@ -80,18 +84,21 @@ def test_sharp_clamps_are_the_limit_of_soft_ones_and_obey_the_hinge() -> None:
     """lambda_0 = (theta/2) cot(theta/2) + d theta / s."""
     theta = math.radians(50.0)
     expected = theta / 2 / math.tan(theta / 2) + 0.008 * theta / 0.040
-    assert HINGE.flexure(DESIGN, Bend(50.0)).stretch == pytest.approx(expected, rel=1e-9)
+    assert SHARP.flexure(DESIGN, Bend(50.0)).stretch == pytest.approx(expected, rel=1e-9)
     x = points(clear=2e-3)
-    sharp = HINGE.flexure(DESIGN, Bend(50.0)).positions(x)
+    sharp = SHARP.flexure(DESIGN, Bend(50.0)).positions(x)
     apart = [
-        np.abs(Hinge(transition=t).flexure(DESIGN, Bend(50.0)).positions(x) - sharp).max()
+        np.abs(
+            Hinge(give=0.0, transition=t, contraction=0.0).flexure(DESIGN, Bend(50.0)).positions(x)
+            - sharp
+        ).max()
         for t in (2e-3, 1e-3)
     ]
     assert 2e-6 < apart[1] < 0.6 * apart[0]
 
 
 def test_soft_clamps_leave_no_jump_in_the_gradient() -> None:
-    flexure = Hinge(transition=0.004, contraction=0.3).flexure(DESIGN, Bend(40.0))
+    flexure = Hinge(give=0.0, transition=0.004, contraction=0.3).flexure(DESIGN, Bend(40.0))
     for clamp in (0.055, 0.095, 0.059, 0.091, 0.075):
         sides = np.array([[clamp - 1e-9, 0.05, 0.004], [clamp + 1e-9, 0.05, 0.004]])
         before, after = flexure.gradient(sides)
@@ -142,7 +149,7 @@ def test_ends_of_a_bent_sensor_are_rigid_and_turned_by_half_the_angle() -> None:
 
 def test_bent_sensor_is_continuous_at_mid_layer_and_convex_on_top() -> None:
     bend = HINGE.flexure(DESIGN, Bend(50.0))
-    clamp = np.array([[0.095, 0.03, 0.0025]])
+    clamp = np.array([[0.097, 0.03, 0.0025]])
     nudge = np.array([[1e-10, 0, 0]])
     assert bend.positions(clamp - nudge) == pytest.approx(bend.positions(clamp + nudge), abs=1e-9)
     middle, end = bend.positions(np.array([[0.075, 0.03, 0.0025], [0.150, 0.03, 0.0025]]))
@@ -154,7 +161,7 @@ def test_bent_sensor_is_continuous_at_mid_layer_and_convex_on_top() -> None:
 def test_mid_layer_arc_closes_the_hinge_triangle() -> None:
     """Arc length over the span is lambda_0 s, whatever the angle."""
     for angle in (-20.0, 30.0, 90.0):
-        bend = HINGE.flexure(DESIGN, Bend(angle))
+        bend = SHARP.flexure(DESIGN, Bend(angle))
         x = np.linspace(0.055, 0.095, 4001)
         path = bend.positions(np.stack([x, 0 * x + 0.03, 0 * x + 0.0025], axis=1))
         length = np.linalg.norm(np.diff(path, axis=0), axis=1).sum()

@@ -41,8 +41,8 @@ def test_frame_has_the_protocol_order_and_is_real_without_instrument(sim) -> Non
 def test_convex_bends_stretch_the_layer_and_concave_ones_shorten_it(sim, flat) -> None:
     out = sim.measure(Scene(bend=Bend(50.0))).impedance.real / flat - 1
     back = sim.measure(Scene(bend=Bend(-20.0))).impedance.real / flat - 1
-    assert np.median(out) > 0.02
-    assert np.median(back) < -0.01
+    assert np.median(out) > 0.01
+    assert np.median(back) < -0.005
 
 
 def test_without_hinge_offset_the_bend_signal_is_second_order() -> None:
@@ -50,10 +50,10 @@ def test_without_hinge_offset_the_bend_signal_is_second_order() -> None:
     neutral = Simulator(SensorDesign.reference(), "fast", fixture=Hinge(offset=0.0))
     flat = neutral.measure(Scene()).impedance.real
     signal = {
-        a: neutral.measure(Scene(bend=Bend(a))).impedance.real / flat - 1 for a in (20, -20, 10)
+        a: neutral.measure(Scene(bend=Bend(a))).impedance.real / flat - 1 for a in (10, -10, 5)
     }
-    assert signal[20] == pytest.approx(signal[-20], rel=0.02, abs=1e-6)
-    assert signal[20] == pytest.approx(4 * signal[10], rel=0.02, abs=1e-5)
+    assert signal[10] == pytest.approx(signal[-10], rel=0.02, abs=1e-6)
+    assert signal[10] == pytest.approx(4 * signal[5], rel=0.05, abs=2e-6)
 
 
 def test_composing_with_what_does_nothing_changes_nothing(sim) -> None:
