@@ -129,9 +129,9 @@ def lines_of_current(mesh: Mesh, density: Array, plus: int, count: int) -> Any:
         vectors="density",
         integration_direction="both",
         max_length=20.0 * size(mesh),
-        max_steps=4000,
-        initial_step_length=0.2,
-        max_step_length=0.5,
+        max_steps=8000,
+        initial_step_length=0.1,
+        max_step_length=0.25,
         min_step_length=1e-3,
         terminal_speed=0.0,
     )
