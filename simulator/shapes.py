@@ -127,7 +127,7 @@ def lines_of_current(mesh: Mesh, density: Array, plus: int, count: int) -> Any:
     lines = cells.cell_data_to_point_data().streamlines_from_source(
         _seeds(mesh, density, plus, count),
         vectors="density",
-        integration_direction="both",
+        integration_direction="forward",
         max_length=20.0 * size(mesh),
         max_steps=8000,
         initial_step_length=0.1,
@@ -157,4 +157,7 @@ def _seeds(mesh: Mesh, density: Array, plus: int, count: int) -> Any:
         a, b = np.where(outside, 1.0 - a, a), np.where(outside, 1.0 - b, b)
     sides = corners[:, [1, -1]] - corners[:, :1]
     places = corners[:, 0] + a[:, None] * sides[:, 0] + b[:, None] * sides[:, 1]
-    return pv.PolyData(places + 0.1 * inward[chosen])
+    into = 0.3 * inward[chosen]
+    if not len(contacts.facets[plus]):
+        into[::2] *= -1.0  # a sheet inside the body conducts to both sides of it
+    return pv.PolyData(places + into)
