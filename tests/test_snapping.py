@@ -70,12 +70,20 @@ def test_what_is_sharp_on_prisms():
         ((1.3, 0.7, 0.96), (1.3, 0.7, 1.0)),  # below it
         ((1.3, 0.03, 0.96), (1.3, 0.0, 1.0)),  # near an edge
         ((2.97, 0.03, 0.96), (3.0, 0.0, 1.0)),  # near a corner
+        ((3.07, 0.05, 0.05), (3.0, 0.05, 0.05)),  # nearer to the line of an edge than to the edge
         ((1.3, 0.7, 0.5), (1.3, 0.7, 0.5)),  # far from everything
     ],
 )
 def test_places_go_to_the_sharpest_feature_within_reach(place, goal):
     found = SURFACE.nearest_feature(np.array([place, (0.1, 0.1, 0.5)]), 0.08)
     assert found[0] == pytest.approx(goal, abs=1e-12)
+
+
+@pytest.mark.parametrize(("height", "goal"), [(0.01, 0.0), (0.04, 0.05)])
+def test_the_nearest_of_several_edges_is_taken(height, goal):
+    plate = TriangleSurface.of(BOX * [1, 1, 0.05], BOX_FACES)
+    found = plate.nearest_feature(np.array([(1.3, 0.02, height), (1.0, 1.0, height)]), 0.08)
+    assert found == pytest.approx(np.array([(1.3, 0.0, goal), (1.0, 1.0, goal)]), abs=1e-12)
 
 
 def test_a_dented_box_becomes_plane_again():
