@@ -1,5 +1,6 @@
 """Points of a mesh put back on the surface that they approximate."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,8 +21,8 @@ _POOR = 0.05  # scaled Jacobian below which no cell may come by being moved
 def snapped(points: Array, cells: Numbers, surface: "TriangleSurface", reach: float) -> Array:
     """Move points of a mesh's boundary to the nearest place of a surface.
 
-    A point within `reach` of a corner goes there, else of a sharp edge to its nearest place, else
-    of a face. Where that would flatten a cell its points stay.
+    First to the nearest place of a face within `reach`, then of a sharp edge, then to a corner;
+    each time, points of cells that this would flatten stay.
 
     Args:
         points: (n, 3) [m].
@@ -33,14 +34,14 @@ def snapped(points: Array, cells: Numbers, surface: "TriangleSurface", reach: fl
         points: (n, 3) [m].
     """
     boundary = np.unique(boundary_faces(cells)[0])
-    moved = points.copy()
-    moved[boundary] = surface.nearest_feature(points[boundary], reach)
     least = np.minimum(scaled_jacobians(points, cells), _POOR)
-    while True:
-        poor = scaled_jacobians(moved, cells) < least
-        if not poor.any():
-            return moved
-        moved[cells[poor]] = points[cells[poor]]
+    for goal in surface.goals(points[boundary], reach):
+        moved = points.copy()
+        moved[boundary] = goal
+        while (poor := scaled_jacobians(moved, cells) < least).any():
+            moved[cells[poor]] = points[cells[poor]]
+        points = moved
+    return points
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,32 +73,38 @@ class TriangleSurface:
         edges = edges[(pairs[:, 0] * pairs[:, 1]).sum(axis=1) < _SHARP]
         return cls(points, faces, edges, _corners(points, edges))
 
-    def nearest_feature(self, places: Array, reach: float) -> Array:
-        """Where each of the places (n, 3) [m] goes; it stays if nothing is within reach."""
-        corners, edges = self.points[self.faces], self.points[self.edges]
+    def goals(self, places: Array, reach: float) -> Iterator[Array]:
+        """Where places (n, 3) [m] go: to faces within reach, also to edges, also to corners."""
         closest_on_face = require("trimesh", "mesh").triangles.closest_point
-        target = places.copy()
-        # Later ones are sharper and take what is within their reach.
-        for shapes, closest in ((corners, closest_on_face), (edges, _closest_on_segment)):
-            middle = shapes.mean(axis=1)
-            radius = np.linalg.norm(shapes - middle[:, None], axis=2).max(axis=1) + reach
+        goal = places.copy()
+        shapes = (
+            (self.points[self.faces], closest_on_face),
+            (
+                self.points[self.edges],
+                _closest_on_segment,
+            ),
+        )
+        for corners, closest in shapes:
+            middle = corners.mean(axis=1)
+            radius = np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1) + reach
             near = cKDTree(places).query_ball_point(middle, radius)
-            shape = np.repeat(np.arange(len(shapes)), [len(n) for n in near])
+            shape = np.repeat(np.arange(len(corners)), [len(n) for n in near])
             place = np.array([number for numbers in near for number in numbers], dtype=np.int64)
-            _move(target, places, place, closest(shapes[shape], places[place]), reach)
+            _send(goal, places, place, closest(corners[shape], places[place]), reach)
+            yield goal.copy()
         if len(self.corners):
             _, corner = cKDTree(self.points[self.corners]).query(places)
             number = np.arange(len(places))
-            _move(target, places, number, self.points[self.corners[corner]], reach)
-        return target
+            _send(goal, places, number, self.points[self.corners[corner]], reach)
+            yield goal
 
 
-def _move(target: Array, places: Array, place: Numbers, goal: Array, reach: float) -> None:
+def _send(goals: Array, places: Array, place: Numbers, goal: Array, reach: float) -> None:
     """Send each place to the nearest of its goals that is within reach."""
     distance = np.linalg.norm(goal - places[place], axis=1)
     within = np.flatnonzero(distance <= reach)
     farthest_first = within[np.argsort(-distance[within], kind="stable")]
-    target[place[farthest_first]] = goal[farthest_first]
+    goals[place[farthest_first]] = goal[farthest_first]
 
 
 def _closest_on_segment(segments: Array, places: Array) -> Array:

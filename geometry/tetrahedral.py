@@ -24,18 +24,20 @@ Numbers = NDArray[np.int64]
 
 _CHORDS = 60  # of a circle, before points of its rim are put on it
 _SPACING = 2.0  # of points along electrode edges, relative to the finest size
+_AT_EDGES = 0.7  # what to ask for along electrode edges, where fTetWild gives 1.4 times as much
 # fTetWild samples the surface at distances of its envelope, so that a small one takes long: the
 # reference slab 4 s at 2e-3 of the diagonal, 100 s at 1e-4.
 _WIDEST_ENVELOPE, _SLIMMEST_ENVELOPE = 2e-3, 1e-4
+_REACH = 1.25  # of the snapping, in envelopes: a point near an edge is off two faces
 _MOST_CELLS = 300_000
 
 
 def tetrahedral_mesh(design: SensorDesign, grading: Grading) -> Mesh:
     """Mesh any body by tetrahedra, fine at the electrode edges (Hu et al. 2020, fTetWild).
 
-    fTetWild may move the boundary by its envelope, here a third of the finest size at most; points
-    of the boundary are then put back on the body's faces, edges and corners. Points are numbered
-    by rising x. Interfaces between layers of different conductivity are not fitted.
+    fTetWild may move the boundary by its envelope, here a quarter of the finest size at most;
+    points of the boundary are then put back on the body's faces, edges and corners. Points are
+    numbered by rising x. Interfaces between layers of different conductivity are not fitted.
 
     Two runs give different meshes of the same sizes and quality: fTetWild cannot be seeded.
 
@@ -51,7 +53,7 @@ def tetrahedral_mesh(design: SensorDesign, grading: Grading) -> Mesh:
     tetwild = require("pytetwild", "mesh")
     surface = TriangleSurface.of(*_surface(design.outline, design.thickness))
     diagonal = float(np.linalg.norm(np.ptp(surface.points, axis=0)))
-    envelope = min(grading.finest / 3.0, _WIDEST_ENVELOPE * diagonal)
+    envelope = min(0.25 * grading.finest, _WIDEST_ENVELOPE * diagonal)
     _require_feasible(design, grading, envelope / diagonal)
     places, tetrahedra, sizes = _sizing(design, grading, surface.points)
     # fTetWild leaves a file in the working directory.
@@ -68,7 +70,7 @@ def tetrahedral_mesh(design: SensorDesign, grading: Grading) -> Mesh:
             bg_values=sizes,
         )
     cells = _oriented(points, cells.astype(np.int64))
-    points = snapped(points, cells, surface, 1.5 * envelope)
+    points = snapped(points, cells, surface, _REACH * envelope)
     if isinstance(design.outline, Disc):
         points = _on_circle(design.outline, points, cells)
     points, cells = numbered_along_x(points, cells)
@@ -109,7 +111,9 @@ def _sizing(design: SensorDesign, grading: Grading, points: Array) -> tuple[Arra
     places = np.unique(np.concatenate([edges, lattice[far]]).round(12), axis=0)
     tetrahedra = Delaunay(places).simplices
     solid = np.abs(volumes(places, tetrahedra)) > 1e-12 * step**3
-    return places, tetrahedra[solid].astype(np.int32), grading.size(tree.query(places)[0])
+    distance, _ = tree.query(places)
+    sizes = np.minimum(grading.coarsest, _AT_EDGES * grading.finest + grading.growth * distance)
+    return places, tetrahedra[solid].astype(np.int32), sizes
 
 
 def _on_circle(disc: Disc, points: Array, cells: Numbers) -> Array:
