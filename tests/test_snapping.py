@@ -110,10 +110,13 @@ def test_points_go_to_a_face_where_its_edge_would_flatten_a_cell(depth, goal):
     assert snapped(points, cells, SURFACE, 0.08)[0] == pytest.approx(goal)
 
 
-def test_points_stay_where_moving_would_flatten_a_cell():
-    # A tetrahedron whose apex is within reach of the face that its base lies in.
-    base = [[1.0, 1.0, 1.0], [1.5, 1.0, 1.0], [1.0, 1.5, 1.0]]
-    points = np.array([*base, [1.2, 1.2, 0.95]])
-    cells = np.array([[0, 2, 1, 3]])
-    assert volumes(points, cells)[0] > 0
-    assert np.array_equal(snapped(points, cells, SURFACE, 0.1), points)
+def test_points_stay_where_moving_would_flatten_a_cell_and_only_there():
+    # The apex of the first is within reach of the face that its base lies in.
+    flat = [[1.0, 1.0, 1.0], [1.5, 1.0, 1.0], [1.0, 1.5, 1.0], [1.2, 1.2, 0.95]]
+    tall = [[2.0, 1.0, 0.97], [2.2, 1.0, 0.6], [2.0, 1.3, 0.6], [2.1, 1.1, 0.2]]
+    points = np.array([*flat, *tall])
+    cells = np.array([[0, 2, 1, 3], [4, 6, 5, 7]])
+    assert volumes(points, cells).min() > 0
+    found = snapped(points, cells, SURFACE, 0.1)
+    assert np.array_equal(found[:4], points[:4])
+    assert found[4] == pytest.approx([2.0, 1.0, 1.0])
