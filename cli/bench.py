@@ -105,13 +105,13 @@ def _as_table(found: "Accuracy") -> Table:
 
 
 def _deformed_table(found: "Accuracy") -> Table:
-    scenes = list(found.deformed[0].signal_errors)
-    table = Table("signal errors", "ms/frame", *scenes, box=box.SIMPLE)
+    table = Table("signal errors", *(row.name for row in found.deformed), box=box.SIMPLE)
     for column in table.columns[1:]:
         column.justify = "right"
-    for row in found.deformed:
-        errors = [f"{row.signal_errors[scene]:.1e}" for scene in scenes]
-        table.add_row(row.name, f"{1e3 * row.frame_seconds:.1f}", *errors)
+    for scene in found.deformed[0].signal_errors:
+        table.add_row(scene, *(f"{row.signal_errors[scene]:.1e}" for row in found.deformed))
+    table.add_section()
+    table.add_row("ms/frame", *(f"{1e3 * row.frame_seconds:.1f}" for row in found.deformed))
     return table
 
 
