@@ -15,10 +15,10 @@ Array = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
-# Subdivision starts from edges of a twentieth of the outline, or of the coarsest size where that
+# Subdivision starts from edges of a sixteenth of the outline, or of the coarsest size where that
 # is more, and angles of 28 degrees. Circumradius over shortest edge is 1 / (2 sin) of the
 # smallest angle.
-_COARSE = 20.0
+_COARSE = 16.0
 _WORST_RATIO = 0.5 / np.sin(np.radians(28.0))
 _CHORDS = 24  # a circle has at least so many
 _MOST_ROUNDS = 300

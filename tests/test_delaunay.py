@@ -108,7 +108,7 @@ def test_local_refinement_is_cheap():
     counts = [len(sized(SLAB, [0.052, 0.057], finest)[0]) for finest in (1e-3, 1e-4, 1e-5, 1e-6)]
     added = np.diff(counts)
     # Each tenth of the finest size adds a few rings of triangles.
-    assert added.max() < 300
+    assert added.max() < 500
     assert added.min() > 50
 
 
