@@ -3,7 +3,7 @@
 import itertools
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,7 +95,8 @@ def layer_heights(design: SensorDesign, grading: Grading) -> Lines:
     edges = {z for electrode in design.electrodes for z in _edge_heights(electrode, thickness)}
     interfaces = np.cumsum([layer.thickness for layer in design.layers])[:-1]
     if edges:
-        return graded_lines(thickness, edges, interfaces, grading)
+        largest = max(min(grading.coarsest, thickness / grading.layers), grading.finest)
+        return graded_lines(thickness, edges, interfaces, replace(grading, coarsest=largest))
     sheets = np.array([0.0, *interfaces, thickness])
     steps = [np.linspace(a, b, grading.layers + 1)[:-1] for a, b in itertools.pairwise(sheets)]
     return np.concatenate([*steps, [thickness]])

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from eitskin.geometry.electrode import Electrode
 from eitskin.geometry.errors import ConfigurationError
 from eitskin.geometry.outline import Disc, PlaneOutline
-from eitskin.geometry.patches import Patch, Region, _area_vectors, _on_boundary
+from eitskin.geometry.patches import Patch, Region, area_vectors, on_boundary
 from eitskin.geometry.surface import Surface
 
 Array = NDArray[np.float64]
@@ -156,11 +156,11 @@ def _prism(corners: Array, normal: Array, depth: float) -> Region:
 
 def _within(triangles: Array, region: Region) -> Array:
     """Area times normal, (k, 3) [m2], of the parts of triangles (n, 3, 3) in a region."""
-    normals = _area_vectors(triangles)
+    normals = area_vectors(triangles)
     normals /= np.maximum(np.linalg.norm(normals, axis=1), np.finfo(float).tiny)[:, None]
     snap = _SAME * float(np.ptp(triangles))
-    pieces = _on_boundary(triangles, normals, np.arange(len(triangles)), region, snap)
-    return _area_vectors(pieces.polygons)
+    pieces = on_boundary(triangles, normals, np.arange(len(triangles)), region, snap)
+    return area_vectors(pieces.polygons)
 
 
 def tangents(normal: Array) -> Array:

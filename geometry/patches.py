@@ -84,17 +84,17 @@ def electrode_contacts(points: Array, cells: Numbers, patches: Sequence[Patch]) 
     """
     faces, owners = boundary_faces(cells)
     corners = points[faces]
-    normals = _area_vectors(corners)
+    normals = area_vectors(corners)
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     snap = _SNAP * float(np.linalg.norm(np.ptp(points, axis=0)))
     pieces, stretch = [], []
     for number, patch in enumerate(patches):
         if patch.sheet is None:
-            parts = [_on_boundary(corners, normals, owners, r, snap) for r in patch.regions]
+            parts = [on_boundary(corners, normals, owners, r, snap) for r in patch.regions]
         else:
             parts = [_in_cells(points, cells, patch.sheet, snap)]
         found = _joined(parts)
-        areas = np.linalg.norm(_area_vectors(found.polygons), axis=1)
+        areas = np.linalg.norm(area_vectors(found.polygons), axis=1)
         _check_area(number, float(areas.sum()), patch.area)
         stretch.append(patch.area / areas.sum())
         real = areas > 1e-12 * patch.area
@@ -102,7 +102,7 @@ def electrode_contacts(points: Array, cells: Numbers, patches: Sequence[Patch]) 
     everything = _joined(pieces)
     electrode = np.repeat(np.arange(len(patches)), [len(p.cells) for p in pieces])
     chosen, shapes = _shapes(everything.polygons)
-    areas = np.linalg.norm(_area_vectors(shapes), axis=1) * np.array(stretch)[electrode[chosen]]
+    areas = np.linalg.norm(area_vectors(shapes), axis=1) * np.array(stretch)[electrode[chosen]]
     facets = tuple(_facets(faces, piece.faces) for piece in pieces)
     return Contacts(electrode[chosen], everything.cells[chosen], shapes, areas, facets)
 
@@ -131,7 +131,7 @@ def boundary_faces(cells: Numbers) -> tuple[Numbers, Numbers]:
     return faces[lone], lone // len(local)
 
 
-def _on_boundary(
+def on_boundary(
     corners: Array, normals: Array, owners: Numbers, region: Region, snap: float
 ) -> _Pieces:
     """The parts of the boundary faces within one region."""
@@ -147,7 +147,7 @@ def _on_boundary(
 
 def _in_cells(points: Array, cells: Numbers, sheet: Array, snap: float) -> _Pieces:
     """The parts of a sheet within each cell."""
-    normal = _area_vectors(sheet[None])[0]
+    normal = area_vectors(sheet[None])[0]
     normal /= np.linalg.norm(normal)
     height = (points - sheet[0]) @ normal
     height[np.abs(height) <= snap] = 0.0
@@ -160,7 +160,7 @@ def _in_cells(points: Array, cells: Numbers, sheet: Array, snap: float) -> _Piec
     passed, corners = passed[overlap], corners[overlap]
     polygons = np.broadcast_to(sheet, (len(passed), *sheet.shape))
     for face in FACES[cells.shape[1]]:
-        outward = _area_vectors(corners[:, face])
+        outward = area_vectors(corners[:, face])
         outward /= np.linalg.norm(outward, axis=1)[:, None]
         offset = np.einsum("ni,ni->n", outward, corners[:, face].mean(axis=1))
         kept, polygons = _clipped(polygons, np.column_stack([outward, offset]), snap)
@@ -189,7 +189,7 @@ def _clipped(polygons: Array, planes: Array, snap: float) -> tuple[Numbers, Arra
     return left, np.take_along_axis(slots[left], order[..., None], axis=1)
 
 
-def _area_vectors(polygons: Array) -> Array:
+def area_vectors(polygons: Array) -> Array:
     """Area times unit normal, (n, 3), of plane polygons (n, k, 3)."""
     spokes = polygons[:, 1:] - polygons[:, :1]
     vectors: Array = 0.5 * np.cross(spokes[:, :-1], spokes[:, 1:]).sum(axis=1)
@@ -230,7 +230,7 @@ def _shapes(polygons: Array) -> tuple[Numbers, Array]:
     n, k = length.shape
     fan = np.stack([np.zeros(k - 2, dtype=int), np.arange(1, k - 1), np.arange(2, k)], axis=1)
     triangles = polygons[:, fan].reshape(-1, 3, 3)
-    real = np.linalg.norm(_area_vectors(triangles), axis=1) > np.repeat(
+    real = np.linalg.norm(area_vectors(triangles), axis=1) > np.repeat(
         1e-12 * size[:, 0] ** 2, k - 2
     )
     return np.repeat(np.arange(n), k - 2)[real], triangles[real]

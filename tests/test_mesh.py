@@ -1,10 +1,12 @@
 """Structured meshes: they fill the layer, fit the electrodes, and are numbered along x."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
-from eitskin.geometry import SensorDesign, structured_mesh
-from eitskin.geometry.structured import Grading
+from eitskin.geometry import Electrode, SensorDesign, structured_mesh
+from eitskin.geometry.grading import Grading, layer_heights
 
 GRADING = Grading(finest=1e-3, coarsest=4e-3, growth=0.5, layers=2)
 
@@ -51,3 +53,13 @@ def test_points_are_numbered_upwards_then_along_y_then_x() -> None:
     order = np.lexsort(mesh.points.T)
     assert np.array_equal(np.lexsort(mesh.points[:, ::-1].T), np.arange(len(mesh.points)))
     assert len(order) == len(mesh.points)
+
+
+def test_layers_are_kept_where_electrodes_have_level_edges() -> None:
+    electrodes = (*SensorDesign.reference().electrodes, Electrode(0.05, 0.03, on="top"))
+    design = dataclasses.replace(SensorDesign.reference(), electrodes=electrodes)
+    coarse = Grading(finest=2e-3, coarsest=8e-3, growth=1.0, layers=4)
+    assert len(layer_heights(design, coarse)) > 2
+    fine = layer_heights(design, dataclasses.replace(coarse, finest=1e-4))
+    assert np.diff(fine).max() < 1.01 * 0.005 / 4
+    assert np.diff(fine)[-1] < 3e-4 < np.diff(fine)[0]
