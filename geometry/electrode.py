@@ -34,8 +34,8 @@ class Electrode:
         z: height of the centre [m]. On the side the middle when omitted; needed inside, where it
             is the height of the sheet, and on a surface, where the centre is the nearest place
             of the surface to (x, y, z).
-        on: which face carries it; "inside" is a thin sheet within the layer that conducts to it
-            on both faces, "surface" goes with a `Surface` outline.
+        on: which face carries it; "inside" is a thin sheet within the layer, as of wire mesh, with
+            one potential on both faces and its area counted once; "surface" goes with a `Surface`.
         shape: "round" makes an ellipse of width and height, as a polygon of the same area.
     """
 
