@@ -43,14 +43,15 @@ class Hinge:
         transition: flat length over which the curvature rises, at each end of the bend [m].
         contraction: of the width, 0 as a plate to 1 as a beam; see Flexure.
 
-    The defaults of the last three fit the 3D model best (`python -m eitskin.benchmarks.bends`).
+    As they stand, a plate between rigid ends. `give=0.002, contraction=0.8` fits the 3D model of the
+    reference stack best (`python -m eitskin.benchmarks.bends`).
     """
 
     span: float = 0.040
     offset: float = 0.008
-    give: float = 0.002
+    give: float = 0.0
     transition: float = 0.0
-    contraction: float = 0.8
+    contraction: float = 0.0
 
     @property
     def bent_length(self) -> float:

@@ -149,7 +149,7 @@ def test_ends_of_a_bent_sensor_are_rigid_and_turned_by_half_the_angle() -> None:
 
 def test_bent_sensor_is_continuous_at_mid_layer_and_convex_on_top() -> None:
     bend = HINGE.flexure(DESIGN, Bend(50.0))
-    clamp = np.array([[0.097, 0.03, 0.0025]])
+    clamp = np.array([[0.095, 0.03, 0.0025]])
     nudge = np.array([[1e-10, 0, 0]])
     assert bend.positions(clamp - nudge) == pytest.approx(bend.positions(clamp + nudge), abs=1e-9)
     middle, end = bend.positions(np.array([[0.075, 0.03, 0.0025], [0.150, 0.03, 0.0025]]))
