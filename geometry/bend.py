@@ -43,8 +43,8 @@ class Hinge:
         transition: flat length over which the curvature rises, at each end of the bend [m].
         contraction: of the width, 0 as a plate to 1 as a beam; see Flexure.
 
-    As they stand, a plate between rigid ends. `give=0.002, contraction=0.8` fits the 3D model of the
-    reference stack best (`python -m eitskin.benchmarks.bends`).
+    As they stand, a plate between rigid ends. `give=0.002, contraction=0.8` fits the 3D model of
+    the reference stack best (`python -m eitskin.benchmarks.bends`).
     """
 
     span: float = 0.040
