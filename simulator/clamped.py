@@ -3,7 +3,7 @@
 import itertools
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -14,7 +14,7 @@ from eitskin.geometry import ConfigurationError, Hinge, Rectangle, SensorDesign
 from eitskin.geometry.deformation import Gradients, Points
 from eitskin.geometry.grading import Grading, graded_lines
 from eitskin.simulator.equilibrium import Load, SolidError, follow
-from eitskin.simulator.materials import Law, NeoHookean
+from eitskin.simulator.mechanics import Mechanics
 from eitskin.simulator.solid import Solid
 from eitskin.simulator.tensor_field import QuadraticField
 
@@ -23,28 +23,6 @@ Indices = NDArray[np.int64]
 
 _SAME = 1e-9  # [m]
 _ROUNDED = 10  # decimals, in m, by which nodes of one plane agree
-
-
-@dataclass(frozen=True, slots=True)
-class Stack:
-    """What the sensor is made of, mechanically.
-
-    Attributes:
-        gel: of the conductive layer; E = 60 kPa.
-        encapsulation: around it; Ecoflex 00-30.
-        margin: width of the encapsulation beyond the gel on all four sides [m].
-        bulk_ratio: kappa / mu of both.
-    """
-
-    gel: Law = field(default_factory=lambda: NeoHookean(20e3))
-    encapsulation: Law = field(default_factory=lambda: NeoHookean(28e3))
-    margin: float = 0.005
-    bulk_ratio: float = 1e4
-
-    def __post_init__(self) -> None:
-        """Check the margin; laws and solid check the rest."""
-        if not (math.isfinite(self.margin) and self.margin >= 0.0):
-            raise ConfigurationError(f"margin must be a length in m, got {self.margin}")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,7 +101,7 @@ class ClampedStack:
         self,
         design: SensorDesign,
         hinge: Hinge | None = None,
-        stack: Stack | None = None,
+        mechanics: Mechanics | None = None,
         grading: Grading | None = None,
         inside: float | None = None,
     ) -> None:
@@ -132,15 +110,15 @@ class ClampedStack:
         Args:
             design: the sensor, of rectangular outline.
             hinge: span and offset count, not the profile of its kinematic model.
-            stack: materials.
+            mechanics: materials.
             grading: finest at the edges of the plates and at the long sides of the gel, `layers`
                 cells in each of encapsulation, gel and encapsulation; by the thickness of the
                 sensor when omitted.
             inside: length solved within each clamp, beyond which all turns with the plate [m]; all
                 of it when omitted.
         """
-        hinge, self._stack = hinge or Hinge(), stack or Stack()
-        outline, margin = design.outline, self._stack.margin
+        hinge, self._mechanics = hinge or Hinge(), mechanics or Mechanics()
+        outline, margin = design.outline, self._mechanics.margin
         if not isinstance(outline, Rectangle):
             raise ConfigurationError(
                 f"a clamped stack needs a rectangular outline, got {type(outline).__name__}"
@@ -185,7 +163,7 @@ class ClampedStack:
 
     def _followed(self, x: Array, before: float, angle: float) -> Array:
         try:
-            return follow([self.solid], x, partial(self._between, before, angle))
+            return follow([self.solid], x, partial(self._between, before, angle))[0]
         except SolidError as error:
             reached = before + error.reached * (angle - before)
             raise SolidError(
@@ -197,8 +175,8 @@ class ClampedStack:
         mesh = skfem.MeshHex.init_tensor(*self._lines)
         middles = mesh.p[:, mesh.t].mean(axis=1).T
         gel = np.all(np.abs(middles) < self._gel, axis=1)
-        laws = (self._stack.encapsulation, self._stack.gel)
-        return Solid(mesh, laws, gel.astype(np.int64), "solid", self._stack.bulk_ratio)
+        laws = (self._mechanics.encapsulation, self._mechanics.gel)
+        return Solid(mesh, laws, gel.astype(np.int64), "solid", self._mechanics.bulk_ratio)
 
     def _supports(self) -> tuple[Indices, Indices]:
         """Nodes that move with the plate, and all prescribed unknowns."""

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +14,11 @@ from eitskin.geometry import ConfigurationError
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-_ITERATIONS = 14
-_TOLERANCE = 1e-7  # last correction against the largest unknown; what is left is its square
+_ITERATIONS = 20
+_FULL_STEPS = 6
+_TOLERANCE = (
+    1e-7  # last correction against the largest unknown, now or before; what is left is its square
+)
 _HALVINGS = 6  # of a correction that would turn a cell inside out
 _SMALLEST_STEP = 1.0 / 200.0
 
@@ -41,12 +44,20 @@ class Part(Protocol):
         """How many unknowns are multipliers of constraints, such as pressures."""
         ...
 
+    def forces(self, x: Array) -> Array:
+        """Forces (n,) at the unknowns x (n,)."""
+        ...
+
     def linearise(self, x: Array) -> tuple[Array, csc_array]:
         """Forces (n,) and symmetric stiffness (n, n) at the unknowns x (n,)."""
         ...
 
     def admissible(self, x: Array) -> bool:
         """Whether x is possible at all."""
+        ...
+
+    def advanced(self, x: Array) -> Self:
+        """The part as it is once x has been reached, where its forces depend on the past."""
         ...
 
 
@@ -66,28 +77,30 @@ class Load:
 
 
 def newton(parts: Sequence[Part], x: Array, load: Load) -> Array:
-    """The stable equilibrium near x; corrections that would invert a cell are halved.
+    """The stable equilibrium near x.
 
-    Raises SolidError where none is found; `follow` takes smaller steps then.
+    Corrections that would invert a cell, or leave larger forces unbalanced, are halved. Raises
+    SolidError where no equilibrium is found; `follow` takes smaller steps then.
     """
     free = np.setdiff1d(np.arange(len(x)), load.fixed)
+    start = np.abs(x).max()  # where all loads are taken off, x itself goes to zero
     constraints = sum(part.multipliers for part in parts)
-    for _ in range(_ITERATIONS):
-        step, negative = _correction(parts, x, load, free)
-        trials = (x + 0.5**k * step for k in range(_HALVINGS + 1))
-        trial = next((y for y in trials if all(part.admissible(y) for part in parts)), None)
-        if trial is None:
-            raise SolidError("cells are turned inside out")
-        x = trial
-        if np.abs(step).max() <= _TOLERANCE * np.abs(x).max():
+    for iteration in range(_ITERATIONS):
+        step, negative, unbalanced = _correction(parts, x, load, free)
+        # At first full steps find out quickly what touches; later ones must not go in circles.
+        limit = np.inf if iteration < _FULL_STEPS else unbalanced
+        x = _corrected(parts, x, step, load.forces, free, limit)
+        if np.abs(step).max() <= _TOLERANCE * max(start, np.abs(x).max()):
             if negative != constraints:
                 raise SolidError("the equilibrium is unstable: it would buckle or crease")
             return x
     raise SolidError(f"Newton's method does not converge in {_ITERATIONS} iterations")
 
 
-def _correction(parts: Sequence[Part], x: Array, load: Load, free: Indices) -> tuple[Array, int]:
-    """The Newton step and the number of negative pivots of the stiffness.
+def _correction(
+    parts: Sequence[Part], x: Array, load: Load, free: Indices
+) -> tuple[Array, int, float]:
+    """The Newton step, the number of negative pivots of the stiffness, and the unbalanced force.
 
     The potential has a minimum over displacements, given the constraints, where there are as many
     negative pivots as multipliers (Sylvester's law of inertia).
@@ -111,7 +124,28 @@ def _correction(parts: Sequence[Part], x: Array, load: Load, free: Indices) -> t
     step[free] = lu.solve((-residual - K @ step)[free])
     if not np.all(np.isfinite(step)):
         raise SolidError("the stiffness is singular")
-    return step, int(np.count_nonzero(lu.U.diagonal() < 0.0))
+    negative = int(np.count_nonzero(lu.U.diagonal() < 0.0))
+    return step, negative, float(np.linalg.norm(residual[free]))
+
+
+def _corrected(
+    parts: Sequence[Part], x: Array, step: Array, loads: Array, free: Indices, limit: float
+) -> Array:
+    """x after as much of the step as leaves less force unbalanced than `limit`, or least of it."""
+    best, least = x, np.inf
+    for halving in range(_HALVINGS + 1):
+        trial = x + 0.5**halving * step
+        if not all(part.admissible(trial) for part in parts):
+            continue
+        residual = sum((part.forces(trial) for part in parts), start=-loads)
+        unbalanced = float(np.linalg.norm(residual[free]))
+        if unbalanced < least:
+            best, least = trial, unbalanced
+        if unbalanced < limit:
+            break
+    if least == np.inf:
+        raise SolidError("cells are turned inside out")
+    return best
 
 
 def follow(
@@ -119,8 +153,10 @@ def follow(
     x: Array,
     path: Callable[[float], Load],
     first_step: float = 1.0,
-) -> Array:
+) -> tuple[Array, tuple[Part, ...]]:
     """The equilibrium under path(1), from x under path(0), in as few steps as will do.
+
+    Returns it with the parts as they are then.
 
     Raises SolidError, with the fraction reached, where even small steps find no equilibrium.
     """
@@ -144,5 +180,6 @@ def follow(
                 ) from None
             continue
         previous, previous_t, x, t = x, t, reached, target
+        parts = tuple(part.advanced(x) for part in parts)
         step, growth = growth * step, 2.0
-    return x
+    return x, tuple(parts)

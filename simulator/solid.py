@@ -11,7 +11,7 @@ stress is positive in tension.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
 import skfem
@@ -55,14 +55,16 @@ class Solid:
     """A meshed body of hyperelastic materials.
 
     Unknowns x are the displacements [m], node by node, then the pressures, scaled to have the
-    size of displacements so that the stiffness is well scaled.
+    size of displacements so that the stiffness is well scaled. Further unknowns may follow, such
+    as the depth of an indenter, on which the solid exerts no force.
 
     Attributes:
         mesh: cells; two-dimensional ones hold (x, y), or (r, z) when axisymmetric [m].
         kinematics: what the mesh stands for.
         basis: the functions of one displacement component, one per node.
         nodes: places of the displacement nodes, (nodes, dim) [m].
-        unknowns: length of x.
+        unknowns: number of displacements and pressures.
+        cells_of_law: cells of each material.
     """
 
     def __init__(
@@ -144,6 +146,10 @@ class Solid:
         J = np.linalg.det(self.deformation_gradient(x))
         return bool(np.all(J > 0.0))  # also false for NaN
 
+    def advanced(self, x: Array) -> Self:  # noqa: ARG002
+        """The solid itself: it is elastic."""
+        return self
+
     def energy(self, x: Array) -> float:
         """Stored energy [J]; per unit of thickness in plane strain."""
         F, p = self.deformation_gradient(x), self._mixed_pressure(x)
@@ -166,7 +172,7 @@ class Solid:
         return self._gathered(x, self.deformation_gradient(x), self.stress(x))
 
     def linearise(self, x: Array) -> tuple[Array, csc_array]:
-        """`forces` and its derivative, symmetric, (unknowns, unknowns)."""
+        """`forces` (n,) and their derivative, symmetric, (n, n), at x (n,)."""
         F, P = self.deformation_gradient(x), self.stress(x)
         H, p = cofactor(F), self.pressure(x)
         numbers = np.hstack([self._displacement_numbers, self._pressure_numbers])
@@ -179,9 +185,7 @@ class Solid:
         numbers = numbers[np.concatenate([cells for _, cells in self._groups()])]
         rows = np.broadcast_to(numbers[:, :, None], values.shape)
         columns = np.broadcast_to(numbers[:, None, :], values.shape)
-        K = coo_array(
-            (values.ravel(), (rows.ravel(), columns.ravel())), shape=(self.unknowns, self.unknowns)
-        )
+        K = coo_array((values.ravel(), (rows.ravel(), columns.ravel())), shape=(len(x), len(x)))
         return self._gathered(x, F, P), K.tocsc()
 
     def traction(self, facets: Indices, traction: Callable[[Array], Array]) -> Array:
@@ -225,13 +229,13 @@ class Solid:
         kept, numbers = np.unique(pairs, return_inverse=True)
         self._pressure_numbers: Indices = self.nodes.size + numbers.reshape(pairs.shape)
         self.unknowns = self.nodes.size + len(kept)
-        self._cells_of_law = [np.flatnonzero(law_of_cell == k) for k in range(len(self.laws))]
+        self.cells_of_law = [np.flatnonzero(law_of_cell == k) for k in range(len(self.laws))]
 
     def _groups(self) -> Iterator[tuple[Law, Indices]]:
         """Cells of one law, few enough to be assembled at once."""
         points, functions = self._slopes.shape[1:3]
         each = max(1, _CHUNK // (points * functions * self.dim * 9))
-        for law, cells in zip(self.laws, self._cells_of_law, strict=True):
+        for law, cells in zip(self.laws, self.cells_of_law, strict=True):
             for start in range(0, len(cells), each):
                 yield law, cells[start : start + each]
 
@@ -253,7 +257,7 @@ class Solid:
         dilation = np.linalg.det(F) - 1.0 - self._compliance[:, None] * self._mixed_pressure(x)
         volume = self._pressure_scale * (dilation * self.weights) @ self._pressure_values.T
         residual = np.bincount(
-            self._pressure_numbers.ravel(), weights=volume.ravel(), minlength=self.unknowns
+            self._pressure_numbers.ravel(), weights=volume.ravel(), minlength=len(x)
         )
         for _, cells in self._groups():
             nodal = np.einsum("cqed,cqe->cd", self._strain_operator(cells), flat[cells])

@@ -9,9 +9,10 @@ from eitskin.geometry import Bend, ConfigurationError, Disc, Hinge, Rectangle, S
 from eitskin.geometry.grading import Grading
 from eitskin.geometry.layouts import uniform
 from eitskin.simulator import Simulator
-from eitskin.simulator.clamped import ClampedStack, Stack
+from eitskin.simulator.clamped import ClampedStack
 from eitskin.simulator.equilibrium import SolidError
 from eitskin.simulator.materials import NeoHookean
+from eitskin.simulator.mechanics import Mechanics
 from eitskin.simulator.tensor_field import QuadraticField
 
 COARSE = Grading(finest=4e-3, coarsest=8e-3, growth=0.5)
@@ -22,7 +23,7 @@ def plain(length, width, thickness):
     outline = Rectangle(length, width)
     design = SensorDesign(outline, thickness, uniform(outline, 4), encapsulated_thickness=thickness)
     rubber = NeoHookean(20e3)
-    return design, Stack(rubber, rubber, margin=0.0)
+    return design, Mechanics(rubber, rubber, margin=0.0)
 
 
 @pytest.fixture(scope="module")
@@ -104,7 +105,7 @@ def layered(length):
     gel, around = 3 * 20e3, 3 * 60e3
     EA = around * (1e-4 - 36e-6) + gel * 36e-6
     EI = (around * (1e-8 - 0.006**4) + gel * 0.006**4) / 12
-    return design, Stack(NeoHookean(gel / 3), NeoHookean(around / 3), margin=0.002), EA, EI
+    return design, Mechanics(NeoHookean(gel / 3), NeoHookean(around / 3), margin=0.002), EA, EI
 
 
 @pytest.mark.parametrize("offset", [0.0, 0.010])
@@ -176,7 +177,7 @@ def test_what_cannot_be_bent_is_refused(bent) -> None:
     with pytest.raises(ConfigurationError, match="inside"):
         ClampedStack(reference, inside=0.0)
     with pytest.raises(ConfigurationError, match="margin"):
-        Stack(margin=-1e-3)
+        Mechanics(margin=-1e-3)
     disc = Disc(0.050)
     with pytest.raises(ConfigurationError, match="rectangular"):
         ClampedStack(SensorDesign(disc, 0.005, uniform(disc, 4)))

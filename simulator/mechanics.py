@@ -1,0 +1,78 @@
+"""What the sensor is made of, mechanically, and its layers as an indenter meets them."""
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from eitskin.geometry import ConfigurationError, SensorDesign
+from eitskin.simulator.materials import NeoHookean, Ogden
+
+
+@dataclass(frozen=True, slots=True)
+class Mechanics:
+    """Gel in encapsulation, bonded.
+
+    Attributes:
+        gel: law of the conductive layer; E = 60 kPa.
+        encapsulation: law of what surrounds it; Ecoflex 00-30.
+        margin: width of the encapsulation beyond the gel on all four sides [m].
+        bulk_ratio: kappa / mu of both.
+    """
+
+    gel: NeoHookean | Ogden = field(default_factory=lambda: NeoHookean(20e3))
+    encapsulation: NeoHookean | Ogden = field(default_factory=lambda: NeoHookean(28e3))
+    margin: float = 0.005
+    bulk_ratio: float = 1e4
+
+    def __post_init__(self) -> None:
+        """Check the margin; laws and solid check the rest."""
+        if not (math.isfinite(self.margin) and self.margin >= 0.0):
+            raise ConfigurationError(f"margin must be a length in m, got {self.margin}")
+
+    def stack(self, design: SensorDesign) -> "Stack":
+        """The layers of a sensor from below: encapsulation, gel, encapsulation."""
+        around = 0.5 * (design.encapsulated_thickness - design.thickness)
+        sheets = [Sheet(design.thickness, self.gel)]
+        if around > 0.0:
+            silicone = Sheet(around, self.encapsulation)
+            sheets = [silicone, *sheets, silicone]
+        return Stack(tuple(sheets), self.bulk_ratio)
+
+
+@dataclass(frozen=True, slots=True)
+class Sheet:
+    """One layer of a stack: its thickness [m] and what it is made of."""
+
+    thickness: float
+    law: NeoHookean | Ogden
+
+    def __post_init__(self) -> None:
+        """Check the thickness."""
+        if not (math.isfinite(self.thickness) and self.thickness > 0):
+            raise ConfigurationError(
+                f"the thickness of a layer must be positive, in m, got {self.thickness}"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class Stack:
+    """Layers bonded to each other and to a rigid base, from below.
+
+    Attributes:
+        sheets: the layers.
+        bulk_ratio: kappa / mu of all of them.
+    """
+
+    sheets: tuple[Sheet, ...]
+    bulk_ratio: float = 1e4
+
+    def __post_init__(self) -> None:
+        """Check that there is a layer."""
+        if not self.sheets:
+            raise ConfigurationError("a stack needs at least one layer")
+
+    @property
+    def levels(self) -> tuple[float, ...]:
+        """Heights of base, interfaces and top [m]."""
+        return (0.0, *np.cumsum([sheet.thickness for sheet in self.sheets]).tolist())
