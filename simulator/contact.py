@@ -21,7 +21,7 @@ class Contact:
     A place of the face that is inside the indenter by g is pushed back along the indenter's
     normal by q = k max(0, g) per undeformed area. A rough indenter also holds places across the
     normal, by a spring k to where they touched it first. Unknowns are those of the solid, then
-    the indenter's depth d below the undeformed face.
+    the depths d of indenters below the undeformed face, one per contact.
 
     Attributes:
         solid: the body.
@@ -33,6 +33,7 @@ class Contact:
         slopes: and their gradients, (facets, q, functions, dim) [1/m].
         weights: undeformed areas, (facets, q) [m2].
         numbers: unknowns of each facet, those of the solid and d, (facets, functions * dim + 1).
+        depth: number of the unknown d.
         anchors: where places are held, seen from the lowest point, (facets, q, dim) [m].
         holds: projections across the normal there, zero where a place is free to slide,
             (facets, q, dim, dim).
@@ -47,14 +48,21 @@ class Contact:
     slopes: Array
     weights: Array
     numbers: Indices
+    depth: int
     anchors: Array
     holds: Array
 
     @classmethod
     def of_face(
-        cls, solid: Solid, facets: Indices, indenter: Indenter, stiffness: float, centre: Array
+        cls,
+        solid: Solid,
+        facets: Indices,
+        indenter: Indenter,
+        stiffness: float,
+        centre: Array,
+        number: int = 0,
     ) -> "Contact":
-        """Contact on boundary facets of the solid's mesh, a level face, at rest.
+        """Contact `number` on boundary facets of the solid's mesh, a level face, at rest.
 
         A rough flat end holds what lies under it from the start.
         """
@@ -65,7 +73,7 @@ class Contact:
         slopes = [np.moveaxis(np.asarray(f.grad), 0, -1) for (f,) in basis.basis]
         dofs = basis.element_dofs.T.astype(np.int64)
         spread = (solid.dim * dofs[:, :, None] + np.arange(solid.dim)).reshape(len(dofs), -1)
-        depth = np.full((len(dofs), 1), solid.unknowns)
+        depth = solid.unknowns + number
         ring = 2.0 * np.pi * places[..., 0] if solid.kinematics == "axisymmetric" else 1.0
         r = np.linalg.norm(places[..., :-1] - centre, axis=-1)
         flat = (indenter.profile(r)[0] <= 0.0).astype(np.float64) * indenter.rough
@@ -80,7 +88,8 @@ class Contact:
             values=np.stack(values, axis=-1),
             slopes=np.stack(slopes, axis=2),
             weights=np.asarray(basis.dx) * ring,
-            numbers=np.hstack([spread, depth]),
+            numbers=np.hstack([spread, np.full((len(dofs), 1), depth)]),
+            depth=depth,
             anchors=undeformed,
             holds=flat[..., None, None] * horizontal,
         )
@@ -100,7 +109,13 @@ class Contact:
 
     def force(self, x: Array) -> float:
         """Total vertical force [N]."""
-        return float(self.forces(x)[-1])
+        return float(self.forces(x)[self.depth])
+
+    def energy(self, x: Array) -> float:
+        """Energy of the springs that stand for the contact [J]."""
+        slip = np.einsum("fqij,fqj->fqi", self.holds, self._relative(x) - self.anchors)
+        squares = np.maximum(self._entry(x)[0], 0.0) ** 2 + np.sum(slip**2, axis=-1)
+        return float(0.5 * self.stiffness * np.sum(self.weights * squares))
 
     def advanced(self, x: Array) -> "Contact":
         """The contact after a step of the load: a rough indenter now holds what it touches."""
@@ -177,7 +192,7 @@ class Contact:
         """Deformed places seen from the indenter's lowest point, (facets, q, dim) [m]."""
         moved: Array = self.places + self.values @ self._of_facets(x)
         moved[..., :-1] -= self.centre
-        moved[..., -1] += x[-1] - self.places[..., -1]
+        moved[..., -1] += x[self.depth] - self.places[..., -1]
         return moved
 
     def _entry(self, x: Array) -> tuple[Array, Array, Array]:

@@ -22,6 +22,8 @@ Indices = NDArray[np.int64]
 
 # Pressure over entry into the indenter, relative to shear modulus over radius of contact.
 _CONTACT_STIFFNESS = 5e3
+# Of the depth over the thickness: with larger steps Newton's method looks for contact in vain.
+_FIRST_STEP = 0.008
 _ATTRACTORS = 24  # at most, over the band where contact may end
 
 
@@ -69,6 +71,7 @@ class Press:
         stack, indenter: what is pressed by what.
         solid: the meshed stack.
         contact: its upper face against the indenter.
+        unknowns: those of the solid, then the depth [m], as the last press left them.
     """
 
     def __init__(
@@ -116,18 +119,18 @@ class Press:
         walls = np.flatnonzero((r < 1e-12) | (r > reach - 1e-9))
         base = np.flatnonzero(z < 1e-12)
         self._held: Indices = np.union1d(2 * walls, np.concatenate([2 * base, 2 * base + 1]))
-        self._x: Array = np.zeros(self.solid.unknowns + 1)
+        self.unknowns: Array = np.zeros(self.solid.unknowns + 1)
 
     def to_force(self, force: float) -> Indentation:
         """Press with a force [N]; raises SolidError, with the fraction reached, where it cannot."""
         _check_positive("force", force, "N")
-        if not self.contact.force(self._x):
+        if not self.contact.force(self.unknowns):
             self.to_depth(self._touching_depth(force))
-        start = self.contact.force(self._x)
+        start = self.contact.force(self.unknowns)
         held, values = self._held, np.zeros(len(self._held))
 
         def path(t: float) -> Load:
-            forces = np.zeros(len(self._x))
+            forces = np.zeros(len(self.unknowns))
             forces[-1] = start + t * (force - start)
             return Load(held, values, forces)
 
@@ -136,15 +139,16 @@ class Press:
     def to_depth(self, depth: float) -> Indentation:
         """Press to a depth [m]; raises SolidError, with the fraction reached, where it cannot."""
         _check_positive("depth", depth, "m")
-        start = self._x[-1]
-        fixed, none = np.append(self._held, len(self._x) - 1), np.zeros(len(self._x))
+        start = self.unknowns[-1]
+        fixed, none = np.append(self._held, len(self.unknowns) - 1), np.zeros(len(self.unknowns))
 
         def path(t: float) -> Load:
             values = np.zeros(len(fixed))
             values[-1] = start + t * (depth - start)
             return Load(fixed, values, none)
 
-        return self._settle(path)
+        first = min(1.0, _FIRST_STEP * self.stack.levels[-1] / max(abs(depth - start), 1e-12))
+        return self._settle(path, first)
 
     def _touching_depth(self, force: float) -> float:
         """A depth at which somewhat less than `force` acts, as on a half-space."""
@@ -159,14 +163,16 @@ class Press:
             depth *= 0.7
         return depth
 
-    def _settle(self, path: Callable[[float], Load]) -> Indentation:
+    def _settle(self, path: Callable[[float], Load], first_step: float = 1.0) -> Indentation:
         """Follow the path."""
-        self._x, (_, contact) = follow((self.solid, self.contact), self._x, path)
+        self.unknowns, (_, contact) = follow(
+            (self.solid, self.contact), self.unknowns, path, first_step
+        )
         self.contact = cast("Contact", contact)
         return self._result()
 
     def _result(self) -> Indentation:
-        x, solid = self._x, self.solid
+        x, solid = self.unknowns, self.solid
         radii, pressure = self.contact.pressure(x)
         r, z = self._lines
         grid = np.empty((len(r), len(z), 2))

@@ -163,3 +163,23 @@ def _collocated(
     G = np.pi * g.reshape(count, points, count)[:, 0]
     centring = np.eye(count) - 1 / count
     return centring @ np.linalg.inv(G) @ centring
+
+
+def bonded_punch(ratio: float, points: int = 40) -> float:
+    """F (1 - nu^2) / (2 a E delta) of a smooth flat punch on a bonded incompressible layer.
+
+    Hayes et al. 1972; `ratio` is radius a over thickness h. With pressures
+    p(r) = int k A(k) J0(kr) dk and A = int_0^a phi(t) cos(kt) dt, what lies under the punch obeys
+    phi + 2/pi int phi(s) int (M(kh) - 1) cos(kt) cos(ks) dk ds = const, where
+    M(x) = (sinh 2x - 2x) / (cosh 2x + 1 + 2 x^2) is the compliance of the layer over that of the
+    half-space.
+    """
+    t, weights = np.polynomial.legendre.leggauss(points)
+    t, weights = 0.5 * (t + 1.0), 0.5 * weights
+    x, dk = np.polynomial.legendre.leggauss(10 * points)
+    x, dk = 20.0 * (x + 1.0), 20.0 * ratio * dk
+    decay = np.exp(-2.0 * x)
+    M = (1.0 - decay**2 - 4.0 * x * decay) / (1.0 + decay**2 + (2.0 + 4.0 * x**2) * decay)
+    C = np.cos(np.outer(t, ratio * x))
+    K = 2.0 / np.pi * (C * ((M - 1.0) * dk)) @ C.T
+    return float(weights @ np.linalg.solve(np.eye(points) + K * weights, np.ones(points)))
