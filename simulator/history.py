@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solve_banded
 
 from eitskin.geometry import ConfigurationError
-from eitskin.simulator.relaxation import Prony, check_not_negative
+from eitskin.simulator.relaxation import Prony, check_not_negative, mean_decay
 
 Array = NDArray[np.float64]
 
@@ -96,7 +96,7 @@ class DepthHistory:
             between = depths[:-1, None] + np.diff(depths)[:, None] * _QUARTERS
             straight = forces[:-1, None] + np.diff(forces)[:, None] * _QUARTERS
             error = np.abs(elastic(between) - straight).max(axis=1, initial=0.0)
-            bent = np.flatnonzero((error > tolerance * np.abs(forces).max()) & (np.diff(times) > 0))
+            bent = np.flatnonzero(error > tolerance * np.abs(forces).max())
             if not (np.all(np.isfinite(forces)) and np.all(np.isfinite(error))):
                 break
             if len(bent) == 0:
@@ -144,9 +144,8 @@ class Memory:
 
 def _followed(delayed: Array, x: Array, before: Array | float, after: Array | float) -> Array:
     """q after a time of x tau, over which the load changes linearly: tau q' = load - q."""
-    reached = -np.expm1(-x)
-    average = np.divide(reached, x, out=np.ones_like(reached), where=x > 0.0)
-    followed: Array = delayed * np.exp(-x) + before * reached + (after - before) * (1.0 - average)
+    followed: Array = delayed * np.exp(-x) - before * np.expm1(-x)
+    followed += (after - before) * (1.0 - mean_decay(x))
     return followed
 
 

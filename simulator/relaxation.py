@@ -134,6 +134,37 @@ def held(prony: Prony, force: float, seconds: float, released: float = 0.0) -> f
     return force * (crept if released > 0.0 else 1.0 + crept)
 
 
+def held_at_depth(prony: Prony, force: float, seconds: float, released: float = 0.0) -> float:
+    """The elastic force [N] of a depth reached at once, held, then perhaps left to itself.
+
+    Args:
+        prony: how the body relaxes.
+        force: at the first moment [N].
+        seconds: for how long the depth is held [s].
+        released: how long ago the indenter was taken off [s]; 0 while it is there.
+
+    While the depth is held the force is F G(t). What each retardation time lets the body feel of
+    it, time q' = F G - q, fades after the release; all terms are positive.
+    """
+    check_not_negative(force=force, seconds=seconds, released=released)
+    if released == 0.0:
+        return force
+    g, rates = np.array(prony.amplitudes), 1.0 / np.array(prony.times)
+    j, times = (np.array(part) for part in prony.dual)
+    retardation = 1.0 / times[:, None]
+    # (exp(-rate t) - exp(-retardation t)) / (retardation - rate), where they are close as well.
+    lag = seconds * np.exp(-np.minimum(rates, retardation) * seconds)
+    lag *= mean_decay(np.abs(rates - retardation) * seconds)
+    felt = (1.0 - math.fsum(g)) * -np.expm1(-seconds / times) + (retardation * lag) @ g
+    return force * float(j @ (felt * np.exp(-released / times)))
+
+
+def mean_decay(x: Array) -> Array:
+    """The mean of exp(-s) over s from 0 to x, (1 - exp(-x)) / x."""
+    mean: Array = np.divide(-np.expm1(-x), x, out=np.ones_like(x), where=x > 0.0)
+    return mean
+
+
 def check_not_negative(**numbers: float) -> None:
     """Raise a ConfigurationError that names the first of `numbers` that is not 0 or more."""
     for name, value in numbers.items():

@@ -10,6 +10,7 @@ from eitskin.geometry import ConfigurationError
 from eitskin.simulator.history import DepthHistory, ForceHistory, Memory
 from eitskin.simulator.relaxation import ECOFLEX, GEL, Prony, held
 
+steady = settings(max_examples=60, derandomize=True, deadline=None, database=None)
 SPREAD = Prony((0.2, 0.1, 0.3, 0.05), (1e-4, 0.3, 5.0, 1e4))
 
 
@@ -94,6 +95,7 @@ def test_presses_in_a_row_add_up():
     assert left[0] == pytest.approx(float(one.sum()), rel=1e-12)
 
 
+@steady
 @given(histories(), histories())
 def test_histories_superpose(a, b):
     t = np.linspace(0.0, 60.0, 31)
@@ -124,29 +126,30 @@ def resampled(history, times):
     return values
 
 
-@settings(max_examples=60)
-@given(histories(closed=True), st.sampled_from([GEL, ECOFLEX, SPREAD]))
-def test_closed_cycles_dissipate(history, prony):
-    """int F dF_e = -int F_e dF > 0 from no force to no force, by jumps and by ramps."""
+def dissipated(history, prony):
+    """int F dF_e = -int F_e dF from no force to no force, by jumps and by ramps."""
     times = np.append(history.times[0], history.times)
     forces = np.append(0.0, history.forces)
-    work = 0.0
-    nodes, weights = np.polynomial.legendre.leggauss(40)
-    memory = Memory.none(prony)
+    nodes, weights = np.polynomial.legendre.leggauss(60)
+    work, memory = 0.0, Memory.none(prony)
     for gap, before, after in zip(np.diff(times), forces, forces[1:], strict=False):
-        if gap == 0.0:
-            # F_e jumps as much as F: the mean of before and after does the work.
-            mean = memory.elastic_force + 0.5 * (after - before)
-            work -= mean * (after - before)
-        else:
-            parts = 0.5 * (nodes + 1)
-            inside = [memory.after(gap * p, before + p * (after - before)) for p in parts]
-            mean = 0.5 * weights @ [m.elastic_force for m in inside]
-            work -= mean * (after - before)
+        rise = after - before
+        along = 0.5 * (nodes + 1)
+        elastic = [memory.after(gap * p, before + p * rise).elastic_force for p in along]
+        work -= 0.5 * weights @ elastic * rise
         memory = memory.after(gap, after)
-    assert work >= -1e-9 * np.square(forces).sum()
-    if np.ptp(forces) > 1.0 and times[-1] - times[0] > 0.05:
-        assert work > 0.0
+    return work
+
+
+@steady
+@given(histories(closed=True), st.sampled_from([GEL, ECOFLEX, Prony((0.3, 0.4), (0.2, 5.0))]))
+def test_closed_cycles_dissipate(history, prony):
+    assert dissipated(history, prony) >= -1e-12 * np.square(history.forces).sum()
+
+
+def test_a_rectangular_cycle_dissipates_what_creeps_under_the_force():
+    cycle = ForceHistory(np.array([0.0, 8.0, 8.0]), np.array([10.0, 10.0, 0.0]))
+    assert dissipated(cycle, GEL) == pytest.approx(10.0**2 * float(GEL.creep(8.0) - 1), rel=1e-12)
 
 
 def power(depth):
@@ -168,12 +171,15 @@ def test_a_ramp_of_depth_relaxes_while_it_goes():
     assert np.allclose(
         history.force(GEL, power, t), [0.0] + [relaxed(at) for at in t[1:]], atol=1e-6 * 36
     )
-    errors = []
+
+
+def test_the_tolerance_is_met_and_not_wasted():
+    history = DepthHistory(np.array([1.0, 3.0]), np.array([0.0, 0.002]))
+    fast, t = Prony((0.95,), (0.02,)), np.linspace(1.0, 3.5, 301)
+    best = history.force(fast, power, t, 1e-10)
     for tolerance in (1e-2, 1e-4, 1e-6):
-        force = history.force(GEL, power, np.array([5.0]), tolerance)
-        errors.append(abs(force[0] - relaxed(5.0)) / power(0.002))
-        assert errors[-1] <= tolerance
-    assert errors[0] > errors[2]
+        error = np.abs(history.force(fast, power, t, tolerance) - best).max() / power(0.002)
+        assert 0.2 * tolerance < error <= tolerance
 
 
 def test_a_step_of_depth_relaxes_as_g():
@@ -205,17 +211,12 @@ def test_a_raised_indenter_leaves_its_dent_behind():
     assert np.all(dents > 0)
 
 
-def test_the_tolerance_follows_a_kink():
-    kinked = DepthHistory(np.array([0.0, 1.0]), np.array([0.0, 0.003]))
-    force = kinked.force(GEL, lambda d: np.maximum(d - 0.001, 0) * 1e4, np.array([1.0]))
-    ramp = ForceHistory(np.array([1 / 3, 1.0]), np.array([0.0, 20.0]))
-    q = (20.0 - ramp.elastic_force(Prony(), 1.0)) + force  # same ramp, relaxed
-    integral, _ = quad(lambda s: float(GEL.relaxation(1 - s)) * 30.0, 1 / 3, 1.0)
-    assert q[0] == pytest.approx(integral, abs=1e-5 * 20)
-
-
-def ramp(d):
-    return 1e4 * d
+def test_depth_before_contact_takes_no_force():
+    """An indenter that comes down through air for a third of its way."""
+    history = DepthHistory(np.array([0.0, 1.0]), np.array([0.0, 0.003]))
+    force = history.force(GEL, lambda d: np.maximum(d - 0.001, 0) * 1e4, np.array([0.2, 1.0]))
+    relaxed, _ = quad(lambda s: float(GEL.relaxation(1 - s)) * 30.0, 1 / 3, 1.0)
+    assert force == pytest.approx([0.0, relaxed], abs=1e-5 * 20)
 
 
 @pytest.mark.parametrize(

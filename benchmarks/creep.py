@@ -1,0 +1,88 @@
+"""How presses creep and what lingers: `python -m eitskin.benchmarks.creep`.
+
+Prints, for the reference stack under the 15 mm cylinder, the layers' shares of the force, how far
+one elastic force for the whole stack is from layers that relax each by themselves (when all has
+relaxed: there the exact answer is the stack of relaxed moduli), and depths over time.
+"""
+
+import numpy as np
+
+from eitskin.benchmarks.provenance import Provenance
+from eitskin.geometry import SensorDesign
+from eitskin.simulator.indentation import Indentation, Press
+from eitskin.simulator.indenters import Cylinder
+from eitskin.simulator.materials import NeoHookean
+from eitskin.simulator.mechanics import Mechanics
+from eitskin.simulator.relaxation import ECOFLEX, GEL, REFERENCE, held, mixed
+from eitskin.simulator.shares import layer_shares
+
+FORCES = (2.0, 5.0, 10.0)
+GEL_LAYER = 1
+HELD = 30.0
+
+
+def main() -> None:
+    """Print the tables."""
+    print(Provenance.now(seed=0))
+    shares()
+    relaxed_stack()
+    over_time()
+
+
+def press(mechanics: Mechanics | None = None) -> Press:
+    """The cylinder on the reference stack."""
+    return Press((mechanics or Mechanics()).stack(SensorDesign.reference()), Cylinder())
+
+
+def shares() -> None:
+    """Of the force, at the depths of some forces."""
+    print("share of the force: encapsulation below, gel, encapsulation above; G at infinite time")
+    for force in FORCES:
+        indented = press()
+        parts = layer_shares(indented, indented.to_force(force).depth)
+        both = mixed((ECOFLEX, GEL, ECOFLEX), parts)
+        row = " ".join(f"{part:.3f}" for part in parts)
+        print(f"  {force:4g} N: {row}; {float(both.relaxation(np.inf)):.4f}")
+
+
+def relaxed_stack() -> None:
+    """One elastic force against the stack of relaxed moduli, under the same force."""
+    gel, silicone = (float(material.relaxation(np.inf)) for material in (GEL, ECOFLEX))
+    soft = Mechanics(NeoHookean(20e3 * gel), NeoHookean(28e3 * silicone))
+    print("all relaxed: by the elastic force; exactly")
+    for force in FORCES:
+        elastic = force * float(REFERENCE.creep(np.inf))
+        rows = press().to_force(elastic), press(soft).to_force(force)
+        print(f"  {force:4g} N: {described(rows[0])}; {described(rows[1])}")
+
+
+def over_time() -> None:
+    """A press of 10 N while it acts, and after it has acted for HELD seconds."""
+    force = FORCES[-1]
+    print(f"{force:g} N, held for")
+    for seconds in (0.0, 1.0, 10.0, 60.0, 1e5):
+        elastic = held(REFERENCE, force, seconds)
+        relaxed = force * float(REFERENCE.relaxation(seconds))
+        print(
+            f"  {seconds:6g} s: as {elastic:.2f} N at once, "
+            f"{described(press().to_force(elastic))}; at a held depth {relaxed:.2f} N are left"
+        )
+    print(f"released after {HELD:g} s of {force:g} N, since")
+    for seconds in (1.0, 10.0, 60.0, 300.0):
+        elastic = held(REFERENCE, force, HELD, released=seconds)
+        print(
+            f"  {seconds:6g} s: as {elastic:.4f} N at once, "
+            f"{described(press().to_force(elastic), 3)}"
+        )
+
+
+def described(dent: Indentation, digits: int = 2) -> str:
+    """Depth and thinning of the gel."""
+    return (
+        f"{1e3 * dent.depth:.{digits}f} mm, gel thinner by "
+        f"{100 * dent.thinning(GEL_LAYER):.{digits}f} %"
+    )
+
+
+if __name__ == "__main__":
+    main()
