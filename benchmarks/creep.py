@@ -2,31 +2,36 @@
 
 Prints, for the reference stack under the 15 mm cylinder, the layers' shares of the force, how far
 one elastic force for the whole stack is from layers that relax each by themselves (when all has
-relaxed: there the exact answer is the stack of relaxed moduli), and depths over time.
+relaxed: there the exact answer is the stack of relaxed moduli), depths over time, and run times.
 """
+
+import time
 
 import numpy as np
 
 from eitskin.benchmarks.provenance import Provenance
 from eitskin.geometry import SensorDesign
+from eitskin.simulator.history import ForceHistory, Memory
 from eitskin.simulator.indentation import Indentation, Press
 from eitskin.simulator.indenters import Cylinder
 from eitskin.simulator.materials import NeoHookean
 from eitskin.simulator.mechanics import Mechanics
-from eitskin.simulator.relaxation import ECOFLEX, GEL, REFERENCE, held, mixed
+from eitskin.simulator.relaxation import ECOFLEX, GEL, REFERENCE, Prony, held, held_at_depth, mixed
 from eitskin.simulator.shares import layer_shares
 
 FORCES = (2.0, 5.0, 10.0)
 GEL_LAYER = 1
 HELD = 30.0
+SEED = 0
 
 
 def main() -> None:
     """Print the tables."""
-    print(Provenance.now(seed=0))
+    print(Provenance.now(SEED))
     shares()
     relaxed_stack()
     over_time()
+    run_times()
 
 
 def press(mechanics: Mechanics | None = None) -> Press:
@@ -72,8 +77,28 @@ def over_time() -> None:
         elastic = held(REFERENCE, force, HELD, released=seconds)
         print(
             f"  {seconds:6g} s: as {elastic:.4f} N at once, "
-            f"{described(press().to_force(elastic), 3)}"
+            f"{described(press().to_force(elastic), 3)}; after as long at the depth of {force:g} N "
+            f"as {held_at_depth(REFERENCE, force, HELD, released=seconds):.4f} N"
         )
+
+
+def run_times() -> None:
+    """Of a creep function, of a long recording and of a frame."""
+    start = time.perf_counter()
+    for term in range(100):
+        _ = Prony(REFERENCE.amplitudes, (*REFERENCE.times[:-1], 200.0 + term)).dual
+    print(f"creep function of five terms: {10 * (time.perf_counter() - start):.2f} ms")
+    samples, frames = 1_000_000, 10_000
+    rng = np.random.default_rng(SEED)
+    history = ForceHistory(np.linspace(0.0, 2e4, samples), rng.uniform(0.0, 10.0, samples))
+    start = time.perf_counter()
+    history.elastic_force(REFERENCE, history.times)
+    print(f"{samples} samples of a recording: {time.perf_counter() - start:.2f} s")
+    start, memory = time.perf_counter(), Memory.none(REFERENCE)
+    for _ in range(frames):
+        memory = memory.after(0.02, 5.0)
+        _ = memory.elastic_force
+    print(f"one frame: {1e6 * (time.perf_counter() - start) / frames:.0f} us")
 
 
 def described(dent: Indentation, digits: int = 2) -> str:
