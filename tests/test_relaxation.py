@@ -157,6 +157,12 @@ def test_a_held_depth_gives_back_at_once_what_had_not_relaxed():
     assert 0 < fading[-1] < 1e-100
 
 
+def test_the_reference_creeps_as_documented():
+    assert held(REFERENCE, 10.0, 60.0) == pytest.approx(11.68, abs=0.005)
+    assert held(REFERENCE, 10.0, 30.0, released=10.0) == pytest.approx(0.400, abs=0.0005)
+    assert 10 * REFERENCE.relaxation(60.0) == pytest.approx(8.55, abs=0.005)
+
+
 @pytest.mark.parametrize("share", [0.1, 0.43, 0.9])
 def test_layers_side_by_side_mix_exactly(share):
     both = mixed([GEL, ECOFLEX], [share, 1 - share])
