@@ -16,7 +16,7 @@ from eitskin.datasets.durable import remove_leftovers, write_file
 from eitskin.datasets.folder import MANIFEST, Manifest, new_folder, shard_entry, write_manifest
 from eitskin.datasets.recipe import Recipe
 from eitskin.datasets.shard import read_shard, shard_name, write_shard
-from eitskin.datasets.simulated import simulate_shard
+from eitskin.datasets.simulated import prepare, simulate_shard
 from eitskin.geometry import ConfigurationError, DataError, PartialError
 
 RECIPE = "recipe.toml"
@@ -48,12 +48,13 @@ def generate(
         The manifest that was written.
 
     Raises:
-        ConfigurationError: where `out` holds something else.
+        ConfigurationError: where `out` holds something else, or forces are beyond reach.
         PartialError: where files cannot be written or workers died; resume when that is mended.
     """
     if workers < 1:
         raise ConfigurationError(f"workers must be at least 1, got {workers}")
-    folder = _prepare(recipe, Path(out), resume)
+    prepare(recipe)
+    folder = _folder(recipe, Path(out), resume)
     missing = [shard for shard in range(recipe.shards) if not _finished(recipe, folder, shard)]
     done = recipe.frames - sum(len(recipe.shard_range(shard)) for shard in missing)
 
@@ -80,7 +81,7 @@ def generate(
     return manifest
 
 
-def _prepare(recipe: Recipe, folder: Path, resume: bool) -> Path:
+def _folder(recipe: Recipe, folder: Path, resume: bool) -> Path:
     """A folder that holds this recipe, and nothing of another."""
     text = recipe.to_toml().encode()
     path = folder / RECIPE

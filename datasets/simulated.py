@@ -12,11 +12,22 @@ from eitskin.datasets.recipe import Recipe
 from eitskin.datasets.sampling import Sample, Stream, generator, sample, specimen
 from eitskin.datasets.specimen import Specimen
 from eitskin.datasets.writer import touch_columns
-from eitskin.simulator import Frame, Scene, Simulator
+from eitskin.simulator import Frame, Mechanics, Scene, Simulator, Touch
+from eitskin.simulator.presses import pressed
 from eitskin.simulator.resolution import Resolution
 
 Impedance = NDArray[np.complex128]
 Solved = Mapping[tuple[int, Scene], Impedance]
+
+
+def prepare(recipe: Recipe) -> None:
+    """Solve once what all workers need, and check what takes a solution to know.
+
+    Raises ConfigurationError for forces that the sensor's presses do not reach.
+    """
+    forces = [group.force[1] for group in recipe.scenes if group.state == "touch"]
+    if forces:
+        pressed((Touch(0.0, 0.0, max(forces)),), recipe.sensor, Mechanics())
 
 
 def simulate_shard(

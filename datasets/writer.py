@@ -137,5 +137,5 @@ def touch_columns(touches: Sequence[Touch]) -> dict[str, NDArray[np.float32]]:
         )
     columns = np.full((4, MAX_TOUCHES), np.nan, dtype=np.float32)
     for number, touch in enumerate(touches):
-        columns[:, number] = touch.x, touch.y, touch.force, touch.indenter.radius
+        columns[:, number] = touch.x, touch.y, touch.force, touch.indenter.rims[1]
     return dict(zip(("touch_x", "touch_y", "touch_force", "touch_radius"), columns, strict=True))

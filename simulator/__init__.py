@@ -2,19 +2,24 @@
 
 from eitskin.simulator.forward import ForwardModel
 from eitskin.simulator.frame import Frame, Status
+from eitskin.simulator.indenters import Cylinder, Profile, Sphere
 from eitskin.simulator.instrument import WhiteNoise
+from eitskin.simulator.mechanics import Mechanics
 from eitskin.simulator.protocol import Protocol
 from eitskin.simulator.scene import Scene
 from eitskin.simulator.simulator import Simulator
-from eitskin.simulator.touch import Cylinder, Touch
+from eitskin.simulator.touch import Touch
 
 __all__ = [
     "Cylinder",
     "ForwardModel",
     "Frame",
+    "Mechanics",
+    "Profile",
     "Protocol",
     "Scene",
     "Simulator",
+    "Sphere",
     "Status",
     "Touch",
     "WhiteNoise",

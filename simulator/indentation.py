@@ -1,5 +1,6 @@
 """An indenter pressed into a stack of bonded layers on a rigid base, as bodies of revolution."""
 
+import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from eitskin.geometry import ConfigurationError
 from eitskin.geometry.grading import Grading, graded_lines
 from eitskin.simulator.contact import Contact
-from eitskin.simulator.equilibrium import Load, follow
+from eitskin.simulator.equilibrium import Load, SolidError, follow
 from eitskin.simulator.indenters import Indenter
 from eitskin.simulator.mechanics import Stack
 from eitskin.simulator.solid import Solid
@@ -24,6 +25,8 @@ Indices = NDArray[np.int64]
 _CONTACT_STIFFNESS = 5e3
 # Of the depth over the thickness: with larger steps Newton's method looks for contact in vain.
 _FIRST_STEP = 0.008
+# Likewise: a rough indenter holds what it touches only after each step.
+_LONGEST_STEP = 0.04
 _ATTRACTORS = 24  # at most, over the band where contact may end
 
 
@@ -41,6 +44,9 @@ class Indentation:
         r: radial places of the displacement nodes, undeformed, (nr,) [m].
         z: their heights over the base, (nz,) [m].
         displacement: radial and upward, (nr, nz, 2) [m].
+        mean_stress: of each layer at corners of its cells, r[::2] and z[::2], (layers, nr', nz')
+            [Pa]; NaN outside the layer.
+        energies: of changes of shape stored in every layer [J].
         volume_ratios: deformed over undeformed volume of every layer.
     """
 
@@ -53,6 +59,8 @@ class Indentation:
     r: Array
     z: Array
     displacement: Array
+    mean_stress: Array
+    energies: Array
     volume_ratios: tuple[float, ...]
 
     def thinning(self, layer: int) -> float:
@@ -91,14 +99,14 @@ class Press:
             band: undeformed radii between which contact may end; from 0.7 of the smallest to the
                 largest that the indenter allows when omitted [m].
             reach: radius at which the stack ends, on a frictionless wall; eight such radii
-                or five thicknesses, whichever is more, when omitted [m].
+                or thicknesses, whichever is more, when omitted [m].
         """
         self.stack, self.indenter = stack, indenter
         thickness = stack.levels[-1]
         band = band or (0.7 * indenter.rims[0], indenter.rims[1])
         radius = band[1]
         finest = radius / 30.0 if finest is None else finest
-        reach = max(8.0 * radius, 5.0 * thickness) if reach is None else reach
+        reach = 8.0 * max(radius, thickness) if reach is None else reach
         grading = Grading(finest, max(finest, thickness / 4.0), 0.3)
         mesh = _mesh(stack.levels, band, reach, grading)
         heights = mesh.p[1, mesh.t].mean(axis=0)
@@ -112,9 +120,12 @@ class Press:
         )
         r, z = self.solid.nodes.T
         self._lines = tuple(_with_middles(np.unique(mesh.p[k])) for k in range(2))
-        self._places = tuple(
-            np.searchsorted(0.5 * (line[1:] + line[:-1]), at)
-            for line, at in zip(self._lines, (r, z), strict=True)
+        self._places, self._corners = (
+            tuple(
+                np.searchsorted(0.5 * (line[1:] + line[:-1]), at)
+                for line, at in zip(self._lines, points, strict=True)
+            )
+            for points in ((r, z), mesh.p)
         )
         walls = np.flatnonzero((r < 1e-12) | (r > reach - 1e-9))
         base = np.flatnonzero(z < 1e-12)
@@ -139,16 +150,29 @@ class Press:
     def to_depth(self, depth: float) -> Indentation:
         """Press to a depth [m]; raises SolidError, with the fraction reached, where it cannot."""
         _check_positive("depth", depth, "m")
-        start = self.unknowns[-1]
+        start, longest = self.unknowns[-1], _LONGEST_STEP * self.stack.levels[-1]
+        steps = np.linspace(start, depth, 1 + max(1, math.ceil(abs(depth - start) / longest)))
+        for before, after in itertools.pairwise(steps):
+            try:
+                result = self._straight_to(before, after)
+            except SolidError as error:
+                reached = before + error.reached * (after - before)
+                raise SolidError(
+                    f"the indenter came {reached:.3g} m deep of {depth:g} m: {error}",
+                    reached / depth,
+                ) from error
+        return result
+
+    def _straight_to(self, before: float, after: float) -> Indentation:
         fixed, none = np.append(self._held, len(self.unknowns) - 1), np.zeros(len(self.unknowns))
 
         def path(t: float) -> Load:
             values = np.zeros(len(fixed))
-            values[-1] = start + t * (depth - start)
+            values[-1] = before + t * (after - before)
             return Load(fixed, values, none)
 
-        first = min(1.0, _FIRST_STEP * self.stack.levels[-1] / max(abs(depth - start), 1e-12))
-        return self._settle(path, first)
+        first = _FIRST_STEP * self.stack.levels[-1] / max(abs(after - before), 1e-12)
+        return self._settle(path, 1.0 if before else min(1.0, first))
 
     def _touching_depth(self, force: float) -> float:
         """A depth at which somewhat less than `force` acts, as on a half-space."""
@@ -177,6 +201,9 @@ class Press:
         r, z = self._lines
         grid = np.empty((len(r), len(z), 2))
         grid[self._places] = solid.displacement(x)
+        layers = range(len(self.stack.sheets))
+        corners = np.full((len(layers), len(r), len(z)), np.nan)
+        corners[(slice(None), *self._corners)] = [solid.corner_mean_stress(x, k) for k in layers]
         J = np.linalg.det(solid.deformation_gradient(x)) * solid.weights
         return Indentation(
             stack=self.stack,
@@ -188,6 +215,8 @@ class Press:
             r=r,
             z=z,
             displacement=grid,
+            mean_stress=corners[:, ::2, ::2],
+            energies=solid.shape_energies(x),
             volume_ratios=tuple(
                 float(J[cells].sum() / solid.weights[cells].sum()) for cells in solid.cells_of_law
             ),

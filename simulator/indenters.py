@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,10 +69,16 @@ class Cylinder:
 
 @dataclass(frozen=True, slots=True)
 class Sphere:
-    """A ball, or a rod with a hemispherical end; radius [m]."""
+    """A ball, or a rod with a hemispherical end.
+
+    Attributes:
+        radius: [m].
+        shape: tells it from a cylinder in files.
+    """
 
     radius: float
-    rough: bool = False
+    rough: bool = True
+    shape: Literal["sphere"] = "sphere"
 
     def __post_init__(self) -> None:
         """Check the radius."""
@@ -102,7 +108,7 @@ class Profile:
 
     radii: tuple[float, ...]
     heights: tuple[float, ...]
-    rough: bool = False
+    rough: bool = True
 
     def __post_init__(self) -> None:
         """Check that the heights are those of a convex body."""

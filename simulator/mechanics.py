@@ -4,9 +4,47 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from eitskin.geometry import ConfigurationError, SensorDesign
 from eitskin.simulator.materials import NeoHookean, Ogden
+from eitskin.simulator.relaxation import ECOFLEX, GEL, Prony
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Piezoresistivity:
+    """Conductivity sigma_0 (1 + k_v (J - 1) + k_p p); none for an ideal ionic conductor.
+
+    Attributes:
+        volume: k_v, per change of volume J - 1.
+        pressure: k_p, per pressure p under presses, positive in compression [1/Pa]. Bends by a
+            fixture are kinematic and have no pressure.
+    """
+
+    volume: float = 0.0
+    pressure: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        if not (math.isfinite(self.volume) and math.isfinite(self.pressure)):
+            raise ConfigurationError(
+                f"piezoresistive coefficients must be finite, got {self.volume}, {self.pressure}"
+            )
+
+    def factor(self, J: Array, mean_stress: Array | float) -> Array:
+        """Conductivity over that at rest, (...).
+
+        Raises ConfigurationError where that is not positive.
+        """
+        factor = 1.0 + self.volume * (J - 1.0) - self.pressure * mean_stress
+        if not np.all(factor > 0.0):
+            raise ConfigurationError(
+                "the piezoresistive conductivity must stay positive, but falls to "
+                f"{float(np.min(factor)):.3g} of that at rest; use smaller coefficients or forces"
+            )
+        return np.asarray(factor)
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,12 +56,17 @@ class Mechanics:
         encapsulation: law of what surrounds it; Ecoflex 00-30.
         margin: width of the encapsulation beyond the gel on all four sides [m].
         bulk_ratio: kappa / mu of both.
+        gel_relaxation, encapsulation_relaxation: how they relax when held.
+        piezoresistivity: how the gel's conductivity changes beyond its geometry.
     """
 
     gel: NeoHookean | Ogden = field(default_factory=lambda: NeoHookean(20e3))
     encapsulation: NeoHookean | Ogden = field(default_factory=lambda: NeoHookean(28e3))
     margin: float = 0.005
     bulk_ratio: float = 1e4
+    gel_relaxation: Prony = GEL
+    encapsulation_relaxation: Prony = ECOFLEX
+    piezoresistivity: Piezoresistivity = field(default_factory=Piezoresistivity)
 
     def __post_init__(self) -> None:
         """Check the margin; laws and solid check the rest."""

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.simulator.indentation import Indentation, Press
+from eitskin.simulator.indentation import Press
 
 Array = NDArray[np.float64]
 
@@ -15,24 +15,7 @@ def layer_shares(press: Press, depth: float, step: float = 0.02) -> Array:
     here from presses to (1 -+ step) depth, with an error of order step^2. What is stored in
     changes of volume and at the contact, which do not relax, is left out; the rest adds up to 1.
     """
-    below, above = (_stored(press, press.to_depth(k * depth)) for k in (1.0 - step, 1.0 + step))
+    below, above = (press.to_depth(k * depth).energies for k in (1.0 - step, 1.0 + step))
     rise = above - below
     shares: Array = rise / rise.sum()
     return shares
-
-
-def _stored(press: Press, pressed: Indentation) -> Array:
-    """Energy of change of shape in each layer [J], (layers,)."""
-    solid = press.solid
-    r, z = (
-        np.abs(lines[:, None] - places).argmin(axis=0)
-        for lines, places in zip((pressed.r, pressed.z), solid.nodes.T, strict=True)
-    )
-    x = np.append(pressed.displacement[r, z].ravel(), np.zeros(solid.multipliers))
-    F = solid.deformation_gradient(x)
-    return np.array(
-        [
-            np.sum(law.energy(F[cells]) * solid.weights[cells])
-            for law, cells in zip(solid.laws, solid.cells_of_law, strict=True)
-        ]
-    )

@@ -1,6 +1,8 @@
 """From a scene to the frame that its sensor would give."""
 
+from collections.abc import Callable
 from functools import cached_property, reduce
+from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,13 +10,15 @@ from numpy.typing import NDArray
 from eitskin.geometry import ConfigurationError, Hinge, SensorDesign, Surface
 from eitskin.geometry.bend import Fixture
 from eitskin.geometry.deformation import Composed, Deformation, area_ratio, pulled_back
+from eitskin.simulator.dents import Dents
 from eitskin.simulator.forward import ForwardModel
 from eitskin.simulator.frame import Frame
 from eitskin.simulator.instrument import WhiteNoise
+from eitskin.simulator.mechanics import Mechanics, Piezoresistivity
+from eitskin.simulator.presses import Pressed, TouchModel, dents, pressed
 from eitskin.simulator.protocol import Protocol
 from eitskin.simulator.resolution import Discretisation, Resolution
 from eitskin.simulator.scene import Scene
-from eitskin.simulator.touch import Dents
 
 Array = NDArray[np.float64]
 
@@ -26,6 +30,8 @@ class Simulator:
         design: the sensor.
         fixture: what bends it.
         protocol: which pairs are measured.
+        mechanics: what it is made of.
+        touch_model: how presses are found.
         model: the forward model; `model.factorisations` counts the work done.
     """
 
@@ -35,6 +41,8 @@ class Simulator:
         resolution: Resolution | Discretisation = "standard",
         fixture: Fixture | None = None,
         protocol: Protocol | None = None,
+        mechanics: Mechanics | None = None,
+        touch_model: TouchModel = "tabulated",
     ) -> None:
         """Mesh the sensor, with faces where the fixture clamps it.
 
@@ -43,10 +51,19 @@ class Simulator:
             resolution: "fast", "standard" or "fine", or element order and grading.
             fixture: the default hinge when omitted.
             protocol: every pair of electrodes when omitted.
+            mechanics: materials of gel and encapsulation; the reference sensor's when omitted.
+            touch_model: "tabulated" interpolates presses solved at finite strain, the first time
+                of each indenter in seconds; "closed form" needs no solver.
         """
         self.design = design
         self.fixture: Fixture = fixture or Hinge()
         self.protocol = protocol or Protocol.pairwise(len(design.electrodes))
+        self.mechanics = mechanics or Mechanics()
+        if touch_model not in get_args(TouchModel):
+            raise ConfigurationError(
+                f"touch_model must be one of {get_args(TouchModel)}, got {touch_model!r}"
+            )
+        self.touch_model: TouchModel = touch_model
         middle, half = design.outline.length / 2, self.fixture.bent_length / 2
         # Without a transition F jumps at the clamps: the mesh must have faces there.
         breaks = () if self.fixture.transition else (middle - half, middle + half)
@@ -60,10 +77,28 @@ class Simulator:
 
     def deformation(self, scene: Scene) -> Deformation | None:
         """How the scene deforms the sensor, touch first, then bend; None where it does not."""
+        self._require_possible(scene)
+        parts: list[Deformation] = []
+        if scene.touches:
+            parts.append(self._dents(scene))
+        if scene.roll is not None:
+            parts.append(scene.roll.deformation(self.design))
+        if scene.bend.angle_deg:
+            parts.append(self.fixture.flexure(self.design, scene.bend))
+        if scene.twist is not None:
+            parts.append(scene.twist.deformation(self.design))
+        return reduce(Composed, parts) if parts else None
+
+    def presses(self, scene: Scene) -> tuple[Pressed, ...]:
+        """Depth, contact and pressure of each touch of a scene, and how far to trust them."""
+        self._require_possible(scene)
+        return pressed(scene.touches, self.design, self.mechanics)
+
+    def _require_possible(self, scene: Scene) -> None:
         outline = self.design.outline
         if isinstance(outline, Surface):
             if scene == Scene():
-                return None
+                return
             raise ConfigurationError(
                 "bending and touches need a rectangle, disc or polygon as outline, not a surface"
             )
@@ -74,16 +109,6 @@ class Simulator:
                     f"{outline.length:g} x {outline.width:g} m, got ({touch.x:g}, {touch.y:g}) m; "
                     "are the units metres?"
                 )
-        parts: list[Deformation] = []
-        if scene.touches:
-            parts.append(Dents(scene.touches))
-        if scene.roll is not None:
-            parts.append(scene.roll.deformation(self.design))
-        if scene.bend.angle_deg:
-            parts.append(self.fixture.flexure(self.design, scene.bend))
-        if scene.twist is not None:
-            parts.append(scene.twist.deformation(self.design))
-        return reduce(Composed, parts) if parts else None
 
     def deformed(self, deformation: Deformation) -> Frame:
         """The frame of the sensor under any deformation, such as `Displaced` by a function."""
@@ -114,14 +139,32 @@ class Simulator:
             impedance = instrument.apply(impedance, self.full_scale, rng)
         return Frame(impedance=impedance, protocol=self.protocol)
 
+    def _dents(self, scene: Scene) -> Dents:
+        return dents(scene.touches, self.design, self.mechanics, self.touch_model)
+
     def _impedance(self, scene: Scene) -> NDArray[np.inexact]:
         deformation = self.deformation(scene)
-        return self.model.impedance() if deformation is None else self._deformed(deformation)
+        if deformation is None:
+            return self.model.impedance()
+        pressed = self.mechanics.piezoresistivity.pressure and scene.touches
+        return self._deformed(deformation, self._dents(scene).mean_stress if pressed else None)
 
-    def _deformed(self, deformation: Deformation) -> NDArray[np.inexact]:
-        sigma = self.design.conductivity_at
+    def _deformed(
+        self, deformation: Deformation, mean_stress: Callable[[Array], Array] | None = None
+    ) -> NDArray[np.inexact]:
+        piezoresistivity = self.mechanics.piezoresistivity
+
+        def conductivity(x: Array) -> NDArray[np.inexact]:
+            F = deformation.gradient(x)
+            sigma = self.design.conductivity_at(x)
+            if piezoresistivity != Piezoresistivity():
+                stress = mean_stress(x) if mean_stress else 0.0
+                sigma = sigma * piezoresistivity.factor(np.linalg.det(F), stress)
+            tensor: NDArray[np.inexact] = sigma[..., None, None] * pulled_back(F)
+            return tensor
+
         return self.model.impedance(
-            conductivity=lambda x: sigma(x)[..., None, None] * pulled_back(deformation.gradient(x)),
+            conductivity=conductivity,
             area_ratio=lambda x, normal: area_ratio(deformation.gradient(x), normal),
         )
 

@@ -159,6 +159,24 @@ class Solid:
             W[cells] += law.energy(F[cells])
         return float(np.sum(W * self.weights))
 
+    def shape_energies(self, x: Array) -> Array:
+        """Energy of changes of shape stored in each material [J], (laws,)."""
+        F = self.deformation_gradient(x)
+        stored = np.zeros(len(self.laws))
+        for k, (law, cells) in enumerate(zip(self.laws, self.cells_of_law, strict=True)):
+            stored[k] = np.sum(law.energy(F[cells]) * self.weights[cells])
+        return stored
+
+    def corner_mean_stress(self, x: Array, law: int) -> Array:
+        """Mean stress of one material at the corners of cells [Pa], (corners,); NaN elsewhere.
+
+        Without the small part that acts on the displacements directly.
+        """
+        cells = self.cells_of_law[law]
+        found = np.full(self.mesh.p.shape[1], np.nan)
+        found[self.mesh.t.T[cells]] = self._pressure_scale * x[self._pressure_numbers[cells]]
+        return found
+
     def stress(self, x: Array) -> Array:
         """First Piola-Kirchhoff stress at the quadrature points [Pa], (cells, q, 3, 3)."""
         F = self.deformation_gradient(x)

@@ -10,8 +10,9 @@ from eitskin.geometry import Bend, ConfigurationError, Hinge, SensorDesign
 from eitskin.geometry.bend import FreeArc
 from eitskin.geometry.deformation import Composed, Displaced, area_ratio, pulled_back
 from eitskin.geometry.twist import Roll, Twist
-from eitskin.simulator import Touch
-from eitskin.simulator.touch import DentKernel, Dents
+from eitskin.simulator.closed_dent import ClosedDent
+from eitskin.simulator.dents import Dents, Placed
+from eitskin.simulator.indenters import Cylinder, Sphere
 
 DESIGN = SensorDesign.reference()
 HINGE = Hinge(span=0.040, offset=0.008)
@@ -37,7 +38,11 @@ def derivative(deformation, x: NDArray[np.float64], step: float = 1e-7) -> NDArr
     return np.stack(columns, axis=-1)
 
 
-DENTS = Dents((Touch(0.050, 0.020, 10.0), Touch(0.090, 0.041, 7.0)))
+def dented(x: float, y: float, force: float) -> Placed:
+    return Placed(x, y, ClosedDent.of(Cylinder(), force))
+
+
+DENTS = Dents((dented(0.050, 0.020, 10.0), dented(0.090, 0.041, 7.0)))
 DEFORMATIONS = {
     "bend": HINGE.flexure(DESIGN, Bend(40.0)),
     "bend back": HINGE.flexure(DESIGN, Bend(-20.0)),
@@ -119,24 +124,24 @@ def test_bending_keeps_volume(angle) -> None:
 
 @pytest.mark.parametrize("force", [0.01, 5.0, 10.0, 12.0])
 def test_a_dent_keeps_volume(force) -> None:
-    F = Dents((Touch(0.075, 0.030, force),)).gradient(points())
+    F = Dents((dented(0.075, 0.030, force),)).gradient(points())
     assert np.linalg.det(F) == pytest.approx(1.0, abs=1e-12)
 
 
 def test_dent_passes_through_the_published_fits() -> None:
     for force, amplitude, width in ((5.0, 0.21, 0.0120), (10.0, 0.48, 0.0112)):
-        kernel = DentKernel.of_force(force)
-        assert (kernel.amplitude, kernel.width) == pytest.approx((amplitude, width), rel=1e-12)
-        _, w, _ = kernel.displacement(np.array([0.0, width]))
+        dent = ClosedDent.of(Cylinder(), force)
+        assert (dent.amplitude, dent.width) == pytest.approx((amplitude, width), rel=1e-12)
+        _, w = dent.displacement(np.array([0.0, width]), np.ones(2))
         assert w == pytest.approx([-amplitude, 0.0], abs=1e-15)
 
 
 def test_dent_is_regular_on_its_axis_and_fades() -> None:
-    touch = Touch(0.075, 0.030, 10.0)
-    on_axis = Dents((touch,)).gradient(np.array([[0.075, 0.030, 0.002]]))[0]
+    dents = Dents((dented(0.075, 0.030, 10.0),))
+    on_axis = dents.gradient(np.array([[0.075, 0.030, 0.002]]))[0]
     thinned = 1 - 0.48
     assert np.diag(on_axis) == pytest.approx([thinned**-0.5, thinned**-0.5, thinned], rel=1e-12)
-    far = Dents((touch,)).gradient(np.array([[0.002, 0.030, 0.002]]))[0]
+    far = dents.gradient(np.array([[0.002, 0.030, 0.002]]))[0]
     assert np.abs(far - np.eye(3)).max() < 0.01
 
 
@@ -195,4 +200,10 @@ def test_pull_back_and_area_ratio_agree_with_their_definitions() -> None:
 @pytest.mark.parametrize("force", [0.0, -1.0, 13.0, float("nan")])
 def test_forces_outside_the_fit_are_refused(force) -> None:
     with pytest.raises(ConfigurationError, match="force must be above 0"):
-        Touch(0.05, 0.02, force)
+        ClosedDent.of(Cylinder(), force)
+
+
+@pytest.mark.parametrize("indenter", [Cylinder(0.02), Sphere(0.0075)])
+def test_indenters_outside_the_fit_are_refused(indenter) -> None:
+    with pytest.raises(ConfigurationError, match="fitted for a cylinder"):
+        ClosedDent.of(indenter, 5.0)

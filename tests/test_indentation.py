@@ -41,7 +41,9 @@ def test_a_flat_punch_on_a_bonded_layer_is_hayess(ratio, published) -> None:
 
 def test_a_small_press_of_a_sphere_is_hertzs() -> None:
     R = 0.01
-    press = Press(layer(0.1), Sphere(R), finest=R / 200, band=(0.0, 0.08 * R), reach=0.1)
+    press = Press(
+        layer(0.1), Sphere(R, rough=False), finest=R / 200, band=(0.0, 0.08 * R), reach=0.1
+    )
     found = press.to_force(4e-4)
     modulus = 3 * MU / (1 - 0.5**2)
     assert found.force == pytest.approx(4 / 3 * modulus * R**0.5 * found.depth**1.5, rel=5e-3)
@@ -52,7 +54,7 @@ def test_a_small_press_of_a_sphere_is_hertzs() -> None:
 
 def test_doubling_all_moduli_doubles_the_force() -> None:
     soft, hard = layer(0.01, Ogden(MU, 3.0)), layer(0.01, Ogden(2 * MU, 3.0))
-    forces = [Press(s, Cylinder(0.005), finest=4e-4).to_depth(0.002).force for s in (soft, hard)]
+    forces = [Press(s, Cylinder(0.005), finest=6e-4).to_depth(0.001).force for s in (soft, hard)]
     assert forces[1] == pytest.approx(2 * forces[0], rel=1e-6)
 
 
@@ -60,9 +62,9 @@ def test_doubling_all_moduli_doubles_the_force() -> None:
 
 INDENTERS = {
     "rough cylinder": Cylinder(),
-    "smooth sphere": Sphere(0.0075),
-    "rough sphere": Sphere(0.0075, rough=True),
-    "profile": Profile((0.0, 0.002, 0.004, 0.006), (0.0, 0.0002, 0.001, 0.003)),
+    "smooth sphere": Sphere(0.0075, rough=False),
+    "rough sphere": Sphere(0.0075),
+    "profile": Profile((0.0, 0.002, 0.004, 0.006), (0.0, 0.0002, 0.001, 0.003), rough=False),
 }
 
 
@@ -124,7 +126,7 @@ def test_forces_and_depths_are_each_others_inverse() -> None:
 
 
 def test_finer_cells_change_little() -> None:
-    coarse, fine = (Press(REFERENCE, Cylinder(), finest=f).to_depth(0.0008) for f in (5e-4, 3e-4))
+    coarse, fine = (Press(REFERENCE, Cylinder(), finest=f).to_depth(0.0004) for f in (5e-4, 3e-4))
     assert coarse.force == pytest.approx(fine.force, rel=0.01)
     assert coarse.thinning(1) == pytest.approx(fine.thinning(1), rel=0.01)
 
@@ -197,7 +199,7 @@ def test_what_cannot_be_pressed_is_refused(make, says) -> None:
 
 def test_a_press_through_the_base_says_how_far_it_got() -> None:
     press = Press(layer(0.005), Cylinder(), finest=2e-3)
-    with pytest.raises(SolidError, match="of the load only") as error:
+    with pytest.raises(SolidError, match="m deep of") as error:
         press.to_depth(0.0052)
     assert 0.0 < error.value.reached < 1.0
 

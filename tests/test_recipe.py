@@ -96,7 +96,7 @@ def test_all_contradictions_are_listed_at_once():
             scenes=(
                 SceneGroup("idle", count=1, touches=(2, 3), angle_deg=(0.0, 10.0)),
                 SceneGroup("bend", count=0),
-                SceneGroup("touch", count=1, force=(5.0, 50.0), touches=(0, 9)),
+                SceneGroup("touch", count=1, force=(-5.0, 50.0), touches=(0, 9)),
                 SceneGroup("touch", count=1, touches=(4, 4), spacing=0.1),
                 SceneGroup("touch", count=2, positions=((15.0, 0.1),), repeats=0),
                 SceneGroup("bend", count=1, angle_deg=(-400.0, 0.0)),
@@ -112,7 +112,7 @@ def test_all_contradictions_are_listed_at_once():
         "scenes[0] (idle): an idle sensor is flat",
         "scenes[1] (bend): count must be at least 1",
         "scenes[1] (bend): state 'bend' needs a range",
-        "scenes[2] (touch): force must be above 0 and at most 12 N",
+        "scenes[2] (touch): force must be a rising range above 0 N",
         "scenes[2] (touch): touches must be from 1 to 4",
         "scenes[3] (touch): 4 touches 0.1 m apart",
         "scenes[4] (touch): count follows from positions",

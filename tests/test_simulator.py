@@ -9,7 +9,6 @@ from eitskin.geometry.deformation import Displaced
 from eitskin.geometry.layouts import uniform
 from eitskin.geometry.twist import Roll, Twist
 from eitskin.simulator import (
-    Cylinder,
     Frame,
     Protocol,
     Scene,
@@ -163,8 +162,8 @@ def test_impossible_scenes_are_refused(sim) -> None:
         sim.measure(Scene(touches=(Touch(50.0, 20.0),)))
     with pytest.raises(ConfigurationError, match="last possible angle"):
         sim.measure(Scene(bend=Bend(-90.0)))
-    with pytest.raises(ConfigurationError, match="radius"):
-        Touch(0.05, 0.02, 10.0, Cylinder(0.02))
+    with pytest.raises(ConfigurationError, match="where the layer is pressed to"):
+        sim.measure(Scene(touches=(Touch(0.05, 0.02, 100.0),)))
 
 
 def test_a_touch_lies_on_the_outline_not_only_in_its_bounding_box() -> None:

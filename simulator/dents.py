@@ -1,0 +1,117 @@
+"""How presses deform the flat layer: dents of revolution, side by side."""
+
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.geometry.deformation import Gradients, Points
+
+Array = NDArray[np.float64]
+
+
+class Strains(NamedTuple):
+    """Derivatives of a dent's displacement u outwards and w upwards, each (...).
+
+    Attributes:
+        hoop: u / r.
+        radial, shear: du/dr and du/dz.
+        tilt, upward: dw/dr and dw/dz.
+    """
+
+    hoop: Array
+    radial: Array
+    shear: Array
+    tilt: Array
+    upward: Array
+
+
+class Dent(Protocol):
+    """A displacement of the layer that is symmetric about an upright axis."""
+
+    @property
+    def reach(self) -> float:
+        """Distance from the axis beyond which nothing moves [m]."""
+        ...
+
+    def displacement(self, r: Array, z: Array) -> tuple[Array, Array]:
+        """u and w [m] at distance r from the axis and height z over the layer's bottom [m]."""
+        ...
+
+    def strains(self, r: Array, z: Array) -> Strains:
+        """Their derivatives."""
+        ...
+
+    def mean_stress(self, r: Array, z: Array) -> Array:
+        """Mean stress [Pa], positive in tension."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Placed:
+    """A dent at (x, y) of the flat sensor [m]."""
+
+    x: float
+    y: float
+    dent: Dent
+
+    def near(self, points: Points) -> tuple[NDArray[np.int64], Array, Array, Array]:
+        """Which of the points (n, 3) it moves, and their offsets in x and y and distance."""
+        across = points[:, :2] - (self.x, self.y)
+        r = np.hypot(across[:, 0], across[:, 1])
+        near = np.flatnonzero(r < self.dent.reach)
+        return near, across[near, 0], across[near, 1], r[near]
+
+
+@dataclass(frozen=True, slots=True)
+class Dents:
+    """The deformation of the flat layer by presses, displacements superposed.
+
+    Each keeps the volume; several do up to the product of their strains where they overlap. The
+    rim of the layer is not felt: dents are those of an unbounded layer.
+    """
+
+    presses: tuple[Placed, ...]
+
+    def positions(self, points: Points) -> Points:
+        """Deformed places [m], (..., 3), of flat points [m], (..., 3)."""
+        flat = points.reshape(-1, 3)
+        moved = flat.copy()
+        for press in self.presses:
+            near, dx, dy, r = press.near(flat)
+            u, w = press.dent.displacement(r, flat[near, 2])
+            outward = u / np.maximum(r, 1e-12)
+            moved[near] += np.stack([outward * dx, outward * dy, w], axis=-1)
+        return moved.reshape(points.shape)
+
+    def gradient(self, points: Points) -> Gradients:
+        """Deformation gradient, (..., 3, 3)."""
+        flat = points.reshape(-1, 3)
+        F = np.zeros((len(flat), 3, 3))
+        F[:, 0, 0] = F[:, 1, 1] = F[:, 2, 2] = 1.0
+        for press in self.presses:
+            near, dx, dy, r = press.near(flat)
+            strains = press.dent.strains(r, flat[near, 2])
+            azimuth = np.arctan2(dy, dx)  # zero on the axis, where every direction is radial
+            cos, sin = np.cos(azimuth), np.sin(azimuth)
+            F[near, 0, 0] += strains.radial * cos**2 + strains.hoop * sin**2
+            F[near, 1, 1] += strains.radial * sin**2 + strains.hoop * cos**2
+            across = (strains.radial - strains.hoop) * cos * sin
+            F[near, 0, 1] += across
+            F[near, 1, 0] += across
+            F[near, 0, 2] += strains.shear * cos
+            F[near, 1, 2] += strains.shear * sin
+            F[near, 2, 0] += strains.tilt * cos
+            F[near, 2, 1] += strains.tilt * sin
+            F[near, 2, 2] += strains.upward
+        return F.reshape(*points.shape, 3)
+
+    def mean_stress(self, points: Points) -> Array:
+        """Mean stress [Pa] at flat points (..., 3) [m], (...), positive in tension."""
+        flat = points.reshape(-1, 3)
+        stress = np.zeros(len(flat))
+        for press in self.presses:
+            near, _, _, r = press.near(flat)
+            stress[near] += press.dent.mean_stress(r, flat[near, 2])
+        return stress.reshape(points.shape[:-1])

@@ -1,0 +1,168 @@
+"""Kernels that have been solved before, in memory and on disk, and those between them."""
+
+import dataclasses
+import hashlib
+import json
+import os
+import sys
+import zipfile
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from eitskin.geometry import ConfigurationError, SensorDesign
+from eitskin.geometry.whole_file import whole_file
+from eitskin.simulator import kernels
+from eitskin.simulator.indenters import Indenter
+from eitskin.simulator.kernels import Kernel
+from eitskin.simulator.mechanics import Mechanics, Sheet, Stack
+
+# Of what is computed: raise it whenever presses are solved or tabulated in another way.
+_VERSION = 1
+# Kernels are solved for moduli of the encapsulation over the gel's of 1.4 2^(k/2), k an integer;
+# 1.4 is the reference. Those between are interpolated.
+_REFERENCE_RATIO = 1.4
+_STEPS = 2.0  # per factor of two
+# Everything is solved at one scale: a layer this thick [m], of this shear modulus [Pa].
+_THICKNESS, _MODULUS = 0.005, 20e3
+_SAMPLES = 65  # of the indenter's profile, by which it is known
+_LENGTHS = ("depths", "contact_radii", "thickness", "knots", "moved")
+_STRESSES = ("peak_pressures", "stressed")
+
+
+@lru_cache(maxsize=64)
+def kernel(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -> Kernel:
+    """The kernel of a sensor and an indenter; the first time it takes seconds to a minute.
+
+    Raises ConfigurationError where not even shallow presses are carried.
+    """
+    stack = mechanics.stack(design)
+    if len(stack.sheets) == 1:
+        return _stored(stack, indenter)
+    ratio = mechanics.encapsulation.shear_modulus / mechanics.gel.shear_modulus
+    place = _STEPS * np.log2(ratio / _REFERENCE_RATIO)
+    nearest = round(place)
+    if abs(place - nearest) < 1e-9:
+        return _stored(_with_ratio(stack, nearest), indenter)
+    places = np.arange(4) + int(np.floor(place)) - 1
+    weights = np.array([np.prod([(place - q) / (p - q) for q in places if q != p]) for p in places])
+    return kernels.combined(
+        [_stored(_with_ratio(stack, int(p)), indenter) for p in places], weights
+    )
+
+
+def folder() -> Path:
+    """Where kernels are stored: $EITSKIN_CACHE, or the user's folder for caches."""
+    given = os.environ.get("EITSKIN_CACHE")
+    if given:
+        return Path(given)
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA", Path.home())) / "eitskin"
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches" / "eitskin"
+    return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "eitskin"
+
+
+def _with_ratio(stack: Stack, place: int) -> Stack:
+    """The stack with the encapsulation of one of the moduli that kernels are solved for."""
+    around, gel, _ = stack.sheets
+    modulus = _REFERENCE_RATIO * 2.0 ** (place / _STEPS) * gel.law.shear_modulus
+    law = dataclasses.replace(around.law, shear_modulus=modulus)
+    silicone = dataclasses.replace(around, law=law)
+    return dataclasses.replace(stack, sheets=(silicone, gel, silicone))
+
+
+def _stored(stack: Stack, indenter: Indenter) -> Kernel:
+    """The kernel of the middle sheet from the disk, or solved now and put there."""
+    layer = stack.sheets[len(stack.sheets) // 2]
+    length, modulus = layer.thickness / _THICKNESS, layer.law.shear_modulus / _MODULUS
+    path = folder() / f"kernel-{_key(stack, indenter, length, modulus)}.npz"
+    found = _read(path)
+    if found is None:
+        found = kernels.solved(
+            _scaled_stack(stack, length, modulus),
+            len(stack.sheets) // 2,
+            _Scaled(indenter, length),
+        )
+        _write(found, path)
+    scale = dict.fromkeys(_LENGTHS, length) | dict.fromkeys(_STRESSES, modulus)
+    scale |= {"forces": modulus * length**2, "energies": modulus * length**3}
+    values = {name: scale.get(name, 1.0) * array for name, array in _arrays(found).items()}
+    return Kernel(**values)
+
+
+def _scaled_stack(stack: Stack, length: float, modulus: float) -> Stack:
+    sheets = tuple(
+        Sheet(
+            sheet.thickness / length,
+            dataclasses.replace(sheet.law, shear_modulus=sheet.law.shear_modulus / modulus),
+        )
+        for sheet in stack.sheets
+    )
+    return dataclasses.replace(stack, sheets=sheets)
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class _Scaled:
+    """An indenter drawn at another scale: lengths are divided by `length`."""
+
+    indenter: Indenter
+    length: float
+
+    @property
+    def rough(self) -> bool:
+        return self.indenter.rough
+
+    @property
+    def rims(self) -> tuple[float, float]:
+        inner, outer = self.indenter.rims
+        return inner / self.length, outer / self.length
+
+    def profile(self, r: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        height, slope, bend = self.indenter.profile(r * self.length)
+        return height / self.length, slope, bend * self.length
+
+
+def _key(stack: Stack, indenter: Indenter, length: float, modulus: float) -> str:
+    """A hash of everything that the scaled kernel depends on."""
+    scaled, shape = _scaled_stack(stack, length, modulus), _Scaled(indenter, length)
+    heights, slopes, _ = shape.profile(np.linspace(0.0, shape.rims[1], _SAMPLES))
+    described = {
+        "version": _VERSION,
+        "sheets": [
+            [sheet.thickness, type(sheet.law).__name__, *dataclasses.astuple(sheet.law)]
+            for sheet in scaled.sheets
+        ],
+        "bulk_ratio": stack.bulk_ratio,
+        "rims": shape.rims,
+        "rough": shape.rough,
+        "heights": heights.tolist(),
+        "slopes": slopes.tolist(),
+    }
+    text = json.dumps(described, default=float, sort_keys=True)
+    rounded = json.dumps(json.loads(text, parse_float=lambda s: f"{float(s):.9g}"))
+    return hashlib.sha256(rounded.encode()).hexdigest()[:32]
+
+
+def _arrays(kernel: Kernel) -> dict[str, np.ndarray]:
+    return {field.name: getattr(kernel, field.name) for field in dataclasses.fields(Kernel)}
+
+
+def _read(path: Path) -> Kernel | None:
+    """The kernel in a file; None where there is none, or not a whole one."""
+    try:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+            return Kernel(**{field.name: file[field.name] for field in dataclasses.fields(Kernel)})
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        return None
+
+
+def _write(kernel: Kernel, path: Path) -> None:
+    """Store a kernel, if the disk will have it: without, it is solved again the next time."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with whole_file(path) as temporary:
+            np.savez(temporary, allow_pickle=False, **_arrays(kernel))
+    except (OSError, ConfigurationError):
+        return

@@ -1,0 +1,153 @@
+"""What the touches of a scene do to the sensor: depth, contact, pressure and the dents."""
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from eitskin.geometry import ConfigurationError, SensorDesign, Surface
+from eitskin.simulator import relaxation
+from eitskin.simulator.closed_dent import ClosedDent
+from eitskin.simulator.dents import Dents, Placed
+from eitskin.simulator.kernel_store import kernel
+from eitskin.simulator.kernels import TabulatedDent
+from eitskin.simulator.mechanics import Mechanics
+from eitskin.simulator.touch import Touch
+
+TouchModel = Literal["tabulated", "closed form"]
+
+# Distances of the axis from the gel's edge and from another touch below which the signal of the
+# tabulated dent is more than 5 % off the full model's (docs/deformation.md) [m].
+EDGE = 0.015
+NEIGHBOUR = 0.030
+
+
+@dataclass(frozen=True, slots=True)
+class Pressed:
+    """One touch of a scene, pressed.
+
+    Attributes:
+        touch: what was asked for.
+        force: that acts on the indenter now [N]; 0 once it was taken off.
+        depth: of the dent: how far the indenter's lowest point is, or was, below the undeformed
+            top of the stack [m].
+        contact_radius: where contact ends, in the deformed stack [m]; 0 without contact.
+        mean_pressure: force over contact area [Pa].
+        peak_pressure: [Pa].
+        thinning: 1 - thickness over undeformed thickness of the gel, on the axis.
+        edge_distance: from the axis to the nearest edge of the gel [m].
+        neighbour_distance: from the axis to that of the nearest other touch [m].
+        caution: why the dent is less exact than one alone in the middle of the sensor; empty where
+            it is not.
+    """
+
+    touch: Touch
+    force: float
+    depth: float
+    contact_radius: float
+    mean_pressure: float
+    peak_pressure: float
+    thinning: float
+    edge_distance: float
+    neighbour_distance: float
+    caution: str = ""
+
+    @property
+    def contact_area(self) -> float:
+        """[m2]."""
+        return math.pi * self.contact_radius**2
+
+
+def dents(
+    touches: tuple[Touch, ...], design: SensorDesign, mechanics: Mechanics, model: TouchModel
+) -> Dents:
+    """The deformation of the gel by touches.
+
+    Raises ConfigurationError for presses that the model does not reach.
+    """
+    if model == "closed form":
+        _refuse_what_is_not_in_the_closed_form(touches)
+        return Dents(tuple(Placed(t.x, t.y, ClosedDent.of(t.indenter, t.force)) for t in touches))
+    found = [(touch, _dent(touch, design, mechanics)[0]) for touch in touches]
+    return Dents(tuple(Placed(touch.x, touch.y, dent) for touch, dent in found if dent is not None))
+
+
+def pressed(
+    touches: tuple[Touch, ...], design: SensorDesign, mechanics: Mechanics
+) -> tuple[Pressed, ...]:
+    """What becomes of each touch, from the tabulated presses."""
+    return tuple(_pressed(touch, touches, design, mechanics) for touch in touches)
+
+
+def _pressed(
+    touch: Touch, touches: tuple[Touch, ...], design: SensorDesign, mechanics: Mechanics
+) -> Pressed:
+    dent, force = _dent(touch, design, mechanics)
+    edge = _edge_distance(touch, design)
+    neighbour = min(
+        (math.dist((touch.x, touch.y), (t.x, t.y)) for t in touches if t is not touch),
+        default=math.inf,
+    )
+    # Without contact there is a dent, but no pressure.
+    radius = dent.contact_radius if dent is not None and force > 0.0 else 0.0
+    return Pressed(
+        touch=touch,
+        force=force,
+        depth=dent.depth if dent is not None else 0.0,
+        contact_radius=radius,
+        mean_pressure=force / (math.pi * radius**2) if radius else 0.0,
+        peak_pressure=dent.peak_pressure * force / dent.force if dent is not None else 0.0,
+        thinning=dent.thinning if dent is not None else 0.0,
+        edge_distance=edge,
+        neighbour_distance=neighbour,
+        caution=_caution(edge, neighbour),
+    )
+
+
+def _dent(
+    touch: Touch, design: SensorDesign, mechanics: Mechanics
+) -> tuple[TabulatedDent | None, float]:
+    """The dent, if there is any, and the force that acts on the indenter [N]."""
+    table = kernel(design, mechanics, touch.indenter)
+    first = table.pressed(touch.force) if touch.depth is None else table.pressed_to(touch.depth)
+    if touch.held is None:
+        return first, first.force
+    prony = relaxation.mixed(
+        (mechanics.gel_relaxation, mechanics.encapsulation_relaxation),
+        (first.share, 1.0 - first.share),
+    )
+    if touch.depth is None:
+        elastic = relaxation.held(prony, touch.force, touch.held, touch.released)
+        acting = touch.force
+    else:
+        elastic = relaxation.held_at_depth(prony, first.force, touch.held, touch.released)
+        acting = first.force * float(prony.relaxation(touch.held))
+    dent = table.pressed(elastic) if elastic > 0.0 else None
+    return dent, 0.0 if touch.released else acting
+
+
+def _edge_distance(touch: Touch, design: SensorDesign) -> float:
+    outline = design.outline
+    if isinstance(outline, Surface):
+        return math.inf
+    _, depth = outline.nearest(np.array([touch.x, touch.y]))
+    return float(depth)
+
+
+def _caution(edge: float, neighbour: float) -> str:
+    reasons = []
+    if edge < EDGE:
+        reasons.append(f"{1e3 * edge:.1f} mm from the edge of the gel, which it does not feel")
+    if neighbour < NEIGHBOUR:
+        reasons.append(f"{1e3 * neighbour:.1f} mm from another, whose dent is only added")
+    return "; ".join(reasons)
+
+
+def _refuse_what_is_not_in_the_closed_form(touches: tuple[Touch, ...]) -> None:
+    for touch in touches:
+        if touch.depth is not None or touch.held is not None:
+            raise ConfigurationError(
+                "the closed form knows forces only, no depth, held or released; use the touch "
+                "model 'tabulated'"
+            )

@@ -1,0 +1,220 @@
+"""Touches of a scene: forces, depths, time, files, and what is said of them."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from eitskin.geometry import Bend, ConfigurationError, SensorDesign, Surface
+from eitskin.simulator import Cylinder, Mechanics, Profile, Scene, Simulator, Sphere, Touch
+from eitskin.simulator.mechanics import Piezoresistivity
+from eitskin.simulator.presses import pressed
+from eitskin.simulator.relaxation import Prony
+from eitskin.simulator.scanned import Scanned
+
+DESIGN = SensorDesign.reference()
+X, Y = 0.060, 0.030
+
+
+@pytest.fixture(scope="module")
+def sim() -> Simulator:
+    return Simulator(DESIGN, resolution="fast")
+
+
+def one(touch, mechanics=None):
+    (found,) = pressed((touch,), DESIGN, mechanics or Mechanics())
+    return found
+
+
+def test_a_press_tells_depth_contact_and_pressure() -> None:
+    found = one(Touch(X, Y, 10.0))
+    assert found.force == pytest.approx(10.0)
+    assert 2e-3 < found.depth < 4e-3
+    assert found.contact_radius == pytest.approx(0.0075, rel=0.05)
+    assert found.mean_pressure == pytest.approx(10.0 / found.contact_area)
+    assert found.peak_pressure > found.mean_pressure
+    assert found.edge_distance == pytest.approx(0.030)
+    assert math.isinf(found.neighbour_distance)
+    assert found.caution == ""
+
+
+def test_a_press_to_the_depth_of_a_force_is_that_press(sim) -> None:
+    found = one(Touch(X, Y, 6.0))
+    to_depth = Touch(X, Y, depth=found.depth)
+    assert one(to_depth).force == pytest.approx(6.0, rel=1e-6)
+    frames = [sim.measure(Scene(touches=(t,))).impedance for t in (Touch(X, Y, 6.0), to_depth)]
+    assert frames[0] == pytest.approx(frames[1], rel=1e-9)
+
+
+def test_presses_near_the_edge_or_each_other_say_so() -> None:
+    assert "5.0 mm from the edge" in one(Touch(0.005, Y, 5.0)).caution
+    near = (Touch(X, Y, 5.0), Touch(X + 0.012, Y, 5.0))
+    for found in pressed(near, DESIGN, Mechanics()):
+        assert found.neighbour_distance == pytest.approx(0.012)
+        assert "12.0 mm from another" in found.caution
+
+
+# Time
+
+
+def held(**time):
+    return one(Touch(X, Y, 5.0, **time))
+
+
+def test_a_held_press_creeps_and_a_released_one_lingers() -> None:
+    at_once, first = held(), held(held=0.0)
+    assert first.depth == pytest.approx(at_once.depth)
+    minute = held(held=60.0)
+    assert minute.depth > 1.1 * at_once.depth
+    assert minute.force == 5.0
+    dents = [held(held=60.0, released=t).depth for t in (0.01, 10.0, 300.0)]
+    assert minute.depth > 2 * dents[0]
+    assert dents[0] > dents[1] > dents[2] > 0.0
+    released = held(held=60.0, released=10.0)
+    assert (released.force, released.contact_area, released.mean_pressure) == (0.0, 0.0, 0.0)
+
+
+def test_a_press_held_at_a_depth_relaxes_and_keeps_its_dent() -> None:
+    at_once = one(Touch(X, Y, depth=0.0015))
+    minute = one(Touch(X, Y, depth=0.0015, held=60.0))
+    assert minute.depth == pytest.approx(at_once.depth)
+    assert 0.7 * at_once.force < minute.force < 0.9 * at_once.force
+    released = one(Touch(X, Y, depth=0.0015, held=60.0, released=1.0))
+    assert 0.0 < released.depth < 0.4 * at_once.depth
+
+
+def test_materials_that_do_not_relax_forget_at_once() -> None:
+    elastic = Mechanics(gel_relaxation=Prony(), encapsulation_relaxation=Prony())
+    assert one(Touch(X, Y, 5.0, held=1e3), elastic).depth == pytest.approx(held().depth)
+    gone = Touch(X, Y, 5.0, held=1e3, released=1e-3)
+    assert one(gone, elastic).depth == 0.0
+    sim = Simulator(DESIGN, resolution="fast", mechanics=elastic)
+    flat = sim.measure(Scene()).impedance
+    assert sim.measure(Scene(touches=(gone,))).impedance == pytest.approx(flat, rel=1e-9)
+
+
+def test_static_presses_compute_no_relaxation(sim, monkeypatch) -> None:
+    def unwanted(*_):
+        raise AssertionError("a press without a time computed its relaxation")
+
+    for name in ("mixed", "held", "held_at_depth"):
+        monkeypatch.setattr(f"eitskin.simulator.relaxation.{name}", unwanted)
+    sim.measure(Scene(touches=(Touch(X, Y, 4.5),)))
+    with pytest.raises(AssertionError):
+        sim.measure(Scene(touches=(Touch(X, Y, 4.5, held=1.0),)))
+
+
+# Conductivity beyond geometry
+
+
+def signal(mechanics, scene):
+    sim = Simulator(DESIGN, resolution="fast", mechanics=mechanics)
+    return sim.measure(scene).impedance.real / sim.measure(Scene()).impedance.real - 1
+
+
+def test_piezoresistivity_adds_to_what_geometry_does() -> None:
+    scene = Scene(touches=(Touch(X, Y, 5.0),))
+    none, some, twice = (
+        signal(Mechanics(piezoresistivity=Piezoresistivity(pressure=k)), scene)
+        for k in (0.0, 1e-8, 2e-8)
+    )
+    # Pressure lifts the conductivity: resistances fall, in proportion where that is little.
+    assert np.all(some <= none + 1e-12)
+    assert np.all(some[np.abs(none) > 1e-4] < none[np.abs(none) > 1e-4])
+    assert twice - none == pytest.approx(2 * (some - none), rel=0.01, abs=1e-8)
+
+
+def test_volume_changes_count_only_where_there_are_any() -> None:
+    scene = Scene(Bend(20.0))
+    plain = signal(Mechanics(), scene)
+    assert signal(Mechanics(piezoresistivity=Piezoresistivity(volume=2.0)), scene) == (
+        pytest.approx(plain, abs=1e-10)
+    )
+
+
+def test_conductivities_must_stay_positive() -> None:
+    mechanics = Mechanics(piezoresistivity=Piezoresistivity(pressure=-1e-3))
+    with pytest.raises(ConfigurationError, match="must stay positive"):
+        signal(mechanics, Scene(touches=(Touch(X, Y, 10.0),)))
+
+
+# Files
+
+
+def test_scene_files_name_indenters(tmp_path) -> None:
+    box = tmp_path / "scene.toml"
+    box.write_text(
+        "[[touches]]\nx = 0.05\ny = 0.02\nforce = 3\n"
+        "indenter = { shape = 'sphere', radius = 0.01 }\n"
+        "[[touches]]\nx = 0.1\ny = 0.02\ndepth = 0.001\nheld = 3.0\nindenter = { radius = 0.005 }\n"
+        "[[touches]]\nx = 0.1\ny = 0.04\nindenter = { radii = [0, 0.004], heights = [0, 0.001] }\n"
+    )
+    assert Scene.from_toml(box).touches == (
+        Touch(0.05, 0.02, 3.0, Sphere(0.01)),
+        Touch(0.1, 0.02, depth=0.001, held=3.0, indenter=Cylinder(0.005)),
+        Touch(0.1, 0.04, indenter=Profile((0.0, 0.004), (0.0, 0.001))),
+    )
+
+
+@pytest.fixture
+def ball(tmp_path) -> Path:
+    trimesh = pytest.importorskip("trimesh")
+    path = tmp_path / "ball.stl"
+    trimesh.creation.icosphere(subdivisions=5, radius=7.5).export(path)
+    return path
+
+
+def test_a_scanned_ball_is_a_sphere(ball) -> None:
+    scanned, sphere = Scanned(ball, scale=1e-3), Sphere(0.0075)
+    r = np.linspace(0.0, 0.0065, 30)
+    assert scanned.profile(r)[0] == pytest.approx(sphere.profile(r)[0], abs=4e-5)
+    assert scanned.rims[1] == pytest.approx(0.0075, rel=0.01)
+    moved = Surface(ball, 1e-3)
+    assert moved.length == pytest.approx(0.015, rel=1e-3)
+
+
+def test_scene_files_name_meshes(ball) -> None:
+    path = ball.with_suffix(".toml")
+    path.write_text(
+        "[[touches]]\nx = 0.05\ny = 0.02\nindenter = { file = 'ball.stl', scale = 1e-3 }\n"
+    )
+    (touch,) = Scene.from_toml(path).touches
+    assert touch.indenter == Scanned(ball, 1e-3)
+
+
+def test_bodies_that_are_not_round_are_refused(tmp_path) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    path = tmp_path / "bar.stl"
+    trimesh.creation.capsule(height=30.0, radius=5.0).apply_transform(
+        trimesh.transformations.rotation_matrix(math.pi / 2, [0, 1, 0])
+    ).export(path)
+    with pytest.raises(ConfigurationError, match="round about an upright axis"):
+        Scanned(path, 1e-3)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ({"force": 0.0}, "above 0 N"),
+        ({"force": math.nan}, "above 0 N"),
+        ({"depth": -1e-3}, "above 0 m"),
+        ({"force": 3.0, "depth": 1e-3}, "a force or a depth"),
+        ({"held": -1.0}, "held must be a time"),
+        ({"held": 1.0, "released": math.inf}, "released must be a time"),
+        ({"released": 1.0}, "needs held"),
+    ],
+)
+def test_impossible_touches_are_refused(arguments, says) -> None:
+    with pytest.raises(ConfigurationError, match=says):
+        Touch(X, Y, **arguments)
+
+
+def test_the_closed_form_says_what_it_does_not_know() -> None:
+    sim = Simulator(DESIGN, resolution="fast", touch_model="closed form")
+    sim.measure(Scene(touches=(Touch(X, Y, 5.0),)))
+    for touch in (Touch(X, Y, depth=1e-3), Touch(X, Y, held=1.0), Touch(X, Y, 5.0, Sphere(0.01))):
+        with pytest.raises(ConfigurationError, match="tabulated"):
+            sim.measure(Scene(touches=(touch,)))
+    with pytest.raises(ConfigurationError, match="touch_model must be one of"):
+        Simulator(DESIGN, touch_model="guess")
