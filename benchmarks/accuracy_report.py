@@ -1,14 +1,13 @@
 """What `bench accuracy` leaves behind: tables as CSV, and the plot of error against time."""
 
-import csv
 import dataclasses
-import io
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 from eitskin.benchmarks.accuracy import Accuracy
 from eitskin.benchmarks.accuracy_plot import plot
+from eitskin.benchmarks.tables import write_table
 from eitskin.benchmarks.targets import TARGET_RATIO, TARGETS
 from eitskin.geometry.whole_file import whole_file
 
@@ -19,21 +18,10 @@ def write(found: Accuracy, folder: Path) -> list[Path]:
     rows = [dataclasses.asdict(point) for point in found.points]
     flat = [_flattened(dataclasses.asdict(row)) for row in found.deformed]
     for path, table in zip(paths, (rows, flat), strict=False):
-        with whole_file(path) as temporary:
-            temporary.write_text(_csv(table, str(found.provenance)), encoding="utf-8")
+        write_table(path, table, str(found.provenance))
     with whole_file(paths[-1]) as temporary:
         plot(found, temporary)
     return paths
-
-
-def _csv(rows: Sequence[dict[str, Any]], comment: str) -> str:
-    """A table with a header, after a line that begins with # and says how it was measured."""
-    text = io.StringIO()
-    text.write(f"# {comment}\n")
-    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue()
 
 
 def _flattened(row: dict[str, Any]) -> dict[str, Any]:

@@ -1,12 +1,14 @@
 """`eitskin bench`: measurements of the package itself, with what they were made on."""
 
 import dataclasses
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich import box
+from rich.markup import escape
 from rich.table import Table
 
 from eitskin.cli.options import Json, Output, Quiet, Seed, Verbose
@@ -14,22 +16,21 @@ from eitskin.geometry import ConfigurationError
 
 if TYPE_CHECKING:
     from eitskin.benchmarks.accuracy import Accuracy
+    from eitskin.benchmarks.stability import Stability
 
 app = typer.Typer(help="Measure errors and times.", no_args_is_help=True)
 
 
-@app.callback()
-def benchmarks() -> None:
-    """Keep the names of the benchmarks, even while there is only one."""
+Out = Annotated[Path, typer.Option(help="Folder for the tables and the plots.")]
+Quick = Annotated[bool, typer.Option("--quick", help="Fewer and smaller, in half a minute.")]
+_OUT = Path("build/bench")
 
 
 @app.command("accuracy")
 def accuracy(
-    out: Annotated[Path, typer.Option(help="Folder for the tables and the plot.")] = Path(
-        "build/bench"
-    ),
+    out: Out = _OUT,
     *,
-    quick: Annotated[bool, typer.Option("--quick", help="Few models, in seconds.")] = False,
+    quick: Quick = False,
     seed: Seed = 0,
     json: Json = False,
     quiet: Quiet = False,
@@ -40,10 +41,7 @@ def accuracy(
     from eitskin.benchmarks.accuracy_report import misses, write
 
     output = Output(json, quiet, verbose)
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigurationError(f"cannot make the folder {out}: {error.strerror}") from error
+    _make_folder(out)
     found = run(seed, quick, _watched(output))
     paths = write(found, out)
     output.result(_as_data(found, paths), _as_table(found))
@@ -51,6 +49,43 @@ def accuracy(
     for line in (*_sentences(found), *misses(found)):
         output.show(line)
     output.note("written: " + ", ".join(str(path) for path in paths))
+
+
+@app.command("stability")
+def stability(
+    out: Out = _OUT,
+    *,
+    quick: Quick = False,
+    seed: Seed = 0,
+    json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Stiff and extreme cases: what comes of each, and how far it can be trusted.
+
+    Exit code 1 where one of them gives a wrong result.
+    """
+    from eitskin.benchmarks.stability import run, write
+
+    output = Output(json, quiet, verbose)
+    _make_folder(out)
+    found = run(seed, quick, _watched(output))
+    path = out / "stability.csv"
+    write(found, path)
+    data = dataclasses.asdict(found) | {"wrong": len(found.wrong), "files": [str(path)]}
+    output.result(data, _stability_table(found))
+    for line in _remarks(found, verbose):
+        output.show(line)
+    output.note(f"written: {path}")
+    if found.wrong:
+        raise typer.Exit(1)
+
+
+def _make_folder(out: Path) -> None:
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigurationError(f"cannot make the folder {out}: {error.strerror}") from error
 
 
 def _watched(output: Output) -> "Any":
@@ -130,3 +165,45 @@ def _sentences(found: "Accuracy") -> Iterable[str]:
         )
     if not found.duels:
         yield "pyEIT is not installed and was left out: pip install 'eitskin[bench]'"
+
+
+_COLOURS = {"ok": "green", "refused": "yellow", "left out": "dim", "wrong": "bold red"}
+
+
+def _stability_table(found: "Stability") -> Table:
+    from eitskin.benchmarks.stability import tallied
+
+    table = Table(box=box.SIMPLE, pad_edge=False, padding=(0, 1, 0, 0))
+    table.add_column("case", no_wrap=True, max_width=33)
+    table.add_column("outcome", no_wrap=True, min_width=8)
+    for name, width in (("resid.", 5), ("inv.", 5), ("error", 5), ("it.", 4), ("s", 4)):
+        table.add_column(name, justify="right", no_wrap=True, min_width=width)
+    family = None
+    for row in tallied(found.rows):
+        if row.family != family:
+            table.add_row(f"[bold]{row.family}[/bold]")
+        family = row.family
+        numbers = (row.residual, row.invariant, row.error)
+        table.add_row(
+            f" {escape(row.case)}",
+            f"[{_COLOURS[row.outcome]}]{row.outcome}[/]",
+            *("" if number is None else f"{number:.0e}" for number in numbers),
+            "" if row.iterations is None else str(row.iterations),
+            f"{row.seconds:.1f}",
+        )
+    return table
+
+
+def _remarks(found: "Stability", everything: bool) -> Iterable[str]:
+    """How far cases went and what is wrong; with everything, also why others were refused."""
+    for row in found.rows:
+        naive = "" if row.naive is None else f"the plain method is off by {row.naive:.2g}"
+        said = row.reason if everything or row.reached or row.outcome == "wrong" else ""
+        remark = "; ".join(filter(None, (row.reached, naive, said)))
+        if remark:
+            colour = _COLOURS[row.outcome]
+            yield f"[{colour}]{row.outcome}[/] {row.family}, {row.case}: {escape(remark)}"
+    counts = Counter(row.outcome for row in found.rows)
+    counted = ", ".join(f"{count} {outcome}" for outcome, count in counts.most_common())
+    yield f"{counted}; {found.seconds:.0f} s"
+    yield str(found.provenance)

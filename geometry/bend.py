@@ -198,5 +198,8 @@ def _possible(flexure: Flexure, design: SensorDesign) -> bool:
     face = np.stack([X, np.zeros_like(X), np.full_like(X, inner)], axis=-1) + flexure.centre
     if flexure.stretch <= 0.0 or flexure.stretch**2 + 2.0 * flexure.curvature * inner <= 0.0:
         return False
-    x = flexure.positions(face)[:, 0] - flexure.centre[0]
+    try:
+        x = flexure.positions(face)[:, 0] - flexure.centre[0]
+    except ConfigurationError:  # where curvature rises, fibres may be shorter than in the middle
+        return False
     return bool(x.min() > -1e-9)

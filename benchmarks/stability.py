@@ -1,0 +1,112 @@
+"""Stiff and extreme cases, one after the other, and what came of each: `eitskin bench stability`.
+
+Every case must give a number that can be trusted or a ConfigurationError that says what was wrong.
+Errors are against closed forms or rigorous bounds, invariants are what always holds of a case's
+family, and residuals say how many digits rounding left; `Found` says which is which.
+"""
+
+import dataclasses
+import re
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeAlias
+
+from eitskin.benchmarks import stability_bends as bends
+from eitskin.benchmarks import stability_electrical as electrical
+from eitskin.benchmarks import stability_places as places
+from eitskin.benchmarks import stability_solids as solids
+from eitskin.benchmarks.provenance import Provenance
+from eitskin.benchmarks.stability_case import Case, Row, judge
+from eitskin.benchmarks.stability_random import RANDOM, random_designs
+from eitskin.benchmarks.tables import write_table
+from eitskin.geometry.optional import require
+
+Watch: TypeAlias = Callable[[str, Sequence[Any]], Iterable[Any]]
+
+_NUMBERS = re.compile(r"[-+]?\d[\d.]*(e[-+]?\d+)?j?")
+
+
+@dataclass(frozen=True, slots=True)
+class Stability:
+    """Everything that one run found.
+
+    Attributes:
+        provenance: what it was measured with.
+        seconds: that the run took [s].
+        rows: of all cases, random ones each by itself.
+    """
+
+    provenance: Provenance
+    seconds: float
+    rows: tuple[Row, ...]
+
+    @property
+    def wrong(self) -> tuple[Row, ...]:
+        """What must not be."""
+        return tuple(row for row in self.rows if row.outcome == "wrong")
+
+
+def cases(seed: int, quick: bool) -> Iterator[Case]:
+    """All cases, by family.
+
+    Args:
+        seed: of the random designs.
+        quick: fewer and smaller ones, in half a minute instead of ten.
+    """
+    ratios = (1e-6, 1e6) if quick else (1e-6, 1e-4, 1e-2, 1e2, 1e4, 1e6)
+    yield from bends.bends(quick)
+    yield from bends.rolls_and_twists(quick)
+    yield from bends.compositions("closed form" if quick else "tabulated")
+    yield from solids.incompressible(quick)
+    yield from solids.presses(quick)
+    yield from electrical.contrasts(ratios)
+    yield from electrical.contacts()
+    yield from places.electrodes(quick)
+    yield from electrical.layers((1e-6, 1.0, 1e6), (0.01,) if quick else (0.5, 0.1, 0.01, 1e-3))
+    yield from places.cells(quick)
+    yield from random_designs(seed, 20 if quick else 500)
+
+
+def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> Stability:
+    """Go through all cases on one core.
+
+    Args:
+        seed, quick: as in `cases`.
+        watch: gives back the items that its text is about; shows progress where wanted.
+    """
+    limit = require("threadpoolctl", "bench").threadpool_limits
+    start = time.perf_counter()
+    with limit(1):
+        rows = tuple(judge(case) for case in watch("cases", tuple(cases(seed, quick))))
+    return Stability(Provenance.now(seed), time.perf_counter() - start, rows)
+
+
+def write(found: Stability, path: Path) -> None:
+    """All rows as CSV, whole."""
+    write_table(path, [dataclasses.asdict(row) for row in found.rows], str(found.provenance))
+
+
+def tallied(rows: Sequence[Row]) -> list[Row]:
+    """The rows, those of random designs put together by outcome and kind of message.
+
+    Their case says how many they are, numbers are the worst, and seconds the sum.
+    """
+    kinds: dict[tuple[str, str], list[Row]] = {}
+    for row in rows:
+        if row.family == RANDOM:
+            kinds.setdefault((row.outcome, _NUMBERS.sub("#", row.reason)), []).append(row)
+    alone = [row for row in rows if row.family != RANDOM]
+    return alone + [_together(same) for same in sorted(kinds.values(), key=len, reverse=True)]
+
+
+def _together(rows: Sequence[Row]) -> Row:
+    invariants = [row.invariant for row in rows if row.invariant is not None]
+    kind = _NUMBERS.sub("#", rows[0].reason)
+    return dataclasses.replace(
+        rows[0],
+        case=f"{len(rows)}: {kind}" if kind else f"{len(rows)}",
+        invariant=max(invariants, default=None),
+        seconds=sum(row.seconds for row in rows),
+    )
