@@ -37,19 +37,17 @@ def kernel(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -> Ke
 
     Raises ConfigurationError where not even shallow presses are carried.
     """
-    stack = mechanics.stack(design)
-    if len(stack.sheets) == 1:
-        return _stored(stack, indenter)
-    ratio = mechanics.encapsulation.shear_modulus / mechanics.gel.shear_modulus
-    place = _STEPS * np.log2(ratio / _REFERENCE_RATIO)
-    nearest = round(place)
-    if abs(place - nearest) < 1e-9:
-        return _stored(_with_ratio(stack, nearest), indenter)
-    places = np.arange(4) + int(np.floor(place)) - 1
-    weights = np.array([np.prod([(place - q) / (p - q) for q in places if q != p]) for p in places])
-    return kernels.combined(
-        [_stored(_with_ratio(stack, int(p)), indenter) for p in places], weights
-    )
+    found = [
+        (_stored(stack, indenter), weight) for stack, weight in _needed(mechanics.stack(design))
+    ]
+    if len(found) == 1:
+        return found[0][0]
+    return kernels.combined([one for one, _ in found], np.array([weight for _, weight in found]))
+
+
+def is_stored(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -> bool:
+    """Whether all that `kernel` needs has been solved and is on the disk."""
+    return all(_path(stack, indenter).is_file() for stack, _ in _needed(mechanics.stack(design)))
 
 
 def folder() -> Path:
@@ -64,6 +62,20 @@ def folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "eitskin"
 
 
+def _needed(stack: Stack) -> list[tuple[Stack, float]]:
+    """Stacks that are solved, and their weights in the kernel of this one."""
+    if len(stack.sheets) == 1:
+        return [(stack, 1.0)]
+    around, gel, _ = (sheet.law.shear_modulus for sheet in stack.sheets)
+    place = _STEPS * np.log2(around / gel / _REFERENCE_RATIO)
+    nearest = round(place)
+    if abs(place - nearest) < 1e-9:
+        return [(_with_ratio(stack, nearest), 1.0)]
+    places = np.arange(4) + int(np.floor(place)) - 1
+    weights = [np.prod([(place - q) / (p - q) for q in places if q != p]) for p in places]
+    return [(_with_ratio(stack, int(p)), float(w)) for p, w in zip(places, weights, strict=True)]
+
+
 def _with_ratio(stack: Stack, place: int) -> Stack:
     """The stack with the encapsulation of one of the moduli that kernels are solved for."""
     around, gel, _ = stack.sheets
@@ -75,9 +87,8 @@ def _with_ratio(stack: Stack, place: int) -> Stack:
 
 def _stored(stack: Stack, indenter: Indenter) -> Kernel:
     """The kernel of the middle sheet from the disk, or solved now and put there."""
-    layer = stack.sheets[len(stack.sheets) // 2]
-    length, modulus = layer.thickness / _THICKNESS, layer.law.shear_modulus / _MODULUS
-    path = folder() / f"kernel-{_key(stack, indenter, length, modulus)}.npz"
+    length, modulus = _scales(stack)
+    path = _path(stack, indenter)
     found = _read(path)
     if found is None:
         found = kernels.solved(
@@ -90,6 +101,16 @@ def _stored(stack: Stack, indenter: Indenter) -> Kernel:
     scale |= {"forces": modulus * length**2, "energies": modulus * length**3}
     values = {name: scale.get(name, 1.0) * array for name, array in _arrays(found).items()}
     return Kernel(**values)
+
+
+def _scales(stack: Stack) -> tuple[float, float]:
+    """Length and modulus of the middle sheet over those that kernels are solved for."""
+    layer = stack.sheets[len(stack.sheets) // 2]
+    return layer.thickness / _THICKNESS, layer.law.shear_modulus / _MODULUS
+
+
+def _path(stack: Stack, indenter: Indenter) -> Path:
+    return folder() / f"kernel-{_key(stack, indenter, *_scales(stack))}.npz"
 
 
 def _scaled_stack(stack: Stack, length: float, modulus: float) -> Stack:
