@@ -1,26 +1,44 @@
 """`eitskin simulate SCENE.toml`: the impedances of one scene, and its picture."""
 
+import math
+import re
 import time
+import tomllib
 from pathlib import Path
-from typing import Annotated, cast, get_args
+from typing import Annotated, Any, cast, get_args
 
 import numpy as np
 import typer
+from rich.console import Group
 from rich.table import Table
 
 from eitskin.cli.options import Json, Output, Quiet, Seed, Verbose
 from eitskin.geometry import ConfigurationError, SensorDesign
-from eitskin.simulator import Frame, Protocol, Scene, Simulator, WhiteNoise
+from eitskin.geometry.bend import Fixture
+from eitskin.geometry.config import Place, read, read_toml
+from eitskin.simulator import Frame, Mechanics, Protocol, Scene, Simulator, WhiteNoise, kernel_store
+from eitskin.simulator.panels import require_picture
+from eitskin.simulator.presses import Pressed, TouchModel
 from eitskin.simulator.resolution import Resolution
+from eitskin.simulator.view import Colour, draw
 
 
 def command(
     scene: Annotated[
-        Path, typer.Argument(help="Scene file: [bend] angle_deg, [[touches]] x y force.")
+        Path, typer.Argument(help="Scene file: [bend] angle_deg, [[touches]] x y force ...")
     ],
     sensor: Annotated[
         Path | None, typer.Option(help="Sensor design file; the reference sensor when omitted.")
     ] = None,
+    mechanics: Annotated[
+        Path | None, typer.Option(help="File of what it is made of; gel in Ecoflex when omitted.")
+    ] = None,
+    fixture: Annotated[
+        Path | None, typer.Option(help="File of the hinge or arc that bends it.")
+    ] = None,
+    touch_model: Annotated[
+        str, typer.Option(help="How presses are found: tabulated or 'closed form'.")
+    ] = "tabulated",
     resolution: Annotated[str, typer.Option(help="fast, standard or fine.")] = "standard",
     noise: Annotated[
         float | None, typer.Option(help="Add white noise this many dB below full scale.")
@@ -29,36 +47,113 @@ def command(
         str, typer.Option(help="pairwise, adjacent, opposite, skip:N, or a CSV file.")
     ] = "pairwise",
     view: Annotated[Path | None, typer.Option(help="Draw the scene into this PNG file.")] = None,
+    colour: Annotated[
+        str | None, typer.Option(help="Of the picture: conductance, strain or current.")
+    ] = None,
+    drive: Annotated[
+        str | None,
+        typer.Option(help="Current from A to B, as A-B; the pair that the scene changes most."),
+    ] = None,
     seed: Seed = 0,
     json: Json = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Simulate one scene: its impedances and their change from the flat, untouched sensor."""
+    """Simulate one scene: its impedances, their change from the flat, untouched sensor, and the
+    depth and pressure of its touches.
+    """
     output = Output(json, quiet, verbose)
-    if resolution not in get_args(Resolution):
-        raise ConfigurationError(
-            f"--resolution must be one of {', '.join(get_args(Resolution))}, got '{resolution}'"
-        )
     what = Scene.from_toml(scene)
     design = SensorDesign.from_toml(sensor) if sensor else SensorDesign.reference()
+    colours, pair = _colours(view, colour, drive, len(design.electrodes))
     sim = Simulator(
         design,
-        cast(Resolution, resolution),
-        protocol=Protocol.named(protocol, len(design.electrodes)),
+        cast(Resolution, _one_of("--resolution", resolution, Resolution)),
+        _fixture(fixture) if fixture else None,
+        Protocol.named(protocol, len(design.electrodes)),
+        read_toml(Mechanics, mechanics) if mechanics else None,
+        cast(TouchModel, _one_of("--touch-model", touch_model, TouchModel)),
     )
     flat = sim.measure(Scene())
+    _announce_presses(sim, what, output)
     start = time.perf_counter()
     instrument = None if noise is None else WhiteNoise(noise)
     frame = sim.measure(what, instrument, np.random.default_rng(seed))
     seconds = time.perf_counter() - start
     output.detail(f"{sim.model.solver.name}, {len(sim.model.mesh.cells)} cells, {seconds:.3f} s")
-    output.result(_as_data(frame, flat, seconds), _as_table(frame, flat))
+    presses = sim.presses(what) if touch_model == "tabulated" else ()
+    data = _as_data(frame, flat, seconds) | {"touches": [_touch_data(one) for one in presses]}
+    shown = [_as_table(frame, flat), *([_touch_table(presses)] if presses else [])]
+    output.result(data, Group(*shown, *_cautions(presses)))
     if view is not None:
-        from eitskin.simulator.view import draw
-
-        draw(sim, [(scene.stem, what)], view)
+        draw(sim, [(_title(scene.stem, what), what)], view, colours, pair)
         output.note(f"picture: {view}")
+
+
+def _one_of(option: str, text: str, kind: Any) -> str:
+    """The text, where it is one of those that the Literal `kind` lists."""
+    if text not in get_args(kind):
+        raise ConfigurationError(
+            f"{option} must be one of {', '.join(get_args(kind))}, got '{text}'"
+        )
+    return text
+
+
+def _fixture(path: Path) -> Fixture:
+    """A hinge or a free arc, by the keys in the TOML file."""
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ConfigurationError(f"cannot read {path}: {error}") from error
+    return cast(Fixture, read(Fixture, data, Place(str(path), path.parent)))
+
+
+def _colours(
+    view: Path | None, colour: str | None, drive: str | None, electrodes: int
+) -> tuple[Colour, tuple[int, int] | None]:
+    """What a picture shows; checked, with the file, before anything is computed."""
+    if view is not None:
+        require_picture(view)
+    for option, given in (("--colour", colour), ("--drive", drive)):
+        if given is not None and view is None:
+            raise ConfigurationError(f"{option} says what to draw; name the picture with --view")
+    what = cast(Colour, _one_of("--colour", colour or "conductance", Colour))
+    if drive is None:
+        return what, None
+    if what != "current":
+        raise ConfigurationError(f"--drive is for --colour current, got --colour {what}")
+    found = re.fullmatch(r"\s*(\d{1,6})\s*[-,]\s*(\d{1,6})\s*", drive)
+    pair = (int(found[1]), int(found[2])) if found else (0, 0)
+    if pair[0] == pair[1] or max(pair) >= electrodes:
+        raise ConfigurationError(
+            f"--drive takes two different electrodes from 0 to {electrodes - 1}, as 0-4, got "
+            f"'{drive}'"
+        )
+    return what, pair
+
+
+def _title(name: str, scene: Scene) -> str:
+    """The name of a scene and what happens in it."""
+    parts = [f"bent by {scene.bend.angle_deg:g} deg"] if scene.bend.angle_deg else []
+    parts += [f"rolled by {scene.roll.angle_deg:g} deg"] if scene.roll else []
+    parts += [f"twisted by {scene.twist.angle_deg:g} deg"] if scene.twist else []
+    count = len(scene.touches)
+    parts += [f"{count} touch{'es' * (count > 1)}"] if count else []
+    return f"{name}: {', '.join(parts) or 'flat, untouched'}"
+
+
+def _announce_presses(sim: Simulator, scene: Scene, output: Output) -> None:
+    """Say that presses have to be solved, which takes a while."""
+    if sim.touch_model != "tabulated":
+        return
+    indenters = dict.fromkeys(touch.indenter for touch in scene.touches)
+    missing = sum(not kernel_store.is_stored(sim.design, sim.mechanics, i) for i in indenters)
+    if missing:
+        output.note(
+            f"solving the presses of {missing} indenter{'s' * (missing > 1)} that "
+            f"{'are' if missing > 1 else 'is'} new to this sensor, once: 10 to 60 s each; kept in "
+            f"{kernel_store.folder()}"
+        )
 
 
 def _relative_change(frame: Frame, flat: Frame) -> list[float | None]:
@@ -98,3 +193,51 @@ def _as_table(frame: Frame, flat: Frame) -> Table:
         change = f"{(Z - before).real:+.3f}"
         table.add_row(label, f"{Z.real:.3f}", f"{Z.imag:.3f}", change, percent)
     return table
+
+
+def _touch_data(press: Pressed) -> dict[str, object]:
+    return {
+        "x_m": press.touch.x,
+        "y_m": press.touch.y,
+        "force_N": press.force,
+        "depth_m": press.depth,
+        "contact_radius_m": press.contact_radius,
+        "contact_area_m2": press.contact_area,
+        "mean_pressure_Pa": press.mean_pressure,
+        "peak_pressure_Pa": press.peak_pressure,
+        "thinning": press.thinning,
+        "edge_distance_m": press.edge_distance,
+        "neighbour_distance_m": (
+            press.neighbour_distance if math.isfinite(press.neighbour_distance) else None
+        ),
+        "caution": press.caution,
+    }
+
+
+def _touch_table(presses: tuple[Pressed, ...]) -> Table:
+    table = Table("touch\nat, mm", "force\nN", "depth\nmm", "contact\nmm2", "mean\nkPa")
+    for title in ("peak\nkPa", "gel thinner\nby, %", "to edge\nmm"):
+        table.add_column(title)
+    for column in table.columns[1:]:
+        column.justify = "right"
+    for press in presses:
+        table.add_row(
+            f"{1e3 * press.touch.x:.1f}, {1e3 * press.touch.y:.1f}",
+            f"{press.force:.2f}",
+            f"{1e3 * press.depth:.3f}",
+            f"{1e6 * press.contact_area:.1f}",
+            f"{1e-3 * press.mean_pressure:.1f}",
+            f"{1e-3 * press.peak_pressure:.1f}",
+            f"{100 * press.thinning:.1f}",
+            f"{1e3 * press.edge_distance:.1f}",
+        )
+    return table
+
+
+def _cautions(presses: tuple[Pressed, ...]) -> list[str]:
+    return [
+        f"caution: touch at {1e3 * press.touch.x:.1f}, {1e3 * press.touch.y:.1f} mm: "
+        f"{press.caution}"
+        for press in presses
+        if press.caution
+    ]

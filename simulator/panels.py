@@ -9,6 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from eitskin.geometry import ConfigurationError
 from eitskin.geometry.optional import require
 from eitskin.geometry.whole_file import whole_file
 
@@ -101,16 +102,32 @@ def colour_scale(title: str, **options: Any) -> dict[str, Any]:
     }
 
 
-def render(panels: Sequence[Panel], path: str | Path, columns: int = 1) -> None:
-    """Draw the panels, row by row, into the PNG file `path`, whole or not at all.
+def require_picture(path: str | Path) -> Any:
+    """Give pyvista, if a picture can be drawn to `path`.
 
     Raises ImportError, naming the extra, where pyvista is missing, and ConfigurationError where
-    the file cannot be written.
+    the file is no PNG file or its folder does not exist.
     """
+    path = Path(path)
+    if path.suffix.lower() != ".png":
+        raise ConfigurationError(f"pictures are PNG files: name one like {path.stem}.png")
+    if not path.absolute().parent.is_dir():
+        raise ConfigurationError(
+            f"cannot write {path}: there is no folder {path.parent}; make it, or name another"
+        )
     # Without a display VTK would try X first and complain; EGL needs none.
     if not os.environ.get("DISPLAY"):
         os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", "vtkEGLRenderWindow")
-    pv = require("pyvista", "view")
+    return require("pyvista", "view")
+
+
+def render(panels: Sequence[Panel], path: str | Path, columns: int = 1) -> None:
+    """Draw the panels, row by row, into the PNG file `path`, whole or not at all.
+
+    Raises ImportError and ConfigurationError like `require_picture`, and ConfigurationError where
+    the file cannot be written.
+    """
+    pv = require_picture(path)
     width = _WIDTH[columns] // columns
     rows = [panels[i : i + columns] for i in range(0, len(panels), columns)]
     heights = [max(panel.height(width) for panel in row) for row in rows]

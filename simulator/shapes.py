@@ -8,16 +8,19 @@ from numpy.typing import NDArray
 
 from eitskin.geometry import Mesh
 from eitskin.geometry.optional import require
-from eitskin.simulator.panels import MATT
+from eitskin.simulator.indenters import Indenter
+from eitskin.simulator.panels import DIRECTION, MATT
 
 Array = NDArray[np.float64]
 
-GEL, METAL, EDGE = "#dde8f0", "#e08a2e", "#52606d"
+GEL, METAL, EDGE, GLASS = "#dde8f0", "#e08a2e", "#52606d", "#7d8b99"
 PLUS, MINUS = "#c0392b", "#2c5fa8"
 
 _VTK_TYPES = {8: 12, 6: 13, 4: 10}  # hexahedron, wedge, tetrahedron
 _LIFT = 3e-4  # of what lies on a surface, relative to the body's size: else both flicker
 _AWAY = 0.045  # of numbers from their electrodes, likewise
+_RADII, _AZIMUTHS = 49, 73  # of the net that an indenter is drawn as
+_DRAWN = 1.2  # height of what is drawn of an indenter, of its radius
 
 
 def volume(mesh: Mesh) -> Any:
@@ -35,6 +38,39 @@ def surface(mesh: Mesh, **point_values: Array) -> Any:
     for name, values in point_values.items():
         cells[name] = values
     return cells.extract_surface(algorithm="dataset_surface")
+
+
+def at_points(mesh: Mesh, values: Array) -> Array:
+    """Values of cells (cells,) at the points, (points,): the mean of the cells around each."""
+    points, corners = mesh.cells.ravel(), mesh.cells.shape[1]
+    sums = np.bincount(points, np.repeat(values, corners), len(mesh.points))
+    return sums / np.bincount(points, minlength=len(mesh.points))
+
+
+def revolved(indenter: Indenter, tip: Array, turned: Array) -> Any:
+    """The lower part of an indenter as a surface, open above.
+
+    Args:
+        indenter: whose profile turns about its axis.
+        tip: where its lowest point is, (3,) [m].
+        turned: rotation from upright, (3, 3).
+    """
+    pv = require("pyvista", "view")
+    rim = indenter.rims[1]
+    r = np.linspace(0.0, rim, _RADII)
+    height = indenter.profile(r)[0]
+    r, height = np.append(r, rim), np.append(height, max(height[-1], _DRAWN * rim))
+    azimuth = np.linspace(0.0, 2.0 * np.pi, _AZIMUTHS)
+    upright = np.stack(
+        [
+            np.outer(r, np.cos(azimuth)),
+            np.outer(r, np.sin(azimuth)),
+            np.outer(height, np.ones_like(azimuth)),
+        ],
+        axis=-1,
+    )
+    x, y, z = np.moveaxis(upright @ turned.T + tip, -1, 0)[..., None]
+    return pv.StructuredGrid(x, y, z).extract_surface(algorithm="dataset_surface").clean()
 
 
 def size(mesh: Mesh) -> float:
@@ -80,6 +116,20 @@ def add_body(plotter: Any, mesh: Mesh, opacity: float) -> None:
         plotter.add_mesh(edges, color=EDGE, line_width=1.5)
 
 
+def add_net(plotter: Any, surface: Any, mesh: Mesh, spacing: float) -> None:
+    """Lines of equal x and y of the flat body, `spacing` [m] apart, on the deformed surface.
+
+    The surface has its points' flat places as `flat`.
+    """
+    for axis in (0, 1):
+        low, high = surface["flat"][:, axis].min(), surface["flat"][:, axis].max()
+        levels = np.arange(low + spacing, high - 0.01 * spacing, spacing)
+        lines = surface.contour(levels, scalars=surface["flat"][:, axis])
+        if lines.n_cells:
+            lines = towards(DIRECTION, lines, mesh)
+            plotter.add_mesh(lines, color=EDGE, line_width=1.0, opacity=0.6)
+
+
 def add_electrodes(plotter: Any, mesh: Mesh, drive: tuple[int, ...] = ()) -> None:
     """The electrodes; those of a drive pair in red and blue."""
     colours = dict(zip(drive, (PLUS, MINUS), strict=False))
@@ -106,6 +156,14 @@ def add_numbers(plotter: Any, mesh: Mesh, electrodes: Sequence[int]) -> None:
         show_points=False,
         always_visible=True,
     )
+
+
+def add_indenter(plotter: Any, body: Any) -> None:
+    """An indenter, translucent, and its sharp edges."""
+    plotter.add_mesh(body, color=GLASS, opacity=0.25, smooth_shading=True, **MATT)
+    edges = body.extract_feature_edges(feature_angle=20.0)
+    if edges.n_cells:
+        plotter.add_mesh(edges, color=EDGE, line_width=1.5)
 
 
 def add_rim(plotter: Any, mesh: Mesh, electrode: int, direction: Array) -> None:
