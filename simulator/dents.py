@@ -28,7 +28,10 @@ class Strains(NamedTuple):
 
 
 class Dent(Protocol):
-    """A displacement of the layer that is symmetric about an upright axis."""
+    """A displacement of the layer that is symmetric about an upright axis.
+
+    Distances r and heights z may be arrays of any shapes that broadcast.
+    """
 
     @property
     def reach(self) -> float:
@@ -56,12 +59,12 @@ class Placed:
     y: float
     dent: Dent
 
-    def near(self, points: Points) -> tuple[NDArray[np.int64], Array, Array, Array]:
-        """Which of the points (n, 3) it moves, and their offsets in x and y and distance."""
-        across = points[:, :2] - (self.x, self.y)
-        r = np.hypot(across[:, 0], across[:, 1])
-        near = np.flatnonzero(r < self.dent.reach)
-        return near, across[near, 0], across[near, 1], r[near]
+    def near(self, columns: Points) -> tuple[NDArray[np.int64], Array, Array, Array]:
+        """Which columns of points (n, h, 3) it moves, their offsets in x and y, and distances."""
+        across = columns[:, :1, :2] - (self.x, self.y)
+        r = np.hypot(across[..., 0], across[..., 1])
+        near = np.flatnonzero(r[:, 0] < self.dent.reach)
+        return near, across[near, :, 0], across[near, :, 1], r[near]
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,42 +79,60 @@ class Dents:
 
     def positions(self, points: Points) -> Points:
         """Deformed places [m], (..., 3), of flat points [m], (..., 3)."""
-        flat = points.reshape(-1, 3)
-        moved = flat.copy()
+        columns = _columns(points)
+        moved = columns.copy()
         for press in self.presses:
-            near, dx, dy, r = press.near(flat)
-            u, w = press.dent.displacement(r, flat[near, 2])
+            near, dx, dy, r = press.near(columns)
+            u, w = press.dent.displacement(r, columns[near, :, 2])
             outward = u / np.maximum(r, 1e-12)
-            moved[near] += np.stack([outward * dx, outward * dy, w], axis=-1)
+            moved[near] += np.stack(np.broadcast_arrays(outward * dx, outward * dy, w), axis=-1)
         return moved.reshape(points.shape)
 
     def gradient(self, points: Points) -> Gradients:
         """Deformation gradient, (..., 3, 3)."""
-        flat = points.reshape(-1, 3)
-        F = np.zeros((len(flat), 3, 3))
-        F[:, 0, 0] = F[:, 1, 1] = F[:, 2, 2] = 1.0
+        columns = _columns(points)
+        F = np.zeros((*columns.shape, 3))
+        F[..., 0, 0] = F[..., 1, 1] = F[..., 2, 2] = 1.0
         for press in self.presses:
-            near, dx, dy, r = press.near(flat)
-            strains = press.dent.strains(r, flat[near, 2])
+            near, dx, dy, r = press.near(columns)
+            strains = press.dent.strains(r, columns[near, :, 2])
             azimuth = np.arctan2(dy, dx)  # zero on the axis, where every direction is radial
             cos, sin = np.cos(azimuth), np.sin(azimuth)
-            F[near, 0, 0] += strains.radial * cos**2 + strains.hoop * sin**2
-            F[near, 1, 1] += strains.radial * sin**2 + strains.hoop * cos**2
             across = (strains.radial - strains.hoop) * cos * sin
-            F[near, 0, 1] += across
-            F[near, 1, 0] += across
-            F[near, 0, 2] += strains.shear * cos
-            F[near, 1, 2] += strains.shear * sin
-            F[near, 2, 0] += strains.tilt * cos
-            F[near, 2, 1] += strains.tilt * sin
-            F[near, 2, 2] += strains.upward
+            F[near, :, 0, 0] += strains.radial * cos**2 + strains.hoop * sin**2
+            F[near, :, 1, 1] += strains.radial * sin**2 + strains.hoop * cos**2
+            F[near, :, 0, 1] += across
+            F[near, :, 1, 0] += across
+            F[near, :, 0, 2] += strains.shear * cos
+            F[near, :, 1, 2] += strains.shear * sin
+            F[near, :, 2, 0] += strains.tilt * cos
+            F[near, :, 2, 1] += strains.tilt * sin
+            F[near, :, 2, 2] += strains.upward
         return F.reshape(*points.shape, 3)
 
     def mean_stress(self, points: Points) -> Array:
         """Mean stress [Pa] at flat points (..., 3) [m], (...), positive in tension."""
-        flat = points.reshape(-1, 3)
-        stress = np.zeros(len(flat))
+        columns = _columns(points)
+        stress = np.zeros(columns.shape[:2])
         for press in self.presses:
-            near, _, _, r = press.near(flat)
-            stress[near] += press.dent.mean_stress(r, flat[near, 2])
+            near, _, _, r = press.near(columns)
+            stress[near] += press.dent.mean_stress(r, columns[near, :, 2])
         return stress.reshape(points.shape[:-1])
+
+
+def _columns(points: Points) -> Points:
+    """Points (n, h, 3), those of a row above each other, so that each distance is needed once.
+
+    Quadrature points of upright cells come in such columns; others stand by themselves, h = 1.
+    """
+    flat = points.reshape(-1, 3)
+    height = 1
+    while height < len(flat) and np.array_equal(flat[height, :2], flat[0, :2]):
+        height += 1
+    if len(flat) % height == 0:
+        columns = flat.reshape(-1, height, 3)
+        if np.array_equal(
+            columns[..., :2], np.broadcast_to(columns[:, :1, :2], columns[..., :2].shape)
+        ):
+            return columns
+    return flat[:, None]

@@ -26,6 +26,8 @@ _DEEPEST = 0.6  # of the thickness of the stack
 _SPACING = 1.5
 _FEWEST = 4  # depths that a table needs
 _DEGREE = 5  # over the height of the layer
+# Legendre coefficients of the derivative of a polynomial, from its own.
+_RISES = np.vstack([legendre.legder(np.eye(_DEGREE + 1)), np.zeros(_DEGREE + 1)])
 _CELL = 1.0 / 20.0  # finest, of the radius of the indenter
 _KNOT = 0.1  # spacing over the layer's thickness near the indenter
 _KNOT_GROWTH = 0.1
@@ -65,36 +67,35 @@ class TabulatedDent:
 
     def displacement(self, r: Array, z: Array) -> tuple[Array, Array]:
         """u and w [m] at distance r from the axis and height z over the layer's bottom [m]."""
-        values = self._at(r, 0)
-        P = legendre.legvander(2.0 * z / self.thickness - 1.0, values.shape[1] - 1)
-        u, w, _ = np.einsum("nkc,nk->cn", values, P)
+        u, w = np.moveaxis(_summed(self._over_height(z), self._at(r)[..., :2]), -1, 0)
         return u, w
 
     def mean_stress(self, r: Array, z: Array) -> Array:
         """Mean stress [Pa], positive in tension."""
-        values = self._at(r, 0)
-        P = legendre.legvander(2.0 * z / self.thickness - 1.0, values.shape[1] - 1)
-        stress: Array = np.einsum("nk,nk->n", values[..., 2], P)
-        return stress
+        return _summed(self._over_height(z), self._at(r)[..., 2:])[..., 0]
 
     def strains(self, r: Array, z: Array) -> Strains:
         """Their derivatives."""
-        values, slopes = self._at(r, 0), self._at(r, 1)
-        height, degree = 2.0 * z / self.thickness - 1.0, values.shape[1] - 1
-        P = legendre.legvander(height, degree)
-        # The derivative of the sum of c_k P_k, for each k by itself.
-        rises = legendre.legder(np.eye(degree + 1)) * (2.0 / self.thickness)
-        dP = legendre.legvander(height, degree - 1) @ rises
-        radial, tilt = np.einsum("nkc,nk->cn", slopes[..., :2], P)
-        u = np.einsum("nk,nk->n", values[..., 0], P)
-        shear, upward = np.einsum("nkc,nk->cn", values[..., :2], dP)
+        values, slopes = self._at(r)[..., :2], self._at(r, 1)[..., :2]
+        P = self._over_height(z)
+        radial, tilt = np.moveaxis(_summed(P, slopes), -1, 0)
+        shear, upward = np.moveaxis(_summed(P, _RISES @ values) * (2.0 / self.thickness), -1, 0)
         near = r < 1e-9  # on the axis u / r tends to du/dr
-        hoop = np.where(near, radial, u / np.where(near, 1.0, r))
-        return Strains(hoop, radial, shear, tilt, upward)
+        hoop = _summed(P, values[..., :1])[..., 0] / np.where(near, 1.0, r)
+        return Strains(np.where(near, radial, hoop), radial, shear, tilt, upward)
 
-    def _at(self, r: Array, derivative: int) -> Array:
+    def _over_height(self, z: Array) -> Array:
+        return np.asarray(legendre.legvander(2.0 * z / self.thickness - 1.0, _DEGREE))
+
+    def _at(self, r: Array, derivative: int = 0) -> Array:
         coefficients: Array = self.profile(np.minimum(r, self.reach), derivative)
         return coefficients
+
+
+def _summed(P: Array, coefficients: Array) -> Array:
+    """Fields (..., k) of polynomials (..., m) and coefficients (..., m, k)."""
+    fields: Array = np.einsum("...m,...mk->...k", P, coefficients)
+    return fields
 
 
 @dataclass(frozen=True, slots=True, eq=False)

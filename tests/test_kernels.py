@@ -81,6 +81,17 @@ def test_strains_are_derivatives_of_displacements(table) -> None:
     assert s.hoop == pytest.approx(dent.displacement(r, z)[0] / r)
 
 
+def test_points_above_each_other_are_as_points_by_themselves(table) -> None:
+    dents = Dents((Placed(0.05, 0.02, table.pressed(9.0)), Placed(0.08, 0.03, table.pressed(4.0))))
+    places = np.random.default_rng(2).uniform((0.03, 0.01), (0.12, 0.05), (30, 2))
+    columns = np.empty((30, 4, 3))
+    columns[..., :2], columns[..., 2] = places[:, None], (0.0, 0.001, 0.0032, 0.005)
+    mixed = np.random.default_rng(3).permutation(120)
+    for field in (dents.gradient, dents.positions, dents.mean_stress):
+        together, apart = field(columns), field(columns.reshape(-1, 3)[mixed])
+        assert np.concatenate(together)[mixed] == pytest.approx(apart, rel=1e-12)
+
+
 def test_a_dent_is_regular_on_its_axis_and_ends(table) -> None:
     dents = Dents((Placed(0.05, 0.02, table.pressed(10.0)),))
     axis, beside = dents.gradient(np.array([[0.05, 0.02, 0.002], [0.05 + 1e-7, 0.02, 0.002]]))
