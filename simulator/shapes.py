@@ -70,7 +70,8 @@ def revolved(indenter: Indenter, tip: Array, turned: Array) -> Any:
         axis=-1,
     )
     x, y, z = np.moveaxis(upright @ turned.T + tip, -1, 0)[..., None]
-    return pv.StructuredGrid(x, y, z).extract_surface(algorithm="dataset_surface").clean()
+    net = pv.StructuredGrid(x, y, z).extract_surface(algorithm="dataset_surface")
+    return net.clean(tolerance=1e-6)  # joins the ends of every ring
 
 
 def size(mesh: Mesh) -> float:

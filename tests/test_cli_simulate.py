@@ -1,13 +1,21 @@
-"""`eitskin simulate`: numbers, protocols, and what is refused."""
+"""`eitskin simulate`: numbers, protocols, touches, and what is refused."""
 
 import json
+import re
+import tomllib
+from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
 from eitskin.cli.main import app
-from eitskin.geometry import ConfigurationError
-from eitskin.simulator import Protocol
+from eitskin.geometry import Bend, ConfigurationError, SensorDesign
+from eitskin.geometry.bend import FreeArc, Hinge
+from eitskin.simulator import Cylinder, Mechanics, Protocol, Scene, Simulator, kernel_store, kernels
+from eitskin.simulator.materials import NeoHookean, Ogden
+from eitskin.simulator.mechanics import Piezoresistivity
+
+PAGE = Path(__file__).parents[1] / "docs" / "scenes.md"
 
 
 @pytest.fixture
@@ -17,13 +25,20 @@ def scene(tmp_path):
     return path
 
 
-def simulate(scene, *options) -> dict:
-    ran = CliRunner().invoke(
-        app, ["simulate", str(scene), "--resolution", "fast", "--json", *options]
-    )
+def run(scene, *options):
+    ran = CliRunner().invoke(app, ["simulate", str(scene), "--resolution", "fast", *options])
     if ran.exception is not None:
         raise ran.exception
-    return json.loads(ran.stdout)
+    return ran
+
+
+def simulate(scene, *options) -> dict:
+    return json.loads(run(scene, "--json", *options).stdout)
+
+
+def written(path, text):
+    path.write_text(text)
+    return path
 
 
 def test_adjacent_values_are_sums_of_pairwise_ones(scene, tmp_path) -> None:
@@ -52,3 +67,131 @@ def test_a_value_that_is_zero_by_symmetry_has_no_relative_change(scene, tmp_path
 def test_an_unknown_protocol_is_refused(scene) -> None:
     with pytest.raises(ConfigurationError, match="expected a protocol"):
         simulate(scene, "--protocol", "neighbours")
+
+
+# Touches
+
+
+def test_every_touch_tells_what_became_of_it(tmp_path) -> None:
+    scene = written(
+        tmp_path / "two.toml",
+        "[[touches]]\nx = 0.05\ny = 0.02\n[[touches]]\nx = 0.06\ny = 0.052\nforce = 5\n",
+    )
+    found = simulate(scene)["touches"]
+    presses = Simulator(SensorDesign.reference(), "fast").presses(Scene.from_toml(scene))
+    for row, press in zip(found, presses, strict=True):
+        assert row["force_N"] == press.force
+        assert row["depth_m"] == press.depth
+        assert row["contact_radius_m"] == press.contact_radius
+        assert row["contact_area_m2"] == press.contact_area
+        assert row["mean_pressure_Pa"] == press.mean_pressure
+        assert row["peak_pressure_Pa"] == press.peak_pressure
+        assert row["thinning"] == press.thinning
+        assert row["edge_distance_m"] == press.edge_distance
+        assert row["neighbour_distance_m"] == press.neighbour_distance
+        assert row["caution"] == press.caution
+    shown = run(scene).stdout
+    first, second = presses
+    assert f"{1e3 * first.depth:.3f} " in shown
+    assert f"{1e-3 * second.mean_pressure:.1f} " in shown
+    assert shown.count("caution") == 1
+    assert "60.0, 52.0 mm: 8.0 mm from the edge" in shown
+
+
+def test_a_touch_by_itself_has_no_neighbour_and_the_closed_form_tells_nothing(scene) -> None:
+    assert simulate(scene)["touches"][0]["neighbour_distance_m"] is None
+    closed = simulate(scene, "--touch-model", "closed form")
+    assert closed["touches"] == []
+    frame = Simulator(SensorDesign.reference(), "fast", touch_model="closed form").measure(
+        Scene.from_toml(scene)
+    )
+    assert closed["impedance_real_ohm"] == frame.impedance.real.tolist()
+
+
+def test_it_is_said_when_presses_have_to_be_solved(scene, tmp_path, monkeypatch) -> None:
+    table = kernel_store.kernel(SensorDesign.reference(), Mechanics(), Cylinder())
+    monkeypatch.setattr(kernels, "solved", lambda *_: table)
+    monkeypatch.setenv("EITSKIN_CACHE", str(tmp_path / "store"))
+    for options, said in (((), True), ((), False), (("--touch-model", "closed form"), False)):
+        kernel_store.kernel.cache_clear()
+        assert ("solving the presses of 1 indenter that is new" in run(scene, *options).stderr) is (
+            said
+        )
+    for path in (tmp_path / "store").iterdir():
+        path.unlink()
+    kernel_store.kernel.cache_clear()
+    assert run(scene, "--quiet").stderr == ""
+    kernel_store.kernel.cache_clear()
+
+
+# Mechanics and fixture from files
+
+
+def test_mechanics_and_fixture_come_from_files(scene, tmp_path) -> None:
+    mechanics = written(
+        tmp_path / "mechanics.toml",
+        "margin = 0.004\n[gel]\nshear_modulus = 10e3\n"
+        "[encapsulation]\nshear_modulus = 14e3\n[piezoresistivity]\nvolume = 1.5\n",
+    )
+    scene.write_text(scene.read_text() + "force = 4\n[bend]\nangle_deg = 15\n")
+    given = ("--mechanics", str(mechanics))
+    for text, fixture in (
+        ("span = 0.05\n", Hinge(span=0.05)),
+        ("length = 0.07\n", FreeArc(0.07)),
+    ):
+        found = simulate(scene, *given, "--fixture", str(written(tmp_path / "f.toml", text)))
+        soft = Mechanics(
+            NeoHookean(10e3),
+            NeoHookean(14e3),
+            0.004,
+            piezoresistivity=Piezoresistivity(volume=1.5),
+        )
+        sim = Simulator(SensorDesign.reference(), "fast", fixture, mechanics=soft)
+        frame = sim.measure(Scene.from_toml(scene))
+        assert found["impedance_real_ohm"] == pytest.approx(frame.impedance.real, rel=1e-12)
+        assert found["touches"][0]["depth_m"] > simulate(scene)["touches"][0]["depth_m"]
+
+
+def test_files_that_are_no_fixture_or_mechanics_are_refused(scene, tmp_path) -> None:
+    wrong = str(written(tmp_path / "wrong.toml", "spam = 0.05\n"))
+    with pytest.raises(ConfigurationError, match=r"wrong.toml: .*Hinge.*did you mean 'span'"):
+        simulate(scene, "--fixture", wrong)
+    with pytest.raises(ConfigurationError, match=r"wrong.toml: unknown key 'spam'"):
+        simulate(scene, "--mechanics", wrong)
+    with pytest.raises(ConfigurationError, match="cannot read"):
+        simulate(scene, "--fixture", str(tmp_path / "none.toml"))
+    with pytest.raises(ConfigurationError, match="cannot read"):
+        simulate(scene, "--fixture", str(written(tmp_path / "broken.toml", "span =")))
+
+
+# Pictures
+
+
+def test_a_picture_is_drawn_of_what_is_asked_for(scene, tmp_path) -> None:
+    path = tmp_path / "scene.png"
+    ran = run(scene, "--view", str(path), "--colour", "strain")
+    assert path.stat().st_size > 10_000
+    assert "picture: " in ran.stderr
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--colour", "strain"), "name the picture with --view"),
+        (("--drive", "0-4"), "name the picture with --view"),
+        (("--view", "a.png", "--colour", "red"), "conductance, strain, current, got 'red'"),
+        (("--view", "a.png", "--drive", "0-4"), "--drive is for --colour current"),
+        (("--view", "a.png", "--colour", "current", "--drive", "0-8"), "from 0 to 7"),
+        (("--view", "a.png", "--colour", "current", "--drive", "4"), "as 0-4, got '4'"),
+        (("--view", "a.png", "--colour", "current", "--drive", "4,4"), "two different"),
+        (("--view", "a.gif"), "pictures are PNG files"),
+        (("--view", "no/such/a.png"), "there is no folder"),
+        (("--touch-model", "exact"), "tabulated, closed form, got 'exact'"),
+        (("--resolution", "finest"), "fast, standard, fine, got 'finest'"),
+    ],
+)
+def test_options_that_make_no_sense_are_refused(scene, monkeypatch, options, message) -> None:
+    monkeypatch.chdir(scene.parent)
+    with pytest.raises(ConfigurationError, match=re.escape(message)):
+        run(scene, *options)
+    assert [path.name for path in scene.parent.iterdir()] == ["scene.toml"]
