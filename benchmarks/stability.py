@@ -66,7 +66,7 @@ def cases(seed: int, quick: bool) -> Iterator[Case]:
     yield from places.electrodes(quick)
     yield from electrical.layers((1e-6, 1.0, 1e6), (0.01,) if quick else (0.5, 0.1, 0.01, 1e-3))
     yield from places.cells(quick)
-    yield from random_designs(seed, 20 if quick else 500)
+    yield from random_designs(seed, 20 if quick else 300)
 
 
 def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> Stability:

@@ -15,7 +15,7 @@ from eitskin.geometry import ConfigurationError
 
 Outcome = Literal["ok", "refused", "left out", "wrong"]
 
-_PATIENCE = 180.0  # s: what takes longer counts as a hang
+_PATIENCE = 300.0  # s: what takes longer counts as a hang
 
 
 @dataclass(frozen=True, slots=True)

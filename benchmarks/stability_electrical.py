@@ -211,6 +211,11 @@ def contacts() -> Iterator[Case]:
         yield Case("contact impedance", f"block, {name}", partial(_body, one, other))
     for z in (1e-9, 1e-3, 1e3, 1e3 * cmath.exp(1.5j)):
         yield Case("contact impedance", f"{z:.2g}, but 1e6 before one", partial(_buried, z))
+    for sigma in (1.0, 1e-2, 1e-4):
+        solve = partial(_strips, sigma)
+        name = f"2 mm high, 1e-09, {sigma:g} S/m"
+        # What a height shares with all others and its own part cancel: 2e-18 m / (z sigma).
+        yield Case("contact impedance", name, solve, invariant_limit=1e-4)
     for bad in (0.0, 1e-11, 1e7, -1e-3, 1e-3j, float("nan"), float("inf")):
         yield Case(
             "contact impedance",
@@ -228,6 +233,13 @@ def _body(one: complex, other: complex) -> Found:
         return apart(R - (one + other) / AREA, np.array([L / AREA]))
 
     return solved(bar(one, other), ((2,), COARSE), error)
+
+
+def _strips(sigma: float) -> Found:
+    """Electrodes that do not cover the full thickness, without a closed form."""
+    places = (0.03, 0.09)
+    strips = tuple(Electrode(x, 0.0, 0.005, 1e-9, height=0.002) for x in places)
+    return solved(SensorDesign(OUTLINE, H, strips, conductivity=sigma), "fast")
 
 
 def _buried(z: complex) -> Found:

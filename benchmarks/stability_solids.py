@@ -141,10 +141,10 @@ def presses(quick: bool) -> Iterator[Case]:
     bodies: dict[str, tuple[Stack, Indenter]] = {
         "rough ball, stack": (stack, Sphere(0.0075, rough=True)),
         "rough cylinder, stack": (stack, Cylinder()),
-        "smooth ball, stack": (stack, Sphere(0.0075)),
+        "smooth ball, stack": (stack, Sphere(0.0075, rough=False)),
         "smooth cylinder, stack": (stack, Cylinder(rough=False)),
         "rough cylinder, gel alone": (gel, Cylinder()),
-        "smooth ball, gel alone": (gel, Sphere(0.0075)),
+        "smooth ball, gel alone": (gel, Sphere(0.0075, rough=False)),
     }
     for name in list(bodies)[:1] if quick else bodies:
         finest, steps = (3e-3, 3) if quick else (5e-4, 18)
@@ -158,15 +158,16 @@ def _pressed(stack: Stack, indenter: Indenter, finest: float, steps: int) -> Fou
     press = Press(stack, indenter, finest=finest)
     counted = Counted(press.solid)
     press.solid = cast("Solid", counted)
-    refused, found = "", None
+    refused, found, x = "", None, counted.x
     try:
         for share in np.linspace(0.0, _LAST, steps + 1)[1:]:
             found = press.to_depth(float(share) * stack.levels[-1])
+            x = counted.x
     except SolidError as error:
         refused = str(error)
     if found is None:
         raise SolidError(refused)
-    x, solid = counted.x, press.solid
+    solid = press.solid
     inside = solid.forces(x)
     free = np.setdiff1d(np.arange(solid.unknowns), _held(solid.nodes))
     unbalanced = (inside + press.contact.forces(x)[: len(inside)])[free]
