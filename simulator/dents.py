@@ -53,11 +53,12 @@ class Dent(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Placed:
-    """A dent at (x, y) of the flat sensor [m]."""
+    """A dent at (x, y) of the flat sensor [m], times a sign."""
 
     x: float
     y: float
     dent: Dent
+    sign: float = 1.0
 
     def near(self, columns: Points) -> tuple[NDArray[np.int64], Array, Array, Array]:
         """Which columns of points (n, h, 3) it moves, their offsets in x and y, and distances."""
@@ -71,8 +72,8 @@ class Placed:
 class Dents:
     """The deformation of the flat layer by presses, displacements superposed.
 
-    Each keeps the volume; several do up to the product of their strains where they overlap. The
-    rim of the layer is not felt: dents are those of an unbounded layer.
+    Each keeps the volume; several do up to the product of their strains where they overlap. Dents
+    are those of an unbounded layer; what its rim does is up to images beyond it.
     """
 
     presses: tuple[Placed, ...]
@@ -83,7 +84,7 @@ class Dents:
         moved = columns.copy()
         for press in self.presses:
             near, dx, dy, r = press.near(columns)
-            u, w = press.dent.displacement(r, columns[near, :, 2])
+            u, w = (press.sign * part for part in press.dent.displacement(r, columns[near, :, 2]))
             outward = u / np.maximum(r, 1e-12)
             moved[near] += np.stack(np.broadcast_arrays(outward * dx, outward * dy, w), axis=-1)
         return moved.reshape(points.shape)
@@ -91,23 +92,25 @@ class Dents:
     def gradient(self, points: Points) -> Gradients:
         """Deformation gradient, (..., 3, 3)."""
         columns = _columns(points)
-        F = np.zeros((*columns.shape, 3))
-        F[..., 0, 0] = F[..., 1, 1] = F[..., 2, 2] = 1.0
+        shape = columns.shape[:2]
+        xx, yy, zz = (np.ones(shape) for _ in range(3))
+        xy, xz, yz, zx, zy = (np.zeros(shape) for _ in range(5))
         for press in self.presses:
             near, dx, dy, r = press.near(columns)
             strains = press.dent.strains(r, columns[near, :, 2])
-            azimuth = np.arctan2(dy, dx)  # zero on the axis, where every direction is radial
-            cos, sin = np.cos(azimuth), np.sin(azimuth)
-            across = (strains.radial - strains.hoop) * cos * sin
-            F[near, :, 0, 0] += strains.radial * cos**2 + strains.hoop * sin**2
-            F[near, :, 1, 1] += strains.radial * sin**2 + strains.hoop * cos**2
-            F[near, :, 0, 1] += across
-            F[near, :, 1, 0] += across
-            F[near, :, 0, 2] += strains.shear * cos
-            F[near, :, 1, 2] += strains.shear * sin
-            F[near, :, 2, 0] += strains.tilt * cos
-            F[near, :, 2, 1] += strains.tilt * sin
-            F[near, :, 2, 2] += strains.upward
+            hoop, radial, shear, tilt, upward = (press.sign * part for part in strains)
+            on_axis = r == 0.0  # where every direction is radial
+            cos = np.where(on_axis, 1.0, dx / np.where(on_axis, 1.0, r))
+            sin = np.where(on_axis, 0.0, dy / np.where(on_axis, 1.0, r))
+            xx[near] += hoop + (radial - hoop) * cos**2
+            yy[near] += hoop + (radial - hoop) * sin**2
+            zz[near] += upward
+            xy[near] += (radial - hoop) * (cos * sin)
+            xz[near] += shear * cos
+            yz[near] += shear * sin
+            zx[near] += tilt * cos
+            zy[near] += tilt * sin
+        F = np.stack([xx, xy, xz, xy, yy, yz, zx, zy, zz], axis=-1)
         return F.reshape(*points.shape, 3)
 
     def mean_stress(self, points: Points) -> Array:
@@ -116,7 +119,7 @@ class Dents:
         stress = np.zeros(columns.shape[:2])
         for press in self.presses:
             near, _, _, r = press.near(columns)
-            stress[near] += press.dent.mean_stress(r, columns[near, :, 2])
+            stress[near] += press.sign * press.dent.mean_stress(r, columns[near, :, 2])
         return stress.reshape(points.shape[:-1])
 
 

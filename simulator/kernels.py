@@ -85,6 +85,9 @@ class TabulatedDent:
         return Strains(np.where(near, radial, hoop), radial, shear, tilt, upward)
 
     def _over_height(self, z: Array) -> Array:
+        """Legendre polynomials at heights, (..., m); (h, m) where all rows of heights are alike."""
+        if z.ndim == 2 and len(z) and np.array_equal(z, np.broadcast_to(z[:1], z.shape)):
+            z = z[0]
         return np.asarray(legendre.legvander(2.0 * z / self.thickness - 1.0, _DEGREE))
 
     def _at(self, r: Array, derivative: int = 0) -> Array:
@@ -93,7 +96,12 @@ class TabulatedDent:
 
 
 def _summed(P: Array, coefficients: Array) -> Array:
-    """Fields (..., k) of polynomials (..., m) and coefficients (..., m, k)."""
+    """Fields (..., k) of polynomials (..., m) and coefficients (..., m, k).
+
+    Columns (n, 1, m, k) at the same heights (h, m) are one product of matrices.
+    """
+    if P.ndim == 2 and coefficients.ndim == 4:
+        return np.tensordot(P, coefficients[:, 0], axes=(1, 1)).swapaxes(0, 1)
     fields: Array = np.einsum("...m,...mk->...k", P, coefficients)
     return fields
 

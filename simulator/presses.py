@@ -1,12 +1,14 @@
 """What the touches of a scene do to the sensor: depth, contact, pressure and the dents."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import product
 from typing import Literal
 
 import numpy as np
 
-from eitskin.geometry import ConfigurationError, SensorDesign, Surface
+from eitskin.geometry import ConfigurationError, Rectangle, SensorDesign, Surface
 from eitskin.simulator import relaxation
 from eitskin.simulator.closed_dent import ClosedDent
 from eitskin.simulator.dents import Dents, Placed
@@ -17,6 +19,8 @@ from eitskin.simulator.touch import Touch
 
 TouchModel = Literal["tabulated", "closed form"]
 
+# How far the mirrors of presses are inside the edges of the stack, of its thickness.
+MIRROR = 0.1
 # Distances of the axis from the gel's edge and from another touch below which the signal of the
 # tabulated dent is more than 5 % off the full model's (docs/deformation.md) [m].
 EDGE = 0.015
@@ -70,7 +74,55 @@ def dents(
         _refuse_what_is_not_in_the_closed_form(touches)
         return Dents(tuple(Placed(t.x, t.y, ClosedDent.of(t.indenter, t.force)) for t in touches))
     found = [(touch, _dent(touch, design, mechanics)[0]) for touch in touches]
-    return Dents(tuple(Placed(touch.x, touch.y, dent) for touch, dent in found if dent is not None))
+    return Dents(
+        tuple(
+            press
+            for touch, dent in found
+            if dent is not None
+            for press in images(Placed(touch.x, touch.y, dent), design, mechanics.margin)
+        )
+    )
+
+
+def images(press: Placed, design: SensorDesign, margin: float) -> Iterator[Placed]:
+    """A press and its images beyond the free edges of the stack, of alternating sign.
+
+    At a free edge the pressure of the stack vanishes, as it does half-way between a press and its
+    negative mirror image. What the edge does besides, close by, shifts the mirror inwards by a
+    part of the thickness, which is fitted to the full model (docs/deformation.md). Outlines other
+    than rectangles have one image, beyond the nearest place of the edge.
+    """
+    outline = design.outline
+    beyond = margin - MIRROR * design.encapsulated_thickness
+    if isinstance(outline, Surface):
+        yield press
+    elif isinstance(outline, Rectangle):
+        along = _mirrored(press.x, -beyond, outline.length + beyond)
+        across = _mirrored(press.y, -beyond, outline.width + beyond)
+        for (x, one), (y, other) in product(along, across):
+            image = Placed(x, y, press.dent, one * other)
+            outside = np.hypot(max(-x, x - outline.length, 0.0), max(-y, y - outline.width, 0.0))
+            if outside < press.dent.reach:
+                yield image
+    else:
+        place = np.array([press.x, press.y])
+        s, depth = outline.nearest(place)
+        normal = (outline.at(s) - place) / max(float(depth), 1e-12)
+        x, y = place + 2.0 * (depth + beyond) * normal
+        yield press
+        yield Placed(float(x), float(y), press.dent, -1.0)
+
+
+def _mirrored(place: float, low: float, high: float) -> tuple[tuple[float, float], ...]:
+    """A place between two mirrors, its images in both, and theirs, each with its sign."""
+    period = 2.0 * (high - low)
+    return (
+        (place, 1.0),
+        (2.0 * low - place, -1.0),
+        (2.0 * high - place, -1.0),
+        (place - period, 1.0),
+        (place + period, 1.0),
+    )
 
 
 def pressed(

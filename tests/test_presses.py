@@ -6,14 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from eitskin.geometry import Bend, ConfigurationError, SensorDesign, Surface
-from eitskin.simulator import Cylinder, Mechanics, Profile, Scene, Simulator, Sphere, Touch
+from eitskin.geometry import Bend, ConfigurationError, Disc, Rectangle, SensorDesign, Surface
+from eitskin.geometry.layouts import uniform
+from eitskin.simulator import Cylinder, Mechanics, Profile, Scene, Simulator, Sphere, Touch, presses
 from eitskin.simulator.mechanics import Piezoresistivity
 from eitskin.simulator.presses import pressed
 from eitskin.simulator.relaxation import Prony
 from eitskin.simulator.scanned import Scanned
 
 DESIGN = SensorDesign.reference()
+WIDE = SensorDesign(Rectangle(0.55, 0.46), 0.005, uniform(Rectangle(0.55, 0.46), 4))
 X, Y = 0.060, 0.030
 
 
@@ -53,6 +55,41 @@ def test_presses_near_the_edge_or_each_other_say_so() -> None:
     for found in pressed(near, DESIGN, Mechanics()):
         assert found.neighbour_distance == pytest.approx(0.012)
         assert "12.0 mm from another" in found.caution
+
+
+def test_free_edges_carry_no_pressure() -> None:
+    """Half-way to the negative image, w and p vanish; both mirrors of the width repeat for ever."""
+    mechanics = Mechanics()
+    touch = Touch(0.070, 0.022, 8.0)
+    dents = presses.dents((touch,), DESIGN, mechanics, "tabulated")
+    inside = presses.MIRROR * DESIGN.encapsulated_thickness
+    x, z = np.meshgrid(np.linspace(0.03, 0.11, 9), [0.0005, 0.004])
+    middle = Touch(0.270, 0.222, 8.0)
+    alone = presses.dents((middle,), WIDE, mechanics, "tabulated")
+    for edge in (-mechanics.margin + inside, DESIGN.outline.width + mechanics.margin - inside):
+        rim = np.stack([x, np.full_like(x, edge), z], axis=-1)
+        unbounded = rim + np.array([0.2, 0.2, 0.0])
+        scale = np.abs(alone.positions(unbounded) - unbounded)[..., 2].max()
+        assert (dents.positions(rim) - rim)[..., 2] == pytest.approx(0 * x, abs=0.01 * scale)
+        stress = np.abs(alone.mean_stress(unbounded)).max()
+        assert dents.mean_stress(rim) == pytest.approx(0 * x, abs=0.01 * stress)
+
+
+def test_a_press_far_from_all_edges_has_no_images() -> None:
+    middle = Touch(0.270, 0.222, 8.0)
+    assert len(presses.dents((middle,), WIDE, Mechanics(), "tabulated").presses) == 1
+    assert len(presses.dents((Touch(X, Y),), DESIGN, Mechanics(), "tabulated").presses) > 3
+
+
+def test_a_round_sensor_has_an_image_beyond_the_nearest_rim() -> None:
+    disc = Disc(0.05)
+    design = SensorDesign(disc, 0.005, uniform(disc, 4))
+    found = presses.dents((Touch(0.08, 0.05, 5.0),), design, Mechanics(), "tabulated").presses
+    beyond = 0.005 - presses.MIRROR * design.encapsulated_thickness
+    assert [(press.x, press.y, press.sign) for press in found] == [
+        (0.08, 0.05, 1.0),
+        (pytest.approx(0.1 + 2 * beyond + 0.02), pytest.approx(0.05), -1.0),
+    ]
 
 
 # Time
