@@ -149,10 +149,11 @@ def _announce_presses(sim: Simulator, scene: Scene, output: Output) -> None:
     indenters = dict.fromkeys(touch.indenter for touch in scene.touches)
     missing = sum(not kernel_store.is_stored(sim.design, sim.mechanics, i) for i in indenters)
     if missing:
+        several = missing > 1
         output.note(
-            f"solving the presses of {missing} indenter{'s' * (missing > 1)} that "
-            f"{'are' if missing > 1 else 'is'} new to this sensor, once: 10 to 60 s each; kept in "
-            f"{kernel_store.folder()}"
+            f"solving the presses of {missing} indenter{'s' * several} that "
+            f"{'are' if several else 'is'} new to this sensor, once: from ten seconds to a few "
+            f"minutes each; kept in {kernel_store.folder()}"
         )
 
 

@@ -9,10 +9,21 @@ import pytest
 from typer.testing import CliRunner
 
 from eitskin.cli.main import app
+from eitskin.cli.simulate import _fixture
 from eitskin.geometry import Bend, ConfigurationError, SensorDesign
 from eitskin.geometry.bend import FreeArc, Hinge
-from eitskin.simulator import Cylinder, Mechanics, Protocol, Scene, Simulator, kernel_store, kernels
-from eitskin.simulator.materials import NeoHookean, Ogden
+from eitskin.geometry.config import to_dict
+from eitskin.simulator import (
+    Cylinder,
+    Mechanics,
+    Protocol,
+    Scene,
+    Simulator,
+    Sphere,
+    kernel_store,
+    kernels,
+)
+from eitskin.simulator.materials import NeoHookean
 from eitskin.simulator.mechanics import Piezoresistivity
 
 PAGE = Path(__file__).parents[1] / "docs" / "scenes.md"
@@ -195,3 +206,40 @@ def test_options_that_make_no_sense_are_refused(scene, monkeypatch, options, mes
     with pytest.raises(ConfigurationError, match=re.escape(message)):
         run(scene, *options)
     assert [path.name for path in scene.parent.iterdir()] == ["scene.toml"]
+
+
+# The page on scenes
+
+
+def examples(kind) -> list[str]:
+    blocks = re.findall(r"```toml\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    assert all(block.startswith(("# scene", "# mechanics", "# fixture")) for block in blocks)
+    return [block for block in blocks if block.startswith(f"# {kind}")]
+
+
+def test_the_examples_of_the_page_are_read(tmp_path) -> None:
+    first, everything = (
+        Scene.from_toml(written(tmp_path / "s.toml", text)) for text in examples("scene")
+    )
+    sim = Simulator(SensorDesign.reference(), "fast")
+    assert first.bend == Bend(30.0)
+    assert f"{sim.presses(first)[0].depth:.2e}" == "2.68e-03"
+    assert len(everything.touches) == 3
+    assert isinstance(everything.touches[1].indenter, Sphere)
+    (mechanics,) = examples("mechanics")
+    assert tomllib.loads(mechanics) == to_dict(Mechanics())
+    for text, expected in zip(examples("fixture"), (Hinge(), FreeArc(0.1)), strict=True):
+        assert _fixture(written(tmp_path / "fixture.toml", text)) == expected
+
+
+def test_the_mistakes_of_the_page_are_answered_as_it_says(tmp_path) -> None:
+    section = PAGE.read_text(encoding="utf-8").partition("## What goes wrong")[2]
+    rows = re.findall(r"^\| `(.*?)` \| (`.*) \|$", section, re.MULTILINE)
+    assert len(rows) == section.count("\n| `")
+    assert len(rows) > 8
+    for text, message in rows:
+        with pytest.raises(ConfigurationError) as error:
+            run(written(tmp_path / "wrong.toml", text + "\n"))
+        said = str(error.value).replace("`", "'")
+        for part in re.findall(r"`(.*?)`", message):
+            assert part in said, (text, said)
