@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from eitskin.datasets.schema import MAX_TOUCHES
 from eitskin.datasets.state import State
 from eitskin.geometry import Bend, ConfigurationError, PlaneOutline
-from eitskin.simulator import Scene, Touch
+from eitskin.simulator import Cylinder, Scene, Touch
 
+_INDENTER = 2.0 * Cylinder().radius
 _SETS_AT_ONCE = 256
 _TRIES = 100
 _TOUCH_ONLY = ("touches", "force", "margin", "spacing", "positions", "repeats")
@@ -122,8 +123,8 @@ class SceneGroup:
                 f"margin must be at least 0 and leave room on the {outline.length:g} x "
                 f"{outline.width:g} m sensor, got {self.margin:g} m"
             )
-        elif not self.spacing >= 0.0:
-            yield f"spacing must be at least 0 m, got {self.spacing:g}"
+        elif not self.spacing >= _INDENTER:
+            yield f"spacing must be at least the indenter's {_INDENTER:g} m, got {self.spacing:g}"
         elif not self._has_room(many, outline):
             yield (
                 f"{many} touches {self.spacing:g} m apart and {self.margin:g} m from the rim do "

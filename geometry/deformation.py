@@ -87,10 +87,18 @@ def pulled_back(gradients: Gradients) -> Gradients:
 
     Written as adj(C) / J with C = F^T F, which needs no inverse. Source: Kohn et al. 2008
     (change of variables in the conductivity equation).
+
+    Raises ConfigurationError where the body is inside out.
     """
     F = np.moveaxis(gradients, -1, 0)  # F[i] is column i, (..., 3)
     normals = np.stack([np.cross(F[1], F[2]), np.cross(F[2], F[0]), np.cross(F[0], F[1])])
     J = np.einsum("...i,...i->...", F[0], normals[0])
+    if not np.all(J > 0.0):
+        raise ConfigurationError(
+            "the deformation turns the body inside out or is not a number at "
+            f"{int((~(J > 0.0)).sum())} of {J.size} points; press or bend less, or presses further "
+            "from the edge and from each other"
+        )
     # The rows of J F^-1 are the cross products of the columns of F; their Gram matrix is adj(C).
     S: Gradients = np.einsum("i...k,j...k->...ij", normals, normals) / J[..., None, None]
     return S

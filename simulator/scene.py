@@ -1,9 +1,11 @@
 """What happens to the sensor at one moment: how it is bent and where it is pressed."""
 
+import math
 from dataclasses import dataclass, field
+from itertools import combinations
 from pathlib import Path
 
-from eitskin.geometry import Bend
+from eitskin.geometry import Bend, ConfigurationError
 from eitskin.geometry.config import read_toml
 from eitskin.geometry.twist import Roll, Twist
 from eitskin.simulator.touch import Touch
@@ -24,6 +26,18 @@ class Scene:
     touches: tuple[Touch, ...] = ()
     roll: Roll | None = None
     twist: Twist | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse indenters that would be inside each other."""
+        pressing = [touch for touch in self.touches if not touch.released]
+        for one, other in combinations(pressing, 2):
+            apart = math.dist((one.x, one.y), (other.x, other.y))
+            least = one.indenter.rims[1] + other.indenter.rims[1]
+            if apart < least * (1.0 - 1e-9):
+                raise ConfigurationError(
+                    f"touches at ({one.x:g}, {one.y:g}) and ({other.x:g}, {other.y:g}) m are "
+                    f"{apart:g} m apart, but their indenters need {least:g} m"
+                )
 
     @classmethod
     def from_toml(cls, path: str | Path) -> "Scene":

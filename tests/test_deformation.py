@@ -193,6 +193,8 @@ def test_pull_back_and_area_ratio_agree_with_their_definitions() -> None:
     assert pulled_back(F) == pytest.approx(expected, rel=1e-10)
     normals = rng.standard_normal((len(F), 3))
     normals /= np.linalg.norm(normals, axis=1)[:, None]
+    with pytest.raises(ConfigurationError, match="inside out or is not a number at 1 of"):
+        pulled_back(np.concatenate([F, np.diag([1.0, 1.0, -0.1])[None]]))
     nanson = J[:, None] * np.einsum("nji,nj->ni", inverse, normals)
     assert area_ratio(F, normals) == pytest.approx(np.linalg.norm(nanson, axis=1), rel=1e-12)
 

@@ -51,10 +51,23 @@ def test_a_press_to_the_depth_of_a_force_is_that_press(sim) -> None:
 
 def test_presses_near_the_edge_or_each_other_say_so() -> None:
     assert "5.0 mm from the edge" in one(Touch(0.005, Y, 5.0)).caution
-    near = (Touch(X, Y, 5.0), Touch(X + 0.012, Y, 5.0))
+    near = (Touch(X, Y, 5.0), Touch(X + 0.016, Y, 5.0))
     for found in pressed(near, DESIGN, Mechanics()):
-        assert found.neighbour_distance == pytest.approx(0.012)
-        assert "12.0 mm from another" in found.caution
+        assert found.neighbour_distance == pytest.approx(0.016)
+        assert "16.0 mm from another" in found.caution
+
+
+def test_indenters_are_not_inside_each_other() -> None:
+    with pytest.raises(ConfigurationError, match=r"0\.01 m apart, but their indenters need 0\.015"):
+        Scene(touches=(Touch(X, Y), Touch(X, Y + 0.010)))
+    Scene(touches=(Touch(X, Y, held=1.0, released=1.0), Touch(X, Y + 0.010)))
+    Scene(touches=(Touch(X, Y, 1.0, Sphere(0.004)), Touch(X, Y + 0.010, 1.0, Sphere(0.004))))
+
+
+def test_presses_that_turn_the_gel_inside_out_are_refused(sim) -> None:
+    corner = Scene(touches=(Touch(0.001, 0.001, 38.0),))
+    with pytest.raises(ConfigurationError, match="inside out"):
+        sim.measure(corner)
 
 
 def test_free_edges_carry_no_pressure() -> None:
