@@ -67,22 +67,23 @@ class TabulatedDent:
 
     def displacement(self, r: Array, z: Array) -> tuple[Array, Array]:
         """u and w [m] at distance r from the axis and height z over the layer's bottom [m]."""
-        u, w = np.moveaxis(_summed(self._over_height(z), self._at(r)[..., :2]), -1, 0)
+        u, w, _ = _summed(self._over_height(z), self._at(r))
         return u, w
 
     def mean_stress(self, r: Array, z: Array) -> Array:
         """Mean stress [Pa], positive in tension."""
-        return _summed(self._over_height(z), self._at(r)[..., 2:])[..., 0]
+        *_, stress = _summed(self._over_height(z), self._at(r))
+        return stress
 
     def strains(self, r: Array, z: Array) -> Strains:
         """Their derivatives."""
-        values, slopes = self._at(r)[..., :2], self._at(r, 1)[..., :2]
-        P = self._over_height(z)
-        radial, tilt = np.moveaxis(_summed(P, slopes), -1, 0)
-        shear, upward = np.moveaxis(_summed(P, _RISES @ values) * (2.0 / self.thickness), -1, 0)
         near = r < 1e-9  # on the axis u / r tends to du/dr
-        hoop = _summed(P, values[..., :1])[..., 0] / np.where(near, 1.0, r)
-        return Strains(np.where(near, radial, hoop), radial, shear, tilt, upward)
+        P, values = self._over_height(z), self._at(r)[:2]
+        u = _summed(P, values[:1])[0]
+        radial, tilt = _summed(P, self._at(r, 1)[:2])
+        shear, upward = _summed(P @ (_RISES * (2.0 / self.thickness)), values)
+        hoop = np.where(near, radial, u / np.where(near, 1.0, r))
+        return Strains(hoop, radial, shear, tilt, upward)
 
     def _over_height(self, z: Array) -> Array:
         """Legendre polynomials at heights, (..., m); (h, m) where all rows of heights are alike."""
@@ -91,18 +92,19 @@ class TabulatedDent:
         return np.asarray(legendre.legvander(2.0 * z / self.thickness - 1.0, _DEGREE))
 
     def _at(self, r: Array, derivative: int = 0) -> Array:
-        coefficients: Array = self.profile(np.minimum(r, self.reach), derivative)
-        return coefficients
+        """Coefficients of u, w and stress at distances (...), (3, ..., coefficients)."""
+        coefficients = self.profile(np.minimum(r, self.reach), derivative)
+        return np.ascontiguousarray(np.moveaxis(coefficients, -1, 0))
 
 
 def _summed(P: Array, coefficients: Array) -> Array:
-    """Fields (..., k) of polynomials (..., m) and coefficients (..., m, k).
+    """Fields (k, ...) of polynomials (..., m) and coefficients (k, ..., m).
 
-    Columns (n, 1, m, k) at the same heights (h, m) are one product of matrices.
+    Columns (k, n, 1, m) at the same heights (h, m) are one product of matrices.
     """
     if P.ndim == 2 and coefficients.ndim == 4:
-        return np.tensordot(P, coefficients[:, 0], axes=(1, 1)).swapaxes(0, 1)
-    fields: Array = np.einsum("...m,...mk->...k", P, coefficients)
+        return np.asarray(coefficients[:, :, 0] @ P.T)
+    fields: Array = np.einsum("...m,k...m->k...", P, coefficients)
     return fields
 
 
