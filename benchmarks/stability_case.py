@@ -1,5 +1,6 @@
 """One stiff or extreme case, what was found in it, and whether that can be trusted."""
 
+import math
 import signal
 import threading
 import time
@@ -53,7 +54,7 @@ class Case:
         solve: computes it; raises ConfigurationError where it cannot be.
         expected: whether it can be; None where either will do.
         says: what a refusal must say.
-        invariant_limit, error_limit: beyond which the result is wrong.
+        residual_limit, invariant_limit, error_limit: beyond which the result is wrong.
     """
 
     family: str
@@ -61,6 +62,7 @@ class Case:
     solve: Callable[[], Found]
     expected: Literal["ok", "refused"] | None = "ok"
     says: str = ""
+    residual_limit: float = math.inf
     invariant_limit: float = 1e-6
     error_limit: float = 1e-3
 
@@ -129,9 +131,8 @@ def judge(case: Case, patience: float = _PATIENCE) -> Row:
 
 
 def _outcome(case: Case, found: Found) -> tuple[Outcome, str]:
-    limits = {"residual": np.inf, "invariant": case.invariant_limit, "error": case.error_limit}
-    for name, limit in limits.items():
-        value = getattr(found, name)
+    for name in ("residual", "invariant", "error"):
+        value, limit = getattr(found, name), getattr(case, f"{name}_limit")
         if value is None:
             continue
         if not np.isfinite(value):

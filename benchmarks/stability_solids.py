@@ -150,7 +150,8 @@ def presses(quick: bool) -> Iterator[Case]:
         finest, steps = (3e-3, 3) if quick else (5e-4, 18)
         solve = partial(_pressed, *bodies[name], finest, steps)
         # Layers change volume by mean pressure over bulk modulus, 1e4 mu.
-        yield Case("presses", name, solve, None, "of the load only", invariant_limit=1e-4)
+        limits = {"residual_limit": 1e-6, "invariant_limit": 1e-4}
+        yield Case("presses", name, solve, None, "of the load only", **limits)
 
 
 def _pressed(stack: Stack, indenter: Indenter, finest: float, steps: int) -> Found:

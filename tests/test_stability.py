@@ -63,6 +63,11 @@ def test_numbers_beyond_their_limits_and_no_numbers_are_wrong(values, reason) ->
     json.dumps(dataclasses.asdict(row), allow_nan=False)
 
 
+def test_residuals_have_a_limit_where_forces_must_balance() -> None:
+    case = dataclasses.replace(found(residual=1e-2), residual_limit=1e-6)
+    assert judge(case).reason == "residual of 0.01, at most 1e-06 was expected"
+
+
 def test_other_exceptions_are_wrong() -> None:
     row = judge(failing(ZeroDivisionError("by zero")))
     assert (row.outcome, row.reason) == ("wrong", "ZeroDivisionError: by zero")
@@ -194,6 +199,18 @@ def test_bends_are_right_to_their_ends_and_the_ends_are_named() -> None:
     assert rows[2].reached == "148.7 deg"
     rows = named(stability_bends.rolls_and_twists(quick=True), "roll, 360 deg", "twist, 10 turns")
     assert [row.outcome for row in rows] == ["ok", "ok"]
+
+
+def test_bounds_hold_the_resistance_and_meet_for_an_arc() -> None:
+    """Sections of an arc have one potential each; fibres would exchange current."""
+    design = stability_electrical.bar(1e-9)
+    arc = FreeArc(0.15).flexure(design, Bend(270.0))
+    low, high = stability_bends._bounds(arc)
+    exact = sector(np.radians(270.0), 0.005, 0.06, arc.stretch, 0.15)
+    assert low == pytest.approx(exact, rel=1e-9)
+    assert high > 1.0005 * low
+    straight = stability_bends._bounds(FreeArc(0.15).flexure(design, Bend(1e-6)))
+    assert straight == pytest.approx((500.0, 500.0), rel=1e-7)
 
 
 @pytest.mark.parametrize(
