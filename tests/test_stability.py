@@ -233,7 +233,7 @@ def test_presses_and_bends_compose_or_are_refused() -> None:
     rows = named(
         stability_bends.compositions("closed form"),
         "press, arc of 360 deg",
-        "3 presses of 10 N at one place",
+        "two presses 0 mm apart",
     )
     assert [row.outcome for row in rows] == ["ok", "refused"]
 
