@@ -153,15 +153,15 @@ def test_the_pair_that_changes_most_is_found(sim) -> None:
     change = np.abs(sim.measure(scene).impedance / sim.measure(Scene()).impedance - 1.0)
     best = sim.protocol.table[int(np.argmax(change))]
     assert most_changed(sim, scene) == best[:2]
-    assert {3} < set(best)  # the electrode beside it
+    assert set(best) <= {2, 3, 4}  # at the end that is pressed
     flat = sim.measure(Scene()).impedance.real
     assert most_changed(sim, Scene()) == sim.protocol.table[int(np.argmax(flat))][:2]
 
 
 def test_values_that_are_zero_by_symmetry_are_not_those_that_change_most() -> None:
-    symmetric = Protocol(((1, 5, 3, 7), (1, 5, 1, 5)), 8)
+    symmetric = Protocol(((1, 5, 3, 7), (0, 4, 0, 4)), 8)
     sim = Simulator(SensorDesign.reference(), "fast", protocol=symmetric)
-    assert most_changed(sim, Scene(touches=(Touch(0.05, 0.02),))) == (1, 5)
+    assert most_changed(sim, Scene(touches=(Touch(0.05, 0.02),))) == (0, 4)
 
 
 # What is drawn
