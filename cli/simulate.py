@@ -25,7 +25,10 @@ from eitskin.simulator.view import Colour, draw
 
 def command(
     scene: Annotated[
-        Path, typer.Argument(help="Scene file: [bend] angle_deg, [[touches]] x y force ...")
+        Path,
+        typer.Argument(
+            help="Scene file: how it is bent and where it is pressed; docs/scenes.md has the keys."
+        ),
     ],
     sensor: Annotated[
         Path | None, typer.Option(help="Sensor design file; the reference sensor when omitted.")
