@@ -1,12 +1,14 @@
 """A touch as if it were alone on an unbounded stack, to start from in 3D."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 
 from eitskin.simulator.indentation import Indentation, Press
+from eitskin.simulator.indenters import Indenter
 from eitskin.simulator.mechanics import Stack
 from eitskin.simulator.touch import Touch
 
@@ -31,8 +33,7 @@ class Alone:
     @classmethod
     def on(cls, stack: Stack, touch: Touch, force: float) -> "Alone":
         """Press with a force [N]; raises SolidError where the stack cannot carry it."""
-        press = Press(stack, touch.indenter, finest=touch.indenter.rims[1] / _CELLS)
-        return cls(touch, press.to_force(force))
+        return cls(touch, _pressed(stack, touch.indenter, force))
 
     def displacement(self, places: Array) -> Array:
         """Displacements (n, 3) of places (n, 3) over the base [m]."""
@@ -62,3 +63,8 @@ class Alone:
         found: Array = field(np.stack([r, z], axis=1))
         found[r > lines[0][-1]] = 0.0
         return found
+
+
+@lru_cache(maxsize=32)
+def _pressed(stack: Stack, indenter: Indenter, force: float) -> Indentation:
+    return Press(stack, indenter, finest=indenter.rims[1] / _CELLS).to_force(force)

@@ -42,8 +42,7 @@ class PressedStack:
     Attributes:
         touches: the indenters, their places and forces.
         windows: what is solved along x and y.
-        solid: the solved part, from the origin of the windows, at heights over the lower face of
-            the gel [m].
+        solid: that, from the origin of the windows and the lower face of the gel.
     """
 
     def __init__(
@@ -62,7 +61,7 @@ class PressedStack:
             mechanics: materials.
             grading: finest under the indenters, `layers` cells in each of encapsulation, gel and
                 encapsulation; by the smallest indenter and the thickness when omitted.
-            reach: distance along x or y beyond which nothing moves; four thicknesses of the
+            reach: distance along x or y beyond which nothing moves; five thicknesses of the
                 sensor when omitted [m].
         """
         outline, self._mechanics = design.outline, mechanics or Mechanics()
@@ -74,17 +73,16 @@ class PressedStack:
         self.touches = tuple(touches)
         self._stack = self._mechanics.stack(design)
         thickness = design.encapsulated_thickness
-        reach = 4.0 * thickness if reach is None else reach
+        reach = 5.0 * thickness if reach is None else reach
         radius = min(touch.indenter.rims[1] for touch in touches)
         grading = grading or default_grading(thickness, radius)
         margin, around = self._mechanics.margin, 0.5 * (thickness - design.thickness)
         self._gel = np.array([outline.length, outline.width, design.thickness])
         beyond = np.array([margin, margin, around])
         self._sensor = np.array([-beyond, self._gel + beyond])
-        ends = self._sensor.T
         self.windows = (
-            Window.around(touches, 0, (ends[0, 0], ends[0, 1]), reach),
-            Window.around(touches, 1, (ends[1, 0], ends[1, 1]), reach),
+            Window.around(touches, 0, (-margin, outline.length + margin), reach),
+            Window.around(touches, 1, (-margin, outline.width + margin), reach),
         )
         self._lines = (
             self._across(0, grading),
@@ -95,6 +93,7 @@ class PressedStack:
         self._fixed = self._supports()
         self._pressures = self._numbered()
         self._kept = [t for t in self.touches if self._solves(t)]
+        self._shares = np.array([self._share(touch) for touch in self._kept])
         self._blocks = self._dissected()
 
     def pressed(self, fractions: Sequence[float] = (1.0,)) -> Iterator[DentedStack]:
@@ -239,8 +238,8 @@ class PressedStack:
 
     def _load(self, fraction: float) -> Load:
         forces = np.zeros(self.solid.unknowns + len(self._kept))
-        shares = [self._share(touch) * touch.force for touch in self._kept]
-        forces[self.solid.unknowns :] = fraction * np.array(shares)
+        whole = np.array([touch.force for touch in self._kept])
+        forces[self.solid.unknowns :] = fraction * self._shares * whole
         return Load(self._fixed, np.zeros(len(self._fixed)), forces)
 
     def _alone(self, fraction: float) -> Array:
@@ -272,11 +271,10 @@ class PressedStack:
         kept = np.array([self._local(touch) for touch in self._kept])
         # Touches that mirror each other fare alike.
         which = np.linalg.norm(places[:, None] - kept, axis=-1).argmin(axis=1)
-        shares = np.array([self._share(touch) for touch in self._kept])
         faces = [np.insert(places, 2, z, axis=1) for z in (0.0, self._gel[2])]
         lower, upper = (field(face)[:, 2] for face in faces)
         areas, peaks = np.array([touched(contact, x) for contact in contacts]).T
-        forces = np.array([contact.force(x) for contact in contacts]) / shares
+        forces = np.array([contact.force(x) for contact in contacts]) / self._shares
         copies = math.prod(2 for window in self.windows if window.mirrored)
         upward = self._fixed[(self._fixed % 3 == 2) & (self._fixed < solid.nodes.size)]
         return DentedStack(
@@ -285,7 +283,7 @@ class PressedStack:
             sensor=self._sensor,
             forces=forces[which],
             depths=x[solid.unknowns :][which],
-            contact_areas=(areas / shares)[which],
+            contact_areas=(areas / self._shares)[which],
             peak_pressures=peaks[which],
             thinnings=(lower - upper) / self._gel[2],
             volume_ratio=float(J[gel].sum() / solid.weights[gel].sum()),
@@ -296,7 +294,7 @@ class PressedStack:
 
 def default_grading(thickness: float, radius: float) -> Grading:
     """Cells fit for a stack of this thickness and an indenter of this radius [m]."""
-    return Grading(finest=0.27 * radius, coarsest=0.75 * thickness, growth=0.35)
+    return Grading(finest=0.27 * radius, coarsest=0.5 * thickness, growth=0.35)
 
 
 def _heights(low: float, gel: float, high: float, layers: int) -> Array:
