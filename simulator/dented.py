@@ -84,7 +84,7 @@ def check_places(outline: Rectangle, touches: Sequence[Touch]) -> None:
             )
     for a, b in itertools.combinations(touches, 2):
         apart, least = math.hypot(a.x - b.x, a.y - b.y), a.indenter.rims[1] + b.indenter.rims[1]
-        if apart < least:
+        if apart < least - _SAME:
             raise ConfigurationError(
                 f"indenters must not overlap: touches {apart:g} m apart need at least {least:g} m"
             )

@@ -29,7 +29,6 @@ _ROUNDED = 10  # decimals, in m, by which nodes of one plane agree
 # Softer than with finer cells: stiffer places would lock those cells that the rim cuts.
 _CONTACT_STIFFNESS = 500.0
 _FIRST_STEP, _GROWTH, _SMALLEST_STEP = 0.05, 10.0, 0.01
-_ATTRACTORS = 12  # over the width of an indenter
 _NEAR = 2.0  # radii of an indenter within which the top may touch it
 
 
@@ -105,8 +104,8 @@ class PressedStack:
         x = np.zeros(self.solid.unknowns + len(self._kept))
         contacts, before = self._contacts(), 0.0
         for fraction in fractions:
-            if not fraction > 0.0:
-                raise ConfigurationError(f"fractions of a load must be positive, got {fraction}")
+            if not fraction > before:
+                raise ConfigurationError(f"fractions of a load must rise from 0, got {fractions}")
             x, contacts = self._followed(x, contacts, before, fraction)
             before = fraction
             yield self._result(x, contacts)
@@ -144,16 +143,15 @@ class PressedStack:
     def _across(self, axis: int, grading: Grading) -> Array:
         """Lines along x or y, from the origin, fine under the indenters."""
         window = self.windows[axis]
-        under, ends = [], [0.0, self._gel[axis]]
+        under, ends = [], np.array([0.0, self._gel[axis]])
         for touch in self.touches:
             place, radius = (touch.x, touch.y)[axis], touch.indenter.rims[1]
-            under.append(np.linspace(place - radius, place + radius, _ATTRACTORS))
-            ends += [place - radius, place, place + radius]
-        edges, breaks = np.concatenate(under) - window.origin, np.array(ends) - window.origin
+            cells = 2 * math.ceil(radius / grading.finest - _SAME)
+            under.append(np.linspace(place - radius, place + radius, cells + 1))
+        edges, breaks = np.concatenate(under) - window.origin, ends - window.origin
         inside = (breaks > _SAME) & (breaks < window.extent - _SAME)
-        return graded_lines(
-            window.extent, edges[edges >= -_SAME], np.unique(breaks[inside].round(9)), grading
-        )
+        within = (edges > -_SAME) & (edges < window.extent + _SAME)
+        return graded_lines(window.extent, edges[within], breaks[inside], grading)
 
     def _meshed(self) -> Solid:
         mesh = skfem.MeshHex.init_tensor(*self._lines)
@@ -294,7 +292,7 @@ class PressedStack:
 
 def default_grading(thickness: float, radius: float) -> Grading:
     """Cells fit for a stack of this thickness and an indenter of this radius [m]."""
-    return Grading(finest=0.27 * radius, coarsest=0.5 * thickness, growth=0.35)
+    return Grading(finest=radius / 6.0, coarsest=0.5 * thickness, growth=0.35)
 
 
 def _heights(low: float, gel: float, high: float, layers: int) -> Array:
