@@ -143,7 +143,10 @@ def read(kind: Any, data: Any, place: Place) -> Any:
     origin, arguments = typing.get_origin(kind), typing.get_args(kind)
     if origin in (typing.Union, types.UnionType):
         return _read_union(kind, data, place)
-    if origin in (tuple, list) and isinstance(data, list | tuple) and arguments[1:] in ((), (...,)):
+    if origin in (tuple, list) and arguments[1:] in ((), (...,)):
+        if not isinstance(data, list | tuple):
+            hint = f"; tables of a list are headed [[{place.key}]]" * isinstance(data, Mapping)
+            raise place.error(f"Expected `array`, got `{type(data).__name__}`{hint}")
         return origin(read(arguments[0], item, place.item(i)) for i, item in enumerate(data))
     if _is_dataclass(kind):
         return data if isinstance(data, kind) else build(kind, data, place)

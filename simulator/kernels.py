@@ -72,8 +72,8 @@ class TabulatedDent:
 
     def mean_stress(self, r: Array, z: Array) -> Array:
         """Mean stress [Pa], positive in tension."""
-        *_, stress = _summed(self._over_height(z), self._at(r))
-        return stress
+        _, _, stress = _summed(self._over_height(z), self._at(r))
+        return np.asarray(stress)
 
     def strains(self, r: Array, z: Array) -> Strains:
         """Their derivatives."""

@@ -60,7 +60,11 @@ def test_a_union_is_the_member_whose_keys_are_there():
             "shape = { radius = 1 }\nparts = [{ radius = 1 }, { }]",
             r"parts\[1\]: missing .*`radius`",
         ),
-        ("shape = { radius = 1 }\nparts = { radius = 1 }", "parts: Expected `array`"),
+        (
+            "shape = { radius = 1 }\nparts = { radius = 1 }",
+            r"parts: Expected `array`, got `dict`; tables of a list are headed \[\[parts\]\]",
+        ),
+        ("shape = { radius = 1 }\nparts = 3", "parts: Expected `array`, got `int`$"),
         ("shape = { radius = 1 }\nspare = 3", r"spare: expected a table \(radius\), got `int`"),
         ("z = 1", "missing required field `shape`"),
         ("shape = { radius = nan }", "shape.radius: expected a finite number, got nan"),
