@@ -191,7 +191,7 @@ def main() -> None:
     wanted = [c for c in cases(chosen.force) if not chosen.only or c.family in chosen.only]
     if chosen.quick:
         wanted = [c for c in wanted if c.family in ("position", "two")][::5]
-    print("case, distance, first touch [mm]; error of tabulated, mirrored, closed form [%];")
+    print("case, distance, first touch [mm]; errors of tabulated, without images, closed form [%];")
     print(
         "largest change [%]; depth 3D, tabulated [mm]; thinning 3D, tabulated [%]; 3D [s]",
         flush=True,

@@ -25,8 +25,8 @@ Indices = NDArray[np.int64]
 
 _SAME = 1e-9  # [m]
 _ROUNDED = 10  # decimals, in m, by which nodes of one plane agree
-# Pressure over entry into the indenter, relative to shear modulus over radius of contact.
-# Softer than with finer cells: stiffer places would lock those cells that the rim cuts.
+# Pressure over entry into the indenter, relative to shear modulus over radius of contact. More
+# would lock the cells that the rim cuts.
 _CONTACT_STIFFNESS = 500.0
 _FIRST_STEP, _GROWTH, _SMALLEST_STEP = 0.05, 10.0, 0.01
 _NEAR = 2.0  # radii of an indenter within which the top may touch it
@@ -73,8 +73,7 @@ class PressedStack:
         self._stack = self._mechanics.stack(design)
         thickness = design.encapsulated_thickness
         reach = 5.0 * thickness if reach is None else reach
-        radius = min(touch.indenter.rims[1] for touch in touches)
-        grading = grading or default_grading(thickness, radius)
+        grading = grading or default_grading(thickness, touches)
         margin, around = self._mechanics.margin, 0.5 * (thickness - design.thickness)
         self._gel = np.array([outline.length, outline.width, design.thickness])
         beyond = np.array([margin, margin, around])
@@ -123,9 +122,9 @@ class PressedStack:
             try:
                 there = self._alone(target)
                 guess = x + there - alone
-                guess = guess if self.solid.admissible(guess) else x
+                start = guess if self.solid.admissible(guess) else x
                 parts: list[Part] = [self.solid, *contacts]
-                moved = settled(parts, guess, self._load(target), self._blocks)
+                moved = settled(parts, start, self._load(target), self._blocks)
             except SolidError as error:
                 target = 0.5 * (reached + target)
                 if target - reached < _SMALLEST_STEP * after:
@@ -178,10 +177,7 @@ class PressedStack:
         return np.unique(np.concatenate([moved, *mirrored]))
 
     def _numbered(self) -> list[tuple[Indices, Array]]:
-        """Numbers and places of the pressures of each layer; of one node, those of its materials.
-
-        What is beside the gel counts to its layer.
-        """
+        """Numbers and places of the pressures of each layer; beside the gel, of its layer."""
         solid, laws = self.solid, len(self.solid.laws)
         corners = [solid.mesh.t[:, cells] * laws + k for k, cells in enumerate(solid.cells_of_law)]
         kept = np.unique(np.concatenate(corners, axis=1))
@@ -290,8 +286,9 @@ class PressedStack:
         )
 
 
-def default_grading(thickness: float, radius: float) -> Grading:
-    """Cells fit for a stack of this thickness and an indenter of this radius [m]."""
+def default_grading(thickness: float, touches: Sequence[Touch]) -> Grading:
+    """Cells fit for a stack of this thickness [m] and the smallest of the indenters."""
+    radius = min(touch.indenter.rims[1] for touch in touches)
     return Grading(finest=radius / 6.0, coarsest=0.5 * thickness, growth=0.35)
 
 
