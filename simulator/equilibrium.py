@@ -97,6 +97,16 @@ def newton(parts: Sequence[Part], x: Array, load: Load) -> Array:
     raise SolidError(f"Newton's method does not converge in {_ITERATIONS} iterations")
 
 
+def _reached(parts: Sequence[Part], x: Array, load: Load) -> tuple[Array, tuple[Part, ...]]:
+    """The equilibrium near x, also of the parts as they are then."""
+    x = newton(parts, x, load)
+    advanced = tuple(part.advanced(x) for part in parts)
+    before, after = (sum(part.forces(x) for part in each) for each in (parts, advanced))
+    if np.linalg.norm(after - before) > _TOLERANCE * np.linalg.norm(before):
+        x = newton(advanced, x, load)
+    return x, advanced
+
+
 def _correction(
     parts: Sequence[Part], x: Array, load: Load, free: Indices
 ) -> tuple[Array, int, float]:
@@ -169,7 +179,7 @@ def follow(
         if not all(part.admissible(guess) for part in parts):
             guess = x
         try:
-            reached = newton(parts, guess, path(target))
+            reached, advanced = _reached(parts, guess, path(target))
         except SolidError as error:
             step, growth = 0.5 * (target - t), 1.0
             if step < _SMALLEST_STEP:
@@ -180,6 +190,6 @@ def follow(
                 ) from None
             continue
         previous, previous_t, x, t = x, t, reached, target
-        parts = tuple(part.advanced(x) for part in parts)
+        parts = advanced
         step, growth = growth * step, 2.0
     return x, tuple(parts)

@@ -19,11 +19,9 @@ from eitskin.simulator.touch import Touch
 
 TouchModel = Literal["tabulated", "closed form"]
 
-# How far the mirrors of presses are inside the edges of the stack, of its thickness.
-MIRROR = 0.1
-# Distances of the axis from the gel's edge and from another touch below which the signal of the
-# tabulated dent is more than 5 % off the full model's (docs/deformation.md) [m].
-EDGE = 0.015
+# Distances of the axis from the gel's edge, below which nothing was compared with the full model,
+# and from another touch, below which signals are more than a tenth off (docs/deformation.md) [m].
+EDGE = 0.0075
 NEIGHBOUR = 0.030
 
 
@@ -88,17 +86,15 @@ def images(press: Placed, design: SensorDesign, margin: float) -> Iterator[Place
     """A press and its images beyond the free edges of the stack, of alternating sign.
 
     At a free edge the pressure of the stack vanishes, as it does half-way between a press and its
-    negative mirror image. What the edge does besides, close by, shifts the mirror inwards by a
-    part of the thickness, which is fitted to the full model (docs/deformation.md). Outlines other
-    than rectangles have one image, beyond the nearest place of the edge.
+    negative mirror image. Outlines other than rectangles have one image, beyond the nearest place
+    of the edge.
     """
-    outline = design.outline
-    beyond = margin - MIRROR * design.encapsulated_thickness
+    outline, thickness = design.outline, design.encapsulated_thickness
     if isinstance(outline, Surface):
         yield press
     elif isinstance(outline, Rectangle):
-        along = _mirrored(press.x, -beyond, outline.length + beyond)
-        across = _mirrored(press.y, -beyond, outline.width + beyond)
+        along = _mirrored(press.x, outline.length, margin, thickness)
+        across = _mirrored(press.y, outline.width, margin, thickness)
         for (x, one), (y, other) in product(along, across):
             image = Placed(x, y, press.dent, one * other)
             outside = np.hypot(max(-x, x - outline.length, 0.0), max(-y, y - outline.width, 0.0))
@@ -108,13 +104,32 @@ def images(press: Placed, design: SensorDesign, margin: float) -> Iterator[Place
         place = np.array([press.x, press.y])
         s, depth = outline.nearest(place)
         normal = (outline.at(s) - place) / max(float(depth), 1e-12)
-        x, y = place + 2.0 * (depth + beyond) * normal
+        distance = float(depth) + margin
+        x, y = place + 2.0 * (distance - mirror_inside(distance, thickness)) * normal
         yield press
         yield Placed(float(x), float(y), press.dent, -1.0)
 
 
-def _mirrored(place: float, low: float, high: float) -> tuple[tuple[float, float], ...]:
-    """A place between two mirrors, its images in both, and theirs, each with its sign."""
+def mirror_inside(distance: float, thickness: float) -> float:
+    """How far inside a free edge the mirror of a press is [m]; negative where it is outside.
+
+    Fitted to the full model (docs/deformation.md): what a press does far away decays slowly and
+    meets an edge further in, what it does close by bulges the edge.
+
+    Args:
+        distance: of the press from the edge [m].
+        thickness: of the stack [m].
+    """
+    fitted = 0.15 - 0.25 * math.exp(2.0 * (1.04 - distance / thickness))
+    return thickness * max(fitted, -0.3)
+
+
+def _mirrored(
+    place: float, extent: float, margin: float, thickness: float
+) -> tuple[tuple[float, float], ...]:
+    """A place between two edges, its images in their mirrors, and theirs, each with its sign."""
+    low = -margin + mirror_inside(place + margin, thickness)
+    high = extent + margin - mirror_inside(extent + margin - place, thickness)
     period = 2.0 * (high - low)
     return (
         (place, 1.0),
@@ -190,7 +205,7 @@ def _edge_distance(touch: Touch, design: SensorDesign) -> float:
 def _caution(edge: float, neighbour: float) -> str:
     reasons = []
     if edge < EDGE:
-        reasons.append(f"{1e3 * edge:.1f} mm from the edge of the gel, which it does not feel")
+        reasons.append(f"{1e3 * edge:.1f} mm from the edge of the gel, felt by images only")
     if neighbour < NEIGHBOUR:
         reasons.append(f"{1e3 * neighbour:.1f} mm from another, whose dent is only added")
     return "; ".join(reasons)

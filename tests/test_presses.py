@@ -65,9 +65,9 @@ def test_indenters_are_not_inside_each_other() -> None:
 
 
 def test_presses_that_turn_the_gel_inside_out_are_refused(sim) -> None:
-    corner = Scene(touches=(Touch(0.001, 0.001, 38.0),))
+    near = Scene(touches=tuple(Touch(x, y, 38.0) for x in (0.02, 0.036) for y in (0.02, 0.036)))
     with pytest.raises(ConfigurationError, match="inside out"):
-        sim.measure(corner)
+        sim.measure(near)
 
 
 def test_free_edges_carry_no_pressure() -> None:
@@ -75,11 +75,11 @@ def test_free_edges_carry_no_pressure() -> None:
     mechanics = Mechanics()
     touch = Touch(0.070, 0.022, 8.0)
     dents = presses.dents((touch,), DESIGN, mechanics, "tabulated")
-    inside = presses.MIRROR * DESIGN.encapsulated_thickness
     x, z = np.meshgrid(np.linspace(0.03, 0.11, 9), [0.0005, 0.004])
     middle = Touch(0.270, 0.222, 8.0)
     alone = presses.dents((middle,), WIDE, mechanics, "tabulated")
-    for edge in (-mechanics.margin + inside, DESIGN.outline.width + mechanics.margin - inside):
+    for side, distance in ((-1, touch.y + 0.005), (1, 0.065 - touch.y)):
+        edge = touch.y + side * (distance - presses.mirror_inside(distance, 0.012))
         rim = np.stack([x, np.full_like(x, edge), z], axis=-1)
         unbounded = rim + np.array([0.2, 0.2, 0.0])
         scale = np.abs(alone.positions(unbounded) - unbounded)[..., 2].max()
@@ -98,7 +98,7 @@ def test_a_round_sensor_has_an_image_beyond_the_nearest_rim() -> None:
     disc = Disc(0.05)
     design = SensorDesign(disc, 0.005, uniform(disc, 4))
     found = presses.dents((Touch(0.08, 0.05, 5.0),), design, Mechanics(), "tabulated").presses
-    beyond = 0.005 - presses.MIRROR * design.encapsulated_thickness
+    beyond = 0.005 - presses.mirror_inside(0.025, design.encapsulated_thickness)
     assert [(press.x, press.y, press.sign) for press in found] == [
         (0.08, 0.05, 1.0),
         (pytest.approx(0.1 + 2 * beyond + 0.02), pytest.approx(0.05), -1.0),
