@@ -76,8 +76,47 @@ class Load:
     forces: Array
 
 
-def newton(parts: Sequence[Part], x: Array, load: Load) -> Array:
-    """The stable equilibrium near x.
+class Factorised(Protocol):
+    """A symmetric matrix that can be solved with.
+
+    Attributes:
+        negative: number of its negative eigenvalues.
+    """
+
+    negative: int
+
+    def solve(self, right: Array) -> Array:
+        """The solution (n,) for a right side (n,)."""
+        ...
+
+
+class SparseLU:
+    """A symmetric matrix (n, n) factorised by SuperLU."""
+
+    def __init__(self, matrix: csc_array) -> None:
+        """Pivots stay on the diagonal, where their signs count.
+
+        What that costs in accuracy the next iteration of Newton's method mends, since it starts
+        from the true forces.
+        """
+        self._lu = splu(
+            matrix,
+            permc_spec="MMD_AT_PLUS_A",
+            diag_pivot_thresh=0.0,
+            options={"SymmetricMode": True},
+        )
+        self.negative = int(np.count_nonzero(self._lu.U.diagonal() < 0.0))
+
+    def solve(self, right: Array) -> Array:
+        """The solution (n,) for a right side (n,)."""
+        return np.asarray(self._lu.solve(right))
+
+
+Factorise = Callable[[csc_array], Factorised]
+
+
+def newton(parts: Sequence[Part], x: Array, load: Load, factorise: Factorise = SparseLU) -> Array:
+    """The stable equilibrium near x; `factorise` takes the stiffness of the free unknowns, rising.
 
     Corrections that would invert a cell, or leave larger forces unbalanced, are halved. Raises
     SolidError where no equilibrium is found; `follow` takes smaller steps then.
@@ -86,7 +125,7 @@ def newton(parts: Sequence[Part], x: Array, load: Load) -> Array:
     start = np.abs(x).max()  # where all loads are taken off, x itself goes to zero
     constraints = sum(part.multipliers for part in parts)
     for iteration in range(_ITERATIONS):
-        step, negative, unbalanced = _correction(parts, x, load, free)
+        step, negative, unbalanced = _correction(parts, x, load, free, factorise)
         # At first full steps find out quickly what touches; later ones must not go in circles.
         limit = np.inf if iteration < _FULL_STEPS else unbalanced
         x = _corrected(parts, x, step, load.forces, free, limit)
@@ -108,7 +147,7 @@ def _reached(parts: Sequence[Part], x: Array, load: Load) -> tuple[Array, tuple[
 
 
 def _correction(
-    parts: Sequence[Part], x: Array, load: Load, free: Indices
+    parts: Sequence[Part], x: Array, load: Load, free: Indices, factorise: Factorise
 ) -> tuple[Array, int, float]:
     """The Newton step, the number of negative pivots of the stiffness, and the unbalanced force.
 
@@ -121,21 +160,13 @@ def _correction(
     step = np.zeros_like(x)
     step[load.fixed] = load.values - x[load.fixed]
     try:
-        # Pivots stay on the diagonal, where their signs count; what that costs in accuracy the
-        # next iteration mends, since it starts from the true forces.
-        lu = splu(
-            K[free][:, free].tocsc(),
-            permc_spec="MMD_AT_PLUS_A",
-            diag_pivot_thresh=0.0,
-            options={"SymmetricMode": True},
-        )
+        factorised = factorise(csc_array(K[free][:, free]))
     except RuntimeError as error:
         raise SolidError("the stiffness is singular") from error
-    step[free] = lu.solve((-residual - K @ step)[free])
+    step[free] = factorised.solve((-residual - K @ step)[free])
     if not np.all(np.isfinite(step)):
         raise SolidError("the stiffness is singular")
-    negative = int(np.count_nonzero(lu.U.diagonal() < 0.0))
-    return step, negative, float(np.linalg.norm(residual[free]))
+    return step, factorised.negative, float(np.linalg.norm(residual[free]))
 
 
 def _corrected(

@@ -6,24 +6,19 @@ a block once its inside is eliminated is a dense matrix of its border, handed on
 around it (multifrontal method, Duff and Reid 1983).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import ldl, solve_triangular
 from scipy.sparse import csc_array
 
-from eitskin.simulator.equilibrium import Load, Part, SolidError
-
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 _SAME = 1e-9  # [m]
-_ITERATIONS = 20
-_FULL_STEPS = 6
-_TOLERANCE = 1e-6  # last correction against the largest unknown; what is left is its square
-_HALVINGS = 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -182,46 +177,8 @@ def _times(inverse: tuple[Array, Array], rows: Array) -> Array:
     return product
 
 
-def settled(parts: Sequence[Part], x: Array, load: Load, blocks: Sequence[Block]) -> Array:
-    """The stable equilibrium near x, by Newton's method; see `equilibrium.newton`.
-
-    `blocks` hold the unknowns that the load leaves free. Raises SolidError where no equilibrium
-    is found.
-    """
-    free = np.sort(np.concatenate([block.own for block in blocks]))
-    constraints = sum(part.multipliers for part in parts)
-    places = np.empty(len(x), dtype=np.int64)
-    places[free] = np.arange(len(free))
-    blocks = [Block(places[block.own], block.within) for block in blocks]
-    for iteration in range(_ITERATIONS):
-        linearised = [part.linearise(x) for part in parts]
-        residual = sum((forces for forces, _ in linearised), start=-load.forces)
-        K = sum((stiffness for _, stiffness in linearised[1:]), start=linearised[0][1])
-        step = np.zeros_like(x)
-        step[load.fixed] = load.values - x[load.fixed]
-        eliminated = Elimination(K[free][:, free], blocks)
-        step[free] = eliminated.solve((-residual - K @ step)[free])
-        # At first full steps find out quickly what touches; later ones must not go in circles.
-        limit = float(np.linalg.norm(residual[free])) if iteration >= _FULL_STEPS else np.inf
-        x = _corrected(parts, x, step, load.forces, free, limit)
-        if np.abs(step).max() <= _TOLERANCE * np.abs(x).max():
-            if eliminated.negative != constraints:
-                raise SolidError("the equilibrium is unstable: it would buckle or crease")
-            return x
-    raise SolidError(f"Newton's method does not converge in {_ITERATIONS} iterations")
-
-
-def _corrected(
-    parts: Sequence[Part], x: Array, step: Array, loads: Array, free: Indices, limit: float
-) -> Array:
-    """x after as much of the step, halved, as is possible and leaves less force than `limit`."""
-    for halving in range(_HALVINGS + 1):
-        trial = x + 0.5**halving * step
-        if not all(part.admissible(trial) for part in parts):
-            continue
-        if limit == np.inf:
-            return trial
-        residual = sum((part.forces(trial) for part in parts), start=-loads)
-        if np.linalg.norm(residual[free]) < limit:
-            return trial
-    raise SolidError("no part of a correction comes nearer to equilibrium")
+def by_blocks(blocks: Sequence[Block]) -> Callable[[csc_array], Elimination]:
+    """How to eliminate matrices of the unknowns that the blocks hold, in rising order."""
+    unknowns = np.sort(np.concatenate([block.own for block in blocks]))
+    local = [Block(np.searchsorted(unknowns, block.own), block.within) for block in blocks]
+    return partial(Elimination, blocks=local)

@@ -13,8 +13,8 @@ from eitskin.geometry.grading import Grading, graded_lines
 from eitskin.simulator.alone import Alone
 from eitskin.simulator.contact import Contact
 from eitskin.simulator.dented import DentedStack, Window, check_places, touched
-from eitskin.simulator.equilibrium import Load, Part, SolidError
-from eitskin.simulator.frontal import Block, dissected, settled
+from eitskin.simulator.equilibrium import Load, Part, SolidError, newton
+from eitskin.simulator.frontal import Block, by_blocks, dissected
 from eitskin.simulator.mechanics import Mechanics
 from eitskin.simulator.solid import Solid
 from eitskin.simulator.tensor_field import QuadraticField
@@ -92,7 +92,7 @@ class PressedStack:
         self._pressures = self._numbered()
         self._kept = [t for t in self.touches if self._solves(t)]
         self._shares = np.array([self._share(touch) for touch in self._kept])
-        self._blocks = self._dissected()
+        self._eliminate = by_blocks(self._dissected())
 
     def pressed(self, fractions: Sequence[float] = (1.0,)) -> Iterator[DentedStack]:
         """The equilibria under these fractions of all forces, each followed from the one before.
@@ -124,7 +124,7 @@ class PressedStack:
                 guess = x + there - alone
                 start = guess if self.solid.admissible(guess) else x
                 parts: list[Part] = [self.solid, *contacts]
-                moved = settled(parts, start, self._load(target), self._blocks)
+                moved = newton(parts, start, self._load(target), self._eliminate)
             except SolidError as error:
                 target = 0.5 * (reached + target)
                 if target - reached < _SMALLEST_STEP * after:
