@@ -11,7 +11,7 @@ demo: $(VENV)/installed
 	$(BIN)/eitskin demo --out build/demo --data $(DATA)
 
 test: $(VENV)/installed
-	$(BIN)/python -m pytest $(ARGS)
+	$(BIN)/python -m pytest --numprocesses 2 --dist loadfile $(ARGS)
 
 lint: $(VENV)/installed
 	$(BIN)/ruff check .

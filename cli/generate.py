@@ -7,9 +7,11 @@ from typing import Annotated, Any
 import typer
 
 from eitskin.cli.options import Json, Output, Quiet, Verbose
+from eitskin.cli.presses import announce
 from eitskin.datasets import Recipe, generate
 from eitskin.datasets.recipe import shipped_names, with_seed
 from eitskin.geometry import ConfigurationError
+from eitskin.simulator import Cylinder, Mechanics
 
 
 def command(
@@ -39,6 +41,8 @@ def make_dataset(
 ) -> tuple[dict[str, Any], str]:
     """Generate with a progress bar; what was made, as data and as a sentence."""
     output.detail(f"{recipe.frames} frames in {recipe.shards} shards, {workers} workers")
+    if any(group.state == "touch" for group in recipe.scenes):
+        announce(recipe.sensor, Mechanics(), [Cylinder()], output)
     start = time.perf_counter()
     with output.progress() as bar:
         task = bar.add_task(recipe.name, total=recipe.frames, rate="")

@@ -3,7 +3,6 @@
 import math
 import re
 import time
-import tomllib
 from pathlib import Path
 from typing import Annotated, Any, cast, get_args
 
@@ -13,10 +12,11 @@ from rich.console import Group
 from rich.table import Table
 
 from eitskin.cli.options import Json, Output, Quiet, Seed, Verbose
+from eitskin.cli.presses import announce
 from eitskin.geometry import ConfigurationError, SensorDesign
 from eitskin.geometry.bend import Fixture
-from eitskin.geometry.config import Place, read, read_toml
-from eitskin.simulator import Frame, Mechanics, Protocol, Scene, Simulator, WhiteNoise, kernel_store
+from eitskin.geometry.config import read_toml
+from eitskin.simulator import Frame, Mechanics, Protocol, Scene, Simulator, WhiteNoise
 from eitskin.simulator.panels import require_picture
 from eitskin.simulator.presses import Pressed, TouchModel
 from eitskin.simulator.resolution import Resolution
@@ -72,13 +72,14 @@ def command(
     sim = Simulator(
         design,
         cast(Resolution, _one_of("--resolution", resolution, Resolution)),
-        _fixture(fixture) if fixture else None,
+        read_toml(cast("type[Fixture]", Fixture), fixture) if fixture else None,
         Protocol.named(protocol, len(design.electrodes)),
         read_toml(Mechanics, mechanics) if mechanics else None,
         cast(TouchModel, _one_of("--touch-model", touch_model, TouchModel)),
     )
     flat = sim.measure(Scene())
-    _announce_presses(sim, what, output)
+    if touch_model == "tabulated":
+        announce(design, sim.mechanics, (touch.indenter for touch in what.touches), output)
     start = time.perf_counter()
     instrument = None if noise is None else WhiteNoise(noise)
     frame = sim.measure(what, instrument, np.random.default_rng(seed))
@@ -100,15 +101,6 @@ def _one_of(option: str, text: str, kind: Any) -> str:
             f"{option} must be one of {', '.join(get_args(kind))}, got '{text}'"
         )
     return text
-
-
-def _fixture(path: Path) -> Fixture:
-    """A hinge or a free arc, by the keys in the TOML file."""
-    try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ConfigurationError(f"cannot read {path}: {error}") from error
-    return cast(Fixture, read(Fixture, data, Place(str(path), path.parent)))
 
 
 def _colours(
@@ -143,21 +135,6 @@ def _title(name: str, scene: Scene) -> str:
     count = len(scene.touches)
     parts += [f"{count} touch{'es' * (count > 1)}"] if count else []
     return f"{name}: {', '.join(parts) or 'flat, untouched'}"
-
-
-def _announce_presses(sim: Simulator, scene: Scene, output: Output) -> None:
-    """Say that presses have to be solved, which takes a while."""
-    if sim.touch_model != "tabulated":
-        return
-    indenters = dict.fromkeys(touch.indenter for touch in scene.touches)
-    missing = sum(not kernel_store.is_stored(sim.design, sim.mechanics, i) for i in indenters)
-    if missing:
-        several = missing > 1
-        output.note(
-            f"solving the presses of {missing} indenter{'s' * several} that "
-            f"{'are' if several else 'is'} new to this sensor, once: from ten seconds to a few "
-            f"minutes each; kept in {kernel_store.folder()}"
-        )
 
 
 def _relative_change(frame: Frame, flat: Frame) -> list[float | None]:

@@ -88,8 +88,9 @@ def parse_toml(kind: type[T], text: str, where: str = "TOML text", folder: Path 
 
 
 def from_dict(kind: type[T], data: Mapping[str, Any], where: str, folder: Path | None = None) -> T:
-    """Build the dataclass `kind` from plain `data`; the same checks as `parse_toml`."""
-    return build(kind, data, Place(where, folder))
+    """Build `kind`, a dataclass or a union of them, from plain `data`, checked like TOML."""
+    made: T = read(kind, data, Place(where, folder))
+    return made
 
 
 def build(make: Callable[..., T], data: Any, place: Place) -> T:

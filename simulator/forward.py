@@ -151,14 +151,16 @@ class ForwardModel:
         J: Numbers = np.einsum("em,lef,fm->ml", drive, gram, sense, optimize=True)
         return J
 
-    def potentials(self, conductivity: Conductivity | None = None) -> Numbers:
+    def potentials(
+        self, conductivity: Conductivity | None = None, area_ratio: AreaRatio | None = None
+    ) -> Numbers:
         """Potential at the mesh's points per unit current into each electrode [V/A].
 
         Shape (points, electrodes); the current leaves through all electrodes alike, so that
         differences of columns are the potentials of drive pairs.
         """
         space, cells = self._assembly.space, self.mesh.cells
-        u = self._element_potentials(conductivity)
+        u = self._element_potentials(conductivity, area_ratio)
         elements = np.arange(len(cells)) // space.element.cells
         X = space.reference(elements, self.mesh.points[cells])
         values = np.einsum("ick,cie->cke", space.element.values(X), u[elements], optimize=True)
@@ -167,11 +169,14 @@ class ForwardModel:
         return at_points
 
     def current_density(
-        self, drive: tuple[int, int], conductivity: Conductivity | None = None
+        self,
+        drive: tuple[int, int],
+        conductivity: Conductivity | None = None,
+        area_ratio: AreaRatio | None = None,
     ) -> Numbers:
         """Mean current density in each cell per unit current [A/m2 per A], (cells, 3)."""
         plus, minus = drive
-        u = self._element_potentials(conductivity)
+        u = self._element_potentials(conductivity, area_ratio)
         assembly = self._assembly
         gradients = assembly.cell_gradients(u[..., [plus]] - u[..., [minus]])[..., 0]
         sigma = _symmetric(self._conductivity(conductivity))
@@ -211,21 +216,23 @@ class ForwardModel:
         return stiffness, self._places.system(stiffness.values, contact)
 
     def _solve(
-        self, conductivity: Conductivity | None
+        self, conductivity: Conductivity | None, area_ratio: AreaRatio | None = None
     ) -> tuple[Stiffness, System, Numbers, Numbers]:
         """Stiffness, system, w (unknowns, electrodes) and U, per unit electrode current [V/A].
 
         The currents leave through all electrodes alike.
         """
-        stiffness, system = self._system(conductivity, None)
+        stiffness, system = self._system(conductivity, area_ratio)
         per_potential = self.solver.factorise(system.values).solve(system.coupling)
         T = system.coupling.T @ per_potential
         U = np.linalg.solve(system.admittance - 0.5 * (T + T.T), zero_sums(np.eye(len(T))))
         return stiffness, system, per_potential @ U, U
 
-    def _element_potentials(self, conductivity: Conductivity | None) -> Numbers:
+    def _element_potentials(
+        self, conductivity: Conductivity | None, area_ratio: AreaRatio | None = None
+    ) -> Numbers:
         """Potentials per unit electrode current, (elements, functions, electrodes) [V/A]."""
-        stiffness, system, w, U = self._solve(conductivity)
+        stiffness, system, w, U = self._solve(conductivity, area_ratio)
         return self._assembly.space.in_elements(w + system.lift @ U, stiffness.inner)
 
     def _conductivity(self, conductivity: Conductivity | None) -> Array:

@@ -1,8 +1,8 @@
 """From a scene to the frame that its sensor would give."""
 
 from collections.abc import Callable
-from functools import cached_property, reduce
-from typing import get_args
+from functools import cached_property, partial, reduce
+from typing import TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ from eitskin.geometry import ConfigurationError, Hinge, SensorDesign, Surface
 from eitskin.geometry.bend import Fixture
 from eitskin.geometry.deformation import Composed, Deformation, area_ratio, pulled_back
 from eitskin.simulator.dents import Dents
-from eitskin.simulator.forward import ForwardModel
+from eitskin.simulator.forward import AreaRatio, ForwardModel
 from eitskin.simulator.frame import Frame
 from eitskin.simulator.instrument import WhiteNoise
 from eitskin.simulator.mechanics import Mechanics, Piezoresistivity
@@ -21,6 +21,7 @@ from eitskin.simulator.resolution import Discretisation, Resolution
 from eitskin.simulator.scene import Scene
 
 Array = NDArray[np.float64]
+Field: TypeAlias = Callable[[Array], Array]
 
 
 class Simulator:
@@ -142,32 +143,56 @@ class Simulator:
     def _dents(self, scene: Scene) -> Dents:
         return dents(scene.touches, self.design, self.mechanics, self.touch_model)
 
+    def conductivity(self, scene: Scene) -> Field | None:
+        """J F^-1 sigma F^-T at flat places (..., 3) [m], (..., 3, 3) [S/m]; None where all is flat.
+
+        With piezoresistivity, where the mechanics have it.
+        """
+        deformation = self.deformation(scene)
+        if deformation is None:
+            return None
+        return self._pulled_back(deformation, self._mean_stress(scene))
+
+    def area_ratio(self, scene: Scene) -> AreaRatio | None:
+        """Deformed over flat area at flat places [m] and unit normals; None where all is flat."""
+        deformation = self.deformation(scene)
+        return None if deformation is None else partial(_area_ratio, deformation)
+
     def _impedance(self, scene: Scene) -> NDArray[np.inexact]:
         deformation = self.deformation(scene)
         if deformation is None:
             return self.model.impedance()
-        pressed = self.mechanics.piezoresistivity.pressure and scene.touches
-        return self._deformed(deformation, self._dents(scene).mean_stress if pressed else None)
+        return self._deformed(deformation, self._mean_stress(scene))
 
     def _deformed(
-        self, deformation: Deformation, mean_stress: Callable[[Array], Array] | None = None
+        self, deformation: Deformation, mean_stress: Field | None = None
     ) -> NDArray[np.inexact]:
+        conductivity = self._pulled_back(deformation, mean_stress)
+        return self.model.impedance(conductivity, partial(_area_ratio, deformation))
+
+    def _mean_stress(self, scene: Scene) -> Field | None:
+        """Of the presses; None where nothing depends on it."""
+        needed = self.mechanics.piezoresistivity.pressure and scene.touches
+        return self._dents(scene).mean_stress if needed else None
+
+    def _pulled_back(self, deformation: Deformation, mean_stress: Field | None) -> Field:
         piezoresistivity = self.mechanics.piezoresistivity
 
-        def conductivity(x: Array) -> NDArray[np.inexact]:
+        def conductivity(x: Array) -> Array:
             F = deformation.gradient(x)
             sigma = self.design.conductivity_at(x)
             if piezoresistivity != Piezoresistivity():
                 stress = mean_stress(x) if mean_stress else 0.0
                 sigma = sigma * piezoresistivity.factor(np.linalg.det(F), stress)
-            tensor: NDArray[np.inexact] = sigma[..., None, None] * pulled_back(F)
+            tensor: Array = sigma[..., None, None] * pulled_back(F)
             return tensor
 
-        return self.model.impedance(
-            conductivity=conductivity,
-            area_ratio=lambda x, normal: area_ratio(deformation.gradient(x), normal),
-        )
+        return conductivity
 
     def _measured(self, impedance: NDArray[np.inexact]) -> NDArray[np.complex128]:
         measured: NDArray[np.complex128] = self.protocol.measure(impedance).astype(np.complex128)
         return measured
+
+
+def _area_ratio(deformation: Deformation, x: Array, normal: Array) -> Array:
+    return area_ratio(deformation.gradient(x), normal)

@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -10,20 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.geometry import ConfigurationError, Mesh
-from eitskin.geometry.deformation import Deformation, pulled_back
+from eitskin.geometry.deformation import Deformation
 from eitskin.geometry.grading import Grading
 from eitskin.geometry.meshing import mesh_of, natural_cells
 from eitskin.simulator import shapes
-from eitskin.simulator.forward import ForwardModel
-from eitskin.simulator.mechanics import Piezoresistivity
+from eitskin.simulator.forward import AreaRatio, ForwardModel
 from eitskin.simulator.panels import MATT, TRUE, Panel, colour_scale, render
-from eitskin.simulator.presses import dents
 from eitskin.simulator.protocol import Protocol
 from eitskin.simulator.scene import Scene
-from eitskin.simulator.simulator import Simulator
+from eitskin.simulator.simulator import Field, Simulator
 
 Array = NDArray[np.float64]
-Field = Callable[[Array], Array]
 Colour = Literal["conductance", "strain", "current"]
 
 # Cells along the longer side of what is drawn: finer than a dent where they are cheap.
@@ -35,34 +32,15 @@ _NET = 30.0  # lines of the flat body across its longer side
 _ROUNDING = 1e-9  # of the largest measurement: a change of less is none
 
 
-def conductivity(sim: Simulator, scene: Scene, points: Array) -> Array:
-    """Conductivity of the deformed sensor, pulled back to `points` (..., 3) [m] of the flat one.
-
-    J F^-1 sigma F^-T, (..., 3, 3) [S/m], piezoresistivity included.
-    """
-    sigma = sim.design.conductivity_at(points)[..., None, None]
-    deformation = sim.deformation(scene)
-    if deformation is None:
-        return sigma * np.eye(3)
-    F = deformation.gradient(points)
-    law = sim.mechanics.piezoresistivity
-    if law != Piezoresistivity():
-        stress: Array | float = 0.0
-        if law.pressure and scene.touches:
-            pressed = dents(scene.touches, sim.design, sim.mechanics, sim.touch_model)
-            stress = pressed.mean_stress(points)
-        sigma = sigma * law.factor(np.linalg.det(F), stress)[..., None, None]
-    tensor: Array = sigma * pulled_back(F)
-    return tensor
-
-
 def conductance_change(sim: Simulator, scene: Scene, points: Array) -> Array:
     """Relative change of the conductance along x at `points` (n, 3) [m] of the flat sensor, (n,).
 
     The entry xx of J F^-1 sigma F^-T over sigma, less one: what a current along the sensor meets.
     """
-    flat = sim.design.conductivity_at(points)
-    change: Array = conductivity(sim, scene, points)[:, 0, 0] / flat - 1.0
+    conductivity = sim.conductivity(scene)
+    if conductivity is None:
+        return np.zeros(len(points))
+    change: Array = conductivity(points)[:, 0, 0] / sim.design.conductivity_at(points) - 1.0
     return change
 
 
@@ -85,6 +63,7 @@ def current_density(
     deformation: Deformation | None,
     drive: tuple[int, int],
     conductivity: Field | None = None,
+    area_ratio: AreaRatio | None = None,
 ) -> Array:
     """Current density in the deformed body for a current of 1 A, (cells, 3) [A/m2 per A].
 
@@ -93,13 +72,13 @@ def current_density(
     model and F in its middle.
 
     Args:
-        model: of the flat body. Its contact impedances stay as they are; those of stretched
-            electrodes shift the current only across themselves, since its sum is given.
+        model: of the flat body.
         deformation: of the body; None where it is flat.
         drive: the electrodes that the current enters and leaves by.
         conductivity: f(x), pulled back to the flat body; the design's own when omitted.
+        area_ratio: f(x, normals), deformed over flat area; 1 when omitted.
     """
-    flat: Array = np.real(model.current_density(drive, conductivity))
+    flat: Array = np.real(model.current_density(drive, conductivity, area_ratio))
     if deformation is None:
         return flat
     F = deformation.gradient(model.mesh.points[model.mesh.cells].mean(axis=1))
@@ -182,7 +161,8 @@ def _shown(
     body, indenters = _moved(flat, deformation), _indenters(sim, scene)
     if model is not None:
         pair = drive or most_changed(sim, scene)
-        density = current_density(model, deformation, pair, lambda x: conductivity(sim, scene, x))
+        fields = sim.conductivity(scene), sim.area_ratio(scene)
+        density = current_density(model, deformation, pair, *fields)
         values = shapes.at_points(flat, 1e-3 * np.linalg.norm(density, axis=1))  # of 1 mA
         return _Shown(body, values, indenters, pair)
     if colour == "strain":

@@ -8,7 +8,7 @@ import pytest
 
 from eitskin.geometry import Bend, ConfigurationError, Hinge, SensorDesign
 from eitskin.geometry.bend import FreeArc
-from eitskin.geometry.deformation import Displaced, area_ratio, pulled_back
+from eitskin.geometry.deformation import Displaced, pulled_back
 from eitskin.geometry.electrode import Electrode
 from eitskin.geometry.grading import Grading
 from eitskin.geometry.outline import Rectangle
@@ -16,7 +16,6 @@ from eitskin.geometry.twist import Roll, Twist
 from eitskin.simulator import (
     Cylinder,
     ForwardModel,
-    Mechanics,
     Protocol,
     Scene,
     Simulator,
@@ -25,12 +24,10 @@ from eitskin.simulator import (
     shapes,
     view,
 )
-from eitskin.simulator.mechanics import Piezoresistivity
 from eitskin.simulator.view import (
     _indenters,
     _round_number,
     conductance_change,
-    conductivity,
     current_density,
     draw,
     largest_strain,
@@ -70,18 +67,6 @@ def test_conductance_falls_under_a_press_and_where_the_layer_is_stretched(sim) -
     assert conductance_change(sim, Scene(), middle)[0] == 0.0
 
 
-@pytest.mark.parametrize("law", [Piezoresistivity(), Piezoresistivity(volume=2.0, pressure=3e-6)])
-def test_the_conductivity_shown_is_the_one_that_is_measured(law) -> None:
-    sim = Simulator(SensorDesign.reference(), "fast", mechanics=Mechanics(piezoresistivity=law))
-    scene = Scene(Bend(20.0), (Touch(0.06, 0.03, 8.0),))
-    deformation = sim.deformation(scene)
-    Z = sim.model.impedance(
-        lambda x: conductivity(sim, scene, x),
-        lambda x, normal: area_ratio(deformation.gradient(x), normal),
-    )
-    assert sim.protocol.measure(Z) == pytest.approx(sim.measure(scene).impedance, rel=1e-12)
-
-
 def test_strain_is_that_of_a_stretch_and_of_a_shear() -> None:
     points = np.array([[0.01, 0.02, 0.003], [0.03, 0.01, 0.001]])
     stretched = Displaced(lambda x: x * [0.3, 1.0 / 1.3 - 1.0, 0.0])
@@ -109,7 +94,7 @@ def test_the_current_in_a_bent_bar_falls_with_the_radius(bar) -> None:
     scene = Scene(Bend(angle))
     bent = sim.deformation(scene)
     model = ForwardModel(bar, ((1, 1), Grading(1e-3, 1e-3, 1.0, 10)))
-    j = current_density(model, bent, (0, 1), lambda x: conductivity(sim, scene, x))
+    j = current_density(model, bent, (0, 1), sim.conductivity(scene), sim.area_ratio(scene))
     # The centre of the arc: the ends are `angle` apart, symmetrical about the middle.
     half = math.radians(0.5 * angle)
     inner, outer = (
@@ -135,7 +120,7 @@ def test_all_current_passes_every_section_of_a_bent_pressed_sensor(sim) -> None:
     model = ForwardModel(sim.design, ((1, 1), Grading(2.5e-3, 2.5e-3, 1.0, 2)))
     scene = Scene(Bend(30.0), (Touch(0.100, 0.030),))
     deformation = sim.deformation(scene)
-    j = current_density(model, deformation, (7, 3), lambda x: conductivity(sim, scene, x))
+    j = current_density(model, deformation, (7, 3), sim.conductivity(scene), sim.area_ratio(scene))
     corners = model.mesh.points[model.mesh.cells]
     F = deformation.gradient(corners.mean(axis=1))
     # The area of the image of a section is J F^-T e_x (Nanson).
