@@ -46,4 +46,5 @@ def _panel(axes: Any, found: Sequence[Compared]) -> None:
             )
     axes.axhline(5.0, color="#999999", linewidth=1.0, linestyle="--")
     axes.spines[["top", "right"]].set_visible(False)
-    axes.legend(frameon=False, fontsize=8)
+    if found:
+        axes.legend(frameon=False, fontsize=8)

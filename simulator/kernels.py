@@ -12,11 +12,11 @@ from scipy.interpolate import CubicSpline, PPoly
 from scipy.optimize import brentq
 
 from eitskin.geometry import ConfigurationError
-from eitskin.simulator.dents import Strains
 from eitskin.simulator.equilibrium import SolidError
 from eitskin.simulator.indentation import Indentation, Press
 from eitskin.simulator.indenters import Indenter
 from eitskin.simulator.mechanics import Stack
+from eitskin.simulator.tabulated_dent import DEGREE, TabulatedDent
 
 Array = NDArray[np.float64]
 
@@ -25,87 +25,11 @@ _DEEPEST = 0.6  # of the thickness of the stack
 # Depths are spaced like k^1.5, since forces and dents grow about like depth to the power 1 to 1.5.
 _SPACING = 1.5
 _FEWEST = 4  # depths that a table needs
-_DEGREE = 5  # over the height of the layer
-# Legendre coefficients of the derivative of a polynomial, from its own.
-_RISES = np.vstack([legendre.legder(np.eye(_DEGREE + 1)), np.zeros(_DEGREE + 1)])
 _CELL = 1.0 / 20.0  # finest, of the radius of the indenter
 _KNOT = 0.1  # spacing over the layer's thickness near the indenter
 _KNOT_GROWTH = 0.1
 _FIRST = 0.4  # of the first depth, below which the table would be poor
 _NEGLIGIBLE = 1e-4  # displacements at which a dent ends, of the depth
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class TabulatedDent:
-    """The dent of one press.
-
-    Attributes:
-        force: of the indenter [N].
-        depth: of its lowest point under the undeformed top of the stack [m].
-        contact_radius: where contact ends, in the deformed stack [m].
-        peak_pressure: on the contact [Pa].
-        thinning: 1 - thickness over undeformed thickness of the layer, on the axis.
-        share: of the force that the shear modulus of the layer accounts for, (mu / F) dF/dmu.
-        thickness: of the undeformed layer [m].
-        profile: piecewise cubics in r of the coefficients of u, w and the mean stress in Legendre
-            polynomials over the height, (coefficients, 3).
-    """
-
-    force: float
-    depth: float
-    contact_radius: float
-    peak_pressure: float
-    thinning: float
-    share: float
-    thickness: float
-    profile: PPoly
-
-    @property
-    def reach(self) -> float:
-        """Distance from the axis beyond which nothing moves [m]."""
-        return float(self.profile.x[-1])
-
-    def displacement(self, r: Array, z: Array) -> tuple[Array, Array]:
-        """u and w [m] at distance r from the axis and height z over the layer's bottom [m]."""
-        u, w, _ = _summed(self._over_height(z), self._at(r))
-        return u, w
-
-    def mean_stress(self, r: Array, z: Array) -> Array:
-        """Mean stress [Pa], positive in tension."""
-        _, _, stress = _summed(self._over_height(z), self._at(r))
-        return np.asarray(stress)
-
-    def strains(self, r: Array, z: Array) -> Strains:
-        """Their derivatives."""
-        near = r < 1e-9  # on the axis u / r tends to du/dr
-        P, values = self._over_height(z), self._at(r)[:2]
-        u = _summed(P, values[:1])[0]
-        radial, tilt = _summed(P, self._at(r, 1)[:2])
-        shear, upward = _summed(P @ (_RISES * (2.0 / self.thickness)), values)
-        hoop = np.where(near, radial, u / np.where(near, 1.0, r))
-        return Strains(hoop, radial, shear, tilt, upward)
-
-    def _over_height(self, z: Array) -> Array:
-        """Legendre polynomials at heights, (..., m); (h, m) where all rows of heights are alike."""
-        if z.ndim == 2 and len(z) and np.array_equal(z, np.broadcast_to(z[:1], z.shape)):
-            z = z[0]
-        return np.asarray(legendre.legvander(2.0 * z / self.thickness - 1.0, _DEGREE))
-
-    def _at(self, r: Array, derivative: int = 0) -> Array:
-        """Coefficients of u, w and stress at distances (...), (3, ..., coefficients)."""
-        coefficients = self.profile(np.minimum(r, self.reach), derivative)
-        return np.ascontiguousarray(np.moveaxis(coefficients, -1, 0))
-
-
-def _summed(P: Array, coefficients: Array) -> Array:
-    """Fields (k, ...) of polynomials (..., m) and coefficients (k, ..., m).
-
-    Columns (k, n, 1, m) at the same heights (h, m) are one product of matrices.
-    """
-    if P.ndim == 2 and coefficients.ndim == 4:
-        return np.asarray(coefficients[:, :, 0] @ P.T)
-    fields: Array = np.einsum("...m,k...m->k...", P, coefficients)
-    return fields
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -299,10 +223,10 @@ def _over_layer(
     inside = (z > bottom - 1e-9) & (z < top + 1e-9)
     heights = 2.0 * (z[inside] - bottom) / (top - bottom) - 1.0
     along = CubicSpline(r, values[:, inside])(knots).swapaxes(0, 1)
-    degree = min(_DEGREE, len(heights) - 1)
-    fit = np.zeros((_DEGREE + 1, along[0].size))
+    degree = min(DEGREE, len(heights) - 1)
+    fit = np.zeros((DEGREE + 1, along[0].size))
     fit[: degree + 1] = legendre.legfit(heights, along.reshape(len(heights), -1), degree)
-    return fit.reshape(_DEGREE + 1, len(knots), -1).swapaxes(0, 1)
+    return fit.reshape(DEGREE + 1, len(knots), -1).swapaxes(0, 1)
 
 
 def _from_none(values: Sequence[object] | Array, first: float = 0.0) -> Array:

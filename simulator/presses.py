@@ -13,8 +13,8 @@ from eitskin.simulator import relaxation
 from eitskin.simulator.closed_dent import ClosedDent
 from eitskin.simulator.dents import Dents, Placed
 from eitskin.simulator.kernel_store import kernel
-from eitskin.simulator.kernels import TabulatedDent
 from eitskin.simulator.mechanics import Mechanics
+from eitskin.simulator.tabulated_dent import TabulatedDent
 from eitskin.simulator.touch import Touch
 
 TouchModel = Literal["tabulated", "closed form"]
