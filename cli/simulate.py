@@ -191,6 +191,7 @@ def _touch_data(press: Pressed) -> dict[str, object]:
         "neighbour_distance_m": (
             press.neighbour_distance if math.isfinite(press.neighbour_distance) else None
         ),
+        "signal_error": press.signal_error,
         "caution": press.caution,
     }
 

@@ -23,6 +23,9 @@ TouchModel = Literal["tabulated", "closed form"]
 # and from another touch, below which signals are more than a tenth off (docs/deformation.md) [m].
 EDGE = 0.0075
 NEIGHBOUR = 0.030
+# Up to where presses beside the edge were compared: their signals are large, and so exact [m].
+_BESIDE_EDGE = 0.012
+_TOGETHER = 0.045  # where two touches were compared [m]
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +43,8 @@ class Pressed:
         thinning: 1 - thickness over undeformed thickness of the gel, on the axis.
         edge_distance: from the axis to the nearest edge of the gel [m].
         neighbour_distance: from the axis to that of the nearest other touch [m].
+        signal_error: largest error of the sensor's signal, relative, that comparisons with the full
+            model found at such distances (docs/deformation.md).
         caution: why the dent is less exact than one alone in the middle of the sensor; empty where
             it is not.
     """
@@ -53,6 +58,7 @@ class Pressed:
     thinning: float
     edge_distance: float
     neighbour_distance: float
+    signal_error: float
     caution: str = ""
 
     @property
@@ -168,6 +174,7 @@ def _pressed(
         thinning=dent.thinning if dent is not None else 0.0,
         edge_distance=edge,
         neighbour_distance=neighbour,
+        signal_error=_signal_error(edge, neighbour),
         caution=_caution(edge, neighbour),
     )
 
@@ -200,6 +207,14 @@ def _edge_distance(touch: Touch, design: SensorDesign) -> float:
         return math.inf
     _, depth = outline.nearest(np.array([touch.x, touch.y]))
     return float(depth)
+
+
+def _signal_error(edge: float, neighbour: float) -> float:
+    if edge < EDGE:
+        alone = 0.1
+    else:
+        alone = 0.03 if edge <= _BESIDE_EDGE else 0.17
+    return max(alone, 0.15 if neighbour <= _TOGETHER else 0.0)
 
 
 def _caution(edge: float, neighbour: float) -> str:

@@ -99,6 +99,7 @@ def test_every_touch_tells_what_became_of_it(tmp_path) -> None:
         assert row["thinning"] == press.thinning
         assert row["edge_distance_m"] == press.edge_distance
         assert row["neighbour_distance_m"] == press.neighbour_distance
+        assert row["signal_error"] == press.signal_error
         assert row["caution"] == press.caution
     shown = run(scene).stdout
     first, second = presses

@@ -57,6 +57,15 @@ def test_presses_near_the_edge_or_each_other_say_so() -> None:
         assert "16.0 mm from another" in found.caution
 
 
+@pytest.mark.parametrize(
+    ("y", "error"), [(0.004, 0.1), (0.0075, 0.03), (0.012, 0.03), (0.015, 0.17), (0.030, 0.17)]
+)
+def test_errors_of_the_signal_are_those_found_at_such_distances(y, error) -> None:
+    assert one(Touch(X, y, 5.0)).signal_error == error
+    for found in pressed((Touch(X, y, 5.0), Touch(X + 0.04, y, 5.0)), DESIGN, Mechanics()):
+        assert found.signal_error == max(error, 0.15)
+
+
 def test_indenters_are_not_inside_each_other() -> None:
     with pytest.raises(ConfigurationError, match=r"0\.01 m apart, but their indenters need 0\.015"):
         Scene(touches=(Touch(X, Y), Touch(X, Y + 0.010)))
