@@ -211,7 +211,7 @@ def _edge_distance(touch: Touch, design: SensorDesign) -> float:
 
 def _signal_error(edge: float, neighbour: float) -> float:
     alone = 0.1 if edge < EDGE else 0.03 if edge <= _BESIDE_EDGE else 0.17
-    return max(alone, 0.15 if neighbour <= _TOGETHER else 0.0)
+    return max(alone, 0.16 if neighbour <= _TOGETHER else 0.0)
 
 
 def _caution(edge: float, neighbour: float) -> str:
