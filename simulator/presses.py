@@ -19,13 +19,14 @@ from eitskin.simulator.touch import Touch
 
 TouchModel = Literal["tabulated", "closed form"]
 
-# Distances of the axis from the gel's edge, below which nothing was compared with the full model,
-# and from another touch, below which signals are more than a tenth off (docs/deformation.md) [m].
+# Distances of the axis from the gel's edge and from another touch, below which signals are more
+# than a tenth off the full model's, or not compared with it (docs/deformation.md) [m].
 EDGE = 0.0075
 NEIGHBOUR = 0.030
-# Up to where presses beside the edge were compared: their signals are large, and so exact [m].
-_BESIDE_EDGE = 0.012
-_TOGETHER = 0.045  # where two touches were compared [m]
+# Largest errors of the signal that were found up to these distances, from the edge and from another
+# touch [m], [-]; none where nothing was compared. Beside the edge signals are large, and so exact.
+_BY_EDGE = ((0.005, None), (EDGE, 0.10), (0.0121, 0.03), (math.inf, 0.17))
+_BY_NEIGHBOUR = ((0.020, None), (0.0451, 0.16), (math.inf, 0.0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,8 +44,9 @@ class Pressed:
         thinning: 1 - thickness over undeformed thickness of the gel, on the axis.
         edge_distance: from the axis to the nearest edge of the gel [m].
         neighbour_distance: from the axis to that of the nearest other touch [m].
-        signal_error: largest error of the sensor's signal, relative, that comparisons with the full
-            model found at such distances (docs/deformation.md).
+        signal_error: largest error of the signal, relative, that comparisons with the full model
+            found at such distances, for 10 N by the 15 mm cylinder on the reference sensor
+            (docs/deformation.md); None nearer than any of them.
         caution: why the dent is less exact than one alone in the middle of the sensor; empty where
             it is not.
     """
@@ -58,7 +60,7 @@ class Pressed:
     thinning: float
     edge_distance: float
     neighbour_distance: float
-    signal_error: float
+    signal_error: float | None
     caution: str = ""
 
     @property
@@ -209,9 +211,12 @@ def _edge_distance(touch: Touch, design: SensorDesign) -> float:
     return float(depth)
 
 
-def _signal_error(edge: float, neighbour: float) -> float:
-    alone = 0.1 if edge < EDGE else 0.03 if edge <= _BESIDE_EDGE else 0.17
-    return max(alone, 0.16 if neighbour <= _TOGETHER else 0.0)
+def _signal_error(edge: float, neighbour: float) -> float | None:
+    alone, together = (
+        next(error for limit, error in table if distance < limit or limit == math.inf)
+        for distance, table in ((edge, _BY_EDGE), (neighbour, _BY_NEIGHBOUR))
+    )
+    return None if alone is None or together is None else max(alone, together)
 
 
 def _caution(edge: float, neighbour: float) -> str:
