@@ -176,6 +176,9 @@ def _is_dataclass(kind: Any) -> TypeGuard[type]:
 
 def _plain(kind: Any, data: Any, place: Place) -> Any:
     """A value that msgspec checks; numbers in it must be finite."""
+    if typing.get_origin(kind) is typing.Literal and data not in typing.get_args(kind):
+        known = " or ".join(f"'{choice}'" for choice in typing.get_args(kind))
+        raise place.error(f"expected {known}, got {data!r}")
     try:
         value = msgspec.convert(data, kind)
     except msgspec.ValidationError as error:

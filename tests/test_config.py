@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -30,6 +31,7 @@ class Thing:
     file: Path | None = None
     size: float | None = None
     numbers: tuple[float, ...] = field(default=())
+    side: Literal["left", "right"] = "left"
 
 
 def thing(text):
@@ -73,6 +75,8 @@ def test_a_union_is_the_member_whose_keys_are_there():
         ("shape = { radius = 1 }\nz = [1, 2, 3]", "z: .*length 2"),
         ("shape = { radius = 1 }\nz = '1+2j'", "z: Expected `float`, got `str`"),
         ("shape = { radius = 1 }\nfile = 3", "file: Expected `str`"),
+        ("shape = { radius = 1 }\nside = 'up'", "side: expected 'left' or 'right', got 'up'"),
+        ("shape = { radius = 1 }\nside = [1]", r"side: expected 'left' or 'right', got \[1\]"),
     ],
 )
 def test_what_does_not_fit_is_named_with_its_place(text, message):
@@ -103,6 +107,7 @@ def test_numbers_of_numpy_are_written_as_plain_ones():
         "z": [1.0, 2.0],
         "parts": [],
         "numbers": [0.5],
+        "side": "left",
     }
     assert thing(to_toml(given)) == given
 
