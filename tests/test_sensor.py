@@ -205,7 +205,10 @@ def test_examples_of_the_page_are_designs(tmp_path, number) -> None:
             "electrodes: the count of a uniform layout",
         ),
         ("electrodes = [{ x = 0, y = 0, width = -1 }]", r"electrodes\[0\]: electrode width must"),
-        ("electrodes = [{ x = 0, y = 0, on = 'up' }]", r"electrodes\[0\].on: expected 'side' or 'top'"),
+        (
+            "electrodes = [{ x = 0, y = 0, on = 'up' }]",
+            r"electrodes\[0\].on: expected 'side' or 'top'",
+        ),
     ],
 )
 def test_unreadable_designs_say_why(tmp_path, text, message) -> None:
