@@ -1,6 +1,6 @@
 """From a scene to the frame that its sensor would give."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property, partial, reduce
 from typing import TypeAlias, get_args
 
@@ -139,6 +139,10 @@ class Simulator:
                 )
             impedance = instrument.apply(impedance, self.full_scale, rng)
         return Frame(impedance=impedance, protocol=self.protocol)
+
+    def measure_all(self, scenes: Sequence[Scene]) -> NDArray[np.complex128]:
+        """Noise-free measurements [ohm] of many scenes, (scenes, measurements)."""
+        return np.array([self.measure(scene).impedance for scene in scenes])
 
     def _dents(self, scene: Scene) -> Dents:
         return dents(scene.touches, self.design, self.mechanics, self.touch_model)
