@@ -16,7 +16,7 @@ from eitskin.cli.presses import announce
 from eitskin.geometry import ConfigurationError, SensorDesign
 from eitskin.geometry.bend import Fixture
 from eitskin.geometry.config import read_toml
-from eitskin.simulator import Frame, Mechanics, Protocol, Scene, Simulator, WhiteNoise
+from eitskin.simulator import Frame, Instrument, Mechanics, Protocol, Scene, Simulator
 from eitskin.simulator.panels import require_picture
 from eitskin.simulator.presses import Pressed, TouchModel
 from eitskin.simulator.resolution import Resolution
@@ -81,7 +81,7 @@ def command(
     if touch_model == "tabulated":
         announce(design, sim.mechanics, (touch.indenter for touch in what.touches), output)
     start = time.perf_counter()
-    instrument = None if noise is None else WhiteNoise(noise)
+    instrument = None if noise is None else Instrument(noise)
     frame = sim.measure(what, instrument, np.random.default_rng(seed))
     seconds = time.perf_counter() - start
     output.detail(f"{sim.model.solver.name}, {len(sim.model.mesh.cells)} cells, {seconds:.3f} s")

@@ -12,7 +12,7 @@ from eitskin.datasets.schema import LIMITS
 from eitskin.datasets.specimen import Specimens
 from eitskin.geometry import Bend, ConfigurationError, Hinge, SensorDesign, Surface
 from eitskin.geometry.config import from_dict, to_toml
-from eitskin.simulator import WhiteNoise
+from eitskin.simulator import Instrument
 from eitskin.simulator.resolution import Resolution
 
 SHIPPED = Path(__file__).parent / "recipes"
@@ -43,7 +43,7 @@ class Recipe:
     frames_per_shard: int = 256
     sensor: SensorDesign = field(default_factory=SensorDesign.reference)
     hinge: Hinge = field(default_factory=Hinge)
-    instrument: WhiteNoise = field(default_factory=WhiteNoise)
+    instrument: Instrument = field(default_factory=Instrument)
     specimens: Specimens = field(default_factory=Specimens)
 
     def __post_init__(self) -> None:

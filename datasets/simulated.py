@@ -44,7 +44,11 @@ def simulate_shard(
     def measure(each: Sample, scene: Scene, stream: Stream) -> Impedance:
         rng = generator(recipe, stream, each.index)
         full_scale = flats[each.specimen].full_scale
-        return recipe.instrument.apply(solved[each.specimen, scene], full_scale, rng)
+        start, noise = rng.spawn(2)
+        session = recipe.instrument.session(flats[0].frame.protocol, full_scale, start)
+        (impedance,), _ = session.measure(solved[each.specimen, scene][None], np.zeros(1), noise)
+        measured: Impedance = impedance
+        return measured
 
     touches = [touch_columns(each.scene.touches) for each in samples]
     return Dataset.from_arrays(

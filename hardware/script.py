@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 
 from eitskin.geometry import ConfigurationError
 from eitskin.geometry.config import read_toml
-from eitskin.simulator import Frame, Protocol, Scene, WhiteNoise
+from eitskin.simulator import Frame, Instrument, Protocol, Scene, Session
+from eitskin.simulator.instrument import MEASUREMENT_TIME
 
-Complex = NDArray[np.complex128]
+Reading = tuple[NDArray[np.complex128], NDArray[np.uint8]]
+"""Impedances [ohm] and `Status` bits of one frame, (measurements,) each."""
 SceneSource = Callable[[int], Scene]
 """The scene of the frame with a given number."""
 
@@ -84,7 +86,7 @@ class Measuring(typing.Protocol):
 
 
 class SimulatedSensor:
-    """The impedances that a virtual board measures; each scene is computed once.
+    """What a virtual board measures, in one session; each scene is computed once.
 
     Attributes:
         protocol: what is measured.
@@ -94,32 +96,44 @@ class SimulatedSensor:
         self,
         simulator: Measuring,
         scenes: SceneSource,
-        noise: WhiteNoise | None = None,
+        instrument: Instrument | None = None,
         seed: int = 0,
+        period: float | None = None,
     ) -> None:
         """Compute the scenes of a script now, so that none of its frames is late.
 
         Args:
             simulator: of the sensor.
             scenes: a `Script`, or any function from frame number to scene.
-            noise: added to every frame.
-            seed: of the noise; frame and seed decide it, whatever was measured before.
+            instrument: that measures every frame; none where the sensor itself is asked for.
+            seed: of the session and of what differs from frame to frame; frame and seed decide
+                over that, whatever was measured before.
+            period: from frame to frame [s], for what drifts; 10.6 ms for each measurement when
+                omitted.
         """
         self.protocol = simulator.protocol
-        self._scenes, self._noise, self._seed = scenes, noise, seed
-        self._full_scale = simulator.full_scale
+        self._scenes, self._seed = scenes, seed
+        self._period = len(self.protocol) * MEASUREMENT_TIME if period is None else period
+        self._session: Session | None = None
+        if instrument is not None:
+            start = self._generator(0)
+            self._session = instrument.session(self.protocol, simulator.full_scale, start)
         self._clean = lru_cache(maxsize=1024)(lambda scene: simulator.measure(scene).impedance)
         if isinstance(scenes, Script):
             for step in scenes.steps:
                 self._clean(step.scene)
 
-    def __call__(self, number: int) -> Complex:
-        """Impedance in frame `number`, (measurements,) complex [ohm]."""
-        impedance: Complex = self._clean(self._scenes(number))
-        if self._noise is None:
-            return impedance
-        rng = np.random.default_rng((self._seed, number))
-        return self._noise.apply(impedance, self._full_scale, rng)
+    def __call__(self, number: int) -> Reading:
+        """Impedances [ohm] and status of frame `number`, (measurements,) each."""
+        impedance = self._clean(self._scenes(number))
+        if self._session is None:
+            return impedance, np.zeros(len(impedance), np.uint8)
+        times = np.array([number * self._period])
+        measured, status = self._session.measure(impedance[None], times, self._generator(1, number))
+        return measured[0], status[0]
+
+    def _generator(self, *key: int) -> np.random.Generator:
+        return np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=key))
 
 
 def _top_keys(path: Path) -> set[str]:

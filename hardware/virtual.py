@@ -32,17 +32,15 @@ from eitskin.hardware.messages import (
 from eitskin.hardware.packets import Decoder, Packet, encode
 from eitskin.hardware.port import open_port
 from eitskin.hardware.pseudo_terminal import Pace, PseudoTerminal
-from eitskin.hardware.script import Complex, Measuring, SceneSource, Script, SimulatedSensor, Step
+from eitskin.hardware.script import Measuring, Reading, SceneSource, Script, SimulatedSensor, Step
 from eitskin.hardware.serial_board import SerialBoard
-from eitskin.simulator import Protocol, Scene, Simulator, WhiteNoise
+from eitskin.simulator import Instrument, Protocol, Scene, Simulator
+from eitskin.simulator.instrument import MEASUREMENT_TIME
 from eitskin.simulator.resolution import Resolution
 
-PAIR_TIME = 10.6e-3
-"""One pair of 2048-point transforms of the AD5940 at an oversampling ratio of 2 [s]."""
-
 SPEEDS = ("real", "max")
-Sensor = Callable[[int], Complex]
-"""The impedances [ohm] of the frame with a given number, as the electrodes show them."""
+Sensor = Callable[[int], Reading]
+"""What is measured in the frame with a given number."""
 
 
 class VirtualFirmware:
@@ -81,7 +79,7 @@ class VirtualFirmware:
             amplitude=0.607,
             rtia=1000.0,
             rcal=200.0,
-            period=len(protocol) * PAIR_TIME if period is None else period,
+            period=len(protocol) * MEASUREMENT_TIME if period is None else period,
         )
         self.streaming = False
         self._decoder = Decoder()
@@ -102,12 +100,13 @@ class VirtualFirmware:
     def frame(self) -> bytes:
         """Measure the next frame and send it; raises `Unplugged` where a fault says so."""
         number = self._number
+        impedance, status = self._sensor(number)
         data = FrameData(
             number=number,
             time=number * self.info.period,
-            duration=len(self._protocol) * PAIR_TIME,
-            impedance=self._sensor(number).astype(np.complex64),
-            status=np.zeros(len(self._protocol), np.uint8),
+            duration=len(self._protocol) * MEASUREMENT_TIME,
+            impedance=impedance.astype(np.complex64),
+            status=status,
         )
         for fault in self._faults:
             data = fault.measured(data, self._protocol, self.info.frequency)
@@ -160,6 +159,7 @@ def virtual_terminal(
     scene: str | Path | Scene | SceneSource | None = None,
     seed: int = 0,
     snr_db: float = 75.0,
+    instrument: Instrument | None = None,
     faults: str | Sequence[Fault] = (),
     simulator: Measuring | None = None,
     period: float | None = None,
@@ -171,8 +171,9 @@ def virtual_terminal(
         resolution: of the simulator.
         scene: a scene, a `Script`, a function from frame number to scene, or the path of a TOML
             file that holds one of the first two; the flat untouched sensor when omitted.
-        seed: of the noise.
+        seed: of the instrument.
         snr_db: the noise's distance below full scale [dB]; infinity for none.
+        instrument: that measures, in one session; white noise of `snr_db` when omitted.
         faults: what goes wrong, as text or as `Fault`s.
         simulator: of the sensor; one of the reference design when omitted.
         period: from frame to frame [s]; the AD5940's when omitted.
@@ -186,8 +187,9 @@ def virtual_terminal(
         raise ConfigurationError(f"resolution must be one of {known}, got {resolution!r}")
     if simulator is None:
         simulator = Simulator(SensorDesign.reference(), resolution=cast("Resolution", resolution))
-    noise = WhiteNoise(snr_db) if np.isfinite(snr_db) else None
-    sensor = SimulatedSensor(simulator, _scenes(scene), noise, seed)
+    if instrument is None and np.isfinite(snr_db):
+        instrument = Instrument(snr_db)
+    sensor = SimulatedSensor(simulator, _scenes(scene), instrument, seed, period)
     chosen = read_faults(faults) if isinstance(faults, str) else faults
     firmware = VirtualFirmware(sensor, sensor.protocol, period, chosen)
     return PseudoTerminal(firmware, Pace(firmware.info.period if speed == "real" else 0.0))

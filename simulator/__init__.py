@@ -3,7 +3,7 @@
 from eitskin.simulator.forward import ForwardModel
 from eitskin.simulator.frame import Frame, Status
 from eitskin.simulator.indenters import Cylinder, Profile, Sphere
-from eitskin.simulator.instrument import WhiteNoise
+from eitskin.simulator.instrument import Instrument, Session
 from eitskin.simulator.mechanics import Mechanics
 from eitskin.simulator.protocol import Protocol
 from eitskin.simulator.scene import Scene
@@ -14,13 +14,14 @@ __all__ = [
     "Cylinder",
     "ForwardModel",
     "Frame",
+    "Instrument",
     "Mechanics",
     "Profile",
     "Protocol",
     "Scene",
+    "Session",
     "Simulator",
     "Sphere",
     "Status",
     "Touch",
-    "WhiteNoise",
 ]

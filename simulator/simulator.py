@@ -13,7 +13,7 @@ from eitskin.geometry.deformation import Composed, Deformation, area_ratio, pull
 from eitskin.simulator.dents import Dents
 from eitskin.simulator.forward import AreaRatio, ForwardModel
 from eitskin.simulator.frame import Frame
-from eitskin.simulator.instrument import WhiteNoise
+from eitskin.simulator.instrument import Instrument
 from eitskin.simulator.mechanics import Mechanics, Piezoresistivity
 from eitskin.simulator.presses import Pressed, TouchModel, dents, pressed
 from eitskin.simulator.protocol import Protocol
@@ -118,7 +118,7 @@ class Simulator:
     def measure(
         self,
         scene: Scene,
-        instrument: WhiteNoise | None = None,
+        instrument: Instrument | None = None,
         rng: np.random.Generator | None = None,
     ) -> Frame:
         """The frame of `scene`, noise-free unless an `instrument` is given.
@@ -137,7 +137,10 @@ class Simulator:
                 raise ConfigurationError(
                     "an instrument needs rng=numpy.random.default_rng(seed) for its noise"
                 )
-            impedance = instrument.apply(impedance, self.full_scale, rng)
+            start, noise = rng.spawn(2)
+            session = instrument.session(self.protocol, self.full_scale, start)
+            (impedance,), (status,) = session.measure(impedance[None], np.zeros(1), noise)
+            return Frame(impedance, self.protocol, status=status)
         return Frame(impedance=impedance, protocol=self.protocol)
 
     def measure_all(self, scenes: Sequence[Scene]) -> NDArray[np.complex128]:

@@ -77,7 +77,8 @@ class Loopback:
 
 
 def firmware(faults=(), sensor=lambda _: FLAT, **changes):
-    board = VirtualFirmware(sensor, PROTOCOL, faults=faults)
+    good = np.zeros(len(PROTOCOL), np.uint8)
+    board = VirtualFirmware(lambda number: (sensor(number), good), PROTOCOL, faults=faults)
     board.info = dataclasses.replace(board.info, **changes)
     return board
 

@@ -18,7 +18,7 @@ from eitskin.datasets.shard import shard_name
 from eitskin.datasets.simulated import simulate_shard
 from eitskin.datasets.specimen import Specimens
 from eitskin.geometry import Bend, ConfigurationError, PartialError
-from eitskin.simulator import Scene, Simulator, WhiteNoise
+from eitskin.simulator import Instrument, Scene, Simulator
 
 RECIPE = Recipe(
     "small",
@@ -90,7 +90,7 @@ def test_values_are_those_of_the_simulator_with_noise_of_the_right_size(whole):
         assert np.allclose(data.reference[number], flat, rtol=1e-6)
     for index in range(len(data)):
         simulator, scene = simulators[index % 2], sample(RECIPE, index).scene
-        deviation = WhiteNoise(75.0).deviation(simulator.full_scale)
+        deviation = Instrument(75.0).deviation(simulator.full_scale)
         clean = simulator.measure(scene).impedance
         untouched = simulator.measure(Scene(bend=scene.bend)).impedance
         noise.append((data.impedance[index] - clean) / deviation)
@@ -173,7 +173,7 @@ def test_failure_in_a_worker_reaches_the_caller(tmp_path):
         if not done:
             folder.rename(tmp_path / "gone")
 
-    with pytest.raises(PartialError, match=r"could not write .*shard-000000\.h5"):
+    with pytest.raises(PartialError, match=r"cannot write .*shard-000000\.h5"):
         generate(RECIPE, folder, workers=1, progress=take_the_folder_away)
 
 

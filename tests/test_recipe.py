@@ -22,7 +22,7 @@ from eitskin.geometry import (
     Surface,
 )
 from eitskin.geometry.layouts import uniform
-from eitskin.simulator import WhiteNoise
+from eitskin.simulator import Instrument
 
 IDLE = SceneGroup("idle", count=30)
 BENT = SceneGroup("bend", count=60, angle_deg=(-20.0, 50.0))
@@ -74,7 +74,7 @@ def test_recipe_with_awkward_text_and_specimens_survives_writing(tmp_path):
         description='quotes " and \\ and\nlines and ü and \x7f',
         specimens=Specimens(3, conductivity=0.05),
         hinge=Hinge(span=0.05, offset=0.007),
-        instrument=WhiteNoise(60.0),
+        instrument=Instrument(60.0),
     )
     assert Recipe.from_toml(write(tmp_path, recipe.to_toml())) == recipe
 

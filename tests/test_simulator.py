@@ -20,12 +20,12 @@ from eitskin.geometry.layouts import uniform
 from eitskin.geometry.twist import Roll, Twist
 from eitskin.simulator import (
     Frame,
+    Instrument,
     Protocol,
     Scene,
     Simulator,
     Status,
     Touch,
-    WhiteNoise,
 )
 
 import closed_forms
@@ -173,7 +173,7 @@ def test_the_same_scene_costs_no_new_factorisation(sim) -> None:
     scene = Scene(bend=Bend(12.5))
     sim.measure(scene)
     before = sim.model.factorisations
-    sim.measure(scene, WhiteNoise(), np.random.default_rng(0))
+    sim.measure(scene, Instrument(), np.random.default_rng(0))
     assert sim.model.factorisations == before
     sim.measure(Scene(bend=Bend(12.6)))
     assert sim.model.factorisations == before + 1
@@ -194,15 +194,15 @@ def test_noise_has_the_stated_deviation_and_follows_its_seed(sim) -> None:
     clean = sim.measure(Scene()).impedance
     rng = np.random.default_rng(4)
     noise = np.array(
-        [sim.measure(Scene(), WhiteNoise(75.0), rng).impedance - clean for _ in range(400)]
+        [sim.measure(Scene(), Instrument(75.0), rng).impedance - clean for _ in range(400)]
     )
     deviation = sim.full_scale * 10 ** (-75 / 20)
     assert noise.real.std() == pytest.approx(deviation, rel=0.03)
     assert noise.imag.std() == pytest.approx(deviation, rel=0.03)
-    one, two = (sim.measure(Scene(), WhiteNoise(), np.random.default_rng(9)) for _ in range(2))
+    one, two = (sim.measure(Scene(), Instrument(), np.random.default_rng(9)) for _ in range(2))
     assert np.array_equal(one.impedance, two.impedance)
     with pytest.raises(ConfigurationError, match="default_rng"):
-        sim.measure(Scene(), WhiteNoise())
+        sim.measure(Scene(), Instrument())
 
 
 def test_impossible_scenes_are_refused(sim) -> None:

@@ -13,7 +13,7 @@ from eitskin.hardware.packets import Decoder, Packet, encode
 from eitskin.hardware.pseudo_terminal import Pace, PseudoTerminal
 from eitskin.hardware.script import SimulatedSensor
 from eitskin.hardware.virtual import virtual_terminal
-from eitskin.simulator import Scene, Simulator, Touch, WhiteNoise
+from eitskin.simulator import Instrument, Scene, Simulator, Touch
 
 from loopback import FLAT, FakeSimulator, firmware, take
 
@@ -38,7 +38,7 @@ def test_a_script_without_repeat_stays_at_its_last_scene():
 
 def test_scenes_may_come_from_any_function():
     sensor = SimulatedSensor(FakeSimulator(), lambda number: Scene(bend=Bend(float(number))))
-    assert np.allclose(sensor(30), FLAT * 1.03)
+    assert np.allclose(sensor(30)[0], FLAT * 1.03)
 
 
 def test_scripts_and_single_scenes_are_read_from_toml(tmp_path):
@@ -57,13 +57,14 @@ def test_scripts_and_single_scenes_are_read_from_toml(tmp_path):
 
 def test_noise_is_that_of_the_seed_and_of_the_frame():
     sensors = [
-        SimulatedSensor(FakeSimulator(), lambda _: Scene(), WhiteNoise(60.0), seed)
+        SimulatedSensor(FakeSimulator(), lambda _: Scene(), Instrument(60.0), seed)
         for seed in (3, 3, 4)
     ]
-    assert np.array_equal(sensors[0](5), sensors[1](5))
-    assert not np.array_equal(sensors[0](5), sensors[2](5))
-    assert not np.array_equal(sensors[0](5), sensors[0](6))
-    residual = np.array([sensors[0](number) - FLAT for number in range(300)])
+    one, same, other = (sensor(5)[0] for sensor in sensors)
+    assert np.array_equal(one, same)
+    assert not np.array_equal(one, other)
+    assert not np.array_equal(one, sensors[0](6)[0])
+    residual = np.array([sensors[0](number)[0] - FLAT for number in range(300)])
     assert residual.real.std() == pytest.approx(820.0 * 1e-3, rel=0.03)
 
 
