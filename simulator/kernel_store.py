@@ -24,6 +24,7 @@ _VERSION = 1
 # 1.4 is the reference. Those between are interpolated.
 _REFERENCE_RATIO = 1.4
 _STEPS = 2.0  # per factor of two
+_THICKER = 1.1  # between thicknesses that are solved, where sensors share them
 # Everything is solved at one scale: a layer this thick [m], of this shear modulus [Pa].
 _THICKNESS, _MODULUS = 0.005, 20e3
 _SAMPLES = 65  # of the indenter's profile, by which it is known
@@ -37,17 +38,25 @@ def kernel(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -> Ke
 
     Raises ConfigurationError where not even shallow presses are carried.
     """
-    found = [
-        (_stored(stack, indenter), weight) for stack, weight in _needed(mechanics.stack(design))
-    ]
+    thickness = design.thickness
+    found = [(_stored(stack, indenter), weight) for stack, weight in _needed(design, mechanics)]
     if len(found) == 1:
         return found[0][0]
-    return kernels.combined([one for one, _ in found], np.array([weight for _, weight in found]))
+    return kernels.combined(
+        [one.stretched(thickness / float(one.thickness)) for one, _ in found],
+        np.array([weight for _, weight in found]),
+    )
 
 
 def is_stored(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -> bool:
     """Whether all that `kernel` needs has been solved and is on the disk."""
-    return all(_path(stack, indenter).is_file() for stack, _ in _needed(mechanics.stack(design)))
+    return not missing(design, mechanics, indenter)
+
+
+def missing(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -> set[Path]:
+    """The files that `kernel` needs and are not there; each takes seconds to a minute to solve."""
+    paths = (_path(stack, indenter) for stack, _ in _needed(design, mechanics))
+    return {path for path in paths if not path.is_file()}
 
 
 def folder() -> Path:
@@ -62,18 +71,49 @@ def folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "eitskin"
 
 
-def _needed(stack: Stack) -> list[tuple[Stack, float]]:
-    """Stacks that are solved, and their weights in the kernel of this one."""
+def _needed(design: SensorDesign, mechanics: Mechanics) -> list[tuple[Stack, float]]:
+    """Stacks that are solved, and their weights in the kernel of a design's stack."""
+    return [
+        (stack, high * stiff)
+        for thick, high in _of_thicknesses(mechanics.stack(design), design, mechanics)
+        for stack, stiff in _of_ratios(thick)
+    ]
+
+
+def _of_thicknesses(
+    stack: Stack, design: SensorDesign, mechanics: Mechanics
+) -> list[tuple[Stack, float]]:
+    """The stack at thicknesses that are solved, and their weights."""
+    solved = mechanics.solved_thickness or design.thickness
+    place = np.log(design.thickness / solved) / np.log(_THICKER)
+    return [
+        (_scaled_heights(stack, solved * _THICKER**p / design.thickness), weight)
+        for p, weight in _lagrange(place, 3)
+    ]
+
+
+def _of_ratios(stack: Stack) -> list[tuple[Stack, float]]:
+    """The stack with moduli of the encapsulation that are solved, and their weights."""
     if len(stack.sheets) == 1:
         return [(stack, 1.0)]
     around, gel, _ = (sheet.law.shear_modulus for sheet in stack.sheets)
     place = _STEPS * np.log2(around / gel / _REFERENCE_RATIO)
+    return [(_with_ratio(stack, p), weight) for p, weight in _lagrange(place, 4)]
+
+
+def _lagrange(place: float, count: int) -> list[tuple[int, float]]:
+    """The `count` integers about a place, and their weights in polynomial interpolation."""
     nearest = round(place)
     if abs(place - nearest) < 1e-9:
-        return [(_with_ratio(stack, nearest), 1.0)]
-    places = np.arange(4) + int(np.floor(place)) - 1
-    weights = [np.prod([(place - q) / (p - q) for q in places if q != p]) for p in places]
-    return [(_with_ratio(stack, int(p)), float(w)) for p, w in zip(places, weights, strict=True)]
+        return [(nearest, 1.0)]
+    first = int(np.ceil(place - 0.5 * count))
+    places = range(first, first + count)
+    return [(p, float(np.prod([(place - q) / (p - q) for q in places if q != p]))) for p in places]
+
+
+def _scaled_heights(stack: Stack, factor: float) -> Stack:
+    sheets = tuple(dataclasses.replace(x, thickness=factor * x.thickness) for x in stack.sheets)
+    return dataclasses.replace(stack, sheets=sheets)
 
 
 def _with_ratio(stack: Stack, place: int) -> Stack:

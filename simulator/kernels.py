@@ -1,7 +1,7 @@
 """Presses of one indenter on one stack: solved over depth once, then interpolated."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache, partial
 from typing import NamedTuple
 
@@ -88,6 +88,13 @@ class Kernel:
             )
         place = float((depth / self.depths[-1]) ** (1.0 / _SPACING))
         return self._dent(float(_over_depth(self).forces(place)), place)
+
+    def stretched(self, factor: float) -> "Kernel":
+        """These presses with all heights times `factor`, which keeps volumes and forces."""
+        scaled = {
+            name: factor * getattr(self, name) for name in ("depths", "energies", "thickness")
+        }
+        return replace(self, **scaled, moved=self.moved * (1.0, factor))
 
     def _dent(self, force: float, place: float) -> TabulatedDent:
         table = _over_depth(self)
@@ -177,20 +184,29 @@ def solved(stack: Stack, layer: int, indenter: Indenter) -> Kernel:
 
 
 def combined(kernels: list[Kernel], weights: Array) -> Kernel:
-    """The weighted sum of kernels of one geometry, to depths and distances that all reach."""
+    """The weighted sum of kernels of one thickness, to depths that all reach."""
     deep = min(len(kernel.depths) for kernel in kernels)
-    far = min(len(kernel.knots) for kernel in kernels)
-    first = kernels[0]
+    farthest = max(kernels, key=lambda kernel: float(kernel.knots[-1]))
 
     def summed(name: str) -> Array:
         arrays = [getattr(kernel, name)[:deep] for kernel in kernels]
         if name in ("moved", "stressed"):
-            arrays = [array[:, :far] for array in arrays]
+            arrays = [
+                _at_knots(array, kernel.knots, farthest.knots)
+                for array, kernel in zip(arrays, kernels, strict=True)
+            ]
         return np.tensordot(weights, np.stack(arrays), axes=1)
 
-    same = {"thickness": first.thickness, "knots": first.knots[:far]}
+    same = {"thickness": farthest.thickness, "knots": farthest.knots}
     parts = {field.name: summed(field.name) for field in fields(Kernel) if field.name not in same}
     return Kernel(**same, **parts)
+
+
+def _at_knots(values: Array, knots: Array, wanted: Array) -> Array:
+    """Values (n, m, ...) over knots (m,), zero at the last and beyond, at other knots."""
+    if np.array_equal(knots, wanted):
+        return values
+    return np.asarray(CubicSpline(knots, values, axis=1)(np.minimum(wanted, knots[-1])))
 
 
 def _knots(radius: float, thickness: float, end: float) -> Array:

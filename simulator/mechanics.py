@@ -58,6 +58,9 @@ class Mechanics:
         bulk_ratio: kappa / mu of both.
         gel_relaxation, encapsulation_relaxation: how they relax when held.
         piezoresistivity: how the gel's conductivity changes beyond its geometry.
+        solved_thickness: of the gel, for which presses are solved, and for some steps above and
+            below it; those on the design's thickness are interpolated [m]. Sensors that differ
+            little share what is solved. Solved for the design's own thickness when omitted.
     """
 
     gel: NeoHookean | Ogden = field(default_factory=lambda: NeoHookean(20e3))
@@ -67,11 +70,15 @@ class Mechanics:
     gel_relaxation: Prony = GEL
     encapsulation_relaxation: Prony = ECOFLEX
     piezoresistivity: Piezoresistivity = field(default_factory=Piezoresistivity)
+    solved_thickness: float | None = None
 
     def __post_init__(self) -> None:
-        """Check the margin; laws and solid check the rest."""
+        """Check the lengths; laws and solid check the rest."""
         if not (math.isfinite(self.margin) and self.margin >= 0.0):
             raise ConfigurationError(f"margin must be a length in m, got {self.margin}")
+        solved = self.solved_thickness
+        if solved is not None and not (math.isfinite(solved) and solved > 0.0):
+            raise ConfigurationError(f"solved_thickness must be a positive length, got {solved}")
 
     def stack(self, design: SensorDesign) -> "Stack":
         """The layers of a sensor from below: encapsulation, gel, encapsulation."""
