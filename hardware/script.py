@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from eitskin.geometry import ConfigurationError
 from eitskin.geometry.config import read_toml
 from eitskin.simulator import Frame, Instrument, Protocol, Scene, Session
-from eitskin.simulator.instrument import MEASUREMENT_TIME
+from eitskin.simulator.ad5940 import MEASUREMENT_TIME
 
 Reading = tuple[NDArray[np.complex128], NDArray[np.uint8]]
 """Impedances [ohm] and `Status` bits of one frame, (measurements,) each."""

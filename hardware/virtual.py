@@ -35,7 +35,7 @@ from eitskin.hardware.pseudo_terminal import Pace, PseudoTerminal
 from eitskin.hardware.script import Measuring, Reading, SceneSource, Script, SimulatedSensor, Step
 from eitskin.hardware.serial_board import SerialBoard
 from eitskin.simulator import Instrument, Protocol, Scene, Simulator
-from eitskin.simulator.instrument import MEASUREMENT_TIME
+from eitskin.simulator.ad5940 import MEASUREMENT_TIME
 from eitskin.simulator.resolution import Resolution
 
 SPEEDS = ("real", "max")
@@ -77,7 +77,7 @@ class VirtualFirmware:
             table_crc32=self._table.crc32,
             frequency=40e3,
             amplitude=0.607,
-            rtia=1000.0,
+            rtia=200.0,
             rcal=200.0,
             period=len(protocol) * MEASUREMENT_TIME if period is None else period,
         )

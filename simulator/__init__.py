@@ -3,10 +3,11 @@
 from eitskin.simulator.forward import ForwardModel
 from eitskin.simulator.frame import Frame, Status
 from eitskin.simulator.indenters import Cylinder, Profile, Sphere
-from eitskin.simulator.instrument import Instrument, Session
+from eitskin.simulator.instrument import Instrument
 from eitskin.simulator.mechanics import Mechanics
 from eitskin.simulator.protocol import Protocol
 from eitskin.simulator.scene import Scene
+from eitskin.simulator.session import Session
 from eitskin.simulator.simulator import Simulator
 from eitskin.simulator.touch import Touch
 

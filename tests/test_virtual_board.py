@@ -13,9 +13,9 @@ from eitskin.hardware.packets import Decoder, Packet, encode
 from eitskin.hardware.pseudo_terminal import Pace, PseudoTerminal
 from eitskin.hardware.script import SimulatedSensor
 from eitskin.hardware.virtual import virtual_terminal
-from eitskin.simulator import Instrument, Scene, Simulator, Touch
+from eitskin.simulator import Instrument, Scene, Simulator, Status, Touch
 
-from loopback import FLAT, FakeSimulator, firmware, take
+from loopback import FLAT, PROTOCOL, FakeSimulator, firmware, take, virtual
 
 # ---- virtual boards ----
 
@@ -66,6 +66,29 @@ def test_noise_is_that_of_the_seed_and_of_the_frame():
     assert not np.array_equal(one, sensors[0](6)[0])
     residual = np.array([sensors[0](number)[0] - FLAT for number in range(300)])
     assert residual.real.std() == pytest.approx(820.0 * 1e-3, rel=0.03)
+
+
+def test_a_virtual_board_is_one_session_of_its_instrument_and_drifts_along_its_frames():
+    steady = Instrument(snr_db=0.0, gain=0.002, reciprocity=0.004)
+    sensor = SimulatedSensor(FakeSimulator(), lambda _: Scene(), steady, seed=3)
+    first, _ = sensor(0)
+    assert np.array_equal(sensor(1000)[0], first)
+    assert not np.allclose(first, FLAT, rtol=1e-4)
+    drifting = Instrument(snr_db=0.0, drift=0.002)
+    sensor = SimulatedSensor(FakeSimulator(), lambda _: Scene(), drifting, seed=3, period=0.5)
+    session = drifting.session(
+        PROTOCOL, 820.0, np.random.default_rng(np.random.SeedSequence(3, spawn_key=(0,)))
+    )
+    factor = np.exp(session.drift(np.array([500.0]))[0])
+    assert abs(factor - 1.0) > 1e-5
+    assert np.allclose(sensor(1000)[0], FLAT * factor, rtol=1e-12)
+
+
+def test_the_virtual_board_sends_the_status_of_its_instrument():
+    small = Instrument(snr_db=0.0, clipping=True, excitation=0.607, pga_range=0.3)
+    with virtual(instrument=small) as board:
+        (frame,) = take(board, 1)
+    assert (frame.status == Status.CLIPPED).all()
 
 
 def test_the_virtual_board_measures_what_the_simulator_does():
