@@ -1,5 +1,6 @@
 """`eitskin simulate SCENE.toml`: the impedances of one scene, and its picture."""
 
+import dataclasses
 import math
 import re
 import time
@@ -46,6 +47,9 @@ def command(
     noise: Annotated[
         float | None, typer.Option(help="Add white noise this many dB below full scale.")
     ] = None,
+    instrument: Annotated[
+        str | None, typer.Option(help="ad5940: measure with every term of that board.")
+    ] = None,
     protocol: Annotated[
         str, typer.Option(help="pairwise, adjacent, opposite, skip:N, or a CSV file.")
     ] = "pairwise",
@@ -68,6 +72,7 @@ def command(
     output = Output(json, quiet, verbose)
     what = Scene.from_toml(scene)
     design = SensorDesign.from_toml(sensor) if sensor else SensorDesign.reference()
+    board = _instrument(noise, instrument)
     colours, pair = _colours(view, colour, drive, len(design.electrodes))
     sim = Simulator(
         design,
@@ -81,8 +86,7 @@ def command(
     if touch_model == "tabulated":
         announce(design, sim.mechanics, (touch.indenter for touch in what.touches), output)
     start = time.perf_counter()
-    instrument = None if noise is None else Instrument(noise)
-    frame = sim.measure(what, instrument, np.random.default_rng(seed))
+    frame = sim.measure(what, board, np.random.default_rng(seed))
     seconds = time.perf_counter() - start
     output.detail(f"{sim.model.solver.name}, {len(sim.model.mesh.cells)} cells, {seconds:.3f} s")
     presses = sim.presses(what) if touch_model == "tabulated" else ()
@@ -92,6 +96,14 @@ def command(
     if view is not None:
         draw(sim, [(_title(scene.stem, what), what)], view, colours, pair)
         output.note(f"picture: {view}")
+
+
+def _instrument(noise: float | None, name: str | None) -> Instrument | None:
+    """White noise, a board, a board with other noise, or none."""
+    if name is None:
+        return None if noise is None else Instrument(noise)
+    board = Instrument.named(name)
+    return board if noise is None else dataclasses.replace(board, snr_db=noise)
 
 
 def _one_of(option: str, text: str, kind: Any) -> str:
@@ -153,6 +165,7 @@ def _as_data(frame: Frame, flat: Frame, seconds: float) -> dict[str, object]:
         "independent": frame.protocol.rank,
         "impedance_real_ohm": frame.impedance.real.tolist(),
         "impedance_imag_ohm": frame.impedance.imag.tolist(),
+        "status": frame.status.tolist(),
         "change_ohm": (frame.impedance - flat.impedance).real.tolist(),
         "relative_change": _relative_change(frame, flat),
         "seconds": seconds,

@@ -159,6 +159,7 @@ _SCHEMES: dict[str, tuple[Callable[[str, str, dict[str, Any]], Board], Readers]]
             "scene": str,
             "seed": int,
             "snr_db": float,
+            "instrument": str,
             "faults": str,
             "period": float,
             "simulator": None,

@@ -159,7 +159,7 @@ def virtual_terminal(
     scene: str | Path | Scene | SceneSource | None = None,
     seed: int = 0,
     snr_db: float = 75.0,
-    instrument: Instrument | None = None,
+    instrument: Instrument | str | None = None,
     faults: str | Sequence[Fault] = (),
     simulator: Measuring | None = None,
     period: float | None = None,
@@ -173,7 +173,8 @@ def virtual_terminal(
             file that holds one of the first two; the flat untouched sensor when omitted.
         seed: of the instrument.
         snr_db: the noise's distance below full scale [dB]; infinity for none.
-        instrument: that measures, in one session; white noise of `snr_db` when omitted.
+        instrument: that measures, in one session, or its name; white noise of `snr_db` when
+            omitted.
         faults: what goes wrong, as text or as `Fault`s.
         simulator: of the sensor; one of the reference design when omitted.
         period: from frame to frame [s]; the AD5940's when omitted.
@@ -187,7 +188,9 @@ def virtual_terminal(
         raise ConfigurationError(f"resolution must be one of {known}, got {resolution!r}")
     if simulator is None:
         simulator = Simulator(SensorDesign.reference(), resolution=cast("Resolution", resolution))
-    if instrument is None and np.isfinite(snr_db):
+    if isinstance(instrument, str):
+        instrument = Instrument.named(instrument)
+    elif instrument is None and np.isfinite(snr_db):
         instrument = Instrument(snr_db)
     sensor = SimulatedSensor(simulator, _scenes(scene), instrument, seed, period)
     chosen = read_faults(faults) if isinstance(faults, str) else faults

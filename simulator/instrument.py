@@ -114,13 +114,21 @@ class Instrument:
         )
 
     @classmethod
+    def named(cls, name: str) -> "Instrument":
+        """The board of this name, "ad5940"."""
+        if name != "ad5940":
+            raise ConfigurationError(f"expected an instrument's name, 'ad5940', got {name!r}")
+        return cls.ad5940()
+
+    @classmethod
     def spelled_out(cls, data: Mapping[str, Any], place: Place) -> Mapping[str, Any]:
         """`data` with the terms of the board that it names."""
         if "board" not in data:
             return data
-        if data["board"] != "ad5940":
-            raise place.under("board").error(f"expected 'ad5940', got {data['board']!r}")
-        board = cls.ad5940()
+        try:
+            board = cls.named(data["board"])
+        except ConfigurationError as error:
+            raise place.under("board").error(error) from error
         terms = {name: getattr(board, name) for name in cls.__slots__}
         return terms | {name: value for name, value in data.items() if name != "board"}
 

@@ -51,6 +51,26 @@ def written(path, text):
     return path
 
 
+def test_an_instrument_measures_and_its_noise_may_be_another(tmp_path) -> None:
+    flat = written(tmp_path / "flat.toml", "")
+    board = ("--instrument", "ad5940")
+    clean, one, again, quieter, other = (
+        simulate(flat, *options)
+        for options in ((), board, board, (*board, "--noise", "90"), (*board, "--seed", "1"))
+    )
+    assert set(clean["impedance_imag_ohm"]) == {0.0}
+    assert max(one["impedance_imag_ohm"]) < -1.0  # of the stray capacitance
+    assert one["impedance_real_ohm"] == again["impedance_real_ohm"]
+    assert one["impedance_real_ohm"] != other["impedance_real_ohm"]
+    moved = [a - b for a, b in zip(one["change_ohm"], quieter["change_ohm"], strict=True)]
+    assert 0.05 < max(map(abs, moved)) < 1.0  # 0.15 ohm of noise are gone
+    assert one["status"] == [0] * 28
+    with pytest.raises(ConfigurationError, match="'ad5940', got 'ad'"):
+        simulate(flat, "--instrument", "ad")
+    with pytest.raises(ConfigurationError, match="snr_db must be from 60 to 90"):
+        simulate(flat, "--noise", "10")
+
+
 def test_adjacent_values_are_sums_of_pairwise_ones(scene, tmp_path) -> None:
     Protocol(((0, 1, 2, 3),), 8).to_file(tmp_path / "one.csv")
     pairs = simulate(scene)

@@ -482,5 +482,5 @@ def test_a_file_may_name_a_board_and_change_terms_of_it():
     text = '[instrument]\nboard = "ad5940"\ngain = 0.0\n'
     expected = dataclasses.replace(Instrument.ad5940(), gain=0.0)
     assert parse_toml(Holder, text).instrument == expected
-    with pytest.raises(ConfigurationError, match=r"instrument\.board: expected 'ad5940', got 'ad'"):
+    with pytest.raises(ConfigurationError, match=r"instrument\.board: .*'ad5940', got 'ad'"):
         parse_toml(Holder, '[instrument]\nboard = "ad"\n')

@@ -91,6 +91,14 @@ def test_the_virtual_board_sends_the_status_of_its_instrument():
     assert (frame.status == Status.CLIPPED).all()
 
 
+def test_an_instrument_may_be_named_where_the_board_is():
+    with open_board("virtual:?speed=max&instrument=ad5940", simulator=FakeSimulator()) as board:
+        (frame,) = take(board, 1)
+    assert (frame.impedance.imag < -0.5).all()  # 40 pF are 99 kohm: 1.6 ohm beside 400
+    with pytest.raises(ConfigurationError, match="'ad5940', got 'ad'"):
+        open_board("virtual:?instrument=ad", simulator=FakeSimulator())
+
+
 def test_the_virtual_board_measures_what_the_simulator_does():
     scene = Scene(touches=(Touch(0.05, 0.02),))
     with open_board("virtual:?speed=max&resolution=fast&snr_db=inf", scene=scene) as board:
