@@ -1,18 +1,20 @@
-"""What a dataset is made of: sensor, specimens, scenes, instrument and seed."""
+"""What a dataset is made of: sensor, specimens, scenes, episodes, instrument and seed."""
 
 import dataclasses
 import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from eitskin.datasets.episode import Episodes
 from eitskin.datasets.scene_group import SceneGroup
 from eitskin.datasets.schema import LIMITS
 from eitskin.datasets.specimen import Specimens
-from eitskin.geometry import Bend, ConfigurationError, Hinge, SensorDesign, Surface
+from eitskin.geometry import Bend, ConfigurationError, Hinge, PlaneOutline, SensorDesign, Surface
 from eitskin.geometry.config import from_dict, to_toml
-from eitskin.simulator import Instrument
+from eitskin.simulator import Instrument, Mechanics, Protocol
 from eitskin.simulator.resolution import Resolution
 
 SHIPPED = Path(__file__).parent / "recipes"
@@ -24,25 +26,30 @@ class Recipe:
 
     Attributes:
         name: short, of the recipe.
-        scenes: groups of scenes, which are interleaved.
+        scenes: groups of scenes, which are interleaved; frames that follow none and lead to none.
+        episodes: time series, which come after the scenes, one kind after the other.
         seed: of everything random.
         description: for people.
         resolution: of the simulator, "fast", "standard" or "fine".
-        frames_per_shard: how many frames share a file and a piece of work.
+        frames_per_shard: how many frames share a file and a piece of work. Episodes are not cut:
+            a shard has as many as fit, at least one.
         sensor: the design. In TOML also "reference" or the path of a design file.
         hinge: that bends the sensor.
-        instrument: that measures it.
+        mechanics: what it is made of.
+        instrument: that measures it; a specimen is measured by one, in one session.
         specimens: how many sensors there are and how they differ.
     """
 
     name: str
-    scenes: tuple[SceneGroup, ...]
+    scenes: tuple[SceneGroup, ...] = ()
+    episodes: tuple[Episodes, ...] = ()
     seed: int = 0
     description: str = ""
     resolution: Resolution = "fast"
     frames_per_shard: int = 256
     sensor: SensorDesign = field(default_factory=SensorDesign.reference)
     hinge: Hinge = field(default_factory=Hinge)
+    mechanics: Mechanics = field(default_factory=Mechanics)
     instrument: Instrument = field(default_factory=Instrument)
     specimens: Specimens = field(default_factory=Specimens)
 
@@ -79,19 +86,39 @@ class Recipe:
         return to_toml(self)
 
     @property
-    def frames(self) -> int:
-        """Number of frames."""
+    def outline(self) -> PlaneOutline:
+        """Of the sensor; raises ConfigurationError for a surface, which bends and presses lack."""
+        outline = self.sensor.outline
+        if isinstance(outline, Surface):
+            raise ConfigurationError(
+                "sensor: bending and touches need a rectangle, disc or polygon, not a surface"
+            )
+        return outline
+
+    @property
+    def snapshots(self) -> int:
+        """Number of frames that belong to no episode; they come first."""
         return sum(group.frames for group in self.scenes)
 
     @property
+    def frames(self) -> int:
+        """Number of frames."""
+        return self.snapshots + sum(each.count * each.frames for each in self.episodes)
+
+    @property
+    def largest_force(self) -> float:
+        """Of any touch [N]; 0 without touches."""
+        forces = [group.force[1] for group in self.scenes if group.state == "touch"]
+        return max([*forces, *(each.largest_force for each in self.episodes)], default=0.0)
+
+    @property
     def shards(self) -> int:
-        """Number of files; the last may be shorter."""
-        return -(-self.frames // self.frames_per_shard)
+        """Number of files; they need not be of one length."""
+        return len(_shard_ranges(self))
 
     def shard_range(self, shard: int) -> range:
         """Numbers of the frames in `shard`."""
-        start = shard * self.frames_per_shard
-        return range(start, min(start + self.frames_per_shard, self.frames))
+        return _shard_ranges(self)[shard]
 
     def _problems(self) -> Iterator[str]:
         if not self.name:
@@ -102,24 +129,58 @@ class Recipe:
             yield (
                 f"frames_per_shard must be from 1 to {LIMITS['frame']}, got {self.frames_per_shard}"
             )
-        yield from self.specimens.problems()
-        if not self.scenes:
-            yield "scenes must hold at least one group"
-        outline = self.sensor.outline
-        if isinstance(outline, Surface):
-            yield "sensor: bending and touches need a rectangle, disc or polygon, not a surface"
+        yield from self.specimens.problems(self.sensor, self.hinge)
+        if not self.scenes and not self.episodes:
+            yield "scenes or episodes must hold at least one group"
+        try:
+            outline = self.outline
+        except ConfigurationError as error:
+            yield str(error)
             return
         for number, group in enumerate(self.scenes):
-            problems = [*group.problems(outline), *self._bend_problems(group)]
+            problems = [*group.problems(outline), *self._bend_problems(group.angle_deg)]
             for problem in problems:
                 yield f"scenes[{number}] ({group.state}): {problem}"
+        for number, each in enumerate(self.episodes):
+            problems = list(each.problems(outline))
+            problems = problems or [*self._bend_problems(each.angles_deg)]
+            problems += self._skew_problems(each.period)
+            for problem in problems:
+                yield f"episodes[{number}]: {problem}"
 
-    def _bend_problems(self, group: SceneGroup) -> Iterator[str]:
-        for angle in group.angle_deg:
+    def _bend_problems(self, angles_deg: tuple[float, float]) -> Iterator[str]:
+        for angle in angles_deg:
             try:
                 self.hinge.flexure(self.sensor, Bend(angle))
+                if not list(self.specimens.problems(self.sensor, self.hinge)):
+                    for design, hinge in self.specimens.extremes(self.sensor, self.hinge):
+                        hinge.flexure(design, Bend(angle))
             except ConfigurationError as error:
                 yield str(error)
+
+    def _skew_problems(self, period: float) -> Iterator[str]:
+        protocol = Protocol.pairwise(len(self.sensor.electrodes))
+        last = float(self.instrument.offsets(protocol).max())
+        if last > period:
+            yield (
+                f"period must be at least the {last:g} s that the instrument needs for a frame, "
+                f"got {period:g} s"
+            )
+
+
+@lru_cache(maxsize=16)
+def _shard_ranges(recipe: Recipe) -> tuple[range, ...]:
+    """Frames of each shard: first snapshots, then episodes that are not cut."""
+    pieces = [(recipe.snapshots, recipe.frames_per_shard)]
+    for each in recipe.episodes:
+        together = max(1, recipe.frames_per_shard // each.frames)
+        pieces.append((each.count * each.frames, together * each.frames))
+    ranges, start = [], 0
+    for frames, length in pieces:
+        end = start + frames
+        ranges += [range(first, min(first + length, end)) for first in range(start, end, length)]
+        start = end
+    return tuple(ranges)
 
 
 def shipped_names() -> tuple[str, ...]:

@@ -1,8 +1,10 @@
 """The frames of one shard, simulated: a function of the recipe and the shard's number alone."""
 
-from collections.abc import Callable, Mapping, Sequence
+import dataclasses
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,59 +14,77 @@ from eitskin.datasets.recipe import Recipe
 from eitskin.datasets.sampling import Sample, Stream, generator, sample, specimen
 from eitskin.datasets.specimen import Specimen
 from eitskin.datasets.writer import touch_columns
-from eitskin.simulator import Frame, Mechanics, Scene, Simulator, Touch
+from eitskin.simulator import (
+    Cylinder,
+    Instrument,
+    Protocol,
+    Scene,
+    Session,
+    Simulator,
+    Touch,
+    kernel_store,
+)
 from eitskin.simulator.presses import pressed
 from eitskin.simulator.resolution import Resolution
 
 Impedance = NDArray[np.complex128]
+Measured = tuple[Impedance, NDArray[np.uint8]]
+Seen = Callable[[Scene], Scene]
 Solved = Mapping[tuple[int, Scene], Impedance]
+
+
+def unsolved(recipe: Recipe) -> set[Path]:
+    """The tables of presses that a recipe needs and that have not been solved yet."""
+    if not recipe.largest_force:
+        return set()
+    found: set[Path] = set()
+    for made in _specimens(recipe):
+        found |= kernel_store.missing(made.design, made.mechanics, Cylinder())
+    return found
 
 
 def prepare(recipe: Recipe) -> None:
     """Solve once what all workers need, and check what takes a solution to know.
 
-    Raises ConfigurationError for forces that the sensor's presses do not reach.
+    Raises ConfigurationError for forces that the presses on some specimen do not reach.
     """
-    forces = [group.force[1] for group in recipe.scenes if group.state == "touch"]
-    if forces:
-        pressed((Touch(0.0, 0.0, max(forces)),), recipe.sensor, Mechanics())
+    if recipe.largest_force:
+        for made in _specimens(recipe):
+            pressed((Touch(0.0, 0.0, recipe.largest_force),), made.design, made.mechanics)
 
 
 def simulate_shard(
     recipe: Recipe, shard: int, before_solve: Callable[[], None] = lambda: None
 ) -> Dataset:
-    """The frames of `shard`; `before_solve` is called before each new scene and may raise."""
+    """The frames of `shard`; `before_solve` is called before each specimen and may raise."""
     samples = [sample(recipe, index) for index in recipe.shard_range(shard)]
-    flats = [
-        _flat(specimen(recipe, number), recipe.resolution)
-        for number in range(recipe.specimens.count)
-    ]
-    solved = _solve(recipe, samples, before_solve)
+    boards = [_board(recipe, number, before_solve) for number in range(recipe.specimens.count)]
+    offsets = recipe.instrument.offsets(boards[0].protocol)
+    solved = _solve(recipe, samples, bool(offsets.any()), before_solve)
 
-    def measure(each: Sample, scene: Scene, stream: Stream) -> Impedance:
+    def measure(each: Sample, stream: Stream, seen: Seen) -> Measured:
+        clean = solved[each.specimen, seen(each.scene)]
+        if offsets.any() and each.after is not None:
+            moved = solved[each.specimen, seen(each.after)] - clean
+            clean = clean + offsets / each.period * moved
         rng = generator(recipe, stream, each.index)
-        full_scale = flats[each.specimen].full_scale
-        start, noise = rng.spawn(2)
-        session = recipe.instrument.session(flats[0].frame.protocol, full_scale, start)
-        (impedance,), _ = session.measure(solved[each.specimen, scene][None], np.zeros(1), noise)
-        measured: Impedance = impedance
-        return measured
+        return boards[each.specimen].measure(clean, each.session_time, rng)
 
-    touches = [touch_columns(each.scene.touches) for each in samples]
+    frames = [measure(each, Stream.NOISE, _as_it_is) for each in samples]
+    references = [measure(each, Stream.REFERENCE_NOISE, untouched) for each in samples]
+    touches = [touch_columns(_acting(each.scene)) for each in samples]
     return Dataset.from_arrays(
-        np.array([measure(each, each.scene, Stream.NOISE) for each in samples]),
-        np.array([each.frame.impedance for each in flats]),
-        touch_reference=np.array(
-            [measure(each, _untouched(each.scene), Stream.REFERENCE_NOISE) for each in samples]
-        ),
+        np.array([impedance for impedance, _ in frames]),
+        np.array([board.reference for board in boards]),
+        touch_reference=np.array([impedance for impedance, _ in references]),
+        status=np.array([status for _, status in frames]),
         specimen=np.array([each.specimen for each in samples]),
         state=np.array([each.state for each in samples]),
         bend_angle_deg=np.array([each.scene.bend.angle_deg for each in samples]),
         **{name: np.array([row[name] for row in touches]) for name in touches[0]},
-        # Every snapshot is an episode of one frame.
-        episode=np.array([each.index for each in samples]),
-        protocol=flats[0].frame.protocol,
-        frequency=flats[0].frame.frequency,
+        time=np.array([each.time for each in samples]),
+        episode=np.array([each.episode for each in samples]),
+        protocol=boards[0].protocol,
         source="simulated",
         recipe=recipe.to_toml(),
         seed=recipe.seed,
@@ -72,44 +92,89 @@ def simulate_shard(
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _Flat:
-    """What the flat, untouched specimen gives, free of noise; full scale [ohm]."""
-
-    frame: Frame
-    full_scale: float
+def untouched(scene: Scene) -> Scene:
+    """The scene without its touches, and what they have left."""
+    return dataclasses.replace(scene, touches=())
 
 
-def _solve(recipe: Recipe, samples: Sequence[Sample], before_solve: Callable[[], None]) -> Solved:
+def _as_it_is(scene: Scene) -> Scene:
+    return scene
+
+
+def _acting(scene: Scene) -> tuple[Touch, ...]:
+    return tuple(touch for touch in scene.touches if not touch.released)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Board:
+    """The board of one specimen in its session.
+
+    Attributes:
+        protocol: which pairs are measured.
+        session: of the instrument.
+        reference: of the flat, untouched sensor at the session's start, free of noise [ohm].
+    """
+
+    protocol: Protocol
+    session: Session
+    reference: Impedance
+
+    def measure(self, impedance: Impedance, time: float, rng: np.random.Generator) -> Measured:
+        """What it says of one frame (measurements,) at a time of the session [s]."""
+        frames, status = self.session.measure(impedance[None], np.array([time]), rng)
+        return frames[0], status[0]
+
+
+def _board(recipe: Recipe, number: int, before_solve: Callable[[], None]) -> _Board:
+    before_solve()
+    protocol, flat, full_scale = _flat(specimen(recipe, number), recipe.resolution)
+
+    def session(instrument: Instrument) -> Session:
+        return instrument.session(protocol, full_scale, generator(recipe, Stream.SESSION, number))
+
+    still = session(dataclasses.replace(recipe.instrument, snr_db=0.0, floor=0.0))
+    rng = generator(recipe, Stream.SESSION, number)  # nothing is left that draws from it
+    (reference,), _ = still.measure(flat[None], np.zeros(1), rng)
+    return _Board(protocol, session(recipe.instrument), reference)
+
+
+def _solve(
+    recipe: Recipe, samples: Sequence[Sample], skewed: bool, before_solve: Callable[[], None]
+) -> Solved:
     """The noise-free impedance [ohm] of every different scene, each solved once."""
-    wanted = dict.fromkeys(
-        (each.specimen, scene) for each in samples for scene in (each.scene, _untouched(each.scene))
-    )
-    solved = {}
-    # By specimen and angle, so that what one scene has prepared can serve the next.
-    for number, scene in sorted(wanted, key=lambda item: (item[0], item[1].bend.angle_deg)):
+    wanted: dict[int, dict[Scene, None]] = {}
+    for each in samples:
+        # Where a frame ends matters only if it is scanned while that moves.
+        scenes = [each.scene, each.after] if skewed and each.after is not None else [each.scene]
+        scenes += [untouched(scene) for scene in scenes]
+        wanted.setdefault(each.specimen, {}).update(dict.fromkeys(scenes))
+    solved: dict[tuple[int, Scene], Impedance] = {}
+    for number, distinct in wanted.items():
         before_solve()
         made = specimen(recipe, number)
-        if scene == Scene():
-            frame = _flat(made, recipe.resolution).frame
-        else:
-            frame = _simulator(made, recipe.resolution).measure(scene)
-        solved[number, scene] = frame.impedance
+        solved[number, Scene()] = _flat(made, recipe.resolution)[1]
+        scenes = [scene for scene in distinct if scene != Scene()]
+        if scenes:
+            found = _simulator(made, recipe.resolution).measure_all(scenes)
+            solved |= {(number, scene): row for scene, row in zip(scenes, found, strict=True)}
     return solved
 
 
-def _untouched(scene: Scene) -> Scene:
-    return Scene(bend=scene.bend)
+def _specimens(recipe: Recipe) -> Iterator[Specimen]:
+    return (specimen(recipe, number) for number in range(recipe.specimens.count))
 
 
 # Meshing takes as long as a few scenes, so simulators are kept, though only a few: each holds
 # its mesh's matrices. Flat frames are small, and every shard needs those of all specimens.
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=4)
 def _simulator(made: Specimen, resolution: Resolution) -> Simulator:
-    return Simulator(made.design, resolution=resolution, fixture=made.hinge)
+    return Simulator(
+        made.design, resolution=resolution, fixture=made.hinge, mechanics=made.mechanics
+    )
 
 
 @lru_cache(maxsize=4096)
-def _flat(made: Specimen, resolution: Resolution) -> _Flat:
-    simulator = _simulator(made, resolution)
-    return _Flat(simulator.measure(Scene()), simulator.full_scale)
+def _flat(made: Specimen, resolution: Resolution) -> tuple[Protocol, Impedance, float]:
+    """What the flat, untouched specimen gives, free of noise, and its full scale [ohm]."""
+    frame = _simulator(made, resolution).measure(Scene())
+    return frame.protocol, frame.impedance, float(np.abs(frame.impedance).max())

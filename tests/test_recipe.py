@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from eitskin.datasets import Recipe, State
+from eitskin.datasets.places import draw_places
 from eitskin.datasets.recipe import shipped_names, with_seed
 from eitskin.datasets.sampling import Stream, generator, sample, specimen
-from eitskin.datasets.scene_group import SceneGroup, draw_places
+from eitskin.datasets.scene_group import SceneGroup
 from eitskin.datasets.specimen import Specimens
 from eitskin.geometry import (
     Bend,
