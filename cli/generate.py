@@ -1,5 +1,7 @@
 """`eitskin generate`: a dataset from a recipe."""
 
+import dataclasses
+import shlex
 import time
 from pathlib import Path
 from typing import Annotated, Any
@@ -9,6 +11,7 @@ import typer
 from eitskin.cli.options import Json, Output, Quiet, Verbose
 from eitskin.cli.presses import announce
 from eitskin.datasets import Recipe, generate
+from eitskin.datasets.estimate import Estimate, estimate
 from eitskin.datasets.recipe import shipped_names, with_seed
 from eitskin.geometry import ConfigurationError
 from eitskin.simulator import Cylinder, Mechanics
@@ -21,8 +24,19 @@ def command(
     *,
     out: Annotated[Path, typer.Option(help="Folder for the dataset; new or empty.")],
     workers: Annotated[int, typer.Option(min=1, help="Processes that simulate.")] = 2,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(help="A dask scheduler whose workers simulate, as tcp://127.0.0.1:8786."),
+    ] = None,
+    shard: Annotated[
+        int | None,
+        typer.Option(help="Make only this shard, as $SLURM_ARRAY_TASK_ID; from 0 on."),
+    ] = None,
     resume: Annotated[
         bool, typer.Option("--resume", help="Keep finished shards in --out, make the others.")
+    ] = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Only estimate time and size, from a measured part.")
     ] = False,
     seed: Annotated[
         int | None, typer.Option(help="Seed of everything random, instead of the recipe's.")
@@ -33,45 +47,103 @@ def command(
 ) -> None:
     """Generate a dataset from a recipe; it can be interrupted and resumed."""
     output = Output(as_json, quiet, verbose)
-    output.result(*make_dataset(with_seed(_read(recipe), seed), out, workers, resume, output))
+    chosen = with_seed(_read(recipe), seed)
+    if dry_run:
+        _announce(chosen, output)
+        found = estimate(chosen, out, workers)
+        output.result(dataclasses.asdict(found), _as_text(found, chosen, workers, out))
+        return
+    try:
+        made = make_dataset(chosen, out, workers, resume, output, scheduler, shard)
+    except KeyboardInterrupt:
+        given = "" if seed is None else f" --seed {seed}"
+        again = f"eitskin generate {shlex.quote(recipe)} --out {shlex.quote(str(out))}{given}"
+        output.note(f"finished shards are kept; continue with: {again} --resume")
+        raise
+    output.result(*made)
 
 
 def make_dataset(
-    recipe: Recipe, out: Path, workers: int, resume: bool, output: Output
+    recipe: Recipe,
+    out: Path,
+    workers: int,
+    resume: bool,
+    output: Output,
+    scheduler: str | None = None,
+    shard: int | None = None,
 ) -> tuple[dict[str, Any], str]:
     """Generate with a progress bar; what was made, as data and as a sentence."""
-    output.detail(f"{recipe.frames} frames in {recipe.shards} shards, {workers} workers")
-    if any(group.state == "touch" for group in recipe.scenes):
-        announce(recipe.sensor, Mechanics(), [Cylinder()], output)
+    by = f"the cluster of {scheduler}" if scheduler else f"{workers} workers"
+    output.detail(f"{recipe.frames} frames in {recipe.shards} shards, {by}")
+    _announce(recipe, output)
     start = time.perf_counter()
     with output.progress() as bar:
         task = bar.add_task(recipe.name, total=recipe.frames, rate="")
         kept: list[int] = []
+        finished = 0
 
         def show(done: int, total: int) -> None:
+            nonlocal finished
+            finished = done
             kept.append(done)
             made = done - kept[0]  # what a resumed run found there says nothing about its speed
             rate = made / (time.perf_counter() - start)
             bar.update(task, completed=done, total=total, rate=f"{rate:.0f}/s" if made else "")
 
-        manifest = generate(recipe, out, workers, progress=show, resume=resume)
+        manifest = generate(
+            recipe, out, workers, progress=show, resume=resume, scheduler=scheduler, shard=shard
+        )
     seconds = time.perf_counter() - start
-    made = manifest.frames - kept[0]
-    megabytes = sum((out / shard.name).stat().st_size for shard in manifest.shards) / 1e6
+    made = finished - kept[0]
+    megabytes = sum(path.stat().st_size for path in out.glob("shard-*.h5")) / 1e6
     data = {
         "out": str(out),
         "recipe": recipe.name,
         "seed": recipe.seed,
-        "frames": manifest.frames,
+        "frames": finished,
         "made": made,
+        "complete": manifest is not None,
         "seconds": round(seconds, 3),
         "frames_per_second": round(made / seconds, 1),
         "megabytes": round(megabytes, 3),
     }
+    complete = "" if manifest else "; other shards are missing still"
     return data, (
-        f"{manifest.frames} frames in {out}: {made} made in {seconds:.1f} s "
-        f"({made / seconds:.0f}/s), {megabytes:.1f} MB"
+        f"{finished} frames in {out}: {made} made in {seconds:.1f} s "
+        f"({made / seconds:.0f}/s), {megabytes:.1f} MB{complete}"
     )
+
+
+def _announce(recipe: Recipe, output: Output) -> None:
+    if any(group.state == "touch" for group in recipe.scenes):
+        announce(recipe.sensor, Mechanics(), [Cylinder()], output)
+
+
+def _as_text(found: Estimate, recipe: Recipe, workers: int, out: Path) -> str:
+    if found.megabytes > found.megabytes_free:
+        raise ConfigurationError(
+            f"the disk of {out} has no room: '{recipe.name}' will take about "
+            f"{_size(found.megabytes)}, got {_size(found.megabytes_free)}; make room, or choose "
+            "a folder elsewhere"
+        )
+    return (
+        f"{recipe.name}: {found.frames} frames in {found.shards} shards, about "
+        f"{_duration(found.seconds)} with {workers} workers here and {_size(found.megabytes)} of "
+        f"{_size(found.megabytes_free)} free; measured on {found.measured_frames} frames, nothing "
+        "was written"
+    )
+
+
+def _size(megabytes: float) -> str:
+    return f"{megabytes:.1f} MB" if megabytes < 1000 else f"{megabytes / 1000:.1f} GB"
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 120:
+        return f"{seconds:.2g} s" if seconds < 10 else f"{seconds:.0f} s"
+    if seconds < 7200:
+        return f"{seconds / 60:.0f} min"
+    return f"{seconds / 3600:.1f} h"
 
 
 def _read(recipe: str) -> Recipe:

@@ -7,6 +7,7 @@ import typer
 from eitskin.cli import (
     bench,
     board,
+    dataset,
     demo,
     evaluate,
     generate,
@@ -34,6 +35,7 @@ app.command("evaluate")(evaluate.command)
 app.command("board")(board.command)
 app.command("live")(live.command)
 app.command("demo")(demo.command)
+app.add_typer(dataset.app, name="dataset")
 app.add_typer(bench.app, name="bench")
 
 EXIT_USAGE = 2

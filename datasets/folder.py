@@ -10,7 +10,7 @@ from eitskin.datasets.dataset import Dataset
 from eitskin.datasets.durable import write_file
 from eitskin.datasets.schema import FORMAT, FORMAT_VERSION
 from eitskin.datasets.shard import read_shard, shard_name, write_shard
-from eitskin.geometry import ConfigurationError, DataError
+from eitskin.geometry import ConfigurationError, DataError, PartialError
 
 MANIFEST = "manifest.json"
 
@@ -50,7 +50,7 @@ def open_dataset(path: str | Path) -> Dataset:
     if path.is_file():
         return read_shard(path)
     manifest = read_manifest(path)
-    parts = [_read_entry(path, entry) for entry in manifest.shards]
+    parts = [read_entry(path, entry) for entry in manifest.shards]
     return Dataset.concatenate(parts)
 
 
@@ -109,19 +109,21 @@ def write_manifest(folder: Path, manifest: Manifest) -> None:
 
 
 def shard_entry(folder: Path, name: str, first_index: int, count: int) -> ShardEntry:
-    """The manifest's line for a shard that lies in `folder`."""
-    content = (folder / name).read_bytes()
+    """The manifest's line for a shard that lies in `folder`; PartialError where it does not."""
+    try:
+        content = (folder / name).read_bytes()
+    except OSError as error:
+        raise PartialError(
+            f"cannot read back {folder / name}: {error.strerror}; where workers run on other "
+            "machines, they must see the same folder under the same path; then continue with "
+            "--resume"
+        ) from error
     return ShardEntry(name, first_index, count, hashlib.sha256(content).hexdigest())
 
 
 def new_folder(folder: Path) -> Path:
     """Make `folder`, or take an empty one; raises ConfigurationError otherwise."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigurationError(
-            f"cannot make the folder {folder}: {error.strerror}; choose another"
-        ) from error
+    make_folder(folder)
     if any(folder.iterdir()):
         raise ConfigurationError(
             f"{folder} is not empty; choose another folder, or continue what lies there with "
@@ -130,7 +132,22 @@ def new_folder(folder: Path) -> Path:
     return folder
 
 
-def _read_entry(folder: Path, entry: ShardEntry) -> Dataset:
+def make_folder(folder: Path) -> None:
+    """Make `folder` unless it is there; raises ConfigurationError where it cannot be."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigurationError(
+            f"cannot make the folder {folder}: {error.strerror}; choose another"
+        ) from error
+
+
+def read_entry(folder: Path, entry: ShardEntry) -> Dataset:
+    """Read a shard that the manifest names; raises DataError where anything is wrong with it.
+
+    A file with another checksum is not even opened: what its damage makes of a reader of HDF5
+    cannot be told.
+    """
     path = folder / entry.name
     try:
         found = hashlib.sha256(path.read_bytes()).hexdigest()

@@ -1,26 +1,31 @@
 """Making a dataset from a recipe, on all cores, so that it can be interrupted and resumed."""
 
-import ctypes
 import hashlib
-import multiprocessing
-import os
-import signal
-import threading
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+import shutil
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
+from eitskin.datasets import cluster, processes
 from eitskin.datasets.durable import remove_leftovers, write_file
-from eitskin.datasets.folder import MANIFEST, Manifest, new_folder, shard_entry, write_manifest
+from eitskin.datasets.folder import (
+    MANIFEST,
+    Manifest,
+    make_folder,
+    new_folder,
+    read_manifest,
+    shard_entry,
+    write_manifest,
+)
 from eitskin.datasets.recipe import Recipe
-from eitskin.datasets.shard import read_shard, shard_name, write_shard
-from eitskin.datasets.simulated import prepare, simulate_shard
+from eitskin.datasets.shard import read_shard, shard_name
+from eitskin.datasets.simulated import prepare
 from eitskin.geometry import ConfigurationError, DataError, PartialError
+from eitskin.geometry.whole_file import TEMPORARY
 
 RECIPE = "recipe.toml"
-_THREAD_LIMITS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+# Less than any frame takes: noise does not compress, and each channel is stored twice.
+_LEAST_BYTES_PER_CHANNEL = 4
 
 Progress = Callable[[int, int], None]
 
@@ -31,177 +36,185 @@ def generate(
     workers: int = 2,
     progress: Progress | None = None,
     resume: bool = False,
-) -> Manifest:
+    scheduler: str | None = None,
+    shard: int | None = None,
+) -> Manifest | None:
     """Make the dataset of `recipe` in the folder `out`.
 
-    The bytes depend on the recipe alone, not on `workers` or on interruptions. Scripts that call
-    this need the usual `if __name__ == "__main__":`, because workers are started afresh.
+    The bytes depend on the recipe alone, not on where they are made or on interruptions. Scripts
+    that call this need the usual `if __name__ == "__main__":`, because workers are started afresh.
 
     Args:
         recipe: what to make.
-        out: folder; new or empty, unless `resume`.
-        workers: processes that simulate.
+        out: folder; new or empty, unless `resume` or `shard`.
+        workers: processes that simulate; unused with `scheduler` and `shard`.
         progress: called with the number of finished frames and of all frames.
         resume: keep the finished shards that lie in `out` and make the others.
+        scheduler: address of a dask.distributed scheduler, whose workers simulate instead.
+        shard: make this one only. Any number of such calls may share a folder at the same time;
+            one that finds all shards finished writes the manifest.
 
     Returns:
-        The manifest that was written.
+        The manifest that was written; None where `shard` was given and others are missing.
 
     Raises:
-        ConfigurationError: where `out` holds something else, or forces are beyond reach.
+        ConfigurationError: where `out` holds something else or has no room, forces are beyond
+            reach, or the scheduler cannot be used.
         PartialError: where files cannot be written or workers died; resume when that is mended.
     """
-    if workers < 1:
-        raise ConfigurationError(f"workers must be at least 1, got {workers}")
+    _check_options(recipe, workers, scheduler, shard)
     prepare(recipe)
-    folder = _folder(recipe, Path(out), resume)
-    missing = [shard for shard in range(recipe.shards) if not _finished(recipe, folder, shard)]
-    done = recipe.frames - sum(len(recipe.shard_range(shard)) for shard in missing)
+    folder = Path(out)
+    wanted = range(recipe.shards) if shard is None else range(shard, shard + 1)
+    missing = _unfinished(recipe, folder, wanted) if resume or shard is not None else list(wanted)
+    _check_room(recipe, folder, missing)
+    _begin(recipe, folder, resume, shared=shard is not None)
+    total = _frames(recipe, wanted)
+    done = total - _frames(recipe, missing)
 
-    def report(shard: int | None = None) -> None:
+    def report(finished: int | None = None) -> None:
         nonlocal done
-        done += len(recipe.shard_range(shard)) if shard is not None else 0
+        done += _frames(recipe, () if finished is None else (finished,))
         if progress:
-            progress(done, recipe.frames)
+            progress(done, total)
 
     report()
     if missing:
         (folder / MANIFEST).unlink(missing_ok=True)
-        missing = _make(recipe, folder, missing, workers, report)
-    if missing:  # a worker died: the fault may be the machine's, so its shards get one more try
-        missing = _make(recipe, folder, missing, workers, report)
-    if missing:
-        raise PartialError(
-            f"workers died twice, {len(missing)} of {recipe.shards} shards are missing in "
-            f"{folder}. Look for lack of memory, or, in a script, for a missing "
-            "if __name__ == '__main__'; then continue with --resume"
+        make = (
+            partial(cluster.make_shards, address=scheduler, report=report)
+            if scheduler
+            else partial(processes.make_shards, workers=workers, report=report)
         )
+        _make(recipe, folder, missing, make)
+    if shard is not None and not _complete(recipe, folder):
+        return None
     manifest = _manifest(recipe, folder)
     write_manifest(folder, manifest)
     return manifest
 
 
-def _folder(recipe: Recipe, folder: Path, resume: bool) -> Path:
-    """A folder that holds this recipe, and nothing of another."""
-    text = recipe.to_toml().encode()
-    path = folder / RECIPE
-    if not (resume and folder.is_dir() and any(folder.iterdir())):
-        new_folder(folder)
-        write_file(path, text)
-        return folder
-    remove_leftovers(folder)
-    if not path.is_file():
-        if any(folder.iterdir()):
-            raise ConfigurationError(
-                f"cannot resume in {folder}: it holds no {RECIPE}, so it is no dataset that was "
-                "begun; choose another folder"
-            )
-        write_file(path, text)
-    elif path.read_bytes() != text:
+def least_bytes(recipe: Recipe, frames: int) -> int:
+    """What `frames` of `recipe` surely take on a disk [bytes]."""
+    electrodes = len(recipe.sensor.electrodes)
+    return frames * electrodes * (electrodes - 1) // 2 * _LEAST_BYTES_PER_CHANNEL
+
+
+def free_bytes(folder: Path) -> int:
+    """What is free on the disk where `folder` lies or would be made [bytes]."""
+    there = next(place for place in (folder, *folder.absolute().parents) if place.is_dir())
+    return shutil.disk_usage(there).free
+
+
+def _check_options(recipe: Recipe, workers: int, scheduler: str | None, shard: int | None) -> None:
+    if workers < 1:
+        raise ConfigurationError(f"workers must be at least 1, got {workers}")
+    if scheduler:
+        cluster.check_scheduler(scheduler)
+    if shard is None:
+        return
+    if not 0 <= shard < recipe.shards:
         raise ConfigurationError(
-            f"cannot resume in {folder}: it was begun with another recipe or seed, which "
-            f"{path} holds; give that recipe, or choose another folder"
+            f"recipe '{recipe.name}' has shards 0 to {recipe.shards - 1}, got shard {shard}; give "
+            "one of them, or change frames_per_shard in the recipe"
         )
-    return folder
+    if scheduler:
+        raise ConfigurationError(
+            "expected a scheduler, which makes all shards, or the number of one shard, got both; "
+            "leave one out"
+        )
 
 
-def _finished(recipe: Recipe, folder: Path, shard: int) -> bool:
-    """Whether `shard` lies there whole; a damaged one counts as missing and is made again."""
-    path, frames = folder / shard_name(shard), recipe.shard_range(shard)
-    if not path.is_file():
-        return False
+def _check_room(recipe: Recipe, folder: Path, missing: Sequence[int]) -> None:
+    """Refuse a disk that is obviously too full, before hours are spent on filling it."""
+    needed, free = least_bytes(recipe, _frames(recipe, missing)), free_bytes(folder)
+    if needed > free:
+        raise ConfigurationError(
+            f"the disk of {folder} has no room: expected at least {needed / 1e6:.1f} MB, got "
+            f"{free / 1e6:.1f} MB; make room, or choose a folder elsewhere"
+        )
+
+
+def _frames(recipe: Recipe, shards: Sequence[int]) -> int:
+    return sum(len(recipe.shard_range(shard)) for shard in shards)
+
+
+def _begin(recipe: Recipe, folder: Path, resume: bool, shared: bool) -> None:
+    """Make sure that `folder` holds this recipe, and nothing of another.
+
+    A `shared` folder may be begun by several at once: they write the same recipe, and leave each
+    other's temporary files alone.
+    """
+    text, path = recipe.to_toml().encode(), folder / RECIPE
+    if not (resume or shared):
+        new_folder(folder)
+    make_folder(folder)
+    if not shared:
+        remove_leftovers(folder)
+    # Asked for first: another may have written the recipe, and a shard, in between.
+    held = sorted(item.name for item in folder.iterdir() if not item.name.startswith(TEMPORARY))
+    if path.is_file():
+        if path.read_bytes() != text:
+            raise ConfigurationError(
+                f"cannot resume in {folder}: it was begun with another recipe or seed, which "
+                f"{path} holds; give that recipe, or choose another folder"
+            )
+    elif held:
+        raise ConfigurationError(
+            f"cannot resume in {folder}: it holds {held[0]} but no {RECIPE}, so it is no dataset "
+            "that was begun; choose another folder"
+        )
+    else:
+        write_file(path, text)
+
+
+def _unfinished(recipe: Recipe, folder: Path, shards: Sequence[int]) -> list[int]:
+    """Those of `shards` that do not lie in `folder` whole, so that they are to be made."""
+    checksums = _checksums(folder)
+    return [shard for shard in shards if not _finished(recipe, folder, shard, checksums)]
+
+
+def _complete(recipe: Recipe, folder: Path) -> bool:
+    """Whether all shards are there; they are read only where none is absent."""
+    shards = range(recipe.shards)
+    there = all((folder / shard_name(shard)).is_file() for shard in shards)
+    return there and not _unfinished(recipe, folder, shards)
+
+
+def _checksums(folder: Path) -> Mapping[str, str]:
+    """SHA-256 of the shards in `folder` by name, where it was complete once."""
     try:
-        data = read_shard(path, frames.start)
+        return {entry.name: entry.sha256 for entry in read_manifest(folder).shards}
+    except DataError:
+        return {}
+
+
+def _finished(recipe: Recipe, folder: Path, shard: int, checksums: Mapping[str, str]) -> bool:
+    name, frames = shard_name(shard), recipe.shard_range(shard)
+    try:
+        data = read_shard(folder / name, frames.start)
     except DataError:
         return False
-    return len(data) == len(frames) and data.recipe == recipe.to_toml()
+    if len(data) != len(frames) or data.recipe != recipe.to_toml():
+        return False
+    return name not in checksums or checksums[name] == shard_entry(folder, name, 0, 0).sha256
 
 
 def _make(
     recipe: Recipe,
     folder: Path,
-    shards: Sequence[int],
-    workers: int,
-    report: Callable[[int], None],
-) -> list[int]:
-    """Make `shards`; returns those that were lost because a worker died."""
-    context = multiprocessing.get_context("spawn")
-    # Shared memory without a lock: one held at the wrong moment would stop the workers for ever.
-    stop = context.RawValue(ctypes.c_bool, False)
-    lost = set(shards)
-    with (
-        _one_interrupt(stop),
-        _one_thread_per_process(),
-        ProcessPoolExecutor(
-            min(workers, len(shards)), context, initializer=_start_worker, initargs=(stop,)
-        ) as pool,
-    ):
-        try:
-            with _interrupts_held_back():  # workers start here, and keep them blocked
-                futures = [pool.submit(_make_shard, recipe, folder, shard) for shard in shards]
-            for future in as_completed(futures):
-                if isinstance(future.exception(), BrokenProcessPool):
-                    continue
-                lost.remove(future.result())
-                report(future.result())
-        except BrokenProcessPool:  # from submit
-            pass
-        except BaseException:
-            stop.value = True
-            # Waits while further interrupts are still swallowed: after a shutdown that does not
-            # wait, nobody would, and one of them could cut the pool off from its workers.
-            pool.shutdown(wait=True, cancel_futures=True)
-            raise
-    return sorted(lost)
-
-
-@contextmanager
-def _one_interrupt(stop: ctypes.c_bool) -> Iterator[None]:
-    """Let Ctrl-C stop the workers and be raised once; more would disturb the clearing up."""
-
-    def interrupt(number: int, frame: object) -> None:  # noqa: ARG001
-        if not stop.value:
-            stop.value = True
-            raise KeyboardInterrupt
-
-    # Only the main thread may say what a signal does, and only it gets the interrupt.
-    before = signal.getsignal(signal.SIGINT)
-    ours = threading.current_thread() is threading.main_thread() and callable(before)
-    if ours:
-        signal.signal(signal.SIGINT, interrupt)
-    try:
-        yield
-    finally:
-        if ours:
-            signal.signal(signal.SIGINT, before)
-
-
-@contextmanager
-def _interrupts_held_back() -> Iterator[None]:
-    """Keep Ctrl-C waiting; processes that are started meanwhile never get it."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-@contextmanager
-def _one_thread_per_process() -> Iterator[None]:
-    """Let processes that are started now use one BLAS thread each.
-
-    More would fight over the cores, and sums would depend on how many there are.
-    """
-    before = {name: os.environ.get(name) for name in _THREAD_LIMITS}
-    os.environ.update(dict.fromkeys(_THREAD_LIMITS, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
+    missing: Sequence[int],
+    make: Callable[[Recipe, Path, Sequence[int]], list[int]],
+) -> None:
+    lost = make(recipe, folder, missing)
+    if lost:  # a worker died: the fault may be the machine's, so its shards get one more try
+        lost = make(recipe, folder, lost)
+    if lost:
+        raise PartialError(
+            f"workers died twice, {len(lost)} of {recipe.shards} shards are missing in "
+            f"{folder}. Look for lack of memory, or, in a script, for a missing "
+            "if __name__ == '__main__'; then continue with --resume"
+        )
 
 
 def _manifest(recipe: Recipe, folder: Path) -> Manifest:
@@ -216,38 +229,3 @@ def _manifest(recipe: Recipe, folder: Path) -> Manifest:
             for shard, frames in enumerate(ranges)
         ),
     )
-
-
-# From here on: what runs in a worker.
-
-_stop: ctypes.c_bool | None = None
-
-
-class _Stopped(Exception):  # noqa: N818 - it is no error
-    """The parent has asked for an end."""
-
-
-def _start_worker(stop: ctypes.c_bool) -> None:
-    """Look to `stop`, which the parent sets; end when the parent has gone."""
-    global _stop  # noqa: PLW0603 - the one way to reach tasks from a pool's initializer
-    _stop = stop
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-
-
-def _end_with_parent() -> None:
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
-
-
-def _make_shard(recipe: Recipe, folder: Path, shard: int) -> int:
-    """Simulate and write `shard`; only its number goes back."""
-    data = simulate_shard(recipe, shard, before_solve=_check_stop)
-    write_shard(folder / shard_name(shard), data, recipe.shard_range(shard).start)
-    return shard
-
-
-def _check_stop() -> None:
-    if _stop is not None and _stop.value:
-        raise _Stopped

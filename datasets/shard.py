@@ -48,7 +48,7 @@ def write_shard(path: Path, data: Dataset, first_index: int = 0) -> None:
 
     Raises PartialError where the file cannot be written.
     """
-    write_file(Path(path), _shard_bytes(data, first_index))
+    write_file(Path(path), shard_bytes(data, first_index))
 
 
 def read_shard(path: Path, first_index: int | None = None) -> Dataset:
@@ -87,7 +87,8 @@ def package_versions() -> dict[str, str]:
     return versions
 
 
-def _shard_bytes(data: Dataset, first_index: int) -> bytes:
+def shard_bytes(data: Dataset, first_index: int = 0) -> bytes:
+    """The content of the file that `write_shard` writes; equal data give equal bytes."""
     with h5py.File("shard", "w", driver="core", backing_store=False) as file:
         file.attrs.update(_root_attributes(data, first_index))
         for field in FIELDS:

@@ -1,4 +1,4 @@
-"""Files that appear whole under their name, or not at all."""
+"""Files that appear whole under their name, or not at all, whatever happens meanwhile."""
 
 import os
 import tempfile
@@ -6,30 +6,52 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from eitskin.geometry.errors import ConfigurationError
+from eitskin.geometry.errors import ConfigurationError, EitskinError
+
+TEMPORARY = ".writing-"
+_REMEDY = "name a file in a folder that exists and can be written to"
 
 
 @contextmanager
-def whole_file(path: str | Path) -> Iterator[Path]:
+def whole_file(
+    path: str | Path, failure: type[EitskinError] = ConfigurationError, remedy: str = _REMEDY
+) -> Iterator[Path]:
     """Give a temporary file beside `path` to write to; it takes the name when the block ends.
 
-    Where the block raises, what stood at `path` before is left as it was. The temporary file has
-    the ending of `path`, from which writers of pictures tell the format. Raises
-    ConfigurationError where the folder cannot be written to.
+    Where the block raises, or the machine fails, what stood at `path` before is left as it was.
+    The temporary file has the ending of `path`, from which writers of pictures tell the format.
+
+    Args:
+        path: of the file.
+        failure: the error to raise where it cannot be written.
+        remedy: what to do then, the end of that error's message.
     """
     path = Path(path)
     try:
-        handle, name = tempfile.mkstemp(prefix=".writing-", suffix=path.suffix, dir=path.parent)
+        handle, name = tempfile.mkstemp(prefix=TEMPORARY, suffix=path.suffix, dir=path.parent)
         os.close(handle)
         temporary = Path(name)
         try:
             yield temporary
+            _sync(temporary)
             temporary.chmod(0o644)  # mkstemp's 0600 would keep others from reading the file
             temporary.replace(path)
         finally:
             temporary.unlink(missing_ok=True)
+        _sync(path.parent)
     except OSError as error:
-        raise ConfigurationError(
-            f"cannot write {path}: {error.strerror or error}; name a file in a folder that exists "
-            "and can be written to"
-        ) from error
+        raise failure(f"cannot write {path}: {error.strerror or error}; {remedy}") from error
+
+
+def _sync(path: Path) -> None:
+    """Bring a file, or the names in a folder, to the disk.
+
+    Without it a power cut can leave an empty file, or undo the rename of a synced one.
+    """
+    if os.name == "nt" and path.is_dir():  # Windows has no such call for folders
+        return
+    handle = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

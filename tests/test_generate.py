@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
-from eitskin.datasets import Recipe, State, generate, open_dataset, read_shard
+from eitskin.datasets import Recipe, State, generate, open_dataset, processes, read_shard
 from eitskin.datasets.recipe import with_seed
 from eitskin.datasets.sampling import sample, specimen
 from eitskin.datasets.scene_group import SceneGroup
@@ -68,7 +68,7 @@ def test_dataset_holds_what_the_recipe_says(whole):
     assert (data.source, data.recipe, data.seed) == ("simulated", RECIPE.to_toml(), 11)
     assert data.design == RECIPE.sensor
     assert data.state.tolist() == [each.state for each in samples]
-    assert data.specimen.tolist() == [index % 2 for index in range(14)]
+    assert data.specimen.tolist() == [0] * 7 + [1] * 7
     assert data.episode.tolist() == list(range(14))
     angles = np.float32([each.scene.bend.angle_deg for each in samples])
     assert np.array_equal(data.bend_angle_deg, angles)
@@ -89,7 +89,8 @@ def test_values_are_those_of_the_simulator_with_noise_of_the_right_size(whole):
         flat = simulators[number].measure(Scene()).impedance
         assert np.allclose(data.reference[number], flat, rtol=1e-6)
     for index in range(len(data)):
-        simulator, scene = simulators[index % 2], sample(RECIPE, index).scene
+        drawn = sample(RECIPE, index)
+        simulator, scene = simulators[drawn.specimen], drawn.scene
         deviation = Instrument(75.0).deviation(simulator.full_scale)
         clean = simulator.measure(scene).impedance
         untouched = simulator.measure(Scene(bend=scene.bend)).impedance
@@ -151,14 +152,13 @@ def test_damaged_and_lost_shards_are_made_again(whole, tmp_path):
 
 
 def test_workers_that_die_twice_leave_a_resumable_part(tmp_path, monkeypatch):
-    module = sys.modules["eitskin.datasets.generate"]
     tries = []
 
-    def die(_recipe, _folder, shards, _workers, _report):
+    def die(_recipe, _folder, shards, workers, report):  # noqa: ARG001
         tries.append(list(shards))
         return list(shards)
 
-    monkeypatch.setattr(module, "_make", die)
+    monkeypatch.setattr(processes, "make_shards", die)
     with pytest.raises(PartialError, match=r"4 of 4 shards are missing .*--resume") as caught:
         generate(RECIPE, tmp_path / "set")
     assert caught.value.exit_code == 5
@@ -178,10 +178,10 @@ def test_failure_in_a_worker_reaches_the_caller(tmp_path):
 
 
 def test_finished_dataset_is_not_made_again(whole, monkeypatch):
-    def refuse(*_arguments):
+    def refuse(*_arguments, **_named):
         raise AssertionError("there was nothing to make")
 
-    monkeypatch.setattr(sys.modules["eitskin.datasets.generate"], "_make", refuse)
+    monkeypatch.setattr(processes, "make_shards", refuse)
     before = contents(whole)
     generate(RECIPE, whole, resume=True)
     assert contents(whole) == before
@@ -200,10 +200,9 @@ def test_occupied_folders_are_refused(whole, tmp_path):
 
 
 def test_environment_is_as_before(monkeypatch):
-    module = sys.modules["eitskin.datasets.generate"]
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
     monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
-    with module._one_thread_per_process():
+    with processes._one_thread_per_process():
         assert os.environ["OMP_NUM_THREADS"] == os.environ["OPENBLAS_NUM_THREADS"] == "1"
     assert os.environ["OMP_NUM_THREADS"] == "7"
     assert "OPENBLAS_NUM_THREADS" not in os.environ
