@@ -3,6 +3,7 @@
 import dataclasses
 import hashlib
 import json
+import math
 import os
 import sys
 import zipfile
@@ -85,10 +86,11 @@ def _of_thicknesses(
 ) -> list[tuple[Stack, float]]:
     """The stack at thicknesses that are solved, and their weights."""
     solved = mechanics.solved_thickness or design.thickness
-    place = np.log(design.thickness / solved) / np.log(_THICKER)
+    place = float(np.log(design.thickness / solved) / np.log(_THICKER))
+    middle = round(place) if abs(place) > 1.0 else 0  # within a step three tables serve all
     return [
         (_scaled_heights(stack, solved * _THICKER**p / design.thickness), weight)
-        for p, weight in _lagrange(place, 3)
+        for p, weight in _lagrange(place, range(middle - 1, middle + 2))
     ]
 
 
@@ -97,18 +99,18 @@ def _of_ratios(stack: Stack) -> list[tuple[Stack, float]]:
     if len(stack.sheets) == 1:
         return [(stack, 1.0)]
     around, gel, _ = (sheet.law.shear_modulus for sheet in stack.sheets)
-    place = _STEPS * np.log2(around / gel / _REFERENCE_RATIO)
-    return [(_with_ratio(stack, p), weight) for p, weight in _lagrange(place, 4)]
+    place = float(_STEPS * np.log2(around / gel / _REFERENCE_RATIO))
+    first = math.ceil(place) - 2
+    weights = _lagrange(place, range(first, first + 4))
+    return [(_with_ratio(stack, p), weight) for p, weight in weights]
 
 
-def _lagrange(place: float, count: int) -> list[tuple[int, float]]:
-    """The `count` integers about a place, and their weights in polynomial interpolation."""
+def _lagrange(place: float, places: range) -> list[tuple[int, float]]:
+    """Weights of values at `places` in their polynomial at `place`; of one, where it is there."""
     nearest = round(place)
     if abs(place - nearest) < 1e-9:
         return [(nearest, 1.0)]
-    first = int(np.ceil(place - 0.5 * count))
-    places = range(first, first + count)
-    return [(p, float(np.prod([(place - q) / (p - q) for q in places if q != p]))) for p in places]
+    return [(p, math.prod((place - q) / (p - q) for q in places if q != p)) for p in places]
 
 
 def _scaled_heights(stack: Stack, factor: float) -> Stack:

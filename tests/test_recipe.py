@@ -5,25 +5,20 @@ import dataclasses
 import numpy as np
 import pytest
 
-from eitskin.datasets import Recipe, State
-from eitskin.datasets.places import draw_places
-from eitskin.datasets.recipe import shipped_names, with_seed
-from eitskin.datasets.sampling import Stream, generator, sample, specimen
+from eitskin.datasets import Recipe
+from eitskin.datasets.episode import Keyframe, Press, RandomEpisodes, ScriptedEpisode
+from eitskin.datasets.recipe import shipped_names
 from eitskin.datasets.scene_group import SceneGroup
 from eitskin.datasets.specimen import Specimens
 from eitskin.geometry import (
-    Bend,
     ConfigurationError,
-    Disc,
     Electrode,
     Hinge,
-    Layer,
-    Rectangle,
     SensorDesign,
     Surface,
 )
-from eitskin.geometry.layouts import uniform
-from eitskin.simulator import Instrument
+from eitskin.simulator import Instrument, Mechanics
+from eitskin.simulator.materials import Ogden
 
 IDLE = SceneGroup("idle", count=30)
 BENT = SceneGroup("bend", count=60, angle_deg=(-20.0, 50.0))
@@ -55,13 +50,71 @@ def test_paper_recipes_hold_the_numbers_of_the_paper():
     ]
     assert states.scenes[1].angle_deg == (-20.0, 50.0)
     assert states.scenes[2].touches == (1, 4)
-    assert Recipe.shipped("paper_bending").frames == 360
+    bending = Recipe.shipped("paper_bending")
+    assert bending.snapshots == 360
+    assert bending.episodes[0].angles_deg == (-20.0, 50.0)
     (indentation,) = Recipe.shipped("paper_indentation").scenes
     xs, ys = ({place[axis] for place in indentation.positions} for axis in (0, 1))
     assert len(indentation.positions) == 27
     assert np.allclose(sorted(xs), np.arange(15, 136, 15) / 1e3)
     assert np.allclose(sorted(ys), [0.015, 0.030, 0.045])
     assert (indentation.repeats, indentation.force) == (8, (10.0, 10.0))
+    touch = Recipe.shipped("paper_touch").scenes
+    assert [(g.touches, g.angle_deg) for g in touch] == [
+        ((1, 1), (-10.0, 50.0)),
+        *(((n, n), (0.0, 30.0)) for n in (2, 3, 4)),
+    ]
+    (demo,) = Recipe.shipped("paper_demo").episodes
+    pressed = [(k.angle_deg, len(k.touches)) for k in demo.keyframes if k.touches]
+    assert pressed == [(-10.0, 2), (20.0, 3), (40.0, 4), (0.0, 4)]
+    assert demo.period == 0.303
+
+
+def test_shipped_recipes_with_episodes_or_terms_of_a_board_are_for_those_who_ask():
+    """The demo and its tests stay with snapshots and white noise, and one sensor."""
+    for name in ("quick", "quick_test", "paper_states", "paper_indentation"):
+        recipe = Recipe.shipped(name)
+        assert recipe.episodes == ()
+        assert recipe.specimens.count == 1
+        assert recipe.instrument == Instrument(75.0)
+    training = Recipe.shipped("training")
+    assert training.specimens.count >= 50
+    assert training.instrument.measurement_time > 0.0
+    assert any(group.per_bend > 1 for group in training.scenes)
+
+
+def test_episodes_are_not_cut():
+    recipe = Recipe(
+        "uncut",
+        scenes=(IDLE,),
+        episodes=(RandomEpisodes(count=5, frames=10), RandomEpisodes(count=2, frames=40)),
+        frames_per_shard=25,
+    )
+    assert (recipe.snapshots, recipe.frames) == (30, 160)
+    lengths = [len(recipe.shard_range(shard)) for shard in range(recipe.shards)]
+    assert lengths == [25, 5, 20, 20, 10, 40, 40]
+    joined = [index for shard in range(recipe.shards) for index in recipe.shard_range(shard)]
+    assert joined == list(range(160))
+
+
+def test_recipe_of_episodes_survives_writing(tmp_path):
+    script = ScriptedEpisode(
+        (Keyframe(0.0), Keyframe(3.0, 20.0, (Press(0.05, 0.03),)), Keyframe(5.0))
+    )
+    recipe = dataclasses.replace(
+        MIXED,
+        episodes=(script, RandomEpisodes(2, 9, angle_deg=(0.0, 30.0), relaxation=False)),
+        mechanics=Mechanics(gel=Ogden(15e3, 2.0), margin=0.004),
+        instrument=Instrument.ad5940(),
+    )
+    assert Recipe.from_toml(write(tmp_path, recipe.to_toml())) == recipe
+
+
+def test_a_board_may_be_named(tmp_path):
+    board = '[instrument]\nboard = "ad5940"\nsnr_db = 80\n'
+    text = f'name = "a"\n{board}[[scenes]]\nstate = "idle"\ncount = 1\n'
+    expected = dataclasses.replace(Instrument.ad5940(), snr_db=80.0)
+    assert Recipe.from_toml(write(tmp_path, text)).instrument == expected
 
 
 def test_unknown_shipped_name_lists_those_that_exist():
@@ -101,7 +154,16 @@ def test_all_contradictions_are_listed_at_once():
                 SceneGroup("touch", count=1, touches=(4, 4), spacing=0.1),
                 SceneGroup("touch", count=2, positions=((15.0, 0.1),), repeats=0),
                 SceneGroup("bend", count=1, angle_deg=(-400.0, 0.0)),
+                SceneGroup("touch", count=1, per_bend=0),
             ),
+            episodes=(
+                ScriptedEpisode((Keyframe(1.0), Keyframe(2.0))),
+                ScriptedEpisode((Keyframe(0.0, touches=(Press(0.2, 0.0, -1.0),)), Keyframe(2.0))),
+                ScriptedEpisode((Keyframe(0.0), Keyframe(1.0, 400.0)), count=0, period=-1.0),
+                RandomEpisodes(1, 0, angle_deg=(9.0, 3.0), hold_s=(0.0, 1.0), touches=(5, 5)),
+                RandomEpisodes(1, 1, angle_deg=(0.0, 300.0), period=0.2),
+            ),
+            instrument=Instrument.ad5940(),
         )
     message = str(caught.value)
     for expected in (
@@ -120,6 +182,18 @@ def test_all_contradictions_are_listed_at_once():
         "scenes[4] (touch): repeats must be at least 1",
         "scenes[4] (touch): position (15, 0.1) m is off",
         "scenes[5] (bend): a bend of -400 deg is not possible",
+        "scenes[6] (touch): per_bend must be at least 1",
+        "episodes[0]: keyframes must be at least two, rising in time from 0 s, got",
+        "episodes[1]: position (0.2, 0) m is off",
+        "episodes[1]: keyframes[0] has a force that is not above 0 N",
+        "episodes[2]: count must be at least 1",
+        "episodes[2]: period must be a time above 0 s",
+        "episodes[3]: frames must be from 1",
+        "episodes[3]: angle_deg must be [lowest, highest]",
+        "episodes[3]: hold_s must be a rising range above 0",
+        "episodes[3]: touches must be from 1 to 4",
+        "episodes[4]: a bend of 300 deg is not possible",
+        "episodes[4]: period must be at least the 0.2862 s",
     ):
         assert expected in message
 
@@ -137,115 +211,6 @@ def test_missing_and_broken_files_are_refused(tmp_path):
         Recipe.from_toml(write(tmp_path, "name = "))
 
 
-def test_any_first_part_is_a_balanced_mix():
-    states = np.array([sample(MIXED, index).state for index in range(MIXED.frames)])
-    shares = {State.IDLE: 30 / 180, State.BEND: 60 / 180, State.TOUCH: 90 / 180}
-    assert {state: int((states == state).sum()) for state in State} == {
-        State.IDLE: 30,
-        State.BEND: 60,
-        State.TOUCH: 90,
-    }
-    for length in range(1, len(states) + 1):
-        for state, share in shares.items():
-            assert abs((states[:length] == state).sum() - share * length) <= 2.0
-
-
-def test_groups_are_not_tied_to_specimens():
-    recipe = dataclasses.replace(
-        MIXED,
-        scenes=(SceneGroup("idle", count=100), SceneGroup("bend", count=100, angle_deg=(1.0, 2.0))),
-        specimens=Specimens(count=2),
-    )
-    drawn = [sample(recipe, index) for index in range(recipe.frames)]
-    idle_of_first = sum(s.state == State.IDLE and s.specimen == 0 for s in drawn)
-    assert 25 < idle_of_first < 75
-
-
-def test_frames_hold_what_their_group_says():
-    outline = MIXED.sensor.outline
-    for drawn in (sample(MIXED, index) for index in range(MIXED.frames)):
-        touches = drawn.scene.touches
-        if drawn.state == State.IDLE:
-            assert drawn.scene.bend == Bend(0.0)
-        if drawn.state != State.TOUCH:
-            assert touches == ()
-            continue
-        assert 1 <= len(touches) <= 4
-        assert 0.0 <= drawn.scene.bend.angle_deg <= 30.0
-        places = np.array([(touch.x, touch.y) for touch in touches])
-        assert (places >= 0.012).all()
-        assert (places <= np.array([outline.length, outline.width]) - 0.012).all()
-        assert all(8.0 <= touch.force <= 12.0 for touch in touches)
-        gaps = np.linalg.norm(places[:, None] - places, axis=-1)
-        assert (gaps[np.triu_indices(len(places), 1)] >= 0.030).all()
-    counts = {len(sample(MIXED, i).scene.touches) for i in range(MIXED.frames)}
-    angles = [sample(MIXED, i).scene.bend.angle_deg for i in range(MIXED.frames)]
-    assert counts == {0, 1, 2, 3, 4}
-    assert min(angles) < -15.0
-    assert max(angles) > 45.0
-
-
-def test_a_frame_depends_on_seed_and_number_alone():
-    backwards = [sample(MIXED, index) for index in reversed(range(20))][::-1]
-    assert backwards == [sample(MIXED, index) for index in range(20)]
-    assert [s.scene for s in backwards] != [sample(with_seed(MIXED, 6), i).scene for i in range(20)]
-    draws = {
-        float(generator(MIXED, stream, index).uniform()) for stream in Stream for index in range(9)
-    }
-    assert len(draws) == len(Stream) * 9
-
-
-def test_listed_positions_are_pressed_repeats_times_each():
-    places = ((0.02, 0.02), (0.05, 0.03), (0.1, 0.04))
-    recipe = Recipe("listed", scenes=(SceneGroup("touch", positions=places, repeats=4),))
-    pressed = [sample(recipe, index).scene.touches for index in range(recipe.frames)]
-    assert recipe.frames == 12
-    assert all(len(touches) == 1 for touches in pressed)
-    assert sorted((t.x, t.y) for (t,) in pressed) == sorted(places * 4)
-
-
-def test_places_are_spread_evenly():
-    rng = np.random.default_rng(0)
-    outline = Rectangle(0.150, 0.060)
-    places = np.array([draw_places(1, outline, 0.010, 0.030, rng)[0] for _ in range(2000)])
-    # Uniform over 130 x 40 mm: means in the middle, standard deviations length / sqrt(12).
-    assert np.allclose(places.mean(axis=0), [0.075, 0.030], atol=3 * 0.0375 / np.sqrt(2000))
-    assert np.allclose(places.std(axis=0), np.array([0.130, 0.040]) / np.sqrt(12), rtol=0.05)
-
-
-def test_without_spread_every_specimen_is_nominal():
-    recipe = dataclasses.replace(MIXED, specimens=Specimens(count=4))
-    for number in range(4):
-        assert specimen(recipe, number).design == recipe.sensor
-        assert specimen(recipe, number).hinge == recipe.hinge
-
-
-def test_specimens_differ_by_the_spread_that_was_asked_for():
-    spread = Specimens(400, conductivity=0.1, contact_impedance=0.3, hinge_offset=0.0005)
-    recipe = dataclasses.replace(MIXED, specimens=spread)
-    made = [specimen(recipe, number) for number in range(400)]
-    conductivity = np.array([m.design.conductivity for m in made])
-    contact = np.array([[e.contact_impedance for e in m.design.electrodes] for m in made])
-    offset = np.array([m.hinge.offset for m in made])
-    # Four standard errors of a standard deviation from n samples: 4 / sqrt(2 n).
-    assert conductivity.std() / conductivity.mean() == pytest.approx(0.1, rel=0.14)
-    assert contact.std() / contact.mean() == pytest.approx(0.3, rel=0.1)
-    assert offset.std() == pytest.approx(0.0005, rel=0.14)
-    assert abs(np.corrcoef(contact[:, 0], contact[:, 1])[0, 1]) < 0.2
-
-
-def test_touches_lie_on_the_sensor_whatever_its_outline():
-    disc = Disc(0.04)
-    design = SensorDesign(disc, 0.005, uniform(disc, 8))
-    group = SceneGroup("touch", count=50, touches=(1, 2), margin=0.010, spacing=0.02)
-    recipe = Recipe("round", scenes=(group,), sensor=design)
-    drawn = [sample(recipe, index).scene.touches for index in range(recipe.frames)]
-    places = np.array([(touch.x, touch.y) for touches in drawn for touch in touches])
-    assert np.hypot(*(places - 0.04).T).max() <= 0.030
-    with pytest.raises(ConfigurationError, match=r"\(0.005, 0.005\) m is off the"):
-        Recipe("off", scenes=(SceneGroup("touch", positions=((0.005, 0.005),)),), sensor=design)
-
-
 def test_a_surface_can_be_no_sensor_of_a_recipe(tmp_path):
     import trimesh
 
@@ -254,14 +219,3 @@ def test_a_surface_can_be_no_sensor_of_a_recipe(tmp_path):
     design = SensorDesign(Surface(tmp_path / "box.stl"), 0.005, pads)
     with pytest.raises(ConfigurationError, match="need a rectangle, disc or polygon"):
         Recipe("solid", scenes=(IDLE,), sensor=design)
-
-
-def test_conductivities_of_layers_scatter_together():
-    layers = (Layer(0.002, 0.5), Layer(0.003, 2.0))
-    design = dataclasses.replace(SensorDesign.reference(), layers=layers)
-    spread = Specimens(50, conductivity=0.1)
-    recipe = dataclasses.replace(MIXED, specimens=spread, sensor=design)
-    made = [specimen(recipe, number).design.layers for number in range(50)]
-    conductivity = np.array([[layer.conductivity for layer in layers] for layers in made])
-    assert conductivity[:, 1] / conductivity[:, 0] == pytest.approx(np.full(50, 4.0))
-    assert 0.05 < np.log(conductivity[:, 0] / 0.5).std() < 0.15
