@@ -25,6 +25,15 @@ class Deformation(Protocol):
         ...
 
 
+def mapped(deformation: Deformation, points: Points) -> tuple[Points, Gradients]:
+    """Positions and gradients, at once where the deformation has a way to do so."""
+    at_once = getattr(deformation, "mapped", None)
+    if at_once is None:
+        return deformation.positions(points), deformation.gradient(points)
+    both: tuple[Points, Gradients] = at_once(points)
+    return both
+
+
 @dataclass(frozen=True, slots=True)
 class Composed:
     """One deformation after another; F = F_second(x_first) F_first."""
@@ -38,8 +47,8 @@ class Composed:
 
     def gradient(self, points: Points) -> Gradients:
         """Deformation gradient, (..., 3, 3), by the chain rule."""
-        outer = self.second.gradient(self.first.positions(points))
-        F: Gradients = np.matmul(outer, self.first.gradient(points))
+        places, inner = mapped(self.first, points)
+        F: Gradients = np.matmul(self.second.gradient(places), inner)
         return F
 
 
@@ -90,17 +99,23 @@ def pulled_back(gradients: Gradients) -> Gradients:
 
     Raises ConfigurationError where the body is inside out.
     """
-    F = np.moveaxis(gradients, -1, 0)  # F[i] is column i, (..., 3)
-    normals = np.stack([np.cross(F[1], F[2]), np.cross(F[2], F[0]), np.cross(F[0], F[1])])
-    J = np.einsum("...i,...i->...", F[0], normals[0])
+    return pulled_back_entries(gradients)[..., [[0, 3, 4], [3, 1, 5], [4, 5, 2]]]
+
+
+def pulled_back_entries(gradients: Gradients) -> NDArray[np.float64]:
+    """Its entries xx, yy, zz, xy, xz and yz, (..., 6)."""
+    F, n = _entries(gradients), _cofactors(gradients)
+    J = F[0, 0] * n[0, 0] + F[1, 0] * n[1, 0] + F[2, 0] * n[2, 0]
     if not np.all(J > 0.0):
         raise ConfigurationError(
             "the deformation turns the body inside out or is not a number at "
             f"{int((~(J > 0.0)).sum())} of {J.size} points; press or bend less, or presses further "
             "from the edge and from each other"
         )
-    # The rows of J F^-1 are the cross products of the columns of F; their Gram matrix is adj(C).
-    S: Gradients = np.einsum("i...k,j...k->...ij", normals, normals) / J[..., None, None]
+    # The columns of the cofactors are the rows of J F^-1; their Gram matrix is adj(C).
+    S = np.empty((*J.shape, 6))
+    for place, (i, j) in enumerate(((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))):
+        S[..., place] = (n[0, i] * n[0, j] + n[1, i] * n[1, j] + n[2, i] * n[2, j]) / J
     return S
 
 
@@ -109,9 +124,22 @@ def area_ratio(gradients: Gradients, normals: NDArray[np.float64]) -> NDArray[np
 
     Source: Nanson's formula.
     """
-    F = np.moveaxis(gradients, -1, 0)
-    N = np.moveaxis(normals, -1, 0)[..., None]
-    cofactor = np.cross(F[1], F[2]) * N[0]
-    cofactor += np.cross(F[2], F[0]) * N[1] + np.cross(F[0], F[1]) * N[2]
-    ratio: NDArray[np.float64] = np.linalg.norm(cofactor, axis=-1)
+    turned = np.einsum("ij...,...j->i...", _cofactors(gradients), normals)
+    ratio: NDArray[np.float64] = np.sqrt(np.einsum("i...,i...->...", turned, turned))
     return ratio
+
+
+def _entries(gradients: Gradients) -> Gradients:
+    """F with its indices first, (3, 3, ...)."""
+    return np.ascontiguousarray(np.moveaxis(gradients, (-2, -1), (0, 1)))
+
+
+def _cofactors(gradients: Gradients) -> Gradients:
+    """J F^-T with its indices first, (3, 3, ...)."""
+    F = _entries(gradients)
+    cofactors = np.empty_like(F)
+    for i in range(3):
+        for j in range(3):
+            k, m, p, q = (i + 1) % 3, (i + 2) % 3, (j + 1) % 3, (j + 2) % 3
+            cofactors[i, j] = F[k, p] * F[m, q] - F[k, q] * F[m, p]
+    return cofactors

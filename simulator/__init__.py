@@ -6,12 +6,14 @@ from eitskin.simulator.indenters import Cylinder, Profile, Sphere
 from eitskin.simulator.instrument import Instrument
 from eitskin.simulator.mechanics import Mechanics
 from eitskin.simulator.protocol import Protocol
+from eitskin.simulator.reanalysis import EXACT, Tolerance
 from eitskin.simulator.scene import Scene
 from eitskin.simulator.session import Session
 from eitskin.simulator.simulator import Simulator
 from eitskin.simulator.touch import Touch
 
 __all__ = [
+    "EXACT",
     "Cylinder",
     "ForwardModel",
     "Frame",
@@ -24,5 +26,6 @@ __all__ = [
     "Simulator",
     "Sphere",
     "Status",
+    "Tolerance",
     "Touch",
 ]

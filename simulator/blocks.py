@@ -88,8 +88,8 @@ class BlockCholesky:
         self._runs = np.flatnonzero(np.diff(sorted_place, prepend=-1))
         filled = sorted_place[self._runs]
         bounds = np.searchsorted(filled, block_starts)
-        self._strips = [
-            _Strip(
+        self.strips = [
+            Strip(
                 unknowns=self._order[starts[i] : starts[i + 1]],
                 values=slice(bounds[i], bounds[i + 1]),
                 places=filled[bounds[i] : bounds[i + 1]] - block_starts[i],
@@ -99,23 +99,31 @@ class BlockCholesky:
             for i in range(len(sizes))
         ]
 
+    def sums(self, values: Numbers, first: int = 0, last: int | None = None) -> Numbers:
+        """The values of strips `first` to `last`, those of equal place added up."""
+        strips = self.strips[first : None if last is None else last + 1]
+        runs = self._runs[strips[0].values.start : strips[-1].values.stop]
+        end = np.append(self._runs, len(self._gather))[strips[-1].values.stop]
+        added: Numbers = np.add.reduceat(values[self._gather[runs[0] : end]], runs - runs[0])
+        return added
+
     def factorise(self, values: Numbers) -> "BlockFactors | ComplexBlockFactors":
         """Factorise the matrix with these values."""
-        sums = np.add.reduceat(values[self._gather], self._runs)
+        sums = self.sums(values)
         if np.iscomplexobj(sums):
-            return ComplexBlockFactors(self._strips, sums)
-        return BlockFactors(self._strips, list(self._sweep(sums)))
+            return ComplexBlockFactors(self.strips, sums)
+        return BlockFactors(self.strips, list(self._sweep(sums)))
 
     def congruence(self, values: Numbers, B: Numbers) -> Numbers:
         """B^T A^-1 B, (k, k): each strip's factor serves once and is forgotten."""
-        sums = np.add.reduceat(values[self._gather], self._runs)
+        sums = self.sums(values)
         if np.iscomplexobj(sums):
-            product: Numbers = B.T @ ComplexBlockFactors(self._strips, sums).solve(B)
+            product: Numbers = B.T @ ComplexBlockFactors(self.strips, sums).solve(B)
             return product
         total: Numbers = np.zeros((B.shape[1], B.shape[1]))
         half: Numbers = np.zeros((0, B.shape[1]))
         joined: Numbers = np.zeros((0, 0))
-        for strip, (factor, joining) in zip(self._strips, self._sweep(sums), strict=True):
+        for strip, (factor, joining) in zip(self.strips, self._sweep(sums), strict=True):
             half = _forward(strip, factor, joined, half, B)
             total = total + half.T @ half
             joined = joining
@@ -124,29 +132,17 @@ class BlockCholesky:
     def _sweep(self, sums: Numbers) -> Iterator[tuple[Numbers, Numbers]]:
         """From end to end, each strip's Cholesky factor and the block joined to the next."""
         joined: Numbers | None = None
-        for number, strip in enumerate(self._strips):
+        for strip in self.strips:
             own, joining = strip.blocks(sums)
             if joined is not None:
                 own = blas.dsyrk(-1.0, joined, 1.0, own, lower=1, overwrite_c=1)
-            factor, info = lapack.dpotrf(own, lower=1, clean=0, overwrite_a=1)
-            if info:
-                raise ConfigurationError(
-                    f"the matrix is not positive definite to rounding (strip {number} of "
-                    f"{len(self._strips)}); conductivities or contact impedances differ by more "
-                    "orders of magnitude than double precision holds: bring them closer"
-                )
-            if strip.below:
-                inner = len(factor) - strip.carried
-                corner = np.asfortranarray(factor[inner:, inner:])
-                joining = blas.dtrsm(
-                    1.0, corner, joining, side=1, lower=1, trans_a=1, overwrite_b=1
-                )
-            yield factor, joining
-            joined = joining
+            factor = cholesky(own)
+            joined = strip.joined(factor, joining)
+            yield factor, joined
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Strip:
+class Strip:
     """One strip of unknowns and where its matrix values go.
 
     Attributes:
@@ -163,17 +159,42 @@ class _Strip:
     carried: int
     below: int
 
-    def blocks(self, sums: Numbers) -> tuple[Numbers, Numbers]:
-        """The strip's own block, its lower triangle filled, and the block below it."""
+    def blocks(self, sums: Numbers, start: int = 0) -> tuple[Numbers, Numbers]:
+        """The strip's own block, its lower triangle filled, and the block below it.
+
+        Of added-up values from number `start` on.
+        """
         size = len(self.unknowns)
         flat = np.zeros(size**2 + self.below * self.carried, dtype=sums.dtype)
-        flat[self.places] = sums[self.values]
+        flat[self.places] = sums[self.values.start - start : self.values.stop - start]
         joining = flat[size**2 :].reshape(self.carried if self.below else 0, self.below)
         return flat[: size**2].reshape(size, size).T, joining.T
 
+    def joined(self, factor: Numbers, joining: Numbers) -> Numbers:
+        """The block below, times the inverse of the carried corner of the factor, transposed."""
+        if not self.below:
+            return joining
+        inner = len(factor) - self.carried
+        corner = np.asfortranarray(factor[inner:, inner:])
+        found: Numbers = blas.dtrsm(1.0, corner, joining, side=1, lower=1, trans_a=1, overwrite_b=1)
+        return found
+
+
+def cholesky(block: Numbers) -> Numbers:
+    """The lower factor of a block, in its lower triangle; raises ConfigurationError."""
+    factor: Numbers
+    factor, info = lapack.dpotrf(block, lower=1, clean=0, overwrite_a=1)
+    if info:
+        raise ConfigurationError(
+            f"the matrix is not positive definite to rounding (row {info} of a block of "
+            f"{len(block)}); conductivities or contact impedances differ by more orders of "
+            "magnitude than double precision holds: bring them closer"
+        )
+    return factor
+
 
 def _forward(
-    strip: _Strip, factor: Numbers, joined: Numbers, before: Numbers, B: Numbers
+    strip: Strip, factor: Numbers, joined: Numbers, before: Numbers, B: Numbers
 ) -> Numbers:
     """The strip's rows of L^-1 B, from those of the strip before."""
     right = B[strip.unknowns]
@@ -186,7 +207,7 @@ def _forward(
 class BlockFactors:
     """The block Cholesky factors of one matrix."""
 
-    def __init__(self, strips: list[_Strip], blocks: list[tuple[Numbers, Numbers]]) -> None:
+    def __init__(self, strips: list[Strip], blocks: list[tuple[Numbers, Numbers]]) -> None:
         """Keep each strip's factor and joined block."""
         self._strips, self._blocks = strips, blocks
 
@@ -215,7 +236,7 @@ class BlockFactors:
 class ComplexBlockFactors:
     """The block LU factors of one complex symmetric matrix."""
 
-    def __init__(self, strips: list[_Strip], sums: Numbers) -> None:
+    def __init__(self, strips: list[Strip], sums: Numbers) -> None:
         """Eliminate strip by strip; S are the pivots, J the blocks below them."""
         self._strips = strips
         self._blocks: list[tuple[Numbers, Numbers, Numbers]] = []
@@ -241,7 +262,7 @@ class ComplexBlockFactors:
         ):
             half = lapack.zgetrs(lu, pivots, solution[strip.unknowns])[0]
             solution[after.unknowns] -= J @ half[len(half) - J.shape[1] :]
-        later: _Strip | None = None
+        later: Strip | None = None
         for strip, (lu, pivots, J) in zip(
             reversed(self._strips), reversed(self._blocks), strict=True
         ):

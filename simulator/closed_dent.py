@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
 from eitskin.geometry import ConfigurationError
-from eitskin.simulator.dents import Strains
+from eitskin.simulator.dents import Motion
 from eitskin.simulator.indenters import Cylinder, Indenter
 
 Array = NDArray[np.float64]
@@ -79,17 +79,12 @@ class ClosedDent:
         """Distance from the axis beyond which nothing moves [m]: u falls slowly, like 1 / r."""
         return np.inf
 
-    def displacement(self, r: Array, z: Array) -> tuple[Array, Array]:
-        """u and w z [m] at distance r from the axis and height z over the layer's bottom [m]."""
-        hoop, w, _ = self._thinned(r)
-        return hoop * r, w * z
-
-    def strains(self, r: Array, z: Array) -> Strains:
-        """Their derivatives."""
+    def motion(self, r: Array, z: Array) -> Motion:
+        """How points at distance r from the axis and height z over the layer's bottom move [m]."""
         hoop, w, slope = self._thinned(r)
         # d(r + u)/dr from volume: (1 + u') (1 + u/r) (1 + w) = 1.
         radial = 1.0 / ((1.0 + hoop) * (1.0 + w)) - 1.0
-        return Strains(hoop, radial, np.zeros_like(r), slope * z, w)
+        return Motion(hoop * r, w * z, hoop, radial, np.zeros_like(r), slope * z, w)
 
     def mean_stress(self, r: Array, z: Array) -> Array:  # noqa: ARG002
         """Not known: raises ConfigurationError."""

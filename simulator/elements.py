@@ -54,6 +54,14 @@ class Element(Protocol):
         """Points (3, q) and weights (q,), cell by cell, exact for products of two functions."""
         ...
 
+    def coarse_rule(self) -> tuple[Array, Array]:
+        """Few points (3, s) and weights (s,), cell by cell, for what varies little within cells."""
+        ...
+
+    def linear(self, X: Array) -> Array:
+        """As many functions as each cell has coarse points, linear along each axis, (s, ...)."""
+        ...
+
 
 def plane_element(base: Base, order: int) -> skfem.Element:
     """The element of polynomial `order` on the unit square or triangle."""
@@ -170,9 +178,23 @@ class ExtrudedElement:
 
     def rule(self) -> tuple[Array, Array]:
         """Gauss points (3, q) and weights (q,), cell by cell upwards."""
+        return self._gauss(2 * max(self.order), len(self.order))
+
+    def coarse_rule(self) -> tuple[Array, Array]:
+        """Gauss points (3, s) and weights (s,), two along each direction or three of a triangle."""
+        return self._gauss(2, 2)
+
+    def linear(self, X: Array) -> Array:
+        """1, x, y and, on squares, x y; and these times the height."""
+        one, (x, y, z) = np.ones_like(X[0]), X
+        flat = [one, x, y] if self.base == "triangle" else [one, x, y, x * y]
+        return np.stack([*flat, *(part * z / self.heights[-1] for part in flat)])
+
+    def _gauss(self, degree: int, heights: int) -> tuple[Array, Array]:
+        """Points and weights for polynomials of `degree` in the plane, at `heights` heights."""
         shape = skfem.refdom.RefTri if self.base == "triangle" else skfem.refdom.RefQuad
-        plane, plane_weights = skfem.quadrature.get_quadrature(shape, 2 * max(self.order))
-        nodes, weights = legendre.leggauss(len(self.order))
+        plane, plane_weights = skfem.quadrature.get_quadrature(shape, degree)
+        nodes, weights = legendre.leggauss(heights)
         points, shares = [], []
         for low, high in zip(self.heights, self.heights[1:], strict=False):
             z = low + 0.5 * (nodes + 1.0) * (high - low)
@@ -250,3 +272,12 @@ class TetrahedralElement:
         """Points (3, q) and weights (q,)."""
         points, weights = skfem.quadrature.get_quadrature(skfem.refdom.RefTet, 2 * self.order)
         return points, weights
+
+    def coarse_rule(self) -> tuple[Array, Array]:
+        """Points (3, s) and weights (s,)."""
+        points, weights = skfem.quadrature.get_quadrature(skfem.refdom.RefTet, 2)
+        return points, weights
+
+    def linear(self, X: Array) -> Array:
+        """1, x, y and z."""
+        return np.stack([np.ones_like(X[0]), *X])

@@ -33,6 +33,8 @@ class ForwardModel:
     Attributes:
         design: the sensor.
         mesh: of the undeformed layer.
+        assembly: of the matrices on it.
+        places: of their values.
         solver: how the matrix is factorised; `solver.name` says it in words.
         factorisations: how many matrices have been factorised so far.
     """
@@ -60,13 +62,13 @@ class ForwardModel:
         self.design = design
         self.mesh: Mesh = mesh_of(design, grading, cells, breaks)
         self.factorisations = 0
-        self._assembly = Assembly(self.mesh, order)
-        self._places = Places(self._assembly)
+        self.assembly = Assembly(self.mesh, order)
+        self.places = Places(self.assembly)
         self.solver: Solver = choose_solver(
             solver,
-            self._places.rows,
-            self._places.columns,
-            self._assembly.space.numbers,
+            self.places.rows,
+            self.places.columns,
+            self.assembly.space.numbers,
             self._first(),
         )
 
@@ -74,12 +76,12 @@ class ForwardModel:
         """The elements at the body's lower end in x."""
         x = self.mesh.points[self.mesh.cells, 0].min(axis=1)
         touching = np.flatnonzero(x <= x.min() + 1e-9 * np.ptp(self.mesh.points[:, 0]))
-        return np.unique(touching // self._assembly.space.element.cells)
+        return np.unique(touching // self.assembly.space.element.cells)
 
     @property
     def unknowns(self) -> int:
         """Number of potential unknowns that are solved for."""
-        return self._assembly.unknowns
+        return self.assembly.unknowns
 
     def impedance(
         self, conductivity: Conductivity | None = None, area_ratio: AreaRatio | None = None
@@ -122,9 +124,9 @@ class ForwardModel:
         """
         u = self._element_potentials(conductivity)
         if pixels is None:
-            gram = self._assembly.cell_gram(u)
+            gram = self.assembly.cell_gram(u)
         else:
-            gram = pixel_gram(self._assembly, self.mesh, u, self.design.outline, pixels)
+            gram = pixel_gram(self.assembly, self.mesh, u, self.design.outline, pixels)
         drive, sense = protocol.patterns()
         J: Numbers = -np.einsum("em,cef,fm->mc", drive, gram, sense, optimize=True)
         return J
@@ -137,19 +139,25 @@ class ForwardModel:
         d V_m / d z_l = int_{E_l} j_drive j_sense with the current densities
         j = (U_l - u) / z_l (Vilhunen et al. 2002), exact for the discrete model.
         """
-        assembly, z = self._assembly, self._contact_impedance
-        _, system, w, U = self._solve(conductivity)
-        on = np.einsum("fiq,fie->fqe", assembly.facet_shape, w[assembly.facet_numbers])
-        # u - U_l is w itself where the electrode's own potential is lifted off.
-        own = U * (1.0 - system.lift.max(axis=0))[:, None]
+        assembly, z = self.assembly, self.contact_impedance
         electrode = assembly.facet_electrode
-        j = (own[electrode][:, None] - on) / z[electrode][:, None, None]
+        _, system, w, U = self._solve(conductivity)
+        j = self.contact_drops(w, U, system.lift) / z[electrode][:, None, None]
         pieces = np.einsum("fq,fqk,fql->fkl", assembly.facet_weights, j, j, optimize=True)
         gram = np.zeros((len(z), *pieces.shape[1:]), dtype=pieces.dtype)
         np.add.at(gram, electrode, pieces)
         drive, sense = protocol.patterns()
         J: Numbers = np.einsum("em,lef,fm->ml", drive, gram, sense, optimize=True)
         return J
+
+    def contact_drops(self, w: Numbers, U: Numbers, lift: Array) -> Numbers:
+        """U - u on the electrodes' pieces, (pieces, q, k), of a solution u = w + lift U."""
+        assembly = self.assembly
+        on = np.einsum("fiq,fie->fqe", assembly.facet_shape, w[assembly.facet_numbers])
+        # u - U_l is w itself where the electrode's own potential is lifted off.
+        own = U * (1.0 - lift.max(axis=0))[:, None]
+        drops: Numbers = own[assembly.facet_electrode][:, None] - on
+        return drops
 
     def potentials(
         self, conductivity: Conductivity | None = None, area_ratio: AreaRatio | None = None
@@ -159,7 +167,7 @@ class ForwardModel:
         Shape (points, electrodes); the current leaves through all electrodes alike, so that
         differences of columns are the potentials of drive pairs.
         """
-        space, cells = self._assembly.space, self.mesh.cells
+        space, cells = self.assembly.space, self.mesh.cells
         u = self._element_potentials(conductivity, area_ratio)
         elements = np.arange(len(cells)) // space.element.cells
         X = space.reference(elements, self.mesh.points[cells])
@@ -177,7 +185,7 @@ class ForwardModel:
         """Mean current density in each cell per unit current [A/m2 per A], (cells, 3)."""
         plus, minus = drive
         u = self._element_potentials(conductivity, area_ratio)
-        assembly = self._assembly
+        assembly = self.assembly
         gradients = assembly.cell_gradients(u[..., [plus]] - u[..., [minus]])[..., 0]
         sigma = _symmetric(self._conductivity(conductivity))
         weights = assembly.cell_weights
@@ -198,7 +206,8 @@ class ForwardModel:
         return self.design.conductivity_at(self.mesh.points[self.mesh.cells].mean(axis=1))
 
     @property
-    def _contact_impedance(self) -> Numbers:
+    def contact_impedance(self) -> Numbers:
+        """Of each electrode [ohm m2], (electrodes,); complex where any is."""
         z = np.array([e.contact_impedance for e in self.design.electrodes])
         return z if np.any(np.imag(z)) else np.real(z)
 
@@ -206,14 +215,14 @@ class ForwardModel:
         self, conductivity: Conductivity | None, area_ratio: AreaRatio | None
     ) -> tuple[Stiffness, System]:
         """Stiffness and system of one scene; counts as a factorisation."""
-        assembly = self._assembly
+        assembly = self.assembly
         ratio = (
             1.0 if area_ratio is None else area_ratio(assembly.facet_points, assembly.facet_normals)
         )
-        contact = assembly.contact(self._contact_impedance, ratio)
+        contact = assembly.contact(self.contact_impedance, ratio)
         stiffness = assembly.stiffness(self._conductivity(conductivity))
         self.factorisations += 1
-        return stiffness, self._places.system(stiffness.values, contact)
+        return stiffness, self.places.system(stiffness.values, contact)
 
     def _solve(
         self, conductivity: Conductivity | None, area_ratio: AreaRatio | None = None
@@ -233,39 +242,43 @@ class ForwardModel:
     ) -> Numbers:
         """Potentials per unit electrode current, (elements, functions, electrodes) [V/A]."""
         stiffness, system, w, U = self._solve(conductivity, area_ratio)
-        return self._assembly.space.in_elements(w + system.lift @ U, stiffness.inner)
+        return self.assembly.space.in_elements(w + system.lift @ U, stiffness.inner)
 
     def _conductivity(self, conductivity: Conductivity | None) -> Array:
         """The conductivity as `Assembly.stiffness` takes it, (cells, q or 1, 1 or 6)."""
         if conductivity is None:
             conductivity = self._own_conductivity
-        field = callable(conductivity)
-        points = self._assembly.points if field else self._assembly.points[:, :1]
-        given = conductivity(points) if callable(conductivity) else conductivity
-        value = np.asarray(given, dtype=np.float64)
-        shape = points.shape[:-1]
-        if not field and value.ndim:
-            value = value[:, None]
-        if value.shape == shape or value.ndim == 0:
-            entries = np.broadcast_to(value, shape)[..., None]
-        elif value.shape == (*shape, 3, 3):
-            entries = value[..., TENSOR_ROWS, TENSOR_COLUMNS]
-        else:
-            n = len(points)
-            asked = (
-                f"from f(x) of x with shape {points.shape} of shape {shape} or {(*shape, 3, 3)}"
-                if field
-                else f"per cell of shape ({n},) or ({n}, 3, 3)"
-            )
-            raise ConfigurationError(
-                f"conductivity must be a scalar, or {asked}, got shape {np.shape(given)}"
-            )
-        if not _positive_definite(value, entries):
-            raise ConfigurationError(
-                "conductivity must be finite, symmetric and positive everywhere, in S/m; "
-                f"smallest entry on the diagonal: {entries[..., :3].min():g}"
-            )
-        return entries
+        if callable(conductivity):
+            return field_entries(conductivity, self.assembly.points)
+        value = np.asarray(conductivity, dtype=np.float64)
+        shape = (len(self.mesh.cells), 1)
+        return _entries(value[:, None] if value.ndim else value, shape, "per cell of", shape[:1])
+
+
+def field_entries(conductivity: Field, points: Array) -> Array:
+    """Scalars or entries xx, yy, zz, xy, xz, yz of a field at points (..., 3), (..., 1 or 6)."""
+    value = np.asarray(conductivity(points), dtype=np.float64)
+    shape = points.shape[:-1]
+    return _entries(value, shape, f"from f(x) of x with shape {points.shape} of", shape)
+
+
+def _entries(value: Array, shape: tuple[int, ...], what: str, asked: tuple[int, ...]) -> Array:
+    """Scalars (...) as (..., 1), tensors (..., 3, 3) as (..., 6); raises ConfigurationError."""
+    if value.shape == shape or value.ndim == 0:
+        entries = np.broadcast_to(value, shape)[..., None]
+    elif value.shape == (*shape, 3, 3):
+        entries = value[..., TENSOR_ROWS, TENSOR_COLUMNS]
+    else:
+        raise ConfigurationError(
+            f"conductivity must be a scalar, or {what} shape {asked} or {(*asked, 3, 3)}, got "
+            f"shape {value.shape}"
+        )
+    if not _positive_definite(value, entries):
+        raise ConfigurationError(
+            "conductivity must be finite, symmetric and positive everywhere, in S/m; "
+            f"smallest entry on the diagonal: {entries[..., :3].min():g}"
+        )
+    return entries
 
 
 def _symmetric(entries: Array) -> Array:
@@ -287,4 +300,7 @@ def _positive_definite(given: Array, entries: Array) -> bool:
     third = second * zz - xx * yz**2 - yy * xz**2 + 2.0 * xy * xz * yz
     # NaN fails every comparison, so it is refused too.
     positive = all(bool(np.all(m > 0.0) and np.all(np.isfinite(m))) for m in (xx, second, third))
-    return positive and bool(np.allclose(given, np.swapaxes(given, -1, -2), rtol=1e-9, atol=0.0))
+    return positive and all(
+        bool(np.allclose(given[..., a, b], given[..., b, a], rtol=1e-9, atol=0.0))
+        for a, b in ((0, 1), (0, 2), (1, 2))
+    )

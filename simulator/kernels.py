@@ -9,7 +9,6 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline, PPoly
-from scipy.optimize import brentq
 
 from eitskin.geometry import ConfigurationError
 from eitskin.simulator.equilibrium import SolidError
@@ -76,8 +75,8 @@ class Kernel:
                 f"force must be above 0 and at most {self.largest_force:.3g} N, where the layer is "
                 f"pressed to {1 - self.thinnings[-1]:.0%} of its thickness, got {force:g} N"
             )
-        forces = _over_depth(self).forces
-        return self._dent(force, brentq(lambda place: float(forces(place)) - force, 0.0, 1.0))
+        place = _over_depth(self).forces.solve(force, extrapolate=False)[0]
+        return self._dent(force, float(place))
 
     def pressed_to(self, depth: float) -> TabulatedDent:
         """The dent of a press to `depth` [m]; raises ConfigurationError like `pressed`."""

@@ -1,5 +1,7 @@
 """Finite element functions on a mesh: which unknown stands for which function of which element."""
 
+from typing import NamedTuple
+
 import numpy as np
 import skfem
 from numpy.typing import NDArray
@@ -10,6 +12,20 @@ from eitskin.simulator.elements import Element, ExtrudedElement, TetrahedralElem
 Array = NDArray[np.float64]
 Numbers = NDArray[np.inexact]
 Indices = NDArray[np.int64]
+
+
+class Rule(NamedTuple):
+    """Quadrature in all cells; c cells in an element, q points in each.
+
+    Attributes:
+        X: reference points, cell by cell, (3, c q).
+        weights: their reference weights, (c q,).
+        points: their images, (cells, q, 3) [m].
+    """
+
+    X: Array
+    weights: Array
+    points: Array
 
 
 class FunctionSpace:
@@ -24,8 +40,8 @@ class FunctionSpace:
         origins: images of X = 0, (elements, 3) [m].
         inverses: dX/dx, (elements, 3, 3).
         jacobians: |det dx/dX|, (elements,).
-        points: quadrature points, cell by cell, (cells, q, 3) [m].
-        weights: their reference weights, (cells in an element * q,).
+        rule: for integrals of products of two functions.
+        coarse: for what varies little within cells.
     """
 
     def __init__(self, mesh: Mesh, order: tuple[int, ...]) -> None:
@@ -34,9 +50,8 @@ class FunctionSpace:
             self._tetrahedra(mesh, order)
         else:
             self._columns(mesh, mesh.heights, order)
-        X, self.weights = self.element.rule()
-        points = self.origins[:, None] + X.T @ self._edges
-        self.points: Array = points.reshape(len(mesh.cells), -1, 3)
+        self.rule = self._rule(*self.element.rule())
+        self.coarse = self._rule(*self.element.coarse_rule())
 
     def _tetrahedra(self, mesh: Mesh, order: tuple[int, ...]) -> None:
         if len(order) != 1:
@@ -95,6 +110,10 @@ class FunctionSpace:
         self.inverses: Array = np.asarray(np.linalg.inv(edges.swapaxes(1, 2)), dtype=np.float64)
         volumes = np.asarray(np.linalg.det(edges), dtype=np.float64)
         self.jacobians: Array = np.abs(volumes)
+
+    def _rule(self, X: Array, weights: Array) -> Rule:
+        points: Array = self.origins[:, None] + X.T @ self._edges
+        return Rule(X, weights, points.reshape(len(points) * self.element.cells, -1, 3))
 
     def reference(self, elements: Indices, points: Array) -> Array:
         """X, (3, n, ...), of `points` (n, ..., 3) [m] in `elements` (n,)."""

@@ -46,6 +46,11 @@ class System:
     admittance: Numbers
     lift: Array
 
+    @property
+    def lifted(self) -> NDArray[np.bool_]:
+        """Electrodes whose potential is lifted off, (electrodes,)."""
+        return np.asarray(self.lift.any(axis=0))
+
     def impedance(self, T: Numbers) -> Numbers:
         """Z [ohm], zero row and column sums, from T = B^T A^-1 B.
 
@@ -85,8 +90,13 @@ class Places:
         self._entry, self._to, self._source = entry[met], to[met], source[met]
         self._grounded = np.flatnonzero((rows == self._ground) & (columns == self._ground))
 
-    def system(self, stiffness: Array, contact: Contact) -> System:
-        """The system for stiffness values and electrode terms, each electrode in its own form."""
+    def system(
+        self, stiffness: Array, contact: Contact, lifted: NDArray[np.bool_] | None = None
+    ) -> System:
+        """The system for stiffness values and electrode terms, each electrode in its own form.
+
+        Which electrodes have their potential lifted off is chosen here unless it is given.
+        """
         ground = stiffness[self._grounded].sum()
         values = np.append(stiffness, ground)
         E = self._lift
@@ -98,8 +108,8 @@ class Places:
             axis=1,
         )
         energy = E.T @ KE
-        smaller = np.diag(energy) < np.abs(contact.admittance)
-        lifted = self._liftable & smaller
+        if lifted is None:
+            lifted = self._liftable & (np.diag(energy) < np.abs(contact.admittance))
         admittance = np.where(np.outer(lifted, lifted), energy, 0.0) + np.diag(
             np.where(lifted, 0.0, contact.admittance)
         )

@@ -1,13 +1,14 @@
 """The dent of a press as a table: splines over the distance, polynomials over the height."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 from scipy.interpolate import PPoly
 
-from eitskin.simulator.dents import Strains
+from eitskin.simulator.dents import Motion
 
 Array = NDArray[np.float64]
 
@@ -46,44 +47,56 @@ class TabulatedDent:
         """Distance from the axis beyond which nothing moves [m]."""
         return float(self.profile.x[-1])
 
-    def displacement(self, r: Array, z: Array) -> tuple[Array, Array]:
-        """u and w [m] at distance r from the axis and height z over the layer's bottom [m]."""
-        u, w, _ = _summed(self._over_height(z), self._at(r))
-        return u, w
+    def motion(self, r: Array, z: Array) -> Motion:
+        """How points at distance r from the axis and height z over the layer's bottom move [m].
+
+        At distances (..., n, 1) and heights (n, h) that are alike for all n, as of quadrature
+        points in upright cells, the polynomials over the height are summed before the splines.
+        """
+        if z.ndim == 2 and r.shape[-2:] == (len(z), 1) and len(z) and (z == z[0]).all():
+            u, w, shear, stretch, radial, tilt = self._at_heights(r[..., 0], z[0])
+        else:
+            u, w, shear, stretch, radial, tilt = self._anywhere(*np.broadcast_arrays(r, z))
+        near = r < 1e-9  # on the axis u / r tends to du/dr
+        hoop = np.where(near, radial, u / np.where(near, 1.0, r))
+        return Motion(u, w, hoop, radial, shear, tilt, stretch)
 
     def mean_stress(self, r: Array, z: Array) -> Array:
         """Mean stress [Pa], positive in tension."""
-        _, _, stress = _summed(self._over_height(z), self._at(r))
-        return np.asarray(stress)
+        r, z = np.broadcast_arrays(r, z)
+        coefficients = self.profile(np.minimum(r, self.reach))[..., 2]
+        return np.asarray(np.einsum("...m,...m->...", self.over_height(z), coefficients))
 
-    def strains(self, r: Array, z: Array) -> Strains:
-        """Their derivatives."""
-        near = r < 1e-9  # on the axis u / r tends to du/dr
-        P, values = self._over_height(z), self._at(r)[:2]
-        u = _summed(P, values[:1])[0]
-        radial, tilt = _summed(P, self._at(r, 1)[:2])
-        shear, upward = _summed(P @ (_RISES * (2.0 / self.thickness)), values)
-        hoop = np.where(near, radial, u / np.where(near, 1.0, r))
-        return Strains(hoop, radial, shear, tilt, upward)
+    def _at_heights(self, r: Array, z: Array) -> Array:
+        """u, w, their slopes upwards and outwards, each (..., h), at r (...) and z (h,)."""
+        found = _at_heights(self, tuple(z.tolist()))(np.minimum(r, self.reach))  # (..., 3 h, 2)
+        parts = np.moveaxis(found.reshape(*r.shape, 3, len(z), 2), (-3, -1), (0, 1))
+        return np.ascontiguousarray(parts).reshape(6, *r.shape, len(z))
 
-    def _over_height(self, z: Array) -> Array:
-        """Legendre polynomials at heights, (..., m); (h, m) where all rows of heights are alike."""
-        if z.ndim == 2 and len(z) and np.array_equal(z, np.broadcast_to(z[:1], z.shape)):
-            z = z[0]
+    def _anywhere(self, r: Array, z: Array) -> Array:
+        """The same, each (...), at r and z (...)."""
+        P = self.over_height(z)
+        inside = np.minimum(r, self.reach)
+        c, slopes = self.profile(inside)[..., :2], self.profile(inside, 1)[..., :2]
+        pairs = ((P, c), (self.rises(P), c), (P, slopes))
+        return np.concatenate([np.einsum("...m,...mf->f...", Q, v) for Q, v in pairs])
+
+    def rises(self, P: Array) -> Array:
+        """Slopes upwards [1/m] of the polynomials with values P (..., m)."""
+        return np.asarray(P @ (_RISES * (2.0 / self.thickness)))
+
+    def over_height(self, z: Array) -> Array:
+        """Legendre polynomials at heights z (...), (..., m)."""
         return np.asarray(legendre.legvander(2.0 * z / self.thickness - 1.0, DEGREE))
 
-    def _at(self, r: Array, derivative: int = 0) -> Array:
-        """Coefficients of u, w and stress at distances (...), (3, ..., coefficients)."""
-        coefficients = self.profile(np.minimum(r, self.reach), derivative)
-        return np.ascontiguousarray(np.moveaxis(coefficients, -1, 0))
 
-
-def _summed(P: Array, coefficients: Array) -> Array:
-    """Fields (k, ...) of polynomials (..., m) and coefficients (k, ..., m).
-
-    Columns (k, n, 1, m) at the same heights (h, m) are one product of matrices.
-    """
-    if P.ndim == 2 and coefficients.ndim == 4:
-        return np.asarray(coefficients[:, :, 0] @ P.T)
-    fields: Array = np.einsum("...m,k...m->k...", P, coefficients)
-    return fields
+@lru_cache(maxsize=16)
+def _at_heights(dent: TabulatedDent, heights: tuple[float, ...]) -> PPoly:
+    """Splines over r of u and w, their slopes upwards, and outwards, at heights, (3 h, 2)."""
+    P = dent.over_height(np.array(heights))
+    upright = np.concatenate([P, dent.rises(P)])  # (2 h, m)
+    values = np.einsum("pkmf,hm->pkhf", dent.profile.c[..., :2], upright, optimize=True)
+    outward = np.zeros_like(values[:, :, : len(P)])
+    outward[1:] = values[:-1, :, : len(P)] * np.array([3.0, 2.0, 1.0])[:, None, None, None]
+    splines = np.concatenate([values, outward], axis=2)
+    return PPoly.construct_fast(splines, dent.profile.x)

@@ -110,7 +110,7 @@ def test_renumbering_electrodes_renumbers_the_matrix(model) -> None:
 
 
 def test_conductivity_per_cell_equals_the_same_field(model) -> None:
-    centres = model._assembly.points.mean(axis=1)
+    centres = model.assembly.points.mean(axis=1)
     tensors = np.eye(3) * (1 + 5 * centres[:, 0])[:, None, None]
     by_cell = model.impedance(tensors)
     assert model.impedance(tensors[:, 0, 0]) == pytest.approx(by_cell, rel=1e-12, abs=1e-9)
@@ -151,7 +151,7 @@ def test_assembly_equals_scikit_fem_on_the_flat_mesh() -> None:
 def test_pull_back_equals_a_truly_deformed_mesh() -> None:
     """The same trilinear displacement, once as a tensor and once as moved mesh points."""
     model = ForwardModel(REFERENCE, ((1, 1), COARSE))
-    mesh, assembly = model.mesh, model._assembly
+    mesh, assembly = model.mesh, model.assembly
     moved = skewed(mesh.points)
 
     def F(points, cells):

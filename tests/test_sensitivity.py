@@ -35,7 +35,7 @@ def test_pixels_agree_with_central_differences_when_pixels_are_unions_of_cells(m
     """Halves of the sensor: mesh faces lie on x = 75 mm only if asked, so it is asked."""
     model = ForwardModel(SensorDesign.reference(), ((2, 1), COARSE), breaks=(0.075,))
     J = model.sensitivity(PROTOCOL, pixels=(1, 2))
-    left = (model._assembly.points[:, :, 0].mean(axis=1) < 0.075).astype(float)
+    left = (model.assembly.points[:, :, 0].mean(axis=1) < 0.075).astype(float)
     for pixel, inside in enumerate((left, 1 - left)):
         ahead, behind = (PROTOCOL.measure(model.impedance(1 + s * 1e-5 * inside)) for s in (1, -1))
         assert J[:, pixel] == pytest.approx((ahead - behind) / 2e-5, rel=1e-6)

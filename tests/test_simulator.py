@@ -183,8 +183,8 @@ def test_flat_scenes_ask_for_no_deformation(sim, monkeypatch) -> None:
     def unwanted(*_):
         raise AssertionError("a flat, untouched scene computed a deformation")
 
-    monkeypatch.setattr("eitskin.simulator.simulator.pulled_back", unwanted)
-    monkeypatch.setattr("eitskin.simulator.simulator.area_ratio", unwanted)
+    monkeypatch.setattr("eitskin.simulator.setting.pulled_back_entries", unwanted)
+    monkeypatch.setattr("eitskin.simulator.setting.area_ratio", unwanted)
     assert sim.deformation(Scene()) is None
     sim.measure(Scene(bend=Bend(0.0)))
     sim.measure(Scene())

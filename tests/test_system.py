@@ -22,7 +22,7 @@ def with_contacts(z) -> SensorDesign:
 
 def whole_matrices(model, sigma):
     """K, B, D and the contact mass over all functions, inner ones too, dense."""
-    assembly = model._assembly
+    assembly = model.assembly
     space, element, outer = assembly.space, assembly.space.element, assembly.unknowns
     inner = outer + np.arange(len(space.numbers) * element.inner).reshape(len(space.numbers), -1)
     numbers = np.concatenate([space.numbers, inner], axis=1)
@@ -84,7 +84,7 @@ def test_both_forms_of_an_electrode_agree_where_both_hold(z, monkeypatch) -> Non
     """Lifted or not, an electrode is the same; far from z = 1 one of the two loses digits."""
     model = ForwardModel(with_contacts(z), ((2, 2), COARSE))
     free = PAIRS.measure(model.impedance())
-    monkeypatch.setattr(model._places, "_liftable", np.zeros(8, dtype=bool))
+    monkeypatch.setattr(model.places, "_liftable", np.zeros(8, dtype=bool))
     plain = PAIRS.measure(model.impedance())
     lost = 1e-16 / z / 1e-9 + 1e-10  # what the plain form loses
     assert plain == pytest.approx(free, rel=max(lost, 1e-10))
