@@ -77,7 +77,8 @@ class FrontEnd:
         status = np.zeros(impedance.shape, np.uint8)
         if not (self.floor or self.quantisation or self.clipping):
             return impedance, status
-        through = current(impedance, driven, self.rtia, self.excitation)
+        widest = self.pga_range or PGA_RANGES[-1]
+        through = current(impedance, driven, self.rtia, self.excitation, widest)
         # Both are converted as voltages, each at a gain of its own: V, then I RTIA.
         pair = [through * impedance, through * self.rtia]
         if self.floor:
@@ -109,11 +110,18 @@ def shunted(impedance: Complex, driven: Complex, capacitance: Array) -> Complex:
     return shown
 
 
-def current(impedance: Complex, driven: Complex, rtia: float, excitation: float = 0.0) -> Complex:
+def current(
+    impedance: Complex,
+    driven: Complex,
+    rtia: float,
+    excitation: float = 0.0,
+    widest: float = PGA_RANGES[-1],
+) -> Complex:
     """The current [A] through drive pairs of impedance `driven` [ohm].
 
-    The excitation is a fixed one [V], or with 0 the largest at which neither the current nor the
-    voltage across the sense pair, of transfer `impedance` [ohm], is too large to convert.
+    The excitation is a fixed one [V], or with 0 the largest at which neither the current, through
+    `rtia` [ohm], nor the voltage across the sense pair, of transfer `impedance` [ohm], is beyond
+    the `widest` range [V]; the smallest, where none is small enough.
     """
     size = np.abs(driven)
     driven = np.where(size < SHORT, SHORT, driven)
@@ -121,8 +129,8 @@ def current(impedance: Complex, driven: Complex, rtia: float, excitation: float 
         chosen: Array = np.array(excitation)
     else:
         through = np.divide.outer(EXCITATIONS, np.abs(driven))
-        fits = through <= min(TIA_LIMIT, PGA_RANGES[-1] / rtia)
-        fits &= through * np.abs(impedance) <= PGA_RANGES[-1]
+        fits = through <= min(TIA_LIMIT, widest / rtia)
+        fits &= through * np.abs(impedance) <= widest
         first = np.where(fits.any(axis=0), fits.argmax(axis=0), len(EXCITATIONS) - 1)
         chosen = np.array(EXCITATIONS)[first]
     phasor: Complex = chosen / driven

@@ -71,7 +71,8 @@ class Instrument:
             the measurement does not clip.
         pga_range: of the ADC [V], 0.9, 0.6, 0.3 or 0.133; with 0 the smallest that takes the sine.
         rtia: resistor that turns the current into a voltage [ohm], one of the chip's. With 200
-            the full 3 mA are 0.6 V; a stiffer sensor than that of some 100 ohm may take more.
+            the full 3 mA are 0.6 V; a sensor of more ohms, whose currents are smaller, may use
+            more of the range with a larger one.
         stray_capacitance: from and to [F]; each drive pair draws its own, uniform, per session.
             40 to 100 pF are left by cables and multiplexers (data sheet, estimate).
         measurement_time: from one measurement of a frame to the next [s]; 10.6 ms computed.

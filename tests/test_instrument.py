@@ -280,6 +280,18 @@ def test_auto_ranging_heeds_a_sense_pair_that_sees_more_than_the_drive_pair():
     assert current(transfer, drive, 200.0) == pytest.approx(0.121 / 300.0)
 
 
+@pytest.mark.parametrize(("pga", "excitation"), [(0.9, 0.607), (0.6, 0.121), (0.133, 0.121)])
+def test_auto_ranging_heeds_a_fixed_range(pga, excitation):
+    assert read_one(only(clipping=True, pga_range=pga), 500.0)[1] == 0
+    noise = only(floor=1.9e-6, clipping=True)
+    fixed, auto = (
+        read_one(dataclasses.replace(noise, pga_range=pga, excitation=each), 500.0)[0]
+        for each in (excitation, 0.0)
+    )
+    assert fixed == auto
+    assert read_one(only(clipping=True, pga_range=0.133), 10.0)[1] == Status.CLIPPED
+
+
 def test_auto_ranging_takes_the_smallest_range_that_fits():
     sizes = np.array([0.0, 0.133, 0.1331, 0.3, 0.3001, 0.6, 0.6001, 0.9, 2.0]) * 1j
     expected = [0.133, 0.133, 0.3, 0.3, 0.6, 0.6, 0.9, 0.9, 0.9]
@@ -444,7 +456,8 @@ def test_the_benchmark_finds_what_is_left_of_a_term_in_a_signal():
     gain = effect(only(gain=0.002), sim, flat, pressed, 200)
     assert gain.value == pytest.approx(0.2, rel=0.15)
     assert gain.signal < 1e-12
-    assert effect(only(clipping=True, pga_range=0.3), sim, flat, pressed, 2).flagged == 100.0
+    clipping = only(clipping=True, excitation=0.607, pga_range=0.3)
+    assert effect(clipping, sim, flat, pressed, 2).flagged == 100.0
 
 
 # ---- what is refused ----
