@@ -10,8 +10,8 @@ from eitskin.geometry import ConfigurationError, PlaneOutline
 from eitskin.simulator import Cylinder
 
 _INDENTER = 2.0 * Cylinder().radius
-_SETS_AT_ONCE = 256
-_TRIES = 100
+_SETS_AT_ONCE = 16
+_TRIES = 1600
 
 
 def draw_places(

@@ -1,7 +1,7 @@
 """The frames of one shard, simulated: a function of the recipe and the shard's number alone."""
 
 import dataclasses
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -57,7 +57,14 @@ def simulate_shard(
     recipe: Recipe, shard: int, before_solve: Callable[[], None] = lambda: None
 ) -> Dataset:
     """The frames of `shard`; `before_solve` is called before each specimen and may raise."""
-    samples = [sample(recipe, index) for index in recipe.shard_range(shard)]
+    return simulate(recipe, recipe.shard_range(shard), before_solve)
+
+
+def simulate(
+    recipe: Recipe, indices: Iterable[int], before_solve: Callable[[], None] = lambda: None
+) -> Dataset:
+    """Any frames of a recipe, at least one; they are the same in whatever company."""
+    samples = [sample(recipe, index) for index in indices]
     boards = [_board(recipe, number, before_solve) for number in range(recipe.specimens.count)]
     offsets = recipe.instrument.offsets(boards[0].protocol)
     solved = _solve(recipe, samples, bool(offsets.any()), before_solve)

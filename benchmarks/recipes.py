@@ -1,0 +1,120 @@
+"""What the shipped recipes draw, and what becomes of it: `python -m eitskin.benchmarks.recipes`.
+
+Draws two pictures into --out: `recipes.png`, statistics of each recipe, and `episodes.png`, one
+episode of each that has any; and prints medians of signal and noise. Signals are of frames
+simulated here, a few hundred of each recipe, spread over all of it.
+"""
+
+import argparse
+import dataclasses
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.benchmarks.provenance import Provenance
+from eitskin.benchmarks.recipes_plot import plot_episodes, plot_statistics
+from eitskin.datasets import Dataset, Recipe, State
+from eitskin.datasets.recipe import shipped_names
+from eitskin.datasets.sampling import Sample, sample
+from eitskin.datasets.scene_group import SceneGroup
+from eitskin.datasets.simulated import prepare, simulate
+
+Array = NDArray[np.float64]
+
+DRAWN = 3000  # frames at most, of which only scenes are drawn
+
+
+@dataclass(frozen=True, slots=True)
+class Strength:
+    """Signals and noise of each measurement, root mean square, relative to the flat sensor, (C,).
+
+    NaN where a recipe has no such frames.
+
+    Attributes:
+        bend: of untouched bent frames against the flat sensor.
+        touch: of touched frames against the untouched sensor at the same bend.
+        noise: of one frame, of the flat sensor.
+    """
+
+    bend: Array
+    touch: Array
+    noise: Array
+
+    @classmethod
+    def of(cls, recipe: Recipe, frames: int) -> "Strength":
+        """Those of a recipe, from some of its frames, and as many of its sensors left alone."""
+        data = simulate(recipe, spread(recipe.frames, frames))
+        flat = (SceneGroup("idle", count=frames),)
+        alone = simulate(dataclasses.replace(recipe, scenes=flat, episodes=()), range(frames))
+        bend, touch = changes(data)
+        _, noise = changes(alone)
+        return cls(
+            bend=_rms(bend[data.state == State.BEND]),
+            touch=_rms(touch[data.touch_count > 0]),
+            noise=_rms(noise) / np.sqrt(2.0),  # the touch reference has as much
+        )
+
+
+def changes(data: Dataset) -> tuple[Array, Array]:
+    """From the flat and from the untouched sensor, of the flat one's magnitude, (n, C)."""
+    flat = data.reference[data.specimen]
+    size = np.abs(flat)
+    return (data.impedance - flat).real / size, (data.impedance - data.touch_reference).real / size
+
+
+def main() -> None:
+    """Draw and print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path("docs"), help="folder for the pictures")
+    parser.add_argument("--frames", type=int, default=200, help="how many to simulate of each")
+    arguments = parser.parse_args()
+    rows, episodes = [], []
+    for name in shipped_names():
+        recipe = Recipe.shipped(name)
+        prepare(recipe)
+        strength = Strength.of(recipe, arguments.frames)
+        rows.append((recipe, drawn(recipe), strength))
+        report(recipe, strength)
+        if recipe.episodes:
+            episodes.append((name, simulate(recipe, first_episode(recipe))))
+    plot_statistics(rows, arguments.out / "recipes.png")
+    plot_episodes(episodes, arguments.out / "episodes.png")
+    print(Provenance.now(0))
+
+
+def drawn(recipe: Recipe) -> list[Sample]:
+    """Scenes spread over the whole of a recipe, at most `DRAWN`."""
+    return [sample(recipe, index) for index in spread(recipe.frames, DRAWN)]
+
+
+def spread(frames: int, most: int) -> list[int]:
+    """Numbers of at most `most` frames, evenly spread."""
+    return sorted(set(np.linspace(0, frames - 1, most).astype(int).tolist()))
+
+
+def first_episode(recipe: Recipe) -> range:
+    """Numbers of the frames of a recipe's first episode."""
+    return range(recipe.snapshots, recipe.snapshots + recipe.episodes[0].frames)
+
+
+def report(recipe: Recipe, strength: Strength) -> None:
+    """Print one line of medians over the measurements."""
+    bend, touch, noise = (
+        100.0 * float(np.median(part)) for part in (strength.bend, strength.touch, strength.noise)
+    )
+    print(
+        f"{recipe.name:18s} {recipe.frames:6d} frames; medians over the measurements: "
+        f"bend {bend:.3f} %, touch {touch:.3f} %, noise {noise:.4f} %"
+    )
+
+
+def _rms(values: NDArray[np.floating]) -> Array:
+    if not len(values):
+        return np.full(values.shape[1], np.nan)
+    return np.asarray(np.sqrt(np.mean(values.astype(np.float64) ** 2, axis=0)))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,56 @@
+"""Presses on a sensor of another thickness, interpolated against solved anew.
+
+`python -m eitskin.benchmarks.thickness` prints the errors of signals of the reference sensor, all
+its heights times a factor, pressed at six places. Solves five tables the first time.
+"""
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.benchmarks.provenance import Provenance
+from eitskin.geometry import SensorDesign
+from eitskin.simulator import Mechanics, Scene, Simulator, Touch
+
+FACTORS = (0.95, 1.0, 1.05)
+FORCES = (5.0, 10.0)
+PLACES = tuple((x, y) for x in (0.015, 0.045, 0.075) for y in (0.015, 0.030))
+
+
+def main() -> None:
+    """Print a line for each thickness and force."""
+    nominal = SensorDesign.reference()
+    shared = Mechanics(solved_thickness=nominal.thickness)
+    for factor in FACTORS:
+        design = dataclasses.replace(
+            nominal,
+            thickness=factor * nominal.thickness,
+            encapsulated_thickness=factor * nominal.encapsulated_thickness,
+        )
+        for force in FORCES:
+            exact, found, unmoved = (
+                signals(*sensor, force)
+                for sensor in ((design, Mechanics()), (design, shared), (nominal, Mechanics()))
+            )
+            size, largest = np.linalg.norm(exact), np.abs(exact).max(axis=1)
+            error = np.abs(found - exact).max(axis=1) / largest
+            print(
+                f"thickness x {factor:.2f}, {force:4.1f} N: interpolated off by "
+                f"{np.linalg.norm(found - exact) / size:.2%} rms, at most {error.max():.2%} of a "
+                f"press's largest signal; the nominal sensor's signals by "
+                f"{np.linalg.norm(unmoved - exact) / size:.1%} rms"
+            )
+    print(Provenance.now(0))
+
+
+def signals(design: SensorDesign, mechanics: Mechanics, force: float) -> NDArray[np.float64]:
+    """Relative changes by a press at each of the places, (places, measurements)."""
+    sim = Simulator(design, "fast", mechanics=mechanics)
+    flat = sim.measure(Scene()).impedance
+    pressed = sim.measure_all([Scene(touches=(Touch(x, y, force),)) for x, y in PLACES])
+    return np.asarray((pressed / flat - 1.0).real)
+
+
+if __name__ == "__main__":
+    main()
