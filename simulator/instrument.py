@@ -205,7 +205,8 @@ def _cut_normal(rng: np.random.Generator, deviation: float, limit: float) -> flo
     if not deviation:
         return 0.0
     tail = ndtr(-limit / deviation)
-    return float(deviation * ndtri(rng.uniform(tail, 1.0 - tail)))
+    drawn = deviation * ndtri(rng.uniform(tail, 1.0 - tail))
+    return float(np.clip(drawn, -limit, limit))
 
 
 @lru_cache(maxsize=64)
