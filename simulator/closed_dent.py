@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
 from eitskin.geometry import ConfigurationError
-from eitskin.simulator.dents import Motion
 from eitskin.simulator.indenters import Cylinder, Indenter
 
 Array = NDArray[np.float64]
@@ -79,12 +78,14 @@ class ClosedDent:
         """Distance from the axis beyond which nothing moves [m]: u falls slowly, like 1 / r."""
         return np.inf
 
-    def motion(self, r: Array, z: Array) -> Motion:
-        """How points at distance r from the axis and height z over the layer's bottom move [m]."""
+    def motion(self, r: Array, z: Array) -> Array:
+        """u, w, du/dz, dw/dz, du/dr and dw/dr [m], (..., n, 6, h), at r (..., n) and z (n, h)."""
         hoop, w, slope = self._thinned(r)
         # d(r + u)/dr from volume: (1 + u') (1 + u/r) (1 + w) = 1.
         radial = 1.0 / ((1.0 + hoop) * (1.0 + w)) - 1.0
-        return Motion(hoop * r, w * z, hoop, radial, np.zeros_like(r), slope * z, w)
+        level, rising = np.ones_like(z), z
+        parts = ((hoop * r, level), (w, rising), (0.0 * r, level), (w, level), (radial, level))
+        return np.stack([each[..., None] * at for each, at in (*parts, (slope, rising))], axis=-2)
 
     def mean_stress(self, r: Array, z: Array) -> Array:  # noqa: ARG002
         """Not known: raises ConfigurationError."""

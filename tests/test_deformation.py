@@ -132,7 +132,7 @@ def test_dent_passes_through_the_published_fits() -> None:
     for force, amplitude, width in ((5.0, 0.21, 0.0120), (10.0, 0.48, 0.0112)):
         dent = ClosedDent.of(Cylinder(), force)
         assert (dent.amplitude, dent.width) == pytest.approx((amplitude, width), rel=1e-12)
-        w = dent.motion(np.array([0.0, width]), np.ones(2)).upward
+        w = dent.motion(np.array([0.0, width]), np.ones((2, 1)))[:, 1, 0]
         assert w == pytest.approx([-amplitude, 0.0], abs=1e-15)
 
 
