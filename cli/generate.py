@@ -56,9 +56,12 @@ def command(
     try:
         made = make_dataset(chosen, out, workers, resume, output, scheduler, shard)
     except KeyboardInterrupt:
-        given = "" if seed is None else f" --seed {seed}"
-        again = f"eitskin generate {shlex.quote(recipe)} --out {shlex.quote(str(out))}{given}"
-        output.note(f"finished shards are kept; continue with: {again} --resume")
+        again = ["eitskin", "generate", recipe, "--out", str(out)]
+        again += [] if seed is None else ["--seed", str(seed)]
+        again += [] if scheduler is None else ["--scheduler", scheduler]
+        again += ["--resume"] if shard is None else ["--shard", str(shard)]
+        # Not through a console, which would break the line.
+        typer.echo(f"finished shards are kept; continue with: {shlex.join(again)}", err=True)
         raise
     output.result(*made)
 
@@ -86,9 +89,9 @@ def make_dataset(
             nonlocal finished
             finished = done
             kept.append(done)
-            made = done - kept[0]  # what a resumed run found there says nothing about its speed
-            rate = made / (time.perf_counter() - start)
-            bar.update(task, completed=done, total=total, rate=f"{rate:.0f}/s" if made else "")
+            bar.update(task, completed=done, total=total)
+            speed = bar.tasks[task].speed  # of late; the time left is reckoned from it
+            bar.update(task, rate=f"{speed:.0f}/s" if speed else "")
 
         manifest = generate(
             recipe, out, workers, progress=show, resume=resume, scheduler=scheduler, shard=shard

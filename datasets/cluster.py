@@ -110,5 +110,5 @@ def _make_shard(recipe: Recipe, folder: Path, shard: int, versions: Mapping[str,
     # More BLAS threads would fight over the cores, and sums would depend on how many there are.
     with _one_at_a_time, threads.threadpool_limits(1):
         data = simulate_shard(recipe, shard)
-    write_shard(folder / shard_name(shard), data, recipe.shard_range(shard).start)
+        write_shard(folder / shard_name(shard), data, recipe.shard_range(shard).start)
     return shard

@@ -20,7 +20,15 @@ def write_file(path: Path, content: bytes) -> None:
         temporary.write_bytes(content)
 
 
+def remove_file(path: Path) -> None:
+    """Remove a file, where there is one; raises PartialError where that cannot be done."""
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        raise PartialError(f"cannot remove {path}: {error.strerror}; {_REMEDY}") from error
+
+
 def remove_leftovers(folder: Path) -> None:
     """Remove what writers that were killed left half-written in `folder`."""
     for leftover in folder.glob(TEMPORARY + "*"):
-        leftover.unlink(missing_ok=True)
+        remove_file(leftover)

@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 
 from eitskin.datasets import cluster, processes
-from eitskin.datasets.durable import remove_leftovers, write_file
+from eitskin.datasets.durable import remove_file, remove_leftovers, write_file
 from eitskin.datasets.folder import (
     MANIFEST,
     Manifest,
@@ -80,7 +80,7 @@ def generate(
 
     report()
     if missing:
-        (folder / MANIFEST).unlink(missing_ok=True)
+        remove_file(folder / MANIFEST)
         make = (
             partial(cluster.make_shards, address=scheduler, report=report)
             if scheduler
@@ -109,20 +109,18 @@ def free_bytes(folder: Path) -> int:
 def _check_options(recipe: Recipe, workers: int, scheduler: str | None, shard: int | None) -> None:
     if workers < 1:
         raise ConfigurationError(f"workers must be at least 1, got {workers}")
-    if scheduler:
-        cluster.check_scheduler(scheduler)
-    if shard is None:
-        return
-    if not 0 <= shard < recipe.shards:
+    if shard is not None and not 0 <= shard < recipe.shards:
         raise ConfigurationError(
             f"recipe '{recipe.name}' has shards 0 to {recipe.shards - 1}, got shard {shard}; give "
             "one of them, or change frames_per_shard in the recipe"
         )
-    if scheduler:
+    if shard is not None and scheduler:
         raise ConfigurationError(
             "expected a scheduler, which makes all shards, or the number of one shard, got both; "
             "leave one out"
         )
+    if scheduler:
+        cluster.check_scheduler(scheduler)
 
 
 def _check_room(recipe: Recipe, folder: Path, missing: Sequence[int]) -> None:
@@ -130,8 +128,8 @@ def _check_room(recipe: Recipe, folder: Path, missing: Sequence[int]) -> None:
     needed, free = least_bytes(recipe, _frames(recipe, missing)), free_bytes(folder)
     if needed > free:
         raise ConfigurationError(
-            f"the disk of {folder} has no room: expected at least {needed / 1e6:.1f} MB, got "
-            f"{free / 1e6:.1f} MB; make room, or choose a folder elsewhere"
+            f"the disk of {folder} has no room: expected at least {needed / 1e6:.2g} MB, got "
+            f"{free / 1e6:.2g} MB; make room, or choose a folder elsewhere"
         )
 
 

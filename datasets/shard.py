@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import threading
 from collections.abc import Mapping
 from importlib import metadata
 from pathlib import Path
@@ -89,7 +90,9 @@ def package_versions() -> dict[str, str]:
 
 def shard_bytes(data: Dataset, first_index: int = 0) -> bytes:
     """The content of the file that `write_shard` writes; equal data give equal bytes."""
-    with h5py.File("shard", "w", driver="core", backing_store=False) as file:
+    # HDF5 refuses two open files of one name, be they in memory, and so in other threads.
+    name = f"shard-{threading.get_ident()}"
+    with h5py.File(name, "w", driver="core", backing_store=False) as file:
         file.attrs.update(_root_attributes(data, first_index))
         for field in FIELDS:
             _write_field(file, field, getattr(data, field.name))
@@ -137,6 +140,9 @@ def _write_array(
 ) -> None:
     chunks = (max(1, min(len(values), CHUNK_FRAMES)), *values.shape[1:])
     dataset = file.create_dataset(path, data=values, dtype=dtype, chunks=chunks, **STORAGE)
+    # Else chunks go to the file when the last reference goes, which a profiler may hold: another
+    # order, other bytes.
+    dataset.flush()
     for axis, name in enumerate(axes):
         dataset.dims[axis].label = name
 

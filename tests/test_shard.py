@@ -3,6 +3,7 @@
 import errno
 import json
 import os
+from concurrent.futures import ThreadPoolExecutor
 
 import h5py
 import numpy as np
@@ -17,6 +18,7 @@ from eitskin.datasets import (
     write_shard,
 )
 from eitskin.datasets.schema import FIELDS, FORMAT_VERSION
+from eitskin.datasets.shard import shard_bytes
 from eitskin.geometry import (
     DataError,
     PartialError,
@@ -66,6 +68,27 @@ def test_equal_data_give_equal_bytes(tmp_path):
         contents.add((tmp_path / "s.h5").read_bytes())
         assert litter
     assert len(contents) == 1
+
+
+def test_bytes_do_not_depend_on_when_python_lets_go_of_objects(monkeypatch):
+    expected, kept = shard_bytes(make()), []
+    create, find = h5py.Group.create_dataset, h5py.Group.__getitem__
+
+    def keep(made):
+        kept.append(made)
+        return made
+
+    monkeypatch.setattr(
+        h5py.Group, "create_dataset", lambda *given, **named: keep(create(*given, **named))
+    )
+    monkeypatch.setattr(h5py.Group, "__getitem__", lambda *given: keep(find(*given)))
+    assert shard_bytes(make()) == expected
+    assert len(kept) > 13
+
+
+def test_threads_do_not_disturb_each_other():
+    with ThreadPoolExecutor(8) as pool:
+        assert len(set(pool.map(lambda _number: shard_bytes(make(600)), range(32)))) == 1
 
 
 def test_file_describes_itself(shard):
