@@ -56,14 +56,18 @@ def prepare(recipe: Recipe) -> None:
 def simulate_shard(
     recipe: Recipe, shard: int, before_solve: Callable[[], None] = lambda: None
 ) -> Dataset:
-    """The frames of `shard`; `before_solve` is called before each specimen and may raise."""
+    """The frames of `shard`; `before_solve` is called before each solution and may raise."""
     return simulate(recipe, recipe.shard_range(shard), before_solve)
 
 
 def simulate(
     recipe: Recipe, indices: Iterable[int], before_solve: Callable[[], None] = lambda: None
 ) -> Dataset:
-    """Any frames of a recipe, at least one; they are the same in whatever company."""
+    """Any frames of a recipe, at least one.
+
+    They are the same in whatever company, but for what `Simulator.measure_all` allows itself where
+    many touches share a bend.
+    """
     samples = [sample(recipe, index) for index in indices]
     boards = [_board(recipe, number, before_solve) for number in range(recipe.specimens.count)]
     offsets = recipe.instrument.offsets(boards[0].protocol)
@@ -157,12 +161,12 @@ def _solve(
         wanted.setdefault(each.specimen, {}).update(dict.fromkeys(scenes))
     solved: dict[tuple[int, Scene], Impedance] = {}
     for number, distinct in wanted.items():
-        before_solve()
         made = specimen(recipe, number)
         solved[number, Scene()] = _flat(made, recipe.resolution)[1]
         scenes = [scene for scene in distinct if scene != Scene()]
         if scenes:
-            found = _simulator(made, recipe.resolution).measure_all(scenes)
+            simulator = _simulator(made, recipe.resolution)
+            found = simulator.measure_all(scenes, before_each=before_solve)
             solved |= {(number, scene): row for scene, row in zip(scenes, found, strict=True)}
     return solved
 

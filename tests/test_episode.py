@@ -41,7 +41,7 @@ def recipe(*episodes, **changes) -> Recipe:
     return Recipe("episodes", episodes=episodes, seed=3, **changes)
 
 
-def linear_in_the_angle(self, scenes):
+def linear_in_the_angle(self, scenes, **_options):
     """Impedances as a made-up sensor would have them, 1 ohm per degree and newton."""
     values = [
         100.0 + scene.bend.angle_deg + sum(t.force for t in scene.touches) for scene in scenes
@@ -229,7 +229,7 @@ def test_a_press_creeps_from_frame_to_frame_and_its_dent_fades():
 def test_where_nothing_moves_nothing_is_solved_twice_or_interpolated(monkeypatch):
     asked = []
 
-    def measure_all(self, scenes):
+    def measure_all(self, scenes, **_options):
         asked.extend(scenes)
         return linear_in_the_angle(self, scenes) + 1 / 3
 
