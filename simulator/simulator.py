@@ -8,7 +8,7 @@ from typing import TypeAlias, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.geometry import ConfigurationError, Hinge, SensorDesign, Surface
+from eitskin.geometry import Bend, ConfigurationError, Hinge, SensorDesign, Surface
 from eitskin.geometry.bend import Fixture
 from eitskin.geometry.deformation import Composed, Deformation
 from eitskin.simulator.dents import Dents
@@ -77,6 +77,7 @@ class Simulator:
         breaks = () if self.fixture.transition else (middle - half, middle + half)
         self.model = ForwardModel(design, resolution, breaks=breaks)
         self._last: tuple[Scene, NDArray[np.inexact]] | None = None
+        self._bent: tuple[Bend, Deformation] | None = None
 
     @cached_property
     def full_scale(self) -> float:
@@ -92,10 +93,16 @@ class Simulator:
         if scene.roll is not None:
             parts.append(scene.roll.deformation(self.design))
         if scene.bend.angle_deg:
-            parts.append(self.fixture.flexure(self.design, scene.bend))
+            parts.append(self._flexure(scene.bend))
         if scene.twist is not None:
             parts.append(scene.twist.deformation(self.design))
         return reduce(Composed, parts) if parts else None
+
+    def _flexure(self, bend: Bend) -> Deformation:
+        """The last bend is kept: scenes that share one follow each other."""
+        if self._bent is None or self._bent[0] != bend:
+            self._bent = (bend, self.fixture.flexure(self.design, bend))
+        return self._bent[1]
 
     def presses(self, scene: Scene) -> tuple[Pressed, ...]:
         """Depth, contact and pressure of each touch of a scene, and how far to trust them."""
