@@ -9,12 +9,12 @@ from typing import Annotated, Any
 import typer
 
 from eitskin.cli.options import Json, Output, Quiet, Verbose
-from eitskin.cli.presses import announce
 from eitskin.datasets import Recipe, generate
 from eitskin.datasets.estimate import Estimate, estimate
 from eitskin.datasets.recipe import shipped_names, with_seed
+from eitskin.datasets.simulated import unsolved
 from eitskin.geometry import ConfigurationError
-from eitskin.simulator import Cylinder, Mechanics
+from eitskin.simulator.kernel_store import folder
 
 
 def command(
@@ -118,8 +118,13 @@ def make_dataset(
 
 
 def _announce(recipe: Recipe, output: Output) -> None:
-    if any(group.state == "touch" for group in recipe.scenes):
-        announce(recipe.sensor, Mechanics(), [Cylinder()], output)
+    """Say that presses have to be solved before anything else."""
+    missing = len(unsolved(recipe))
+    if missing:
+        output.note(
+            f"solving {missing} table{'s' * (missing > 1)} of presses that no sensor has needed "
+            f"so far, once: from ten seconds to a few minutes each; kept in {folder()}"
+        )
 
 
 def _as_text(found: Estimate, recipe: Recipe, workers: int, out: Path) -> str:

@@ -1,6 +1,6 @@
 """What a dataset will cost, from a small measured part of it."""
 
-import dataclasses
+import itertools
 import os
 import time
 from dataclasses import dataclass
@@ -9,10 +9,11 @@ from pathlib import Path
 from eitskin.datasets.generate import free_bytes
 from eitskin.datasets.recipe import Recipe
 from eitskin.datasets.shard import shard_bytes
-from eitskin.datasets.simulated import prepare, simulate_shard
+from eitskin.datasets.simulated import prepare, simulate
 
 _FIRST_FRAMES = 16
 _GROWTH = 4
+_RUNS = 4
 _ENOUGH_SECONDS = 1.0
 
 
@@ -39,7 +40,7 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class _Part:
-    """A small shard: its number of frames, the time it took anew and once more, its size."""
+    """Some frames: how many, the time they took at first and other ones after them, their size."""
 
     frames: int
     first_seconds: float
@@ -48,20 +49,19 @@ class _Part:
 
 
 def estimate(recipe: Recipe, out: str | Path, workers: int = 2) -> Estimate:
-    """Make the first frames of `recipe` in memory, and reckon from them; writes nothing.
+    """Make some frames of `recipe` in memory, and reckon from them; writes nothing.
 
-    Parts of 16 frames and more are made until one takes a second. What a process does once
-    (meshes, untouched specimens) counts once, the rest per frame.
+    They are taken from all parts of the set: 16, then 64, then four times as many until they take
+    a second. What a process does once (meshes, untouched specimens) counts once, the rest per frame;
+    the second or two in which workers start is left out.
 
     Raises ConfigurationError for forces beyond reach.
     """
     prepare(recipe)
-    parts = [_measure(recipe, min(_FIRST_FRAMES, recipe.frames_per_shard, recipe.frames))]
-    while parts[-1].seconds < _ENOUGH_SECONDS:
-        frames = min(_GROWTH * parts[-1].frames, recipe.frames_per_shard, recipe.frames)
-        if frames == parts[-1].frames:
-            break
-        parts.append(_measure(recipe, frames))
+    most = max(len(recipe.shard_range(shard)) for shard in range(recipe.shards))
+    parts = [_measure(recipe, min(_FIRST_FRAMES, most))]
+    while parts[-1].frames < most and (len(parts) < 2 or parts[-1].seconds < _ENOUGH_SECONDS):
+        parts.append(_measure(recipe, min(_GROWTH * parts[-1].frames, most)))
     last = parts[-1]
     once = max(0.0, parts[0].first_seconds - parts[0].seconds)
     at_once = min(workers, recipe.shards, os.cpu_count() or 1)
@@ -76,14 +76,25 @@ def estimate(recipe: Recipe, out: str | Path, workers: int = 2) -> Estimate:
 
 
 def _measure(recipe: Recipe, frames: int) -> _Part:
-    """Make the first two shards of `frames` each, as far as there are two."""
-    small = dataclasses.replace(recipe, frames_per_shard=frames)
+    """Make `frames`, then as many others, which find prepared what a process prepares once."""
     start = time.perf_counter()
-    data = simulate_shard(small, 0)
+    data = simulate(recipe, _spread(recipe, frames, 0.0))
     between = time.perf_counter()
-    again = simulate_shard(small, 1 if small.shards > 2 else 0)
+    simulate(recipe, _spread(recipe, frames, 0.5))
     end = time.perf_counter()
-    return _Part(len(again), between - start, end - between, len(shard_bytes(data)))
+    return _Part(frames, between - start, end - between, len(shard_bytes(data)))
+
+
+def _spread(recipe: Recipe, frames: int, shift: float) -> list[int]:
+    """Numbers of `frames` frames: runs, which share bends as in a shard, from the whole set."""
+    runs = min(_RUNS, frames)
+    edges = [frames * run // runs for run in range(runs + 1)]
+    numbers: list[int] = []
+    for run, (start, stop) in enumerate(itertools.pairwise(edges)):
+        first = int((run + shift) * recipe.frames / runs)
+        first = min(first, recipe.frames - (stop - start))
+        numbers.extend(range(first, first + stop - start))
+    return numbers
 
 
 def _size(recipe: Recipe, parts: list[_Part]) -> float:
