@@ -29,12 +29,11 @@ class Stream(IntEnum):
 
     SCENE = 0
     NOISE = 1
-    REFERENCE_NOISE = 2
-    SPECIMEN = 3
-    ORDER = 4
-    BEND = 5
-    SESSION = 6
-    EPISODE = 7
+    SPECIMEN = 2
+    ORDER = 3
+    BEND = 4
+    SESSION = 5
+    EPISODE = 6
 
 
 @dataclass(frozen=True, slots=True)

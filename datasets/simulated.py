@@ -28,8 +28,6 @@ from eitskin.simulator.presses import pressed
 from eitskin.simulator.resolution import Resolution
 
 Impedance = NDArray[np.complex128]
-Measured = tuple[Impedance, NDArray[np.uint8]]
-Seen = Callable[[Scene], Scene]
 Solved = Mapping[tuple[int, Scene], Impedance]
 
 
@@ -73,22 +71,26 @@ def simulate(
     offsets = recipe.instrument.offsets(boards[0].protocol)
     solved = _solve(recipe, samples, bool(offsets.any()), before_solve)
 
-    def measure(each: Sample, stream: Stream, seen: Seen) -> Measured:
-        clean = solved[each.specimen, seen(each.scene)]
+    def clean(each: Sample, seen: Callable[[Scene], Scene]) -> Impedance:
+        impedance = solved[each.specimen, seen(each.scene)]
         if offsets.any() and each.after is not None:
-            moved = solved[each.specimen, seen(each.after)] - clean
-            clean = clean + offsets / each.period * moved
-        rng = generator(recipe, stream, each.index)
-        return boards[each.specimen].measure(clean, each.session_time, rng)
+            moved = solved[each.specimen, seen(each.after)] - impedance
+            impedance = impedance + offsets / each.period * moved
+        return impedance
 
-    frames = [measure(each, Stream.NOISE, _as_it_is) for each in samples]
-    references = [measure(each, Stream.REFERENCE_NOISE, untouched) for each in samples]
+    def measure(each: Sample) -> tuple[Impedance, NDArray[np.uint8]]:
+        """The frame, and the one without touches that goes with it."""
+        both = np.array([clean(each, _as_it_is), clean(each, untouched)])
+        rng = generator(recipe, Stream.NOISE, each.index)
+        return boards[each.specimen].session.measure(both, np.full(2, each.session_time), rng)
+
+    impedance, status = (np.array(part) for part in zip(*map(measure, samples), strict=True))
     touches = [touch_columns(_acting(each.scene)) for each in samples]
     return Dataset.from_arrays(
-        np.array([impedance for impedance, _ in frames]),
+        impedance[:, 0],
         np.array([board.reference for board in boards]),
-        touch_reference=np.array([impedance for impedance, _ in references]),
-        status=np.array([status for _, status in frames]),
+        touch_reference=impedance[:, 1],
+        status=status[:, 0],
         specimen=np.array([each.specimen for each in samples]),
         state=np.array([each.state for each in samples]),
         bend_angle_deg=np.array([each.scene.bend.angle_deg for each in samples]),
@@ -129,11 +131,6 @@ class _Board:
     protocol: Protocol
     session: Session
     reference: Impedance
-
-    def measure(self, impedance: Impedance, time: float, rng: np.random.Generator) -> Measured:
-        """What it says of one frame (measurements,) at a time of the session [s]."""
-        frames, status = self.session.measure(impedance[None], np.array([time]), rng)
-        return frames[0], status[0]
 
 
 def _board(recipe: Recipe, number: int, before_solve: Callable[[], None]) -> _Board:

@@ -79,8 +79,8 @@ def test_frames_hold_what_their_group_says():
     counts = {len(sample(MIXED, i).scene.touches) for i in range(MIXED.frames)}
     angles = [sample(MIXED, i).scene.bend.angle_deg for i in range(MIXED.frames)]
     assert counts == {0, 1, 2, 3, 4}
-    assert min(angles) < -15.0
-    assert max(angles) > 45.0
+    assert min(angles) < -10.0
+    assert max(angles) > 40.0
 
 
 def test_a_frame_depends_on_seed_and_number_alone():
