@@ -19,9 +19,11 @@ from eitskin.benchmarks.crash_runs import RECIPE, Row, contents, finish, start
 from eitskin.benchmarks.provenance import Provenance
 from eitskin.benchmarks.tables import write_table
 
+TRIALS = ("bytes", "damage", "disks", "kills")
 
-def run(kills: int, damages: int, failures: int, seed: int) -> Iterator[Row]:
-    """All trials, in a temporary folder; the seed decides over moments and places."""
+
+def run(given: argparse.Namespace) -> Iterator[Row]:
+    """The trials asked for, in a temporary folder; the seed decides over moments and places."""
     with tempfile.TemporaryDirectory(prefix="eitskin-crashes-") as name:
         place = Path(name)
         recipe = place / "recipe.toml"
@@ -30,27 +32,33 @@ def run(kills: int, damages: int, failures: int, seed: int) -> Iterator[Row]:
         if code:
             raise SystemExit(said)
         whole = contents(place / "whole")
-        yield same_bytes(recipe, place / "same", whole)
-        yield cluster(place / "cluster", whole, kills=5)
-        yield from damage(place / "whole", place / "damaged", damages, seed)
-        yield full_disks(recipe, place / "full", whole)
-        yield read_only(recipe, place / "read-only", whole)
-        for which in (errno.ENOSPC, errno.EIO):
-            yield injected(recipe, place / f"error-{which}", whole, which, failures, seed)
-        yield from kill_and_resume(recipe, place / "killed", whole, kills, seed)
+        if "bytes" in given.only:
+            yield same_bytes(recipe, place / "same", whole)
+            yield cluster(place / "cluster", whole, kills=5)
+        if "damage" in given.only:
+            yield from damage(place / "whole", place / "damaged", given.damages, given.seed)
+        if "disks" in given.only:
+            yield full_disks(recipe, place / "full", whole)
+            yield read_only(recipe, place / "read-only", whole)
+            for which in (errno.ENOSPC, errno.EIO):
+                folder = place / f"error-{which}"
+                yield injected(recipe, folder, whole, which, given.failures, given.seed)
+        if "kills" in given.only:
+            yield from kill_and_resume(recipe, place / "killed", whole, given.kills, given.seed)
 
 
 def main() -> None:
     """Print each line as it is known; write the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, required=True, help="CSV file for the table")
+    parser.add_argument("--only", nargs="+", choices=TRIALS, default=TRIALS)
     parser.add_argument("--kills", type=int, default=200)
     parser.add_argument("--damages", type=int, default=400, help="flipped bits and cuts")
     parser.add_argument("--failures", type=int, default=10, help="of each injected error")
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
     begun, rows = time.perf_counter(), []
-    for row in run(given.kills, given.damages, given.failures, given.seed):
+    for row in run(given):
         rows.append(dataclasses.asdict(row))
         print(f"{row.as_promised}/{row.tried}  {row.what}  {row.remark}", flush=True)
     seconds = time.perf_counter() - begun

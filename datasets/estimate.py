@@ -52,8 +52,8 @@ def estimate(recipe: Recipe, out: str | Path, workers: int = 2) -> Estimate:
     """Make some frames of `recipe` in memory, and reckon from them; writes nothing.
 
     They are taken from all parts of the set: 16, then 64, then four times as many until they take
-    a second. What a process does once (meshes, untouched specimens) counts once, the rest per frame;
-    the second or two in which workers start is left out.
+    a second. What a process does once (meshes, untouched specimens) counts once, the rest per
+    frame; the second or two in which workers start is left out.
 
     Raises ConfigurationError for forces beyond reach.
     """
