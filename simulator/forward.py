@@ -9,7 +9,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from eitskin.geometry import ConfigurationError, Mesh, SensorDesign
 from eitskin.geometry.meshing import CellKind, mesh_of, natural_cells
+from eitskin.simulator import batches
 from eitskin.simulator.assembly import TENSOR_COLUMNS, TENSOR_ROWS, Assembly, Stiffness
+from eitskin.simulator.blocks import BlockCholesky
 from eitskin.simulator.protocol import Protocol
 from eitskin.simulator.resolution import Discretisation, Resolution, discretisation
 from eitskin.simulator.sensitivity import pixel_gram
@@ -102,6 +104,23 @@ class ForwardModel:
         """
         _, system = self._system(conductivity, area_ratio)
         return system.impedance(self.solver.congruence(system.values, system.coupling))
+
+    def impedances(
+        self, settings: Sequence[tuple[Conductivity, AreaRatio]], device: str = "cpu"
+    ) -> NDArray[np.inexact]:
+        """Electrode impedance matrices [ohm], (settings, electrodes, electrodes).
+
+        As `impedance`, but through one elimination in batches, by torch on `device`.
+
+        Raises ConfigurationError for models that are not solved strip by strip with real numbers.
+        """
+        if not isinstance(self.solver, BlockCholesky) or np.iscomplexobj(self.contact_impedance):
+            raise ConfigurationError(
+                "only models with block Cholesky and real contact impedances are solved in "
+                "batches; use ForwardModel.impedance"
+            )
+        systems = [self._system(*setting)[1] for setting in settings]
+        return batches.impedances(self.solver, systems, device)
 
     def sensitivity(
         self,
