@@ -11,14 +11,20 @@ from pathlib import Path
 import numpy as np
 
 from eitskin.benchmarks.crash_runs import Row
-from eitskin.datasets import open_dataset, read_shard, verify
+from eitskin.datasets import Recipe, generate, open_dataset, read_shard, verify
+from eitskin.datasets.scene_group import SceneGroup
 from eitskin.datasets.schema import FIELDS
 from eitskin.geometry import DataError
 
+# Shards of the usual length: small ones are mostly HDF5's own, unused space.
+RECIPE = Recipe("damage", seed=7, frames_per_shard=256, scenes=(SceneGroup("idle", count=3 * 256),))
 
-def damage(sound: Path, folder: Path, trials: int, seed: int) -> list[Row]:
+
+def damage(place: Path, trials: int, seed: int) -> list[Row]:
     """Flip a bit, or cut a shard, in turn; ask `verify`, the whole set, and the lone shard."""
     rng = np.random.default_rng(seed)
+    sound, folder = place / "sound", place / "damaged"
+    generate(RECIPE, sound, workers=1)
     shutil.copytree(sound, folder)
     paths = sorted(folder.glob("shard-*.h5"))
     found, lone = Counter[str](), Counter[tuple[str, str]]()

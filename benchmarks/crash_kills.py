@@ -3,6 +3,7 @@
 import os
 import signal
 import subprocess
+import sys
 import time
 from collections import Counter
 from collections.abc import Mapping
@@ -72,13 +73,15 @@ def kill_and_resume(
     out = folder / "set-0"
     while done.total() < kills:
         before = shards(out)
-        run = start(recipe, out, "--resume")
+        run = start(recipe, out, "--resume", "--workers", str(rng.integers(1, 3)))
         victim = "parent" if rng.random() < _PARENTS else "worker"
         hit = _kill(run, victim, out, len(before), rng)
         code, _ = finish(run)
         if hit:
             done[victim] += 1
             kept[victim] += before <= shards(out) and intact(out, whole)
+            if done.total() % 10 == 0:
+                print(f"{kept.total()}/{done.total()} kills so far", file=sys.stderr)
         if code == 0:
             sets["made"] += 1
             sets["identical"] += contents(out) == whole

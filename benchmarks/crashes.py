@@ -36,7 +36,7 @@ def run(given: argparse.Namespace) -> Iterator[Row]:
             yield same_bytes(recipe, place / "same", whole)
             yield cluster(place / "cluster", whole, kills=5)
         if "damage" in given.only:
-            yield from damage(place / "whole", place / "damaged", given.damages, given.seed)
+            yield from damage(place / "damage", given.damages, given.seed)
         if "disks" in given.only:
             yield full_disks(recipe, place / "full", whole)
             yield read_only(recipe, place / "read-only", whole)
