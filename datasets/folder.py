@@ -123,8 +123,7 @@ def shard_entry(folder: Path, name: str, first_index: int, count: int) -> ShardE
 
 def new_folder(folder: Path) -> Path:
     """Make `folder`, or take an empty one; raises ConfigurationError otherwise."""
-    make_folder(folder)
-    if any(folder.iterdir()):
+    if make_folder(folder):
         raise ConfigurationError(
             f"{folder} is not empty; choose another folder, or continue what lies there with "
             "--resume where it was generated"
@@ -132,13 +131,17 @@ def new_folder(folder: Path) -> Path:
     return folder
 
 
-def make_folder(folder: Path) -> None:
-    """Make `folder` unless it is there; raises ConfigurationError where it cannot be."""
+def make_folder(folder: Path) -> frozenset[str]:
+    """Make `folder` unless it is there; names of what lies in it.
+
+    Raises ConfigurationError where it cannot be made or looked into.
+    """
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        return frozenset(path.name for path in folder.iterdir())
     except OSError as error:
         raise ConfigurationError(
-            f"cannot make the folder {folder}: {error.strerror}; choose another"
+            f"cannot use the folder {folder}: {error.strerror}; give permission, or choose another"
         ) from error
 
 

@@ -146,11 +146,10 @@ def _begin(recipe: Recipe, folder: Path, resume: bool, shared: bool) -> None:
     text, path = recipe.to_toml().encode(), folder / RECIPE
     if not (resume or shared):
         new_folder(folder)
-    make_folder(folder)
+    # Asked for before the recipe: another may write it, and a shard, in between.
+    held = sorted(name for name in make_folder(folder) if not name.startswith(TEMPORARY))
     if not shared:
         remove_leftovers(folder)
-    # Asked for first: another may have written the recipe, and a shard, in between.
-    held = sorted(item.name for item in folder.iterdir() if not item.name.startswith(TEMPORARY))
     if path.is_file():
         if path.read_bytes() != text:
             raise ConfigurationError(

@@ -78,7 +78,7 @@ def test_dry_run_writes_nothing(recipe, tmp_path):
     [
         (("absent.toml", "--out", "set"), "cannot read the recipe absent.toml"),
         (("nothing", "--out", "set"), "no shipped recipe 'nothing'; shipped are"),
-        (("cheap.toml", "--out", "cheap.toml"), "cannot make the folder cheap.toml: File exists"),
+        (("cheap.toml", "--out", "cheap.toml"), "cannot use the folder cheap.toml: File exists"),
         (("cheap.toml", "--out", "."), "is not empty"),
         (("cheap.toml", "--out", "set", "--scheduler", "x"), "no dask scheduler answers at 'x'"),
     ],
@@ -115,6 +115,26 @@ def test_interrupted_it_says_how_to_go_on(recipe, tmp_path):
         f"continue with: eitskin generate {recipe} --out '{out}' --seed 9 --resume"
     )
     assert "Traceback" not in said
+
+
+def test_killed_at_once_it_leaves_what_a_resumed_run_completes(recipe, tmp_path):
+    recipe.write_text(RECIPE.format(count=80))
+    run("generate", recipe, "--out", tmp_path / "whole", "--workers", 1)
+    whole = {path.name: path.read_bytes() for path in (tmp_path / "whole").iterdir()}
+    out = tmp_path / "set"
+    given = ["generate", str(recipe), "--out", str(out), "--quiet"]
+    with subprocess.Popen([sys.executable, "-c", COMMAND, *given]) as process:
+        while process.poll() is None and not list(out.glob("shard-*.h5")):
+            os.sched_yield()
+        process.kill()  # its workers notice by themselves
+    assert process.returncode == -signal.SIGKILL
+    assert not (out / "manifest.json").exists()
+    finished = list(out.glob("shard-*.h5"))
+    assert finished
+    assert all(path.read_bytes() == whole[path.name] for path in finished)
+    run("generate", recipe, "--out", out, "--resume")
+    found = {path.name: path.read_bytes() for path in out.iterdir() if path.name[0] != "."}
+    assert found == whole
 
 
 def test_a_write_that_fails_in_a_worker_is_a_partial_error(recipe, tmp_path, monkeypatch):

@@ -17,6 +17,7 @@ from eitskin.datasets import (
     save_dataset,
     write_shard,
 )
+from eitskin.datasets.durable import remove_file
 from eitskin.datasets.schema import FIELDS, FORMAT_VERSION
 from eitskin.datasets.shard import shard_bytes
 from eitskin.geometry import (
@@ -362,6 +363,13 @@ def test_write_that_the_system_cuts_short_leaves_nothing(tmp_path):
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, old)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_what_cannot_be_removed_is_a_clear_error(tmp_path):
+    remove_file(tmp_path / "absent")
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(PartialError, match=r"cannot remove .*folder: .*--resume"):
+        remove_file(tmp_path / "folder")
 
 
 def test_absent_folder_is_a_clear_error(tmp_path):
