@@ -14,6 +14,7 @@ from eitskin.simulator.closed_dent import ClosedDent
 from eitskin.simulator.dents import Dents, Placed
 from eitskin.simulator.kernel_store import kernel
 from eitskin.simulator.mechanics import Mechanics
+from eitskin.simulator.smooth_field import Box
 from eitskin.simulator.tabulated_dent import TabulatedDent
 from eitskin.simulator.touch import Touch
 
@@ -86,8 +87,18 @@ def dents(
             for touch, dent in found
             if dent is not None
             for press in images(Placed(touch.x, touch.y, dent), design, mechanics.margin)
-        )
+        ),
+        _box(design, mechanics.margin),
     )
+
+
+def _box(design: SensorDesign, margin: float) -> Box | None:
+    """Around the gel and what surrounds it sideways."""
+    outline = design.outline
+    if isinstance(outline, Surface):
+        return None
+    high = (outline.length + margin, outline.width + margin, design.thickness)
+    return Box((-margin, -margin, 0.0), high)
 
 
 def images(press: Placed, design: SensorDesign, margin: float) -> Iterator[Placed]:
