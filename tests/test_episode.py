@@ -15,7 +15,7 @@ from eitskin.datasets.episode import (
     Timeline,
 )
 from eitskin.datasets.sampling import Stream, generator, sample, specimen
-from eitskin.datasets.simulated import simulate_shard, untouched
+from eitskin.datasets.simulated import simulate_shard
 from eitskin.datasets.specimen import Specimens
 from eitskin.geometry import Bend, Electrode, Rectangle, SensorDesign
 from eitskin.simulator import Instrument, Scene, Simulator
@@ -240,6 +240,7 @@ def test_where_nothing_moves_nothing_is_solved_twice_or_interpolated(monkeypatch
     data = simulate_shard(recipe(told, instrument=SCANNED), 0)
     assert len(asked) == 2
     assert len(np.unique(data.impedance, axis=0)) == 3  # pressed, not pressed, and one between
+    assert len(np.unique(data.touch_reference, axis=0)) == 1
     # Without skew nothing beyond the last frame is asked for either.
     asked.clear()
     simulate_shard(recipe(script(*SWEEP, period=0.5), instrument=QUIET), 0)
@@ -276,10 +277,12 @@ def test_gain_of_a_specimens_board_is_that_of_its_reference():
 
 
 def test_an_episode_depends_on_its_number_alone():
-    kind = RandomEpisodes(6, 5, angle_deg=(-20.0, 50.0))
+    kind = RandomEpisodes(6, 50, angle_deg=(-20.0, 50.0))
     asked = recipe(kind, frames_per_shard=10)
-    drawn = [sample(asked, index) for index in range(30)]
-    assert [sample(asked, index) for index in reversed(range(30))][::-1] == drawn
-    expected = kind.draw(OUTLINE, generator(asked, Stream.EPISODE, 4)).scene(3 * kind.period)
-    assert drawn[23].scene.bend == expected.bend
-    assert untouched(drawn[23].scene) == untouched(expected)
+    numbers = range(180, 250, 7)
+    drawn = [sample(asked, index) for index in numbers]
+    assert [sample(asked, index) for index in reversed(numbers)][::-1] == drawn
+    line = kind.draw(OUTLINE, generator(asked, Stream.EPISODE, 4))
+    last = sample(asked, 249)
+    assert last.scene.bend == line.scene(49 * kind.period).bend != Bend(0.0)
+    assert len({sample(asked, 50 * episode + 49).scene.bend for episode in range(6)}) == 6

@@ -93,9 +93,12 @@ def test_a_frame_depends_on_seed_and_number_alone():
     assert len(draws) == len(Stream) * 9
 
 
-def test_listed_positions_are_pressed_repeats_times_each():
+@pytest.mark.parametrize("per_bend", [1, 5])
+def test_listed_positions_are_pressed_repeats_times_each(per_bend):
     places = ((0.02, 0.02), (0.05, 0.03), (0.1, 0.04))
-    recipe = Recipe("listed", scenes=(SceneGroup("touch", positions=places, repeats=4),))
+    recipe = Recipe(
+        "listed", scenes=(SceneGroup("touch", positions=places, repeats=4, per_bend=per_bend),)
+    )
     pressed = [sample(recipe, index).scene.touches for index in range(recipe.frames)]
     assert recipe.frames == 12
     assert all(len(touches) == 1 for touches in pressed)

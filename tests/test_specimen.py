@@ -11,7 +11,7 @@ from scipy.stats import norm
 from eitskin.datasets import Recipe
 from eitskin.datasets.sampling import specimen
 from eitskin.datasets.scene_group import SceneGroup
-from eitskin.datasets.simulated import unsolved
+from eitskin.datasets.simulated import prepare, unsolved
 from eitskin.datasets.specimen import WIDEST, Specimens, truncated_normal
 from eitskin.geometry import ConfigurationError, Electrode, Hinge, Layer, SensorDesign
 from eitskin.simulator import Cylinder, Mechanics, kernel_store
@@ -150,14 +150,14 @@ def test_conductivities_of_layers_scatter_together():
         (Specimens(gel_modulus=float("nan")), "gel_modulus must be"),
         (Specimens(electrode_place=0.007), "electrode_place must be at most 0.00667 m"),
         (Specimens(hinge_offset=0.02), "hinge_offset must be from 0 to 0.01 m"),
-        (Specimens(hinge_span=0.009), "a bend of 150 deg is not possible"),
+        (Specimens(hinge_span=0.009), "a bend of -60 deg is not possible"),
     ],
 )
 def test_spreads_that_make_impossible_sensors_are_refused(spread, message):
     with pytest.raises(ConfigurationError, match=message):
         Recipe(
             "bad",
-            scenes=(SceneGroup("bend", count=1, angle_deg=(0.0, 150.0)),),
+            scenes=(SceneGroup("bend", count=1, angle_deg=(-60.0, 0.0)),),
             specimens=spread,
         )
 
@@ -225,3 +225,26 @@ def test_presses_between_thicknesses_are_interpolated(monkeypatch, factor):
     assert found.moved[..., 0, 1] == pytest.approx(upward, abs=0.01 * upward.max())
     nominal = kernel_store.kernel.__wrapped__(DESIGN, shared, Cylinder())
     assert np.array_equal(nominal.moved, law(Mechanics().stack(DESIGN), None).moved)
+
+
+def test_stretched_presses_keep_volumes_and_forces():
+    table = law(Mechanics().stack(DESIGN), None)
+    high = table.stretched(1.5)
+    assert np.array_equal(high.moved[..., 0], table.moved[..., 0])
+    assert high.moved[..., 1] == pytest.approx(1.5 * table.moved[..., 1])
+    assert high.thickness == 1.5 * table.thickness
+    dent, stretched = table.pressed(20.0), high.pressed(20.0)
+    assert stretched.depth == pytest.approx(1.5 * dent.depth)
+    assert stretched.share == pytest.approx(dent.share)
+
+
+def test_forces_must_be_within_reach_of_every_specimen(monkeypatch):
+    """Here a table reaches 104 N at the nominal 5 mm, and less on thinner sensors."""
+    monkeypatch.setattr(kernel_store, "_stored", law)
+    kernel_store.kernel.cache_clear()
+    group = SceneGroup("touch", count=20, force=(100.0, 103.0))
+    one = Recipe("force", scenes=(group,))
+    prepare(one)
+    with pytest.raises(ConfigurationError, match="force must be above 0 and at most"):
+        prepare(dataclasses.replace(one, specimens=Specimens(20, thickness=0.04)))
+    kernel_store.kernel.cache_clear()
