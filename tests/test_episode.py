@@ -235,11 +235,11 @@ def test_where_nothing_moves_nothing_is_solved_twice_or_interpolated(monkeypatch
 
     monkeypatch.setattr(Simulator, "measure_all", measure_all)
     told = script(
-        Keyframe(0.0, 20.0, (HERE,)), Keyframe(5.0, 20.0), Keyframe(9.0, 20.0), relaxation=False
+        Keyframe(0.0, 20.0), Keyframe(5.0, 20.0, (HERE,)), Keyframe(9.0, 20.0), relaxation=False
     )
     data = simulate_shard(recipe(told, instrument=SCANNED), 0)
     assert len(asked) == 2
-    assert len(np.unique(data.impedance, axis=0)) == 3  # pressed, not pressed, and one between
+    assert len(np.unique(data.impedance, axis=0)) == 4  # with and without it, set on and lifted
     assert len(np.unique(data.touch_reference, axis=0)) == 1
     # Without skew nothing beyond the last frame is asked for either.
     asked.clear()
