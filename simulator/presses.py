@@ -26,8 +26,8 @@ EDGE = 0.0075
 NEIGHBOUR = 0.030
 # Largest errors of the signal that were found up to these distances, from the edge and from another
 # touch [m], [-]; none where nothing was compared. Beside the edge signals are large, and so exact.
-_BY_EDGE = ((0.005, None), (EDGE, 0.10), (0.0121, 0.03), (math.inf, 0.17))
-_BY_NEIGHBOUR = ((0.020, None), (0.0451, 0.16), (math.inf, 0.0))
+_BY_EDGE = ((0.005, None), (EDGE, 0.10), (0.0121, 0.03), (math.inf, 0.21))
+_BY_NEIGHBOUR = ((0.020, None), (NEIGHBOUR, 0.40), (0.0451, 0.16), (math.inf, 0.0))
 
 
 @dataclass(frozen=True, slots=True)

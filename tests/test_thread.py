@@ -20,16 +20,16 @@ frames_per_shard = 30
 
 [[scenes]]
 state = "idle"
-count = 20
+count = 30
 
 [[scenes]]
 state = "bend"
-count = 20
+count = 30
 angle_deg = [-20, 50]
 
 [[scenes]]
 state = "touch"
-count = 20
+count = 30
 force = [10, 10]
 """
 
