@@ -229,9 +229,9 @@ def generation(frames: int) -> float:
 
 
 def memory(frames: int) -> float:
-    """Most memory that a process used while a dataset was made by one worker [MB].
+    """Most memory that a worker used while it made a dataset [MB].
 
-    In a process of its own: what was used most is all that a system remembers.
+    Found in a process of its own: a system remembers the most that any child used.
     """
     run = subprocess.run(  # noqa: S603
         [sys.executable, "-m", __spec__.name, "--memory-of", str(frames)],
@@ -246,8 +246,7 @@ def print_memory(frames: int) -> None:
     """What `memory` reads."""
     with tempfile.TemporaryDirectory() as folder:
         generate(recipe(frames), Path(folder) / "set", workers=1)
-    both = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
-    print(max(resource.getrusage(who).ru_maxrss for who in both) / 1e3)
+    print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1e3)
 
 
 def main() -> None:
