@@ -19,6 +19,7 @@ import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -139,10 +140,11 @@ def rate(way: Way, count: int, pool: ProcessPoolExecutor) -> Rate:
     """Measure one way."""
     _, alone = work(way, count // 2, 0)
     together = [pool.submit(work, way, count, seed) for seed in range(1, PROCESSES + 1)]
+    seconds = [future.result()[0] for future in together]
     errors = signal_errors(way)
     return Rate(
         name=way.name,
-        scenes_per_second=sum(count / future.result()[0] for future in together),
+        scenes_per_second=sum(count / each for each in seconds),
         scene_ms=1e3 * alone / (count // 2),
         error_median=float(np.median(errors)),
         error_max=float(errors.max()),
@@ -151,19 +153,25 @@ def rate(way: Way, count: int, pool: ProcessPoolExecutor) -> Rate:
 
 def signal_errors(way: Way) -> Array:
     """Of some scenes, four to a bend so that they are reanalysed, (JUDGED,)."""
-    few = dataclasses.replace(way, per_bend=min(way.per_bend, 4))
-    some = scenes(few, JUDGED, 99)
-    untouched = [Scene(scene.bend) for scene in some]
-
-    def signals(resolution: Resolution, tolerance: Tolerance | None, device: str | None) -> Array:
-        sim = way.simulator(resolution)
-        both = sim.measure_all([*some, *untouched], tolerance, device=device).real
-        return both[:JUDGED] - both[JUDGED:]
-
-    truth = signals("fine", EXACT, None)
-    missed = signals(way.resolution, way.tolerance, way.device) - truth
+    some = scenes(dataclasses.replace(way, per_bend=min(way.per_bend, 4)), JUDGED, 99)
+    truth = _true_signals(tuple(some), way.transition)
+    missed = _signals(some, way, way.resolution) - truth
     found: Array = np.linalg.norm(missed, axis=1) / np.linalg.norm(truth, axis=1)
     return found
+
+
+@cache
+def _true_signals(some: tuple[Scene, ...], transition: float) -> Array:
+    return _signals(some, Way("", tolerance=EXACT, transition=transition), "fine")
+
+
+def _signals(some: Sequence[Scene], way: Way, resolution: Resolution) -> Array:
+    """What the touches change [ohm], (scenes, measurements)."""
+    sim = way.simulator(resolution)
+    both = [*some, *(Scene(scene.bend) for scene in some)]
+    measured = sim.measure_all(both, way.tolerance, device=way.device).real
+    changes: Array = measured[: len(some)] - measured[len(some) :]
+    return changes
 
 
 def other(count: int = 5) -> tuple[float, int]:
