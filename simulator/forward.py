@@ -268,13 +268,13 @@ class ForwardModel:
         if conductivity is None:
             conductivity = self._own_conductivity
         if callable(conductivity):
-            return field_entries(conductivity, self.assembly.points)
+            return _field_entries(conductivity, self.assembly.points)
         value = np.asarray(conductivity, dtype=np.float64)
         shape = (len(self.mesh.cells), 1)
         return _entries(value[:, None] if value.ndim else value, shape, "per cell of", shape[:1])
 
 
-def field_entries(conductivity: Field, points: Array) -> Array:
+def _field_entries(conductivity: Field, points: Array) -> Array:
     """Scalars or entries xx, yy, zz, xy, xz, yz of a field at points (..., 3), (..., 1 or 6)."""
     value = np.asarray(conductivity(points), dtype=np.float64)
     shape = points.shape[:-1]

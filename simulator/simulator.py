@@ -174,8 +174,8 @@ class Simulator:
 
         Args:
             scenes: in any order; equal ones are solved once.
-            tolerance: of that; the default leaves 2e-3 of a touch's signal, at most 1e-2. EXACT
-                solves as `measure` does.
+            tolerance: of that; what the default leaves is in docs/speed.md. EXACT solves as
+                `measure` does.
             before_each: called before each solution; may raise to stop.
             device: of torch, such as "cuda", on which all scenes are solved as `measure` does, in
                 batches; for processors with many cores.
@@ -191,11 +191,11 @@ class Simulator:
                     found[scene] = self.measure(scene).impedance
                 continue
             before_each()
-            solved = Reanalysis(self.model, self._setting(base), tolerance)
+            solved = Reanalysis(self.model, self.setting(base), tolerance)
             found[base] = self._measured(solved.base)
             for scene in touched:
                 before_each()
-                found[scene] = self._measured(solved.impedance(self._setting(scene)))
+                found[scene] = self._measured(solved.impedance(self.setting(scene)))
         return np.array([found[scene] for scene in scenes])
 
     def _measured_in_batches(
@@ -206,7 +206,7 @@ class Simulator:
         for start in range(0, len(different), _BATCH):
             before_each()
             batch = different[start : start + _BATCH]
-            settings = [self._setting(scene) for scene in batch]
+            settings = [self.setting(scene) for scene in batch]
             solved = self.model.impedances(
                 [(each.conductivity, each.area_ratio) for each in settings], device
             )
@@ -221,21 +221,21 @@ class Simulator:
 
         With piezoresistivity, where the mechanics have it.
         """
-        setting = self._setting(scene)
+        setting = self.setting(scene)
         return None if setting.deformation is None else setting.conductivity
 
     def area_ratio(self, scene: Scene) -> AreaRatio | None:
         """Deformed over flat area at flat places [m] and unit normals; None where all is flat."""
-        setting = self._setting(scene)
+        setting = self.setting(scene)
         return None if setting.deformation is None else setting.area_ratio
 
     def _impedance(self, scene: Scene) -> NDArray[np.inexact]:
-        setting = self._setting(scene)
+        setting = self.setting(scene)
         if setting.deformation is None:
             return self.model.impedance()
         return self.model.impedance(setting.conductivity, setting.area_ratio)
 
-    def _setting(self, scene: Scene) -> Setting:
+    def setting(self, scene: Scene) -> Setting:
         """What the scene makes of the layer."""
         deformation = self.deformation(scene)
         needed = self.mechanics.piezoresistivity.pressure and scene.touches
