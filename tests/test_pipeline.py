@@ -13,6 +13,7 @@ from eitskin.geometry import DataError, FrameError, SensorDesign
 from eitskin.simulator import ForwardModel, Frame, Protocol, Status
 from eitskin.training import NetworkSettings, Pipeline, RecordedTouches, TrainingSettings, evaluate
 from eitskin.training.layout import LARGEST_SCALE
+from eitskin.training.observed import Observed
 from eitskin.training.pipeline import LONGEST_GAP
 
 DATA = Path(os.environ.get("EITSKIN_DATA", Path(__file__).parents[2] / "shared" / "data"))
@@ -182,7 +183,8 @@ def test_stages_alone_say_what_the_session_says(pipeline, session, sensor):
     V = sensor.impedance(20.0, (0.05, 0.03))
     references = pipeline._references
     static, dynamic = (np.real(V / ref - 1)[None] for ref in (references.bend, references.touch))
-    alone = pipeline.perception.estimate(static, dynamic)
+    flat, one = np.abs(references.bend)[None], np.ones(1)
+    alone = pipeline.method.perceive(Observed(static, dynamic, flat, one, one, one))
     said = pipeline.process(Frame(V, sensor.protocol, 9.0, 9))
     np.testing.assert_allclose(said.touch_map, alone.touch_map[0], atol=1e-6)
     assert said.bend_angle_deg == pytest.approx(alone.bend_angle_deg[0])

@@ -143,10 +143,10 @@ def test_missing_channels_are_what_the_others_say():
     stage = MissingChannels.fit(dV, noise=1e-6)
     whole = rng.normal(size=3) @ shapes
     holed = np.where(np.isin(np.arange(10), [2, 7]), np.nan, whole)
-    np.testing.assert_allclose(stage.apply(holed), whole, atol=1e-6)
-    np.testing.assert_array_equal(stage.apply(whole), whole)
+    np.testing.assert_allclose(stage.fill(holed[None])[0], whole, atol=1e-6)
+    np.testing.assert_array_equal(stage.fill(whole[None])[0], whole)
     independent = MissingChannels.fit(np.eye(10), noise=1e-6)
-    assert independent.apply(holed)[2] == pytest.approx(0.0, abs=1e-9)
+    assert independent.fill(holed[None])[0, 2] == pytest.approx(0.0, abs=1e-9)
 
 
 # Networks

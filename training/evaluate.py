@@ -11,10 +11,10 @@ from eitskin.datasets import Dataset, State, touch_maps
 from eitskin.geometry import DataError
 from eitskin.simulator import Frame, Protocol
 from eitskin.training import metrics
-from eitskin.training.differences import Differences
-from eitskin.training.perception import Perceived
+from eitskin.training.observed import Observed
+from eitskin.training.paper import PaperMethod
+from eitskin.training.perceived import Perceived
 from eitskin.training.pipeline import Pipeline
-from eitskin.training.touches import find_touches
 
 TIMED_FRAMES = 300
 PIECE = 512  # frames at once
@@ -109,29 +109,21 @@ def evaluate(pipeline: Pipeline, dataset: Dataset) -> Report:
             f"the pipeline was trained for {len(layout.protocol)} measurements, the dataset has "
             "others; evaluate on a dataset of the same sensor"
         )
-    differences = Differences.of(dataset)
-    perceived = _perceive(pipeline, differences)
+    perceived = _perceive(pipeline, dataset)
     return Report(
         len(dataset),
         _state_score(dataset, perceived),
         _bend_score(dataset, perceived),
-        _touch_scores(pipeline, dataset, differences, perceived),
+        _touch_scores(pipeline, dataset, perceived),
         _latency(pipeline, dataset),
     )
 
 
-def _perceive(pipeline: Pipeline, differences: Differences) -> Perceived:
-    count = len(differences.static)
-    parts = [
-        pipeline.perception.estimate(
-            differences.static[start : start + PIECE], differences.dynamic[start : start + PIECE]
-        )
-        for start in range(0, count, PIECE)
-    ]
-    return Perceived(
-        np.concatenate([part.probabilities for part in parts]),
-        np.concatenate([part.bend_angle_deg for part in parts]),
-        np.concatenate([part.touch_map for part in parts]),
+def _perceive(pipeline: Pipeline, dataset: Dataset) -> Perceived:
+    """In pieces: the maps inside a network take memory."""
+    starts = range(0, len(dataset), PIECE)
+    return Perceived.joined(
+        [pipeline.perceive(dataset.select(slice(start, start + PIECE))) for start in starts]
     )
 
 
@@ -163,14 +155,14 @@ def _bend_score(dataset: Dataset, perceived: Perceived) -> BendScore:
 
 
 def _touch_scores(
-    pipeline: Pipeline, dataset: Dataset, differences: Differences, perceived: Perceived
+    pipeline: Pipeline, dataset: Dataset, perceived: Perceived
 ) -> dict[str, TouchScore]:
     """Scores by the number of touches, "1" to "4", and of all frames with several."""
     counts = dataset.touch_count
     groups = {str(n): counts == n for n in range(1, dataset.touch_x.shape[1] + 1)}
     groups["several"] = counts > 1
     return {
-        name: _touch_score(pipeline, dataset, differences, perceived, np.flatnonzero(group))
+        name: _touch_score(pipeline, dataset, perceived, np.flatnonzero(group))
         for name, group in groups.items()
         if group.any()
     }
@@ -179,16 +171,13 @@ def _touch_scores(
 def _touch_score(
     pipeline: Pipeline,
     dataset: Dataset,
-    differences: Differences,
     perceived: Perceived,
     frames: NDArray[np.int64],
 ) -> TouchScore:
-    outline = pipeline.layout.outline
     pairs = []
     for i in frames:
         true = np.stack([dataset.touch_x[i], dataset.touch_y[i]], axis=1)
-        found = [touch[:2] for touch in find_touches(perceived.touch_map[i], outline)]
-        pairs.append((true[np.isfinite(true[:, 0])], found))
+        pairs.append((true[np.isfinite(true[:, 0])], perceived.touches[i].place))
     score = metrics.localisation(pairs)
     errors = np.array(score.errors) * 1e3
     return TouchScore(
@@ -197,34 +186,32 @@ def _touch_score(
         float(errors.std()) if errors.size else None,
         errors.size / score.true,
         score.false / score.true,
-        _similarities(pipeline, dataset, differences, perceived, frames),
+        _similarities(pipeline, dataset, perceived, frames),
     )
 
 
 def _similarities(
     pipeline: Pipeline,
     dataset: Dataset,
-    differences: Differences,
     perceived: Perceived,
     frames: NDArray[np.int64],
 ) -> dict[str, float]:
     """Mean SSIM of the three pictures; a touch lowers the conductivity, hence the minus."""
     if not np.isfinite(dataset.touch_radius[frames]).any(axis=1).all():
         return {}
-    reconstruction = pipeline.perception.reconstruction
     chosen = dataset.select(frames)
+    shape = perceived.touch_map.shape[1:]
     truth = touch_maps(
         chosen.touch_x,
         chosen.touch_y,
         chosen.touch_radius,
         pipeline.layout.outline,
-        reconstruction.shape,
+        (shape[0], shape[1]),
     )
-    pictures: dict[str, NDArray[np.floating]] = {
-        "static": -reconstruction.apply(differences.static[frames]),
-        "dynamic": -reconstruction.apply(differences.dynamic[frames]),
-        "touch_map": perceived.touch_map[frames],
-    }
+    pictures = {"touch_map": perceived.touch_map[frames]}
+    if isinstance(pipeline.method, PaperMethod):
+        static, dynamic = pipeline.method.pictures(Observed.of(chosen))
+        pictures |= {"static": -static, "dynamic": -dynamic}
     return {
         name: float(np.mean([metrics.similarity(*pair) for pair in zip(maps, truth, strict=True)]))
         for name, maps in pictures.items()

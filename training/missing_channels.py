@@ -21,17 +21,19 @@ class MissingChannels:
 
     @classmethod
     def fit(cls, difference: ArrayLike, noise: float) -> "MissingChannels":
-        """Learn from dV (n, C) of frames without bad channels; `noise` is what they hold, rms."""
+        """Learn from dV (n, C), those without bad channels; `noise` is what they hold, rms."""
         dV = np.asarray(difference, dtype=float)
+        dV = dV[np.isfinite(dV).all(axis=1)]
         floor = max(noise, 1e-9) ** 2  # keeps the good channels' covariance invertible
-        return cls(dV.T @ dV / len(dV) + floor * np.eye(dV.shape[1]))
+        return cls(dV.T @ dV / max(len(dV), 1) + floor * np.eye(dV.shape[1]))
 
-    def apply(self, difference: ArrayLike) -> NDArray[np.float64]:
-        """dV (C,) with values that are not finite replaced: E[bad | good] = C_bg C_gg^-1 good."""
+    def fill(self, difference: ArrayLike) -> NDArray[np.float64]:
+        """dV (n, C), values that are not finite replaced: E[bad | good] = C_bg C_gg^-1 good."""
         dV = np.array(difference, dtype=float)
-        bad = ~np.isfinite(dV)
-        if bad.any():
-            good = ~bad
-            weights = np.linalg.solve(self.covariance[np.ix_(good, good)], dV[good])
-            dV[bad] = self.covariance[np.ix_(bad, good)] @ weights
+        gaps = ~np.isfinite(dV)
+        for pattern in np.unique(gaps[gaps.any(axis=1)], axis=0):
+            rows = (gaps == pattern).all(axis=1)
+            good = ~pattern
+            weights = np.linalg.solve(self.covariance[np.ix_(good, good)], dV[rows][:, good].T)
+            dV[np.ix_(rows, pattern)] = (self.covariance[np.ix_(pattern, good)] @ weights).T
         return dV

@@ -12,12 +12,12 @@ from eitskin.datasets import Dataset, State
 from eitskin.geometry import DataError
 from eitskin.geometry.config import from_dict
 from eitskin.simulator import Frame
-from eitskin.training.differences import Differences, fingerprint, noise_of
 from eitskin.training.layout import Layout
-from eitskin.training.missing_channels import MissingChannels
+from eitskin.training.methods import Method, fit_method, method_from_arrays
 from eitskin.training.model_card import perception_card
-from eitskin.training.perception import Perceived, Perception
-from eitskin.training.references import References, relative_difference
+from eitskin.training.observed import Observed, fingerprint, noise_of
+from eitskin.training.perceived import FoundTouches, Perceived
+from eitskin.training.references import References, Voltages, relative_difference
 from eitskin.training.saved_pipeline import (
     SavedPipeline,
     read_pipeline,
@@ -25,7 +25,6 @@ from eitskin.training.saved_pipeline import (
     write_pipeline,
 )
 from eitskin.training.settings import Progress, TrainingSettings, silent
-from eitskin.training.touches import find_touches
 
 KIND = "perception"
 FRACTIONS = (0.6, 0.2, 0.2)  # training, validation and test part, as in the paper
@@ -40,10 +39,12 @@ class Estimate:
     Attributes:
         state: idle, touched or bent; a bent sensor that is touched is touched.
         probabilities: of the three states, in the order of `State`, (3,).
-        bend_angle_deg: [deg]; while touched, that of the sensor just before the touch.
+        bend_angle_deg: [deg]; the paper's method gives, while touched, that of the sensor just
+            before the touch.
+        bend_deviation_deg: its standard error [deg]; NaN where the method does not say.
         touch_map: probability of each pixel to be touched, (rows, columns), 0 to 1; rows and
             columns grow with y and x. Zero unless the state is touch.
-        touches: x [m], y [m] and strength, the largest value of the map there, strongest first.
+        found: the touches, with their forces and standard errors where the method gives them.
         problems: what is wrong with the frame, in words; empty when all is well.
         number: of the frame.
         time: of the frame [s].
@@ -52,11 +53,17 @@ class Estimate:
     state: State
     probabilities: NDArray[np.float64]
     bend_angle_deg: float
+    bend_deviation_deg: float
     touch_map: NDArray[np.float32]
-    touches: tuple[tuple[float, float, float], ...]
+    found: FoundTouches
     problems: tuple[str, ...]
     number: int
     time: float
+
+    @property
+    def touches(self) -> tuple[tuple[float, float, float], ...]:
+        """x [m], y [m] and strength, 0 to 1, of each touch, strongest first."""
+        return self.found.triples
 
 
 @dataclass(eq=False)
@@ -65,8 +72,7 @@ class Pipeline:
 
     Attributes:
         layout: what it was trained for.
-        perception: the stages, which remember nothing.
-        missing_static, missing_dynamic: fill in the bad channels of dV from either reference.
+        method: that says what a frame shows, and remembers nothing.
         noise: rms of the relative difference of two frames of a still sensor.
         settings: how it was trained.
         trained_on: fingerprint and split of the training set.
@@ -75,17 +81,16 @@ class Pipeline:
     """
 
     layout: Layout
-    perception: Perception
-    missing_static: MissingChannels
-    missing_dynamic: MissingChannels
+    method: Method
     noise: float
     settings: TrainingSettings
     trained_on: Mapping[str, Any]
-    examples: Differences
+    examples: Observed
     metrics: dict[str, Any] = field(default_factory=dict)
     _references: References = field(init=False, repr=False)
     _last: Frame | None = field(init=False, repr=False, default=None)
     _outdated: bool = field(init=False, repr=False, default=False)
+    _begun: float = field(init=False, repr=False, default=0.0)
 
     def __post_init__(self) -> None:
         """Begin without references."""
@@ -114,21 +119,17 @@ class Pipeline:
         specimens = np.unique(train.specimen)
         reference = np.median(np.abs(dataset.reference[specimens]), axis=0).astype(float)
         layout = Layout(dataset.design, dataset.protocol, dataset.frequency, reference)
-        perception = Perception.fit(train, layout, settings, progress)
-        differences = Differences.of(train)
-        noise = noise_of(train, differences)
+        observed = Observed.of(train)
         chosen = np.concatenate(
             [np.flatnonzero(train.state == state)[:GOLDEN_PER_STATE] for state in State]
         )
         return cls(
             layout,
-            perception,
-            MissingChannels.fit(differences.static, noise),
-            MissingChannels.fit(differences.dynamic, noise),
-            noise,
+            fit_method(train, layout, settings, progress),
+            noise_of(train, observed),
             settings,
             {"sha256": fingerprint(dataset), "frames": len(train), "source": dataset.source},
-            Differences(differences.static[chosen], differences.dynamic[chosen]),
+            observed[chosen],
         )
 
     def held_out(self, dataset: Dataset) -> NDArray[np.int64]:
@@ -159,10 +160,8 @@ class Pipeline:
         if first:
             self.layout.require_same_sensor(voltages)
             references.follow(voltages)
-        perceived = self._perceive(
-            self.missing_static.apply(relative_difference(voltages, references.bend)),
-            self.missing_dynamic.apply(relative_difference(voltages, references.touch)),
-        )
+            self._begun = frame.time
+        perceived = self._perceive(self._observed(voltages, frame))
         state = State(int(perceived.state[0]))
         if state is State.TOUCH:
             references.freeze()
@@ -174,19 +173,41 @@ class Pipeline:
             state=state,
             probabilities=perceived.probabilities[0],
             bend_angle_deg=float(perceived.bend_angle_deg[0]),
+            bend_deviation_deg=float(perceived.bend_deviation_deg[0]),
             touch_map=perceived.touch_map[0],
-            touches=find_touches(perceived.touch_map[0], self.layout.outline),
-            problems=(*problems, *self._reference_problems(state)),
+            found=perceived.touches[0],
+            problems=(*problems, *perceived.problems[0], *self._reference_problems(state)),
             number=frame.number,
             time=frame.time,
         )
 
-    def _perceive(self, static: NDArray[np.float64], dynamic: NDArray[np.float64]) -> Perceived:
-        """The stages on one frame, with one thread: more only wait for each other."""
+    def perceive(self, dataset: Dataset) -> Perceived:
+        """What each frame of a dataset shows, by itself.
+
+        Each is compared with its specimen's flat reference and its own `touch_reference`, which is
+        what the dynamic reference of a session would hold; this session's are left alone.
+        """
+        return self._perceive(Observed.of(dataset))
+
+    def _observed(self, voltages: Voltages, frame: Frame) -> Observed:
+        """A frame of the session beside the references."""
+        references = self._references
+        rows = {
+            "static": relative_difference(voltages, references.bend),
+            "dynamic": relative_difference(voltages, references.touch),
+            "flat": np.abs(references.bend),
+            "static_frames": float(references.bend_frames),
+            "dynamic_frames": float(references.touch_frames),
+            "age": frame.time - self._begun,
+        }
+        return Observed(**{name: np.asarray(value)[None] for name, value in rows.items()})
+
+    def _perceive(self, observed: Observed) -> Perceived:
+        """What the method says, with one thread: more only wait for each other."""
         from eitskin.training.networks import single_thread
 
         with single_thread():
-            return self.perception.estimate(static[None], dynamic[None])
+            return self.method.perceive(observed)
 
     def _notice_session(self, frame: Frame) -> None:
         """Begin again with a new session; notice that no frames came for long."""
@@ -212,19 +233,14 @@ class Pipeline:
 
     def save(self, path: str | Path) -> Path:
         """Write the pipeline as the folder NAME.eitmodel; a pipeline there is replaced."""
-        outputs = self.perception.outputs(self.examples)
+        outputs = self.method.outputs(self.examples)
         golden: dict[str, NDArray[Any]] = {
-            "input.static": self.examples.static,
-            "input.dynamic": self.examples.dynamic,
+            f"input.{name}": array for name, array in self.examples.arrays().items()
         }
         golden |= {f"output.{name}": array for name, array in outputs.items()}
-        weights = {
-            **self.perception.arrays(),
-            "layout.reference": self.layout.reference,
-            "missing_static.covariance": self.missing_static.covariance,
-            "missing_dynamic.covariance": self.missing_dynamic.covariance,
-        }
+        weights = {**self.method.arrays(), "layout.reference": self.layout.reference}
         document = {
+            "method": self.method.KIND,
             "layout": self.layout.document(),
             "noise": self.noise,
             "settings": asdict(self.settings),
@@ -244,18 +260,18 @@ class Pipeline:
         require_kind(saved, KIND, path)
         try:
             document, weights = saved.document, saved.weights
+            layout = Layout.from_document(document["layout"], weights["layout.reference"])
+            inputs = {name: saved.golden[f"input.{name}"] for name in Observed.__slots__}
             pipeline = cls(
-                Layout.from_document(document["layout"], weights["layout.reference"]),
-                Perception.from_arrays(weights),
-                MissingChannels(weights["missing_static.covariance"]),
-                MissingChannels(weights["missing_dynamic.covariance"]),
+                layout,
+                method_from_arrays(document["method"], weights, layout),
                 float(document["noise"]),
                 from_dict(TrainingSettings, document["settings"], "settings"),
                 dict(document["trained_on"]),
-                Differences(saved.golden["input.static"], saved.golden["input.dynamic"]),
+                Observed(**inputs),
                 dict(document["metrics"]),
             )
-            saved.require_golden(pipeline.perception.outputs(pipeline.examples))
+            saved.require_golden(pipeline.method.outputs(pipeline.examples))
         except DataError:
             raise
         except (KeyError, TypeError, ValueError, IndexError) as error:

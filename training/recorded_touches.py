@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from eitskin.datasets import Dataset
 from eitskin.geometry import DataError
-from eitskin.training.differences import fingerprint
+from eitskin.training.observed import fingerprint
 from eitskin.training.model_card import position_card
 from eitskin.training.saved_pipeline import (
     SavedPipeline,

@@ -98,6 +98,16 @@ class References:
         """Dynamic reference (measurements,) [ohm], NaN where never measured; size 0 at first."""
         return np.zeros(0, np.complex128) if self._latest.mean is None else self._latest.mean
 
+    @property
+    def bend_frames(self) -> int:
+        """How many frames the static reference is the mean of."""
+        return self._opening.count
+
+    @property
+    def touch_frames(self) -> int:
+        """How many frames the dynamic reference is the mean of."""
+        return self._latest.count
+
     def follow(self, impedance: ArrayLike) -> None:
         """Take the frame of an untouched sensor, NaN where a channel is bad."""
         if self._latest.add(impedance):

@@ -2,9 +2,10 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from eitskin.datasets import UNKNOWN_STATE, Dataset, State, touch_maps
 from eitskin.geometry import DataError
@@ -12,11 +13,14 @@ from eitskin.simulator import ForwardModel
 from eitskin.training.bend_angle import BendAngle
 from eitskin.training.bend_subspace import bend_free
 from eitskin.training.classifier import Classifier
-from eitskin.training.differences import Differences, noise_of
 from eitskin.training.layout import Layout
+from eitskin.training.missing_channels import MissingChannels
+from eitskin.training.observed import Observed, noise_of
+from eitskin.training.perceived import FoundTouches, Perceived
 from eitskin.training.postprocessor import PostProcessor
 from eitskin.training.reconstruction import Reconstruction, relative_jacobian, signal_to_noise
 from eitskin.training.settings import Progress, TrainingSettings, silent
+from eitskin.training.touches import find_touches
 
 PIXELS = (32, 80)  # 1.875 mm squares on the reference sensor
 
@@ -24,34 +28,23 @@ Arrays = dict[str, NDArray[np.generic]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Perceived:
-    """What the stages say of n frames.
+class PaperMethod:
+    """The trained stages.
 
     Attributes:
-        probabilities: of `State` (n, 3).
-        bend_angle_deg: (n,) [deg].
-        touch_map: (n, rows, columns), 0 to 1; zero in frames that are not touched.
+        missing_static, missing_dynamic: fill in the bad channels of dV from either reference.
+        outline: length and width that the maps cover [m].
     """
 
-    probabilities: NDArray[np.float64]
-    bend_angle_deg: NDArray[np.float64]
-    touch_map: NDArray[np.float32]
-
-    @property
-    def state(self) -> NDArray[np.int64]:
-        """The most probable `State` of each frame (n,)."""
-        state: NDArray[np.int64] = self.probabilities.argmax(axis=1)
-        return state
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Perception:
-    """The trained stages."""
+    KIND: ClassVar[str] = "paper"
 
     reconstruction: Reconstruction
     classifier: Classifier
     bend_angle: BendAngle
     postprocessor: PostProcessor
+    missing_static: MissingChannels
+    missing_dynamic: MissingChannels
+    outline: tuple[float, float]
 
     @classmethod
     def fit(
@@ -60,7 +53,7 @@ class Perception:
         layout: Layout,
         settings: TrainingSettings,
         progress: Progress = silent,
-    ) -> "Perception":
+    ) -> "PaperMethod":
         """Train every stage on all frames of `dataset`.
 
         Raises DataError where it lacks a state.
@@ -71,8 +64,13 @@ class Perception:
             raise DataError(
                 f"training needs idle, touch and bend frames, got {found}; add the missing ones"
             )
-        differences = Differences.of(dataset)
-        noise = noise_of(dataset, differences)
+        observed = Observed.of(dataset)
+        noise = noise_of(dataset, observed)
+        missing_static = MissingChannels.fit(observed.static, noise)
+        missing_dynamic = MissingChannels.fit(observed.dynamic, noise)
+        differences = Differences(
+            missing_static.fill(observed.static), missing_dynamic.fill(observed.dynamic)
+        )
         touched = dataset.state == State.TOUCH
         reconstruction = Reconstruction.fit(
             _jacobian(layout), signal_to_noise(differences.dynamic[touched], noise), PIXELS
@@ -90,31 +88,50 @@ class Perception:
                 noise,
                 progress,
             ),
+            missing_static,
+            missing_dynamic,
+            layout.outline,
         )
 
-    def estimate(self, static: ArrayLike, dynamic: ArrayLike) -> Perceived:
-        """What n frames show, from dV to the static and dynamic reference (n, measurements).
+    def perceive(self, observed: Observed) -> Perceived:
+        """What n frames show.
 
         A touch disturbs the channels that tell the angle by more than a degree of bend does, so
         the angle of a touched frame is that of its dynamic reference, the sensor as the touch
         found it: V/ref_bend over V/ref_touch is ref_touch/ref_bend.
         """
-        flat, free = np.asarray(static, dtype=float), np.asarray(dynamic, dtype=float)
+        flat = self.missing_static.fill(observed.static)
+        free = self.missing_dynamic.fill(observed.dynamic)
         probabilities = self.classifier.apply(flat)
         touched = probabilities.argmax(axis=1) == State.TOUCH
         untouched_dV = np.where(touched[:, None], (1 + flat) / (1 + free) - 1, flat)
         maps = np.zeros((len(flat), *self.reconstruction.shape), np.float32)
         if touched.any():
             maps[touched] = self.postprocessor.apply(self.reconstruction.apply(free[touched]))
-        return Perceived(probabilities, self.bend_angle.apply(untouched_dV), maps)
+        found = (find_touches(touch_map, self.outline) for touch_map in maps)
+        return Perceived(
+            probabilities,
+            self.bend_angle.apply(untouched_dV),
+            np.full(len(flat), np.nan),
+            maps,
+            tuple(FoundTouches.of([t[:2] for t in each], [t[2] for t in each]) for each in found),
+            ((),) * len(flat),
+        )
 
-    def outputs(self, differences: Differences) -> Arrays:
+    def pictures(self, observed: Observed) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Reconstructions of n frames from the static and from the dynamic reference."""
+        static = self.reconstruction.apply(self.missing_static.fill(observed.static))
+        dynamic = self.reconstruction.apply(self.missing_dynamic.fill(observed.dynamic))
+        return static.astype(np.float32), dynamic.astype(np.float32)
+
+    def outputs(self, observed: Observed) -> Arrays:
         """What every stage makes of n frames, whatever the others say; for checking copies."""
-        dynamic = self.reconstruction.apply(differences.dynamic)
+        static = self.missing_static.fill(observed.static)
+        dynamic = self.reconstruction.apply(self.missing_dynamic.fill(observed.dynamic))
         return {
             "picture": dynamic,
-            "probabilities": self.classifier.apply(differences.static),
-            "bend_angle_deg": self.bend_angle.apply(differences.static),
+            "probabilities": self.classifier.apply(static),
+            "bend_angle_deg": self.bend_angle.apply(static),
             "touch_map": self.postprocessor.apply(dynamic),
         }
 
@@ -127,13 +144,19 @@ class Perception:
             "postprocessor": self.postprocessor.arrays(),
         }
         return {
-            f"{stage}.{name}": array
-            for stage, arrays in stages.items()
-            for name, array in arrays.items()
+            "missing_static.covariance": self.missing_static.covariance,
+            "missing_dynamic.covariance": self.missing_dynamic.covariance,
+            **{
+                f"{stage}.{name}": array
+                for stage, arrays in stages.items()
+                for name, array in arrays.items()
+            },
         }
 
     @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[np.generic]]) -> "Perception":
+    def from_arrays(
+        cls, arrays: Mapping[str, NDArray[np.generic]], layout: Layout
+    ) -> "PaperMethod":
         """The stages that `arrays` came from; raises KeyError or DataError where they lack some."""
 
         def stage(name: str) -> Arrays:
@@ -146,7 +169,18 @@ class Perception:
             Classifier.from_arrays(stage("classifier"), reconstruction.shape),
             BendAngle.from_arrays(stage("bend_angle")),
             PostProcessor.from_arrays(stage("postprocessor"), reconstruction.shape),
+            MissingChannels(arrays["missing_static.covariance"].astype(float)),
+            MissingChannels(arrays["missing_dynamic.covariance"].astype(float)),
+            layout.outline,
         )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Differences:
+    """dV of n training frames without a gap, from either reference (n, measurements)."""
+
+    static: NDArray[np.float64]
+    dynamic: NDArray[np.float64]
 
 
 def _jacobian(layout: Layout) -> NDArray[np.float64]:

@@ -1,0 +1,51 @@
+"""The methods by which a pipeline perceives, behind one interface."""
+
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+from numpy.typing import NDArray
+
+from eitskin.datasets import Dataset
+from eitskin.geometry import DataError
+from eitskin.training.layout import Layout
+from eitskin.training.observed import Observed
+from eitskin.training.paper import PaperMethod
+from eitskin.training.perceived import Perceived
+from eitskin.training.settings import Progress, TrainingSettings
+
+Arrays = Mapping[str, NDArray[Any]]
+
+
+class Method(Protocol):
+    """Says what frames show, each by itself, and remembers nothing."""
+
+    @property
+    def KIND(self) -> str:  # noqa: N802  a constant of the class
+        """Name of the method in settings and saved pipelines."""
+        ...
+
+    def perceive(self, observed: Observed) -> Perceived:
+        """What n frames show."""
+        ...
+
+    def outputs(self, observed: Observed) -> Arrays:
+        """What every part makes of n frames, for checking copies."""
+        ...
+
+    def arrays(self) -> Arrays:
+        """What `method_from_arrays` needs to make it again."""
+        ...
+
+
+def fit_method(
+    dataset: Dataset, layout: Layout, settings: TrainingSettings, progress: Progress
+) -> Method:
+    """Train the method that `settings` names on all frames of `dataset`."""
+    return PaperMethod.fit(dataset, layout, settings, progress)
+
+
+def method_from_arrays(kind: str, arrays: Arrays, layout: Layout) -> Method:
+    """The method that `arrays` came from; raises DataError for one that is not known."""
+    if kind != PaperMethod.KIND:
+        raise DataError(f"expected the method 'paper', got '{kind}'; install a newer eitskin")
+    return PaperMethod.from_arrays(arrays, layout)
