@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from eitskin.datasets import Dataset
 from eitskin.geometry import DataError
-from eitskin.training.observed import fingerprint
 from eitskin.training.model_card import position_card
+from eitskin.training.observed import fingerprint
 from eitskin.training.saved_pipeline import (
     SavedPipeline,
     read_pipeline,
