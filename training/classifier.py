@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from eitskin.datasets import State
 from eitskin.geometry.optional import require
+from eitskin.training.history import History
 from eitskin.training.settings import NetworkSettings, Progress, silent
 
 if TYPE_CHECKING:
@@ -24,15 +25,21 @@ class Classifier:
         network: trained, in evaluation mode.
         embedding: linear, from dV to maps in those units, (maps, pixels, measurements).
         shape: of a map.
+        history: how its loss fell.
     """
 
     def __init__(
-        self, network: "StateNetwork", embedding: NDArray[np.float64], shape: tuple[int, int]
+        self,
+        network: "StateNetwork",
+        embedding: NDArray[np.float64],
+        shape: tuple[int, int],
+        history: History | None = None,
     ) -> None:
         """Wrap a trained network."""
         self.network = network
         self.embedding = embedding
         self.shape = shape
+        self.history = history or History()
 
     @classmethod
     def fit(
@@ -45,6 +52,7 @@ class Classifier:
         noise: float = 0.0,
         seed: int = 0,
         progress: Progress = silent,
+        validation: tuple[ArrayLike, ArrayLike] | None = None,
     ) -> "Classifier":
         """Train with sparse categorical cross-entropy and Adam.
 
@@ -57,29 +65,39 @@ class Classifier:
             noise: rms noise that dV already has; `settings.noise` counts in it.
             seed: of initial weights, order and added noise.
             progress: told of every epoch.
+            validation: dV and states of other frames, whose loss is told after every epoch.
         """
         require("torch", "training")
         import torch
 
-        from eitskin.training.networks import StateNetwork, noisy_maps, seeded, train
+        from eitskin.training.networks import Samples, StateNetwork, noisy_maps, seeded, train
 
         states = np.asarray(state, dtype=np.int64)
         scaled = _in_units_of_noise(
             np.asarray(embedding, dtype=float), np.asarray(difference), states == State.IDLE
         )
         network = seeded(lambda: StateNetwork(shape, len(scaled)), seed)
-        maps = noisy_maps(difference, scaled, shape, settings.noise * noise)
-        targets = torch.as_tensor(states)
-        train(
+
+        def samples(dV: ArrayLike, truth: ArrayLike, rms: float) -> Samples:
+            maps = noisy_maps(dV, scaled, shape, rms)
+            targets = torch.as_tensor(np.asarray(truth, dtype=np.int64))
+            return Samples(
+                lambda chosen, generator: (torch.asinh(maps(chosen, generator)), targets[chosen]),
+                len(targets),
+            )
+
+        fitted = samples(difference, states, settings.noise * noise)
+        history = train(
             network,
-            lambda chosen, generator: (torch.asinh(maps(chosen, generator)), targets[chosen]),
+            fitted.batch,
             torch.nn.functional.cross_entropy,
-            len(targets),
+            fitted.count,
             settings,
             seed,
             lambda done, total: progress("state classifier", done, total),
+            None if validation is None else samples(*validation, 0.0),
         )
-        return cls(network, scaled, shape)
+        return cls(network, scaled, shape, history)
 
     def apply(self, difference: ArrayLike) -> NDArray[np.float64]:
         """Probabilities (n, 3) of idle, touch and bend for dV (n, measurements)."""
@@ -96,7 +114,11 @@ class Classifier:
         """What `from_arrays` needs to make this stage again."""
         from eitskin.training.networks import weights_of
 
-        return {"embedding": self.embedding, **weights_of(self.network)}
+        return {
+            "embedding": self.embedding,
+            **self.history.arrays(),
+            **weights_of(self.network),
+        }
 
     @classmethod
     def from_arrays(
@@ -107,7 +129,8 @@ class Classifier:
         from eitskin.training.networks import StateNetwork, with_weights
 
         embedding = arrays["embedding"].astype(float)
-        return cls(with_weights(StateNetwork(shape, len(embedding)), arrays), embedding, shape)
+        network = with_weights(StateNetwork(shape, len(embedding)), arrays)
+        return cls(network, embedding, shape, History.from_arrays(arrays))
 
 
 def _in_units_of_noise(

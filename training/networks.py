@@ -5,6 +5,8 @@ The stages import it inside the functions that need it, so that torch stays opti
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
+from math import isfinite
 from typing import Any, TypeVar
 
 import numpy as np
@@ -12,12 +14,14 @@ import torch  # noqa: TID253  see above
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor, nn  # noqa: TID253  see above
 
-from eitskin.geometry import DataError
+from eitskin.geometry import ConfigurationError, DataError
+from eitskin.training.history import History
 from eitskin.training.settings import NetworkSettings
 
 Network = TypeVar("Network", bound=nn.Module)
 Batch = Callable[[Tensor, torch.Generator], tuple[Tensor, Tensor]]
 Maps = Callable[[Tensor, torch.Generator], Tensor]
+Loss = Callable[[Tensor, Tensor], Tensor]
 
 EVALUATED_AT_ONCE = 256  # maps; bounds the memory that a large dataset takes
 
@@ -120,16 +124,29 @@ def noisy_maps(
     return maps
 
 
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """`count` samples, of which `batch` gives inputs and targets of the indices it is handed."""
+
+    batch: Batch
+    count: int
+
+
 def train(
     network: nn.Module,
     batch: Batch,
-    loss: Callable[[Tensor, Tensor], Tensor],
+    loss: Loss,
     count: int,
     settings: NetworkSettings,
     seed: int,
     progress: Callable[[int, int], None],
-) -> None:
-    """Adam on `count` samples; `batch` gives inputs and targets of the indices it is handed."""
+    validation: Samples | None = None,
+) -> History:
+    """Adam on `count` samples; `batch` gives inputs and targets of the indices it is handed.
+
+    Returns the mean loss of every epoch; that of `validation` is only looked at, so the weights
+    are the same without it. Raises ConfigurationError where the loss is no longer a number.
+    """
     generator = torch.Generator().manual_seed(seed)
     optimiser = torch.optim.Adam(network.parameters(), lr=settings.learning_rate)
     steps = settings.epochs * -(-count // settings.batch)
@@ -139,17 +156,46 @@ def train(
         if settings.one_cycle
         else None
     )
-    network.train()
+    fitted, unseen = [], []
     for epoch in range(settings.epochs):
+        network.train()
+        total = 0.0
         for chosen in torch.split(torch.randperm(count, generator=generator), settings.batch):
             inputs, targets = batch(chosen, generator)
             optimiser.zero_grad(set_to_none=True)
-            loss(network(inputs), targets).backward()  # type: ignore[no-untyped-call]
+            value = loss(network(inputs), targets)
+            value.backward()  # type: ignore[no-untyped-call]
             optimiser.step()
             if anneal:
                 anneal.step()
+            total += value.item() * len(chosen)
+        network.eval()
+        fitted.append(_finite(total / count, epoch, settings))
+        if validation is not None:
+            unseen.append(_finite(mean_loss(network, validation, loss), epoch, settings))
         progress(epoch + 1, settings.epochs)
-    network.eval()
+    return History(tuple(fitted), tuple(unseen))
+
+
+def mean_loss(network: nn.Module, samples: Samples, loss: Loss) -> float:
+    """Mean loss per sample of a network in evaluation mode."""
+    generator = torch.Generator()
+    total = 0.0
+    with torch.inference_mode():
+        for chosen in torch.split(torch.arange(samples.count), EVALUATED_AT_ONCE):
+            inputs, targets = samples.batch(chosen, generator)
+            total += loss(network(inputs), targets).item() * len(chosen)
+    return total / samples.count
+
+
+def _finite(value: float, epoch: int, settings: NetworkSettings) -> float:
+    if not isfinite(value):
+        raise ConfigurationError(
+            f"training diverged in epoch {epoch + 1}: the loss is {value}; lower learning_rate, "
+            f"which is {settings.learning_rate:g}, and look for values in the frames that are not "
+            "finite"
+        )
+    return value
 
 
 @contextmanager

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from eitskin.geometry.optional import require
+from eitskin.training.history import History
 from eitskin.training.reconstruction import Reconstruction
 from eitskin.training.settings import NetworkSettings, Progress, silent
 
@@ -19,12 +20,16 @@ class PostProcessor:
     Attributes:
         network: trained, in evaluation mode.
         scale: maps are divided by this before they reach the network.
+        history: how its loss fell.
     """
 
-    def __init__(self, network: "TouchMapNetwork", scale: float) -> None:
+    def __init__(
+        self, network: "TouchMapNetwork", scale: float, history: History | None = None
+    ) -> None:
         """Wrap a trained network."""
         self.network = network
         self.scale = scale
+        self.history = history or History()
 
     @classmethod
     def fit(
@@ -36,6 +41,7 @@ class PostProcessor:
         noise: float = 0.0,
         seed: int = 0,
         progress: Progress = silent,
+        validation: tuple[ArrayLike, ArrayLike] | None = None,
     ) -> "PostProcessor":
         """Train with binary cross-entropy per pixel and Adam.
 
@@ -47,31 +53,36 @@ class PostProcessor:
             noise: rms noise that dV already has; `settings.noise` counts in it.
             seed: of initial weights, order and added noise.
             progress: told of every epoch.
+            validation: dV and touch maps of other frames, whose loss is told after every epoch.
         """
         require("torch", "training")
         import torch
 
-        from eitskin.training.networks import TouchMapNetwork, noisy_maps, seeded, train
+        from eitskin.training.networks import Samples, TouchMapNetwork, noisy_maps, seeded, train
 
         scale = float(np.std(reconstruction.apply(difference))) or 1.0
         network = seeded(lambda: TouchMapNetwork(reconstruction.shape), seed)
-        maps = noisy_maps(
-            difference,
-            reconstruction.matrix[None] / scale,
-            reconstruction.shape,
-            settings.noise * noise,
-        )
-        targets = torch.as_tensor(np.asarray(touch_map, dtype=np.float32))[:, None]
-        train(
+        layer = reconstruction.matrix[None] / scale
+
+        def samples(dV: ArrayLike, truth: ArrayLike, rms: float) -> Samples:
+            maps = noisy_maps(dV, layer, reconstruction.shape, rms)
+            targets = torch.as_tensor(np.asarray(truth, dtype=np.float32))[:, None]
+            return Samples(
+                lambda chosen, generator: (maps(chosen, generator), targets[chosen]), len(targets)
+            )
+
+        fitted = samples(difference, touch_map, settings.noise * noise)
+        history = train(
             network,
-            lambda chosen, generator: (maps(chosen, generator), targets[chosen]),
+            fitted.batch,
             torch.nn.functional.binary_cross_entropy_with_logits,
-            len(targets),
+            fitted.count,
             settings,
             seed,
             lambda done, total: progress("touch map", done, total),
+            None if validation is None else samples(*validation, 0.0),
         )
-        return cls(network, scale)
+        return cls(network, scale, history)
 
     def apply(self, maps: ArrayLike) -> NDArray[np.float32]:
         """Touch maps, 0 to 1, of reconstructions, both (n, rows, columns)."""
@@ -85,7 +96,11 @@ class PostProcessor:
         """What `from_arrays` needs to make this stage again."""
         from eitskin.training.networks import weights_of
 
-        return {"scale": np.array(self.scale), **weights_of(self.network)}
+        return {
+            "scale": np.array(self.scale),
+            **self.history.arrays(),
+            **weights_of(self.network),
+        }
 
     @classmethod
     def from_arrays(
@@ -96,4 +111,4 @@ class PostProcessor:
         from eitskin.training.networks import TouchMapNetwork, with_weights
 
         network = with_weights(TouchMapNetwork(shape), arrays)
-        return cls(network, float(arrays["scale"].astype(float)))
+        return cls(network, float(arrays["scale"].astype(float)), History.from_arrays(arrays))
