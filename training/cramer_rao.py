@@ -112,7 +112,7 @@ class SceneDerivatives:
                 f"{noise.min():g} to {noise.max():g} and {reference_frames:g} frames"
             )
         touches = len(self.by_touch)
-        rows = [self.by_touch.reshape(3 * touches, -1)]
+        rows = [self.by_touch.reshape(3 * touches, len(self.by_angle))]
         if not angle_known:
             rows.append(self.by_angle[None])
         wanted = sum(map(len, rows))
