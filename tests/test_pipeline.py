@@ -8,41 +8,17 @@ import numpy as np
 import pytest
 import torch
 
-from eitskin.datasets import Dataset, State, read_recording
-from eitskin.geometry import DataError, FrameError, SensorDesign
-from eitskin.simulator import ForwardModel, Frame, Protocol, Status
-from eitskin.training import NetworkSettings, Pipeline, RecordedTouches, TrainingSettings, evaluate
+from eitskin.datasets import State, read_recording
+from eitskin.geometry import DataError, FrameError
+from eitskin.simulator import Frame, Protocol, Status
+from eitskin.training import Pipeline, RecordedTouches, evaluate
 from eitskin.training.layout import LARGEST_SCALE
 from eitskin.training.observed import Observed
 from eitskin.training.pipeline import LONGEST_GAP
 
+from linear_sensor import SETTINGS, LinearSensor
+
 DATA = Path(os.environ.get("EITSKIN_DATA", Path(__file__).parents[2] / "shared" / "data"))
-NOISE = 1e-5  # relative, of one frame; low, so that few and brief lessons suffice
-SETTINGS = TrainingSettings(
-    classifier=NetworkSettings(2e-3, epochs=14, batch=16),
-    postprocessor=NetworkSettings(5e-3, epochs=14, batch=16),
-)
-X, Y = np.meshgrid((np.arange(80) + 0.5) * 0.150 / 80, (np.arange(32) + 0.5) * 0.060 / 32)
-
-
-class LinearSensor:
-    """The reference sensor to first order: fast enough to make a training set in a test."""
-
-    def __init__(self):
-        model = ForwardModel(SensorDesign.reference(), resolution="fast")
-        self.protocol = Protocol.pairwise(8)
-        self.flat = self.protocol.measure(model.impedance())
-        J = model.sensitivity(self.protocol, pixels=(32, 80)) / self.flat[:, None]
-        self.J = J
-
-    def impedance(self, angle_deg=0.0, place=None, rng=None):
-        """One frame [ohm], noisy where `rng` is given."""
-        change = np.where(np.abs(X - 0.075) < 0.020, -1.5e-3 * angle_deg, 0.0)
-        if place is not None:
-            change = change - 0.3 * (np.hypot(X - place[0], Y - place[1]) < 0.0075)
-        dV = self.J @ change.ravel()
-        noise = 0 if rng is None else rng.normal(size=28) * NOISE
-        return (self.flat * (1 + dV + noise)).astype(complex)
 
 
 @pytest.fixture(scope="module")
@@ -52,32 +28,7 @@ def sensor():
 
 @pytest.fixture(scope="module")
 def dataset(sensor):
-    """240 frames: idle, touched (half of them while bent) and bent, one touch at most."""
-    rng = np.random.default_rng(0)
-    state = np.arange(240) % 3
-    bent = (state == State.BEND) | ((state == State.TOUCH) & (np.arange(240) % 2 == 0))
-    angle = np.where(bent, rng.uniform(5, 50, 240) * rng.choice([-1, 1], 240), 0.0)
-    places = rng.uniform([0.02, 0.012], [0.13, 0.048], size=(240, 2))
-    touched = state == State.TOUCH
-    xy = np.full((2, 240, 4), np.nan)
-    xy[:, touched, 0] = places[touched].T
-    frames = [
-        sensor.impedance(angle[i], places[i] if touched[i] else None, rng) for i in range(240)
-    ]
-    return Dataset.from_arrays(
-        np.array(frames),
-        sensor.flat,
-        touch_reference=np.array([sensor.impedance(a, None, rng) for a in angle]),
-        specimen=np.zeros(240),
-        state=state,
-        bend_angle_deg=angle,
-        touch_x=xy[0],
-        touch_y=xy[1],
-        touch_radius=np.where(np.isfinite(xy[0]), 0.0075, np.nan),
-        protocol=sensor.protocol,
-        source="simulated",
-        design=SensorDesign.reference(),
-    )
+    return sensor.dataset()
 
 
 @pytest.fixture(scope="module")
