@@ -10,21 +10,17 @@ from eitskin.cli.options import Json, Output, Quiet, Seed, Verbose
 
 if TYPE_CHECKING:
     from eitskin.training import PositionScore, Report
-
-COUNTS = {"1": "one touch", "2": "two touches", "3": "three touches", "4": "four touches"}
-PAPER_ERROR_MM = {"1": "4.8 +- 2.8", "2": "5.5", "3": "4.3", "4": "5.0"}
-PAPER_SSIM = {"1": ("0.29", "0.71", "0.94"), "several": ("0.11", "0.47", "0.80")}
-PICTURES = {
-    "static": "static reference",
-    "dynamic": "dynamic reference",
-    "touch_map": "post-processed",
-}
+    from eitskin.training.evaluate import Evaluation
 
 
 def command(
     pipeline: Annotated[Path, typer.Argument(help="The trained pipeline, NAME.eitmodel.")],
     dataset: Annotated[Path, typer.Argument(help="Dataset to measure it on.")],
     *,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for a report with pictures; an earlier report is replaced."),
+    ] = None,
     seed: Seed = 0,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -32,54 +28,59 @@ def command(
 ) -> None:
     """Measure a pipeline; on the dataset it was trained on, only the part it never saw."""
     from eitskin.datasets import open_dataset
-    from eitskin.training import Pipeline, RecordedTouches, evaluate
+    from eitskin.geometry import ConfigurationError
+    from eitskin.training import Pipeline, RecordedTouches
+    from eitskin.training.evaluate import Evaluation
+    from eitskin.training.report_folder import require_report_folder
     from eitskin.training.saved_pipeline import read_pipeline
 
     output = Output(as_json, quiet, verbose)
     output.detail(f"nothing is random in an evaluation, seed {seed} is not used")
     data = open_dataset(dataset)
     if read_pipeline(pipeline).kind == RecordedTouches.KIND:
+        if out is not None:
+            raise ConfigurationError(
+                f"{pipeline} has learned touch positions and nothing else, which make no report; "
+                "leave --out away"
+            )
         score = RecordedTouches.load(pipeline).evaluate(data)
         output.result(score.as_dict(), position_table(score))
         return
     trained = Pipeline.load(pipeline)
+    if out is not None:
+        require_report_folder(out)
     frames = trained.held_out(data)
     if len(frames) < len(data):
         output.note(f"trained on this dataset: only the {len(frames)} frames never seen count")
-    report = evaluate(trained, data.select(frames))
-    output.result(report.as_dict(), paper_table(report))
+    evaluation = Evaluation.of(trained, data.select(frames))
+    if out is not None:
+        save_report(evaluation, out, output)
+    output.result(evaluation.report.as_dict(), paper_table(evaluation.report))
+
+
+def save_report(evaluation: "Evaluation", folder: Path, output: Output) -> None:
+    """Write the report folder, with this machine, its versions and the date in it."""
+    from eitskin.benchmarks.provenance import Provenance
+    from eitskin.training.report_folder import write_report
+
+    made = Provenance.now(evaluation.pipeline.settings.seed)
+    versions = ", ".join(f"{name} {made.packages[name]}" for name in ("eitskin", "numpy", "scipy"))
+    made_with = {
+        "machine": made.machine,
+        "versions": f"Python {made.python}, {versions}",
+        "date": made.date,
+    }
+    output.note(f"report: {write_report(evaluation, folder, made_with)}")
 
 
 def paper_table(report: "Report") -> Table:
     """The figures of the paper beside those of `report`."""
-    table = Table("experiment", "paper", "here", title=f"{report.frames} frames")
-    for count, name in COUNTS.items():
-        if score := report.touches.get(count):
-            error = _figure(score.mean_error_mm, "{:.1f}") + _figure(
-                score.deviation_mm, " +- {:.1f}"
-            )
-            details = f"{error} mm, {score.found:.1%} found, {score.false_per_touch:.1%} false"
-            table.add_row(f"{name}: error", f"{PAPER_ERROR_MM[count]} mm", details)
-    for count, paper in PAPER_SSIM.items():
-        if (score := report.touches.get(count)) and score.ssim:
-            name = COUNTS.get(count, "several touches")
-            for (key, picture), figure in zip(PICTURES.items(), paper, strict=True):
-                table.add_row(f"{name}: SSIM, {picture}", figure, f"{score.ssim[key]:.2f}")
-    states = report.states
-    table.add_row("idle recognised", "> 97 %", _figure(states.accuracy["idle"], "{:.1%}"))
-    table.add_row("touch recognised", "99 %", _figure(states.accuracy["touch"], "{:.1%}"))
-    table.add_row("  on a bent sensor", "-", _figure(states.bent_touch_accuracy, "{:.1%}"))
-    table.add_row("bend recognised", "-", _figure(states.accuracy["bend"], "{:.1%}"))
-    table.add_row("bend angle, R2", "0.997", _figure(report.bend.r2, "{:.4f}"))
-    table.add_row("bend angle, RMSE", "0.90 deg", _figure(report.bend.rmse_deg, "{:.2f} deg"))
-    touched = _figure(report.bend.touched_rmse_deg, "{:.2f} deg")
-    table.add_row("  while touched", "-", touched)
-    latency = report.latency
-    table.add_row(
-        "time per frame",
-        "606.6 ms, 303 ms of it acquisition",
-        f"{latency.p50_ms:.1f} ms median, {latency.p99_ms:.1f} ms p99, processing alone",
-    )
+    from eitskin.training.report import SSIM_DEFINITION
+    from eitskin.training.report_table import HEADINGS, table_rows
+
+    table = Table(*HEADINGS, title=f"{report.frames} frames", caption=SSIM_DEFINITION)
+    for row in table_rows(report):
+        table.add_row(*row)
     return table
 
 
@@ -90,8 +91,3 @@ def position_table(score: "PositionScore") -> Table:
     table.add_row("median error", f"{score.median_error_mm:.2f} mm")
     table.add_row("mean error of saying the middle", f"{score.guess_error_mm:.1f} mm")
     return table
-
-
-def _figure(value: float | None, form: str) -> str:
-    """`value` in its form; a dash where there is none."""
-    return "-" if value is None else form.format(value)

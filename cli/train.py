@@ -6,11 +6,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from eitskin.cli.evaluate import save_report
 from eitskin.cli.options import Json, Output, Quiet, Seed, Verbose
 
 if TYPE_CHECKING:
     from eitskin.datasets import Dataset
     from eitskin.training import Pipeline, RecordedTouches
+    from eitskin.training.evaluate import Evaluation
 
 
 def command(
@@ -23,6 +25,10 @@ def command(
     preset: Annotated[
         str, typer.Option(help="quick, or paper: the classifier trained as published, slower.")
     ] = "quick",
+    report: Annotated[
+        Path | None,
+        typer.Option(help="Folder for a report with pictures; an earlier report is replaced."),
+    ] = None,
     seed: Seed = 0,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -39,18 +45,24 @@ def command(
     output = Output(as_json, quiet, verbose)
     require_place(out)
     data = open_dataset(dataset)
+    if report is not None:
+        _require_reportable(data, report)
     start = time.perf_counter()
     trained: Pipeline | RecordedTouches
+    evaluation = None
     if data.design is None:
         output.note("no geometry in this dataset: learning touch positions only")
         trained = train_positions(data)
         found = f"mean error {trained.metrics['mean_error_mm']:.2f} mm"
     else:
-        trained = train_pipeline(data, preset, epochs, seed, output)
-        shares = trained.metrics["states"]["accuracy"].items()
+        evaluation = train_and_measure(data, preset, epochs, seed, output)
+        trained = evaluation.pipeline
+        shares = evaluation.report.states.accuracy.items()
         found = ", ".join(f"{name} {share:.1%}" for name, share in shares if share is not None)
     seconds = time.perf_counter() - start
     saved = trained.save(out)
+    if evaluation is not None and report is not None:
+        save_report(evaluation, report, output)
     frames = trained.trained_on["frames"]
     output.result(
         {
@@ -63,11 +75,32 @@ def command(
     )
 
 
+def _require_reportable(data: "Dataset", report: Path) -> None:
+    """Refuse, before the work, a report that could not be written at its end."""
+    from eitskin.geometry import ConfigurationError
+    from eitskin.training.report_folder import require_report_folder
+
+    if data.design is None:
+        raise ConfigurationError(
+            "of a dataset without geometry only touch positions are learned, which make no "
+            "report; leave --report away"
+        )
+    require_report_folder(report)
+
+
 def train_pipeline(
     data: "Dataset", preset: str, epochs: int | None, seed: int, output: Output
 ) -> "Pipeline":
     """A perception pipeline with its metrics on held-out frames; shows a bar per network."""
-    from eitskin.training import Pipeline, TrainingSettings, evaluate
+    return train_and_measure(data, preset, epochs, seed, output).pipeline
+
+
+def train_and_measure(
+    data: "Dataset", preset: str, epochs: int | None, seed: int, output: Output
+) -> "Evaluation":
+    """The pipeline of `train_pipeline`, and what it makes of the held-out frames."""
+    from eitskin.training import Pipeline, TrainingSettings
+    from eitskin.training.evaluate import Evaluation
 
     settings = TrainingSettings.preset(preset, seed)
     if epochs is not None:
@@ -83,9 +116,9 @@ def train_pipeline(
 
         pipeline = Pipeline.fit(data, settings, show)
     output.detail(f"trained in {time.perf_counter() - start:.0f} s, measuring")
-    report = evaluate(pipeline, data.select(pipeline.held_out(data)))
-    pipeline.metrics.update(report.as_dict())
-    return pipeline
+    evaluation = Evaluation.of(pipeline, data.select(pipeline.held_out(data)))
+    pipeline.metrics.update(evaluation.report.as_dict())
+    return evaluation
 
 
 def train_positions(data: "Dataset") -> "RecordedTouches":

@@ -5,9 +5,11 @@ import pytest
 
 from eitskin.training.metrics import (
     GATE,
+    calibration,
     confusion,
     determination,
     localisation,
+    match,
     match_distances,
     percentiles,
     root_mean_square,
@@ -25,6 +27,13 @@ def test_as_many_pairs_as_there_can_be():
     """The smallest total alone would be one pair of 0 mm, the other beyond the gate."""
     true, found = [(0.0, 0.0), (0.014, 0.0)], [(0.014, 0.0), (0.014, 0.0145)]
     assert match_distances(true, found) == pytest.approx([0.014, 0.0145])
+
+
+def test_matched_rows_belong_together():
+    true = [(0.0, 0.0), (0.1, 0.0), (0.05, 0.0)]
+    rows, columns = match(true, [(0.052, 0.0), (0.001, 0.0)])
+    assert dict(zip(rows.tolist(), columns.tolist(), strict=True)) == {0: 1, 2: 0}
+    assert [len(each) for each in match(true, np.zeros((0, 2)))] == [0, 0]
 
 
 def test_misses_and_false_touches_are_counted_apart():
@@ -63,3 +72,21 @@ def test_confusion_has_the_truth_in_rows():
 
 def test_percentiles():
     assert percentiles(list(range(101))) == (50.0, 99.0)
+
+
+def test_calibration_compares_errors_with_what_was_stated():
+    nan = float("nan")
+    found = calibration([3.0, -1.0, 100.0, 5.0, nan], [2.0, 2.0, nan, 0.0, 1.0])
+    assert found.count == 2
+    assert found.rms_ratio == pytest.approx(np.sqrt((1.5**2 + 0.5**2) / 2))
+    assert found.within_one == 0.5
+    assert calibration([1.0], [nan]) is None
+    assert calibration([], []) is None
+
+
+def test_true_standard_errors_are_found_calibrated():
+    """Places in the plane: sqrt(var x + var y) is the rms distance; 1 - exp(-1) lie within it."""
+    x, y = np.random.default_rng(0).normal(size=(2, 100_000)) * 1.5
+    found = calibration(np.hypot(x, y), np.full(100_000, 1.5 * np.sqrt(2)))
+    assert found.rms_ratio == pytest.approx(1.0, abs=0.01)
+    assert found.within_one == pytest.approx(1 - np.exp(-1), abs=0.01)

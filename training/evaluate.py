@@ -1,8 +1,7 @@
 """How good a pipeline is on a dataset: the figures of the paper, by stated definitions."""
 
 import time
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,108 +14,104 @@ from eitskin.training.observed import Observed
 from eitskin.training.paper import PaperMethod
 from eitskin.training.perceived import Perceived
 from eitskin.training.pipeline import Pipeline
+from eitskin.training.report import (
+    BendScore,
+    ForceScore,
+    LatencyScore,
+    Report,
+    StateScore,
+    TouchScore,
+    UntouchedScore,
+)
+from eitskin.training.report_matches import Matches
+
+__all__ = ["Evaluation", "Report", "TouchScore", "evaluate"]
 
 TIMED_FRAMES = 300
 PIECE = 512  # frames at once
 
-
-@dataclass(frozen=True, slots=True)
-class StateScore:
-    """States told apart.
-
-    Attributes:
-        accuracy: per true state, None where the dataset has none.
-        bent_touch_accuracy: of touches on a bent sensor alone.
-        confusion: counts, rows the true and columns the estimated state: idle, touch, bend.
-    """
-
-    accuracy: dict[str, float | None]
-    bent_touch_accuracy: float | None
-    confusion: list[list[int]]
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 
-@dataclass(frozen=True, slots=True)
-class BendScore:
-    """Bend angles of bent frames and of touched ones.
+@dataclass(frozen=True, slots=True, eq=False)
+class Evaluation:
+    """A pipeline, frames, and what it makes of them.
 
     Attributes:
-        r2, rmse_deg: of bent, untouched frames.
-        touched_rmse_deg: of touched frames, flat and bent.
+        pipeline: as it was.
+        dataset: n frames.
+        perceived: what it says of each, by itself.
+        matches: its touches beside the true ones.
+        similarity: SSIM of each frame's pictures (n,), by picture: "touch_map" and, where the
+            method reconstructs, "static" and "dynamic"; and of an "empty" one, which is what
+            drawing nothing earns. NaN in untouched frames and where a radius is not known.
+        report: the figures.
     """
 
-    r2: float | None
-    rmse_deg: float | None
-    touched_rmse_deg: float | None
+    pipeline: Pipeline
+    dataset: Dataset
+    perceived: Perceived
+    matches: Matches
+    similarity: dict[str, Array]
+    report: Report
 
+    @classmethod
+    def of(cls, pipeline: Pipeline, dataset: Dataset) -> "Evaluation":
+        """Measure `pipeline` on all frames of `dataset`.
 
-@dataclass(frozen=True, slots=True)
-class TouchScore:
-    """Touches found in frames that have a certain number of them.
+        Frames count one by one: each is compared with its specimen's flat reference and with its
+        own `touch_reference`, which is what the dynamic reference of a session would hold. Touches
+        are those the pipeline gives out, so a touch whose state was not recognised counts as
+        missed.
 
-    Attributes:
-        frames: how many there are.
-        mean_error_mm, deviation_mm: of matched touches.
-        found: share of the true touches that were matched.
-        false_per_touch: found touches that match none, per true touch.
-        ssim: of the picture with the static and the dynamic reference, and of the touch map.
-    """
-
-    frames: int
-    mean_error_mm: float | None
-    deviation_mm: float | None
-    found: float
-    false_per_touch: float
-    ssim: dict[str, float]
-
-
-@dataclass(frozen=True, slots=True)
-class LatencyScore:
-    """Time of `Pipeline.process` per frame [ms], on one thread."""
-
-    p50_ms: float
-    p99_ms: float
-
-
-@dataclass(frozen=True, slots=True)
-class Report:
-    """Everything that `evaluate` measures; see metrics.py for the definitions."""
-
-    frames: int
-    states: StateScore
-    bend: BendScore
-    touches: dict[str, TouchScore]
-    latency: LatencyScore
-
-    def as_dict(self) -> dict[str, Any]:
-        """Plain data, as JSON takes it."""
-        return asdict(self)
+        Raises DataError for a dataset without frames, or of other measurements than the pipeline's.
+        """
+        if len(dataset) == 0:
+            raise DataError("there are no frames to evaluate on")
+        if dataset.protocol != pipeline.layout.protocol:
+            raise DataError(
+                f"the pipeline was trained for {len(pipeline.layout.protocol)} measurements, the "
+                "dataset has others; evaluate on a dataset of the same sensor"
+            )
+        perceived = _perceive(pipeline, dataset)
+        matches = Matches.of(dataset, perceived)
+        similarity = _similarities(pipeline, dataset, perceived)
+        report = Report(
+            len(dataset),
+            _state_score(dataset, perceived),
+            _bend_score(dataset, perceived),
+            _touch_scores(dataset, matches, similarity),
+            _untouched_score(dataset, matches),
+            _force_score(matches),
+            metrics.calibration(matches.error, matches.deviation),
+            _latency(pipeline, dataset),
+        )
+        return cls(pipeline, dataset, perceived, matches, similarity, report)
 
 
 def evaluate(pipeline: Pipeline, dataset: Dataset) -> Report:
-    """Measure `pipeline` on all frames of `dataset`.
+    """The figures of `Evaluation.of` alone."""
+    return Evaluation.of(pipeline, dataset).report
 
-    Frames count one by one: each is compared with its specimen's flat reference and with its own
-    `touch_reference`, which is what the dynamic reference of a session would hold. Touches are
-    those the pipeline gives out, so a touch whose state was not recognised counts as missed.
 
-    Raises DataError for a dataset without frames, or of other measurements than the pipeline's.
+def contact_maps(
+    dataset: Dataset, pipeline: Pipeline, shape: tuple[int, ...]
+) -> NDArray[np.float32]:
+    """The true contact maps of touched frames (n, rows, columns)."""
+    discs = (dataset.touch_x, dataset.touch_y, dataset.touch_radius)
+    return touch_maps(*discs, pipeline.layout.outline, (shape[-2], shape[-1]))
+
+
+def reconstructions(pipeline: Pipeline, dataset: Dataset) -> dict[str, NDArray[np.float32]]:
+    """Pictures (n, rows, columns) from either reference, positive where conductivity is lower.
+
+    Empty for a method that reconstructs none.
     """
-    layout = pipeline.layout
-    if len(dataset) == 0:
-        raise DataError("there are no frames to evaluate on")
-    if dataset.protocol != layout.protocol:
-        raise DataError(
-            f"the pipeline was trained for {len(layout.protocol)} measurements, the dataset has "
-            "others; evaluate on a dataset of the same sensor"
-        )
-    perceived = _perceive(pipeline, dataset)
-    return Report(
-        len(dataset),
-        _state_score(dataset, perceived),
-        _bend_score(dataset, perceived),
-        _touch_scores(pipeline, dataset, perceived),
-        _latency(pipeline, dataset),
-    )
+    if not isinstance(pipeline.method, PaperMethod):
+        return {}
+    static, dynamic = pipeline.method.pictures(Observed.of(dataset))
+    return {"static": -static, "dynamic": -dynamic}
 
 
 def _perceive(pipeline: Pipeline, dataset: Dataset) -> Perceived:
@@ -127,17 +122,38 @@ def _perceive(pipeline: Pipeline, dataset: Dataset) -> Perceived:
     )
 
 
+def _similarities(pipeline: Pipeline, dataset: Dataset, perceived: Perceived) -> dict[str, Array]:
+    """SSIM of every picture, in pieces; a touch lowers the conductivity."""
+    placed = np.isfinite(dataset.touch_x)
+    drawable = placed.any(axis=1) & (np.isfinite(dataset.touch_radius) | ~placed).all(axis=1)
+    values: dict[str, Array] = {}
+    chosen = np.flatnonzero(drawable)
+    for start in range(0, len(chosen), PIECE):
+        piece = chosen[start : start + PIECE]
+        frames = dataset.select(piece)
+        truth = contact_maps(frames, pipeline, perceived.touch_map.shape)
+        pictures = {"touch_map": perceived.touch_map[piece], **reconstructions(pipeline, frames)}
+        pictures["empty"] = np.zeros_like(truth)
+        for name, maps in pictures.items():
+            pairs = zip(maps, truth, strict=True)
+            row = values.setdefault(name, np.full(len(dataset), np.nan))
+            row[piece] = [metrics.similarity(*pair) for pair in pairs]
+    return values
+
+
 def _state_score(dataset: Dataset, perceived: Perceived) -> StateScore:
     known = np.isin(dataset.state, list(State))
     counts = metrics.confusion(dataset.state[known], perceived.state[known])
-    bent = (dataset.state == State.TOUCH) & (np.abs(dataset.bend_angle_deg) > 0)
+    bent = (dataset.state == State.TOUCH) & _bent(dataset)
     right = perceived.state == dataset.state
+    idle = counts[State.IDLE]
     return StateScore(
         {
             name: _share(row[i], row.sum())
             for i, (name, row) in enumerate(zip(metrics.STATES, counts, strict=True))
         },
         _share(right[bent].sum(), bent.sum()),
+        _share(idle[State.TOUCH], idle.sum()),
         counts.tolist(),
     )
 
@@ -150,72 +166,61 @@ def _bend_score(dataset: Dataset, perceived: Perceived) -> BendScore:
     return BendScore(
         metrics.determination(true[bent], estimated[bent]) if bent.any() else None,
         metrics.root_mean_square(error[bent]) if bent.any() else None,
+        float(error[bent].mean()) if bent.any() else None,
         metrics.root_mean_square(error[touched]) if touched.any() else None,
+        float(error[touched].mean()) if touched.any() else None,
+        metrics.calibration(error, perceived.bend_deviation_deg),
     )
 
 
 def _touch_scores(
-    pipeline: Pipeline, dataset: Dataset, perceived: Perceived
+    dataset: Dataset, matches: Matches, similarity: dict[str, Array]
 ) -> dict[str, TouchScore]:
-    """Scores by the number of touches, "1" to "4", and of all frames with several."""
+    """Scores of the groups that `Report` names, where they have frames."""
     counts = dataset.touch_count
     groups = {str(n): counts == n for n in range(1, dataset.touch_x.shape[1] + 1)}
-    groups["several"] = counts > 1
+    groups |= {"several": counts > 1, "bent": (counts > 0) & _bent(dataset)}
     return {
-        name: _touch_score(pipeline, dataset, perceived, np.flatnonzero(group))
+        name: _touch_score(group, counts, matches, similarity)
         for name, group in groups.items()
         if group.any()
     }
 
 
 def _touch_score(
-    pipeline: Pipeline,
-    dataset: Dataset,
-    perceived: Perceived,
-    frames: NDArray[np.int64],
+    group: Mask, counts: NDArray[np.int64], matches: Matches, similarity: dict[str, Array]
 ) -> TouchScore:
-    pairs = []
-    for i in frames:
-        true = np.stack([dataset.touch_x[i], dataset.touch_y[i]], axis=1)
-        pairs.append((true[np.isfinite(true[:, 0])], perceived.touches[i].place))
-    score = metrics.localisation(pairs)
-    errors = np.array(score.errors) * 1e3
+    """The score of the frames that the mask `group` (n,) chooses."""
+    errors = matches.error[group[matches.frame]] * 1e3
+    some = errors.size > 0
+    true = int(counts[group].sum())
+    drawn = {name: values[group & np.isfinite(values)] for name, values in similarity.items()}
     return TouchScore(
-        len(frames),
-        float(errors.mean()) if errors.size else None,
-        float(errors.std()) if errors.size else None,
-        errors.size / score.true,
-        score.false / score.true,
-        _similarities(pipeline, dataset, perceived, frames),
+        int(group.sum()),
+        float(errors.mean()) if some else None,
+        float(errors.std()) if some else None,
+        float(np.median(errors)) if some else None,
+        float(np.percentile(errors, 95)) if some else None,
+        errors.size / true,
+        int(matches.false[group].sum()) / true,
+        {name: float(values.mean()) for name, values in drawn.items() if values.size},
     )
 
 
-def _similarities(
-    pipeline: Pipeline,
-    dataset: Dataset,
-    perceived: Perceived,
-    frames: NDArray[np.int64],
-) -> dict[str, float]:
-    """Mean SSIM of the three pictures; a touch lowers the conductivity, hence the minus."""
-    if not np.isfinite(dataset.touch_radius[frames]).any(axis=1).all():
-        return {}
-    chosen = dataset.select(frames)
-    shape = perceived.touch_map.shape[1:]
-    truth = touch_maps(
-        chosen.touch_x,
-        chosen.touch_y,
-        chosen.touch_radius,
-        pipeline.layout.outline,
-        (shape[0], shape[1]),
-    )
-    pictures = {"touch_map": perceived.touch_map[frames]}
-    if isinstance(pipeline.method, PaperMethod):
-        static, dynamic = pipeline.method.pictures(Observed.of(chosen))
-        pictures |= {"static": -static, "dynamic": -dynamic}
-    return {
-        name: float(np.mean([metrics.similarity(*pair) for pair in zip(maps, truth, strict=True)]))
-        for name, maps in pictures.items()
-    }
+def _untouched_score(dataset: Dataset, matches: Matches) -> UntouchedScore | None:
+    untouched = np.isin(dataset.state, (State.IDLE, State.BEND))
+    if not untouched.any():
+        return None
+    false = matches.false[untouched]
+    return UntouchedScore(int(untouched.sum()), float(np.mean(false > 0)), int(false.sum()))
+
+
+def _force_score(matches: Matches) -> ForceScore | None:
+    error = matches.found_force - matches.true_force
+    error = error[np.isfinite(error)]
+    if not error.size:
+        return None
+    return ForceScore(len(error), float(np.abs(error).mean()), float(error.mean()))
 
 
 def _latency(pipeline: Pipeline, dataset: Dataset) -> LatencyScore:
@@ -239,6 +244,11 @@ def _session(dataset: Dataset, protocol: Protocol) -> list[Frame]:
         Frame(value.astype(np.complex128), protocol, 0.1 * n, n, 0, dataset.frequency)
         for n, value in enumerate(values)
     ]
+
+
+def _bent(dataset: Dataset) -> Mask:
+    bent: Mask = np.abs(dataset.bend_angle_deg) > 0
+    return bent
 
 
 def _share(part: int, whole: int) -> float | None:

@@ -13,6 +13,7 @@ GATE = 0.015  # m; half of the 30 mm that the test touches are apart, so that no
 STATES = ("idle", "touch", "bend")
 
 Places = NDArray[np.float64]
+Rows = NDArray[np.intp]
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,12 +54,19 @@ def localisation(frames: Iterable[tuple[ArrayLike, ArrayLike]], gate: float = GA
 
 def match_distances(true: ArrayLike, found: ArrayLike, gate: float = GATE) -> list[float]:
     """Distances [m] of the matched pairs of one frame; see `localisation`."""
+    rows, columns = match(true, found, gate)
+    return [float(d) for d in np.linalg.norm(_places(true)[rows] - _places(found)[columns], axis=1)]
+
+
+def match(true: ArrayLike, found: ArrayLike, gate: float = GATE) -> tuple[Rows, Rows]:
+    """Rows of `true` and of `found` that belong together in one frame; see `localisation`."""
     a, b = _places(true), _places(found)
     distance = np.linalg.norm(a[:, None] - b[None], axis=2)
     # A pair beyond the gate costs more than any number of pairs within it can save.
     cost = np.where(distance <= gate, distance, gate * (1 + len(a) + len(b)))
     rows, columns = linear_sum_assignment(cost)
-    return [float(d) for d in distance[rows, columns] if d <= gate]
+    near = distance[rows, columns] <= gate
+    return rows[near], columns[near]
 
 
 def _places(values: ArrayLike) -> Places:
@@ -83,6 +91,37 @@ def similarity(picture: ArrayLike, truth: ArrayLike) -> float:
 def root_mean_square(errors: ArrayLike) -> float:
     """Root mean square, in the unit of the errors."""
     return float(np.sqrt(np.mean(np.square(np.asarray(errors, dtype=float)))))
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """Whether errors are as large as their stated standard errors say.
+
+    Attributes:
+        count: of errors that come with a standard error.
+        rms_ratio: root mean square of error / standard error; 1 where they are stated truly, more
+            where an estimate is surer than it should be.
+        within_one: share of errors within one standard error; of normal errors 0.683 in one
+            dimension, and 0.632 (round) to 0.683 (long and thin) of distances in two.
+    """
+
+    count: int
+    rms_ratio: float
+    within_one: float
+
+
+def calibration(errors: ArrayLike, deviations: ArrayLike) -> Calibration | None:
+    """Compare errors with their standard errors; None where none of these is stated.
+
+    An error of place is a distance, and its standard error sqrt(var x + var y), which the distance
+    has as its root mean square.
+    """
+    error, deviation = (np.asarray(values, dtype=float) for values in (errors, deviations))
+    stated = np.isfinite(error) & np.isfinite(deviation) & (deviation > 0)
+    if not stated.any():
+        return None
+    ratio = np.abs(error[stated]) / deviation[stated]
+    return Calibration(len(ratio), root_mean_square(ratio), float(np.mean(ratio <= 1)))
 
 
 def determination(true: ArrayLike, estimated: ArrayLike) -> float | None:
