@@ -163,9 +163,9 @@ def test_touches(evaluation):
 
 
 def test_spread_of_errors():
-    """Ten touches 1 to 10 mm off."""
+    """Ten touches 0.1, 0.4, 0.9 ... 10 mm off."""
     chosen = np.full(10, 4)
-    places = tuple(FoundTouches.of([(0.030 + 1e-3 * k, 0.030)], [1.0]) for k in range(1, 11))
+    places = tuple(FoundTouches.of([(0.030 + 1e-4 * k**2, 0.030)], [1.0]) for k in range(1, 11))
     told = perceived()
     says = dataclasses.replace(
         told,
@@ -178,10 +178,10 @@ def test_spread_of_errors():
     )
     report = Evaluation.of(pipeline(says), frames().select(chosen)).report
     score = report.touches["1"]
-    assert score.mean_error_mm == pytest.approx(5.5, rel=1e-4)
-    assert score.median_error_mm == pytest.approx(5.5, rel=1e-4)
-    assert score.deviation_mm == pytest.approx(np.std(np.arange(1, 11)), rel=1e-4)
-    assert score.p95_error_mm == pytest.approx(9.55, rel=1e-4)
+    assert score.mean_error_mm == pytest.approx(3.85, rel=1e-4)
+    assert score.median_error_mm == pytest.approx(3.05, rel=1e-4)
+    assert score.deviation_mm == pytest.approx(np.std(np.arange(1, 11) ** 2 / 10), rel=1e-4)
+    assert score.p95_error_mm == pytest.approx(8.1 + 0.55 * 1.9, rel=1e-4)
     assert (report.force, report.place_calibration, report.untouched) == (None, None, None)
 
 

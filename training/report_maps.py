@@ -18,7 +18,7 @@ COLUMNS = {
     "truth": "truth",
     "static": "static reference",
     "dynamic": "dynamic reference",
-    "touch_map": "post-processed",
+    "touch_map": "touch map",
 }
 
 Maps = NDArray[np.float32]
@@ -100,11 +100,16 @@ def _drawn(evaluation: Evaluation, rows: list[_Row], title: str) -> Drawn:
     bar = figure.colorbar(image, ax=panels, ticks=(-1, 0, 1), **tall)
     bar.set_ticklabels(["more\nconductive", "no change", "touched"])
     bar.outline.set_visible(False)
+    scaled = (
+        " Reconstructions, against the flat sensor and against the bent one, are scaled to their "
+        "largest magnitude."
+        if "static" in names
+        else " The method reconstructs no pictures from either reference."
+    )
     return Drawn(
         figure,
-        f"{title}, from frames of unlike places: the frame nearest to each angle, not a chosen "
-        "one. Circles: the true touches; crosses: those found. Reconstructions are scaled to their "
-        f"largest magnitude, the others from 0 to 1. {SSIM_DEFINITION}",
+        f"{title}: the frame nearest to each angle, not a chosen one. Circles: the true touches; "
+        f"crosses: those found.{scaled} {SSIM_DEFINITION}",
     )
 
 
