@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -120,6 +121,11 @@ class Dataset:
     def __len__(self) -> int:
         """Number of frames."""
         return len(self.impedance)
+
+    @property
+    def reference_frames(self) -> int:
+        """How many frames were averaged for each `touch_reference`, as the recipe says."""
+        return int(tomllib.loads(self.recipe).get("reference_frames", 1))
 
     @property
     def touch_count(self) -> NDArray[np.int64]:

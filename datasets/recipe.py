@@ -17,6 +17,8 @@ from eitskin.geometry.config import from_dict, to_toml
 from eitskin.simulator import Instrument, Mechanics, Protocol
 from eitskin.simulator.resolution import Resolution
 
+MOST_REFERENCE_FRAMES = 1000
+
 SHIPPED = Path(__file__).parent / "recipes"
 
 
@@ -38,6 +40,8 @@ class Recipe:
         mechanics: what it is made of.
         instrument: that measures it; a specimen is measured by one, in one session.
         specimens: how many sensors there are and how they differ.
+        reference_frames: how many frames of the untouched sensor, each with its noise, are averaged
+            for a frame's `touch_reference`, as a pipeline does while a sensor is still.
     """
 
     name: str
@@ -52,6 +56,7 @@ class Recipe:
     mechanics: Mechanics = field(default_factory=Mechanics)
     instrument: Instrument = field(default_factory=Instrument)
     specimens: Specimens = field(default_factory=Specimens)
+    reference_frames: int = 1
 
     def __post_init__(self) -> None:
         """Refuse a recipe that contradicts itself, with everything that is wrong with it."""
@@ -128,6 +133,11 @@ class Recipe:
         if not 1 <= self.frames_per_shard <= LIMITS["frame"]:
             yield (
                 f"frames_per_shard must be from 1 to {LIMITS['frame']}, got {self.frames_per_shard}"
+            )
+        if not 1 <= self.reference_frames <= MOST_REFERENCE_FRAMES:
+            yield (
+                f"reference_frames must be from 1 to {MOST_REFERENCE_FRAMES}, got "
+                f"{self.reference_frames}"
             )
         yield from self.specimens.problems(self.sensor, self.hinge)
         if not self.scenes and not self.episodes:

@@ -79,10 +79,14 @@ def simulate(
         return impedance
 
     def measure(each: Sample) -> tuple[Impedance, NDArray[np.uint8]]:
-        """The frame, and the one without touches that goes with it."""
-        both = np.array([clean(each, _as_it_is), clean(each, untouched)])
+        """The frame, and the mean of those without touches that go with it."""
+        count = recipe.reference_frames
+        free = np.broadcast_to(clean(each, untouched), (count, len(offsets)))
+        both = np.concatenate([clean(each, _as_it_is)[None], free])
         rng = generator(recipe, Stream.NOISE, each.index)
-        return boards[each.specimen].session.measure(both, np.full(2, each.session_time), rng)
+        times = np.full(1 + count, each.session_time)
+        measured, status = boards[each.specimen].session.measure(both, times, rng)
+        return np.stack([measured[0], measured[1:].mean(axis=0)]), status[:2]
 
     impedance, status = (np.array(part) for part in zip(*map(measure, samples), strict=True))
     touches = [touch_columns(_acting(each.scene)) for each in samples]

@@ -16,6 +16,7 @@ LARGEST_SCALE = (
     5.0  # of values over those trained with; gels scatter by less, boards' units by more
 )
 LARGEST_SPREAD = 0.10  # of log ratios; contacts that scatter by 50 % give 0.07, wrong wiring 0.15
+PIXELS = 2560  # of a map; on the reference sensor 32 x 80 squares of 1.875 mm
 FEWEST_CHANNELS = 0.5  # share of a frame that must be usable
 
 
@@ -56,6 +57,14 @@ class Layout:
     def outline(self) -> tuple[float, float]:
         """Length and width of the sensor [m]."""
         return self.design.outline.length, self.design.outline.width
+
+    @property
+    def pixels(self) -> tuple[int, int]:
+        """Rows and columns of maps: about `PIXELS` square ones, multiples of eight for networks."""
+        length, width = self.outline
+        side = (length * width / PIXELS) ** 0.5
+        rows, columns = (8 * max(1, round(extent / side / 8)) for extent in (width, length))
+        return rows, columns
 
     def voltages(self, frame: Frame) -> tuple[NDArray[np.complex128], tuple[str, ...]]:
         """The frame's values, NaN where a channel is bad, and what is bad about it in words.

@@ -7,6 +7,8 @@ from numpy.typing import NDArray
 
 from eitskin.datasets import Dataset
 from eitskin.geometry import DataError
+from eitskin.training.joint import JointMethod
+from eitskin.training.joint_training import fit_joint
 from eitskin.training.layout import Layout
 from eitskin.training.observed import Observed
 from eitskin.training.paper import PaperMethod
@@ -41,11 +43,17 @@ def fit_method(
     dataset: Dataset, layout: Layout, settings: TrainingSettings, progress: Progress
 ) -> Method:
     """Train the method that `settings` names on all frames of `dataset`."""
+    if settings.method == JointMethod.KIND:
+        return fit_joint(dataset, layout, settings.joint, settings.seed, progress)
     return PaperMethod.fit(dataset, layout, settings, progress)
 
 
 def method_from_arrays(kind: str, arrays: Arrays, layout: Layout) -> Method:
     """The method that `arrays` came from; raises DataError for one that is not known."""
-    if kind != PaperMethod.KIND:
-        raise DataError(f"expected the method 'paper', got '{kind}'; install a newer eitskin")
-    return PaperMethod.from_arrays(arrays, layout)
+    if kind == JointMethod.KIND:
+        return JointMethod.from_arrays(arrays, layout)
+    if kind == PaperMethod.KIND:
+        return PaperMethod.from_arrays(arrays, layout)
+    raise DataError(
+        f"expected the method 'joint' or 'paper', got '{kind}'; install a newer eitskin"
+    )

@@ -12,6 +12,9 @@ from eitskin.training.references import relative_difference
 
 Array = NDArray[np.float64]
 
+UNKNOWN_AGE = 5.0
+"""Of the static references of a dataset, which does not say when they were taken [s]."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observed:
@@ -22,7 +25,7 @@ class Observed:
         dynamic: dV from the untouched sensor at the same bend, or what a session takes for it.
         flat: magnitudes of the flat untouched sensor (n, C) [ohm].
         static_frames, dynamic_frames: how many frames were averaged for the references (n,).
-        age: since the static reference was taken (n,) [s].
+        age, dynamic_age: since the static and the dynamic reference were last renewed (n,) [s].
     """
 
     static: Array
@@ -31,21 +34,25 @@ class Observed:
     static_frames: Array
     dynamic_frames: Array
     age: Array
+    dynamic_age: Array
 
     @classmethod
     def of(cls, dataset: Dataset) -> "Observed":
-        """All frames, each by itself; the static reference stands in where no other is known."""
+        """All frames, each by itself; the static reference stands in where no other is known.
+
+        Static references of simulated sets are free of noise.
+        """
         flat = dataset.reference[dataset.specimen]
         known = np.isfinite(dataset.touch_reference).all(axis=1, keepdims=True)
         free = np.where(known, dataset.touch_reference, flat)
         bad = dataset.status != 0
-        one = np.ones(len(dataset))
         return cls(
             np.where(bad, np.nan, relative_difference(dataset.impedance, flat)),
             np.where(bad, np.nan, relative_difference(dataset.impedance, free)),
             np.abs(flat).astype(float),
-            one,
-            one,
+            np.full(len(dataset), np.inf if dataset.source == "simulated" else 1.0),
+            np.full(len(dataset), float(dataset.reference_frames)),
+            np.full(len(dataset), UNKNOWN_AGE),
             np.zeros(len(dataset)),
         )
 

@@ -22,8 +22,6 @@ from eitskin.training.reconstruction import Reconstruction, relative_jacobian, s
 from eitskin.training.settings import Progress, TrainingSettings, silent
 from eitskin.training.touches import find_touches
 
-PIXELS = (32, 80)  # 1.875 mm squares on the reference sensor
-
 Arrays = dict[str, NDArray[np.generic]]
 
 
@@ -73,7 +71,7 @@ class PaperMethod:
         )
         touched = dataset.state == State.TOUCH
         reconstruction = Reconstruction.fit(
-            _jacobian(layout), signal_to_noise(differences.dynamic[touched], noise), PIXELS
+            _jacobian(layout), signal_to_noise(differences.dynamic[touched], noise), layout.pixels
         )
         return cls(
             reconstruction,
@@ -186,7 +184,7 @@ class Differences:
 def _jacobian(layout: Layout) -> NDArray[np.float64]:
     """Relative Jacobian of the flat nominal sensor (measurements, pixels)."""
     model = ForwardModel(layout.design, resolution="fast")
-    sensitivity = model.sensitivity(layout.protocol, pixels=PIXELS)
+    sensitivity = model.sensitivity(layout.protocol, pixels=layout.pixels)
     impedance = layout.protocol.measure(model.impedance())
     return relative_jacobian(sensitivity, impedance, layout.design.conductivity)
 

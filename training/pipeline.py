@@ -91,6 +91,7 @@ class Pipeline:
     _last: Frame | None = field(init=False, repr=False, default=None)
     _outdated: bool = field(init=False, repr=False, default=False)
     _begun: float = field(init=False, repr=False, default=0.0)
+    _renewed: float = field(init=False, repr=False, default=0.0)
 
     def __post_init__(self) -> None:
         """Begin without references."""
@@ -160,14 +161,14 @@ class Pipeline:
         if first:
             self.layout.require_same_sensor(voltages)
             references.follow(voltages)
-            self._begun = frame.time
+            self._begun = self._renewed = frame.time
         perceived = self._perceive(self._observed(voltages, frame))
         state = State(int(perceived.state[0]))
         if state is State.TOUCH:
             references.freeze()
         elif not first:
             references.follow(voltages)
-            self._outdated = False
+            self._outdated, self._renewed = False, frame.time
         self._last = frame
         return Estimate(
             state=state,
@@ -199,6 +200,7 @@ class Pipeline:
             "static_frames": float(references.bend_frames),
             "dynamic_frames": float(references.touch_frames),
             "age": frame.time - self._begun,
+            "dynamic_age": frame.time - self._renewed,
         }
         return Observed(**{name: np.asarray(value)[None] for name, value in rows.items()})
 

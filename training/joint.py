@@ -1,0 +1,245 @@
+"""Bend and touches found together, by fitting a learned model of the sensor to the voltages."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import ClassVar, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.training.bend_curve import BendCurve, BendCurves
+from eitskin.training.bend_estimate import estimate_angle
+from eitskin.training.layout import Layout
+from eitskin.training.observed import Observed
+from eitskin.training.perceived import FoundTouches, Perceived
+from eitskin.training.proposals import Proposals, network_inputs
+from eitskin.training.specimen_features import SpecimenFeatures
+from eitskin.training.touch_discs import disc_map
+from eitskin.training.touch_fit import (
+    THRESHOLD,
+    Candidates,
+    Explanation,
+    Habits,
+    TouchFit,
+)
+from eitskin.training.touch_response import TouchResponse
+
+Array = NDArray[np.float64]
+Arrays = dict[str, NDArray[np.generic]]
+
+HOURS = 4 * 3600.0  # after which a drift is stated [s]
+STEP_DEG = 10.0  # of the angles for which candidates are kept
+UNEXPLAINED = 6.0  # standard deviations of the misfit above its expectation that are told
+
+
+class _Part(Protocol):
+    def arrays(self) -> Mapping[str, Array]: ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointMethod:
+    """A learned model of sensors of one design, and its fit to frames.
+
+    log V = log V_flat + bend curve + responses of the touches + common drift + noise. Everything
+    but the noise is learned (`joint_training`); what differs between specimens and does not show in
+    their flat resistances has a learned covariance, which the fit weighs against the noise.
+
+    Attributes:
+        features: of a specimen, from its flat resistances.
+        response: to touches.
+        curves: of bending.
+        proposals: of places, from which the fit starts.
+        habits: of touches.
+        noise: standard deviation of log V in one frame (C,).
+        drift: standard deviation after four hours of the factor common to all measurements.
+        places: that are tried for touches (n, 2) [m].
+        radius: of the indenters [m].
+        size: length and width of the sensor [m].
+        shape: of touch maps.
+        calibrated: the curve of one specimen, where one was calibrated.
+    """
+
+    KIND: ClassVar[str] = "joint"
+
+    features: SpecimenFeatures
+    response: TouchResponse
+    curves: BendCurves
+    proposals: Proposals
+    habits: Habits
+    noise: Array
+    drift: float
+    places: Array
+    radius: float
+    size: tuple[float, float]
+    shape: tuple[int, int]
+    calibrated: BendCurve | None = None
+    _specimens: "dict[bytes, _Specimen]" = field(default_factory=dict, init=False, repr=False)
+
+    def perceive(self, observed: Observed) -> Perceived:
+        """What n frames show, one after the other."""
+        return Perceived.joined([self._perceive(observed[i : i + 1]) for i in range(len(observed))])
+
+    def _perceive(self, frame: Observed) -> Perceived:
+        specimen = self._specimen(frame.flat[0])
+        static, dynamic = np.log1p(frame.static[0]), np.log1p(frame.dynamic[0])
+        static_share, dynamic_share = 1.0 / frame.static_frames[0], 1.0 / frame.dynamic_frames[0]
+        reference_deg, reference_error = 0.0, 0.0
+        if np.nanmax(np.abs(static - dynamic), initial=0.0) > 0:
+            noise = self._noise(static_share + dynamic_share, frame.age[0])
+            reference_deg, reference_error = estimate_angle(specimen.curve, static - dynamic, noise)
+        proposed = self.proposals.places(
+            network_inputs(dynamic, np.sqrt(2.0) * self.noise, reference_deg, specimen.features),
+            self.habits.separation,
+        )
+        found = TouchFit(
+            dynamic,
+            self._noise(1.0 + dynamic_share, frame.dynamic_age[0]),
+            reference_deg,
+            specimen.response,
+            specimen.curve,
+            self.habits,
+        ).explain(specimen.candidates(reference_deg), proposed)
+        if len(found.touches):
+            angle = found.angle_deg
+            deviation = float(np.hypot(found.angle_deviation_deg, reference_error))
+        else:
+            noise = self._noise(1.0 + static_share, frame.age[0])
+            angle, deviation = estimate_angle(specimen.curve, static, noise)
+        return self._said(found, angle, deviation)
+
+    def _said(self, found: Explanation, angle_deg: float, deviation_deg: float) -> Perceived:
+        spread = np.sqrt(np.trace(found.covariance[:, :2, :2], axis1=1, axis2=2))
+        map_ = disc_map(
+            found.touches[:, :2], spread / np.sqrt(2.0), self.radius, self.size, self.shape
+        )
+        strength = 1.0 - 0.5 * np.exp(-np.maximum(found.gains - THRESHOLD, 0.0) / (2 * THRESHOLD))
+        return Perceived(
+            self._probabilities(found, angle_deg, deviation_deg)[None],
+            np.array([angle_deg]),
+            np.array([deviation_deg]),
+            map_[None],
+            (FoundTouches.of(found.touches[:, :2], strength, found.touches[:, 2], spread),),
+            (self._doubts(found),),
+        )
+
+    def _probabilities(self, found: Explanation, angle_deg: float, deviation_deg: float) -> Array:
+        """Of idle, touch and bend (3,).
+
+        Touched by the gain of the first touch. Else flat, or bent by an angle that could be any of
+        those learned: by Bayes' rule for one normal measurement.
+        """
+        touched = 1.0 / (1.0 + np.exp(-np.clip(0.5 * (found.evidence - THRESHOLD), -30, 30)))
+        low, high = self.curves.angle_deg
+        bent = deviation_deg * np.sqrt(2 * np.pi) / (high - low)
+        bent *= np.exp(np.minimum(0.5 * (angle_deg / deviation_deg) ** 2, 700.0))
+        flat = 1.0 / (1.0 + bent)
+        return np.array([(1 - touched) * flat, touched, (1 - touched) * (1 - flat)])
+
+    def _doubts(self, found: Explanation) -> tuple[str, ...]:
+        excess = (found.misfit - found.freedom) / np.sqrt(2.0 * max(found.freedom, 1))
+        if excess < UNEXPLAINED:
+            return ()
+        return (
+            f"no bend and up to four touches explain this frame (misfit {found.misfit:.0f}, "
+            f"expected about {found.freedom}): touches of another kind, a bad contact, or a "
+            "reference that is out of date; do not rely on its touches",
+        )
+
+    def _noise(self, frames: float, age: float) -> Array:
+        """Covariance (C, C) of a difference of means of frames, `age` seconds apart.
+
+        `frames` is the sum of one over the numbers of frames that were averaged.
+        """
+        drift = self.drift**2 * max(age, 0.0) / HOURS
+        covariance: Array = np.diag(self.noise**2 * frames) + drift
+        return covariance
+
+    def _specimen(self, flat: Array) -> "_Specimen":
+        key = flat.tobytes()
+        if key not in self._specimens:
+            if len(self._specimens) > 64:
+                self._specimens.clear()
+            p = self.features.apply(flat)
+            curve = self.calibrated or self.curves.of(p)
+            self._specimens[key] = _Specimen(self, p, curve)
+        return self._specimens[key]
+
+    def outputs(self, observed: Observed) -> Arrays:
+        """What it makes of n frames, for checking copies."""
+        said = self.perceive(observed)
+        return {
+            "probabilities": said.probabilities,
+            "bend_angle_deg": said.bend_angle_deg,
+            "touch_map": said.touch_map,
+        }
+
+    def arrays(self) -> Arrays:
+        """What `from_arrays` needs to make it again."""
+        habits = self.habits
+        own: Arrays = {
+            "noise": self.noise,
+            "scalars": np.array([self.drift, self.radius, habits.separation, *habits.force]),
+            "bounds": np.array([habits.low, habits.high]),
+            "places": self.places,
+        }
+        parts: dict[str, _Part] = {
+            "features": self.features,
+            "response": self.response,
+            "curves": self.curves,
+            "proposals": self.proposals,
+        }
+        if self.calibrated is not None:
+            parts["calibrated"] = self.calibrated
+        for name, part in parts.items():
+            own |= {f"{name}.{key}": array for key, array in part.arrays().items()}
+        return own
+
+    @classmethod
+    def from_arrays(
+        cls, arrays: Mapping[str, NDArray[np.generic]], layout: Layout
+    ) -> "JointMethod":
+        """The method that `arrays` came from; raises KeyError where they lack some."""
+
+        def part(name: str) -> dict[str, NDArray[np.generic]]:
+            mine = (key for key in arrays if key.startswith(f"{name}."))
+            return {key.removeprefix(f"{name}."): arrays[key] for key in mine}
+
+        drift, radius, separation, *force = arrays["scalars"].astype(float).tolist()
+        low, high = arrays["bounds"].astype(float)
+        features, calibrated = part("features"), part("calibrated")
+        return cls(
+            SpecimenFeatures(
+                features["middle"].astype(float), features["directions"].astype(float)
+            ),
+            TouchResponse.from_arrays(part("response")),
+            BendCurves.from_arrays(part("curves")),
+            Proposals.from_arrays(part("proposals")),
+            Habits(separation, (force[0], force[1]), low, high),
+            arrays["noise"].astype(float),
+            drift,
+            arrays["places"].astype(float),
+            radius,
+            layout.outline,
+            layout.pixels,
+            BendCurve.from_arrays(calibrated) if calibrated else None,
+        )
+
+
+class _Specimen:
+    """The model of one specimen, and candidates at the angles that were asked for."""
+
+    def __init__(self, method: JointMethod, features: Array, curve: BendCurve) -> None:
+        self.features, self.curve = features, curve
+        self.response = method.response.of(features)
+        self._places = method.places
+        self._candidates: dict[int, Candidates] = {}
+
+    def candidates(self, angle_deg: float) -> Candidates:
+        """At the nearest angle that is kept."""
+        step = round(angle_deg / STEP_DEG)
+        if step not in self._candidates:
+            force = self.response.response.ranges.middle_force
+            touches = np.column_stack([self._places, np.full(len(self._places), force)])
+            change = self.response(touches, step * STEP_DEG)
+            self._candidates[step] = Candidates(self._places, force, change)
+        return self._candidates[step]

@@ -1,0 +1,37 @@
+"""A touch map of touches found one by one: where indenters are, blurred by what is not known."""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr
+
+Array = NDArray[np.float64]
+
+
+def disc_map(
+    places: Array,
+    deviations: Array,
+    radius: float,
+    size: tuple[float, float],
+    shape: tuple[int, int],
+) -> NDArray[np.float32]:
+    """Probability of each pixel's centre to lie under an indenter (rows, columns), 0 to 1.
+
+    A centre at the distance d from the place lies under the disc with the probability
+    Phi((radius - d) / s), where s is the standard error of the place along one axis. That is exact
+    for a straight edge, and s is small beside the radius wherever the map is of use.
+
+    Args:
+        places: (k, 2) [m].
+        deviations: standard errors along one axis (k,) [m].
+        radius: of the indenters [m].
+        size: length and width of the sensor [m].
+        shape: rows along y, columns along x.
+    """
+    rows, columns = shape
+    x = (np.arange(columns) + 0.5) * size[0] / columns
+    y = (np.arange(rows) + 0.5) * size[1] / rows
+    free = np.ones(shape)
+    for (px, py), deviation in zip(places, deviations, strict=True):
+        distance = np.hypot(x[None] - px, y[:, None] - py)
+        free *= 1.0 - ndtr((radius - distance) / max(deviation, 1e-6))
+    return (1.0 - free).astype(np.float32)
