@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import sys
 from pathlib import Path
 from typing import ClassVar
 
@@ -9,13 +10,14 @@ import numpy as np
 import pytest
 
 from eitskin.datasets import Dataset, State, touch_maps
-from eitskin.geometry import ConfigurationError, PartialError, SensorDesign
+from eitskin.geometry import ConfigurationError, Disc, Electrode, PartialError, SensorDesign
 from eitskin.simulator import Protocol
 from eitskin.training import FoundTouches, Perceived, Pipeline, TrainingSettings, report_folder
 from eitskin.training.evaluate import Evaluation
 from eitskin.training.layout import Layout
 from eitskin.training.observed import Observed
 from eitskin.training.perceived import NO_TOUCHES
+from eitskin.training.report_drawing import draw_sensor, new_figure
 from eitskin.training.report_folder import PICTURES, require_report_folder, write_report
 from eitskin.training.report_table import table_rows
 
@@ -247,6 +249,25 @@ def test_episodes_and_several_touches_near_30_deg_have_pictures(tmp_path):
     document = json.loads((folder / "report.json").read_text())
     assert set(document["left_out"]) == {"training_curves.png"}
     assert "28 frames" in document["pictures"]["bend_sequence.png"]
+
+
+def test_sensors_of_any_outline_are_drawn_to_scale():
+    """A disc of 50 mm radius; its electrodes, 10 mm long, are drawn along the rim."""
+    axes = new_figure(3.0, 3.0).subplots()
+    electrodes = tuple(Electrode(x, 0.05, width=0.010) for x in (0.0, 0.1))
+    draw_sensor(axes, SensorDesign(Disc(0.05), 0.005, electrodes))
+    rim, _, electrode = (np.column_stack(line.get_data()) for line in axes.lines)
+    for line in (rim, electrode):
+        assert np.hypot(*(line - 50.0).T) == pytest.approx(50.0)
+    assert np.linalg.norm(np.diff(electrode, axis=0), axis=1).sum() == pytest.approx(10.0, rel=1e-3)
+    assert np.mean(electrode, axis=0) == pytest.approx([100.0, 50.0], abs=0.5)
+
+
+def test_without_matplotlib_the_extra_is_named_before_the_work(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(ImportError, match=r"eitskin\[view\]"):
+        require_report_folder(tmp_path / "report")
+    assert not (tmp_path / "report").exists()
 
 
 @pytest.fixture
