@@ -290,6 +290,15 @@ def test_touches_keep_their_order(sim):
     assert 3.0 * together.distance[0] < together.distance[1]
 
 
+def test_mirror_images_are_known_alike(sim, derivatives):
+    """In the middle lines of the sensor, the bent one too."""
+    bound = derivatives.bound(1e-3)
+    for x, y in ((0.110, 0.020), (0.040, 0.040)):
+        image = scene_bound(sim, Scene(Bend(20.0), (Touch(x, y, 8.0),)), 1e-3)
+        assert image.distance == pytest.approx(bound.distance, rel=1e-3)
+        assert image.angle_deg == pytest.approx(bound.angle_deg, rel=1e-3)
+
+
 def test_an_untouched_sensor_has_an_angle(sim):
     found = scene_bound(sim, Scene(Bend(10.0)), 2e-4)
     assert len(found.place) == len(found.distance) == len(found.force) == 0
