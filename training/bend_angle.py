@@ -73,6 +73,10 @@ class BendAngle:
         )
         return angle
 
+    def times(self, factor: float) -> "BendAngle":
+        """The regression whose angles are `factor` times these."""
+        return BendAngle(self.features, factor * self.coefficients, factor * self.intercept)
+
     def arrays(self) -> dict[str, NDArray[np.generic]]:
         """What `from_arrays` needs to make this stage again."""
         return {

@@ -84,7 +84,7 @@ class BendCurve:
         """
         count, channels = change.shape
         if noise.shape == (channels, channels):
-            noise = np.kron(np.eye(count), noise)
+            noise = np.asarray(np.kron(np.eye(count), noise), dtype=float)
         weights = np.kron(_powers(angle_deg[:, None] / SCALE, OWN_POWERS), np.eye(channels))
         residual = (change - self.value(angle_deg)).ravel()
         good = np.isfinite(residual)

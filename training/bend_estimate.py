@@ -14,6 +14,13 @@ SETTLED_DEG = 1e-3
 BEYOND_DEG = 5.0  # how far outside of the angles learned from an estimate may lie
 
 
+def angle_error(curve: BendCurve, angle_deg: float, noise: Array) -> float:
+    """Standard error [deg] with which one frame's angle is known, where noise is (C, C)."""
+    slope = curve.slope(angle_deg)
+    covariance = noise + curve.uncertainty(angle_deg)
+    return float(1.0 / np.sqrt(slope @ cho_solve(cho_factor(covariance), slope)))
+
+
 def estimate_angle(curve: BendCurve, change: Array, noise: Array) -> tuple[float, float]:
     """Angle [deg] and its standard error [deg] of one frame.
 

@@ -1,16 +1,17 @@
 """Bend and touches found together, by fitting a learned model of the sensor to the voltages."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.training.bend_curve import BendCurve, BendCurves
-from eitskin.training.bend_estimate import estimate_angle
+from eitskin.training.bend_estimate import angle_error, estimate_angle
+from eitskin.training.calibration import Calibration, KnownBends
 from eitskin.training.layout import Layout
-from eitskin.training.observed import Observed
+from eitskin.training.observed import UNKNOWN_AGE, Observed
 from eitskin.training.perceived import FoundTouches, Perceived
 from eitskin.training.proposals import Proposals, network_inputs
 from eitskin.training.specimen_features import SpecimenFeatures
@@ -29,6 +30,7 @@ Arrays = dict[str, NDArray[np.generic]]
 
 HOURS = 4 * 3600.0  # after which a drift is stated [s]
 STEP_DEG = 10.0  # of the angles for which candidates are kept
+SAME_SPECIMEN = 0.008  # spread of log ratios of two sessions of a sensor; paths err by 0.4 %
 UNEXPLAINED = 6.0  # standard deviations of the misfit above its expectation that are told
 
 
@@ -57,6 +59,7 @@ class JointMethod:
         size: length and width of the sensor [m].
         shape: of touch maps.
         calibrated: the curve of one specimen, where one was calibrated.
+        calibrated_flat: magnitudes of that specimen, flat and untouched (C,) [ohm].
     """
 
     KIND: ClassVar[str] = "joint"
@@ -73,6 +76,7 @@ class JointMethod:
     size: tuple[float, float]
     shape: tuple[int, int]
     calibrated: BendCurve | None = None
+    calibrated_flat: Array | None = None
     _specimens: "dict[bytes, _Specimen]" = field(default_factory=dict, init=False, repr=False)
 
     def perceive(self, observed: Observed) -> Perceived:
@@ -105,9 +109,11 @@ class JointMethod:
         else:
             noise = self._noise(1.0 + static_share, frame.age[0])
             angle, deviation = estimate_angle(specimen.curve, static, noise)
-        return self._said(found, angle, deviation)
+        return self._said(found, angle, deviation, specimen.doubts)
 
-    def _said(self, found: Explanation, angle_deg: float, deviation_deg: float) -> Perceived:
+    def _said(
+        self, found: Explanation, angle_deg: float, deviation_deg: float, doubts: tuple[str, ...]
+    ) -> Perceived:
         spread = np.sqrt(np.trace(found.covariance[:, :2, :2], axis1=1, axis2=2))
         map_ = disc_map(
             found.touches[:, :2], spread / np.sqrt(2.0), self.radius, self.size, self.shape
@@ -119,7 +125,7 @@ class JointMethod:
             np.array([deviation_deg]),
             map_[None],
             (FoundTouches.of(found.touches[:, :2], strength, found.touches[:, 2], spread),),
-            (self._doubts(found),),
+            (doubts + self._doubts(found),),
         )
 
     def _probabilities(self, found: Explanation, angle_deg: float, deviation_deg: float) -> Array:
@@ -134,6 +140,20 @@ class JointMethod:
         bent *= np.exp(np.minimum(0.5 * (angle_deg / deviation_deg) ** 2, 700.0))
         flat = 1.0 / (1.0 + bent)
         return np.array([(1 - touched) * flat, touched, (1 - touched) * (1 - flat)])
+
+    def _other_specimen(self, flat: Array) -> tuple[str, ...]:
+        """Whether a sensor is not the one that was calibrated."""
+        if self.calibrated_flat is None:
+            return ()
+        logs = np.log(flat / self.calibrated_flat)
+        spread = float(np.nanstd(logs))
+        if spread < SAME_SPECIMEN:
+            return ()
+        return (
+            f"the flat sensor differs by {spread:.1%} from the one that this pipeline was "
+            f"calibrated for (up to {SAME_SPECIMEN:.1%} are expected): calibrate again, or use "
+            "the pipeline that was not calibrated",
+        )
 
     def _doubts(self, found: Explanation) -> tuple[str, ...]:
         excess = (found.misfit - found.freedom) / np.sqrt(2.0 * max(found.freedom, 1))
@@ -161,8 +181,38 @@ class JointMethod:
                 self._specimens.clear()
             p = self.features.apply(flat)
             curve = self.calibrated or self.curves.of(p)
-            self._specimens[key] = _Specimen(self, p, curve)
+            self._specimens[key] = _Specimen(self, p, curve, self._other_specimen(flat))
         return self._specimens[key]
+
+    def adapted(self, known: KnownBends) -> "tuple[JointMethod, Calibration]":
+        """The method for one sensor: its bend curve given known angles, by Bayes' rule.
+
+        What is fitted is the sensor's own part of the curve, whose prior was learned from the
+        specimens trained with: what differing hinges, layers and contacts do, without naming them.
+        Errors of the known angles themselves are taken to be none.
+        """
+        p = self.features.apply(known.flat)
+        prior = self.curves.of(p)
+        count, channels = known.change.shape
+        together = np.eye(count) + 1.0 / known.flat_frames  # all share the flat frames' noise
+        walk = np.minimum(known.age[:, None], known.age) / HOURS * self.drift**2
+        noise = np.asarray(np.kron(together, np.diag(self.noise**2)), dtype=float)
+        noise = noise + np.kron(walk, np.ones((channels, channels)))
+        curve = prior.conditioned(known.angle_deg, known.change, noise)
+        adapted = replace(self, calibrated=curve, calibrated_flat=known.flat)
+        share = 1.0 + 1.0 / known.flat_frames
+        residuals = [
+            estimate_angle(curve, change, self._noise(share, age))[0] - angle
+            for change, age, angle in zip(known.change, known.age, known.angle_deg, strict=True)
+        ]
+        low, high = self.curves.angle_deg
+        angles = tuple(float(angle) for angle in np.linspace(low, high, 8))
+        errors = [
+            tuple(angle_error(each, angle, self._noise(share, UNKNOWN_AGE)) for angle in angles)
+            for each in (prior, curve)
+        ]
+        rms = float(np.sqrt(np.mean(np.square(residuals))))
+        return adapted, Calibration(angles, errors[0], errors[1], rms)
 
     def outputs(self, observed: Observed) -> Arrays:
         """What it makes of n frames, for checking copies."""
@@ -190,6 +240,8 @@ class JointMethod:
         }
         if self.calibrated is not None:
             parts["calibrated"] = self.calibrated
+        if self.calibrated_flat is not None:
+            own["calibrated_flat"] = self.calibrated_flat
         for name, part in parts.items():
             own |= {f"{name}.{key}": array for key, array in part.arrays().items()}
         return own
@@ -222,15 +274,23 @@ class JointMethod:
             layout.outline,
             layout.pixels,
             BendCurve.from_arrays(calibrated) if calibrated else None,
+            arrays["calibrated_flat"].astype(float) if calibrated else None,
         )
 
 
 class _Specimen:
     """The model of one specimen, and candidates at the angles that were asked for."""
 
-    def __init__(self, method: JointMethod, features: Array, curve: BendCurve) -> None:
+    def __init__(
+        self,
+        method: JointMethod,
+        features: Array,
+        curve: BendCurve,
+        doubts: tuple[str, ...],
+    ) -> None:
         self.features, self.curve = features, curve
         self.response = method.response.of(features)
+        self.doubts = doubts
         self._places = method.places
         self._candidates: dict[int, Candidates] = {}
 

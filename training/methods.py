@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from eitskin.datasets import Dataset
 from eitskin.geometry import DataError
+from eitskin.training.calibration import Calibration, KnownBends
 from eitskin.training.joint import JointMethod
 from eitskin.training.joint_training import fit_joint
 from eitskin.training.layout import Layout
@@ -28,6 +29,10 @@ class Method(Protocol):
 
     def perceive(self, observed: Observed) -> Perceived:
         """What n frames show."""
+        ...
+
+    def adapted(self, known: KnownBends) -> "tuple[Method, Calibration]":
+        """The method for one sensor, of which some angles are known."""
         ...
 
     def outputs(self, observed: Observed) -> Arrays:

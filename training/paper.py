@@ -1,5 +1,6 @@
 """The stages of the paper in a row: what two differences say, without any memory."""
 
+import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
@@ -12,6 +13,7 @@ from eitskin.geometry import DataError
 from eitskin.simulator import ForwardModel
 from eitskin.training.bend_angle import BendAngle
 from eitskin.training.bend_subspace import bend_free
+from eitskin.training.calibration import Calibration, KnownBends
 from eitskin.training.classifier import Classifier
 from eitskin.training.layout import Layout
 from eitskin.training.missing_channels import MissingChannels
@@ -115,6 +117,22 @@ class PaperMethod:
             tuple(FoundTouches.of([t[:2] for t in each], [t[2] for t in each]) for each in found),
             ((),) * len(flat),
         )
+
+    def adapted(self, known: KnownBends) -> "tuple[PaperMethod, Calibration]":
+        """The method for one sensor: its angles times the factor that fits known ones best.
+
+        The paper has no calibration; a factor is what a regression through zero can learn from a
+        few angles. The errors stated are those of the calibration frames about it.
+        """
+        flat_dV = np.expm1(self.missing_static.fill(known.change))
+        said = self.bend_angle.apply(flat_dV)
+        factor = float(said @ known.angle_deg) / float(said @ said)
+        before = float(np.sqrt(np.mean((said - known.angle_deg) ** 2)))
+        after = float(np.sqrt(np.mean((factor * said - known.angle_deg) ** 2)))
+        angles = tuple(float(angle) for angle in known.angle_deg)
+        count = len(angles)
+        adapted = dataclasses.replace(self, bend_angle=self.bend_angle.times(factor))
+        return adapted, Calibration(angles, (before,) * count, (after,) * count, after)
 
     def pictures(self, observed: Observed) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Reconstructions of n frames from the static and from the dynamic reference."""

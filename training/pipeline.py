@@ -1,17 +1,18 @@
 """The perception pipeline: from frames, one after another, to what the skin feels."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from eitskin.datasets import Dataset, State
 from eitskin.geometry import DataError
 from eitskin.geometry.config import from_dict
 from eitskin.simulator import Frame
+from eitskin.training.calibration import Calibration, KnownBends
 from eitskin.training.layout import Layout
 from eitskin.training.methods import Method, fit_method, method_from_arrays
 from eitskin.training.model_card import perception_card
@@ -78,6 +79,7 @@ class Pipeline:
         trained_on: fingerprint and split of the training set.
         examples: a few training frames that a saved pipeline is checked with.
         metrics: how good it was found to be; whoever evaluates it writes them here.
+        calibration: what adapting it to one sensor did, as `Calibration` says; empty before.
     """
 
     layout: Layout
@@ -87,6 +89,7 @@ class Pipeline:
     trained_on: Mapping[str, Any]
     examples: Observed
     metrics: dict[str, Any] = field(default_factory=dict)
+    calibration: dict[str, Any] = field(default_factory=dict)
     _references: References = field(init=False, repr=False)
     _last: Frame | None = field(init=False, repr=False, default=None)
     _outdated: bool = field(init=False, repr=False, default=False)
@@ -138,6 +141,21 @@ class Pipeline:
         if fingerprint(dataset) == self.trained_on["sha256"]:
             return dataset.split(FRACTIONS, self.settings.seed)[2]
         return np.arange(len(dataset))
+
+    def calibrate(self, frames: Sequence[Frame], angles_deg: ArrayLike) -> Calibration:
+        """Adapt to one sensor, from untouched frames at known angles (n,) [deg], 0 among them.
+
+        Five angles over the range do; several frames of each make it better. The session begins
+        anew. Calibrate the pipeline that was trained, not one that was calibrated before.
+
+        Raises ConfigurationError, DataError or FrameError for frames that will not do; then
+        nothing has changed.
+        """
+        known = KnownBends.of(frames, angles_deg, self.layout)
+        self.method, calibration = self.method.adapted(known)
+        self.calibration = calibration.as_dict()
+        self.reset()
+        return calibration
 
     def reset(self) -> None:
         """Forget the session; the next frame must be of the flat, untouched sensor."""
@@ -248,6 +266,7 @@ class Pipeline:
             "settings": asdict(self.settings),
             "trained_on": dict(self.trained_on),
             "metrics": self.metrics,
+            "calibration": self.calibration,
         }
         saved = SavedPipeline(KIND, document, weights, golden, perception_card(document))
         return write_pipeline(path, saved)
@@ -272,6 +291,7 @@ class Pipeline:
                 dict(document["trained_on"]),
                 Observed(**inputs),
                 dict(document["metrics"]),
+                dict(document.get("calibration", {})),
             )
             saved.require_golden(pipeline.method.outputs(pipeline.examples))
         except DataError:

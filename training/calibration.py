@@ -1,0 +1,92 @@
+"""Adapting a trained pipeline to one sensor, from untouched frames at known angles."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from eitskin.geometry import ConfigurationError, DataError
+from eitskin.simulator import Frame
+from eitskin.training.layout import Layout
+
+Array = NDArray[np.float64]
+
+FLAT_DEG = 0.05  # up to which a sensor counts as flat
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KnownBends:
+    """Frames of one untouched sensor, flat and at known angles.
+
+    Attributes:
+        flat: mean magnitudes of the flat frames (C,) [ohm]; NaN where a measurement is bad.
+        flat_frames: how many they were.
+        angle_deg: of the n bent frames (n,) [deg].
+        change: of log V from the flat sensor (n, C); NaN where a measurement is bad.
+        age: since the first flat frame (n,) [s].
+    """
+
+    flat: Array
+    flat_frames: int
+    angle_deg: Array
+    change: Array
+    age: Array
+
+    @classmethod
+    def of(cls, frames: Sequence[Frame], angles_deg: ArrayLike, layout: Layout) -> "KnownBends":
+        """Sort frames into flat and bent ones.
+
+        Raises:
+            ConfigurationError: without a flat frame, a bent one, or an angle for each.
+            FrameError: for a frame of another sensor, table or frequency.
+            DataError: for an angle that is not finite.
+        """
+        angles = np.asarray(angles_deg, dtype=float).reshape(-1)
+        if len(angles) != len(frames):
+            raise ConfigurationError(
+                f"calibration needs one angle for each frame, got {len(angles)} angles and "
+                f"{len(frames)} frames"
+            )
+        if not np.isfinite(angles).all():
+            raise DataError("calibration needs finite angles in degrees, got NaN or infinity")
+        flat = np.abs(angles) <= FLAT_DEG
+        if not flat.any() or flat.all():
+            raise ConfigurationError(
+                "calibration needs at least one frame of the flat sensor (0 deg) and one of the "
+                f"bent sensor, got {int(flat.sum())} and {int((~flat).sum())}"
+            )
+        values = np.log(np.abs([layout.voltages(frame)[0] for frame in frames]))
+        reference = values[flat].mean(axis=0)
+        layout.require_same_sensor(np.exp(reference).astype(np.complex128))
+        time = np.array([frame.time for frame in frames])
+        return cls(
+            np.exp(reference),
+            int(flat.sum()),
+            angles[~flat],
+            values[~flat] - reference,
+            np.maximum(time[~flat] - time[flat].min(), 0.0),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """What a calibration did.
+
+    Attributes:
+        angles_deg: at which errors are stated [deg].
+        error_before_deg: standard error of the angle of a frame there, before [deg].
+        error_after_deg: the same with the calibrated pipeline [deg].
+        residual_deg: root mean square of estimated less known angles of the calibration frames
+            themselves, after [deg].
+    """
+
+    angles_deg: tuple[float, ...]
+    error_before_deg: tuple[float, ...]
+    error_after_deg: tuple[float, ...]
+    residual_deg: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain data, as JSON takes it."""
+        return {name: getattr(self, name) for name in self.__slots__}
