@@ -21,7 +21,7 @@ class Mirror:
 
     Attributes:
         flips: whether x and whether y run backwards in the mirror.
-        order: the mirrored sensor's measurement i is the measurement order[i] of the sensor, (m,).
+        order: the mirrored sensor's measurement i has the magnitude of the sensor's order[i], (m,).
         size: length and width of the sensor [m].
     """
 
@@ -77,7 +77,7 @@ def _same_outline(design: SensorDesign, flips: tuple[bool, bool]) -> bool:
 
 
 def _order(protocol: Protocol, partner: NDArray[np.intp]) -> NDArray[np.int64] | None:
-    """Which measurement is the image of each; reversed polarities on both sides are the same."""
+    """Which measurement is the image of each; polarities change the sign, not the magnitude."""
     numbers = {_polar(row): i for i, row in enumerate(protocol.table)}
     images = [_polar(tuple(int(partner[e]) for e in row)) for row in protocol.table]
     if not all(image in numbers for image in images):
@@ -87,4 +87,4 @@ def _order(protocol: Protocol, partner: NDArray[np.intp]) -> NDArray[np.int64] |
 
 def _polar(row: tuple[int, ...]) -> tuple[int, ...]:
     a, b, c, d = row
-    return min((a, b, c, d), (b, a, d, c))
+    return min(a, b), max(a, b), min(c, d), max(c, d)
