@@ -7,6 +7,7 @@ import typer
 from eitskin.cli import (
     bench,
     board,
+    calibrate,
     dataset,
     demo,
     evaluate,
@@ -32,6 +33,7 @@ app.command("generate")(generate.command)
 app.command("import")(import_recording.command)
 app.command("train")(train.command)
 app.command("evaluate")(evaluate.command)
+app.command("calibrate")(calibrate.command)
 app.command("board")(board.command)
 app.command("live")(live.command)
 app.command("demo")(demo.command)
