@@ -23,7 +23,11 @@ def command(
         int | None, typer.Option(min=1, help="Passes over the frames, instead of the preset's.")
     ] = None,
     preset: Annotated[
-        str, typer.Option(help="quick, or paper: the classifier trained as published, slower.")
+        str,
+        typer.Option(
+            help="joint: a learned model fitted to each frame; paper: the paper's stages, trained "
+            "as published; quick: the same, trained faster."
+        ),
     ] = "quick",
     report: Annotated[
         Path | None,
