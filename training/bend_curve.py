@@ -103,7 +103,7 @@ class BendCurves:
     Attributes:
         mean: (1 + P, MEAN_POWERS, C): of the middle specimen, then for each feature.
         covariance: of what features do not tell (OWN_POWERS C, OWN_POWERS C).
-        angle_deg: smallest and largest angle learned from [deg].
+        angle_deg: smallest and largest angle learned from; zero is between them [deg].
     """
 
     mean: Array
@@ -139,7 +139,7 @@ class BendCurves:
         own = powers[:, :OWN_POWERS]
         covariance = _mixed_model(own, residual, specimen, noise)
         shape = (share.shape[1], MEAN_POWERS, change.shape[1])
-        ends = (float(angle_deg.min()), float(angle_deg.max()))
+        ends = (min(0.0, float(angle_deg.min())), max(0.0, float(angle_deg.max())))
         return cls(mean.reshape(shape), covariance, ends)
 
     def of(self, features: ArrayLike) -> BendCurve:

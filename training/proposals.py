@@ -75,7 +75,7 @@ def network_inputs(change: Array, noise: Array, angle_deg: ArrayLike, features: 
     """Inputs (..., C + 1 + P) of the network.
 
     Args:
-        change: of log V (..., C); bad measurements (NaN) count as unchanged.
+        change: of log V (..., C); bad measurements (not finite) count as unchanged.
         noise: standard deviation of the change (C,).
         angle_deg: of the reference (...) [deg].
         features: of the specimen (..., P).
@@ -83,5 +83,5 @@ def network_inputs(change: Array, noise: Array, angle_deg: ArrayLike, features: 
     A touch may be once or a hundred times the noise: asinh is linear for the one and logarithmic
     for the other.
     """
-    sizes = np.arcsinh(np.nan_to_num(change) / (2.0 * noise))
+    sizes = np.arcsinh(np.where(np.isfinite(change), change, 0.0) / (2.0 * noise))
     return np.concatenate([sizes, np.asarray(angle_deg)[..., None] / 30.0, features], axis=-1)

@@ -48,8 +48,7 @@ class SpecimenFeatures:
 
     def apply(self, flat: ArrayLike) -> Array:
         """Features (..., P) of flat magnitudes (..., C) [ohm]; bad channels (NaN) say nothing."""
-        logs = np.log(np.asarray(flat, dtype=float))
-        departure = _without_common(logs) - self.middle
+        departure = _without_common(np.log(np.asarray(flat, dtype=float)) - self.middle)
         return np.where(np.isfinite(departure), departure, 0.0) @ self.directions.T
 
     def arrays(self) -> dict[str, Array]:
