@@ -14,7 +14,7 @@ from eitskin.simulator.assembly import TENSOR_COLUMNS, TENSOR_ROWS, Assembly, St
 from eitskin.simulator.blocks import BlockCholesky
 from eitskin.simulator.protocol import Protocol
 from eitskin.simulator.resolution import Discretisation, Resolution, discretisation
-from eitskin.simulator.sensitivity import pixel_gram
+from eitskin.simulator.sensitivity import Tensors, pixel_gram
 from eitskin.simulator.solvers import Solver, SolverName, choose_solver
 from eitskin.simulator.system import Places, System, zero_sums
 
@@ -127,11 +127,13 @@ class ForwardModel:
         protocol: Protocol,
         conductivity: Conductivity | None = None,
         pixels: tuple[int, int] | None = None,
+        area_ratio: AreaRatio | None = None,
+        along: Tensors | None = None,
     ) -> Numbers:
         """Adjoint Jacobian d measurement / d conductivity [ohm per S/m], (measurements, cells).
 
-        d V_m / d sigma_c = - int_c grad u_drive . grad u_sense (Geselowitz 1971), exact for the
-        discrete model.
+        d V_m / d sigma_c = - int_c grad u_drive . S grad u_sense (Geselowitz 1971), exact for the
+        discrete model; S is one, or the tensors that the conductivity is changed along.
 
         Args:
             protocol: the measurements.
@@ -140,12 +142,20 @@ class ForwardModel:
                 conductivity of columns over this grid on the outline's bounding box instead of
                 cells; the result is (measurements, rows * columns), row by row, x and y
                 increasing.
+            area_ratio: as in `impedance`.
+            along: symmetric S(x), (..., 3, 3), for pixels; with the conductivity itself the result
+                is per relative change [ohm].
+
+        Raises:
+            ConfigurationError: for `along` without pixels.
         """
-        u = self._element_potentials(conductivity)
-        if pixels is None:
+        u = self._element_potentials(conductivity, area_ratio)
+        if pixels is not None:
+            gram = pixel_gram(self.assembly, self.mesh, u, self.design.outline, pixels, along)
+        elif along is None:
             gram = self.assembly.cell_gram(u)
         else:
-            gram = pixel_gram(self.assembly, self.mesh, u, self.design.outline, pixels)
+            raise ConfigurationError("a sensitivity along tensors is one of pixels; give pixels")
         drive, sense = protocol.patterns()
         J: Numbers = -np.einsum("em,cef,fm->mc", drive, gram, sense, optimize=True)
         return J

@@ -1,5 +1,7 @@
 """Energy products of potentials over pixels, for Jacobians on a regular grid."""
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,12 +11,20 @@ from eitskin.simulator.assembly import Assembly
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.inexact]
+Tensors = Callable[[Array], Array]
 
 
 def pixel_gram(
-    assembly: Assembly, mesh: Mesh, potentials: Numbers, outline: Outline, pixels: tuple[int, int]
+    assembly: Assembly,
+    mesh: Mesh,
+    potentials: Numbers,
+    outline: Outline,
+    pixels: tuple[int, int],
+    along: Tensors | None = None,
 ) -> Numbers:
-    """int over each pixel column of grad u_k . grad u_l, (rows * columns, k, k).
+    """int over each pixel column of grad u_k . S grad u_l, (rows * columns, k, k).
+
+    S is a field of symmetric tensors, `along` of places, or one everywhere where omitted.
 
     Pixels divide the outline's bounding box. On boxes, every overlap of a cell and a pixel is
     integrated by itself, exactly; on other cells a pixel owns the quadrature points within it,
@@ -26,13 +36,14 @@ def pixel_gram(
     x_edges = np.linspace(0, outline.length, columns + 1)
     y_edges = np.linspace(0, outline.width, rows + 1)
     if mesh.cells.shape[1] == 8:
-        return _boxes_gram(assembly, mesh, potentials, x_edges, y_edges)
+        return _boxes_gram(assembly, mesh, potentials, x_edges, y_edges, along)
     x, y = assembly.points[..., 0], assembly.points[..., 1]
     column = np.clip(np.searchsorted(x_edges, x, side="right") - 1, 0, columns - 1)
     row = np.clip(np.searchsorted(y_edges, y, side="right") - 1, 0, rows - 1)
     gradients = assembly.cell_gradients(potentials)
+    fluxes = _fluxes(gradients, assembly.points, along)
     products = np.einsum(
-        "cq,cqbk,cqbl->cqkl", assembly.cell_weights, gradients, gradients, optimize=True
+        "cq,cqbk,cqbl->cqkl", assembly.cell_weights, gradients, fluxes, optimize=True
     )
     total = np.zeros((rows * columns, *products.shape[2:]), dtype=products.dtype)
     np.add.at(total, row * columns + column, products)
@@ -40,7 +51,12 @@ def pixel_gram(
 
 
 def _boxes_gram(
-    assembly: Assembly, mesh: Mesh, potentials: Numbers, x_edges: Array, y_edges: Array
+    assembly: Assembly,
+    mesh: Mesh,
+    potentials: Numbers,
+    x_edges: Array,
+    y_edges: Array,
+    along: Tensors | None,
 ) -> Numbers:
     """The integrals on boxes, by a Gauss rule on every overlap that is exact for the elements."""
     x, y, z = (np.unique(mesh.points[:, axis]) for axis in range(3))
@@ -57,10 +73,16 @@ def _boxes_gram(
         elements = cells.ravel() // assembly.space.element.cells
         gradients = assembly.space.gradients(potentials, elements, points)
         weights = (weight * y_weights[:, None] * z_weights).ravel()
-        products = np.einsum("n,nak,nal->nkl", weights, gradients, gradients, optimize=True)
+        fluxes = _fluxes(gradients, points, along)
+        products = np.einsum("n,nak,nal->nkl", weights, gradients, fluxes, optimize=True)
         by_y = products.reshape(len(y_nodes), -1, count, count).sum(axis=1)
         np.add.at(total, y_pixel * columns + pixel, by_y)
     return total
+
+
+def _fluxes(gradients: Numbers, points: Array, along: Tensors | None) -> Numbers:
+    """S grad u_k (..., 3, k) of gradients (..., 3, k) at points (..., 3)."""
+    return gradients if along is None else along(points) @ gradients
 
 
 def _cell_numbers(

@@ -48,6 +48,39 @@ def test_pixels_share_out_what_cells_have(model) -> None:
     assert pixels.sum(axis=1) == pytest.approx(cells, rel=1e-10)
 
 
+def tensor(x):
+    """A conductivity [S/m] that differs by place and direction, (..., 3, 3)."""
+    found = np.zeros((*x.shape[:-1], 3, 3))
+    found[..., 0, 0] = 1.0 + 4.0 * x[..., 0]
+    found[..., 1, 1] = 1.5 - 6.0 * x[..., 1]
+    found[..., 2, 2] = 0.8
+    found[..., 0, 1] = found[..., 1, 0] = 0.3
+    return found
+
+
+@pytest.mark.parametrize("cells", ["hexahedra", "prisms"])
+def test_along_a_tensor_agrees_with_central_differences(cells) -> None:
+    """A factor on an anisotropic conductivity, of each half, with stretched electrodes."""
+    model = ForwardModel(SensorDesign.reference(), ((2, 1), COARSE), (0.075,), cells)
+
+    def area(x, _normal):
+        return 1.0 + 2.0 * x[..., 0]
+
+    def measured(share, left):
+        def changed(x):
+            inside = (x[..., 0] < 0.075) == left
+            return tensor(x) * (1.0 + share * inside)[..., None, None]
+
+        return PROTOCOL.measure(model.impedance(changed, area))
+
+    J = model.sensitivity(PROTOCOL, tensor, (1, 2), area, along=tensor)
+    for pixel, left in enumerate((True, False)):
+        differences = (measured(1e-4, left) - measured(-1e-4, left)) / 2e-4
+        assert J[:, pixel] == pytest.approx(differences, rel=2e-5)
+    with pytest.raises(ConfigurationError, match="give pixels"):
+        model.sensitivity(PROTOCOL, tensor, along=tensor)
+
+
 def test_pixel_rows_run_along_y_and_columns_along_x(model) -> None:
     """Driving the short-side electrode 7 and its neighbour 0 is felt in the lower left corner."""
     J = np.abs(model.sensitivity(Protocol(((7, 0, 7, 0),), 8), pixels=(2, 5))[0]).reshape(2, 5)

@@ -94,6 +94,15 @@ def test_bend_angle_follows_a_curved_signal():
     assert np.abs(stage.apply(dV) - angle).max() < 0.4
 
 
+def test_bend_angle_of_the_paper_is_linear_in_the_channels():
+    angle = np.linspace(-20.0, 50.0, 100)
+    dV = np.outer(angle - 0.002 * angle**2, [1e-3, 2e-3])
+    stage = BendAngle.fit(dV, angle, np.zeros(100), squares=False)
+    assert set(stage.features) <= {0, 1}
+    line = np.polynomial.Polynomial.fit(dV[:, 0], angle, 1)
+    np.testing.assert_allclose(stage.apply(dV), line(dV[:, 0]), atol=1e-9)
+
+
 def test_number_of_channels_is_chosen_on_specimens_left_out():
     """Channels that tell specimens apart, not angles, help only on specimens seen before."""
     rng = np.random.default_rng(2)
@@ -184,7 +193,28 @@ def test_classifier_is_the_papers(embedding):
     paper = TrainingSettings.preset("paper").classifier
     assert (paper.learning_rate, paper.epochs, paper.batch) == (1e-5, 150, 64)
     assert not paper.one_cycle
-    assert not TrainingSettings.preset("paper").bend_free_map
+    assert paper.noise == 0
+    whole = TrainingSettings.preset("paper")
+    assert not whole.bend_free_map
+    assert not whole.compressed_maps
+    assert not whole.bend_squares
+
+
+def test_classifier_sees_standardised_maps_or_compressed_ones(states, embedding):
+    dV, state = states
+    settings = NetworkSettings(1e-3, epochs=1)
+    plain, compressed = (
+        Classifier.fit(dV, state, embedding, SHAPE, settings, compress=compress)
+        for compress in (False, True)
+    )
+    maps = dV @ plain.embedding[0].T
+    assert np.std(maps) == pytest.approx(1.0)
+    assert np.std(dV[state == 0] @ compressed.embedding[0].T) == pytest.approx(0.5)
+    again = Classifier.from_arrays(plain.arrays(), SHAPE)
+    np.testing.assert_array_equal(again.apply(dV), plain.apply(dV))
+    with torch.inference_mode():
+        logits = plain.network(torch.tensor(maps.reshape(-1, 1, *SHAPE), dtype=torch.float32))
+    np.testing.assert_allclose(plain.apply(dV), logits.softmax(dim=1).numpy(), atol=1e-6)
 
 
 def test_training_is_the_seeds_alone_and_leaves_torch_as_it_was(states, embedding):

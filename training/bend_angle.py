@@ -15,8 +15,8 @@ FOLDS = 5
 class BendAngle:
     """Linear regression on the features that go best with the angle.
 
-    The features are dV and its square, channel by channel: over -20 to 50 degrees the layer's
-    stretch is visibly curved in the angle, and lines through it miss by more than a degree.
+    The features are dV, as in the paper, and where asked its square, channel by channel: over -20
+    to 50 degrees the layer's stretch is visibly curved in the angle.
 
     Attributes:
         features: indices of the selected features (k,); from the number of channels on, squares.
@@ -30,13 +30,26 @@ class BendAngle:
 
     @classmethod
     def fit(
-        cls, difference: ArrayLike, angle_deg: ArrayLike, groups: ArrayLike, seed: int = 0
+        cls,
+        difference: ArrayLike,
+        angle_deg: ArrayLike,
+        groups: ArrayLike,
+        seed: int = 0,
+        *,
+        squares: bool = True,
     ) -> "BendAngle":
         """Fit to dV from the static reference (n, measurements) and angles (n,) [deg].
 
-        scikit-learn's SelectKBest(f_regression) and LinearRegression, as in the paper; k has the
-        smallest squared error in five-fold cross-validation. Frames of one group (n,), a specimen,
-        stay in one fold, unless there are fewer groups than folds.
+        scikit-learn's SelectKBest(f_regression) and LinearRegression, as in the paper, which does
+        not give k: it has the smallest squared error in five-fold cross-validation. Frames of one
+        group (n,), a specimen, stay in one fold, unless there are fewer groups than folds.
+
+        Args:
+            difference: dV.
+            angle_deg: the truth.
+            groups: of the frames.
+            seed: of the folds, where frames are dealt out one by one.
+            squares: whether squares of dV may be selected too.
         """
         require("sklearn", "training")
         from sklearn.feature_selection import SelectKBest, f_regression
@@ -52,12 +65,13 @@ class BendAngle:
             )
         by_group = len(np.unique(group)) >= FOLDS
         folds = GroupKFold(FOLDS) if by_group else KFold(FOLDS, shuffle=True, random_state=seed)
+        features = _features(dV) if squares else dV
         search = GridSearchCV(
             make_pipeline(SelectKBest(f_regression), LinearRegression()),
-            {"selectkbest__k": list(range(1, 2 * dV.shape[1] + 1))},
+            {"selectkbest__k": list(range(1, features.shape[1] + 1))},
             scoring="neg_mean_squared_error",
             cv=folds,
-        ).fit(_features(dV), angle, groups=group if by_group else None)
+        ).fit(features, angle, groups=group if by_group else None)
         selection, regression = (step for _, step in search.best_estimator_.steps)
         return cls(
             np.flatnonzero(selection.get_support()).astype(np.int64),

@@ -17,14 +17,16 @@ if TYPE_CHECKING:
 class Classifier:
     """Probabilities of the three states of `eitskin.datasets.State`.
 
-    A touch may be three times the noise and a bend a hundred times. The network therefore sees
-    asinh of the maps in units of their noise: linear for what is small, logarithmic for what is
-    large.
+    The paper does not say how maps are scaled. They are divided by their standard deviation over
+    the training frames, or compressed: a touch may be three times the noise and a bend a hundred
+    times, so the network then sees asinh of the maps in units of their noise, linear for what is
+    small, logarithmic for what is large.
 
     Attributes:
         network: trained, in evaluation mode.
         embedding: linear, from dV to maps in those units, (maps, pixels, measurements).
         shape: of a map.
+        compress: whether the network sees asinh of the maps.
         history: how its loss fell.
     """
 
@@ -33,12 +35,14 @@ class Classifier:
         network: "StateNetwork",
         embedding: NDArray[np.float64],
         shape: tuple[int, int],
+        compress: bool,
         history: History | None = None,
     ) -> None:
         """Wrap a trained network."""
         self.network = network
         self.embedding = embedding
         self.shape = shape
+        self.compress = compress
         self.history = history or History()
 
     @classmethod
@@ -53,6 +57,8 @@ class Classifier:
         seed: int = 0,
         progress: Progress = silent,
         validation: tuple[ArrayLike, ArrayLike] | None = None,
+        *,
+        compress: bool = True,
     ) -> "Classifier":
         """Train with sparse categorical cross-entropy and Adam.
 
@@ -66,6 +72,7 @@ class Classifier:
             seed: of initial weights, order and added noise.
             progress: told of every epoch.
             validation: dV and states of other frames, whose loss is told after every epoch.
+            compress: whether the network sees asinh of the maps.
         """
         require("torch", "training")
         import torch
@@ -73,16 +80,19 @@ class Classifier:
         from eitskin.training.networks import Samples, StateNetwork, noisy_maps, seeded, train
 
         states = np.asarray(state, dtype=np.int64)
-        scaled = _in_units_of_noise(
-            np.asarray(embedding, dtype=float), np.asarray(difference), states == State.IDLE
+        scaled = _scaled(
+            np.asarray(embedding, dtype=float),
+            np.asarray(difference),
+            states == State.IDLE if compress else None,
         )
+        scale = torch.asinh if compress else torch.nn.Identity()
         network = seeded(lambda: StateNetwork(shape, len(scaled)), seed)
 
         def samples(dV: ArrayLike, truth: ArrayLike, rms: float) -> Samples:
             maps = noisy_maps(dV, scaled, shape, rms)
             targets = torch.as_tensor(np.asarray(truth, dtype=np.int64))
             return Samples(
-                lambda chosen, generator: (torch.asinh(maps(chosen, generator)), targets[chosen]),
+                lambda chosen, generator: (scale(maps(chosen, generator)), targets[chosen]),
                 len(targets),
             )
 
@@ -97,7 +107,7 @@ class Classifier:
             lambda done, total: progress("state classifier", done, total),
             None if validation is None else samples(*validation, 0.0),
         )
-        return cls(network, scaled, shape, history)
+        return cls(network, scaled, shape, compress, history)
 
     def apply(self, difference: ArrayLike) -> NDArray[np.float64]:
         """Probabilities (n, 3) of idle, touch and bend for dV (n, measurements)."""
@@ -105,7 +115,9 @@ class Classifier:
 
         dV = np.asarray(difference, dtype=float)
         maps = np.stack([dV @ layer.T for layer in self.embedding], axis=1)
-        logits = evaluate(self.network, np.arcsinh(maps).reshape(len(dV), -1, *self.shape))
+        if self.compress:
+            maps = np.arcsinh(maps)
+        logits = evaluate(self.network, maps.reshape(len(dV), -1, *self.shape))
         odds = np.exp(logits - logits.max(axis=1, keepdims=True))
         probabilities: NDArray[np.float64] = odds / odds.sum(axis=1, keepdims=True)
         return probabilities
@@ -116,6 +128,7 @@ class Classifier:
 
         return {
             "embedding": self.embedding,
+            "compress": np.array(self.compress),
             **self.history.arrays(),
             **weights_of(self.network),
         }
@@ -130,16 +143,20 @@ class Classifier:
 
         embedding = arrays["embedding"].astype(float)
         network = with_weights(StateNetwork(shape, len(embedding)), arrays)
-        return cls(network, embedding, shape, History.from_arrays(arrays))
+        compress = bool(arrays["compress"])
+        return cls(network, embedding, shape, compress, History.from_arrays(arrays))
 
 
-def _in_units_of_noise(
-    embedding: NDArray[np.float64], difference: NDArray[np.floating], idle: NDArray[np.bool_]
+def _scaled(
+    embedding: NDArray[np.float64], difference: NDArray[np.floating], idle: NDArray[np.bool_] | None
 ) -> NDArray[np.float64]:
-    """The embedding with each map divided by twice its standard deviation over the idle frames."""
+    """The embedding with each map divided by its standard deviation over the training frames.
+
+    Where `idle` frames are named it is twice that over them: the noise, and some of its tail.
+    """
     scaled = np.empty_like(embedding)
     for i, layer in enumerate(embedding):
         maps = difference @ layer.T
-        noise = float(np.std(maps[idle])) if idle.any() else 0.0
-        scaled[i] = layer / (2.0 * noise or float(np.std(maps)) or 1.0)
+        noise = 0.0 if idle is None or not idle.any() else 2.0 * float(np.std(maps[idle]))
+        scaled[i] = layer / (noise or float(np.std(maps)) or 1.0)
     return scaled

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from eitskin.datasets import UNKNOWN_STATE, Dataset, State, touch_maps
 from eitskin.geometry import DataError
-from eitskin.simulator import ForwardModel
 from eitskin.training.bend_angle import BendAngle
 from eitskin.training.bend_subspace import bend_free
 from eitskin.training.calibration import Calibration, KnownBends
@@ -20,7 +19,8 @@ from eitskin.training.missing_channels import MissingChannels
 from eitskin.training.observed import Observed, noise_of
 from eitskin.training.perceived import FoundTouches, Perceived
 from eitskin.training.postprocessor import PostProcessor
-from eitskin.training.reconstruction import Reconstruction, relative_jacobian, signal_to_noise
+from eitskin.training.reconstruction import Reconstruction, signal_to_noise
+from eitskin.training.sensitivity import sensitivity_at
 from eitskin.training.settings import Progress, TrainingSettings, silent
 from eitskin.training.touches import find_touches
 
@@ -30,6 +30,22 @@ Arrays = dict[str, NDArray[np.generic]]
 @dataclass(frozen=True, slots=True, eq=False)
 class PaperMethod:
     """The trained stages.
+
+    The preset "paper" is sections II and III of the paper. Where these are silent, this was chosen:
+
+    - dV is relative to the reference, channel by channel; the paper's equation has no division.
+    - R of NOSER has a floor and lambda follows from signal and noise (`Reconstruction`); the paper
+      chose lambda "heuristically". The Jacobian is that of the flat nominal sensor at every bend.
+    - Maps have about 2560 square pixels and are divided by one standard deviation (`Classifier`).
+    - The network's activations (ReLU), the widths of its decoder (32, 16, 1) and of the first
+      fully connected layer (64), and a last layer from 16 features to three states.
+    - k of SelectKBest comes from cross-validation (`BendAngle`). Idle frames, at 0 degrees, are
+      regressed upon beside the bent ones. A touched frame has the angle that its dynamic reference
+      had, see `perceive`.
+    - The whole post-processor, its loss and its training; and that touches are connected regions
+      of its map with weighted centroids, where the paper takes one centroid of a whole picture
+      that shows a single touch.
+    - Bad channels are filled in.
 
     Attributes:
         missing_static, missing_dynamic: fill in the bad channels of dV from either reference.
@@ -73,12 +89,14 @@ class PaperMethod:
         )
         touched = dataset.state == State.TOUCH
         reconstruction = Reconstruction.fit(
-            _jacobian(layout), signal_to_noise(differences.dynamic[touched], noise), layout.pixels
+            sensitivity_at(layout),
+            signal_to_noise(differences.dynamic[touched], noise),
+            layout.pixels,
         )
         return cls(
             reconstruction,
             _fit_classifier(dataset, differences, reconstruction, settings, noise, progress),
-            _fit_bend_angle(dataset, differences, settings.seed),
+            _fit_bend_angle(dataset, differences, settings),
             _fit_postprocessor(
                 dataset.select(touched),
                 differences.dynamic[touched],
@@ -199,14 +217,6 @@ class Differences:
     dynamic: NDArray[np.float64]
 
 
-def _jacobian(layout: Layout) -> NDArray[np.float64]:
-    """Relative Jacobian of the flat nominal sensor (measurements, pixels)."""
-    model = ForwardModel(layout.design, resolution="fast")
-    sensitivity = model.sensitivity(layout.protocol, pixels=layout.pixels)
-    impedance = layout.protocol.measure(model.impedance())
-    return relative_jacobian(sensitivity, impedance, layout.design.conductivity)
-
-
 def _fit_classifier(
     dataset: Dataset,
     differences: Differences,
@@ -235,15 +245,24 @@ def _fit_classifier(
         noise,
         settings.seed,
         progress,
+        compress=settings.compressed_maps,
     )
 
 
-def _fit_bend_angle(dataset: Dataset, differences: Differences, seed: int) -> BendAngle:
+def _fit_bend_angle(
+    dataset: Dataset, differences: Differences, settings: TrainingSettings
+) -> BendAngle:
     """On all frames that no touch disturbs; an idle sensor is flat."""
     idle = dataset.state == State.IDLE
     angle = np.where(idle, 0.0, dataset.bend_angle_deg)
     usable = (idle | (dataset.state == State.BEND)) & np.isfinite(angle)
-    return BendAngle.fit(differences.static[usable], angle[usable], dataset.specimen[usable], seed)
+    return BendAngle.fit(
+        differences.static[usable],
+        angle[usable],
+        dataset.specimen[usable],
+        settings.seed,
+        squares=settings.bend_squares,
+    )
 
 
 def _fit_postprocessor(

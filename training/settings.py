@@ -75,6 +75,8 @@ class TrainingSettings:
         classifier: of the three states.
         postprocessor: of the touch map.
         bend_free_map: whether the classifier also sees a map that bending leaves dark.
+        compressed_maps: whether it sees asinh of maps, instead of standardised ones.
+        bend_squares: whether the regression of the angle may also select squares of dV.
         seed: of the split, the initial weights, the order of frames and added noise.
     """
 
@@ -83,6 +85,8 @@ class TrainingSettings:
     classifier: NetworkSettings = NetworkSettings(1e-3, epochs=25, noise=0.5)
     postprocessor: NetworkSettings = NetworkSettings(3e-3, epochs=40, batch=32, noise=0.5)
     bend_free_map: bool = True
+    compressed_maps: bool = True
+    bend_squares: bool = True
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -96,9 +100,9 @@ class TrainingSettings:
     def preset(cls, name: str, seed: int = 0) -> "TrainingSettings":
         """Settings by name: "joint", "quick" or "paper".
 
-        "paper" trains the classifier as published: Adam at 1e-5, batches of 64, 150 epochs. It
-        gives no settings for its post-processor. "quick" has the same stages, trained faster, and
-        a classifier that also sees a map which bending leaves dark.
+        "paper" is the paper in every stage; `PaperMethod` lists what that leaves open. "quick" has
+        the same stages, trained faster, a classifier that also sees a map which bending leaves
+        dark, both compressed, and an angle that may be curved in dV.
         """
         if name == "joint":
             return cls(method="joint", seed=seed)
@@ -106,7 +110,13 @@ class TrainingSettings:
             return cls(seed=seed)
         if name == "paper":
             classifier = NetworkSettings(1e-5, epochs=150, batch=64, one_cycle=False)
-            return cls(classifier=classifier, bend_free_map=False, seed=seed)
+            return cls(
+                classifier=classifier,
+                bend_free_map=False,
+                compressed_maps=False,
+                bend_squares=False,
+                seed=seed,
+            )
         raise ConfigurationError(f"preset must be 'joint', 'quick' or 'paper', got '{name}'")
 
     def with_epochs(self, epochs: int) -> "TrainingSettings":
