@@ -16,14 +16,10 @@ from eitskin.training.perceived import FoundTouches, Perceived
 from eitskin.training.proposals import Proposals, network_inputs
 from eitskin.training.specimen_features import SpecimenFeatures
 from eitskin.training.touch_discs import disc_map
-from eitskin.training.touch_fit import (
-    THRESHOLD,
-    Candidates,
-    Explanation,
-    Habits,
-    TouchFit,
-)
+from eitskin.training.touch_fit import THRESHOLD, Explanation, explain
+from eitskin.training.touch_problem import Habits, TouchProblem
 from eitskin.training.touch_response import TouchResponse
+from eitskin.training.touch_search import Candidates
 
 Array = NDArray[np.float64]
 Arrays = dict[str, NDArray[np.generic]]
@@ -85,7 +81,7 @@ class JointMethod:
 
     def _perceive(self, frame: Observed) -> Perceived:
         specimen = self._specimen(frame.flat[0])
-        static, dynamic = np.log1p(frame.static[0]), np.log1p(frame.dynamic[0])
+        static, dynamic = _log1p(frame.static[0]), _log1p(frame.dynamic[0])
         static_share, dynamic_share = 1.0 / frame.static_frames[0], 1.0 / frame.dynamic_frames[0]
         reference_deg, reference_error = 0.0, 0.0
         if np.nanmax(np.abs(static - dynamic), initial=0.0) > 0:
@@ -95,14 +91,15 @@ class JointMethod:
             network_inputs(dynamic, np.sqrt(2.0) * self.noise, reference_deg, specimen.features),
             self.habits.separation,
         )
-        found = TouchFit(
+        problem = TouchProblem.of(
             dynamic,
             self._noise(1.0 + dynamic_share, frame.dynamic_age[0]),
             reference_deg,
             specimen.response,
             specimen.curve,
             self.habits,
-        ).explain(specimen.candidates(reference_deg), proposed)
+        )
+        found = explain(problem, specimen.candidates(reference_deg), proposed)
         if len(found.touches):
             angle = found.angle_deg
             deviation = float(np.hypot(found.angle_deviation_deg, reference_error))
@@ -156,6 +153,13 @@ class JointMethod:
         )
 
     def _doubts(self, found: Explanation) -> tuple[str, ...]:
+        said = tuple(
+            f"measurement {i} does not fit the others and was left out: a bad contact or wire?"
+            for i in found.faults
+        )
+        return said + self._unexplained(found)
+
+    def _unexplained(self, found: Explanation) -> tuple[str, ...]:
         excess = (found.misfit - found.freedom) / np.sqrt(2.0 * max(found.freedom, 1))
         if excess < UNEXPLAINED:
             return ()
@@ -276,6 +280,13 @@ class JointMethod:
             BendCurve.from_arrays(calibrated) if calibrated else None,
             arrays["calibrated_flat"].astype(float) if calibrated else None,
         )
+
+
+def _log1p(difference: Array) -> Array:
+    """log(V / ref) of dV; NaN for a measurement that is bad or has no logarithm."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        change = np.log1p(difference)
+    return np.where(np.isfinite(change), change, np.nan)
 
 
 class _Specimen:

@@ -17,7 +17,7 @@ from eitskin.training.observed import UNKNOWN_AGE
 from eitskin.training.settings import JointSettings, Progress, silent
 from eitskin.training.specimen_features import SpecimenFeatures
 from eitskin.training.symmetry import Mirror, mirrors
-from eitskin.training.touch_fit import Habits
+from eitskin.training.touch_problem import Habits
 from eitskin.training.touch_response import Ranges, TouchResponse
 
 if TYPE_CHECKING:

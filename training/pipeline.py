@@ -28,7 +28,6 @@ from eitskin.training.saved_pipeline import (
 from eitskin.training.settings import Progress, TrainingSettings, silent
 
 KIND = "perception"
-FRACTIONS = (0.6, 0.2, 0.2)  # training, validation and test part, as in the paper
 LONGEST_GAP = 5.0  # s without frames after which the dynamic reference may be out of date
 GOLDEN_PER_STATE = 2
 
@@ -107,7 +106,7 @@ class Pipeline:
         settings: TrainingSettings | None = None,
         progress: Progress = silent,
     ) -> "Pipeline":
-        """Train on the first part of the dataset's 60/20/20 split; `held_out` gives the last.
+        """Train on the first part of the dataset's split; `held_out` gives the last.
 
         One machine, one seed, one number of torch threads: the same pipeline.
 
@@ -119,7 +118,8 @@ class Pipeline:
                 "a perception pipeline needs a dataset that knows its sensor's geometry and table "
                 "of measurements; of this one only touch positions can be learned"
             )
-        train = dataset.select(dataset.split(FRACTIONS, settings.seed)[0])
+        parts = dataset.split(settings.fractions, settings.seed)
+        train = dataset.select(parts[0])
         specimens = np.unique(train.specimen)
         reference = np.median(np.abs(dataset.reference[specimens]), axis=0).astype(float)
         layout = Layout(dataset.design, dataset.protocol, dataset.frequency, reference)
@@ -139,7 +139,7 @@ class Pipeline:
     def held_out(self, dataset: Dataset) -> NDArray[np.int64]:
         """Frames that training never saw: the test part of its own dataset, all of another."""
         if fingerprint(dataset) == self.trained_on["sha256"]:
-            return dataset.split(FRACTIONS, self.settings.seed)[2]
+            return dataset.split(self.settings.fractions, self.settings.seed)[2]
         return np.arange(len(dataset))
 
     def calibrate(self, frames: Sequence[Frame], angles_deg: ArrayLike) -> Calibration:

@@ -12,7 +12,7 @@ from eitskin.training.bend_curve import BendCurves
 from eitskin.training.networks import seeded
 from eitskin.training.proposals import MOST, WIDTH, Proposals, network_inputs
 from eitskin.training.settings import NetworkSettings, Progress
-from eitskin.training.touch_fit import Habits
+from eitskin.training.touch_problem import Habits
 from eitskin.training.touch_response import TouchResponse
 
 Array = NDArray[np.float64]

@@ -96,6 +96,14 @@ class TrainingSettings:
                 f"method must be one of {', '.join(METHODS)}, got '{self.method}'"
             )
 
+    @property
+    def fractions(self) -> tuple[float, float, float]:
+        """Training, validation and test part of a dataset: the paper's 60/20/20.
+
+        The joint method learns from four fifths, and validates on a part of those.
+        """
+        return (0.8, 0.1, 0.1) if self.method == "joint" else (0.6, 0.2, 0.2)
+
     @classmethod
     def preset(cls, name: str, seed: int = 0) -> "TrainingSettings":
         """Settings by name: "joint", "quick" or "paper".

@@ -40,6 +40,7 @@ class Ranges:
         return np.array([2.0 / self.size[0], 2.0 / self.size[1], 1.0 / self.middle_force])
 
 
+_AXES = np.array([1, 2, 3])
 _ANGLE_SCALE = 30.0  # deg, that the network takes as one
 
 
@@ -125,20 +126,24 @@ class SpecimenResponse:
     def with_derivatives(self, touches: Array, angle_deg: float) -> tuple[Array, Array]:
         """Changes (k, C), and their derivatives (k, 3, C) by x, y [1/m] and force [1/N]."""
         ranges, response = self.response.ranges, self.response
-        hidden = ranges.inputs(touches, angle_deg)
-        # Tangents along the first three inputs travel with the values: forward differentiation.
-        tangents = np.zeros((3, *hidden.shape))
-        tangents[range(3), :, range(3)] = ranges.input_scale[:, None]
+        count = len(touches)
+        # Tangents along the first three inputs travel below the values: forward differentiation
+        # with one matrix product a layer. Rows are values, then d/dx, d/dy, d/dF of each touch.
+        rows = np.zeros((4, count, 4))
+        rows[0] = ranges.inputs(touches, angle_deg)
+        rows[_AXES, :, _AXES - 1] = ranges.input_scale[:, None]
         for weight, bias in zip(response.weights, response.biases, strict=True):
-            before = hidden @ weight.T + bias
+            rows = (rows.reshape(4 * count, -1) @ weight.T).reshape(4, count, -1)
+            before = rows[0] + bias
             gate = _logistic(before)
-            hidden = before * gate
-            tangents = (tangents @ weight.T) * (gate * (1.0 + before * (1.0 - gate)))
-        change = hidden @ self.output[:, :-1].T + self.output[:, -1]
+            rows[1:] *= gate * (1.0 + before * (1.0 - gate))
+            rows[0] = before * gate
+        said = (rows.reshape(4 * count, -1) @ self.output[:, :-1].T).reshape(4, count, -1)
+        said[0] += self.output[:, -1]
         unit = response.scale / ranges.middle_force
-        slopes = (tangents @ self.output[:, :-1].T) * (unit * touches[:, 2:])
-        slopes[2] += unit * change
-        return unit * touches[:, 2:] * change, slopes.transpose(1, 0, 2)
+        slopes = said[1:] * (unit * touches[:, 2:])
+        slopes[2] += unit * said[0]
+        return unit * touches[:, 2:] * said[0], slopes.transpose(1, 0, 2)
 
 
 def _logistic(values: Array) -> Array:
