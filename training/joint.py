@@ -2,14 +2,17 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import ClassVar, Protocol
+from typing import ClassVar
+from typing import Protocol as Interface
 
 import numpy as np
 from numpy.typing import NDArray
 
+from eitskin.simulator import Protocol
 from eitskin.training.bend_curve import BendCurve, BendCurves
 from eitskin.training.bend_estimate import angle_error, estimate_angle
 from eitskin.training.calibration import Calibration, KnownBends
+from eitskin.training.faults import Fault, possible_faults
 from eitskin.training.layout import Layout
 from eitskin.training.observed import UNKNOWN_AGE, Observed
 from eitskin.training.perceived import FoundTouches, Perceived
@@ -30,7 +33,7 @@ SAME_SPECIMEN = 0.008  # spread of log ratios of two sessions of a sensor; paths
 UNEXPLAINED = 6.0  # standard deviations of the misfit above its expectation that are told
 
 
-class _Part(Protocol):
+class _Part(Interface):
     def arrays(self) -> Mapping[str, Array]: ...
 
 
@@ -54,6 +57,7 @@ class JointMethod:
         radius: of the indenters [m].
         size: length and width of the sensor [m].
         shape: of touch maps.
+        protocol: of the measurements.
         calibrated: the curve of one specimen, where one was calibrated.
         calibrated_flat: magnitudes of that specimen, flat and untouched (C,) [ohm].
     """
@@ -71,6 +75,7 @@ class JointMethod:
     radius: float
     size: tuple[float, float]
     shape: tuple[int, int]
+    protocol: Protocol
     calibrated: BendCurve | None = None
     calibrated_flat: Array | None = None
     _specimens: "dict[bytes, _Specimen]" = field(default_factory=dict, init=False, repr=False)
@@ -99,7 +104,9 @@ class JointMethod:
             specimen.curve,
             self.habits,
         )
-        found = explain(problem, specimen.candidates(reference_deg), proposed)
+        found = explain(problem, specimen.candidates(reference_deg), proposed, specimen.faults)
+        for fault in found.faults:
+            static[list(fault.members)] = np.nan
         if len(found.touches):
             angle = found.angle_deg
             deviation = float(np.hypot(found.angle_deviation_deg, reference_error))
@@ -154,8 +161,7 @@ class JointMethod:
 
     def _doubts(self, found: Explanation) -> tuple[str, ...]:
         said = tuple(
-            f"measurement {i} does not fit the others and was left out: a bad contact or wire?"
-            for i in found.faults
+            f"{fault.name} and was left out: look at its contact and wire" for fault in found.faults
         )
         return said + self._unexplained(found)
 
@@ -185,7 +191,9 @@ class JointMethod:
                 self._specimens.clear()
             p = self.features.apply(flat)
             curve = self.calibrated or self.curves.of(p)
-            self._specimens[key] = _Specimen(self, p, curve, self._other_specimen(flat))
+            self._specimens[key] = _Specimen(
+                self, p, curve, self._other_specimen(flat), possible_faults(self.protocol, flat)
+            )
         return self._specimens[key]
 
     def adapted(self, known: KnownBends) -> "tuple[JointMethod, Calibration]":
@@ -277,6 +285,7 @@ class JointMethod:
             radius,
             layout.outline,
             layout.pixels,
+            layout.protocol,
             BendCurve.from_arrays(calibrated) if calibrated else None,
             arrays["calibrated_flat"].astype(float) if calibrated else None,
         )
@@ -298,10 +307,12 @@ class _Specimen:
         features: Array,
         curve: BendCurve,
         doubts: tuple[str, ...],
+        faults: tuple[Fault, ...],
     ) -> None:
         self.features, self.curve = features, curve
         self.response = method.response.of(features)
         self.doubts = doubts
+        self.faults = faults
         self._places = method.places
         self._candidates: dict[int, Candidates] = {}
 

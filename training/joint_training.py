@@ -69,6 +69,7 @@ def fit_joint(
         radius,
         layout.outline,
         layout.pixels,
+        layout.protocol,
     )
 
 

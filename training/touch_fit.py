@@ -5,11 +5,13 @@ touches are looked for in what is left, and every touch must lower the misfit by
 would.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from eitskin.training.faults import Fault, mended
 from eitskin.training.touch_problem import (
     ANGLE_UNIT,
     TOUCH_UNITS,
@@ -32,8 +34,7 @@ PROMISING = 0.5  # times the threshold: least gain, to first order, of a place t
 DOUBTFUL = 3.0  # times the threshold: gains, to second order, below which a touch is tried without
 LUCKY, UNLIKELY = 2.0, 2.0  # standard deviations of the misfit below and above its expectation
 SECOND_LOOKS = 2  # fits with other pairs that are tried where the misfit is unlikely
-MOST_FAULTS = 3  # measurements that are left out of a frame before it counts as not explained
-AMISS = 3.0  # standard deviations of the misfit from which on a fault is looked for
+MOST_FAULTS = 2  # that are looked for in a frame
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,7 +50,7 @@ class Explanation:
         gains: how much the misfit would rise without each touch, to second order (k,).
         misfit: sum of the squared residuals, in units of their standard deviations.
         freedom: number of residuals less number of unknowns.
-        faults: numbers of measurements that do not fit the others and were left out.
+        faults: why measurements were left out.
     """
 
     angle_deg: float
@@ -60,11 +61,14 @@ class Explanation:
     gains: Array
     misfit: float
     freedom: int
-    faults: tuple[int, ...]
+    faults: tuple[Fault, ...]
 
 
 def explain(
-    problem: TouchProblem, candidates: Candidates, proposed: Array | None = None
+    problem: TouchProblem,
+    candidates: Candidates,
+    proposed: Array | None = None,
+    faults: Sequence[Fault] = (),
 ) -> Explanation:
     """The bend and the touches that explain a frame.
 
@@ -72,24 +76,25 @@ def explain(
         problem: the frame.
         candidates: that are tried for further touches.
         proposed: places (k, 2) [m] from which the fit starts.
+        faults: of measurements that are possible.
     """
-    faults: list[int] = []
-    found, evidence = _fit(problem, candidates, proposed)
-    while len(faults) < MOST_FAULTS:
-        fault = _fault(problem, found)
-        if fault is None:
+    untouched, found, evidence = _fit(problem, candidates, proposed)
+    told: list[Fault] = []
+    while faults and len(told) < MOST_FAULTS:
+        better = mended(problem, untouched, found, _gains(found), faults)
+        if better is None:
             break
-        faults.append(fault.measurement)
-        problem, found = fault.problem, fault.found
-        if not len(found.point.touches):
-            evidence = 0.0
-    return _explanation(found, evidence, tuple(faults))
+        told.append(better.fault)
+        problem, found = better.problem, better.found
+        untouched = refined(problem, untouched.point, *FINE)
+        evidence = _gain(problem, untouched, found)
+    return _explanation(found, evidence, tuple(told))
 
 
 def _fit(
     problem: TouchProblem, candidates: Candidates, proposed: Array | None
-) -> tuple[Fitted, float]:
-    """The best fit, and the evidence of any touch."""
+) -> tuple[Fitted, Fitted, float]:
+    """The fit without touches, the best one, and the evidence of any touch."""
     nothing = Point(np.zeros((0, 3)), _still_or_moved(problem))
     untouched = refined(problem, nothing, *FINE)
     found, evidence = untouched, 0.0
@@ -113,7 +118,7 @@ def _fit(
     found = _pruned(problem, found)
     if _excess(found) > UNLIKELY and len(found.point.touches) < MOST_TOUCHES:
         found = _reconsidered(problem, found, candidates)
-    return found, evidence
+    return untouched, found, evidence
 
 
 def _still_or_moved(problem: TouchProblem) -> float:
@@ -183,60 +188,7 @@ def _gains(found: Fitted) -> Array:
     return gains
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Fault:
-    """A measurement that is left out, and what explains the others."""
-
-    measurement: int
-    problem: TouchProblem
-    found: Fitted
-
-
-def _fault(problem: TouchProblem, found: Fitted) -> _Fault | None:
-    """A measurement whose error alone explains what a touch does, or what nothing else does.
-
-    An error of one measurement is a column of the identity: its gain beside the other unknowns is
-    (u^T P r)^2 / (u^T P u), with P the projection that takes them off. One that promises enough is
-    tried: the frame is fitted again without the measurement, and without the touch.
-    """
-    residual, jacobian = found.quadratic.residual, found.quadratic.jacobian
-    point, gains = found.point, _gains(found)
-    if _excess(found) > AMISS:
-        measurement, gain = _likeliest_fault(problem, found, residual, jacobian)
-        if gain > THRESHOLD:
-            trial = _without(problem, measurement, point)
-            if trial.found.misfit < found.misfit - THRESHOLD:
-                return trial
-    for i in range(len(point.touches)):
-        alone = problem.response(point.touches[i : i + 1], point.angle_deg)[0]
-        others = np.delete(jacobian, slice(1 + 3 * i, 4 + 3 * i), axis=1)
-        left = residual + found.whitening @ alone
-        measurement, gain = _likeliest_fault(problem, found, left, others)
-        if gain > gains[i]:
-            trial = _without(problem, measurement, point.without(i))
-            if trial.found.misfit < found.misfit:
-                return trial
-    return None
-
-
-def _likeliest_fault(
-    problem: TouchProblem, found: Fitted, left: Array, known: Array
-) -> tuple[int, float]:
-    """The measurement whose error would explain most of what is left, and its gain."""
-    basis, _ = np.linalg.qr(known)
-    columns = found.whitening[:, problem.good]
-    free = columns - basis @ (basis.T @ columns)
-    gain = (free.T @ left) ** 2 / np.maximum(np.sum(free**2, axis=0), 1e-9)
-    best = int(gain.argmax())
-    return int(problem.good[best]), float(gain[best])
-
-
-def _without(problem: TouchProblem, measurement: int, start: Point) -> _Fault:
-    fewer = problem.lacking((measurement,))
-    return _Fault(measurement, fewer, refined(fewer, start, *ROUGH))
-
-
-def _explanation(found: Fitted, evidence: float, faults: tuple[int, ...]) -> Explanation:
+def _explanation(found: Fitted, evidence: float, faults: tuple[Fault, ...]) -> Explanation:
     touches = found.point.touches
     units = np.concatenate([[ANGLE_UNIT], np.tile(TOUCH_UNITS, len(touches))])
     covariance = np.linalg.inv(found.quadratic.hessian) * np.outer(units, units)

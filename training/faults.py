@@ -1,0 +1,139 @@
+"""Measurements at fault: a wire or a contact that changed looks like a touch, nearly."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.simulator import Protocol
+from eitskin.training.touch_problem import Fitted, Point, TouchProblem, refined
+
+Array = NDArray[np.float64]
+
+EVIDENCE = 25.0  # by which one fault must lower the misfit, as a touch must
+FITTING = 3.0  # standard deviations that the misfit may be above its expectation with the fault
+AMISS = 3.0  # the same, above which a fault is looked for although all touches stay
+SPARED = 2.0  # misfit that one fault may leave more than the touches it replaces
+STEPS, SETTLED = 6, 0.1  # of Gauss-Newton without the measurements at fault
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fault:
+    """One thing that may be wrong, and what it does.
+
+    Attributes:
+        name: in words.
+        members: the measurements that it changes.
+        change: of log V, in any unit (C,).
+    """
+
+    name: str
+    members: tuple[int, ...]
+    change: Array
+
+
+def possible_faults(protocol: Protocol, flat: Array) -> tuple[Fault, ...]:
+    """Of a single measurement, and of a single contact, for a sensor of these magnitudes [ohm].
+
+    A contact that changes is a resistance in series with every measurement whose current and
+    voltage both pass through its electrode.
+    """
+    faults = []
+    size = len(flat)
+    for i, label in enumerate(protocol.labels):
+        alone = np.zeros(size)
+        alone[i] = 1.0
+        faults.append(Fault(f"measurement {label} does not fit the others", (i,), alone))
+    table = np.array(protocol.table)
+    for electrode in range(protocol.n_electrodes):
+        drive, sense = (table[:, pair] == electrode for pair in (slice(0, 2), slice(2, 4)))
+        through = drive.any(axis=1) & sense.any(axis=1)
+        if through.sum() > 1:
+            change = np.where(through, np.nanmedian(flat) / flat, 0.0)
+            members = tuple(np.flatnonzero(through).tolist())
+            name = f"the contact of electrode {electrode} has changed"
+            faults.append(Fault(name, members, np.nan_to_num(change)))
+    return tuple(faults)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mended:
+    """A frame without the measurements at fault.
+
+    Attributes:
+        fault: what is at fault.
+        problem: the frame without its measurements.
+        found: what explains that.
+    """
+
+    fault: Fault
+    problem: TouchProblem
+    found: Fitted
+
+
+def mended(
+    problem: TouchProblem, untouched: Fitted, found: Fitted, gains: Array, faults: Sequence[Fault]
+) -> Mended | None:
+    """The frame explained by one fault and fewer touches, where that explains it as well.
+
+    The simplest comes first: a fault alone, then a fault in place of each touch, then a fault
+    beside all touches of a frame that these do not explain.
+
+    Args:
+        problem: the frame.
+        untouched: its fit without touches.
+        found: its best fit.
+        gains: of the touches found, to second order (k,).
+        faults: that are possible.
+    """
+    touches = len(found.point.touches)
+    starts: list[tuple[Fitted, Point]] = []
+    if touches or _excess(untouched.misfit, untouched.freedom) > AMISS:
+        starts.append((untouched, untouched.point))
+    if touches > 1:
+        for i in np.argsort(gains)[:2].tolist():
+            starts.append((_taken_back(problem, found, i), found.point.without(i)))
+    if touches and _excess(found.misfit, found.freedom) > AMISS:
+        starts.append((found, found.point))
+    for fitted, point in starts:
+        fault, gain = _likeliest(fitted, faults)
+        # A touch has three unknowns and a fault one: it may leave a little more.
+        spared = 3 * (touches - len(point.touches)) + SPARED
+        if gain < EVIDENCE or fitted.misfit - gain > found.misfit + spared:
+            continue
+        if _excess(fitted.misfit - gain, fitted.freedom - 1) > FITTING:
+            continue
+        fewer = problem.lacking(fault.members)
+        if len(fewer.good) < len(problem.change) // 2:
+            continue
+        again = refined(fewer, point, STEPS, SETTLED)
+        if _excess(again.misfit, again.freedom) < FITTING:
+            return Mended(fault, fewer, again)
+    return None
+
+
+def _taken_back(problem: TouchProblem, found: Fitted, touch: int) -> Fitted:
+    """The fit without one of its touches."""
+    return refined(problem, found.point.without(touch), STEPS, SETTLED)
+
+
+def _likeliest(fitted: Fitted, faults: Sequence[Fault]) -> tuple[Fault, float]:
+    """The fault that explains most of what is left, and its gain.
+
+    Beside the other unknowns a direction u gains (u^T P r)^2 / (u^T P u), with P the projection
+    that takes theirs off.
+    """
+    basis, _ = np.linalg.qr(fitted.quadratic.jacobian)
+    columns = fitted.whitening @ np.array([fault.change for fault in faults]).T
+    free = columns - basis @ (basis.T @ columns)
+    size = np.sum(free**2, axis=0)
+    gain = (free.T @ fitted.quadratic.residual) ** 2 / np.maximum(size, 1e-9)
+    gain[size < 1e-3 * np.sum(columns**2, axis=0)] = 0.0  # what bend or touches could do as well
+    best = int(gain.argmax())
+    return faults[best], float(gain[best])
+
+
+def _excess(misfit: float, freedom: int) -> float:
+    """A misfit above its expectation, in standard deviations."""
+    return (misfit - freedom) / float(np.sqrt(2.0 * max(freedom, 1)))
