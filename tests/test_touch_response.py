@@ -1,0 +1,166 @@
+"""What a touch does: derivatives, linearity, copies, and learning it from frames."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from eitskin.training import response_network
+from eitskin.training.response_network import (
+    ResponseNetwork,
+    TouchFrames,
+    _packed,
+    _response,
+    fit_response,
+)
+from eitskin.training.settings import NetworkSettings, silent
+from eitskin.training.touch_response import TouchResponse
+
+from smooth_sensor import HABITS, RANGES, response, touch_change
+
+STEPS = np.array([1e-6, 1e-6, 1e-4])  # m, m, N
+
+
+@pytest.fixture(scope="module")
+def learned():
+    return response(features=2)
+
+
+@pytest.fixture
+def touches():
+    return np.random.default_rng(1).uniform(HABITS.low, HABITS.high, (6, 3))
+
+
+def test_derivatives_are_those_of_finite_differences(learned, touches):
+    one = learned.of([0.5, -1.0])
+    values, slopes = one.with_derivatives(touches, 20.0)
+    np.testing.assert_allclose(values, one(touches, 20.0), rtol=1e-10)
+    assert slopes.shape == (6, 3, 28)
+    for axis in range(3):
+        step = np.eye(3)[axis] * STEPS[axis]
+        numeric = (one(touches + step, 20.0) - one(touches - step, 20.0)) / (2 * STEPS[axis])
+        np.testing.assert_allclose(
+            slopes[:, axis], numeric, atol=1e-6 * np.abs(numeric).max(), rtol=1e-5
+        )
+
+
+def test_no_force_changes_nothing_and_angle_changes_the_response(learned, touches):
+    one = learned.of([1.0, 1.0])
+    np.testing.assert_array_equal(one(touches * [1.0, 1.0, 0.0], 30.0), 0.0)
+    assert np.abs(one(touches, 30.0) / one(touches, 0.0) - 1.0).max() > 0.01
+    assert one(touches[:0], 0.0).shape == (0, 28)
+
+
+def test_each_touch_is_alone(learned, touches):
+    one = learned.of([0.0, 0.0])
+    for i in range(6):
+        np.testing.assert_allclose(one(touches, 5.0)[i], one(touches[i : i + 1], 5.0)[0])
+
+
+def test_linear_in_features(learned, touches):
+    def change(*p):
+        return learned.of(p)(touches, 10.0)
+
+    middle = change(0.0, 0.0)
+    first, second = change(1.0, 0.0) - middle, change(0.0, 1.0) - middle
+    assert np.abs(first).max() > 0.01 * np.abs(middle).max()
+    np.testing.assert_allclose(
+        change(-2.0, 0.3), middle - 2.0 * first + 0.3 * second, rtol=1e-9, atol=1e-14
+    )
+
+
+def test_arrays_make_it_again(learned, touches):
+    told = replace(learned, mismatch=0.07)
+    again = TouchResponse.from_arrays(told.arrays())
+    np.testing.assert_array_equal(
+        again.of([1.0, 2.0])(touches, -5.0), told.of([1.0, 2.0])(touches, -5.0)
+    )
+    assert again.mismatch == 0.07
+    assert again.ranges.size == told.ranges.size
+    assert again.ranges.force == told.ranges.force
+    assert again.ranges.angle_deg == told.ranges.angle_deg
+    single = {name: array.astype(np.float32) for name, array in told.arrays().items()}
+    close = TouchResponse.from_arrays(single).of([1.0, 2.0])(touches, -5.0)
+    assert np.abs(close - told.of([1.0, 2.0])(touches, -5.0)).max() < 1e-3
+
+
+# Learning
+
+STRENGTHS = np.exp(np.array([0.2, -0.2, 0.1, 0.0, -0.1, 0.15, -0.15, 0.0]))
+
+
+def frames(count, seed):
+    """Of one and two touches, of eight specimens of one feature that differ in strength."""
+    rng = np.random.default_rng(seed)
+    touches = rng.uniform(HABITS.low, HABITS.high, (count, 2, 3))
+    touches[rng.uniform(size=count) < 0.5, 1] = np.nan
+    angle = rng.uniform(-20.0, 50.0, count)
+    specimen = rng.integers(0, len(STRENGTHS), count)
+    feature = np.linspace(-1.5, 1.5, len(STRENGTHS))[specimen]
+    change = np.nansum([touch_change(touches[:, i], angle[:, None]) for i in range(2)], axis=0)
+    # The feature makes some channels feel more and others less.
+    change *= 1.0 + 0.05 * np.outer(feature, np.where(np.arange(28) % 2, 1.0, -1.0))
+    change *= STRENGTHS[specimen][:, None]
+    change += 1e-5 * rng.standard_normal(change.shape)
+    return TouchFrames(touches, angle, feature[:, None], specimen, change)
+
+
+@pytest.fixture(scope="module")
+def trained():
+    """A smaller network than is used: seconds of training, to a tenth of the change."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(response_network, "HIDDEN", 48)
+        patch.setattr(response_network, "LAYERS", 2)
+        settings = NetworkSettings(1e-2, epochs=50, batch=32)
+        yield fit_response(frames(800, 0), RANGES, 1e-5, settings, 0, silent)
+    torch.set_num_threads(before)
+
+
+def test_smooth_response_is_learned_from_few_frames(trained):
+    """At places, forces, angles and features never seen."""
+    rng = np.random.default_rng(2)
+    errors, sizes = [], []
+    for touch in rng.uniform(HABITS.low, HABITS.high, (200, 3)):
+        angle, feature = rng.uniform(-20.0, 50.0), rng.uniform(-1.5, 1.5)
+        said = trained[0].of([feature])(touch[None], angle)[0]
+        true = touch_change(touch[None], angle)[0]
+        true = true * (1.0 + 0.05 * feature * np.where(np.arange(28) % 2, 1.0, -1.0))
+        errors.append(np.sum((said - true) ** 2))
+        sizes.append(np.sum(true**2))
+    assert np.sqrt(np.sum(errors) / np.sum(sizes)) < 0.12
+
+
+def test_strengths_of_specimens_do_not_blur_it(trained):
+    """Had it one response for all specimens, it would end at a loss above 0.02.
+
+    Relative to the middle one, each specimen is felt as strongly as it was made to be.
+    """
+    response, history = trained
+    assert history.training[-1] < 0.012
+    data = frames(300, 3)
+    strengths = []
+    for number in range(len(STRENGTHS)):
+        said, true = [], []
+        for i in np.flatnonzero(data.specimen == number):
+            touches = data.touches[i][np.isfinite(data.touches[i][:, 0])]
+            one = response.of(data.features[i])
+            said.append(one(touches, float(data.angle_deg[i])).sum(axis=0))
+            true.append(data.change[i])
+        strengths.append(np.vdot(said, true) / np.vdot(said, said))
+    np.testing.assert_allclose(strengths, STRENGTHS, rtol=0.07)
+
+
+def test_network_says_what_it_was_trained_to_say():
+    """The response without torch is the network's own, frame by frame."""
+    data = frames(40, 4)
+    network = ResponseNetwork(data)
+    with torch.inference_mode():
+        said = network(_packed(data, RANGES)).numpy() * 0.5
+    plain = _response(network, 0.5, RANGES)
+    for i in range(40):
+        touches = data.touches[i][np.isfinite(data.touches[i][:, 0])]
+        alone = plain.of(data.features[i])(touches, float(data.angle_deg[i])).sum(axis=0)
+        np.testing.assert_allclose(alone, said[i], atol=1e-5 * np.abs(said).max())
