@@ -45,6 +45,7 @@ def test_training_writes_a_report_with_curves_and_reconstructions(trained, datas
     assert report["report"]["frames"] == 12
     assert set(report["losses"]) == {"state classifier", "touch map"}
     assert all(len(losses["training"]) == 1 for losses in report["losses"].values())
+    assert all(len(losses["validation"]) == 1 for losses in report["losses"].values())
     assert set(report["report"]["touches"]["1"]["ssim"]) == {
         "static",
         "dynamic",

@@ -13,6 +13,7 @@ from eitskin.training.bend_curve import BendCurve, BendCurves
 from eitskin.training.bend_estimate import angle_error, estimate_angle
 from eitskin.training.calibration import Calibration, KnownBends
 from eitskin.training.faults import Fault, possible_faults
+from eitskin.training.history import History
 from eitskin.training.layout import Layout
 from eitskin.training.observed import UNKNOWN_AGE, Observed
 from eitskin.training.perceived import FoundTouches, Perceived
@@ -28,6 +29,7 @@ Array = NDArray[np.float64]
 Arrays = dict[str, NDArray[np.generic]]
 
 HOURS = 4 * 3600.0  # after which a drift is stated [s]
+HISTORIES = ("response", "proposals")  # networks, by the names of their parts
 STEP_DEG = 10.0  # of the angles for which candidates are kept
 SAME_SPECIMEN = 0.008  # spread of log ratios of two sessions of a sensor; paths err by 0.4 %
 UNEXPLAINED = 6.0  # standard deviations of the misfit above its expectation that are told
@@ -58,11 +60,13 @@ class JointMethod:
         size: length and width of the sensor [m].
         shape: of touch maps.
         protocol: of the measurements.
+        histories: how the losses of its networks fell while they were trained.
         calibrated: the curve of one specimen, where one was calibrated.
         calibrated_flat: magnitudes of that specimen, flat and untouched (C,) [ohm].
     """
 
     KIND: ClassVar[str] = "joint"
+    AVERAGES: ClassVar[bool] = True
 
     features: SpecimenFeatures
     response: TouchResponse
@@ -76,6 +80,7 @@ class JointMethod:
     size: tuple[float, float]
     shape: tuple[int, int]
     protocol: Protocol
+    histories: Mapping[str, History] = field(default_factory=dict)
     calibrated: BendCurve | None = None
     calibrated_flat: Array | None = None
     _specimens: "dict[bytes, _Specimen]" = field(default_factory=dict, init=False, repr=False)
@@ -98,7 +103,7 @@ class JointMethod:
         )
         problem = TouchProblem.of(
             dynamic,
-            self._noise(1.0 + dynamic_share, frame.dynamic_age[0]),
+            self._noise(1.0 / frame.frames[0] + dynamic_share, frame.dynamic_age[0]),
             reference_deg,
             specimen.response,
             specimen.curve,
@@ -111,7 +116,7 @@ class JointMethod:
             angle = found.angle_deg
             deviation = float(np.hypot(found.angle_deviation_deg, reference_error))
         else:
-            noise = self._noise(1.0 + static_share, frame.age[0])
+            noise = self._noise(1.0 / frame.frames[0] + static_share, frame.age[0])
             angle, deviation = estimate_angle(specimen.curve, static, noise)
         return self._said(found, angle, deviation, specimen.doubts)
 
@@ -254,6 +259,8 @@ class JointMethod:
             parts["calibrated"] = self.calibrated
         if self.calibrated_flat is not None:
             own["calibrated_flat"] = self.calibrated_flat
+        for name, history in self.histories.items():
+            own |= {f"{name}.{key}": array for key, array in history.arrays().items()}
         for name, part in parts.items():
             own |= {f"{name}.{key}": array for key, array in part.arrays().items()}
         return own
@@ -286,6 +293,7 @@ class JointMethod:
             layout.outline,
             layout.pixels,
             layout.protocol,
+            {name: History.from_arrays(part(name)) for name in HISTORIES},
             BendCurve.from_arrays(calibrated) if calibrated else None,
             arrays["calibrated_flat"].astype(float) if calibrated else None,
         )

@@ -11,6 +11,7 @@ from eitskin.datasets import Dataset, State
 from eitskin.geometry import DataError, Surface
 from eitskin.geometry.optional import require
 from eitskin.training.bend_curve import BendCurves
+from eitskin.training.history import History
 from eitskin.training.joint import HOURS, JointMethod
 from eitskin.training.layout import Layout
 from eitskin.training.observed import UNKNOWN_AGE
@@ -52,8 +53,10 @@ def fit_joint(
     progress("bend curve", 0, 1)
     curves = _curves(data, features, images, noise, settings.drift)
     progress("bend curve", 1, 1)
-    response = _response(data, features, images, ranges, noise, settings, seed, progress)
-    proposals = fit_proposals(
+    response, response_history = _response(
+        data, features, images, ranges, noise, settings, seed, progress
+    )
+    proposals, proposals_history = fit_proposals(
         Model(response, curves, habits, noise), settings.proposals, seed, progress
     )
     radius = float(np.nanmedian(data.touch_radius))
@@ -70,6 +73,7 @@ def fit_joint(
         layout.outline,
         layout.pixels,
         layout.protocol,
+        {"response": response_history, "proposals": proposals_history},
     )
 
 
@@ -194,7 +198,7 @@ def _response(
     settings: JointSettings,
     seed: int,
     progress: Progress,
-) -> TouchResponse:
+) -> "tuple[TouchResponse, History]":
     from eitskin.training.response_network import TouchFrames, fit_response
 
     touched = data.select(_placed(data))
@@ -218,9 +222,9 @@ def _response(
     rms = float(np.sqrt(np.mean(variance)))
     unseen = frames.specimen % UNSEEN == UNSEEN - 1
     kept = frames[~unseen] if unseen.any() else frames
-    response, _ = fit_response(kept, ranges, rms, settings.response, seed, progress)
+    response, history = fit_response(kept, ranges, rms, settings.response, seed, progress)
     checked = frames[unseen] if unseen.any() else frames
-    return replace(response, mismatch=_mismatch(response, checked, variance))
+    return replace(response, mismatch=_mismatch(response, checked, variance)), history
 
 
 def _mismatch(response: TouchResponse, frames: "TouchFrames", variance: Array) -> float:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from eitskin.datasets import Dataset
 from eitskin.geometry import DataError
 from eitskin.training.calibration import Calibration, KnownBends
+from eitskin.training.history import History
 from eitskin.training.joint import JointMethod
 from eitskin.training.joint_training import fit_joint
 from eitskin.training.layout import Layout
@@ -25,6 +26,16 @@ class Method(Protocol):
     @property
     def KIND(self) -> str:  # noqa: N802  a constant of the class
         """Name of the method in settings and saved pipelines."""
+        ...
+
+    @property
+    def AVERAGES(self) -> bool:  # noqa: N802  a constant of the class
+        """Whether it may be given means of frames of a held touch."""
+        ...
+
+    @property
+    def histories(self) -> Mapping[str, History]:
+        """How the losses of its networks fell while they were trained, by their names."""
         ...
 
     def perceive(self, observed: Observed) -> Perceived:
@@ -45,12 +56,19 @@ class Method(Protocol):
 
 
 def fit_method(
-    dataset: Dataset, layout: Layout, settings: TrainingSettings, progress: Progress
+    dataset: Dataset,
+    layout: Layout,
+    settings: TrainingSettings,
+    progress: Progress,
+    validation: Dataset | None = None,
 ) -> Method:
-    """Train the method that `settings` names on all frames of `dataset`."""
+    """Train the method that `settings` names on all frames of `dataset`.
+
+    Losses on `validation` are looked at and change nothing.
+    """
     if settings.method == JointMethod.KIND:
         return fit_joint(dataset, layout, settings.joint, settings.seed, progress)
-    return PaperMethod.fit(dataset, layout, settings, progress)
+    return PaperMethod.fit(dataset, layout, settings, progress, validation)
 
 
 def method_from_arrays(kind: str, arrays: Arrays, layout: Layout) -> Method:

@@ -24,6 +24,7 @@ class Observed:
         static: dV from the flat untouched sensor (n, C), dimensionless.
         dynamic: dV from the untouched sensor at the same bend, or what a session takes for it.
         flat: magnitudes of the flat untouched sensor (n, C) [ohm].
+        frames: how many frames of a held touch were averaged for each (n,).
         static_frames, dynamic_frames: how many frames were averaged for the references (n,).
         age, dynamic_age: since the static and the dynamic reference were last renewed (n,) [s].
     """
@@ -31,6 +32,7 @@ class Observed:
     static: Array
     dynamic: Array
     flat: Array
+    frames: Array
     static_frames: Array
     dynamic_frames: Array
     age: Array
@@ -50,6 +52,7 @@ class Observed:
             np.where(bad, np.nan, relative_difference(dataset.impedance, flat)),
             np.where(bad, np.nan, relative_difference(dataset.impedance, free)),
             np.abs(flat).astype(float),
+            np.ones(len(dataset)),
             np.full(len(dataset), np.inf if dataset.source == "simulated" else 1.0),
             np.full(len(dataset), float(dataset.reference_frames)),
             np.full(len(dataset), UNKNOWN_AGE),

@@ -14,6 +14,7 @@ from eitskin.training.bend_angle import BendAngle
 from eitskin.training.bend_subspace import bend_free
 from eitskin.training.calibration import Calibration, KnownBends
 from eitskin.training.classifier import Classifier
+from eitskin.training.history import History
 from eitskin.training.layout import Layout
 from eitskin.training.missing_channels import MissingChannels
 from eitskin.training.observed import Observed, noise_of
@@ -53,6 +54,7 @@ class PaperMethod:
     """
 
     KIND: ClassVar[str] = "paper"
+    AVERAGES: ClassVar[bool] = False
 
     reconstruction: Reconstruction
     classifier: Classifier
@@ -69,8 +71,9 @@ class PaperMethod:
         layout: Layout,
         settings: TrainingSettings,
         progress: Progress = silent,
+        validation: Dataset | None = None,
     ) -> "PaperMethod":
-        """Train every stage on all frames of `dataset`.
+        """Train every stage on all frames of `dataset`, and look at the losses on `validation`.
 
         Raises DataError where it lacks a state.
         """
@@ -84,27 +87,22 @@ class PaperMethod:
         noise = noise_of(dataset, observed)
         missing_static = MissingChannels.fit(observed.static, noise)
         missing_dynamic = MissingChannels.fit(observed.dynamic, noise)
-        differences = Differences(
-            missing_static.fill(observed.static), missing_dynamic.fill(observed.dynamic)
-        )
+
+        def filled(data: Dataset, observed: Observed) -> Lessons:
+            static = missing_static.fill(observed.static)
+            return Lessons(data, static, missing_dynamic.fill(observed.dynamic))
+
+        train = filled(dataset, observed)
+        unseen = None if validation is None else filled(validation, Observed.of(validation))
         touched = dataset.state == State.TOUCH
-        reconstruction = Reconstruction.fit(
-            sensitivity_at(layout),
-            signal_to_noise(differences.dynamic[touched], noise),
-            layout.pixels,
-        )
+        snr = signal_to_noise(train.dynamic[touched], noise)
+        reconstruction = Reconstruction.fit(sensitivity_at(layout), snr, layout.pixels)
         return cls(
             reconstruction,
-            _fit_classifier(dataset, differences, reconstruction, settings, noise, progress),
-            _fit_bend_angle(dataset, differences, settings),
+            _fit_classifier(train, unseen, reconstruction, settings, noise, progress),
+            _fit_bend_angle(train, settings),
             _fit_postprocessor(
-                dataset.select(touched),
-                differences.dynamic[touched],
-                layout,
-                reconstruction,
-                settings,
-                noise,
-                progress,
+                train, unseen, layout.outline, reconstruction, settings, noise, progress
             ),
             missing_static,
             missing_dynamic,
@@ -135,6 +133,14 @@ class PaperMethod:
             tuple(FoundTouches.of([t[:2] for t in each], [t[2] for t in each]) for each in found),
             ((),) * len(flat),
         )
+
+    @property
+    def histories(self) -> Mapping[str, History]:
+        """How the losses of its networks fell."""
+        return {
+            "state classifier": self.classifier.history,
+            "touch map": self.postprocessor.history,
+        }
 
     def adapted(self, known: KnownBends) -> "tuple[PaperMethod, Calibration]":
         """The method for one sensor: its angles times the factor that fits known ones best.
@@ -210,16 +216,33 @@ class PaperMethod:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Differences:
-    """dV of n training frames without a gap, from either reference (n, measurements)."""
+class Lessons:
+    """n frames to learn from, and their dV from either reference (n, measurements), no gaps."""
 
+    dataset: Dataset
     static: NDArray[np.float64]
     dynamic: NDArray[np.float64]
 
+    def states(self) -> tuple[NDArray[np.float64], NDArray[np.uint8]] | None:
+        """dV from the static reference, and the state, where it is known; None where nowhere."""
+        known = self.dataset.state != UNKNOWN_STATE
+        return (self.static[known], self.dataset.state[known]) if known.any() else None
+
+    def touches(
+        self, outline: tuple[float, float], shape: tuple[int, int]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float32]] | None:
+        """dV from the dynamic reference, and the map of its touches, where those are known."""
+        data = self.dataset
+        placed = (data.state == State.TOUCH) & (data.touch_count > 0)
+        if not placed.any():
+            return None
+        discs = (data.touch_x[placed], data.touch_y[placed], data.touch_radius[placed])
+        return self.dynamic[placed], touch_maps(*discs, outline, shape)
+
 
 def _fit_classifier(
-    dataset: Dataset,
-    differences: Differences,
+    train: Lessons,
+    unseen: Lessons | None,
     reconstruction: Reconstruction,
     settings: TrainingSettings,
     noise: float,
@@ -230,69 +253,63 @@ def _fit_classifier(
     A bend changes dV ten to fifty times more than a light touch on top of it, which the network
     then has to find in the last percent of its input.
     """
-    known = dataset.state != UNKNOWN_STATE
+    state = train.dataset.state
+    known = state != UNKNOWN_STATE
     maps = [reconstruction.matrix]
     if settings.bend_free_map:
-        idle, bend = (differences.static[dataset.state == s] for s in (State.IDLE, State.BEND))
+        idle, bend = (train.static[state == s] for s in (State.IDLE, State.BEND))
         idle_noise = float(np.sqrt(np.mean(idle**2)))
         maps.append(reconstruction.matrix @ bend_free(bend, idle_noise))
     return Classifier.fit(
-        differences.static[known],
-        dataset.state[known],
+        train.static[known],
+        state[known],
         np.stack(maps),
         reconstruction.shape,
         settings.classifier,
         noise,
         settings.seed,
         progress,
+        unseen.states() if unseen else None,
         compress=settings.compressed_maps,
     )
 
 
-def _fit_bend_angle(
-    dataset: Dataset, differences: Differences, settings: TrainingSettings
-) -> BendAngle:
+def _fit_bend_angle(train: Lessons, settings: TrainingSettings) -> BendAngle:
     """On all frames that no touch disturbs; an idle sensor is flat."""
-    idle = dataset.state == State.IDLE
-    angle = np.where(idle, 0.0, dataset.bend_angle_deg)
-    usable = (idle | (dataset.state == State.BEND)) & np.isfinite(angle)
+    data = train.dataset
+    idle = data.state == State.IDLE
+    angle = np.where(idle, 0.0, data.bend_angle_deg)
+    usable = (idle | (data.state == State.BEND)) & np.isfinite(angle)
     return BendAngle.fit(
-        differences.static[usable],
+        train.static[usable],
         angle[usable],
-        dataset.specimen[usable],
+        data.specimen[usable],
         settings.seed,
         squares=settings.bend_squares,
     )
 
 
 def _fit_postprocessor(
-    touched: Dataset,
-    dynamic: NDArray[np.float64],
-    layout: Layout,
+    train: Lessons,
+    unseen: Lessons | None,
+    outline: tuple[float, float],
     reconstruction: Reconstruction,
     settings: TrainingSettings,
     noise: float,
     progress: Progress,
 ) -> PostProcessor:
-    placed = touched.touch_count > 0
-    if not placed.any():
+    placed = train.touches(outline, reconstruction.shape)
+    if placed is None:
         raise DataError(
             "the touch map is learned from touch frames whose places are known, and this dataset "
             "has none; record or generate some"
         )
-    truth = touch_maps(
-        touched.touch_x[placed],
-        touched.touch_y[placed],
-        touched.touch_radius[placed],
-        layout.outline,
-        reconstruction.shape,
-    )
     return PostProcessor.fit(
-        dynamic[placed],
-        truth,
+        *placed,
         reconstruction,
         settings.postprocessor,
         noise,
         settings.seed,
         progress,
+        unseen.touches(outline, reconstruction.shape) if unseen else None,
     )

@@ -18,7 +18,7 @@ from eitskin.training.methods import Method, fit_method, method_from_arrays
 from eitskin.training.model_card import perception_card
 from eitskin.training.observed import Observed, fingerprint, noise_of
 from eitskin.training.perceived import FoundTouches, Perceived
-from eitskin.training.references import References, Voltages, relative_difference
+from eitskin.training.references import References, RunningMean, Voltages, relative_difference
 from eitskin.training.saved_pipeline import (
     SavedPipeline,
     read_pipeline,
@@ -28,6 +28,7 @@ from eitskin.training.saved_pipeline import (
 from eitskin.training.settings import Progress, TrainingSettings, silent
 
 KIND = "perception"
+LONGEST_HELD = 8  # frames of a held touch that are averaged; longer would lag behind its creep
 LONGEST_GAP = 5.0  # s without frames after which the dynamic reference may be out of date
 GOLDEN_PER_STATE = 2
 
@@ -92,12 +93,15 @@ class Pipeline:
     _references: References = field(init=False, repr=False)
     _last: Frame | None = field(init=False, repr=False, default=None)
     _outdated: bool = field(init=False, repr=False, default=False)
+    _held: RunningMean = field(init=False, repr=False)
+    _touched: bool = field(init=False, repr=False, default=False)
     _begun: float = field(init=False, repr=False, default=0.0)
     _renewed: float = field(init=False, repr=False, default=0.0)
 
     def __post_init__(self) -> None:
         """Begin without references."""
         self._references = References(self.noise)
+        self._held = RunningMean(self.noise, longest=LONGEST_HELD)
 
     @classmethod
     def fit(
@@ -107,6 +111,9 @@ class Pipeline:
         progress: Progress = silent,
     ) -> "Pipeline":
         """Train on the first part of the dataset's split; `held_out` gives the last.
+
+        The losses on the part between them are told beside those of training; nothing is chosen
+        by them.
 
         One machine, one seed, one number of torch threads: the same pipeline.
 
@@ -118,8 +125,8 @@ class Pipeline:
                 "a perception pipeline needs a dataset that knows its sensor's geometry and table "
                 "of measurements; of this one only touch positions can be learned"
             )
-        parts = dataset.split(settings.fractions, settings.seed)
-        train = dataset.select(parts[0])
+        seen, unseen, _ = dataset.split(settings.fractions, settings.seed)
+        train, validation = dataset.select(seen), dataset.select(unseen)
         specimens = np.unique(train.specimen)
         reference = np.median(np.abs(dataset.reference[specimens]), axis=0).astype(float)
         layout = Layout(dataset.design, dataset.protocol, dataset.frequency, reference)
@@ -129,7 +136,7 @@ class Pipeline:
         )
         return cls(
             layout,
-            fit_method(train, layout, settings, progress),
+            fit_method(train, layout, settings, progress, validation),
             noise_of(train, observed),
             settings,
             {"sha256": fingerprint(dataset), "frames": len(train), "source": dataset.source},
@@ -160,7 +167,8 @@ class Pipeline:
     def reset(self) -> None:
         """Forget the session; the next frame must be of the flat, untouched sensor."""
         self._references.drop()
-        self._last, self._outdated = None, False
+        self._held = RunningMean(self.noise, longest=LONGEST_HELD)
+        self._last, self._outdated, self._touched = None, False, False
 
     def process(self, frame: Frame) -> Estimate:
         """The estimate for the next frame of a session.
@@ -180,8 +188,10 @@ class Pipeline:
             self.layout.require_same_sensor(voltages)
             references.follow(voltages)
             self._begun = self._renewed = frame.time
-        perceived = self._perceive(self._observed(voltages, frame))
+        held, count = self._held_touch(voltages)
+        perceived = self._perceive(self._observed(held, count, frame))
         state = State(int(perceived.state[0]))
+        self._touched = state is State.TOUCH
         if state is State.TOUCH:
             references.freeze()
         elif not first:
@@ -208,13 +218,26 @@ class Pipeline:
         """
         return self._perceive(Observed.of(dataset))
 
-    def _observed(self, voltages: Voltages, frame: Frame) -> Observed:
-        """A frame of the session beside the references."""
+    def _held_touch(self, voltages: Voltages) -> tuple[Voltages, int]:
+        """The mean of the frames since a touch is held unchanged, and their number; else the frame.
+
+        A touch that stays where it is says the same in every frame, but for noise. Untouched
+        frames are not averaged: an angle would lag behind a slow bend.
+        """
+        departed = self._held.add(voltages)
+        if self.method.AVERAGES and self._touched and not departed and self._held.mean is not None:
+            return np.where(np.isfinite(voltages), self._held.mean, np.nan), self._held.count
+        self._held.restart(voltages)
+        return voltages, 1
+
+    def _observed(self, voltages: Voltages, count: int, frame: Frame) -> Observed:
+        """A frame of the session, or the mean of some, beside the references."""
         references = self._references
         rows = {
             "static": relative_difference(voltages, references.bend),
             "dynamic": relative_difference(voltages, references.touch),
             "flat": np.abs(references.bend),
+            "frames": float(count),
             "static_frames": float(references.bend_frames),
             "dynamic_frames": float(references.touch_frames),
             "age": frame.time - self._begun,

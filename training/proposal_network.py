@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn  # noqa: TID253  see above
 
 from eitskin.training.bend_curve import BendCurves
+from eitskin.training.history import History
 from eitskin.training.networks import seeded
 from eitskin.training.proposals import MOST, WIDTH, Proposals, network_inputs
 from eitskin.training.settings import NetworkSettings, Progress
@@ -90,7 +91,7 @@ class Model:
 
 def fit_proposals(
     model: Model, settings: NetworkSettings, seed: int, progress: Progress
-) -> Proposals:
+) -> tuple[Proposals, History]:
     """Train with binary cross-entropy per cell and Adam, on frames made up anew in every step."""
     low, high = model.habits.low, model.habits.high
     columns, rows = (
@@ -104,7 +105,9 @@ def fit_proposals(
     optimiser = torch.optim.Adam(network.parameters(), settings.learning_rate)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, settings.learning_rate, steps)
     cells = [torch.as_tensor(axis, dtype=torch.float32) for axis in np.meshgrid(columns, rows)]
+    losses = []
     for epoch in range(settings.epochs):
+        total = 0.0
         for _ in range(PER_EPOCH):
             inputs, places = model.frames(settings.batch, rng)
             logits = network(torch.as_tensor(inputs, dtype=torch.float32))
@@ -114,14 +117,17 @@ def fit_proposals(
             loss.backward()  # type: ignore[no-untyped-call]
             optimiser.step()
             schedule.step()
+            total += loss.item() / PER_EPOCH
+        losses.append(total)
         progress("proposals", epoch + 1, settings.epochs)
     layers = [layer for layer in network if isinstance(layer, nn.Linear)]
-    return Proposals(
+    proposals = Proposals(
         tuple(layer.weight.detach().numpy().astype(float) for layer in layers),
         tuple(layer.bias.detach().numpy().astype(float) for layer in layers),
         columns,
         rows,
     )
+    return proposals, History(tuple(losses))
 
 
 def _layers(sizes: list[int]) -> nn.Sequential:

@@ -31,11 +31,17 @@ class RunningMean:
         noise: rms over the channels of the relative difference of two frames of a still sensor.
         mean: complex (measurements,), None before the first frame; NaN where never measured [ohm].
         count: frames in the mean.
+        longest: number of frames from which on the oldest are forgotten.
     """
 
     noise: float
     mean: Voltages | None = None
     count: int = 0
+    longest: int = LONGEST_MEAN
+
+    def restart(self, impedance: ArrayLike) -> None:
+        """Forget all but this frame."""
+        self.mean, self.count = np.array(impedance, dtype=np.complex128), 1
 
     def add(self, impedance: ArrayLike) -> bool:
         """Take one frame, NaN where a channel is bad; True if it departed and restarted the mean.
@@ -50,7 +56,7 @@ class RunningMean:
         known = np.isfinite(V) & np.isfinite(self.mean)
         change = relative_difference(V[known], self.mean[known])
         departed = bool(change.size and np.sqrt(np.mean(change**2)) > 2 * self.noise)
-        self.count = 1 if departed else min(self.count + 1, LONGEST_MEAN)
+        self.count = 1 if departed else min(self.count + 1, self.longest)
         step = np.where(known, (V - self.mean) / self.count, 0)
         only_new = np.isfinite(V) & ~np.isfinite(self.mean)
         self.mean = np.where(only_new, V, self.mean + step)

@@ -9,20 +9,14 @@ from eitskin.geometry.optional import require
 from eitskin.training.evaluate import Evaluation
 from eitskin.training.history import History
 from eitskin.training.metrics import STATES
-from eitskin.training.paper import PaperMethod
 from eitskin.training.pipeline import Pipeline
 from eitskin.training.report_drawing import BLUE, DARK, EXTRA, ORANGE, Absent, Drawn, new_figure
 
 
 def histories(pipeline: Pipeline) -> Mapping[str, History]:
-    """How the loss of each network fell in training, by its name; empty where there are none."""
-    if not isinstance(pipeline.method, PaperMethod):
-        return {}
-    histories = {
-        "state classifier": pipeline.method.classifier.history,
-        "touch map": pipeline.method.postprocessor.history,
-    }
-    return {name: history for name, history in histories.items() if history.training}
+    """How the loss of each network fell in training, by its name; empty where none was kept."""
+    kept = pipeline.method.histories
+    return {name: history for name, history in kept.items() if history.training}
 
 
 def training_curves(evaluation: Evaluation) -> Drawn | Absent:
@@ -41,7 +35,9 @@ def training_curves(evaluation: Evaluation) -> Drawn | Absent:
         axes.legend()
     caption = (
         "Loss after every epoch: cross-entropy of the state, mean binary cross-entropy per pixel "
-        "of the touch map. The training part is seen with the noise that training adds and as the "
+        "of the touch map; of the joint method the weighted squared error of the response and the "
+        "cross-entropy per cell of the proposals, whose frames are new in every step. The "
+        "training part is seen with the noise that training adds and as the "
         "weights were during the epoch; the validation part, a fifth of the frames that no weight "
         "is fitted to, without it and at the end of the epoch."
     )
