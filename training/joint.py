@@ -36,7 +36,7 @@ UNEXPLAINED = 6.0  # standard deviations of the misfit above its expectation tha
 
 
 class _Part(Interface):
-    def arrays(self) -> Mapping[str, Array]: ...
+    def arrays(self) -> Mapping[str, NDArray[np.floating]]: ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -51,11 +51,12 @@ class Proposals:
             left[away < 0.6 * separation] = 0.0
         return np.array(found).reshape(-1, 2)
 
-    def arrays(self) -> dict[str, Array]:
-        """What `from_arrays` needs to make this again."""
-        arrays = {"columns": self.columns, "rows": self.rows}
+    def arrays(self) -> dict[str, NDArray[np.floating]]:
+        """What `from_arrays` needs to make this again; weights were trained in single precision."""
+        arrays: dict[str, NDArray[np.floating]] = {"columns": self.columns, "rows": self.rows}
         for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
-            arrays |= {f"weight{i}": weight, f"bias{i}": bias}
+            arrays[f"weight{i}"] = weight.astype(np.float32)
+            arrays[f"bias{i}"] = bias.astype(np.float32)
         return arrays
 
     @classmethod

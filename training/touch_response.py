@@ -75,11 +75,15 @@ class TouchResponse:
         p = np.concatenate([[1.0], np.asarray(features, dtype=float)])
         return SpecimenResponse(self, np.tensordot(p, self.output, axes=1))
 
-    def arrays(self) -> dict[str, Array]:
-        """What `from_arrays` needs to make this again."""
-        arrays = {"output": self.output, "scale": np.array([self.scale, self.mismatch])}
+    def arrays(self) -> dict[str, NDArray[np.floating]]:
+        """What `from_arrays` needs to make this again; weights were trained in single precision."""
+        arrays: dict[str, NDArray[np.floating]] = {
+            "output": self.output.astype(np.float32),
+            "scale": np.array([self.scale, self.mismatch]),
+        }
         for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
-            arrays |= {f"weight{i}": weight, f"bias{i}": bias}
+            arrays[f"weight{i}"] = weight.astype(np.float32)
+            arrays[f"bias{i}"] = bias.astype(np.float32)
         ranges = self.ranges
         return arrays | {"ranges": np.array([ranges.size, ranges.force, ranges.angle_deg])}
 
