@@ -4,7 +4,7 @@ import numpy as np
 
 from eitskin.geometry import SensorDesign
 from eitskin.simulator import Protocol
-from eitskin.training.bend_curve import MEAN_POWERS, OWN_POWERS, BendCurve, BendCurves
+from eitskin.training.bend_curve import MEAN_POWERS, OWN_POWERS, SCALE, BendCurve, BendCurves
 from eitskin.training.touch_problem import Habits
 from eitskin.training.touch_response import Ranges, TouchResponse
 
@@ -26,6 +26,11 @@ def touch_change(touches, angle_deg=0.0):
     between = field[:, _PAIRS[:, 0]] - field[:, _PAIRS[:, 1]]
     stretch = 1.0 + 0.004 * np.asarray(angle_deg)
     return 1.5e-6 * stretch * touches[:, 2:] * np.sum(between**2, axis=2)
+
+
+def powers(angle_deg, count):
+    """Powers (n, count) of the angle in the unit of bend curves, from the first on."""
+    return (np.asarray(angle_deg)[..., None] / SCALE) ** np.arange(1, count + 1)
 
 
 def bend_mean():

@@ -71,18 +71,18 @@ def test_linear_in_features(learned, touches):
 
 
 def test_arrays_make_it_again(learned, touches):
+    """To single precision, in which weights are trained and kept."""
     told = replace(learned, mismatch=0.07)
     again = TouchResponse.from_arrays(told.arrays())
-    np.testing.assert_array_equal(
-        again.of([1.0, 2.0])(touches, -5.0), told.of([1.0, 2.0])(touches, -5.0)
-    )
+    expected = told.of([1.0, 2.0])(touches, -5.0)
+    said = again.of([1.0, 2.0])(touches, -5.0)
+    np.testing.assert_allclose(said, expected, atol=1e-5 * np.abs(expected).max())
+    twice = TouchResponse.from_arrays(again.arrays())
+    np.testing.assert_array_equal(twice.of([1.0, 2.0])(touches, -5.0), said)
     assert again.mismatch == 0.07
     assert again.ranges.size == told.ranges.size
     assert again.ranges.force == told.ranges.force
     assert again.ranges.angle_deg == told.ranges.angle_deg
-    single = {name: array.astype(np.float32) for name, array in told.arrays().items()}
-    close = TouchResponse.from_arrays(single).of([1.0, 2.0])(touches, -5.0)
-    assert np.abs(close - told.of([1.0, 2.0])(touches, -5.0)).max() < 1e-3
 
 
 # Learning
