@@ -28,7 +28,7 @@ def command(
             help="joint: a learned model fitted to each frame; paper: the paper's stages, trained "
             "as published; quick: the same, trained faster."
         ),
-    ] = "quick",
+    ] = "joint",
     report: Annotated[
         Path | None,
         typer.Option(help="Folder for a report with pictures; an earlier report is replaced."),

@@ -233,11 +233,14 @@ def _mismatch(response: TouchResponse, frames: "TouchFrames", variance: Array) -
     for i in range(min(len(frames.change), 2000)):
         touches = frames.touches[i][np.isfinite(frames.touches[i][:, 0])]
         said = response.of(frames.features[i])(touches, float(frames.angle_deg[i]))
-        # A common strength is no error of place: the fit has the forces for it.
-        total = said.sum(axis=0)
-        strength = float(total @ frames.change[i]) / float(total @ total)
-        excess += float(np.sum((frames.change[i] - strength * total) ** 2 - variance))
-        size += float(np.sum((strength * said) ** 2))
+        # A common strength is no error of place, the fit has the forces for it; q it allows for.
+        specimen = response.of(frames.features[i])
+        shapes = specimen.unseen(touches, float(frames.angle_deg[i]))
+        columns = np.concatenate([said.sum(axis=0)[None], shapes])
+        metric = np.diag(np.append(0.0, np.ones(len(shapes)))) * np.mean(variance)
+        fitted = np.linalg.solve(columns @ columns.T + metric, columns @ frames.change[i])
+        excess += float(np.sum((frames.change[i] - fitted @ columns) ** 2 - variance))
+        size += float(np.sum((fitted[0] * said) ** 2))
     return float(np.sqrt(max(excess / size, 1e-6)))
 
 

@@ -20,12 +20,12 @@ frequency, and sensors whose values are far from those it was trained with.
 **Says** whether the skin is idle, touched or bent, the bend angle in degrees, and where it is
 touched, in metres from the corner of the conductive layer.
 
-**Trained on** {frames} {source} frames, seed {seed}. What simulated frames do not hold (drift,
-hysteresis, other indenters) it has not seen.
+**Trained on** {frames} {source} frames, seed {seed}, by the {method} method. What they do not hold
+(other indenters, wear) it has not seen.
 
-**Limits.** A session must begin with the sensor flat and untouched. The bend angle of a touched
-sensor is the one it had before the touch. Another sensor of the same design bends with another
-gain.
+**Limits.** A session must begin with the sensor flat and untouched. Sensors of one design bend with
+gains that differ by a tenth and more: calibrate for angles. The paper's method gives a touched
+sensor the angle that it had before the touch.
 
 ## How good it was found to be
 
@@ -66,6 +66,7 @@ def perception_card(document: Mapping[str, Any]) -> str:
         measurements=len(layout["protocol"]["table"]),
         frequency=layout["frequency"] / 1e3,
         seed=document["settings"]["seed"],
+        method=document["method"],
         **_training(document),
     )
 

@@ -36,7 +36,8 @@ class Model:
 
     def frames(self, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
         """Inputs of the network (count, inputs), and the places of touches (count, MOST, 2)."""
-        features = rng.standard_normal((count, len(self.response.output) - 1))
+        known = len(self.response.output) - 1
+        features = rng.standard_normal((count, known + len(self.response.hidden_output)))
         low, high = self.curves.angle_deg
         angle = np.where(rng.uniform(size=count) < 0.25, 0.0, rng.uniform(low, high, count))
         touches = self._touches(count, rng)
@@ -44,9 +45,9 @@ class Model:
         averaged = 1.0 / 2.0 ** rng.integers(0, 6, count)  # 1 to 32 frames in the reference
         change += rng.standard_normal(change.shape) * self.noise * np.sqrt(1 + averaged)[:, None]
         moved = rng.standard_normal(count) * MOVED_DEG * (rng.uniform(size=count) < 0.5)
-        curve = self.curves.of(np.zeros(features.shape[1]))
+        curve = self.curves.of(np.zeros(known))
         change += curve.value(angle + moved) - curve.value(angle)
-        inputs = network_inputs(change, np.sqrt(2.0) * self.noise, angle, features)
+        inputs = network_inputs(change, np.sqrt(2.0) * self.noise, angle, features[:, :known])
         return inputs, touches[..., :2]
 
     def _touches(self, count: int, rng: np.random.Generator) -> Array:
@@ -81,8 +82,9 @@ class Model:
         factors = np.nan_to_num(touches[..., 2]) / response.ranges.middle_force * response.scale
         summed = (hidden * torch.as_tensor(factors[..., None], dtype=torch.float32)).sum(dim=1)
         share = np.concatenate([np.ones((len(touches), 1)), features], axis=1)
-        output = torch.as_tensor(response.output, dtype=torch.float32)
-        terms = torch.einsum("nh,pch->npc", summed, output)
+        output = np.concatenate([response.output, response.hidden_output])
+        output_ = torch.as_tensor(output, dtype=torch.float32)
+        terms = torch.einsum("nh,pch->npc", summed, output_)
         share_ = torch.as_tensor(share, dtype=torch.float32)
         change: Array = torch.einsum("npc,np->nc", terms, share_).numpy().astype(float)
         own = 1.0 + response.mismatch * rng.standard_normal(change.shape)

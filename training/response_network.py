@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 HIDDEN = 96
 LAYERS = 3
 SPREAD = 0.15  # of the strengths with which touches act on different specimens
+UNSEEN = 2  # ways in which specimens differ that only their touches show
 TRUST = 0.05  # relative error of a frame's change that is of no more concern than its noise
 
 
@@ -54,7 +55,7 @@ class TouchFrames:
 
 
 class ResponseNetwork(nn.Module):
-    """The network of `TouchResponse`, and a strength for each specimen that it learns from.
+    """The network of `TouchResponse`, and strength and q of each specimen that it learns from.
 
     How strongly a specimen feels does not show in its flat resistances; let free, strengths do
     not blur the shape of the response. Their geometric mean is held at one.
@@ -67,10 +68,14 @@ class ResponseNetwork(nn.Module):
         self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in pairwise(sizes))
         self.touches, self.channels = frames.touches.shape[1], frames.change.shape[1]
         self.features = frames.features.shape[1]
-        self.output = nn.Linear(HIDDEN + 1, self.channels * (1 + self.features), bias=False)
+        terms = 1 + self.features + UNSEEN
+        self.output = nn.Linear(HIDDEN + 1, self.channels * terms, bias=False)
         with torch.no_grad():  # begin near a response that is the same for all specimens
             self.output.weight[self.channels :] *= 0.1
-        self.log_strength = nn.Parameter(torch.zeros(int(frames.specimen.max()) + 1))
+        specimens = int(frames.specimen.max()) + 1
+        self.log_strength = nn.Parameter(torch.zeros(specimens))
+        # Zeros would stay zeros: the gradient of each factor is the other.
+        self.unseen = nn.Parameter(0.3 * torch.randn(specimens, UNSEEN))
 
     def forward(self, packed: Tensor) -> Tensor:
         """Changes (n, C), in units of `scale`, of frames packed as `_packed` does."""
@@ -83,10 +88,11 @@ class ResponseNetwork(nn.Module):
         # Linear in the touches' factors: added up before the large matrix product.
         summed = (hidden * factors[..., None]).sum(dim=1)
         terms = self.output(summed).reshape(len(packed), -1, self.channels)
-        share = torch.cat([torch.ones_like(features[:, :1]), features], dim=1)
+        number = specimen[:, 0].long()
+        share = torch.cat([torch.ones_like(features[:, :1]), features, self.unseen[number]], dim=1)
         strength = torch.exp(self.log_strength - self.log_strength.mean())
         change: Tensor = torch.einsum("npc,np->nc", terms, share)
-        return change * strength[specimen[:, 0].long()][:, None]
+        return change * strength[number][:, None]
 
 
 def fit_response(
@@ -107,7 +113,8 @@ def fit_response(
 
     def loss(said: Tensor, target: Tensor) -> Tensor:
         error = ((said - target[:, :-1]).square() * target[:, -1:]).mean()
-        return error + 1e-3 * (network.log_strength / SPREAD).square().mean()
+        departures = (network.log_strength / SPREAD).square().mean()
+        return error + 1e-3 * (departures + network.unseen.square().mean())
 
     history = train(
         network,
@@ -118,7 +125,7 @@ def fit_response(
         seed,
         lambda done, total: progress("touch response", done, total),
     )
-    return _response(network, scale, ranges), history
+    return _response(network, np.unique(frames.specimen), scale, ranges), history
 
 
 def _packed(frames: TouchFrames, ranges: Ranges) -> Tensor:
@@ -137,16 +144,28 @@ def _tensor(values: Array) -> Tensor:
     return torch.as_tensor(np.ascontiguousarray(values, dtype=np.float32))
 
 
-def _response(network: ResponseNetwork, scale: float, ranges: Ranges) -> TouchResponse:
+def _response(
+    network: ResponseNetwork, specimens: NDArray[np.int64], scale: float, ranges: Ranges
+) -> TouchResponse:
+    """The trained response; q is brought to mean zero and variance one over the specimens."""
+
     def plain(tensor: Tensor) -> Array:
         array: Array = tensor.detach().numpy().astype(float)
         return array
 
+    output = plain(network.output.weight).reshape(-1, network.channels, HIDDEN + 1)
+    known, unseen = output[: 1 + network.features], output[1 + network.features :]
+    q = plain(network.unseen)[specimens]
+    known[0] += np.tensordot(q.mean(axis=0), unseen, axes=1)
+    # One specimen says nothing of how others differ.
+    variance = np.cov(q.T) if len(q) > UNSEEN else np.zeros((UNSEEN, UNSEEN))
+    spread = np.linalg.cholesky(variance + 1e-12 * np.eye(UNSEEN))
     layers = [layer for layer in network.layers if isinstance(layer, nn.Linear)]
     return TouchResponse(
         tuple(plain(layer.weight) for layer in layers),
         tuple(plain(layer.bias) for layer in layers),
-        plain(network.output.weight).reshape(-1, network.channels, HIDDEN + 1),
+        known,
+        np.tensordot(spread.T, unseen, axes=1),
         scale,
         ranges,
         mismatch=0.0,

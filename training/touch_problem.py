@@ -147,17 +147,15 @@ class TouchProblem:
     def whitening(self, point: Point) -> Array:
         """L^-1 (good, C) of the residuals' covariance L L^T; columns left out are zero.
 
-        The covariance is that of noise, of the bend curve since the reference, and of the response,
-        whose errors are a learned share of what each touch does.
+        The covariance is that of noise, of the bend curve since the reference, and of the response.
         """
         good, covariance = self.good, self.noise
         if abs(point.angle_deg - self.reference_deg) > STILL_DEG:
             unsure = self.curve.uncertainty(point.angle_deg, self.reference_deg)
             covariance = covariance + unsure
         if len(point.touches):
-            change = self.response(point.touches, point.angle_deg)
-            share = self.response.response.mismatch
-            covariance = covariance + np.diag(share**2 * np.sum(change**2, axis=0))
+            unsure = self.response.uncertainty(point.touches, point.angle_deg)
+            covariance = covariance + unsure
         lower = np.linalg.cholesky(covariance[good[:, None], good])
         whitening = np.zeros((len(good), len(covariance)))
         whitening[:, good] = np.linalg.inv(lower)

@@ -48,24 +48,28 @@ _ANGLE_SCALE = 30.0  # deg, that the network takes as one
 class TouchResponse:
     """Change of log V by one touch, for any specimen; those of several touches add up.
 
-        g(x, y, F, theta; p) = F / F0 scale (W0 + sum_j p_j Wj) [h(x, y, F, theta), 1]
+        g(x, y, F, theta; p, q) = F / F0 scale (W0 + sum_j p_j Wj + sum_l q_l Wl) [h, 1]
 
-    with h a network of three layers and p the features of a specimen. The factor F makes a touch of
-    no force change nothing. Linear in p, because specimens differ by little.
+    with h(x, y, F, theta) a network of three layers and p the features of a specimen. q ~ N(0, 1)
+    is what differs between specimens and shows in their touches alone, such as how stiff they are
+    around the gel; it is never known, and part of the uncertainty. The factor F makes a touch of no
+    force change nothing. Linear in p and q, because specimens differ by little.
 
     Attributes:
         weights: of the three layers, (hidden, inputs) each.
         biases: (hidden,) each.
         output: (1 + P, C, hidden + 1): of the middle specimen, then for each feature.
+        hidden_output: (Q, C, hidden + 1): for each q.
         scale: size of a change, dimensionless.
         ranges: what it was learned for.
-        mismatch: rms error of a touch's change over its rms, on specimens never seen and after
-            its strength is fitted: sensors differ.
+        mismatch: rms error of a touch's change over its rms, on specimens never seen, after its
+            strength and q are fitted.
     """
 
     weights: tuple[Array, ...]
     biases: tuple[Array, ...]
     output: Array
+    hidden_output: Array
     scale: float
     ranges: Ranges
     mismatch: float
@@ -79,6 +83,7 @@ class TouchResponse:
         """What `from_arrays` needs to make this again; weights were trained in single precision."""
         arrays: dict[str, NDArray[np.floating]] = {
             "output": self.output.astype(np.float32),
+            "hidden_output": self.hidden_output.astype(np.float32),
             "scale": np.array([self.scale, self.mismatch]),
         }
         for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
@@ -98,6 +103,7 @@ class TouchResponse:
             tuple(values[f"weight{i}"] for i in layers),
             tuple(values[f"bias{i}"] for i in layers),
             values["output"],
+            values["hidden_output"],
             scale,
             Ranges(size, force, angle),
             mismatch,
@@ -118,14 +124,33 @@ class SpecimenResponse:
 
     def __call__(self, touches: Array, angle_deg: float) -> Array:
         """Changes (k, C) by touches (k, 3) of x [m], y [m] and force [N], each alone."""
+        hidden = self._hidden(touches, angle_deg)
+        change: Array = hidden @ self.output.T
+        return change
+
+    def uncertainty(self, touches: Array, angle_deg: float) -> Array:
+        """Covariance (C, C) of their sum, from not knowing q, and from what is left unexplained."""
+        hidden = self._hidden(touches, angle_deg)
+        change = hidden @ self.output.T
+        own = self.response.hidden_output @ hidden.sum(axis=0)
+        unexplained = self.response.mismatch**2 * np.sum(change**2, axis=0)
+        covariance: Array = own.T @ own + np.diag(unexplained)
+        return covariance
+
+    def unseen(self, touches: Array, angle_deg: float) -> Array:
+        """What each q changes in their sum (Q, C)."""
+        change: Array = self.response.hidden_output @ self._hidden(touches, angle_deg).sum(axis=0)
+        return change
+
+    def _hidden(self, touches: Array, angle_deg: float) -> Array:
+        """[h, 1] of each touch times its factor (k, hidden + 1)."""
         ranges, response = self.response.ranges, self.response
         hidden = ranges.inputs(touches, angle_deg)
         for weight, bias in zip(response.weights, response.biases, strict=True):
             before = hidden @ weight.T + bias
             hidden = before * _logistic(before)
-        change = hidden @ self.output[:, :-1].T + self.output[:, -1]
-        factor: Array = response.scale * touches[:, 2:] / ranges.middle_force
-        return factor * change
+        factor = response.scale * touches[:, 2:] / ranges.middle_force
+        return np.concatenate([factor * hidden, factor], axis=1)
 
     def with_derivatives(self, touches: Array, angle_deg: float) -> tuple[Array, Array]:
         """Changes (k, C), and their derivatives (k, 3, C) by x, y [1/m] and force [1/N]."""
