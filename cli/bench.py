@@ -11,6 +11,7 @@ from rich import box
 from rich.markup import escape
 from rich.table import Table
 
+from eitskin.cli import bench_paper
 from eitskin.cli.options import Json, Output, Quiet, Seed, Verbose
 from eitskin.geometry import ConfigurationError
 
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from eitskin.benchmarks.stability import Stability
 
 app = typer.Typer(help="Measure errors and times.", no_args_is_help=True)
+app.command("paper")(bench_paper.command)
 
 
 Out = Annotated[Path, typer.Option(help="Folder for the tables and the plots.")]
@@ -41,7 +43,7 @@ def accuracy(
     from eitskin.benchmarks.accuracy_report import misses, write
 
     output = Output(json, quiet, verbose)
-    _make_folder(out)
+    make_folder(out)
     found = run(seed, quick, _watched(output))
     paths = write(found, out)
     output.result(_as_data(found, paths), _as_table(found))
@@ -68,7 +70,7 @@ def stability(
     from eitskin.benchmarks.stability import run, write
 
     output = Output(json, quiet, verbose)
-    _make_folder(out)
+    make_folder(out)
     found = run(seed, quick, _watched(output))
     path = out / "stability.csv"
     write(found, path)
@@ -81,7 +83,8 @@ def stability(
         raise typer.Exit(1)
 
 
-def _make_folder(out: Path) -> None:
+def make_folder(out: Path) -> None:
+    """Make the folder for results; raises ConfigurationError where that cannot be."""
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:

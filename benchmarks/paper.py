@@ -1,0 +1,188 @@
+"""`eitskin bench paper`: the paper's experiments, with its own pipeline and with a better one."""
+
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from eitskin.benchmarks import paper_limits, paper_scores
+from eitskin.benchmarks.paper_limits import SignalToNoise
+from eitskin.benchmarks.paper_scores import Figures
+from eitskin.benchmarks.paper_sets import Progress, Sets, make
+from eitskin.benchmarks.provenance import Provenance
+from eitskin.datasets import Dataset, Recipe
+from eitskin.geometry import ConfigurationError, DataError
+from eitskin.training import Pipeline, TrainingSettings
+from eitskin.training.observed import fingerprint
+
+REFERENCE = Path(__file__).parent.parent / "training" / "reference.eitmodel"
+"""The pipeline that comes with the package."""
+BOUNDED, BOUNDED_QUICK = 40, 4  # frames of each kind whose bound is computed
+
+OWN, UNSEEN, OURS = "paper's, own sensor", "paper's, unseen", "ours, unseen"
+COLUMNS = (OWN, UNSEEN, OURS)
+
+Variants = Callable[[Pipeline], Sequence[tuple[str, Pipeline]]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Variant:
+    """One way to process frames, on all touches of the unseen sensors.
+
+    Attributes:
+        name: in words.
+        figures: of `paper_scores.touch_scores`, one of each seed.
+    """
+
+    name: str
+    figures: tuple[Figures, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Comparison:
+    """Everything that was measured; one of each seed in every tuple.
+
+    Attributes:
+        provenance: of the measurement; its seed is the last.
+        seeds: of the frames and of the training of the paper's pipeline.
+        quick: whether a tenth of the frames had to do.
+        pipeline: what "ours" is.
+        recipe: of the last seed's frames on unseen sensors: instrument, sensors.
+        figures: by column.
+        bounds: of figures, by their names.
+        signal_to_noise: of the touches on unseen sensors.
+        variants: for the plot of error against time.
+    """
+
+    provenance: Provenance
+    seeds: tuple[int, ...]
+    quick: bool
+    pipeline: str
+    recipe: Recipe
+    figures: dict[str, tuple[Figures, ...]]
+    bounds: tuple[Figures, ...]
+    signal_to_noise: tuple[SignalToNoise, ...]
+    variants: tuple[Variant, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Measured:
+    """The part of one seed."""
+
+    recipe: Recipe
+    figures: dict[str, Figures]
+    bounds: Figures
+    signal_to_noise: SignalToNoise
+    variants: dict[str, Figures]
+
+
+def no_variants(ours: Pipeline) -> Sequence[tuple[str, Pipeline]]:  # noqa: ARG001
+    """Only the two pipelines of the table."""
+    return ()
+
+
+def run(
+    pipeline: Path,
+    folder: Path,
+    seeds: int = 3,
+    quick: bool = False,
+    workers: int = 2,
+    progress: Progress = lambda *_: None,
+    variants: Variants = no_variants,
+) -> Comparison:
+    """Measure the paper's pipeline, trained here for each seed, and the one at `pipeline`.
+
+    Args:
+        pipeline: NAME.eitmodel.
+        folder: where frames and the paper's pipelines are kept, and looked for.
+        seeds: how many; the first is 0.
+        quick: a tenth of the frames.
+        workers: processes that generate frames.
+        progress: told of every part.
+        variants: of the pipeline, by name, for the plot of error against time.
+
+    Raises ConfigurationError for no seeds, no pipeline, or a folder with frames of other recipes.
+    """
+    if seeds < 1:
+        raise ConfigurationError(f"a benchmark needs at least one seed, got {seeds}")
+    if not pipeline.is_dir():
+        raise ConfigurationError(
+            f"there is no pipeline at {pipeline}; name one that eitskin train has made, with "
+            "--pipeline NAME.eitmodel"
+        )
+    ours = Pipeline.load(pipeline)
+    parts = []
+    for seed in range(seeds):
+        place = folder / f"{'quick-' if quick else ''}seed-{seed}"
+        sets = make(place, seed, quick, workers, progress)
+        paper = _paper_pipeline(sets.training, place / "paper.eitmodel", seed, progress)
+        parts.append(_measured(sets, paper, ours, variants(ours), seed, quick, progress))
+    names = list(parts[0].variants)
+    return Comparison(
+        provenance=Provenance.now(seeds - 1),
+        seeds=tuple(range(seeds)),
+        quick=quick,
+        pipeline=f"{pipeline.name}, {_description(ours)}",
+        recipe=parts[-1].recipe,
+        figures={column: tuple(part.figures[column] for part in parts) for column in COLUMNS},
+        bounds=tuple(part.bounds for part in parts),
+        signal_to_noise=tuple(part.signal_to_noise for part in parts),
+        variants=tuple(Variant(n, tuple(part.variants[n] for part in parts)) for n in names),
+    )
+
+
+def _measured(
+    sets: Sets,
+    paper: Pipeline,
+    ours: Pipeline,
+    variants: Iterable[tuple[str, Pipeline]],
+    seed: int,
+    quick: bool,
+    progress: Progress,
+) -> _Measured:
+    def said(what: str, done: int) -> None:
+        progress(f"measuring, seed {seed}: {what}", done, 5)
+
+    said(OWN, 0)
+    figures = {OWN: paper_scores.scores(paper, sets.own)}
+    for number, (column, pipeline) in enumerate(((UNSEEN, paper), (OURS, ours)), 1):
+        said(column, number)
+        calibrated = paper_scores.calibrated_scores(pipeline, sets.unseen, sets.calibration)
+        figures[column] = paper_scores.scores(pipeline, sets.unseen) | calibrated
+    said("variants", 3)
+    others = {
+        name: paper_scores.touch_scores(pipeline, sets.unseen["touch"])
+        for name, pipeline in variants
+    }
+    said("bounds", 4)
+    count = BOUNDED_QUICK if quick else BOUNDED
+    bounds = paper_limits.bounds(sets.unseen, sets.recipe, count, seed)
+    said("done", 5)
+    return _Measured(
+        sets.recipe,
+        figures,
+        bounds,
+        SignalToNoise.of(sets.unseen),
+        {"paper's stages": figures[UNSEEN], "ours": figures[OURS], **others},
+    )
+
+
+def _paper_pipeline(data: Dataset, place: Path, seed: int, progress: Progress) -> Pipeline:
+    """Trained as published on `data`, or the one at `place` that was; one of no use is replaced."""
+    settings = TrainingSettings.preset("paper", seed)
+    with suppress(DataError):
+        kept = Pipeline.load(place)
+        if kept.trained_on["sha256"] == fingerprint(data) and kept.settings == settings:
+            return kept
+    pipeline = Pipeline.fit(data, settings, progress)
+    pipeline.save(place)
+    return pipeline
+
+
+def _description(pipeline: Pipeline) -> str:
+    trained: dict[str, Any] = dict(pipeline.trained_on)
+    return (
+        f"method {pipeline.method.KIND}, trained on {trained['frames']} {trained['source']} "
+        f"frames, seed {pipeline.settings.seed}"
+    )

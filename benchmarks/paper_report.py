@@ -1,0 +1,141 @@
+"""What `bench paper` leaves behind: the table as Markdown, CSV and JSON, and a plot."""
+
+import dataclasses
+import json
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from eitskin.benchmarks.paper import COLUMNS, OURS, Comparison
+from eitskin.benchmarks.paper_limits import SignalToNoise
+from eitskin.benchmarks.paper_lines import LINES, Line
+from eitskin.benchmarks.paper_plot import plot_time, plot_touches
+from eitskin.benchmarks.paper_scores import Figures
+from eitskin.benchmarks.tables import write_table
+from eitskin.geometry.whole_file import whole_file
+from eitskin.training.metrics import GATE
+from eitskin.training.report import SSIM_DEFINITION
+
+HEADINGS = ("experiment", "paper", *COLUMNS, "to reach", "bound", "ours / bound")
+BOUND = "Cramer-Rao bound"
+_DIGITS = {"mm": 2, "deg": 2, "%": 2, "ms": 2, "": 3}
+
+
+def table(found: Comparison) -> Iterator[tuple[str, ...]]:
+    """Rows of cells under `HEADINGS`: mean over the seeds, and its spread where there are some.
+
+    Lines that no column has a figure for are left out.
+    """
+    for line in LINES:
+        columns = [_values(found.figures[name], line) for name in COLUMNS]
+        bound = _values(found.bounds, line)
+        if not any(columns):
+            continue
+        ours = _values(found.figures[OURS], line)
+        multiple = f"{np.mean(ours) / np.mean(bound):.1f}" if ours and bound else ""
+        cells = (_cell(values, line.unit) for values in (*columns,))
+        text = f"{line.text} [{line.unit}]" if line.unit else line.text
+        yield text, line.paper, *cells, line.target, _cell(bound, line.unit), multiple
+
+
+def _values(figures: Sequence[Figures], line: Line) -> list[float]:
+    """Of the seeds that have one."""
+    factor = 100.0 if line.unit == "%" else 1.0
+    return [factor * each[line.figure] for each in figures if line.figure in each]
+
+
+def _cell(values: Sequence[float], unit: str) -> str:
+    if not values:
+        return ""
+    digits = _DIGITS[unit]
+    mean = f"{np.mean(values):.{digits}f}"
+    return mean if len(values) == 1 else f"{mean} +- {np.std(values, ddof=1):.{digits}f}"
+
+
+def sentences(found: Comparison) -> Iterator[str]:
+    """What belongs beside the table."""
+    seeds = ", ".join(map(str, found.seeds))
+    quick = "; a tenth of the frames, for trying out only" if found.quick else ""
+    yield f"{found.provenance}; seeds {seeds}{quick}"
+    yield f"ours: {found.pipeline}"
+    yield (
+        "Means over the seeds, +- their standard deviation. Each seed has its own sensors, frames, "
+        "and a pipeline of the paper that is trained on one sensor, tested on that one and on "
+        "sensors never seen; ours is one pipeline, on the same unseen sensors. Training meshes are "
+        "coarser than the test frames'."
+    )
+    yield SSIM_DEFINITION
+    yield (
+        f"Places: touches matched by the Hungarian method within {1e3 * GATE:g} mm; what is not "
+        "matched is missed or false and has no error."
+    )
+    yield (
+        "Bounds: white noise alone, of the nominal sensor, some of the frames. The bound of an "
+        "angle while touched is that of the frame by itself; a pipeline also knows the frames "
+        "before the touch, so it may do better."
+    )
+    for seed, ratio in zip(found.seeds, found.signal_to_noise, strict=True):
+        yield f"seed {seed}: {_ratio(ratio)}"
+    yield f"instrument: {_terms(found.recipe.instrument)}"
+    yield f"specimens: {_terms(found.recipe.specimens)}"
+
+
+def _ratio(ratio: SignalToNoise) -> str:
+    return (
+        f"signal to noise of a touch, rms, per channel: {ratio.least:.1f} least, "
+        f"{ratio.median:.1f} median, {ratio.most:.1f} most"
+    )
+
+
+def _terms(said: Any) -> str:
+    return ", ".join(f"{name} {value}" for name, value in dataclasses.asdict(said).items() if value)
+
+
+def as_data(found: Comparison) -> dict[str, Any]:
+    """Everything as plain data."""
+    return {
+        "provenance": dataclasses.asdict(found.provenance),
+        "seeds": list(found.seeds),
+        "quick": found.quick,
+        "pipeline": found.pipeline,
+        "figures": {name: list(each) for name, each in found.figures.items()},
+        "bounds": list(found.bounds),
+        "signal_to_noise": [dataclasses.asdict(each) for each in found.signal_to_noise],
+        "variants": {each.name: list(each.figures) for each in found.variants},
+        "instrument": dataclasses.asdict(found.recipe.instrument),
+        "specimens": dataclasses.asdict(found.recipe.specimens),
+        "definitions": {"ssim": SSIM_DEFINITION},
+    }
+
+
+def write(found: Comparison, folder: Path) -> list[Path]:
+    """Write paper.csv, paper.md, paper.json and two plots into `folder`, each whole."""
+    names = ("paper.csv", "paper.md", "paper.json", "paper-touches.png", "paper-time.png")
+    paths = [folder / name for name in names]
+    write_table(paths[0], list(_long(found)), str(found.provenance))
+    for path, text in ((paths[1], markdown(found)), (paths[2], json.dumps(as_data(found)) + "\n")):
+        with whole_file(path) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+    for path, plot in zip(paths[3:], (plot_touches, plot_time), strict=True):
+        with whole_file(path) as temporary:
+            plot(found, temporary)
+    return paths
+
+
+def markdown(found: Comparison) -> str:
+    """The table and what belongs beside it."""
+    rows = [HEADINGS, ("---",) * len(HEADINGS), *table(found)]
+    lines = ["| " + " | ".join(cell.strip() for cell in row) + " |" for row in rows]
+    return "\n".join([*lines, "", *(f"- {each}" for each in sentences(found)), ""])
+
+
+def _long(found: Comparison) -> Iterator[dict[str, Any]]:
+    """One row per seed, column and figure."""
+    columns = {**found.figures, BOUND: found.bounds}
+    columns |= {f"variant: {each.name}": each.figures for each in found.variants}
+    for column, seeds in columns.items():
+        for seed, figures in zip(found.seeds, seeds, strict=True):
+            for figure, value in figures.items():
+                yield {"column": column, "seed": seed, "figure": figure, "value": value}

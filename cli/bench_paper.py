@@ -1,0 +1,67 @@
+"""`eitskin bench paper`: the paper's table, measured."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich import box
+from rich.table import Table
+
+from eitskin.cli.options import Json, Output, Quiet, Verbose
+
+if TYPE_CHECKING:
+    from eitskin.benchmarks.paper import Comparison
+
+
+def command(
+    out: Annotated[Path, typer.Option(help="Folder for frames, tables and plots.")] = Path(
+        "build/bench/paper"
+    ),
+    *,
+    pipeline: Annotated[
+        Path | None,
+        typer.Option(help="What to measure, NAME.eitmodel; the one that comes along if omitted."),
+    ] = None,
+    seeds: Annotated[int, typer.Option(min=1, help="How many; the first is 0.")] = 3,
+    workers: Annotated[int, typer.Option(min=1, help="Processes that make frames.")] = 2,
+    quick: Annotated[bool, typer.Option("--quick", help="A tenth of the frames.")] = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """The paper's experiments: as published, with its pipeline trained here, and with ours.
+
+    Frames are kept in the folder, and made on from where an earlier run was stopped.
+    """
+    from eitskin.benchmarks.paper import REFERENCE, run
+    from eitskin.benchmarks.paper_report import as_data, sentences, write
+    from eitskin.cli.bench import make_folder
+
+    output = Output(as_json, quiet, verbose)
+    make_folder(out)
+    with output.progress() as bar:
+        tasks: dict[str, Any] = {}
+
+        def show(part: str, done: int, total: int) -> None:
+            name, _, rest = part.partition(": ")
+            if name not in tasks:
+                tasks[name] = bar.add_task(name, total=total, rate="")
+            bar.update(tasks[name], completed=done, total=total, rate=rest)
+
+        found = run(pipeline or REFERENCE, out, seeds, quick, workers, show)
+    paths = write(found, out)
+    output.result(as_data(found) | {"files": [str(path) for path in paths]}, _as_table(found))
+    for line in sentences(found):
+        output.show(line)
+    output.note("written: " + ", ".join(str(path) for path in paths))
+
+
+def _as_table(found: "Comparison") -> Table:
+    from eitskin.benchmarks.paper_report import HEADINGS, table
+
+    drawn = Table(*HEADINGS, box=box.SIMPLE, pad_edge=False)
+    for column in drawn.columns[1:]:
+        column.justify = "right"
+    for row in table(found):
+        drawn.add_row(*row)
+    return drawn
