@@ -55,7 +55,7 @@ def curves(features=0):
     return BendCurves(mean, own_covariance(), (-20.0, 50.0))
 
 
-def response(mismatch=0.0, features=0, hidden=160, seed=0):
+def response(mismatch=0.0, features=0, unseen=0, hidden=160, seed=0):
     """A network of fixed random layers whose last one is fitted to `touch_change`.
 
     What it is fitted to does not matter where frames are made from it: it is the truth then.
@@ -74,9 +74,9 @@ def response(mismatch=0.0, features=0, hidden=160, seed=0):
     wanted = touch_change(touches, angle[:, None]) / factor
     output = np.linalg.lstsq(columns, wanted, rcond=1e-4)[0].T
     extra = 0.05 * rng.standard_normal((features, 28, 1)) * output
-    return TouchResponse(
-        weights, biases, np.concatenate([output[None], extra]), 0.01, RANGES, mismatch
-    )
+    own = 0.05 * rng.standard_normal((unseen, 28, 1)) * output
+    output = np.concatenate([output[None], extra])
+    return TouchResponse(weights, biases, output, own, 0.01, RANGES, mismatch)
 
 
 def places(step=0.006):

@@ -24,7 +24,7 @@ STEPS = np.array([1e-6, 1e-6, 1e-4])  # m, m, N
 
 @pytest.fixture(scope="module")
 def learned():
-    return response(features=2)
+    return response(features=2, unseen=2)
 
 
 @pytest.fixture
@@ -68,6 +68,25 @@ def test_linear_in_features(learned, touches):
     np.testing.assert_allclose(
         change(-2.0, 0.3), middle - 2.0 * first + 0.3 * second, rtol=1e-9, atol=1e-14
     )
+
+
+def test_uncertainty_is_the_covariance_of_what_is_not_known(learned, touches):
+    """Of the sum of three touches on specimens drawn at random, and of what no q explains."""
+    rng = np.random.default_rng(6)
+    three, angle = touches[:3], 10.0
+    told = replace(learned, mismatch=0.03)
+    one = told.of([0.5, 0.0])
+    shapes, each = one.unseen(three, angle), one(three, angle)
+    assert shapes.shape == (2, 28)
+    alone = [one.unseen(three[i : i + 1], angle) for i in range(3)]
+    np.testing.assert_allclose(np.sum(alone, axis=0), shapes)
+    drawn = rng.standard_normal((20_000, 2)) @ shapes
+    for change in each:
+        drawn += 0.03 * change * rng.standard_normal((20_000, 28))
+    said = one.uncertainty(three, angle)
+    np.testing.assert_allclose(said, np.cov(drawn.T), atol=0.04 * np.diag(said).max())
+    again = TouchResponse.from_arrays(told.arrays()).of([0.5, 0.0])
+    np.testing.assert_allclose(again.uncertainty(three, angle), said, atol=1e-5 * said.max())
 
 
 def test_arrays_make_it_again(learned, touches):
@@ -157,9 +176,10 @@ def test_network_says_what_it_was_trained_to_say():
     """The response without torch is the network's own, frame by frame."""
     data = frames(40, 4)
     network = ResponseNetwork(data)
+    network.unseen.data[:] = torch.tensor([0.3, -0.5])  # the same for all: then it is none
     with torch.inference_mode():
         said = network(_packed(data, RANGES)).numpy() * 0.5
-    plain = _response(network, 0.5, RANGES)
+    plain = _response(network, np.unique(data.specimen), 0.5, RANGES)
     for i in range(40):
         touches = data.touches[i][np.isfinite(data.touches[i][:, 0])]
         alone = plain.of(data.features[i])(touches, float(data.angle_deg[i])).sum(axis=0)
