@@ -327,6 +327,18 @@ def test_calibration_makes_angles_right_and_surer(method):
     assert told.residual_deg < 0.3
 
 
+def test_drift_during_calibration_is_not_taken_for_the_curve(method):
+    """Frames of one angle, all half a percent up after four hours: the curve hardly moves."""
+    angles = np.full(6, 30.0)
+    change = method.curves.of([0.0]).value(angles) + 5e-3
+    bend = {}
+    for name, age in (("fresh", 0.0), ("old", 4 * 3600.0)):
+        known = KnownBends(FLAT, 4, angles, change, np.full(6, age))
+        curve = method.adapted(known)[0].calibrated
+        bend[name] = np.abs(curve.own).max()
+    assert bend["old"] < 0.3 * bend["fresh"]
+
+
 def test_other_sensor_than_the_calibrated_one_is_told(method):
     one, _ = calibrated(method)
     assert one.perceive(observed(method)).problems == ((),)
