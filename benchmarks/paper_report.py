@@ -26,16 +26,16 @@ _DIGITS = {"mm": 2, "deg": 2, "%": 2, "ms": 2, "": 3}
 def table(found: Comparison) -> Iterator[tuple[str, ...]]:
     """Rows of cells under `HEADINGS`: mean over the seeds, and its spread where there are some.
 
-    Lines that no column has a figure for are left out.
+    Indented lines that no column has a figure for are left out; others head what follows them.
     """
     for line in LINES:
         columns = [_values(found.figures[name], line) for name in COLUMNS]
         bound = _values(found.bounds, line)
-        if not any(columns):
+        if line.text.startswith(" ") and not any(columns):
             continue
         ours = _values(found.figures[OURS], line)
         multiple = f"{np.mean(ours) / np.mean(bound):.1f}" if ours and bound else ""
-        cells = (_cell(values, line.unit) for values in (*columns,))
+        cells = (_cell(values, line.unit) for values in columns)
         text = f"{line.text} [{line.unit}]" if line.unit else line.text
         yield text, line.paper, *cells, line.target, _cell(bound, line.unit), multiple
 
@@ -127,7 +127,7 @@ def write(found: Comparison, folder: Path) -> list[Path]:
 def markdown(found: Comparison) -> str:
     """The table and what belongs beside it."""
     rows = [HEADINGS, ("---",) * len(HEADINGS), *table(found)]
-    lines = ["| " + " | ".join(cell.strip() for cell in row) + " |" for row in rows]
+    lines = ["| " + " | ".join(cell.replace("  ", "&emsp;") for cell in row) + " |" for row in rows]
     return "\n".join([*lines, "", *(f"- {each}" for each in sentences(found)), ""])
 
 
