@@ -41,7 +41,7 @@ def plot_touches(found: Comparison, path: Path) -> None:
     axes.set_xticks(places, [text for text, _ in _TOUCHES.values()])
     axes.set_ylabel("mean error of a found touch [mm]")
     axes.spines[["top", "right"]].set_visible(False)
-    axes.legend(frameon=False)
+    figure.legend(frameon=False, loc="outside upper center", ncols=5)
     figure.savefig(path, dpi=120, facecolor="white")
 
 
