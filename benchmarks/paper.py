@@ -18,7 +18,7 @@ from eitskin.training.observed import fingerprint
 
 REFERENCE = Path(__file__).parent.parent / "training" / "reference.eitmodel"
 """The pipeline that comes with the package."""
-BOUNDED, BOUNDED_QUICK = 40, 4  # frames of each kind whose bound is computed
+BOUNDED, BOUNDED_QUICK = 12, 4  # frames of each kind whose bound is computed
 
 OWN, UNSEEN, OURS = "paper's, own sensor", "paper's, unseen", "ours, unseen"
 COLUMNS = (OWN, UNSEEN, OURS)

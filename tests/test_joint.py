@@ -458,3 +458,23 @@ def test_too_little_to_learn_from_is_told():
     blind = replace(data, touch_force=np.full_like(data.touch_force, np.nan))
     with pytest.raises(DataError, match="0 touched frames with known places, forces"):
         fit_joint(blind, LAYOUT, JointSettings())
+
+
+def test_a_contact_that_changed_since_the_session_began_bends_nothing(method):
+    """Only the static reference is out of date: the angle is told without that electrode."""
+    size = 0.005
+    wrong = np.zeros(28)
+    wrong[ELECTRODE] = np.log1p(size * np.median(FLAT) / FLAT[ELECTRODE])
+    right = observed(method, angle_deg=30.0, rng=np.random.default_rng(5))
+    shifted = replace(right, static=np.expm1(np.log1p(right.static) + wrong))
+    said = method.perceive(shifted)
+    assert said.bend_angle_deg[0] == pytest.approx(30.0, abs=4 * said.bend_deviation_deg[0])
+    assert any("electrode 3" in problem for problem in said.problems[0])
+    assert method.perceive(right).problems == ((),)
+
+
+def test_a_static_reference_that_nothing_explains_is_told(method):
+    right = observed(method, angle_deg=30.0)
+    noise = 0.01 * np.random.default_rng(6).standard_normal(28)
+    said = method.perceive(replace(right, static=np.expm1(np.log1p(right.static) + noise)))
+    assert any("no angle explains" in problem for problem in said.problems[0])

@@ -30,6 +30,7 @@ def test_the_wheel_holds_every_module_of_the_tree(tmp_path) -> None:
     assert done.returncode == 0, done.stderr
     (wheel,) = tmp_path.glob("*.whl")
     held = set(zipfile.ZipFile(wheel).namelist())
+    assert "eitskin/training/reference.eitmodel/weights.safetensors" in held
     wanted = {
         f"eitskin/{path.relative_to(ROOT).as_posix()}"
         for folder in FOLDERS

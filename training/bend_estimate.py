@@ -1,16 +1,22 @@
 """The angle of an untouched sensor from its curve, by maximum likelihood."""
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from eitskin.training.bend_curve import BendCurve
+from eitskin.training.faults import EVIDENCE, Fault, likeliest
 
 Array = NDArray[np.float64]
 
 GRID = 36  # angles from which the nearest is taken to start with
 STEPS = 6  # of Fisher's scoring at most
 SETTLED_DEG = 1e-3
+SUSPECT = 3.0  # standard deviations of the misfit above which a fault is looked for
+MOST_FAULTS = 2
 BEYOND_DEG = 5.0  # how far outside of the angles learned from an estimate may lie
 
 
@@ -19,6 +25,54 @@ def angle_error(curve: BendCurve, angle_deg: float, noise: Array) -> float:
     slope = curve.slope(angle_deg)
     covariance = noise + curve.uncertainty(angle_deg)
     return float(1.0 / np.sqrt(slope @ cho_solve(cho_factor(covariance), slope)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AngleEstimate:
+    """The angle of one frame.
+
+    Attributes:
+        angle_deg, deviation_deg: and its standard error [deg].
+        excess: of the misfit above its expectation, in standard deviations.
+        faults: why measurements were left out.
+    """
+
+    angle_deg: float
+    deviation_deg: float
+    excess: float
+    faults: tuple[Fault, ...] = ()
+
+
+def checked_angle(
+    curve: BendCurve, change: Array, noise: Array, faults: Sequence[Fault]
+) -> AngleEstimate:
+    """The angle of one frame, less the measurements that contradict all others.
+
+    A contact that has changed since the reference was taken bends the sensor, in appearance, by
+    degrees. Where no angle explains a frame, the fault that explains most of what is left is taken
+    out, and the angle estimated again.
+    """
+    told: tuple[Fault, ...] = ()
+    while True:
+        angle, deviation = estimate_angle(curve, change, noise)
+        good = np.flatnonzero(np.isfinite(change))
+        covariance = noise + curve.uncertainty(angle)
+        whitening = np.linalg.inv(np.linalg.cholesky(covariance[good[:, None], good]))
+        left = whitening @ (change - curve.value(angle))[good]
+        freedom = len(good) - 1
+        excess = (float(left @ left) - freedom) / float(np.sqrt(2.0 * freedom))
+        found = AngleEstimate(angle, deviation, excess, told)
+        if excess < SUSPECT or not faults or len(told) == MOST_FAULTS:
+            return found
+        slope = (whitening @ curve.slope(angle)[good])[:, None]
+        directions = np.array([fault.change for fault in faults])[:, good]
+        fault, gain = likeliest(left, slope, whitening @ directions.T, faults)
+        rest = np.delete(good, np.isin(good, fault.members))
+        if gain < EVIDENCE or len(rest) < len(change) // 2:
+            return found
+        change = change.copy()
+        change[list(fault.members)] = np.nan
+        told = (*told, fault)
 
 
 def estimate_angle(curve: BendCurve, change: Array, noise: Array) -> tuple[float, float]:

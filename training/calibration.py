@@ -1,5 +1,6 @@
 """Adapting a trained pipeline to one sensor, from untouched frames at known angles."""
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -58,7 +59,9 @@ class KnownBends:
                 f"bent sensor, got {int(flat.sum())} and {int((~flat).sum())}"
             )
         values = np.log(np.abs([layout.voltages(frame)[0] for frame in frames]))
-        reference = values[flat].mean(axis=0)
+        with warnings.catch_warnings():  # a measurement that is bad in every flat frame stays NaN
+            warnings.simplefilter("ignore", RuntimeWarning)
+            reference = np.nanmean(values[flat], axis=0)
         layout.require_same_sensor(np.exp(reference).astype(np.complex128))
         time = np.array([frame.time for frame in frames])
         return cls(

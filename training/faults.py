@@ -96,19 +96,29 @@ def mended(
             starts.append((_taken_back(problem, found, i), found.point.without(i)))
     if touches and _excess(found.misfit, found.freedom) > AMISS:
         starts.append((found, found.point))
+    changes = np.array([fault.change for fault in faults]).T
     for fitted, point in starts:
-        fault, gain = _likeliest(fitted, faults)
+        quadratic = fitted.quadratic
+        directions = fitted.whitening @ changes
+        fault, gain = likeliest(quadratic.residual, quadratic.jacobian, directions, faults)
         # A touch has three unknowns and a fault one: it may leave a little more.
         spared = 3 * (touches - len(point.touches)) + SPARED
-        if gain < EVIDENCE or fitted.misfit - gain > found.misfit + spared:
+        if gain < EVIDENCE:
             continue
-        if _excess(fitted.misfit - gain, fitted.freedom - 1) > FITTING:
+        # Large changes of a contact are not linear; a fault alone is judged by the fit without it.
+        alone = not len(point.touches)
+        rest = fitted.misfit - gain
+        if not alone and (
+            rest > found.misfit + spared or _excess(rest, fitted.freedom - 1) > FITTING
+        ):
             continue
         fewer = problem.lacking(fault.members)
         if len(fewer.good) < len(problem.change) // 2:
             continue
         again = refined(fewer, point, STEPS, SETTLED)
-        if _excess(again.misfit, again.freedom) < FITTING:
+        if _excess(again.misfit, again.freedom) < FITTING and (
+            not alone or again.misfit < found.misfit + spared
+        ):
             return Mended(fault, fewer, again)
     return None
 
@@ -118,18 +128,20 @@ def _taken_back(problem: TouchProblem, found: Fitted, touch: int) -> Fitted:
     return refined(problem, found.point.without(touch), STEPS, SETTLED)
 
 
-def _likeliest(fitted: Fitted, faults: Sequence[Fault]) -> tuple[Fault, float]:
-    """The fault that explains most of what is left, and its gain.
+def likeliest(
+    residual: Array, known: Array, directions: Array, faults: Sequence[Fault]
+) -> tuple[Fault, float]:
+    """The fault that explains most of a residual (C,), and by how much it lowers the misfit.
 
-    Beside the other unknowns a direction u gains (u^T P r)^2 / (u^T P u), with P the projection
-    that takes theirs off.
+    Beside the other unknowns, of Jacobian `known` (C, n), a direction u gains
+    (u^T P r)^2 / (u^T P u), with P the projection that takes theirs off; all are whitened, and
+    `directions` are (C, faults).
     """
-    basis, _ = np.linalg.qr(fitted.quadratic.jacobian)
-    columns = fitted.whitening @ np.array([fault.change for fault in faults]).T
-    free = columns - basis @ (basis.T @ columns)
+    basis, _ = np.linalg.qr(known)
+    free = directions - basis @ (basis.T @ directions)
     size = np.sum(free**2, axis=0)
-    gain = (free.T @ fitted.quadratic.residual) ** 2 / np.maximum(size, 1e-9)
-    gain[size < 1e-3 * np.sum(columns**2, axis=0)] = 0.0  # what bend or touches could do as well
+    gain = (free.T @ residual) ** 2 / np.maximum(size, 1e-9)
+    gain[size < 1e-3 * np.sum(directions**2, axis=0)] = 0.0  # the unknowns could do as well
     best = int(gain.argmax())
     return faults[best], float(gain[best])
 

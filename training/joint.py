@@ -10,7 +10,12 @@ from numpy.typing import NDArray
 
 from eitskin.simulator import Protocol
 from eitskin.training.bend_curve import BendCurve, BendCurves
-from eitskin.training.bend_estimate import angle_error, estimate_angle
+from eitskin.training.bend_estimate import (
+    AngleEstimate,
+    angle_error,
+    checked_angle,
+    estimate_angle,
+)
 from eitskin.training.calibration import Calibration, KnownBends
 from eitskin.training.faults import Fault, possible_faults
 from eitskin.training.history import History
@@ -30,6 +35,7 @@ Arrays = dict[str, NDArray[np.generic]]
 
 HOURS = 4 * 3600.0  # after which a drift is stated [s]
 HISTORIES = ("response", "proposals")  # networks, by the names of their parts
+REJECTED = THRESHOLD - 2.0  # most evidence that a touch which was not kept may leave
 STEP_DEG = 10.0  # of the angles for which candidates are kept
 SAME_SPECIMEN = 0.008  # spread of log ratios of two sessions of a sensor; paths err by 0.4 %
 UNEXPLAINED = 6.0  # standard deviations of the misfit above its expectation that are told
@@ -93,10 +99,11 @@ class JointMethod:
         specimen = self._specimen(frame.flat[0])
         static, dynamic = _log1p(frame.static[0]), _log1p(frame.dynamic[0])
         static_share, dynamic_share = 1.0 / frame.static_frames[0], 1.0 / frame.dynamic_frames[0]
-        reference_deg, reference_error = 0.0, 0.0
+        reference = AngleEstimate(0.0, 0.0, 0.0)
         if np.nanmax(np.abs(static - dynamic), initial=0.0) > 0:
             noise = self._noise(static_share + dynamic_share, frame.age[0])
-            reference_deg, reference_error = estimate_angle(specimen.curve, static - dynamic, noise)
+            reference = specimen.angle(static - dynamic, noise)
+        reference_deg = reference.angle_deg
         proposed = self.proposals.places(
             network_inputs(dynamic, np.sqrt(2.0) * self.noise, reference_deg, specimen.features),
             self.habits.separation,
@@ -113,16 +120,15 @@ class JointMethod:
         for fault in found.faults:
             static[list(fault.members)] = np.nan
         if len(found.touches):
-            angle = found.angle_deg
-            deviation = float(np.hypot(found.angle_deviation_deg, reference_error))
+            deviation = float(np.hypot(found.angle_deviation_deg, reference.deviation_deg))
+            bend = replace(reference, angle_deg=found.angle_deg, deviation_deg=deviation)
         else:
             noise = self._noise(1.0 / frame.frames[0] + static_share, frame.age[0])
-            angle, deviation = estimate_angle(specimen.curve, static, noise)
-        return self._said(found, angle, deviation, specimen.doubts)
+            bend = specimen.angle(static, noise)
+        return self._said(found, bend, specimen.doubts)
 
-    def _said(
-        self, found: Explanation, angle_deg: float, deviation_deg: float, doubts: tuple[str, ...]
-    ) -> Perceived:
+    def _said(self, found: Explanation, bend: AngleEstimate, doubts: tuple[str, ...]) -> Perceived:
+        angle_deg, deviation_deg = bend.angle_deg, bend.deviation_deg
         spread = np.sqrt(np.trace(found.covariance[:, :2, :2], axis1=1, axis2=2))
         map_ = disc_map(
             found.touches[:, :2], spread / np.sqrt(2.0), self.radius, self.size, self.shape
@@ -134,7 +140,7 @@ class JointMethod:
             np.array([deviation_deg]),
             map_[None],
             (FoundTouches.of(found.touches[:, :2], strength, found.touches[:, 2], spread),),
-            (doubts + self._doubts(found),),
+            (doubts + self._doubts(found, bend),),
         )
 
     def _probabilities(self, found: Explanation, angle_deg: float, deviation_deg: float) -> Array:
@@ -143,7 +149,9 @@ class JointMethod:
         Touched by the gain of the first touch. Else flat, or bent by an angle that could be any of
         those learned: by Bayes' rule for one normal measurement.
         """
-        touched = 1.0 / (1.0 + np.exp(-np.clip(0.5 * (found.evidence - THRESHOLD), -30, 30)))
+        # Evidence of a touch that was not kept is none for this state.
+        evidence = found.evidence if len(found.touches) else min(found.evidence, REJECTED)
+        touched = 1.0 / (1.0 + np.exp(-np.clip(0.5 * (evidence - THRESHOLD), -30, 30)))
         low, high = self.curves.angle_deg
         bent = deviation_deg * np.sqrt(2 * np.pi) / (high - low)
         bent *= np.exp(np.minimum(0.5 * (angle_deg / deviation_deg) ** 2, 700.0))
@@ -164,10 +172,20 @@ class JointMethod:
             "the pipeline that was not calibrated",
         )
 
-    def _doubts(self, found: Explanation) -> tuple[str, ...]:
+    def _doubts(self, found: Explanation, bend: AngleEstimate) -> tuple[str, ...]:
         said = tuple(
             f"{fault.name} and was left out: look at its contact and wire" for fault in found.faults
         )
+        said += tuple(
+            f"{fault.name} since the session began and was left out of the angle: begin a new "
+            "session with the flat sensor"
+            for fault in bend.faults
+        )
+        if bend.excess > UNEXPLAINED:
+            said += (
+                f"no angle explains this frame ({bend.excess:.0f} standard deviations off): do not "
+                "rely on it, and begin a new session with the flat sensor",
+            )
         return said + self._unexplained(found)
 
     def _unexplained(self, found: Explanation) -> tuple[str, ...]:
@@ -322,7 +340,15 @@ class _Specimen:
         self.doubts = doubts
         self.faults = faults
         self._places = method.places
+        self._last: tuple[bytes, AngleEstimate] | None = None
         self._candidates: dict[int, Candidates] = {}
+
+    def angle(self, change: Array, noise: Array) -> AngleEstimate:
+        """Of an untouched frame; that of the last one is kept, for references that are frozen."""
+        key = change.tobytes() + noise.tobytes()
+        if self._last is None or self._last[0] != key:
+            self._last = (key, checked_angle(self.curve, change, noise, self.faults))
+        return self._last[1]
 
     def candidates(self, angle_deg: float) -> Candidates:
         """At the nearest angle that is kept."""

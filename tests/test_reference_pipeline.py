@@ -1,0 +1,82 @@
+"""The pipeline that comes with eitskin, on frames of the simulator."""
+
+import numpy as np
+import pytest
+
+from eitskin.datasets import State
+from eitskin.geometry import Bend, SensorDesign
+from eitskin.simulator import Frame, Instrument, Scene, Simulator, Touch
+from eitskin.training import Pipeline
+
+
+@pytest.fixture(scope="module")
+def simulator():
+    return Simulator(SensorDesign.reference(), "fast")
+
+
+@pytest.fixture
+def session(simulator):
+    """Processes scenes one after the other, as a board with white noise would give them."""
+    pipeline, rng, count = Pipeline.load("reference.eitmodel"), np.random.default_rng(0), [0]
+
+    def process(scene, **changes):
+        frame = simulator.measure(scene, Instrument(), rng)
+        number = count[0]
+        count[0] += 1
+        values = {"time": 0.3 * number, "number": number, **changes}
+        impedance = values.pop("impedance", frame.impedance)
+        return pipeline.process(Frame(impedance, frame.protocol, **values))
+
+    for _ in range(4):
+        assert process(Scene()).state is State.IDLE
+    return process
+
+
+def test_it_says_where_a_bent_sensor_is_touched(session):
+    bend = Bend(30.0)
+    for _ in range(3):
+        bent = session(Scene(bend))
+    assert bent.state is State.BEND
+    assert abs(bent.bend_angle_deg - 30.0) < 3 * bent.bend_deviation_deg
+    touches = (Touch(0.040, 0.020, 10.0), Touch(0.110, 0.040, 8.0))
+    said = session(Scene(bend, touches))
+    assert said.state is State.TOUCH
+    places = sorted(said.found.place.tolist())
+    assert (
+        np.linalg.norm(np.subtract(places, [(0.040, 0.020), (0.110, 0.040)]), axis=1).max() < 5e-3
+    )
+    assert said.touch_map.shape == (32, 80)
+    assert said.problems == ()
+    assert session(Scene(bend)).state is State.BEND
+
+
+def test_a_held_touch_becomes_surer(session):
+    scene = Scene(touches=(Touch(0.060, 0.030, 10.0),))
+    first, *_, last = (session(scene) for _ in range(6))
+    assert last.found.deviation[0] < 0.6 * first.found.deviation[0]
+    assert np.hypot(*(last.found.place[0] - (0.060, 0.030))) < 3 * last.found.deviation[0]
+
+
+def test_it_finds_a_touch_that_comes_while_the_sensor_moves(session):
+    session(Scene(Bend(10.0)))
+    said = session(Scene(Bend(14.0), (Touch(0.030, 0.030, 10.0),)))
+    assert said.state is State.TOUCH
+    assert np.hypot(*(said.found.place[0] - (0.030, 0.030))) < 4e-3
+
+
+def test_an_open_electrode_is_told_and_touches_are_still_found(session, simulator):
+    scene = Scene(touches=(Touch(0.040, 0.020, 10.0),))
+    impedance = simulator.measure(scene, Instrument(), np.random.default_rng(1)).impedance
+    status = np.array([8 * (5 in row) for row in simulator.protocol.table], np.uint8)
+    said = session(scene, impedance=impedance, status=status)
+    assert sum("left out" in problem for problem in said.problems) == 7
+    assert said.state is State.TOUCH
+    assert np.hypot(*(said.found.place[0] - (0.040, 0.020))) < 5e-3
+
+
+def test_a_contact_that_changes_is_no_touch(session, simulator):
+    impedance = simulator.measure(Scene(), Instrument(), np.random.default_rng(1)).impedance
+    through = np.array([2 in row for row in simulator.protocol.table])
+    said = session(Scene(), impedance=impedance + 5.0 * through)
+    assert said.state is not State.TOUCH
+    assert any("electrode 2" in problem for problem in said.problems)
