@@ -14,6 +14,7 @@ Array = NDArray[np.float64]
 EVIDENCE = 25.0  # by which one fault must lower the misfit, as a touch must
 FITTING = 3.0  # standard deviations that the misfit may be above its expectation with the fault
 AMISS = 3.0  # the same, above which a fault is looked for although all touches stay
+PLAUSIBLE = 0.5  # share of a touch's gain that a fault must promise to be tried in its place
 SPARED = 2.0  # misfit that one fault may leave more than the touches it replaces
 STEPS, SETTLED = 6, 0.1  # of Gauss-Newton without the measurements at fault
 
@@ -88,15 +89,17 @@ def mended(
         faults: that are possible.
     """
     touches = len(found.point.touches)
+    changes = np.array([fault.change for fault in faults]).T
     starts: list[tuple[Fitted, Point]] = []
     if touches or _excess(untouched.misfit, untouched.freedom) > AMISS:
         starts.append((untouched, untouched.point))
     if touches > 1:
         for i in np.argsort(gains)[:2].tolist():
-            starts.append((_taken_back(problem, found, i), found.point.without(i)))
+            if _feigned(problem, found, i, changes, faults) > PLAUSIBLE * gains[i]:
+                taken_back = refined(problem, found.point.without(i), STEPS, SETTLED)
+                starts.append((taken_back, taken_back.point))
     if touches and _excess(found.misfit, found.freedom) > AMISS:
         starts.append((found, found.point))
-    changes = np.array([fault.change for fault in faults]).T
     for fitted, point in starts:
         quadratic = fitted.quadratic
         directions = fitted.whitening @ changes
@@ -123,9 +126,15 @@ def mended(
     return None
 
 
-def _taken_back(problem: TouchProblem, found: Fitted, touch: int) -> Fitted:
-    """The fit without one of its touches."""
-    return refined(problem, found.point.without(touch), STEPS, SETTLED)
+def _feigned(
+    problem: TouchProblem, found: Fitted, touch: int, changes: Array, faults: Sequence[Fault]
+) -> float:
+    """How much of what one touch explains a fault would, all else staying as it is."""
+    point, quadratic = found.point, found.quadratic
+    alone = problem.response(point.touches[touch : touch + 1], point.angle_deg)[0]
+    others = np.delete(quadratic.jacobian, slice(1 + 3 * touch, 4 + 3 * touch), axis=1)
+    left = quadratic.residual + found.whitening @ alone
+    return likeliest(left, others, found.whitening @ changes, faults)[1]
 
 
 def likeliest(
