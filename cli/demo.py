@@ -68,6 +68,13 @@ def command(
     output.show(paper_table(report))
     output.show(_indentation(indentation.touches["1"]))
 
+    output.show("The pipeline that comes with eitskin, trained on 1000 other sensors:")
+    shipped_pipeline = Pipeline.load("reference.eitmodel")
+    shipped_report = evaluate(shipped_pipeline, sets["quick_test"])
+    shipped_indentation = evaluate(shipped_pipeline, sets["paper_indentation"])
+    output.show(paper_table(shipped_report))
+    output.show(_indentation(shipped_indentation.touches["1"]))
+
     output.heading("5. The saved pipeline, unchanged, on a virtual board over a serial link")
     live = run_episode(Pipeline.load(model), seed)
     output.show(episode_table(live))
@@ -81,6 +88,8 @@ def command(
             "seconds": round(seconds, 1),
             "test": report.as_dict(),
             "indentation": indentation.as_dict(),
+            "shipped": shipped_report.as_dict(),
+            "shipped_indentation": shipped_indentation.as_dict(),
             "live": live,
             "real": real,
         }
