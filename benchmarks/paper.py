@@ -49,7 +49,7 @@ class Comparison:
         quick: whether a tenth of the frames had to do.
         pipeline: what "ours" is.
         recipe: of the last seed's frames on unseen sensors: instrument, sensors.
-        figures: by column.
+        figures: by column; of the paper's pipeline of as many seeds as it was trained for.
         bounds: of figures, by their names.
         signal_to_noise: of the touches on unseen sensors.
         variants: for the plot of error against time.
@@ -90,6 +90,7 @@ def run(
     workers: int = 2,
     progress: Progress = lambda *_: None,
     variants: Variants = no_variants,
+    paper_seeds: int | None = None,
 ) -> Comparison:
     """Measure the paper's pipeline, trained here for each seed, and the one at `pipeline`.
 
@@ -101,6 +102,8 @@ def run(
         workers: processes that generate frames.
         progress: told of every part.
         variants: of the pipeline, by name, for the plot of error against time.
+        paper_seeds: of how many seeds the paper's pipeline is trained, which takes ten minutes or
+            more each; of all when omitted.
 
     Raises ConfigurationError for no seeds, no pipeline, or a folder with frames of other recipes.
     """
@@ -116,7 +119,9 @@ def run(
     for seed in range(seeds):
         place = folder / f"{'quick-' if quick else ''}seed-{seed}"
         sets = make(place, seed, quick, workers, progress)
-        paper = _paper_pipeline(sets.training, place / "paper.eitmodel", seed, progress)
+        paper = None
+        if paper_seeds is None or seed < paper_seeds:
+            paper = _paper_pipeline(sets.training, place / "paper.eitmodel", seed, progress)
         parts.append(_measured(sets, paper, ours, variants(ours), seed, quick, progress))
     names = list(parts[0].variants)
     return Comparison(
@@ -125,16 +130,22 @@ def run(
         quick=quick,
         pipeline=f"{pipeline.name}, {_description(ours)}",
         recipe=parts[-1].recipe,
-        figures={column: tuple(part.figures[column] for part in parts) for column in COLUMNS},
+        figures={
+            column: tuple(part.figures[column] for part in parts if column in part.figures)
+            for column in COLUMNS
+        },
         bounds=tuple(part.bounds for part in parts),
         signal_to_noise=tuple(part.signal_to_noise for part in parts),
-        variants=tuple(Variant(n, tuple(part.variants[n] for part in parts)) for n in names),
+        variants=tuple(
+            Variant(n, tuple(part.variants[n] for part in parts if n in part.variants))
+            for n in names
+        ),
     )
 
 
 def _measured(
     sets: Sets,
-    paper: Pipeline,
+    paper: Pipeline | None,
     ours: Pipeline,
     variants: Iterable[tuple[str, Pipeline]],
     seed: int,
@@ -145,8 +156,12 @@ def _measured(
         progress(f"measuring, seed {seed}: {what}", done, 5)
 
     said(OWN, 0)
-    figures = {OWN: paper_scores.scores(paper, sets.own)}
-    for number, (column, pipeline) in enumerate(((UNSEEN, paper), (OURS, ours)), 1):
+    figures = {}
+    measured = [(OURS, ours)]
+    if paper is not None:
+        figures[OWN] = paper_scores.scores(paper, sets.own)
+        measured.insert(0, (UNSEEN, paper))
+    for number, (column, pipeline) in enumerate(measured, 1):
         said(column, number)
         calibrated = paper_scores.calibrated_scores(pipeline, sets.unseen, sets.calibration)
         figures[column] = paper_scores.scores(pipeline, sets.unseen) | calibrated
@@ -159,12 +174,13 @@ def _measured(
     count = BOUNDED_QUICK if quick else BOUNDED
     bounds = paper_limits.bounds(sets.unseen, sets.recipe, count, seed)
     said("done", 5)
+    stages = {"paper's stages": figures[UNSEEN]} if paper is not None else {}
     return _Measured(
         sets.recipe,
         figures,
         bounds,
         SignalToNoise.of(sets.unseen),
-        {"paper's stages": figures[UNSEEN], "ours": figures[OURS], **others},
+        {**stages, "ours": figures[OURS], **others},
     )
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from eitskin.benchmarks.paper import COLUMNS, OURS, Comparison
+from eitskin.benchmarks.paper import COLUMNS, OURS, OWN, Comparison
 from eitskin.benchmarks.paper_limits import SignalToNoise
 from eitskin.benchmarks.paper_lines import LINES, Line
 from eitskin.benchmarks.paper_plot import plot_time, plot_touches
@@ -59,6 +59,9 @@ def sentences(found: Comparison) -> Iterator[str]:
     seeds = ", ".join(map(str, found.seeds))
     quick = "; a tenth of the frames, for trying out only" if found.quick else ""
     yield f"{found.provenance}; seeds {seeds}{quick}"
+    trained = len(found.figures[OWN])
+    if trained < len(found.seeds):
+        yield f"The paper's pipeline was trained for {trained} of these seeds."
     yield f"ours: {found.pipeline}"
     yield (
         "Means over the seeds, +- their standard deviation. Each seed has its own sensors, frames, "
@@ -136,6 +139,6 @@ def _long(found: Comparison) -> Iterator[dict[str, Any]]:
     columns = {**found.figures, BOUND: found.bounds}
     columns |= {f"variant: {each.name}": each.figures for each in found.variants}
     for column, seeds in columns.items():
-        for seed, figures in zip(found.seeds, seeds, strict=True):
+        for seed, figures in zip(found.seeds, seeds, strict=False):
             for figure, value in figures.items():
                 yield {"column": column, "seed": seed, "figure": figure, "value": value}

@@ -24,6 +24,10 @@ def command(
     ] = None,
     seeds: Annotated[int, typer.Option(min=1, help="How many; the first is 0.")] = 3,
     workers: Annotated[int, typer.Option(min=1, help="Processes that make frames.")] = 2,
+    paper_seeds: Annotated[
+        int | None,
+        typer.Option(min=1, help="Seeds that the paper's pipeline is trained for; all if omitted."),
+    ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="A tenth of the frames.")] = False,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -48,7 +52,9 @@ def command(
                 tasks[name] = bar.add_task(name, total=total, rate="")
             bar.update(tasks[name], completed=done, total=total, rate=rest)
 
-        found = run(pipeline or REFERENCE, out, seeds, quick, workers, show)
+        found = run(
+            pipeline or REFERENCE, out, seeds, quick, workers, show, paper_seeds=paper_seeds
+        )
     paths = write(found, out)
     output.result(as_data(found) | {"files": [str(path) for path in paths]}, _as_table(found))
     for line in sentences(found):
