@@ -26,7 +26,7 @@ from eitskin.training.proposals import Proposals, network_inputs
 from eitskin.training.specimen_features import SpecimenFeatures
 from eitskin.training.touch_discs import disc_map
 from eitskin.training.touch_fit import THRESHOLD, Explanation, explain
-from eitskin.training.touch_problem import Habits, TouchProblem
+from eitskin.training.touch_problem import STILL_DEG, Habits, TouchProblem, skew
 from eitskin.training.touch_response import TouchResponse
 from eitskin.training.touch_search import Candidates
 
@@ -124,6 +124,9 @@ class JointMethod:
             bend = replace(reference, angle_deg=found.angle_deg, deviation_deg=deviation)
         else:
             noise = self._noise(1.0 / frame.frames[0] + static_share, frame.age[0])
+            moved = found.angle_deg - reference_deg
+            if abs(moved) > STILL_DEG:
+                noise = noise + skew(specimen.curve.slope(found.angle_deg), moved)
             bend = specimen.angle(static, noise)
         return self._said(found, bend, specimen.doubts)
 

@@ -151,8 +151,9 @@ class TouchProblem:
         """
         good, covariance = self.good, self.noise
         if abs(point.angle_deg - self.reference_deg) > STILL_DEG:
+            moved = point.angle_deg - self.reference_deg
             unsure = self.curve.uncertainty(point.angle_deg, self.reference_deg)
-            covariance = covariance + unsure
+            covariance = covariance + unsure + skew(self.curve.slope(point.angle_deg), moved)
         if len(point.touches):
             unsure = self.response.uncertainty(point.touches, point.angle_deg)
             covariance = covariance + unsure
@@ -243,6 +244,22 @@ class TouchProblem:
             hessian[b, a] -= square
             value += lacking**2
         return value
+
+
+def skew(slope: Array, moved_deg: float) -> Array:
+    """Covariance (C, C) from measuring one after the other while the sensor moves.
+
+    A frame takes as long as its C measurements, one after the other, and the first and the last
+    of a moving sensor see different angles. How fast it moves is not known; that it moved by so
+    much since the last frame says how fast it may.
+
+    Args:
+        slope: of log V with the angle (C,) [1/deg].
+        moved_deg: since the reference [deg].
+    """
+    late = slope * (np.arange(len(slope)) / len(slope) - 0.5)
+    covariance: Array = moved_deg**2 * np.outer(late, late)
+    return covariance
 
 
 @dataclass(frozen=True, slots=True, eq=False)
