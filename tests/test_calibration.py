@@ -13,7 +13,7 @@ from eitskin.simulator import Frame
 from eitskin.training import Pipeline
 from eitskin.training.calibration import KnownBends
 
-from linear_sensor import SETTINGS, LinearSensor
+from linear_sensor import linear_sensor, trained_pipeline
 
 GAIN = 1.2  # of the sensor at hand, over that of the one trained with
 ANGLES = (0.0, 0.0, -20.0, -2.5, 15.0, 32.5, 50.0)
@@ -21,14 +21,14 @@ ANGLES = (0.0, 0.0, -20.0, -2.5, 15.0, 32.5, 50.0)
 
 @pytest.fixture(scope="module")
 def sensor():
-    return LinearSensor()
+    return linear_sensor()
 
 
 @pytest.fixture(scope="module")
-def saved(sensor, tmp_path_factory):
+def saved(tmp_path_factory):
     """A pipeline trained on the sensor, on disk."""
     path = tmp_path_factory.mktemp("calibration") / "trained.eitmodel"
-    return Pipeline.fit(sensor.dataset(), SETTINGS).save(path)
+    return trained_pipeline().save(path)
 
 
 def frames(sensor, angles, gain=GAIN):

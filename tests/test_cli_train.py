@@ -30,7 +30,12 @@ def trained(dataset, tmp_path_factory):
     torch.set_num_threads(1)
     report = folder / "report"
     train.command(
-        folder / "data", out=folder / "some.eitmodel", epochs=1, report=report, quiet=True
+        folder / "data",
+        out=folder / "some.eitmodel",
+        epochs=1,
+        preset="quick",
+        report=report,
+        quiet=True,
     )
     torch.set_num_threads(before)
     return folder

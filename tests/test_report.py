@@ -30,6 +30,8 @@ class Told:
     """A method that says what it was told to, whatever it is shown."""
 
     KIND: ClassVar[str] = "told"
+    AVERAGES: ClassVar[bool] = False
+    histories: ClassVar[dict] = {}
     says: Perceived
 
     def perceive(self, observed):

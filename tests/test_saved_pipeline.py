@@ -45,7 +45,9 @@ def dataset():
 @pytest.fixture(scope="module")
 def pipeline(dataset):
     brief = NetworkSettings(1e-3, epochs=1, batch=32)
-    pipeline = Pipeline.fit(dataset, TrainingSettings(brief, brief, seed=3))
+    pipeline = Pipeline.fit(
+        dataset, TrainingSettings(classifier=brief, postprocessor=brief, seed=3)
+    )
     pipeline.metrics["bend"] = {"r2": 0.5}
     return pipeline
 
@@ -226,7 +228,7 @@ def test_failed_save_leaves_the_old_pipeline(pipeline, folder, monkeypatch):
 def test_commands_train_and_evaluate(dataset, tmp_path, capsys):
     data, out = tmp_path / "data", tmp_path / "some.eitmodel"
     save_dataset(dataset, data)
-    train.command(data, out=out, epochs=1, seed=4, as_json=True, quiet=True)
+    train.command(data, out=out, epochs=1, preset="quick", seed=4, as_json=True, quiet=True)
     trained = json.loads(capsys.readouterr().out)
     assert trained["frames"] == 36
     assert Pipeline.load(out).settings == TrainingSettings.preset("quick", 4).with_epochs(1)

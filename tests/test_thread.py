@@ -40,7 +40,9 @@ def folder(tmp_path_factory) -> Path:
     place = tmp_path_factory.mktemp("thread")
     generate(parse_toml(Recipe, RECIPE), place / "small", workers=2)
     brief = NetworkSettings(3e-3, epochs=25, batch=16)
-    pipeline = Pipeline.fit(open_dataset(place / "small"), TrainingSettings(brief, brief))
+    pipeline = Pipeline.fit(
+        open_dataset(place / "small"), TrainingSettings(classifier=brief, postprocessor=brief)
+    )
     pipeline.save(place / "build" / "demo" / "demo.eitmodel")
     return place
 

@@ -159,11 +159,24 @@ def test_residuals_are_whitened_with_noise_bend_and_mismatch():
     unsure = CURVE.uncertainty(angle, reference)
     size = np.sqrt(np.sum(ONE(touches, angle) ** 2, axis=0))
     wrong = rng.multivariate_normal(np.zeros(28), TWO_FRAMES + unsure, 4000)
+    # The first measurement lags half of the way behind the middle of the frame, the last leads.
+    late = CURVE.slope(angle) * (angle - reference) * (np.arange(28) / 28 - 0.5)
+    wrong = wrong + rng.standard_normal((4000, 1)) * late
     wrong = wrong + mismatch * size * rng.standard_normal((4000, 28))
     left = np.array(
         [whitening @ changed(problem, problem.change + w).left_by(point) for w in wrong]
     )
     np.testing.assert_allclose(np.cov(left.T), np.eye(28), atol=0.12)
+
+
+def test_a_frame_that_is_scanned_while_the_sensor_moves_is_no_touch():
+    """The measurements of a frame follow the sensor from 24 to 36 deg; the reference was at 18."""
+    angles = np.linspace(24.0, 36.0, 28)
+    scanned = np.array([CURVE.value(angle)[i] for i, angle in enumerate(angles)])
+    still = frame([], 30.0, 18.0)
+    moving = changed(still, scanned - CURVE.value(18.0))
+    assert len(explain(moving, candidates(18.0)).touches) == 0
+    assert explain(moving, candidates(18.0)).angle_deg == pytest.approx(30.0, abs=2.0)
 
 
 # Recovery

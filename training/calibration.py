@@ -92,4 +92,5 @@ class Calibration:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain data, as JSON takes it."""
-        return {name: getattr(self, name) for name in self.__slots__}
+        values = {name: getattr(self, name) for name in self.__slots__}
+        return {name: list(v) if isinstance(v, tuple) else v for name, v in values.items()}
