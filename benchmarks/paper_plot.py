@@ -69,6 +69,8 @@ def plot_time(found: Comparison, path: Path) -> None:
             color=drawn[0].get_color(),
         )
     axes.set_xscale("log")
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.xaxis.set_minor_formatter("{x:g}")
     axes.set_ylim(bottom=0.0)
     axes.set_xlabel("time of a touched frame, median to 99th percentile [ms]")
     axes.set_ylabel("mean error of a found touch [mm]")
