@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.table import Table
 
-from eitskin.cli.live import Model
+from eitskin.cli.live import Model, seeded
 from eitskin.cli.options import Json, Output, Quiet, Seed, Verbose
 from eitskin.geometry import ConfigurationError
 
@@ -90,8 +90,7 @@ def _from_board(
 ) -> "Iterator[Frame]":
     from eitskin.hardware import open_board
 
-    options = {"seed": seed} if uri.startswith("virtual:") and "seed=" not in uri else {}
-    with open_board(uri, **options) as board:
+    with open_board(uri, **seeded(uri, seed)) as board:
         stream = board.frames(newest=not no_prompt)
         for angle in angles:
             if not no_prompt:

@@ -63,14 +63,14 @@ def command(
     pipeline = Pipeline.load(model)
     with ExitStack() as stack:
         writer = stack.enter_context(ShardWriter(record)) if record else None
-        opened = stack.enter_context(open_board(board, **_seeded(board, seed)))
+        opened = stack.enter_context(open_board(board, **seeded(board, seed)))
         output.detail(f"{opened.uri}: firmware {opened.info.firmware}, {opened.protocol.labels}")
         session = Session(opened, output, writer)
         newest = not (every_frame or record)
         session.follow(run_live(opened, pipeline, newest=newest), frames)
 
 
-def _seeded(uri: str, seed: int) -> dict[str, Any]:
+def seeded(uri: str, seed: int) -> dict[str, Any]:
     """The seed is the virtual board's, unless its URI has its own."""
     return {"seed": seed} if uri.startswith("virtual:") and "seed=" not in uri else {}
 

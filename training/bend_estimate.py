@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from eitskin.training.bend_curve import BendCurve
 from eitskin.training.faults import EVIDENCE, Fault, likeliest
+from eitskin.training.touch_problem import excess
 
 Array = NDArray[np.float64]
 
@@ -58,10 +59,8 @@ def checked_angle(
         covariance = noise + curve.uncertainty(angle)
         whitening = np.linalg.inv(np.linalg.cholesky(covariance[good[:, None], good]))
         left = whitening @ (change - curve.value(angle))[good]
-        freedom = len(good) - 1
-        excess = (float(left @ left) - freedom) / float(np.sqrt(2.0 * freedom))
-        found = AngleEstimate(angle, deviation, excess, told)
-        if excess < SUSPECT or not faults or len(told) == MOST_FAULTS:
+        found = AngleEstimate(angle, deviation, excess(float(left @ left), len(good) - 1), told)
+        if found.excess < SUSPECT or not faults or len(told) == MOST_FAULTS:
             return found
         slope = (whitening @ curve.slope(angle)[good])[:, None]
         directions = np.array([fault.change for fault in faults])[:, good]

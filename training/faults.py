@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.simulator import Protocol
-from eitskin.training.touch_problem import Fitted, Point, TouchProblem, refined
+from eitskin.training.touch_problem import Fitted, Point, TouchProblem, excess, refined
 
 Array = NDArray[np.float64]
 
@@ -91,14 +91,14 @@ def mended(
     touches = len(found.point.touches)
     changes = np.array([fault.change for fault in faults]).T
     starts: list[tuple[Fitted, Point]] = []
-    if touches or _excess(untouched.misfit, untouched.freedom) > AMISS:
+    if touches or untouched.excess > AMISS:
         starts.append((untouched, untouched.point))
     if touches > 1:
         for i in np.argsort(gains)[:2].tolist():
             if _feigned(problem, found, i, changes, faults) > PLAUSIBLE * gains[i]:
                 taken_back = refined(problem, found.point.without(i), STEPS, SETTLED)
                 starts.append((taken_back, taken_back.point))
-    if touches and _excess(found.misfit, found.freedom) > AMISS:
+    if touches and found.excess > AMISS:
         starts.append((found, found.point))
     for fitted, point in starts:
         quadratic = fitted.quadratic
@@ -112,16 +112,14 @@ def mended(
         alone = not len(point.touches)
         rest = fitted.misfit - gain
         if not alone and (
-            rest > found.misfit + spared or _excess(rest, fitted.freedom - 1) > FITTING
+            rest > found.misfit + spared or excess(rest, fitted.freedom - 1) > FITTING
         ):
             continue
         fewer = problem.lacking(fault.members)
         if len(fewer.good) < len(problem.change) // 2:
             continue
         again = refined(fewer, point, STEPS, SETTLED)
-        if _excess(again.misfit, again.freedom) < FITTING and (
-            not alone or again.misfit < found.misfit + spared
-        ):
+        if again.excess < FITTING and (not alone or again.misfit < found.misfit + spared):
             return Mended(fault, fewer, again)
     return None
 
@@ -153,8 +151,3 @@ def likeliest(
     gain[size < 1e-3 * np.sum(directions**2, axis=0)] = 0.0  # the unknowns could do as well
     best = int(gain.argmax())
     return faults[best], float(gain[best])
-
-
-def _excess(misfit: float, freedom: int) -> float:
-    """A misfit above its expectation, in standard deviations."""
-    return (misfit - freedom) / float(np.sqrt(2.0 * max(freedom, 1)))

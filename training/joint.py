@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.simulator import Protocol
+from eitskin.simulator.drift import HOURS
 from eitskin.training.bend_curve import BendCurve, BendCurves
 from eitskin.training.bend_estimate import (
     AngleEstimate,
@@ -26,14 +27,13 @@ from eitskin.training.proposals import Proposals, network_inputs
 from eitskin.training.specimen_features import SpecimenFeatures
 from eitskin.training.touch_discs import disc_map
 from eitskin.training.touch_fit import THRESHOLD, Explanation, explain
-from eitskin.training.touch_problem import STILL_DEG, Habits, TouchProblem, skew
+from eitskin.training.touch_problem import STILL_DEG, Habits, TouchProblem, excess, skew
 from eitskin.training.touch_response import TouchResponse
 from eitskin.training.touch_search import Candidates
 
 Array = NDArray[np.float64]
 Arrays = dict[str, NDArray[np.generic]]
 
-HOURS = 4 * 3600.0  # after which a drift is stated [s]
 HISTORIES = ("response", "proposals")  # networks, by the names of their parts
 REJECTED = THRESHOLD - 2.0  # most evidence that a touch which was not kept may leave
 STEP_DEG = 10.0  # of the angles for which candidates are kept
@@ -192,8 +192,7 @@ class JointMethod:
         return said + self._unexplained(found)
 
     def _unexplained(self, found: Explanation) -> tuple[str, ...]:
-        excess = (found.misfit - found.freedom) / np.sqrt(2.0 * max(found.freedom, 1))
-        if excess < UNEXPLAINED:
+        if excess(found.misfit, found.freedom) < UNEXPLAINED:
             return ()
         return (
             f"no bend and up to four touches explain this frame (misfit {found.misfit:.0f}, "

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from eitskin.datasets import Dataset, State
 from eitskin.geometry import DataError, Surface
 from eitskin.geometry.optional import require
+from eitskin.simulator.drift import HOURS
 from eitskin.training.bend_curve import BendCurves
 from eitskin.training.history import History
-from eitskin.training.joint import HOURS, JointMethod
+from eitskin.training.joint import JointMethod
 from eitskin.training.layout import Layout
 from eitskin.training.observed import UNKNOWN_AGE
 from eitskin.training.settings import JointSettings, Progress, silent

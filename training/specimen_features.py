@@ -10,8 +10,7 @@ from eitskin.training.symmetry import Mirror
 
 Array = NDArray[np.float64]
 
-COUNT = 8
-"""Most features: of fifty and more specimens, more of them fitted noise (benchmarks)."""
+COUNT = 8  # most features; each costs weights that the specimens must determine
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -116,7 +116,7 @@ def _fit(
             break
         found = more
     found = _pruned(problem, found)
-    if _excess(found) > UNLIKELY and len(found.point.touches) < MOST_TOUCHES:
+    if found.excess > UNLIKELY and len(found.point.touches) < MOST_TOUCHES:
         found = _reconsidered(problem, found, candidates)
     return untouched, found, evidence
 
@@ -133,11 +133,6 @@ def _still_or_moved(problem: TouchProblem) -> float:
 def _gain(problem: TouchProblem, before: Fitted, after: Fitted) -> float:
     """By how much the misfit fell, in the later metric."""
     return problem.misfit(before.point, after.whitening) - after.misfit
-
-
-def _excess(found: Fitted) -> float:
-    """The misfit above its expectation, in standard deviations."""
-    return (found.misfit - found.freedom) / float(np.sqrt(2.0 * found.freedom))
 
 
 def _leaves_room(found: Fitted) -> bool:

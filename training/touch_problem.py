@@ -246,6 +246,11 @@ class TouchProblem:
         return value
 
 
+def excess(misfit: float, freedom: int) -> float:
+    """A misfit above its expectation, in standard deviations: a chi-square of so much freedom."""
+    return (misfit - freedom) / math.sqrt(2.0 * max(freedom, 1))
+
+
 def skew(slope: Array, moved_deg: float) -> Array:
     """Covariance (C, C) from measuring one after the other while the sensor moves.
 
@@ -279,6 +284,11 @@ class Fitted:
     def freedom(self) -> int:
         """Number of residuals less number of unknowns, at least one."""
         return max(len(self.quadratic.residual) - len(self.quadratic.gradient), 1)
+
+    @property
+    def excess(self) -> float:
+        """The misfit above its expectation, in standard deviations."""
+        return excess(self.misfit, self.freedom)
 
 
 def refined(problem: TouchProblem, point: Point, steps: int, settled: float) -> Fitted:
