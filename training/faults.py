@@ -108,18 +108,14 @@ def mended(
         spared = 3 * (touches - len(point.touches)) + SPARED
         if gain < EVIDENCE:
             continue
-        # Large changes of a contact are not linear; a fault alone is judged by the fit without it.
-        alone = not len(point.touches)
         rest = fitted.misfit - gain
-        if not alone and (
-            rest > found.misfit + spared or excess(rest, fitted.freedom - 1) > FITTING
-        ):
+        if rest > found.misfit + spared or excess(rest, fitted.freedom - 1) > FITTING:
             continue
         fewer = problem.lacking(fault.members)
         if len(fewer.good) < len(problem.change) // 2:
             continue
         again = refined(fewer, point, STEPS, SETTLED)
-        if again.excess < FITTING and (not alone or again.misfit < found.misfit + spared):
+        if again.excess < FITTING:
             return Mended(fault, fewer, again)
     return None
 
