@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from eitskin.datasets.schema import FIELDS, FRAME_FIELDS, LIMITS, MAX_TOUCHES
 from eitskin.datasets.state import UNKNOWN_STATE, State
 from eitskin.geometry import ConfigurationError, DataError, SensorDesign
-from eitskin.simulator import Frame, Protocol
+from eitskin.simulator import Frame, Protocol, Status
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,6 +35,7 @@ class Dataset:
         time: since the episode began, (n,) float64 [s].
         status: `eitskin.simulator.Status` bits, (n, C) uint8.
         episode: frames of one episode follow each other in time, (n,) uint32.
+        number: of each frame as it was counted, (n,) uint32; a gap says that frames were lost.
         protocol: what the channels are; None where a recording does not say.
         frequency: of the excitation [Hz].
         source: "simulated" or "measured".
@@ -56,6 +57,7 @@ class Dataset:
     time: NDArray[np.float64]
     status: NDArray[np.uint8]
     episode: NDArray[np.uint32]
+    number: NDArray[np.uint32]
     protocol: Protocol | None = None
     frequency: float = 40e3
     source: str = "measured"
@@ -113,7 +115,9 @@ class Dataset:
         arrays: dict[str, Any] = {"impedance": values, "reference": np.atleast_2d(first)}
         sizes = {"frame": values.shape[0], "channel": values.shape[1], "touch": MAX_TOUCHES}
         for field in FRAME_FIELDS:
-            if field.name != "impedance":
+            if field.name == "number":
+                arrays["number"] = known.pop("number", np.arange(len(values)))
+            elif field.name != "impedance":
                 shape = tuple(sizes[axis] for axis in field.axes)
                 arrays[field.name] = known.pop(field.name, np.full(shape, field.missing))
         return cls(**arrays, **known)
@@ -134,17 +138,21 @@ class Dataset:
         return count
 
     def frame(self, index: int) -> Frame:
-        """Frame `index` as a board would give it; raises DataError without a protocol."""
+        """Frame `index` as a board gave or would give it; raises DataError without a protocol.
+
+        A value that the status calls not finite is NaN again.
+        """
         if self.protocol is None:
             raise DataError(
                 "this recording does not say which electrodes its channels were measured at, so "
                 "it has no frames; import it with --protocol, or use its arrays"
             )
+        lost = (self.status[index] & np.uint8(Status.NOT_FINITE)).astype(bool)
         return Frame(
-            impedance=self.impedance[index].astype(np.complex128),
+            impedance=np.where(lost, np.nan, self.impedance[index].astype(np.complex128)),
             protocol=self.protocol,
             time=float(self.time[index]),
-            number=int(index),
+            number=int(self.number[index]),
             session=int(self.episode[index]),
             frequency=self.frequency,
             status=self.status[index],

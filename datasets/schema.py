@@ -27,6 +27,7 @@ class Field:
         description: one line, written into the file.
         finite: whether NaN and infinity are refused.
         missing: what stands for "not known".
+        optional: whether files may lack it, those of before it was thought of.
     """
 
     name: str
@@ -37,6 +38,7 @@ class Field:
     description: str
     finite: bool = False
     missing: float = 0
+    optional: bool = False
 
 
 def _field(
@@ -48,10 +50,11 @@ def _field(
     *,
     finite: bool = False,
     missing: float = 0,
+    optional: bool = False,
 ) -> Field:
     path = name.replace("touch_", "touch/", 1) if axes == "frame touch" else name
     split = tuple(axes.split())
-    return Field(name, path, np.dtype(dtype), split, units, description, finite, missing)
+    return Field(name, path, np.dtype(dtype), split, units, description, finite, missing, optional)
 
 
 NAN: Final = float("nan")
@@ -97,5 +100,6 @@ FIELDS: Final = (
     _field("time", "<f8", "frame", "s", "since the episode began", finite=True),
     _field("status", "|u1", "frame channel", "1", "status bits of the board, 0 is good"),
     _field("episode", "<u4", "frame", "1", "frames of one episode follow each other in time"),
+    _field("number", "<u4", "frame", "1", "as counted; a gap is frames lost", optional=True),
 )
 FRAME_FIELDS: Final = tuple(field for field in FIELDS if field.axes[0] == "frame")

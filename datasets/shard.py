@@ -204,7 +204,14 @@ def _read(file: h5py.File) -> Dataset:
     sizes = {"frame": int(file.attrs["count"]), "touch": MAX_TOUCHES}
     sizes["channel"] = file["impedance"].shape[-1]
     sizes["specimen"] = file["reference"].shape[0]
-    arrays = {field.name: _read_field(file, field, sizes) for field in FIELDS}
+    arrays = {
+        field.name: _read_field(file, field, sizes)
+        for field in FIELDS
+        if field.path in file or not field.optional
+    }
+    # Files from before frames had numbers: the count within the set is as good.
+    first = int(file.attrs["first_index"])
+    arrays.setdefault("number", np.arange(first, first + sizes["frame"]))
     design = file.attrs["design"]
     return Dataset(
         **arrays,

@@ -101,6 +101,7 @@ def simulate(
         **{name: np.array([row[name] for row in touches]) for name in touches[0]},
         time=np.array([each.time for each in samples]),
         episode=np.array([each.episode for each in samples]),
+        number=np.array([each.index for each in samples]),
         protocol=boards[0].protocol,
         source="simulated",
         recipe=recipe.to_toml(),

@@ -15,13 +15,16 @@ from eitskin.datasets.schema import MAX_TOUCHES
 from eitskin.datasets.shard import shard_name, write_shard
 from eitskin.datasets.state import UNKNOWN_STATE
 from eitskin.geometry import ConfigurationError, FrameError, SensorDesign
-from eitskin.simulator import Frame, Touch
+from eitskin.simulator import Frame, Status, Touch
 
 
 class ShardWriter:
     """Writes frames into a new folder, a shard at a time, and the manifest when closed.
 
-    A crash costs the frames of the last, unfinished shard. Use as a context manager:
+    A crash costs the frames of the last, unfinished shard: the manifest lists those before it.
+    Values that are not finite are written as 0, with a status that says so.
+
+    Use as a context manager:
 
         with ShardWriter("run", reference) as writer:
             writer.append(frame)
@@ -40,7 +43,8 @@ class ShardWriter:
 
         Args:
             folder: where the shards go.
-            reference: the flat untouched sensor, (C,) [ohm]; the first frame when omitted.
+            reference: the flat untouched sensor, (C,) [ohm]; the first frame, of which all is
+                finite, of the first shard when omitted.
             design: of the sensor, where known.
             source: "measured" or "simulated".
             frames_per_shard: how many frames a crash can cost.
@@ -68,8 +72,6 @@ class ShardWriter:
                 f"expected frames of one protocol with {len(protocol)} measurements, got another "
                 f"with {len(frame.protocol)}; record each protocol into its own folder"
             )
-        if self._reference is None:
-            self._reference = frame.impedance
         self._shared.setdefault("frequency", frame.frequency)
         labels: dict[str, Any] = {"state": state, "bend_angle_deg": bend_angle_deg}
         labels["touch_reference"] = (
@@ -81,21 +83,9 @@ class ShardWriter:
             self._finish_shard()
 
     def close(self) -> None:
-        """Write what is left and the manifest; a writer without frames leaves no dataset."""
+        """Write what is left; a writer without frames leaves no dataset."""
         if self._rows:
             self._finish_shard()
-        if self._entries:
-            frames = sum(entry.count for entry in self._entries)
-            write_manifest(
-                self.folder,
-                Manifest(
-                    source=self._shared["source"],
-                    recipe_sha256=hashlib.sha256(b"").hexdigest(),
-                    seed=0,
-                    frames=frames,
-                    shards=tuple(self._entries),
-                ),
-            )
 
     def __enter__(self) -> "ShardWriter":
         """Give the writer itself."""
@@ -113,20 +103,38 @@ class ShardWriter:
     def _finish_shard(self) -> None:
         frames = [frame for frame, _ in self._rows]
         labels = {name: np.array([row[name] for _, row in self._rows]) for name in self._rows[0][1]}
+        impedance = np.array([frame.impedance for frame in frames])
+        status = np.array([frame.status for frame in frames])
+        finite = np.isfinite(impedance)
+        impedance[~finite] = 0.0
+        status[~finite] |= np.uint8(Status.NOT_FINITE)
+        if self._reference is None:
+            self._reference = impedance[int(finite.all(axis=1).argmax())]
         data = Dataset.from_arrays(
-            np.array([frame.impedance for frame in frames]),
+            impedance,
             self._reference,
             time=np.array([frame.time for frame in frames]),
-            status=np.array([frame.status for frame in frames]),
+            status=status,
             episode=np.array([frame.session for frame in frames]),
+            number=np.array([frame.number for frame in frames]),
             **labels,
             **self._shared,
         )
         name = shard_name(len(self._entries))
         first = sum(entry.count for entry in self._entries)
         write_shard(self.folder / name, data, first)
-        self._entries.append(shard_entry(self.folder, name, first, len(data)))
         self._rows.clear()
+        self._entries.append(shard_entry(self.folder, name, first, len(data)))
+        write_manifest(
+            self.folder,
+            Manifest(
+                source=self._shared["source"],
+                recipe_sha256=hashlib.sha256(b"").hexdigest(),
+                seed=0,
+                frames=first + len(data),
+                shards=tuple(self._entries),
+            ),
+        )
 
 
 def touch_columns(touches: Sequence[Touch]) -> dict[str, NDArray[np.float32]]:

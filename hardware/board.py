@@ -10,6 +10,7 @@ from urllib.parse import parse_qsl
 
 from eitskin.geometry import ConfigurationError
 from eitskin.hardware.messages import Info
+from eitskin.hardware.stage import Stage
 from eitskin.simulator import Frame, Protocol
 
 
@@ -22,12 +23,14 @@ class Counts:
         lost: missing by their numbers; never made up.
         skipped: good, but older than the newest when the newest was asked for.
         dropped: byte strings and messages thrown away, by reason.
+        reconnections: how often it has gone away and come back.
     """
 
     frames: int = 0
     lost: int = 0
     skipped: int = 0
     dropped: Mapping[str, int] = field(default_factory=dict)
+    reconnections: int = 0
 
 
 class Board(typing.Protocol):
@@ -50,6 +53,10 @@ class Board(typing.Protocol):
         """What has come through so far."""
 
     @property
+    def stage(self) -> Stage | None:
+        """What happens to a virtual board; None where nobody can say."""
+
+    @property
     def lost(self) -> int:
         """Frames lost so far."""
 
@@ -58,6 +65,9 @@ class Board(typing.Protocol):
 
         Raises DeviceError where the board falls silent or goes away.
         """
+
+    def reconnect(self) -> None:
+        """Connect again, after which `frames` goes on; raises DeviceError where that fails."""
 
     def close(self) -> None:
         """Stop and let go of the port; a second time does nothing."""
@@ -162,6 +172,7 @@ _SCHEMES: dict[str, tuple[Callable[[str, str, dict[str, Any]], Board], Readers]]
             "instrument": str,
             "faults": str,
             "period": float,
+            "link": str,
             "simulator": None,
         },
     ),

@@ -81,6 +81,11 @@ class Decoder:
         self._partial = bytearray()
         self._skipping = False
 
+    def restart(self) -> None:
+        """Forget what came of an unfinished packet; what follows is of another stream."""
+        self._partial.clear()
+        self._skipping = False
+
     @property
     def buffered(self) -> int:
         """Bytes held of an unfinished packet; never more than `MAX_PACKET`."""

@@ -1,16 +1,18 @@
 """Serves a virtual board on a pseudo-terminal, at a real board's pace or as fast as it is read."""
 
+import contextlib
 import os
 import selectors
 import threading
 import time
 import typing
 from collections.abc import Callable
+from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Generic, Self, TypeVar
 
 from eitskin.geometry import ConfigurationError
-from eitskin.hardware.faults import Unplugged
+from eitskin.hardware.fault import Unplugged
 
 _CHUNK = 4096  # bytes
 _BACKLOG = 16384  # bytes; more than this waiting to be sent, and requests wait too
@@ -23,6 +25,18 @@ class Firmware(typing.Protocol):
     def streaming(self) -> bool:
         """Whether frames are due."""
 
+    @property
+    def delay(self) -> float:
+        """By how much the frame after the newest is late [s]."""
+
+    @property
+    def holds_port(self) -> bool:
+        """Whether another program is to have the port open."""
+
+    @property
+    def plugged_in(self) -> bool:
+        """Whether the cable, once pulled, may be put back."""
+
     def boot(self) -> bytes:
         """Start afresh."""
 
@@ -34,6 +48,9 @@ class Firmware(typing.Protocol):
 
     def skip(self) -> None:
         """Let a frame pass."""
+
+
+FirmwareType = TypeVar("FirmwareType", bound=Firmware)
 
 
 class Pace:
@@ -53,43 +70,49 @@ class Pace:
         """Have the next frame due one period from now."""
         self._due = self._clock() + self.period
 
-    def advance(self) -> None:
-        """Have the next frame due one period after the last; at once, where that has passed."""
-        self._due = max(self._due + self.period, self._clock())
+    def advance(self, late: float = 0.0) -> None:
+        """Have the next frame due one period after the last, and so much later [s].
+
+        At once, where that has passed.
+        """
+        self._due = max(self._due + self.period, self._clock()) + late
 
     def remaining(self) -> float:
         """Time until the next frame is due, 0 when it is [s]."""
         return max(0.0, self._due - self._clock())
 
 
-class PseudoTerminal:
+class PseudoTerminal(Generic[FirmwareType]):
     """A pseudo-terminal with a board at its other end.
 
-    It keeps the host's end open too, so that hosts can come and go as on a plugged-in cable.
+    It keeps the host's end open too, so that hosts can come and go as on a plugged-in cable. When
+    the cable is pulled and put back, the board starts anew behind another terminal, as a USB port
+    may come back under another name.
 
     Attributes:
-        path: what a host opens.
+        firmware: what it serves.
+        path: what a host opens; empty while the cable is pulled.
     """
 
-    def __init__(self, firmware: Firmware, pace: Pace) -> None:
-        """Make the terminal, raw, so that every byte passes; raises ConfigurationError."""
-        try:
-            import tty
-        except ImportError as error:
-            raise ConfigurationError(
-                "a virtual board needs pseudo-terminals, which this system lacks; use Linux, "
-                "macOS or WSL, or replay a recording"
-            ) from error
-        self._firmware, self._pace = firmware, pace
-        self._board_end, host_end = os.openpty()
-        self._ends: tuple[int, ...] = (self._board_end, host_end)
-        tty.setraw(host_end)
-        os.set_blocking(self._board_end, False)
-        self.path = os.ttyname(host_end)
-        self._wake_read, self._wake_write = os.pipe()
-        self._outgoing = bytearray()
+    def __init__(self, firmware: FirmwareType, pace: Pace, link: str | Path | None = None) -> None:
+        """Make the terminal, raw, so that every byte passes.
+
+        Args:
+            firmware: the board.
+            pace: when its frames are due.
+            link: a path that shall lead to the terminal as long as there is one.
+
+        Raises ConfigurationError where there are no pseudo-terminals, or the link cannot be made.
+        """
+        self.firmware, self._pace = firmware, pace
+        self._link = None if link is None else Path(link)
+        self._ends: tuple[int, ...] = ()
         self._stopped = False
+        self._outgoing = bytearray()
+        self._locked = False
         self._thread: threading.Thread | None = None
+        self._plug_in()
+        self._wake_read, self._wake_write = os.pipe()
 
     def start(self) -> None:
         """Serve in a thread until closed."""
@@ -97,20 +120,22 @@ class PseudoTerminal:
         self._thread.start()
 
     def serve(self) -> None:
-        """Serve until closed or unplugged; then the terminal is gone."""
-        selector = selectors.DefaultSelector()
-        selector.register(self._wake_read, selectors.EVENT_READ)
-        selector.register(self._board_end, selectors.EVENT_READ)
-        self._outgoing += self._firmware.boot()
+        """Serve until closed."""
         try:
             while not self._stopped:
-                self._measure()
-                self._exchange(selector)
-        except Unplugged:
-            pass
+                try:
+                    self._serve_cable()
+                except Unplugged as unplugged:
+                    self._flush(unplugged.sent)
+                    self._hang_up()
+                    self._wait_for_cable(unplugged.back_after)
         finally:
-            selector.close()
             self._hang_up()
+
+    def wake(self) -> None:
+        """Have the serving thread look at its firmware again."""
+        if not self._stopped:
+            os.write(self._wake_write, b"x")
 
     def close(self) -> None:
         """Pull the cable; a second time does nothing."""
@@ -138,22 +163,92 @@ class PseudoTerminal:
         """Close."""
         self.close()
 
+    def _plug_in(self) -> None:
+        """Make a terminal, and have the link lead to it."""
+        try:
+            import tty
+        except ImportError as error:
+            raise ConfigurationError(
+                "a virtual board needs pseudo-terminals, which this system lacks; use Linux, "
+                "macOS or WSL, or replay a recording"
+            ) from error
+        self._board_end, self._host_end = self._ends = os.openpty()
+        tty.setraw(self._host_end)
+        os.set_blocking(self._board_end, False)
+        self.path = os.ttyname(self._host_end)
+        self._locked = False
+        self._lock(self.firmware.holds_port)
+        self._outgoing.clear()
+        if self._link is not None:
+            try:
+                _point(self._link, self.path)
+            except OSError as error:
+                self._hang_up()
+                raise ConfigurationError(
+                    f"cannot make {self._link} lead to the virtual board: {error}; choose a path "
+                    "that is free, in a folder that can be written"
+                ) from error
+
     def _hang_up(self) -> None:
+        if self._link is not None and self._ends and self._link.is_symlink():
+            self._link.unlink()
         for end in self._ends:
             os.close(end)
-        self._ends = ()
+        self._ends, self.path = (), ""
+
+    def _serve_cable(self) -> None:
+        """Start the board and serve it until it is unplugged or closed."""
+        with selectors.DefaultSelector() as selector:
+            selector.register(self._wake_read, selectors.EVENT_READ)
+            selector.register(self._board_end, selectors.EVENT_READ)
+            self._outgoing += self.firmware.boot()
+            self._pace.restart()
+            while not self._stopped:
+                self._lock(self.firmware.holds_port)
+                self._measure()
+                self._exchange(selector)
+
+    def _flush(self, data: bytes) -> None:
+        """Send what the line still takes before the cable is gone."""
+        with contextlib.suppress(BlockingIOError):
+            os.write(self._board_end, bytes(self._outgoing) + data)
+
+    def _wait_for_cable(self, seconds: float | None) -> None:
+        """Wait until the cable is put back, then make another terminal."""
+        with selectors.DefaultSelector() as selector:
+            selector.register(self._wake_read, selectors.EVENT_READ)
+            while selector.select(seconds) and not self._stopped:
+                os.read(self._wake_read, _CHUNK)
+                if self.firmware.plugged_in and seconds is None:
+                    break
+        if not self._stopped:
+            self._plug_in()
+
+    def _lock(self, wanted: bool) -> None:
+        """Hold the port as another program would, or let go of it."""
+        if wanted != self._locked:
+            import fcntl
+
+            # The lock is of an open file: that of the host's own descriptor is another.
+            with contextlib.suppress(BlockingIOError):
+                fcntl.flock(
+                    self._host_end, (fcntl.LOCK_EX | fcntl.LOCK_NB) if wanted else fcntl.LOCK_UN
+                )
+            self._locked = wanted
 
     def _measure(self) -> None:
         """Send a frame if one is due; skip it, as a board must, where the last is still unread."""
-        if not self._firmware.streaming or self._pace.remaining() > 0:
+        if not self.firmware.streaming or self._pace.remaining() > 0:
             return
+        late = 0.0
         if not self._outgoing:
-            self._outgoing += self._firmware.frame()
+            self._outgoing += self.firmware.frame()
+            late = self.firmware.delay
         elif self._pace.period:
-            self._firmware.skip()
+            self.firmware.skip()
         else:
             return
-        self._pace.advance()
+        self._pace.advance(late)
 
     def _exchange(self, selector: selectors.BaseSelector) -> None:
         """Wait until there is something to do, and pass bytes both ways."""
@@ -162,7 +257,8 @@ class PseudoTerminal:
             interest |= selectors.EVENT_READ
         selector.modify(self._board_end, interest)
         for key, events in selector.select(self._patience()):
-            if key.fd != self._board_end:
+            if key.fd == self._wake_read:
+                os.read(self._wake_read, _CHUNK)
                 continue
             if events & selectors.EVENT_READ:
                 self._answer()
@@ -172,14 +268,24 @@ class PseudoTerminal:
 
     def _patience(self) -> float | None:
         """How long nothing needs doing unless bytes come or go [s]; None for ever."""
-        if not self._firmware.streaming:
+        if not self.firmware.streaming:
             return None
-        if not self._pace.period:
-            return None if self._outgoing else 0.0
+        if self._outgoing and not self._pace.period:
+            return None
         return self._pace.remaining()
 
     def _answer(self) -> None:
-        was_streaming = self._firmware.streaming
-        self._outgoing += self._firmware.receive(os.read(self._board_end, _CHUNK))
-        if self._firmware.streaming and not was_streaming:
+        was_streaming = self.firmware.streaming
+        self._outgoing += self.firmware.receive(os.read(self._board_end, _CHUNK))
+        if self.firmware.streaming and not was_streaming:
             self._pace.restart()
+
+
+def _point(link: Path, target: str) -> None:
+    """Have the symbolic link lead to `target`, in one step; nothing but a link is replaced."""
+    if link.exists() and not link.is_symlink():
+        raise FileExistsError(f"{link} is no link")
+    fresh = link.with_name(f".{link.name}.new")
+    fresh.unlink(missing_ok=True)
+    fresh.symlink_to(target)
+    fresh.replace(link)

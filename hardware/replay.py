@@ -20,14 +20,17 @@ SPEEDS = ("real", "max")
 class ReplayBoard:
     """The frames of a dataset in their order, with the status they were recorded with.
 
-    A recording keeps no frame numbers, so nothing of it counts as lost; see
+    What its numbers leave out was lost when it was recorded, and is counted; see
     `eitskin.hardware.Board`.
 
     Attributes:
         uri: what it was opened as.
         info: what the recording says of its board; NaN where it does not.
         protocol: what was measured.
+        stage: None; nobody can say what happened to a recorded sensor.
     """
+
+    stage = None
 
     def __init__(
         self,
@@ -64,17 +67,17 @@ class ReplayBoard:
         self.protocol: Protocol = self._data.protocol
         self.info = _info(self._data, self.protocol)
         self._real, self._clock, self._wait = speed == "real", clock, wait
-        self._frames = 0
+        self._frames = self._lost = 0
 
     @property
     def lost(self) -> int:
-        """Nothing; see the class."""
-        return 0
+        """Frames lost so far, when they were recorded."""
+        return self._lost
 
     @property
     def counts(self) -> Counts:
         """What has come through so far."""
-        return Counts(frames=self._frames)
+        return Counts(frames=self._frames, lost=self._lost)
 
     def frames(self, newest: bool = False) -> Iterator[Frame]:  # noqa: ARG002
         """The recorded frames from the first; none overtakes another, so `newest` is all."""
@@ -85,7 +88,11 @@ class ReplayBoard:
                 offset += self._pause(index)
                 self._wait(max(0.0, offset - self._clock()))
             self._frames += 1
+            self._lost += self._gap(index)
             yield frame
+
+    def reconnect(self) -> None:
+        """Nothing needs connecting."""
 
     def close(self) -> None:
         """Nothing needs closing, the recording is in memory."""
@@ -102,6 +109,14 @@ class ReplayBoard:
     ) -> None:
         """Close the board."""
         self.close()
+
+    def _gap(self, index: int) -> int:
+        """Frames missing before this one; none where it begins a session."""
+        number, episode = self._data.number, self._data.episode
+        if index == 0 or episode[index] != episode[index - 1]:
+            return 0
+        gap = (int(number[index]) - int(number[index - 1]) - 1) % 2**32
+        return gap if gap < 2**31 else 0
 
     def _pause(self, index: int) -> float:
         """Time from the frame before; one period where another episode begins [s]."""

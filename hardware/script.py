@@ -15,8 +15,10 @@ from eitskin.geometry.config import read_toml
 from eitskin.simulator import Frame, Instrument, Protocol, Scene, Session
 from eitskin.simulator.ad5940 import MEASUREMENT_TIME
 
-Reading = tuple[NDArray[np.complex128], NDArray[np.uint8]]
+Measured = tuple[NDArray[np.complex128], NDArray[np.uint8]]
 """Impedances [ohm] and `Status` bits of one frame, (measurements,) each."""
+Measure = Callable[[NDArray[np.complex128], int], Measured]
+"""What a board reads of noise-free impedances (measurements,) [ohm] in a frame, by its number."""
 SceneSource = Callable[[int], Scene]
 """The scene of the frame with a given number."""
 
@@ -95,16 +97,14 @@ class SimulatedSensor:
     def __init__(
         self,
         simulator: Measuring,
-        scenes: SceneSource,
         instrument: Instrument | None = None,
         seed: int = 0,
         period: float | None = None,
     ) -> None:
-        """Compute the scenes of a script now, so that none of its frames is late.
+        """Begin the session.
 
         Args:
             simulator: of the sensor.
-            scenes: a `Script`, or any function from frame number to scene.
             instrument: that measures every frame; none where the sensor itself is asked for.
             seed: of the session and of what differs from frame to frame; frame and seed decide
                 over that, whatever was measured before.
@@ -112,28 +112,34 @@ class SimulatedSensor:
                 omitted.
         """
         self.protocol = simulator.protocol
-        self._scenes, self._seed = scenes, seed
+        self._seed = seed
         self._period = len(self.protocol) * MEASUREMENT_TIME if period is None else period
         self._session: Session | None = None
         if instrument is not None:
             start = self._generator(0)
             self._session = instrument.session(self.protocol, simulator.full_scale, start)
-        self._clean = lru_cache(maxsize=1024)(lambda scene: simulator.measure(scene).impedance)
-        if isinstance(scenes, Script):
-            for step in scenes.steps:
-                self._clean(step.scene)
+        self.solve = lru_cache(maxsize=1024)(lambda scene: simulator.measure(scene).impedance)
 
-    def __call__(self, number: int) -> Reading:
-        """Impedances [ohm] and status of frame `number`, (measurements,) each."""
-        impedance = self._clean(self._scenes(number))
+    def measure(self, impedance: NDArray[np.complex128], now: int) -> Measured:
+        """What the board reads in frame `now`: impedances [ohm] and status, (measurements,) each.
+
+        Args:
+            impedance: noise-free, (measurements,) [ohm].
+            now: the frame, counted from the session's start.
+        """
         if self._session is None:
-            return impedance, np.zeros(len(impedance), np.uint8)
-        times = np.array([number * self._period])
-        measured, status = self._session.measure(impedance[None], times, self._generator(1, number))
+            return noise_free(impedance, now)
+        times = np.array([now * self._period])
+        measured, status = self._session.measure(impedance[None], times, self._generator(1, now))
         return measured[0], status[0]
 
     def _generator(self, *key: int) -> np.random.Generator:
         return np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=key))
+
+
+def noise_free(impedance: NDArray[np.complex128], now: int) -> Measured:  # noqa: ARG001
+    """The impedances as they are, all good."""
+    return impedance, np.zeros(len(impedance), np.uint8)
 
 
 def _top_keys(path: Path) -> set[str]:

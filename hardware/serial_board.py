@@ -4,6 +4,7 @@ Nothing is made up here. What is lost is counted, what is damaged is dropped and
 board that has fallen silent is an error, never an old frame.
 """
 
+import contextlib
 import logging
 import time
 from collections import deque
@@ -35,6 +36,7 @@ from eitskin.hardware.messages import (
 )
 from eitskin.hardware.packets import Decoder, Drop, encode
 from eitskin.hardware.port import BAUD, GONE, Port, open_port, ports_here
+from eitskin.hardware.stage import Stage
 from eitskin.simulator import Frame, Protocol, Status
 
 REPLY_WITHIN = 0.5  # s
@@ -42,6 +44,11 @@ TRIES = 3
 SILENT_PERIODS = 3
 _CHUNK = 4096  # bytes, what a terminal's input queue holds
 _BACKLOG = 2**17  # bytes; Linux keeps 64 KiB behind that queue, other systems less
+
+
+class AnotherBoardError(DeviceError):
+    """Not the board that it was; connecting again does not help."""
+
 
 log = logging.getLogger(__name__)
 Answer = TypeVar("Answer", bound=Message)
@@ -55,41 +62,48 @@ class SerialBoard:
         uri: what it was opened as.
         info: who it is; replaced when it has restarted.
         protocol: what it measures.
+        stage: what happens to it, for a virtual board; None for a real one.
         events: the last lines of text that its firmware sent.
     """
 
     def __init__(
         self,
-        port: Port,
+        connect: Callable[[], Port],
         uri: str,
         clock: Callable[[], float] = time.monotonic,
         and_close: Callable[[], None] = lambda: None,
+        stage: Stage | None = None,
     ) -> None:
         """Ask the board who it is and what it measures.
 
         Args:
-            port: an open port that gives what there is after a short while.
+            connect: gives an open port, which reads what there is after a short while; called again
+                by `reconnect`.
             uri: to name it in messages.
             clock: seconds, to know how long it has been silent.
             and_close: called once when the board is closed.
+            stage: what happens to it, for a virtual board.
 
         Raises DeviceError where it does not answer as expected.
         """
-        self.uri = uri
+        self.uri, self.stage = uri, stage
         self.events: deque[Event] = deque(maxlen=20)
-        self._port, self._clock, self._and_close = port, clock, and_close
-        self._read_at = clock()
+        self._connect, self._clock, self._and_close = connect, clock, and_close
         self._closed = False
         self._decoder = Decoder()
         self._inbox: deque[Message] = deque()
         self._malformed = ""
         self._seq = 0
         self._expected: int | None = None
-        self._restarted = False
-        self._frames = self._lost = self._skipped = 0
+        self._restarted = self._resuming = False
+        self._frames = self._lost = self._skipped = self._reconnections = 0
         try:
-            self._guarded(port.reset_input_buffer)
-            self.info = self._request(Hello(), Info)
+            self._port = connect()
+        except BaseException:
+            and_close()
+            raise
+        try:
+            self.info = self._meet()
             self.protocol = self._read_protocol()
         except BaseException:
             self.close()
@@ -104,7 +118,7 @@ class SerialBoard:
     def counts(self) -> Counts:
         """What has come through so far."""
         dropped = {reason.value: n for reason, n in sorted(self._decoder.drops.items())}
-        return Counts(self._frames, self._lost, self._skipped, dropped)
+        return Counts(self._frames, self._lost, self._skipped, dropped, self._reconnections)
 
     def frames(self, newest: bool = False) -> Iterator[Frame]:
         """Start the board and give its frames as they come.
@@ -117,6 +131,8 @@ class SerialBoard:
         """
         self._guarded(self._port.reset_input_buffer)
         self._inbox.clear()
+        if not self._resuming:
+            self._expected = None
         self._start()
         while True:
             if newest:
@@ -126,6 +142,34 @@ class SerialBoard:
                 frame = self._overtaken_by(frame)
             self._frames += 1
             yield frame
+
+    def reconnect(self) -> None:
+        """Let go of the port and connect again, after which `frames` goes on.
+
+        Frames that the board numbered meanwhile are lost and counted; where it has started anew,
+        nobody knows how many there were.
+
+        Raises:
+            DeviceError: where it is not there, or does not answer as expected; try again later.
+            AnotherBoardError: where another board answers, or the same with another table.
+        """
+        if self._closed:
+            raise DeviceError(f"{self.uri} is closed; open it again")
+        with contextlib.suppress(*GONE):
+            self._port.close()
+        self._port = self._connect()
+        self._decoder.restart()
+        self._inbox.clear()
+        known, self.info = self.info, self._meet()
+        if (self.info.uid, self.info.table_crc32) != (known.uid, known.table_crc32):
+            found, self.info = self.info, known
+            raise AnotherBoardError(
+                f"{self.uri}: expected the board {known.uid.hex()} with table "
+                f"{known.table_crc32:08x}, found {found.uid.hex()} with {found.table_crc32:08x}; "
+                "references of another sensor do not fit, start anew"
+            )
+        self._resuming = self.info.boot_count == known.boot_count
+        self._reconnections += 1
 
     def calibrate(self) -> None:
         """Have the board measure its calibration resistor again before its next frame."""
@@ -141,7 +185,8 @@ class SerialBoard:
             pass  # it is gone, and so needs no stopping
         finally:
             self._closed = True
-            self._port.close()
+            with contextlib.suppress(*GONE):
+                self._port.close()
             self._and_close()
 
     def __enter__(self) -> Self:
@@ -156,6 +201,11 @@ class SerialBoard:
     ) -> None:
         """Close the board."""
         self.close()
+
+    def _meet(self) -> Info:
+        self._read_at = self._clock()
+        self._guarded(self._port.reset_input_buffer)
+        return self._request(Hello(), Info)
 
     def _read_protocol(self) -> Protocol:
         table = self._request(GetTable(), Table)
@@ -176,7 +226,6 @@ class SerialBoard:
     def _start(self) -> None:
         """Start the frames; those that come before the answer are old and are passed over."""
         self._request(Start(), Ack)
-        self._expected = None
         self._restarted = False
 
     def _next_frame(self) -> Frame:
@@ -231,8 +280,11 @@ class SerialBoard:
             return None
         gap = 0 if self._expected is None else (data.number - self._expected) % 2**32
         if gap >= 2**31:  # behind, not ahead: numbers wrap
-            self._decoder.drops[Drop.STALE] += 1
-            return None
+            if not self._resuming:
+                self._decoder.drops[Drop.STALE] += 1
+                return None
+            gap = 0  # it counts anew, though it says that it did not start anew
+        self._resuming = False
         self._lost += gap
         self._expected = (data.number + 1) % 2**32
         if data.kind != 0:
@@ -256,11 +308,11 @@ class SerialBoard:
             log.info("%s: %s", self.uri, message.text)
         elif isinstance(message, Info) and message.boot_count != self.info.boot_count:
             if message.table_crc32 != self.info.table_crc32:
-                raise DeviceError(
+                raise AnotherBoardError(
                     f"{self.uri}: the board restarted with another measurement table; connect again"
                 )
             self.info = message
-            self._restarted = True
+            self._restarted, self._expected = True, None
 
     def _request(self, request: Request, answer: type[Answer]) -> Answer:
         """Send `request` until it is answered; every try has the same number."""
@@ -356,4 +408,4 @@ def open_serial(path: str, uri: str, baud: int = BAUD) -> SerialBoard:
         raise ConfigurationError(
             f"serial: needs a port, such as serial:/dev/ttyACM0; {ports_here()}"
         )
-    return SerialBoard(open_port(path, uri, baud), uri)
+    return SerialBoard(lambda: open_port(path, uri, baud), uri)

@@ -4,7 +4,7 @@ The host opens it as it opens a real one, so both share every byte of the host's
 """
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, cast, get_args
 
@@ -32,15 +32,22 @@ from eitskin.hardware.messages import (
 from eitskin.hardware.packets import Decoder, Packet, encode
 from eitskin.hardware.port import open_port
 from eitskin.hardware.pseudo_terminal import Pace, PseudoTerminal
-from eitskin.hardware.script import Measuring, Reading, SceneSource, Script, SimulatedSensor, Step
+from eitskin.hardware.script import (
+    Measure,
+    Measuring,
+    SceneSource,
+    Script,
+    SimulatedSensor,
+    Step,
+    noise_free,
+)
 from eitskin.hardware.serial_board import SerialBoard
+from eitskin.hardware.stage import Stage
 from eitskin.simulator import Instrument, Protocol, Scene, Simulator
 from eitskin.simulator.ad5940 import MEASUREMENT_TIME
 from eitskin.simulator.resolution import Resolution
 
 SPEEDS = ("real", "max")
-Sensor = Callable[[int], Reading]
-"""What is measured in the frame with a given number."""
 
 
 class VirtualFirmware:
@@ -49,24 +56,31 @@ class VirtualFirmware:
     Attributes:
         info: who the board says it is.
         streaming: whether frames are due.
+        delay: by how much the frame after the newest is late [s].
+        stage: what happens to the board.
     """
 
     def __init__(
         self,
-        sensor: Sensor,
+        stage: Stage,
         protocol: Protocol,
+        measure: Measure = noise_free,
         period: float | None = None,
-        faults: Sequence[Fault] = (),
     ) -> None:
         """Build a board that has not booted yet.
 
         Args:
-            sensor: what it measures.
+            stage: the scene that it measures, and what goes wrong with it.
             protocol: its measurement table.
+            measure: what it reads of noise-free impedances, by frames since it was built.
             period: from frame to frame [s]; 10.6 ms for each measurement when omitted.
-            faults: what goes wrong with it.
         """
-        self._sensor, self._protocol, self._faults = sensor, protocol, faults
+        self.stage = stage
+        self.streaming, self.delay = False, 0.0
+        self._protocol, self._measure = protocol, measure
+        self._decoder = Decoder()
+        self._seq = self._left = self._number = self._started = 0
+        self._late = 0.0
         self._table = Table.of(protocol)
         self.info = Info(
             firmware="eitskin-virtual",
@@ -81,47 +95,77 @@ class VirtualFirmware:
             rcal=200.0,
             period=len(protocol) * MEASUREMENT_TIME if period is None else period,
         )
-        self.streaming = False
-        self._decoder = Decoder()
-        self._seq = self._number = self._left = 0
+
+    @property
+    def holds_port(self) -> bool:
+        """Whether another program has the port open."""
+        return any(fault.holds_port(self.stage.frames) for fault in self.stage.active)
+
+    @property
+    def plugged_in(self) -> bool:
+        """Whether the cable may be put back."""
+        return not any(fault.stays_out(self.stage.frames) for fault in self.stage.active)
 
     def boot(self) -> bytes:
         """Start afresh, and say so."""
         self.info = dataclasses.replace(self.info, boot_count=self.info.boot_count + 1)
-        self.streaming = False
-        self._decoder = Decoder()
-        self._seq = self._number = self._left = 0
-        return self._send(self.info) + self._send(Event(0, 0, f"boot {self.info.boot_count}"))
+        self._start()
+        return self._send(self._introduction()) + self._send(
+            Event(0, 0, f"boot {self.info.boot_count}")
+        )
 
     def receive(self, data: bytes) -> bytes:
         """Take bytes from the host and answer them."""
-        return b"".join(self._answer(packet) for packet in self._decoder.feed(data))
+        return b"".join(self._reply(packet) for packet in self._decoder.feed(data))
 
     def frame(self) -> bytes:
         """Measure the next frame and send it; raises `Unplugged` where a fault says so."""
-        number = self._number
-        impedance, status = self._sensor(number)
+        now, faults = self.stage.frames, self.stage.active
+        if any(fault.reboots(now) for fault in faults):
+            self.stage.frames += 1
+            return self.boot()
+        impedance, status = self._measure(self.stage.measured(now), now)
+        self.stage.sent_as(self._number)
         data = FrameData(
-            number=number,
-            time=number * self.info.period,
+            number=self._number,
+            time=(now - self._started) * self.info.period + self._late,
             duration=len(self._protocol) * MEASUREMENT_TIME,
             impedance=impedance.astype(np.complex64),
             status=status,
         )
-        for fault in self._faults:
-            data = fault.measured(data, self._protocol, self.info.frequency)
-        sent = self._send(data)
-        for fault in self._faults:
-            sent = fault.sent(number, sent)
+        for fault in faults:
+            data = fault.measured(now, data, self._protocol, self.info)
+        packet = encode(pack(data, self._seq))
+        self._seq += 1
         self.skip()
-        return sent
+        self.delay = sum(fault.delay(now, self.info.period) for fault in faults)
+        self._late += self.delay
+        for fault in faults:
+            packet = fault.sent(now, packet, self.info.period)
+        return self._line(packet)
 
     def skip(self) -> None:
         """Let a frame pass that the host is too slow for."""
-        self._number += 1
+        self.stage.frames += 1
+        self._number = (self._number + 1) % 2**32
         if self._left:
             self._left -= 1
             self.streaming = self._left > 0
+
+    def _start(self) -> None:
+        faults = self.stage.active
+        self._decoder = Decoder()
+        self._seq = self._left = 0
+        self._number = max((fault.first_number() for fault in faults), default=0)
+        self._started, self._late, self.delay = self.stage.frames, 0.0, 0.0
+        self.streaming = any(fault.streams_at_once() for fault in faults)
+
+    def _reply(self, packet: Packet) -> bytes:
+        reply = self._answer(packet)
+        for fault in self.stage.active:
+            reply = fault.answered(self.stage.requests, reply)
+        self.stage.requests += 1
+        return self._line(reply)
 
     def _answer(self, packet: Packet) -> bytes:
         try:
@@ -130,9 +174,9 @@ class VirtualFirmware:
             return self._acknowledge(packet, Reply.MALFORMED)
         match message:
             case Hello():
-                return self._send(self.info)
+                return self._packed(self._introduction())
             case GetTable():
-                return self._send(self._table)
+                return self._packed(self._table)
             case Start(frames):
                 self._left, self.streaming = frames, True
             case Stop():
@@ -143,13 +187,27 @@ class VirtualFirmware:
                 return self._acknowledge(packet, Reply.UNKNOWN_TYPE)
         return self._acknowledge(packet, Reply.DONE)
 
-    def _acknowledge(self, packet: Packet, status: Reply) -> bytes:
-        return self._send(Ack(packet.seq, packet.type, status))
+    def _introduction(self) -> Info:
+        info = self.info
+        for fault in self.stage.active:
+            info = fault.introduced(self.stage.frames, info)
+        return info
 
-    def _send(self, message: Message) -> bytes:
+    def _acknowledge(self, packet: Packet, status: Reply) -> bytes:
+        return self._packed(Ack(packet.seq, packet.type, status))
+
+    def _packed(self, message: Message) -> bytes:
         sent = encode(pack(message, self._seq))
         self._seq += 1
         return sent
+
+    def _send(self, message: Message) -> bytes:
+        return self._line(self._packed(message))
+
+    def _line(self, data: bytes) -> bytes:
+        for fault in self.stage.active:
+            data = fault.line(self.stage.frames, data)
+        return data
 
 
 def virtual_terminal(
@@ -163,7 +221,8 @@ def virtual_terminal(
     faults: str | Sequence[Fault] = (),
     simulator: Measuring | None = None,
     period: float | None = None,
-) -> PseudoTerminal:
+    link: str | Path | None = None,
+) -> PseudoTerminal[VirtualFirmware]:
     """A virtual board on a pseudo-terminal, not yet served.
 
     Args:
@@ -178,6 +237,7 @@ def virtual_terminal(
         faults: what goes wrong, as text or as `Fault`s.
         simulator: of the sensor; one of the reference design when omitted.
         period: from frame to frame [s]; the AD5940's when omitted.
+        link: a path that leads to the terminal, also after the cable was pulled and put back.
 
     Raises ConfigurationError for an option that cannot be.
     """
@@ -192,10 +252,15 @@ def virtual_terminal(
         instrument = Instrument.named(instrument)
     elif instrument is None and np.isfinite(snr_db):
         instrument = Instrument(snr_db)
-    sensor = SimulatedSensor(simulator, _scenes(scene), instrument, seed, period)
+    sensor = SimulatedSensor(simulator, instrument, seed, period)
     chosen = read_faults(faults) if isinstance(faults, str) else faults
-    firmware = VirtualFirmware(sensor, sensor.protocol, period, chosen)
-    return PseudoTerminal(firmware, Pace(firmware.info.period if speed == "real" else 0.0))
+    stage = Stage(sensor.solve, _scenes(scene), chosen)
+    firmware = VirtualFirmware(stage, sensor.protocol, sensor.measure, period)
+    terminal = PseudoTerminal(
+        firmware, Pace(firmware.info.period if speed == "real" else 0.0), link
+    )
+    stage.changed = terminal.wake
+    return terminal
 
 
 def open_virtual(uri: str = "virtual:", **options: Any) -> SerialBoard:
@@ -203,15 +268,18 @@ def open_virtual(uri: str = "virtual:", **options: Any) -> SerialBoard:
     terminal = virtual_terminal(**options)
     terminal.start()
     try:
-        return SerialBoard(open_port(terminal.path, uri), uri, and_close=terminal.close)
+        return SerialBoard(
+            lambda: open_port(terminal.path, uri),
+            uri,
+            and_close=terminal.close,
+            stage=terminal.firmware.stage,
+        )
     except BaseException:
         terminal.close()
         raise
 
 
-def _scenes(scene: str | Path | Scene | SceneSource | None) -> SceneSource:
-    if scene is None:
-        return Script((Step(Scene()),))
+def _scenes(scene: str | Path | Scene | SceneSource | None) -> SceneSource | None:
     if isinstance(scene, Scene):
         return Script((Step(scene),))
     if isinstance(scene, (str, Path)):

@@ -7,6 +7,8 @@ import numpy as np
 
 from eitskin.hardware import SerialBoard, open_board
 from eitskin.hardware.packets import Decoder
+from eitskin.hardware.script import noise_free
+from eitskin.hardware.stage import Stage
 from eitskin.hardware.virtual import VirtualFirmware
 from eitskin.simulator import Frame, Protocol
 
@@ -77,8 +79,8 @@ class Loopback:
 
 
 def firmware(faults=(), sensor=lambda _: FLAT, **changes):
-    good = np.zeros(len(PROTOCOL), np.uint8)
-    board = VirtualFirmware(lambda number: (sensor(number), good), PROTOCOL, faults=faults)
+    stage = Stage(lambda _: FLAT, faults=faults)
+    board = VirtualFirmware(stage, PROTOCOL, lambda _, now: noise_free(sensor(now), now))
     board.info = dataclasses.replace(board.info, **changes)
     return board
 
@@ -86,4 +88,4 @@ def firmware(faults=(), sensor=lambda _: FLAT, **changes):
 def connected(board_firmware, **state):
     port = Loopback(board_firmware)
     vars(port).update(state)
-    return SerialBoard(port, "serial:loopback", clock=port.clock), port
+    return SerialBoard(lambda: port, "serial:loopback", clock=port.clock), port

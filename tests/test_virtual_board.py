@@ -12,6 +12,7 @@ from eitskin.hardware.messages import Ack, Type, pack, unpack
 from eitskin.hardware.packets import Decoder, Packet, encode
 from eitskin.hardware.pseudo_terminal import Pace, PseudoTerminal
 from eitskin.hardware.script import SimulatedSensor
+from eitskin.hardware.stage import Stage
 from eitskin.hardware.virtual import virtual_terminal
 from eitskin.simulator import Instrument, Scene, Simulator, Status, Touch
 
@@ -37,8 +38,8 @@ def test_a_script_without_repeat_stays_at_its_last_scene():
 
 
 def test_scenes_may_come_from_any_function():
-    sensor = SimulatedSensor(FakeSimulator(), lambda number: Scene(bend=Bend(float(number))))
-    assert np.allclose(sensor(30)[0], FLAT * 1.03)
+    stage = Stage(SimulatedSensor(FakeSimulator()).solve, lambda now: Scene(bend=Bend(float(now))))
+    assert np.allclose(stage.measured(30), FLAT * 1.03)
 
 
 def test_scripts_and_single_scenes_are_read_from_toml(tmp_path):
@@ -56,32 +57,29 @@ def test_scripts_and_single_scenes_are_read_from_toml(tmp_path):
 
 
 def test_noise_is_that_of_the_seed_and_of_the_frame():
-    sensors = [
-        SimulatedSensor(FakeSimulator(), lambda _: Scene(), Instrument(60.0), seed)
-        for seed in (3, 3, 4)
-    ]
-    one, same, other = (sensor(5)[0] for sensor in sensors)
+    sensors = [SimulatedSensor(FakeSimulator(), Instrument(60.0), seed) for seed in (3, 3, 4)]
+    one, same, other = (sensor.measure(FLAT, 5)[0] for sensor in sensors)
     assert np.array_equal(one, same)
     assert not np.array_equal(one, other)
-    assert not np.array_equal(one, sensors[0](6)[0])
-    residual = np.array([sensors[0](number)[0] - FLAT for number in range(300)])
+    assert not np.array_equal(one, sensors[0].measure(FLAT, 6)[0])
+    residual = np.array([sensors[0].measure(FLAT, number)[0] - FLAT for number in range(300)])
     assert residual.real.std() == pytest.approx(820.0 * 1e-3, rel=0.03)
 
 
 def test_a_virtual_board_is_one_session_of_its_instrument_and_drifts_along_its_frames():
     steady = Instrument(snr_db=0.0, gain=0.002, reciprocity=0.004)
-    sensor = SimulatedSensor(FakeSimulator(), lambda _: Scene(), steady, seed=3)
-    first, _ = sensor(0)
-    assert np.array_equal(sensor(1000)[0], first)
+    sensor = SimulatedSensor(FakeSimulator(), steady, seed=3)
+    first, _ = sensor.measure(FLAT, 0)
+    assert np.array_equal(sensor.measure(FLAT, 1000)[0], first)
     assert not np.allclose(first, FLAT, rtol=1e-4)
     drifting = Instrument(snr_db=0.0, drift=0.002)
-    sensor = SimulatedSensor(FakeSimulator(), lambda _: Scene(), drifting, seed=3, period=0.5)
+    sensor = SimulatedSensor(FakeSimulator(), drifting, seed=3, period=0.5)
     session = drifting.session(
         PROTOCOL, 820.0, np.random.default_rng(np.random.SeedSequence(3, spawn_key=(0,)))
     )
     factor = np.exp(session.drift(np.array([500.0]))[0])
     assert abs(factor - 1.0) > 1e-5
-    assert np.allclose(sensor(1000)[0], FLAT * factor, rtol=1e-12)
+    assert np.allclose(sensor.measure(FLAT, 1000)[0], FLAT * factor, rtol=1e-12)
 
 
 def test_the_virtual_board_sends_the_status_of_its_instrument():
@@ -131,7 +129,7 @@ def test_a_paced_board_sends_no_frame_before_it_is_due():
 
 def test_a_virtual_board_is_paced_as_its_info_says():
     terminal = virtual_terminal(simulator=FakeSimulator())
-    assert terminal._pace.period == terminal._firmware.info.period == pytest.approx(0.2968)
+    assert terminal._pace.period == terminal.firmware.info.period == pytest.approx(0.2968)
     terminal.close()
 
 

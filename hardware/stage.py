@@ -1,0 +1,109 @@
+"""What happens to a virtual board while it runs: its scene, and what goes wrong with it."""
+
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.hardware.fault import Fault
+from eitskin.hardware.faults import fault_name, read_faults
+from eitskin.hardware.script import SceneSource, Script, Step
+from eitskin.simulator import Scene
+
+REMEMBERED = 4096
+"""Frames whose scene is still known; what a host has not read by then it will not ask for."""
+
+Solve = Callable[[Scene], NDArray[np.complex128]]
+
+
+class Stage:
+    """The scene and the faults of a virtual board; may be changed from any thread.
+
+    A new scene is solved by whoever sets it, so that an impossible one is refused there and the
+    board goes on in its pace.
+
+    Attributes:
+        frames: measured so far, since the board was made.
+        requests: answered so far.
+        changed: called when the faults have changed, for whoever waits.
+    """
+
+    def __init__(
+        self, solve: Solve, scenes: SceneSource | None = None, faults: Sequence[Fault] = ()
+    ) -> None:
+        """Set the stage.
+
+        Args:
+            solve: gives the noise-free impedances of a scene, (measurements,) [ohm].
+            scenes: a `Script`, or any function from frame number to scene; flat and untouched when
+                omitted. Those of a script are solved now.
+            faults: what goes wrong.
+        """
+        self.frames = self.requests = 0
+        self.changed: Callable[[], None] = lambda: None
+        self._solve, self._solving = solve, threading.Lock()
+        self._faults = tuple(faults)
+        self._truth: OrderedDict[int, Scene] = OrderedDict()
+        self._newest = Scene()
+        self._source: SceneSource = lambda _: Scene()
+        self.play(scenes or Script((Step(Scene()),)))
+
+    @property
+    def scene(self) -> Scene:
+        """The scene of the newest frame; before the first, of the frame to come."""
+        return self._newest if self.frames else self._source(0)
+
+    def set(self, scene: Scene) -> None:
+        """Have this scene from the next frame on; raises ConfigurationError if it cannot be."""
+        self._solved(scene)
+        self._source = lambda _: scene
+
+    def play(self, scenes: SceneSource) -> None:
+        """Follow a script from the next frame on; raises ConfigurationError if it cannot be."""
+        if isinstance(scenes, Script):
+            for step in scenes.steps:
+                self._solved(step.scene)
+        first = self.frames
+        self._source = lambda now: scenes(now - first)
+
+    def measured(self, now: int) -> NDArray[np.complex128]:
+        """Noise-free impedances of the scene of frame `now`, counted since the board was made."""
+        self._newest = self._source(now)
+        return self._solved(self._newest)
+
+    def sent_as(self, number: int) -> None:
+        """Remember the newest scene as that of the frame with this number."""
+        self._truth[number] = self._newest
+        self._truth.move_to_end(number)
+        if len(self._truth) > REMEMBERED:
+            self._truth.popitem(last=False)
+
+    def truth(self, number: int) -> Scene | None:
+        """The scene that frame `number` was measured of; None for one long gone."""
+        return self._truth.get(number)
+
+    @property
+    def active(self) -> tuple[Fault, ...]:
+        """The faults, to be asked frame by frame."""
+        return self._faults
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """The faults that were named and not cleared since."""
+        return tuple(fault_name(fault) for fault in self._faults)
+
+    def inject(self, text: str) -> None:
+        """Have faults strike at once, "name:index,..."; raises ConfigurationError for others."""
+        self._faults += read_faults(text, self.frames, self.requests)
+        self.changed()
+
+    def clear(self) -> None:
+        """End what lasts, and what has yet to strike."""
+        self._faults = ()
+        self.changed()
+
+    def _solved(self, scene: Scene) -> NDArray[np.complex128]:
+        with self._solving:
+            return self._solve(scene)
