@@ -28,7 +28,7 @@ class CheckedFrames:
 
     Attributes:
         protocol: of all of them.
-        impedance: (frames, measurements) [ohm].
+        impedance: (frames, measurements) [ohm]; NaN for all that is no number.
         status: `Status` bits, (frames, measurements).
         expected: (measurements,) [ohm].
     """
@@ -52,14 +52,12 @@ class CheckedFrames:
     @cached_property
     def shorted(self) -> Bools:
         """Channels with nearly no resistance, which clip the current of any board."""
-        known = self.finite.any(axis=0)
-        usual = float(np.median(self.ratio[known])) if known.any() else 1.0
-        return np.asarray(known & (self.ratio < SHORT * usual))
+        return np.asarray(self.finite.any(axis=0) & (self.ratio < SHORT * self._scale))
 
     @cached_property
     def value(self) -> Complex:
         """Median of each channel's finite values (measurements,) [ohm]; zero where it has none."""
-        kept = np.where(self.finite, self.impedance, np.nan)
+        kept = self.impedance.copy()
         kept[:, ~self.finite.any(axis=0)] = 0.0
         return np.asarray(np.nanmedian(kept.real, axis=0) + 1j * np.nanmedian(kept.imag, axis=0))
 
@@ -71,26 +69,36 @@ class CheckedFrames:
     @cached_property
     def opened(self) -> Bools:
         """Channels without a current, (measurements,)."""
-        said = self.flagged(Status.OPEN) | self.flagged(Status.LOW_CURRENT)
-        judged = self.usable & ~said
+        return np.asarray(self._said_open | (self.usable & (self.ratio > OPEN * self._scale)))
+
+    @cached_property
+    def _said_open(self) -> Bools:
+        return self.flagged(Status.OPEN) | self.flagged(Status.LOW_CURRENT)
+
+    @cached_property
+    def _scale(self) -> float:
+        """Between the values of good channels and the expected ones.
+
+        Whether the scale or the contacts are wrong, the lowest fifth tells: it stays good with four
+        of eight electrodes open. Where all are, they see a capacitance, whatever they expected.
+        """
+        judged = self.finite.any(axis=0) & ~self._said_open
         if not judged.any():
-            return said
-        # Whether the scale or the contacts are wrong, the lowest fifth tells: it stays whole with
-        # four of eight electrodes open. All open, they see a capacitance, whatever they expected.
-        low = float(np.quantile(self.ratio[judged], 0.2))
-        if low > OPEN and np.median(np.angle(self.value[judged], deg=True)) < -60.0:
-            low = 1.0
-        return np.asarray(said | (judged & (self.ratio > OPEN * low)))
+            return 1.0
+        low = float(np.quantile(self.ratio[judged], 0.2, method="lower"))
+        capacitive = np.median(np.angle(self.value[judged], deg=True)) < -60.0
+        return 1.0 if low > OPEN and capacitive else low
 
     @cached_property
     def noise(self) -> Array:
         """White noise per quadrature, from frame to frame, (measurements,) [ohm].
 
-        The squares of its differences are distributed exponentially with mean 4 sigma^2, three
-        quarters of them below 4 sigma^2 ln 4; a single step does not change that.
+        The squares of its second differences are distributed exponentially with mean 12 sigma^2,
+        three quarters of them below 12 sigma^2 ln 4. Steps and ramps do not change that.
         """
-        steps = np.abs(np.diff(np.where(self.finite, self.impedance, self.value), axis=0))
-        return np.asarray(np.quantile(steps, 0.75, axis=0) / np.sqrt(4.0 * np.log(4.0)))
+        filled = np.where(self.finite, self.impedance, self.value)
+        curved = np.abs(np.diff(filled, n=2, axis=0))
+        return np.asarray(np.quantile(curved, 0.75, axis=0) / np.sqrt(12.0 * np.log(4.0)))
 
     @cached_property
     def senses_where_it_drives(self) -> Bools:
@@ -129,6 +137,7 @@ def checked_frames(frames: tuple[Frame, ...], expected: Array) -> CheckedFrames:
     if not np.isfinite(expected).all():
         raise ConfigurationError("the expected resistances must be finite")
     impedance = np.array([frame.impedance for frame in frames])
+    impedance[~np.isfinite(impedance)] = np.nan
     return CheckedFrames(
         protocol, impedance, np.array([frame.status for frame in frames]), expected
     )

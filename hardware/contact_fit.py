@@ -113,7 +113,8 @@ def _fits(values: Array, used: Bools, columns: Array) -> list[ContactFit]:
     expected, typical = columns[:, 0], float(np.median(columns[:, 0]))
     kept = np.where(used, values, np.nan)
     common = np.nanmedian(kept / expected, axis=1, keepdims=True)
-    weights = np.where(used, 1.0 / np.maximum(values, common * expected) ** 2, 0.0)
+    sizes = np.maximum(values, np.maximum(common, np.finfo(float).eps) * expected)
+    weights = np.where(used, 1.0 / sizes**2, 0.0)
     products = (columns[:, :, None] * columns[:, None, :]).reshape(len(expected), -1)
     size = columns.shape[1]
     normal = (weights @ products).reshape(-1, size, size)

@@ -63,7 +63,9 @@ def check_sensor(frames: Sequence[Frame], expected: ArrayLike) -> SensorCheck:
     findings += [_open((e,), seen.with_electrode(e)) for e in electrodes]
     findings += [_open_channel(k, seen) for k in channels]
     if rest.any():
-        findings += [*unsteady(seen, rest & ~seen.shorted), *_wrong_values(seen, rest)]
+        changing = list(unsteady(seen, rest & ~seen.shorted))
+        steady = _without(changing, rest)
+        findings += [*changing, *_wrong_values(seen, steady)]
     return SensorCheck(tuple(findings))
 
 
@@ -104,7 +106,7 @@ def _wrong_values(seen: CheckedFrames, rest: Bools) -> Iterator[Finding]:
         scale = fit.scale if fit and fit.good else float(np.median(seen.ratio[rest]))
         if not 1.0 / FACTOR <= scale <= FACTOR:
             text = (
-                f"all values are {scale:.3g} times what this design gives: check RTIA and RCAL in "
+                f"all values are {scale:.2g} times what this design gives: check RTIA and RCAL in "
                 "the firmware, and that this is the sensor that the model is for"
             )
             yield Finding(What.FACTOR, (), indices(rest), text)
@@ -158,6 +160,15 @@ def _wrong_phase(seen: CheckedFrames, rest: Bools) -> Iterator[Finding]:
     if wrong.any():
         remedy = "a contact without gel acts as a capacitor: wet it, check its wire"
         yield from located(What.PHASE, wrong, seen, "has a wrong phase", remedy)
+
+
+def _without(changing: Sequence[Finding], rest: Bools) -> Bools:
+    """The channels that do not change, unless most of them do."""
+    steady = rest.copy()
+    for each in changing:
+        if 2 * len(each.channels) < len(rest):
+            steady[list(each.channels)] = False
+    return steady if steady.any() else rest
 
 
 def _open(electrodes: Sequence[int], channels: Bools) -> Finding:

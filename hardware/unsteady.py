@@ -58,7 +58,8 @@ def unsteady(seen: CheckedFrames, rest: Bools) -> Iterator[Finding]:
 
 def _moved(seen: CheckedFrames, rest: Bools, noise: Array) -> Iterator[Finding]:
     """Changes beyond the noise, relative, from quarter to quarter of the check."""
-    values = np.where(seen.finite, seen.impedance, seen.value)[:, rest] / seen.value[rest]
+    value = np.where(seen.value == 0.0, 1.0, seen.value)
+    values = (np.where(seen.finite, seen.impedance, value) / value)[:, rest]
     means = np.array([quarter.mean(axis=0) for quarter in np.array_split(values.real, 4)])
     changes = (means[:, None] - means[None]).reshape(16, -1)
     common = np.median(changes, axis=1)
@@ -66,7 +67,7 @@ def _moved(seen: CheckedFrames, rest: Bools, noise: Array) -> Iterator[Finding]:
     beside = changes - common[:, None]
     touched = np.sqrt((beside**2).mean(axis=1)) > TOUCHED
     touched &= ((beside / chance) ** 2).mean(axis=1) > UNLIKELY
-    if not touched.any() and np.abs(common).max() <= MOVED:
+    if not touched.any() and np.abs(common).max() <= max(MOVED, 3.0 * np.median(chance)):
         return
     largest = np.abs(changes).max(axis=0)
     moved = np.zeros_like(rest)
