@@ -1,0 +1,74 @@
+/* The measurement: a state machine that takes the AD5940 through the rows of the table, voltage
+ * then current, without ever waiting. */
+#ifndef EIT_SCAN_H
+#define EIT_SCAN_H
+
+#include "eit_ad5940.h"
+#include "eit_config.h"
+#include "eit_hal.h"
+
+/* Status of one measurement, as in FRAME. */
+#define EIT_CLIPPED 0x01
+#define EIT_DFT_TIMEOUT 0x04
+#define EIT_OPEN 0x08
+#define EIT_LOW_CURRENT 0x10
+#define EIT_UNCALIBRATED 0x20
+
+typedef struct {
+    float re, im;
+} eit_complex;
+
+typedef enum {
+    EIT_RESET_HELD, /* the AD5940 is held in reset */
+    EIT_WAKING, /* it has been let go */
+    EIT_RESTING, /* nothing is being measured */
+    EIT_SETTLING, /* switched, not yet converting */
+    EIT_TRANSFORMING,
+    EIT_ABSENT, /* no AD5940 answered after its reset */
+} eit_phase;
+
+/* What one poll has brought about. */
+typedef enum {
+    EIT_NOTHING,
+    EIT_MOVED_ON,
+    EIT_FRAME_MEASURED,
+    EIT_AFE_ABSENT,
+    EIT_AFE_SILENT, /* a whole frame of timeouts: it is being reset */
+    EIT_CALIBRATION_FAILED,
+} eit_outcome;
+
+typedef struct {
+    const eit_hal *hal;
+    const eit_config *config;
+    eit_phase phase;
+    uint64_t until_us; /* when the phase ends by itself */
+    eit_target target;
+    eit_channel channel;
+    uint8_t row, timeouts;
+    uint8_t status; /* of the row so far */
+    eit_code voltage;
+    bool calibration_due, calibrated;
+    eit_complex rtia; /* ohm, with the phase of the whole current channel */
+    uint64_t started_us, ended_us; /* of the frame */
+    eit_complex impedances[EIT_MAX_MEASUREMENTS]; /* ohm */
+    uint8_t statuses[EIT_MAX_MEASUREMENTS];
+} eit_scan;
+
+/* Start from the reset of the AD5940; a calibration follows. */
+void eit_scan_begin(eit_scan *scan, const eit_hal *hal, const eit_config *config);
+
+/* Have the calibration resistor measured before the next frame. */
+void eit_scan_calibrate(eit_scan *scan);
+
+/* Whether a frame may start. */
+bool eit_scan_is_ready(const eit_scan *scan);
+
+void eit_scan_start_frame(eit_scan *scan);
+
+/* Forget a frame that is being measured. */
+void eit_scan_stop(eit_scan *scan);
+
+/* Do what is due, if anything is. */
+eit_outcome eit_scan_poll(eit_scan *scan);
+
+#endif
