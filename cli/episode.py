@@ -67,7 +67,7 @@ def episode_table(rows: Sequence[dict[str, Any]]) -> Table:
 def _row(scene: Scene, readings: Sequence["Reading"]) -> dict[str, Any]:
     from eitskin.training import metrics
 
-    estimates = [reading.estimate for reading in readings]
+    estimates = [reading.estimate for reading in readings if reading.estimate is not None]
     names = [str(getattr(e.state, "name", e.state)).lower() for e in estimates]
     truth = "touch" if scene.touches else "bend" if scene.bend.angle_deg else "idle"
     true = [(touch.x, touch.y) for touch in scene.touches]

@@ -34,6 +34,9 @@ class Fault:
     frame: int = 5
     index: int = 0
 
+    def __post_init__(self) -> None:
+        """Prepare what the fault remembers; nothing, here."""
+
     def strikes(self, now: int) -> bool:
         """Whether this is the one frame that it strikes."""
         return now == self.frame

@@ -9,7 +9,7 @@ import difflib
 import re
 
 from eitskin.geometry import ConfigurationError
-from eitskin.hardware.board_faults import BOARD_FAULTS, AnswerFault
+from eitskin.hardware.board_faults import BOARD_FAULTS
 from eitskin.hardware.fault import Fault, Unplugged
 from eitskin.hardware.sensor_faults import SENSOR_FAULTS
 from eitskin.hardware.wire_faults import WIRE_FAULTS
@@ -20,20 +20,9 @@ FAULTS: dict[str, type[Fault]] = {**WIRE_FAULTS, **BOARD_FAULTS, **SENSOR_FAULTS
 _NAMES = {kind: name for name, kind in FAULTS.items()}
 
 
-def read_faults(
-    text: str, frame: int | None = None, request: int | None = None
-) -> tuple[Fault, ...]:
-    """The faults in "name@frame:index,...".
-
-    Args:
-        text: as written.
-        frame: that is struck where the text names none; each fault's own default when omitted.
-        request: the same for faults of answers.
-
-    Raises ConfigurationError where one cannot be.
-    """
-    parts = (part.strip() for part in text.split(","))
-    return tuple(_read_fault(part, frame, request) for part in parts if part)
+def read_faults(text: str) -> tuple[Fault, ...]:
+    """The faults in "name@frame:index,..."; raises ConfigurationError where one cannot be."""
+    return tuple(_read_fault(part.strip()) for part in text.split(",") if part.strip())
 
 
 def fault_name(fault: Fault) -> str:
@@ -42,7 +31,7 @@ def fault_name(fault: Fault) -> str:
     return f"{name}:{fault.index}" if fault.index else name
 
 
-def _read_fault(text: str, frame: int | None, request: int | None) -> Fault:
+def _read_fault(text: str) -> Fault:
     match = re.fullmatch(r"(\w+)(?:@(\d{1,10}))?(?::(\d{1,6}))?", text)
     if match is None or match[1] not in FAULTS:
         near = difflib.get_close_matches(re.split("[@:]", text)[0], FAULTS, n=1)
@@ -51,8 +40,5 @@ def _read_fault(text: str, frame: int | None, request: int | None) -> Fault:
             f"expected a fault as name@frame:index with a name among {', '.join(FAULTS)}, got "
             f"{text!r}{hint}"
         )
-    fault = FAULTS[match[1]](index=int(match[3] or 0))
-    first = int(match[2]) if match[2] else request if isinstance(fault, AnswerFault) else frame
-    if first is not None:
-        fault.frame = first
-    return fault
+    given = {"frame": match[2], "index": match[3]}
+    return FAULTS[match[1]](**{name: int(value) for name, value in given.items() if value})

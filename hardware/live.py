@@ -10,11 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.datasets import State
-from eitskin.geometry import UnusableFrameError
-from eitskin.hardware.board import Board
+from eitskin.geometry import FrameError, UnusableFrameError
 from eitskin.simulator import Frame
-
-UNUSABLE_IN_A_ROW = 10  # three seconds of a real board
 
 
 class Estimate(typing.Protocol):
@@ -58,21 +55,30 @@ class Reading:
 
     Attributes:
         frame: as the board gave it.
-        estimate: what the pipeline makes of it.
+        estimate: what the pipeline makes of it; None where the frame is too damaged for one.
         latency: from having the frame to having the estimate [s].
         rate: frames per second over the last seconds; NaN for the first.
         unusable: frames so far that were too damaged for an estimate.
+        problem: why there is no estimate.
     """
 
     frame: Frame
-    estimate: Estimate
+    estimate: Estimate | None
     latency: float
     rate: float
     unusable: int = 0
+    problem: str = ""
+
+
+class FrameSource(typing.Protocol):
+    """A `Board`, or a `Connection` to one."""
+
+    def frames(self, newest: bool = False) -> Iterator[Frame]:
+        """The frames, as they come."""
 
 
 def run_live(
-    board: Board,
+    board: FrameSource,
     pipeline: FramePipeline,
     newest: bool = True,
     clock: Callable[[], float] = time.perf_counter,
@@ -80,32 +86,34 @@ def run_live(
     """Read, process and hand out, frame by frame.
 
     Args:
-        board: an open board.
+        board: an open board; a `Connection` where it may go away and come back.
         pipeline: makes an estimate of every frame.
         newest: skip frames that another has overtaken, so that what is shown is never old and no
             queue grows; the board counts them.
         clock: seconds, for latency and rate.
 
-    A damaged frame is counted and passed over.
+    A damaged frame is counted, and handed out with the reason instead of an estimate.
 
     Raises:
         DeviceError: where the board falls silent or goes away.
-        UnusableFrameError: for so many damaged frames in a row that the sensor must be at fault.
-        FrameError: for a board of another sensor.
+        FrameError: for a board of another sensor; not once there was an estimate, for then it is
+            the board that has gone wrong, and it may come round.
     """
-    unusable = in_a_row = 0
+    unusable = 0
+    known = False
     arrivals: deque[float] = deque(maxlen=20)
     for frame in board.frames(newest=newest):
         arrivals.append(clock())
+        estimate, problem = None, ""
         try:
             estimate = pipeline.process(frame)
-        except UnusableFrameError:
-            unusable, in_a_row = unusable + 1, in_a_row + 1
-            if in_a_row == UNUSABLE_IN_A_ROW:
+            known = True
+        except FrameError as error:
+            if not (known or isinstance(error, UnusableFrameError)):
                 raise
-            continue
-        in_a_row = 0
-        yield Reading(frame, estimate, clock() - arrivals[-1], _rate(arrivals), unusable)
+            problem, unusable = str(error), unusable + 1
+        latency = clock() - arrivals[-1]
+        yield Reading(frame, estimate, latency, _rate(arrivals), unusable, problem)
 
 
 def _rate(arrivals: deque[float]) -> float:

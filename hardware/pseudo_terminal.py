@@ -215,14 +215,15 @@ class PseudoTerminal(Generic[FirmwareType]):
 
     def _wait_for_cable(self, seconds: float | None) -> None:
         """Wait until the cable is put back, then make another terminal."""
+        pause = None if seconds is None else Pace(seconds)
         with selectors.DefaultSelector() as selector:
             selector.register(self._wake_read, selectors.EVENT_READ)
-            while selector.select(seconds) and not self._stopped:
-                os.read(self._wake_read, _CHUNK)
-                if self.firmware.plugged_in and seconds is None:
-                    break
-        if not self._stopped:
-            self._plug_in()
+            while not self._stopped:
+                if selector.select(None if pause is None else pause.remaining()):
+                    os.read(self._wake_read, _CHUNK)
+                if self.firmware.plugged_in and (pause is None or not pause.remaining()):
+                    self._plug_in()
+                    return
 
     def _lock(self, wanted: bool) -> None:
         """Hold the port as another program would, or let go of it."""

@@ -46,8 +46,8 @@ _CHUNK = 4096  # bytes, what a terminal's input queue holds
 _BACKLOG = 2**17  # bytes; Linux keeps 64 KiB behind that queue, other systems less
 
 
-class AnotherBoardError(DeviceError):
-    """Not the board that it was; connecting again does not help."""
+class UnrecoverableError(DeviceError):
+    """Connecting again does not help."""
 
 
 log = logging.getLogger(__name__)
@@ -151,10 +151,10 @@ class SerialBoard:
 
         Raises:
             DeviceError: where it is not there, or does not answer as expected; try again later.
-            AnotherBoardError: where another board answers, or the same with another table.
+            UnrecoverableError: where another board answers, or the same with another table.
         """
         if self._closed:
-            raise DeviceError(f"{self.uri} is closed; open it again")
+            raise UnrecoverableError(f"{self.uri} is closed; open it again")
         with contextlib.suppress(*GONE):
             self._port.close()
         self._port = self._connect()
@@ -163,7 +163,7 @@ class SerialBoard:
         known, self.info = self.info, self._meet()
         if (self.info.uid, self.info.table_crc32) != (known.uid, known.table_crc32):
             found, self.info = self.info, known
-            raise AnotherBoardError(
+            raise UnrecoverableError(
                 f"{self.uri}: expected the board {known.uid.hex()} with table "
                 f"{known.table_crc32:08x}, found {found.uid.hex()} with {found.table_crc32:08x}; "
                 "references of another sensor do not fit, start anew"
@@ -308,7 +308,7 @@ class SerialBoard:
             log.info("%s: %s", self.uri, message.text)
         elif isinstance(message, Info) and message.boot_count != self.info.boot_count:
             if message.table_crc32 != self.info.table_crc32:
-                raise AnotherBoardError(
+                raise UnrecoverableError(
                     f"{self.uri}: the board restarted with another measurement table; connect again"
                 )
             self.info = message
@@ -387,7 +387,7 @@ class SerialBoard:
     def _guarded(self, use: Callable[[], Result]) -> Result:
         """Use the port; whatever shows that it is gone becomes one DeviceError."""
         if self._closed:
-            raise DeviceError(f"{self.uri} is closed; open it again")
+            raise UnrecoverableError(f"{self.uri} is closed; open it again")
         try:
             return use()
         except GONE as error:

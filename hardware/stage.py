@@ -1,12 +1,13 @@
 """What happens to a virtual board while it runs: its scene, and what goes wrong with it."""
 
 import threading
-from collections import OrderedDict
+from collections import OrderedDict, deque
 from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from eitskin.hardware.board_faults import AnswerFault
 from eitskin.hardware.fault import Fault
 from eitskin.hardware.faults import fault_name, read_faults
 from eitskin.hardware.script import SceneSource, Script, Step
@@ -45,6 +46,7 @@ class Stage:
         self.changed: Callable[[], None] = lambda: None
         self._solve, self._solving = solve, threading.Lock()
         self._faults = tuple(faults)
+        self._injected: deque[Fault] = deque()
         self._truth: OrderedDict[int, Scene] = OrderedDict()
         self._newest = Scene()
         self._source: SceneSource = lambda _: Scene()
@@ -86,21 +88,29 @@ class Stage:
 
     @property
     def active(self) -> tuple[Fault, ...]:
-        """The faults, to be asked frame by frame."""
+        """The faults, to be asked frame by frame, by the board's own thread.
+
+        What was injected begins now: only that thread knows which frame comes next.
+        """
+        while self._injected:
+            fault = self._injected.popleft()
+            fault.frame = self.requests if isinstance(fault, AnswerFault) else self.frames
+            self._faults += (fault,)
         return self._faults
 
     @property
     def faults(self) -> tuple[str, ...]:
         """The faults that were named and not cleared since."""
-        return tuple(fault_name(fault) for fault in self._faults)
+        return tuple(fault_name(fault) for fault in (*self._faults, *self._injected))
 
     def inject(self, text: str) -> None:
-        """Have faults strike at once, "name:index,..."; raises ConfigurationError for others."""
-        self._faults += read_faults(text, self.frames, self.requests)
+        """Have faults strike next, "name:index,..."; raises ConfigurationError for others."""
+        self._injected.extend(read_faults(text))
         self.changed()
 
     def clear(self) -> None:
         """End what lasts, and what has yet to strike."""
+        self._injected.clear()
         self._faults = ()
         self.changed()
 

@@ -142,7 +142,7 @@ class VirtualFirmware:
         self._late += self.delay
         for fault in faults:
             packet = fault.sent(now, packet, self.info.period)
-        return self._line(packet)
+        return self._line(packet, now)
 
     def skip(self) -> None:
         """Let a frame pass that the host is too slow for."""
@@ -165,7 +165,7 @@ class VirtualFirmware:
         for fault in self.stage.active:
             reply = fault.answered(self.stage.requests, reply)
         self.stage.requests += 1
-        return self._line(reply)
+        return self._line(reply, self.stage.frames)
 
     def _answer(self, packet: Packet) -> bytes:
         try:
@@ -202,11 +202,11 @@ class VirtualFirmware:
         return sent
 
     def _send(self, message: Message) -> bytes:
-        return self._line(self._packed(message))
+        return self._line(self._packed(message), self.stage.frames)
 
-    def _line(self, data: bytes) -> bytes:
+    def _line(self, data: bytes, now: int) -> bytes:
         for fault in self.stage.active:
-            data = fault.line(self.stage.frames, data)
+            data = fault.line(now, data)
         return data
 
 

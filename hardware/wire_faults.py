@@ -13,7 +13,7 @@ class Damage(Fault):
 
     def sent(self, now: int, packet: bytes, period: float) -> bytes:  # noqa: ARG002
         """The packet, damaged if it is the one."""
-        return self.damaged(packet) if self.strikes(now) else packet
+        return self.damaged(packet) if packet and self.strikes(now) else packet
 
     def damaged(self, packet: bytes) -> bytes:
         """What is sent instead of `packet`."""

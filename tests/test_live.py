@@ -13,8 +13,9 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from eitskin.cli import live as cli
+from eitskin.cli import live_view
 from eitskin.datasets import State, open_dataset
-from eitskin.geometry import ConfigurationError, DeviceError, UnusableFrameError
+from eitskin.geometry import ConfigurationError, DeviceError, FrameError, UnusableFrameError
 from eitskin.hardware import Counts, Reading, Script, Step, open_board, run_live
 from eitskin.simulator import Frame, Protocol, Scene, Status
 
@@ -83,20 +84,35 @@ class DamagedFrames(FakePipeline):
         return super().process(frame)
 
 
-def test_damaged_frames_are_counted_and_passed_over():
-    board = FakeBoard([frame(number) for number in range(6)])
-    readings = list(run_live(board, DamagedFrames({1, 2, 5})))
-    assert [(reading.frame.number, reading.unusable) for reading in readings] == [
-        (0, 0),
-        (3, 2),
-        (4, 2),
-    ]
+def test_damaged_frames_are_counted_and_come_with_the_reason():
+    board = FakeBoard([frame(number) for number in range(40)])
+    readings = list(run_live(board, DamagedFrames({1, 2, *range(5, 39)})))
+    assert [reading.unusable for reading in readings[:6]] == [0, 1, 2, 2, 2, 3]
+    for reading in readings:
+        damaged = reading.frame.number in {1, 2, *range(5, 39)}
+        assert (reading.estimate is None) == damaged == ("check the cable" in reading.problem)
 
 
-def test_nothing_but_damaged_frames_ends_with_the_reason():
-    board = FakeBoard([frame(number) for number in range(30)])
-    with pytest.raises(UnusableFrameError, match="check the cable"):
-        list(run_live(board, DamagedFrames(range(3, 30))))
+class Foreign(FakePipeline):
+    """Refuses frames from a number on, as of another sensor."""
+
+    def __init__(self, first):
+        super().__init__()
+        self.first = first
+
+    def process(self, frame):
+        if frame.number >= self.first:
+            raise FrameError("another sensor")
+        return super().process(frame)
+
+
+def test_another_sensor_ends_the_loop_unless_it_was_the_right_one_before():
+    board = FakeBoard([frame(number) for number in range(4)])
+    with pytest.raises(FrameError, match="another sensor"):
+        list(run_live(board, Foreign(0)))
+    assert [reading.problem for reading in run_live(board, Foreign(2))] == ["", ""] + [
+        "another sensor"
+    ] * 2
 
 
 def test_every_frame_comes_with_its_estimate_latency_and_rate():
@@ -173,7 +189,7 @@ def test_json_is_one_object_per_frame(run):
 
 def test_unknown_values_are_null_in_json_and_states_may_be_text():
     estimate = Estimate(state="idle", bend_angle_deg=float("nan"), problems=("no reference",))
-    data = cli.plain(Reading(frame(), estimate, 0.001, float("nan")), Counts())
+    data = live_view.plain(Reading(frame(), estimate, 0.001, float("nan")), Counts())
     assert json.loads(json.dumps(data, allow_nan=False))["bend_angle_deg"] is None
     assert (data["state"], data["problems"]) == ("idle", ["no reference"])
 
@@ -233,13 +249,14 @@ def test_a_recording_can_be_replayed(run, tmp_path):
     assert pipeline.seen == list(range(6))
 
 
-def test_frames_that_are_not_finite_are_left_out_of_the_recording(run, tmp_path):
+def test_frames_that_are_not_finite_are_recorded_and_come_back_as_they_were(run, tmp_path):
     board = "virtual:?speed=max&faults=nan_channel@4:1"
-    result = run(FakePipeline(), "--board", board, "--frames", "6", "--record", str(tmp_path / "r"))
-    assert len(open_dataset(tmp_path / "r")) == 4
-    assert "2 frames with values that are not finite left unrecorded" in " ".join(
-        result.stderr.split()
-    )
+    run(FakePipeline(), "--board", board, "--frames", "6", "--record", str(tmp_path / "r"))
+    with open_board(f"replay:{tmp_path / 'r'}") as replay:
+        frames = list(replay.frames())
+    assert [bool(f.status.any()) for f in frames] == [False] * 4 + [True] * 2
+    assert np.flatnonzero(np.isnan(frames[4].impedance)).tolist() == [1]
+    assert frames[4].status[1] == Status.NOT_FINITE
 
 
 def test_the_seed_is_the_virtual_boards(run, tmp_path):
@@ -268,7 +285,7 @@ def test_the_touch_map_is_drawn_with_y_up():
     touch_map[0, 0] = 1.0  # (0, 0) mm, lower left
     touch_map[31, 79] = 1.0  # (150, 60) mm, upper right
     touch_map[16:18, 40] = 1.0
-    lines = cli.touch_picture(touch_map).plain.split("\n")
+    lines = live_view.touch_picture(touch_map).plain.split("\n")
     assert [len(line) for line in lines] == [80] * 16
     assert (lines[15][0], lines[0][79], lines[7][40]) == ("▄", "▀", "█")
     assert sum(line.count(" ") for line in lines) == 80 * 16 - 3
@@ -277,14 +294,17 @@ def test_the_touch_map_is_drawn_with_y_up():
 def test_channel_health_names_what_is_wrong():
     status = np.zeros(28, np.uint8)
     status[[0, 27]] = Status.OPEN | Status.CLIPPED, 128
-    assert cli.bad_channels(frame(status=status)) == {"0-1": "clipped, open", "6-7": "status 0x80"}
+    assert live_view.bad_channels(frame(status=status)) == {
+        "0-1": "clipped, open",
+        "6-7": "status 0x80",
+    }
 
 
 def test_problems_are_shown():
     console = Console(width=100)
     with console.capture() as capture:
         reading = Reading(frame(), Estimate(problems=("electrode 3 is open",)), 0.002, 3.37)
-        console.print(cli.draw(reading, Counts(lost=2, dropped={"bad checksum": 1})))
+        console.print(live_view.draw(reading, Counts(lost=2, dropped={"bad checksum": 1})))
     shown = capture.get()
     for text in ("electrode 3 is open", "3.4 frames/s", "2.0 ms", "2 lost", "1 bad checksum"):
         assert text in shown

@@ -1,0 +1,147 @@
+"""How a reading of the live loop is shown: as plain data, and drawn in the terminal."""
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Group, RenderableType
+from rich.rule import Rule
+from rich.table import Table
+from rich.text import Text
+
+if TYPE_CHECKING:
+    from eitskin.hardware import Counts, Estimate, Reading
+    from eitskin.simulator import Frame
+
+SHOWN = 0.3  # of the touch map; fainter pixels stay dark
+
+
+def plain(reading: "Reading", counts: "Counts") -> dict[str, Any]:
+    """A reading as plain data; null stands for what is unknown."""
+    frame, estimate = reading.frame, reading.estimate
+    return {
+        "number": frame.number,
+        "session": frame.session,
+        "time": frame.time,
+        **(_nothing(reading) if estimate is None else _perceived(estimate)),
+        "bad_channels": bad_channels(frame),
+        "latency_ms": reading.latency * 1e3,
+        "rate_hz": _known(reading.rate),
+        "lost": counts.lost,
+        "skipped": counts.skipped,
+        "unusable": reading.unusable,
+        "reconnections": counts.reconnections,
+        "dropped": dict(counts.dropped),
+    }
+
+
+def _perceived(estimate: "Estimate") -> dict[str, Any]:
+    return {
+        "state": state_name(estimate),
+        "probabilities": [_known(p) for p in np.asarray(estimate.probabilities).tolist()],
+        "bend_angle_deg": _known(estimate.bend_angle_deg),
+        "touches": [[_known(value) for value in touch] for touch in estimate.touches],
+        "problems": list(estimate.problems),
+    }
+
+
+def _nothing(reading: "Reading") -> dict[str, Any]:
+    """What is said of a frame that there is no estimate for."""
+    return {
+        "state": None,
+        "probabilities": None,
+        "bend_angle_deg": None,
+        "touches": None,
+        "problems": [reading.problem],
+    }
+
+
+def bad_channels(frame: "Frame") -> dict[str, str]:
+    """What is wrong with which measurement, by its label."""
+    return {
+        label: _status_text(int(bits))
+        for label, bits in zip(frame.protocol.labels, frame.status, strict=True)
+        if bits
+    }
+
+
+def draw(reading: "Reading", counts: "Counts", silence: str = "") -> RenderableType:
+    """One reading as a panel: numbers, touch map, health; `silence` is why no newer one comes."""
+    frame, estimate = reading.frame, reading.estimate
+    numbers = Table.grid(padding=(0, 2))
+    if silence:
+        numbers.add_row("board", Text(silence, style="bold red"))
+    if estimate is None:
+        numbers.add_row("state", Text(f"unknown: {reading.problem}", style="bold red"))
+    else:
+        _add_estimate(numbers, estimate, stale=bool(silence))
+    rate = f"{reading.rate:.1f} frames/s" if math.isfinite(reading.rate) else "-"
+    numbers.add_row("rate", f"{rate}, latency {reading.latency * 1e3:.1f} ms")
+    numbers.add_row("losses", losses(counts, reading.unusable))
+    bad = bad_channels(frame)
+    health = ", ".join(f"{label} {what}" for label, what in bad.items())
+    good = f"all {len(frame.status)} good"
+    numbers.add_row("channels", Text(health, style="red") if bad else good)
+    if estimate is None:
+        return numbers
+    if estimate.problems:
+        numbers.add_row("problems", Text("; ".join(estimate.problems), style="red"))
+    # Rules and no frame: the 80 columns of the map are all that a plain terminal has.
+    return Group(
+        numbers, Rule("touch map, y up, x right"), touch_picture(estimate.touch_map), Rule()
+    )
+
+
+def _add_estimate(numbers: Table, estimate: "Estimate", stale: bool) -> None:
+    """State, angle and touches; dimmed where they are old."""
+    style = "dim" if stale else ""
+    numbers.add_row("state", Text(state_name(estimate), style=style or "bold"))
+    angle = estimate.bend_angle_deg
+    shown = f"{angle:+.1f} deg" if math.isfinite(angle) else "unknown"
+    numbers.add_row("bend", Text(shown, style=style))
+    places = [f"({x * 1e3:.0f}, {y * 1e3:.0f}) mm {s:.2f}" for x, y, s in estimate.touches]
+    numbers.add_row("touches", Text(", ".join(places) or "none", style=style))
+
+
+def touch_picture(touch_map: NDArray[np.floating]) -> Text:
+    """A touch map (rows, columns), 0 to 1, in half-blocks: two rows of it in one of text."""
+    values = np.asarray(touch_map)[::-1]  # text runs downwards, y upwards
+    if len(values) % 2:
+        values = np.vstack([values, np.zeros_like(values[:1])])
+    picture = Text(no_wrap=True, overflow="crop")
+    for row, (upper, lower) in enumerate(zip(values[::2], values[1::2], strict=True)):
+        if row:
+            picture.append("\n")
+        for high, low in zip(upper, lower, strict=True):
+            block = " ▄▀█"[2 * int(high > SHOWN) + int(low > SHOWN)]
+            strong = max(high, low) > 2 * SHOWN
+            picture.append(block, style="" if block == " " else "red" if strong else "yellow")
+    return picture
+
+
+def losses(counts: "Counts", unusable: int) -> str:
+    """What did not come through, in words."""
+    dropped = ", ".join(f"{count} {reason}" for reason, count in counts.dropped.items())
+    return (
+        f"{counts.lost} lost, {counts.skipped} skipped, {unusable} unusable, "
+        f"{counts.reconnections} reconnections, dropped: {dropped or 'none'}"
+    )
+
+
+def state_name(estimate: "Estimate") -> str:
+    """Name of the state, in small letters."""
+    state = estimate.state
+    return (state if isinstance(state, str) else state.name).lower()
+
+
+def _status_text(bits: int) -> str:
+    from eitskin.simulator import Status
+
+    names = [flag.name.lower().replace("_", " ") for flag in Status if flag.name and flag & bits]
+    return ", ".join(names) or f"status {bits:#04x}"
+
+
+def _known(value: float) -> float | None:
+    """`value`, None where it is not finite, which JSON cannot say."""
+    return float(value) if math.isfinite(value) else None
