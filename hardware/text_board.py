@@ -1,0 +1,276 @@
+"""A board that prints lines of text: an evaluation board of the AD5940 behind multiplexers.
+
+Nothing in such a stream says where a frame begins, nor numbers the lines. A frame begins at a line
+that is agreed on, the mark, or after a pause that is longer than the usual distance of lines. What
+then has not as many lines as the protocol has measurements is lost and counted: no value is ever
+taken for that of another measurement.
+"""
+
+import contextlib
+import math
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from types import TracebackType
+from typing import Self, TypeVar
+
+import numpy as np
+
+from eitskin.datasets.recordings import parse_protocol
+from eitskin.geometry import ConfigurationError, DeviceError
+from eitskin.hardware.board import Counts
+from eitskin.hardware.messages import Info, Table
+from eitskin.hardware.port import GONE, Port, connector
+from eitskin.hardware.serial_board import UnrecoverableError
+from eitskin.hardware.text_frames import FrameFinder, Lines
+from eitskin.hardware.text_lines import LineDecoder
+from eitskin.simulator import Frame, Protocol, Status
+
+BAUD = 230400
+"""Of the UART of the evaluation boards' example programs."""
+SILENT_PERIODS = 3
+SHORTEST = 1.0
+"""Silence that is borne from boards of any rate [s]."""
+FIRST_WITHIN = 10.0
+"""A frame must come within, while its period is not known [s]; two pass before the first."""
+_CHUNK = 4096  # bytes, what a terminal's input queue holds
+_BACKLOG = 2**17  # bytes, more than any system keeps
+
+Result = TypeVar("Result")
+
+
+class TextBoard:
+    """A board that prints lines; see `eitskin.hardware.Board`.
+
+    It has no numbers, no sessions and no clock: frames are counted and timed as they come, and one
+    that restarts cannot be told from one that paused.
+
+    Attributes:
+        uri: what it was opened as.
+        protocol: what is measured, in the order of the lines.
+        stage: None, it is no virtual board.
+    """
+
+    stage = None
+
+    def __init__(
+        self,
+        connect: Callable[[], Port],
+        uri: str,
+        protocol: Protocol,
+        mark: str = "",
+        pause: float = math.nan,
+        frequency: float = 40e3,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """Open the port.
+
+        Args:
+            connect: gives an open port, which reads what there is after a short while; called again
+                by `reconnect`.
+            uri: to name it in messages.
+            protocol: one measurement for each line.
+            mark: how the line before each frame begins; frames are found by pauses when empty.
+            pause: that ends a frame [s]; three times the usual distance of lines when NaN.
+            frequency: of the excitation where the lines do not say it [Hz].
+            clock: seconds, to tell pauses and silence.
+        """
+        self.uri, self.protocol = uri, protocol
+        self._connect, self._clock, self._frequency = connect, clock, frequency
+        self._decoder = LineDecoder(mark)
+        self._finder = FrameFinder(len(protocol), bool(mark.strip()), pause)
+        self._found: deque[Lines] = deque()
+        self._closed = False
+        self._frames = self._skipped = self._reconnections = self._session = 0
+        self._begun = math.nan
+        self._port = connect()
+        self._read_at = clock()
+
+    @property
+    def info(self) -> Info:
+        """Who it is, of which it says nothing; what it measures as far as known, else NaN."""
+        return Info(
+            firmware="text lines",
+            uid=bytes(12),
+            boot_count=self._session,
+            n_electrodes=self.protocol.n_electrodes,
+            n_measurements=len(self.protocol),
+            table_crc32=Table.of(self.protocol).crc32,
+            frequency=self._finder.frequency,
+            amplitude=math.nan,
+            rtia=math.nan,
+            rcal=math.nan,
+            period=self._finder.period,
+        )
+
+    @property
+    def lost(self) -> int:
+        """Frames lost so far: what came between two beginnings and had not all lines."""
+        return self._finder.lost
+
+    @property
+    def counts(self) -> Counts:
+        """What has come through so far."""
+        dropped = {reason.value: n for reason, n in sorted(self._decoder.drops.items())}
+        dropped |= {reason.value: n for reason, n in sorted(self._finder.drops.items())}
+        return Counts(self._frames, self.lost, self._skipped, dropped, self._reconnections)
+
+    def frames(self, newest: bool = False) -> Iterator[Frame]:
+        """Give the frames as they come, from the next beginning on.
+
+        Args:
+            newest: give only the newest of the frames that are waiting; the others are counted
+                as skipped.
+
+        Raises DeviceError where three periods pass without a frame, or the board goes away.
+        """
+        self._restart()
+        while True:
+            if self._was_away():
+                self._restart()
+            lines = self._next()
+            if newest:
+                lines = self._overtaken_by(lines)
+            self._frames += 1
+            yield self._frame(lines)
+
+    def reconnect(self) -> None:
+        """Let go of the port and open it again, wherever it is now; a new session begins.
+
+        Raises DeviceError where it is not there; try again later.
+        """
+        if self._closed:
+            raise UnrecoverableError(f"{self.uri} is closed; open it again")
+        with contextlib.suppress(*GONE):
+            self._port.close()
+        self._port = self._connect()
+        self._finder.forget()
+        self._reconnections += 1
+        self._session += 1
+        self._begun = math.nan
+
+    def close(self) -> None:
+        """Let go of the port; a second time does nothing."""
+        if not self._closed:
+            self._closed = True
+            self._port.close()
+
+    def __enter__(self) -> Self:
+        """Give the board itself."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close the board."""
+        self.close()
+
+    def _restart(self) -> None:
+        """Throw away what waits, and wait for the next beginning of a frame."""
+        self._guarded(self._port.reset_input_buffer)
+        self._decoder.restart()
+        self._finder.restart()
+        self._found.clear()
+        self._read_at = self._clock()
+
+    def _was_away(self) -> bool:
+        """Whether nobody has read for so long that pauses were missed, or the port was full."""
+        if self._guarded(lambda: self._port.in_waiting) >= _CHUNK - 1:
+            return True
+        return self._finder.missed(self._clock() - self._read_at)
+
+    def _next(self) -> Lines:
+        period = self._finder.period
+        patience = max(SHORTEST, SILENT_PERIODS * period) if period > 0.0 else FIRST_WITHIN
+        deadline = self._clock() + patience
+        # Look before giving up: this process may have slept past the deadline itself.
+        while not self._found:
+            self._receive()
+            if not self._found and self._clock() >= deadline:
+                raise DeviceError(
+                    f"{self.uri}: the stream is stale, no frame came within {patience:.1f} s; "
+                    f"{self._finder.hearsay()}{self._damage()}"
+                )
+        return self._found.popleft()
+
+    def _overtaken_by(self, lines: Lines) -> Lines:
+        """The newest frame among those that have arrived by now, `lines` if there is none."""
+        # A board that never pauses is not followed for ever.
+        for _ in range(_BACKLOG // _CHUNK):
+            while self._found:
+                lines = self._found.popleft()
+                self._skipped += 1
+            if not self._guarded(lambda: self._port.in_waiting):
+                break
+            self._receive()
+        return lines
+
+    def _damage(self) -> str:
+        drops = {reason.value: n for reason, n in sorted(self._decoder.drops.items())}
+        return f" (dropped: {drops}; a wrong baud rate looks like this)" if drops else ""
+
+    def _receive(self) -> None:
+        """Read once; waits a short while at most."""
+        data = self._guarded(
+            lambda: self._port.read(max(1, min(self._port.in_waiting, _CHUNK))),
+        )
+        self._read_at = self._clock()
+        self._found.extend(self._finder.feed(self._read_at, self._decoder.feed(data)))
+
+    def _frame(self, lines: Lines) -> Frame:
+        impedance = np.array([line.impedance for line in lines.measurements])
+        status = np.where(np.isfinite(impedance), 0, np.uint8(Status.NOT_FINITE))
+        if math.isnan(self._begun):
+            self._begun = lines.time
+        said = lines.measurements[-1].frequency
+        return Frame(
+            impedance=impedance,
+            protocol=self.protocol,
+            time=lines.time - self._begun,
+            number=lines.number,
+            session=self._session,
+            frequency=self._frequency if math.isnan(said) else said,
+            status=status.astype(np.uint8),
+        )
+
+    def _guarded(self, use: Callable[[], Result]) -> Result:
+        """Use the port; whatever shows that it is gone becomes one DeviceError."""
+        if self._closed:
+            raise UnrecoverableError(f"{self.uri} is closed; open it again")
+        try:
+            return use()
+        except GONE as error:
+            raise DeviceError(
+                f"{self.uri}: the board went away ({error}); check power and cable, then connect "
+                "again"
+            ) from error
+
+
+def open_text(
+    path: str,
+    uri: str,
+    protocol: str = "",
+    baud: int = BAUD,
+    usb: str = "",
+    mark: str = "",
+    pause: float = math.nan,
+    frequency: float = 40e3,
+) -> TextBoard:
+    """Open the board that prints lines at the serial port `path`, or of the USB device `usb`.
+
+    Raises:
+        ConfigurationError: where no port or protocol is named, or an option cannot be.
+        DeviceError: where the port cannot be opened.
+    """
+    if not protocol:
+        raise ConfigurationError(
+            f"{uri}: a board of text does not say what it measures; add protocol=, such as "
+            "text:/dev/ttyACM0?protocol=pairwise:8"
+        )
+    if pause <= 0.0 or frequency <= 0.0:
+        raise ConfigurationError(f"{uri}: pause and frequency must be positive")
+    measured = parse_protocol(protocol)
+    return TextBoard(connector(path, uri, baud, usb), uri, measured, mark, pause, frequency)

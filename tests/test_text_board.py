@@ -1,0 +1,405 @@
+"""Boards that print lines: the codec, how frames are found, and the board on a port."""
+
+import cmath
+import itertools
+import math
+import os
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from eitskin.geometry import ConfigurationError, DeviceError
+from eitskin.hardware.port import open_port
+from eitskin.hardware.text_board import TextBoard, open_text
+from eitskin.hardware.text_frames import FrameDrop, FrameFinder
+from eitskin.hardware.text_lines import LONGEST, LineDecoder, LineDrop, Mark, Measurement
+from eitskin.simulator import Protocol, Status
+
+PROTOCOL = Protocol.pairwise(4)  # six lines a frame
+LINE, PAUSE = 0.0106, 0.06  # s
+PERIOD = 6 * LINE + PAUSE
+
+
+def printed(values, first="Freq:40000.00 "):
+    """As the example program AD5940_Impedance prints them."""
+    polar = [(abs(z), math.degrees(cmath.phase(z))) for z in values]
+    lines = [f"RzMag: {size:f} Ohm , RzPhase: {phase:f} \n" for size, phase in polar]
+    return [first + lines[0], *lines[1:]]
+
+
+def frame_values(number, size=6):
+    return (1000.0 * (number + 1) + 10.0 * np.arange(size)) * np.exp(-0.02j)
+
+
+# ---- lines ----
+
+
+@pytest.mark.parametrize(
+    ("text", "impedance", "frequency"),
+    [
+        ("Freq:40000.00 RzMag: 612.500000 Ohm , RzPhase: 0.000000 ", 612.5, 40e3),
+        ("RzMag: 2.0 Ohm , RzPhase: 90.0", 2j, math.nan),
+        ("Freq: 1000.00, RzMag: 2 Ohm, RzPhase: -90", -2j, 1e3),
+        ("RzMag:     8.25 Ohm, RzPhase:    0.00 deg", 8.25, math.nan),
+        ("Freq:50000.00 Impedance:(Real,Image) = (3.5,-4.25)", 3.5 - 4.25j, 50e3),
+        ("rzmag: 1e3 ohm , rzphase: 180", -1e3, math.nan),
+    ],
+)
+def test_what_the_example_programs_print_is_read(text, impedance, frequency):
+    (line,) = LineDecoder().feed(text.encode() + b"\r\n")
+    assert line.impedance == pytest.approx(impedance, abs=1e-9)
+    assert line.frequency == pytest.approx(frequency, nan_ok=True)
+
+
+@pytest.mark.parametrize("turns", [-3, -1, 1, 2])
+def test_a_phase_may_be_off_by_turns(turns):
+    (line,) = LineDecoder().feed(f"RzMag: 5 Ohm , RzPhase: {-1.5 + 360 * turns}\n".encode())
+    assert math.degrees(cmath.phase(line.impedance)) == pytest.approx(-1.5)
+
+
+@pytest.mark.parametrize("number", ["nan", "-nan", "inf", "-inf", "nan(0x7)", "1e400", "-5.0"])
+def test_a_value_that_is_no_number_keeps_its_place(number):
+    (line,) = LineDecoder().feed(f"RzMag: {number} Ohm , RzPhase: 1.0\n".encode())
+    assert math.isnan(line.impedance.real)
+    assert math.isnan(line.impedance.imag)
+
+
+def test_a_frequency_holds_for_the_lines_that_follow():
+    text = "RzMag: 1 Ohm , RzPhase: 0\nFreq: 12.00 Hz\n" + "".join(printed([1, 2], first=""))
+    first, *rest = LineDecoder().feed(text.encode())
+    assert math.isnan(first.frequency)
+    assert [line.frequency for line in rest] == [12.0, 12.0]
+
+
+def test_lines_end_as_they_like():
+    for end in ("\n", "\r", "\r\n", "\n\r"):
+        decoder = LineDecoder()
+        text = end.join(line.strip() for line in printed([1, 2, 3])) + end
+        assert [round(line.impedance.real) for line in decoder.feed(text.encode())] == [1, 2, 3]
+        assert not decoder.drops
+
+
+def test_what_is_no_measurement_is_dropped_and_counted():
+    decoder = LineDecoder()
+    junk = ["hello", "RzMag: 12 Ohm ,", "zMag: 1 Ohm , RzPhase: 2", "RzMag: 1 2 Ohm , RzPhase: 3"]
+    two = "RzMag: 1 Ohm , RzPhase: 2RzMag: 1 Ohm , RzPhase: 2"
+    assert decoder.feed("\n".join([*junk, two, "", "  ", ""]).encode()) == []
+    assert decoder.drops == {LineDrop.UNKNOWN: 5}
+
+
+def test_a_line_without_end_does_not_fill_the_memory():
+    decoder = LineDecoder()
+    for _ in range(100):
+        assert decoder.feed(b"x" * 10_000) == []
+    assert len(decoder._begun) <= LONGEST
+    assert len(decoder.feed(b"\n" + printed([1])[0].encode())) == 1
+    assert decoder.drops == {LineDrop.TOO_LONG: 1}
+
+
+def test_the_mark_is_a_line_of_its_own():
+    decoder = LineDecoder("frame")
+    assert decoder.feed(b"frame 12\nRzMag: 1 Ohm , RzPhase: 0\n")[0] == Mark()
+    assert not decoder.drops
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.binary(max_size=600), st.lists(st.integers(0, 600), max_size=8))
+def test_bytes_of_any_kind_never_raise_and_may_be_cut_anywhere(noise, cuts):
+    stream = noise + b"\n" + "".join(printed([3, 4])).encode() + noise
+    whole, cut = LineDecoder("go"), LineDecoder("go")
+    together = whole.feed(stream)
+    edges = [0, *sorted(cuts), len(stream)]
+    apart = [line for a, b in itertools.pairwise(edges) for line in cut.feed(stream[a:b])]
+    assert repr(apart) == repr(together)
+    assert cut.drops == whole.drops
+    assert all(isinstance(line, Measurement | Mark) for line in apart)
+
+
+# ---- frames ----
+
+
+def fed(finder, counts, pause=PAUSE):
+    """Frames found in groups of so many lines; the values say which group they came from."""
+    now, found = 0.0, []
+    for group, count in enumerate(counts):
+        for k in range(count):
+            now += LINE
+            found += finder.feed(now, [Measurement(complex(group, k))])
+        now += pause
+    return [*found, *finder.feed(now + 1.0, [])]
+
+
+def groups(found):
+    return [{int(each.impedance.real) for each in lines.measurements} for lines in found]
+
+
+def test_frames_are_what_lies_between_pauses():
+    finder = FrameFinder(6, marked=False)
+    found = fed(finder, [4, 6, 6, 6])
+    # With the first frame the distance of lines becomes known, and with its pause where it ends.
+    assert groups(found) == [{2}, {3}]
+    assert [lines.number for lines in found] == [0, 1]
+    assert (finder.lost, finder.drops) == (0, {FrameDrop.FIRST: 10})
+    assert finder.period == pytest.approx(PERIOD)
+
+
+@pytest.mark.parametrize("count", [1, 5, 7])
+def test_a_line_lost_or_added_costs_its_frame_and_shifts_none(count):
+    finder = FrameFinder(6, marked=False)
+    found = fed(finder, [6, 6, 6, count, 6, 6])
+    assert groups(found) == [{2}, {4}, {5}]
+    assert [lines.number for lines in found] == [0, 2, 3]
+    assert (finder.lost, finder.drops[FrameDrop.INCOMPLETE]) == (1, count)
+
+
+def test_two_frames_without_a_pause_between_are_two_lost():
+    finder = FrameFinder(6, marked=False)
+    assert groups(fed(finder, [6, 6, 6, 12, 6])) == [{2}, {4}]
+    assert finder.lost == 2
+
+
+def test_a_pause_that_is_given_is_known_at_once():
+    finder = FrameFinder(6, marked=False, pause=0.03)
+    assert groups(fed(finder, [6, 6])) == [{1}]
+
+
+def test_marks_need_no_pause():
+    finder = FrameFinder(6, marked=True)
+    lines = [Measurement(1 + 0j)] * 6
+    given = [*lines[:3], Mark(), *lines, Mark(), *lines[:5], Mark(), *lines, Mark(), Mark(), *lines]
+    found = finder.feed(0.0, given)
+    assert [each.number for each in found] == [0, 2]
+    assert finder.lost == 2
+    assert finder.drops == {FrameDrop.FIRST: 3, FrameDrop.INCOMPLETE: 5}
+
+
+def test_an_endless_frame_does_not_fill_the_memory():
+    finder = FrameFinder(6, marked=True)
+    for _ in range(1000):
+        finder.feed(0.0, [Measurement(1 + 0j)] * 10)
+    assert len(finder._group) == 6
+
+
+# ---- the board ----
+
+
+class Printer:
+    """A port at whose other end lines are printed at known times; only reading moves its clock."""
+
+    def __init__(self, events):
+        self.events, self.now, self.closed = list(events), 0.0, False
+        self.waiting = bytearray()
+
+    def clock(self):
+        return self.now
+
+    def arrive(self):
+        while self.events and self.events[0][0] <= self.now:
+            self.waiting += self.events.pop(0)[1]
+
+    @property
+    def in_waiting(self):
+        self.arrive()
+        return len(self.waiting)
+
+    def read(self, size=1):
+        self.arrive()
+        if not self.waiting:
+            nearest = self.events[0][0] if self.events else math.inf
+            self.now = min(nearest, self.now + 0.05)
+            self.arrive()
+        data = bytes(self.waiting[:size])
+        del self.waiting[:size]
+        return data
+
+    def reset_input_buffer(self):
+        self.arrive()
+        self.waiting.clear()
+
+    def close(self):
+        self.closed = True
+
+
+def stream(numbers, start=0.5, mark="", skip=()):
+    """Lines of frames at their times; those (frame, line) in `skip` are missing."""
+    for number in numbers:
+        begin = start + (number - numbers[0]) * PERIOD
+        if mark:
+            yield begin, f"{mark}\r\n".encode()
+        for k, text in enumerate(printed(frame_values(number))):
+            if (number, k) not in skip:
+                yield begin + (k + 1) * LINE, text.encode()
+
+
+def board_on(port, **options):
+    return TextBoard(lambda: port, "text:fake", PROTOCOL, clock=port.clock, **options)
+
+
+def test_frames_hold_the_values_that_were_printed():
+    port = Printer(stream(range(8)))
+    board = board_on(port)
+    frames = list(itertools.islice(board.frames(), 5))
+    for number, frame in enumerate(frames, start=2):
+        assert frame.impedance == pytest.approx(frame_values(number), rel=1e-6)
+        assert not frame.status.any()
+        assert frame.frequency == 40e3
+    assert [frame.number for frame in frames] == [0, 1, 2, 3, 4]
+    assert np.diff([frame.time for frame in frames]) == pytest.approx(PERIOD, abs=1e-6)
+    assert (board.counts.frames, board.lost, frames[0].time) == (5, 0, 0.0)
+    assert board.info.period == pytest.approx(PERIOD)
+    assert (board.info.frequency, board.info.n_measurements) == (40e3, 6)
+    assert math.isnan(board.info.rtia)
+
+
+def test_a_lost_line_costs_its_frame():
+    board = board_on(Printer(stream(range(8), skip={(4, 2)})))
+    frames = list(itertools.islice(board.frames(), 4))
+    assert [round(abs(frame.impedance[0])) for frame in frames] == [3000, 4000, 6000, 7000]
+    assert [frame.number for frame in frames] == [0, 1, 3, 4]
+    assert board.lost == 1
+    assert board.counts.dropped == {
+        "measurement before the first whole frame": 12,
+        "measurement of an incomplete frame": 5,
+    }
+
+
+def test_frames_are_found_by_a_mark():
+    board = board_on(Printer(stream(range(4), mark="frame")), mark="frame")
+    frames = list(itertools.islice(board.frames(), 3))
+    assert [round(abs(frame.impedance[0])) for frame in frames] == [1000, 2000, 3000]
+
+
+def test_an_infinite_value_is_marked_and_the_frame_kept():
+    events = list(stream(range(5)))
+    when, _ = events[3 * 6 + 4]
+    events[3 * 6 + 4] = when, b"RzMag: inf Ohm , RzPhase: nan\n"
+    _, frame = itertools.islice(board_on(Printer(events)).frames(), 2)
+    assert frame.status.tolist() == [0, 0, 0, 0, Status.NOT_FINITE, 0]
+    assert np.isnan(frame.impedance[4])
+
+
+def test_a_slow_reader_gets_whole_frames_and_the_newest():
+    port = Printer(stream(range(40)))
+    board = board_on(port)
+    frames = board.frames(newest=True)
+    next(frames)
+    for _ in range(5):
+        port.now += 2.7 * PERIOD
+        frame = next(frames)
+        number = round(abs(frame.impedance[0]) / 1000.0) - 1
+        assert frame.impedance == pytest.approx(frame_values(number), rel=1e-6)
+        assert port.now - (0.5 + number * PERIOD) < 1.6 * PERIOD
+
+
+def test_with_marks_the_newest_overtakes_the_others():
+    port = Printer(stream(range(30), mark="go"))
+    frames = (board := board_on(port, mark="go")).frames(newest=True)
+    next(frames)
+    port.now += 4.0 * PERIOD
+    assert abs(next(frames).impedance[0]) == pytest.approx(5000.0)
+    assert (board.counts.skipped, board.lost) == (3, 0)
+
+
+def test_a_silent_board_is_stale():
+    board = board_on(Printer([]))
+    with pytest.raises(DeviceError, match=r"stale.* 10\.0 s; no measurement came.*baud"):
+        next(board.frames())
+
+
+def test_silence_after_frames_is_stale_within_a_second():
+    port = Printer(stream(range(6)))
+    frames = board_on(port).frames()
+    for _ in range(4):
+        next(frames)
+    began = port.now
+    with pytest.raises(DeviceError, match="stale"):
+        next(frames)
+    assert 1.0 <= port.now - began < 1.1
+
+
+def test_another_number_of_lines_is_told():
+    board = board_on(Printer(stream(range(99), skip={(n, 5) for n in range(99)})))
+    with pytest.raises(DeviceError, match="had 5, 5, 5 lines where 6 were expected"):
+        next(board.frames())
+
+
+def test_lines_without_a_pause_are_told():
+    events = [(0.01 * k, printed([1])[0].encode()) for k in range(1200)]
+    with pytest.raises(DeviceError, match=r"lines come, but no pause; .* mark= or pause="):
+        next(board_on(Printer(events)).frames())
+
+
+def test_a_wrong_baud_rate_is_told():
+    noise = [(0.1 * k, b"\xf0\x81\n") for k in range(200)]
+    with pytest.raises(DeviceError, match="wrong baud rate"):
+        next(board_on(Printer(noise)).frames())
+
+
+def test_a_board_that_comes_back_is_a_new_session():
+    ports = [Printer(stream(range(4))), Printer(stream(range(10, 14)))]
+    used = []
+
+    def connect():
+        used.append(ports[len(used)])
+        return used[-1]
+
+    board = TextBoard(connect, "text:fake", PROTOCOL, clock=lambda: used[-1].now)
+    first = next(board.frames())
+    board.reconnect()
+    second = next(board.frames())
+    assert ports[0].closed
+    assert round(abs(second.impedance[0])) == 13000
+    assert (first.session, second.session) == (0, 1)
+    assert (second.time, board.counts.reconnections) == (0.0, 1)
+
+
+def test_a_port_that_goes_away_is_one_error_and_closing_lets_go():
+    port = Printer([])
+    port.read = lambda _: (_ for _ in ()).throw(OSError("unplugged"))
+    with board_on(port) as board, pytest.raises(DeviceError, match=r"went away \(unplugged"):
+        next(board.frames())
+    assert port.closed
+    board.close()
+    with pytest.raises(DeviceError, match="closed; open it again"):
+        next(board.frames())
+    with pytest.raises(DeviceError, match="closed; open it again"):
+        board.reconnect()
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({}, "protocol=pairwise:8"),
+        ({"protocol": "ring"}, "pairwise:N"),
+        ({"protocol": "pairwise:8", "pause": 0.0}, "must be positive"),
+        ({"protocol": "pairwise:8", "frequency": -1.0}, "must be positive"),
+    ],
+)
+def test_what_cannot_be_opened_is_told(options, said):
+    with pytest.raises(ConfigurationError, match=said):
+        open_text("/dev/nowhere", "text:/dev/nowhere", **options)
+
+
+def test_over_a_real_pseudo_terminal():
+    ours, theirs = os.openpty()
+    text = "".join("go\r\n" + "".join(printed(frame_values(n))) for n in range(3)) + "go\n"
+
+    def connect():
+        port = open_port(os.ttyname(theirs), "text:pty", 230400)
+        flush = port.reset_input_buffer
+        # It prints once somebody listens, so that nothing needs to wait.
+        port.reset_input_buffer = lambda: (flush(), os.write(ours, text.encode()))
+        return port
+
+    try:
+        with TextBoard(connect, "text:pty", PROTOCOL, mark="go") as board:
+            frames = board.frames()
+            for number in range(3):
+                assert next(frames).impedance == pytest.approx(frame_values(number), rel=1e-6)
+            os.close(ours)
+            with pytest.raises(DeviceError, match="went away"):
+                next(frames)
+    finally:
+        os.close(theirs)
