@@ -1,0 +1,193 @@
+// The live page: the newest reading, drawn once for each picture of the screen.
+import { Channels } from "./channels.js";
+import { Controls } from "./controls.js";
+import { TouchMap } from "./map.js";
+import { Sensor } from "./sensor.js";
+import { Trace } from "./trace.js";
+
+const SILENT = 2000; // ms without any event after which the server is gone
+const LATE = 1000; // ms by which an event may come later than the fastest one
+const STATES = ["idle", "touch", "bend"];
+
+const $ = (id) => document.getElementById(id);
+const page = { updates: 0, number: null };
+window.eitskin = page; // what has been drawn, for measurements
+
+let parts = null;
+let newest = null;
+let drawn = null;
+let heard = performance.now();
+let fastest = Infinity;
+let waiting = false;
+let health = { stale: true, connection: "", age: null };
+let session = null;
+
+function say(element, text) {
+  if (element.textContent !== text) element.textContent = text;
+}
+
+function signed(value, digits) {
+  return `${value < 0 ? "−" : "+"}${Math.abs(value).toFixed(digits)}`;
+}
+
+function build(sensor) {
+  if (parts) {
+    // A new server may serve another board: begin again rather than mix two.
+    if (JSON.stringify(sensor) !== parts.known) location.reload();
+    return;
+  }
+  let controls = null;
+  const press = sensor.controls && ((touches) => controls.press(touches));
+  const map = new TouchMap($("map"), sensor, press);
+  if (sensor.controls) controls = new Controls(sensor, map);
+  parts = {
+    known: JSON.stringify(sensor),
+    map,
+    controls,
+    trace: new Trace($("trace")),
+    sensor: new Sensor($("sensor"), $("electrodes"), $("sensor-note"), sensor),
+    channels: new Channels($("channels"), $("channel"), $("bad"), sensor.labels),
+    bars: STATES.map((name) => row(name)),
+    numbers: new Map(),
+  };
+  say($("board"), `${sensor.uri} · ${sensor.firmware}`);
+  for (const id of ["map-truth", "trace-truth", "true-angle"]) $(id).hidden = !sensor.controls;
+}
+
+function row(name) {
+  const item = document.createElement("li"), track = document.createElement("b");
+  const bar = track.appendChild(document.createElement("i")), share = document.createElement("output");
+  item.append(Object.assign(document.createElement("span"), { textContent: name }), track, share);
+  $("probabilities").append(item);
+  return { bar, share };
+}
+
+function draw(data) {
+  const { estimate, stage } = data, truth = stage && stage.truth;
+  const unusable = data.problem || "no estimate";
+  if (data.session !== session) {
+    session = data.session;
+    parts.trace.clear();
+  }
+  say($("state"), estimate ? estimate.state : unusable);
+  $("state").dataset.state = estimate ? estimate.state : "";
+  $("state").classList.toggle("words", !estimate);
+  parts.bars.forEach(({ bar, share }, i) => {
+    const p = estimate ? estimate.probabilities[i] : null;
+    bar.style.transform = `scaleX(${p ?? 0})`;
+    say(share, p === null ? "–" : `${(100 * p).toFixed(1)} %`);
+  });
+  angle(estimate, truth);
+  touches(estimate ? estimate.touches : []);
+  parts.trace.add({
+    time: data.heard / 1000,
+    angle: estimate ? estimate.angle : null,
+    deviation: estimate ? estimate.deviation : null,
+    truth: truth ? truth.bend_deg : null,
+  });
+  parts.map.show(estimate && estimate.map, estimate ? estimate.touches : [], truth ? truth.touches : []);
+  if (estimate) parts.sensor.show(estimate.points, estimate.map);
+  parts.channels.show(data.channels, data.bad);
+  numbers(data);
+  problems([...(data.problem ? [data.problem] : []), ...(estimate ? estimate.problems : [])]);
+  if (parts.controls && stage) parts.controls.show(stage);
+}
+
+function angle(estimate, truth) {
+  const value = estimate ? estimate.angle : null;
+  say($("angle"), value === null ? "–" : `${signed(value, 1)}°`);
+  const deviation = estimate ? estimate.deviation : null;
+  say($("deviation"), deviation === null ? "" : `± ${deviation.toFixed(deviation < 0.095 ? 2 : 1)}°`);
+  const real = truth ? truth.bend_deg : null;
+  const off = real === null || value === null ? "" : `, off by ${Math.abs(value - real).toFixed(1)}°`;
+  say($("true-angle"), real === null ? "true angle unknown" : `true ${signed(real, 1)}°${off}`);
+}
+
+function touches(found) {
+  const places = found.map(({ x, y, force, strength }) =>
+    `(${(1e3 * x).toFixed(0)}, ${(1e3 * y).toFixed(0)}) mm ${force === null ? strength.toFixed(2) : `${force.toFixed(1)} N`}`);
+  say($("touches"), places.join(" · ") || "no touch");
+}
+
+function numbers(data) {
+  const dropped = Object.entries(data.dropped).map(([why, count]) => `${count} ${why}`).join(", ");
+  number("rate", data.rate === null ? "–" : `${data.rate.toFixed(1)} /s`);
+  number("latency", data.latency_ms === null ? "–" : `${data.latency_ms.toFixed(1)} ms`);
+  number("frames", data.frames);
+  number("lost", data.lost, true);
+  number("skipped", data.skipped);
+  number("unusable", data.unusable, true);
+  number("dropped", dropped || "0", true);
+  number("reconnects", data.reconnections, true);
+  number("session", data.session);
+  number("frame", data.number);
+}
+
+function number(name, value, worry = false) {
+  if (!parts.numbers.has(name)) {
+    const group = document.createElement("div"), shown = document.createElement("dd");
+    group.append(Object.assign(document.createElement("dt"), { textContent: name }), shown);
+    $("numbers").append(group);
+    parts.numbers.set(name, { group, shown });
+  }
+  const { group, shown } = parts.numbers.get(name);
+  say(shown, String(value));
+  if (worry) group.classList.toggle("nonzero", value !== 0 && value !== "0");
+}
+
+let listed = "";
+function problems(texts) {
+  if (texts.join("|") === listed) return;
+  listed = texts.join("|");
+  $("problems").replaceChildren(...texts.map((text) => Object.assign(document.createElement("li"), { textContent: text })));
+}
+
+// What the link is: live, stale (no new frames), or lost (no server).
+function judge() {
+  const silent = performance.now() - heard;
+  let link = "live", text = "live";
+  if (silent > SILENT) {
+    [link, text] = ["lost", "server gone, waiting for it"];
+  } else if (health.late) {
+    [link, text] = ["stale", "stale: this browser is behind"];
+  } else if (health.connection) {
+    [link, text] = ["stale", `no board, trying again: ${health.connection}`];
+  } else if (health.stale) {
+    const since = health.age === null ? "" : ` for ${(health.age + silent / 1000).toFixed(0)} s`;
+    [link, text] = health.age === null ? ["connecting", "waiting for the first frame"] : ["stale", `stale: no frame${since}`];
+  }
+  if (document.body.dataset.link !== link) document.body.dataset.link = link;
+  say($("link"), text);
+}
+
+function hear(event) {
+  const data = JSON.parse(event.data);
+  heard = data.heard = performance.now();
+  const delay = heard - 1000 * data.sent;
+  fastest = Math.min(fastest, delay);
+  health = { stale: data.stale, connection: data.connection, age: data.age, late: delay - fastest > LATE };
+  if (event.type === "frame") newest = data;
+  if (!waiting) requestAnimationFrame(turn);
+  waiting = true;
+}
+
+function turn() {
+  waiting = false;
+  if (parts && newest !== drawn) {
+    drawn = newest;
+    draw(newest);
+    page.updates += 1;
+    page.number = newest.number;
+  }
+  judge();
+}
+
+const source = new EventSource("/events");
+source.addEventListener("sensor", (event) => {
+  fastest = Infinity; // a new connection, maybe of a new server with another clock
+  build(JSON.parse(event.data));
+});
+source.addEventListener("frame", hear);
+source.addEventListener("health", hear);
+// Silence makes no event, and a hidden tab no pictures.
+setInterval(judge, 500);
