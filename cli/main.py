@@ -8,6 +8,7 @@ from eitskin.cli import (
     bench,
     board,
     calibrate,
+    check,
     dataset,
     demo,
     evaluate,
@@ -34,6 +35,7 @@ app.command("import")(import_recording.command)
 app.command("train")(train.command)
 app.command("evaluate")(evaluate.command)
 app.command("calibrate")(calibrate.command)
+app.command("check")(check.command)
 app.command("board")(board.command)
 app.command("live")(live.command)
 app.command("demo")(demo.command)

@@ -88,8 +88,8 @@ def open_board(uri: str, **options: Any) -> Board:
     """Open the board that `uri` names.
 
     Args:
-        uri: "serial:/dev/ttyACM0", "virtual:" or "replay:DIRECTORY"; options of its own may follow,
-            as in "virtual:?speed=max&seed=1".
+        uri: "serial:/dev/ttyACM0", "text:/dev/ttyACM0?protocol=pairwise:8", "virtual:" or
+            "replay:DIRECTORY"; options of its own may follow, as in "virtual:?speed=max&seed=1".
         options: the same options, for values that are not text.
 
     Raises:
@@ -102,7 +102,8 @@ def open_board(uri: str, **options: Any) -> Board:
         near = difflib.get_close_matches(scheme, _SCHEMES, n=1)
         hint = f"; did you mean '{near[0]}:'?" if near else ""
         raise ConfigurationError(
-            f"expected a board as serial:PORT, virtual: or replay:DIRECTORY, got {uri!r}{hint}"
+            f"expected a board as serial:PORT, text:PORT, virtual: or replay:DIRECTORY, got "
+            f"{uri!r}{hint}"
         )
     path, _, query = rest.partition("?")
     opener, readers = _SCHEMES[scheme]
@@ -143,6 +144,12 @@ def _open_serial(path: str, uri: str, options: dict[str, Any]) -> Board:
     return open_serial(path, uri, **options)
 
 
+def _open_text(path: str, uri: str, options: dict[str, Any]) -> Board:
+    from eitskin.hardware.text_board import open_text
+
+    return open_text(path, uri, **options)
+
+
 def _open_virtual(path: str, uri: str, options: dict[str, Any]) -> Board:
     from eitskin.hardware.virtual import open_virtual
 
@@ -161,6 +168,17 @@ def _open_replay(path: str, uri: str, options: dict[str, Any]) -> Board:
 
 _SCHEMES: dict[str, tuple[Callable[[str, str, dict[str, Any]], Board], Readers]] = {
     "serial": (_open_serial, {"baud": int}),
+    "text": (
+        _open_text,
+        {
+            "protocol": str,
+            "baud": int,
+            "usb": str,
+            "mark": str,
+            "pause": float,
+            "frequency": float,
+        },
+    ),
     "virtual": (
         _open_virtual,
         {

@@ -32,7 +32,7 @@ def frozen(seen: CheckedFrames) -> Iterator[Finding]:
         )
         yield Finding(What.FROZEN, (), tuple(range(len(seen.expected))), text)
         return
-    if (stuck := same.all(axis=0) & seen.usable & ~seen.opened).any():
+    if (stuck := same.all(axis=0) & seen.usable & ~seen.opened & ~seen.shorted).any():
         remedy = "its value never changes, not even by noise: check its multiplexer path"
         yield from located(What.STUCK, stuck, seen, "is stuck", remedy)
 

@@ -1,16 +1,22 @@
 """The sensor check: it leaves healthy sensors alone, and names what is wrong with others."""
 
 import dataclasses
+import json
 from functools import lru_cache
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from eitskin.benchmarks.sensor_check import FRAMES, PAIRS, cases, measured
+from eitskin.cli.check import _require_same
+from eitskin.cli.main import app
 from eitskin.datasets import Recipe
 from eitskin.datasets.sampling import specimen
 from eitskin.geometry import ConfigurationError, FrameError
+from eitskin.hardware import port
 from eitskin.hardware.finding import What
+from eitskin.hardware.port import PortInfo
 from eitskin.hardware.sensor_check import check_sensor
 from eitskin.simulator import Frame, Instrument, Protocol, Scene, Simulator, Status
 
@@ -256,3 +262,59 @@ def test_frames_that_do_not_belong_together():
     other = Frame(np.ones(1), Protocol.pairwise(2))
     with pytest.raises(FrameError, match="one protocol"):
         check_sensor([*frames(flat(), count=1), other], expected())
+
+
+# ---- the command ----
+
+
+def run(*arguments):
+    return CliRunner().invoke(app, ["check", *arguments])
+
+
+def test_the_command_finds_nothing_on_a_healthy_board():
+    result = run("--board", "virtual:?speed=max", "--frames", "8")
+    assert result.exit_code == 0
+    assert "healthy: nothing was found in 8 frames" in result.stdout
+    assert "keep the sensor flat and untouched" in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("faults", "expected"),
+    [
+        ("open_electrode@0:3", [("open", [3])]),
+        ("swapped_electrodes@0:5", [("swapped", [5, 6])]),
+        ("shorted_pair@0:12", [("short", [1, 7])]),
+        ("contact_loss@0:2", [("moved", [2])]),
+        ("wrong_rtia@0", [("factor", [])]),
+        ("frozen_frame@0", [("frozen", [])]),
+        ("stuck_channel@0:4", [("stuck", [])]),
+        ("clipping@0:4", [("clipped", [])]),
+        ("nan_channel@0:4", [("not finite", [])]),
+        ("inf_channel@3:4", [("not finite", [])]),
+        ("gain_step@7", [("moved", [])]),
+        ("phase_360@0", []),
+    ],
+)
+def test_the_command_names_the_faults_of_a_virtual_board(faults, expected):
+    result = run("--json", "--board", f"virtual:?speed=max&faults={faults}")
+    said = json.loads(result.stdout)
+    assert [(each["what"], each["electrodes"]) for each in said["findings"]] == expected
+    assert said["healthy"] is not bool(expected)
+    assert result.exit_code == (4 if expected else 0)
+    if faults.endswith(":4"):
+        assert said["findings"][0]["channels"] == ["0-5"]
+
+
+def test_a_board_of_another_protocol_is_refused():
+    with pytest.raises(FrameError, match=r"28 measurements .* the board measures 6"):
+        _require_same(PROTOCOL, Protocol.pairwise(4))
+
+
+def test_the_command_lists_ports(monkeypatch):
+    ports = (PortInfo("/dev/ttyS0"), PortInfo("/dev/ttyACM0", "EIT board", "ST", 1155, 1, "20 5A"))
+    monkeypatch.setattr(port, "serial_ports", lambda: ports)
+    listed = json.loads(run("--list", "--json").stdout)["ports"]
+    assert [each["uri"] for each in listed] == ["serial:/dev/ttyS0", "serial:?usb=20%205A"]
+    assert "0483:0001" in run("--list").stdout
+    monkeypatch.setattr(port, "serial_ports", lambda: ())
+    assert "no serial port was found here" in run("--list").stdout

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eitskin.geometry import ConfigurationError, DeviceError
+from eitskin.hardware import open_board
 from eitskin.hardware.port import open_port
 from eitskin.hardware.text_board import TextBoard, open_text
 from eitskin.hardware.text_frames import FrameDrop, FrameFinder
@@ -380,6 +381,19 @@ def test_a_port_that_goes_away_is_one_error_and_closing_lets_go():
 def test_what_cannot_be_opened_is_told(options, said):
     with pytest.raises(ConfigurationError, match=said):
         open_text("/dev/nowhere", "text:/dev/nowhere", **options)
+
+
+def test_a_uri_opens_it(monkeypatch):
+    opened = []
+    port = Printer(stream(range(3), mark="go"))
+    monkeypatch.setattr(
+        "eitskin.hardware.text_board.connector",
+        lambda *given: opened.append(given) or (lambda: port),
+    )
+    uri = "text:/dev/ttyACM0?protocol=pairwise:4&mark=go&frequency=1e4&baud=115200"
+    with open_board(uri) as board:
+        assert (board.uri, len(board.protocol)) == (uri, 6)
+    assert opened == [("/dev/ttyACM0", uri, 115200, "")]
 
 
 def test_over_a_real_pseudo_terminal():
