@@ -4,12 +4,14 @@ import base64
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.geometry import Bend, ConfigurationError, Hinge, Rectangle, SensorDesign
 from eitskin.geometry.deformation import Composed, Deformation
+from eitskin.geometry.flexure import Flexure
 from eitskin.geometry.placement import placed
 from eitskin.geometry.strip import Strip
 from eitskin.simulator import Mechanics, Touch
@@ -20,7 +22,8 @@ Array = NDArray[np.float64]
 
 COLUMNS, ROWS = 51, 21  # of the face, every 3 mm on the reference sensor
 FORCE_UNKNOWN = 6.0  # that a touch is drawn with whose force the pipeline does not say [N]
-_STEEPEST = 90  # bends are drawn up to this [deg]
+_STEEPEST = 60.0  # bends are drawn up to this, either way [deg]
+_FINEST = 0.2  # difference of two bends that are drawn [deg]; each is computed once
 _STEPS = 32000  # of a coordinate from the middle to twice the sensor's length
 _SAME_ANGLE, _SAME_PRESS = 0.15, (0.001, 0.001, 0.3)  # too little to be seen [deg], [m, m, N]
 
@@ -59,12 +62,14 @@ class Shape:
     def bent(self, angle_deg: float, presses: Sequence[Press]) -> Array:
         """The points bent and pressed at (x [m], y [m], force [N]), (n, 3) [m].
 
-        Dents are to scale, in the closed form that is fitted for the 15 mm cylinder; forces past
-        its last are drawn as that, unknown ones as `FORCE_UNKNOWN`, an unknown angle as flat.
+        Bends are drawn in steps of `_FINEST`. Dents are to scale, in the closed form that is fitted
+        for the 15 mm cylinder; forces past its last are drawn as that, unknown ones as
+        `FORCE_UNKNOWN`, an unknown angle as flat.
         """
-        angle = min(max(angle_deg, self.least), self.most) if math.isfinite(angle_deg) else 0.0
+        angle = _FINEST * round(angle_deg / _FINEST) if math.isfinite(angle_deg) else 0.0
+        angle = min(max(angle, self.least), self.most)
         touches = tuple(Touch(x, y, _drawn_force(force)) for x, y, force in presses)
-        shape: Deformation = Hinge().flexure(self.design, Bend(angle))
+        shape: Deformation = _flexure(self.design, angle)
         if touches:
             pressed = dents(touches, self.design, Mechanics(), "closed form")
             shape = Composed(pressed, shape)
@@ -129,16 +134,20 @@ def _sheet(x: Array, y: Array, z: float) -> Array:
     return np.stack([columns, rows, np.full_like(rows, z)], axis=-1).reshape(-1, 3)
 
 
+@lru_cache(maxsize=1024)
+def _flexure(design: SensorDesign, angle: float) -> Flexure:
+    return Hinge().flexure(design, Bend(angle))
+
+
 def _farthest(design: SensorDesign, sign: int) -> float:
-    """The farthest whole step of 5 deg, in one direction, that the hinge reaches [deg]."""
-    angle = 0.0
-    while abs(angle) < _STEEPEST:
+    """The farthest of a few bends in one direction that the hinge reaches [deg]."""
+    for angle in np.arange(_STEEPEST, 0.0, -10.0):
         try:
-            Hinge().flexure(design, Bend(angle + 5.0 * sign))
+            _flexure(design, float(sign * angle))
         except ConfigurationError:
-            break
-        angle += 5.0 * sign
-    return angle
+            continue
+        return float(sign * angle)
+    return 0.0
 
 
 def _drawn_force(force: float) -> float:

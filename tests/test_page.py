@@ -1,0 +1,540 @@
+"""The live page: what is sent, to whom, and what it may be asked. No browser is needed."""
+
+import base64
+import dataclasses
+import http.client
+import json
+import socket
+import struct
+import threading
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from eitskin.cli.page import Page, event
+from eitskin.cli.page_http import ASSETS, LARGEST_BODY, MOST_CLIENTS, Patience
+from eitskin.cli.page_shape import COLUMNS, ROWS, Drawing, Shape
+from eitskin.cli.page_stream import Newest
+from eitskin.datasets import State
+from eitskin.geometry import Bend, ConfigurationError, Hinge, SensorDesign
+from eitskin.hardware import Counts, Reading
+from eitskin.simulator import Frame, Protocol, Scene, Touch
+from eitskin.training.perceived import FoundTouches
+
+PROTOCOL = Protocol.pairwise(8)
+DESIGN = SensorDesign.reference()
+JSON = {"Content-Type": "application/json"}
+
+
+@dataclasses.dataclass
+class Info:
+    firmware: str = "fake"
+    period: float = 1 / 30
+
+
+class FakeStage:
+    """Remembers what it was told; frame 7 was measured of a bent, touched sensor."""
+
+    def __init__(self):
+        self.scene, self.faults, self.played = Scene(), (), []
+
+    def set(self, scene):
+        if scene.bend.angle_deg == 13.0:
+            raise ConfigurationError("expected a scene, got an unlucky one")
+        self.scene = scene
+
+    def play(self, script):
+        self.played.append(script)
+
+    def truth(self, number):
+        return Scene(Bend(20.0), (Touch(0.05, 0.03),)) if number == 7 else None
+
+    def inject(self, text):
+        if not text.startswith("bit_flip"):
+            raise ConfigurationError(f"no fault {text}")
+        self.faults = (*self.faults, text)
+
+    def clear(self):
+        self.faults = ()
+
+
+@dataclasses.dataclass
+class FakeBoard:
+    stage: FakeStage | None = dataclasses.field(default_factory=FakeStage)
+    uri: str = "virtual:"
+    protocol: Protocol = PROTOCOL
+    info: Info = dataclasses.field(default_factory=Info)
+    counts: Counts = dataclasses.field(
+        default_factory=lambda: Counts(frames=5, lost=2, dropped={"crc": 1})
+    )
+
+
+@dataclasses.dataclass
+class FakeConnection:
+    board: FakeBoard = dataclasses.field(default_factory=FakeBoard)
+    problem: str = ""
+
+
+@dataclasses.dataclass
+class FakeEstimate:
+    state: State | str = State.TOUCH
+    probabilities: tuple = (0.1, 0.8, 0.1)
+    bend_angle_deg: float = 20.5
+    touch_map: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((32, 80)))
+    found: FoundTouches = dataclasses.field(
+        default_factory=lambda: FoundTouches.of([(0.05, 0.031)], [0.9], [7.5])
+    )
+    problems: tuple = ()
+
+    @property
+    def touches(self):
+        return self.found.triples
+
+
+def reading(number=7, estimate=None, impedance=None, session=1, **known):
+    impedance = np.full(28, 500.0 + number) if impedance is None else impedance
+    frame = Frame(impedance, PROTOCOL, number=number, session=session)
+    known = {"latency": 0.004, "rate": 30.0} | known
+    return Reading(frame, estimate or FakeEstimate(), **known)
+
+
+@pytest.fixture
+def connection():
+    return FakeConnection()
+
+
+@pytest.fixture
+def page(connection):
+    with Page(connection, DESIGN) as made:
+        yield made
+
+
+def port_of(page):
+    return int(page.url.rstrip("/").rpartition(":")[2])
+
+
+def ask(page, method, path, body=None, headers=None, own=True):
+    """Status, headers and body of an answer; from the page's own origin unless told otherwise."""
+    client = http.client.HTTPConnection("127.0.0.1", port_of(page), timeout=10)
+    own = {"Origin": page.url.rstrip("/")} if own and method == "POST" else {}
+    client.request(method, path, body, own | (headers or {}))
+    answer = client.getresponse()
+    found = answer.status, dict(answer.getheaders()), answer.read()
+    client.close()
+    return found
+
+
+def post(page, path, data, **headers):
+    """Status and parsed answer of a command."""
+    body = data if isinstance(data, bytes) else json.dumps(data).encode()
+    status, _, answer = ask(page, "POST", path, body, JSON | headers)
+    return status, json.loads(answer)
+
+
+class Stream:
+    """A browser's event source."""
+
+    def __init__(self, page):
+        self.client = http.client.HTTPConnection("127.0.0.1", port_of(page), timeout=10)
+        self.client.request("GET", "/events")
+        self.answer = self.client.getresponse()
+
+    def next(self):
+        """Name and data of the next event; None at the end."""
+        fields = {}
+        while line := self.answer.readline().decode():
+            name, colon, value = line.rstrip("\n").partition(": ")
+            if not name:
+                return fields["event"], json.loads(fields["data"])
+            assert colon
+            assert name in ("retry", "event", "data")
+            fields[name] = value
+        return None
+
+    def until(self, name):
+        """Data of the next event of that name."""
+        while (found := self.next())[0] != name:
+            pass
+        return found[1]
+
+    def close(self):
+        self.answer.close()
+        self.client.close()
+
+
+@pytest.fixture
+def stream(page):
+    opened = Stream(page)
+    yield opened
+    opened.close()
+
+
+def test_the_stream_begins_with_the_sensor_and_goes_on_with_frames(page, stream) -> None:
+    assert stream.answer.headers["Content-Type"] == "text/event-stream"
+    sensor = stream.until("sensor")
+    assert sensor["labels"] == list(PROTOCOL.labels)
+    assert len(sensor["electrodes"]) == 8
+    assert sensor["outline"] == [[0.0, 0.0], [0.15, 0.0], [0.15, 0.06], [0.0, 0.06]]
+    assert "bit_flip" in sensor["controls"]["faults"]
+    page.publish(reading(7))
+    frame = stream.until("frame")
+    assert (frame["number"], frame["lost"], frame["dropped"]) == (7, 2, {"crc": 1})
+    assert not frame["stale"]
+    estimate = frame["estimate"]
+    assert (estimate["state"], estimate["angle"], estimate["deviation"]) == ("touch", 20.5, None)
+    assert estimate["touches"] == [{"x": 0.05, "y": 0.031, "strength": 0.9, "force": 7.5}]
+    assert frame["stage"]["truth"] == {
+        "bend_deg": 20.0,
+        "touches": [{"x": 0.05, "y": 0.03, "force": 10.0}],
+    }
+
+
+def test_a_damaged_frame_is_sent_without_nan(page, stream) -> None:
+    impedance = np.full(28, 500.0 + 0j)
+    impedance[3] = complex(np.nan, np.nan)
+    touch_map = np.full((32, 80), np.nan)
+    touch_map[1, 2] = 1.5
+    estimate = FakeEstimate(
+        bend_angle_deg=float("nan"),
+        touch_map=touch_map,
+        probabilities=(np.nan, 0.5, 0.5),
+        found=FoundTouches.of([(0.05, 0.03)], [0.5]),
+    )
+    page.publish(reading(1, estimate, impedance, rate=float("nan")))
+    frame = stream.until("frame")  # the JSON of Python reads NaN; its writer here refuses to
+    assert frame["channels"][3] is None
+    assert frame["channels"][4] == 0.0
+    assert frame["rate"] is frame["estimate"]["angle"] is None
+    assert frame["estimate"]["touches"][0]["force"] is None
+    with pytest.raises(ValueError, match="JSON"):
+        event("frame", {"rate": float("nan")})
+
+
+def test_a_frame_without_an_estimate_says_why(page, stream) -> None:
+    frame = Frame(np.full(28, 500.0), PROTOCOL, number=9, status=np.full(28, 8, np.uint8))
+    page.publish(Reading(frame, None, 0.001, 30.0, 1, "too few good channels"))
+    shown = stream.until("frame")
+    assert shown["estimate"] is None
+    assert shown["problem"] == "too few good channels"
+    assert shown["bad"]["0-1"] == "open"
+
+
+def test_changes_are_from_the_first_frame_of_the_session(page, stream) -> None:
+    changes = []
+    for session, ohm in ((1, 500.0), (1, 510.0), (2, 600.0), (2, 594.0)):
+        page.publish(reading(7, impedance=np.full(28, ohm), session=session))
+        changes.append(stream.until("frame")["channels"][0])
+    assert changes == [0.0, 2.0, 0.0, -1.0]
+
+
+def test_messages_are_small(page, stream) -> None:
+    noisy = np.random.default_rng(0).random((32, 80))
+    page.publish(reading(7, FakeEstimate(touch_map=noisy)))
+    assert len(json.dumps(stream.until("frame"))) < 20_000
+
+
+def test_readers_get_the_newest_only() -> None:
+    newest = Newest()
+    for number in range(1, 6):
+        newest.put(b"%d" % number)
+    assert newest.after(0) == (5, b"5")
+    assert newest.after(5, timeout=0.0) is None
+    newest.put(b"6")
+    assert newest.after(2) == (6, b"6")
+    newest.close()
+    assert newest.after(0) is None
+
+
+def test_a_slow_browser_misses_frames_and_never_gets_old_ones(page, stream) -> None:
+    stream.until("sensor")
+    numbers = [0]
+    for first in (1, 101, 201):
+        for number in range(first, first + 100):
+            page.publish(reading(number))
+        while numbers[-1] != first + 99:
+            numbers.append(stream.until("frame")["number"])
+    assert numbers == sorted(set(numbers))
+    assert len(numbers) < 300
+
+
+def test_a_browser_that_reads_nothing_is_dropped_and_delays_nobody(connection) -> None:
+    with Page(connection, DESIGN, patience=Patience(send=0.2, buffer=4096)) as page:
+        stalled = socket.socket()
+        stalled.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        stalled.connect(("127.0.0.1", port_of(page)))
+        stalled.sendall(f"GET /events HTTP/1.0\r\nHost: 127.0.0.1:{port_of(page)}\r\n\r\n".encode())
+        stream = Stream(page)
+        stream.until("sensor")
+        served = page._server
+        noisy = FakeEstimate(touch_map=np.random.default_rng(0).random((32, 80)))
+        page.publish(reading(0, noisy))
+        assert stream.until("frame")["number"] == 0
+        assert served.watching == 2
+        number = 0
+        while served.watching > 1:  # ends by the time limit of the tests, if it is never dropped
+            number += 1
+            page.publish(reading(number, noisy))
+            assert stream.until("frame")["number"] == number
+        stream.close()
+        stalled.close()
+
+
+def test_publishing_needs_no_browser_and_no_encoding(connection) -> None:
+    with Page(connection, DESIGN) as page:
+        page.publish(reading(1, estimate="not an estimate at all"))
+
+
+def test_an_estimate_that_cannot_be_shown_is_not_the_end(page, stream, caplog) -> None:
+    stream.until("sensor")
+    page.publish(reading(1, estimate="not an estimate at all"))
+    while not caplog.records:
+        assert stream.until("health")
+    page.publish(reading(2))
+    assert stream.until("frame")["number"] == 2
+
+
+def test_silence_is_told(connection) -> None:
+    now = [0.0]
+    with Page(connection, DESIGN, clock=lambda: now[0]) as page:
+        stream = Stream(page)
+        stream.until("sensor")
+        page.publish(reading(1))
+        assert not stream.until("frame")["stale"]
+        now[0] = 1.5
+        connection.problem = "the board went away"
+        while not (health := stream.until("health"))["connection"]:
+            pass
+        assert health["stale"]
+        assert health["age"] == 1.5
+        assert health["connection"] == "the board went away"
+        stream.close()
+
+
+@pytest.mark.parametrize("path", ["/", "/main.js", "/events", "/nothing"])
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {"Origin": "http://evil.example"},
+        {"Origin": "null"},
+        {"Origin": "http://127.0.0.1:1"},
+        {"Host": "evil.example"},
+        {"Host": "127.0.0.1"},
+        {"Host": "evil.example:80", "Origin": "http://evil.example:80"},
+    ],
+)
+def test_foreign_pages_are_refused(page, path, headers) -> None:
+    status, _, body = ask(page, "GET", path, headers=headers)
+    assert status == 403
+    assert "this page is called" in (error := json.loads(body)["error"]) or "only the page" in error
+
+
+def test_a_foreign_page_may_not_embed_but_may_link(page) -> None:
+    foreign = {"Sec-Fetch-Site": "cross-site"}
+    assert ask(page, "GET", "/events", headers=foreign)[0] == 403
+    assert ask(page, "GET", "/", headers=foreign)[0] == 200
+
+
+@pytest.mark.parametrize("name", ["127.0.0.1", "localhost"])
+def test_its_own_names_and_origins_are_served(page, connection, name) -> None:
+    own = f"{name}:{port_of(page)}"
+    assert ask(page, "GET", "/", headers={"Host": own})[0] == 200
+    headers = {"Host": own, "Origin": f"http://{own}"}
+    assert ask(page, "GET", "/style.css", headers=headers)[0] == 200
+    assert post(page, "/scene", {"bend_deg": 5}, **headers)[0] == 200
+    assert connection.board.stage.scene == Scene(Bend(5.0))
+
+
+def test_commands_need_the_pages_origin_and_json(page, connection) -> None:
+    body = json.dumps({"bend_deg": 5}).encode()
+    assert ask(page, "POST", "/scene", body, JSON, own=False)[0] == 403
+    assert ask(page, "POST", "/scene", body, JSON | {"Origin": "http://evil.example"})[0] == 403
+    assert ask(page, "POST", "/scene", body, {"Content-Type": "text/plain"})[0] == 415
+    assert ask(page, "POST", "/elsewhere", body, JSON)[0] == 404
+    assert ask(page, "POST", "/scene", b" " * (LARGEST_BODY + 1), JSON)[0] == 413
+    assert ask(page, "POST", "/scene", None, JSON | {"Content-Length": "-1"})[0] == 411
+    assert ask(page, "PUT", "/scene", body, JSON)[0] == 501
+    assert connection.board.stage.scene == Scene()
+
+
+def test_a_scene_is_set(page, connection) -> None:
+    touches = [{"x": 0.05, "y": 0.03, "force": 4}, {"x": 0.1, "y": 0.02, "force": 8.5}]
+    assert post(page, "/scene", {"bend_deg": -12.5, "touches": touches}) == (200, {"done": True})
+    wanted = Scene(Bend(-12.5), (Touch(0.05, 0.03, 4.0), Touch(0.1, 0.02, 8.5)))
+    assert connection.board.stage.scene == wanted
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"{", "expected JSON"),
+        (b'{"bend_deg": NaN}', "expected JSON"),
+        (b"[" * 4000, "expected JSON"),
+        ([1], "expected a JSON object, got list"),
+        ({"bend": 3}, "did you mean|unknown key 'bend'"),
+        ({"bend_deg": "3"}, "bend_deg"),
+        ({"bend_deg": 61}, "bend_deg must be from -30 to 60 deg, got 61"),
+        ({"touches": [{"x": 0.2, "y": 0.03, "force": 5}]}, "touches are on the sensor"),
+        ({"touches": [{"x": 0.1, "y": 0.03, "force": 99}]}, "force must be from 1 to 12 N, got 99"),
+        ({"touches": [{"x": 0.1, "y": 0.03}]}, "missing required field `force`"),
+        (
+            {"touches": [{"x": 0.01 + 0.03 * i, "y": 0.03, "force": 5} for i in range(5)]},
+            "at most 4 touches at once, got 5",
+        ),
+        (
+            {"touches": [{"x": x, "y": 0.03, "force": 5} for x in (0.05, 0.051)]},
+            "their indenters need",
+        ),
+        ({"bend_deg": 13}, "an unlucky one"),
+    ],
+)
+def test_what_cannot_be_a_scene_is_refused_in_words(page, connection, data, message) -> None:
+    status, answer = post(page, "/scene", data)
+    assert status == 400
+    assert any(part in answer["error"] for part in message.split("|")), answer
+    assert connection.board.stage.scene == Scene()
+
+
+def test_faults_are_injected_and_ended(page, connection) -> None:
+    stage = connection.board.stage
+    assert post(page, "/fault", {"fault": "bit_flip:12"})[0] == 200
+    assert stage.faults == ("bit_flip:12",)
+    for data, message in (
+        ({"fault": "tea:1"}, "no fault tea:1"),
+        ({"fault": "bit_flip@3,unplug"}, "name or name:index"),
+        ({}, 'give either "fault"'),
+        ({"fault": "bit_flip", "clear": True}, 'give either "fault"'),
+    ):
+        status, answer = post(page, "/fault", data)
+        assert status == 400
+        assert message in answer["error"]
+    assert post(page, "/fault", {"clear": True})[0] == 200
+    assert stage.faults == ()
+
+
+def test_the_episode_is_played_and_ended(page, connection) -> None:
+    stage = connection.board.stage
+    assert post(page, "/play", {"play": True})[0] == 200
+    (script,) = stage.played
+    assert script.steps[0].frames == 90  # three seconds
+    assert [step.scene.bend.angle_deg for step in script.steps][:4] == [0.0, -10.0, -10.0, 20.0]
+    stage.scene = Scene(Bend(40.0))
+    assert post(page, "/play", {"play": False})[0] == 200
+    assert stage.scene == Scene()
+    assert post(page, "/play", {"play": 1})[0] == 400
+
+
+def test_a_real_board_cannot_be_commanded() -> None:
+    with Page(FakeConnection(FakeBoard(stage=None, uri="serial:/dev/x")), DESIGN) as page:
+        for path, data in (("/scene", {}), ("/fault", {"clear": True}), ("/play", {"play": True})):
+            status, answer = post(page, path, data)
+            assert status == 409
+            assert "not a virtual one" in answer["error"]
+        stream = Stream(page)
+        assert stream.until("sensor")["controls"] is None
+        page.publish(reading(1))
+        assert stream.until("frame")["stage"] is None
+        stream.close()
+
+
+def test_only_so_many_browsers_may_watch(page) -> None:
+    streams = [Stream(page) for _ in range(MOST_CLIENTS)]
+    for stream in streams:
+        stream.until("sensor")
+    assert ask(page, "GET", "/events")[0] == 503
+    for stream in streams:
+        stream.close()
+    while page._server.watching:
+        page.publish(reading(1))
+    again = Stream(page)
+    assert again.answer.status == 200
+    again.close()
+
+
+def open_files():
+    return len(list(Path("/dev/fd").iterdir()))
+
+
+def test_closing_leaves_nothing_behind(connection) -> None:
+    with Page(connection, DESIGN):  # whatever a first one loads and keeps
+        pass
+    threads, descriptors = set(threading.enumerate()), open_files()
+    page = Page(connection, DESIGN)
+    streams = [Stream(page) for _ in range(3)]
+    silent = socket.create_connection(("127.0.0.1", port_of(page)))
+    for stream in streams:
+        stream.until("sensor")
+    page.close()
+    page.close()
+    assert set(threading.enumerate()) == threads
+    for stream in streams:
+        while stream.next() is not None:
+            pass
+        stream.close()
+    silent.close()
+    assert open_files() == descriptors
+    with pytest.raises(OSError, match="refused"):
+        socket.create_connection(("127.0.0.1", port_of(page)))
+
+
+def test_a_port_in_use_is_named(page, connection) -> None:
+    with pytest.raises(ConfigurationError, match=f"cannot serve the page on port {port_of(page)}"):
+        Page(connection, DESIGN, port=port_of(page))
+
+
+def test_only_this_machine_is_served(page) -> None:
+    assert page.url.startswith("http://127.0.0.1:")
+    assert page._server.server_address[0] == "127.0.0.1"
+
+
+def test_every_asset_is_shipped_served_and_of_this_page_alone(page) -> None:
+    folder = resources.files("eitskin.cli") / "page"
+    shipped = {entry.name for entry in folder.iterdir()}
+    assert shipped == set(ASSETS)
+    for name, kind in ASSETS.items():
+        status, headers, body = ask(page, "GET", f"/{name}")
+        assert status == 200
+        assert headers["Content-Type"] == kind
+        assert headers["Cache-Control"] == "no-store"
+        assert headers["Content-Security-Policy"].startswith("default-src 'self';")
+        assert body == (folder / name).read_bytes()
+        text = body.decode().replace("http://www.w3.org/2000/svg", "")
+        assert "http:" not in text  # nothing is loaded from elsewhere
+        assert "https:" not in text
+    index = (folder / "index.html").read_text()
+    assert "style=" not in index  # which the policy forbids
+    assert ask(page, "GET", "/")[2].decode() == index
+    for path in ("/../page.py", "/page_http.py", "/%2e%2e/page.py"):
+        assert ask(page, "GET", path)[0] == 404
+
+
+def decoded(text, unit):
+    steps = np.array(struct.unpack(f"<{len(text) // 2}h", text)) * unit
+    return steps.reshape(-1, 3)
+
+
+def test_the_drawn_sensor_is_bent_and_dented_as_the_simulated_one() -> None:
+    shape = Shape.of(DESIGN)
+    flat = shape.bent(0.0, [])
+    assert np.allclose(flat, shape.points, atol=1e-12)
+    bent = shape.bent(30.0, [])
+    wanted = Hinge().flexure(DESIGN, Bend(30.0)).positions(shape.points)
+    assert np.allclose(bent, wanted)
+    dented = shape.bent(0.0, [(0.075, 0.03, 10.0)])
+    middle = ROWS // 2 * COLUMNS + COLUMNS // 2
+    # The closed form thins the gel by 0.036 F + 0.0012 F^2 on the axis.
+    assert dented[middle, 2] == pytest.approx(0.005 * (1 - 0.48))
+    assert np.array_equal(shape.bent(500.0, []), shape.bent(shape.most, []))
+    assert np.array_equal(shape.bent(float("nan"), []), flat)
+
+
+def test_noise_is_not_drawn_again() -> None:
+    drawing = Drawing.of(DESIGN)
+    first = drawing.points(10.0, [(0.05, 0.03, float("nan"))])
+    assert drawing.points(10.1, [(0.0505, 0.03, float("nan"))]) is first
+    moved = drawing.points(10.3, [(0.05, 0.03, float("nan"))])
+    assert moved != first
+    assert drawing.points(10.3, []) != moved
+    places = decoded(base64.b64decode(drawing.points(0.0, [])), drawing.unit)
+    assert np.allclose(places, drawing.shape.points, atol=drawing.unit)
