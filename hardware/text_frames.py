@@ -70,7 +70,8 @@ class FrameFinder:
 
     def restart(self) -> None:
         """Wait for the next beginning; what has come since the last is given up."""
-        self._times: deque[float] = deque(maxlen=self._size + 1)
+        self._latest = math.nan
+        self._distances: deque[float] = deque(maxlen=self._size)
         self._group: list[Measurement] = []
         self._count = 0
         self._whole = False
@@ -78,12 +79,12 @@ class FrameFinder:
 
     def missed(self, unread: float) -> bool:
         """Whether a pause may have passed unseen, when nobody has read for so long [s]."""
-        return not self._marked and unread > MISSED * self._size * self._usual
+        return not self._marked and unread > MISSED * self.period
 
     def feed(self, now: float, lines: Sequence[Line]) -> list[Lines]:
         """The frames that are known to have ended by `now` [s], when `lines` had come."""
         ended = []
-        if not self._marked and self._count and now - self._times[-1] > self._longest:
+        if not self._marked and self._count and now - self._latest > self._longest:
             ended.append(self._end())
         for line in lines:
             if isinstance(line, Mark):
@@ -120,10 +121,14 @@ class FrameFinder:
             self._group.append(line)
         if not math.isnan(line.frequency):
             self.frequency = line.frequency
-        self._times.append(now)
-        if len(self._times) > self._size:
-            # As many distances as lines of a frame hold one pause, wherever they begin.
-            self._usual = (now - self._times[0]) / self._size
+        if not math.isnan(self._latest):
+            self._distances.append(now - self._latest)
+        self._latest = now
+        if len(self._distances) == self._size:
+            # As many distances as lines of a frame hold one pause, wherever they begin. The mean of
+            # the others stands for them although many lines may come at once, by way of USB.
+            others = sum(self._distances) - max(self._distances)
+            self._usual = others / max(self._size - 1, 1)
 
     def _end(self) -> Lines | None:
         """The frame that has ended, if it is whole; the next begins."""

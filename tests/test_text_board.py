@@ -161,6 +161,42 @@ def test_two_frames_without_a_pause_between_are_two_lost():
     assert finder.lost == 2
 
 
+@pytest.mark.parametrize("size", [1, 3, 28])
+def test_frames_of_any_size_are_found(size):
+    finder = FrameFinder(size, marked=False)
+    assert groups(fed(finder, [size] * 9))[-5:] == [{4}, {5}, {6}, {7}, {8}]
+    assert finder.lost == 0
+
+
+def test_lines_that_usb_delays_and_bundles_are_no_pause():
+    finder = FrameFinder(6, marked=False)
+    found = []
+    for frame in range(5):
+        for k in range(6):
+            ready = frame * PERIOD + k * LINE
+            late = math.ceil(ready / 0.016) * 0.016  # every 16 ms what is ready by then
+            found += finder.feed(late, [Measurement(complex(frame, k))])
+    found += finder.feed(9.0, [])
+    assert groups(found)[-3:] == [{2}, {3}, {4}]
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.sets(st.tuples(st.integers(0, 19), st.integers(0, 5))), st.booleans())
+def test_whatever_lines_are_lost_no_value_stands_for_another(lost, marked):
+    finder = FrameFinder(6, marked)
+    found = []
+    for frame in range(20):
+        if marked:
+            found += finder.feed(frame * PERIOD, [Mark()])
+        for k in range(6):
+            if (frame, k) not in lost:
+                found += finder.feed(frame * PERIOD + k * LINE, [Measurement(complex(frame, k))])
+    for lines in found:
+        (frame,) = {each.impedance.real for each in lines.measurements}
+        assert [each.impedance.imag for each in lines.measurements] == [0, 1, 2, 3, 4, 5]
+        assert not {place for place in lost if place[0] == frame}
+
+
 def test_a_pause_that_is_given_is_known_at_once():
     finder = FrameFinder(6, marked=False, pause=0.03)
     assert groups(fed(finder, [6, 6])) == [{1}]
