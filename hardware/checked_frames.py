@@ -51,8 +51,12 @@ class CheckedFrames:
 
     @cached_property
     def shorted(self) -> Bools:
-        """Channels with nearly no resistance, which clip the current of any board."""
-        return np.asarray(self.finite.any(axis=0) & (self.ratio < SHORT * self._scale))
+        """Channels with nearly no resistance, which clip the current of any board.
+
+        Where a pair is not sensed where it is driven, a small value is no short.
+        """
+        small = self.finite.any(axis=0) & (self.ratio < SHORT * self._scale)
+        return np.asarray(small & self.senses_where_it_drives)
 
     @cached_property
     def value(self) -> Complex:

@@ -196,6 +196,18 @@ def test_an_electrode_whose_pairs_are_no_numbers_is_named():
     assert found(result) == [(What.NOT_FINITE, (2,))]
 
 
+def test_an_open_electrode_that_gives_no_numbers_is_one_finding():
+    marked = [
+        dataclasses.replace(
+            each,
+            impedance=np.where(at(2), complex(np.nan, np.nan), each.impedance),
+            status=np.where(at(2), Status.OPEN | Status.NOT_FINITE, 0),
+        )
+        for each in frames(flat())
+    ]
+    assert found(check_sensor(marked, expected())) == [(What.OPEN, (2,))]
+
+
 def test_values_that_are_all_no_numbers_are_one_finding():
     result = check_sensor([Frame(np.full(28, np.nan), PROTOCOL)] * 8, expected())
     assert found(result) == [(What.NOT_FINITE, ())]
@@ -229,6 +241,9 @@ def test_half_of_the_electrodes_may_be_open():
     for e in (0, 2, 3, 7):
         ill[at(e)] = -39.8e3j
     assert found(check(ill)) == [(What.OPEN, (e,)) for e in (0, 2, 3, 7)]
+    # Six channels are too few for contacts, whatever they show.
+    ill[PAIRS.index((1, 4))] *= 1.4
+    assert found(check(ill)) == [(What.OPEN, (e,)) for e in (0, 2, 3, 7)]
 
 
 # ---- other protocols, and what cannot be ----
@@ -245,6 +260,10 @@ def test_of_other_protocols_only_what_can_be_said():
     assert (finding.what, finding.channels) == (What.STUCK, (4,))
     (finding,) = check_sensor([Frame(6.0 * z, protocol) for z in measured[:1]], values).findings
     assert finding.what == What.FACTOR
+    measured[:, 9] *= 0.01  # no short, as it is not driven where it is sensed
+    assert What.SHORT not in {
+        each.what for each in check_sensor([Frame(z, protocol) for z in measured], values).findings
+    }
 
 
 @pytest.mark.parametrize(
