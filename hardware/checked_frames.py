@@ -14,8 +14,10 @@ Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Complex = NDArray[np.complex128]
 
-OPEN = 20.0
-"""Times the expected value; a stray capacitance of 100 pF at 40 kHz is about 50 times."""
+OPEN, INSULATED = 10.0, 40.0
+"""Times the expected value where it is capacitive, and where it is not; stray capacitances of 100
+to 200 pF at 40 kHz are 25 to 50 times, a poor contact of 5 kohm is 10 times."""
+CAPACITIVE_DEG = -45.0
 SHORT = 0.1
 """Share of the expected value."""
 FLAGGED = 0.1
@@ -73,7 +75,13 @@ class CheckedFrames:
     @cached_property
     def opened(self) -> Bools:
         """Channels without a current, (measurements,)."""
-        return np.asarray(self._said_open | (self.usable & (self.ratio > OPEN * self._scale)))
+        times = self.ratio / max(self._scale, np.finfo(float).tiny)
+        large = (times > INSULATED) | ((times > OPEN) & self._capacitive)
+        return np.asarray(self._said_open | (self.usable & large))
+
+    @cached_property
+    def _capacitive(self) -> Bools:
+        return np.asarray(np.angle(self.value, deg=True) < CAPACITIVE_DEG)
 
     @cached_property
     def _said_open(self) -> Bools:
@@ -90,8 +98,7 @@ class CheckedFrames:
         if not judged.any():
             return 1.0
         low = float(np.quantile(self.ratio[judged], 0.2, method="lower"))
-        capacitive = np.median(np.angle(self.value[judged], deg=True)) < -60.0
-        return 1.0 if low > OPEN and capacitive else low
+        return 1.0 if low > OPEN and self._capacitive[judged].mean() > 0.5 else low
 
     @cached_property
     def noise(self) -> Array:

@@ -93,7 +93,7 @@ class LineDecoder:
         return lines
 
     def _append(self, part: bytes) -> None:
-        self._begun += part[: LONGEST + 1]
+        self._begun += part
         self._overflown |= len(self._begun) > LONGEST
         del self._begun[LONGEST:]
 
