@@ -219,11 +219,12 @@ class PseudoTerminal(Generic[FirmwareType]):
         with selectors.DefaultSelector() as selector:
             selector.register(self._wake_read, selectors.EVENT_READ)
             while not self._stopped:
-                if selector.select(None if pause is None else pause.remaining()):
-                    os.read(self._wake_read, _CHUNK)
-                if self.firmware.plugged_in and (pause is None or not pause.remaining()):
+                left = None if pause is None else pause.remaining()
+                if self.firmware.plugged_in and not left:
                     self._plug_in()
                     return
+                if selector.select(left):
+                    os.read(self._wake_read, _CHUNK)
 
     def _lock(self, wanted: bool) -> None:
         """Hold the port as another program would, or let go of it."""

@@ -161,12 +161,13 @@ class SerialBoard:
         self._decoder.restart()
         self._inbox.clear()
         known, self.info = self.info, self._meet()
-        if (self.info.uid, self.info.table_crc32) != (known.uid, known.table_crc32):
-            found, self.info = self.info, known
+        found = self.info
+        if (found.uid, found.table_crc32) != (known.uid, known.table_crc32):
+            self.info = known
             raise UnrecoverableError(
-                f"{self.uri}: expected the board {known.uid.hex()} with table "
-                f"{known.table_crc32:08x}, found {found.uid.hex()} with {found.table_crc32:08x}; "
-                "references of another sensor do not fit, start anew"
+                f"{self.uri}: expected board {known.uid.hex()}, table {known.table_crc32:08x}; "
+                f"found board {found.uid.hex()}, table {found.table_crc32:08x}; what was learned "
+                "of one sensor does not fit another, start anew"
             )
         self._resuming = self.info.boot_count == known.boot_count
         self._reconnections += 1

@@ -103,9 +103,9 @@ class Stage:
         """The faults that were named and not cleared since."""
         return tuple(fault_name(fault) for fault in (*self._faults, *self._injected))
 
-    def inject(self, text: str) -> None:
+    def inject(self, faults: str | Sequence[Fault]) -> None:
         """Have faults strike next, "name:index,..."; raises ConfigurationError for others."""
-        self._injected.extend(read_faults(text))
+        self._injected.extend(read_faults(faults) if isinstance(faults, str) else faults)
         self.changed()
 
     def clear(self) -> None:

@@ -1,6 +1,7 @@
 """Slow drift: a random walk that is a function of time, however often it is asked for."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,9 +28,18 @@ class RandomWalk:
     seed: int
 
     def __call__(self, times: Array) -> Array:
-        """Where the walk is at `times` [s], none of which is negative; work grows with the last."""
+        """Where the walk is at `times` [s], none of which is negative."""
         count = int(np.ceil(np.max(times, initial=0.0) / STEP))
-        steps = np.random.default_rng(self.seed).standard_normal(count)
-        places = np.concatenate(([0.0], np.cumsum(steps * self.deviation * np.sqrt(STEP / HOURS))))
-        walk: Array = np.interp(times, STEP * np.arange(count + 1), places)
+        places = self.deviation * np.sqrt(STEP / HOURS) * _walk(self.seed, count.bit_length())
+        walk: Array = np.interp(times, STEP * np.arange(len(places)), places)
         return walk
+
+
+# A board that runs for days asks for its drift in every frame.
+@lru_cache(maxsize=4)
+def _walk(seed: int, doublings: int) -> Array:
+    """The walk of unit steps from 0, at least 2^doublings - 1 of them; all begin alike."""
+    steps = np.random.default_rng(seed).standard_normal(2**doublings)
+    walk = np.concatenate(([0.0], np.cumsum(steps)))
+    walk.flags.writeable = False
+    return walk

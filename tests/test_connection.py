@@ -127,7 +127,7 @@ def test_another_board_is_refused(changes):
     board, port = connected(firmware())
     known = board.info
     port.firmware.info = dataclasses.replace(port.firmware.info, **changes)
-    with pytest.raises(UnrecoverableError, match=r"expected the board .*, found .* start anew"):
+    with pytest.raises(UnrecoverableError, match=r"expected board .*; found board .* start anew"):
         board.reconnect()
     assert board.info == known
 
