@@ -17,7 +17,7 @@ from rich.live import Live
 
 from eitskin.cli.live_view import draw, losses, plain
 from eitskin.cli.options import Json, Output, Quiet, Seed, Verbose
-from eitskin.geometry import PartialError
+from eitskin.geometry import PartialError, SensorDesign
 
 if TYPE_CHECKING:
     from eitskin.cli.page import Page
@@ -75,13 +75,15 @@ def command(
         opened = stack.enter_context(open_board(board, **seeded(board, seed)))
         output.detail(f"{opened.uri}: firmware {opened.info.firmware}, {opened.protocol.labels}")
         session = LiveSession(Connection(opened), output, writer)
-        if board.startswith(("serial:", "virtual:", "text:")):
-            layout = getattr(pipeline, "layout", None)
-            session.expected = None if layout is None else layout.reference
+        layout = getattr(pipeline, "layout", None)
+        # A recording was checked when it was made, and need not begin flat.
+        if layout is not None and not board.startswith("replay:"):
+            session.expected = layout.reference
         if page:
             from eitskin.cli.page import Page
 
-            session.page = stack.enter_context(closing(Page(opened, page_port)))
+            design = SensorDesign.reference() if layout is None else layout.design
+            session.page = stack.enter_context(closing(Page(session.connection, design, page_port)))
             output.note(f"page: {session.page.url}")
         newest = not (every_frame or record)
         session.follow(run_live(session.connection, pipeline, newest=newest), frames)
@@ -156,7 +158,7 @@ class LiveSession:
             except PartialError as error:
                 self.recording_problem = str(error)
                 self.output.note(f"recording stopped: {error}")
-        else:
+        if self.recording_problem:
             self.unrecorded += 1
 
     def notice_session(self, frame: "Frame") -> None:

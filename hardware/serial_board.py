@@ -42,6 +42,7 @@ from eitskin.simulator import Frame, Protocol, Status
 REPLY_WITHIN = 0.5  # s
 TRIES = 3
 SILENT_PERIODS = 3
+SHORTEST_SILENCE = 0.25  # s; a host that is busy for a moment is no silent board
 _CHUNK = 4096  # bytes, what a terminal's input queue holds
 _BACKLOG = 2**17  # bytes; Linux keeps 64 KiB behind that queue, other systems less
 
@@ -230,7 +231,7 @@ class SerialBoard:
         self._restarted = False
 
     def _next_frame(self) -> Frame:
-        for message in self._messages(SILENT_PERIODS * self.info.period):
+        for message in self._messages(self._patience):
             if isinstance(message, FrameData):
                 frame = self._accept(message)
                 if frame is not None:
@@ -241,16 +242,22 @@ class SerialBoard:
                 self._start()
                 return self._next_frame()
         raise DeviceError(
-            f"{self.uri}: the stream is stale, no frame came for {SILENT_PERIODS} periods of "
-            f"{self.info.period:.3f} s{self._hearsay()}; check power and cable, then connect again"
+            f"{self.uri}: the stream is stale, no frame came for {self._patience:.3f} s, with one "
+            f"due every {self.info.period:.3f} s{self._hearsay()}; check power and cable, then "
+            "connect again"
         )
+
+    @property
+    def _patience(self) -> float:
+        """How long no frame may come [s]."""
+        return max(SILENT_PERIODS * self.info.period, SHORTEST_SILENCE)
 
     def _discard_old(self) -> None:
         """Throw away what waits in a port that nobody has read for long.
 
         Its queues are full of the oldest frames then, and so is the board's own, which holds one.
         """
-        if self._clock() - self._read_at > SILENT_PERIODS * self.info.period:
+        if self._clock() - self._read_at > self._patience:
             self._guarded(self._port.reset_input_buffer)
             self._inbox.clear()
             self._next_frame()

@@ -1,5 +1,6 @@
 """Boards: one suite for all of them, how they are opened, recordings, the command."""
 
+import contextlib
 import itertools
 import os
 import signal
@@ -8,6 +9,7 @@ import sys
 
 import numpy as np
 import pytest
+from compiled_firmware import compiled_terminal
 
 from eitskin.datasets import Dataset, ShardWriter, write_shard
 from eitskin.geometry import ConfigurationError, DataError, DeviceError
@@ -33,16 +35,23 @@ def recording(tmp_path_factory):
     return folder
 
 
-@pytest.fixture(params=["virtual", "replay", "loopback"])
+@contextlib.contextmanager
+def served_by_the_firmware():
+    """The firmware in C, behind a pseudo-terminal."""
+    with compiled_terminal() as terminal, open_board(f"serial:{terminal.path}") as board:
+        yield board
+
+
+@pytest.fixture(params=["virtual", "firmware in C", "replay", "loopback"])
 def board(request, recording):
-    if request.param == "virtual":
-        opened = virtual()
-    elif request.param == "replay":
-        opened = open_board(f"replay:{recording}")
-    else:
-        opened, _ = connected(firmware())
-    with opened:
-        yield opened
+    opened = {
+        "virtual": virtual,
+        "firmware in C": served_by_the_firmware,
+        "replay": lambda: open_board(f"replay:{recording}"),
+        "loopback": lambda: connected(firmware())[0],
+    }
+    with opened[request.param]() as board:
+        yield board
 
 
 # ---- every board ----
@@ -74,6 +83,15 @@ def test_closing_twice_does_nothing(board):
     take(board, 1)
     board.close()
     board.close()
+
+
+def test_goes_on_after_connecting_again(board):
+    first = take(board, 3)
+    board.reconnect()
+    again = take(board, 3)
+    assert again[0].session == first[0].session
+    assert all(np.allclose(frame.impedance, FLAT, atol=2.0) for frame in again)
+    assert board.counts.frames == 6
 
 
 # ---- opening ----

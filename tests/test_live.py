@@ -14,9 +14,16 @@ from typer.testing import CliRunner
 
 from eitskin.cli import live as cli
 from eitskin.cli import live_view
-from eitskin.datasets import State, open_dataset
-from eitskin.geometry import ConfigurationError, DeviceError, FrameError, UnusableFrameError
-from eitskin.hardware import Counts, Reading, Script, Step, open_board, run_live
+from eitskin.cli.options import Output
+from eitskin.datasets import ShardWriter, State, open_dataset
+from eitskin.geometry import (
+    ConfigurationError,
+    DeviceError,
+    FrameError,
+    PartialError,
+    UnusableFrameError,
+)
+from eitskin.hardware import Connection, Counts, Reading, Script, Step, open_board, run_live
 from eitskin.simulator import Frame, Protocol, Scene, Status
 
 PROTOCOL = Protocol.pairwise(8)
@@ -275,6 +282,112 @@ def test_the_seed_is_the_virtual_boards(run, tmp_path):
 )
 def test_errors_keep_their_kind(run, uri, error):
     assert isinstance(run(FakePipeline(), "--board", uri).exception, error)
+
+
+# ---- long runs ----
+
+
+def session_of(board, **known):
+    output = Output(console=Console(width=100), notes=Console(width=200))
+    return cli.LiveSession(Connection(board), output, clock=lambda: 50.0, **known)
+
+
+def reading(number=0, **changes):
+    return Reading(frame(number, **changes), Estimate(), 0.001, 3.0)
+
+
+class QuietBoard:
+    info = types.SimpleNamespace(period=0.3)
+    counts = Counts(reconnections=2)
+
+
+def shown(session):
+    console = Console(width=100)
+    with console.capture() as capture:
+        console.print(session.view())
+    return capture.get()
+
+
+def test_what_is_old_is_never_shown_as_new():
+    session = session_of(QuietBoard())
+    session.take(reading())
+    assert "nothing for" not in shown(session)
+    session.clock = lambda: 50.8
+    assert "nothing for" not in shown(session)  # three periods, but a busy machine may do that
+    session.clock = lambda: 57.0
+    session.connection.problem = "the board went away"
+    assert "nothing for 7 s; the board went away" in shown(session)
+    assert "2 reconnections" in shown(session)
+
+
+def test_a_frame_without_estimate_says_why():
+    session = session_of(QuietBoard())
+    session.take(Reading(frame(), None, 0.001, 3.0, 4, "all channels are open"))
+    assert "unknown: all channels are open" in shown(session)
+    data = live_view.plain(session.newest, Counts())
+    assert (data["state"], data["problems"]) == (None, ["all channels are open"])
+    json.dumps(data, allow_nan=False)
+
+
+def test_a_new_session_is_announced_and_the_sensor_looked_over_again():
+    session = session_of(QuietBoard(), expected=np.full(28, 600.0))
+    with session.output.notes.capture() as capture:
+        for number in range(40):
+            status = np.zeros(28, np.uint8)
+            status[[3 in row for row in PROTOCOL.table]] = Status.OPEN * (number >= 20)
+            session.take(reading(number, session=1 + (number >= 20), status=status))
+    said = capture.get()
+    assert said.count("session 2 begins") == 1
+    assert "electrode 3 is open" in said.partition("session 2 begins")[2]
+    assert "electrode 3 is open" not in said.partition("session 2 begins")[0]
+
+
+class FullDisk:
+    """Takes three frames."""
+
+    def __init__(self):
+        self.taken = 0
+
+    def append(self, _):
+        if self.taken == 3:
+            raise PartialError("no space left on the device; free some")
+        self.taken += 1
+
+
+def test_a_full_disk_ends_the_recording_and_not_the_session():
+    session = session_of(QuietBoard(), writer=FullDisk())
+    with session.output.notes.capture() as capture:
+        for number in range(8):
+            session.take(reading(number))
+    assert capture.get().count("recording stopped: no space left") == 1
+    assert (session.processed, session.unrecorded) == (8, 5)
+
+
+def test_a_recording_that_lost_frames_ends_the_command_with_exit_code_5(run, tmp_path, monkeypatch):
+    def fail(self, frame):  # noqa: ARG001
+        raise PartialError("no space left on the device")
+
+    monkeypatch.setattr(ShardWriter, "append", fail)
+    result = run(
+        FakePipeline(),
+        "--board",
+        "virtual:?speed=max",
+        "--frames",
+        "3",
+        "--record",
+        str(tmp_path / "r"),
+    )
+    assert isinstance(result.exception, PartialError)
+    assert "3 frames are not in" in str(result.exception)
+    assert "3 frames processed" in result.stderr
+
+
+def test_the_command_outlives_an_unplugged_cable(run):
+    board = "virtual:?speed=max&period=0.01&faults=replug@4"
+    result = run(FakePipeline(), "--board", board, "--frames", "30", "--json", "--every-frame")
+    assert result.exit_code == 0
+    last = json.loads(result.stdout.splitlines()[-1])
+    assert (last["session"], last["reconnections"]) == (2, 1)
 
 
 # ---- pictures ----
