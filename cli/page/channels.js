@@ -2,7 +2,7 @@
 import { Surface, colour } from "./colours.js";
 
 const SCALES = [0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500];
-const LEFT = 40;
+const LEFT = 48;
 
 export class Channels {
   constructor(canvas, chosen, list, labels) {
@@ -59,7 +59,9 @@ export class Channels {
   }
 
   name(bad) {
-    const names = Object.entries(bad).map(([i, what]) => `${this.labels[i]} ${what}`);
+    const kinds = new Map();
+    for (const [i, what] of Object.entries(bad)) kinds.set(what, [...(kinds.get(what) || []), this.labels[i]]);
+    const names = [...kinds].map(([what, labels]) => `${what}: ${labels.join(", ")}`);
     if (this.listed === names.join("|")) return;
     this.listed = names.join("|");
     this.list.replaceChildren(...names.map((text) => Object.assign(document.createElement("li"), { textContent: text })));

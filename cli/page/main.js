@@ -10,7 +10,7 @@ const LATE = 1000; // ms by which an event may come later than the fastest one
 const STATES = ["idle", "touch", "bend"];
 
 const $ = (id) => document.getElementById(id);
-const page = { updates: 0, number: null };
+const page = { updates: 0, number: null, largest: 0 };
 window.eitskin = page; // what has been drawn, for measurements
 
 let parts = null;
@@ -27,7 +27,8 @@ function say(element, text) {
 }
 
 function signed(value, digits) {
-  return `${value < 0 ? "−" : "+"}${Math.abs(value).toFixed(digits)}`;
+  const size = Math.abs(value).toFixed(digits);
+  return Number(size) === 0 ? size : `${value < 0 ? "−" : "+"}${size}`;
 }
 
 function build(sensor) {
@@ -89,7 +90,10 @@ function draw(data) {
   if (estimate) parts.sensor.show(estimate.points, estimate.map);
   parts.channels.show(data.channels, data.bad);
   numbers(data);
-  problems([...(data.problem ? [data.problem] : []), ...(estimate ? estimate.problems : [])]);
+  // Channels that the board marked bad have a list of their own.
+  const known = new RegExp("^channel (\\S+) is left out: board");
+  const others = (estimate ? estimate.problems : []).filter((text) => !((known.exec(text) || [])[1] in data.bad));
+  problems(data.problem ? [data.problem, ...others] : others);
   if (parts.controls && stage) parts.controls.show(stage);
 }
 
@@ -105,8 +109,8 @@ function angle(estimate, truth) {
 
 function touches(found) {
   const places = found.map(({ x, y, force, strength }) =>
-    `(${(1e3 * x).toFixed(0)}, ${(1e3 * y).toFixed(0)}) mm ${force === null ? strength.toFixed(2) : `${force.toFixed(1)} N`}`);
-  say($("touches"), places.join(" · ") || "no touch");
+    `${(1e3 * x).toFixed(0)}, ${(1e3 * y).toFixed(0)} mm: ${force === null ? strength.toFixed(2) : `${force.toFixed(1)} N`}`);
+  say($("touches"), places.join("  ·  ") || "no touch");
 }
 
 function numbers(data) {
@@ -162,6 +166,7 @@ function judge() {
 
 function hear(event) {
   const data = JSON.parse(event.data);
+  page.largest = Math.max(page.largest, event.data.length);
   heard = data.heard = performance.now();
   const delay = heard - 1000 * data.sent;
   fastest = Math.min(fastest, delay);

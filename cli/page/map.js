@@ -2,6 +2,7 @@
 import { Surface, bytes, colour, palette } from "./colours.js";
 
 const INDENTER = 0.0075; // radius of what presses a virtual board [m]
+const GRID = 0.015; // between two lines, as on the drawn sensor [m]
 const STEP = 0.002; // of the keyboard's finger [m]
 
 export class TouchMap {
@@ -71,6 +72,7 @@ export class TouchMap {
     c.fillStyle = `rgb(${palette.slice(0, 3).join(",")})`;
     c.fillRect(0, 0, width, height);
     if (!this.empty) c.drawImage(this.picture, at.x(0), at.y(across), at.scale * length, at.scale * across);
+    this.grid(c, at);
     c.restore();
     c.strokeStyle = "#3a4a5c";
     c.lineWidth = 1.5;
@@ -80,6 +82,13 @@ export class TouchMap {
     for (const touch of this.pressing()) this.circle(c, at, touch, "#ffffff66", [], 1);
     for (const touch of this.found) this.drawFound(c, at, touch);
     if (this.cursor && document.activeElement === this.canvas) this.drawCursor(c, at);
+  }
+
+  grid(c, at) {
+    const { length, width: across } = this.sensor;
+    c.fillStyle = "#ffffff12";
+    for (let x = GRID; x < length - GRID / 2; x += GRID) c.fillRect(Math.round(at.x(x)), at.y(across), 1, at.scale * across);
+    for (let y = GRID; y < across - GRID / 2; y += GRID) c.fillRect(at.x(0), Math.round(at.y(y)), at.scale * length, 1);
   }
 
   drawElectrodes(c, at) {

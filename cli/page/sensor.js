@@ -44,7 +44,7 @@ void main() {
     base = mix(base, vec3(0.45, 0.60, 0.74), 0.34 * line);
     base = mix(base, 0.72 * touched, 0.75 * smoothstep(0.04, 0.5, level));
   }
-  float lit = 0.14 + 1.08 * max(dot(n, light), 0.0);
+  float lit = 0.10 + 0.90 * max(dot(n, light), 0.0) + 0.42 * max(dot(n, toEye), 0.0);
   float shine = pow(max(dot(reflect(-light, n), toEye), 0.0), 24.0);
   float rim = pow(1.0 - max(dot(n, toEye), 0.0), 3.0);
   colour = vec4(base * lit + gloss * shine + 0.10 * rim, 1.0);

@@ -2,6 +2,7 @@
 import { Surface, colour } from "./colours.js";
 
 const SECONDS = 30;
+const GAP = 1; // over which nothing is drawn [s]
 const PAUSE = 0.09; // between two pictures [s]
 const LEFT = 34, TOP = 6, BOTTOM = 6;
 
@@ -71,7 +72,7 @@ export class Trace {
       c.fillStyle = this.colours.edge;
       c.fillRect(LEFT, Math.round(y(angle)), width - LEFT, angle === 0 ? 2 : 1);
       c.fillStyle = this.colours.dim;
-      c.fillText(`${angle}°`, LEFT - 6, y(angle));
+      c.fillText(`${angle < 0 ? "−" : ""}${Math.abs(angle)}°`, LEFT - 6, y(angle));
     }
   }
 
@@ -92,7 +93,7 @@ export class Trace {
     c.beginPath();
     let pen = false, last = -Infinity;
     for (const point of this.points) {
-      if (point[name] === null || point.time - last > 1.5) pen = false;
+      if (point[name] === null || point.time - last > GAP) pen = false;
       if (point[name] !== null) {
         if (pen) c.lineTo(x(point.time), y(point[name]));
         else c.moveTo(x(point.time), y(point[name]));
