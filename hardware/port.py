@@ -89,7 +89,7 @@ class PortInfo:
     @property
     def uri(self) -> str:
         """What opens it, by serial number where it has one, since its path may change."""
-        number = quote(self.serial_number, safe="")
+        number = quote(self.serial_number)
         return f"serial:?usb={number}" if number else f"serial:{self.device}"
 
     def __str__(self) -> str:
@@ -141,7 +141,7 @@ def find_port(usb_serial: str, ports: Ports = serial_ports) -> str:
 
 def usb_serial_of(path: str, ports: Ports = serial_ports) -> str:
     """USB serial number of the device at `path`, which may be a link; empty where it has none."""
-    here = {Path(port.device).resolve(): port.serial_number for port in ports()}
+    here = {Path(port.device): port.serial_number for port in ports()}
     return here.get(Path(path).resolve(), "")
 
 

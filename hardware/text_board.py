@@ -84,7 +84,6 @@ class TextBoard:
         self._frames = self._skipped = self._reconnections = self._session = 0
         self._begun = math.nan
         self._port = connect()
-        self._read_at = clock()
 
     @property
     def info(self) -> Info:
@@ -126,7 +125,7 @@ class TextBoard:
         """
         self._restart()
         while True:
-            if self._was_away():
+            if self._overflows():
                 self._restart()
             lines = self._next()
             if newest:
@@ -174,13 +173,10 @@ class TextBoard:
         self._decoder.restart()
         self._finder.restart()
         self._found.clear()
-        self._read_at = self._clock()
 
-    def _was_away(self) -> bool:
-        """Whether nobody has read for so long that pauses were missed, or the port was full."""
-        if self._guarded(lambda: self._port.in_waiting) >= _CHUNK - 1:
-            return True
-        return self._finder.missed(self._clock() - self._read_at)
+    def _overflows(self) -> bool:
+        """Whether the port is full: lines from within two frames may then follow each other."""
+        return self._guarded(lambda: self._port.in_waiting) >= _CHUNK - 1
 
     def _next(self) -> Lines:
         period = self._finder.period
@@ -217,8 +213,7 @@ class TextBoard:
         data = self._guarded(
             lambda: self._port.read(max(1, min(self._port.in_waiting, _CHUNK))),
         )
-        self._read_at = self._clock()
-        self._found.extend(self._finder.feed(self._read_at, self._decoder.feed(data)))
+        self._found.extend(self._finder.feed(self._clock(), self._decoder.feed(data)))
 
     def _frame(self, lines: Lines) -> Frame:
         impedance = np.array([line.impedance for line in lines.measurements])

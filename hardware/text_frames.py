@@ -11,8 +11,6 @@ from eitskin.hardware.text_lines import Line, Mark, Measurement
 
 PAUSE = 3.0
 """Usual distances between lines that make a pause."""
-MISSED = 0.5
-"""Share of a period that may pass unread: in more, a pause may pass unseen."""
 
 
 class FrameDrop(StrEnum):
@@ -76,10 +74,6 @@ class FrameFinder:
         self._count = 0
         self._whole = False
         self._began = self._last = math.nan
-
-    def missed(self, unread: float) -> bool:
-        """Whether a pause may have passed unseen, when nobody has read for so long [s]."""
-        return not self._marked and unread > MISSED * self.period
 
     def feed(self, now: float, lines: Sequence[Line]) -> list[Lines]:
         """The frames that are known to have ended by `now` [s], when `lines` had come."""

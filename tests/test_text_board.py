@@ -225,8 +225,9 @@ def test_an_endless_frame_does_not_fill_the_memory():
 class Printer:
     """A port at whose other end lines are printed at known times; only reading moves its clock."""
 
-    def __init__(self, events):
+    def __init__(self, events, room=10**9):
         self.events, self.now, self.closed = list(events), 0.0, False
+        self.room = room
         self.waiting = bytearray()
 
     def clock(self):
@@ -234,7 +235,7 @@ class Printer:
 
     def arrive(self):
         while self.events and self.events[0][0] <= self.now:
-            self.waiting += self.events.pop(0)[1]
+            self.waiting += self.events.pop(0)[1][: self.room - len(self.waiting)]
 
     @property
     def in_waiting(self):
@@ -328,6 +329,19 @@ def test_a_slow_reader_gets_whole_frames_and_the_newest():
         number = round(abs(frame.impedance[0]) / 1000.0) - 1
         assert frame.impedance == pytest.approx(frame_values(number), rel=1e-6)
         assert port.now - (0.5 + number * PERIOD) < 1.6 * PERIOD
+
+
+@pytest.mark.parametrize("mark", ["", "go"])
+def test_a_port_that_overflows_mixes_no_frames(monkeypatch, mark):
+    monkeypatch.setattr("eitskin.hardware.text_board._CHUNK", 400)
+    for away in np.linspace(0.5, 12.0, 60) * PERIOD:
+        port = Printer(stream(range(40), mark=mark), room=399)
+        frames = board_on(port, mark=mark).frames()
+        next(frames)
+        port.now += away
+        for frame in itertools.islice(frames, 4):
+            number = round(abs(frame.impedance[0]) / 1000.0) - 1
+            assert frame.impedance == pytest.approx(frame_values(number), rel=1e-6), away
 
 
 def test_with_marks_the_newest_overtakes_the_others():
