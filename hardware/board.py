@@ -139,9 +139,10 @@ def _read_options(scheme: str, query: str, readers: Readers) -> dict[str, Any]:
 
 
 def _open_serial(path: str, uri: str, options: dict[str, Any]) -> Board:
-    from eitskin.hardware.serial_board import open_serial
+    from eitskin.hardware.port import connector
+    from eitskin.hardware.serial_board import SerialBoard
 
-    return open_serial(path, uri, **options)
+    return SerialBoard(connector(path, uri, **options), uri)
 
 
 def _open_text(path: str, uri: str, options: dict[str, Any]) -> Board:
@@ -167,7 +168,7 @@ def _open_replay(path: str, uri: str, options: dict[str, Any]) -> Board:
 
 
 _SCHEMES: dict[str, tuple[Callable[[str, str, dict[str, Any]], Board], Readers]] = {
-    "serial": (_open_serial, {"baud": int}),
+    "serial": (_open_serial, {"baud": int, "usb": str}),
     "text": (
         _open_text,
         {

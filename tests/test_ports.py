@@ -8,7 +8,7 @@ import pytest
 import serial.tools.list_ports
 
 from eitskin.geometry import ConfigurationError, DeviceError
-from eitskin.hardware import port
+from eitskin.hardware import open_board, port
 from eitskin.hardware.port import PortInfo, connector, find_port, only_usb_port, usb_serial_of
 
 BUILT_IN = PortInfo("/dev/ttyS0")
@@ -108,6 +108,12 @@ def test_a_port_without_serial_number_is_its_path():
     bus.ports = []
     connect()
     assert bus.opened == [("/dev/ttyS0", "serial:/dev/ttyS0", 230400)]
+
+
+@pytest.mark.parametrize("scheme", ["serial:?", "text:?protocol=pairwise:8&"])
+def test_a_uri_names_a_port_by_serial_number(scheme):
+    with pytest.raises(DeviceError, match="no port has the USB serial number 'A 1'"):
+        open_board(f"{scheme}usb=A%201")
 
 
 def test_path_and_serial_number_contradict():
