@@ -17,8 +17,8 @@ import pytest
 from simulated_afe import SimulatedAfe
 
 from eitskin import hardware
-from eitskin.hardware.messages import Info, unpack
-from eitskin.hardware.packets import Decoder
+from eitskin.hardware.messages import Ack, Info, Start, Type, pack, unpack
+from eitskin.hardware.packets import Decoder, encode
 from eitskin.hardware.pseudo_terminal import Pace, PseudoTerminal
 
 from loopback import FLAT, PROTOCOL
@@ -165,8 +165,12 @@ class CompiledFirmware:
         self.info = next(message for message in infos if isinstance(message, Info))
         return sent
 
-    def receive(self, data):
+    def hear(self, data):
+        """Have bytes come in that wait until the main loop goes round."""
         self._incoming += data
+
+    def receive(self, data):
+        self.hear(data)
         return self._run(lambda: self._incoming or self._can_send)
 
     def frame(self):
@@ -258,3 +262,32 @@ def compiled_terminal(values=FLAT, period=0.0, **changes):
     """A pseudo-terminal that serves such a board, as fast as it is read."""
     with PseudoTerminal(compiled_board(values, **changes), Pace(period)) as terminal:
         yield terminal
+
+
+# ---- what tests do with a board ----
+
+
+def messages(data):
+    """The messages in whole packets; anything else fails."""
+    decoder = Decoder()
+    found = [unpack(packet) for packet in decoder.feed(data)]
+    assert not decoder.drops
+    assert decoder.buffered == 0
+    return found
+
+
+def booted(values=FLAT, **changes):
+    board = compiled_board(values, **changes)
+    board.boot()
+    return board
+
+
+def ask(board, request, seq=1):
+    return messages(board.receive(encode(pack(request, seq))))
+
+
+def frames(board, count):
+    assert ask(board, Start(count)) == [Ack(1, Type.START)]
+    taken = [message for _ in range(count) for message in messages(board.frame())]
+    assert not board.streaming
+    return taken

@@ -52,6 +52,7 @@ class SimulatedAfe:
             complex.
         present: whether it answers.
         stuck: rows whose transform never ends.
+        comparators: whether ADCMIN and ADCMAX work.
         now: time [us], moved by whoever owns the part.
         complaints: what it was told that makes no sense.
         seen: the settings of each transform.
@@ -61,7 +62,7 @@ class SimulatedAfe:
         self.impedance = impedance
         self.electrodes = [None] * 4
         self.rcal, self.rtia_factor, self.voltage_factor = 200.0, 1.0, 1.0
-        self.present, self.stuck = True, set()
+        self.present, self.comparators, self.stuck = True, True, set()
         self.now = 0.0
         self.complaints, self.seen = [], []
         self.reset()
@@ -172,8 +173,9 @@ class SimulatedAfe:
         peak = abs(self._phasor) * gain / 1.835 * 32768
         # The limits of the data sheet are where distortion begins, not where the ADC ends.
         self._flags |= DFTRDY
-        self._flags |= ADCMAXERR if 32768 + peak > self[0x20B0] else 0
-        self._flags |= ADCMINERR if 32768 - peak < self[0x20A8] else 0
+        if self.comparators:
+            self._flags |= ADCMAXERR if 32768 + peak > self[0x20B0] else 0
+            self._flags |= ADCMINERR if 32768 - peak < self[0x20A8] else 0
         shown = clipped(np.array(self._phasor), np.array(self._limit(full_range)))
         codes = quantised(shown, np.array(full_range)) / (full_range / CODES)
         for address, code in ((0x2078, codes.real), (0x207C, -codes.imag)):

@@ -1,5 +1,5 @@
-/* Names of registers and bits are those of the data sheet (AD5940/AD5941, Rev. E). The wiring is
- * drive+ = CE0, drive- = AIN1, sense+ = AIN2, sense- = AIN3, RCAL between RCAL0 and RCAL1. */
+/* Registers and bits have the names of the AD5940/AD5941 data sheet. The wiring is drive+ = CE0,
+ * drive- = AIN1, sense+ = AIN2, sense- = AIN3, and RCAL between RCAL0 and RCAL1. */
 #include "eit_ad5940.h"
 
 #define SETADDR 0x20
@@ -63,6 +63,8 @@ enum {
 #define ADCMINERR (1u << 4)
 #define ADCMAXERR (1u << 5)
 #define ALL_ONES 0xFFFFFFFFu /* what a bus reads on which nobody answers */
+
+#define T9 (1u << 8) /* to the transimpedance amplifier */
 
 #define MCLK_HZ 16e6f
 #define FULL_AMPLITUDE 2047.0f /* WGAMPLITUDE, 11 bits */
@@ -178,8 +180,7 @@ void eit_ad5940_connect(const eit_hal *hal, const eit_config *config, eit_target
     write_register(hal, DSWFULLCON, sensor ? 1u << 4 /* D5: CE0 */ : 1u << 0 /* DR0 */);
     write_register(hal, PSWFULLCON, sensor ? 1u << 10 /* P11: CE0 */ : 1u << 0 /* PR0 */);
     write_register(hal, NSWFULLCON, sensor ? 1u << 1 /* N2: AIN1 */ : 1u << 9 /* NR1 */);
-    /* T9 leads to the transimpedance amplifier. */
-    write_register(hal, TSWFULLCON, 1u << 8 | (sensor ? 1u << 1 /* T2: AIN1 */ : 1u << 11 /* TR1 */));
+    write_register(hal, TSWFULLCON, T9 | (sensor ? 1u << 1 /* T2: AIN1 */ : 1u << 11 /* TR1 */));
     write_register(hal, SWCON, 1u << 16); /* SWSOURCESEL: as in the four above, all at once */
 }
 

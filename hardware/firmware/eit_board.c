@@ -16,13 +16,14 @@ enum { AFE_ABSENT = 1, AFE_SILENT = 2, CALIBRATION_FAILED = 3 };
 
 static eit_writer begin(eit_board *board, uint8_t type) {
     return eit_begin(
-        board->outgoing + board->size, EIT_SEND_SIZE - board->size, type, board->seq++);
+        board->outgoing + board->size, EIT_SEND_SIZE - board->size, type, board->seq);
 }
 
 /* A packet for which there is no room is lost whole; the host asks again. */
 static bool end(eit_board *board, eit_writer *writer) {
     const size_t size = eit_end(writer);
     board->size += size;
+    if (size > 0) board->seq++;
     return size > 0;
 }
 
@@ -171,7 +172,7 @@ static bool measure(eit_board *board) {
         break;
     case EIT_AFE_ABSENT:
         board->streaming = false;
-        send_event(board, ERROR, AFE_ABSENT, "the AD5940 does not answer: check SPI and its supply");
+        send_event(board, ERROR, AFE_ABSENT, "no AD5940 answers: check its SPI and its supply");
         break;
     case EIT_AFE_SILENT:
         send_event(board, WARNING, AFE_SILENT, "a frame of DFT timeouts: resetting the AD5940");

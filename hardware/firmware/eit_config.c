@@ -1,7 +1,10 @@
 #include "eit_config.h"
 
+#include "eit_ad5940.h"
+
 static const uint8_t pairs_of_8[][4] = {
-    {0, 1, 0, 1}, {0, 2, 0, 2}, {0, 3, 0, 3}, {0, 4, 0, 4}, {0, 5, 0, 5}, {0, 6, 0, 6}, {0, 7, 0, 7},
+    {0, 1, 0, 1}, {0, 2, 0, 2}, {0, 3, 0, 3}, {0, 4, 0, 4}, {0, 5, 0, 5}, {0, 6, 0, 6},
+    {0, 7, 0, 7},
     {1, 2, 1, 2}, {1, 3, 1, 3}, {1, 4, 1, 4}, {1, 5, 1, 5}, {1, 6, 1, 6}, {1, 7, 1, 7},
     {2, 3, 2, 3}, {2, 4, 2, 4}, {2, 5, 2, 5}, {2, 6, 2, 6}, {2, 7, 2, 7},
     {3, 4, 3, 4}, {3, 5, 3, 5}, {3, 6, 3, 6}, {3, 7, 3, 7},
@@ -39,6 +42,10 @@ float eit_pga_volt(const eit_config *config) { return pga_volt[config->pga]; }
 
 float eit_pga_gain(const eit_config *config) { return pga_gain[config->pga]; }
 
+static uint32_t shortest_period_us(const eit_config *config) {
+    return config->n_measurements * 2 * (config->settle_us + EIT_DFT_US);
+}
+
 bool eit_config_is_possible(const eit_config *config) {
     if (config->n_measurements < 1 || config->n_measurements > EIT_MAX_MEASUREMENTS) return false;
     for (uint8_t row = 0; row < config->n_measurements; row++) {
@@ -50,5 +57,5 @@ bool eit_config_is_possible(const eit_config *config) {
     }
     return config->excitation < EIT_EXCITATIONS && config->rtia < EIT_RTIAS &&
            config->pga < EIT_PGAS && config->frequency_hz > 0.0f && config->rcal_ohm > 0.0f &&
-           config->period_us > 0;
+           config->period_us >= shortest_period_us(config);
 }

@@ -35,7 +35,7 @@ typedef struct {
     float rcal_ohm;
     float open_ohm; /* an impedance above is that of a lead without electrode */
     uint32_t settle_us; /* from switching to the first sample */
-    uint32_t period_us; /* from frame to frame */
+    uint32_t period_us; /* from frame to frame; 10600 for each measurement is enough */
 } eit_config;
 
 /* Eight electrodes, every pair once, driven and sensed at the same two. */

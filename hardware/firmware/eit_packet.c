@@ -41,7 +41,8 @@ static bool unstuff(uint8_t *data, size_t *size) {
 static bool open_packet(uint8_t *data, size_t size, eit_packet *packet) {
     if (!unstuff(data, &size) || size < HEADER_SIZE + CRC_SIZE) return false;
     size -= CRC_SIZE;
-    if (eit_get_u32(data + size) != eit_crc32(0, data, size) || data[0] != EIT_VERSION) return false;
+    if (eit_get_u32(data + size) != eit_crc32(0, data, size)) return false;
+    if (data[0] != EIT_VERSION) return false;
     packet->type = data[1];
     packet->seq = (uint16_t)(data[2] | data[3] << 8);
     packet->payload = data + HEADER_SIZE;

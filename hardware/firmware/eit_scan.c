@@ -77,7 +77,7 @@ void eit_scan_stop(eit_scan *scan) {
 
 static float squared(eit_complex z) { return z.re * z.re + z.im * z.im; }
 
-/* Real and imaginary parts from codes to ohms: no angle is ever taken, so none has to be wrapped. */
+/* Real and imaginary parts all the way: no angle is ever taken, so none has to be wrapped. */
 static eit_complex divide(eit_code a, eit_code b) {
     const float ar = (float)a.re, ai = (float)a.im, br = (float)b.re, bi = (float)b.im;
     const float size = br * br + bi * bi;
