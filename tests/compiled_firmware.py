@@ -126,14 +126,13 @@ class CompiledFirmware:
         info: what it said of itself when it booted.
         line: bytes that the UART takes from now on; None for any number.
         at_once: bytes that the UART takes in one call.
-        polls: how often the main loop went round.
     """
 
     delay, holds_port, plugged_in = 0.0, False, True
 
     def __init__(self, afe, configuration=None):
         self.afe = afe
-        self.line, self.at_once, self.polls = None, 4096, 0
+        self.line, self.at_once = None, 4096
         self._library = library()
         self._config = configuration or config()
         self._memory = c.create_string_buffer(self._library.shim_size())
@@ -186,7 +185,6 @@ class CompiledFirmware:
         """Go round the main loop; what was sent meanwhile."""
         for _ in range(times):
             self._library.eit_poll(self._board)
-        self.polls += times
         sent = bytes(self._outgoing)
         self._outgoing.clear()
         return sent
