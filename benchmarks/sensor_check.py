@@ -166,6 +166,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--specimens", type=int, default=400, help="healthy ones")
     parser.add_argument("--faulty", type=int, default=40, help="that get every fault")
+    parser.add_argument("--first", type=int, default=0, help="number of the first specimen")
     parser.add_argument("--seed", type=int, default=0, help="of the boards")
     given = parser.parse_args()
     recipe, rng = Recipe.shipped("training"), np.random.default_rng(given.seed)
@@ -178,7 +179,7 @@ def main() -> None:
     counts: dict[str, list[int]] = {}
     spent = []
     for number in range(given.specimens):
-        sim = Simulator(specimen(recipe, number).design, recipe.resolution)
+        sim = Simulator(specimen(recipe, given.first + number).design, recipe.resolution)
         own = sim.measure(Scene()).impedance
         still = Case("healthy", What.MISFIT, np.repeat(own[None], FRAMES, axis=0))
         tried = [still, *(cases(own, pressed, rng) if number < given.faulty else ())]
