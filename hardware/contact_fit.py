@@ -19,8 +19,8 @@ Bools = NDArray[np.bool_]
 ERROR = 0.004
 """Of a value, rms, where the model holds: electrode places and paths of the board, 0.3 % each."""
 LARGEST = 6.0
-"""Mean square of the misfit in units of ERROR; healthy sensors reach 3.5, swapped wires begin at
-9."""
+"""Mean square of the misfit in units of ERROR; nearly all healthy sensors stay below 3.5, swapped
+wires begin at 9."""
 MOST_SWAPS = 3
 _RELUCTANCE = 1e-6  # against series resistances that no channel tells apart
 _SPARE = 4  # measurements that there must be beyond the unknowns
