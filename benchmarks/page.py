@@ -129,7 +129,7 @@ def _updates(tab: Tab | None) -> int:
 @contextmanager
 def live_loop(seed: int, command: Sequence[str] = EITSKIN) -> Iterator[LiveLoop]:
     """The shipped pipeline on a virtual board with its page."""
-    board = f"virtual:?period={1 / RATE!r}&seed={seed}"
+    board = f"virtual:?period={1 / RATE:.6f}&seed={seed}"
     arguments = ("live", "reference.eitmodel", "--board", board, "--page", "--page-port", "0")
     process = subprocess.Popen(  # noqa: S603
         [*command, *arguments, "--json"],

@@ -161,7 +161,7 @@ class Page:
             "connection": self._connection.problem,
         }
         if snapshot is None:
-            return event("health", health)
+            return event("health", {**health, "stage": self._view.stage()})
         return event("frame", {**health, **self._view.frame(snapshot)})
 
 

@@ -13,6 +13,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib import resources
 from typing import Any, cast
 
+from eitskin.cli.page_commands import COMMANDS
 from eitskin.cli.page_stream import Newest
 from eitskin.geometry import ConfigurationError
 
@@ -189,23 +190,41 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_POST(self) -> None:
         path = self.path.partition("?")[0]
+        length = self.headers.get("Content-Length", "")
+        counted = length.isascii() and length.isdigit() and len(length) < 10
+        # Read before anything is answered: closing with bytes unread would cut the answer off.
+        body = self.rfile.read(min(int(length), LARGEST_BODY + 1)) if counted else b""
         if self._refused(path):
             return
-        from eitskin.cli.page_commands import COMMANDS
-
+        kind = self.headers.get("Content-Type", "").partition(";")[0].strip().lower()
         if path not in COMMANDS:
             self._say(HTTPStatus.NOT_FOUND, f"expected a POST to {', '.join(COMMANDS)}, got {path}")
         elif not self.page.controlled:
             self._say(
                 HTTPStatus.CONFLICT, "this board is not a virtual one: it cannot be told what to do"
             )
-        elif (body := self._body()) is not None:
-            try:
-                self.page.obey(path, body)
-            except ConfigurationError as error:
-                self._say(HTTPStatus.BAD_REQUEST, str(error))
-            else:
-                self._reply(HTTPStatus.OK, "application/json", b'{"done":true}')
+        elif kind != "application/json":
+            self._say(
+                HTTPStatus.UNSUPPORTED_MEDIA_TYPE,
+                f"expected Content-Type application/json, got {kind or 'none'}",
+            )
+        elif not counted:
+            self._say(HTTPStatus.LENGTH_REQUIRED, "a command needs a Content-Length")
+        elif len(body) > LARGEST_BODY:
+            self._say(
+                HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
+                f"a command has at most {LARGEST_BODY} bytes, got {length}",
+            )
+        else:
+            self._obey(path, body)
+
+    def _obey(self, path: str, body: bytes) -> None:
+        try:
+            self.page.obey(path, body)
+        except ConfigurationError as error:
+            self._say(HTTPStatus.BAD_REQUEST, str(error))
+        else:
+            self._reply(HTTPStatus.OK, "application/json", b'{"done":true}')
 
     def _refused(self, path: str) -> bool:
         """Answer, and say so, where the request is not from this page itself.
@@ -228,27 +247,6 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _url(self) -> str:
         return f"http://{HOST}:{self.page.server_port}/"
-
-    def _body(self) -> bytes | None:
-        """The body of a command; None where there is none, which is answered."""
-        kind = self.headers.get("Content-Type", "").partition(";")[0].strip().lower()
-        if kind != "application/json":
-            self._say(
-                HTTPStatus.UNSUPPORTED_MEDIA_TYPE,
-                f"expected Content-Type application/json, got {kind or 'none'}",
-            )
-            return None
-        length = self.headers.get("Content-Length", "")
-        if not length.isascii() or not length.isdigit():
-            self._say(HTTPStatus.LENGTH_REQUIRED, "a command needs a Content-Length")
-            return None
-        if len(length) > 9 or int(length) > LARGEST_BODY:
-            self._say(
-                HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
-                f"a command has at most {LARGEST_BODY} bytes, got {length}",
-            )
-            return None
-        return self.rfile.read(int(length))
 
     def _stream(self) -> None:
         """Send the newest event whenever there is one, until the browser goes or stalls."""

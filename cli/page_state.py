@@ -107,7 +107,7 @@ class View:
             "bad": bad_channels(frame),
             "problem": reading.problem,
             "estimate": None if reading.estimate is None else self._estimate(reading.estimate),
-            "stage": self._stage(frame.number),
+            "stage": self.stage(frame.number),
         }
 
     def _estimate(self, estimate: "Estimate") -> dict[str, Any]:
@@ -133,12 +133,12 @@ class View:
             else self.drawing.points(float(estimate.bend_angle_deg), presses),
         }
 
-    def _stage(self, number: int) -> dict[str, Any] | None:
+    def stage(self, number: int | None = None) -> dict[str, Any] | None:
         """What a virtual board is told to do, and what frame `number` was really measured of."""
         stage = getattr(self.board, "stage", None)
         if stage is None:
             return None
-        truth = stage.truth(number)
+        truth = None if number is None else stage.truth(number)
         return {
             "commanded": _scene(stage.scene),
             "truth": None if truth is None else _scene(truth),

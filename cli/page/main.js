@@ -155,13 +155,19 @@ function judge() {
   } else if (health.late) {
     [link, text] = ["stale", "stale: this browser is behind"];
   } else if (health.connection) {
-    [link, text] = ["stale", `no board, trying again: ${health.connection}`];
+    [link, text] = ["stale", "no board, connecting again"];
   } else if (health.stale) {
     const since = health.age === null ? "" : ` for ${(health.age + silent / 1000).toFixed(0)} s`;
     [link, text] = health.age === null ? ["connecting", "waiting for the first frame"] : ["stale", `stale: no frame${since}`];
   }
   if (document.body.dataset.link !== link) document.body.dataset.link = link;
   say($("link"), text);
+}
+
+// While no frames come, what is known still: why, and what the board was told.
+function quiet(data) {
+  if (data.connection) problems([data.connection]);
+  if (parts.controls && data.stage) parts.controls.show(data.stage);
 }
 
 function hear(event) {
@@ -172,6 +178,7 @@ function hear(event) {
   fastest = Math.min(fastest, delay);
   health = { stale: data.stale, connection: data.connection, age: data.age, late: delay - fastest > LATE };
   if (event.type === "frame") newest = data;
+  else if (parts) quiet(data);
   if (!waiting) requestAnimationFrame(turn);
   waiting = true;
 }

@@ -76,30 +76,38 @@ export class Trace {
     }
   }
 
+  // Points that follow each other closely and all know `name`.
+  *runs(name) {
+    let run = [], last = -Infinity;
+    for (const point of this.points) {
+      if (run.length && (point[name] === null || point.time - last > GAP)) {
+        yield run;
+        run = [];
+      }
+      if (point[name] !== null) run.push(point);
+      last = point.time;
+    }
+    if (run.length) yield run;
+  }
+
   // Twice the standard error, either way.
   band(c, x, y) {
-    const known = this.points.filter((p) => p.angle !== null && p.deviation !== null);
-    if (known.length < 2) return;
-    c.beginPath();
-    for (const p of known) c.lineTo(x(p.time), y(p.angle + 2 * p.deviation));
-    for (const p of known.reverse()) c.lineTo(x(p.time), y(p.angle - 2 * p.deviation));
     c.fillStyle = this.colours.estimate;
     c.globalAlpha = 0.2;
-    c.fill();
+    for (const run of this.runs("deviation")) {
+      c.beginPath();
+      for (const p of run) c.lineTo(x(p.time), y(p.angle + 2 * p.deviation));
+      for (const p of run.reverse()) c.lineTo(x(p.time), y(p.angle - 2 * p.deviation));
+      c.fill();
+    }
     c.globalAlpha = 1;
   }
 
   line(c, name, x, y, width) {
     c.beginPath();
-    let pen = false, last = -Infinity;
-    for (const point of this.points) {
-      if (point[name] === null || point.time - last > GAP) pen = false;
-      if (point[name] !== null) {
-        if (pen) c.lineTo(x(point.time), y(point[name]));
-        else c.moveTo(x(point.time), y(point[name]));
-        pen = true;
-      }
-      last = point.time;
+    for (const run of this.runs(name)) {
+      c.moveTo(x(run[0].time), y(run[0][name]));
+      for (const p of run) c.lineTo(x(p.time), y(p[name]));
     }
     c.strokeStyle = name === "truth" ? this.colours.truth : this.colours.estimate;
     c.lineWidth = width;
