@@ -26,7 +26,8 @@ NoPrompt = Annotated[
     ),
 ]
 BoardOption = Annotated[
-    str | None, typer.Option("--board", help="serial:PORT, virtual: or replay:DIRECTORY.")
+    str | None,
+    typer.Option("--board", help="serial:PORT, text:PORT, virtual: or replay:DIRECTORY."),
 ]
 DatasetOption = Annotated[
     Path | None, typer.Option("--dataset", help="Instead of a board: untouched, labelled frames.")

@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 
 Model = Annotated[Path, typer.Argument(help="The trained pipeline, which knows what to expect.")]
 Frames = Annotated[int, typer.Option(min=1, help="How many to look at.")]
+Calibrate = Annotated[
+    bool, typer.Option("--calibrate", help="Have the board measure its resistor RCAL first.")
+]
 List = Annotated[bool, typer.Option("--list", help="Only list the serial ports of this machine.")]
 
 EXIT_UNHEALTHY = 4
@@ -28,6 +31,7 @@ def command(
     *,
     board: BoardUri = "virtual:",
     frames: Frames = 16,
+    calibrate: Calibrate = False,
     list_ports: List = False,
     seed: Seed = 0,
     as_json: Json = False,
@@ -50,6 +54,8 @@ def command(
     layout = Pipeline.load(model).layout
     with open_board(board, **seeded(board, seed)) as opened:
         _require_same(layout.protocol, opened.protocol)
+        if calibrate:
+            opened.calibrate()
         output.note(f"measuring {frames} frames; keep the sensor flat and untouched")
         taken = list(islice(opened.frames(), frames))
     check = check_sensor(taken, layout.reference)

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 Model = Annotated[Path, typer.Argument(help="The trained pipeline, NAME.eitmodel.")]
 BoardUri = Annotated[
-    str, typer.Option("--board", help="serial:PORT, virtual: or replay:DIRECTORY.")
+    str, typer.Option("--board", help="serial:PORT, text:PORT, virtual: or replay:DIRECTORY.")
 ]
 Frames = Annotated[int | None, typer.Option(min=1, help="End after so many; else at Ctrl-C.")]
 Record = Annotated[

@@ -66,6 +66,9 @@ class Board(typing.Protocol):
         Raises DeviceError where the board falls silent or goes away.
         """
 
+    def calibrate(self) -> None:
+        """Have it measure its calibration resistor again; raises where it cannot."""
+
     def reconnect(self) -> None:
         """Connect again, after which `frames` goes on; raises DeviceError where that fails."""
 

@@ -91,6 +91,10 @@ class ReplayBoard:
             self._lost += self._gap(index)
             yield frame
 
+    def calibrate(self) -> None:
+        """Raises ConfigurationError."""
+        raise ConfigurationError("a recording cannot be calibrated; calibrate the board it is of")
+
     def reconnect(self) -> None:
         """Nothing needs connecting."""
 

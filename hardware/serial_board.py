@@ -35,7 +35,7 @@ from eitskin.hardware.messages import (
     unpack,
 )
 from eitskin.hardware.packets import Decoder, Drop, encode
-from eitskin.hardware.port import BAUD, GONE, Port, open_port, ports_here
+from eitskin.hardware.port import GONE, Port
 from eitskin.hardware.stage import Stage
 from eitskin.simulator import Frame, Protocol, Status
 
@@ -403,17 +403,3 @@ class SerialBoard:
                 f"{self.uri}: the board went away ({error}); check power and cable, then connect "
                 "again"
             ) from error
-
-
-def open_serial(path: str, uri: str, baud: int = BAUD) -> SerialBoard:
-    """Open the board at the serial port `path`, for this process alone.
-
-    Raises:
-        ConfigurationError: where no port is named.
-        DeviceError: where it cannot be opened, or no board answers there.
-    """
-    if not path:
-        raise ConfigurationError(
-            f"serial: needs a port, such as serial:/dev/ttyACM0; {ports_here()}"
-        )
-    return SerialBoard(lambda: open_port(path, uri, baud), uri)

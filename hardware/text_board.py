@@ -133,6 +133,12 @@ class TextBoard:
             self._frames += 1
             yield self._frame(lines)
 
+    def calibrate(self) -> None:
+        """Raises ConfigurationError."""
+        raise ConfigurationError(
+            "a board that prints text takes no requests; restart it, and it calibrates itself"
+        )
+
     def reconnect(self) -> None:
         """Let go of the port and open it again, wherever it is now; a new session begins.
 

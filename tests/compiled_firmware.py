@@ -14,7 +14,6 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from simulated_afe import SimulatedAfe
 
 from eitskin import hardware
 from eitskin.hardware.messages import Ack, Info, Start, Type, pack, unpack
@@ -22,6 +21,7 @@ from eitskin.hardware.packets import Decoder, encode
 from eitskin.hardware.pseudo_terminal import Pace, PseudoTerminal
 
 from loopback import FLAT, PROTOCOL
+from simulated_afe import SimulatedAfe
 
 SOURCES = Path(hardware.__file__).parent / "firmware"
 HERE = Path(__file__).parent

@@ -9,7 +9,6 @@ import sys
 
 import numpy as np
 import pytest
-from compiled_firmware import compiled_terminal
 
 from eitskin.datasets import Dataset, ShardWriter, write_shard
 from eitskin.geometry import ConfigurationError, DataError, DeviceError
@@ -19,6 +18,7 @@ from eitskin.hardware.port import open_port
 from eitskin.hardware.virtual import virtual_terminal
 from eitskin.simulator import Frame, Status
 
+from compiled_firmware import compiled_terminal
 from loopback import FLAT, PROTOCOL, FakeSimulator, connected, firmware, take, virtual
 
 
@@ -85,6 +85,15 @@ def test_closing_twice_does_nothing(board):
     board.close()
 
 
+def test_calibrates_where_there_is_something_to_calibrate(board):
+    if isinstance(board, ReplayBoard):
+        with pytest.raises(ConfigurationError, match="a recording cannot"):
+            board.calibrate()
+    else:
+        board.calibrate()
+        assert np.allclose(take(board, 1)[0].impedance, FLAT, atol=2.0)
+
+
 def test_goes_on_after_connecting_again(board):
     first = take(board, 3)
     board.reconnect()
@@ -116,7 +125,8 @@ def test_goes_on_after_connecting_again(board):
         ("virtual:?scene=missing.toml", "missing.toml"),
     ],
 )
-def test_a_uri_that_cannot_be_says_what_to_write(uri, complaint):
+def test_a_uri_that_cannot_be_says_what_to_write(uri, complaint, monkeypatch):
+    monkeypatch.setattr("serial.tools.list_ports.comports", list)
     with pytest.raises(ConfigurationError, match=complaint):
         open_board(uri)
 

@@ -5,15 +5,6 @@ import subprocess
 
 import numpy as np
 import pytest
-from compiled_firmware import (
-    ask,
-    booted,
-    build,
-    compiled_board,
-    compiled_terminal,
-    frames,
-    messages,
-)
 
 from eitskin.geometry import DeviceError
 from eitskin.hardware import open_board
@@ -34,6 +25,15 @@ from eitskin.hardware.messages import (
 )
 from eitskin.hardware.packets import Decoder, Packet, encode
 
+from compiled_firmware import (
+    ask,
+    booted,
+    build,
+    compiled_board,
+    compiled_terminal,
+    frames,
+    messages,
+)
 from loopback import FLAT, PROTOCOL, connected, take
 
 # ---- who it is ----

@@ -4,12 +4,13 @@ import ctypes
 import struct
 
 import pytest
-from compiled_firmware import library
 from hypothesis import given
 from hypothesis import strategies as st
 
 from eitskin.hardware.messages import Hello, pack
 from eitskin.hardware.packets import MAX_PACKET, MAX_PAYLOAD, Decoder, Packet, encode
+
+from compiled_firmware import library
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -2,17 +2,6 @@
 
 import numpy as np
 import pytest
-from compiled_firmware import (
-    CompiledFirmware,
-    ask,
-    booted,
-    compiled_board,
-    config,
-    frames,
-    messages,
-    sensor,
-)
-from simulated_afe import SimulatedAfe
 
 from eitskin.geometry import SensorDesign
 from eitskin.hardware.messages import (
@@ -33,7 +22,18 @@ from eitskin.hardware.packets import encode
 from eitskin.simulator import Protocol, Scene, Simulator, Status
 from eitskin.simulator.ad5940 import CODES, FrontEnd
 
+from compiled_firmware import (
+    CompiledFirmware,
+    ask,
+    booted,
+    compiled_board,
+    config,
+    frames,
+    messages,
+    sensor,
+)
 from loopback import FLAT, PROTOCOL
+from simulated_afe import SimulatedAfe
 
 
 def quantisation(values, amplitude=0.607, full_range=0.9, rtia=200.0):

@@ -6,8 +6,6 @@ import json
 
 import numpy as np
 import pytest
-from compiled_firmware import CompiledFirmware, config
-from simulated_afe import SimulatedAfe
 from typer.testing import CliRunner
 
 from eitskin.cli.main import app
@@ -18,7 +16,9 @@ from eitskin.hardware.pseudo_terminal import Pace, PseudoTerminal
 from eitskin.simulator import Scene, Simulator, Touch
 from eitskin.training import Pipeline
 
+from compiled_firmware import CompiledFirmware, config
 from loopback import PROTOCOL
+from simulated_afe import SimulatedAfe
 
 STEPS = (
     Step(Scene(), 6),

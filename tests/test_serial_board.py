@@ -11,11 +11,11 @@ import serial
 from eitskin.geometry import DeviceError
 from eitskin.hardware import SerialBoard
 from eitskin.hardware.faults import FAULTS
-from eitskin.hardware.sensor_faults import NanChannel
-from eitskin.hardware.wire_faults import BitFlip, DroppedByte, LostFrame
 from eitskin.hardware.messages import Ack, Event, FrameData, Type, pack
 from eitskin.hardware.packets import Packet, encode
+from eitskin.hardware.sensor_faults import NanChannel
 from eitskin.hardware.virtual import virtual_terminal
+from eitskin.hardware.wire_faults import BitFlip, DroppedByte, LostFrame
 from eitskin.simulator import Status
 
 from loopback import FLAT, PROTOCOL, FakeSimulator, Loopback, connected, firmware, take, virtual
