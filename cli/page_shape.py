@@ -25,7 +25,7 @@ FORCE_UNKNOWN = 6.0  # that a touch is drawn with whose force the pipeline does 
 _STEEPEST = 60.0  # bends are drawn up to this, either way [deg]
 _FINEST = 0.2  # difference of two bends that are drawn [deg]; each is computed once
 _STEPS = 32000  # of a coordinate from the middle to twice the sensor's length
-_SAME_ANGLE, _SAME_PRESS = 0.15, (0.001, 0.001, 0.3)  # too little to be seen [deg], [m, m, N]
+_SAME_ANGLE, _SAME_PRESS = 0.3, (0.0015, 0.0015, 0.5)  # too little to be seen [deg], [m, m, N]
 
 Press = tuple[float, float, float]
 """x [m], y [m] and force [N]; NaN for an unknown force."""

@@ -534,8 +534,8 @@ def test_noise_is_not_drawn_again() -> None:
     drawing = Drawing.of(DESIGN)
     first = drawing.points(10.0, [(0.05, 0.03, float("nan"))])
     assert drawing.points(10.1, [(0.0505, 0.03, float("nan"))]) is first
-    moved = drawing.points(10.3, [(0.05, 0.03, float("nan"))])
+    moved = drawing.points(10.5, [(0.05, 0.03, float("nan"))])
     assert moved != first
-    assert drawing.points(10.3, []) != moved
+    assert drawing.points(10.5, []) != moved
     places = decoded(base64.b64decode(drawing.points(0.0, [])), drawing.unit)
     assert np.allclose(places, drawing.shape.points, atol=drawing.unit)

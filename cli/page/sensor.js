@@ -54,7 +54,7 @@ const FIELD = 26 * Math.PI / 180;
 const FIRST = { yaw: -0.42, pitch: 0.62 };
 const LIFT = 0.0002; // of electrodes over the side that they are on [m]
 const SOFTWARE = 0.75; // pixels for each of the screen's where the processor has to draw them
-const SAME = 40; // of 255 levels of the touch map
+const SAME = 64; // of 255 levels of the touch map
 const GEL = 0, FACE = 1, METAL = 2;
 
 // Whether there is no graphics card: then a picture must be small to be in time.
