@@ -1,12 +1,13 @@
 """`eitskin board`: a virtual board on a pseudo-terminal, for any program that speaks to boards."""
 
+from contextlib import closing
 from pathlib import Path
 from typing import Annotated
 
 import typer
 from rich.table import Table
 
-from eitskin.cli.options import Json, Output, Quiet, Seed, Verbose
+from eitskin.cli.options import Json, Output, Quiet, Seed, Verbose, ended_by_signals
 
 SceneFile = Annotated[
     Path | None, typer.Option(help="Scene or script (TOML); flat and untouched when omitted.")
@@ -64,10 +65,8 @@ def command(
     uri = f"serial:{link or terminal.path}"
     output.result({"uri": uri}, uri)
     output.note("serving until Ctrl-C; open it with eitskin live MODEL --board " + uri)
-    try:
+    with ended_by_signals(), closing(terminal):
         terminal.serve()
-    finally:
-        terminal.close()
 
 
 def _meanings() -> dict[str, str]:

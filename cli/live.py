@@ -16,7 +16,7 @@ from rich.console import RenderableType
 from rich.live import Live
 
 from eitskin.cli.live_view import draw, losses, plain
-from eitskin.cli.options import Json, Output, Quiet, Seed, Verbose
+from eitskin.cli.options import Json, Output, Quiet, Seed, Verbose, ended_by_signals
 from eitskin.geometry import PartialError, SensorDesign
 
 if TYPE_CHECKING:
@@ -71,6 +71,7 @@ def command(
     output = Output(as_json, quiet, verbose)
     pipeline = Pipeline.load(model)
     with ExitStack() as stack:
+        stack.enter_context(ended_by_signals())
         writer = stack.enter_context(ShardWriter(record)) if record else None
         opened = stack.enter_context(open_board(board, **seeded(board, seed)))
         output.detail(f"{opened.uri}: firmware {opened.info.firmware}, {opened.protocol.labels}")
@@ -157,7 +158,7 @@ class LiveSession:
                 self.writer.append(frame)  # type: ignore[union-attr]
             except PartialError as error:
                 self.recording_problem = str(error)
-                self.output.note(f"recording stopped: {error}")
+                self.say(f"recording stopped: {error}")
         if self.recording_problem:
             self.unrecorded += 1
 
@@ -165,7 +166,7 @@ class LiveSession:
         """Say that a session begins, and how the sensor is at its beginning."""
         last = self.newest.frame if self.newest is not None else None
         if last is not None and frame.session != last.session:
-            self.output.note(
+            self.say(
                 f"session {frame.session} begins: the board has started anew, and the sensor must "
                 "be flat and untouched now"
             )
@@ -177,7 +178,15 @@ class LiveSession:
             from eitskin.hardware.sensor_check import check_sensor
 
             for finding in check_sensor(self.beginning, self.expected).findings:
-                self.output.note(f"sensor check: {finding.message}")
+                self.say(f"sensor check: {finding.message}")
+
+    def say(self, text: str) -> None:
+        """Say something beside the view, which two writers to one terminal would tear."""
+        console = self.output.console
+        if console.is_terminal and not (self.output.as_json or self.output.quiet):
+            console.print(text, highlight=False)
+        else:
+            self.output.note(text)
 
     def silence(self) -> str:
         """Why the newest reading is old; empty while it is not."""

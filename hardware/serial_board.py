@@ -260,8 +260,10 @@ class SerialBoard:
         if self._clock() - self._read_at > self._patience:
             self._guarded(self._port.reset_input_buffer)
             self._inbox.clear()
+            lost = self._lost
             self._next_frame()
-            self._skipped += 1
+            self._skipped += 1 + self._lost - lost  # they were there, had anyone read them
+            self._lost = lost
 
     def _overtaken_by(self, frame: Frame) -> Frame:
         """The newest frame among those that have arrived by now, `frame` if there is none."""
