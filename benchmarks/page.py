@@ -9,10 +9,8 @@ import functools
 import http.client
 import http.server
 import json
-import re
+import os
 import signal
-import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -22,39 +20,15 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from eitskin.benchmarks.chromium import BrowserError, Size, Tab, chromium
+from eitskin.benchmarks.live_windows import EITSKIN, RATE, Window, live_loop, updates
 from eitskin.benchmarks.provenance import Provenance
 
-RATE = 30  # frames per second of the board
 DESKTOP, PHONE = Size(1440, 900), Size(390, 844, phone=True)
 BENT = {"bend_deg": 25, "touches": []}
 TOUCHED = BENT | {
     "touches": [{"x": 0.05, "y": 0.03, "force": 8}, {"x": 0.115, "y": 0.02, "force": 10}]
 }
-EITSKIN = (sys.executable, "-c", "from eitskin.cli.main import run; run()")
-START_WITHIN = 120.0  # s
-
-
-@dataclass(frozen=True, slots=True)
-class Window:
-    """Some seconds of the live loop, with or without a browser.
-
-    Attributes:
-        name: what went on.
-        seconds: how long it was.
-        frames: that the pipeline processed each second [Hz].
-        updates: of the page, drawn with a new frame, each second [Hz]; None where none was open.
-        latency_p50_ms, latency_p99_ms: of the pipeline.
-    """
-
-    name: str
-    seconds: float
-    frames: float
-    updates: float | None
-    latency_p50_ms: float
-    latency_p99_ms: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +42,7 @@ class Found:
         stale_after_s: from pulling the board's plug to the page's saying so [s].
         complaints: errors of the page's console.
         event_bytes: of the largest event seen.
+        load: average of the last minute before it began, by whatever else the machine did.
         provenance: where, when and with what.
     """
 
@@ -77,75 +52,8 @@ class Found:
     stale_after_s: float
     complaints: tuple[str, ...]
     event_bytes: int
+    load: float
     provenance: Provenance
-
-
-class LiveLoop:
-    """`eitskin live --page --json` in a process of its own.
-
-    Attributes:
-        url: of its page.
-        latencies: of each frame so far [ms].
-    """
-
-    def __init__(self, process: "subprocess.Popen[str]") -> None:
-        """Wait for the page; raises BrowserError where none comes."""
-        self.process, self.url = process, ""
-        self.latencies: list[float] = []
-        self._found = threading.Event()
-        for work in (self._read_frames, self._read_notes):
-            threading.Thread(target=work, daemon=True).start()
-        if not self._found.wait(START_WITHIN) or not self.url:
-            raise BrowserError("eitskin live served no page")
-
-    def _read_frames(self) -> None:
-        for line in self.process.stdout or ():
-            self.latencies.append(json.loads(line)["latency_ms"])
-
-    def _read_notes(self) -> None:
-        for line in self.process.stderr or ():
-            found = re.search(r"http://127\.0\.0\.1:\d+/", line)
-            if found and not self.url:
-                self.url = found[0]
-                self._found.set()
-        self._found.set()
-
-    def watch(self, name: str, seconds: float, tab: Tab | None = None) -> Window:
-        """Measure for so many seconds."""
-        first, drawn = len(self.latencies), _updates(tab)
-        start = time.monotonic()
-        time.sleep(seconds)
-        last, drawn_then = len(self.latencies), _updates(tab)
-        passed = time.monotonic() - start
-        half, most = np.percentile(self.latencies[first:last] or [np.nan], (50, 99))
-        updates = None if tab is None else (drawn_then - drawn) / passed
-        return Window(name, passed, (last - first) / passed, updates, float(half), float(most))
-
-
-def _updates(tab: Tab | None) -> int:
-    return 0 if tab is None else int(tab.run("eitskin.updates"))
-
-
-@contextmanager
-def live_loop(seed: int, command: Sequence[str] = EITSKIN) -> Iterator[LiveLoop]:
-    """The shipped pipeline on a virtual board with its page."""
-    board = f"virtual:?period={1 / RATE:.6f}&seed={seed}"
-    arguments = ("live", "reference.eitmodel", "--board", board, "--page", "--page-port", "0")
-    process = subprocess.Popen(  # noqa: S603
-        [*command, *arguments, "--json"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        yield LiveLoop(process)
-    finally:
-        process.send_signal(signal.SIGINT)
-        try:
-            process.wait(20.0)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
 
 
 @contextmanager
@@ -219,11 +127,12 @@ def pictures(tab: Tab, out: Path, name: str) -> None:
 
 def run(out: Path, seed: int = 0, seconds: float = 20.0, command: Sequence[str] = EITSKIN) -> Found:
     """Measure, and put screenshots into the folder `out`."""
+    load = os.getloadavg()[0]
     with live_loop(seed, command) as live, chromium() as browser, foreign_page() as elsewhere:
         time.sleep(5.0)  # the first frames wait for imports
         windows = [live.watch("idle, no browser", seconds)]
         tab = browser.open(live.url, DESKTOP)
-        tab.until(f"window.eitskin && eitskin.updates > {RATE}", START_WITHIN / 4)
+        tab.until(f"window.eitskin && eitskin.updates > {RATE}", 30.0)
         windows.append(live.watch("idle", seconds, tab))
         pictures(tab, out, "idle")
         command_board(tab, "/scene", BENT)
@@ -243,7 +152,7 @@ def run(out: Path, seed: int = 0, seconds: float = 20.0, command: Sequence[str] 
         windows.append(live.watch("bent and touched, browser stopped", seconds))
         browser.signal(signal.SIGCONT)
         back = _seconds_until(
-            tab, f"eitskin.updates > {_updates(tab)} && document.body.dataset.link === 'live'"
+            tab, f"eitskin.updates > {updates(tab)} && document.body.dataset.link === 'live'"
         )
         windows.append(live.watch("bent and touched, browser awake again", seconds, tab))
         complaints = tuple(tab.complaints())
@@ -253,7 +162,7 @@ def run(out: Path, seed: int = 0, seconds: float = 20.0, command: Sequence[str] 
         time.sleep(1.0)
         pictures(tab, out, "unplugged")
     now = Provenance.now(seed)
-    return Found(tuple(windows), refusals, back, stale, complaints, largest, now)
+    return Found(tuple(windows), refusals, back, stale, complaints, largest, load, now)
 
 
 def _seconds_until(tab: Tab, condition: str) -> float:
@@ -284,7 +193,7 @@ def as_markdown(found: Found) -> str:
         f"{len(found.complaints)}.",
         "",
         f"{found.provenance}; both cores of the machine shared by the browser, which renders in "
-        "software, the board and the pipeline",
+        f"software, the board and the pipeline; load average before it began {found.load:.1f}",
     ]
     return "\n".join(lines) + "\n"
 
