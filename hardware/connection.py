@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 
 from eitskin.geometry import DeviceError
 from eitskin.hardware.board import Board
-from eitskin.hardware.serial_board import UnrecoverableError
+from eitskin.hardware.held_port import UnrecoverableError
 from eitskin.simulator import Frame
 
 FIRST_PAUSE = 0.1  # s, before the first try

@@ -110,6 +110,7 @@ class PseudoTerminal(Generic[FirmwareType]):
         self._stopped = False
         self._outgoing = bytearray()
         self._locked = False
+        self._closing = threading.Lock()
         self._thread: threading.Thread | None = None
         self._plug_in()
         self._wake_read, self._wake_write = os.pipe()
@@ -134,15 +135,17 @@ class PseudoTerminal(Generic[FirmwareType]):
 
     def wake(self) -> None:
         """Have the serving thread look at its firmware again."""
-        if not self._stopped:
-            os.write(self._wake_write, b"x")
+        with self._closing:
+            if not self._stopped:
+                os.write(self._wake_write, b"x")
 
     def close(self) -> None:
         """Pull the cable; a second time does nothing."""
-        if self._stopped:
-            return
-        self._stopped = True
-        os.write(self._wake_write, b"x")
+        with self._closing:
+            if self._stopped:
+                return
+            self._stopped = True
+            os.write(self._wake_write, b"x")
         if self._thread is not None:
             self._thread.join()
         self._hang_up()
@@ -190,8 +193,9 @@ class PseudoTerminal(Generic[FirmwareType]):
                 ) from error
 
     def _hang_up(self) -> None:
-        if self._link is not None and self._ends and self._link.is_symlink():
-            self._link.unlink()
+        link = self._link
+        if self._ends and link and link.is_symlink() and link.readlink() == Path(self.path):
+            link.unlink()  # unless another board has taken it over
         for end in self._ends:
             os.close(end)
         self._ends, self.path = (), ""

@@ -4,7 +4,6 @@ Nothing is made up here. What is lost is counted, what is damaged is dropped and
 board that has fallen silent is an error, never an old frame.
 """
 
-import contextlib
 import logging
 import time
 from collections import deque
@@ -16,6 +15,7 @@ import numpy as np
 
 from eitskin.geometry import ConfigurationError, DeviceError
 from eitskin.hardware.board import Counts
+from eitskin.hardware.held_port import BACKLOG, CHUNK, HeldPort, UnrecoverableError
 from eitskin.hardware.messages import (
     Ack,
     Calibrate,
@@ -35,7 +35,7 @@ from eitskin.hardware.messages import (
     unpack,
 )
 from eitskin.hardware.packets import Decoder, Drop, encode
-from eitskin.hardware.port import GONE, Port
+from eitskin.hardware.port import Port
 from eitskin.hardware.stage import Stage
 from eitskin.simulator import Frame, Protocol, Status
 
@@ -43,17 +43,9 @@ REPLY_WITHIN = 0.5  # s
 TRIES = 3
 SILENT_PERIODS = 3
 SHORTEST_SILENCE = 0.25  # s; a host that is busy for a moment is no silent board
-_CHUNK = 4096  # bytes, what a terminal's input queue holds
-_BACKLOG = 2**17  # bytes; Linux keeps 64 KiB behind that queue, other systems less
-
-
-class UnrecoverableError(DeviceError):
-    """Connecting again does not help."""
-
 
 log = logging.getLogger(__name__)
 Answer = TypeVar("Answer", bound=Message)
-Result = TypeVar("Result")
 
 
 class SerialBoard:
@@ -89,8 +81,7 @@ class SerialBoard:
         """
         self.uri, self.stage = uri, stage
         self.events: deque[Event] = deque(maxlen=20)
-        self._connect, self._clock, self._and_close = connect, clock, and_close
-        self._closed = False
+        self._clock, self._and_close = clock, and_close
         self._decoder = Decoder()
         self._inbox: deque[Message] = deque()
         self._malformed = ""
@@ -99,7 +90,7 @@ class SerialBoard:
         self._restarted = self._resuming = False
         self._frames = self._lost = self._skipped = self._reconnections = 0
         try:
-            self._port = connect()
+            self._port = HeldPort(connect, uri)
         except BaseException:
             and_close()
             raise
@@ -130,7 +121,7 @@ class SerialBoard:
 
         Raises DeviceError where three periods pass without a frame, or the board goes away.
         """
-        self._guarded(self._port.reset_input_buffer)
+        self._port.clear()
         self._inbox.clear()
         if not self._resuming:
             self._expected = None
@@ -154,23 +145,13 @@ class SerialBoard:
             DeviceError: where it is not there, or does not answer as expected; try again later.
             UnrecoverableError: where another board answers, or the same with another table.
         """
-        if self._closed:
-            raise UnrecoverableError(f"{self.uri} is closed; open it again")
-        with contextlib.suppress(*GONE):
-            self._port.close()
-        self._port = self._connect()
+        self._port.reopen()
         self._decoder.restart()
         self._inbox.clear()
-        known, self.info = self.info, self._meet()
-        found = self.info
-        if (found.uid, found.table_crc32) != (known.uid, known.table_crc32):
-            self.info = known
-            raise UnrecoverableError(
-                f"{self.uri}: expected board {known.uid.hex()}, table {known.table_crc32:08x}; "
-                f"found board {found.uid.hex()}, table {found.table_crc32:08x}; what was learned "
-                "of one sensor does not fit another, start anew"
-            )
-        self._resuming = self.info.boot_count == known.boot_count
+        found = self._meet()
+        self._require_same(found)
+        self._resuming = found.boot_count == self.info.boot_count
+        self.info = found
         self._reconnections += 1
 
     def calibrate(self) -> None:
@@ -179,16 +160,14 @@ class SerialBoard:
 
     def close(self) -> None:
         """Ask the board to stop and let go of the port; a second time does nothing."""
-        if self._closed:
+        if self._port.closed:
             return
         try:
             self._send(Stop(), self._seq + 1)
         except DeviceError:
             pass  # it is gone, and so needs no stopping
         finally:
-            self._closed = True
-            with contextlib.suppress(*GONE):
-                self._port.close()
+            self._port.close()
             self._and_close()
 
     def __enter__(self) -> Self:
@@ -206,8 +185,17 @@ class SerialBoard:
 
     def _meet(self) -> Info:
         self._read_at = self._clock()
-        self._guarded(self._port.reset_input_buffer)
+        self._port.clear()
         return self._request(Hello(), Info)
+
+    def _require_same(self, found: Info) -> None:
+        known = self.info
+        if (found.uid, found.table_crc32) != (known.uid, known.table_crc32):
+            raise UnrecoverableError(
+                f"{self.uri}: expected board {known.uid.hex()}, table {known.table_crc32:08x}; "
+                f"found board {found.uid.hex()}, table {found.table_crc32:08x}; what was learned "
+                "of one sensor does not fit another, start anew"
+            )
 
     def _read_protocol(self) -> Protocol:
         table = self._request(GetTable(), Table)
@@ -258,7 +246,7 @@ class SerialBoard:
         Its queues are full of the oldest frames then, and so is the board's own, which holds one.
         """
         if self._clock() - self._read_at > self._patience:
-            self._guarded(self._port.reset_input_buffer)
+            self._port.clear()
             self._inbox.clear()
             lost = self._lost
             self._next_frame()
@@ -268,7 +256,7 @@ class SerialBoard:
     def _overtaken_by(self, frame: Frame) -> Frame:
         """The newest frame among those that have arrived by now, `frame` if there is none."""
         # A board that never pauses is not followed for ever.
-        for _ in range(_BACKLOG // _CHUNK):
+        for _ in range(BACKLOG // CHUNK):
             while self._inbox and not self._restarted:
                 message = self._inbox.popleft()
                 if not isinstance(message, FrameData):
@@ -276,7 +264,7 @@ class SerialBoard:
                 elif (later := self._accept(message)) is not None:
                     self._skipped += 1
                     frame = later
-            if self._restarted or not self._guarded(lambda: self._port.in_waiting):
+            if self._restarted or not self._port.waiting():
                 break
             self._receive()
         return frame
@@ -317,10 +305,7 @@ class SerialBoard:
             self.events.append(message)
             log.info("%s: %s", self.uri, message.text)
         elif isinstance(message, Info) and message.boot_count != self.info.boot_count:
-            if message.table_crc32 != self.info.table_crc32:
-                raise UnrecoverableError(
-                    f"{self.uri}: the board restarted with another measurement table; connect again"
-                )
+            self._require_same(message)
             self.info = message
             self._restarted, self._expected = True, None
 
@@ -364,7 +349,7 @@ class SerialBoard:
         return ""
 
     def _send(self, request: Request, seq: int) -> None:
-        self._guarded(lambda: self._port.write(encode(pack(request, seq))))
+        self._port.write(encode(pack(request, seq)))
 
     def _messages(self, seconds: float) -> Iterator[Message]:
         """What comes within so many seconds; what is not taken stays for the next time."""
@@ -381,10 +366,7 @@ class SerialBoard:
     def _receive(self) -> None:
         """Read once and decode; waits a short while at most."""
         self._read_at = self._clock()
-        data = self._guarded(
-            lambda: self._port.read(max(1, min(self._port.in_waiting, _CHUNK))),
-        )
-        for packet in self._decoder.feed(data):
+        for packet in self._decoder.feed(self._port.read()):
             try:
                 self._inbox.append(unpack(packet))
             except MessageError as error:
@@ -393,15 +375,3 @@ class SerialBoard:
     def _drop_malformed(self, what: str) -> None:
         self._decoder.drops[Drop.MALFORMED] += 1
         self._malformed = what
-
-    def _guarded(self, use: Callable[[], Result]) -> Result:
-        """Use the port; whatever shows that it is gone becomes one DeviceError."""
-        if self._closed:
-            raise UnrecoverableError(f"{self.uri} is closed; open it again")
-        try:
-            return use()
-        except GONE as error:
-            raise DeviceError(
-                f"{self.uri}: the board went away ({error}); check power and cable, then connect "
-                "again"
-            ) from error

@@ -6,22 +6,21 @@ then has not as many lines as the protocol has measurements is lost and counted:
 taken for that of another measurement.
 """
 
-import contextlib
 import math
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from types import TracebackType
-from typing import Self, TypeVar
+from typing import Self
 
 import numpy as np
 
 from eitskin.datasets.recordings import parse_protocol
 from eitskin.geometry import ConfigurationError, DeviceError
 from eitskin.hardware.board import Counts
+from eitskin.hardware.held_port import BACKLOG, CHUNK, HeldPort
 from eitskin.hardware.messages import Info, Table
-from eitskin.hardware.port import GONE, Port, connector
-from eitskin.hardware.serial_board import UnrecoverableError
+from eitskin.hardware.port import Port, connector
 from eitskin.hardware.text_frames import FrameFinder, Lines
 from eitskin.hardware.text_lines import LineDecoder
 from eitskin.simulator import Frame, Protocol, Status
@@ -33,10 +32,6 @@ SHORTEST = 1.0
 """Silence that is borne from boards of any rate [s]."""
 FIRST_WITHIN = 10.0
 """A frame must come within, while its period is not known [s]; two pass before the first."""
-_CHUNK = 4096  # bytes, what a terminal's input queue holds
-_BACKLOG = 2**17  # bytes, more than any system keeps
-
-Result = TypeVar("Result")
 
 
 class TextBoard:
@@ -76,14 +71,13 @@ class TextBoard:
             clock: seconds, to tell pauses and silence.
         """
         self.uri, self.protocol = uri, protocol
-        self._connect, self._clock, self._frequency = connect, clock, frequency
+        self._clock, self._frequency = clock, frequency
         self._decoder = LineDecoder(mark)
         self._finder = FrameFinder(len(protocol), bool(mark.strip()), pause)
         self._found: deque[Lines] = deque()
-        self._closed = False
         self._frames = self._skipped = self._reconnections = self._session = 0
         self._begun = math.nan
-        self._port = connect()
+        self._port = HeldPort(connect, uri)
 
     @property
     def info(self) -> Info:
@@ -144,11 +138,7 @@ class TextBoard:
 
         Raises DeviceError where it is not there; try again later.
         """
-        if self._closed:
-            raise UnrecoverableError(f"{self.uri} is closed; open it again")
-        with contextlib.suppress(*GONE):
-            self._port.close()
-        self._port = self._connect()
+        self._port.reopen()
         self._finder.forget()
         self._reconnections += 1
         self._session += 1
@@ -156,9 +146,7 @@ class TextBoard:
 
     def close(self) -> None:
         """Let go of the port; a second time does nothing."""
-        if not self._closed:
-            self._closed = True
-            self._port.close()
+        self._port.close()
 
     def __enter__(self) -> Self:
         """Give the board itself."""
@@ -175,14 +163,14 @@ class TextBoard:
 
     def _restart(self) -> None:
         """Throw away what waits, and wait for the next beginning of a frame."""
-        self._guarded(self._port.reset_input_buffer)
+        self._port.clear()
         self._decoder.restart()
         self._finder.restart()
         self._found.clear()
 
     def _overflows(self) -> bool:
         """Whether the port is full: lines from within two frames may then follow each other."""
-        return self._guarded(lambda: self._port.in_waiting) >= _CHUNK - 1
+        return self._port.waiting() >= CHUNK - 1
 
     def _next(self) -> Lines:
         period = self._finder.period
@@ -201,11 +189,11 @@ class TextBoard:
     def _overtaken_by(self, lines: Lines) -> Lines:
         """The newest frame among those that have arrived by now, `lines` if there is none."""
         # A board that never pauses is not followed for ever.
-        for _ in range(_BACKLOG // _CHUNK):
+        for _ in range(BACKLOG // CHUNK):
             while self._found:
                 lines = self._found.popleft()
                 self._skipped += 1
-            if not self._guarded(lambda: self._port.in_waiting):
+            if not self._port.waiting():
                 break
             self._receive()
         return lines
@@ -216,9 +204,7 @@ class TextBoard:
 
     def _receive(self) -> None:
         """Read once; waits a short while at most."""
-        data = self._guarded(
-            lambda: self._port.read(max(1, min(self._port.in_waiting, _CHUNK))),
-        )
+        data = self._port.read()
         self._found.extend(self._finder.feed(self._clock(), self._decoder.feed(data)))
 
     def _frame(self, lines: Lines) -> Frame:
@@ -236,18 +222,6 @@ class TextBoard:
             frequency=self._frequency if math.isnan(said) else said,
             status=status.astype(np.uint8),
         )
-
-    def _guarded(self, use: Callable[[], Result]) -> Result:
-        """Use the port; whatever shows that it is gone becomes one DeviceError."""
-        if self._closed:
-            raise UnrecoverableError(f"{self.uri} is closed; open it again")
-        try:
-            return use()
-        except GONE as error:
-            raise DeviceError(
-                f"{self.uri}: the board went away ({error}); check power and cable, then connect "
-                "again"
-            ) from error
 
 
 def open_text(

@@ -9,7 +9,7 @@ import pytest
 from eitskin.geometry import Bend, ConfigurationError, DeviceError
 from eitskin.hardware import Connection, open_board
 from eitskin.hardware.connection import FIRST_PAUSE, LONGEST_PAUSE
-from eitskin.hardware.serial_board import UnrecoverableError
+from eitskin.hardware.held_port import UnrecoverableError
 from eitskin.hardware.virtual import virtual_terminal
 from eitskin.simulator import Scene
 
@@ -180,6 +180,16 @@ def test_a_link_leads_to_the_board_before_and_after(tmp_path):
             while next(frames).session == 1:
                 pass
         assert link.is_symlink()
+    assert not link.is_symlink()
+
+
+def test_a_link_that_another_board_took_over_is_left_to_it(tmp_path):
+    link = tmp_path / "ttyEIT"
+    first = virtual_terminal(simulator=FakeSimulator(), link=link)
+    second = virtual_terminal(simulator=FakeSimulator(), link=link)
+    first.close()
+    assert str(link.readlink()) == second.path
+    second.close()
     assert not link.is_symlink()
 
 

@@ -333,7 +333,7 @@ def test_a_slow_reader_gets_whole_frames_and_the_newest():
 
 @pytest.mark.parametrize("mark", ["", "go"])
 def test_a_port_that_overflows_mixes_no_frames(monkeypatch, mark):
-    monkeypatch.setattr("eitskin.hardware.text_board._CHUNK", 400)
+    monkeypatch.setattr("eitskin.hardware.text_board.CHUNK", 400)
     for away in np.linspace(0.5, 12.0, 60) * PERIOD:
         port = Printer(stream(range(40), mark=mark), room=399)
         frames = board_on(port, mark=mark).frames()
