@@ -42,7 +42,7 @@ from eitskin.simulator import Frame, Protocol, Status
 REPLY_WITHIN = 0.5  # s
 TRIES = 3
 SILENT_PERIODS = 3
-SHORTEST_SILENCE = 0.25  # s; a host that is busy for a moment is no silent board
+SHORTEST_SILENCE = 0.5  # s; a host that is busy for a moment is no silent board
 
 log = logging.getLogger(__name__)
 Answer = TypeVar("Answer", bound=Message)

@@ -10,7 +10,7 @@ from typing import Any, cast, get_args
 
 import numpy as np
 
-from eitskin.geometry import ConfigurationError, SensorDesign
+from eitskin.geometry import ConfigurationError, DeviceError, SensorDesign
 from eitskin.hardware.faults import Fault, read_faults
 from eitskin.hardware.messages import (
     Ack,
@@ -30,7 +30,7 @@ from eitskin.hardware.messages import (
     unpack,
 )
 from eitskin.hardware.packets import Decoder, Packet, encode
-from eitskin.hardware.port import open_port
+from eitskin.hardware.port import Port, open_port
 from eitskin.hardware.pseudo_terminal import Pace, PseudoTerminal
 from eitskin.hardware.script import (
     Measure,
@@ -266,10 +266,16 @@ def virtual_terminal(
 def open_virtual(uri: str = "virtual:", **options: Any) -> SerialBoard:
     """Open a virtual board over its pseudo-terminal; the options are `virtual_terminal`'s."""
     terminal = virtual_terminal(**options)
+
+    def connect() -> Port:
+        if not terminal.path:
+            raise DeviceError(f"{uri}: the virtual board is unplugged; clear its faults")
+        return open_port(terminal.path, uri)
+
     terminal.start()
     try:
         return SerialBoard(
-            lambda: open_port(terminal.path, uri),
+            connect,
             uri,
             and_close=terminal.close,
             stage=terminal.firmware.stage,
