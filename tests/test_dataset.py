@@ -17,7 +17,7 @@ from eitskin.geometry import (
     DataError,
     FrameError,
 )
-from eitskin.simulator import Frame, Protocol, Touch
+from eitskin.simulator import Frame, Protocol, Status, Touch
 
 from small_dataset import make
 
@@ -159,6 +159,36 @@ def test_recording_keeps_what_came_before_an_error(tmp_path):
     with pytest.raises(KeyboardInterrupt):
         record()
     assert len(open_dataset(tmp_path / "run")) == 5
+
+
+def test_recording_keeps_numbers_and_says_what_was_lost(tmp_path):
+    numbers = [4, 5, 9, 2**32 - 1]
+    with ShardWriter(tmp_path / "run", frames_per_shard=3) as writer:
+        for frame, number in zip(frames(4), numbers, strict=True):
+            writer.append(dataclasses.replace(frame, number=number))
+    data = open_dataset(tmp_path / "run")
+    assert data.number.tolist() == numbers
+    assert [data.frame(i).number for i in range(4)] == numbers
+
+
+def test_values_that_are_not_finite_come_back_as_nan_and_marked(tmp_path):
+    with ShardWriter(tmp_path / "run") as writer:
+        for frame, bad in zip(frames(3), (np.nan, complex(np.inf, 1.0), 7.0), strict=True):
+            values = frame.impedance.copy()
+            values[2] = bad
+            writer.append(dataclasses.replace(frame, impedance=values))
+    data = open_dataset(tmp_path / "run")
+    assert np.isfinite(data.impedance).all()
+    assert np.isnan([data.frame(i).impedance[2] for i in range(3)]).tolist() == [True, True, False]
+    assert data.status[:, 2].tolist() == [Status.NOT_FINITE, Status.NOT_FINITE, 0]
+    assert data.reference[0, 2] == 7.0  # of the first frame that is whole
+
+
+def test_a_recording_that_was_killed_can_be_read_up_to_its_last_shard(tmp_path):
+    writer = ShardWriter(tmp_path / "run", frames_per_shard=3)
+    for frame in frames(8):
+        writer.append(frame)
+    assert len(open_dataset(tmp_path / "run")) == 6  # never closed
 
 
 def test_recording_refuses_another_protocol_and_an_occupied_folder(tmp_path):

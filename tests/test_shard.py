@@ -55,6 +55,13 @@ def test_what_is_unknown_comes_back_as_unknown(tmp_path):
     assert np.array_equal(again.reference, data.impedance[:1])
 
 
+def test_files_from_before_frames_had_numbers_count_them(tmp_path):
+    write_shard(tmp_path / "s.h5", make(5), first_index=40)
+    with h5py.File(tmp_path / "s.h5", "r+") as file:
+        del file["number"]
+    assert read_shard(tmp_path / "s.h5").number.tolist() == [40, 41, 42, 43, 44]
+
+
 def test_folder_of_several_shards_comes_back_as_one(tmp_path):
     manifest = save_dataset(make(50), tmp_path / "set", frames_per_shard=20)
     assert [entry.count for entry in manifest.shards] == [20, 20, 10]
