@@ -1,5 +1,8 @@
 """The pipeline that comes with eitskin, on frames of the simulator."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -80,3 +83,18 @@ def test_a_contact_that_changes_is_no_touch(session, simulator):
     said = session(Scene(), impedance=impedance + 5.0 * through)
     assert said.state is not State.TOUCH
     assert any("electrode 2" in problem for problem in said.problems)
+
+
+def test_it_runs_without_torch():
+    """Which takes seconds to load: a live session would lose its first frames."""
+    code = (
+        "import sys\n"
+        "from eitskin.simulator import Frame\n"
+        "from eitskin.training import Pipeline\n"
+        "pipeline = Pipeline.load('reference.eitmodel')\n"
+        "layout = pipeline.layout\n"
+        "frame = Frame(layout.reference, layout.protocol, frequency=layout.frequency)\n"
+        "print(pipeline.process(frame).state.name, 'torch' in sys.modules)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["IDLE", "False"]

@@ -116,6 +116,12 @@ class PaperMethod:
         the angle of a touched frame is that of its dynamic reference, the sensor as the touch
         found it: V/ref_bend over V/ref_touch is ref_touch/ref_bend.
         """
+        from eitskin.training.networks import single_thread
+
+        with single_thread():  # more only wait for each other
+            return self._perceive(observed)
+
+    def _perceive(self, observed: Observed) -> Perceived:
         flat = self.missing_static.fill(observed.static)
         free = self.missing_dynamic.fill(observed.dynamic)
         probabilities = self.classifier.apply(flat)

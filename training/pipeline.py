@@ -190,7 +190,7 @@ class Pipeline:
             references.follow(voltages)
             self._begun = self._renewed = frame.time
         held, count = self._held_touch(voltages)
-        perceived = self._perceive(self._observed(held, count, frame))
+        perceived = self.method.perceive(self._observed(held, count, frame))
         state = State(int(perceived.state[0]))
         self._touched = state is State.TOUCH
         if state is State.TOUCH:
@@ -217,7 +217,7 @@ class Pipeline:
         Each is compared with its specimen's flat reference and its own `touch_reference`, which is
         what the dynamic reference of a session would hold; this session's are left alone.
         """
-        return self._perceive(Observed.of(dataset))
+        return self.method.perceive(Observed.of(dataset))
 
     def _held_touch(self, voltages: Voltages) -> tuple[Voltages, int]:
         """The mean of the frames since a touch is held unchanged, and their number; else the frame.
@@ -245,13 +245,6 @@ class Pipeline:
             "dynamic_age": frame.time - self._renewed,
         }
         return Observed(**{name: np.asarray(value)[None] for name, value in rows.items()})
-
-    def _perceive(self, observed: Observed) -> Perceived:
-        """What the method says, with one thread: more only wait for each other."""
-        from eitskin.training.networks import single_thread
-
-        with single_thread():
-            return self.method.perceive(observed)
 
     def _notice_session(self, frame: Frame) -> None:
         """Begin again with a new session; notice that no frames came for long."""
