@@ -93,13 +93,16 @@ def test_gradient_is_that_of_finite_differences(kind):
     }[kind]
     problem = replace(frame(TOUCHES[3], 20.0, 12.0, np.random.default_rng(0)), response=STIFF)
     point = Point(np.array(touches, dtype=float).reshape(-1, 3), 17.0)
-    whitening = problem.whitening(point)
-    quadratic = problem.quadratic(point, whitening)
-    assert quadratic.misfit == pytest.approx(problem.misfit(point, whitening), rel=1e-12)
+    at = problem.tangent(point)
+    whitening = problem.whitening(at)
+    quadratic = problem.quadratic(at, whitening)
+    assert quadratic.misfit == pytest.approx(problem.misfit(at, whitening), rel=1e-12)
+    np.testing.assert_allclose(at.left, problem.left_by(point), rtol=1e-12, atol=1e-16)
     for i in range(len(quadratic.gradient)):
         step = 1e-4 * np.eye(len(quadratic.gradient))[i]
         up, down = (
-            problem.misfit(problem.stepped(point, sign * step), whitening) for sign in (1, -1)
+            problem.misfit(problem.tangent(problem.stepped(point, sign * step)), whitening)
+            for sign in (1, -1)
         )
         expected = -0.5 * (up - down) / 2e-4
         size = np.abs(quadratic.gradient).max()
@@ -111,12 +114,14 @@ def test_hessian_is_that_of_finite_differences_where_nothing_is_left():
     point = Point(np.array(TOUCHES[2]), 20.0)
     said = STIFF(point.touches, 20.0).sum(axis=0)
     problem = replace(changed(frame((), 20.0, 20.0), said), response=STIFF)
-    whitening = problem.whitening(point)
-    quadratic = problem.quadratic(point, whitening)
+    whitening = problem.whitening(problem.tangent(point))
+    quadratic = problem.quadratic(problem.tangent(point), whitening)
     for i in range(7):
         step = 1e-4 * np.eye(7)[i]
         up, down = (
-            problem.quadratic(problem.stepped(point, sign * step), whitening).gradient
+            problem.quadratic(
+                problem.tangent(problem.stepped(point, sign * step)), whitening
+            ).gradient
             for sign in (1, -1)
         )
         np.testing.assert_allclose(
@@ -143,7 +148,7 @@ def test_two_touches_at_one_place_can_be_told_apart():
     """On one corner, as steps that are cut short leave them, they part: nothing is singular."""
     problem = frame(TOUCHES[2])
     corner = np.array([HABITS.low, HABITS.low])
-    found = refined(problem, Point(corner, 0.0), 30, 1e-6)
+    found = refined(problem, problem.tangent(Point(corner, 0.0)), 30, 1e-6)
     assert np.linalg.eigvalsh(found.quadratic.hessian).min() > 0
     apart = np.linalg.norm(found.point.touches[0, :2] - found.point.touches[1, :2])
     assert apart > 0.5 * HABITS.separation
@@ -155,7 +160,7 @@ def test_residuals_are_whitened_with_noise_bend_and_mismatch():
     touches, angle, reference, mismatch = np.array(TOUCHES[2]), 40.0, 10.0, 0.1
     problem = frame(touches, angle, reference, mismatch=mismatch)
     point = Point(touches, angle)
-    whitening = problem.whitening(point)
+    whitening = problem.whitening(problem.tangent(point))
     unsure = CURVE.uncertainty(angle, reference)
     size = np.sqrt(np.sum(ONE(touches, angle) ** 2, axis=0))
     wrong = rng.multivariate_normal(np.zeros(28), TWO_FRAMES + unsure, 4000)

@@ -34,7 +34,8 @@ def touches():
 
 def test_derivatives_are_those_of_finite_differences(learned, touches):
     one = learned.of([0.5, -1.0])
-    values, slopes = one.with_derivatives(touches, 20.0)
+    said, _ = one.tangent(touches, 20.0)
+    values, slopes = said[:, 0], said[:, 1:]
     np.testing.assert_allclose(values, one(touches, 20.0), rtol=1e-10)
     assert slopes.shape == (6, 3, 28)
     for axis in range(3):
@@ -43,6 +44,36 @@ def test_derivatives_are_those_of_finite_differences(learned, touches):
         np.testing.assert_allclose(
             slopes[:, axis], numeric, atol=1e-6 * np.abs(numeric).max(), rtol=1e-5
         )
+
+
+def plain(learned, p, touches, angle_deg):
+    """The response as its docstring writes it, touch by touch and layer by layer."""
+    output = learned.output[0] + np.tensordot(p, learned.output[1:], axes=1)
+    for touch in touches:
+        hidden = learned.ranges.inputs(touch, angle_deg)
+        for weight, bias in zip(learned.weights, learned.biases, strict=True):
+            before = weight @ hidden + bias
+            hidden = before / (1.0 + np.exp(-before))
+        factor = touch[2] / learned.ranges.middle_force * learned.scale
+        yield factor * output @ [*hidden, 1.0]
+
+
+@pytest.mark.parametrize("layers", [1, 2, 4])
+def test_response_is_that_of_the_plain_formula(learned, touches, layers):
+    """However its scales are folded into its layers, for any number of these."""
+    rng = np.random.default_rng(3)
+    deep = replace(
+        learned,
+        weights=(learned.weights[0], *(0.1 * rng.standard_normal((layers - 1, 160, 160)))),
+        biases=(learned.biases[0], *rng.standard_normal((layers - 1, 160))),
+    )
+    one, p = deep.of([0.5, -1.0]), [0.5, -1.0]
+    expected = np.array(list(plain(deep, p, touches, 33.0)))
+    size = np.abs(expected).max()
+    np.testing.assert_allclose(one(touches, 33.0), expected, rtol=0, atol=1e-12 * size)
+    said, hidden = one.tangent(touches, 33.0)
+    np.testing.assert_allclose(said[:, 0], expected, rtol=0, atol=1e-12 * size)
+    np.testing.assert_allclose(hidden @ one.output.T, expected, rtol=0, atol=1e-12 * size)
 
 
 def test_no_force_changes_nothing_and_angle_changes_the_response(learned, touches):
@@ -70,6 +101,11 @@ def test_linear_in_features(learned, touches):
     )
 
 
+def uncertainty(one, touches, angle_deg):
+    said, hidden = one.tangent(touches, angle_deg)
+    return one.uncertainty(said[:, 0], hidden)
+
+
 def test_uncertainty_is_the_covariance_of_what_is_not_known(learned, touches):
     """Of the sum of three touches on specimens drawn at random, and of what no q explains."""
     rng = np.random.default_rng(6)
@@ -83,10 +119,10 @@ def test_uncertainty_is_the_covariance_of_what_is_not_known(learned, touches):
     drawn = rng.standard_normal((20_000, 2)) @ shapes
     for change in each:
         drawn += 0.03 * change * rng.standard_normal((20_000, 28))
-    said = one.uncertainty(three, angle)
+    said = uncertainty(one, three, angle)
     np.testing.assert_allclose(said, np.cov(drawn.T), atol=0.04 * np.diag(said).max())
     again = TouchResponse.from_arrays(told.arrays()).of([0.5, 0.0])
-    np.testing.assert_allclose(again.uncertainty(three, angle), said, atol=1e-5 * said.max())
+    np.testing.assert_allclose(uncertainty(again, three, angle), said, atol=1e-5 * said.max())
 
 
 def test_arrays_make_it_again(learned, touches):

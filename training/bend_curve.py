@@ -1,7 +1,7 @@
 """What bending does to log V: a curve through zero, of which every specimen has its own."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,6 +13,10 @@ MEAN_POWERS = 5  # of the angle, in the curve of the middle specimen
 OWN_POWERS = 3  # of the angle, in what a specimen has of its own
 SCALE = 50.0  # deg, the unit of the angle in those powers
 ROUNDS = 15  # of expectation and maximisation
+
+# u^1 u^2 ... of the value, and of the slope u^0 2u^1 ... over the unit of the angle
+_EXPONENTS = np.arange(1.0, MEAN_POWERS + 1) - [[0.0], [1.0]]
+_FACTORS = np.array([np.ones(MEAN_POWERS), np.arange(1, MEAN_POWERS + 1) / SCALE])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,6 +36,17 @@ class BendCurve:
     own: Array
     covariance: Array
     angle_deg: tuple[float, float]
+    _whole: Array = field(init=False, repr=False)  # b_k + w_k (MEAN_POWERS, C)
+    _blocks: Array = field(init=False, repr=False)  # covariances of w_j, w_k (OWN_POWERS^2, C^2)
+
+    def __post_init__(self) -> None:
+        """Arrange what every frame needs."""
+        whole, channels = self.mean.copy(), self.mean.shape[1]
+        whole[:OWN_POWERS] += self.own
+        powers = self.covariance.reshape(OWN_POWERS, channels, OWN_POWERS, channels)
+        blocks = powers.transpose(0, 2, 1, 3).reshape(OWN_POWERS**2, channels**2)
+        object.__setattr__(self, "_whole", whole)
+        object.__setattr__(self, "_blocks", blocks)
 
     def arrays(self) -> dict[str, Array]:
         """What `from_arrays` needs to make this again."""
@@ -53,26 +68,25 @@ class BendCurve:
     def value(self, angle_deg: ArrayLike) -> Array:
         """(..., C) at angles (...) [deg]."""
         u = np.asarray(angle_deg, dtype=float)[..., None] / SCALE
-        value: Array = _powers(u, MEAN_POWERS) @ self.mean + _powers(u, OWN_POWERS) @ self.own
+        value: Array = _powers(u, MEAN_POWERS) @ self._whole
         return value
 
     def slope(self, angle_deg: float) -> Array:
         """Its derivative (C,) [1/deg]."""
-        u = angle_deg / SCALE
-        powers = np.arange(MEAN_POWERS, dtype=float)
-        rate = (powers + 1.0) * u**powers
-        slope: Array = (rate @ self.mean + rate[:OWN_POWERS] @ self.own) / SCALE
+        _, slope = self.tangent(angle_deg)
         return slope
+
+    def tangent(self, angle_deg: float) -> tuple[Array, Array]:
+        """Value, and slope [1/deg], at one angle, (C,) each."""
+        value, slope = (_FACTORS * (angle_deg / SCALE) ** _EXPONENTS) @ self._whole
+        return value, slope
 
     def uncertainty(self, angle_deg: float, reference_deg: float = 0.0) -> Array:
         """Covariance (C, C) of B(angle) - B(reference), from not knowing w."""
-        weights = _powers(np.array([angle_deg / SCALE]), OWN_POWERS)
-        weights = weights - _powers(np.array([reference_deg / SCALE]), OWN_POWERS)
-        channels = self.mean.shape[1]
-        blocks = self.covariance.reshape(OWN_POWERS, channels, OWN_POWERS, channels)
-        half = np.tensordot(weights, blocks, axes=1)
-        covariance: Array = np.einsum("akb,k->ab", half, weights)
-        return covariance
+        exponents, channels = _EXPONENTS[0, :OWN_POWERS], self.mean.shape[1]
+        weights = (angle_deg / SCALE) ** exponents - (reference_deg / SCALE) ** exponents
+        covariance: Array = (weights[:, None] * weights).reshape(-1) @ self._blocks
+        return covariance.reshape(channels, channels)
 
     def conditioned(self, angle_deg: Array, change: Array, noise: Array) -> "BendCurve":
         """The curve given changes of log V (n, C) at known angles (n,), by Bayes' rule.

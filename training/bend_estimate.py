@@ -1,13 +1,14 @@
 """The angle of an untouched sensor from its curve, by maximum likelihood."""
 
-from collections.abc import Sequence
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from eitskin.training import lapack
 from eitskin.training.bend_curve import BendCurve
-from eitskin.training.faults import EVIDENCE, Fault, likeliest
+from eitskin.training.faults import EVIDENCE, Fault, PossibleFaults, likeliest
 from eitskin.training.touch_problem import excess
 
 Array = NDArray[np.float64]
@@ -24,7 +25,8 @@ def angle_error(curve: BendCurve, angle_deg: float, noise: Array) -> float:
     """Standard error [deg] with which one frame's angle is known, where noise is (C, C)."""
     slope = curve.slope(angle_deg)
     covariance = noise + curve.uncertainty(angle_deg)
-    return float(1.0 / np.sqrt(slope @ np.linalg.solve(covariance, slope)))
+    information = float(slope @ lapack.solved(covariance, slope))
+    return 1.0 / math.sqrt(information)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,7 +46,7 @@ class AngleEstimate:
 
 
 def checked_angle(
-    curve: BendCurve, change: Array, noise: Array, faults: Sequence[Fault]
+    curve: BendCurve, change: Array, noise: Array, possible: PossibleFaults
 ) -> AngleEstimate:
     """The angle of one frame, less the measurements that contradict all others.
 
@@ -56,15 +58,15 @@ def checked_angle(
     while True:
         angle, deviation = estimate_angle(curve, change, noise)
         good = np.flatnonzero(np.isfinite(change))
-        covariance = noise + curve.uncertainty(angle)
-        whitening = np.linalg.inv(np.linalg.cholesky(covariance[good[:, None], good]))
-        left = whitening @ (change - curve.value(angle))[good]
+        whitening = lapack.whitening(_among(noise + curve.uncertainty(angle), good))
+        value, slope = curve.tangent(angle)
+        left = whitening @ (change - value)[good]
         found = AngleEstimate(angle, deviation, excess(float(left @ left), len(good) - 1), told)
-        if found.excess < SUSPECT or not faults or len(told) == MOST_FAULTS:
+        if found.excess < SUSPECT or len(told) == MOST_FAULTS:
             return found
-        slope = (whitening @ curve.slope(angle)[good])[:, None]
-        directions = np.array([fault.change for fault in faults])[:, good]
-        fault, gain = likeliest(left, slope, whitening @ directions.T, faults)
+        known = (whitening @ slope[good])[:, None]
+        directions = whitening @ possible.changes[good]
+        fault, gain = likeliest(left, known, directions, possible)
         rest = np.delete(good, np.isin(good, fault.members))
         if gain < EVIDENCE or len(rest) < len(change) // 2:
             return found
@@ -85,19 +87,23 @@ def estimate_angle(curve: BendCurve, change: Array, noise: Array) -> tuple[float
     slope there, in the metric of noise and the curve's own uncertainty at that angle.
     """
     good = np.flatnonzero(np.isfinite(change))
-    y, N = change[good], noise[good[:, None], good]
+    y, N = change[good], _among(noise, good)
     low, high = curve.angle_deg
     angles = np.linspace(low, high, GRID)
-    away = y - curve.value(angles)[:, good]
-    angle = float(angles[np.sum(away.T * np.linalg.solve(N, away.T), axis=0).argmin()])
+    away = (y - curve.value(angles)[:, good]) @ lapack.whitening(N).T
+    angle = float(angles[np.einsum("ij,ij->i", away, away).argmin()])
     information = 0.0
     for _ in range(STEPS):
-        covariance = N + curve.uncertainty(angle)[good[:, None], good]
-        slope = curve.slope(angle)[good]
-        weighted = np.linalg.solve(covariance, slope)
-        information = float(weighted @ slope)
-        step = float(weighted @ (y - curve.value(angle)[good])) / information
+        value, slope = curve.tangent(angle)
+        weighted = lapack.solved(N + _among(curve.uncertainty(angle), good), slope[good])
+        information = float(weighted @ slope[good])
+        step = float(weighted @ (y - value[good])) / information
         angle = min(max(angle + step, low - BEYOND_DEG), high + BEYOND_DEG)
         if abs(step) < SETTLED_DEG:
             break
-    return angle, information**-0.5
+    return angle, 1.0 / math.sqrt(information)
+
+
+def _among(covariance: Array, good: NDArray[np.intp]) -> Array:
+    """The part (n, n) of a covariance (C, C) that belongs to n of the measurements, in order."""
+    return covariance if len(good) == len(covariance) else covariance[good[:, None], good]

@@ -1,13 +1,14 @@
 """Measurements at fault: a wire or a contact that changed looks like a touch, nearly."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.simulator import Protocol
-from eitskin.training.touch_problem import Fitted, Point, TouchProblem, excess, refined
+from eitskin.training.lapack import orthonormal
+from eitskin.training.touch_problem import Fitted, TouchProblem, excess, refined
 
 Array = NDArray[np.float64]
 
@@ -21,41 +22,50 @@ STEPS, SETTLED = 6, 0.1  # of Gauss-Newton without the measurements at fault
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fault:
-    """One thing that may be wrong, and what it does.
+    """One thing that may be wrong.
 
     Attributes:
         name: in words.
         members: the measurements that it changes.
-        change: of log V, in any unit (C,).
     """
 
     name: str
     members: tuple[int, ...]
-    change: Array
 
 
-def possible_faults(protocol: Protocol, flat: Array) -> tuple[Fault, ...]:
+@dataclass(frozen=True, slots=True, eq=False)
+class PossibleFaults:
+    """All that may be wrong with one sensor, one at a time.
+
+    Attributes:
+        faults: n of them.
+        changes: of log V, in any unit (C, n).
+    """
+
+    faults: tuple[Fault, ...]
+    changes: Array
+
+
+def possible_faults(protocol: Protocol, flat: Array) -> PossibleFaults:
     """Of a single measurement, and of a single contact, for a sensor of these magnitudes [ohm].
 
     A contact that changes is a resistance in series with every measurement whose current and
     voltage both pass through its electrode.
     """
-    faults = []
-    size = len(flat)
-    for i, label in enumerate(protocol.labels):
-        alone = np.zeros(size)
-        alone[i] = 1.0
-        faults.append(Fault(f"measurement {label} does not fit the others", (i,), alone))
-    table = np.array(protocol.table)
-    for electrode in range(protocol.n_electrodes):
-        drive, sense = (table[:, pair] == electrode for pair in (slice(0, 2), slice(2, 4)))
-        through = drive.any(axis=1) & sense.any(axis=1)
-        if through.sum() > 1:
-            change = np.where(through, np.nanmedian(flat) / flat, 0.0)
-            members = tuple(np.flatnonzero(through).tolist())
-            name = f"the contact of electrode {electrode} has changed"
-            faults.append(Fault(name, members, np.nan_to_num(change)))
-    return tuple(faults)
+    faults = [
+        Fault(f"measurement {label} does not fit the others", (i,))
+        for i, label in enumerate(protocol.labels)
+    ]
+    table = np.array(protocol.table)[:, :, None] == np.arange(protocol.n_electrodes)
+    through = table[:, :2].any(axis=1) & table[:, 2:4].any(axis=1)
+    shared = np.flatnonzero(through.sum(axis=0) > 1)
+    faults += [
+        Fault(f"the contact of electrode {i} has changed", tuple(np.flatnonzero(row).tolist()))
+        for i, row in zip(shared.tolist(), through[:, shared].T, strict=True)
+    ]
+    share = np.nan_to_num(np.nanmedian(flat) / flat)[:, None]
+    changes = np.concatenate([np.eye(len(flat)), through[:, shared] * share], axis=1)
+    return PossibleFaults(tuple(faults), changes)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,38 +84,25 @@ class Mended:
 
 
 def mended(
-    problem: TouchProblem, untouched: Fitted, found: Fitted, gains: Array, faults: Sequence[Fault]
+    problem: TouchProblem, untouched: Fitted, found: Fitted, gains: Array, possible: PossibleFaults
 ) -> Mended | None:
     """The frame explained by one fault and fewer touches, where that explains it as well.
-
-    The simplest comes first: a fault alone, then a fault in place of each touch, then a fault
-    beside all touches of a frame that these do not explain.
 
     Args:
         problem: the frame.
         untouched: its fit without touches.
         found: its best fit.
         gains: of the touches found, to second order (k,).
-        faults: that are possible.
+        possible: faults.
     """
     touches = len(found.point.touches)
-    changes = np.array([fault.change for fault in faults]).T
-    starts: list[tuple[Fitted, Point]] = []
-    if touches or untouched.excess > AMISS:
-        starts.append((untouched, untouched.point))
-    if touches > 1:
-        for i in np.argsort(gains)[:2].tolist():
-            if _feigned(problem, found, i, changes, faults) > PLAUSIBLE * gains[i]:
-                taken_back = refined(problem, found.point.without(i), STEPS, SETTLED)
-                starts.append((taken_back, taken_back.point))
-    if touches and found.excess > AMISS:
-        starts.append((found, found.point))
-    for fitted, point in starts:
+    for fitted in _suspects(problem, untouched, found, gains, possible):
         quadratic = fitted.quadratic
-        directions = fitted.whitening @ changes
-        fault, gain = likeliest(quadratic.residual, quadratic.jacobian, directions, faults)
+        fault, gain = likeliest(
+            quadratic.residual, quadratic.jacobian, fitted.whitening @ possible.changes, possible
+        )
         # A touch has three unknowns and a fault one: it may leave a little more.
-        spared = 3 * (touches - len(point.touches)) + SPARED
+        spared = 3 * (touches - len(fitted.point.touches)) + SPARED
         if gain < EVIDENCE:
             continue
         rest = fitted.misfit - gain
@@ -114,25 +111,43 @@ def mended(
         fewer = problem.lacking(fault.members)
         if len(fewer.good) < len(problem.change) // 2:
             continue
-        again = refined(fewer, point, STEPS, SETTLED)
+        again = refined(fewer, fewer.tangent(fitted.point), STEPS, SETTLED)
         if again.excess < FITTING:
             return Mended(fault, fewer, again)
     return None
 
 
-def _feigned(
-    problem: TouchProblem, found: Fitted, touch: int, changes: Array, faults: Sequence[Fault]
-) -> float:
+def _suspects(
+    problem: TouchProblem, untouched: Fitted, found: Fitted, gains: Array, possible: PossibleFaults
+) -> Iterator[Fitted]:
+    """Fits beside which a fault may stand, the simplest first.
+
+    That without touches, then without one of the touches, then with all of them where these do not
+    explain the frame.
+    """
+    touches = len(found.point.touches)
+    if touches or untouched.excess > AMISS:
+        yield untouched
+    if touches > 1:
+        directions = found.whitening @ possible.changes
+        for i in np.argsort(gains)[:2].tolist():
+            if _feigned(found, i, directions, possible) > PLAUSIBLE * gains[i]:
+                others = problem.tangent(found.point.without(i))
+                yield refined(problem, others, STEPS, SETTLED)
+    if touches and found.excess > AMISS:
+        yield found
+
+
+def _feigned(found: Fitted, touch: int, directions: Array, possible: PossibleFaults) -> float:
     """How much of what one touch explains a fault would, all else staying as it is."""
-    point, quadratic = found.point, found.quadratic
-    alone = problem.response(point.touches[touch : touch + 1], point.angle_deg)[0]
+    quadratic = found.quadratic
     others = np.delete(quadratic.jacobian, slice(1 + 3 * touch, 4 + 3 * touch), axis=1)
-    left = quadratic.residual + found.whitening @ alone
-    return likeliest(left, others, found.whitening @ changes, faults)[1]
+    left = quadratic.residual + found.whitening @ found.at.changes[touch]
+    return likeliest(left, others, directions, possible)[1]
 
 
 def likeliest(
-    residual: Array, known: Array, directions: Array, faults: Sequence[Fault]
+    residual: Array, known: Array, directions: Array, possible: PossibleFaults
 ) -> tuple[Fault, float]:
     """The fault that explains most of a residual (C,), and by how much it lowers the misfit.
 
@@ -140,10 +155,11 @@ def likeliest(
     (u^T P r)^2 / (u^T P u), with P the projection that takes theirs off; all are whitened, and
     `directions` are (C, faults).
     """
-    basis, _ = np.linalg.qr(known)
+    basis = orthonormal(known)
     free = directions - basis @ (basis.T @ directions)
-    size = np.sum(free**2, axis=0)
-    gain = (free.T @ residual) ** 2 / np.maximum(size, 1e-9)
-    gain[size < 1e-3 * np.sum(directions**2, axis=0)] = 0.0  # the unknowns could do as well
+    size = np.einsum("cn,cn->n", free, free)
+    gain = (residual @ free) ** 2 / np.maximum(size, 1e-9)
+    # The unknowns could do as well.
+    gain[size < 1e-3 * np.einsum("cn,cn->n", directions, directions)] = 0.0
     best = int(gain.argmax())
-    return faults[best], float(gain[best])
+    return possible.faults[best], float(gain[best])

@@ -18,7 +18,7 @@ from eitskin.training.bend_estimate import (
     estimate_angle,
 )
 from eitskin.training.calibration import Calibration, KnownBends
-from eitskin.training.faults import Fault, possible_faults
+from eitskin.training.faults import PossibleFaults, possible_faults
 from eitskin.training.history import History
 from eitskin.training.layout import Layout
 from eitskin.training.observed import UNKNOWN_AGE, Observed
@@ -335,7 +335,7 @@ class _Specimen:
         features: Array,
         curve: BendCurve,
         doubts: tuple[str, ...],
-        faults: tuple[Fault, ...],
+        faults: PossibleFaults,
     ) -> None:
         self.features, self.curve = features, curve
         self.response = method.response.of(features)

@@ -5,13 +5,12 @@ touches are looked for in what is left, and every touch must lower the misfit by
 would.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.training.faults import Fault, mended
+from eitskin.training.faults import Fault, PossibleFaults, mended
 from eitskin.training.touch_problem import (
     ANGLE_UNIT,
     TOUCH_UNITS,
@@ -68,7 +67,7 @@ def explain(
     problem: TouchProblem,
     candidates: Candidates,
     proposed: Array | None = None,
-    faults: Sequence[Fault] = (),
+    possible: PossibleFaults | None = None,
 ) -> Explanation:
     """The bend and the touches that explain a frame.
 
@@ -76,17 +75,17 @@ def explain(
         problem: the frame.
         candidates: that are tried for further touches.
         proposed: places (k, 2) [m] from which the fit starts.
-        faults: of measurements that are possible.
+        possible: faults of measurements; none are looked for where these are not given.
     """
     untouched, found, evidence = _fit(problem, candidates, proposed)
     told: list[Fault] = []
-    while faults and len(told) < MOST_FAULTS:
-        better = mended(problem, untouched, found, _gains(found), faults)
+    while possible and len(told) < MOST_FAULTS:
+        better = mended(problem, untouched, found, _gains(found), possible)
         if better is None:
             break
         told.append(better.fault)
         problem, found = better.problem, better.found
-        untouched = refined(problem, untouched.point, *FINE)
+        untouched = refined(problem, problem.tangent(untouched.point), *FINE)
         evidence = _gain(problem, untouched, found)
     return _explanation(found, evidence, tuple(told))
 
@@ -96,11 +95,11 @@ def _fit(
 ) -> tuple[Fitted, Fitted, float]:
     """The fit without touches, the best one, and the evidence of any touch."""
     nothing = Point(np.zeros((0, 3)), _still_or_moved(problem))
-    untouched = refined(problem, nothing, *FINE)
+    untouched = refined(problem, problem.tangent(nothing), *FINE)
     found, evidence = untouched, 0.0
     if proposed is not None and len(proposed):
-        start = with_forces(problem, proposed, untouched.point.angle_deg)
-        started = refined(problem, start, *ROUGH)
+        start = with_forces(problem, proposed, untouched.at)
+        started = refined(problem, problem.tangent(start), *ROUGH)
         evidence = _gain(problem, untouched, started)
         if evidence > THRESHOLD:
             found = started
@@ -108,7 +107,7 @@ def _fit(
         starts = most_promising(problem, found, candidates, PROMISING * THRESHOLD)
         if not starts:
             break
-        trials = [refined(problem, start, *ROUGH) for start in starts]
+        trials = [refined(problem, problem.tangent(start), *ROUGH) for start in starts]
         more = min(trials, key=lambda trial: trial.misfit)
         gain = _gain(problem, found, more)
         evidence = max(evidence, gain)
@@ -132,7 +131,7 @@ def _still_or_moved(problem: TouchProblem) -> float:
 
 def _gain(problem: TouchProblem, before: Fitted, after: Fitted) -> float:
     """By how much the misfit fell, in the later metric."""
-    return problem.misfit(before.point, after.whitening) - after.misfit
+    return problem.misfit(before.at, after.whitening) - after.misfit
 
 
 def _leaves_room(found: Fitted) -> bool:
@@ -145,12 +144,12 @@ def _leaves_room(found: Fitted) -> bool:
 def _pruned(problem: TouchProblem, found: Fitted) -> Fitted:
     """Converged, and without touches that the others explain after all."""
     while len(found.point.touches):
-        found = refined(problem, found.point, *FINE)
+        found = refined(problem, found.at, *FINE)
         gains = _gains(found)
         weakest = int(gains.argmin())
         if gains[weakest] > DOUBTFUL * THRESHOLD:
             break
-        fewer = refined(problem, found.point.without(weakest), *FINE)
+        fewer = refined(problem, problem.tangent(found.point.without(weakest)), *FINE)
         if _gain(problem, fewer, found) > THRESHOLD:
             break
         found = fewer
@@ -168,7 +167,7 @@ def _reconsidered(problem: TouchProblem, found: Fitted, candidates: Candidates) 
     pairs = [best_pair(problem, others, found, candidates) for others in left_out]
     best = found
     for _, start in sorted(pairs, key=lambda pair: pair[0])[:SECOND_LOOKS]:
-        trial = refined(problem, start, *FINE)
+        trial = refined(problem, problem.tangent(start), *FINE)
         more = len(trial.point.touches) - len(best.point.touches)
         if _gain(problem, best, trial) > THRESHOLD * more:
             best = trial

@@ -2,12 +2,13 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from eitskin.training import lapack
 from eitskin.training.bend_curve import BendCurve
 from eitskin.training.touch_response import SpecimenResponse
 
@@ -28,20 +29,23 @@ class Habits:
         separation: smallest distance of two touches at once [m].
         force: mean and standard deviation [N].
         low, high: corners of the rectangle that they lie in, x and y, and bounds of the force (3,).
+        mean, deviation: of x, y [m] and force [N], (3,) each, as those say.
     """
 
     separation: float
     force: tuple[float, float]
     low: Array
     high: Array
+    mean: Array = field(init=False)
+    deviation: Array = field(init=False)
 
-    @property
-    def spread(self) -> tuple[Array, Array]:
-        """Means and standard deviations of x, y [m] and force [N], (3,) each."""
+    def __post_init__(self) -> None:
+        """Places are spread evenly; a normal distribution as wide keeps them determined."""
         mean = 0.5 * (self.low + self.high)
         deviation = (self.high - self.low) / math.sqrt(12.0)
         mean[2], deviation[2] = self.force
-        return mean, deviation
+        object.__setattr__(self, "mean", mean)
+        object.__setattr__(self, "deviation", deviation)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,6 +65,13 @@ class Quadratic:
     hessian: Array
     residual: Array
     jacobian: Array
+
+    def step(self, damping: float) -> Array:
+        """To the least of it, with Levenberg's damping (n,)."""
+        damped = self.hessian.copy()
+        diagonal = damped.reshape(-1)[:: len(damped) + 1]
+        diagonal += damping * (1.0 + diagonal)
+        return lapack.solved(damped, self.gradient)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,6 +93,36 @@ class Point:
     def beside(self, touches: Array) -> "Point":
         """The same with further touches (n, 3)."""
         return Point(np.concatenate([self.touches, touches]), self.angle_deg)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tangent:
+    """What the model leaves of a frame at a point and near it, in no metric yet.
+
+    Attributes:
+        point: where.
+        rows: what is left of the change, then derivatives of what is said by unit steps of the
+            unknowns (1 + n, C).
+        changes: by each touch (k, C).
+        hidden: of the touches, as their response's uncertainty needs it (k, hidden + 1).
+    """
+
+    point: Point
+    rows: Array
+    changes: Array
+    hidden: Array
+
+    @property
+    def left(self) -> Array:
+        """Of the change (C,)."""
+        left: Array = self.rows[0]
+        return left
+
+    @property
+    def bend_slope(self) -> Array:
+        """Derivative of the bend curve (C,) [1/deg]."""
+        slope: Array = self.rows[1] / ANGLE_UNIT
+        return slope
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -141,53 +182,55 @@ class TouchProblem:
         """What bend and touches leave of the change (C,)."""
         left: Array = self.change - self.curve.value(point.angle_deg) + self.bent
         if len(point.touches):
-            left = left - self.response(point.touches, point.angle_deg).sum(axis=0)
+            left -= self.response(point.touches, point.angle_deg).sum(axis=0)
         return left
 
-    def whitening(self, point: Point) -> Array:
+    def tangent(self, point: Point) -> Tangent:
+        """What bend and touches leave of the change, there and near it."""
+        touches, angle = point.touches, point.angle_deg
+        rows = np.empty((2 + touches.size, len(self.change)))
+        value, slope = self.curve.tangent(angle)
+        rows[0] = self.change + self.bent - value
+        rows[1] = ANGLE_UNIT * slope
+        if not len(touches):
+            return Tangent(point, rows, touches, touches)
+        said, hidden = self.response.tangent(touches, angle)
+        changes = said[:, 0]
+        rows[0] -= changes.sum(axis=0)
+        np.multiply(said[:, 1:], TOUCH_UNITS[:, None], out=rows[2:].reshape(len(touches), 3, -1))
+        return Tangent(point, rows, changes, hidden)
+
+    def whitening(self, at: Tangent) -> Array:
         """L^-1 (good, C) of the residuals' covariance L L^T; columns left out are zero.
 
         The covariance is that of noise, of the bend curve since the reference, and of the response.
         """
-        good, covariance = self.good, self.noise
-        if abs(point.angle_deg - self.reference_deg) > STILL_DEG:
-            moved = point.angle_deg - self.reference_deg
+        good, covariance, point = self.good, self.noise, at.point
+        moved = point.angle_deg - self.reference_deg
+        if abs(moved) > STILL_DEG:
             unsure = self.curve.uncertainty(point.angle_deg, self.reference_deg)
-            covariance = covariance + unsure + skew(self.curve.slope(point.angle_deg), moved)
+            covariance = covariance + unsure + skew(at.bend_slope, moved)
         if len(point.touches):
-            unsure = self.response.uncertainty(point.touches, point.angle_deg)
-            covariance = covariance + unsure
-        lower = np.linalg.cholesky(covariance[good[:, None], good])
+            covariance = covariance + self.response.uncertainty(at.changes, at.hidden)
+        if len(good) == len(covariance):
+            return lapack.whitening(covariance)
         whitening = np.zeros((len(good), len(covariance)))
-        whitening[:, good] = np.linalg.inv(lower)
+        whitening[:, good] = lapack.whitening(covariance[good[:, None], good])
         return whitening
 
-    def misfit(self, point: Point, whitening: Array) -> float:
-        """Sum of squares at `point`, in the metric of `whitening`."""
-        left = whitening @ self.left_by(point)
-        return float(left @ left) + self._prior(point)[0]
+    def misfit(self, at: Tangent, whitening: Array) -> float:
+        """Sum of squares at a point, in the metric of `whitening`."""
+        left = whitening @ at.left
+        return float(left @ left) + self._prior(at.point)[0]
 
-    def quadratic(self, point: Point, whitening: Array) -> Quadratic:
-        """Misfit, gradient and Hessian at `point`, in the metric of `whitening`."""
-        touches, angle = point.touches, point.angle_deg
-        left = self.change - self.curve.value(angle) + self.bent
-        columns = np.empty((1 + touches.size, len(left)))
-        columns[0] = ANGLE_UNIT * self.curve.slope(angle)
-        if len(touches):
-            changes, slopes = self.response.with_derivatives(touches, angle)
-            left -= changes.sum(axis=0)
-            slopes *= TOUCH_UNITS[:, None]
-            columns[1:] = slopes.reshape(touches.size, -1)
-        residual = whitening @ left
-        jacobian = whitening @ columns.T
-        value, gradient, hessian = self._prior(point)
-        return Quadratic(
-            float(residual @ residual) + value,
-            jacobian.T @ residual + gradient,
-            jacobian.T @ jacobian + hessian,
-            residual,
-            jacobian,
-        )
+    def quadratic(self, at: Tangent, whitening: Array) -> Quadratic:
+        """Misfit, gradient and Hessian at a point, in the metric of `whitening`."""
+        white = at.rows @ whitening.T
+        products = white @ white.T
+        value, gradient, hessian = self._prior(at.point)
+        gradient += products[0, 1:]
+        hessian += products[1:, 1:]
+        return Quadratic(float(products[0, 0]) + value, gradient, hessian, white[0], white[1:].T)
 
     def stepped(self, point: Point, step: Array) -> Point:
         """`point` moved by unit steps, and kept within what is possible."""
@@ -200,23 +243,16 @@ class TouchProblem:
         return Point(kept, angle)
 
     def _prior(self, point: Point) -> tuple[float, Array, Array]:
-        """Of motion, places, forces, distances: value, minus half the gradient, half the Hessian.
-
-        Places are spread evenly; a normal distribution as wide keeps them determined where a touch
-        is hardly felt.
-        """
-        touches, count = point.touches, len(point.touches)
-        moved = (point.angle_deg - self.reference_deg) / FEARED_MOTION
-        value, scales = moved**2, np.full(1 + touches.size, ANGLE_UNIT / FEARED_MOTION)
-        gradient = np.full(1 + touches.size, -moved * ANGLE_UNIT / FEARED_MOTION)
-        if count:
-            mean, deviation = self.habits.spread
-            off = ((touches - mean) / deviation).ravel()
-            value += float(off @ off)
-            scales[1:].reshape(count, 3)[:] = TOUCH_UNITS / deviation
-            gradient[1:] = -off * scales[1:]
-        hessian = np.diag(scales**2)
-        if count > 1:
+        """What is usual: value, minus half the gradient and half the Hessian of the departure."""
+        touches, size = point.touches, 1 + point.touches.size
+        off, scales = np.empty(size), np.empty(size)
+        off[0] = (point.angle_deg - self.reference_deg) / FEARED_MOTION
+        scales[0] = ANGLE_UNIT / FEARED_MOTION
+        off[1:].reshape(-1, 3)[:] = (touches - self.habits.mean) / self.habits.deviation
+        scales[1:].reshape(-1, 3)[:] = TOUCH_UNITS / self.habits.deviation
+        gradient, hessian, value = -off * scales, np.zeros((size, size)), float(off @ off)
+        hessian.reshape(-1)[:: size + 1] = scales**2
+        if len(touches) > 1:
             value += self._repulsion(touches, gradient, hessian)
         return value, gradient, hessian
 
@@ -271,9 +307,14 @@ def skew(slope: Array, moved_deg: float) -> Array:
 class Fitted:
     """A point of least misfit, and the metric in which it is."""
 
-    point: Point
+    at: Tangent
     quadratic: Quadratic
     whitening: Array
+
+    @property
+    def point(self) -> Point:
+        """Where."""
+        return self.at.point
 
     @property
     def misfit(self) -> float:
@@ -291,23 +332,19 @@ class Fitted:
         return excess(self.misfit, self.freedom)
 
 
-def refined(problem: TouchProblem, point: Point, steps: int, settled: float) -> Fitted:
+def refined(problem: TouchProblem, start: Tangent, steps: int, settled: float) -> Fitted:
     """Gauss-Newton with Levenberg's damping from a point, in the metric that belongs to it.
 
     It ends after so many steps, or when one gains less than `settled` of the misfit.
     """
-    whitening = problem.whitening(point)
-    now, damping = problem.quadratic(point, whitening), 1e-3
-    diagonal = np.arange(len(now.gradient))
+    whitening = problem.whitening(start)
+    at, now, damping = start, problem.quadratic(start, whitening), 1e-3
     for _ in range(steps):
-        damped = now.hessian.copy()
-        damped[diagonal, diagonal] += damping * (1.0 + damped[diagonal, diagonal])
-        step = np.asarray(np.linalg.solve(damped, now.gradient), dtype=float)
-        moved = problem.stepped(point, step)
+        moved = problem.tangent(problem.stepped(at.point, now.step(damping)))
         trial = problem.quadratic(moved, whitening)
         if trial.misfit < now.misfit:
             gain = now.misfit - trial.misfit
-            point, now = moved, trial
+            at, now = moved, trial
             damping *= 0.2
             if gain < settled:
                 break
@@ -315,4 +352,4 @@ def refined(problem: TouchProblem, point: Point, steps: int, settled: float) -> 
             damping *= 10.0
             if damping > 1e3:
                 break
-    return Fitted(point, now, whitening)
+    return Fitted(at, now, whitening)

@@ -1,9 +1,10 @@
 """What a touch does to a sensor: a smooth function of place, force and bend, from frames."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import expit
 
 Array = NDArray[np.float64]
 
@@ -40,7 +41,6 @@ class Ranges:
         return np.array([2.0 / self.size[0], 2.0 / self.size[1], 1.0 / self.middle_force])
 
 
-_AXES = np.array([1, 2, 3])
 _ANGLE_SCALE = 30.0  # deg, that the network takes as one
 
 
@@ -73,6 +73,62 @@ class TouchResponse:
     scale: float
     ranges: Ranges
     mismatch: float
+    _layers: tuple[Array, ...] = field(init=False, repr=False)  # weights (inputs, hidden), scaled
+    _biases: tuple[Array, ...] = field(init=False, repr=False)
+    _bias_by_angle: Array = field(init=False, repr=False)  # of the first layer [1/deg]
+
+    def __post_init__(self) -> None:
+        """Fold the scales of the inputs into the first layer, and room for a one into the last."""
+        first, last = self.weights[0], len(self.weights) - 1
+        layers = [weight.T for weight in self.weights]
+        layers[0] = (first[:, :3] * self.ranges.input_scale).T
+        biases = [self.biases[0] - first[:, :3].sum(axis=1), *self.biases[1:]]
+        by_angle = first[:, 3] / _ANGLE_SCALE
+        layers[last] = np.pad(layers[last], ((0, 0), (0, 1)))
+        biases[last] = np.pad(biases[last], (0, 1))
+        if not last:
+            by_angle = np.pad(by_angle, (0, 1))
+        object.__setattr__(self, "_layers", tuple(map(np.ascontiguousarray, layers)))
+        object.__setattr__(self, "_biases", tuple(biases))
+        object.__setattr__(self, "_bias_by_angle", by_angle)
+
+    def hidden(self, touches: Array, angle_deg: float) -> Array:
+        """[h, 1] of each touch (k, 3) times its factor F / F0 scale (k, hidden + 1)."""
+        before = touches @ self._layers[0] + (self._biases[0] + angle_deg * self._bias_by_angle)
+        hidden = before * expit(before)
+        for layer, bias in zip(self._layers[1:], self._biases[1:], strict=True):
+            before = hidden @ layer + bias
+            hidden = before * expit(before)
+        hidden[:, -1] = 1.0
+        rows: Array = self._unit * touches[:, 2:] * hidden
+        return rows
+
+    def hidden_tangent(self, touches: Array, angle_deg: float) -> Array:
+        """The same and its derivatives by x, y [1/m] and force [1/N] (k, 4, hidden + 1).
+
+        Tangents travel below the values: forward differentiation with one product a layer.
+        """
+        count, first = len(touches), self._layers[0]
+        before = touches @ first + (self._biases[0] + angle_deg * self._bias_by_angle)
+        value, slope = _silu(before)
+        rows = np.empty((count, 4, before.shape[1]))
+        rows[:, 0] = value
+        np.multiply(slope[:, None], first, out=rows[:, 1:])
+        for layer, bias in zip(self._layers[1:], self._biases[1:], strict=True):
+            rows = rows.reshape(4 * count, -1).dot(layer).reshape(count, 4, -1)
+            value, slope = _silu(rows[:, 0] + bias)
+            rows[:, 0] = value
+            rows[:, 1:] *= slope[:, None]
+        rows[:, 0, -1] = 1.0
+        by_force = self._unit * rows[:, 0]
+        rows *= self._unit * touches[:, 2:, None]
+        rows[:, 3] += by_force
+        return rows
+
+    @property
+    def _unit(self) -> float:
+        """Factor of a touch over its force [1/N]."""
+        return self.scale / self.ranges.middle_force
 
     def of(self, features: ArrayLike) -> "SpecimenResponse":
         """The response of the specimen with these features (P,)."""
@@ -124,57 +180,42 @@ class SpecimenResponse:
 
     def __call__(self, touches: Array, angle_deg: float) -> Array:
         """Changes (k, C) by touches (k, 3) of x [m], y [m] and force [N], each alone."""
-        hidden = self._hidden(touches, angle_deg)
-        change: Array = hidden @ self.output.T
+        change: Array = self.response.hidden(touches, angle_deg) @ self.output.T
         return change
 
-    def uncertainty(self, touches: Array, angle_deg: float) -> Array:
-        """Covariance (C, C) of their sum, from not knowing q, and from what is left unexplained."""
-        hidden = self._hidden(touches, angle_deg)
-        change = hidden @ self.output.T
+    def tangent(self, touches: Array, angle_deg: float) -> tuple[Array, Array]:
+        """Changes and their derivatives, and what `uncertainty` needs to know.
+
+        Returns:
+            changes and their derivatives by x, y [1/m] and force [1/N] (k, 4, C).
+            hidden: rows of the last layer (k, hidden + 1).
+        """
+        rows = self.response.hidden_tangent(touches, angle_deg)
+        said = rows.reshape(-1, rows.shape[2]) @ self.output.T
+        return said.reshape(len(touches), 4, -1), rows[:, 0]
+
+    def uncertainty(self, changes: Array, hidden: Array) -> Array:
+        """Covariance (C, C) of the touches' sum, of not knowing q and of what stays unexplained.
+
+        Args:
+            changes: by each touch (k, C).
+            hidden: rows of the last layer (k, hidden + 1).
+        """
         own = self.response.hidden_output @ hidden.sum(axis=0)
-        unexplained = self.response.mismatch**2 * np.sum(change**2, axis=0)
-        covariance: Array = own.T @ own + np.diag(unexplained)
+        covariance: Array = own.T @ own
+        diagonal = covariance.reshape(-1)[:: len(covariance) + 1]
+        diagonal += self.response.mismatch**2 * np.einsum("kc,kc->c", changes, changes)
         return covariance
 
     def unseen(self, touches: Array, angle_deg: float) -> Array:
         """What each q changes in their sum (Q, C)."""
-        change: Array = self.response.hidden_output @ self._hidden(touches, angle_deg).sum(axis=0)
+        hidden = self.response.hidden(touches, angle_deg).sum(axis=0)
+        change: Array = self.response.hidden_output @ hidden
         return change
 
-    def _hidden(self, touches: Array, angle_deg: float) -> Array:
-        """[h, 1] of each touch times its factor (k, hidden + 1)."""
-        ranges, response = self.response.ranges, self.response
-        hidden = ranges.inputs(touches, angle_deg)
-        for weight, bias in zip(response.weights, response.biases, strict=True):
-            before = hidden @ weight.T + bias
-            hidden = before * _logistic(before)
-        factor = response.scale * touches[:, 2:] / ranges.middle_force
-        return np.concatenate([factor * hidden, factor], axis=1)
 
-    def with_derivatives(self, touches: Array, angle_deg: float) -> tuple[Array, Array]:
-        """Changes (k, C), and their derivatives (k, 3, C) by x, y [1/m] and force [1/N]."""
-        ranges, response = self.response.ranges, self.response
-        count = len(touches)
-        # Tangents along the first three inputs travel below the values: forward differentiation
-        # with one matrix product a layer. Rows are values, then d/dx, d/dy, d/dF of each touch.
-        rows = np.zeros((4, count, 4))
-        rows[0] = ranges.inputs(touches, angle_deg)
-        rows[_AXES, :, _AXES - 1] = ranges.input_scale[:, None]
-        for weight, bias in zip(response.weights, response.biases, strict=True):
-            rows = (rows.reshape(4 * count, -1) @ weight.T).reshape(4, count, -1)
-            before = rows[0] + bias
-            gate = _logistic(before)
-            rows[1:] *= gate * (1.0 + before * (1.0 - gate))
-            rows[0] = before * gate
-        said = (rows.reshape(4 * count, -1) @ self.output[:, :-1].T).reshape(4, count, -1)
-        said[0] += self.output[:, -1]
-        unit = response.scale / ranges.middle_force
-        slopes = said[1:] * (unit * touches[:, 2:])
-        slopes[2] += unit * said[0]
-        return unit * touches[:, 2:] * said[0], slopes.transpose(1, 0, 2)
-
-
-def _logistic(values: Array) -> Array:
-    gate: Array = 0.5 + 0.5 * np.tanh(0.5 * values)
-    return gate
+def _silu(values: Array) -> tuple[Array, Array]:
+    """v / (1 + exp(-v)), and its derivative."""
+    gate = expit(values)
+    value = values * gate
+    return value, value + gate * (1.0 - value)

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.training.touch_problem import FEARED_MOTION, Fitted, Point, TouchProblem
+from eitskin.training import lapack
+from eitskin.training.touch_problem import FEARED_MOTION, Fitted, Point, Tangent, TouchProblem
 
 Array = NDArray[np.float64]
 
@@ -29,16 +30,17 @@ class Candidates:
     change: Array
 
 
-def with_forces(problem: TouchProblem, places: Array, angle_deg: float) -> Point:
+def with_forces(problem: TouchProblem, places: Array, untouched: Tangent) -> Point:
     """Touches at these places (k, 2) [m], with forces that suit together to first order."""
     mean, deviation = problem.habits.force
-    untouched = Point(np.zeros((0, 3)), angle_deg)
-    touches = np.column_stack([places, np.full(len(places), mean)])
+    angle_deg = untouched.point.angle_deg
+    touches = np.empty((len(places), 3))
+    touches[:, :2], touches[:, 2] = places, mean
     whitening = problem.whitening(untouched)
-    shapes = whitening @ problem.response(touches, angle_deg).T
-    left = whitening @ problem.left_by(untouched)
-    ridge = (mean / deviation) ** 2 * np.eye(len(places))
-    share = np.linalg.solve(shapes.T @ shapes + ridge, shapes.T @ left + ridge.sum(axis=1))
+    shapes = problem.response(touches, angle_deg) @ whitening.T
+    ridge = (mean / deviation) ** 2
+    wanted = shapes @ (whitening @ untouched.left) + ridge
+    share = lapack.solved(shapes @ shapes.T + ridge * np.eye(len(places)), wanted)
     touches[:, 2] = np.clip(share * mean, problem.habits.low[2], problem.habits.high[2])
     return Point(touches, angle_deg)
 
@@ -52,11 +54,11 @@ def most_promising(
     then there are two.
     """
     point = found.point
-    whitening = problem.whitening(point)
-    left = whitening @ problem.left_by(point)
+    whitening = problem.whitening(found.at)
+    left = whitening @ found.at.left
     shapes = candidates.change @ whitening.T
     # What a change of the angle explains is no evidence of a touch.
-    bend = whitening @ problem.curve.slope(point.angle_deg) * FEARED_MOTION
+    bend = whitening @ found.at.bend_slope * FEARED_MOTION
     bend /= np.sqrt(1.0 + bend @ bend)
     shapes = shapes - np.outer(shapes @ bend, bend)
     sizes = np.sum(shapes**2, axis=1)
