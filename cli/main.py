@@ -12,6 +12,7 @@ from eitskin.cli import (
     dataset,
     demo,
     evaluate,
+    export,
     generate,
     import_recording,
     live,
@@ -41,6 +42,7 @@ app.command("live")(live.command)
 app.command("demo")(demo.command)
 app.add_typer(dataset.app, name="dataset")
 app.add_typer(bench.app, name="bench")
+app.add_typer(export.app, name="export")
 
 EXIT_USAGE = 2
 EXIT_INTERRUPTED = 130
