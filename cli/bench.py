@@ -11,7 +11,7 @@ from rich import box
 from rich.markup import escape
 from rich.table import Table
 
-from eitskin.cli import bench_paper
+from eitskin.cli import bench_layouts, bench_paper
 from eitskin.cli.options import Json, Output, Quiet, Seed, Verbose
 from eitskin.geometry import ConfigurationError
 
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(help="Measure errors and times.", no_args_is_help=True)
 app.command("paper")(bench_paper.command)
+app.command("layouts")(bench_layouts.command)
 
 
 Out = Annotated[Path, typer.Option(help="Folder for the tables and the plots.")]

@@ -1,0 +1,205 @@
+"""The comparison of layouts: sweeps, the search, and what is said of each layout."""
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from eitskin.benchmarks.layouts import SIZE, Layout, paper, sweeps, with_electrodes
+from eitskin.benchmarks.layouts_bound import Sampling, SheetBound
+from eitskin.benchmarks.layouts_search import COUNT, QUICK, Plan, search
+from eitskin.benchmarks.layouts_store import Judge, Watch, judging
+from eitskin.benchmarks.provenance import Provenance
+from eitskin.geometry import ConfigurationError, Rectangle
+from eitskin.geometry.layouts import uniform
+from eitskin.hardware.messages import MAX_CHANNELS
+
+SEED = 0  # nothing is random
+SEARCH, BEST = "search", "best with"  # a sweep, and how names of what it finds begin
+NAMES = (*sweeps(), SEARCH)
+SAMPLING, FINE = Sampling(0.0075), Sampling(0.0075, resolution="standard")
+_QUICK = Sampling(0.0225)
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """A layout and its bounds."""
+
+    sweep: str
+    layout: Layout
+    sampling: Sampling
+    bound: SheetBound
+
+
+@dataclass(frozen=True, slots=True)
+class Figures:
+    """What a table says of a layout.
+
+    Percentiles are over the sheet; bounds are of one frame against a reference of one, with the
+    angle of the bend unknown where nothing else is said.
+
+    Attributes:
+        sweep: that the layout belongs to.
+        layout: its name.
+        resolution, spacing_mm: of its judgement.
+        angle_deg: of the bend.
+        measurements: in a frame.
+        scan_ms: from one frame to the next [ms].
+        fits_wire: whether a frame fits into one packet.
+        place_mm, place_90_mm, place_worst_mm: median, 90th percentile and worst place [mm].
+        place_90_known_mm: 90th percentile with the angle known [mm].
+        place_90_paced_mm: 90th percentile for the mean of as many frames as take the time of one
+            of the paper's layout, or their fraction [mm].
+        force_n, force_90_n, force_worst_n: the same of the force [N].
+        angle_90_deg: 90th percentile of the angle's bound beside a press [deg].
+        angle_untouched_deg: bound of the angle of the untouched sheet [deg].
+        uniformity: 10th over 90th percentile of the signal.
+        condition: largest over smallest singular value of the signals.
+        patterns: independent patterns of the signals above the noise.
+        full_scale_ohm: largest resistance [ohm]; the noise is relative to it.
+        electrodes_mm: "x y" of each middle, with semicolons between [mm].
+    """
+
+    sweep: str
+    layout: str
+    resolution: str
+    spacing_mm: float
+    angle_deg: float
+    measurements: int
+    scan_ms: float
+    fits_wire: bool
+    place_mm: float
+    place_90_mm: float
+    place_worst_mm: float
+    place_90_known_mm: float
+    place_90_paced_mm: float
+    force_n: float
+    force_90_n: float
+    force_worst_n: float
+    angle_90_deg: float
+    angle_untouched_deg: float
+    uniformity: float
+    condition: float
+    patterns: int
+    full_scale_ohm: float
+    electrodes_mm: str
+
+    @classmethod
+    def of(cls, judged: Judged) -> "Figures":
+        """The figures of a layout."""
+        layout, sampling, bound = judged.layout, judged.sampling, judged.bound
+        place, place_90, worst = _percentiles(1e3 * bound.place)
+        force, force_90, force_worst = _percentiles(bound.force)
+        return cls(
+            sweep=judged.sweep,
+            layout=layout.name,
+            resolution=sampling.resolution,
+            spacing_mm=1e3 * sampling.spacing,
+            angle_deg=layout.angle_deg,
+            measurements=len(layout.protocol),
+            scan_ms=round(1e3 * layout.scan_time, 1),
+            fits_wire=len(layout.protocol) <= MAX_CHANNELS,
+            place_mm=place,
+            place_90_mm=place_90,
+            place_worst_mm=worst,
+            place_90_known_mm=_percentiles(1e3 * bound.place_known)[1],
+            place_90_paced_mm=place_90 * (layout.scan_time / paper().scan_time) ** 0.5,
+            force_n=force,
+            force_90_n=force_90,
+            force_worst_n=force_worst,
+            angle_90_deg=_percentiles(bound.angle_deg)[1],
+            angle_untouched_deg=bound.untouched_deg,
+            uniformity=bound.uniformity,
+            condition=bound.condition,
+            patterns=bound.patterns,
+            full_scale_ohm=bound.full_scale,
+            electrodes_mm="; ".join(
+                f"{1e3 * e.x:g} {1e3 * e.y:g}" for e in layout.design.electrodes
+            ),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """All layouts that were judged, and what with."""
+
+    judged: tuple[Judged, ...]
+    provenance: Provenance
+    quick: bool
+
+    @property
+    def figures(self) -> list[Figures]:
+        """Of each layout, in order."""
+        return [Figures.of(each) for each in self.judged]
+
+    def of_search(self, fine: bool) -> dict[str, Figures]:
+        """Of the layouts that the search ends with, by name; empty where it was not run."""
+        found = [each for each in self.judged if each.sweep == SEARCH]
+        half = len(found) // 2
+        part = found[half:] if fine else found[:half]
+        return {each.layout.name: Figures.of(each) for each in part}
+
+
+def run(
+    folder: Path,
+    *,
+    names: Sequence[str] = NAMES,
+    quick: bool = False,
+    workers: int = 1,
+    watch: Watch = lambda _: None,
+) -> Comparison:
+    """Judge the layouts of the sweeps, and search, keeping each finished layout in `folder`.
+
+    Args:
+        folder: for the files of finished layouts; a run that was stopped goes on from them.
+        names: of sweeps; "search" is one.
+        quick: few places, few layouts in the search.
+        workers: processes that judge.
+        watch: called with the name of each finished layout.
+
+    Raises ConfigurationError for an unknown sweep, PartialError as `judging` does.
+    """
+    if unknown := sorted(set(names) - set(NAMES)):
+        raise ConfigurationError(
+            f"expected sweeps out of {', '.join(NAMES)}, got {', '.join(unknown)}"
+        )
+    sampling = _QUICK if quick else SAMPLING
+    with judging(folder, workers, watch) as judge:
+        asked = [
+            (name, layout)
+            for name, layouts in sweeps().items()
+            if name in names
+            for layout in layouts
+        ]
+        bounds = judge([(layout, sampling) for _, layout in asked])
+        judged = [
+            Judged(name, layout, sampling, bound)
+            for (name, layout), bound in zip(asked, bounds, strict=True)
+        ]
+        if SEARCH in names:
+            judged += _searched(judge, quick)
+    return Comparison(tuple(judged), Provenance.now(SEED), quick)
+
+
+def _searched(judge: Judge, quick: bool) -> Iterator[Judged]:
+    """What was found and the usual layouts, as in the search and then on a finer mesh."""
+    plan = QUICK if quick else Plan()
+    mirrored, turned = search(judge, plan)
+    electrodes = uniform(Rectangle(*SIZE), COUNT)
+    layouts = [
+        paper(),
+        with_electrodes("even, half a pitch on", electrodes),
+        dataclasses.replace(mirrored.layout, name=f"{BEST} both mirrors"),
+        dataclasses.replace(turned.layout, name=f"{BEST} a half turn"),
+    ]
+    fine = dataclasses.replace(plan.sampling if quick else FINE, resolution="standard")
+    questions = [(layout, each) for each in (plan.sampling, fine) for layout in layouts]
+    for (layout, sampling), bound in zip(questions, judge(questions), strict=True):
+        yield Judged(SEARCH, layout, sampling, bound)
+
+
+def _percentiles(values: np.ndarray) -> tuple[float, float, float]:
+    median, most, worst = np.percentile(values, (50, 90, 100)).tolist()
+    return median, most, worst

@@ -1,0 +1,71 @@
+"""`eitskin bench layouts`: where electrodes should be."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich import box
+from rich.table import Table
+
+from eitskin.cli.options import Json, Output, Quiet, Verbose
+
+if TYPE_CHECKING:
+    from eitskin.benchmarks.layouts_run import Comparison
+
+
+def command(
+    out: Annotated[Path, typer.Option(help="Folder for tables, maps and finished layouts.")] = Path(
+        "build/bench/layouts"
+    ),
+    *,
+    sweep: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="count, placement, width, contact, bend or search; may be given several times, "
+            "all if omitted."
+        ),
+    ] = None,
+    workers: Annotated[int, typer.Option(min=1, help="Processes that judge layouts.")] = 2,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Few places and a short search, in two minutes.")
+    ] = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """How well layouts of electrodes can know a press: sweeps, and a search for the best eight.
+
+    Cramer-Rao bounds over the sheet. Finished layouts are kept in the folder; a run that was
+    stopped goes on from them.
+    """
+    from eitskin.benchmarks.layouts_report import LEGEND, as_data, sentences, write
+    from eitskin.benchmarks.layouts_run import NAMES, run
+    from eitskin.cli.bench import make_folder
+
+    output = Output(as_json, quiet, verbose)
+    make_folder(out)
+    with output.progress() as bar:
+        task = bar.add_task("layouts", total=None, rate="")
+
+        def show(name: str) -> None:
+            bar.update(task, advance=1, rate=name)
+
+        found = run(out / "parts", names=sweep or NAMES, quick=quick, workers=workers, watch=show)
+    paths = write(found, out)
+    output.result(as_data(found) | {"files": [str(path) for path in paths]}, _as_table(found))
+    output.show(LEGEND)
+    for line in sentences(found):
+        output.show(line)
+    output.note("written: " + ", ".join(str(path) for path in paths))
+
+
+def _as_table(found: "Comparison") -> Table:
+    from eitskin.benchmarks.layouts_report import HEADINGS, SHORT, table
+
+    drawn = Table(*HEADINGS[:SHORT], box=box.SIMPLE, pad_edge=False, padding=(0, 1, 0, 0))
+    drawn.columns[0].min_width = 23
+    for column in drawn.columns[1:]:
+        column.justify, column.min_width = "right", 5
+    for row in table(found):
+        drawn.add_row(f"[bold]{row[0]}[/bold]" if len(row) == 1 else row[0], *row[1:SHORT])
+    return drawn
