@@ -4,7 +4,7 @@ import math
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, cast, get_args
+from typing import TYPE_CHECKING, Annotated, cast, get_args
 
 import typer
 from rich import box
@@ -144,7 +144,7 @@ def export_vtu(
     verbose: Verbose = False,
 ) -> None:
     """Write the deformed sensor of a scene, its fields and its electrodes, for ParaView."""
-    from eitskin.simulator.vtu import field_resolution, write_vtu
+    from eitskin.simulator.vtu import field_resolution, scene_grids, write_grids
 
     output = Output(as_json, quiet, verbose)
     what = Scene.from_toml(scene)
@@ -164,14 +164,16 @@ def export_vtu(
     if touch_model == "tabulated":
         announce(design, sim.mechanics, (touch.indenter for touch in what.touches), output)
     start = time.perf_counter()
+    grids = scene_grids(sim, what, None if drive is None else [drive])
     make_folder(out)
-    fields = write_vtu(sim, what, out, None if drive is None else [drive])
+    write_grids(grids, out)
+    fields = {name: grid.array_names for name, grid in grids.items()}
     output.result(
         {
             "folder": str(out),
             "cells": len(sim.model.mesh.cells),
             "points": len(sim.model.mesh.points),
-            "fields": {name: list(names) for name, names in fields.items()},
+            "fields": fields,
             "seconds": time.perf_counter() - start,
         },
         _field_table(out, fields),
@@ -200,7 +202,7 @@ def _require_empty(folder: Path) -> None:
         )
 
 
-def _field_table(folder: Path, fields: dict[str, Any]) -> Table:
+def _field_table(folder: Path, fields: dict[str, list[str]]) -> Table:
     table = Table("file", "field", box=box.SIMPLE)
     for name, names in fields.items():
         for i, field in enumerate(names):

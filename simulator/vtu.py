@@ -1,7 +1,7 @@
 """A scene's deformed sensor and its fields as VTK files, which ParaView opens."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,6 @@ from eitskin.geometry.optional import require
 from eitskin.geometry.whole_file import whole_file
 from eitskin.simulator import shapes
 from eitskin.simulator.fields import Fields, fields_in
-from eitskin.simulator.protocol import Protocol
 from eitskin.simulator.resolution import Discretisation, discretisation
 from eitskin.simulator.scene import Scene
 from eitskin.simulator.setting import Setting
@@ -50,20 +49,20 @@ def field_resolution(design: SensorDesign, cell: float | None = None) -> Discret
     return order, dataclasses.replace(grading, finest=finest, coarsest=coarsest, layers=layers)
 
 
-def write_vtu(
-    sim: Simulator, scene: Scene, folder: str | Path, drives: Sequence[Drive] | None = None
-) -> dict[str, tuple[str, ...]]:
-    """Write the deformed body and its electrodes, with their fields, as binary VTK files.
+def scene_grids(
+    sim: Simulator, scene: Scene, drives: Sequence[Drive] | None = None
+) -> dict[str, Any]:
+    """The deformed body and its electrodes with their fields, by the names of their files.
 
     Everything stands at its deformed place and in SI units, which the names of the fields end in;
-    `1` is dimensionless. Potentials and current densities are for a current of 1 A, which has
-    zero mean potential over the electrodes; where they are complex, their real part.
+    `1` is dimensionless. Potentials and current densities are for a current of 1 A; potentials
+    count from the mean of the electrodes; where they are complex, their real part.
 
     body.vtu, at points: `displacement_m`; `largest_strain_1`, logarithmic, see
-    `view.largest_strain`; `thinning_1`, 1 - thickness over flat thickness of the layer there;
-    `potential_A_B_V_per_A`. In cells: `conductivity_S_per_m`, F K F^T / J of the deformed body,
-    and `pulled_back_conductivity_S_per_m`, K = J F^-1 sigma F^-T of the flat body that is solved,
-    both (3, 3) row by row; `current_density_A_B_A_per_m2_per_A`, the mean.
+    `view.largest_strain`; `thinning_1`, see `thinning`; `potential_A_B_V_per_A`. In cells:
+    `conductivity_S_per_m`, F K F^T / J of the deformed body, and
+    `pulled_back_conductivity_S_per_m`, K = J F^-1 sigma F^-T of the flat body that is solved, both
+    (3, 3) row by row; `current_density_A_B_A_per_m2_per_A`, the mean.
 
     electrodes.vtp, in the pieces of cell faces that electrodes touch: `electrode`, its number;
     `contact_impedance_ohm_m2`; `potential_A_B_V_per_A` of the electrode.
@@ -71,20 +70,16 @@ def write_vtu(
     Args:
         sim: the sensor; see `field_resolution`.
         scene: what happens to it.
-        folder: an existing, writable one.
         drives: electrodes that a current enters and leaves by; those of `sim.protocol` when
             omitted.
 
-    Returns the names of the fields of each file.
+    Returns grids of pyvista.
 
     Raises ImportError, naming the extra, where pyvista is missing, and ConfigurationError for
-    electrodes that do not exist or a folder that cannot be written to.
+    electrodes that do not exist.
     """
     require("pyvista", "view")
-    pairs = list(dict.fromkeys((plus, minus) for plus, minus, *_ in sim.protocol.table))
-    if drives is not None:
-        Protocol(tuple((*pair, *pair) for pair in drives), len(sim.design.electrodes))
-        pairs = list(drives)
+    pairs = _pairs(sim, drives)
     setting, mesh = sim.setting(scene), sim.model.mesh
     deformation, fields = setting.deformation, fields_in(sim.model, setting)
     body = shapes.volume(dataclasses.replace(mesh, points=_placed(deformation, mesh.points)))
@@ -92,13 +87,14 @@ def write_vtu(
     body.cell_data.update(_cell_fields(sim, setting, fields, pairs))
     electrodes = _plates(mesh, deformation)
     electrodes.cell_data.update(_electrode_fields(sim, fields, pairs))
-    for name, grid in ((BODY, body), (ELECTRODES, electrodes)):
+    return {BODY: body, ELECTRODES: electrodes}
+
+
+def write_grids(grids: Mapping[str, Any], folder: str | Path) -> None:
+    """Write grids as binary files of VTK; raises ConfigurationError where that fails."""
+    for name, grid in grids.items():
         with whole_file(Path(folder) / name) as temporary:
             grid.save(temporary, binary=True)
-    return {
-        BODY: (*body.point_data.keys(), *body.cell_data.keys()),
-        ELECTRODES: tuple(electrodes.cell_data.keys()),
-    }
 
 
 def thinning(sim: Simulator, deformation: Deformation | None, points: Array) -> Array:
@@ -113,6 +109,18 @@ def thinning(sim: Simulator, deformation: Deformation | None, points: Array) -> 
     low, high = (deformation.positions(face) for face in faces)
     thinner: Array = 1.0 - np.linalg.norm(high - low, axis=1) / flat
     return thinner
+
+
+def _pairs(sim: Simulator, drives: Sequence[Drive] | None) -> list[Drive]:
+    if drives is None:
+        return list(dict.fromkeys((plus, minus) for plus, minus, *_ in sim.protocol.table))
+    last = len(sim.design.electrodes) - 1
+    for drive in drives:
+        if drive[0] == drive[1] or not all(0 <= electrode <= last for electrode in drive):
+            raise ConfigurationError(
+                f"a drive takes two different electrodes from 0 to {last}, got {drive}"
+            )
+    return list(drives)
 
 
 def _placed(deformation: Deformation | None, points: Array) -> Array:

@@ -1,7 +1,9 @@
 """Scenes as VTK files: read back by pyvista, against the model and against closed forms."""
 
 import json
+import re
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +17,14 @@ from eitskin.geometry.outline import Rectangle
 from eitskin.simulator import Protocol, Scene, Simulator, Touch, shapes
 from eitskin.simulator.fields import fields_in
 from eitskin.simulator.view import current_density, largest_strain
-from eitskin.simulator.vtu import BODY, ELECTRODES, field_resolution, thinning, write_vtu
+from eitskin.simulator.vtu import (
+    BODY,
+    ELECTRODES,
+    field_resolution,
+    scene_grids,
+    thinning,
+    write_grids,
+)
 
 LENGTH, WIDTH, THICKNESS, CONDUCTIVITY = 0.040, 0.010, 0.005, 2.0
 CELL = 0.008
@@ -33,10 +42,11 @@ def sim() -> Simulator:
 def written(sim, tmp_path_factory):
     """Body and electrodes of a bent and pressed sensor, as pyvista reads them."""
     folder = tmp_path_factory.mktemp("vtu")
-    names = write_vtu(sim, BENT, folder)
+    grids = scene_grids(sim, BENT)
+    write_grids(grids, folder)
     body, electrodes = pyvista.read(folder / BODY), pyvista.read(folder / ELECTRODES)
-    assert names[BODY] == (*body.point_data.keys(), *body.cell_data.keys())
-    assert names[ELECTRODES] == tuple(electrodes.cell_data.keys())
+    assert grids[BODY] == body  # all arrays
+    assert grids[ELECTRODES] == electrodes
     assert sorted(path.name for path in folder.iterdir()) == [BODY, ELECTRODES]
     return body, electrodes
 
@@ -118,6 +128,13 @@ def test_the_gel_is_as_thin_under_a_touch_as_the_press_says() -> None:
     assert said[0] > 0.1
 
 
+def test_the_page_names_every_field(written) -> None:
+    page = (Path(__file__).parents[1] / "docs" / "interoperability.md").read_text()
+    for grid in written:
+        for name in grid.array_names:
+            assert f"| `{re.sub('_[0-7]_[0-7]_', '_A_B_', name)}` |" in page
+
+
 # Closed forms
 
 
@@ -132,9 +149,8 @@ def bar() -> Simulator:
     return Simulator(design, field_resolution(design, 0.004), protocol=Protocol.pairwise(2))
 
 
-def test_a_bar_has_ohms_law_in_every_cell(bar, tmp_path) -> None:
-    write_vtu(bar, Scene(), tmp_path)
-    body, electrodes = pyvista.read(tmp_path / BODY), pyvista.read(tmp_path / ELECTRODES)
+def test_a_bar_has_ohms_law_in_every_cell(bar) -> None:
+    body, electrodes = scene_grids(bar, Scene()).values()
     j = 1.0 / (WIDTH * THICKNESS)
     assert close(body["current_density_0_1_A_per_m2_per_A"], np.array([j, 0.0, 0.0]), 1e-5)
     potential = (0.5 * LENGTH - body.points[:, 0]) * j / CONDUCTIVITY
@@ -158,11 +174,12 @@ def test_fields_of_all_electrodes_are_those_of_each(sim) -> None:
 # Choices and refusals
 
 
-def test_one_drive_can_be_chosen(sim, tmp_path) -> None:
-    names = write_vtu(sim, Scene(), tmp_path, [(6, 1)])
-    assert [n for n in names[BODY] if n.startswith("potential")] == ["potential_6_1_V_per_A"]
-    with pytest.raises(ConfigurationError, match="from 0 to 7"):
-        write_vtu(sim, Scene(), tmp_path, [(0, 8)])
+def test_one_drive_can_be_chosen(sim) -> None:
+    names = scene_grids(sim, Scene(), [(6, 1)])[BODY].point_data.keys()
+    assert [n for n in names if n.startswith("potential")] == ["potential_6_1_V_per_A"]
+    for wrong in ((0, 8), (-1, 0), (3, 3)):
+        with pytest.raises(ConfigurationError, match="two different electrodes from 0 to 7"):
+            scene_grids(sim, Scene(), [wrong])
 
 
 def test_cells_are_as_small_as_asked() -> None:
@@ -175,15 +192,15 @@ def test_cells_are_as_small_as_asked() -> None:
             field_resolution(design, wrong)
 
 
-def test_a_place_that_cannot_be_written_is_said(sim, tmp_path) -> None:
+def test_a_place_that_cannot_be_written_is_said(tmp_path) -> None:
     with pytest.raises(ConfigurationError, match="cannot write"):
-        write_vtu(sim, Scene(), tmp_path / "nowhere", [(0, 1)])
+        write_grids({BODY: pyvista.Sphere()}, tmp_path / "nowhere")
 
 
-def test_the_missing_extra_is_named(sim, tmp_path, monkeypatch) -> None:
+def test_the_missing_extra_is_named(sim, monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "pyvista", None)
     with pytest.raises(ImportError, match=r"eitskin\[view\]"):
-        write_vtu(sim, Scene(), tmp_path)
+        scene_grids(sim, Scene())
 
 
 def test_other_cells_are_written_too(tmp_path) -> None:
@@ -193,7 +210,7 @@ def test_other_cells_are_written_too(tmp_path) -> None:
     )
     design = SensorDesign.from_toml(tmp_path / "disc.toml")
     sim = Simulator(design, field_resolution(design, 0.006))
-    write_vtu(sim, Scene(bend=Bend(10.0)), tmp_path, [(0, 3)])
+    write_grids(scene_grids(sim, Scene(bend=Bend(10.0)), [(0, 3)]), tmp_path)
     body = pyvista.read(tmp_path / BODY)
     assert np.array_equal(body.cells_dict[13], shapes.volume(sim.model.mesh).cells_dict[13])
     assert body["displacement_m"].any()
@@ -221,6 +238,7 @@ def test_the_command_writes_a_scene(tmp_path) -> None:
     with pytest.raises(ConfigurationError, match="not empty"):
         export(scene, *options)
     assert (out / BODY).read_bytes() == before
-    with pytest.raises(ConfigurationError, match="--touch-model"):
-        export(scene, "--out", tmp_path / "other", "--touch-model", "guess")
+    for wrong in (("--touch-model", "guess"), ("--drive", 0, 9), ("--cell", 10)):
+        with pytest.raises(ConfigurationError):
+            export(scene, "--out", tmp_path / "other", *wrong)
     assert not (tmp_path / "other").exists()
