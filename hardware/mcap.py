@@ -100,8 +100,14 @@ class McapWriter:
         self.messages += len(said)
 
     def close(self) -> None:
-        """Finish the file and give it its name; raises PartialError where that fails."""
+        """Finish the file and give it its name; there is none where nothing was written.
+
+        Raises PartialError where that fails.
+        """
         if self._bag is None:
+            return
+        if not self.messages:
+            self.discard()
             return
         bag, self._bag = self._bag, None
         try:

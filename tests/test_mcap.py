@@ -4,6 +4,7 @@ import dataclasses
 import json
 import math
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -157,6 +158,14 @@ def test_a_frame_that_was_too_damaged_says_why(tmp_path) -> None:
     assert "/eitskin/bend" not in found
 
 
+def test_the_page_names_every_topic_type_and_field() -> None:
+    page = (Path(__file__).parents[1] / "docs" / "interoperability.md").read_text()
+    for topic, kind in TOPICS.items():
+        assert f"| `{topic}` | `{kind.replace('/msg', '')}` |" in page
+    for name in TOUCH_FIELDS:
+        assert f"`{name}`" in page
+
+
 # When
 
 
@@ -200,6 +209,11 @@ def test_what_was_written_before_an_interrupt_is_kept(tmp_path) -> None:
         write_all(path, readings())
     assert len(read(path)["/eitskin/impedance"]) == 1
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_without_readings_there_is_no_file(tmp_path) -> None:
+    write_all(tmp_path / "run.mcap", [])
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_killed_writer_leaves_its_folder_and_no_file_under_the_name(tmp_path) -> None:
