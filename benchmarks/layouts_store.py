@@ -63,7 +63,7 @@ def judging(folder: Path, workers: int = 1, watch: Watch = lambda _: None) -> It
     if workers == 1:
         yield partial(_answers, folder, watch, None)
         return
-    context = multiprocessing.get_context("spawn")
+    context, others = multiprocessing.get_context("spawn"), set(multiprocessing.active_children())
     with ProcessPoolExecutor(workers, context, initializer=_start_worker) as pool:
         try:
             yield partial(_answers, folder, watch, pool)
@@ -72,7 +72,8 @@ def judging(folder: Path, workers: int = 1, watch: Watch = lambda _: None) -> It
                 "a process that judged layouts died; finished ones are kept, run again to go on"
             ) from error
         except BaseException:
-            pool.shutdown(wait=True, cancel_futures=True)
+            for process in set(multiprocessing.active_children()) - others:
+                process.terminate()  # at once: files are whole or absent
             raise
 
 
@@ -139,7 +140,7 @@ def _write(path: Path, question: Question) -> None:
 
 
 def _start_worker() -> None:
-    """Leave Ctrl-C to the parent, which waits for what is in work; end when it has gone."""
+    """Leave Ctrl-C to the parent; end when it has gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import multiprocessing
 from dataclasses import replace
 
 import numpy as np
@@ -215,23 +216,30 @@ def contents(folder):
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
-def test_a_stopped_run_goes_on_to_the_same_bytes(tmp_path):
-    questions = asked(paper(), paper(20.0))
+@pytest.fixture(scope="module")
+def fresh(tmp_path_factory):
+    """A folder and bounds of a run that was not stopped."""
+    folder = tmp_path_factory.mktemp("fresh")
+    with judging(folder) as judge:
+        return folder, judge(asked(paper(), paper(20.0)))
 
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_stopped_run_goes_on_to_the_same_bytes(fresh, tmp_path, workers):
     def stop(name):  # noqa: ARG001
         raise KeyboardInterrupt
 
-    with judging(tmp_path / "fresh") as judge:
-        whole = judge(questions)
-    with pytest.raises(KeyboardInterrupt), judging(tmp_path / "stopped", 1, stop) as judge:
+    questions = asked(paper(), paper(20.0))
+    with pytest.raises(KeyboardInterrupt), judging(tmp_path, workers, stop) as judge:
         judge(questions)
-    kept = contents(tmp_path / "stopped")
-    times = {path: path.stat().st_mtime_ns for path in (tmp_path / "stopped").iterdir()}
-    assert len(kept) == 1
-    with judging(tmp_path / "stopped") as judge:
+    assert not multiprocessing.active_children()
+    finished = {path: path.stat().st_mtime_ns for path in tmp_path.glob("*.json")}
+    assert 1 <= len(finished) <= workers
+    with judging(tmp_path) as judge:
         resumed = judge(questions)
-    assert contents(tmp_path / "stopped") == contents(tmp_path / "fresh")
-    assert all(path.stat().st_mtime_ns == time for path, time in times.items())
+    folder, whole = fresh
+    assert contents(tmp_path) == contents(folder)
+    assert all(path.stat().st_mtime_ns == time for path, time in finished.items())
     for one, other in zip(whole, resumed, strict=True):
         np.testing.assert_array_equal(one.place, other.place)
         np.testing.assert_array_equal(one.spectrum, other.spectrum)
@@ -289,14 +297,6 @@ def test_what_cannot_be_written_is_said(tmp_path, counted, monkeypatch):
     with pytest.raises(PartialError), judging(tmp_path) as judge:
         judge(asked(paper()))
     assert counted == [PAPER]
-
-
-def test_processes_make_the_same_files(tmp_path):
-    questions = asked(paper(), paper(20.0))
-    for workers in (1, 2):
-        with judging(tmp_path / str(workers), workers) as judge:
-            judge(questions)
-    assert contents(tmp_path / "1") == contents(tmp_path / "2")
 
 
 # The search
