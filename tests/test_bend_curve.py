@@ -70,6 +70,26 @@ def test_uncertainty_is_the_covariance_of_curves_drawn(curve, rng):
     assert np.all(curve.uncertainty(0.0) == 0.0)
 
 
+def test_curve_is_that_of_the_plain_formula(curve, rng):
+    """However its arrays are arranged for speed."""
+    own = 1e-3 * rng.standard_normal(curve.own.shape)
+    curve = BendCurve(curve.mean, own, curve.covariance, RANGE)
+    angles, values = curve.grid(8)
+    np.testing.assert_allclose(angles, np.linspace(*RANGE, 8))
+    for angle, on_grid in zip(angles, values, strict=True):
+        expected = powers(angle, MEAN_POWERS) @ curve.mean + powers(angle, OWN_POWERS) @ own
+        value, slope = curve.tangent(angle)
+        np.testing.assert_allclose(value, expected, rtol=1e-12)
+        np.testing.assert_allclose(curve.value(angle), expected, rtol=1e-12)
+        np.testing.assert_allclose(on_grid, expected, rtol=1e-12)
+        np.testing.assert_array_equal(slope, curve.slope(angle))
+        weights = powers(angle, OWN_POWERS) - powers(12.0, OWN_POWERS)
+        spread = np.kron(weights, np.eye(CHANNELS))
+        np.testing.assert_allclose(
+            curve.uncertainty(angle, 12.0), spread @ curve.covariance @ spread.T, atol=1e-18
+        )
+
+
 # Given known angles
 
 

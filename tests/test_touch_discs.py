@@ -38,6 +38,20 @@ def test_edge_is_blurred_by_the_standard_error():
     assert area(map_) == pytest.approx(np.pi * (RADIUS**2 + 0.001**2), rel=0.005)
 
 
+@pytest.mark.parametrize("deviation", [0.0, 4e-4, 0.003, 0.02])
+def test_map_is_that_of_the_plain_formula(deviation):
+    """Pixels far from a touch are left out, which changes nothing; also at the sensor's rim."""
+    shape = (32, 80)
+    x, y = (np.arange(80) + 0.5) * SIZE[0] / 80, (np.arange(32) + 0.5) * SIZE[1] / 32
+    places = [[0.002, 0.058], [0.075, 0.030], [0.090, 0.031]]
+    free = np.ones(shape)
+    for px, py in places:
+        away = np.sqrt((x - px) ** 2 + (y[:, None] - py) ** 2)
+        free *= norm.sf((RADIUS - away) / max(deviation, 1e-6))
+    said = drawn(places, [deviation] * 3, shape)
+    np.testing.assert_allclose(said, 1.0 - free, atol=1e-7)
+
+
 def test_two_touches_are_two_discs():
     two = drawn([[0.040, 0.030], [0.110, 0.030]], [0.0005, 0.002])
     one, other = drawn([[0.040, 0.030]], [0.0005]), drawn([[0.110, 0.030]], [0.002])

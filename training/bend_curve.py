@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -71,6 +72,11 @@ class BendCurve:
         value: Array = _powers(u, MEAN_POWERS) @ self._whole
         return value
 
+    def grid(self, count: int) -> tuple[Array, Array]:
+        """Angles (count,) [deg] over what was learned from, and the values there (count, C)."""
+        angles, powers = _grid(*self.angle_deg, count)
+        return angles, powers @ self._whole
+
     def slope(self, angle_deg: float) -> Array:
         """Its derivative (C,) [1/deg]."""
         _, slope = self.tangent(angle_deg)
@@ -83,8 +89,8 @@ class BendCurve:
 
     def uncertainty(self, angle_deg: float, reference_deg: float = 0.0) -> Array:
         """Covariance (C, C) of B(angle) - B(reference), from not knowing w."""
-        exponents, channels = _EXPONENTS[0, :OWN_POWERS], self.mean.shape[1]
-        weights = (angle_deg / SCALE) ** exponents - (reference_deg / SCALE) ** exponents
+        u, reference, channels = angle_deg / SCALE, reference_deg / SCALE, self.mean.shape[1]
+        weights = np.array([u**k - reference**k for k in range(1, OWN_POWERS + 1)])
         covariance: Array = (weights[:, None] * weights).reshape(-1) @ self._blocks
         return covariance.reshape(channels, channels)
 
@@ -180,6 +186,13 @@ def _powers(u: Array, count: int) -> Array:
     """u, u^2 ... (..., count) of u (..., 1)."""
     powers: Array = u ** np.arange(1, count + 1)
     return powers
+
+
+@lru_cache(maxsize=16)
+def _grid(low: float, high: float, count: int) -> tuple[Array, Array]:
+    """Angles (count,) [deg] and their powers (count, MEAN_POWERS)."""
+    angles = np.linspace(low, high, count)
+    return angles, _powers(angles[:, None] / SCALE, MEAN_POWERS)
 
 
 def _mixed_model(

@@ -87,17 +87,17 @@ def estimate_angle(curve: BendCurve, change: Array, noise: Array) -> tuple[float
     slope there, in the metric of noise and the curve's own uncertainty at that angle.
     """
     good = np.flatnonzero(np.isfinite(change))
-    y, N = change[good], _among(noise, good)
-    low, high = curve.angle_deg
-    angles = np.linspace(low, high, GRID)
-    away = (y - curve.value(angles)[:, good]) @ lapack.whitening(N).T
+    N = _among(noise, good)
+    angles, values = curve.grid(GRID)
+    away = (change - values)[:, good] @ lapack.whitening(N).T
     angle = float(angles[np.einsum("ij,ij->i", away, away).argmin()])
-    information = 0.0
+    (low, high), information = curve.angle_deg, 0.0
     for _ in range(STEPS):
         value, slope = curve.tangent(angle)
-        weighted = lapack.solved(N + _among(curve.uncertainty(angle), good), slope[good])
-        information = float(weighted @ slope[good])
-        step = float(weighted @ (y - value[good])) / information
+        slope, left = slope[good], (change - value)[good]
+        weighted = lapack.solved(N + _among(curve.uncertainty(angle), good), slope)
+        information = float(weighted @ slope)
+        step = float(weighted @ left) / information
         angle = min(max(angle + step, low - BEYOND_DEG), high + BEYOND_DEG)
         if abs(step) < SETTLED_DEG:
             break

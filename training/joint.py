@@ -12,6 +12,7 @@ from eitskin.simulator import Protocol
 from eitskin.simulator.drift import HOURS
 from eitskin.training.bend_curve import BendCurve, BendCurves
 from eitskin.training.bend_estimate import (
+    BEYOND_DEG,
     AngleEstimate,
     angle_error,
     checked_angle,
@@ -90,6 +91,15 @@ class JointMethod:
     calibrated: BendCurve | None = None
     calibrated_flat: Array | None = None
     _specimens: "dict[bytes, _Specimen]" = field(default_factory=dict, init=False, repr=False)
+    _tried: dict[int, Array] = field(default_factory=dict, init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        """What all specimens share of touches at the places tried, by steps of the angle."""
+        low, high = self.curves.angle_deg
+        steps = range(_step(low - BEYOND_DEG), _step(high + BEYOND_DEG) + 1)
+        force = np.full(len(self.places), self.response.ranges.middle_force)
+        touches = np.column_stack([self.places, force])
+        self._tried.update({step: self.response.hidden(touches, step * STEP_DEG) for step in steps})
 
     def perceive(self, observed: Observed) -> Perceived:
         """What n frames show, one after the other."""
@@ -206,7 +216,8 @@ class JointMethod:
         `frames` is the sum of one over the numbers of frames that were averaged.
         """
         drift = self.drift**2 * max(age, 0.0) / HOURS
-        covariance: Array = np.diag(self.noise**2 * frames) + drift
+        covariance = np.full((len(self.noise), len(self.noise)), drift)
+        np.einsum("ii->i", covariance)[:] += self.noise**2 * frames
         return covariance
 
     def _specimen(self, flat: Array) -> "_Specimen":
@@ -341,7 +352,7 @@ class _Specimen:
         self.response = method.response.of(features)
         self.doubts = doubts
         self.faults = faults
-        self._places = method.places
+        self._places, self._tried = method.places, method._tried
         self._last: tuple[bytes, AngleEstimate] | None = None
         self._candidates: dict[int, Candidates] = {}
 
@@ -354,10 +365,14 @@ class _Specimen:
 
     def candidates(self, angle_deg: float) -> Candidates:
         """At the nearest angle that is kept."""
-        step = round(angle_deg / STEP_DEG)
+        step = _step(angle_deg)
         if step not in self._candidates:
             force = self.response.response.ranges.middle_force
-            touches = np.column_stack([self._places, np.full(len(self._places), force)])
-            change = self.response(touches, step * STEP_DEG)
+            change = self._tried[step] @ self.response.output.T
             self._candidates[step] = Candidates(self._places, force, change)
         return self._candidates[step]
+
+
+def _step(angle_deg: float) -> int:
+    """Of the angles for which candidates are kept, the number of the nearest."""
+    return round(angle_deg / STEP_DEG)

@@ -1,9 +1,10 @@
 """Where touches may be, at first glance: a small network whose word the fit starts from."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import expit
 
 Array = NDArray[np.float64]
 
@@ -26,28 +27,31 @@ class Proposals:
     biases: tuple[Array, ...]
     columns: Array
     rows: Array
+    _centres: Array = field(init=False, repr=False)  # x and y of all cells (rows x columns, 2) [m]
+
+    def __post_init__(self) -> None:
+        """Lay out the cells."""
+        x, y = np.meshgrid(self.columns, self.rows)
+        object.__setattr__(self, "_centres", np.column_stack([x.ravel(), y.ravel()]))
 
     def map(self, inputs: Array) -> Array:
         """Values of the cells, 0 to 1 (rows, columns), from `network_inputs` (inputs,)."""
         hidden = inputs
         for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
             before = weight @ hidden + bias
-            hidden = before * (0.5 + 0.5 * np.tanh(0.5 * before))
-        logits = self.weights[-1] @ hidden + self.biases[-1]
-        values: Array = 0.5 + 0.5 * np.tanh(0.5 * logits)
+            hidden = before * expit(before)
+        values: Array = expit(self.weights[-1] @ hidden + self.biases[-1])
         return values.reshape(len(self.rows), len(self.columns))
 
     def places(self, inputs: Array, separation: float) -> Array:
         """Places of the likeliest touches (k, 2) [m], the likeliest first, so far apart."""
-        values = self.map(inputs)
-        x, y = (axis.ravel() for axis in np.meshgrid(self.columns, self.rows))
-        left = values.ravel().copy()
+        values = self.map(inputs).ravel()
+        left = values.copy()
         found: list[Array] = []
-        while len(found) < MOST and left.max() > LIKELY:
-            best = int(left.argmax())
-            away = np.hypot(x - x[best], y - y[best])
-            around = values.ravel() * (away < 2.0 * WIDTH)
-            found.append(np.array([around @ x, around @ y]) / around.sum())
+        while len(found) < MOST and left[best := int(left.argmax())] > LIKELY:
+            away = np.hypot(*(self._centres - self._centres[best]).T)
+            around = values * (away < 2.0 * WIDTH)
+            found.append(around @ self._centres / around.sum())
             left[away < 0.6 * separation] = 0.0
         return np.array(found).reshape(-1, 2)
 

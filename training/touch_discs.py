@@ -6,6 +6,8 @@ from scipy.special import ndtr
 
 Array = NDArray[np.float64]
 
+BLUR = 9.0  # standard errors beyond which 1 - Phi is one to the last digit
+
 
 def disc_map(
     places: Array,
@@ -31,7 +33,11 @@ def disc_map(
     x = (np.arange(columns) + 0.5) * size[0] / columns
     y = (np.arange(rows) + 0.5) * size[1] / rows
     free = np.ones(shape)
-    for (px, py), deviation in zip(places, deviations, strict=True):
-        distance = np.hypot(x[None] - px, y[:, None] - py)
-        free *= 1.0 - ndtr((radius - distance) / max(deviation, 1e-6))
+    deviations = np.maximum(deviations, 1e-6)
+    for (px, py), deviation in zip(places.tolist(), deviations.tolist(), strict=True):
+        reach = radius + BLUR * deviation
+        across = slice(*np.searchsorted(x, [px - reach, px + reach]))
+        along = slice(*np.searchsorted(y, [py - reach, py + reach]))
+        distance = np.hypot(x[across] - px, y[along, None] - py)
+        free[along, across] *= 1.0 - ndtr((radius - distance) / deviation)
     return (1.0 - free).astype(np.float32)

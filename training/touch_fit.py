@@ -5,11 +5,13 @@ touches are looked for in what is left, and every touch must lower the misfit by
 would.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from eitskin.training import lapack
 from eitskin.training.faults import Fault, PossibleFaults, mended
 from eitskin.training.touch_problem import (
     ANGLE_UNIT,
@@ -19,11 +21,12 @@ from eitskin.training.touch_problem import (
     TouchProblem,
     refined,
 )
-from eitskin.training.touch_search import Candidates, best_pair, most_promising, with_forces
+from eitskin.training.touch_search import Candidates, best_pairs, most_promising, with_forces
 
 Array = NDArray[np.float64]
 
 MOST_TOUCHES = 4
+GRID = 15  # angles that the bend is tried at to start with
 THRESHOLD = 25.0
 """By which a touch must lower the misfit. The gain of one that is not there is the largest of some
 fifty chi-square variables of three degrees of freedom, above this once in a thousand frames."""
@@ -122,11 +125,11 @@ def _fit(
 
 def _still_or_moved(problem: TouchProblem) -> float:
     """The angle from which the fit starts: where the bend alone explains most [deg]."""
-    low, high = problem.curve.angle_deg
-    angles = np.append(np.linspace(low, high, 15), problem.reference_deg)
-    left = (problem.change - problem.curve.value(angles) + problem.bent)[:, problem.good]
-    misfits = np.sum(left**2 / np.diag(problem.noise)[problem.good], axis=1)
-    return float(angles[misfits.argmin()])
+    angles, values = problem.curve.grid(GRID)
+    left = problem.change + problem.bent - np.concatenate([values, problem.bent[None]])
+    weights = 1.0 / np.diagonal(problem.noise)[problem.good]
+    best = int((left[:, problem.good] ** 2 @ weights).argmin())
+    return float(angles[best]) if best < GRID else problem.reference_deg
 
 
 def _gain(problem: TouchProblem, before: Fitted, after: Fitted) -> float:
@@ -137,7 +140,7 @@ def _gain(problem: TouchProblem, before: Fitted, after: Fitted) -> float:
 def _leaves_room(found: Fitted) -> bool:
     """Whether a further touch could gain enough without leaving less than noise does."""
     freedom = max(found.freedom - 3, 1)
-    least = max(freedom - LUCKY * float(np.sqrt(2.0 * freedom)), 0.0)
+    least = max(freedom - LUCKY * math.sqrt(2.0 * freedom), 0.0)
     return found.misfit - least > THRESHOLD
 
 
@@ -164,7 +167,7 @@ def _reconsidered(problem: TouchProblem, found: Fitted, candidates: Candidates) 
     left_out = [found.point.without(i) for i in range(len(found.point.touches))]
     if len(found.point.touches) <= MOST_TOUCHES - 2:
         left_out.append(found.point)
-    pairs = [best_pair(problem, others, found, candidates) for others in left_out]
+    pairs = best_pairs(problem, left_out, found, candidates)
     best = found
     for _, start in sorted(pairs, key=lambda pair: pair[0])[:SECOND_LOOKS]:
         trial = refined(problem, problem.tangent(start), *FINE)
@@ -176,22 +179,21 @@ def _reconsidered(problem: TouchProblem, found: Fitted, candidates: Candidates) 
 
 def _gains(found: Fitted) -> Array:
     """How much the misfit would rise, to second order, were each touch's force zero."""
-    covariance = np.linalg.inv(found.quadratic.hessian)
-    rows = 3 + 3 * np.arange(len(found.point.touches))
-    gains: Array = (found.point.touches[:, 2] / TOUCH_UNITS[2]) ** 2 / covariance[rows, rows]
+    variance = np.diagonal(lapack.inverse(found.quadratic.hessian))
+    gains: Array = (found.point.touches[:, 2] / TOUCH_UNITS[2]) ** 2 / variance[3::3]
     return gains
 
 
 def _explanation(found: Fitted, evidence: float, faults: tuple[Fault, ...]) -> Explanation:
     touches = found.point.touches
-    units = np.concatenate([[ANGLE_UNIT], np.tile(TOUCH_UNITS, len(touches))])
-    covariance = np.linalg.inv(found.quadratic.hessian) * np.outer(units, units)
+    covariance = lapack.inverse(found.quadratic.hessian)
     own = [slice(1 + 3 * i, 4 + 3 * i) for i in range(len(touches))]
+    blocks = np.array([covariance[s, s] for s in own]).reshape(-1, 3, 3)
     return Explanation(
         found.point.angle_deg,
-        float(np.sqrt(covariance[0, 0])),
+        ANGLE_UNIT * math.sqrt(covariance[0, 0]),
         touches,
-        np.array([covariance[s, s] for s in own]).reshape(-1, 3, 3),
+        blocks * (TOUCH_UNITS[:, None] * TOUCH_UNITS),
         evidence,
         _gains(found),
         found.misfit,

@@ -29,7 +29,8 @@ class Habits:
         separation: smallest distance of two touches at once [m].
         force: mean and standard deviation [N].
         low, high: corners of the rectangle that they lie in, x and y, and bounds of the force (3,).
-        mean, deviation: of x, y [m] and force [N], (3,) each, as those say.
+        mean: of x, y [m] and force [N], (3,), as those say.
+        stiffness: one over their variances, in unit steps (3,).
     """
 
     separation: float
@@ -37,7 +38,7 @@ class Habits:
     low: Array
     high: Array
     mean: Array = field(init=False)
-    deviation: Array = field(init=False)
+    stiffness: Array = field(init=False)
 
     def __post_init__(self) -> None:
         """Places are spread evenly; a normal distribution as wide keeps them determined."""
@@ -45,7 +46,7 @@ class Habits:
         deviation = (self.high - self.low) / math.sqrt(12.0)
         mean[2], deviation[2] = self.force
         object.__setattr__(self, "mean", mean)
-        object.__setattr__(self, "deviation", deviation)
+        object.__setattr__(self, "stiffness", (TOUCH_UNITS / deviation) ** 2)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -190,13 +191,13 @@ class TouchProblem:
         touches, angle = point.touches, point.angle_deg
         rows = np.empty((2 + touches.size, len(self.change)))
         value, slope = self.curve.tangent(angle)
-        rows[0] = self.change + self.bent - value
-        rows[1] = ANGLE_UNIT * slope
+        np.subtract(self.change + self.bent, value, out=rows[0])
+        np.multiply(slope, ANGLE_UNIT, out=rows[1])
         if not len(touches):
             return Tangent(point, rows, touches, touches)
         said, hidden = self.response.tangent(touches, angle)
         changes = said[:, 0]
-        rows[0] -= changes.sum(axis=0)
+        rows[0] -= np.add.reduce(changes)
         np.multiply(said[:, 1:], TOUCH_UNITS[:, None], out=rows[2:].reshape(len(touches), 3, -1))
         return Tangent(point, rows, changes, hidden)
 
@@ -208,8 +209,8 @@ class TouchProblem:
         good, covariance, point = self.good, self.noise, at.point
         moved = point.angle_deg - self.reference_deg
         if abs(moved) > STILL_DEG:
-            unsure = self.curve.uncertainty(point.angle_deg, self.reference_deg)
-            covariance = covariance + unsure + skew(at.bend_slope, moved)
+            covariance = covariance + self.curve.uncertainty(point.angle_deg, self.reference_deg)
+            covariance += skew(at.bend_slope, moved)
         if len(point.touches):
             covariance = covariance + self.response.uncertainty(at.changes, at.hidden)
         if len(good) == len(covariance):
@@ -220,17 +221,16 @@ class TouchProblem:
 
     def misfit(self, at: Tangent, whitening: Array) -> float:
         """Sum of squares at a point, in the metric of `whitening`."""
-        left = whitening @ at.left
-        return float(left @ left) + self._prior(at.point)[0]
+        return self.quadratic(at, whitening).misfit
 
     def quadratic(self, at: Tangent, whitening: Array) -> Quadratic:
         """Misfit, gradient and Hessian at a point, in the metric of `whitening`."""
         white = at.rows @ whitening.T
+        # Of residual and Jacobian with themselves: misfit, gradient and Hessian are blocks of it.
         products = white @ white.T
-        value, gradient, hessian = self._prior(at.point)
-        gradient += products[0, 1:]
-        hessian += products[1:, 1:]
-        return Quadratic(float(products[0, 0]) + value, gradient, hessian, white[0], white[1:].T)
+        self._add_prior(at.point, products)
+        misfit, gradient, hessian = float(products[0, 0]), products[0, 1:], products[1:, 1:]
+        return Quadratic(misfit, gradient, hessian, white[0], white[1:].T)
 
     def stepped(self, point: Point, step: Array) -> Point:
         """`point` moved by unit steps, and kept within what is possible."""
@@ -242,19 +242,23 @@ class TouchProblem:
         kept = np.minimum(np.maximum(moved, self.habits.low), self.habits.high)
         return Point(kept, angle)
 
-    def _prior(self, point: Point) -> tuple[float, Array, Array]:
-        """What is usual: value, minus half the gradient and half the Hessian of the departure."""
-        touches, size = point.touches, 1 + point.touches.size
-        off, scales = np.empty(size), np.empty(size)
-        off[0] = (point.angle_deg - self.reference_deg) / FEARED_MOTION
-        scales[0] = ANGLE_UNIT / FEARED_MOTION
-        off[1:].reshape(-1, 3)[:] = (touches - self.habits.mean) / self.habits.deviation
-        scales[1:].reshape(-1, 3)[:] = TOUCH_UNITS / self.habits.deviation
-        gradient, hessian, value = -off * scales, np.zeros((size, size)), float(off @ off)
-        hessian.reshape(-1)[:: size + 1] = scales**2
+    def _add_prior(self, point: Point, products: Array) -> None:
+        """Add what is usual of motion, touches and their distances to `quadratic`'s products."""
+        touches, diagonal = point.touches, products.reshape(-1)[:: len(products) + 1]
+        turn = ANGLE_UNIT / FEARED_MOTION
+        moved = (self.reference_deg - point.angle_deg) / FEARED_MOTION
+        diagonal[0] += moved**2
+        diagonal[1] += turn**2
+        products[0, 1] += turn * moved
+        if not len(touches):
+            return
+        away = (self.habits.mean - touches) / TOUCH_UNITS
+        pull = away * self.habits.stiffness
+        products[0, 2:] += pull.reshape(-1)
+        diagonal[0] += away.reshape(-1) @ pull.reshape(-1)
+        diagonal[2:].reshape(-1, 3)[:] += self.habits.stiffness
         if len(touches) > 1:
-            value += self._repulsion(touches, gradient, hessian)
-        return value, gradient, hessian
+            diagonal[0] += self._repulsion(touches, products[0, 1:], products[1:, 1:])
 
     def _repulsion(self, touches: Array, gradient: Array, hessian: Array) -> float:
         """Touches nearer than any seen push each other apart; adds to gradient and Hessian."""
@@ -298,8 +302,8 @@ def skew(slope: Array, moved_deg: float) -> Array:
         slope: of log V with the angle (C,) [1/deg].
         moved_deg: since the reference [deg].
     """
-    late = slope * (np.arange(len(slope)) / len(slope) - 0.5)
-    covariance: Array = moved_deg**2 * np.outer(late, late)
+    late = moved_deg * slope * (np.arange(len(slope)) / len(slope) - 0.5)
+    covariance: Array = late[:, None] * late
     return covariance
 
 

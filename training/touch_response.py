@@ -109,16 +109,16 @@ class TouchResponse:
         Tangents travel below the values: forward differentiation with one product a layer.
         """
         count, first = len(touches), self._layers[0]
-        before = touches @ first + (self._biases[0] + angle_deg * self._bias_by_angle)
-        value, slope = _silu(before)
-        rows = np.empty((count, 4, before.shape[1]))
+        rows = np.empty((count, 4, first.shape[1]))
+        value = touches @ first
+        value += self._biases[0] + angle_deg * self._bias_by_angle
+        np.multiply(_activated(value)[:, None], first, out=rows[:, 1:])
         rows[:, 0] = value
-        np.multiply(slope[:, None], first, out=rows[:, 1:])
         for layer, bias in zip(self._layers[1:], self._biases[1:], strict=True):
             rows = rows.reshape(4 * count, -1).dot(layer).reshape(count, 4, -1)
-            value, slope = _silu(rows[:, 0] + bias)
-            rows[:, 0] = value
-            rows[:, 1:] *= slope[:, None]
+            value = rows[:, 0]
+            value += bias
+            rows[:, 1:] *= _activated(value)[:, None]
         rows[:, 0, -1] = 1.0
         by_force = self._unit * rows[:, 0]
         rows *= self._unit * touches[:, 2:, None]
@@ -214,8 +214,11 @@ class SpecimenResponse:
         return change
 
 
-def _silu(values: Array) -> tuple[Array, Array]:
-    """v / (1 + exp(-v)), and its derivative."""
-    gate = expit(values)
-    value = values * gate
-    return value, value + gate * (1.0 - value)
+def _activated(values: Array) -> Array:
+    """v becomes v / (1 + exp(-v)), in place; gives the derivative."""
+    gate: Array = expit(values)
+    values *= gate
+    slope = 1.0 - values
+    slope *= gate
+    slope += values
+    return slope

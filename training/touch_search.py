@@ -1,5 +1,6 @@
 """Where a fit may start: places that would explain what is left of a frame, to first order."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -79,36 +80,35 @@ def most_promising(
     return starts
 
 
-def best_pair(
-    problem: TouchProblem, others: Point, found: Fitted, candidates: Candidates
-) -> tuple[float, Point]:
-    """Promised misfit of, and point with, the two candidates that explain most beside `others`.
+def best_pairs(
+    problem: TouchProblem, others: Sequence[Point], found: Fitted, candidates: Candidates
+) -> list[tuple[float, Point]]:
+    """For each of `others`, promised misfit of, and point with, the two candidates that suit best.
 
     Two shapes with Gram matrix G and projections p explain p^T G^-1 p of a residual.
     """
     places = candidates.places[::PAIR_STRIDE]
     shapes = candidates.change[::PAIR_STRIDE] @ found.whitening.T
-    left = found.whitening @ problem.left_by(others)
-    gram, p = shapes @ shapes.T, shapes @ left
-    size = np.diag(gram)
-    determinant = np.maximum(size[:, None] * size - gram**2, 1e-9 * size[:, None] * size)
-    first = (p[:, None] * size - gram * p) / determinant
-    second = first.T
-    low, high = (
-        problem.habits.low[2:] / candidates.force,
-        problem.habits.high[2:] / candidates.force,
-    )
-    apart = np.linalg.norm(places[:, None] - places, axis=2)
-    free = _free(problem, places, others)
-    possible = (apart > problem.habits.separation) & free[:, None] & free
-    possible &= (np.minimum(first, second) > low) & (np.maximum(first, second) < high)
-    gain = np.where(possible, first * p[:, None] + second * p, 0.0)
-    a, b = np.unravel_index(int(gain.argmax()), gain.shape)
-    pair = [
-        [*places[a], first[a, b] * candidates.force],
-        [*places[b], second[a, b] * candidates.force],
-    ]
-    return float(left @ left - gain[a, b]), others.beside(np.array(pair))
+    gram = shapes @ shapes.T
+    size = np.diagonal(gram)
+    sizes = size[:, None] * size
+    determinant = np.maximum(sizes - gram**2, 1e-9 * sizes)
+    low, high = problem.habits.low[2] / candidates.force, problem.habits.high[2] / candidates.force
+    apart = np.hypot(*(places[:, None] - places).T) > problem.habits.separation
+    pairs = []
+    for point in others:
+        left = found.whitening @ problem.left_by(point)
+        p = shapes @ left
+        first = (p[:, None] * size - gram * p) / determinant
+        allowed = apart & (first > low) & (first < high)
+        gain = first * p[:, None]
+        free = _free(problem, places, point)
+        gain = np.where(allowed & allowed.T & free[:, None] & free, gain + gain.T, 0.0)
+        a, b = np.unravel_index(int(gain.argmax()), gain.shape)
+        forces = candidates.force * np.array([first[a, b], first[b, a]])
+        pair = np.column_stack([places[[a, b]], forces])
+        pairs.append((float(left @ left - gain[a, b]), point.beside(pair)))
+    return pairs
 
 
 def _free(problem: TouchProblem, places: Array, point: Point) -> NDArray[np.bool_]:
