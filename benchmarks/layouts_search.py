@@ -44,7 +44,7 @@ class Plan:
     first: float = 0.015
     smaller: tuple[float, ...] = (0.0075, 0.00375)
     turned: tuple[float, ...] = (0.0075,)
-    sampling: Sampling = Sampling(0.015)  # noqa: RUF009 - frozen
+    sampling: Sampling = Sampling(0.0075)  # noqa: RUF009 - frozen
 
 
 QUICK = Plan(0.030, (0.015,), (), Sampling(0.0225))

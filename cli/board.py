@@ -1,5 +1,6 @@
 """`eitskin board`: a virtual board on a pseudo-terminal, for any program that speaks to boards."""
 
+import time
 from contextlib import closing
 from pathlib import Path
 from typing import Annotated
@@ -65,6 +66,8 @@ def command(
     uri = f"serial:{link or terminal.path}"
     output.result({"uri": uri}, uri)
     output.note("serving until Ctrl-C; open it with eitskin live MODEL --board " + uri)
+    # Started again it must not pass for the same board: hosts keep references for each boot.
+    terminal.firmware.boots_from(int(time.time()))
     with ended_by_signals(), closing(terminal):
         terminal.serve()
 

@@ -12,16 +12,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import typer
 from numpy.typing import NDArray
-from rich.console import RenderableType
+from rich.console import Group, RenderableType
 from rich.live import Live
+from rich.text import Text
 
 from eitskin.cli.live_view import draw, losses, plain
 from eitskin.cli.options import Json, Output, Quiet, Seed, Verbose, ended_by_signals
+from eitskin.cli.recording import Recording
 from eitskin.geometry import PartialError, SensorDesign
 
 if TYPE_CHECKING:
     from eitskin.cli.page import Page
-    from eitskin.datasets import ShardWriter
     from eitskin.hardware import Connection, Reading
     from eitskin.simulator import Frame
 
@@ -42,7 +43,7 @@ PagePort = Annotated[int, typer.Option(min=0, max=65535, help="Of the page; 0 fo
 
 REFRESH = 10  # per second
 CHECKED = 16  # frames of a session's beginning that say how the sensor is
-SILENT_PERIODS = 3  # after which what is shown is old
+SHORTEST_SILENCE = 1.0  # s, before what is shown is called old
 
 
 def command(
@@ -72,10 +73,11 @@ def command(
     pipeline = Pipeline.load(model)
     with ExitStack() as stack:
         stack.enter_context(ended_by_signals())
-        writer = stack.enter_context(ShardWriter(record)) if record else None
+        recording = stack.enter_context(closing(Recording(ShardWriter(record)))) if record else None
         opened = stack.enter_context(open_board(board, **seeded(board, seed)))
         output.detail(f"{opened.uri}: firmware {opened.info.firmware}, {opened.protocol.labels}")
-        session = LiveSession(Connection(opened), output, writer)
+        session = LiveSession(Connection(opened), output, recording)
+        session.connection.tell = session.say
         layout = getattr(pipeline, "layout", None)
         # A recording was checked when it was made, and need not begin flat.
         if layout is not None and not board.startswith("replay:"):
@@ -88,10 +90,10 @@ def command(
             output.note(f"page: {session.page.url}")
         newest = not (every_frame or record)
         session.follow(run_live(session.connection, pipeline, newest=newest), frames)
-    if session.unrecorded:
+    if recording is not None and recording.missing:
         raise PartialError(
-            f"{session.unrecorded} frames are not in {record}: {session.recording_problem}; those "
-            "before are there and can be replayed"
+            f"{recording.missing} frames are not in {record}: {recording.problem}; those before "
+            "are there and can be replayed"
         )
 
 
@@ -106,17 +108,16 @@ class LiveSession:
 
     connection: "Connection"
     output: Output
-    writer: "ShardWriter | None" = None
+    recording: "Recording | None" = None
     page: "Page | None" = None
     expected: NDArray[np.float64] | None = None
     clock: Callable[[], float] = time.monotonic
     processed: int = 0
     latencies: deque[float] = field(default_factory=lambda: deque(maxlen=10_000))
-    unrecorded: int = 0
-    recording_problem: str = ""
     newest: "Reading | None" = None
     newest_at: float = 0.0
     beginning: "list[Frame]" = field(default_factory=list)
+    notes: deque[str] = field(default_factory=lambda: deque(maxlen=3))
 
     def follow(self, readings: Iterator["Reading"], frames: int | None) -> None:
         """Show the readings until they end, or so many frames have come, and sum up."""
@@ -145,22 +146,18 @@ class LiveSession:
         self.latencies.append(reading.latency)
         if self.page is not None:
             self.page.publish(reading)
-        if self.writer is not None:
-            self.record(reading.frame)
+        if self.recording is not None:
+            self.record(reading.frame, self.recording)
         if self.output.as_json:
             counts = self.connection.board.counts
             typer.echo(json.dumps(plain(reading, counts), allow_nan=False))
 
-    def record(self, frame: "Frame") -> None:
+    def record(self, frame: "Frame", recording: Recording) -> None:
         """Write the frame; where that fails, go on without and say so."""
-        if not self.recording_problem:
-            try:
-                self.writer.append(frame)  # type: ignore[union-attr]
-            except PartialError as error:
-                self.recording_problem = str(error)
-                self.say(f"recording stopped: {error}")
-        if self.recording_problem:
-            self.unrecorded += 1
+        known = recording.problem
+        recording.append(frame)
+        if recording.problem != known:
+            self.say(f"recording stopped: {recording.problem}")
 
     def notice_session(self, frame: "Frame") -> None:
         """Say that a session begins, and how the sensor is at its beginning."""
@@ -182,18 +179,19 @@ class LiveSession:
 
     def say(self, text: str) -> None:
         """Say something beside the view, which two writers to one terminal would tear."""
-        console = self.output.console
-        if console.is_terminal and not (self.output.as_json or self.output.quiet):
-            console.print(text, highlight=False)
+        if self.output.console.is_terminal and not (self.output.as_json or self.output.quiet):
+            self.notes.append(text)
         else:
             self.output.note(text)
 
     def silence(self) -> str:
         """Why the newest reading is old; empty while it is not."""
+        from eitskin.hardware.board import silence_after
+
         period = self.connection.board.info.period
         age = self.clock() - self.newest_at
         # A machine that is busy for a moment is no silence.
-        if not period or age < max(SILENT_PERIODS * period, 1.0):
+        if age < silence_after(period, SHORTEST_SILENCE):
             return ""
         return f"nothing for {age:.0f} s" + f"; {self.connection.problem}" * bool(
             self.connection.problem
@@ -201,9 +199,11 @@ class LiveSession:
 
     def view(self) -> RenderableType:
         """The newest reading, drawn."""
+        notes = [Text(note, style="yellow") for note in self.notes]
         if self.newest is None:
-            return "waiting for the first frame"
-        return draw(self.newest, self.connection.board.counts, self.silence())
+            waiting = self.connection.problem or "waiting for the first frame"
+            return Group(*notes, Text(waiting))
+        return Group(*notes, draw(self.newest, self.connection.board.counts, self.silence()))
 
     def sum_up(self) -> None:
         """Say how it went."""

@@ -61,12 +61,12 @@ class Output:
     def note(self, text: str) -> None:
         """Say what is going on, unless quiet."""
         if not self.quiet:
-            self.notes.print(text, highlight=False)
+            self.notes.print(text, highlight=False, markup=False)
 
     def detail(self, text: str) -> None:
         """Say what only --verbose wants to know."""
         if self.verbose and not self.quiet:
-            self.notes.print(text, style="dim", highlight=False)
+            self.notes.print(text, style="dim", highlight=False, markup=False)
 
     def progress(self) -> Progress:
         """A progress bar on stderr with count and time left; silent when quiet."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from eitskin.cli.page_commands import obey
 from eitskin.cli.page_http import HOST, Patience, Server
-from eitskin.cli.page_state import Snapshot, View
+from eitskin.cli.page_state import Snapshot, View, filled
 from eitskin.cli.page_stream import Newest
 from eitskin.geometry import SensorDesign
 from eitskin.simulator import Frame
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-STALE_PERIODS = 3
 SHORTEST = 1.0  # s; a machine that is busy for a moment is no silence
 HEARTBEAT = 1.0  # s
 MOST_PER_SECOND = 60  # more than a screen shows
@@ -58,7 +57,6 @@ class Page:
         """
         board = connection.board
         self._connection, self._clock = connection, clock
-        self._stale_after = max(STALE_PERIODS * board.info.period, SHORTEST)
         self._view = View.of(board, design)
         self._published: tuple[Reading, Counts, float] | None = None
         self._reference: Frame | None = None
@@ -85,6 +83,8 @@ class Page:
         with self._changed:
             if self._reference is None or self._reference.session != reading.frame.session:
                 self._reference = reading.frame
+            elif self._reference.status.any():
+                self._reference = filled(self._reference, reading.frame)
             self._published, self._arrived = (reading, counts, self._clock()), True
             self._changed.notify()
 
@@ -137,8 +137,14 @@ class Page:
     def _patience(self) -> float:
         """How long no reading may come before the page is told [s]."""
         age = self._age()
-        left = self._stale_after - age if age is not None else 0.0
+        left = self._stale_after() - age if age is not None else 0.0
         return min(left, HEARTBEAT) if left > 0.0 else HEARTBEAT
+
+    def _stale_after(self) -> float:
+        """How old the newest reading may be [s]; a board of text learns its period as it goes."""
+        from eitskin.hardware.board import silence_after
+
+        return silence_after(self._connection.board.info.period, SHORTEST)
 
     def _age(self) -> float | None:
         """Of the newest reading [s]; None where there is none."""
@@ -157,7 +163,7 @@ class Page:
         health = {
             "sent": round(self._clock(), 4),
             "age": None if age is None else round(age, 3),
-            "stale": age is None or age >= self._stale_after,
+            "stale": age is None or age >= self._stale_after(),
             "connection": self._connection.problem,
         }
         if snapshot is None:

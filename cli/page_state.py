@@ -1,6 +1,7 @@
 """What the live page is told: of the sensor once, and of each frame, as plain data for JSON."""
 
 import base64
+import dataclasses
 import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -62,7 +63,7 @@ class View:
         return {
             "uri": board.uri,
             "firmware": board.info.firmware,
-            "period": board.info.period,
+            "period": _known(board.info.period, 6),
             "length": outline.length,
             "width": outline.width,
             "thickness": design.thickness,
@@ -144,6 +145,16 @@ class View:
             "truth": None if truth is None else _scene(truth),
             "faults": list(stage.faults),
         }
+
+
+def filled(reference: Frame, frame: Frame) -> Frame:
+    """The reference with what was bad in it taken from `frame`, where that is good."""
+    better = (reference.status != 0) & (frame.status == 0)
+    return dataclasses.replace(
+        reference,
+        impedance=np.where(better, frame.impedance, reference.impedance),
+        status=np.where(better, frame.status, reference.status),
+    )
 
 
 def relative_change(frame: Frame, reference: Frame) -> list[float | None]:

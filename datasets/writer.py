@@ -28,6 +28,10 @@ class ShardWriter:
 
         with ShardWriter("run", reference) as writer:
             writer.append(frame)
+
+    Attributes:
+        folder: where the shards go.
+        readable: frames that can be read back, whatever happens now.
     """
 
     def __init__(
@@ -53,6 +57,7 @@ class ShardWriter:
         self._reference = reference
         self._shared: dict[str, Any] = {"design": design, "source": source}
         self._frames_per_shard = frames_per_shard
+        self.readable = 0
         self._rows: list[tuple[Frame, Mapping[str, Any]]] = []
         self._entries: list[ShardEntry] = []
 
@@ -86,6 +91,8 @@ class ShardWriter:
         """Write what is left; a writer without frames leaves no dataset."""
         if self._rows:
             self._finish_shard()
+        elif self.readable < sum(entry.count for entry in self._entries):
+            self._list_shards()  # which failed before
 
     def __enter__(self) -> "ShardWriter":
         """Give the writer itself."""
@@ -103,7 +110,8 @@ class ShardWriter:
     def _finish_shard(self) -> None:
         frames = [frame for frame, _ in self._rows]
         labels = {name: np.array([row[name] for _, row in self._rows]) for name in self._rows[0][1]}
-        impedance = np.array([frame.impedance for frame in frames])
+        with np.errstate(over="ignore"):  # what single precision cannot hold is not finite
+            impedance = np.array([frame.impedance for frame in frames]).astype(np.complex64)
         status = np.array([frame.status for frame in frames])
         finite = np.isfinite(impedance)
         impedance[~finite] = 0.0
@@ -123,18 +131,22 @@ class ShardWriter:
         name = shard_name(len(self._entries))
         first = sum(entry.count for entry in self._entries)
         write_shard(self.folder / name, data, first)
+        entry = shard_entry(self.folder, name, first, len(data))
         self._rows.clear()
-        self._entries.append(shard_entry(self.folder, name, first, len(data)))
-        write_manifest(
-            self.folder,
-            Manifest(
-                source=self._shared["source"],
-                recipe_sha256=hashlib.sha256(b"").hexdigest(),
-                seed=0,
-                frames=first + len(data),
-                shards=tuple(self._entries),
-            ),
+        self._entries.append(entry)
+        self._list_shards()
+
+    def _list_shards(self) -> None:
+        frames = sum(entry.count for entry in self._entries)
+        manifest = Manifest(
+            source=self._shared["source"],
+            recipe_sha256=hashlib.sha256(b"").hexdigest(),
+            seed=0,
+            frames=frames,
+            shards=tuple(self._entries),
         )
+        write_manifest(self.folder, manifest)
+        self.readable = frames
 
 
 def touch_columns(touches: Sequence[Touch]) -> dict[str, NDArray[np.float32]]:

@@ -1,6 +1,7 @@
 """Boards: what they give, and how one is opened by its URI."""
 
 import difflib
+import math
 import typing
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -31,6 +32,15 @@ class Counts:
     skipped: int = 0
     dropped: Mapping[str, int] = field(default_factory=dict)
     reconnections: int = 0
+
+
+SILENT_PERIODS = 3
+SHORTEST_SILENCE = 0.5  # s; a host that is busy for a moment is no silent board
+
+
+def silence_after(period: float, least: float = SHORTEST_SILENCE) -> float:
+    """How long no frame may come from a board with that period [s]; NaN or 0 is unknown."""
+    return max(SILENT_PERIODS * period, least) if period > 0.0 else math.inf
 
 
 class Board(typing.Protocol):

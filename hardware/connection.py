@@ -18,12 +18,14 @@ class Connection:
     Attributes:
         board: that gives the frames.
         problem: why none come; empty while they do.
+        tell: told of each new problem, and of its end.
     """
 
     def __init__(self, board: Board, wait: Callable[[float], None] = time.sleep) -> None:
         """Keep `board`, which is open; `wait` waits so many seconds."""
         self.board, self._wait = board, wait
         self.problem = ""
+        self.tell: Callable[[str], None] = lambda _: None
 
     def frames(self, newest: bool = False) -> Iterator[Frame]:
         """The board's frames, as `Board.frames` gives them, over all interruptions.
@@ -35,12 +37,13 @@ class Connection:
         while True:
             try:
                 for frame in self.board.frames(newest=newest):
-                    self.problem, pause = "", FIRST_PAUSE
+                    pause = FIRST_PAUSE
+                    self._notice("")
                     yield frame
             except UnrecoverableError:
                 raise
             except DeviceError as error:
-                self.problem = str(error)
+                self._notice(str(error))
             else:
                 return  # a recording has an end
             pause = self._come_back(pause)
@@ -56,6 +59,11 @@ class Connection:
             except UnrecoverableError:
                 raise
             except DeviceError as error:
-                self.problem = str(error)
+                self._notice(str(error))
             else:
                 return pause
+
+    def _notice(self, problem: str) -> None:
+        if problem != self.problem:
+            self.problem = problem
+            self.tell(problem or "the board is back")

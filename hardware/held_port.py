@@ -57,11 +57,16 @@ class HeldPort:
 
     def reopen(self) -> None:
         """Let go of the port and open it again, wherever it is now."""
-        if self.closed:
-            raise self._closed_error()
+        self._require_open()
         with contextlib.suppress(*GONE):
             self._port.close()
-        self._port = self._connect()
+        port = self._connect()
+        try:
+            self._require_open()
+        except UnrecoverableError:  # closed meanwhile, by another thread
+            port.close()
+            raise
+        self._port = port
 
     def close(self) -> None:
         """Let go of the port for good; a second time does nothing."""
@@ -71,8 +76,7 @@ class HeldPort:
                 self._port.close()
 
     def _use(self, use: Callable[[Port], Result]) -> Result:
-        if self.closed:
-            raise self._closed_error()
+        self._require_open()
         try:
             return use(self._port)
         except GONE as error:
@@ -81,5 +85,6 @@ class HeldPort:
                 "again"
             ) from error
 
-    def _closed_error(self) -> UnrecoverableError:
-        return UnrecoverableError(f"{self.uri} is closed; open it again")
+    def _require_open(self) -> None:
+        if self.closed:
+            raise UnrecoverableError(f"{self.uri} is closed; open it again")

@@ -20,6 +20,8 @@ has closed it."""
 if importlib.util.find_spec("termios"):
     GONE += (importlib.import_module("termios").error,)
 
+_UNOPENED: tuple[type[Exception], ...] = (*GONE, ValueError)
+
 _POLL = 0.05  # s, how long one read waits at most
 _SEND_WITHIN = 0.5  # s
 
@@ -51,7 +53,7 @@ def open_port(path: str, uri: str, baud: int = BAUD) -> Port:
         port: Port = serial.Serial(
             path, baud, timeout=_POLL, write_timeout=_SEND_WITHIN, exclusive=True
         )
-    except (OSError, ValueError) as error:
+    except _UNOPENED as error:
         raise DeviceError(f"{uri}: cannot open the port: {_remedy(error)}") from error
     return port
 

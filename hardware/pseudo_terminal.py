@@ -236,11 +236,12 @@ class PseudoTerminal(Generic[FirmwareType]):
             import fcntl
 
             # The lock is of an open file: that of the host's own descriptor is another.
+            # While a host has it there is nothing to hold; once that is gone there is.
             with contextlib.suppress(BlockingIOError):
                 fcntl.flock(
                     self._host_end, (fcntl.LOCK_EX | fcntl.LOCK_NB) if wanted else fcntl.LOCK_UN
                 )
-            self._locked = wanted
+                self._locked = wanted
 
     def _measure(self) -> None:
         """Send a frame if one is due; skip it, as a board must, where the last is still unread."""

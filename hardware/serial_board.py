@@ -14,7 +14,7 @@ from typing import Self, TypeVar
 import numpy as np
 
 from eitskin.geometry import ConfigurationError, DeviceError
-from eitskin.hardware.board import Counts
+from eitskin.hardware.board import Counts, silence_after
 from eitskin.hardware.held_port import BACKLOG, CHUNK, HeldPort, UnrecoverableError
 from eitskin.hardware.messages import (
     Ack,
@@ -41,8 +41,6 @@ from eitskin.simulator import Frame, Protocol, Status
 
 REPLY_WITHIN = 0.5  # s
 TRIES = 3
-SILENT_PERIODS = 3
-SHORTEST_SILENCE = 0.5  # s; a host that is busy for a moment is no silent board
 
 log = logging.getLogger(__name__)
 Answer = TypeVar("Answer", bound=Message)
@@ -219,6 +217,7 @@ class SerialBoard:
         self._restarted = False
 
     def _next_frame(self) -> Frame:
+        # A board that starts anew again and again gives no frame either.
         for message in self._messages(self._patience):
             if isinstance(message, FrameData):
                 frame = self._accept(message)
@@ -228,7 +227,6 @@ class SerialBoard:
                 self._note(message)
             if self._restarted:
                 self._start()
-                return self._next_frame()
         raise DeviceError(
             f"{self.uri}: the stream is stale, no frame came for {self._patience:.3f} s, with one "
             f"due every {self.info.period:.3f} s{self._hearsay()}; check power and cable, then "
@@ -238,7 +236,7 @@ class SerialBoard:
     @property
     def _patience(self) -> float:
         """How long no frame may come [s]."""
-        return max(SILENT_PERIODS * self.info.period, SHORTEST_SILENCE)
+        return silence_after(self.info.period)
 
     def _discard_old(self) -> None:
         """Throw away what waits in a port that nobody has read for long.
@@ -334,11 +332,14 @@ class SerialBoard:
             reason = Reply(ack.status).name.lower() if known else f"status {ack.status}"
             raise DeviceError(
                 f"{self.uri}: the board refused {type(request).__name__.upper()}: "
-                f"{reason.replace('_', ' ')}; check that its firmware fits this eitskin"
+                f"{reason.replace('_', ' ')}{self._hearsay()}; check that its firmware fits this "
+                "eitskin"
             )
 
     def _hearsay(self) -> str:
         """What came instead of what was expected."""
+        if self.events and self.events[-1].level > 0:
+            return f" (its firmware says: {self.events[-1].text})"
         drops = self._decoder.drops
         if drops[Drop.VERSION]:
             return " (it speaks another version of the protocol: update eitskin or the firmware)"

@@ -17,6 +17,8 @@ REMEMBERED = 4096
 """Frames whose scene is still known; what a host has not read by then it will not ask for."""
 
 Solve = Callable[[Scene], NDArray[np.complex128]]
+Solved = tuple[Scene, NDArray[np.complex128]]
+"""A scene and its noise-free impedances, (measurements,) [ohm]."""
 
 
 class Stage:
@@ -47,33 +49,45 @@ class Stage:
         self._solve, self._solving = solve, threading.Lock()
         self._faults = tuple(faults)
         self._injected: deque[Fault] = deque()
+        self._cleared = False
         self._truth: OrderedDict[int, Scene] = OrderedDict()
         self._newest = Scene()
-        self._source: SceneSource = lambda _: Scene()
+        self._source: Callable[[int], Solved] = self._lazily(lambda _: Scene())
         self.play(scenes or Script((Step(Scene()),)))
 
     @property
     def scene(self) -> Scene:
         """The scene of the newest frame; before the first, of the frame to come."""
-        return self._newest if self.frames else self._source(0)
+        return self._newest if self.frames else self._source(0)[0]
 
     def set(self, scene: Scene) -> None:
         """Have this scene from the next frame on; raises ConfigurationError if it cannot be."""
-        self._solved(scene)
-        self._source = lambda _: scene
+        solved = scene, self._solved(scene)
+        self._source = lambda _: solved
 
     def play(self, scenes: SceneSource) -> None:
-        """Follow a script from the next frame on; raises ConfigurationError if it cannot be."""
-        if isinstance(scenes, Script):
-            for step in scenes.steps:
-                self._solved(step.scene)
+        """Follow a script from the next frame on; raises ConfigurationError if it cannot be.
+
+        The scenes of any other function are solved when their frames are due, which may be late.
+        """
         first = self.frames
-        self._source = lambda now: scenes(now - first)
+        if not isinstance(scenes, Script):
+            self._source = self._lazily(lambda now: scenes(now - first))
+            return
+        # Solved here and kept: the board's own thread never waits for a solution.
+        known = {step.scene: self._solved(step.scene) for step in scenes.steps}
+
+        def told(now: int) -> Solved:
+            scene = scenes(now - first)
+            return scene, known[scene]
+
+        first = self.frames
+        self._source = told
 
     def measured(self, now: int) -> NDArray[np.complex128]:
         """Noise-free impedances of the scene of frame `now`, counted since the board was made."""
-        self._newest = self._source(now)
-        return self._solved(self._newest)
+        self._newest, impedance = self._source(now)
+        return impedance
 
     def sent_as(self, number: int) -> None:
         """Remember the newest scene as that of the frame with this number."""
@@ -92,6 +106,8 @@ class Stage:
 
         What was injected begins now: only that thread knows which frame comes next.
         """
+        if self._cleared:
+            self._cleared, self._faults = False, ()
         while self._injected:
             fault = self._injected.popleft()
             fault.frame = self.requests if isinstance(fault, AnswerFault) else self.frames
@@ -101,7 +117,8 @@ class Stage:
     @property
     def faults(self) -> tuple[str, ...]:
         """The faults that were named and not cleared since."""
-        return tuple(fault_name(fault) for fault in (*self._faults, *self._injected))
+        begun = () if self._cleared else self._faults
+        return tuple(fault_name(fault) for fault in (*begun, *self._injected))
 
     def inject(self, faults: str | Sequence[Fault]) -> None:
         """Have faults strike next, "name:index,..."; raises ConfigurationError for others."""
@@ -111,8 +128,15 @@ class Stage:
     def clear(self) -> None:
         """End what lasts, and what has yet to strike."""
         self._injected.clear()
-        self._faults = ()
+        self._cleared = True
         self.changed()
+
+    def _lazily(self, scenes: SceneSource) -> "Callable[[int], Solved]":
+        def solved(now: int) -> Solved:
+            scene = scenes(now)
+            return scene, self._solved(scene)
+
+        return solved
 
     def _solved(self, scene: Scene) -> NDArray[np.complex128]:
         with self._solving:

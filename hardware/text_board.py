@@ -17,7 +17,7 @@ import numpy as np
 
 from eitskin.datasets.recordings import parse_protocol
 from eitskin.geometry import ConfigurationError, DeviceError
-from eitskin.hardware.board import Counts
+from eitskin.hardware.board import Counts, silence_after
 from eitskin.hardware.held_port import BACKLOG, CHUNK, HeldPort
 from eitskin.hardware.messages import Info, Table
 from eitskin.hardware.port import Port, connector
@@ -27,7 +27,6 @@ from eitskin.simulator import Frame, Protocol, Status
 
 BAUD = 230400
 """Of the UART of the evaluation boards' example programs."""
-SILENT_PERIODS = 3
 SHORTEST = 1.0
 """Silence that is borne from boards of any rate [s]."""
 FIRST_WITHIN = 10.0
@@ -174,7 +173,7 @@ class TextBoard:
 
     def _next(self) -> Lines:
         period = self._finder.period
-        patience = max(SHORTEST, SILENT_PERIODS * period) if period > 0.0 else FIRST_WITHIN
+        patience = min(silence_after(period, SHORTEST), FIRST_WITHIN)
         deadline = self._clock() + patience
         # Look before giving up: this process may have slept past the deadline itself.
         while not self._found:
@@ -208,13 +207,15 @@ class TextBoard:
         self._found.extend(self._finder.feed(self._clock(), self._decoder.feed(data)))
 
     def _frame(self, lines: Lines) -> Frame:
-        impedance = np.array([line.impedance for line in lines.measurements])
+        # In single precision, as packets are and recordings keep it; what it cannot hold is inf.
+        with np.errstate(over="ignore"):
+            impedance = np.array([line.impedance for line in lines.measurements], np.complex64)
         status = np.where(np.isfinite(impedance), 0, np.uint8(Status.NOT_FINITE))
         if math.isnan(self._begun):
             self._begun = lines.time
         said = lines.measurements[-1].frequency
         return Frame(
-            impedance=impedance,
+            impedance=impedance.astype(np.complex128),
             protocol=self.protocol,
             time=lines.time - self._begun,
             number=lines.number,

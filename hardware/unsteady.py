@@ -39,7 +39,7 @@ def frozen(seen: CheckedFrames) -> Iterator[Finding]:
 
 def unsteady(seen: CheckedFrames, rest: Bools) -> Iterator[Finding]:
     """Noise and movement."""
-    if len(seen.impedance) < FEWEST_FOR_NOISE:
+    if len(seen.impedance) < FEWEST_FOR_NOISE or not rest.any():
         return
     value, noise = np.abs(seen.value), seen.noise
     relative = noise / np.maximum(value, SHORT * seen.expected)

@@ -48,6 +48,7 @@ from eitskin.simulator.ad5940 import MEASUREMENT_TIME
 from eitskin.simulator.resolution import Resolution
 
 SPEEDS = ("real", "max")
+LONGEST_PERIOD = 3600.0
 
 
 class VirtualFirmware:
@@ -106,9 +107,13 @@ class VirtualFirmware:
         """Whether the cable may be put back."""
         return not any(fault.stays_out(self.stage.frames) for fault in self.stage.active)
 
+    def boots_from(self, count: int) -> None:
+        """Have the boot count go on from `count`, modulo 2**32."""
+        self.info = dataclasses.replace(self.info, boot_count=count % 2**32)
+
     def boot(self) -> bytes:
         """Start afresh, and say so."""
-        self.info = dataclasses.replace(self.info, boot_count=self.info.boot_count + 1)
+        self.info = dataclasses.replace(self.info, boot_count=(self.info.boot_count + 1) % 2**32)
         self._start()
         return self._send(self._introduction()) + self._send(
             Event(0, 0, f"boot {self.info.boot_count}")
@@ -246,6 +251,11 @@ def virtual_terminal(
     if resolution not in get_args(Resolution):
         known = ", ".join(get_args(Resolution))
         raise ConfigurationError(f"resolution must be one of {known}, got {resolution!r}")
+    if period is not None and not 1e-6 <= period <= LONGEST_PERIOD:
+        raise ConfigurationError(
+            f"period must be from 1e-06 to {LONGEST_PERIOD:g} s, as the wire can say it, got "
+            f"{period}"
+        )
     if simulator is None:
         simulator = Simulator(SensorDesign.reference(), resolution=cast("Resolution", resolution))
     if isinstance(instrument, str):

@@ -28,6 +28,7 @@ HERE = Path(__file__).parent
 COMPILER = next(filter(shutil.which, ("cc", "gcc", "clang")), None)
 WARNINGS = ("-std=c99", "-Wall", "-Wextra", "-Wconversion", "-pedantic", "-Werror")
 FOREVER = 2**64 - 1
+LONG = 500_000  # us; all that happens by itself takes less
 US_PER_BYTE = 0.5  # SPI at 16 MHz
 UID = b"uid-of-12-by"
 
@@ -139,7 +140,6 @@ class CompiledFirmware:
         self._board = c.cast(self._memory, c.c_void_p)
         self._hal = Hal(None, *(kind(getattr(self, name)) for name, kind in _HAL.items()))
         self._boots = 0
-        self._idle_until = 0
         self._incoming, self._outgoing = bytearray(), bytearray()
 
     # ---- what a terminal asks ----
@@ -159,7 +159,8 @@ class CompiledFirmware:
     def boot(self):
         self._incoming.clear()
         assert self._library.eit_boot(self._board, self._hal, self._config)
-        sent = self._run(lambda: self._idle_until != FOREVER)
+        self._idle_for = 0.0
+        sent = self._run(lambda: self._idle_for < LONG)  # it rests, or looks for its AFE in vain
         infos = (unpack(packet) for packet in Decoder().feed(sent))
         self.info = next(message for message in infos if isinstance(message, Info))
         return sent
@@ -239,7 +240,7 @@ class CompiledFirmware:
         return self._boots
 
     def idle(self, _, until):
-        self._idle_until = until
+        self._idle_for = until - self.afe.now
         ends = [until] if self.afe.done_at is None else [until, self.afe.done_at]
         if min(ends) < FOREVER:
             self.afe.now = max(self.afe.now, min(ends))

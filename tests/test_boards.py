@@ -164,6 +164,15 @@ def test_a_port_in_use_is_refused_and_reopens_when_free():
 # ---- recordings ----
 
 
+def test_what_was_lost_is_counted_within_a_session_only(tmp_path):
+    with ShardWriter(tmp_path / "run") as writer:
+        for number, session in ((0, 1), (3, 1), (2**32 - 1, 1), (0, 1), (9, 2), (10, 2)):
+            writer.append(Frame(FLAT, PROTOCOL, 0.3 * number, number, session))
+    with open_board(f"replay:{tmp_path / 'run'}") as board:
+        lost = [board.lost for _ in board.frames()]
+    assert lost == [0, 2, 2, 2, 2, 2]  # a number that falls behind is none
+
+
 def test_a_recording_keeps_its_status_and_session(recording):
     with open_board(f"replay:{recording}") as board:
         frames = list(board.frames())

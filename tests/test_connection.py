@@ -7,13 +7,13 @@ from pathlib import Path
 import pytest
 
 from eitskin.geometry import Bend, ConfigurationError, DeviceError
-from eitskin.hardware import Connection, open_board
+from eitskin.hardware import Connection, Script, Step, open_board
 from eitskin.hardware.connection import FIRST_PAUSE, LONGEST_PAUSE
-from eitskin.hardware.held_port import UnrecoverableError
+from eitskin.hardware.held_port import HeldPort, UnrecoverableError
 from eitskin.hardware.virtual import virtual_terminal
 from eitskin.simulator import Scene
 
-from loopback import FakeSimulator, connected, firmware, take, virtual
+from loopback import FakeSimulator, Loopback, connected, firmware, take, virtual
 
 
 class Flaky:
@@ -218,7 +218,62 @@ def test_unplugging_and_replugging_leaves_nothing_behind():
     assert board.counts.reconnections == 10
 
 
+def test_a_board_that_starts_anew_again_and_again_is_a_stale_stream():
+    board, port = connected(firmware())
+    frames = board.frames()
+    next(frames)
+    port.firmware.frame = port.firmware.boot
+
+    def start(data, receive=port.firmware.receive):
+        answer = receive(data)
+        port.firmware.streaming = True
+        return answer
+
+    port.firmware.receive = start
+    with pytest.raises(DeviceError, match="stale"):
+        next(frames)
+
+
+def test_closing_while_it_connects_leaves_no_port_open():
+    ports = []
+
+    def connect():
+        port = Loopback(firmware())
+        ports.append(port)
+        if len(ports) == 2:
+            held.close()
+        return port
+
+    held = HeldPort(connect, "serial:x")
+    with pytest.raises(UnrecoverableError, match="is closed"):
+        held.reopen()
+    assert [port.closed for port in ports] == [True, True]
+
+
 # ---- the stage ----
+
+
+def test_the_board_never_waits_for_whoever_sets_a_scene():
+    begun, go_on = threading.Event(), threading.Event()
+
+    class Slow(FakeSimulator):
+        def measure(self, scene):
+            if scene.bend.angle_deg:
+                begun.set()
+                assert go_on.wait(20.0)
+            return super().measure(scene)
+
+    with open_board("virtual:?speed=max", simulator=Slow()) as board:
+        script = Script((Step(Scene(bend=Bend(20.0)), 2),))
+        setter = threading.Thread(target=board.stage.play, args=(script,))
+        setter.start()
+        assert begun.wait(20.0)
+        assert len(take(board, 50)) == 50
+        go_on.set()
+        setter.join()
+        frames = board.frames(newest=True)
+        while not board.stage.truth(next(frames).number).bend.angle_deg:
+            pass
 
 
 def test_the_scene_changes_while_the_board_runs_and_is_known_for_each_frame():

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from eitskin.geometry import ConfigurationError, DeviceError
-from eitskin.hardware import Connection, SerialBoard
+from eitskin.hardware import Connection, SerialBoard, open_board
 from eitskin.hardware.faults import FAULTS, fault_name, read_faults
 from eitskin.hardware.packets import Decoder
+from eitskin.hardware.virtual import virtual_terminal
 from eitskin.simulator import Status
 
-from loopback import FLAT, PROTOCOL, Loopback, connected, firmware, virtual
+from loopback import FLAT, PROTOCOL, FakeSimulator, Loopback, connected, firmware, virtual
 
 FRAMES = 12
 DAMAGE = {  # numbers that are missing, those lost, and what was dropped why
@@ -129,6 +130,21 @@ def test_a_port_in_use_is_refused_until_it_is_free():
         assert tries
 
 
+def test_a_port_that_a_host_has_is_taken_when_the_host_lets_go():
+    with virtual_terminal(speed="max", simulator=FakeSimulator()) as terminal:
+        uri = f"serial:{terminal.path}"
+        with open_board(uri) as board:
+            terminal.firmware.stage.inject("port_in_use")
+            assert len(list(itertools.islice(board.frames(), 50))) == 50
+        # It looks again when something happens on the line, such as the host's last words.
+        def connect_often():
+            for _ in range(200):
+                open_board(uri).close()
+
+        with pytest.raises(DeviceError, match="another program uses it"):
+            connect_often()
+
+
 # ---- values ----
 
 
@@ -218,6 +234,15 @@ def test_what_is_stuck_has_no_noise_left(name, frozen):
     assert still.sum() == frozen
     assert still[7]
     assert not (frames[:3] == frames[2]).all(axis=0).any()
+
+
+def test_a_fault_of_answers_that_is_injected_strikes_the_next_request():
+    board, port = connected(firmware())
+    list(itertools.islice(board.frames(), 5))
+    port.firmware.stage.inject("no_reply")
+    before = len(port.heard)
+    board.calibrate()
+    assert len(port.heard) == before + 2  # asked twice, answered once
 
 
 # ---- names ----

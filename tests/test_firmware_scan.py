@@ -35,6 +35,8 @@ from compiled_firmware import (
 from loopback import FLAT, PROTOCOL
 from simulated_afe import SimulatedAfe
 
+ABSENCE = Event(2, 1, "no AD5940 answers: check its SPI and its supply")
+
 
 def quantisation(values, amplitude=0.607, full_range=0.9, rtia=200.0):
     """How far off rounding to codes can be [ohm]: of V, of I, and of both on RCAL = 200 ohm."""
@@ -251,8 +253,8 @@ def test_a_part_that_is_not_there_is_said_and_start_refused():
     board.afe.present = False
     info, event = messages(board.boot())
     assert isinstance(info, Info)
-    assert event == Event(2, 1, "no AD5940 answers: check its SPI and its supply")
-    assert ask(board, Start(1)) == [Ack(1, Type.START, Reply.FAILED)]
+    assert event == ABSENCE
+    assert ask(board, Start(1)) == [ABSENCE, Ack(1, Type.START, Reply.FAILED)]
     assert ask(board, Calibrate()) == [Ack(1, Type.CALIBRATE, Reply.FAILED)]
     assert ask(board, Stop()) == [Ack(1, Type.STOP)]
     assert not board.streaming
@@ -266,7 +268,42 @@ def test_a_part_that_goes_away_ends_the_stream():
     while board.streaming:
         sent += board.frame()
     assert [type(message) for message in messages(sent)] == [FrameData, Event, Event]
-    assert ask(board, Start(1)) == [Ack(1, Type.START, Reply.FAILED)]
+    assert ask(board, Start(1)) == [ABSENCE, Ack(1, Type.START, Reply.FAILED)]
+
+
+def test_a_part_that_comes_back_is_found_and_calibrated():
+    board = booted()
+    board.receive(encode(pack(Start(0), 1)))
+    board.afe.present = False
+    while board.streaming:
+        board.frame()
+    board.poll(50)
+    assert ask(board, Start(1)) == [ABSENCE, Ack(1, Type.START, Reply.FAILED)]
+    before = board.afe.now
+    board.afe.present, board.afe.rtia_factor = True, 1.1
+    board.poll(50)
+    assert board.afe.now - before < 1.2e6  # us: it is looked for each second
+    (frame,) = frames(board, 1)
+    assert not frame.status.any()
+    assert (np.abs(frame.impedance - FLAT) <= 1.2 * quantisation(FLAT)).all()
+
+
+def test_a_part_that_stays_away_is_said_once():
+    board = compiled_board()
+    board.afe.present = False
+    board.boot()
+    assert messages(board.poll(200)) == []
+    assert board.afe.now > 5e6
+
+
+def test_a_calibration_that_failed_is_tried_again():
+    board = compiled_board()
+    board.afe.rcal = 1e9
+    board.boot()
+    board.afe.rcal = 200.0
+    taken = frames(board, 40)
+    uncalibrated = [bool(frame.status.all()) for frame in taken]
+    assert uncalibrated == [True] * 32 + [False] * 8
 
 
 def test_it_measures_the_simulated_sensor():

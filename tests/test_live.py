@@ -15,7 +15,8 @@ from typer.testing import CliRunner
 from eitskin.cli import live as cli
 from eitskin.cli import live_view
 from eitskin.cli.options import Output
-from eitskin.datasets import ShardWriter, State, open_dataset
+from eitskin.cli.recording import Recording
+from eitskin.datasets import ShardWriter, State, durable, open_dataset
 from eitskin.geometry import (
     ConfigurationError,
     DeviceError,
@@ -297,8 +298,10 @@ def reading(number=0, **changes):
 
 
 class QuietBoard:
-    info = types.SimpleNamespace(period=0.3)
     counts = Counts(reconnections=2)
+
+    def __init__(self):
+        self.info = types.SimpleNamespace(period=0.3)
 
 
 def shown(session):
@@ -342,44 +345,96 @@ def test_a_new_session_is_announced_and_the_sensor_looked_over_again():
     assert "electrode 3 is open" not in said.partition("session 2 begins")[0]
 
 
-class FullDisk:
-    """Takes three frames."""
+@pytest.fixture
+def full_disk(monkeypatch):
+    """A disk that takes so many files from now on."""
 
-    def __init__(self):
-        self.taken = 0
+    def fill(files):
+        left = [files]
+        real = durable.whole_file
 
-    def append(self, _):
-        if self.taken == 3:
-            raise PartialError("no space left on the device; free some")
-        self.taken += 1
+        def counted(path, *arguments):
+            left[0] -= 1
+            if left[0] < 0:
+                raise PartialError(f"cannot write {path}: no space left on the device; make room")
+            return real(path, *arguments)
+
+        monkeypatch.setattr(durable, "whole_file", counted)
+
+    return fill
 
 
-def test_a_full_disk_ends_the_recording_and_not_the_session():
-    session = session_of(QuietBoard(), writer=FullDisk())
+@pytest.mark.parametrize(
+    ("files", "readable"),
+    [(0, 0), (1, 0), (2, 4), (3, 4), (4, 8)],  # a shard, the manifest, and so on
+)
+def test_a_full_disk_ends_the_recording_and_not_the_session(tmp_path, full_disk, files, readable):
+    recording = Recording(ShardWriter(tmp_path / "r", frames_per_shard=4))
+    session = session_of(QuietBoard(), recording=recording)
+    full_disk(files)
     with session.output.notes.capture() as capture:
-        for number in range(8):
+        for number in range(11):
             session.take(reading(number))
-    assert capture.get().count("recording stopped: no space left") == 1
-    assert (session.processed, session.unrecorded) == (8, 5)
+        recording.close()
+    # The last shard is written when the session has ended, and the command says what it lacks.
+    assert capture.get().count("recording stopped: cannot write") == (files < 4)
+    assert (session.processed, recording.missing) == (11, 11 - readable)
+    assert "no space left" in recording.problem
+    assert "make room" not in recording.problem
+    if readable:
+        assert len(open_dataset(tmp_path / "r")) == readable
 
 
-def test_a_recording_that_lost_frames_ends_the_command_with_exit_code_5(run, tmp_path, monkeypatch):
-    def fail(self, frame):  # noqa: ARG001
-        raise PartialError("no space left on the device")
+def test_a_disk_that_has_room_again_gets_what_was_held_back(tmp_path, full_disk, monkeypatch):
+    recording = Recording(ShardWriter(tmp_path / "r", frames_per_shard=4))
+    full_disk(1)  # the shard goes through, its manifest does not
+    for number in range(4):
+        recording.append(frame(number))
+    monkeypatch.undo()
+    recording.close()
+    assert recording.missing == 0
+    assert len(open_dataset(tmp_path / "r")) == 4
 
-    monkeypatch.setattr(ShardWriter, "append", fail)
-    result = run(
-        FakePipeline(),
-        "--board",
-        "virtual:?speed=max",
-        "--frames",
-        "3",
-        "--record",
-        str(tmp_path / "r"),
-    )
+
+def test_a_recording_that_lost_frames_ends_the_command_with_exit_code_5(run, tmp_path, full_disk):
+    full_disk(0)
+    board = ["--board", "virtual:?speed=max", "--frames", "3"]
+    result = run(FakePipeline(), *board, "--record", str(tmp_path / "r"))
     assert isinstance(result.exception, PartialError)
     assert "3 frames are not in" in str(result.exception)
+    assert "no space left" in str(result.exception)
     assert "3 frames processed" in result.stderr
+
+
+def test_a_lost_board_is_told_once_and_so_is_its_return(run):
+    board = "virtual:?speed=max&period=0.01&faults=replug@4"
+    result = run(FakePipeline(), "--board", board, "--frames", "20", "--json")
+    assert result.stderr.count("the board went away") == 1
+    assert result.stderr.count("the board is back") == 1
+
+
+def test_before_the_first_frame_the_view_says_what_is_wrong():
+    session = session_of(QuietBoard())
+    assert "waiting for the first frame" in shown(session)
+    session.connection.problem = "the board went away"
+    assert "the board went away" in shown(session)
+
+
+def test_on_a_terminal_notes_are_part_of_the_view():
+    session = session_of(QuietBoard())
+    session.output.console = Console(width=100, force_terminal=True)
+    for number in range(5):
+        session.say(f"note [{number}]")
+    session.take(reading())
+    assert [f"note [{number}]" in shown(session) for number in range(5)] == [False] * 2 + [True] * 3
+
+
+def test_a_board_whose_period_is_unknown_is_not_called_silent():
+    session = session_of(QuietBoard())
+    session.take(reading())
+    session.connection.board.info = types.SimpleNamespace(period=float("nan"))
+    session.clock = lambda: 1e6
+    assert "nothing for" not in shown(session)
 
 
 def test_the_command_outlives_an_unplugged_cable(run):

@@ -17,6 +17,7 @@ import pytest
 from eitskin.cli.page import Page, event
 from eitskin.cli.page_http import ASSETS, LARGEST_BODY, MOST_CLIENTS, Patience
 from eitskin.cli.page_shape import COLUMNS, ROWS, Drawing, Shape
+from eitskin.cli.page_state import filled, relative_change
 from eitskin.cli.page_stream import Newest
 from eitskin.datasets import State
 from eitskin.geometry import Bend, ConfigurationError, Hinge, SensorDesign
@@ -539,3 +540,23 @@ def test_noise_is_not_drawn_again() -> None:
     assert drawing.points(10.5, []) != moved
     places = decoded(base64.b64decode(drawing.points(0.0, [])), drawing.unit)
     assert np.allclose(places, drawing.shape.points, atol=drawing.unit)
+
+
+def test_a_board_of_unknown_period_is_shown_and_not_called_silent(connection):
+    connection.board.info = Info(period=float("nan"))
+    with Page(connection, DESIGN) as made, closing(Stream(made)) as stream:
+        assert stream.until("sensor")["period"] is None
+        assert made._stale_after() == np.inf
+
+
+def test_a_channel_that_was_bad_at_first_is_compared_with_its_first_good_value():
+    status = np.zeros(28, np.uint8)
+    status[3] = 8
+    values = np.full(28, 500.0)
+    first = Frame(np.where(status, 1e5, values), PROTOCOL, status=status)
+    later = Frame(values * 1.01, PROTOCOL, number=1)
+    reference = filled(first, later)
+    assert not reference.status.any()
+    change = relative_change(Frame(values * 1.02, PROTOCOL, number=2), reference)
+    assert change[3] == pytest.approx(100 * (1.02 / 1.01 - 1), abs=1e-3)
+    assert change[4] == pytest.approx(2.0)

@@ -2,6 +2,7 @@
 
 import dataclasses
 import os
+import termios
 import types
 
 import pytest
@@ -9,7 +10,14 @@ import serial.tools.list_ports
 
 from eitskin.geometry import ConfigurationError, DeviceError
 from eitskin.hardware import open_board, port
-from eitskin.hardware.port import PortInfo, connector, find_port, only_usb_port, usb_serial_of
+from eitskin.hardware.port import (
+    PortInfo,
+    connector,
+    find_port,
+    only_usb_port,
+    open_port,
+    usb_serial_of,
+)
 
 BUILT_IN = PortInfo("/dev/ttyS0")
 BOARD = PortInfo("/dev/ttyACM0", "EIT board", "ST", 0x0483, 0x5740, "205A3D")
@@ -100,6 +108,15 @@ def test_a_board_that_was_named_by_path_is_followed_to_another():
     bus.ports = []
     connect()
     assert [path for path, *_ in bus.opened] == ["/dev/ttyACM0", "/dev/ttyACM1", "/dev/ttyACM0"]
+
+
+def test_a_port_that_vanishes_while_it_is_opened_is_a_device_error(monkeypatch):
+    def vanish(*_, **__):
+        raise termios.error(5, "Input/output error")
+
+    monkeypatch.setattr("serial.Serial", vanish)
+    with pytest.raises(DeviceError, match="cannot open the port"):
+        open_port("/dev/ttyACM0", "serial:/dev/ttyACM0")
 
 
 def test_a_port_without_serial_number_is_its_path():

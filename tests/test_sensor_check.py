@@ -221,6 +221,23 @@ def test_values_that_are_all_zero_are_not_taken_for_a_sensor():
 # ---- several faults ----
 
 
+@pytest.mark.parametrize("ohm", [0.1, 5.0])
+def test_pairs_that_are_all_shorted_are_findings(ohm):
+    assert not check_sensor(frames(np.full(28, ohm)), expected()).healthy
+
+
+def test_whatever_is_wrong_is_a_finding_and_no_error():
+    rng = np.random.default_rng(8)
+    for _ in range(150):
+        truth = flat() * rng.choice([1.0, 1e-4, 1e3, 0.9], 28, p=[0.7, 0.1, 0.1, 0.1])
+        given = frames(truth, count=int(rng.integers(1, 9)), seed=int(rng.integers(99)))
+        bits = rng.choice([0, 1, 8, 16, 64], 28, p=[0.6, 0.1, 0.1, 0.1, 0.1]).astype(np.uint8)
+        share = rng.choice([0.0, 0.5, 1.0])
+        struck = [dataclasses.replace(f, status=bits * (rng.random(28) < share)) for f in given]
+        for finding in check_sensor(struck, expected()).findings:
+            assert finding.message
+
+
 def test_several_faults_are_named_together():
     ill = exchanged(flat(3), 0, 3) + 300.0 * at(5)
     ill[at(6)] = -39.8e3j

@@ -318,6 +318,15 @@ def test_an_infinite_value_is_marked_and_the_frame_kept():
     assert np.isnan(frame.impedance[4])
 
 
+def test_values_are_of_single_precision_as_recordings_keep_them():
+    events = list(stream(range(5)))
+    when, _ = events[3 * 6 + 4]
+    events[3 * 6 + 4] = when, b"RzMag: 1e39 Ohm , RzPhase: 0\n"  # more than it can hold
+    _, frame = itertools.islice(board_on(Printer(events)).frames(), 2)
+    assert frame.status.tolist() == [0, 0, 0, 0, Status.NOT_FINITE, 0]
+    assert np.array_equal(frame.impedance[:4], frame.impedance[:4].astype(np.complex64))
+
+
 def test_a_slow_reader_gets_whole_frames_and_the_newest():
     port = Printer(stream(range(40)))
     board = board_on(port)

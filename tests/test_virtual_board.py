@@ -105,6 +105,12 @@ def test_the_virtual_board_measures_what_the_simulator_does():
     assert np.allclose(frame.impedance, expected.impedance, rtol=1e-6)
 
 
+@pytest.mark.parametrize("period", [float("nan"), -1.0, 0.0, 1e9])
+def test_a_period_that_cannot_be_is_refused(period):
+    with pytest.raises(ConfigurationError, match="period must be from 1e-06 to 3600 s"):
+        virtual_terminal(simulator=FakeSimulator(), period=period)
+
+
 def test_pace_is_one_frame_a_period_without_bursts():
     now = [0.0]
     pace = Pace(0.3, clock=lambda: now[0])

@@ -74,6 +74,10 @@ static void send_event(eit_board *board, uint8_t level, uint16_t code, const cha
     end(board, &writer);
 }
 
+static void send_absence(eit_board *board) {
+    send_event(board, ERROR, AFE_ABSENT, "no AD5940 answers: check its SPI and its supply");
+}
+
 static void send_frame(eit_board *board) {
     const eit_scan *scan = &board->scan;
     const uint8_t n = board->config->n_measurements;
@@ -102,7 +106,10 @@ static void finish_frame(eit_board *board) {
 
 static uint8_t start(eit_board *board, const eit_packet *request) {
     if (request->size != 4) return MALFORMED;
-    if (board->scan.phase == EIT_ABSENT) return FAILED;
+    if (board->scan.absent) {
+        send_absence(board); /* the host may not have been there when it was said */
+        return FAILED;
+    }
     if (!board->streaming) board->due_us = board->hal->clock_us(board->hal->context);
     board->left = eit_get_u32(request->payload);
     board->streaming = true;
@@ -116,7 +123,7 @@ static uint8_t stop(eit_board *board) {
 }
 
 static uint8_t calibrate(eit_board *board) {
-    if (board->scan.phase == EIT_ABSENT) return FAILED;
+    if (board->scan.absent) return FAILED;
     eit_scan_calibrate(&board->scan);
     return DONE;
 }
@@ -172,7 +179,7 @@ static bool measure(eit_board *board) {
         break;
     case EIT_AFE_ABSENT:
         board->streaming = false;
-        send_event(board, ERROR, AFE_ABSENT, "no AD5940 answers: check its SPI and its supply");
+        send_absence(board);
         break;
     case EIT_AFE_SILENT:
         send_event(board, WARNING, AFE_SILENT, "a frame of DFT timeouts: resetting the AD5940");

@@ -3,6 +3,8 @@
 #include <math.h>
 
 #define RESET_US 2000
+#define ABSENT_US 1000000 /* from one look for an AD5940 to the next */
+#define UNCALIBRATED_FRAMES 32 /* from one try at a calibration to the next */
 #define WAKE_US 5000
 #define TRANSFORM_TIMEOUT_US (2 * EIT_DFT_US)
 #define LOW_CODES 16 /* a smaller current is known to no better than some per cent */
@@ -127,6 +129,11 @@ static eit_outcome end_calibration(eit_scan *scan, eit_code current) {
 
 static eit_outcome end_frame(eit_scan *scan) {
     scan->ended_us = now(scan);
+    /* A contact at RCAL may come back. */
+    if (!scan->calibrated && ++scan->uncalibrated == UNCALIBRATED_FRAMES) {
+        scan->uncalibrated = 0;
+        scan->calibration_due = true;
+    }
     enter(scan, EIT_RESTING, EIT_FOREVER);
     return EIT_FRAME_MEASURED;
 }
@@ -159,9 +166,14 @@ static eit_outcome end_transform(eit_scan *scan) {
 }
 
 static eit_outcome end_waking(eit_scan *scan) {
-    const bool present = eit_ad5940_begin(scan->hal, scan->config);
-    enter(scan, present ? EIT_RESTING : EIT_ABSENT, EIT_FOREVER);
-    return present ? EIT_MOVED_ON : EIT_AFE_ABSENT;
+    const bool was_absent = scan->absent;
+    scan->absent = !eit_ad5940_begin(scan->hal, scan->config);
+    if (!scan->absent) {
+        enter(scan, EIT_RESTING, EIT_FOREVER);
+        return EIT_MOVED_ON;
+    }
+    enter(scan, EIT_WAITING, ABSENT_US);
+    return was_absent ? EIT_MOVED_ON : EIT_AFE_ABSENT;
 }
 
 /* An AD5940 that has lost its registers, by a spark or a dip of its supply, times out for ever. */
@@ -200,7 +212,9 @@ eit_outcome eit_scan_poll(eit_scan *scan) {
         return EIT_MOVED_ON;
     case EIT_WAKING:
         return over ? end_waking(scan) : EIT_NOTHING;
-    default: /* EIT_ABSENT */
-        return EIT_NOTHING;
+    default: /* EIT_WAITING */
+        if (!over) return EIT_NOTHING;
+        hold_in_reset(scan);
+        return EIT_MOVED_ON;
     }
 }

@@ -24,7 +24,7 @@ typedef enum {
     EIT_RESTING, /* nothing is being measured */
     EIT_SETTLING, /* switched, not yet converting */
     EIT_TRANSFORMING,
-    EIT_ABSENT, /* no AD5940 answered after its reset */
+    EIT_WAITING, /* no AD5940 answered after its reset: it is looked for again */
 } eit_phase;
 
 /* What one poll has brought about. */
@@ -48,6 +48,8 @@ typedef struct {
     uint8_t status; /* of the row so far */
     eit_code voltage;
     bool calibration_due, calibrated;
+    uint8_t uncalibrated; /* frames since a calibration failed */
+    bool absent; /* no AD5940 has answered since */
     eit_complex rtia; /* ohm, with the phase of the whole current channel */
     uint64_t started_us, ended_us; /* of the frame */
     eit_complex impedances[EIT_MAX_MEASUREMENTS]; /* ohm */
