@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 
 FORCE = 10.0  # of the press [N]
+_COMPARED = 15  # singular values: further ones depend on how many places there are
 _DIGITS = 9  # of places in metres, to recognise an electrode in the mirror
 _PAD_ORDERS = (2, 2, 2)  # from a pad currents spread in height as they do in the plane
 _MIRRORS = ((False, False), (True, False), (False, True), (True, True))
@@ -96,8 +97,8 @@ class SheetBound:
 
     @property
     def condition(self) -> float:
-        """Largest over smallest singular value of the signals."""
-        return float(self.spectrum[0] / self.spectrum[-1])
+        """Largest over 15th singular value of the signals, the last of six electrodes."""
+        return float(self.spectrum[0] / self.spectrum[:_COMPARED][-1])
 
     @property
     def patterns(self) -> int:

@@ -9,7 +9,8 @@ from eitskin.benchmarks.layouts import PAPER
 from eitskin.benchmarks.layouts_run import Comparison, Judged
 from eitskin.geometry.optional import require
 
-# Layouts that are drawn, where they were judged; else the first ones.
+# Of these the first ones are drawn that were judged and are not drawn already; of none of them, the
+# first layouts.
 _DRAWN = (
     ("search", PAPER),
     ("search", "best with both mirrors"),
@@ -17,7 +18,10 @@ _DRAWN = (
     ("count", "16 on the rim"),
     ("placement", "on top, beside the rim"),
     ("placement", "inside, 2 x 4"),
+    ("search", "even, half a pitch on"),
+    ("count", "10 on the rim"),
 )
+_MOST = 6
 _COLUMNS = 2
 _TICKS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
 _ON_RIM = 1.2  # half of what a drawn electrode on the rim extends across it [mm]
@@ -50,8 +54,11 @@ def plot_maps(found: Comparison, path: Path) -> None:
 def drawn(found: Comparison) -> list[Judged]:
     """The layouts for the picture; of those that were judged twice the finer one."""
     judged = {(each.sweep, each.layout.name): each for each in found.judged}
-    chosen = [judged[key] for key in _DRAWN if key in judged]
-    return chosen or list(judged.values())[: len(_DRAWN)]
+    chosen: list[Judged] = []
+    for each in (judged[key] for key in _DRAWN if key in judged):
+        if all(each.layout.design != other.layout.design for other in chosen):
+            chosen.append(each)
+    return (chosen or list(judged.values()))[:_MOST]
 
 
 def _draw(axes: Any, judged: Judged, scale: Any) -> Any:

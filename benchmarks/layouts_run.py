@@ -56,7 +56,7 @@ class Figures:
         angle_90_deg: 90th percentile of the angle's bound beside a press [deg].
         angle_untouched_deg: bound of the angle of the untouched sheet [deg].
         uniformity: 10th over 90th percentile of the signal.
-        condition: largest over smallest singular value of the signals.
+        condition: largest over 15th singular value of the signals.
         patterns: independent patterns of the signals above the noise.
         full_scale_ohm: largest resistance [ohm]; the noise is relative to it.
         electrodes_mm: "x y" of each middle, with semicolons between [mm].

@@ -62,10 +62,10 @@ def command(
 def _as_table(found: "Comparison") -> Table:
     from eitskin.benchmarks.layouts_report import HEADINGS, SHORT, table
 
-    drawn = Table(*HEADINGS[:SHORT], box=box.SIMPLE, pad_edge=False, padding=(0, 1, 0, 0))
-    drawn.columns[0].min_width = 23
+    drawn = Table(*HEADINGS[:SHORT], box=box.SIMPLE, pad_edge=False, padding=0)
+    drawn.columns[0].width = 23
     for column in drawn.columns[1:]:
-        column.justify, column.min_width = "right", 5
+        column.justify, column.width = "right", 5
     for row in table(found):
         drawn.add_row(f"[bold]{row[0]}[/bold]" if len(row) == 1 else row[0], *row[1:SHORT])
     return drawn

@@ -108,6 +108,10 @@ class AlreadyStreaming(Fault):
 class Reboot(Fault):
     """The board starts anew instead of measuring the frame."""
 
+    def over(self, now: int) -> bool:
+        """When it has started."""
+        return now > self.frame + 1
+
     def reboots(self, now: int) -> bool:
         """At the frame."""
         return self.strikes(now)
@@ -149,6 +153,10 @@ class UnplugMidFrame(Unplug):
 
 class Replug(Fault):
     """The cable is pulled and put back `index` periods later, one for 0; the board starts anew."""
+
+    def over(self, now: int) -> bool:
+        """When it has been put back."""
+        return now > self.frame + 1
 
     def sent(self, now: int, packet: bytes, period: float) -> bytes:
         """Raises `Unplugged`, once."""

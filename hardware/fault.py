@@ -45,6 +45,10 @@ class Fault:
         """Whether it has begun, for what then stays."""
         return now >= self.frame
 
+    def over(self, now: int) -> bool:  # noqa: ARG002
+        """Whether it has struck and will not again, for what strikes once."""
+        return False
+
     def measured(self, now: int, data: FrameData, protocol: Protocol, info: Info) -> FrameData:  # noqa: ARG002
         """What becomes of the measured values."""
         return data

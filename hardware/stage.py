@@ -112,11 +112,13 @@ class Stage:
             fault = self._injected.popleft()
             fault.frame = self.requests if isinstance(fault, AnswerFault) else self.frames
             self._faults += (fault,)
+        if any(fault.over(self.frames) for fault in self._faults):
+            self._faults = tuple(f for f in self._faults if not f.over(self.frames))
         return self._faults
 
     @property
     def faults(self) -> tuple[str, ...]:
-        """The faults that were named and not cleared since."""
+        """The faults that are still to strike or to last."""
         begun = () if self._cleared else self._faults
         return tuple(fault_name(fault) for fault in (*begun, *self._injected))
 

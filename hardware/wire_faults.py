@@ -15,6 +15,10 @@ class Damage(Fault):
         """The packet, damaged if it is the one."""
         return self.damaged(packet) if packet and self.strikes(now) else packet
 
+    def over(self, now: int) -> bool:
+        """After the frame that follows, which some damage has a part in."""
+        return now > self.frame + 1
+
     def damaged(self, packet: bytes) -> bytes:
         """What is sent instead of `packet`."""
         raise NotImplementedError
@@ -149,6 +153,10 @@ class BackPressure(Fault):
 
     _held = b""
 
+    def over(self, now: int) -> bool:
+        """When everything has come."""
+        return now > self.frame + (self.index or 2)
+
     def sent(self, now: int, packet: bytes, period: float) -> bytes:  # noqa: ARG002
         """Nothing, or everything that was held back."""
         held, self._held = self._held + packet, b""
@@ -160,6 +168,10 @@ class BackPressure(Fault):
 
 class Stall(Fault):
     """After the frame nothing comes for `index` periods, five for 0."""
+
+    def over(self, now: int) -> bool:
+        """After the pause."""
+        return now > self.frame
 
     def delay(self, now: int, period: float) -> float:
         """The pause."""

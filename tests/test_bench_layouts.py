@@ -180,6 +180,8 @@ def test_what_is_said_of_signals():
     bound = flat_bound(1.0, signal=np.linspace(10.0, 20.0, 11))
     assert bound.uniformity == pytest.approx(11.0 / 19.0)
     assert bound.condition == pytest.approx(8.0)
+    many = flat_bound(1.0, spectrum=1.0 / np.arange(1.0, 29.0))
+    assert many.condition == pytest.approx(15.0)
     assert bound.patterns == 2
 
 
