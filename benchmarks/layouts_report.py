@@ -59,7 +59,7 @@ def _row(each: Figures) -> tuple[str, ...]:
         f"{each.force_90_n:.2f}",
         f"{each.angle_untouched_deg:.3f}",
         f"{each.uniformity:.3f}",
-        f"{each.condition:.1e}",
+        f"{each.condition:.3g}",
         str(each.patterns),
     )
 
