@@ -5,14 +5,14 @@ import logging
 import threading
 import time
 from collections.abc import Callable
-from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 from eitskin.cli.page_commands import obey
 from eitskin.cli.page_http import HOST, Patience, Server
 from eitskin.cli.page_state import Snapshot, View, filled
 from eitskin.cli.page_stream import Newest
 from eitskin.geometry import SensorDesign
+from eitskin.geometry.closing import Closing
 from eitskin.simulator import Frame
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ HEARTBEAT = 1.0  # s
 MOST_PER_SECOND = 60  # more than a screen shows
 
 
-class Page:
+class Page(Closing):
     """Serves the page and tells it of the newest reading; never a queue, never an old one.
 
     Whoever runs the live loop publishes; encoding and sending are done by threads of the page, so
@@ -98,19 +98,6 @@ class Page:
         self._events.close()
         self._server.close()
         self._thread.join()
-
-    def __enter__(self) -> Self:
-        """Give the page itself."""
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Close the page."""
-        self.close()
 
     def _tell(self) -> None:
         """Encode each newest reading once, and how things are where none comes."""

@@ -3,7 +3,6 @@
 import hashlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -15,10 +14,11 @@ from eitskin.datasets.schema import MAX_TOUCHES
 from eitskin.datasets.shard import shard_name, write_shard
 from eitskin.datasets.state import UNKNOWN_STATE
 from eitskin.geometry import ConfigurationError, FrameError, SensorDesign
+from eitskin.geometry.closing import Closing
 from eitskin.simulator import Frame, Status, Touch
 
 
-class ShardWriter:
+class ShardWriter(Closing):
     """Writes frames into a new folder, a shard at a time, and the manifest when closed.
 
     A crash costs the frames of the last, unfinished shard: the manifest lists those before it.
@@ -93,19 +93,6 @@ class ShardWriter:
             self._finish_shard()
         elif self.readable < sum(entry.count for entry in self._entries):
             self._list_shards()  # which failed before
-
-    def __enter__(self) -> "ShardWriter":
-        """Give the writer itself."""
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Close; what was appended is kept after an error too."""
-        self.close()
 
     def _finish_shard(self) -> None:
         frames = [frame for frame, _ in self._rows]

@@ -8,10 +8,10 @@ import time
 import typing
 from collections.abc import Callable
 from pathlib import Path
-from types import TracebackType
 from typing import Generic, Self, TypeVar
 
 from eitskin.geometry import ConfigurationError
+from eitskin.geometry.closing import Closing
 from eitskin.hardware.fault import Unplugged
 
 _CHUNK = 4096  # bytes
@@ -82,7 +82,7 @@ class Pace:
         return max(0.0, self._due - self._clock())
 
 
-class PseudoTerminal(Generic[FirmwareType]):
+class PseudoTerminal(Closing, Generic[FirmwareType]):
     """A pseudo-terminal with a board at its other end.
 
     It keeps the host's end open too, so that hosts can come and go as on a plugged-in cable. When
@@ -156,15 +156,6 @@ class PseudoTerminal(Generic[FirmwareType]):
         """Serve in a thread."""
         self.start()
         return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Close."""
-        self.close()
 
     def _plug_in(self) -> None:
         """Make a terminal, and have the link lead to it."""

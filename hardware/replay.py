@@ -3,13 +3,12 @@
 import math
 import time
 from collections.abc import Callable, Iterator
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 
 from eitskin.datasets import Dataset, open_dataset
 from eitskin.geometry import ConfigurationError, DataError
+from eitskin.geometry.closing import Closing
 from eitskin.hardware.board import Counts
 from eitskin.hardware.messages import Info, Table
 from eitskin.simulator import Frame, Protocol
@@ -17,7 +16,7 @@ from eitskin.simulator import Frame, Protocol
 SPEEDS = ("real", "max")
 
 
-class ReplayBoard:
+class ReplayBoard(Closing):
     """The frames of a dataset in their order, with the status they were recorded with.
 
     What its numbers leave out was lost when it was recorded, and is counted; see
@@ -100,19 +99,6 @@ class ReplayBoard:
 
     def close(self) -> None:
         """Nothing needs closing, the recording is in memory."""
-
-    def __enter__(self) -> Self:
-        """Give the board itself."""
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Close the board."""
-        self.close()
 
     def _gap(self, index: int) -> int:
         """Frames missing before this one; none where it begins a session."""

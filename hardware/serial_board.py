@@ -8,12 +8,12 @@ import logging
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from types import TracebackType
-from typing import Self, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
 from eitskin.geometry import ConfigurationError, DeviceError
+from eitskin.geometry.closing import Closing
 from eitskin.hardware.board import Counts, silence_after
 from eitskin.hardware.held_port import BACKLOG, CHUNK, HeldPort, UnrecoverableError
 from eitskin.hardware.messages import (
@@ -46,7 +46,7 @@ log = logging.getLogger(__name__)
 Answer = TypeVar("Answer", bound=Message)
 
 
-class SerialBoard:
+class SerialBoard(Closing):
     """A board behind a port that is open; see `eitskin.hardware.Board`.
 
     Attributes:
@@ -167,19 +167,6 @@ class SerialBoard:
         finally:
             self._port.close()
             self._and_close()
-
-    def __enter__(self) -> Self:
-        """Give the board itself."""
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Close the board."""
-        self.close()
 
     def _meet(self) -> Info:
         self._read_at = self._clock()

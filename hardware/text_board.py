@@ -10,13 +10,12 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 
 from eitskin.datasets.recordings import parse_protocol
 from eitskin.geometry import ConfigurationError, DeviceError
+from eitskin.geometry.closing import Closing
 from eitskin.hardware.board import Counts, silence_after
 from eitskin.hardware.held_port import BACKLOG, CHUNK, HeldPort
 from eitskin.hardware.messages import Info, Table
@@ -33,7 +32,7 @@ FIRST_WITHIN = 10.0
 """A frame must come within, while its period is not known [s]; two pass before the first."""
 
 
-class TextBoard:
+class TextBoard(Closing):
     """A board that prints lines; see `eitskin.hardware.Board`.
 
     It has no numbers, no sessions and no clock: frames are counted and timed as they come, and one
@@ -146,19 +145,6 @@ class TextBoard:
     def close(self) -> None:
         """Let go of the port; a second time does nothing."""
         self._port.close()
-
-    def __enter__(self) -> Self:
-        """Give the board itself."""
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Close the board."""
-        self.close()
 
     def _restart(self) -> None:
         """Throw away what waits, and wait for the next beginning of a frame."""
