@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from eitskin.benchmarks import layouts_bound, layouts_run, layouts_store
+from eitskin.benchmarks import layouts_bound, layouts_report, layouts_run, layouts_store
 from eitskin.benchmarks.layouts import PAPER, Layout, paper, sweeps, with_electrodes
 from eitskin.benchmarks.layouts_bound import (
     Sampling,
@@ -401,6 +401,7 @@ def test_command_writes_table_and_maps(tmp_path, monkeypatch):
     assert len(rows) == len(data["layouts"]) == 5 + 5 + 5 + 4 + 8 + 8
     assert (tmp_path / "layouts.png").read_bytes()[:4] == b"\x89PNG"
     before = len(judged)
+    monkeypatch.setattr(layouts_report, "plot_maps", lambda _, path: path.write_bytes(b""))
     shown = CliRunner().invoke(app, [*arguments, "--sweep", "contact"])
     assert shown.exit_code == 0, shown.output
     assert "0.01 ohm m2" in shown.output
