@@ -19,7 +19,7 @@ from eitskin.hardware.messages import MAX_CHANNELS
 SEED = 0  # nothing is random
 SEARCH, BEST = "search", "best with"  # a sweep, and how names of what it finds begin
 NAMES = (*sweeps(), SEARCH)
-SAMPLING, FINE = Sampling(0.0075), Sampling(0.006, resolution="standard")
+SAMPLING, FINE = Sampling(0.0075), Sampling(0.0075, resolution="standard")
 _QUICK = Sampling(0.0225)
 
 
