@@ -279,7 +279,8 @@ def plot(runs: dict[str, Run], path: Path) -> None:
     axes.plot(times, run.angles_deg[0], color="black", lw=1.0, label="true")
     for moment, frames in _held(run).items():
         axes.axvspan(times[frames[0]], times[frames[-1]], color="#dde6ee", lw=0)
-        axes.text(times[frames].mean(), -15, moment, ha="center")
+        middle = times[frames].mean()
+        axes.text(middle, 0.03, moment, ha="center", transform=axes.get_xaxis_transform())
     axes.set(xlabel="time [s]", ylabel="bend angle [deg]", xlim=(0, times[-1]))
     axes.spines[["top", "right"]].set_visible(False)
     axes.legend(frameon=False, loc="upper left", ncols=3)
