@@ -132,6 +132,9 @@ def _ground(assembly: Assembly) -> int:
     """The unknown that is grounded: where electrode 0 touches most."""
     own = np.flatnonzero(assembly.facet_electrode == 0)
     loads = np.einsum("fiq,fq->fi", assembly.facet_shape[own], assembly.facet_weights[own])
+    # A function that a constant potential has no share of would ground nothing.
+    constant = assembly.space.element.indicator(-np.inf, np.inf)[: loads.shape[1]]
+    loads = np.where(constant != 0.0, loads, -np.inf)
     piece, function = np.unravel_index(loads.argmax(), loads.shape)
     return int(assembly.facet_numbers[own][piece, function])
 

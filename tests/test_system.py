@@ -7,6 +7,7 @@ import pytest
 
 from eitskin.geometry import ConfigurationError, Electrode, Rectangle, SensorDesign
 from eitskin.geometry.grading import Grading
+from eitskin.geometry.layouts import grid
 from eitskin.simulator import ForwardModel, Protocol
 
 REFERENCE = SensorDesign.reference()
@@ -134,3 +135,20 @@ def test_complex_contacts_are_the_analytic_continuation_of_real_ones() -> None:
         for s in (1, -1)
     )
     assert PAIRS.measure(step).imag / h == pytest.approx((ahead - behind) / 2e-7, rel=1e-6)
+
+
+@pytest.mark.parametrize("resolution", ["fast", "standard"])
+@pytest.mark.parametrize("on", ["side", "top", "inside"])
+def test_what_is_grounded_takes_part_in_a_constant_potential(on, resolution) -> None:
+    """Else the system is singular but for rounding, and nearly all digits are lost."""
+    design = REFERENCE
+    if on != "side":
+        z = design.thickness / 2 if on == "inside" else None
+        pads = grid(Rectangle(0.15, 0.06), 2, 4, 0.005, on=on, z=z)
+        design = dataclasses.replace(REFERENCE, electrodes=tuple(pads))
+    Z = ForwardModel(design, resolution).impedance(1.0)
+    size = np.abs(Z).max()
+    assert np.abs(Z.sum(axis=0)).max() < 1e-9 * size
+    assert np.abs(Z - Z.T).max() < 1e-9 * size
+    again = ForwardModel(design, resolution).impedance(1.0 + 1e-12)
+    assert np.abs(again - Z).max() < 1e-9 * size
