@@ -136,6 +136,7 @@ def test_a_port_that_a_host_has_is_taken_when_the_host_lets_go():
         with open_board(uri) as board:
             terminal.firmware.stage.inject("port_in_use")
             assert len(list(itertools.islice(board.frames(), 50))) == 50
+
         # It looks again when something happens on the line, such as the host's last words.
         def connect_often():
             for _ in range(200):
