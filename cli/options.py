@@ -45,6 +45,8 @@ class Output:
         """Print the result: `data` with --json, else `shown`."""
         if self.as_json:
             self.console.print_json(json.dumps(data, allow_nan=False))
+        elif isinstance(shown, str):  # whoever reads it wants a path in one piece
+            self.console.print(shown, soft_wrap=True, markup=False)
         else:
             self.console.print(shown)
 
