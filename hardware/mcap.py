@@ -3,10 +3,10 @@
 import shutil
 from collections.abc import Callable
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 from eitskin.geometry import ConfigurationError, PartialError
+from eitskin.geometry.closing import Closing
 from eitskin.geometry.whole_file import whole_file
 from eitskin.hardware.live import Reading
 from eitskin.hardware.ros_messages import TOPICS, Messages
@@ -43,7 +43,7 @@ class Stamps:
         return stamp, begins
 
 
-class McapWriter:
+class McapWriter(Closing):
     """Writes readings to one MCAP file, the topics of `ros_messages.TOPICS`.
 
     The file is written in the folder NAME.mcap.unfinished and takes its name when the writer is
@@ -124,19 +124,6 @@ class McapWriter:
         if bag is not None:
             bag.abort()
             shutil.rmtree(self._folder, ignore_errors=True)
-
-    def __enter__(self) -> Self:
-        """Give the writer itself."""
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Close it, whatever has ended the block: what came before is worth keeping."""
-        self.close()
 
     def _topic(self, topic: str) -> Any:
         """Its place in the file; a recording without estimates has no topics of estimates."""

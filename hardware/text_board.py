@@ -25,7 +25,7 @@ from eitskin.hardware.text_lines import LineDecoder
 from eitskin.simulator import Frame, Protocol, Status
 
 BAUD = 230400
-"""Of the UART of the evaluation boards' example programs."""
+"""Believed to be that of the evaluation boards' example programs; no board was there to ask."""
 SHORTEST = 1.0
 """Silence that is borne from boards of any rate [s]."""
 FIRST_WITHIN = 10.0
