@@ -1,11 +1,7 @@
 """The live page: what is sent, to whom, and what it may be asked. No browser is needed."""
 
-import base64
-import dataclasses
-import http.client
 import json
 import socket
-import struct
 import threading
 from contextlib import closing
 from importlib import resources
@@ -16,90 +12,26 @@ import pytest
 
 from eitskin.cli.page import Page, event
 from eitskin.cli.page_http import ASSETS, LARGEST_BODY, MOST_CLIENTS, Patience
-from eitskin.cli.page_shape import COLUMNS, ROWS, Drawing, Shape
-from eitskin.cli.page_state import filled, relative_change
 from eitskin.cli.page_stream import Newest
-from eitskin.datasets import State
-from eitskin.geometry import Bend, ConfigurationError, Hinge, SensorDesign
-from eitskin.hardware import Counts, Reading
-from eitskin.simulator import Frame, Protocol, Scene, Touch
+from eitskin.geometry import Bend, ConfigurationError
+from eitskin.hardware import Reading
+from eitskin.simulator import Frame, Scene, Touch
 from eitskin.training.perceived import FoundTouches
 
-PROTOCOL = Protocol.pairwise(8)
-DESIGN = SensorDesign.reference()
-JSON = {"Content-Type": "application/json"}
-
-
-@dataclasses.dataclass
-class Info:
-    firmware: str = "fake"
-    period: float = 1 / 30
-
-
-class FakeStage:
-    """Remembers what it was told; frame 7 was measured of a bent, touched sensor."""
-
-    def __init__(self):
-        self.scene, self.faults, self.played = Scene(), (), []
-
-    def set(self, scene):
-        if scene.bend.angle_deg == 13.0:
-            raise ConfigurationError("expected a scene, got an unlucky one")
-        self.scene = scene
-
-    def play(self, script):
-        self.played.append(script)
-
-    def truth(self, number):
-        return Scene(Bend(20.0), (Touch(0.05, 0.03),)) if number == 7 else None
-
-    def inject(self, text):
-        if not text.startswith("bit_flip"):
-            raise ConfigurationError(f"no fault {text}")
-        self.faults = (*self.faults, text)
-
-    def clear(self):
-        self.faults = ()
-
-
-@dataclasses.dataclass
-class FakeBoard:
-    stage: FakeStage | None = dataclasses.field(default_factory=FakeStage)
-    uri: str = "virtual:"
-    protocol: Protocol = PROTOCOL
-    info: Info = dataclasses.field(default_factory=Info)
-    counts: Counts = dataclasses.field(
-        default_factory=lambda: Counts(frames=5, lost=2, dropped={"crc": 1})
-    )
-
-
-@dataclasses.dataclass
-class FakeConnection:
-    board: FakeBoard = dataclasses.field(default_factory=FakeBoard)
-    problem: str = ""
-
-
-@dataclasses.dataclass
-class FakeEstimate:
-    state: State | str = State.TOUCH
-    probabilities: tuple = (0.1, 0.8, 0.1)
-    bend_angle_deg: float = 20.5
-    touch_map: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((32, 80)))
-    found: FoundTouches = dataclasses.field(
-        default_factory=lambda: FoundTouches.of([(0.05, 0.031)], [0.9], [7.5])
-    )
-    problems: tuple = ()
-
-    @property
-    def touches(self):
-        return self.found.triples
-
-
-def reading(number=7, estimate=None, impedance=None, session=1, **known):
-    impedance = np.full(28, 500.0 + number) if impedance is None else impedance
-    frame = Frame(impedance, PROTOCOL, number=number, session=session)
-    known = {"latency": 0.004, "rate": 30.0} | known
-    return Reading(frame, estimate or FakeEstimate(), **known)
+from page_fakes import (
+    DESIGN,
+    JSON,
+    PROTOCOL,
+    FakeBoard,
+    FakeConnection,
+    FakeEstimate,
+    Info,
+    Stream,
+    ask,
+    port_of,
+    post,
+    reading,
+)
 
 
 @pytest.fixture
@@ -111,58 +43,6 @@ def connection():
 def page(connection):
     with Page(connection, DESIGN) as made:
         yield made
-
-
-def port_of(page):
-    return int(page.url.rstrip("/").rpartition(":")[2])
-
-
-def ask(page, method, path, body=None, headers=None, own=True):
-    """Status, headers and body of an answer; from the page's own origin unless told otherwise."""
-    client = http.client.HTTPConnection("127.0.0.1", port_of(page), timeout=10)
-    own = {"Origin": page.url.rstrip("/")} if own and method == "POST" else {}
-    with closing(client):
-        client.request(method, path, body, own | (headers or {}))
-        answer = client.getresponse()
-        return answer.status, dict(answer.getheaders()), answer.read()
-
-
-def post(page, path, data, **headers):
-    """Status and parsed answer of a command."""
-    body = data if isinstance(data, bytes) else json.dumps(data).encode()
-    status, _, answer = ask(page, "POST", path, body, JSON | headers)
-    return status, json.loads(answer)
-
-
-class Stream:
-    """A browser's event source."""
-
-    def __init__(self, page):
-        self.client = http.client.HTTPConnection("127.0.0.1", port_of(page), timeout=10)
-        self.client.request("GET", "/events")
-        self.answer = self.client.getresponse()
-
-    def next(self):
-        """Name and data of the next event; None at the end."""
-        fields = {}
-        while line := self.answer.readline().decode():
-            name, colon, value = line.rstrip("\n").partition(": ")
-            if not name:
-                return fields["event"], json.loads(fields["data"])
-            assert colon
-            assert name in ("retry", "event", "data")
-            fields[name] = value
-        return None
-
-    def until(self, name):
-        """Data of the next event of that name."""
-        while (found := self.next())[0] != name:
-            pass
-        return found[1]
-
-    def close(self):
-        self.answer.close()
-        self.client.close()
 
 
 @pytest.fixture
@@ -511,52 +391,8 @@ def test_every_asset_is_shipped_served_and_of_this_page_alone(page) -> None:
         assert ask(page, "GET", path)[0] == 404
 
 
-def decoded(text, unit):
-    steps = np.array(struct.unpack(f"<{len(text) // 2}h", text)) * unit
-    return steps.reshape(-1, 3)
-
-
-def test_the_drawn_sensor_is_bent_and_dented_as_the_simulated_one() -> None:
-    shape = Shape.of(DESIGN)
-    flat = shape.bent(0.0, [])
-    assert np.allclose(flat, shape.points, atol=1e-12)
-    bent = shape.bent(30.0, [])
-    wanted = Hinge().flexure(DESIGN, Bend(30.0)).positions(shape.points)
-    assert np.allclose(bent, wanted)
-    dented = shape.bent(0.0, [(0.075, 0.03, 10.0)])
-    middle = ROWS // 2 * COLUMNS + COLUMNS // 2
-    # The closed form thins the gel by 0.036 F + 0.0012 F^2 on the axis.
-    assert dented[middle, 2] == pytest.approx(0.005 * (1 - 0.48))
-    assert np.array_equal(shape.bent(500.0, []), shape.bent(shape.most, []))
-    assert np.array_equal(shape.bent(float("nan"), []), flat)
-
-
-def test_noise_is_not_drawn_again() -> None:
-    drawing = Drawing.of(DESIGN)
-    first = drawing.points(10.0, [(0.05, 0.03, float("nan"))])
-    assert drawing.points(10.1, [(0.0505, 0.03, float("nan"))]) is first
-    moved = drawing.points(10.5, [(0.05, 0.03, float("nan"))])
-    assert moved != first
-    assert drawing.points(10.5, []) != moved
-    places = decoded(base64.b64decode(drawing.points(0.0, [])), drawing.unit)
-    assert np.allclose(places, drawing.shape.points, atol=drawing.unit)
-
-
 def test_a_board_of_unknown_period_is_shown_and_not_called_silent(connection):
     connection.board.info = Info(period=float("nan"))
     with Page(connection, DESIGN) as made, closing(Stream(made)) as stream:
         assert stream.until("sensor")["period"] is None
         assert made._stale_after() == np.inf
-
-
-def test_a_channel_that_was_bad_at_first_is_compared_with_its_first_good_value():
-    status = np.zeros(28, np.uint8)
-    status[3] = 8
-    values = np.full(28, 500.0)
-    first = Frame(np.where(status, 1e5, values), PROTOCOL, status=status)
-    later = Frame(values * 1.01, PROTOCOL, number=1)
-    reference = filled(first, later)
-    assert not reference.status.any()
-    change = relative_change(Frame(values * 1.02, PROTOCOL, number=2), reference)
-    assert change[3] == pytest.approx(100 * (1.02 / 1.01 - 1), abs=1e-3)
-    assert change[4] == pytest.approx(2.0)
