@@ -349,13 +349,13 @@ def test_closing_leaves_nothing_behind(connection) -> None:
         stream.until("sensor")
     page.close()
     page.close()
-    assert set(threading.enumerate()) == threads
+    assert set(threading.enumerate()) <= threads  # one of an earlier test may have ended
     for stream in streams:
         while stream.next() is not None:
             pass
         stream.close()
     silent.close()
-    assert open_files() == descriptors
+    assert open_files() <= descriptors
     with pytest.raises(OSError, match="refused"):
         socket.create_connection(("127.0.0.1", port_of(page)))
 
