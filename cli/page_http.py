@@ -144,14 +144,10 @@ class Server(ThreadingHTTPServer):
             daemon=True,
         )
         with self._lock:
+            # Forgotten when their threads have ended, and no sooner: `close` waits for them.
+            self._open = {each: by for each, by in self._open.items() if by.is_alive()}
             self._open[request] = thread
-        thread.start()
-
-    def shutdown_request(self, request: Any) -> None:
-        """Forget a request that is done."""
-        with self._lock:
-            self._open.pop(request, None)
-        super().shutdown_request(request)
+            thread.start()
 
     def handle_error(self, request: Any, client_address: Any) -> None:  # noqa: ARG002
         """Log what went wrong, unless a browser went away, which is no error of ours."""
