@@ -83,7 +83,7 @@ class Server(ThreadingHTTPServer):
         patience: Patience,
     ) -> None:
         """Take the port, 0 for any; raises ConfigurationError where it cannot be had."""
-        folder = resources.files("eitskin.cli") / "page"
+        folder = resources.files("eitskin.cli") / "web"
         self.files = {
             f"/{name}": (kind, (folder / name).read_bytes()) for name, kind in ASSETS.items()
         }

@@ -371,7 +371,7 @@ def test_only_this_machine_is_served(page) -> None:
 
 
 def test_every_asset_is_shipped_served_and_of_this_page_alone(page) -> None:
-    folder = resources.files("eitskin.cli") / "page"
+    folder = resources.files("eitskin.cli") / "web"
     shipped = {entry.name for entry in folder.iterdir()}
     assert shipped == set(ASSETS)
     for name, kind in ASSETS.items():
