@@ -81,6 +81,7 @@ class Accuracy:
     Attributes:
         provenance: what it was measured with.
         seconds: that the run took [s].
+        quick: whether fewer models and a coarser reference had to do.
         resistance_error, signal_error: of the reference, as in `Truth`.
         results: of our models.
         duels: at equal nodes; empty where pyEIT is not installed.
@@ -89,6 +90,7 @@ class Accuracy:
 
     provenance: Provenance
     seconds: float
+    quick: bool
     resistance_error: float
     signal_error: float
     results: tuple[Result, ...]
@@ -123,6 +125,7 @@ def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> Accura
     return Accuracy(
         provenance=Provenance.now(seed),
         seconds=time.perf_counter() - start,
+        quick=quick,
         resistance_error=truth.resistance_error,
         signal_error=truth.signal_error,
         results=results,

@@ -1,27 +1,63 @@
-"""What `bench accuracy` leaves behind: tables as CSV, and the plot of error against time."""
+"""What `bench accuracy` leaves behind: results, tables, and the plot of error against time."""
 
 import dataclasses
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from eitskin.benchmarks.accuracy import Accuracy
+from eitskin.benchmarks.accuracy import Accuracy, Result
 from eitskin.benchmarks.accuracy_plot import plot
+from eitskin.benchmarks.results import Results, write_results
 from eitskin.benchmarks.tables import write_table
 from eitskin.benchmarks.targets import TARGET_RATIO, TARGETS
-from eitskin.geometry.whole_file import whole_file
+
+NAME = "accuracy"
 
 
-def write(found: Accuracy, folder: Path) -> list[Path]:
-    """Write accuracy.csv, deformed.csv and accuracy.png into `folder`, each whole."""
-    paths = [folder / name for name in ("accuracy.csv", "deformed.csv", "accuracy.png")]
-    rows = [dataclasses.asdict(point) for point in found.points]
+def write(found: Accuracy, out: Path) -> list[Path]:
+    """Write results, table.csv, deformed.csv and accuracy.png into `out/accuracy`, each whole."""
     flat = [_flattened(dataclasses.asdict(row)) for row in found.deformed]
-    for path, table in zip(paths, (rows, flat), strict=False):
-        write_table(path, table, str(found.provenance))
-    with whole_file(paths[-1]) as temporary:
-        plot(found, temporary)
-    return paths
+    results = Results(
+        name=NAME,
+        command=f"eitskin bench accuracy --seed {found.provenance.seed}",
+        provenance=found.provenance,
+        seconds=found.seconds,
+        quick=found.quick,
+        figures=dict(figures(found)),
+    )
+    rows = [dataclasses.asdict(point) for point in found.points]
+    deformed = partial(write_table, rows=flat, comment=str(found.provenance))
+    draw = {"deformed.csv": deformed, "accuracy.png": partial(plot, found)}
+    return write_results(results, out, rows, draw)
+
+
+def figures(found: Accuracy) -> Iterator[tuple[str, float]]:
+    """All figures by name: of points by family and name, of duels by the peer's family."""
+    yield "references.resistance_error", found.resistance_error
+    yield "references.signal_error", found.signal_error
+    for point in found.results:
+        yield from _figures_of(f"{point.family}, {point.name}", point)
+    for duel in found.duels:
+        peer = f"{duel.other.family}, {duel.other.name}"
+        yield from _figures_of(peer, duel.other)
+        yield from _figures_of(f"ours on the nodes of {peer}", duel.own)
+        yield f"{peer}.times_longer", duel.ratio
+    for row in found.deformed:
+        yield f"bent and pressed, {row.name}.frame_ms", 1e3 * row.frame_seconds
+        for scene, error in row.signal_errors.items():
+            yield f"bent and pressed, {row.name}.{scene}", error
+
+
+def _figures_of(label: str, point: Result) -> Iterator[tuple[str, float]]:
+    yield f"{label}.nodes", point.nodes
+    yield f"{label}.unknowns", point.unknowns
+    yield f"{label}.frame_ms", 1e3 * point.frame_seconds
+    yield f"{label}.setup_seconds", point.setup_seconds
+    yield f"{label}.resistance_error", point.resistance_error
+    yield f"{label}.signal_error", point.signal_error
+    if point.published_error is not None:
+        yield f"{label}.published_error", point.published_error
 
 
 def _flattened(row: dict[str, Any]) -> dict[str, Any]:

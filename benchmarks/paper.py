@@ -1,5 +1,6 @@
 """`eitskin bench paper`: the paper's experiments, with its own pipeline and with a better one."""
 
+import time
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -45,6 +46,7 @@ class Comparison:
 
     Attributes:
         provenance: of the measurement; its seed is the last.
+        seconds: that the run took [s], less where frames were kept from an earlier one.
         seeds: of the frames and of the training of the paper's pipeline.
         quick: whether a tenth of the frames had to do.
         pipeline: what "ours" is.
@@ -56,6 +58,7 @@ class Comparison:
     """
 
     provenance: Provenance
+    seconds: float
     seeds: tuple[int, ...]
     quick: bool
     pipeline: str
@@ -114,6 +117,7 @@ def run(
             f"there is no pipeline at {pipeline}; name one that eitskin train has made, with "
             "--pipeline NAME.eitmodel"
         )
+    began = time.perf_counter()
     ours = Pipeline.load(pipeline)
     parts = []
     for seed in range(seeds):
@@ -126,6 +130,7 @@ def run(
     names = list(parts[0].variants)
     return Comparison(
         provenance=Provenance.now(seeds - 1),
+        seconds=time.perf_counter() - began,
         seeds=tuple(range(seeds)),
         quick=quick,
         pipeline=f"{pipeline.name}, {_description(ours)}",

@@ -3,23 +3,25 @@
 import dataclasses
 import json
 from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from eitskin.benchmarks import markdown_tables
 from eitskin.benchmarks.paper import COLUMNS, OURS, OWN, Comparison
 from eitskin.benchmarks.paper_limits import SignalToNoise
 from eitskin.benchmarks.paper_lines import LINES, Line
 from eitskin.benchmarks.paper_plot import plot_time, plot_touches
 from eitskin.benchmarks.paper_scores import Figures
-from eitskin.benchmarks.tables import write_table
-from eitskin.geometry.whole_file import whole_file
+from eitskin.benchmarks.results import Results, write_results
 from eitskin.training.metrics import GATE
 from eitskin.training.report import SSIM_DEFINITION
 
 HEADINGS = ("experiment", "paper", *COLUMNS, "to reach", "bound", "ours / bound")
 BOUND = "Cramer-Rao bound"
+NAME = "paper"
 _DIGITS = {"mm": 2, "deg": 2, "%": 2, "ms": 2, "": 3}
 
 
@@ -96,6 +98,22 @@ def _terms(said: Any) -> str:
     return ", ".join(f"{name} {value}" for name, value in dataclasses.asdict(said).items() if value)
 
 
+def figures(found: Comparison) -> dict[str, float]:
+    """Means over the seeds as `COLUMN: FIGURE`, their deviations with ` +-`, shares in percent.
+
+    Cells of the table have keys of their own, `ROW / COLUMN`.
+    """
+    named: dict[str, float] = {}
+    for column, seeds in {**found.figures, BOUND: found.bounds}.items():
+        for line in LINES:
+            values = _values(seeds, line)
+            if values:
+                named[f"{column}: {line.figure}"] = float(np.mean(values))
+            if len(values) > 1:
+                named[f"{column}: {line.figure} +-"] = float(np.std(values, ddof=1))
+    return named | markdown_tables.figures(markdown(found))
+
+
 def as_data(found: Comparison) -> dict[str, Any]:
     """Everything as plain data."""
     return {
@@ -113,18 +131,28 @@ def as_data(found: Comparison) -> dict[str, Any]:
     }
 
 
-def write(found: Comparison, folder: Path) -> list[Path]:
-    """Write paper.csv, paper.md, paper.json and two plots into `folder`, each whole."""
-    names = ("paper.csv", "paper.md", "paper.json", "paper-touches.png", "paper-time.png")
-    paths = [folder / name for name in names]
-    write_table(paths[0], list(_long(found)), str(found.provenance))
-    for path, text in ((paths[1], markdown(found)), (paths[2], json.dumps(as_data(found)) + "\n")):
-        with whole_file(path) as temporary:
-            temporary.write_text(text, encoding="utf-8")
-    for path, plot in zip(paths[3:], (plot_touches, plot_time), strict=True):
-        with whole_file(path) as temporary:
-            plot(found, temporary)
-    return paths
+def write(found: Comparison, out: Path) -> list[Path]:
+    """Write results, table.csv, paper.md, paper.json and two plots into `out/paper`, each whole."""
+    seeds, trained = len(found.seeds), len(found.figures[OWN])
+    results = Results(
+        name=NAME,
+        command=f"eitskin bench paper --seeds {seeds} --paper-seeds {trained}",
+        provenance=dataclasses.replace(found.provenance, seed=found.seeds[0]),
+        seconds=found.seconds,
+        quick=found.quick,
+        figures=figures(found),
+    )
+    files = {
+        "paper.md": partial(_write_text, markdown(found)),
+        "paper.json": partial(_write_text, json.dumps(as_data(found)) + "\n"),
+        "paper-touches.png": partial(plot_touches, found),
+        "paper-time.png": partial(plot_time, found),
+    }
+    return write_results(results, out, list(_long(found)), files)
+
+
+def _write_text(text: str, path: Path) -> None:
+    path.write_text(text, encoding="utf-8")
 
 
 def markdown(found: Comparison) -> str:

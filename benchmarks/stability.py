@@ -8,6 +8,7 @@ family, and residuals say how many digits rounding left; `Found` says which is w
 import dataclasses
 import re
 import time
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,9 +19,9 @@ from eitskin.benchmarks import stability_electrical as electrical
 from eitskin.benchmarks import stability_places as places
 from eitskin.benchmarks import stability_solids as solids
 from eitskin.benchmarks.provenance import Provenance
+from eitskin.benchmarks.results import Results, write_results
 from eitskin.benchmarks.stability_case import Case, Row, judge
 from eitskin.benchmarks.stability_random import RANDOM, random_designs
-from eitskin.benchmarks.tables import write_table
 from eitskin.geometry.optional import require
 
 Watch: TypeAlias = Callable[[str, Sequence[Any]], Iterable[Any]]
@@ -35,11 +36,13 @@ class Stability:
     Attributes:
         provenance: what it was measured with.
         seconds: that the run took [s].
+        quick: whether fewer and smaller cases had to do.
         rows: of all cases, random ones each by itself.
     """
 
     provenance: Provenance
     seconds: float
+    quick: bool
     rows: tuple[Row, ...]
 
     @property
@@ -80,12 +83,37 @@ def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> Stabil
     start = time.perf_counter()
     with limit(1):
         rows = tuple(judge(case) for case in watch("cases", tuple(cases(seed, quick))))
-    return Stability(Provenance.now(seed), time.perf_counter() - start, rows)
+    return Stability(Provenance.now(seed), time.perf_counter() - start, quick, rows)
 
 
-def write(found: Stability, path: Path) -> None:
-    """All rows as CSV, whole."""
-    write_table(path, [dataclasses.asdict(row) for row in found.rows], str(found.provenance))
+def write(found: Stability, out: Path) -> list[Path]:
+    """Write results and all rows as table.csv into `out/stability`, each whole."""
+    results = Results(
+        name="stability",
+        command=f"eitskin bench stability --seed {found.provenance.seed}",
+        provenance=found.provenance,
+        seconds=found.seconds,
+        quick=found.quick,
+        figures=dict(figures(found)),
+    )
+    return write_results(results, out, [dataclasses.asdict(row) for row in found.rows])
+
+
+def figures(found: Stability) -> Iterator[tuple[str, float]]:
+    """Of each family and of all: how many had each outcome, and the worst of their numbers."""
+    yield "all.seconds", found.seconds
+    families = {"all": found.rows}
+    for name in dict.fromkeys(row.family for row in found.rows):
+        families[name] = tuple(row for row in found.rows if row.family == name)
+    for name, rows in families.items():
+        yield f"{name}.cases", len(rows)
+        counts = Counter(row.outcome for row in rows)
+        for outcome in ("ok", "refused", "left out", "wrong"):
+            yield f"{name}.{outcome}", counts[outcome]
+        for quantity in ("residual", "invariant", "error"):
+            worst = [value for row in rows if (value := getattr(row, quantity)) is not None]
+            if worst:
+                yield f"{name}.{quantity}", max(worst)
 
 
 def tallied(rows: Sequence[Row]) -> list[Row]:

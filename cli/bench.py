@@ -24,7 +24,7 @@ app.command("paper")(bench_paper.command)
 app.command("layouts")(bench_layouts.command)
 
 
-Out = Annotated[Path, typer.Option(help="Folder for the tables and the plots.")]
+Out = Annotated[Path, typer.Option(help="Folder of all results; each benchmark has one in it.")]
 Quick = Annotated[bool, typer.Option("--quick", help="Fewer and smaller, in half a minute.")]
 _OUT = Path("build/bench")
 
@@ -73,13 +73,12 @@ def stability(
     output = Output(json, quiet, verbose)
     make_folder(out)
     found = run(seed, quick, _watched(output))
-    path = out / "stability.csv"
-    write(found, path)
-    data = dataclasses.asdict(found) | {"wrong": len(found.wrong), "files": [str(path)]}
+    paths = [str(path) for path in write(found, out)]
+    data = dataclasses.asdict(found) | {"wrong": len(found.wrong), "files": paths}
     output.result(data, _stability_table(found))
     for line in _remarks(found, verbose):
         output.show(line)
-    output.note(f"written: {path}")
+    output.note("written: " + ", ".join(paths))
     if found.wrong:
         raise typer.Exit(1)
 

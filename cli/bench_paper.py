@@ -14,9 +14,9 @@ if TYPE_CHECKING:
 
 
 def command(
-    out: Annotated[Path, typer.Option(help="Folder for frames, tables and plots.")] = Path(
-        "build/bench/paper"
-    ),
+    out: Annotated[
+        Path, typer.Option(help="Folder of all results; frames are kept in its folder paper.")
+    ] = Path("build/bench"),
     *,
     pipeline: Annotated[
         Path | None,
@@ -35,14 +35,14 @@ def command(
 ) -> None:
     """The paper's experiments: as published, with its pipeline trained here, and with ours.
 
-    Frames are kept in the folder, and made on from where an earlier run was stopped.
+    Frames are kept, and made on from where an earlier run was stopped.
     """
     from eitskin.benchmarks.paper import REFERENCE, run
-    from eitskin.benchmarks.paper_report import as_data, sentences, write
+    from eitskin.benchmarks.paper_report import NAME, as_data, sentences, write
     from eitskin.cli.bench import make_folder
 
     output = Output(as_json, quiet, verbose)
-    make_folder(out)
+    make_folder(out / NAME)
     with output.progress() as bar:
         tasks: dict[str, Any] = {}
 
@@ -53,7 +53,7 @@ def command(
             bar.update(tasks[name], completed=done, total=total, rate=rest)
 
         found = run(
-            pipeline or REFERENCE, out, seeds, quick, workers, show, paper_seeds=paper_seeds
+            pipeline or REFERENCE, out / NAME, seeds, quick, workers, show, paper_seeds=paper_seeds
         )
     paths = write(found, out)
     output.result(as_data(found) | {"files": [str(path) for path in paths]}, _as_table(found))

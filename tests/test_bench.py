@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 from eitskin.benchmarks import accuracy_report, cases, peer
 from eitskin.benchmarks.accuracy import compare, measure, published_error
 from eitskin.benchmarks.accuracy_report import misses, write
+from eitskin.benchmarks.results import read_results
 from eitskin.benchmarks.truth import Drop, Truth, drops, judge, model_frame
 from eitskin.cli.main import app
 from eitskin.geometry import ConfigurationError, SensorDesign
@@ -27,12 +28,12 @@ def bench(*options) -> str:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    return tmp_path_factory.mktemp("bench")
+    return tmp_path_factory.mktemp("bench") / "accuracy"
 
 
 @pytest.fixture(scope="module")
 def data(folder) -> dict:
-    return json.loads(bench("--out", str(folder), "--json", "--seed", "3"))
+    return json.loads(bench("--out", str(folder.parent), "--json", "--seed", "3"))
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +80,7 @@ def test_bent_and_pressed_scenes_are_compared(data) -> None:
 
 
 def test_the_tables_hold_what_was_found(data, folder) -> None:
-    comment, *lines = (folder / "accuracy.csv").read_text().splitlines()
+    comment, *lines = (folder / "table.csv").read_text().splitlines()
     assert comment.startswith("# ")
     assert data["provenance"]["machine"] in comment
     rows = list(csv.DictReader(lines))
@@ -95,9 +96,10 @@ def test_the_plot_is_drawn_in_the_colours_of_its_families(folder) -> None:
     from PIL import Image
 
     assert sorted(p.name for p in folder.iterdir()) == [
-        "accuracy.csv",
         "accuracy.png",
         "deformed.csv",
+        "results.json",
+        "table.csv",
     ]
     pixels = np.asarray(Image.open(folder / "accuracy.png").convert("RGB")).astype(int)
     for colour in ("#1f5fa8", "#2e8b57"):
@@ -105,17 +107,32 @@ def test_the_plot_is_drawn_in_the_colours_of_its_families(folder) -> None:
         assert (np.abs(pixels - rgb).sum(axis=2) < 10).sum() > 100
 
 
+def test_figures_are_the_points_of_the_table(data, folder) -> None:
+    results = read_results(folder / "results.json")
+    assert results.quick
+    assert results.command == "eitskin bench accuracy --seed 3"
+    point = family(data, "hexahedra, linear")[1]
+    name = f"hexahedra, linear, {point['name']}"
+    assert results.figures[f"{name}.frame_ms"] == 1e3 * point["frame_seconds"]
+    assert results.figures[f"{name}.signal_error"] == point["signal_error"]
+    deformed = data["deformed"][1]["signal_errors"]
+    assert results.figures["bent and pressed, fast.10 N"] == deformed["10 N"]
+
+
 def test_a_plot_that_fails_leaves_the_old_one(truth, tmp_path, monkeypatch) -> None:
     def broken(_, path):
         path.write_bytes(b"half")
         raise OverflowError
 
-    (tmp_path / "accuracy.png").write_bytes(b"old")
+    picture = tmp_path / "accuracy" / "accuracy.png"
+    picture.parent.mkdir()
+    picture.write_bytes(b"old")
     monkeypatch.setattr(accuracy_report, "plot", broken)
     with pytest.raises(OverflowError):
         write(found_by_hand(truth), tmp_path)
-    assert (tmp_path / "accuracy.png").read_bytes() == b"old"
-    assert len(list(tmp_path.iterdir())) == 3
+    assert picture.read_bytes() == b"old"
+    names = sorted(path.name for path in picture.parent.iterdir())
+    assert names == ["accuracy.png", "deformed.csv"]  # no results that would vouch for the rest
 
 
 def found_by_hand(truth: Truth, **changes):
@@ -127,6 +144,7 @@ def found_by_hand(truth: Truth, **changes):
     return Accuracy(
         provenance=Provenance.now(0),
         seconds=1.0,
+        quick=True,
         resistance_error=1e-9,
         signal_error=1e-9,
         results=(dataclasses.replace(result, **changes),),
@@ -215,7 +233,8 @@ def test_without_the_peer_the_rest_is_measured(monkeypatch, tmp_path) -> None:
     monkeypatch.setattr(cases, "QUICK_REFERENCES", tuple(coarse))
     said = bench("--out", str(tmp_path / "deep" / "er"))
     assert "pyEIT is not installed and was left out" in said
-    assert "pyEIT" not in (tmp_path / "deep" / "er" / "accuracy.csv").read_text().split("\n", 1)[1]
+    written = (tmp_path / "deep" / "er" / "accuracy" / "table.csv").read_text()
+    assert "pyEIT" not in written.split("\n", 1)[1]
 
 
 def test_a_folder_that_cannot_be_made_is_said(tmp_path) -> None:

@@ -16,6 +16,7 @@ from eitskin.benchmarks.paper_limits import SignalToNoise
 from eitskin.benchmarks.paper_lines import LINES
 from eitskin.benchmarks.paper_report import HEADINGS, table
 from eitskin.benchmarks.paper_sets import KNOWN_DEG, SPECIMENS, Sets, in_episode, recipes
+from eitskin.benchmarks.results import read_results
 from eitskin.cli.main import app
 from eitskin.datasets import Dataset, Recipe, State
 from eitskin.datasets.sampling import sample, specimen
@@ -143,8 +144,9 @@ def folder(tmp_path_factory):
         ran = CliRunner().invoke(app, ["bench", "paper", "--out", str(out), *options, "--quiet"])
     if ran.exception is not None:
         raise ran.exception
-    (out / "printed.json").write_text(ran.stdout)
-    return out
+    folder = out / "paper"
+    (folder / "printed.json").write_text(ran.stdout)
+    return folder
 
 
 def test_figures_are_what_the_pipelines_are_known_to_do(folder):
@@ -169,7 +171,7 @@ def test_figures_are_what_the_pipelines_are_known_to_do(folder):
 
 
 def test_files_hold_the_table_and_what_it_was_made_with(folder):
-    with (folder / "paper.csv").open() as lines:
+    with (folder / "table.csv").open() as lines:
         assert next(lines).startswith("# ")
         rows = list(csv.DictReader(lines))
     one = [r for r in rows if r["column"] == paper.OURS and r["figure"] == "indentation.error_mm"]
@@ -183,6 +185,12 @@ def test_files_hold_the_table_and_what_it_was_made_with(folder):
     for said in ("structural_similarity", "signal to noise", "snr_db 75", "conductivity 0.15"):
         assert said in text
     assert json.loads((folder / "paper.json").read_text())["seeds"] == [0, 1]
+    results = read_results(folder / "results.json")
+    assert (results.quick, results.provenance.seed) == (True, 0)
+    assert results.figures[f"{paper.OURS}: indentation.error_mm"] == pytest.approx(1.0, rel=1e-4)
+    assert results.figures[f"{paper.OURS}: touch.4.found"] == 100.0
+    cell = f"&emsp;standard deviation [mm] (2) / {paper.OWN}"
+    assert results.figures[cell] == pytest.approx(0.0, abs=0.01)
     for picture in ("paper-touches.png", "paper-time.png"):
         assert (folder / picture).read_bytes().startswith(b"\x89PNG")
 
@@ -209,6 +217,7 @@ def comparison(*figures):
     empty = tuple({} for _ in figures)
     return paper.Comparison(
         provenance=paper.Provenance.now(0),
+        seconds=0.0,
         seeds=tuple(range(len(figures))),
         quick=True,
         pipeline="",

@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 
 from eitskin.benchmarks import stability, stability_bends, stability_electrical, stability_solids
 from eitskin.benchmarks.provenance import Provenance
+from eitskin.benchmarks.results import read_results
 from eitskin.benchmarks.stability_case import Case, Found, Row, judge
 from eitskin.benchmarks.stability_closed_forms import punched_layer, sector, shunt_pair
 from eitskin.benchmarks.stability_places import SPANS, cells, electrodes
@@ -330,7 +331,7 @@ def test_the_command_writes_all_rows_and_shows_them(tmp_path, monkeypatch) -> No
     assert "12 deg" in ran.stdout
     assert "[bold]no[/bold]" not in ran.stdout
     assert max(map(len, ran.stdout.splitlines())) <= 80
-    comment, *lines = (tmp_path / "new" / "stability.csv").read_text().splitlines()
+    comment, *lines = (tmp_path / "new" / "stability" / "table.csv").read_text().splitlines()
     assert str(Provenance.now(0).machine) in comment
     rows = list(csv.DictReader(lines))
     assert [one["outcome"] for one in rows] == ["ok", "refused", "ok"]
@@ -350,14 +351,18 @@ def test_json_is_one_object(tmp_path, monkeypatch) -> None:
     assert [one["outcome"] for one in data["rows"]] == ["ok", "wrong"]
     assert data["wrong"] == 1
     assert data["provenance"]["seed"] == 4
-    assert data["files"] == [str(tmp_path / "stability.csv")]
+    folder = tmp_path / "stability"
+    assert data["files"] == [str(folder / "table.csv"), str(folder / "results.json")]
+    figures = read_results(folder / "results.json").figures
+    assert (figures["all.cases"], figures["all.ok"], figures["all.wrong"]) == (2, 1, 1)
+    assert figures["family.error"] == 1e-5
 
 
 def test_a_wrong_row_is_named_and_gives_exit_code_1(tmp_path, monkeypatch) -> None:
     ran = bench(tmp_path, monkeypatch, [GOOD, BAD])
     assert ran.exit_code == 1
     assert "RuntimeError: oh" in ran.stdout
-    assert (tmp_path / "stability.csv").exists()
+    assert (tmp_path / "stability" / "table.csv").exists()
 
 
 def test_every_family_of_the_table_is_among_the_cases() -> None:

@@ -1,0 +1,101 @@
+"""Tables in Markdown, as benchmarks print them and pages quote them, and the numbers in them."""
+
+import re
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+NUMBER = re.compile(r"[-+]?(?:\d{1,3}(?:,\d{3})+|\d+)(?:\.\d+)?(?:e[-+]?\d+)?")
+_RULE = re.compile(r"\|(\s*:?-+:?\s*\|)+")
+_ITEM = re.compile(r"- (.+?): (.+)")
+
+
+@dataclass(frozen=True, slots=True)
+class MarkdownTable:
+    """One table.
+
+    Attributes:
+        title: the heading above it, if there is one since the table before.
+        head: of the columns.
+        rows: cells under the head.
+    """
+
+    title: str
+    head: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+    def labels(self) -> list[str]:
+        """What each row is called: its first cell, or two, or the first and which of its equals."""
+        for count in (1, 2):
+            found = [", ".join(row[:count]) for row in self.rows]
+            if len(set(found)) == len(found):
+                return found
+        seen: Counter[str] = Counter()
+        names = []
+        for row in self.rows:
+            seen[row[0]] += 1
+            names.append(f"{row[0]} ({seen[row[0]]})" if seen[row[0]] > 1 else row[0])
+        return names
+
+    def cells(self) -> Iterator[tuple[str, str]]:
+        """Key `title / row / column` and text of every cell but the rows' first."""
+        for label, row in zip(self.labels(), self.rows, strict=True):
+            for column, cell in list(zip(self.head, row, strict=True))[1:]:
+                yield " / ".join(filter(None, (self.title, label, column))), cell
+
+
+def tables(text: str) -> list[MarkdownTable]:
+    """All tables of a text in turn."""
+    found: list[MarkdownTable] = []
+    title = ""
+    lines = text.splitlines()
+    for number, line in enumerate(lines):
+        if line.startswith("#"):
+            title = line.strip("# ")
+        elif number and _RULE.fullmatch(line.strip()):
+            head = _cells(lines[number - 1])
+            rows = []
+            for below in lines[number + 1 :]:
+                if not below.startswith("|"):
+                    break
+                rows.append(_cells(below))
+            found.append(MarkdownTable(title, head, tuple(rows)))
+            title = ""
+    return found
+
+
+def figures(text: str) -> dict[str, float]:
+    """Numbers in the tables of a report, and in its items `- what: number`, by their keys.
+
+    The second and further numbers of a cell have keys that end in ` #2` and so on.
+    """
+    found: dict[str, float] = {}
+    for table in tables(text):
+        for key, cell in table.cells():
+            found |= keyed(key, numbers(cell))
+    for line in text.splitlines():
+        if item := _ITEM.fullmatch(line):
+            found |= keyed(item[1], numbers(item[2]))
+    return found
+
+
+def numbers(cell: str) -> list[str]:
+    """As they are written, in order."""
+    return NUMBER.findall(cell)
+
+
+def keyed(key: str, written: Sequence[str]) -> dict[str, float]:
+    """Values of numbers by their keys."""
+    return {
+        f"{key} #{place}" if place > 1 else key: value_of(text)
+        for place, text in enumerate(written, 1)
+    }
+
+
+def value_of(written: str) -> float:
+    """Of a number as it is written; commas are between thousands."""
+    return float(written.replace(",", ""))
+
+
+def _cells(line: str) -> tuple[str, ...]:
+    return tuple(cell.strip() for cell in line.strip().strip("|").split("|"))

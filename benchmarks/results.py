@@ -1,0 +1,113 @@
+"""One folder for what every benchmark finds: `OUT/NAME/` with results.json, table.csv, pictures.
+
+results.json says what a run found, as figures by name, and what it was measured with; table.csv
+holds its rows. All benchmarks write through here, each file whole.
+"""
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from eitskin.benchmarks.provenance import Provenance
+from eitskin.benchmarks.tables import write_table
+from eitskin.geometry import DataError
+from eitskin.geometry.whole_file import whole_file
+
+RESULTS, TABLE, INDEX = "results.json", "table.csv", "index.md"
+Plots = Mapping[str, Callable[[Path], object]]
+"""What draws each picture into the path given, by the picture's name."""
+
+
+@dataclass(frozen=True, slots=True)
+class Results:
+    """What one run of one benchmark found.
+
+    Attributes:
+        name: of the benchmark, and of its folder.
+        command: that makes it again.
+        provenance: machine, versions, seed and date.
+        seconds: that the run took [s].
+        quick: whether fewer and smaller cases had to do; such figures are not for quoting.
+        figures: by name, whose end says the unit; finite ones alone.
+    """
+
+    name: str
+    command: str
+    provenance: Provenance
+    seconds: float
+    quick: bool = False
+    figures: dict[str, float] = field(default_factory=dict)
+
+    def answers(self, seed: int, quick: bool) -> bool:
+        """Whether a run with this seed and the versions installed would say no more than this."""
+        now, mine = Provenance.now(seed), self.provenance
+        return (mine.seed, mine.packages) == (seed, now.packages) and self.quick <= quick
+
+
+def write_results(
+    results: Results, out: Path, rows: Sequence[dict[str, Any]] = (), plots: Plots | None = None
+) -> list[Path]:
+    """Write `out/NAME/`: pictures and table first, results.json last, so that it vouches for all.
+
+    Args:
+        results: of the run.
+        out: folder of all results; made where it is missing.
+        rows: of table.csv; the figures themselves when omitted.
+        plots: pictures to draw.
+
+    Returns all paths. Raises ConfigurationError where one cannot be written; what was there stays.
+    """
+    folder = out / results.name
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = [folder / name for name in (*(plots or {}), TABLE, RESULTS)]
+    for name, draw in (plots or {}).items():
+        with whole_file(folder / name) as temporary:
+            draw(temporary)
+    figures = {name: value for name, value in results.figures.items() if math.isfinite(value)}
+    long = [{"figure": name, "value": value} for name, value in figures.items()]
+    write_table(folder / TABLE, list(rows) or long, str(results.provenance))
+    data = msgspec.to_builtins(results) | {"figures": figures}
+    with whole_file(folder / RESULTS) as temporary:
+        temporary.write_bytes(msgspec.json.format(msgspec.json.encode(data), indent=1) + b"\n")
+    return paths
+
+
+def read_results(path: Path) -> Results:
+    """Results that were written before; raises DataError where the file is none of them."""
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=Results)
+    except (OSError, msgspec.DecodeError) as error:
+        raise DataError(
+            f"expected the results of a benchmark in {path}: {error}; run it again with --fresh"
+        ) from error
+
+
+def found_results(out: Path) -> Iterator[Results]:
+    """All results under a folder, by name."""
+    for path in sorted(out.glob(f"*/{RESULTS}")):
+        yield read_results(path)
+
+
+def write_index(out: Path) -> Path:
+    """Write index.md: which results are there, of when, and what files they left."""
+    lines = ["# Measured", "", "| benchmark | figures | seconds | seed | date | files |"]
+    lines.append("|---" * 6 + "|")
+    for one in found_results(out):
+        files = sorted(p.name for p in (out / one.name).iterdir() if p.is_file())
+        links = ", ".join(f"[{name}]({one.name}/{name})" for name in files)
+        date, name = one.provenance.date, f"{one.name}{', quick' if one.quick else ''}"
+        cells = (name, len(one.figures), f"{one.seconds:.0f}", one.provenance.seed, date, links)
+        lines.append("| " + " | ".join(map(str, cells)) + " |")
+    lines += ["", *sorted({f"- {_machine(one)}" for one in found_results(out)}), ""]
+    with whole_file(out / INDEX) as temporary:
+        temporary.write_text("\n".join(lines), encoding="utf-8")
+    return out / INDEX
+
+
+def _machine(one: Results) -> str:
+    packages = ", ".join(f"{name} {version}" for name, version in one.provenance.packages.items())
+    return f"{one.provenance.machine}; Python {one.provenance.python}, {packages}"
