@@ -13,6 +13,8 @@ Array = NDArray[np.float64]
 Numbers = NDArray[np.inexact]
 Tensors = Callable[[Array], Array]
 
+_LINES = 4  # of quadrature points along y that are integrated at once
+
 
 def pixel_gram(
     assembly: Assembly,
@@ -66,17 +68,21 @@ def _boxes_gram(
     z_nodes, z_weights, z_cell, _ = _overlaps(z, z[[0, -1]], order)
     count, columns = potentials.shape[-1], len(x_edges) - 1
     total = np.zeros((columns * (len(y_edges) - 1), count, count), dtype=potentials.dtype)
-    # One line of x at a time keeps memory flat.
-    for node, weight, cell, pixel in zip(x_nodes, x_weights, x_cell, x_pixel, strict=True):
-        points = np.stack(np.meshgrid([node], y_nodes, z_nodes, indexing="ij"), -1).reshape(-1, 3)
-        cells = _cell_numbers(cell, y_cell, z_cell, (len(x), len(y), len(z)))
+    # A few lines of x at a time keep memory flat.
+    for start in range(0, len(x_nodes), _LINES):
+        part = slice(start, start + _LINES)
+        grid = np.meshgrid(x_nodes[part], y_nodes, z_nodes, indexing="ij")
+        points = np.stack(grid, axis=-1).reshape(-1, 3)
+        cells = _cell_numbers(x_cell[part], y_cell, z_cell, (len(x), len(y), len(z)))
         elements = cells.ravel() // assembly.space.element.cells
         gradients = assembly.space.gradients(potentials, elements, points)
-        weights = (weight * y_weights[:, None] * z_weights).ravel()
-        fluxes = _fluxes(gradients, points, along)
-        products = np.einsum("n,nak,nal->nkl", weights, gradients, fluxes, optimize=True)
-        by_y = products.reshape(len(y_nodes), -1, count, count).sum(axis=1)
-        np.add.at(total, y_pixel * columns + pixel, by_y)
+        weights = x_weights[part, None, None] * y_weights[:, None] * z_weights
+        fluxes = weights.reshape(-1, 1, 1) * _fluxes(gradients, points, along)
+        # Over directions and heights at once: what lies on one line upwards is in one pixel.
+        lines = (len(points) // len(z_nodes), -1, count)
+        products = gradients.reshape(lines).swapaxes(1, 2) @ fluxes.reshape(lines)
+        pixels = y_pixel * columns + x_pixel[part, None]
+        np.add.at(total, pixels.ravel(), products)
     return total
 
 
@@ -86,10 +92,13 @@ def _fluxes(gradients: Numbers, points: Array, along: Tensors | None) -> Numbers
 
 
 def _cell_numbers(
-    ix: int, iy: NDArray[np.int64], iz: NDArray[np.int64], shape: tuple[int, int, int]
+    ix: NDArray[np.int64],
+    iy: NDArray[np.int64],
+    iz: NDArray[np.int64],
+    shape: tuple[int, int, int],
 ) -> NDArray[np.int64]:
-    """Numbers of the boxes (ix, iy, iz) of a structured mesh with `shape` lines, (iy, iz)."""
-    return (ix * (shape[1] - 1) + iy[:, None]) * (shape[2] - 1) + iz
+    """Numbers of the boxes (ix, iy, iz) of a structured mesh with `shape` lines, (ix, iy, iz)."""
+    return (ix[:, None, None] * (shape[1] - 1) + iy[:, None]) * (shape[2] - 1) + iz
 
 
 def _overlaps(
