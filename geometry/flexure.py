@@ -3,13 +3,16 @@
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicHermiteSpline
 
 from eitskin.geometry.deformation import Gradients, Points
 from eitskin.geometry.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicHermiteSpline
 
 Array = NDArray[np.float64]
 
@@ -92,8 +95,10 @@ class Flexure:
         return np.sign(X) * (along.T + beyond * math.cos(end)), down.T + beyond * math.sin(end)
 
     @cached_property
-    def _curve(self) -> CubicHermiteSpline:
+    def _curve(self) -> "CubicHermiteSpline":
         """Integrals of lambda_0 cos(turn) and lambda_0 sin(turn) from the middle to the end."""
+        from scipy.interpolate import CubicHermiteSpline  # takes half a second
+
         X = np.linspace(0.0, 0.5 * self.span, _NODES + 1)
         nodes, weights = np.polynomial.legendre.leggauss(6)
         half = 0.5 * (X[1] - X[0])

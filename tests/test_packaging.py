@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from eitskin import simulator
+
 ROOT = Path(__file__).resolve().parent.parent
 FOLDERS = ("geometry", "simulator", "datasets", "training", "hardware", "cli", "benchmarks")
 HEAVY = (
@@ -42,11 +44,36 @@ def test_the_wheel_holds_every_module_of_the_tree(tmp_path) -> None:
     assert not [name for name in held if name.startswith(FOLDERS)]
 
 
-@pytest.mark.parametrize("package", ["eitskin.geometry", "eitskin.simulator"])
-def test_the_simulator_loads_no_heavy_package(package) -> None:
-    code = f"import {package}, sys; print([m for m in {HEAVY} if m in sys.modules])"
+def loaded(code: str, packages: tuple[str, ...]) -> list[str]:
+    """Which of the packages are in memory after `code`, in a process of its own."""
+    code += f"; import sys; print(*[m for m in {packages} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
+    return done.stdout.split()
+
+
+def test_the_simulator_loads_no_heavy_package() -> None:
+    assert loaded("from eitskin.geometry import *; from eitskin.simulator import *", HEAVY) == []
+
+
+def test_frames_and_protocols_load_no_solver() -> None:
+    code = "import eitskin.simulator; from eitskin.simulator import Frame, Protocol"
+    assert loaded(code, ("scipy", "skfem", "numpy")) == ["numpy"]
+
+
+def test_every_name_of_the_simulator_is_there_once_it_is_asked_for() -> None:
+    assert set(simulator.__all__) <= set(dir(simulator))
+    for name in set(simulator.__all__) - {"EXACT"}:
+        assert getattr(simulator, name).__name__ == name
+    assert isinstance(simulator.EXACT, simulator.Tolerance)
+    with pytest.raises(AttributeError, match=r"'eitskin\.simulator' has no attribute 'Forward'"):
+        simulator.Forward  # noqa: B018
+
+
+def test_no_module_is_longer_than_400_lines() -> None:
+    modules = [path for folder in (*FOLDERS, "tests") for path in (ROOT / folder).rglob("*.py")]
+    assert len(modules) > 300
+    lines = {path: len(path.read_text(encoding="utf-8").splitlines()) for path in modules}
+    assert {path.name: count for path, count in lines.items() if count > 400} == {}
 
 
 def test_a_missing_extra_is_named() -> None:
