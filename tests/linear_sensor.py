@@ -1,5 +1,6 @@
 """The reference sensor to first order: fast enough to make a training set in a test."""
 
+import json
 from functools import lru_cache
 
 import numpy as np
@@ -8,6 +9,8 @@ from eitskin.datasets import Dataset, State
 from eitskin.geometry import SensorDesign
 from eitskin.simulator import ForwardModel, Protocol
 from eitskin.training import NetworkSettings, Pipeline, TrainingSettings
+
+from made_once import made_once
 
 NOISE = 1e-5  # relative, of one frame; low, so that few and brief lessons suffice
 SETTINGS = TrainingSettings(
@@ -71,7 +74,17 @@ def linear_sensor():
     return LinearSensor()
 
 
-@lru_cache(maxsize=1)
-def trained_pipeline():
-    """Trained on its dataset; whoever changes it must copy it first."""
-    return Pipeline.fit(linear_sensor().dataset(), SETTINGS)
+def trained_pipeline(factory):
+    """Folder of a pipeline trained on its dataset, and a list of what it said of its progress."""
+
+    def train(folder):
+        said = []
+        pipeline = Pipeline.fit(
+            linear_sensor().dataset(), SETTINGS, lambda *progress: said.append(progress)
+        )
+        folder.mkdir()
+        pipeline.save(folder / "trained.eitmodel")
+        (folder / "said.json").write_text(json.dumps(said))
+
+    folder = made_once(factory, "linear-sensor", train)
+    return folder / "trained.eitmodel", json.loads((folder / "said.json").read_text())

@@ -27,8 +27,7 @@ def sensor():
 @pytest.fixture(scope="module")
 def saved(tmp_path_factory):
     """A pipeline trained on the sensor, on disk."""
-    path = tmp_path_factory.mktemp("calibration") / "trained.eitmodel"
-    return trained_pipeline().save(path)
+    return trained_pipeline(tmp_path_factory)[0]
 
 
 def frames(sensor, angles, gain=GAIN):

@@ -1,5 +1,6 @@
 """`eitskin generate`, `dataset` and `import`: what they print, their exit codes, Ctrl-C."""
 
+import contextlib
 import errno
 import json
 import os
@@ -95,6 +96,14 @@ def test_no_workers_is_a_usage_error(recipe, tmp_path):
     assert ran.exit_code == 2
 
 
+def wait_for_a_shard(process, out):
+    """Until the first shard is there, or the process has ended without."""
+    while not list(out.glob("shard-*.h5")):
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(0.02)
+            break
+
+
 def test_interrupted_it_says_how_to_go_on(recipe, tmp_path):
     """As Ctrl-C in a terminal: exit code 130, and a line to copy that finishes the set."""
     recipe.write_text(RECIPE.format(count=2000))
@@ -106,8 +115,7 @@ def test_interrupted_it_says_how_to_go_on(recipe, tmp_path):
         text=True,
         start_new_session=True,
     ) as process:
-        while process.poll() is None and not list(out.glob("shard-*.h5")):
-            os.sched_yield()
+        wait_for_a_shard(process, out)
         os.killpg(process.pid, signal.SIGINT)
         _, said = process.communicate(timeout=60)
     assert process.returncode == 130
@@ -124,8 +132,7 @@ def test_killed_at_once_it_leaves_what_a_resumed_run_completes(recipe, tmp_path)
     out = tmp_path / "set"
     given = ["generate", str(recipe), "--out", str(out), "--quiet"]
     with subprocess.Popen([sys.executable, "-c", COMMAND, *given]) as process:
-        while process.poll() is None and not list(out.glob("shard-*.h5")):
-            os.sched_yield()
+        wait_for_a_shard(process, out)
         process.kill()  # its workers notice by themselves
     assert process.returncode == -signal.SIGKILL
     assert not (out / "manifest.json").exists()

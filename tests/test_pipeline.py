@@ -16,14 +16,14 @@ from eitskin.training.layout import LARGEST_SCALE
 from eitskin.training.observed import Observed
 from eitskin.training.pipeline import LONGEST_GAP
 
-from linear_sensor import SETTINGS, LinearSensor
+from linear_sensor import SETTINGS, linear_sensor, trained_pipeline
 
 DATA = Path(os.environ.get("EITSKIN_DATA", Path(__file__).parents[2] / "shared" / "data"))
 
 
 @pytest.fixture(scope="module")
 def sensor():
-    return LinearSensor()
+    return linear_sensor()
 
 
 @pytest.fixture(scope="module")
@@ -32,12 +32,9 @@ def dataset(sensor):
 
 
 @pytest.fixture(scope="module")
-def trained(dataset):
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    said = []
-    pipeline = Pipeline.fit(dataset, SETTINGS, lambda *progress: said.append(progress))
-    torch.set_num_threads(before)
+def trained(tmp_path_factory):
+    path, said = trained_pipeline(tmp_path_factory)
+    pipeline = Pipeline.load(path)
     pipeline.said = said
     return pipeline
 
@@ -84,8 +81,8 @@ def test_states_angles_and_touches_of_frames_never_seen(trained, dataset):
 
 
 def test_training_reports_its_progress(trained):
-    assert ("state classifier", 14, 14) in trained.said
-    assert ("touch map", 1, 14) in trained.said
+    assert ["state classifier", 14, 14] in trained.said
+    assert ["touch map", 1, 14] in trained.said
 
 
 def test_held_out_frames_are_those_the_split_left(trained, dataset):
