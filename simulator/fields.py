@@ -5,8 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.geometry import Mesh
-from eitskin.simulator.assembly import Assembly
 from eitskin.simulator.forward import ForwardModel
 from eitskin.simulator.setting import Setting
 
@@ -37,25 +35,13 @@ def fields_in(model: ForwardModel, setting: Setting) -> Fields:
     """Solve the model in a setting, once for all electrodes."""
     conductivity = None if setting.deformation is None else setting.conductivity
     area_ratio = None if setting.deformation is None else setting.area_ratio
-    stiffness, system, w, U = model._solve(conductivity, area_ratio)
-    u = model.assembly.space.in_elements(w + system.lift @ U, stiffness.inner)
+    u, U = model.element_potentials(conductivity, area_ratio)
     level = U.mean(axis=0)
     gradients = model.assembly.cell_gradients(u)
     flux = -_times(setting.entries(model.assembly.points), gradients)
     weights = model.assembly.cell_weights
     mean = np.einsum("cq,cqae->cae", weights, flux) / weights.sum(axis=1)[:, None, None]
-    return Fields(_at_points(model.assembly, model.mesh, u) - level, U - level, mean)
-
-
-def _at_points(assembly: Assembly, mesh: Mesh, u: Numbers) -> Numbers:
-    """Potentials (elements, functions, k) at the points of the mesh, (points, k)."""
-    space = assembly.space
-    elements = np.arange(len(mesh.cells)) // space.element.cells
-    X = space.reference(elements, mesh.points[mesh.cells])
-    values = np.einsum("ick,cie->cke", space.element.values(X), u[elements], optimize=True)
-    at_points = np.empty((len(mesh.points), u.shape[-1]), dtype=u.dtype)
-    at_points[mesh.cells] = values
-    return at_points
+    return Fields(model.at_points(u) - level, U - level, mean)
 
 
 def _times(entries: Array, vectors: Numbers) -> Numbers:

@@ -149,7 +149,7 @@ class ForwardModel:
         Raises:
             ConfigurationError: for `along` without pixels.
         """
-        u = self._element_potentials(conductivity, area_ratio)
+        u, _ = self.element_potentials(conductivity, area_ratio)
         if pixels is not None:
             gram = pixel_gram(self.assembly, self.mesh, u, self.design.outline, pixels, along)
         elif along is None:
@@ -194,10 +194,27 @@ class ForwardModel:
         """Potential at the mesh's points per unit current into each electrode [V/A].
 
         Shape (points, electrodes); the current leaves through all electrodes alike, so that
-        differences of columns are the potentials of drive pairs.
+        differences of columns are the potentials of drive pairs. They count from the mean of the
+        electrodes' own potentials, as those of `impedance` do.
         """
+        u, U = self.element_potentials(conductivity, area_ratio)
+        return self.at_points(u) - U.mean(axis=0)
+
+    def element_potentials(
+        self, conductivity: Conductivity | None = None, area_ratio: AreaRatio | None = None
+    ) -> tuple[Numbers, Numbers]:
+        """Potentials in the elements and of the electrodes, per unit current into each [V/A].
+
+        Coefficients of the elements' functions (elements, functions, electrodes), and (electrodes,
+        electrodes), of the first by a current into the second; it leaves through all alike. Both
+        count from the grounded place, where gradients keep all digits for any contact impedance.
+        """
+        stiffness, system, w, U = self._solve(conductivity, area_ratio)
+        return self.assembly.space.in_elements(w + system.lift @ U, stiffness.inner), U
+
+    def at_points(self, u: Numbers) -> Numbers:
+        """Functions of the elements (elements, functions, k) at the mesh's points, (points, k)."""
         space, cells = self.assembly.space, self.mesh.cells
-        u = self._element_potentials(conductivity, area_ratio)
         elements = np.arange(len(cells)) // space.element.cells
         X = space.reference(elements, self.mesh.points[cells])
         values = np.einsum("ick,cie->cke", space.element.values(X), u[elements], optimize=True)
@@ -213,7 +230,7 @@ class ForwardModel:
     ) -> Numbers:
         """Mean current density in each cell per unit current [A/m2 per A], (cells, 3)."""
         plus, minus = drive
-        u = self._element_potentials(conductivity, area_ratio)
+        u, _ = self.element_potentials(conductivity, area_ratio)
         assembly = self.assembly
         gradients = assembly.cell_gradients(u[..., [plus]] - u[..., [minus]])[..., 0]
         sigma = _symmetric(self._conductivity(conductivity))
@@ -265,13 +282,6 @@ class ForwardModel:
         T = system.coupling.T @ per_potential
         U = np.linalg.solve(system.admittance - 0.5 * (T + T.T), zero_sums(np.eye(len(T))))
         return stiffness, system, per_potential @ U, U
-
-    def _element_potentials(
-        self, conductivity: Conductivity | None, area_ratio: AreaRatio | None = None
-    ) -> Numbers:
-        """Potentials per unit electrode current, (elements, functions, electrodes) [V/A]."""
-        stiffness, system, w, U = self._solve(conductivity, area_ratio)
-        return self.assembly.space.in_elements(w + system.lift @ U, stiffness.inner)
 
     def _conductivity(self, conductivity: Conductivity | None) -> Array:
         """The conductivity as `Assembly.stiffness` takes it, (cells, q or 1, 1 or 6)."""
