@@ -5,7 +5,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 DATA ?= ../shared/data
 
-.PHONY: demo test lint clean
+.PHONY: demo test lint docs gallery clean
 
 demo: $(VENV)/installed
 	$(BIN)/eitskin demo --out build/demo --data $(DATA)
@@ -18,6 +18,16 @@ lint: $(VENV)/installed
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+# The reference of every public name as HTML that needs no network, in build/docs.
+docs: $(VENV)/installed
+	$(BIN)/python -m pdoc --docformat google --output-directory build/docs \
+		eitskin.geometry eitskin.simulator eitskin.datasets eitskin.training eitskin.hardware
+
+# The pictures in docs/gallery, each by the script of its name.
+gallery: $(VENV)/installed
+	for script in $(filter-out %/style.py, $(wildcard docs/gallery/*.py)); do \
+		$(BIN)/python $$script docs/gallery || exit 1; done
 
 # torch comes first and alone: its CPU build is then found by everything that asks for torch.
 $(VENV)/installed: pyproject.toml constraints.txt
