@@ -198,7 +198,8 @@ class ForwardModel:
         electrodes' own potentials, as those of `impedance` do.
         """
         u, U = self.element_potentials(conductivity, area_ratio)
-        return self.at_points(u) - U.mean(axis=0)
+        counted: Numbers = self.at_points(u) - U.mean(axis=0)
+        return counted
 
     def element_potentials(
         self, conductivity: Conductivity | None = None, area_ratio: AreaRatio | None = None
