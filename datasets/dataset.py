@@ -168,7 +168,7 @@ class Dataset:
         )
 
     def split(self, fractions: Sequence[float], seed: int = 0) -> tuple[NDArray[np.int64], ...]:
-        """Random disjoint index arrays in the given proportions, which sum to one.
+        """Random disjoint numbers of frames, (n,) each, in the given proportions, which sum to one.
 
         Whole specimens are dealt out where there are enough for every part to get one, so that
         a test part holds sensors that training never saw; else single frames.

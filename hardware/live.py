@@ -23,7 +23,7 @@ class Estimate(typing.Protocol):
 
     @property
     def probabilities(self) -> Sequence[float] | NDArray[np.floating]:
-        """Of the states, in their order, summing to one."""
+        """Of the states, in their order, summing to one, (3,)."""
 
     @property
     def bend_angle_deg(self) -> float:

@@ -85,7 +85,7 @@ class Stage:
         self._source = told
 
     def measured(self, now: int) -> NDArray[np.complex128]:
-        """Noise-free impedances of the scene of frame `now`, counted since the board was made."""
+        """Noise-free impedances of frame `now`, counted since the board was made, (n,) [ohm]."""
         self._newest, impedance = self._source(now)
         return impedance
 

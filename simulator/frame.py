@@ -33,7 +33,7 @@ class Frame:
         number: counts the frames of a session; a gap says that frames were lost.
         session: changes when a board has restarted; references of another session are void.
         frequency: of the excitation [Hz].
-        status: `Status` bits per measurement, uint8; zeros where nothing is wrong.
+        status: `Status` bits, (measurements,) uint8; zeros where nothing is wrong.
     """
 
     impedance: NDArray[np.complex128]

@@ -145,7 +145,7 @@ class Pipeline:
         )
 
     def held_out(self, dataset: Dataset) -> NDArray[np.int64]:
-        """Frames that training never saw: the test part of its own dataset, all of another."""
+        """Frames (n,) that training never saw: the test part of its own dataset, all of another."""
         if fingerprint(dataset) == self.trained_on["sha256"]:
             return dataset.split(self.settings.fractions, self.settings.seed)[2]
         return np.arange(len(dataset))
