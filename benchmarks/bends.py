@@ -1,7 +1,8 @@
 """The kinematic bend against the 3D one: `python -m eitskin.benchmarks.bends`.
 
-Prints, for the reference sensor on the default hinge, what the 3D model of the clamped stack gives
-and how far the bend signals of kinematic models are from it, relative to the norm of the signal.
+Prints, as Markdown, for the reference sensor on the default hinge, what the 3D model of the clamped
+stack gives and how far the bend signals of kinematic models are from it, relative to the norm of
+the signal.
 """
 
 import itertools
@@ -27,6 +28,7 @@ BETWEEN = (-15.0, 5.0, 25.0, 45.0, 82.0)
 SPANS = (0.040, 0.044, 0.048)
 TRANSITIONS = (0.0, 0.004, 0.006, 0.008, 0.012)
 CONTRACTIONS = (0.0, 0.25, 0.5, 0.7, 0.8, 1.0)
+SOLVED = ("energy [mJ]", "moment about the axis [mN m]", "least and largest change of the 28")
 # The first is what is used; the others are finer in the thickness and in the plane.
 MESHES = (
     Grading(finest=0.0024, coarsest=0.009, growth=0.4),
@@ -118,12 +120,12 @@ def between(
 
 def print_solved(references: Sequence[Solved], refused: Sequence[str]) -> None:
     """What the 3D model gives, and where it does not go on."""
-    print("3D: angle [deg], solve and frame [s], energy [mJ], moment [mN m], signal [%]")
+    print_head("3D", ("angle", *SOLVED, "solve [s]", "frame [s]"))
     for s in references:
         print(
-            f"{s.bent.angle_deg:+5.0f} {s.solve_seconds:7.1f} {s.frame_seconds:5.2f} "
-            f"{1e3 * s.bent.energy:7.2f} {1e3 * s.bent.moment:+7.1f}   "
-            f"{100 * s.signal.min():+.2f} .. {100 * s.signal.max():+.2f}"
+            f"| {s.bent.angle_deg:g} | {1e3 * s.bent.energy:.2f} | {1e3 * s.bent.moment:.1f} "
+            f"| {100 * s.signal.min():+.2f} .. {100 * s.signal.max():+.2f} % "
+            f"| {s.solve_seconds:.1f} | {s.frame_seconds:.2f} |"
         )
     print(*refused, sep="\n", end="\n" if refused else "")
 
@@ -134,12 +136,17 @@ def print_meshes(sim: Simulator, references: Sequence[Solved], angle_deg: float)
     for grading in MESHES[1:]:
         ((finer,), _) = solved(sim, ClampedStack(sim.design, grading=grading), (angle_deg,))
         change = np.linalg.norm(used - finer.signal) / np.linalg.norm(finer.signal)
-        print(f"{angle_deg:+g} deg on {grading}: {finer.solve_seconds:.0f} s, {change:.2%} apart")
+        print(
+            f"- signal at {angle_deg:+g} deg on {grading.layers} layers from "
+            f"{1e3 * grading.finest:g} mm, apart [%] and solved in [s]: {100 * change:.2f}, "
+            f"{finer.solve_seconds:.0f}"
+        )
 
 
 def print_kinematic(sim: Simulator, references: Sequence[Solved]) -> None:
     """How far kinematic models are from the 3D one."""
-    print("kinematic: span, transition [mm], contraction, error [% of the signal] per angle, mean")
+    angles = (f"{s.bent.angle_deg:g}" for s in references)
+    print_head("kinematic", ("bends, transition [mm], contraction", *angles, "mean"))
     hinges = [
         Hinge(span, give=0.0, transition=transition, contraction=contraction)
         for span, transition, contraction in itertools.product(SPANS, TRANSITIONS, CONTRACTIONS)
@@ -147,12 +154,17 @@ def print_kinematic(sim: Simulator, references: Sequence[Solved]) -> None:
     start = time.perf_counter()
     for model, error in compared(sim, hinges, references).items():
         print(
-            f"{1e3 * model.span:4.0f} {1e3 * model.transition:4.0f} {model.contraction:5.2f}  "
-            + " ".join(f"{100 * e:6.1f}" for e in error)
-            + f"  {100 * error.mean():6.1f}"
+            f"| {1e3 * model.span:.0f}, {1e3 * model.transition:.0f}, {model.contraction:g} | "
+            + " | ".join(f"{100 * e:.1f}" for e in (*error, error.mean()))
+            + " |"
         )
     frames = len(hinges) * len(references)
-    print(f"{(time.perf_counter() - start) / frames:.2f} s per kinematic frame")
+    print(f"\n- kinematic frame [s]: {(time.perf_counter() - start) / frames:.2f}")
+
+
+def print_head(title: str, columns: Sequence[str]) -> None:
+    """Of a table in Markdown."""
+    print(f"\n## {title}\n", f"| {' | '.join(columns)} |", "|---" * len(columns) + "|", sep="\n")
 
 
 def main() -> None:
@@ -164,8 +176,9 @@ def main() -> None:
     print_solved(references, refused)
     print_meshes(sim, references, 20.0)
     seconds, errors_between = between(sim, stack, BETWEEN)
-    print(f"table of bends: {seconds:.0f} s; error of the signal between what was solved:")
-    print(*(f"{angle:+g} deg {error:.2%}" for angle, error in errors_between.items()), sep=", ")
+    print(f"\n- table of bends [s]: {seconds:.0f}")
+    for angle, error in errors_between.items():
+        print(f"- signal between what was solved, at {angle:g} deg, off by [%]: {100 * error:.3f}")
     print_kinematic(sim, references)
 
 

@@ -251,12 +251,12 @@ def main() -> None:
         for case in itertools.product(FORCES, BENDS)
         for row in bounds(sim, "positions", single(*case))
     ]
-    print(f"One touch: mean distance [mm], one-frame reference\n\n{position_table(positions)}\n")
+    print(f"## one touch: mean distance [mm]\n\n{position_table(positions)}\n")
     random = list(bounds(sim, "random", several()))
-    print(f"Touches of {FORCE:g} N at 0 to 30 deg: means\n\n{random_table(random)}\n")
+    print(f"## touches of {FORCE:g} N at 0 to 30 deg: means\n\n{random_table(random)}\n")
     bent = (Scene(Bend(angle)) for angle in ANGLES)
     angles = list(bounds(sim, "angle", bent, factors=(True, False)))
-    print(f"Bend angle, untouched [deg]\n\n{angle_table(angles)}")
+    print(f"## bend angle, untouched [deg]\n\n{angle_table(angles)}")
     if arguments.out:
         table = arguments.out / "cramer-rao.csv"
         write_table(table, [asdict(row) for row in (*positions, *random, *angles)], where)

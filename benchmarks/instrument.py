@@ -110,11 +110,12 @@ def main() -> None:
     strongest = 100.0 * np.abs(pressed.real / flat.real - 1.0).max(axis=1)
     through = current(flat, flat, BOARD.rtia)
     print(Provenance.now(SEED), "\n")
-    print(f"values {np.abs(flat).min():.0f} to {np.abs(flat).max():.0f} ohm; auto-ranged to")
-    print(f"{1e3 * np.abs(through).min():.2f} to {1e3 * np.abs(through).max():.2f} mA, ranges")
-    print(f"{np.unique(pga_range(through * flat))} V and of the current")
-    print(f"{np.unique(pga_range(through * BOARD.rtia))} V")
-    print(f"signal of the strongest pair: {strongest.min():.2f} to {strongest.max():.2f} %\n")
+    print(f"- values [ohm]: {np.abs(flat).min():.0f} to {np.abs(flat).max():.0f}")
+    milliamperes = 1e3 * np.abs(through)
+    print(f"- current, auto-ranged [mA]: {milliamperes.min():.2f} to {milliamperes.max():.2f}")
+    print(f"- ranges of the voltage [V]: {np.unique(pga_range(through * flat))}")
+    print(f"- ranges of the current [V]: {np.unique(pga_range(through * BOARD.rtia))}")
+    print(f"- signal of the strongest pair [%]: {strongest.min():.2f} to {strongest.max():.2f}\n")
     print("| term | default | value, % | phase, deg | signal, % | flagged, % |")
     print("| --- | --- | --- | --- | --- | --- |")
     for name, (text, instrument) in TERMS.items():
@@ -122,7 +123,7 @@ def main() -> None:
         # What is left of rounding is nothing.
         cells = (f"{number:.2g}" if number > 1e-12 else "0" for number in found)
         print(f"| {name} | {text} | {' | '.join(cells)} |")
-    print(f"\nskew at {BEND_SPEED_DEG:g} deg/s of bend: up to {skew(sim, flat):.2f} % of a value")
+    print(f"\n- skew at {BEND_SPEED_DEG:g} deg/s of bend, at most [%]: {skew(sim, flat):.2f}")
 
 
 if __name__ == "__main__":

@@ -151,7 +151,7 @@ def rates(frames: int, seed: int) -> Iterator[str]:
                 f"| {name} | {scene_name} | {rate:.1f} | {100 * busy:.0f} | {' | '.join(shown)} |"
             )
     yield f"\nThe paper's frame takes {PAPER_MS} ms, 303 of them for its acquisition.\n"
-    yield f"Codec alone: {codec_rate():,.0f} frames per second, decoded from bytes in memory."
+    yield f"- codec alone, decoded from bytes in memory, frames per second: {codec_rate():,.0f}"
 
 
 def codec_rate(frames: int = 20000) -> float:

@@ -15,7 +15,7 @@ class MarkdownTable:
     """One table.
 
     Attributes:
-        title: the heading above it, if there is one since the table before.
+        title: the heading or bold line above it, if there is one since the table before.
         head: of the columns.
         rows: cells under the head.
     """
@@ -25,16 +25,23 @@ class MarkdownTable:
     rows: tuple[tuple[str, ...], ...]
 
     def labels(self) -> list[str]:
-        """What each row is called: its first cell, or two, or the first and which of its equals."""
-        for count in (1, 2):
-            found = [", ".join(row[:count]) for row in self.rows]
-            if len(set(found)) == len(found):
-                return found
+        """What each row is called: its first cell; with the second where that is a name as well.
+
+        Rows that are still called the same are numbered.
+        """
+        firsts = [row[0] for row in self.rows]
+        if len(set(firsts)) == len(firsts):
+            return firsts
+        seconds = [row[1] for row in self.rows]
+        both = [", ".join(pair) for pair in zip(firsts, seconds, strict=True)]
+        named = all(cell and not NUMBER.fullmatch(cell) for cell in seconds)
+        if named and len(set(both)) == len(both):
+            return both
         seen: Counter[str] = Counter()
         names = []
-        for row in self.rows:
-            seen[row[0]] += 1
-            names.append(f"{row[0]} ({seen[row[0]]})" if seen[row[0]] > 1 else row[0])
+        for first in firsts:
+            seen[first] += 1
+            names.append(f"{first} ({seen[first]})" if seen[first] > 1 else first)
         return names
 
     def cells(self) -> Iterator[tuple[str, str]]:
@@ -50,8 +57,8 @@ def tables(text: str) -> list[MarkdownTable]:
     title = ""
     lines = text.splitlines()
     for number, line in enumerate(lines):
-        if line.startswith("#"):
-            title = line.strip("# ")
+        if line.startswith(("#", "**")):
+            title = line.strip("#* ")
         elif number and _RULE.fullmatch(line.strip()):
             head = _cells(lines[number - 1])
             rows = []

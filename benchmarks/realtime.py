@@ -213,7 +213,7 @@ def report(runs: dict[str, Run], seed: int) -> list[str]:
         "touches found", "false, a frame", "touch error, mean (largest)",
     )  # fmt: skip
     for name, run in runs.items():
-        lines += [f"{name}:", "", "| " + " | ".join(columns) + " |", "|---" * len(columns) + "|"]
+        lines += [f"## {name}", "", "| " + " | ".join(columns) + " |", "|---" * len(columns) + "|"]
         for m in run.moments:
             error = f"{np.mean(m.errors_mm):.1f} ({max(m.errors_mm):.1f}) mm"
             lines.append(
@@ -221,7 +221,7 @@ def report(runs: dict[str, Run], seed: int) -> list[str]:
                 f"{100 * m.right:.0f} % | {m.angle_error_deg:.2f} deg | {100 * m.found:.0f} % | "
                 f"{m.false:.2f} | {error} |"
             )
-        lines += ["", f"All frames: {_summary(run)}", ""]
+        lines += ["", f"- all frames, {name}: {_summary(run)}", ""]
     return [*lines, *_times(runs)]
 
 

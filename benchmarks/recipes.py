@@ -1,8 +1,8 @@
 """What the shipped recipes draw, and what becomes of it: `python -m eitskin.benchmarks.recipes`.
 
 Draws two pictures into --out: `recipes.png`, statistics of each recipe, and `episodes.png`, one
-episode of each that has any; and prints medians of signal and noise. Signals are of frames
-simulated here, a few hundred of each recipe, spread over all of it.
+episode of each that has any; and prints, as Markdown, medians of signal and noise. Signals are of
+frames simulated here, a few hundred of each recipe, spread over all of it.
 """
 
 import argparse
@@ -71,17 +71,18 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=200, help="how many to simulate of each")
     arguments = parser.parse_args()
     rows, episodes = [], []
+    print("| recipe | bend | touch | noise of one frame |\n|---|---|---|---|")
     for name in shipped_names():
         recipe = Recipe.shipped(name)
         prepare(recipe)
         strength = Strength.of(recipe, arguments.frames)
         rows.append((recipe, drawn(recipe), strength))
-        report(recipe, strength)
+        print(row(recipe, strength), flush=True)
         if recipe.episodes:
             episodes.append((name, simulate(recipe, first_episode(recipe))))
     plot_statistics(rows, arguments.out / "recipes.png")
     plot_episodes(episodes, arguments.out / "episodes.png")
-    print(Provenance.now(0))
+    print(f"\n{Provenance.now(0)}")
 
 
 def drawn(recipe: Recipe) -> list[Sample]:
@@ -99,15 +100,14 @@ def first_episode(recipe: Recipe) -> range:
     return range(recipe.snapshots, recipe.snapshots + recipe.episodes[0].frames)
 
 
-def report(recipe: Recipe, strength: Strength) -> None:
-    """Print one line of medians over the measurements."""
+def row(recipe: Recipe, strength: Strength) -> str:
+    """Medians over the measurements, of a Markdown table."""
     bend, touch, noise = (
         100.0 * float(np.median(part)) for part in (strength.bend, strength.touch, strength.noise)
     )
-    print(
-        f"{recipe.name:18s} {recipe.frames:6d} frames; medians over the measurements: "
-        f"bend {bend:.3f} %, touch {touch:.3f} %, noise {noise:.4f} %"
-    )
+    cells = [f"{bend:.1f} %", f"{touch:.2f} %", f"{noise:.3f} %"]
+    shown = ("-" if cell.startswith("nan") else cell for cell in cells)
+    return f"| `{recipe.name}` | {' | '.join(shown)} |"
 
 
 def _rms(values: NDArray[np.floating]) -> Array:

@@ -199,11 +199,11 @@ def main() -> None:
             row[2] += case.alone(check)
     print(Provenance.now(given.seed), "\n")
     for name, checks in accused.items():
-        print(f"{len(checks)} of {given.specimens} healthy specimens accused, expecting {name}")
+        print(f"- accused of {given.specimens} healthy specimens, expecting {name}: {len(checks)}")
         for check in checks:
             print("  ", "; ".join(each.message for each in check.findings))
     half, most = 1e3 * np.percentile(spent, (50, 99))
-    print(f"one check of {FRAMES} frames: {half:.1f} ms of one core median, {most:.1f} ms p99\n")
+    print(f"- check of {FRAMES} frames, median and p99 [ms]: {half:.1f}, {most:.1f}\n")
     print("| fault | cases | named with its place, % | and nothing else, % |")
     print("| --- | --- | --- | --- |")
     for name, (total, named, alone) in counts.items():

@@ -153,15 +153,15 @@ def main() -> None:
     found = measured()
     print(Provenance.now(0))
     for name, changes in found.bends.items():
-        print(f"\n{name}: change [%] by angle [deg]\n\n{bend_table(found.labels, changes)}")
-    print(f"\nPresses: the pair that changes most\n\n{press_table(found)}")
+        print(f"\n## {name}\n\n{bend_table(found.labels, changes)}")
+    print(f"\n## presses\n\n{press_table(found)}\n")
     for force, changes in found.presses.items():
         largest = np.abs(changes).max(axis=1)
-        print(f"\n{force:g} N: largest pair from {largest.min():.3f} to {largest.max():.3f} %")
-    print(f"\nA press in the middle\n\n{dent_table()}")
+        print(f"- largest pair at {force:g} N [%]: {largest.min():.2f} to {largest.max():.2f}")
+    print(f"\n## a press in the middle\n\n{dent_table()}")
     if folder:
         for path in draw(found, folder):
-            print(f"picture: {path}")
+            print(f"\npicture: {path}")
 
 
 if __name__ == "__main__":

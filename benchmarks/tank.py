@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from eitskin.benchmarks.provenance import Provenance
 from eitskin.benchmarks.tank_data import Tank, read_tank
 from eitskin.benchmarks.tank_fit import FIRST, FITS, Fit, fit, slopes, start
 from eitskin.geometry.grading import Grading
@@ -25,9 +26,16 @@ COARSER = (
     ((3,), Grading(finest=1e-3, coarsest=3e-2, growth=1.5)),
 )
 COLUMNS = (
-    f"{'fitted':40}{'numbers':>8}{'cells':>7}{'order':>6}{'unknowns':>9}"
-    f"{'all %':>8}{'driven %':>9}{'others %':>9}"
-    f"{'sigma h mS':>11}{'z sigma mm':>17}{'width %':>8}{'turned deg':>11}"
+    "fitted, cells, order",
+    "numbers",
+    "unknowns",
+    "all",
+    "driven",
+    "others",
+    "sigma h [mS]",
+    "z sigma [mm]",
+    "width [%]",
+    "turned [deg]",
 )
 
 
@@ -46,16 +54,16 @@ def explain(tank: Tank) -> Iterator[Fit]:
 
 
 def row(one: Fit) -> str:
-    """A line under `COLUMNS`."""
+    """A row under `COLUMNS`, in Markdown."""
     values = one.values
     contacts = 1e3 * (values["contact"] + values["contacts"])
     model, ((order, *_), _) = one.model, one.resolution
     parts = [100 * part for part in one.residual]
     return (
-        f"{one.name:40}{one.unknowns:8}{len(model.mesh.cells):7}{order:6}{model.unknowns:9}"
-        f"{parts[0]:8.2f}{parts[1]:9.2f}{parts[2]:9.2f}{1 / values['sheet'][0]:11.4f}"
-        f"{f'{contacts.min():.2g} .. {contacts.max():.2g}':>17}{100 * values['width'][0]:8.1f}"
-        f"{np.degrees(np.abs(values['place']).max()):11.2f}"
+        f"| {one.name}, {len(model.mesh.cells)}, {order} | {one.unknowns} | {model.unknowns} "
+        f"| {parts[0]:.2f} % | {parts[1]:.2f} % | {parts[2]:.1f} % | {1 / values['sheet'][0]:.4f} "
+        f"| {contacts.min():.2g} .. {contacts.max():.2g} | {100 * values['width'][0]:.1f} "
+        f"| {np.degrees(np.abs(values['place']).max()):.2f} |"
     )
 
 
@@ -90,8 +98,9 @@ def main() -> None:
     parser.add_argument("--picture", type=Path, help="PNG of measured against modelled voltages")
     options = parser.parse_args()
     tank = read_tank(options.folder)
-    print(f"{tank.voltages.size} voltages, {tank.driven.sum()} of which sense a driven electrode")
-    print(COLUMNS)
+    print(f"{Provenance.now(0)}\n\n- voltages, and those that sense a driven electrode: ", end="")
+    print(f"{tank.voltages.size}, {tank.driven.sum()}\n\n| {' | '.join(COLUMNS)} |")
+    print("|---" * len(COLUMNS) + "|")
     fits = []
     for one in explain(tank):
         print(row(one), flush=True)

@@ -1,7 +1,7 @@
 """Presses on a sensor of another thickness, interpolated against solved anew.
 
-`python -m eitskin.benchmarks.thickness` prints the errors of signals of the reference sensor, all
-its heights times a factor, pressed at six places. Solves five tables the first time.
+`python -m eitskin.benchmarks.thickness` prints, as Markdown, the errors of signals of the reference
+sensor, all its heights times a factor, pressed at six places. Solves five tables the first time.
 """
 
 import dataclasses
@@ -15,13 +15,21 @@ from eitskin.simulator import Mechanics, Scene, Simulator, Touch
 
 FACTORS = (0.95, 1.0, 1.05)
 FORCES = (5.0, 10.0)
+HEADINGS = (
+    "thickness",
+    "force",
+    "rms error of signals",
+    "largest, of a press's largest signal",
+    "without any change of thickness, rms",
+)
 PLACES = tuple((x, y) for x in (0.015, 0.045, 0.075) for y in (0.015, 0.030))
 
 
 def main() -> None:
-    """Print a line for each thickness and force."""
+    """Print a row for each thickness and force."""
     nominal = SensorDesign.reference()
     shared = Mechanics(solved_thickness=nominal.thickness)
+    print(" | ".join(("", *HEADINGS, "")).strip(), "|---" * len(HEADINGS) + "|", sep="\n")
     for factor in FACTORS:
         design = dataclasses.replace(
             nominal,
@@ -33,15 +41,15 @@ def main() -> None:
                 signals(*sensor, force)
                 for sensor in ((design, Mechanics()), (design, shared), (nominal, Mechanics()))
             )
-            size, largest = np.linalg.norm(exact), np.abs(exact).max(axis=1)
-            error = np.abs(found - exact).max(axis=1) / largest
-            print(
-                f"thickness x {factor:.2f}, {force:4.1f} N: interpolated off by "
-                f"{np.linalg.norm(found - exact) / size:.2%} rms, at most {error.max():.2%} of a "
-                f"press's largest signal; the nominal sensor's signals by "
-                f"{np.linalg.norm(unmoved - exact) / size:.1%} rms"
+            error = np.abs(found - exact).max(axis=1) / np.abs(exact).max(axis=1)
+            rms, unchanged = (
+                np.linalg.norm(each - exact) / np.linalg.norm(exact) for each in (found, unmoved)
             )
-    print(Provenance.now(0))
+            print(
+                f"| {factor:.2f} | {force:g} N | {100 * rms:.2f} % | {100 * error.max():.1f} % "
+                f"| {100 * unchanged:.1f} % |"
+            )
+    print(f"\n{Provenance.now(0)}")
 
 
 def signals(design: SensorDesign, mechanics: Mechanics, force: float) -> NDArray[np.float64]:

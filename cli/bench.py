@@ -11,7 +11,7 @@ from rich import box
 from rich.markup import escape
 from rich.table import Table
 
-from eitskin.cli import bench_layouts, bench_paper
+from eitskin.cli import bench_layouts, bench_paper, bench_speed, bench_suite
 from eitskin.cli.options import Json, Output, Quiet, Seed, Verbose
 from eitskin.geometry import ConfigurationError
 
@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 app = typer.Typer(help="Measure errors and times.", no_args_is_help=True)
 app.command("paper")(bench_paper.command)
 app.command("layouts")(bench_layouts.command)
+app.command("speed")(bench_speed.command)
+app.command("all")(bench_suite.run_all)
+app.command("quoted")(bench_suite.quoted)
 
 
 Out = Annotated[Path, typer.Option(help="Folder of all results; each benchmark has one in it.")]
@@ -45,7 +48,7 @@ def accuracy(
 
     output = Output(json, quiet, verbose)
     make_folder(out)
-    found = run(seed, quick, _watched(output))
+    found = run(seed, quick, watched(output))
     paths = write(found, out)
     output.result(_as_data(found, paths), _as_table(found))
     output.show(_deformed_table(found))
@@ -72,7 +75,7 @@ def stability(
 
     output = Output(json, quiet, verbose)
     make_folder(out)
-    found = run(seed, quick, _watched(output))
+    found = run(seed, quick, watched(output))
     paths = [str(path) for path in write(found, out)]
     data = dataclasses.asdict(found) | {"wrong": len(found.wrong), "files": paths}
     output.result(data, _stability_table(found))
@@ -91,7 +94,7 @@ def make_folder(out: Path) -> None:
         raise ConfigurationError(f"cannot make the folder {out}: {error.strerror}") from error
 
 
-def _watched(output: Output) -> "Any":
+def watched(output: Output) -> "Any":
     """A progress bar around the items that a benchmark goes through."""
 
     def watch(text: str, items: Sequence[Any]) -> Iterable[Any]:

@@ -1,0 +1,214 @@
+"""All benchmarks, one after the other: `eitskin bench all`.
+
+Some are commands of `eitskin bench` that write their results themselves. The others leave a report
+in Markdown, most by printing it, `python -m eitskin.benchmarks.NAME`: its tables become results.
+"""
+
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from eitskin.benchmarks.markdown_tables import figures
+from eitskin.benchmarks.provenance import Provenance
+from eitskin.benchmarks.results import RESULTS, Results, read_results, write_results
+from eitskin.geometry import DataError
+from eitskin.geometry.whole_file import whole_file
+
+EITSKIN = (sys.executable, "-c", "from eitskin.cli.main import run; run()")
+REPORT = "report.md"
+Start = Callable[[Sequence[str], Path | None], int]
+"""Runs a command, its standard output into a file where one is given, and gives its exit status."""
+
+
+@dataclass(frozen=True, slots=True)
+class Benchmark:
+    """One benchmark.
+
+    Attributes:
+        name: of the command or module, and of the folder of its results.
+        minutes: that all of it takes on two cores.
+        options: besides the seed; `{out}` stands for the folder of all results, `{own}` for that of
+            its own, `{data}` for that of real recordings.
+        quick: other options for a quick run; None where there is no quick one.
+        command: whether it is a command of `eitskin bench`, or else a module.
+        report: the file in its folder that it writes a report to; empty where it prints one.
+        own_results: whether it writes results itself.
+        seeded: whether it takes a seed.
+        needs: a path without which it cannot run, with the same stand-ins.
+    """
+
+    name: str
+    minutes: float
+    options: tuple[str, ...] = ()
+    quick: tuple[str, ...] | None = None
+    command: bool = False
+    report: str = ""
+    own_results: bool = False
+    seeded: bool = False
+    needs: str = ""
+
+    @property
+    def long(self) -> bool:
+        """Whether it runs only when it is asked for."""
+        return self.minutes > LONG
+
+    def arguments(self, places: Mapping[str, str], seed: int, quick: bool) -> list[str]:
+        """What follows `eitskin`, or `python` for a module."""
+        options = self.quick if quick else self.options
+        given = [part.format_map(places) for part in options or ()]
+        seeds = ["--seed", str(seed)] if self.seeded else []
+        what = ["bench", self.name] if self.command else ["-m", f"eitskin.benchmarks.{self.name}"]
+        return [*what, *seeds, *given]
+
+
+LONG = 10.0
+"""Minutes beyond which a benchmark is left out, unless long ones are asked for."""
+OUT, OWN = ("--out", "{out}"), ("--out", "{own}")
+
+
+def _command(name: str, minutes: float, *options: str, seeded: bool = True) -> Benchmark:
+    """A command that writes results."""
+    return Benchmark(
+        name=name,
+        minutes=minutes,
+        options=(*OUT, *options),
+        quick=(*OUT, "--quick"),
+        command=True,
+        own_results=True,
+        seeded=seeded,
+    )
+
+
+ALL = (
+    _command("accuracy", 3),
+    _command("stability", 6),
+    _command("speed", 5),
+    Benchmark("signals", 1, ("--pictures", "{own}"), ("--pictures", "{own}")),
+    Benchmark("instrument", 1, (), ()),
+    Benchmark("left_out", 1, (), ()),
+    Benchmark("thickness", 3),
+    Benchmark("creep", 1, (), ()),
+    Benchmark("cramer_rao", 3, OWN),
+    Benchmark("bends", 8),
+    Benchmark("tank", 3, ("{data}",), needs="{data}/ktc2023_ref.mat"),
+    Benchmark("recipes", 6, OWN, (*OWN, "--frames", "10")),
+    Benchmark("sensor_check", 5, (), ("--specimens", "10", "--faulty", "2"), seeded=True),
+    Benchmark("live_rate", 4, (), ("--frames", "60"), seeded=True),
+    Benchmark("realtime", 3, OWN, (*OWN, "--speed", "max"), seeded=True),
+    Benchmark("board_fuzz", 8, (), ("--bytes", "100000", "--rounds", "1", "--cables", "3")),
+    _command("paper", 40, "--seeds", "2", "--paper-seeds", "1", seeded=False),
+    Benchmark("ablation", 2, ("{out}/paper/seed-1/unseen-touch",), needs="{out}/paper/seed-1"),
+    Benchmark("layouts", 90, OWN, (*OWN, "--quick"), command=True, report="layouts.md"),
+    Benchmark("touches", 180, (*OWN[:1], "{own}/touches.csv", "--plot", "{own}/touches.png")),
+    Benchmark("crashes", 60, (*OWN[:1], "{own}/crashes.csv"), seeded=True),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Done:
+    """What became of one benchmark: "measured", "kept", "left out" or "failed", and why."""
+
+    name: str
+    outcome: str
+    why: str = ""
+    seconds: float = 0.0
+
+
+def run_all(
+    benchmarks: Sequence[Benchmark],
+    out: Path,
+    seed: int,
+    *,
+    quick: bool,
+    fresh: bool,
+    data: Path,
+    start: "Start | None" = None,
+) -> Iterator[Done]:
+    """Run benchmarks in turn, each in a process of its own, and go on after one that failed.
+
+    Args:
+        benchmarks: which.
+        out: folder of the results.
+        seed: of those that take one.
+        quick: fewer and smaller cases.
+        fresh: run also what is there from the same version and seed.
+        data: folder of real recordings.
+        start: runs a command; in a process of its own when omitted.
+    """
+    for each in benchmarks:
+        folder = (out / each.name).absolute()
+        places = {"out": str(out.absolute()), "own": str(folder), "data": str(data.absolute())}
+        needs = each.needs.format_map(places)
+        if quick and each.quick is None:
+            yield Done(each.name, "left out", "there is no quick run of it")
+        elif not fresh and _is_there(folder / RESULTS, seed, quick):
+            yield Done(each.name, "kept", "the same version and seed")
+        elif needs and not Path(needs).exists():
+            yield Done(each.name, "left out", f"needs {needs}")
+        else:
+            began = time.perf_counter()
+            why = _run(each, places, seed, quick, start or run_process)
+            outcome = "failed" if why else "measured"
+            yield Done(each.name, outcome, why, time.perf_counter() - began)
+
+
+def _run(each: Benchmark, places: Mapping[str, str], seed: int, quick: bool, start: Start) -> str:
+    """Run one; gives why it failed, or nothing."""
+    folder = Path(places["own"])
+    folder.mkdir(parents=True, exist_ok=True)
+    program = EITSKIN if each.command else EITSKIN[:1]
+    command = [*program, *each.arguments(places, seed, quick)]
+    if each.own_results:
+        status = start(command, None)
+        return f"exit status {status}" if status else ""
+    began = time.perf_counter()
+    report = folder / (each.report or REPORT)
+    status = start(command, None) if each.report else _printed(command, report, start)
+    if status:
+        return f"exit status {status}"
+    found = figures(report.read_text(encoding="utf-8"))
+    if not found:
+        return f"no figures in {report}"
+    said = {"out": "OUT", "own": f"OUT/{each.name}", "data": "DATA"}
+    shown = ["eitskin" if each.command else "python", *each.arguments(said, seed, quick)]
+    results = Results(
+        name=each.name,
+        command=" ".join(shown),
+        provenance=Provenance.now(seed),
+        seconds=time.perf_counter() - began,
+        quick=quick and each.quick != each.options,
+        figures=found,
+    )
+    write_results(results, folder.parent)
+    return ""
+
+
+def _printed(command: Sequence[str], report: Path, start: Start) -> int:
+    """Run a command whose report goes to a file, whole; a failed one leaves the file before."""
+    with tempfile.TemporaryDirectory() as folder:
+        printed = Path(folder) / report.name
+        status = start(command, printed)
+        if not status:
+            with whole_file(report) as temporary:
+                temporary.write_bytes(printed.read_bytes())
+    return status
+
+
+def run_process(command: Sequence[str], report: Path | None) -> int:
+    """Run a command until it ends; its standard output goes to a file where one is given."""
+    if report is None:
+        return subprocess.run(command, stdout=subprocess.DEVNULL, check=False).returncode  # noqa: S603
+    with report.open("w", encoding="utf-8") as file:
+        return subprocess.run(command, stdout=file, check=False).returncode  # noqa: S603
+
+
+def _is_there(path: Path, seed: int, quick: bool) -> bool:
+    """Whether results are there that a run would give again."""
+    try:
+        return path.is_file() and read_results(path).answers(seed, quick)
+    except DataError:
+        return False
