@@ -3,7 +3,7 @@
 import json
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,7 +18,7 @@ from rich.text import Text
 
 from eitskin.cli.live_view import draw, losses, plain
 from eitskin.cli.options import Json, Output, Quiet, Seed, Verbose, ended_by_signals
-from eitskin.cli.recording import Recording
+from eitskin.cli.recording import FrameRecording, MessageRecording, Recording
 from eitskin.geometry import PartialError, SensorDesign
 
 if TYPE_CHECKING:
@@ -33,6 +33,10 @@ BoardUri = Annotated[
 Frames = Annotated[int | None, typer.Option(min=1, help="End after so many; else at Ctrl-C.")]
 Record = Annotated[
     Path | None, typer.Option(help="Also write every frame into a new dataset in this folder.")
+]
+Mcap = Annotated[
+    Path | None,
+    typer.Option(help="Also write frames and estimates, as ROS 2 messages, into this .mcap file."),
 ]
 EveryFrame = Annotated[
     bool,
@@ -52,6 +56,7 @@ def command(
     board: BoardUri = "virtual:",
     frames: Frames = None,
     record: Record = None,
+    mcap: Mcap = None,
     every_frame: EveryFrame = False,
     page: ShowPage = False,
     page_port: PagePort = 8940,
@@ -65,7 +70,6 @@ def command(
     The sensor must be flat and untouched when a session begins: at the start, and whenever the
     board has started anew. A board that goes away is connected to again until it is back.
     """
-    from eitskin.datasets import ShardWriter
     from eitskin.hardware import Connection, open_board, run_live
     from eitskin.training import Pipeline
 
@@ -73,10 +77,10 @@ def command(
     pipeline = Pipeline.load(model)
     with ExitStack() as stack:
         stack.enter_context(ended_by_signals())
-        recording = stack.enter_context(closing(Recording(ShardWriter(record)))) if record else None
+        recordings = [stack.enter_context(closing(each)) for each in _recordings(record, mcap)]
         opened = stack.enter_context(open_board(board, **seeded(board, seed)))
         output.detail(f"{opened.uri}: firmware {opened.info.firmware}, {opened.protocol.labels}")
-        session = LiveSession(Connection(opened), output, recording)
+        session = LiveSession(Connection(opened), output, recordings)
         session.connection.tell = session.say
         layout = getattr(pipeline, "layout", None)
         # A recording was checked when it was made, and need not begin flat.
@@ -88,13 +92,25 @@ def command(
             design = SensorDesign.reference() if layout is None else layout.design
             session.page = stack.enter_context(closing(Page(session.connection, design, page_port)))
             output.note(f"page: {session.page.url}")
-        newest = not (every_frame or record)
+        newest = not (every_frame or recordings)
         session.follow(run_live(session.connection, pipeline, newest=newest), frames)
-    if recording is not None and recording.missing:
-        raise PartialError(
-            f"{recording.missing} frames are not in {record}: {recording.problem}; those before "
-            "are there and can be replayed"
-        )
+    if lost := [each.loss for each in recordings if each.loss]:
+        raise PartialError("; ".join(lost))
+
+
+def _recordings(record: Path | None, mcap: Path | None) -> Iterator[Recording]:
+    """What a session is written to; nothing that is there already is replaced.
+
+    The file comes first: where it cannot be, no folder has been made.
+    """
+    if mcap is not None:
+        from eitskin.hardware.mcap import McapWriter
+
+        yield MessageRecording(McapWriter(mcap, now=time.time_ns))
+    if record is not None:
+        from eitskin.datasets import ShardWriter
+
+        yield FrameRecording(ShardWriter(record), record)
 
 
 def seeded(uri: str, seed: int) -> dict[str, Any]:
@@ -108,7 +124,7 @@ class LiveSession:
 
     connection: "Connection"
     output: Output
-    recording: "Recording | None" = None
+    recordings: Sequence[Recording] = ()
     page: "Page | None" = None
     expected: NDArray[np.float64] | None = None
     clock: Callable[[], float] = time.monotonic
@@ -146,18 +162,18 @@ class LiveSession:
         self.latencies.append(reading.latency)
         if self.page is not None:
             self.page.publish(reading)
-        if self.recording is not None:
-            self.record(reading.frame, self.recording)
+        self.record(reading)
         if self.output.as_json:
             counts = self.connection.board.counts
             typer.echo(json.dumps(plain(reading, counts), allow_nan=False))
 
-    def record(self, frame: "Frame", recording: Recording) -> None:
-        """Write the frame; where that fails, go on without and say so."""
-        known = recording.problem
-        recording.append(frame)
-        if recording.problem != known:
-            self.say(f"recording stopped: {recording.problem}")
+    def record(self, reading: "Reading") -> None:
+        """Write the reading; where that fails, go on without and say so."""
+        for recording in self.recordings:
+            known = recording.problem
+            recording.append(reading)
+            if recording.problem != known:
+                self.say(f"recording stopped: {recording.problem}")
 
     def notice_session(self, frame: "Frame") -> None:
         """Say that a session begins, and how the sensor is at its beginning."""

@@ -2,6 +2,7 @@
 
 import shutil
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -86,7 +87,11 @@ class McapWriter(Closing):
         self._topics: dict[str, Any] = {}
 
     def write(self, reading: Reading) -> None:
-        """Append one reading; raises PartialError where it cannot be written."""
+        """Append one reading.
+
+        Raises PartialError where it cannot be written; nothing more can be then, and there will be
+        no file under the name.
+        """
         stamp, begins = self._stamps.of(reading.frame)
         said = self._messages.of(reading, stamp)
         if begins:
@@ -96,6 +101,10 @@ class McapWriter(Closing):
                 data = self._messages.serialised(topic, message)
                 self._bag.write(self._topic(topic), stamp, data)
         except OSError as error:
+            # A chunk that was cut short must stay the last: no index is put behind it.
+            bag, self._bag = self._bag, None
+            with suppress(OSError):
+                bag.abort()
             raise self._stopped(error) from error
         self.messages += len(said)
 
@@ -115,15 +124,17 @@ class McapWriter(Closing):
             with whole_file(self.path, PartialError) as temporary:
                 (self._folder / f"{self._folder.name}{SUFFIX}").replace(temporary)
         except OSError as error:
+            with suppress(OSError):
+                bag.abort()
             raise self._stopped(error) from error
         shutil.rmtree(self._folder, ignore_errors=True)
 
     def discard(self) -> None:
-        """Close without leaving a file."""
+        """Close without leaving a file, nor what is left of one that could not be written."""
         bag, self._bag = self._bag, None
         if bag is not None:
             bag.abort()
-            shutil.rmtree(self._folder, ignore_errors=True)
+        shutil.rmtree(self._folder, ignore_errors=True)
 
     def _topic(self, topic: str) -> Any:
         """Its place in the file; a recording without estimates has no topics of estimates."""

@@ -1,9 +1,14 @@
 """Pipelines and boards that do as they are told, for the live loop."""
 
+import sys
+import types
 from dataclasses import dataclass, field
 
 import numpy as np
+import typer
+from typer.testing import CliRunner
 
+from eitskin.cli import live
 from eitskin.datasets import State
 from eitskin.hardware import Counts
 from eitskin.simulator import Frame, Protocol
@@ -58,3 +63,14 @@ class FakeBoard:
 
 def frame(number=0, **changes):
     return Frame(np.full(28, 600.0), PROTOCOL, 0.3 * number, number, **changes)
+
+
+def run_command(monkeypatch, pipeline, *arguments):
+    """Run `eitskin live` with the given pipeline in place of a trained one."""
+    module = types.ModuleType("eitskin.training")
+    module.Pipeline = types.SimpleNamespace(load=lambda _: pipeline)
+    monkeypatch.setitem(sys.modules, "eitskin.training", module)
+    monkeypatch.setattr("eitskin.hardware.virtual.Simulator", lambda *_, **__: FakeSimulator())
+    app = typer.Typer()
+    app.command()(live.command)
+    return CliRunner().invoke(app, ["a.eitmodel", *arguments])

@@ -1,19 +1,17 @@
 """The command `eitskin live`, on fake pipelines."""
 
 import json
-import sys
 import types
+from functools import partial
 
 import numpy as np
 import pytest
-import typer
 from rich.console import Console
-from typer.testing import CliRunner
 
 from eitskin.cli import live as cli
 from eitskin.cli import live_view
 from eitskin.cli.options import Output
-from eitskin.cli.recording import Recording
+from eitskin.cli.recording import FrameRecording
 from eitskin.datasets import ShardWriter, durable, open_dataset
 from eitskin.geometry import (
     ConfigurationError,
@@ -23,26 +21,14 @@ from eitskin.geometry import (
 from eitskin.hardware import Connection, Counts, Reading, open_board
 from eitskin.simulator import Status
 
-from live_fakes import PROTOCOL, Estimate, FakePipeline, FakeSimulator, frame
+from live_fakes import PROTOCOL, Estimate, FakePipeline, frame, run_command
 
 # ---- the command ----
 
 
 @pytest.fixture
 def run(monkeypatch):
-    """Runs the command with the given pipeline in place of a trained one."""
-
-    def invoke(pipeline, *arguments):
-        loaded = types.SimpleNamespace(load=lambda _: pipeline)
-        module = types.ModuleType("eitskin.training")
-        module.Pipeline = loaded
-        monkeypatch.setitem(sys.modules, "eitskin.training", module)
-        monkeypatch.setattr("eitskin.hardware.virtual.Simulator", lambda *_, **__: FakeSimulator())
-        app = typer.Typer()
-        app.command()(cli.command)
-        return CliRunner().invoke(app, ["a.eitmodel", *arguments])
-
-    return invoke
+    return partial(run_command, monkeypatch)
 
 
 def test_json_is_one_object_per_frame(run):
@@ -233,8 +219,8 @@ def full_disk(monkeypatch):
     [(0, 0), (1, 0), (2, 4), (3, 4), (4, 8)],  # a shard, the manifest, and so on
 )
 def test_a_full_disk_ends_the_recording_and_not_the_session(tmp_path, full_disk, files, readable):
-    recording = Recording(ShardWriter(tmp_path / "r", frames_per_shard=4))
-    session = session_of(QuietBoard(), recording=recording)
+    recording = FrameRecording(ShardWriter(tmp_path / "r", frames_per_shard=4), tmp_path / "r")
+    session = session_of(QuietBoard(), recordings=[recording])
     full_disk(files)
     with session.output.notes.capture() as capture:
         for number in range(11):
@@ -250,10 +236,10 @@ def test_a_full_disk_ends_the_recording_and_not_the_session(tmp_path, full_disk,
 
 
 def test_a_disk_that_has_room_again_gets_what_was_held_back(tmp_path, full_disk, monkeypatch):
-    recording = Recording(ShardWriter(tmp_path / "r", frames_per_shard=4))
+    recording = FrameRecording(ShardWriter(tmp_path / "r", frames_per_shard=4), tmp_path / "r")
     full_disk(1)  # the shard goes through, its manifest does not
     for number in range(4):
-        recording.append(frame(number))
+        recording.append(reading(number))
     monkeypatch.undo()
     recording.close()
     assert recording.missing == 0
