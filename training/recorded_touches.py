@@ -82,21 +82,28 @@ class RecordedTouches:
         )
 
     def held_out(self, dataset: Dataset) -> NDArray[np.int64]:
-        """Frames that training never saw: the last part of its own recording, all of another."""
+        """Frames (n,) that training never saw: the last of its own recording, all of another."""
         touches = _touches(dataset)
         own = fingerprint(dataset) == self.trained_on["sha256"]
         return touches[self.trained_on["frames"] :] if own else touches
 
-    def evaluate(self, dataset: Dataset) -> PositionScore:
-        """Distances of the held-out frames of `dataset`; raises DataError where there are none."""
+    def found(self, dataset: Dataset) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """True and found places of the held-out frames of `dataset` (k, 2) [m].
+
+        Raises DataError where there are none.
+        """
         frames = self.held_out(dataset)
         if len(frames) == 0:
             raise DataError("there is no frame with exactly one touch to evaluate on")
-        truth = _places(dataset, frames)
-        error = np.linalg.norm(self.position.apply(_ratios(dataset, frames)) - truth, axis=1)
+        return _places(dataset, frames), self.position.apply(_ratios(dataset, frames))
+
+    def evaluate(self, dataset: Dataset) -> PositionScore:
+        """Distances of the held-out frames of `dataset`; raises DataError where there are none."""
+        truth, found = self.found(dataset)
+        error = np.linalg.norm(found - truth, axis=1)
         guess = np.linalg.norm(self.position.centre - truth, axis=1)
         return PositionScore(
-            len(frames),
+            len(truth),
             float(error.mean()) * 1e3,
             float(np.median(error)) * 1e3,
             float(guess.mean()) * 1e3,

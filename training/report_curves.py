@@ -20,8 +20,13 @@ def histories(pipeline: Pipeline) -> Mapping[str, History]:
 
 
 def training_curves(evaluation: Evaluation) -> Drawn | Absent:
+    """Loss per epoch of every network of the pipeline that was evaluated."""
+    return loss_curves(evaluation.pipeline)
+
+
+def loss_curves(pipeline: Pipeline) -> Drawn | Absent:
     """Loss per epoch of every network."""
-    networks = histories(evaluation.pipeline)
+    networks = histories(pipeline)
     if not networks:
         return Absent("this pipeline has no networks, or was trained without keeping their losses")
     figure = new_figure(4.8 * len(networks), 3.6)
