@@ -27,40 +27,47 @@ STEPS = (
     Scene(),
     Scene(touches=_OTHERS),
 )
+COLUMNS = ("true", "state", "angle, deg", "touches: true", "found", "error, mm", "ms/frame")
 
 
-def run_episode(pipeline: "FramePipeline", seed: int) -> list[dict[str, Any]]:
+def run_episode(pipeline: "FramePipeline", seed: int, frames: int = FRAMES) -> list[dict[str, Any]]:
     """Play the episode through a virtual board and `pipeline`; one row of results per step.
 
     Every frame crosses the pseudo-terminal as packets, as from a real board. A step's row holds
-    the state that most of its frames were given, the median angle, and the touches of its last.
+    the state that most of its frames were given, the median angle, and the touches of its last;
+    and state, angle and time of each of its frames.
     """
     from eitskin.hardware import Script, Step, open_board
     from eitskin.hardware.live import run_live
 
-    script = Script(tuple(Step(scene, FRAMES) for scene in STEPS), repeat=False)
+    script = Script(tuple(Step(scene, frames) for scene in STEPS), repeat=False)
     readings: list[Reading] = []
     with open_board("virtual:", scene=script, speed="max", seed=seed) as board:
         for reading in run_live(board, pipeline, newest=False):
             readings.append(reading)
-            if len(readings) == FRAMES * len(STEPS):
+            if len(readings) == frames * len(STEPS):
                 break
-    return [_row(scene, readings[i * FRAMES : (i + 1) * FRAMES]) for i, scene in enumerate(STEPS)]
+    return [_row(scene, readings[i * frames : (i + 1) * frames]) for i, scene in enumerate(STEPS)]
+
+
+def episode_cells(row: dict[str, Any]) -> tuple[str, ...]:
+    """Truth beside estimate for a step, one text for each of `COLUMNS`."""
+    return (
+        row["true_state"],
+        f"{row['state']} ({row['right_frames']}/{len(row['states'])})",
+        f"{row['angle_deg']:+.1f} (true {row['true_angle_deg']:+.0f})",
+        _places(row["true_touches_mm"]),
+        _places(row["touches_mm"]),
+        ", ".join(f"{error:.1f}" for error in row["errors_mm"]) or "-",
+        f"{row['latency_ms']:.1f}",
+    )
 
 
 def episode_table(rows: Sequence[dict[str, Any]]) -> Table:
-    """Truth beside estimate for each step."""
-    table = Table("true", "state", "angle, deg", "touches: true", "found", "error, mm", "ms/frame")
+    """All steps."""
+    table = Table(*COLUMNS)
     for row in rows:
-        table.add_row(
-            row["true_state"],
-            f"{row['state']} ({row['right_frames']}/{FRAMES})",
-            f"{row['angle_deg']:+.1f} (true {row['true_angle_deg']:+.0f})",
-            _places(row["true_touches_mm"]),
-            _places(row["touches_mm"]),
-            ", ".join(f"{error:.1f}" for error in row["errors_mm"]) or "-",
-            f"{row['latency_ms']:.1f}",
-        )
+        table.add_row(*episode_cells(row))
     return table
 
 
@@ -73,16 +80,21 @@ def _row(scene: Scene, readings: Sequence["Reading"]) -> dict[str, Any]:
     true = [(touch.x, touch.y) for touch in scene.touches]
     found = [(float(x), float(y)) for x, y, _ in estimates[-1].touches]
     errors = metrics.localisation([(np.array(true).reshape(-1, 2), found)]).errors if true else []
+    angles = [float(e.bend_angle_deg) for e in estimates]
+    latencies = [1e3 * float(reading.latency) for reading in readings]
     return {
         "true_state": truth,
-        "state": max(set(names), key=names.count),
+        "state": max(metrics.STATES, key=names.count),
         "right_frames": names.count(truth),
         "true_angle_deg": scene.bend.angle_deg,
-        "angle_deg": float(np.median([e.bend_angle_deg for e in estimates])),
+        "angle_deg": float(np.median(angles)),
         "true_touches_mm": [[1e3 * x, 1e3 * y] for x, y in true],
         "touches_mm": [[1e3 * x, 1e3 * y] for x, y in found],
         "errors_mm": [1e3 * float(error) for error in errors],
-        "latency_ms": 1e3 * float(np.median([reading.latency for reading in readings])),
+        "latency_ms": float(np.median(latencies)),
+        "states": names,
+        "angles_deg": angles,
+        "latencies_ms": latencies,
     }
 
 

@@ -1,38 +1,60 @@
 """Real recordings through the same code as simulated frames."""
 
+import dataclasses
+import hashlib
+import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from eitskin.cli.options import Output
-from eitskin.datasets import RecordingNames, read_recording, save_dataset
-from eitskin.geometry import FrameError
+import numpy as np
+
+from eitskin.cli.demo_parts import REMEDY, Part, drawn_picture
+from eitskin.cli.demo_pictures import found_presses, two_sensors
+from eitskin.datasets import Dataset, RecordingNames, read_recording, save_dataset
+from eitskin.geometry import FrameError, PartialError
 from eitskin.simulator import Protocol
+from eitskin.training.report_drawing import style
 
 if TYPE_CHECKING:
     from eitskin.training import Pipeline
 
-PRESSES = "ohmc8.mat"
-BOARD_FRAME = "openeit_background_8.txt"
+PUBLISHED_MM = 4.5  # mean error that is published beside the presses
 
 
-def run_real_input(
-    data: Path | None, out: Path, pipeline: "Pipeline", output: Output
-) -> dict[str, Any]:
+def sums(data: Path | None) -> dict[str, str]:
+    """SHA-256 of the recordings that lie in `data`, by their names."""
+    paths = [data / file for file, _ in RECORDINGS.values()] if data is not None else []
+    there = [path for path in paths if path.is_file()]
+    return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in there}
+
+
+def real(data: Path | None, out: Path, pipeline: "Pipeline") -> Part:
     """Learn touch positions from real presses; put a real board's frame through the checks.
 
-    Says clearly, and does nothing, where `data` or a file in it is absent.
+    Says how to give them where `data` or a file in it is absent.
     """
-    found: dict[str, Any] = {}
-    for name, what in ((PRESSES, _presses), (BOARD_FRAME, _board_frame)):
-        if data is None or not (data / name).is_file():
+    parts: dict[str, Part] = {}
+    for name, (file, measure) in RECORDINGS.items():
+        if data is not None and (data / file).is_file():
+            parts[name] = measure(data / file, out, pipeline)
+        else:
             place = data if data is not None else "the folder that --data names"
-            output.show(f"{name}: not found in {place}; give the folder that holds it as --data")
-            continue
-        found[name] = what(data / name, out, pipeline, output)
-    return found
+            told = f"{file}: not found in {place}; give the folder that holds it as --data"
+            parts[name] = Part({}, told=(told,))
+    return _joined(parts)
 
 
-def _presses(path: Path, out: Path, pipeline: "Pipeline", output: Output) -> dict[str, Any]:  # noqa: ARG001
+def _joined(parts: Mapping[str, Part]) -> Part:
+    """One part of all recordings."""
+    return Part(
+        {name: part.numbers for name, part in parts.items() if part.numbers},
+        {name: picture for part in parts.values() for name, picture in part.pictures.items()},
+        tuple(sentence for part in parts.values() for sentence in part.told),
+    )
+
+
+def _presses(path: Path, out: Path, pipeline: "Pipeline") -> Part:  # noqa: ARG001
     """500 robot presses on a round hydrogel skin with 32 channels of unknown order."""
     from eitskin.training import RecordedTouches
 
@@ -41,27 +63,60 @@ def _presses(path: Path, out: Path, pipeline: "Pipeline", output: Output) -> dic
     learned = RecordedTouches.fit(recording)
     score = learned.evaluate(recording)
     learned.save(out / "presses.eitmodel")
-    output.show(
+    told = (
         f"{path.name}: {len(recording)} presses, learned from the first 80 % in time: mean error "
         f"{score.mean_error_mm:.1f} mm on the last {score.frames} (published beside the data: "
-        f"4.5 mm; always saying the middle: {score.guess_error_mm:.0f} mm)"
+        f"{PUBLISHED_MM} mm; always saying the middle: {score.guess_error_mm:.0f} mm)"
     )
-    return score.as_dict()
+    with style():
+        drawn = found_presses(*learned.found(recording), path.name)
+        picture = drawn_picture(drawn, "Lines from true places of real presses to those found")
+    numbers = {"presses": len(recording), "published_mm": PUBLISHED_MM, **score.as_dict()}
+    return Part(numbers, {"presses": picture}, (told,))
 
 
-def _board_frame(path: Path, out: Path, pipeline: "Pipeline", output: Output) -> dict[str, Any]:
+def _board_frame(path: Path, out: Path, pipeline: "Pipeline") -> Part:
     """One frame of all 28 pairs of a real board, replayed as if live."""
+    recording = read_recording(path, protocol=Protocol.pairwise(8))
+    own, measured = pipeline.layout.reference, np.abs(recording.impedance[0]).astype(float)
+    numbers: dict[str, Any] = {
+        "median_ratio": float(np.median(measured / own)),
+        **_replayed(recording, out, pipeline),
+    }
+    if numbers["refused"]:
+        told = f"{path.name}: replayed; the pipeline refuses it: {numbers['refused']}"
+    else:
+        told = f"{path.name}: replayed; {numbers['state']}, {'; '.join(numbers['problems'])}"
+    with style():
+        drawn = two_sensors(own, measured, pipeline.layout.protocol.labels, path.name)
+        picture = drawn_picture(drawn, "Values of a real board's frame beside those trained with")
+    return Part(numbers, {"board_frame": picture}, (told,))
+
+
+def _replayed(recording: Dataset, out: Path, pipeline: "Pipeline") -> dict[str, object]:
+    """What the pipeline says of the recording's first frame when a board replays it."""
     from eitskin.hardware import open_board
 
-    folder = out / "board_frame"
-    if not folder.exists():
-        save_dataset(read_recording(path, protocol=Protocol.pairwise(8)), folder)
-    with open_board(f"replay:{folder}") as board:
-        frame = next(iter(board.frames()))
-        try:
-            estimate = pipeline.process(frame)
-        except FrameError as error:
-            output.show(f"{path.name}: replayed; the pipeline refuses it: {error}")
-            return {"refused": str(error)}
-    output.show(f"{path.name}: replayed; {estimate.state.name.lower()}, {estimate.problems}")
-    return {"state": estimate.state.name.lower(), "problems": list(estimate.problems)}
+    try:
+        with tempfile.TemporaryDirectory(prefix=".replay-", dir=out) as parent:
+            folder = Path(parent) / "frame"
+            save_dataset(recording, folder)
+            with open_board(f"replay:{folder}") as board:
+                frame = next(iter(board.frames()))
+    except PartialError:
+        raise
+    except OSError as error:
+        raise PartialError(f"cannot write in {out}: {error.strerror}; {REMEDY}") from error
+    try:
+        estimate = dataclasses.replace(pipeline).process(frame)
+    except FrameError as error:
+        return {"refused": str(error), "state": None, "problems": []}
+    state, problems = estimate.state.name.lower(), list(estimate.problems)
+    return {"refused": None, "state": state, "problems": problems}
+
+
+RECORDINGS = {
+    "presses": ("ohmc8.mat", _presses),
+    "board_frame": ("openeit_background_8.txt", _board_frame),
+}
+"""By the name that their numbers have: the file, and what is done with it."""
