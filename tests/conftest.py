@@ -9,3 +9,29 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 # Solved presses are kept between runs, apart from the user's own.
 os.environ.setdefault("EITSKIN_CACHE", str(Path(__file__).parents[1] / ".pytest_cache" / "kernels"))
+
+# Files that take longest come first, so that no worker is left alone with one of them at the end.
+LONGEST = (
+    "test_cli_demo",
+    "test_gallery",
+    "test_generate",
+    "test_cluster",
+    "test_indentation",
+    "test_cli_generate",
+    "test_pressed",
+    "test_bench_paper",
+    "test_saved_pipeline",
+    "test_bench",
+    "test_bench_layouts",
+    "test_calibration",
+    "test_thread",
+    "test_cli_train",
+    "test_batches",
+    "test_sampling",
+)
+
+
+def pytest_collection_modifyitems(items):
+    """Long files first; else in their order."""
+    ranks = {name: rank for rank, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: ranks.get(item.path.stem, len(LONGEST)))

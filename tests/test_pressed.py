@@ -19,7 +19,7 @@ OUTLINE = Rectangle(0.080, 0.070)
 DESIGN = SensorDesign(OUTLINE, 0.005, uniform(OUTLINE, 4), encapsulated_thickness=0.005)
 MATERIAL = Mechanics(NeoHookean(20e3), NeoHookean(20e3), margin=0.0)
 PUNCH = Cylinder(0.004)
-COARSE = Grading(finest=7e-4, coarsest=5e-3, growth=0.6, layers=2)
+COARSE = Grading(finest=9e-4, coarsest=5e-3, growth=0.6, layers=2)
 COARSER = Grading(finest=2.5e-3, coarsest=6e-3, growth=1.0)
 REACH = 0.018
 

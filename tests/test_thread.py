@@ -39,7 +39,7 @@ def folder(tmp_path_factory) -> Path:
     """Where the pipeline lies that a small generated dataset was trained on."""
     place = tmp_path_factory.mktemp("thread")
     generate(parse_toml(Recipe, RECIPE), place / "small", workers=2)
-    brief = NetworkSettings(3e-3, epochs=25, batch=16)
+    brief = NetworkSettings(3e-3, epochs=8, batch=16)
     pipeline = Pipeline.fit(
         open_dataset(place / "small"), TrainingSettings(classifier=brief, postprocessor=brief)
     )
