@@ -13,6 +13,9 @@ from eitskin.cli.options import Json, Output, Quiet, Seed, Verbose, ended_by_sig
 SceneFile = Annotated[
     Path | None, typer.Option(help="Scene or script (TOML); flat and untouched when omitted.")
 ]
+SensorFile = Annotated[
+    Path | None, typer.Option(help="Sensor design file; the reference sensor when omitted.")
+]
 BoardResolution = Annotated[str, typer.Option(help="Of the simulator: fast, standard or fine.")]
 Instrument = Annotated[
     str | None, typer.Option(help="ad5940: all terms of its chain; white noise when omitted.")
@@ -33,6 +36,7 @@ Speed = Annotated[str, typer.Option(help="real: as the AD5940; max: as fast as i
 def command(
     *,
     scene: SceneFile = None,
+    sensor: SensorFile = None,
     resolution: BoardResolution = "fast",
     speed: Speed = "real",
     instrument: Instrument = None,
@@ -57,6 +61,7 @@ def command(
         speed=speed,
         resolution=resolution,
         scene=scene,
+        sensor=sensor,
         seed=seed,
         instrument=instrument,
         period=period,

@@ -1,6 +1,7 @@
-"""Files that appear whole under their name, or not at all, whatever happens meanwhile."""
+"""Files and folders that appear whole under their name or not at all, whatever happens."""
 
 import os
+import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -41,6 +42,48 @@ def whole_file(
         _sync(path.parent)
     except OSError as error:
         raise failure(f"cannot write {path}: {error.strerror or error}; {remedy}") from error
+
+
+@contextmanager
+def whole_folder(
+    path: str | Path, failure: type[EitskinError] = ConfigurationError, remedy: str = _REMEDY
+) -> Iterator[Path]:
+    """Give a temporary folder beside `path` to fill; it takes the name when the block ends.
+
+    Arguments and promises are those of `whole_file`. What stood at `path` steps aside for it and is
+    then removed; folders above are made.
+    """
+    path = Path(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
+        try:
+            yield temporary
+            for file in temporary.iterdir():
+                _sync(file)
+            temporary.chmod(0o755)  # mkdtemp's 0700 would keep others out
+            _put_in_place(temporary, path)
+        finally:
+            shutil.rmtree(temporary, ignore_errors=True)
+    except OSError as error:
+        raise failure(f"cannot write {path}: {error.strerror or error}; {remedy}") from error
+
+
+def _put_in_place(temporary: Path, path: Path) -> None:
+    """Rename the folder `temporary` to `path`; one that lies there steps aside first."""
+    with tempfile.TemporaryDirectory(
+        prefix=f".{path.name}.old.", dir=path.parent, ignore_cleanup_errors=True
+    ) as aside:
+        old = Path(aside) / path.name
+        if path.exists():
+            path.rename(old)
+        try:
+            temporary.rename(path)
+        except OSError:
+            if old.exists():
+                old.rename(path)
+            raise
+        _sync(path.parent)
 
 
 def _sync(path: Path) -> None:

@@ -199,6 +199,7 @@ _SCHEMES: dict[str, tuple[Callable[[str, str, dict[str, Any]], Board], Readers]]
             "speed": str,
             "resolution": str,
             "scene": str,
+            "sensor": str,
             "seed": int,
             "snr_db": float,
             "instrument": str,

@@ -225,6 +225,7 @@ def virtual_terminal(
     instrument: Instrument | str | None = None,
     faults: str | Sequence[Fault] = (),
     simulator: Measuring | None = None,
+    sensor: str | Path | SensorDesign | None = None,
     period: float | None = None,
     link: str | Path | None = None,
 ) -> PseudoTerminal[VirtualFirmware]:
@@ -240,7 +241,8 @@ def virtual_terminal(
         instrument: that measures, in one session, or its name; white noise of `snr_db` when
             omitted.
         faults: what goes wrong, as text or as `Fault`s.
-        simulator: of the sensor; one of the reference design when omitted.
+        simulator: of the sensor; one of `sensor` when omitted.
+        sensor: a design, or the path of its TOML file; the reference sensor when omitted.
         period: from frame to frame [s]; the AD5940's when omitted.
         link: a path that leads to the terminal, also after the cable was pulled and put back.
 
@@ -257,15 +259,17 @@ def virtual_terminal(
             f"{period}"
         )
     if simulator is None:
-        simulator = Simulator(SensorDesign.reference(), resolution=cast("Resolution", resolution))
+        simulator = Simulator(_design(sensor), resolution=cast("Resolution", resolution))
+    elif sensor is not None:
+        raise ConfigurationError("a simulator has its own sensor; give one of the two")
     if isinstance(instrument, str):
         instrument = Instrument.named(instrument)
     elif instrument is None and np.isfinite(snr_db):
         instrument = Instrument(snr_db)
-    sensor = SimulatedSensor(simulator, instrument, seed, period)
+    simulated = SimulatedSensor(simulator, instrument, seed, period)
     chosen = read_faults(faults) if isinstance(faults, str) else faults
-    stage = Stage(sensor.solve, _scenes(scene), chosen)
-    firmware = VirtualFirmware(stage, sensor.protocol, sensor.measure, period)
+    stage = Stage(simulated.solve, _scenes(scene), chosen)
+    firmware = VirtualFirmware(stage, simulated.protocol, simulated.measure, period)
     terminal = PseudoTerminal(
         firmware, Pace(firmware.info.period if speed == "real" else 0.0), link
     )
@@ -293,6 +297,12 @@ def open_virtual(uri: str = "virtual:", **options: Any) -> SerialBoard:
     except BaseException:
         terminal.close()
         raise
+
+
+def _design(sensor: str | Path | SensorDesign | None) -> SensorDesign:
+    if sensor is None:
+        return SensorDesign.reference()
+    return sensor if isinstance(sensor, SensorDesign) else SensorDesign.from_toml(sensor)
 
 
 def _scenes(scene: str | Path | Scene | SceneSource | None) -> SceneSource | None:

@@ -5,6 +5,7 @@ import hashlib
 import json
 import shutil
 import subprocess
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -212,17 +213,23 @@ def test_failed_save_leaves_the_old_pipeline(pipeline, folder, monkeypatch):
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
     written = []
 
+    write = Path.write_bytes
+
     def fill_the_disk(path, data):
         if len(written) == 2:
             raise OSError(28, "No space left on device")
-        path.write_bytes(data)
+        write(path, data)
         written.append(path)
 
-    monkeypatch.setattr("eitskin.training.saved_pipeline._write", fill_the_disk)
+    monkeypatch.setattr(Path, "write_bytes", fill_the_disk)
     with pytest.raises(PartialError, match="No space left on device"):
         pipeline.save(folder)
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
     assert [path.name for path in folder.parent.iterdir()] == ["some.eitmodel"]
+
+
+def test_the_pipeline_that_comes_along_is_read_wherever_one_is():
+    assert read_pipeline("reference.eitmodel").kind == "perception"
 
 
 def test_commands_train_and_evaluate(dataset, tmp_path, capsys):

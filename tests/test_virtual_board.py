@@ -6,7 +6,8 @@ import time
 import numpy as np
 import pytest
 
-from eitskin.geometry import Bend, ConfigurationError, SensorDesign
+from eitskin.geometry import Bend, ConfigurationError, Rectangle, SensorDesign
+from eitskin.geometry.layouts import uniform
 from eitskin.hardware import Script, Step, open_board
 from eitskin.hardware.messages import Ack, Type, pack, unpack
 from eitskin.hardware.packets import Decoder, Packet, encode
@@ -14,7 +15,7 @@ from eitskin.hardware.pseudo_terminal import Pace, PseudoTerminal
 from eitskin.hardware.script import SimulatedSensor
 from eitskin.hardware.stage import Stage
 from eitskin.hardware.virtual import virtual_terminal
-from eitskin.simulator import Instrument, Scene, Simulator, Status, Touch
+from eitskin.simulator import Instrument, Protocol, Scene, Simulator, Status, Touch
 
 from loopback import FLAT, PROTOCOL, FakeSimulator, firmware, take, virtual
 
@@ -182,6 +183,22 @@ def test_firmware_says_no_to_what_it_does_not_know():
 
 def test_firmware_ignores_garbage():
     assert firmware().receive(b"\0\x03AT\r\n\0") == b""
+
+
+def test_a_board_of_another_sensor_measures_its_pairs(tmp_path):
+    design = SensorDesign(Rectangle(0.1, 0.05), 0.004, uniform(Rectangle(0.1, 0.05), 6))
+    path = tmp_path / "own sensor.toml"
+    design.to_toml(path)
+    with open_board(f"virtual:?sensor={path}&speed=max&snr_db=inf") as board:
+        assert board.protocol == Protocol.pairwise(6)
+        frame = next(board.frames())
+    expected = Simulator(design, resolution="fast").measure(Scene()).impedance
+    assert frame.impedance == pytest.approx(expected, rel=1e-6)
+
+
+def test_a_board_has_a_sensor_or_a_simulator():
+    with pytest.raises(ConfigurationError, match="give one of the two"):
+        virtual_terminal(simulator=FakeSimulator(), sensor=SensorDesign.reference())
 
 
 def test_start_with_a_count_ends_after_it():

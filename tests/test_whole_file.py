@@ -3,7 +3,7 @@
 import pytest
 
 from eitskin.geometry import ConfigurationError
-from eitskin.geometry.whole_file import whole_file
+from eitskin.geometry.whole_file import whole_file, whole_folder
 
 
 def test_a_block_that_raises_leaves_the_old_file_and_nothing_else(tmp_path) -> None:
@@ -31,3 +31,38 @@ def test_a_folder_that_is_not_there_is_said(tmp_path) -> None:
         whole_file(tmp_path / "none" / "a.txt"),
     ):
         pass
+
+
+def filled(path, *names) -> None:
+    with whole_folder(path) as folder:
+        for name in names:
+            (folder / name).write_text(name)
+
+
+def test_a_folder_is_replaced_whole_or_not_at_all(tmp_path) -> None:
+    path = tmp_path / "above" / "some"
+    filled(path, "a", "b")
+    with pytest.raises(UnicodeEncodeError), whole_folder(path) as folder:
+        (folder / "c").write_text("half \udcff", encoding="utf-8")
+    assert sorted(file.name for file in path.iterdir()) == ["a", "b"]
+    filled(path, "c")
+    assert [file.name for file in path.iterdir()] == ["c"]
+    assert path.stat().st_mode & 0o777 == 0o755
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_a_folder_that_cannot_take_the_name_leaves_what_was_there(tmp_path, monkeypatch) -> None:
+    path = tmp_path / "some"
+    filled(path, "a")
+    rename = type(path).rename
+
+    def refuse(source, target):
+        if source.name.startswith(".some.") and target == path:
+            raise PermissionError(13, "Permission denied")
+        return rename(source, target)
+
+    monkeypatch.setattr(type(path), "rename", refuse)
+    with pytest.raises(ConfigurationError, match="Permission denied; name a file"):
+        filled(path, "b")
+    assert [file.name for file in path.iterdir()] == ["a"]
+    assert list(tmp_path.iterdir()) == [path]

@@ -28,7 +28,6 @@ from eitskin.training.saved_pipeline import (
 from eitskin.training.settings import Progress, TrainingSettings, silent
 
 KIND = "perception"
-SHIPPED = Path(__file__).parent / "reference.eitmodel"
 LONGEST_HELD = 8  # frames of a held touch that are averaged; longer would lag behind its creep
 LONGEST_GAP = 5.0  # s without frames after which the dynamic reference may be out of date
 GOLDEN_PER_STATE = 2
@@ -297,8 +296,6 @@ class Pipeline:
 
         Raises DataError where it is damaged, changed, newer than this eitskin, or does not.
         """
-        if str(path) == SHIPPED.name and not Path(path).exists():
-            path = SHIPPED
         saved = read_pipeline(path)
         require_kind(saved, KIND, path)
         try:

@@ -9,11 +9,7 @@ SHA256SUMS             of the four, as sha256sum -c reads it
 
 import hashlib
 import json
-import os
-import shutil
-import tempfile
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -24,10 +20,12 @@ from numpy.typing import NDArray
 
 from eitskin.geometry import ConfigurationError, DataError, PartialError
 from eitskin.geometry.optional import require
+from eitskin.geometry.whole_file import whole_folder
 
 FORMAT = "eitskin-pipeline"
 FORMAT_VERSION = 1
 SUFFIX = ".eitmodel"
+SHIPPED = Path(__file__).parent / f"reference{SUFFIX}"
 GOLDEN_TOLERANCE = (
     1e-3  # of outputs, relative to the largest; float32 convolutions sum in any order
 )
@@ -90,31 +88,25 @@ def write_pipeline(path: str | Path, saved: SavedPipeline) -> Path:
     files = _files(saved)
     sums = "".join(f"{_sha256(data)}  {name}\n" for name, data in files.items())
     files[SUMS] = sums.encode()
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
-        try:
-            for name, data in files.items():
-                _write(temporary / name, data)
-            temporary.chmod(0o755)  # mkdtemp's 0700 would keep colleagues out
-            _put_in_place(temporary, path)
-        finally:
-            shutil.rmtree(temporary, ignore_errors=True)
-    except OSError as error:
-        raise PartialError(
-            f"could not write {path}: {error.strerror or error}; make room, or choose another place"
-        ) from error
+    with whole_folder(path, PartialError, "make room, or choose another place") as folder:
+        for name, data in files.items():
+            (folder / name).write_bytes(data)
     return path
 
 
 def read_pipeline(path: str | Path) -> SavedPipeline:
     """Read the folder `path`.
 
+    "reference.eitmodel", where no such folder is, is the pipeline that comes with eitskin.
+
     Raises DataError where it is no pipeline, is damaged, changed, or newer than this eitskin.
     """
     safetensors = require("safetensors.numpy", "training")
     damaged = require("safetensors", "training").SafetensorError
-    files = _checked_files(Path(path))
+    path = Path(path)
+    if str(path) == SHIPPED.name and not path.exists():
+        path = SHIPPED
+    files = _checked_files(path)
     try:
         document = json.loads(files[DOCUMENT])
         if document["format"] != FORMAT:
@@ -189,33 +181,6 @@ def _checked_files(path: Path) -> dict[str, bytes]:
                 f"{SUMS}; copy it again"
             )
     return files
-
-
-def _put_in_place(temporary: Path, path: Path) -> None:
-    """Rename `temporary` to `path`; what lies there steps aside first and is then removed."""
-    aside = None
-    if path.exists():
-        aside = Path(tempfile.mkdtemp(prefix=f".{path.name}.old.", dir=path.parent))
-        path.rename(aside)
-    try:
-        temporary.rename(path)
-    except OSError:
-        if aside:
-            aside.rename(path)
-        raise
-    folder = os.open(path.parent, os.O_RDONLY)
-    with suppress(OSError):
-        os.fsync(folder)  # or a power cut may undo the renaming
-    os.close(folder)
-    if aside:
-        shutil.rmtree(aside, ignore_errors=True)
-
-
-def _write(path: Path, data: bytes) -> None:
-    with path.open("wb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
 
 
 def _sha256(data: bytes) -> str:
