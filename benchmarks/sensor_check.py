@@ -22,7 +22,8 @@ from eitskin.hardware.finding import What
 from eitskin.hardware.sensor_check import SensorCheck, check_sensor
 from eitskin.simulator import Frame, Instrument, Protocol, Scene, Simulator, Status, Touch
 from eitskin.simulator.ad5940 import MEASUREMENT_TIME
-from eitskin.training.pipeline import SHIPPED, Pipeline
+from eitskin.training.pipeline import Pipeline
+from eitskin.training.saved_pipeline import SHIPPED
 
 FRAMES = 16
 STRAY = -39.8e3j
