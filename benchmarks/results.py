@@ -30,7 +30,7 @@ class Results:
         name: of the benchmark, and of its folder.
         command: that makes it again.
         provenance: machine, versions, seed and date.
-        seconds: that the run took [s].
+        seconds: that the run took [s]; None where that was not noted.
         quick: whether fewer and smaller cases had to do; such figures are not for quoting.
         figures: by name, whose end says the unit; finite ones alone.
     """
@@ -38,7 +38,7 @@ class Results:
     name: str
     command: str
     provenance: Provenance
-    seconds: float
+    seconds: float | None = None
     quick: bool = False
     figures: dict[str, float] = field(default_factory=dict)
 
@@ -100,7 +100,8 @@ def write_index(out: Path) -> Path:
         files = sorted(p.name for p in (out / one.name).iterdir() if p.is_file())
         links = ", ".join(f"[{name}]({one.name}/{name})" for name in files)
         date, name = one.provenance.date, f"{one.name}{', quick' if one.quick else ''}"
-        cells = (name, len(one.figures), f"{one.seconds:.0f}", one.provenance.seed, date, links)
+        seconds = "" if one.seconds is None else f"{one.seconds:.0f}"
+        cells = (name, len(one.figures), seconds, one.provenance.seed, date, links)
         lines.append("| " + " | ".join(map(str, cells)) + " |")
     lines += ["", *sorted({f"- {_machine(one)}" for one in found_results(out)}), ""]
     with whole_file(out / INDEX) as temporary:

@@ -95,6 +95,7 @@ ALL = (
     Benchmark("cramer_rao", 3, OWN),
     Benchmark("bends", 8),
     Benchmark("tank", 3, ("{data}",), needs="{data}/ktc2023_ref.mat"),
+    Benchmark("recordings", 1, ("{data}",), needs="{data}/ohmc8.mat"),
     Benchmark("recipes", 6, OWN, (*OWN, "--frames", "10")),
     Benchmark("sensor_check", 5, (), ("--specimens", "10", "--faulty", "2"), seeded=True),
     Benchmark("live_rate", 4, (), ("--frames", "60"), seeded=True),
