@@ -85,6 +85,15 @@ def test_a_full_circle_closes_and_no_more() -> None:
         short.flexure(DESIGN, Bend(350.0))  # its straight ends would cross
 
 
+def test_both_faces_of_a_free_arc_are_free():
+    """From one to the other the radial stress changes by int (lambda - lambda^-3) d lambda."""
+    arc = FreeArc(0.060).flexure(DESIGN, Bend(90.0))
+    half = 0.5 * DESIGN.encapsulated_thickness * np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
+    top, bottom = np.linalg.norm(arc.gradient(arc.centre + half)[..., 0], axis=-1)
+    assert top > 1.1
+    assert top**2 + top**-2 == pytest.approx(bottom**2 + bottom**-2, rel=1e-12)
+
+
 def test_sharp_clamps_are_the_limit_of_soft_ones_and_obey_the_hinge() -> None:
     """lambda_0 = (theta/2) cot(theta/2) + d theta / s."""
     theta = math.radians(50.0)
