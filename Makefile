@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 DATA ?= ../shared/data
 WORKERS := --numprocesses 2 --dist loadfile --no-loadscope-reorder
 
-.PHONY: demo test coverage mutations lint docs gallery clean
+.PHONY: demo test coverage mutations lint docs gallery bench bench-long clean
 
 demo: $(VENV)/installed
 	$(BIN)/eitskin demo --out build/demo --data $(DATA)
@@ -43,6 +43,13 @@ docs: $(VENV)/installed
 gallery: $(VENV)/installed
 	for script in $(filter-out %/style.py, $(wildcard docs/gallery/*.py)); do \
 		$(BIN)/python $$script docs/gallery || exit 1; done
+
+# Every number and picture that README and docs quote, measured again into build/bench and compared:
+# an hour. What was measured before with the same version and seed is kept; see docs/benchmarks.md.
+# bench-long does also what takes more than ten minutes by itself: seven hours.
+bench bench-long: $(VENV)/installed
+	$(BIN)/eitskin bench all --data $(DATA) $(if $(filter bench-long,$@),--long) $(ARGS); measured=$$?; \
+		$(BIN)/eitskin bench quoted && exit $$measured
 
 # torch comes first and alone: its CPU build is then found by everything that asks for torch.
 $(VENV)/installed: pyproject.toml constraints.txt
