@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.table import Table
 
-from eitskin.cli.live import Model, seeded
-from eitskin.cli.options import Json, Output, Quiet, Seed, Verbose
+from eitskin.cli.live import seeded
+from eitskin.cli.options import Json, Model, Output, Quiet, Seed, Verbose
 from eitskin.geometry import ConfigurationError
 
 if TYPE_CHECKING:

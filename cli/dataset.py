@@ -10,7 +10,7 @@ from rich import box
 from rich.markup import escape
 from rich.table import Table
 
-from eitskin.cli.options import Json, Output, Quiet, Seed, Verbose
+from eitskin.cli.options import Frames, Json, Output, Quiet, Seed, Verbose
 from eitskin.datasets import Dataset, State, open_dataset
 from eitskin.datasets.verify import Damage, verify
 from eitskin.geometry import DataError
@@ -23,7 +23,7 @@ EXIT_DAMAGED = DataError.exit_code
 
 @app.command("info")
 def info(
-    dataset: Annotated[Path, typer.Argument(help="The dataset's folder, or one shard.")],
+    dataset: Frames,
     *,
     seed: Seed = 0,  # noqa: ARG001 - every command takes it
     as_json: Json = False,

@@ -4,20 +4,32 @@ import math
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, cast, get_args
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich import box
 from rich.table import Table
 
-from eitskin.cli.options import Json, Output, Quiet, Seed, Verbose
+from eitskin.cli.options import (
+    FixtureFile,
+    Frames,
+    Json,
+    MechanicsFile,
+    Model,
+    Output,
+    Pairs,
+    PressModel,
+    Quiet,
+    SceneFile,
+    Seed,
+    SensorFile,
+    Verbose,
+)
 from eitskin.cli.presses import announce
+from eitskin.cli.simulate import simulator
 from eitskin.datasets.folder import make_folder
 from eitskin.geometry import ConfigurationError, SensorDesign
-from eitskin.geometry.bend import Fixture
-from eitskin.geometry.config import read_toml
-from eitskin.simulator import Mechanics, Protocol, Scene, Simulator
-from eitskin.simulator.presses import TouchModel
+from eitskin.simulator import Scene
 
 if TYPE_CHECKING:
     from eitskin.hardware import Reading, ReplayBoard
@@ -31,7 +43,7 @@ NewFolder = Annotated[Path, typer.Option("--out", help="Folder to write to, new 
 
 @app.command("mcap")
 def export_mcap(
-    recording: Annotated[Path, typer.Argument(help="The dataset's folder, or one shard.")],
+    recording: Frames,
     *,
     out: Annotated[Path, typer.Option(help="The file, NAME.mcap; not there yet.")],
     model: Annotated[
@@ -80,7 +92,7 @@ def export_mcap(
 
 @app.command("onnx")
 def export_onnx(
-    model: Annotated[Path, typer.Argument(help="The trained pipeline, NAME.eitmodel.")],
+    model: Model,
     *,
     out: NewFolder,
     seed: Seed = 0,  # noqa: ARG001 - every command takes it
@@ -108,29 +120,14 @@ def export_onnx(
 
 @app.command("vtu")
 def export_vtu(
-    scene: Annotated[
-        Path,
-        typer.Argument(
-            help="Scene file: how it is bent and where it is pressed; docs/scenes.md has the keys."
-        ),
-    ],
+    scene: SceneFile,
     *,
     out: NewFolder,
-    sensor: Annotated[
-        Path | None, typer.Option(help="Sensor design file; the reference sensor when omitted.")
-    ] = None,
-    mechanics: Annotated[
-        Path | None, typer.Option(help="File of what it is made of; gel in Ecoflex when omitted.")
-    ] = None,
-    fixture: Annotated[
-        Path | None, typer.Option(help="File of the hinge or arc that bends it.")
-    ] = None,
-    touch_model: Annotated[
-        str, typer.Option(help="How presses are found: tabulated or 'closed form'.")
-    ] = "tabulated",
-    protocol: Annotated[
-        str, typer.Option(help="pairwise, adjacent, opposite, skip:N, or a CSV file.")
-    ] = "pairwise",
+    sensor: SensorFile = None,
+    mechanics: MechanicsFile = None,
+    fixture: FixtureFile = None,
+    touch_model: PressModel = "tabulated",
+    protocol: Pairs = "pairwise",
     drive: Annotated[
         tuple[int, int] | None,
         typer.Option(help="Only the current from A to B; all of the protocol when omitted."),
@@ -148,19 +145,10 @@ def export_vtu(
 
     output = Output(as_json, quiet, verbose)
     what = Scene.from_toml(scene)
-    if touch_model not in get_args(TouchModel):
-        known = ", ".join(get_args(TouchModel))
-        raise ConfigurationError(f"--touch-model must be one of {known}, got '{touch_model}'")
     _require_empty(out)
     design = SensorDesign.from_toml(sensor) if sensor else SensorDesign.reference()
-    sim = Simulator(
-        design,
-        field_resolution(design, cell),
-        read_toml(cast("type[Fixture]", Fixture), fixture) if fixture else None,
-        Protocol.named(protocol, len(design.electrodes)),
-        read_toml(Mechanics, mechanics) if mechanics else None,
-        cast(TouchModel, touch_model),
-    )
+    resolution = field_resolution(design, cell)
+    sim = simulator(design, resolution, fixture, protocol, mechanics, touch_model)
     if touch_model == "tabulated":
         announce(design, sim.mechanics, (touch.indenter for touch in what.touches), output)
     start = time.perf_counter()

@@ -17,7 +17,7 @@ from rich.live import Live
 from rich.text import Text
 
 from eitskin.cli.live_view import draw, losses, plain
-from eitskin.cli.options import Json, Output, Quiet, Seed, Verbose, ended_by_signals
+from eitskin.cli.options import Json, Model, Output, Quiet, Seed, Verbose, ended_by_signals
 from eitskin.cli.recording import FrameRecording, MessageRecording, Recording
 from eitskin.geometry import PartialError, SensorDesign
 
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from eitskin.hardware import Connection, Reading
     from eitskin.simulator import Frame
 
-Model = Annotated[Path, typer.Argument(help="The trained pipeline, NAME.eitmodel.")]
 BoardUri = Annotated[
     str, typer.Option("--board", help="serial:PORT, text:PORT, virtual: or replay:DIRECTORY.")
 ]

@@ -5,16 +5,49 @@ import json
 import signal
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Annotated, Any
+from pathlib import Path
+from typing import Annotated, Any, get_args
 
 import typer
 from rich.console import Console, RenderableType
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from eitskin.geometry import ConfigurationError
+
 Seed = Annotated[int, typer.Option(help="Seed of everything random; same seed, same result.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, only the result.")]
 Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Say more about what is done.")]
+
+Model = Annotated[Path, typer.Argument(help="The trained pipeline, NAME.eitmodel.")]
+Frames = Annotated[Path, typer.Argument(help="The dataset's folder, or one shard.")]
+SceneFile = Annotated[
+    Path,
+    typer.Argument(
+        help="Scene file: how it is bent and where it is pressed; docs/scenes.md has the keys."
+    ),
+]
+SensorFile = Annotated[
+    Path | None, typer.Option(help="Sensor design file; the reference sensor when omitted.")
+]
+MechanicsFile = Annotated[
+    Path | None, typer.Option(help="File of what it is made of; gel in Ecoflex when omitted.")
+]
+FixtureFile = Annotated[Path | None, typer.Option(help="File of the hinge or arc that bends it.")]
+PressModel = Annotated[str, typer.Option(help="How presses are found: tabulated or 'closed form'.")]
+Pairs = Annotated[str, typer.Option(help="pairwise, adjacent, opposite, skip:N, or a CSV file.")]
+
+
+def one_of(option: str, text: str, kind: Any) -> str:
+    """The text, where it is one of those that the Literal `kind` lists.
+
+    Raises ConfigurationError, naming the option, where it is not.
+    """
+    if text not in get_args(kind):
+        raise ConfigurationError(
+            f"{option} must be one of {', '.join(get_args(kind))}, got '{text}'"
+        )
+    return text
 
 
 @contextlib.contextmanager

@@ -5,14 +5,27 @@ import math
 import re
 import time
 from pathlib import Path
-from typing import Annotated, Any, cast, get_args
+from typing import Annotated, cast
 
 import numpy as np
 import typer
 from rich.console import Group
 from rich.table import Table
 
-from eitskin.cli.options import Json, Output, Quiet, Seed, Verbose
+from eitskin.cli.options import (
+    FixtureFile,
+    Json,
+    MechanicsFile,
+    Output,
+    Pairs,
+    PressModel,
+    Quiet,
+    SceneFile,
+    Seed,
+    SensorFile,
+    Verbose,
+    one_of,
+)
 from eitskin.cli.presses import announce
 from eitskin.geometry import ConfigurationError, SensorDesign
 from eitskin.geometry.bend import Fixture
@@ -20,29 +33,16 @@ from eitskin.geometry.config import read_toml
 from eitskin.simulator import Frame, Instrument, Mechanics, Protocol, Scene, Simulator
 from eitskin.simulator.panels import require_picture
 from eitskin.simulator.presses import Pressed, TouchModel
-from eitskin.simulator.resolution import Resolution
+from eitskin.simulator.resolution import Discretisation, Resolution
 from eitskin.simulator.view import Colour, draw
 
 
 def command(
-    scene: Annotated[
-        Path,
-        typer.Argument(
-            help="Scene file: how it is bent and where it is pressed; docs/scenes.md has the keys."
-        ),
-    ],
-    sensor: Annotated[
-        Path | None, typer.Option(help="Sensor design file; the reference sensor when omitted.")
-    ] = None,
-    mechanics: Annotated[
-        Path | None, typer.Option(help="File of what it is made of; gel in Ecoflex when omitted.")
-    ] = None,
-    fixture: Annotated[
-        Path | None, typer.Option(help="File of the hinge or arc that bends it.")
-    ] = None,
-    touch_model: Annotated[
-        str, typer.Option(help="How presses are found: tabulated or 'closed form'.")
-    ] = "tabulated",
+    scene: SceneFile,
+    sensor: SensorFile = None,
+    mechanics: MechanicsFile = None,
+    fixture: FixtureFile = None,
+    touch_model: PressModel = "tabulated",
     resolution: Annotated[str, typer.Option(help="fast, standard or fine.")] = "standard",
     noise: Annotated[
         float | None, typer.Option(help="Add white noise this many dB below full scale.")
@@ -50,9 +50,7 @@ def command(
     instrument: Annotated[
         str | None, typer.Option(help="ad5940: measure with every term of that board.")
     ] = None,
-    protocol: Annotated[
-        str, typer.Option(help="pairwise, adjacent, opposite, skip:N, or a CSV file.")
-    ] = "pairwise",
+    protocol: Pairs = "pairwise",
     view: Annotated[Path | None, typer.Option(help="Draw the scene into this PNG file.")] = None,
     colour: Annotated[
         str | None, typer.Option(help="Of the picture: conductance, strain or current.")
@@ -74,14 +72,8 @@ def command(
     design = SensorDesign.from_toml(sensor) if sensor else SensorDesign.reference()
     board = _instrument(noise, instrument)
     colours, pair = _colours(view, colour, drive, len(design.electrodes))
-    sim = Simulator(
-        design,
-        cast(Resolution, _one_of("--resolution", resolution, Resolution)),
-        read_toml(cast("type[Fixture]", Fixture), fixture) if fixture else None,
-        Protocol.named(protocol, len(design.electrodes)),
-        read_toml(Mechanics, mechanics) if mechanics else None,
-        cast(TouchModel, _one_of("--touch-model", touch_model, TouchModel)),
-    )
+    detail = cast(Resolution, one_of("--resolution", resolution, Resolution))
+    sim = simulator(design, detail, fixture, protocol, mechanics, touch_model)
     flat = sim.measure(Scene())
     if touch_model == "tabulated":
         announce(design, sim.mechanics, (touch.indenter for touch in what.touches), output)
@@ -98,21 +90,34 @@ def command(
         output.note(f"picture: {view}")
 
 
+def simulator(
+    design: SensorDesign,
+    resolution: Resolution | Discretisation,
+    fixture: Path | None,
+    protocol: str,
+    mechanics: Path | None,
+    touch_model: str,
+) -> Simulator:
+    """The simulator that the options of a command ask for.
+
+    Raises ConfigurationError for options or files that do not fit.
+    """
+    return Simulator(
+        design,
+        resolution,
+        read_toml(cast("type[Fixture]", Fixture), fixture) if fixture else None,
+        Protocol.named(protocol, len(design.electrodes)),
+        read_toml(Mechanics, mechanics) if mechanics else None,
+        cast(TouchModel, one_of("--touch-model", touch_model, TouchModel)),
+    )
+
+
 def _instrument(noise: float | None, name: str | None) -> Instrument | None:
     """White noise, a board, a board with other noise, or none."""
     if name is None:
         return None if noise is None else Instrument(noise)
     board = Instrument.named(name)
     return board if noise is None else dataclasses.replace(board, snr_db=noise)
-
-
-def _one_of(option: str, text: str, kind: Any) -> str:
-    """The text, where it is one of those that the Literal `kind` lists."""
-    if text not in get_args(kind):
-        raise ConfigurationError(
-            f"{option} must be one of {', '.join(get_args(kind))}, got '{text}'"
-        )
-    return text
 
 
 def _colours(
@@ -124,7 +129,7 @@ def _colours(
     for option, given in (("--colour", colour), ("--drive", drive)):
         if given is not None and view is None:
             raise ConfigurationError(f"{option} says what to draw; name the picture with --view")
-    what = cast(Colour, _one_of("--colour", colour or "conductance", Colour))
+    what = cast(Colour, one_of("--colour", colour or "conductance", Colour))
     if drive is None:
         return what, None
     if what != "current":
