@@ -17,7 +17,6 @@ from eitskin.geometry.limits import MOST_ELECTRODES, require_count, require_leng
 from eitskin.geometry.outline import Outline, Rectangle
 from eitskin.geometry.patches import Patch
 from eitskin.geometry.placement import placed, require_apart
-from eitskin.geometry.strip import Strip
 from eitskin.geometry.surface import Surface
 
 Array = NDArray[np.float64]
@@ -165,20 +164,3 @@ class SensorDesign:
                 "give either one conductivity or layers with conductivities of their own, got "
                 f"conductivity {self.conductivity:g} S/m and {len(self.layers)} layers"
             )
-
-    def side(self, index: int) -> int:
-        """Side that electrode `index` lies on: 0 y = 0, 1 x = length, 2 y = width, 3 x = 0."""
-        strip = self._strip(index)
-        corners = np.append(strip.outline.corners, strip.outline.perimeter)
-        side = int(np.searchsorted(corners, strip.start + 1e-9, side="right")) - 1
-        if side < 0 or strip.end > corners[side + 1] + 1e-9:
-            raise ConfigurationError(
-                f"electrode {index} passes a corner of the outline; it must lie wholly on one side"
-            )
-        return side
-
-    def _strip(self, index: int) -> Strip:
-        (strip,) = placed(self.electrodes[index : index + 1], self.outline, self.thickness)
-        if not isinstance(strip, Strip):
-            raise ConfigurationError(f"electrode {index} is not on the side")
-        return strip

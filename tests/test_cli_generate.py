@@ -106,7 +106,7 @@ def wait_for_a_shard(process, out):
 
 def test_interrupted_it_says_how_to_go_on(recipe, tmp_path):
     """As Ctrl-C in a terminal: exit code 130, and a line to copy that finishes the set."""
-    recipe.write_text(RECIPE.format(count=2000))
+    recipe.write_text(RECIPE.format(count=20000))
     out = tmp_path / "a set"
     given = ["generate", str(recipe), "--out", str(out), "--seed", "9", "--quiet"]
     with subprocess.Popen(

@@ -218,3 +218,21 @@ def test_forces_outside_the_fit_are_refused(force) -> None:
 def test_indenters_outside_the_fit_are_refused(indenter) -> None:
     with pytest.raises(ConfigurationError, match="fitted for a cylinder"):
         ClosedDent.of(indenter, 5.0)
+
+
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (lambda: Bend(math.nan), "angle_deg must be a finite number, got nan"),
+        (lambda: Hinge(span=0.0), "span must be a positive length in m, got 0"),
+        (lambda: Hinge(offset=math.inf), "offset must be finite, in m, got inf"),
+        (lambda: Hinge(give=-0.001), "give must be a length in m, got -0.001"),
+        (lambda: Hinge(transition=0.021), r"transition must be from 0 to half .* 0\.02 m, got"),
+        (lambda: Hinge(contraction=1.1), r"contraction must be from 0 \(plate\) to 1 \(beam\)"),
+        (lambda: FreeArc(-0.1), "arc length must be a positive length in m, got -0.1"),
+        (lambda: FreeArc(0.2).flexure(DESIGN, Bend(9.0)), "must not exceed the sensor's length"),
+    ],
+)
+def test_fixtures_that_cannot_be_are_refused(make, says) -> None:
+    with pytest.raises(ConfigurationError, match=says):
+        make()

@@ -227,3 +227,24 @@ def test_a_store_that_cannot_be_written_costs_time_only(solves, tmp_path, monkey
     assert fresh().largest_force > 10.0
     assert fresh().largest_force > 10.0
     assert len(solves) == 2
+
+
+@pytest.mark.parametrize(
+    ("platform", "variables", "expected"),
+    [
+        ("linux", {"XDG_CACHE_HOME": "/x"}, "/x/eitskin"),
+        ("linux", {"HOME": "/home/me"}, "/home/me/.cache/eitskin"),
+        ("darwin", {"HOME": "/Users/me"}, "/Users/me/Library/Caches/eitskin"),
+        ("win32", {"LOCALAPPDATA": "/local"}, "/local/eitskin"),
+        ("win32", {"EITSKIN_CACHE": "/mine", "LOCALAPPDATA": "/local"}, "/mine"),
+    ],
+)
+def test_they_are_kept_where_the_system_keeps_such_things(
+    platform, variables, expected, monkeypatch
+) -> None:
+    monkeypatch.setattr(kernel_store.sys, "platform", platform)
+    for name in ("EITSKIN_CACHE", "XDG_CACHE_HOME", "LOCALAPPDATA"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+    assert kernel_store.folder().as_posix() == expected

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from eitskin.geometry import Electrode, SensorDesign, structured_mesh
+from eitskin.geometry import ConfigurationError, Electrode, SensorDesign, structured_mesh
 from eitskin.geometry.grading import Grading, layer_heights
 
 GRADING = Grading(finest=1e-3, coarsest=4e-3, growth=0.5, layers=2)
@@ -63,3 +63,17 @@ def test_layers_are_kept_where_electrodes_have_level_edges() -> None:
     fine = layer_heights(design, dataclasses.replace(coarse, finest=1e-4))
     assert np.diff(fine).max() < 1.01 * 0.005 / 4
     assert np.diff(fine)[-1] < 3e-4 < np.diff(fine)[0]
+
+
+@pytest.mark.parametrize(
+    ("numbers", "says"),
+    [
+        ((2e-3, 1e-3, 0.5), "0 < finest <= coarsest in m and a positive growth, got finest=0.002"),
+        ((1e-3, 2e-3, 0.0), "growth=0.0"),
+        ((np.nan, 2e-3, 0.5), "finest=nan"),
+        ((1e-3, 2e-3, 0.5, 0), "at least one layer, got 0"),
+    ],
+)
+def test_gradings_that_cannot_be_are_refused(numbers, says):
+    with pytest.raises(ConfigurationError, match=says):
+        Grading(*numbers)

@@ -80,6 +80,20 @@ def test_hello_has_the_bytes_given_in_the_specification():
     assert encode(pack(Hello(), 1)).hex(" ") == "00 04 01 01 01 05 0f e3 21 81 00"
 
 
+def test_a_frame_and_info_have_the_bytes_of_the_specification():
+    """Little-endian, one field after the other; see docs/wire-protocol.md."""
+    values = np.array([1 - 2j], np.complex64)
+    frame = FrameData(0x01020304, 1.5, 0.25, values, np.array([5], np.uint8))
+    assert pack(frame, 0).payload.hex(" ") == (
+        "04 03 02 01 60 e3 16 00 00 00 00 00 90 d0 03 00 00 01 00 00 00 00 80 3f 00 00 00 c0 05"
+    )
+    assert pack(INFO, 0).payload == (
+        b"EITSeitskin 1.0\0\0\0\0\x000123456789ab"
+        + bytes.fromhex("03 00 00 00 08 1c ef be ad de 00 40 1c 47 00 00 00 3f")
+        + bytes.fromhex("00 00 7a 44 00 00 48 43 60 87 04 00")
+    )
+
+
 @given(st.binary(min_size=MAX_PAYLOAD, max_size=MAX_PAYLOAD))
 def test_the_longest_payload_fits_into_a_packet(payload):
     packet = Packet(0xFF, 0xFFFF, payload)

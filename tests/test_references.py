@@ -46,6 +46,14 @@ def test_averaging_while_still_brings_the_noise_down():
     np.testing.assert_allclose(many.bend, many.touch)
 
 
+def test_every_frame_of_a_stillness_weighs_the_same():
+    still = frames(FLAT, LONGEST_MEAN)
+    for count in (2, 5, LONGEST_MEAN):
+        references = followed(still[:count])
+        np.testing.assert_allclose(references.touch, still[:count].mean(axis=0), rtol=1e-13)
+        assert references.touch_frames == references.bend_frames == count
+
+
 def test_mean_restarts_when_the_sensor_moves():
     references = followed(frames(FLAT, 20), frames(BENT, 20, seed=1))
     assert error(references.touch, BENT) < NOISE / 3

@@ -9,6 +9,7 @@ from eitskin.geometry import ConfigurationError, Electrode, Rectangle, SensorDes
 from eitskin.geometry.grading import Grading
 from eitskin.geometry.layouts import grid
 from eitskin.simulator import ForwardModel, Protocol
+from eitskin.simulator.blocks import levels
 
 REFERENCE = SensorDesign.reference()
 PAIRS = Protocol.pairwise(8)
@@ -153,3 +154,9 @@ def test_what_is_grounded_takes_part_in_a_constant_potential(on, resolution) -> 
     assert np.abs(Z - Z.T).max() < 1e-9 * size
     again = model.impedance(1.0 + 1e-12)
     assert np.abs(again - Z).max() < 1e-9 * size
+
+
+def test_a_body_in_two_parts_is_refused() -> None:
+    """Two elements that share no unknown: from the first, nothing reaches the second."""
+    with pytest.raises(ConfigurationError, match="parts that do not touch"):
+        levels(np.array([[0, 1], [2, 3]]), np.array([0]))
