@@ -36,6 +36,12 @@ def test_matched_rows_belong_together():
     assert [len(each) for each in match(true, np.zeros((0, 2)))] == [0, 0]
 
 
+@pytest.mark.parametrize(("distance", "pairs"), [(0.0149, 1), (0.0151, 0), (0.029, 0)])
+def test_nothing_is_matched_beyond_the_gate(distance, pairs):
+    found = localisation([([(0.05, 0.03)], [(0.05 + distance, 0.03)])], gate=0.015)
+    assert (len(found.errors), found.missed, found.false) == (pairs, 1 - pairs, 1 - pairs)
+
+
 def test_misses_and_false_touches_are_counted_apart():
     frames = [
         ([(0.03, 0.03), (0.10, 0.03)], [(0.031, 0.03)]),

@@ -1,6 +1,6 @@
 """Break core formulas one at a time in a copy of the tree, and see that tests fail.
 
-    python tests/mutations/run.py [--jobs 2] [--only WORDS]
+    python tests/mutations/run.py [--jobs 2] [--only WORDS ...]
 
 What is broken, and by which tests it must be noticed, is listed in `mutations.toml`. A mutation
 survives where these pass all the same; then a test is missing.
@@ -113,9 +113,9 @@ def main() -> int:
     """Run the list; 1 where a mutation survives, 2 where one could not be tried."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--jobs", type=int, default=2, help="how many are tried at once")
-    parser.add_argument("--only", default="", help="words that what is tried must contain")
+    parser.add_argument("--only", nargs="*", default=[""], help="words of what is to be tried")
     options = parser.parse_args()
-    mutations = [each for each in listed() if options.only in each.what]
+    mutations = [each for each in listed() if any(words in each.what for words in options.only)]
     for mutation in mutations:
         mutation.applied()
     began = time.monotonic()
