@@ -34,10 +34,15 @@ lint: $(VENV)/installed
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-# The reference of every public name as HTML that needs no network, in build/docs.
+# The reference as HTML that needs no network, in build/docs: every public name, and the modules
+# that pages tell of beside them.
+REFERENCE := geometry geometry.bend geometry.deformation geometry.layouts geometry.twist \
+	simulator simulator.bend_table simulator.clamped simulator.history simulator.materials \
+	simulator.pressed simulator.relaxation simulator.vtu \
+	datasets training training.cramer_rao hardware
 docs: $(VENV)/installed
 	$(BIN)/python -m pdoc --docformat google --output-directory build/docs \
-		eitskin.geometry eitskin.simulator eitskin.datasets eitskin.training eitskin.hardware
+		$(addprefix eitskin.,$(REFERENCE))
 
 # The pictures in docs/gallery, each by the script of its name.
 gallery: $(VENV)/installed
