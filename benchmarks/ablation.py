@@ -3,7 +3,8 @@
     python -m eitskin.benchmarks.ablation DATASET [--pipeline NAME.eitmodel] [--frames 400]
 
 DATASET holds touched frames, such as `seed-0/unseen-touch` in the folder of `eitskin bench paper`.
-Prints two tables in Markdown: errors and times without each part, and the time of each stage.
+Prints two tables in Markdown: errors and times without each part, and the time of each stage; times
+are of the processor, which other programs on the machine do not lengthen.
 """
 
 import argparse
@@ -47,7 +48,7 @@ def main() -> None:
         print(
             f"| {name} | " + " | ".join(f"{value:.2f}" for value in measured(places, data)) + " |"
         )
-    print("\n| stage | median ms | p99 ms |\n| --- | --- | --- |")
+    print("\n## stages\n\n| stage | median ms | p99 ms |\n| --- | --- | --- |")
     for name, seconds in stages(method, data).items():
         p50, p99 = metrics.percentiles([1e3 * value for value in seconds])
         print(f"| {name} | {p50:.2f} | {p99:.2f} |")
@@ -105,9 +106,9 @@ def measured(places: Places, data: Dataset) -> tuple[float, float, float, float,
     for i in range(len(data)):
         frame = observed[i : i + 1]
         places(frame)  # what is kept for a specimen and an angle is made here
-        start = time.perf_counter()
+        start = time.process_time()
         found = places(frame)
-        seconds.append(time.perf_counter() - start)
+        seconds.append(time.process_time() - start)
         true = np.stack([data.touch_x[i], data.touch_y[i]], axis=1)
         pairs.append((true[np.isfinite(true[:, 0])], found))
     score = metrics.localisation(pairs)
@@ -126,13 +127,13 @@ def stages(method: JointMethod, data: Dataset) -> dict[str, list[float]]:
         frame = observed[i : i + 1]
         whole(frame)
         for name, run in (("proposals", propose), ("whole frame", whole)):
-            start = time.perf_counter()
+            start = time.process_time()
             run(frame)
-            seconds[name].append(time.perf_counter() - start)
+            seconds[name].append(time.process_time() - start)
         found = whole(frame).touches[0]
-        start = time.perf_counter()
+        start = time.process_time()
         disc_map(found.place, found.deviation, method.radius, method.size, method.shape)
-        seconds["map of touches"].append(time.perf_counter() - start)
+        seconds["map of touches"].append(time.process_time() - start)
     rest = zip(
         *(seconds[name] for name in ("whole frame", "proposals", "map of touches")), strict=True
     )

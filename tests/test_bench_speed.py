@@ -102,3 +102,15 @@ def test_an_exact_way_is_off_by_its_mesh_alone(monkeypatch):
     standard = scenes.Way("", resolution="standard", tolerance=WAYS[4].tolerance)
     assert np.abs(scenes.signal_errors(standard)).max() < 1e-9
     assert 1e-3 < scenes.signal_errors(WAYS[4]).max() < 0.1
+
+
+def test_datasets_are_told_as_a_share_of_what_the_engine_does(monkeypatch):
+    asked = []
+    clock = iter((10.0, 12.0))
+    monkeypatch.setattr(speed, "generate", lambda made, *_args, **_kw: asked.append(made.frames))
+    monkeypatch.setattr(speed, "memory_mb", lambda frames: 100.0 + frames)
+    monkeypatch.setattr(speed.time, "perf_counter", lambda: next(clock))
+    found = speed.generation(32, Rate("", 160.0, 1.0, 0.0, 0.0))
+    assert asked == [256]
+    assert (found.frames_per_second, found.share) == (128.0, 0.8)
+    assert found.memory_mb == {32: 132.0, 128: 228.0}
