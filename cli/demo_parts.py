@@ -109,12 +109,17 @@ def _read(path: Path) -> Kept | None:
 
 
 def drawn_picture(drawn: Drawn, alt: str) -> Picture:
-    """A matplotlib figure as SVG, which is sharp on paper; equal figures give equal bytes."""
+    """A matplotlib figure as SVG, which is sharp on paper."""
+    width = float(drawn.figure.get_figwidth())
+    return Picture(alt, drawn.caption, SVG, _svg(drawn.figure), width)
+
+
+def _svg(figure: Any) -> bytes:
+    """The file of a figure; equal figures give equal bytes."""
     file = io.BytesIO()
-    settings = {"svg.hashsalt": "eitskin"}
-    with require("matplotlib", EXTRA).rc_context(settings):
-        drawn.figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
-    return Picture(alt, drawn.caption, SVG, file.getvalue(), float(drawn.figure.get_figwidth()))
+    with require("matplotlib", EXTRA).rc_context({"svg.hashsalt": "eitskin"}):
+        figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
+    return file.getvalue()
 
 
 def drawn_pictures(drawn: Mapping[str, tuple[Drawn | Absent, str]]) -> dict[str, Picture]:

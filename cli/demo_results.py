@@ -23,8 +23,8 @@ def states_and_angle(parts: Parts, document: Document) -> str:
     """How states are told apart, and the bend angle."""
     text = (
         "Idle, touched or bent? {test.frames} frames that no pipeline was trained with, of one "
-        "specimen; the pipeline that comes along was trained on other specimens and knows this one "
-        "only by its flat reference, so its angles carry the difference in stiffness and gain."
+        "specimen. The pipeline that comes along was trained on other specimens and knows this one "
+        "only by its flat reference."
     )
     return section(
         "angle",
@@ -73,10 +73,9 @@ def places(parts: Parts, document: Document) -> str:
         "Where touches are found",
         paragraph(filled(text, document)),
         *(
-            f"<h3>{title}</h3>{figures(parts[stage].part, 'error_vectors')}"
+            f"<h3>{title}</h3>{figures(parts[stage].part, 'error_vectors', 'localisation_errors')}"
             for stage, title in BOTH_PLACES.items()
         ),
-        _beside(parts, BOTH_PLACES, "localisation_errors"),
     )
 
 
@@ -144,8 +143,11 @@ def real(parts: Parts) -> str:
 
 def paper(parts: Parts) -> str:
     """All figures of the paper beside those of both pipelines."""
-    columns = [_rows(parts[stage].part) for stage in BOTH]
-    rows = []
+    rows: list[tuple[str, ...]] = []
+    columns = [
+        _grid_rows(parts[grid].part) | _rows(parts[test].part)
+        for grid, test in zip(BOTH_PLACES, BOTH, strict=True)
+    ]
     for key in dict.fromkeys(key for column in columns for key in column):
         paper = next(column[key][0] for column in columns if key in column)
         rows.append((key[1], paper, *(column.get(key, ("", "-"))[1] for column in columns)))
@@ -163,8 +165,15 @@ def _rows(part: Part) -> dict[tuple[str, str], tuple[str, str]]:
     rows, experiment = {}, ""
     for name, paper, here in table_rows(report_of(part)):
         experiment = experiment if name.startswith(" ") else name
-        rows[experiment, name] = paper, here
+        rows[experiment, name] = paper.replace("+-", "±"), here.replace("+-", "±")
     return rows
+
+
+def _grid_rows(part: Part) -> dict[tuple[str, str], tuple[str, str]]:
+    """Those of the single touches on a grid."""
+    rows = [(key, row) for key, row in _rows(part).items() if key[0] == "one touch: error"]
+    title = "one touch at 27 places, flat: error"
+    return {(title, name if name.startswith(" ") else title): row for (_, name), row in rows}
 
 
 def _beside(parts: Parts, stages: Mapping[str, str], name: str) -> str:

@@ -171,7 +171,7 @@ def _provenance(parts: Parts, document: Document) -> str:
         (
             stage.heading,
             filled(f"{{seconds.{stage.name}:.0f}}", document),
-            escape(parts[stage.name].date),
+            escape(_spoken(parts[stage.name].date)),
             escape(_inputs(parts[stage.name].made_from)),
         )
         for stage in STAGES
@@ -183,7 +183,7 @@ def _provenance(parts: Parts, document: Document) -> str:
         paragraph(
             escape(
                 f"{made['machine']}, {made['cores']} cores; Python {made['python']}, {versions}; "
-                f"seed {made['seed']}; {made['date']}"
+                f"seed {made['seed']}; {_spoken(made['date'])} UTC"
             )
         ),
         table(
@@ -203,3 +203,8 @@ def _inputs(made_from: Mapping[str, Any]) -> str:
         named = value if isinstance(value, dict) else {"": value}
         found += [" ".join((kind, name, digest[:8])) for name, digest in named.items()]
     return ", ".join(found).replace("  ", " ") or "the design"
+
+
+def _spoken(date: str) -> str:
+    """An ISO date with time, as people write it."""
+    return date.replace("T", " ").removesuffix("+00:00")

@@ -71,7 +71,7 @@ def states(design: SensorDesign) -> Part:
     with style():
         chart = changed_resistances(titles, changes, sim.protocol.labels)
     pictures = {
-        "scenes": Picture("The sensor " + "; ".join(titles), caption, PNG, drawing, 7.2),
+        "scenes": Picture("The sensor " + "; ".join(titles), caption, PNG, drawing, 6.4),
         "changes": drawn_picture(chart, "Change of every resistance in the three scenes"),
     }
     return Part({"scenes": _largest(titles, changes)}, pictures)

@@ -108,7 +108,7 @@ STAGES = (
     ),
     Stage(
         "indentation",
-        "The same at the paper's 27 places",
+        "The pipeline trained here at the paper's 27 places",
         _of_frames("paper_indentation", HERE),
         _measured("paper_indentation", HERE),
         _report_table,
@@ -122,7 +122,7 @@ STAGES = (
     ),
     Stage(
         "shipped_indentation",
-        "The same at the paper's 27 places",
+        "The pipeline that comes with eitskin at the paper's 27 places",
         _of_frames("paper_indentation", SHIPPED),
         _measured("paper_indentation", SHIPPED),
         _report_table,
