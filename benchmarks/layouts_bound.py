@@ -111,11 +111,11 @@ def sheet_bound(layout: Layout, sampling: Sampling) -> SheetBound:
 
     Raises ConfigurationError, naming the layout, where its measurements do not determine a press.
     """
-    sim = Simulator(layout.design, _discretisation(layout.design, sampling.resolution))
+    sim = Simulator(layout.design, judged_discretisation(layout.design, sampling.resolution))
     x, y = sampling.grid(layout.design)
     places = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     mirrors = list(own_mirrors(layout.design))
-    images = np.array([_mirrored(len(x), len(y), *mirror) for mirror, _ in mirrors])
+    images = np.array([mirrored_places(len(x), len(y), *mirror) for mirror, _ in mirrors])
     first = images.min(axis=0)
     solved = np.unique(first)
     untouched = scene_derivatives(sim, Scene(Bend(layout.angle_deg)))
@@ -138,7 +138,8 @@ def sheet_bound(layout: Layout, sampling: Sampling) -> SheetBound:
     )
 
 
-def _discretisation(design: SensorDesign, resolution: Resolution) -> Discretisation:
+def judged_discretisation(design: SensorDesign, resolution: Resolution) -> Discretisation:
+    """Orders of the elements, and the mesh's grading, that a layout is judged with."""
     orders, grading = discretisation(resolution, design, "hexahedra")
     pads = any(electrode.on != "side" for electrode in design.electrodes)
     return _PAD_ORDERS if pads else orders, grading
@@ -196,8 +197,8 @@ def _rounded(electrode: Electrode, x: float, y: float) -> Electrode:
     return replace(electrode, x=round(x, _DIGITS) + 0.0, y=round(y, _DIGITS) + 0.0)
 
 
-def _mirrored(nx: int, ny: int, along: bool, across: bool) -> Numbers:
-    """Number of the place that each place has in a mirror, (nx * ny,)."""
+def mirrored_places(nx: int, ny: int, along: bool, across: bool) -> Numbers:
+    """Number of the place that each place of a grid has in a mirror, (nx * ny,)."""
     numbers = np.arange(nx * ny).reshape(ny, nx)
     return numbers[:: -1 if across else 1, :: -1 if along else 1].ravel()
 

@@ -15,6 +15,7 @@ _DRAWN = (
     ("search", PAPER),
     ("search", "best with both mirrors"),
     ("search", "best with a half turn"),
+    ("free", "best of all"),
     ("count", "16 on the rim"),
     ("placement", "on top, beside the rim"),
     ("placement", "inside, 2 x 4"),

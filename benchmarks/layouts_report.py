@@ -1,6 +1,7 @@
 """What `eitskin bench layouts` writes: a table for people, CSV, JSON and maps."""
 
 import dataclasses
+import itertools
 import json
 import math
 from collections.abc import Iterator
@@ -9,7 +10,15 @@ from typing import Any
 
 from eitskin.benchmarks.layouts import PAPER
 from eitskin.benchmarks.layouts_plot import plot_maps
-from eitskin.benchmarks.layouts_run import BEST, SEARCH, Comparison, Figures
+from eitskin.benchmarks.layouts_run import (
+    FREE,
+    FREED,
+    MIRRORED,
+    SEARCH,
+    TURNED,
+    Comparison,
+    Figures,
+)
 from eitskin.benchmarks.tables import write_table
 from eitskin.geometry.whole_file import whole_file
 
@@ -42,7 +51,7 @@ def table(found: Comparison) -> Iterator[tuple[str, ...]]:
         part = (each.sweep, each.resolution)
         if part != before:
             finer = f", {each.resolution} mesh, places {each.spacing_mm:g} mm apart"
-            yield (f"{each.sweep}{finer if each.sweep == SEARCH else ''}",)
+            yield (f"{each.sweep}{finer if each.sweep in (SEARCH, FREE) else ''}",)
         before = part
         yield _row(each)
 
@@ -66,18 +75,19 @@ def _row(each: Figures) -> tuple[str, ...]:
 
 def sentences(found: Comparison) -> Iterator[str]:
     """What the search gained, and what all was made with."""
-    for fine in (False, True):
-        searched = found.of_search(fine)
+    for sweep, resolution in itertools.product((SEARCH, FREE), ("fast", "standard")):
+        searched = found.found(sweep, resolution)
         least = searched[PAPER].place_90_mm if searched else math.nan
         for name, each in searched.items():
             if name != PAPER:
                 change = 100 * (each.place_90_mm / least - 1)
                 yield (
-                    f"{name}, {each.resolution} mesh: {each.place_90_mm:.2f} mm for 90 % of the "
+                    f"{name}, {resolution} mesh: {each.place_90_mm:.2f} mm for 90 % of the "
                     f"places, {change:+.0f} % of the paper's {least:.2f} mm"
                 )
-    for name, each in found.of_search(fine=True).items():
-        if name.startswith(BEST):
+    ends = found.found(SEARCH, "standard") | found.found(FREE, "standard")
+    for name, each in ends.items():
+        if name in (MIRRORED, TURNED, FREED):
             yield f"{name}: middles at (x y) {each.electrodes_mm} mm"
     if found.quick:
         yield "quick: few places and candidates, so these say little"

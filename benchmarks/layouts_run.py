@@ -7,20 +7,34 @@ from pathlib import Path
 
 import numpy as np
 
-from eitskin.benchmarks.layouts import SIZE, Layout, paper, sweeps, with_electrodes
+from eitskin.benchmarks import layouts_free, layouts_trained
+from eitskin.benchmarks.layouts import SIZE, Layout, one_sided, paper, sweeps, with_electrodes
 from eitskin.benchmarks.layouts_bound import Sampling, SheetBound
-from eitskin.benchmarks.layouts_search import COUNT, QUICK, Plan, search
+from eitskin.benchmarks.layouts_free import FreePlan, free_search
+from eitskin.benchmarks.layouts_ring import solved_ring
+from eitskin.benchmarks.layouts_search import (
+    COUNT,
+    QUICK,
+    Candidate,
+    Plan,
+    at_arcs,
+    possible,
+    search,
+)
 from eitskin.benchmarks.layouts_store import Judge, Watch, judging
+from eitskin.benchmarks.layouts_trained import Learned, Lesson, learn_all
 from eitskin.benchmarks.provenance import Provenance
 from eitskin.geometry import ConfigurationError, Rectangle
 from eitskin.geometry.layouts import uniform
 from eitskin.hardware.messages import MAX_CHANNELS
 
-SEED = 0  # nothing is random
-SEARCH, BEST = "search", "best with"  # a sweep, and how names of what it finds begin
-NAMES = (*sweeps(), SEARCH)
+SEED = 0  # of the search without symmetry, and of the pipelines; nothing else is random
+SEARCH, FREE = "search", "free"  # sweeps
+MIRRORED, TURNED, FREED = "best with both mirrors", "best with a half turn", "best of all"
+NAMES = (*sweeps(), SEARCH, FREE)
 SAMPLING, FINE = Sampling(0.0075), Sampling(0.0075, resolution="standard")
 _QUICK = Sampling(0.0225)
+FREE_WIDTHS = (0.002, 0.008)  # of the electrodes of the best layouts, beside 5 mm [m]
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,12 +148,22 @@ class Comparison:
         """Of each layout, in order."""
         return [Figures.of(each) for each in self.judged]
 
-    def of_search(self, fine: bool) -> dict[str, Figures]:
-        """Of the layouts that the search ends with, by name; empty where it was not run."""
-        found = [each for each in self.judged if each.sweep == SEARCH]
-        half = len(found) // 2
-        part = found[half:] if fine else found[:half]
-        return {each.layout.name: Figures.of(each) for each in part}
+    def found(self, sweep: str, resolution: str) -> dict[str, Figures]:
+        """Of the layouts that a search ends with, by name; empty where it was not run."""
+        return {
+            each.layout.name: Figures.of(each)
+            for each in self.judged
+            if (each.sweep, each.sampling.resolution) == (sweep, resolution)
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Training:
+    """What pipelines reach that were trained for some layouts, and what with."""
+
+    learned: tuple[Learned, ...]
+    provenance: Provenance
+    quick: bool
 
 
 def run(
@@ -154,7 +178,7 @@ def run(
 
     Args:
         folder: for the files of finished layouts; a run that was stopped goes on from them.
-        names: of sweeps; "search" is one.
+        names: of sweeps; "search" and "free" are two.
         quick: few places, few layouts in the search.
         workers: processes that judge.
         watch: called with the name of each finished layout.
@@ -180,7 +204,40 @@ def run(
         ]
         if SEARCH in names:
             judged += _searched(judge, quick)
+        if FREE in names:
+            judged += _freed(judge, folder, quick)
     return Comparison(tuple(judged), Provenance.now(SEED), quick)
+
+
+def train(
+    folder: Path, *, quick: bool = False, workers: int = 1, watch: Watch = lambda _: None
+) -> Training:
+    """Train and test pipelines for chosen layouts, keeping in `folder` what is finished.
+
+    They are the paper's, what the searches found, six and 16 on the rim, and a poor one; of a quick
+    run the paper's and the poor one.
+
+    Raises PartialError where files cannot be written or a process died; run again to go on.
+    """
+    with judging(folder / "parts", workers, watch) as judge:
+        layouts = [paper(), one_sided()]
+        if not quick:
+            counts = sweeps()["count"]
+            best = [
+                at_arcs(name, found.arcs)
+                for name, found in _best(judge, folder / "parts", quick).items()
+            ]
+            layouts = [layouts[0], *best, counts[0], counts[-1], layouts[1]]
+        bounds = judge([(layout, _QUICK if quick else SAMPLING) for layout in layouts])
+    lesson = layouts_trained.QUICK if quick else Lesson(seed=SEED)
+    learned = learn_all(
+        list(zip(layouts, bounds, strict=True)),
+        folder / "trained",
+        lesson=lesson,
+        workers=workers,
+        watch=watch,
+    )
+    return Training(tuple(learned), Provenance.now(SEED), quick)
 
 
 def _searched(judge: Judge, quick: bool) -> Iterator[Judged]:
@@ -191,13 +248,40 @@ def _searched(judge: Judge, quick: bool) -> Iterator[Judged]:
     layouts = [
         paper(),
         with_electrodes("even, half a pitch on", electrodes),
-        dataclasses.replace(mirrored.layout, name=f"{BEST} both mirrors"),
-        dataclasses.replace(turned.layout, name=f"{BEST} a half turn"),
+        dataclasses.replace(mirrored.layout, name=MIRRORED),
+        dataclasses.replace(turned.layout, name=TURNED),
     ]
-    fine = dataclasses.replace(plan.sampling if quick else FINE, resolution="standard")
-    questions = [(layout, each) for each in (plan.sampling, fine) for layout in layouts]
-    for (layout, sampling), bound in zip(questions, judge(questions), strict=True):
-        yield Judged(SEARCH, layout, sampling, bound)
+    yield from _twice(SEARCH, layouts, plan.sampling, judge, quick)
+
+
+def _freed(judge: Judge, folder: Path, quick: bool) -> Iterator[Judged]:
+    """The best of all beside the best with mirrors and the paper's, and both in other widths."""
+    best = _best(judge, folder, quick)
+    layouts = [paper(), *(at_arcs(name, found.arcs) for name, found in best.items())]
+    layouts += [
+        at_arcs(f"{name}, {1e3 * width:g} mm wide", found.arcs, width)
+        for name, found in best.items()
+        for width in (() if quick else FREE_WIDTHS)
+        if possible(found.arcs, width)
+    ]
+    yield from _twice(FREE, layouts, _QUICK if quick else SAMPLING, judge, quick)
+
+
+def _best(judge: Judge, folder: Path, quick: bool) -> dict[str, Candidate]:
+    """What the searches find with both mirrors and without any symmetry, by name."""
+    mirrored, _ = search(judge, QUICK if quick else Plan())
+    plan = layouts_free.QUICK if quick else FreePlan(seed=SEED)
+    ring = solved_ring(folder, plan.pitch, plan.sampling)
+    return {MIRRORED: mirrored, FREED: free_search(judge, ring, plan, [mirrored.arcs])}
+
+
+def _twice(
+    sweep: str, layouts: Sequence[Layout], sampling: Sampling, judge: Judge, quick: bool
+) -> Iterator[Judged]:
+    fine = dataclasses.replace(sampling if quick else FINE, resolution="standard")
+    questions = [(layout, each) for each in (sampling, fine) for layout in layouts]
+    for (layout, each), bound in zip(questions, judge(questions), strict=True):
+        yield Judged(sweep, layout, each, bound)
 
 
 def _percentiles(values: np.ndarray) -> tuple[float, float, float]:

@@ -24,9 +24,9 @@ Arcs = tuple[float, ...]
 WIDTH = 0.005  # of an electrode, and least gap between two [m]
 COUNT = 8
 _OUTLINE = Rectangle(*SIZE)
-_LENGTH, _PERIMETER = SIZE[0], _OUTLINE.perimeter
+_LENGTH, PERIMETER = SIZE[0], _OUTLINE.perimeter
 _MIDDLE = _LENGTH / 2  # arc length of the middle of the lower side
-_QUARTER = _PERIMETER / 4  # from there to the middle of the right side
+_QUARTER = PERIMETER / 4  # from there to the middle of the right side
 _PAPER = (0.0525,)  # the paper's: four electrodes so far from there, and those on the middle lines
 
 
@@ -68,25 +68,26 @@ def score(bound: SheetBound) -> float:
     return float(np.percentile(bound.place, 90))
 
 
-def at_arcs(name: str, arcs: Arcs) -> Layout:
-    """Electrodes of 5 mm at arc lengths of the rim [m].
+def at_arcs(name: str, arcs: Arcs, width: float = WIDTH) -> Layout:
+    """Electrodes at arc lengths of the rim [m], of 5 mm where nothing else is said.
 
-    Raises ConfigurationError for ones that are nearer to each other than their width, or that
-    pass a corner.
+    Raises ConfigurationError for less than 5 mm between two, or one that passes a corner.
     """
-    if not _possible(arcs):
+    if not possible(arcs, width):
         raise ConfigurationError(
-            f"electrodes of {1e3 * WIDTH:g} mm at "
-            f"{', '.join(f'{1e3 * s:g}' for s in arcs)} mm along the rim are less than their "
-            "width apart, or pass a corner; move them"
+            f"electrodes of {1e3 * width:g} mm at "
+            f"{', '.join(f'{1e3 * s:g}' for s in arcs)} mm along the rim are less than "
+            f"{1e3 * WIDTH:g} mm apart, or pass a corner; move them"
         )
     places = np.round(_OUTLINE.at(np.array(arcs)), 12) + 0.0
-    return with_electrodes(name, [Electrode(x, y, WIDTH) for x, y in places.tolist()])
+    return with_electrodes(name, [Electrode(x, y, width) for x, y in places.tolist()])
 
 
 def search(judge: Judge, plan: Plan) -> tuple[Candidate, Candidate]:
     """The best layout with both mirrors, and the best with a half turn at least."""
-    best = _best(judge, plan, [_both_mirrors(each) for each in (_PAPER, *_coarse(plan.first))])
+    best = best_of(
+        judge, plan.sampling, [_both_mirrors(each) for each in (_PAPER, *_coarse(plan.first))]
+    )
     for step in plan.smaller:
         best = _descended(judge, plan, best, _mirrored_parameters(best.arcs), step)
     turned = best
@@ -106,7 +107,7 @@ def _both_mirrors(parameters: Arcs) -> Arcs:
     """Arc lengths of all eight, from distances along the rim from the middle of the lower side."""
     alone = (0.0, _QUARTER) if len(parameters) == 1 else ()
     arcs = {
-        round((_MIDDLE + sign * t + half) % _PERIMETER, 9)
+        round((_MIDDLE + sign * t + half) % PERIMETER, 9)
         for t in (*parameters, *alone)
         for sign in (1.0, -1.0)
         for half in (0.0, 2.0 * _QUARTER)
@@ -120,11 +121,11 @@ def _mirrored_parameters(arcs: Arcs) -> Arcs:
 
 
 def _half_turn(parameters: Arcs) -> Arcs:
-    return tuple(sorted({s for t in parameters for s in (round(t % _PERIMETER, 9), _turn(t))}))
+    return tuple(sorted({s for t in parameters for s in (round(t % PERIMETER, 9), _turn(t))}))
 
 
 def _turn(arc: float) -> float:
-    return round((arc + 2.0 * _QUARTER) % _PERIMETER, 9)
+    return round((arc + 2.0 * _QUARTER) % PERIMETER, 9)
 
 
 def _descended(
@@ -142,31 +143,31 @@ def _descended(
             for by in (-step, step)
         ]
         by_arcs = {whole(each): each for each in moved}
-        found = _best(judge, plan, list(by_arcs))
+        found = best_of(judge, plan.sampling, list(by_arcs))
         if found.score >= best.score:
             return best
         best, parameters = found, by_arcs[found.arcs]
 
 
-def _best(judge: Judge, plan: Plan, layouts: Sequence[Arcs]) -> Candidate:
+def best_of(judge: Judge, sampling: Sampling, layouts: Sequence[Arcs]) -> Candidate:
     """The best of those that are possible; the first of equal ones."""
-    possible = [arcs for arcs in dict.fromkeys(layouts) if _possible(arcs)]
-    bounds = judge([(at_arcs(_name(arcs), arcs), plan.sampling) for arcs in possible])
-    found = [Candidate(arcs, score(each)) for arcs, each in zip(possible, bounds, strict=True)]
+    layouts = [arcs for arcs in dict.fromkeys(layouts) if possible(arcs)]
+    bounds = judge([(at_arcs(_name(arcs), arcs), sampling) for arcs in layouts])
+    found = [Candidate(arcs, score(each)) for arcs, each in zip(layouts, bounds, strict=True)]
     return min(found, key=lambda each: each.score, default=Candidate((), np.inf))
 
 
-def _possible(arcs: Arcs) -> bool:
-    """Eight, a width free between any two, and none across a corner."""
+def possible(arcs: Arcs, width: float = WIDTH) -> bool:
+    """Eight, 5 mm free between any two, and none across a corner."""
     s = np.sort(np.array(arcs))
-    gaps = np.diff(s, append=s[:1] + _PERIMETER)
-    corners = np.append(_OUTLINE.corners, _PERIMETER)
+    gaps = np.diff(s, append=s[:1] + PERIMETER)
+    corners = np.append(_OUTLINE.corners, PERIMETER)
     from_corner = np.abs(s[:, None] - corners).min(axis=1)
     near = 1e-9
     return bool(
         len(s) == COUNT
-        and np.all(gaps >= 2.0 * WIDTH - near)
-        and np.all(from_corner >= 0.5 * WIDTH - near)
+        and np.all(gaps >= width + WIDTH - near)
+        and np.all(from_corner >= 0.5 * width - near)
     )
 
 

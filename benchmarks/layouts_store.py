@@ -60,20 +60,33 @@ def judging(folder: Path, workers: int = 1, watch: Watch = lambda _: None) -> It
     """
     make_folder(folder)
     remove_leftovers(folder)
+    with working(workers) as pool:
+        yield partial(_answers, folder, watch, pool)
+
+
+@contextmanager
+def working(workers: int) -> Iterator[ProcessPoolExecutor | None]:
+    """Give processes to work with; none where one is enough, which this one is.
+
+    They end at once when the block raises, so what they write must be whole or absent.
+
+    Raises PartialError where one died; run again to go on.
+    """
     if workers == 1:
-        yield partial(_answers, folder, watch, None)
+        yield None
         return
     context, others = multiprocessing.get_context("spawn"), set(multiprocessing.active_children())
     with ProcessPoolExecutor(workers, context, initializer=_start_worker) as pool:
         try:
-            yield partial(_answers, folder, watch, pool)
+            yield pool
         except BrokenProcessPool as error:
             raise PartialError(
-                "a process that judged layouts died; finished ones are kept, run again to go on"
+                "a process that worked on layouts died; what was finished is kept, run again to go "
+                "on"
             ) from error
         except BaseException:
             for process in set(multiprocessing.active_children()) - others:
-                process.terminate()  # at once: files are whole or absent
+                process.terminate()
             raise
 
 

@@ -5,12 +5,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich import box
+from rich.console import Group
 from rich.table import Table
 
 from eitskin.cli.options import Json, Output, Quiet, Verbose
 
 if TYPE_CHECKING:
-    from eitskin.benchmarks.layouts_run import Comparison
+    from eitskin.benchmarks.layouts_run import Comparison, Training
 
 
 def command(
@@ -21,13 +22,16 @@ def command(
     sweep: Annotated[
         list[str] | None,
         typer.Option(
-            help="count, placement, width, contact, bend or search; may be given several times, "
-            "all if omitted."
+            help="count, placement, width, contact, bend, search or free; may be given several "
+            "times, all if omitted."
         ),
     ] = None,
-    workers: Annotated[int, typer.Option(min=1, help="Processes that judge layouts.")] = 2,
+    trained: Annotated[
+        bool, typer.Option("--trained", help="Also train and test pipelines for chosen layouts.")
+    ] = False,
+    workers: Annotated[int, typer.Option(min=1, help="Processes that judge and train.")] = 2,
     quick: Annotated[
-        bool, typer.Option("--quick", help="Few places and a short search, in two minutes.")
+        bool, typer.Option("--quick", help="Few places, short searches, little training.")
     ] = False,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -38,8 +42,9 @@ def command(
     Cramer-Rao bounds over the sheet. Finished layouts are kept in the folder; a run that was
     stopped goes on from them.
     """
+    from eitskin.benchmarks import layouts_trained_report as training
     from eitskin.benchmarks.layouts_report import LEGEND, as_data, sentences, write
-    from eitskin.benchmarks.layouts_run import NAMES, run
+    from eitskin.benchmarks.layouts_run import NAMES, run, train
     from eitskin.cli.bench import make_folder
 
     output = Output(as_json, quiet, verbose)
@@ -51,10 +56,16 @@ def command(
             bar.update(task, advance=1, rate=name)
 
         found = run(out / "parts", names=sweep or NAMES, quick=quick, workers=workers, watch=show)
-    paths = write(found, out)
-    output.result(as_data(found) | {"files": [str(path) for path in paths]}, _as_table(found))
+        learned = train(out, quick=quick, workers=workers, watch=show) if trained else None
+    paths, data = write(found, out), as_data(found)
+    shown = [_as_table(found)]
+    if learned is not None:
+        paths += training.write(learned, out)
+        data["trained"] = training.as_data(learned)
+        shown.append(_trained_table(learned))
+    output.result(data | {"files": [str(path) for path in paths]}, Group(*shown))
     output.show(LEGEND)
-    for line in sentences(found):
+    for line in (*sentences(found), *(training.sentences(learned) if learned else ())):
         output.show(line)
     output.note("written: " + ", ".join(str(path) for path in paths))
 
@@ -68,4 +79,15 @@ def _as_table(found: "Comparison") -> Table:
         column.justify, column.width = "right", 5
     for row in table(found):
         drawn.add_row(f"[bold]{row[0]}[/bold]" if len(row) == 1 else row[0], *row[1:SHORT])
+    return drawn
+
+
+def _trained_table(learned: "Training") -> Table:
+    from eitskin.benchmarks.layouts_trained_report import HEADINGS, table
+
+    drawn = Table(*HEADINGS, title="trained", box=box.SIMPLE, pad_edge=False, padding=0)
+    for column in drawn.columns[1:]:
+        column.justify = "right"
+    for row in table(learned):
+        drawn.add_row(*row)
     return drawn
