@@ -1,8 +1,10 @@
 """The `eitskin` command: assembles the commands and turns errors into exit codes."""
 
 import sys
+from typing import Any
 
 import typer
+from typer.core import TyperGroup
 
 from eitskin.cli import (
     bench,
@@ -22,8 +24,24 @@ from eitskin.cli import (
 )
 from eitskin.geometry import EitskinError
 
+EXIT_USAGE = 2
+
+
+class Commands(TyperGroup):
+    """All commands: one that Ctrl-C ends says so, before typer turns it into exit code 130."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command that was given."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            typer.secho("eitskin: interrupted", err=True)
+            raise
+
+
 app = typer.Typer(
     name="eitskin",
+    cls=Commands,
     help="Simulate electrical-impedance robot skin, make training sets, train on them, go live.",
     no_args_is_help=True,
     add_completion=False,
@@ -44,9 +62,6 @@ app.add_typer(dataset.app, name="dataset")
 app.add_typer(bench.app, name="bench")
 app.add_typer(export.app, name="export")
 
-EXIT_USAGE = 2
-EXIT_INTERRUPTED = 130
-
 
 def run() -> None:
     """Entry point: exit codes 0 ok, 2 usage, 3 data, 4 device, 5 partial, 130 interrupted."""
@@ -58,6 +73,3 @@ def run() -> None:
     except ImportError as error:
         typer.secho(f"eitskin: {error}", fg=typer.colors.RED, err=True)
         sys.exit(EXIT_USAGE)
-    except KeyboardInterrupt:
-        typer.secho("eitskin: interrupted", err=True)
-        sys.exit(EXIT_INTERRUPTED)

@@ -74,6 +74,7 @@ def command(
     colours, pair = _colours(view, colour, drive, len(design.electrodes))
     detail = cast(Resolution, one_of("--resolution", resolution, Resolution))
     sim = simulator(design, detail, fixture, protocol, mechanics, touch_model)
+    sim.require_possible(what)  # before its presses are solved, which takes minutes
     flat = sim.measure(Scene())
     if touch_model == "tabulated":
         announce(design, sim.mechanics, (touch.indenter for touch in what.touches), output)

@@ -96,7 +96,9 @@ class Recipe:
         outline = self.sensor.outline
         if isinstance(outline, Surface):
             raise ConfigurationError(
-                "sensor: bending and touches need a rectangle, disc or polygon, not a surface"
+                "sensor: bending and touches need a rectangle, disc or polygon as outline, not a "
+                "surface; "
+                "give the rim of a flat sensor as outline = { points = [...] }"
             )
         return outline
 
@@ -201,6 +203,11 @@ def shipped_names() -> tuple[str, ...]:
 def _with_sensor(data: Mapping[str, Any], folder: Path) -> Mapping[str, Any]:
     """`data` with a sensor that is given by name or path put in place."""
     given = data.get("sensor")
+    if isinstance(given, Mapping) and "file" in given:
+        raise ConfigurationError(
+            'sensor: a design file is named as sensor = "PATH.toml", got a table with the key '
+            "'file'"
+        )
     if not isinstance(given, str):
         return data
     if given == "reference":

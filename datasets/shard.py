@@ -167,7 +167,10 @@ def _check_format(file: h5py.File) -> None:
             "reads; upgrade with pip install --upgrade eitskin"
         )
     if version < 1:
-        raise DataError(f"expected format version 1 to {FORMAT_VERSION}, got {version}")
+        raise DataError(
+            f"expected format version 1 to {FORMAT_VERSION}, got {version}, which no eitskin has "
+            "written; generate or copy it again"
+        )
     _check_links(file)
     if not 0 <= int(file.attrs["count"]) <= LIMITS["frame"]:
         raise DataError(f"expected at most {LIMITS['frame']} frames, got {file.attrs['count']}")

@@ -14,12 +14,12 @@ def require_positive(name: str, value: float, unit: str) -> None:
         raise ConfigurationError(f"{name} must be a positive number of {unit}, got {value!r}")
 
 
-def require_length(name: str, value: float) -> None:
-    """Raise ConfigurationError unless `value` [m] is a length that a sensor can have."""
+def require_length(name: str, value: float, longest: float = LONGEST) -> None:
+    """Raise ConfigurationError unless `value` [m] is a length up to `longest` [m]."""
     require_positive(name, value, "m")
-    if not SHORTEST <= value <= LONGEST:
+    if not SHORTEST <= value <= longest:
         raise ConfigurationError(
-            f"{name} must be between {SHORTEST * 1e6:g} um and {LONGEST:g} m, got {value:g} m; "
+            f"{name} must be between {SHORTEST * 1e6:g} um and {longest:g} m, got {value:g} m; "
             "lengths are in metres, so 5 mm is 0.005"
         )
 

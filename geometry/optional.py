@@ -12,6 +12,6 @@ def require(module: str, extra: str) -> ModuleType:
         if error.name is None or error.name.partition(".")[0] != module.partition(".")[0]:
             raise
         raise ImportError(
-            f"{module} is needed here and is not installed; install it with "
+            f"{module.partition('.')[0]} is needed here and is not installed; install it with "
             f"pip install 'eitskin[{extra}]'"
         ) from error

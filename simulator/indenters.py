@@ -8,12 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.geometry import ConfigurationError
+from eitskin.geometry.limits import require_length
 
 Array = NDArray[np.float64]
 
 # Walls are as steep as this at most: 80 degrees, so that every indenter is a height map.
 _STEEPEST = math.tan(math.radians(80.0))
 _PROJECTIONS = 12
+_WIDEST = 0.5  # m; no finger or tool is wider, but 1 mm written as 1 is
 
 
 class Indenter(Protocol):
@@ -50,7 +52,7 @@ class Cylinder:
 
     def __post_init__(self) -> None:
         """Check the numbers."""
-        _check_radius(self.radius)
+        require_length("indenter radius", self.radius, _WIDEST)
         if not 0.0 < self.edge <= 1.0:
             raise ConfigurationError(
                 f"the rim of a cylinder needs 0 < edge <= 1 of its radius, got {self.edge}"
@@ -82,7 +84,7 @@ class Sphere:
 
     def __post_init__(self) -> None:
         """Check the radius."""
-        _check_radius(self.radius)
+        require_length("indenter radius", self.radius, _WIDEST)
 
     @property
     def rims(self) -> tuple[float, float]:
@@ -177,11 +179,6 @@ def entry(indenter: Indenter, r: Array, height: Array) -> tuple[Array, tuple[Arr
     g = np.where(inside, distance, -distance)
     curvature = bend / length**3
     return g, (-slope / length, 1.0 / length), -curvature / np.maximum(1.0 - curvature * g, 0.1)
-
-
-def _check_radius(radius: float) -> None:
-    if not (math.isfinite(radius) and radius > 0):
-        raise ConfigurationError(f"indenter radius must be a positive length in m, got {radius}")
 
 
 def _arc(s: Array, radius: float) -> tuple[Array, Array, Array]:

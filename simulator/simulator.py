@@ -87,7 +87,7 @@ class Simulator:
 
     def deformation(self, scene: Scene) -> Deformation | None:
         """How the scene deforms the sensor, touch first, then bend; None where it does not."""
-        self._require_possible(scene)
+        self.require_possible(scene)
         parts: list[Deformation] = []
         if scene.touches:
             parts.append(self._dents(scene))
@@ -107,16 +107,21 @@ class Simulator:
 
     def presses(self, scene: Scene) -> tuple[Pressed, ...]:
         """Depth, contact and pressure of each touch of a scene, and how far to trust them."""
-        self._require_possible(scene)
+        self.require_possible(scene)
         return pressed(scene.touches, self.design, self.mechanics)
 
-    def _require_possible(self, scene: Scene) -> None:
+    def require_possible(self, scene: Scene) -> None:
+        """Raise ConfigurationError for touches off the layer, and for a surface that is not flat.
+
+        What it lets pass may still be refused when it is solved: a force or an angle too large.
+        """
         outline = self.design.outline
         if isinstance(outline, Surface):
             if scene == Scene():
                 return
             raise ConfigurationError(
-                "bending and touches need a rectangle, disc or polygon as outline, not a surface"
+                "bending and touches need a rectangle, disc or polygon as outline, not a surface; "
+                "give the rim of a flat sensor as outline = { points = [...] }"
             )
         for touch in scene.touches:
             if not outline.contains(np.array([touch.x, touch.y])):

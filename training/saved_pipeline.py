@@ -166,6 +166,8 @@ def _files(saved: SavedPipeline) -> dict[str, bytes]:
 
 def _checked_files(path: Path) -> dict[str, bytes]:
     """The files that the sums name, every one of them and unchanged."""
+    if path.is_file():
+        raise DataError(f"{path} is a file, a pipeline is a folder; unpack it if it was packed")
     if not path.is_dir():
         raise DataError(f"there is no pipeline {path}; make one with eitskin train")
     try:
