@@ -10,8 +10,10 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from eitskin.cli import simulate
+from eitskin.cli.main import app
 from eitskin.datasets import Dataset, Recipe, State, open_dataset, save_dataset
 from eitskin.geometry import DeviceError, EitskinError, PartialError, SensorDesign
 from eitskin.geometry.optional import require
@@ -212,3 +214,13 @@ def test_the_message_occurs(code, message, tmp_path):
 
 def test_each_is_listed_once():
     assert len(ROWS) == len(set(ROWS)) == len(PROVOKED)
+
+
+def test_a_command_that_is_interrupted_says_so(tmp_path, monkeypatch):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("eitskin.cli.simulate.Scene.from_toml", interrupt)
+    ran = CliRunner().invoke(app, ["simulate", str(tmp_path / "scene.toml")])
+    assert ran.exit_code == 130
+    assert ran.stderr == "eitskin: interrupted\n"
