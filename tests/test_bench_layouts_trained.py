@@ -35,12 +35,12 @@ def trained(monkeypatch):
     """Names of layouts that were trained for; frames and pipelines cost nothing."""
     names = []
     monkeypatch.setattr(layouts_trained, "_frames", lambda _, recipe: recipe)
-    monkeypatch.setattr(layouts_trained.Pipeline, "fit", lambda training, _: training)
+    monkeypatch.setattr(layouts_trained.Pipeline, "fit", staticmethod(lambda training, _: training))
 
-    def score(layout, bound, pipeline, testing, _):
+    def score(layout, bound, pipeline, testing, seconds):  # noqa: ARG001
         assert pipeline.seed != testing.seed
         names.append(layout.name)
-        return result(layout.name, 1e3 * bound.place[0, 0], 1.0 if len(names) > 1 else None)
+        return result(layout.name, float(1e3 * bound.place[0, 0]), 1.0 if len(names) > 1 else None)
 
     monkeypatch.setattr(layouts_trained, "scored", score)
     return names
