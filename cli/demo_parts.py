@@ -87,7 +87,7 @@ def keep(
     Raises PartialError where the file cannot be written.
     """
     start = time.perf_counter() if start is None else start
-    expected = msgspec.to_builtins(made_from)
+    expected = msgspec.json.decode(msgspec.json.encode(made_from))  # as it will be read back
     kept = _read(path)
     if kept is not None and kept.made_from == expected:
         return kept
