@@ -5,6 +5,7 @@ import hashlib
 import json
 import re
 import shutil
+import sys
 from pathlib import Path
 
 import h5py
@@ -12,7 +13,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from eitskin.cli import simulate
+from eitskin.cli import entry, simulate
 from eitskin.cli.main import app
 from eitskin.datasets import Dataset, Recipe, State, open_dataset, save_dataset
 from eitskin.geometry import DeviceError, EitskinError, PartialError, SensorDesign
@@ -224,3 +225,21 @@ def test_a_command_that_is_interrupted_says_so(tmp_path, monkeypatch):
     ran = CliRunner().invoke(app, ["simulate", str(tmp_path / "scene.toml")])
     assert ran.exit_code == 130
     assert ran.stderr == "eitskin: interrupted\n"
+
+
+class Interrupts:
+    """Has Ctrl-C come when `eitskin.cli.main` is about to be loaded."""
+
+    def find_spec(self, name, *_):
+        if name == "eitskin.cli.main":
+            raise KeyboardInterrupt
+
+
+def test_ctrl_c_while_the_commands_load_says_so(monkeypatch, capsys):
+    monkeypatch.delattr("eitskin.cli.main")
+    monkeypatch.delitem(sys.modules, "eitskin.cli.main")
+    monkeypatch.setattr(sys, "meta_path", [Interrupts(), *sys.meta_path])
+    with pytest.raises(SystemExit) as ended:
+        entry.run()
+    assert ended.value.code == 130
+    assert capsys.readouterr().err == "eitskin: interrupted\n"
