@@ -79,8 +79,8 @@ def _put_in_place(temporary: Path, path: Path) -> None:
             path.rename(old)
         try:
             temporary.rename(path)
-        except OSError:
-            if old.exists():
+        except BaseException:  # Ctrl-C too must not let the old one be removed with its place
+            if old.exists() and not path.exists():
                 old.rename(path)
             raise
         _sync(path.parent)
