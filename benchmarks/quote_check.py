@@ -63,13 +63,13 @@ def compare(
         for number in page.numbers(root):
             yield of_number(number, found)
         for picture in page.pictures():
-            yield of_picture(picture, out, root)
+            yield of_picture(picture, out, found, root)
 
 
 def of_number(number: Number, found: Mapping[str, Results]) -> Compared:
     """One number beside its figure; those of quick runs are not for quoting."""
     measured, verdict = None, "not measured"
-    if number.results in found and not found[number.results].quick:
+    if _for_quoting(number.results, found):
         measured, verdict = found[number.results].figures.get(number.key), "no such figure"
     if measured is not None:
         unit = unit_of(number.written)
@@ -87,10 +87,13 @@ def of_number(number: Number, found: Mapping[str, Results]) -> Compared:
     )
 
 
-def of_picture(picture: Picture, out: Path, root: Path = ROOT) -> Compared:
-    """One picture beside the one that was drawn."""
-    drawn = out / picture.results / picture.name
-    differs = differing(root / picture.file, drawn) if drawn.is_file() else None
+def of_picture(
+    picture: Picture, out: Path, found: Mapping[str, Results], root: Path = ROOT
+) -> Compared:
+    """One picture beside the one that was drawn; those of quick runs are not for quoting."""
+    drawn, differs = out / picture.results / picture.name, None
+    if drawn.is_file() and _for_quoting(picture.results, found):
+        differs = differing(root / picture.file, drawn)
     verdict = "not measured"
     if differs is not None:
         verdict = "equal" if differs <= picture.points else "off"
@@ -104,6 +107,10 @@ def of_picture(picture: Picture, out: Path, root: Path = ROOT) -> Compared:
         spread=f"{100 * picture.points:g} % of the points",
         verdict=verdict,
     )
+
+
+def _for_quoting(name: str, found: Mapping[str, Results]) -> bool:
+    return name in found and not found[name].quick
 
 
 def differing(one: Path, other: Path) -> float:

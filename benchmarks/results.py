@@ -14,6 +14,7 @@ import msgspec
 
 from eitskin.benchmarks.provenance import Provenance
 from eitskin.benchmarks.tables import write_table
+from eitskin.datasets.folder import make_folder
 from eitskin.geometry import DataError
 from eitskin.geometry.whole_file import whole_file
 
@@ -42,10 +43,14 @@ class Results:
     quick: bool = False
     figures: dict[str, float] = field(default_factory=dict)
 
-    def answers(self, seed: int, quick: bool) -> bool:
-        """Whether a run with this seed and the versions installed would say no more than this."""
-        now, mine = Provenance.now(seed), self.provenance
-        return (mine.seed, mine.packages) == (seed, now.packages) and self.quick <= quick
+    def answers(self, seed: int | None, quick: bool) -> bool:
+        """Whether a run with the versions installed would say no more than this.
+
+        With this seed, or with any where it is None.
+        """
+        mine = self.provenance
+        now = Provenance.now(mine.seed if seed is None else seed)
+        return (mine.seed, mine.packages) == (now.seed, now.packages) and self.quick <= quick
 
 
 def write_results(
@@ -62,7 +67,7 @@ def write_results(
     Returns all paths. Raises ConfigurationError where one cannot be written; what was there stays.
     """
     folder = out / results.name
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     paths = [folder / name for name in (*(plots or {}), TABLE, RESULTS)]
     for name, draw in (plots or {}).items():
         with whole_file(folder / name) as temporary:

@@ -15,6 +15,7 @@ from pathlib import Path
 from eitskin.benchmarks.markdown_tables import figures
 from eitskin.benchmarks.provenance import Provenance
 from eitskin.benchmarks.results import RESULTS, Results, read_results, write_results
+from eitskin.datasets.folder import make_folder
 from eitskin.geometry import DataError
 from eitskin.geometry.whole_file import whole_file
 
@@ -136,7 +137,7 @@ def run_all(
         out: folder of the results.
         seed: of those that take one.
         quick: fewer and smaller cases.
-        fresh: run also what is there from the same version and seed.
+        fresh: run also what is there from the same version and, where one is taken, seed.
         data: folder of real recordings.
         start: runs a command; in a process of its own when omitted.
     """
@@ -146,7 +147,7 @@ def run_all(
         needs = each.needs.format_map(places)
         if quick and each.quick is None:
             yield Done(each.name, "left out", "there is no quick run of it")
-        elif not fresh and _is_there(folder / RESULTS, seed, quick):
+        elif not fresh and _is_there(folder / RESULTS, seed if each.seeded else None, quick):
             yield Done(each.name, "kept", "the same version and seed")
         elif needs and not Path(needs).exists():
             yield Done(each.name, "left out", f"needs {needs}")
@@ -160,7 +161,7 @@ def run_all(
 def _run(each: Benchmark, places: Mapping[str, str], seed: int, quick: bool, start: Start) -> str:
     """Run one; gives why it failed, or nothing."""
     folder = Path(places["own"])
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     program = EITSKIN if each.command else EITSKIN[:1]
     command = [*program, *each.arguments(places, seed, quick)]
     if each.own_results:
@@ -207,7 +208,7 @@ def run_process(command: Sequence[str], report: Path | None) -> int:
         return subprocess.run(command, stdout=file, check=False).returncode  # noqa: S603
 
 
-def _is_there(path: Path, seed: int, quick: bool) -> bool:
+def _is_there(path: Path, seed: int | None, quick: bool) -> bool:
     """Whether results are there that a run would give again."""
     try:
         return path.is_file() and read_results(path).answers(seed, quick)

@@ -13,7 +13,7 @@ from rich.table import Table
 
 from eitskin.cli import bench_layouts, bench_paper, bench_speed, bench_suite
 from eitskin.cli.options import Json, Output, Quiet, Seed, Verbose
-from eitskin.geometry import ConfigurationError
+from eitskin.geometry.optional import require_all
 
 if TYPE_CHECKING:
     from eitskin.benchmarks.accuracy import Accuracy
@@ -45,8 +45,10 @@ def accuracy(
     """Error against run time of the forward model, beside pyEIT: table, CSV and plot."""
     from eitskin.benchmarks.accuracy import run
     from eitskin.benchmarks.accuracy_report import misses, write
+    from eitskin.datasets.folder import make_folder
 
     output = Output(json, quiet, verbose)
+    require_all(bench="threadpoolctl matplotlib")
     make_folder(out)
     found = run(seed, quick, watched(output))
     paths = write(found, out)
@@ -72,6 +74,7 @@ def stability(
     Exit code 1 where one of them gives a wrong result.
     """
     from eitskin.benchmarks.stability import run, write
+    from eitskin.datasets.folder import make_folder
 
     output = Output(json, quiet, verbose)
     make_folder(out)
@@ -84,14 +87,6 @@ def stability(
     output.note("written: " + ", ".join(paths))
     if found.wrong:
         raise typer.Exit(1)
-
-
-def make_folder(out: Path) -> None:
-    """Make the folder for results; raises ConfigurationError where that cannot be."""
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigurationError(f"cannot make the folder {out}: {error.strerror}") from error
 
 
 def watched(output: Output) -> "Any":

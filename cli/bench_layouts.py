@@ -8,7 +8,8 @@ from rich import box
 from rich.console import Group
 from rich.table import Table
 
-from eitskin.cli.options import Json, Output, Quiet, Verbose
+from eitskin.cli.options import TRAINING, Json, Output, Quiet, Verbose
+from eitskin.geometry.optional import require_all
 
 if TYPE_CHECKING:
     from eitskin.benchmarks.layouts_run import Comparison, Training
@@ -45,9 +46,10 @@ def command(
     from eitskin.benchmarks import layouts_trained_report as training
     from eitskin.benchmarks.layouts_report import LEGEND, as_data, sentences, write
     from eitskin.benchmarks.layouts_run import NAMES, run, train
-    from eitskin.cli.bench import make_folder
+    from eitskin.datasets.folder import make_folder
 
     output = Output(as_json, quiet, verbose)
+    require_all(training=TRAINING if trained else "", bench="matplotlib")
     make_folder(out)
     with output.progress() as bar:
         task = bar.add_task("layouts", total=None, rate="")

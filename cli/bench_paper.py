@@ -7,7 +7,8 @@ import typer
 from rich import box
 from rich.table import Table
 
-from eitskin.cli.options import Json, Output, Quiet, Verbose
+from eitskin.cli.options import TRAINING, Json, Output, Quiet, Verbose
+from eitskin.geometry.optional import require_all
 
 if TYPE_CHECKING:
     from eitskin.benchmarks.paper import Comparison
@@ -39,9 +40,10 @@ def command(
     """
     from eitskin.benchmarks.paper import REFERENCE, run
     from eitskin.benchmarks.paper_report import NAME, as_data, sentences, write
-    from eitskin.cli.bench import make_folder
+    from eitskin.datasets.folder import make_folder
 
     output = Output(as_json, quiet, verbose)
+    require_all(training=TRAINING, bench="matplotlib")
     make_folder(out / NAME)
     with output.progress() as bar:
         tasks: dict[str, Any] = {}

@@ -9,6 +9,7 @@ from rich import box
 from rich.table import Table
 
 from eitskin.cli.options import Json, Output, Quiet, Seed, Verbose
+from eitskin.geometry.optional import require_all
 
 
 def command(
@@ -25,9 +26,11 @@ def command(
     """Scenes per second, each way beside its error; pyEIT; datasets; frames of the pipeline."""
     from eitskin.benchmarks.speed import run
     from eitskin.benchmarks.speed_report import HEADINGS, sentences, table, write
-    from eitskin.cli.bench import make_folder, watched
+    from eitskin.cli.bench import watched
+    from eitskin.datasets.folder import make_folder
 
     output = Output(as_json, quiet, verbose)
+    require_all(training="torch safetensors", bench="threadpoolctl matplotlib")
     make_folder(out)
     found = run(seed, quick, watched(output))
     paths = [str(path) for path in write(found, out)]

@@ -9,8 +9,17 @@ from rich import box
 from rich.markup import escape
 from rich.table import Table
 
-from eitskin.cli.options import Json, Output, Quiet, Seed, Verbose
+from eitskin.cli.options import (
+    TRAINING,
+    Json,
+    Output,
+    Quiet,
+    Seed,
+    Verbose,
+    ended_by_signals,
+)
 from eitskin.geometry import ConfigurationError
+from eitskin.geometry.optional import require_all
 
 if TYPE_CHECKING:
     from eitskin.benchmarks.suite import Benchmark
@@ -50,17 +59,19 @@ def run_all(
     """
     from eitskin.benchmarks import suite
     from eitskin.benchmarks.results import write_index
-    from eitskin.cli.bench import make_folder
+    from eitskin.datasets.folder import make_folder
 
     output = Output(as_json, quiet, verbose)
+    chosen = _chosen(only, long or quick)
+    if only is None:
+        require_all(training=TRAINING, hardware="serial cobs", bench="threadpoolctl matplotlib")
     make_folder(out)
     done = []
-    chosen = _chosen(only, long or quick)
-    with_options = {"quick": quick, "fresh": fresh, "data": data}
-    for each in suite.run_all(chosen, out, seed, **with_options):  # type: ignore[arg-type]
-        done.append(each)
-        why = f": {each.why}" if each.why else f" in {each.seconds:.0f} s"
-        output.note(f"{len(done)} of {len(chosen)}: {each.name} {each.outcome}{why}")
+    with ended_by_signals():  # or the benchmark that runs would go on without this one
+        for each in suite.run_all(chosen, out, seed, quick=quick, fresh=fresh, data=data):
+            done.append(each)
+            why = f": {each.why}" if each.why else f" in {each.seconds:.0f} s"
+            output.note(f"{len(done)} of {len(chosen)}: {each.name} {each.outcome}{why}")
     index = write_index(out)
     table = Table("benchmark", "outcome", "s", "", box=box.SIMPLE)
     for each in done:

@@ -239,5 +239,5 @@ def test_without_the_peer_the_rest_is_measured(monkeypatch, tmp_path) -> None:
 
 def test_a_folder_that_cannot_be_made_is_said(tmp_path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(ConfigurationError, match="cannot make the folder"):
+    with pytest.raises(ConfigurationError, match="cannot use the folder"):
         bench("--out", str(tmp_path / "file" / "bench"))

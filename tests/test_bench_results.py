@@ -98,6 +98,9 @@ def test_a_folder_that_cannot_be_written_is_said(tmp_path):
     (tmp_path / "one" / "table.csv").mkdir()
     with pytest.raises(ConfigurationError):
         write_results(made(), tmp_path)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ConfigurationError, match="cannot use the folder"):
+        write_results(made(), tmp_path / "file")
 
 
 def test_results_answer_for_the_same_seed_and_whole_ones_also_for_quick():

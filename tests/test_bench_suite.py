@@ -1,6 +1,7 @@
 """`eitskin bench all`: what runs, what is kept, and what becomes of failures."""
 
 import json
+import signal
 from pathlib import Path
 
 import pytest
@@ -71,7 +72,8 @@ def test_what_is_there_is_kept_unless_seed_or_wish_are_others(tmp_path):
     assert set(outcomes(tmp_path, again).values()) == {"kept"}
     assert again.commands == []
     assert outcomes(tmp_path, again, fresh=True)["own"] == "measured"
-    assert outcomes(tmp_path, again, seed=1)["prints"] == "measured"
+    found = outcomes(tmp_path, again, seed=1)
+    assert found == {"prints": "measured", "writes": "kept", "own": "kept"}  # they take no seed
 
 
 def test_results_that_are_broken_are_made_again(tmp_path):
@@ -134,6 +136,16 @@ def test_the_command_ends_with_1_where_one_failed_and_writes_the_index(ran, tmp_
     assert failed.exit_code == 1
     names = [each["name"] for each in json.loads(failed.stdout)["benchmarks"]]
     assert names == ["prints", "writes", "own"]
+
+
+def test_a_signal_ends_what_runs_and_the_command(tmp_path, monkeypatch):
+    def ends(*_):
+        signal.raise_signal(signal.SIGTERM)
+
+    monkeypatch.setattr(suite, "run_process", ends)
+    ended = CliRunner().invoke(app, ["bench", "all", "--out", str(tmp_path), "--only", "signals"])
+    assert ended.exit_code == 130
+    assert not list(tmp_path.glob("*/results.json"))
 
 
 def test_one_can_be_chosen_and_others_are_refused_by_name(ran):
