@@ -1,4 +1,4 @@
-"""The `eitskin` program: loads the commands, and says so where Ctrl-C comes before they are there."""
+"""The `eitskin` program: loads the commands, and says so where Ctrl-C ends that."""
 
 import sys
 

@@ -15,6 +15,7 @@ from eitskin.geometry import ConfigurationError, Mesh, SensorDesign
 from eitskin.geometry.meshing import CellKind, mesh_of, natural_cells
 from eitskin.geometry.quality import quality
 from eitskin.simulator import Protocol
+from eitskin.simulator.panels import require_picture
 from eitskin.simulator.resolution import Resolution, discretisation
 
 
@@ -43,6 +44,8 @@ def command(
     pair = None if drive is None else _pair(drive, len(design.electrodes))
     if pair is not None and view is None:
         raise ConfigurationError("--drive says what to draw; name the picture with --view")
+    if view is not None:
+        require_picture(view)
     start = time.perf_counter()
     _, grading = discretisation(cast(Resolution, resolution), design, kind)
     mesh = mesh_of(design, grading, kind)

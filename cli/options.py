@@ -38,6 +38,9 @@ PressModel = Annotated[str, typer.Option(help="How presses are found: tabulated 
 Pairs = Annotated[str, typer.Option(help="pairwise, adjacent, opposite, skip:N, or a CSV file.")]
 
 
+TRAINING = "torch sklearn skimage safetensors"  # packages of the extra of that name
+
+
 def one_of(option: str, text: str, kind: Any) -> str:
     """The text, where it is one of those that the Literal `kind` lists.
 

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from eitskin.cli.evaluate import save_report
-from eitskin.cli.options import Json, Output, Quiet, Seed, Verbose
+from eitskin.cli.options import TRAINING, Json, Output, Quiet, Seed, Verbose
+from eitskin.geometry.optional import require_all
 
 if TYPE_CHECKING:
     from eitskin.datasets import Dataset
@@ -47,6 +48,7 @@ def command(
     from eitskin.training.saved_pipeline import require_place
 
     output = Output(as_json, quiet, verbose)
+    require_all(training=TRAINING)
     require_place(out)
     data = open_dataset(dataset)
     if report is not None:

@@ -17,7 +17,7 @@ from eitskin.cli import entry, simulate
 from eitskin.cli.main import app
 from eitskin.datasets import Dataset, Recipe, State, open_dataset, save_dataset
 from eitskin.geometry import DeviceError, EitskinError, PartialError, SensorDesign
-from eitskin.geometry.optional import require
+from eitskin.geometry.optional import require, require_all
 from eitskin.geometry.whole_file import whole_folder
 from eitskin.hardware import open_board
 from eitskin.hardware.port import _remedy
@@ -164,6 +164,7 @@ def plain_file(folder):
 
 PROVOKED = {
     "... is needed here": lambda _: require("no_such_package", "mesh"),
+    "needed here and": lambda _: require_all(mesh="no_such_package", view="nor_this"),
     "cannot read ": lambda folder: Scene.from_toml(folder / "none.toml"),
     "... is not valid TOML": scene("[bend\n"),
     "...: unknown key": scene("[bend]\nangle_rad = 0.5\n"),
@@ -243,3 +244,25 @@ def test_ctrl_c_while_the_commands_load_says_so(monkeypatch, capsys):
         entry.run()
     assert ended.value.code == 130
     assert capsys.readouterr().err == "eitskin: interrupted\n"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "extras"),
+    [
+        ("bench paper", "training,bench"),
+        ("bench layouts", "bench"),
+        ("bench layouts --trained", "training,bench"),
+        ("bench speed", "training,bench"),
+        ("bench accuracy", "bench"),
+        ("bench all", "training,bench"),
+        ("train data --out a.eitmodel", "training"),
+    ],
+)
+def test_all_that_is_missing_is_named_before_the_work(arguments, extras, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    for name in ("torch", "safetensors", "matplotlib"):
+        monkeypatch.setitem(sys.modules, name, None)
+    ran = CliRunner().invoke(app, arguments.split())
+    assert isinstance(ran.exception, ImportError)
+    assert str(ran.exception).endswith(f"pip install 'eitskin[{extras}]'")
+    assert not list(tmp_path.iterdir())
