@@ -20,7 +20,7 @@ def write(found: Accuracy, out: Path) -> list[Path]:
     flat = [_flattened(dataclasses.asdict(row)) for row in found.deformed]
     results = Results(
         name=NAME,
-        command=f"eitskin bench accuracy --seed {found.provenance.seed}",
+        command=f"eitskin bench accuracy --seed {found.provenance.seed}" + " --quick" * found.quick,
         provenance=found.provenance,
         seconds=found.seconds,
         quick=found.quick,

@@ -136,7 +136,8 @@ def write(found: Comparison, out: Path) -> list[Path]:
     seeds, trained = len(found.seeds), len(found.figures[OWN])
     results = Results(
         name=NAME,
-        command=f"eitskin bench paper --seeds {seeds} --paper-seeds {trained}",
+        command=f"eitskin bench paper --seeds {seeds} --paper-seeds {trained}"
+        + " --quick" * found.quick,
         provenance=dataclasses.replace(found.provenance, seed=found.seeds[0]),
         seconds=found.seconds,
         quick=found.quick,

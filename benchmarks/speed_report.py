@@ -16,7 +16,7 @@ def write(found: Speed, out: Path) -> list[Path]:
     """Write results, table.csv and speed.png into `out/speed`, each whole."""
     results = Results(
         name="speed",
-        command=f"eitskin bench speed --seed {found.provenance.seed}",
+        command=f"eitskin bench speed --seed {found.provenance.seed}" + " --quick" * found.quick,
         provenance=found.provenance,
         seconds=found.seconds,
         quick=found.quick,

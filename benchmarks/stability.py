@@ -90,7 +90,8 @@ def write(found: Stability, out: Path) -> list[Path]:
     """Write results and all rows as table.csv into `out/stability`, each whole."""
     results = Results(
         name="stability",
-        command=f"eitskin bench stability --seed {found.provenance.seed}",
+        command=f"eitskin bench stability --seed {found.provenance.seed}"
+        + " --quick" * found.quick,
         provenance=found.provenance,
         seconds=found.seconds,
         quick=found.quick,

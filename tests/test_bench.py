@@ -110,7 +110,7 @@ def test_the_plot_is_drawn_in_the_colours_of_its_families(folder) -> None:
 def test_figures_are_the_points_of_the_table(data, folder) -> None:
     results = read_results(folder / "results.json")
     assert results.quick
-    assert results.command == "eitskin bench accuracy --seed 3"
+    assert results.command == "eitskin bench accuracy --seed 3 --quick"
     point = family(data, "hexahedra, linear")[1]
     name = f"hexahedra, linear, {point['name']}"
     assert results.figures[f"{name}.frame_ms"] == 1e3 * point["frame_seconds"]
