@@ -161,7 +161,8 @@ def learn_all(
 
     Raises PartialError where files cannot be written or a process died; run again to go on.
     """
-    missing = [each for each in layouts if _read(_path(each, folder, lesson)) is None]
+    by_path = {_path(each, folder, lesson): each for each in layouts}  # the same one may come twice
+    missing = [each for path, each in by_path.items() if _read(path) is None]
     with working(workers) as pool:
         if pool is None:
             for each in missing:

@@ -1,5 +1,6 @@
 """`eitskin bench layouts --trained`: what is trained on, what is kept, and what is said of it."""
 
+import dataclasses
 import types
 
 import numpy as np
@@ -60,6 +61,14 @@ def test_what_is_finished_is_not_trained_again(tmp_path, trained):
     assert len(trained) == 3
     learn_all([(paper(), flat_bound(2e-3))], tmp_path, lesson=QUICK)
     assert len(trained) == 4
+
+
+def test_a_layout_under_two_names_is_trained_once(tmp_path, trained):
+    bound = flat_bound(1e-3)
+    twice = [(paper(), bound), (dataclasses.replace(paper(), name="again"), bound)]
+    found = learn_all(twice, tmp_path, lesson=QUICK)
+    assert trained == ["again"]
+    assert [each.layout for each in found] == [paper().name, "again"]
 
 
 def test_scores_are_of_matched_touches(monkeypatch):
