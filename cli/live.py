@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -74,9 +75,13 @@ def command(
 
     output = Output(as_json, quiet, verbose)
     pipeline = Pipeline.load(model)
+    recordings: list[Recording] = []
     with ExitStack() as stack:
+        # Asked last, when all are closed: most sessions are ended by Ctrl-C.
+        stack.push(partial(_tell_losses, recordings))
         stack.enter_context(ended_by_signals())
-        recordings = [stack.enter_context(closing(each)) for each in _recordings(record, mcap)]
+        for each in _recordings(record, mcap):
+            recordings.append(stack.enter_context(closing(each)))
         opened = stack.enter_context(open_board(board, **seeded(board, seed)))
         output.detail(f"{opened.uri}: firmware {opened.info.firmware}, {opened.protocol.labels}")
         session = LiveSession(Connection(opened), output, recordings)
@@ -93,7 +98,12 @@ def command(
             output.note(f"page: {session.page.url}")
         newest = not (every_frame or recordings)
         session.follow(run_live(session.connection, pipeline, newest=newest), frames)
-    if lost := [each.loss for each in recordings if each.loss]:
+
+
+def _tell_losses(recordings: Sequence[Recording], _: object, ended: object, __: object) -> None:
+    """Raise PartialError for what could not be written, unless another error ended the session."""
+    lost = [each.loss for each in recordings if each.loss]
+    if lost and (ended is None or isinstance(ended, KeyboardInterrupt)):
         raise PartialError("; ".join(lost))
 
 

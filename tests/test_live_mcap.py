@@ -14,7 +14,7 @@ from eitskin.cli import live
 from eitskin.cli.options import Output
 from eitskin.cli.recording import MessageRecording
 from eitskin.datasets import open_dataset
-from eitskin.geometry import ConfigurationError, PartialError
+from eitskin.geometry import ConfigurationError, DeviceError, PartialError
 from eitskin.hardware import Connection, Counts, Reading
 from eitskin.hardware.mcap import McapWriter
 
@@ -102,6 +102,28 @@ def test_a_file_that_cannot_be_finished_is_said_in_the_end(run, tmp_path, monkey
     assert "run.mcap.unfinished" in str(result.exception)
     assert "2 frames processed" in result.stderr
     assert [each.name for each in tmp_path.iterdir()] == ["run.mcap.unfinished"]
+
+
+@pytest.mark.parametrize(
+    ("ending", "raised"),
+    [
+        (KeyboardInterrupt(), PartialError),
+        (DeviceError("the board is gone"), DeviceError),
+    ],
+)
+def test_what_is_lost_is_said_unless_an_error_ends_the_session(
+    run, tmp_path, monkeypatch, ending, raised
+):
+    def full(_):
+        raise OSError(28, "No space left on device")
+
+    def end(_):
+        raise ending
+
+    monkeypatch.setattr(Writer, "close", full)
+    monkeypatch.setattr(live.LiveSession, "sum_up", end)
+    result = run(FakePipeline(), *BOARD, "--frames", "2", "--mcap", str(tmp_path / "run.mcap"))
+    assert type(result.exception) is raised
 
 
 def test_after_a_failure_nothing_more_is_written(tmp_path, monkeypatch):
