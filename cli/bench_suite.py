@@ -58,7 +58,7 @@ def run_all(
     Goes on after one that failed, and ends with exit code 1 then.
     """
     from eitskin.benchmarks import suite
-    from eitskin.benchmarks.results import write_index
+    from eitskin.benchmarks.results import INDEX, write_index
     from eitskin.datasets.folder import make_folder
 
     output = Output(as_json, quiet, verbose)
@@ -72,14 +72,13 @@ def run_all(
             done.append(each)
             why = f": {each.why}" if each.why else f" in {each.seconds:.0f} s"
             output.note(f"{len(done)} of {len(chosen)}: {each.name} {each.outcome}{why}")
-    index = write_index(out)
     table = Table("benchmark", "outcome", "s", "", box=box.SIMPLE)
     for each in done:
         seconds = f"{each.seconds:.0f}" if each.seconds else ""
         table.add_row(each.name, _coloured(each.outcome), seconds, escape(each.why))
     rows = [{"name": d.name, "outcome": d.outcome, "why": d.why} for d in done]
-    output.result({"benchmarks": rows, "index": str(index)}, table)
-    output.note(f"written: {index}")
+    output.result({"benchmarks": rows, "index": str(out / INDEX)}, table)
+    output.note(f"written: {write_index(out)}")  # last: results of others may be broken
     if any(each.outcome == "failed" for each in done):
         raise typer.Exit(1)
 

@@ -12,7 +12,7 @@ from eitskin.benchmarks.provenance import Provenance
 from eitskin.benchmarks.results import Results, read_results, write_results
 from eitskin.benchmarks.suite import ALL, Benchmark, run_all
 from eitskin.cli.main import app
-from eitskin.geometry import ConfigurationError
+from eitskin.geometry import ConfigurationError, DataError
 
 PRINTED = "| what | ms |\n|---|---|\n| a | 1.5 |\n"
 PRINTS = Benchmark("prints", 1.0, ("--whole",), ("--few",), seeded=True)
@@ -146,6 +146,14 @@ def test_a_signal_ends_what_runs_and_the_command(tmp_path, monkeypatch):
     ended = CliRunner().invoke(app, ["bench", "all", "--out", str(tmp_path), "--only", "signals"])
     assert ended.exit_code == 130
     assert not list(tmp_path.glob("*/results.json"))
+
+
+def test_broken_results_of_others_hide_nothing(ran, tmp_path):
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "results.json").write_text("{")
+    done = ran()
+    assert isinstance(done.exception, DataError)
+    assert len(json.loads(done.stdout)["benchmarks"]) == 3
 
 
 def test_one_can_be_chosen_and_others_are_refused_by_name(ran):
