@@ -14,6 +14,7 @@ from eitskin.geometry import ConfigurationError
 if TYPE_CHECKING:
     from eitskin.simulator import Frame
     from eitskin.training.calibration import Calibration
+    from eitskin.training.layout import Layout
 
 Angles = Annotated[
     str, typer.Option(help="Known angles in degrees, apart by commas; flat comes first anyway.")
@@ -69,7 +70,9 @@ def command(
         taken, known = _from_dataset(dataset, specimen)
     else:
         wanted = [0.0, *_angles(angles)]
-        taken = list(_from_board(str(board), wanted, frames, no_prompt, seed, output))
+        taken = list(
+            _from_board(str(board), pipeline.layout, wanted, frames, no_prompt, seed, output)
+        )
         known = [angle for angle in wanted for _ in range(frames)]
     calibration = pipeline.calibrate(taken, known)
     saved = pipeline.save(out)
@@ -87,11 +90,18 @@ def _angles(text: str) -> list[float]:
 
 
 def _from_board(
-    uri: str, angles: Sequence[float], frames: int, no_prompt: bool, seed: int, output: Output
+    uri: str,
+    layout: "Layout",
+    angles: Sequence[float],
+    frames: int,
+    no_prompt: bool,
+    seed: int,
+    output: Output,
 ) -> "Iterator[Frame]":
     from eitskin.hardware import open_board
 
     with open_board(uri, **seeded(uri, seed)) as board:
+        layout.require_same_measurements(board.protocol, board.info.frequency)
         stream = board.frames(newest=not no_prompt)
         for angle in angles:
             if not no_prompt:
@@ -100,7 +110,10 @@ def _from_board(
                 for _ in range(STALE):
                     next(stream)
             for _ in range(frames):
-                yield next(stream)
+                frame = next(stream)
+                if angle == 0:  # refused now, not after the work of all angles
+                    layout.require_same_sensor(layout.voltages(frame)[0])
+                yield frame
             output.note(f"{angle:g} deg: {frames} frames")
 
 

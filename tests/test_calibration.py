@@ -1,6 +1,7 @@
 """Adapting a pipeline to one sensor: what is asked for, what changes, and the command."""
 
 import json
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from eitskin.datasets import Dataset, State, save_dataset
 from eitskin.geometry import ConfigurationError, DataError, FrameError
 from eitskin.simulator import Frame
 from eitskin.training import Pipeline
-from eitskin.training.calibration import KnownBends
+from eitskin.training.calibration import Calibration, KnownBends
 
 from linear_sensor import linear_sensor, trained_pipeline
 
@@ -99,15 +100,15 @@ def run(*arguments, **options):
     return CliRunner().invoke(app, [str(a) for a in ("calibrate", *arguments)], **options)
 
 
-def bends(sensor, folder):
+def bends(sensor, folder, angles=ANGLES[2:]):
     """A dataset of untouched frames at known angles."""
-    taken = frames(sensor, ANGLES[2:])
+    taken = frames(sensor, angles)
     data = Dataset.from_arrays(
         np.array([frame.impedance for frame in taken]),
         sensor.flat,
-        specimen=np.zeros(5),
-        state=np.full(5, State.BEND),
-        bend_angle_deg=np.array(ANGLES[2:]),
+        specimen=np.zeros(len(angles)),
+        state=np.full(len(angles), State.BEND),
+        bend_angle_deg=np.array(angles),
         protocol=sensor.protocol,
     )
     save_dataset(data, folder)
@@ -125,7 +126,7 @@ def test_the_command_calibrates_from_labelled_frames(saved, sensor, tmp_path):
 
 
 def test_the_command_asks_for_each_angle_of_a_board(saved, tmp_path):
-    """The virtual board's sensor is flat all the time; every question is asked."""
+    """The virtual board's sensor is flat all the time: asked for, but not bent."""
     out = tmp_path / "mine.eitmodel"
     board = "virtual:?speed=max"
     done = run(
@@ -133,8 +134,48 @@ def test_the_command_asks_for_each_angle_of_a_board(saved, tmp_path):
     )
     assert "lay it flat, untouched, and press Enter" in done.output
     assert "bend it by 20 deg, untouched, and press Enter" in done.output
+    assert isinstance(done.exception, DataError)
+    assert "for angles of 10 to 20 deg; check" in str(done.exception)
+    assert not out.exists()
+
+
+def test_the_command_calibrates_by_a_board(saved, sensor, tmp_path):
+    folder, out = bends(sensor, tmp_path / "bends", ANGLES[1:]), tmp_path / "mine.eitmodel"
+    done = run(saved, "--board", f"replay:{folder}", "--no-prompt", "--frames", 1, "--out", out)
     assert done.exit_code == 0, done.output
-    assert Pipeline.load(out).calibration
+    assert rmse(Pipeline.load(out), sensor) < 0.5
+
+
+def test_another_sensor_is_refused_before_anything_is_asked(saved, tmp_path):
+    design = tmp_path / "six.toml"
+    design.write_text(
+        "thickness = 0.004\noutline = { length = 0.1, width = 0.05 }\nelectrodes = { count = 6 }\n"
+    )
+    done = run(saved, "--board", f"virtual:?sensor={design}", "--out", tmp_path / "mine.eitmodel")
+    assert isinstance(done.exception, FrameError)
+    assert "trained for 8 electrodes" in str(done.exception)
+    assert not done.output
+
+
+def test_angles_in_another_order_are_refused(saved, sensor):
+    pipeline = Pipeline.load(saved)
+    method = pipeline.method
+    with pytest.raises(DataError, match=r"do not fit their angles: .* deg off, .* for angles of"):
+        pipeline.calibrate(frames(sensor, ANGLES), (0.0, 0.0, *ANGLES[:1:-1]))
+    assert pipeline.method is method
+    assert not pipeline.calibration
+
+
+@pytest.mark.parametrize(
+    ("scale", "residual", "fits"),
+    [(1.0, 7.0, True), (1.0, 8.0, False), (np.pi / 180, 0.9, True), (np.pi / 180, 1.1, False)],
+)
+def test_the_residual_is_judged_by_the_size_of_the_angles(scale, residual, fits, saved, sensor):
+    layout = Pipeline.load(saved).layout
+    known = KnownBends.of(frames(sensor, ANGLES), np.multiply(ANGLES, scale), layout)
+    outcome = nullcontext() if fits else pytest.raises(DataError, match="do not fit")
+    with outcome:
+        Calibration((10.0,), (1.0,), (1.0,), residual).require_fit(known)
 
 
 @pytest.mark.parametrize(

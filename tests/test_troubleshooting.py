@@ -23,6 +23,7 @@ from eitskin.hardware import open_board
 from eitskin.hardware.port import _remedy
 from eitskin.simulator import Frame, Protocol, Scene
 from eitskin.training import Pipeline
+from eitskin.training.calibration import Calibration, KnownBends
 from eitskin.training.saved_pipeline import SHIPPED, SUMS, read_pipeline
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "troubleshooting.md"
@@ -146,6 +147,12 @@ def another_sensor(_):
     Pipeline.load("reference.eitmodel").process(frame)
 
 
+def calibrates_without_bending(_):
+    flat = np.full(28, 500.0)
+    known = KnownBends(flat, 1, np.array([20.0]), np.zeros((1, 28)), np.zeros(1))
+    Calibration((20.0,), (1.0,), (1.0,), residual_deg=20.0).require_fit(known)
+
+
 def no_permission(_):
     # Whoever runs the tests may have every right, so the system's own words are given.
     said = _remedy(PermissionError(errno.EACCES, "Permission denied"))
@@ -195,6 +202,7 @@ PROVOKED = {
     "... is not the file that was": model(lambda path: (path / "README.md").write_text("")),
     "... has format version": model(newer_model),
     "this pipeline was trained": another_sensor,
+    "the frames do not fit": calibrates_without_bending,
     "...: cannot open the port: there is none": lambda _: open_board("serial:/dev/none-such"),
     "...: cannot open the port: ...; check": plain_file,
     "...: cannot open the port: another": lambda _: open_board("virtual:?faults=port_in_use"),

@@ -72,7 +72,7 @@ class Layout:
         Raises FrameError for a frame of another table, electrode count or frequency, or one
         without enough good channels.
         """
-        self._require_same_measurements(frame)
+        self.require_same_measurements(frame.protocol, frame.frequency)
         good = np.isfinite(frame.impedance) & (frame.status == 0) & (frame.impedance != 0)
         labels = self.protocol.labels
         problems = tuple(
@@ -87,8 +87,8 @@ class Layout:
             )
         return np.where(good, frame.impedance, np.nan), problems
 
-    def _require_same_measurements(self, frame: Frame) -> None:
-        protocol = frame.protocol
+    def require_same_measurements(self, protocol: Protocol, frequency: float) -> None:
+        """Refuse measurements other than those trained with; raises FrameError."""
         if protocol.n_electrodes != self.protocol.n_electrodes:
             raise FrameError(
                 f"this pipeline was trained for {self.protocol.n_electrodes} electrodes, the "
@@ -100,10 +100,10 @@ class Layout:
                 f"starting with {self.protocol.labels[:3]}, the frame has {len(protocol)} starting "
                 f"with {protocol.labels[:3]} or in another order; set the board to that table"
             )
-        if abs(frame.frequency / self.frequency - 1.0) > FREQUENCY_TOLERANCE:
+        if abs(frequency / self.frequency - 1.0) > FREQUENCY_TOLERANCE:
             raise FrameError(
                 f"this pipeline was trained at {self.frequency:g} Hz, the frame was measured at "
-                f"{frame.frequency:g} Hz; set the board to that frequency"
+                f"{frequency:g} Hz; set the board to that frequency"
             )
 
     def require_same_sensor(self, voltages: NDArray[np.complex128]) -> None:

@@ -159,7 +159,9 @@ class Pipeline:
         nothing has changed.
         """
         known = KnownBends.of(frames, angles_deg, self.layout)
-        self.method, calibration = self.method.adapted(known)
+        adapted, calibration = self.method.adapted(known)
+        calibration.require_fit(known)
+        self.method = adapted
         self.calibration = calibration.as_dict()
         self.reset()
         return calibration
