@@ -49,9 +49,9 @@ gallery: $(VENV)/installed
 	for script in $(filter-out %/style.py, $(wildcard docs/gallery/*.py)); do \
 		$(BIN)/python $$script docs/gallery || exit 1; done
 
-# Every number and picture that README and docs quote, measured again into build/bench and compared:
-# an hour. What was measured before with the same version and seed is kept; see docs/benchmarks.md.
-# bench-long does also what takes more than ten minutes by itself: seven hours.
+# What README and docs quote, measured again into build/bench and compared, for an hour or two.
+# What was measured before with the same version and seed is kept; see docs/benchmarks.md.
+# bench-long does also what takes more than ten minutes by itself.
 bench bench-long: $(VENV)/installed
 	$(BIN)/eitskin bench all --data $(DATA) $(if $(filter bench-long,$@),--long) $(ARGS); measured=$$?; \
 		$(BIN)/eitskin bench quoted && exit $$measured

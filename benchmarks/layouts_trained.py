@@ -52,9 +52,9 @@ class Lesson:
         seed: of scenes, sensors, noise and networks.
     """
 
-    sensors: int = 40
-    bends: int = 160
-    touches: int = 400
+    sensors: int = 80
+    bends: int = 240
+    touches: int = 800
     per_bend: int = 10
     test_sensors: int = 16
     test_bends: int = 64
@@ -192,7 +192,8 @@ def _frames(folder: Path, recipe: Recipe) -> Dataset:
 def _path(judged: tuple[Layout, SheetBound], folder: Path, lesson: Lesson) -> Path:
     """Named by a hash of all that decides over the result."""
     layout, bound = judged
-    asked = (_VERSION, layout.design.to_toml(), dataclasses.asdict(lesson), bound.place.tolist())
+    recipes = [each(layout.design).to_toml() for each in (lesson.training, lesson.testing)]
+    asked = (_VERSION, *recipes, dataclasses.asdict(lesson), bound.place.tolist())
     return folder / f"{hashlib.sha256(msgspec.json.encode(asked)).hexdigest()[:20]}.json"
 
 

@@ -127,7 +127,7 @@ def run_all(
     *,
     quick: bool,
     fresh: bool,
-    data: Path,
+    data: Path | None,
     start: "Start | None" = None,
 ) -> Iterator[Done]:
     """Run benchmarks in turn, each in a process of its own, and go on after one that failed.
@@ -138,17 +138,23 @@ def run_all(
         seed: of those that take one.
         quick: fewer and smaller cases.
         fresh: run also what is there from the same version and, where one is taken, seed.
-        data: folder of real recordings.
+        data: folder of real recordings; None without.
         start: runs a command; in a process of its own when omitted.
     """
     for each in benchmarks:
         folder = (out / each.name).absolute()
-        places = {"out": str(out.absolute()), "own": str(folder), "data": str(data.absolute())}
+        places = {
+            "out": str(out.absolute()),
+            "own": str(folder),
+            "data": str(data and data.absolute()),
+        }
         needs = each.needs.format_map(places)
         if quick and each.quick is None:
             yield Done(each.name, "left out", "there is no quick run of it")
         elif not fresh and _is_there(folder / RESULTS, seed if each.seeded else None, quick):
             yield Done(each.name, "kept", "the same version and seed")
+        elif "{data}" in each.needs and data is None:
+            yield Done(each.name, "left out", "needs real recordings; give their folder as --data")
         elif needs and not Path(needs).exists():
             yield Done(each.name, "left out", f"needs {needs}")
         else:

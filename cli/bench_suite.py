@@ -45,9 +45,10 @@ def run_all(
     fresh: Annotated[
         bool, typer.Option("--fresh", help="Also those measured with this version and seed before.")
     ] = False,
-    data: Annotated[Path, typer.Option(help="Folder with real recordings.")] = Path(
-        "../shared/data"
-    ),
+    data: Annotated[
+        Path | None,
+        typer.Option(help="Folder with real recordings; what needs them is left out without."),
+    ] = None,
     seed: Seed = 0,
     as_json: Json = False,
     quiet: Quiet = False,

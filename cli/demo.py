@@ -8,7 +8,7 @@ import typer
 
 from eitskin.cli.options import Json, Output, Quiet, Seed, Verbose, ended_by_signals
 
-FOLDER = Path("build/demo")
+FOLDER, WORKERS = Path("build/demo"), 2
 
 
 def command(
@@ -19,7 +19,7 @@ def command(
     data: Annotated[
         Path | None, typer.Option(help="Folder with real recordings; left out when absent.")
     ] = None,
-    workers: Annotated[int, typer.Option(min=1, help="Processes that simulate.")] = 2,
+    workers: Annotated[int, typer.Option(min=1, help="Processes that simulate.")] = WORKERS,
     seed: Seed = 0,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -37,6 +37,7 @@ def command(
     except KeyboardInterrupt:
         again = ["eitskin", "demo", "--out", str(out)]
         again += [] if data is None else ["--data", str(data)]
+        again += [] if workers == WORKERS else ["--workers", str(workers)]
         again += [] if seed == 0 else ["--seed", str(seed)]
         # Not through a console, which would break the line.
         typer.echo(f"finished stages are kept; continue with: {shlex.join(again)}", err=True)

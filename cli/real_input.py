@@ -12,7 +12,7 @@ import numpy as np
 from eitskin.cli.demo_parts import REMEDY, Part, drawn_picture
 from eitskin.cli.demo_pictures import found_presses, two_sensors
 from eitskin.datasets import Dataset, RecordingNames, read_recording, save_dataset
-from eitskin.geometry import FrameError, PartialError
+from eitskin.geometry import DataError, FrameError, PartialError
 from eitskin.simulator import Protocol
 from eitskin.training.report_drawing import style
 
@@ -23,10 +23,21 @@ PUBLISHED_MM = 4.5  # mean error that is published beside the presses
 
 
 def sums(data: Path | None) -> dict[str, str]:
-    """SHA-256 of the recordings that lie in `data`, by their names."""
-    paths = [data / file for file, _ in RECORDINGS.values()] if data is not None else []
-    there = [path for path in paths if path.is_file()]
-    return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in there}
+    """SHA-256 of the recordings in `data`, or where one is missed, by their names.
+
+    Raises DataError where one may not be read.
+    """
+    return {file: _sum(data, file) for file, _ in RECORDINGS.values()}
+
+
+def _sum(data: Path | None, file: str) -> str:
+    if data is None or not (data / file).is_file():
+        return f"not in {data}"
+    try:
+        return hashlib.sha256((data / file).read_bytes()).hexdigest()
+    except OSError as error:
+        reason = f"cannot read {data / file}: {error.strerror}"
+        raise DataError(f"{reason}; make it readable, or leave out --data") from error
 
 
 def real(data: Path | None, out: Path, pipeline: "Pipeline") -> Part:

@@ -28,7 +28,7 @@ def test_layouts_get_the_same_scenes_on_other_sensors_in_the_test():
     unseen = lesson.testing(paper().design)
     assert one.specimens.electrode_place > 0
     assert specimen(one, 0).design.electrodes != specimen(unseen, 0).design.electrodes
-    assert one.frames == 40 + 160 + 2 * 400
+    assert one.frames == lesson.sensors + lesson.bends + 2 * lesson.touches
 
 
 @pytest.fixture

@@ -1,17 +1,19 @@
 """The demo: interrupted anywhere it goes on to the same numbers, and its report needs nothing."""
 
+import hashlib
 import json
 import re
 import shutil
 from dataclasses import replace
 from html.parser import HTMLParser
 from importlib import import_module
+from pathlib import Path
 
 import msgspec
 import pytest
 from rich.console import Console
 
-from eitskin.cli import demo, demo_parts, demo_sensor
+from eitskin.cli import demo, demo_parts, demo_sensor, real_input
 from eitskin.cli.demo_folder import RESULTS, Demo, Plan
 from eitskin.cli.demo_parts import Part, Picture, keep
 from eitskin.cli.demo_report import write_demo_report
@@ -21,7 +23,7 @@ from eitskin.datasets import Recipe, processes
 from eitskin.datasets.scene_group import SceneGroup
 from eitskin.datasets.shard import shard_name, write_shard
 from eitskin.datasets.simulated import simulate_shard
-from eitskin.geometry import ConfigurationError, PartialError
+from eitskin.geometry import ConfigurationError, DataError, PartialError
 from eitskin.training import Report
 from eitskin.training.report_table import table_rows
 
@@ -280,6 +282,21 @@ def test_an_interrupt_says_how_to_go_on(tmp_path, monkeypatch, capsys):
 
     monkeypatch.setattr("eitskin.cli.demo_stages.run_stages", interrupt)
     with pytest.raises(KeyboardInterrupt):
-        demo.command(out=tmp_path / "a b", seed=3)
+        demo.command(out=tmp_path / "a b", workers=5, seed=3)
     said = capsys.readouterr().err
-    assert f"continue with: eitskin demo --out '{tmp_path}/a b' --seed 3\n" in said
+    assert f"continue with: eitskin demo --out '{tmp_path}/a b' --workers 5 --seed 3\n" in said
+
+
+def test_recordings_are_known_by_what_they_hold_and_where_they_are_missed(tmp_path, monkeypatch):
+    first, second = (file for file, _ in real_input.RECORDINGS.values())
+    assert set(real_input.sums(None).values()) == {"not in None"}
+    (tmp_path / first).write_bytes(b"abc")
+    found = real_input.sums(tmp_path)
+    assert found == {first: hashlib.sha256(b"abc").hexdigest(), second: f"not in {tmp_path}"}
+
+    def refuse(path):
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr(Path, "read_bytes", refuse)
+    with pytest.raises(DataError, match=f"cannot read .*{first}: Permission denied; make it"):
+        real_input.sums(tmp_path)
