@@ -14,12 +14,14 @@ from eitskin.datasets.dataset import Dataset
 from eitskin.datasets.schema import MAX_TOUCHES
 from eitskin.datasets.state import UNKNOWN_STATE, State
 from eitskin.geometry import ConfigurationError, DataError
+from eitskin.geometry.limits import LONGEST
 from eitskin.simulator import Protocol
 
 Tables = Mapping[str, NDArray[Any]]
 
 OPENEIT: Final = "magnitudes"
 CSV_VALUES: Final = "v"
+_PLACES: Final = ("touch_x", "touch_y")
 _LABELS: Final = {"angle_deg": "bend_angle_deg", "t": "time"}
 
 
@@ -134,6 +136,7 @@ def _labels(tables: Tables, names: RecordingNames, n: int) -> dict[str, NDArray[
         known |= {
             f: _first(_column(tables, name, n)) for name, f in wanted.items() if name in tables
         }
+    _require_metres(known)
     if "force" in tables:
         known["touch_force"] = _first(_column(tables, "force", n))
     if "state" in tables:
@@ -169,6 +172,17 @@ def _column(tables: Tables, name: str, n: int) -> NDArray[np.float64]:
     if len(column) != n:
         raise DataError(f"'{name}' must have one value for each of {n} frames, got {len(column)}")
     return column
+
+
+def _require_metres(known: Mapping[str, NDArray[Any]]) -> None:
+    """Refuse positions that no skin has, which are millimetres most likely."""
+    places = np.array([known[field] for field in _PLACES if field in known])
+    places = places[np.isfinite(places)]
+    if len(places) and np.abs(places).max() > LONGEST:
+        raise DataError(
+            f"positions must be in metres, up to {LONGEST:g} m, got {places.min():g} to "
+            f"{places.max():g}; divide millimetres by 1000"
+        )
 
 
 def _first(column: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -14,6 +14,8 @@ from eitskin.geometry.sensor import SensorDesign
 
 Lines = NDArray[np.float64]
 
+_MOST_POINTS = 1_000_000
+
 
 @dataclass(frozen=True, slots=True)
 class Grading:
@@ -50,6 +52,20 @@ class Grading:
         return sizes
 
 
+def require_possible(points: float, grading: Grading) -> None:
+    """Refuse a grid of so many points, before there are any, that its matrix would fill the memory.
+
+    A linear hexahedron has 64 places in the matrix, each of two whole numbers and a value.
+    """
+    if points > _MOST_POINTS:
+        raise ConfigurationError(
+            f"a grid of {points:.2g} points, with cells of {grading.finest:g} to "
+            f"{grading.coarsest:g} m, needs {points * 64 * 24 / 1e9:.2g} GB of memory or more; at "
+            f"most {_MOST_POINTS:g} points are possible, choose a larger finest or coarsest size, "
+            "more growth or fewer layers"
+        )
+
+
 def graded_lines(
     extent: float, edges: Iterable[float], breaks: Iterable[float], grading: Grading
 ) -> Lines:
@@ -67,6 +83,7 @@ def graded_lines(
         size = grading.size(np.abs(middle[:, None] - attractors).min(axis=1))
         # Cumulative number of cells; lines go where it crosses equal steps.
         count = np.concatenate([[0.0], np.cumsum(np.diff(fine) / size)])
+        require_possible(count[-1], grading)
         cells = max(1, int(np.ceil(count[-1] - 1e-9)))
         lines = np.interp(np.linspace(0.0, count[-1], cells + 1), count, fine)
         lines[-1] = end

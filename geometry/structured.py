@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.geometry.errors import ConfigurationError
-from eitskin.geometry.grading import Grading, graded_lines, layer_heights
+from eitskin.geometry.grading import Grading, graded_lines, layer_heights, require_possible
 from eitskin.geometry.mesh import Mesh
 from eitskin.geometry.outline import Rectangle
 from eitskin.geometry.patches import electrode_contacts
@@ -43,6 +43,7 @@ def structured_mesh(design: SensorDesign, grading: Grading, breaks: Sequence[flo
         layer_heights(design, grading),
     )
     shape = tuple(len(line) for line in lines)
+    require_possible(float(np.prod(shape, dtype=float)), grading)
     points = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 3)
     number = np.arange(len(points)).reshape(shape)
     lower, upper = number[:, :, :-1], number[:, :, 1:]

@@ -77,3 +77,15 @@ def test_layers_are_kept_where_electrodes_have_level_edges() -> None:
 def test_gradings_that_cannot_be_are_refused(numbers, says):
     with pytest.raises(ConfigurationError, match=says):
         Grading(*numbers)
+
+
+@pytest.mark.parametrize(
+    ("grading", "said"),
+    [
+        (Grading(1e-5, 1e-5, 1.0, 300), "a grid of 2.7e\\+10 points, .* needs 4.2e\\+04 GB"),
+        (Grading(1e-9, 1e-9, 1.0), "points, with cells of 1e-09 to 1e-09 m"),
+    ],
+)
+def test_grids_that_no_memory_holds_are_refused_before_they_are_made(grading, said):
+    with pytest.raises(ConfigurationError, match=said):
+        structured_mesh(SensorDesign.reference(), grading)

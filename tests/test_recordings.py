@@ -156,6 +156,15 @@ def test_tables_that_do_not_belong_together_are_refused(tmp_path):
         read_recording(tmp_path / "a.npz", RecordingNames("v", positions="p"))
 
 
+def test_positions_in_millimetres_are_refused_with_the_numbers(tmp_path):
+    path = write(tmp_path, "a.csv", "v0,v1,x,y\n1,2,15,30\n1,2,135,\n")
+    with pytest.raises(DataError, match="in metres, up to 10 m, got 15 to 135; divide"):
+        read_recording(path)
+    np.savez(tmp_path / "a.npz", v=PRESSED, p=1e3 * PLACES)
+    with pytest.raises(DataError, match="positions must be in metres"):
+        read_recording(tmp_path / "a.npz", RecordingNames("v", positions="p"))
+
+
 def test_other_files_are_refused(tmp_path):
     with pytest.raises(ConfigurationError, match=r"expected \.csv, \.mat, \.npz, \.txt"):
         read_recording(tmp_path / "a.xls")

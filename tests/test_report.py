@@ -10,7 +10,14 @@ import numpy as np
 import pytest
 
 from eitskin.datasets import Dataset, State, touch_maps
-from eitskin.geometry import ConfigurationError, Disc, Electrode, PartialError, SensorDesign
+from eitskin.geometry import (
+    ConfigurationError,
+    DataError,
+    Disc,
+    Electrode,
+    PartialError,
+    SensorDesign,
+)
 from eitskin.simulator import Protocol
 from eitskin.training import FoundTouches, Perceived, Pipeline, TrainingSettings, report_folder
 from eitskin.training.evaluate import Evaluation
@@ -251,6 +258,13 @@ def test_episodes_and_several_touches_near_30_deg_have_pictures(tmp_path):
     document = json.loads((folder / "report.json").read_text())
     assert set(document["left_out"]) == {"training_curves.png"}
     assert "28 frames" in document["pictures"]["bend_sequence.png"]
+
+
+def test_touches_beside_the_sheet_are_refused_with_the_numbers():
+    data = frames()
+    in_mm = dataclasses.replace(data, touch_x=1e3 * data.touch_x)
+    with pytest.raises(DataError, match=r"touches of the dataset lie at x = .* by 0.06 m; give"):
+        Evaluation.of(pipeline(perceived()), in_mm)
 
 
 def test_sensors_of_any_outline_are_drawn_to_scale():

@@ -15,8 +15,22 @@ from typer.testing import CliRunner
 
 from eitskin.cli import entry, simulate
 from eitskin.cli.main import app
-from eitskin.datasets import Dataset, Recipe, State, open_dataset, save_dataset
-from eitskin.geometry import DeviceError, EitskinError, PartialError, SensorDesign
+from eitskin.datasets import (
+    Dataset,
+    Recipe,
+    State,
+    open_dataset,
+    read_recording,
+    save_dataset,
+)
+from eitskin.geometry import (
+    DeviceError,
+    EitskinError,
+    PartialError,
+    SensorDesign,
+    structured_mesh,
+)
+from eitskin.geometry.grading import Grading
 from eitskin.geometry.optional import require, require_all
 from eitskin.geometry.whole_file import whole_folder
 from eitskin.hardware import open_board
@@ -24,6 +38,7 @@ from eitskin.hardware.port import _remedy
 from eitskin.simulator import Frame, Protocol, Scene
 from eitskin.training import Pipeline
 from eitskin.training.calibration import Calibration, KnownBends
+from eitskin.training.evaluate import _require_on_sheet
 from eitskin.training.saved_pipeline import SHIPPED, SUMS, read_pipeline
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "troubleshooting.md"
@@ -137,6 +152,11 @@ def newer_model(folder):
     (folder / SUMS).write_text("".join(told))
 
 
+def touched_at(x):
+    place = np.full((1, 4), x)
+    return Dataset.from_arrays(np.ones((1, 3)), np.ones(3), touch_x=place, touch_y=place)
+
+
 def packed(folder):
     (folder / "copy.eitmodel").write_bytes(b"PK")
     read_pipeline(folder / "copy.eitmodel")
@@ -151,6 +171,11 @@ def calibrates_without_bending(_):
     flat = np.full(28, 500.0)
     known = KnownBends(flat, 1, np.array([20.0]), np.zeros((1, 28)), np.zeros(1))
     Calibration((20.0,), (1.0,), (1.0,), residual_deg=20.0).require_fit(known)
+
+
+def in_millimetres(folder):
+    (folder / "a.csv").write_text("v0,v1,x,y\n1,2,15,30\n")
+    read_recording(folder / "a.csv")
 
 
 def no_permission(_):
@@ -191,6 +216,7 @@ PROVOKED = {
     "there is no shipped": lambda _: Recipe.shipped("quikc"),
     "the surface in": surface(a_triangle()),
     "... holds no triangles": surface(""),
+    "a grid of": lambda _: structured_mesh(SensorDesign.reference(), Grading(1e-5, 1e-5, 1.0)),
     "a pipeline is saved": lambda folder: Pipeline.load(SHIPPED).save(folder / "a.zip"),
     "expected a board": lambda _: open_board("tcp:1.2.3.4"),
     "... is not a complete": open_dataset,
@@ -202,6 +228,8 @@ PROVOKED = {
     "... is not the file that was": model(lambda path: (path / "README.md").write_text("")),
     "... has format version": model(newer_model),
     "this pipeline was trained": another_sensor,
+    "positions must be": in_millimetres,
+    "touches of the": lambda _: _require_on_sheet(touched_at(135.0), (0.15, 0.06)),
     "the frames do not fit": calibrates_without_bending,
     "...: cannot open the port: there is none": lambda _: open_board("serial:/dev/none-such"),
     "...: cannot open the port: ...; check": plain_file,

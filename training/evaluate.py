@@ -74,6 +74,7 @@ class Evaluation:
                 f"the pipeline was trained for {len(pipeline.layout.protocol)} measurements, the "
                 "dataset has others; evaluate on a dataset of the same sensor"
             )
+        _require_on_sheet(dataset, pipeline.layout.outline)
         perceived = _perceive(pipeline, dataset)
         matches = Matches.of(dataset, perceived)
         similarity = _similarities(pipeline, dataset, perceived)
@@ -88,6 +89,18 @@ class Evaluation:
             _latency(pipeline, dataset),
         )
         return cls(pipeline, dataset, perceived, matches, similarity, report)
+
+
+def _require_on_sheet(dataset: Dataset, outline: tuple[float, float]) -> None:
+    """Refuse touches more than a sheet's length beside it: in millimetres, or of another sensor."""
+    for name, places in (("x", dataset.touch_x), ("y", dataset.touch_y)):
+        known = places[np.isfinite(places)]
+        if len(known) and np.abs(known).max() > 2.0 * max(outline):
+            raise DataError(
+                f"touches of the dataset lie at {name} = {known.min():g} to {known.max():g} m, the "
+                f"pipeline's sensor is {outline[0]:g} by {outline[1]:g} m; give positions in "
+                "metres from the sensor's corner"
+            )
 
 
 def evaluate(pipeline: Pipeline, dataset: Dataset) -> Report:
