@@ -32,6 +32,7 @@ _VERSION = 1  # of what a result means; raised when the calculation changes
 _ANGLES_DEG = (-20.0, 50.0)
 _FORCES = (5.0, 12.0)  # trained with [N]
 _MARGIN = Sampling().margin  # as the bounds have it [m]
+_PLACE = 0.0004  # of electrodes at most: where a layout has them near corners, more cannot be [m]
 _TEST_SEEDS = 1000  # added to the seed of training for other scenes, sensors and noise
 
 Watch = Callable[[str], None]
@@ -90,6 +91,7 @@ class Lesson:
 
     def _recipe(self, design: SensorDesign, seed: int, sensors: int, *scenes: SceneGroup) -> Recipe:
         spread = Recipe.shipped("training").specimens
+        place = min(spread.electrode_place, _PLACE)
         return Recipe(
             name="layout",
             scenes=(SceneGroup("idle", sensors), *scenes),
@@ -97,7 +99,7 @@ class Lesson:
             frames_per_shard=150,
             sensor=design,
             instrument=Instrument(),
-            specimens=dataclasses.replace(spread, count=sensors),
+            specimens=dataclasses.replace(spread, count=sensors, electrode_place=place),
         )
 
 
