@@ -6,7 +6,8 @@ from typing import Annotated
 
 import typer
 
-from eitskin.cli.options import Json, Output, Quiet, Seed, Verbose, ended_by_signals
+from eitskin.cli.options import TRAINING, Json, Output, Quiet, Seed, Verbose, ended_by_signals
+from eitskin.geometry.optional import require_all
 
 FOLDER, WORKERS = Path("build/demo"), 2
 
@@ -45,6 +46,7 @@ def command(
 
 
 def _run(out: Path, data: Path | None, workers: int, seed: int, output: Output) -> None:
+    require_all(training=TRAINING, hardware="serial cobs", view="pyvista matplotlib")
     # What the stages need takes seconds to load, and Ctrl-C shall be answered meanwhile.
     from eitskin.cli.demo_folder import Demo, Plan
     from eitskin.cli.demo_report import write_demo_report

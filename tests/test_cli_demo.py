@@ -300,3 +300,10 @@ def test_recordings_are_known_by_what_they_hold_and_where_they_are_missed(tmp_pa
     monkeypatch.setattr(Path, "read_bytes", refuse)
     with pytest.raises(DataError, match=f"cannot read .*{first}: Permission denied; make it"):
         real_input.sums(tmp_path)
+
+
+def test_missing_packages_are_named_before_anything_is_made(tmp_path, monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == "pyvista" else 1)
+    with pytest.raises(ImportError, match=r"pyvista; install with pip install 'eitskin\[view\]'"):
+        demo.command(out=tmp_path / "demo")
+    assert not (tmp_path / "demo").exists()

@@ -3,6 +3,7 @@
 import dataclasses
 import hashlib
 import json
+import os
 import shutil
 import subprocess
 from pathlib import Path
@@ -16,7 +17,7 @@ from eitskin.datasets import Dataset, State, save_dataset
 from eitskin.geometry import ConfigurationError, DataError, PartialError, SensorDesign
 from eitskin.simulator import Frame, Protocol
 from eitskin.training import NetworkSettings, Pipeline, RecordedTouches, TrainingSettings
-from eitskin.training.saved_pipeline import SUMS, read_pipeline
+from eitskin.training.saved_pipeline import SUMS, read_pipeline, require_place
 
 FLAT = np.linspace(400.0, 820.0, 28)
 FILES = ["README.md", "SHA256SUMS", "golden.safetensors", "pipeline.json", "weights.safetensors"]
@@ -295,3 +296,13 @@ def test_recorded_touches_are_saved_in_the_same_format(tmp_path):
     reseal(folder)
     with pytest.raises(DataError, match="does not compute here"):
         RecordedTouches.load(folder)
+
+
+def test_a_place_that_may_not_be_written_to_is_refused_before_the_work(tmp_path, monkeypatch):
+    require_place(tmp_path / "new" / "deep.eitmodel")
+    (tmp_path / "file").write_text("no folder")
+    with pytest.raises(ConfigurationError, match="file may not be written to"):
+        require_place(tmp_path / "file" / "a.eitmodel")
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    with pytest.raises(ConfigurationError, match="may not be written to"):
+        require_place(tmp_path / "a.eitmodel")

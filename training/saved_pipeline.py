@@ -9,6 +9,7 @@ SHA256SUMS             of the four, as sha256sum -c reads it
 
 import hashlib
 import json
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -141,6 +142,9 @@ def require_place(path: Path) -> None:
         raise ConfigurationError(f"a pipeline is saved as NAME{SUFFIX}, got {path}")
     if path.exists() and not (path / SUMS).is_file():
         raise ConfigurationError(f"{path} exists and is no pipeline; choose another name")
+    folder = next(each for each in path.absolute().parents if each.exists())
+    if not (folder.is_dir() and os.access(folder, os.W_OK)):
+        raise ConfigurationError(f"{path} cannot be made: {folder} may not be written to")
 
 
 def _files(saved: SavedPipeline) -> dict[str, bytes]:
