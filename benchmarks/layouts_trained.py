@@ -163,22 +163,26 @@ def learn_all(
 
     Raises PartialError where files cannot be written or a process died; run again to go on.
     """
-    by_path = {_path(each, folder, lesson): each for each in layouts}  # the same one may come twice
-    missing = [each for path, each in by_path.items() if _read(path) is None]
+    paths = [_path(each, folder, lesson) for each in layouts]
+    by_path = dict(zip(paths, layouts, strict=True))  # the same one may come twice
+    missing = {path: each for path, each in by_path.items() if _read(path) is None}
     with working(workers) as pool:
         if pool is None:
-            for each in missing:
-                _learn(each, folder, lesson)
+            for path, each in missing.items():
+                _learn(each, path, lesson)
                 watch(each[0].name)
         else:
-            futures = {pool.submit(_learn, each, folder, lesson): each[0].name for each in missing}
+            futures = {
+                pool.submit(_learn, each, path, lesson): each[0].name
+                for path, each in missing.items()
+            }
             for future in as_completed(futures):
                 future.result()
                 watch(futures[future])
-    found = [(layout, _read(_path((layout, bound), folder, lesson))) for layout, bound in layouts]
+    found = zip(layouts, map(_read, paths), strict=True)
     return [
         dataclasses.replace(learned, layout=layout.name)
-        for layout, learned in found
+        for (layout, _), learned in found
         if learned is not None
     ]
 
@@ -206,10 +210,10 @@ def _read(path: Path) -> Learned | None:
         return None
 
 
-def _learn(judged: tuple[Layout, SheetBound], folder: Path, lesson: Lesson) -> None:
+def _learn(judged: tuple[Layout, SheetBound], path: Path, lesson: Lesson) -> None:
     layout, bound = judged
     training, testing = (
-        _frames(folder, recipe)
+        _frames(path.parent, recipe)
         for recipe in (lesson.training(layout.design), lesson.testing(layout.design))
     )
     settings = TrainingSettings(method="joint", joint=lesson.settings, seed=lesson.seed)
@@ -217,7 +221,7 @@ def _learn(judged: tuple[Layout, SheetBound], folder: Path, lesson: Lesson) -> N
     pipeline = Pipeline.fit(training, settings)
     seconds = time.perf_counter() - start
     learned = scored(layout, bound, pipeline, testing, seconds)
-    write_file(_path(judged, folder, lesson), msgspec.json.encode(learned) + b"\n")
+    write_file(path, msgspec.json.encode(learned) + b"\n")
 
 
 def scored(

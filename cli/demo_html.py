@@ -91,7 +91,7 @@ def section(name: str, heading: str, *content: str) -> str:
 
 def page(title: str, content: Iterable[str]) -> str:
     """The whole page, with its style inside."""
-    style = (resources.files("eitskin.cli") / "web" / "report.css").read_text(encoding="utf-8")
+    style = (resources.files("eitskin.cli") / "demo_report.css").read_text(encoding="utf-8")
     body = "\n".join(content)
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'

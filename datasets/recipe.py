@@ -162,13 +162,8 @@ class Recipe:
 
     def _bend_problems(self, angles_deg: tuple[float, float]) -> Iterator[str]:
         for angle in angles_deg:
-            try:
-                self.hinge.flexure(self.sensor, Bend(angle))
-                if not list(self.specimens.problems(self.sensor, self.hinge)):
-                    for design, hinge in self.specimens.extremes(self.sensor, self.hinge):
-                        hinge.flexure(design, Bend(angle))
-            except ConfigurationError as error:
-                yield str(error)
+            if problem := _bend_problem(self.sensor, self.hinge, self.specimens, angle):
+                yield problem
 
     def _skew_problems(self, period: float) -> Iterator[str]:
         protocol = Protocol.pairwise(len(self.sensor.electrodes))
@@ -178,6 +173,21 @@ class Recipe:
                 f"period must be at least the {last:g} s that the instrument needs for a frame, "
                 f"got {period:g} s"
             )
+
+
+@lru_cache(maxsize=64)  # recipes have the same angles in most of their groups
+def _bend_problem(
+    sensor: SensorDesign, hinge: Hinge, specimens: Specimens, angle_deg: float
+) -> str:
+    """Why the sensor or an extreme specimen cannot be bent so far; empty where they can."""
+    try:
+        hinge.flexure(sensor, Bend(angle_deg))
+        if not list(specimens.problems(sensor, hinge)):
+            for design, own in specimens.extremes(sensor, hinge):
+                own.flexure(design, Bend(angle_deg))
+    except ConfigurationError as error:
+        return str(error)
+    return ""
 
 
 @lru_cache(maxsize=16)

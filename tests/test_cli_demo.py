@@ -13,7 +13,7 @@ import msgspec
 import pytest
 from rich.console import Console
 
-from eitskin.cli import demo, demo_parts, demo_sensor, real_input
+from eitskin.cli import demo, demo_folder, demo_parts, demo_sensor, real_input
 from eitskin.cli.demo_folder import RESULTS, Demo, Plan
 from eitskin.cli.demo_parts import Part, Picture, keep
 from eitskin.cli.demo_report import write_demo_report
@@ -25,6 +25,7 @@ from eitskin.datasets.shard import shard_name, write_shard
 from eitskin.datasets.simulated import simulate_shard
 from eitskin.geometry import ConfigurationError, DataError, PartialError
 from eitskin.training import Report
+from eitskin.training.observed import fingerprint
 from eitskin.training.report_table import table_rows
 
 TIMES = re.compile("seconds|date|latency|_ms$")
@@ -96,7 +97,21 @@ def quickly():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(demo_sensor, "_rendered", lambda _: DOT)
         patch.setattr(processes, "make_shards", make_here)
+        patch.setattr(demo_folder, "train_pipeline", trained_once())
         yield
+
+
+def trained_once():
+    """Training, done once for the same frames and settings."""
+    pipelines, train = {}, demo_folder.train_pipeline
+
+    def get(data, *how):
+        key = (fingerprint(data), *how[:-1])
+        if key not in pipelines:
+            pipelines[key] = train(data, *how)
+        return replace(pipelines[key], metrics={**pipelines[key].metrics})
+
+    return get
 
 
 @pytest.fixture(scope="module")

@@ -36,7 +36,7 @@ def test_the_wheel_holds_every_module_of_the_tree(tmp_path) -> None:
     wanted = {
         f"eitskin/{path.relative_to(ROOT).as_posix()}"
         for folder in FOLDERS
-        for pattern in ("*.py", "py.typed", "*/*.toml", "firmware/*.[ch]", "web/*")
+        for pattern in ("*.py", "py.typed", "*/*.toml", "firmware/*.[ch]", "*.css", "web/*")
         for path in (ROOT / folder).glob(pattern)
     }
     assert len(wanted) > 30
