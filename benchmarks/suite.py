@@ -31,7 +31,7 @@ class Benchmark:
 
     Attributes:
         name: of the command or module, and of the folder of its results.
-        minutes: that all of it takes on two cores.
+        minutes: that all of it takes, by estimate; decides which are long.
         options: besides the seed; `{out}` stands for the folder of all results, `{own}` for that of
             its own, `{data}` for that of real recordings.
         quick: other options for a quick run; None where there is no quick one.
