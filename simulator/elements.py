@@ -14,6 +14,7 @@ from eitskin.geometry import ConfigurationError
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
+Numbers = NDArray[np.inexact]
 Base = Literal["quadrilateral", "triangle"]
 
 
@@ -175,6 +176,31 @@ class ExtrudedElement:
                 for flat, up in self._factors(X)
             ]
         )
+
+    def column_gradients(self, coefficients: Numbers, X: Array, heights: Array) -> Numbers:
+        """d/dX of sums of functions, at all `heights` (q,) above points X (2, n, p) of the plane.
+
+        Coefficients (n, functions, k) give (n, 3, p, q, k). The plane functions are evaluated
+        once for all heights and the upright ones once for all points, so that this takes much
+        less than `gradients` at the n p q points.
+        """
+        n, points, q, k = len(coefficients), X.shape[2], len(heights), coefficients.shape[2]
+        total = np.zeros((n, 3, points, q, k), dtype=coefficients.dtype)
+        for degree, plane in enumerate(self.planes):
+            flat = [plane.lbasis(X, i) for i in range(len(plane.doflocs))]
+            values = np.stack([value for value, _ in flat], axis=-1)
+            slopes = np.stack([slope for _, slope in flat], axis=-1)
+            upright = self._upright(heights, degree)
+            # All of one degree: plane function by plane function, upwards.
+            mine = coefficients[:, self.functions[:, 0] == degree]
+            parts = mine.reshape(n, len(flat), len(upright), k)
+            level, rise = (
+                np.einsum("nimk,mq->niqk", parts, np.stack(part)).reshape(n, len(flat), q * k)
+                for part in zip(*upright, strict=True)
+            )
+            for axis, sums in enumerate((slopes[0] @ level, slopes[1] @ level, values @ rise)):
+                total[:, axis] += sums.reshape(n, points, q, k)
+        return total
 
     def rule(self) -> tuple[Array, Array]:
         """Gauss points (3, q) and weights (q,), cell by cell upwards."""

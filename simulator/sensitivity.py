@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 Numbers = NDArray[np.inexact]
 Tensors = Callable[[Array], Array]
 
-_LINES = 4  # of quadrature points along y that are integrated at once
+_STRIPS = 4  # of overlaps along x that are integrated at once
 
 
 def pixel_gram(
@@ -43,7 +43,7 @@ def pixel_gram(
     column = np.clip(np.searchsorted(x_edges, x, side="right") - 1, 0, columns - 1)
     row = np.clip(np.searchsorted(y_edges, y, side="right") - 1, 0, rows - 1)
     gradients = assembly.cell_gradients(potentials)
-    fluxes = _fluxes(gradients, assembly.points, along)
+    fluxes = gradients if along is None else along(assembly.points) @ gradients
     products = np.einsum(
         "cq,cqbk,cqbl->cqkl", assembly.cell_weights, gradients, fluxes, optimize=True
     )
@@ -65,54 +65,47 @@ def _boxes_gram(
     order = assembly.space.element.face_degree + 1
     x_nodes, x_weights, x_cell, x_pixel = _overlaps(x, x_edges, order)
     y_nodes, y_weights, y_cell, y_pixel = _overlaps(y, y_edges, order)
-    z_nodes, z_weights, z_cell, _ = _overlaps(z, z[[0, -1]], order)
+    z_nodes, z_weights = (part.ravel() for part in _overlaps(z, z[[0, -1]], order)[:2])
     count, columns = potentials.shape[-1], len(x_edges) - 1
     total = np.zeros((columns * (len(y_edges) - 1), count, count), dtype=potentials.dtype)
-    # A few lines of x at a time keep memory flat.
-    for start in range(0, len(x_nodes), _LINES):
-        part = slice(start, start + _LINES)
-        grid = np.meshgrid(x_nodes[part], y_nodes, z_nodes, indexing="ij")
-        points = np.stack(grid, axis=-1).reshape(-1, 3)
-        cells = _cell_numbers(x_cell[part], y_cell, z_cell, (len(x), len(y), len(z)))
-        elements = cells.ravel() // assembly.space.element.cells
-        gradients = assembly.space.gradients(potentials, elements, points)
-        weights = x_weights[part, None, None] * y_weights[:, None] * z_weights
-        fluxes = weights.reshape(-1, 1, 1) * _fluxes(gradients, points, along)
-        # Over directions and heights at once: what lies on one line upwards is in one pixel.
-        lines = (len(points) // len(z_nodes), -1, count)
-        products = gradients.reshape(lines).swapaxes(1, 2) @ fluxes.reshape(lines)
-        pixels = y_pixel * columns + x_pixel[part, None]
-        np.add.at(total, pixels.ravel(), products)
+    # A few overlaps along x at a time keep memory flat.
+    for start in range(0, len(x_nodes), _STRIPS):
+        part = slice(start, start + _STRIPS)
+        plane = _products(x_nodes[part], y_nodes)
+        # Boxes of a structured mesh go upwards first, columns along y next.
+        elements = (x_cell[part, None] * (len(y) - 1) + y_cell).ravel()
+        gradients = assembly.space.column_gradients(potentials, elements, plane, z_nodes)
+        fluxes = gradients
+        if along is not None:
+            places = np.empty((*gradients.shape[:1], *gradients.shape[2:4], 3))
+            places[..., :2], places[..., 2] = plane[:, :, None], z_nodes
+            fluxes = np.moveaxis(along(places) @ np.moveaxis(gradients, 1, 3), 3, 1)
+        weights = _products(x_weights[part], y_weights).prod(axis=-1)[..., None] * z_weights
+        fluxes = weights[:, None, ..., None] * fluxes
+        flat = (len(plane), -1, count)
+        products = gradients.reshape(flat).swapaxes(1, 2) @ fluxes.reshape(flat)
+        np.add.at(total, (y_pixel * columns + x_pixel[part, None]).ravel(), products)
     return total
 
 
-def _fluxes(gradients: Numbers, points: Array, along: Tensors | None) -> Numbers:
-    """S grad u_k (..., 3, k) of gradients (..., 3, k) at points (..., 3)."""
-    return gradients if along is None else along(points) @ gradients
-
-
-def _cell_numbers(
-    ix: NDArray[np.int64],
-    iy: NDArray[np.int64],
-    iz: NDArray[np.int64],
-    shape: tuple[int, int, int],
-) -> NDArray[np.int64]:
-    """Numbers of the boxes (ix, iy, iz) of a structured mesh with `shape` lines, (ix, iy, iz)."""
-    return (ix[:, None, None] * (shape[1] - 1) + iy[:, None]) * (shape[2] - 1) + iz
+def _products(x: Array, y: Array) -> Array:
+    """Pairs of x (a, o) and y (b, o) on overlaps, overlap by overlap, (a b, o o, 2)."""
+    shape = (len(x), len(y), x.shape[1], y.shape[1])
+    pairs = (np.broadcast_to(c, shape) for c in (x[:, None, :, None], y[:, None]))
+    return np.stack(list(pairs), axis=-1).reshape(len(x) * len(y), -1, 2)
 
 
 def _overlaps(
     faces: Array, pixel_edges: Array, order: int
 ) -> tuple[Array, Array, NDArray[np.int64], NDArray[np.int64]]:
-    """Gauss points and weights on all overlaps of cells and pixels, and both their numbers."""
+    """Gauss points and weights (n, order) on n overlaps of cells and pixels, both their numbers."""
     edges = np.unique(np.concatenate([faces, pixel_edges]).round(12))
-    start, size = edges[:-1], np.diff(edges)
+    start, size = edges[:-1, None], np.diff(edges)[:, None]
     nodes, weights = np.polynomial.legendre.leggauss(order)
-    points = (start[:, None] + 0.5 * (nodes + 1.0) * size[:, None]).ravel()
-    middle = np.repeat(start + 0.5 * size, len(nodes))
+    middle = (start + 0.5 * size)[:, 0]
     return (
-        points,
-        (0.5 * weights * size[:, None]).ravel(),
+        start + 0.5 * (nodes + 1.0) * size,
+        0.5 * weights * size,
         np.searchsorted(faces, middle) - 1,
         np.searchsorted(pixel_edges, middle) - 1,
     )

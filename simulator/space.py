@@ -129,13 +129,23 @@ class FunctionSpace:
         outer = potentials[self.numbers]
         return np.concatenate([outer, inner @ outer], axis=1)
 
-    def gradients(self, potentials: Numbers, elements: Indices, points: Array) -> Numbers:
-        """grad u_k, (n, 3, k), at `points` (n, 3) [m] that lie in `elements` (n,).
+    def column_gradients(
+        self, potentials: Numbers, elements: Indices, plane: Array, heights: Array
+    ) -> Numbers:
+        """grad u_k, (n, 3, p, q, k), at q `heights` (q,) above p places in each of n columns.
 
-        Potentials are given element by element, (elements, functions, k).
+        Args:
+            potentials: element by element, (elements, functions, k).
+            elements: the columns (n,).
+            plane: x and y of their places, (n, p, 2) [m].
+            heights: above each of the places [m].
         """
-        # Functions summed up first: fewer products than mapping each of them to the body.
-        shape = np.moveaxis(self.element.gradients(self.reference(elements, points)), -1, 0)
-        slopes = np.ascontiguousarray(shape.swapaxes(1, 2)) @ potentials[elements]
-        gradients: Numbers = self.inverses[elements].swapaxes(1, 2) @ slopes
-        return gradients
+        element, inverses = self.element, self.inverses[elements]
+        if not isinstance(element, ExtrudedElement):
+            raise TypeError(f"heights above places need columns of cells, got {element}")
+        moved = plane - self.origins[elements, None, :2]
+        X = np.einsum("nab,npb->anp", inverses[:, :2, :2], moved)
+        slopes = element.column_gradients(potentials[elements], X, heights)
+        # One product for all places of a column.
+        gradients: Numbers = inverses.swapaxes(1, 2) @ slopes.reshape(len(elements), 3, -1)
+        return gradients.reshape(slopes.shape)
