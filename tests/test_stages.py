@@ -115,6 +115,29 @@ def test_number_of_channels_is_chosen_on_specimens_left_out():
     assert len(BendAngle.fit(dV, angle, np.zeros(200)).features) > 5
 
 
+@pytest.mark.parametrize("specimens", [1, 7])
+def test_bend_angle_is_what_a_search_over_a_grid_finds(specimens):
+    """scikit-learn's own search, which ranks the features anew for each number of them."""
+    from sklearn.feature_selection import SelectKBest, f_regression
+    from sklearn.linear_model import LinearRegression
+    from sklearn.model_selection import GridSearchCV, GroupKFold, KFold
+    from sklearn.pipeline import make_pipeline
+
+    dV, angle = bends(seed=5)
+    specimen = np.arange(len(angle)) % specimens
+    stage = BendAngle.fit(dV, angle, specimen, seed=3, squares=False)
+    folds = KFold(5, shuffle=True, random_state=3) if specimens == 1 else GroupKFold(5)
+    search = GridSearchCV(
+        make_pipeline(SelectKBest(f_regression), LinearRegression()),
+        {"selectkbest__k": range(1, 7)},
+        scoring="neg_mean_squared_error",
+        cv=folds,
+    ).fit(dV, angle, groups=None if specimens == 1 else specimen)
+    selection, regression = (step for _, step in search.best_estimator_.steps)
+    np.testing.assert_array_equal(stage.features, np.flatnonzero(selection.get_support()))
+    np.testing.assert_array_equal(stage.coefficients, regression.coef_)
+
+
 def test_bend_angle_survives_its_arrays_and_refuses_too_few():
     dV, angle = bends()
     stage = BendAngle.fit(dV, angle, np.zeros(len(angle)))
