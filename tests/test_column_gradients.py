@@ -1,4 +1,4 @@
-"""Gradients above many places of a column at once, against function by function and point by point."""
+"""Gradients above many places of a column at once, against one function and point at a time."""
 
 import numpy as np
 import pytest
