@@ -204,7 +204,7 @@ class Press:
         layers = range(len(self.stack.sheets))
         corners = np.full((len(layers), len(r), len(z)), np.nan)
         corners[(slice(None), *self._corners)] = [solid.corner_mean_stress(x, k) for k in layers]
-        J = np.linalg.det(solid.deformation_gradient(x)) * solid.weights
+        J = solid.volume_ratio(x) * solid.weights
         return Indentation(
             stack=self.stack,
             force=self.contact.force(x),

@@ -1,11 +1,12 @@
 """Hyperelastic laws: stress and tangent of the part of the energy that changes of shape store.
 
 Deformation gradients F and first Piola-Kirchhoff stresses P = dW/dF are (..., 3, 3), tangents
-dP/dF are (..., 3, 3, 3, 3) with indices iJkL. Volume changes are left to a pressure (`solid.py`),
-so every energy here depends on J^(-1/3) F alone.
+dP/dF (..., 9, 9) between their entries by rows, or between some of these only. Volume changes are
+left to a pressure (`solid.py`), so every energy here depends on J^(-1/3) F alone.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -15,6 +16,9 @@ from numpy.typing import NDArray
 from eitskin.geometry import ConfigurationError
 
 Array = NDArray[np.float64]
+
+ENTRIES = tuple(range(9))  # of a 3 x 3 matrix, by rows
+_OTHERS = ((1, 2), (2, 0), (0, 1))
 
 
 class Law(Protocol):
@@ -33,8 +37,8 @@ class Law(Protocol):
         """P = dW/dF [Pa], (..., 3, 3)."""
         ...
 
-    def tangent(self, F: Array) -> Array:
-        """dP/dF [Pa], (..., 3, 3, 3, 3)."""
+    def tangent(self, F: Array, entries: Sequence[int] = ENTRIES) -> Array:
+        """dP/dF [Pa] between these entries, (..., entries, entries)."""
         ...
 
 
@@ -60,10 +64,10 @@ class NeoHookean:
         """P = dW/dF [Pa], (..., 3, 3)."""
         return _stress(self.shear_modulus, 2.0, F, _trace(F), F)
 
-    def tangent(self, F: Array) -> Array:
-        """dP/dF [Pa], (..., 3, 3, 3, 3)."""
-        identity = np.einsum("ik,JL->iJkL", np.eye(3), np.eye(3))
-        return _tangent(self.shear_modulus, 2.0, F, _trace(F), F, identity)
+    def tangent(self, F: Array, entries: Sequence[int] = ENTRIES) -> Array:
+        """dP/dF [Pa] between these entries, (..., entries, entries)."""
+        identity = np.eye(len(entries))
+        return _tangent(self.shear_modulus, 2.0, F, _trace(F), F, identity, entries)
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,23 +103,23 @@ class Ogden:
         power = np.asarray((squares ** (self.alpha / 2)).sum(axis=-1))
         return _stress(self.shear_modulus, self.alpha, F, power, self._slope(F, squares, axes))
 
-    def tangent(self, F: Array) -> Array:
-        """dP/dF [Pa], (..., 3, 3, 3, 3)."""
+    def tangent(self, F: Array, entries: Sequence[int] = ENTRIES) -> Array:
+        """dP/dF [Pa] between these entries, (..., entries, entries)."""
         squares, axes = _principal(F)
         beta = self.alpha / 2 - 1.0
         power = np.asarray((squares ** (self.alpha / 2)).sum(axis=-1))
         B = np.einsum("...La,...a,...Ja->...LJ", axes, squares**beta, axes)
         # The derivative of C^beta in principal axes (Daleckii and Krein 1965).
         f = F @ axes
-        left = np.einsum("...ia,...Jb,...ab->...iJab", f, axes, _divided_difference(squares, beta))
-        right = np.einsum("...La,...kb->...abkL", axes, f)
-        right = right + right.swapaxes(-4, -3)
-        shape = F.shape[:-2]
-        curvature = left.reshape(*shape, 9, 9) @ right.reshape(*shape, 9, 9)
-        curvature = curvature.reshape(*shape, 3, 3, 3, 3)
-        curvature += np.einsum("ik,...LJ->...iJkL", np.eye(3), B)
+        i, j = np.divmod(entries, 3)
+        shape = (*F.shape[:-2], len(entries))
+        across = f[..., i, :, None] * axes[..., j, None, :]  # (..., entries, a, b)
+        left = across * _divided_difference(squares, beta)[..., None, :, :]
+        right = across + across.swapaxes(-1, -2)
+        curvature = left.reshape(*shape, 9) @ right.reshape(*shape, 9).swapaxes(-1, -2)
+        curvature += np.equal.outer(i, i) * B[..., j[:, None], j]
         slope = self._slope(F, squares, axes)
-        return _tangent(self.shear_modulus, self.alpha, F, power, slope, curvature)
+        return _tangent(self.shear_modulus, self.alpha, F, power, slope, curvature, entries)
 
     def _slope(self, F: Array, squares: Array, axes: Array) -> Array:
         """F C^(alpha/2 - 1), (..., 3, 3)."""
@@ -127,8 +131,17 @@ class Ogden:
 
 def cofactor(F: Array) -> Array:
     """dJ/dF = J F^-T, (..., 3, 3)."""
-    rows = [np.cross(F[..., (i + 1) % 3, :], F[..., (i + 2) % 3, :]) for i in range(3)]
-    return np.stack(rows, axis=-2)
+    H = np.empty_like(F)
+    for i, (k, m) in enumerate(_OTHERS):
+        for j, (n, o) in enumerate(_OTHERS):
+            H[..., i, j] = F[..., k, n] * F[..., m, o] - F[..., k, o] * F[..., m, n]
+    return H
+
+
+def determinant(F: Array, H: Array) -> Array:
+    """J = det F from the cofactor H as well, (...)."""
+    J: Array = np.einsum("...J,...J->...", F[..., 0, :], H[..., 0, :])
+    return J
 
 
 def _check_modulus(mu: float) -> None:
@@ -163,28 +176,37 @@ def _divided_difference(x: Array, power: float) -> Array:
 
 
 def _energy(mu: float, alpha: float, F: Array, T: Array) -> Array:
-    scaled = np.linalg.det(F) ** (-alpha / 3) * T
+    scaled = determinant(F, cofactor(F)) ** (-alpha / 3) * T
     W: Array = 2.0 * mu / alpha**2 * (scaled - 3.0)
     return W
 
 
 def _stress(mu: float, alpha: float, F: Array, T: Array, slope: Array) -> Array:
-    J = np.linalg.det(F)[..., None, None]
-    P: Array = (
-        2.0 * mu / alpha * J ** (-alpha / 3) * (slope - (T[..., None, None] / 3) * cofactor(F) / J)
-    )
+    H = cofactor(F)
+    J = determinant(F, H)
+    hydrostatic = (T / (3.0 * J))[..., None, None] * H
+    P: Array = (2.0 * mu / alpha * J ** (-alpha / 3))[..., None, None] * (slope - hydrostatic)
     return P
 
 
-def _tangent(mu: float, alpha: float, F: Array, T: Array, slope: Array, curvature: Array) -> Array:
-    J = np.linalg.det(F)[..., None, None]
-    H = cofactor(F) / J
+def _tangent(
+    mu: float,
+    alpha: float,
+    F: Array,
+    T: Array,
+    slope: Array,
+    curvature: Array,
+    entries: Sequence[int],
+) -> Array:
+    i, j = np.divmod(entries, 3)
+    H = cofactor(F)
+    J = determinant(F, H)[..., None, None]
+    H /= J
     third = T[..., None, None] / 3
-    deviator = slope - third * H
-    flat = (*F.shape[:-2], 9)
-    HH = np.einsum("...iL,...kJ->...iJkL", third * H, H)
-    outer = deviator.reshape(flat)[..., :, None] * H.reshape(flat)[..., None, :]
-    outer += H.reshape(flat)[..., :, None] * slope.reshape(flat)[..., None, :]
-    A: Array = curvature + HH - (alpha / 3) * outer.reshape(HH.shape)
-    A *= 2.0 * mu / alpha * J[..., None, None] ** (-alpha / 3)
+    crossed = H[..., i[:, None], j]  # H_iL; H_kJ is its transpose
+    h, slope = H[..., i, j], slope[..., i, j]
+    deviator = slope - third[..., 0] * h
+    outer = deviator[..., :, None] * h[..., None, :] + h[..., :, None] * slope[..., None, :]
+    A: Array = third * crossed * crossed.swapaxes(-1, -2) + curvature - (alpha / 3) * outer
+    A *= 2.0 * mu / alpha * J ** (-alpha / 3)
     return A

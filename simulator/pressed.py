@@ -260,7 +260,7 @@ class PressedStack:
         order = np.lexsort(solid.nodes.round(_ROUNDED).T[::-1])
         shape = tuple(2 * len(line) - 1 for line in self._lines)
         field = QuadraticField(self._lines, solid.displacement(x)[order].reshape(*shape, 3))
-        J = np.linalg.det(solid.deformation_gradient(x)) * solid.weights
+        J = solid.volume_ratio(x) * solid.weights
         places = np.array([self._local(touch) for touch in self.touches])
         kept = np.array([self._local(touch) for touch in self._kept])
         # Touches that mirror each other fare alike.

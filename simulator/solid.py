@@ -11,6 +11,7 @@ stress is positive in tension.
 """
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Literal, Self
 
 import numpy as np
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csc_array
 
 from eitskin.geometry import ConfigurationError
-from eitskin.simulator.materials import Law, cofactor
+from eitskin.simulator.materials import Law, cofactor, determinant
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -37,11 +38,11 @@ _ELEMENTS = {
     skfem.MeshHex1: (skfem.ElementHex2, skfem.ElementHex1),
     skfem.MeshTet1: (skfem.ElementTetP2, skfem.ElementTetP1),
 }
-# The second derivative of a determinant: d cof(F)_iJ / dF_kL = e_ikm e_JLn F_mn.
 _EVEN = np.zeros((3, 3, 3))
 for _i, _j, _k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
     _EVEN[_i, _j, _k], _EVEN[_i, _k, _j] = 1.0, -1.0
-_COFACTOR_SLOPE = np.einsum("ikm,JLn->mniJkL", _EVEN, _EVEN).reshape(9, 81)
+# The second derivative of a determinant: d cof(F)_iJ / dF_kL = e_ikm e_JLn F_mn.
+_COFACTOR_SLOPE = np.einsum("ikm,JLn->mniJkL", _EVEN, _EVEN).reshape(9, 9, 9)
 STIFFEST = 1e8  # kappa / mu
 # Part of kappa / mu that acts on the displacements at every quadrature point. Without it, modes
 # that linear pressures do not see become soft at large strain: bent blocks then wrinkle at 0.83 of
@@ -49,6 +50,25 @@ STIFFEST = 1e8  # kappa / mu
 # more, quadratic displacements alone would lock.
 _DIRECT = 3.0
 _CHUNK = 4_000_000  # numbers held at once per array while the stiffness is assembled
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Strained:
+    """What holds at the quadrature points, for the unknowns x.
+
+    Attributes:
+        x: a copy of them.
+        F: deformation gradients, (cells, q, 3, 3).
+        H: their cofactors.
+        J: their determinants, (cells, q).
+        multiplier: pressure of the mixed form [Pa], (cells, q).
+    """
+
+    x: Array
+    F: Array
+    H: Array
+    J: Array
+    multiplier: Array
 
 
 class Solid:
@@ -106,6 +126,7 @@ class Solid:
         moduli = np.array([law.shear_modulus for law in laws])
         direct = min(_DIRECT, 0.5 * bulk_ratio)
         self._direct: Array = direct * moduli[law_of_cell]
+        self._last: _Strained | None = None
         self._compliance: Array = 1.0 / ((bulk_ratio - direct) * moduli[law_of_cell])
         # A pressure of mu/h does as much as a displacement of 1 in a cell of size h.
         size = np.mean(np.abs(np.ptp(mesh.p[:, mesh.t], axis=1)))
@@ -127,24 +148,19 @@ class Solid:
 
     def pressure(self, x: Array) -> Array:
         """Mean stress at the quadrature points [Pa], (cells, q)."""
-        J = np.linalg.det(self.deformation_gradient(x))
-        mean_stress: Array = self._mixed_pressure(x) + self._direct[:, None] * (J - 1.0)
-        return mean_stress
+        return self._mean_stress(self._strained(x))
 
     def deformation_gradient(self, x: Array) -> Array:
         """F at the quadrature points, (cells, q, 3, 3)."""
-        u = self.displacement(x)[self.basis.element_dofs.T]
-        F = np.zeros((*self.weights.shape, 3, 3))
-        F[..., range(3), range(3)] = 1.0
-        F[..., : self.dim, : self.dim] += np.einsum("cai,cqaJ->cqiJ", u, self._slopes)
-        if self.kinematics == "axisymmetric":
-            F[..., 2, 2] += np.einsum("ca,cqa->cq", u[..., 0], self._hoops)
-        return F
+        return self._strained(x).F
+
+    def volume_ratio(self, x: Array) -> Array:
+        """J = det F at the quadrature points, (cells, q)."""
+        return self._strained(x).J
 
     def admissible(self, x: Array) -> bool:
         """Whether no quadrature point is inverted."""
-        J = np.linalg.det(self.deformation_gradient(x))
-        return bool(np.all(J > 0.0))  # also false for NaN
+        return bool(np.all(self._strained(x).J > 0.0))  # also false for NaN
 
     def advanced(self, x: Array) -> Self:  # noqa: ARG002
         """The solid itself: it is elastic."""
@@ -152,11 +168,12 @@ class Solid:
 
     def energy(self, x: Array) -> float:
         """Stored energy [J]; per unit of thickness in plane strain."""
-        F, p = self.deformation_gradient(x), self._mixed_pressure(x)
-        J = np.linalg.det(F)
-        W = 0.5 * (self._compliance[:, None] * p**2 + self._direct[:, None] * (J - 1.0) ** 2)
+        at = self._strained(x)
+        W = self._compliance[:, None] * at.multiplier**2
+        W += self._direct[:, None] * (at.J - 1.0) ** 2
+        W *= 0.5
         for law, cells in self._groups():
-            W[cells] += law.energy(F[cells])
+            W[cells] += law.energy(at.F[cells])
         return float(np.sum(W * self.weights))
 
     def shape_energies(self, x: Array) -> Array:
@@ -179,32 +196,22 @@ class Solid:
 
     def stress(self, x: Array) -> Array:
         """First Piola-Kirchhoff stress at the quadrature points [Pa], (cells, q, 3, 3)."""
-        F = self.deformation_gradient(x)
-        P = self.pressure(x)[..., None, None] * cofactor(F)
-        for law, cells in self._groups():
-            P[cells] += law.stress(F[cells])
-        return P
+        return self._stress(self._strained(x))
 
     def forces(self, x: Array) -> Array:
         """Residual of the equilibrium: nodal forces [N], then scaled volume errors."""
-        return self._gathered(x, self.deformation_gradient(x), self.stress(x))
+        return self._gathered(self._strained(x))
 
     def linearise(self, x: Array) -> tuple[Array, csc_array]:
         """`forces` (n,) and their derivative, symmetric, (n, n), at x (n,)."""
-        F, P = self.deformation_gradient(x), self.stress(x)
-        H, p = cofactor(F), self.pressure(x)
+        at = self._strained(x)
         numbers = np.hstack([self._displacement_numbers, self._pressure_numbers])
-        values = np.concatenate(
-            [
-                self._stiffness(law, cells, F[cells], H[cells], p[cells])
-                for law, cells in self._groups()
-            ]
-        )
+        values = np.concatenate([self._stiffness(law, cells, at) for law, cells in self._groups()])
         numbers = numbers[np.concatenate([cells for _, cells in self._groups()])]
         rows = np.broadcast_to(numbers[:, :, None], values.shape)
         columns = np.broadcast_to(numbers[:, None, :], values.shape)
         K = coo_array((values.ravel(), (rows.ravel(), columns.ravel())), shape=(len(x), len(x)))
-        return self._gathered(x, F, P), K.tocsc()
+        return self._gathered(at), K.tocsc()
 
     def traction(self, facets: Indices, traction: Callable[[Array], Array]) -> Array:
         """Nodal forces (unknowns,) of dead tractions on boundary facets of the undeformed mesh.
@@ -220,21 +227,43 @@ class Solid:
             np.add.at(loads, rim.element_dofs[a], parts.T)
         return np.concatenate([loads.ravel(), np.zeros(self.unknowns - loads.size)])
 
-    def _mixed_pressure(self, x: Array) -> Array:
-        p: Array = self._pressure_scale * (x[self._pressure_numbers] @ self._pressure_values)
+    def _strained(self, x: Array) -> _Strained:
+        """The state at x; kept, since Newton's method asks several times for that of one x."""
+        if self._last is None or not np.array_equal(self._last.x, x):
+            u = self.displacement(x)[self.basis.element_dofs.T].swapaxes(1, 2)
+            slopes = self._slopes.reshape(*self._slopes.shape[:2], -1)
+            moved = (u @ slopes).reshape(len(u), self.dim, -1, self.dim).swapaxes(1, 2)
+            F = np.zeros((*self.weights.shape, 3, 3))
+            F[..., range(3), range(3)] = 1.0
+            F[..., : self.dim, : self.dim] += moved
+            if self.kinematics == "axisymmetric":
+                F[..., 2, 2] += (u[:, :1] @ self._hoops)[:, 0]
+            H = cofactor(F)
+            p = self._pressure_scale * (x[self._pressure_numbers] @ self._pressure_values)
+            self._last = _Strained(x.copy(), F, H, determinant(F, H), p)
+        return self._last
+
+    def _mean_stress(self, at: _Strained) -> Array:
+        p: Array = at.multiplier + self._direct[:, None] * (at.J - 1.0)
         return p
+
+    def _stress(self, at: _Strained) -> Array:
+        P: Array = self._mean_stress(at)[..., None, None] * at.H
+        for law, cells in self._groups():
+            P[cells] += law.stress(at.F[cells])
+        return P
 
     def _shape(self, pressure: skfem.CellBasis) -> None:
         """Shape functions at the quadrature points; weights include the ring 2 pi r."""
         slopes = np.stack([np.asarray(f.grad) for (f,) in self.basis.basis])  # (a, J, c, q)
-        self._slopes: Array = np.ascontiguousarray(slopes.transpose(2, 3, 0, 1))
+        self._slopes: Array = np.ascontiguousarray(slopes.transpose(2, 0, 3, 1))
         self.weights: Array = np.asarray(self.basis.dx).copy()
         if self.kinematics == "axisymmetric":
             r = np.asarray(self.basis.global_coordinates())[0]
             values = np.stack(
                 [np.broadcast_to(np.asarray(f), r.shape) for (f,) in self.basis.basis]
             )
-            self._hoops: Array = (values / r).transpose(1, 2, 0)
+            self._hoops: Array = np.ascontiguousarray((values / r).swapaxes(0, 1))
             self.weights *= 2.0 * np.pi * r
         self._pressure_values: Array = np.stack([np.asarray(f)[0] for (f,) in pressure.basis])
 
@@ -251,7 +280,7 @@ class Solid:
 
     def _groups(self) -> Iterator[tuple[Law, Indices]]:
         """Cells of one law, few enough to be assembled at once."""
-        points, functions = self._slopes.shape[1:3]
+        functions, points = self._slopes.shape[1:3]
         each = max(1, _CHUNK // (points * functions * self.dim * 9))
         for law, cells in zip(self.laws, self.cells_of_law, strict=True):
             for start in range(0, len(cells), each):
@@ -259,43 +288,47 @@ class Solid:
 
     def _strain_operator(self, cells: Indices) -> Array:
         """d(entries of F)/d(displacements of a cell), (cells, q, entries, functions * dim)."""
-        slopes = self._slopes[cells]
+        slopes = self._slopes[cells].transpose(0, 2, 3, 1)  # (cells, q, J, functions)
         dim = self.dim
         entries = _COMPONENTS[self.kinematics]
-        B = np.zeros((*slopes.shape[:2], len(entries), slopes.shape[2], dim))
+        B = np.zeros((*slopes.shape[:2], len(entries), slopes.shape[3], dim))
         for i in range(dim):
-            B[:, :, i * dim : (i + 1) * dim, :, i] = slopes.swapaxes(2, 3)
+            B[:, :, i * dim : (i + 1) * dim, :, i] = slopes
         if self.kinematics == "axisymmetric":
-            B[:, :, 4, :, 0] = self._hoops[cells]
+            B[:, :, 4, :, 0] = self._hoops[cells].swapaxes(1, 2)
         return B.reshape(*B.shape[:3], -1)
 
-    def _gathered(self, x: Array, F: Array, P: Array) -> Array:
-        entries = _COMPONENTS[self.kinematics]
-        flat = P.reshape(*P.shape[:2], 9)[..., entries] * self.weights[..., None]
-        dilation = np.linalg.det(F) - 1.0 - self._compliance[:, None] * self._mixed_pressure(x)
+    def _gathered(self, at: _Strained) -> Array:
+        """Nodal forces and volume errors, (n,)."""
+        P = self._stress(at) * self.weights[..., None, None]
+        within = P[..., : self.dim, : self.dim].swapaxes(2, 3).reshape(len(P), -1, self.dim)
+        nodal = self._slopes.reshape(*self._slopes.shape[:2], -1) @ within
+        if self.kinematics == "axisymmetric":
+            nodal[..., :1] += self._hoops @ P[..., 2, 2:]
+        dilation = at.J - 1.0 - self._compliance[:, None] * at.multiplier
         volume = self._pressure_scale * (dilation * self.weights) @ self._pressure_values.T
         residual = np.bincount(
-            self._pressure_numbers.ravel(), weights=volume.ravel(), minlength=len(x)
+            np.concatenate([self._displacement_numbers.ravel(), self._pressure_numbers.ravel()]),
+            weights=np.concatenate([nodal.ravel(), volume.ravel()]),
+            minlength=len(at.x),
         )
-        for _, cells in self._groups():
-            nodal = np.einsum("cqed,cqe->cd", self._strain_operator(cells), flat[cells])
-            np.add.at(residual, self._displacement_numbers[cells], nodal)
         return np.asarray(residual, dtype=np.float64)
 
-    def _stiffness(self, law: Law, cells: Indices, F: Array, H: Array, p: Array) -> Array:
+    def _stiffness(self, law: Law, cells: Indices, at: _Strained) -> Array:
         """Element matrices of displacements and pressures, (cells, unknowns, unknowns)."""
         entries = _COMPONENTS[self.kinematics]
-        w = self.weights[cells]
-        A = law.tangent(F).reshape(*w.shape, 9, 9)
-        curvature = F.reshape(*w.shape, 9) @ _COFACTOR_SLOPE
-        A += p[..., None, None] * curvature.reshape(A.shape)
-        H = H.reshape(*w.shape, 9)
+        w, F = self.weights[cells], at.F[cells]
+        H = at.H[cells].reshape(*w.shape, 9)[..., entries]
+        A = law.tangent(F, entries)
+        slope = _COFACTOR_SLOPE[:, entries][:, :, entries]
+        curvature = np.tensordot(F.reshape(*w.shape, 9), slope, axes=1)
+        A += self._mean_stress(at)[cells][..., None, None] * curvature
         A += self._direct[cells, None, None, None] * H[..., :, None] * H[..., None, :]
-        A = A[..., entries, :][..., entries] * w[..., None, None]
+        A *= w[..., None, None]
         B = self._strain_operator(cells)
         joined = (len(cells), -1, B.shape[-1])
         K_uu = B.reshape(joined).swapaxes(1, 2) @ (A @ B).reshape(joined)
-        swelling = np.einsum("cqed,cqe->cqd", B, H[..., entries])
+        swelling = (H[..., None, :] @ B)[..., 0, :]
         psi = self._pressure_scale * self._pressure_values
         K_up = (swelling * w[..., None]).swapaxes(1, 2) @ psi.T
         K_pp = -self._compliance[cells, None, None] * np.einsum("cq,aq,bq->cab", w, psi, psi)
