@@ -6,6 +6,9 @@ BIN := $(VENV)/bin
 DATA ?= ../shared/data
 WORKERS := --numprocesses 2 --dist loadfile --no-loadscope-reorder
 
+# Hundreds of processes start in the tests; what one has compiled the others need not.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: demo test coverage mutations lint docs gallery bench bench-long clean
 
 demo: $(VENV)/installed

@@ -14,8 +14,8 @@ from made_once import made_once
 
 NOISE = 1e-5  # relative, of one frame; low, so that few and brief lessons suffice
 SETTINGS = TrainingSettings(
-    classifier=NetworkSettings(2e-3, epochs=14, batch=16),
-    postprocessor=NetworkSettings(5e-3, epochs=14, batch=16),
+    classifier=NetworkSettings(2e-3, epochs=9, batch=16),
+    postprocessor=NetworkSettings(5e-3, epochs=9, batch=16),
 )
 X, Y = np.meshgrid((np.arange(80) + 0.5) * 0.150 / 80, (np.arange(32) + 0.5) * 0.060 / 32)
 

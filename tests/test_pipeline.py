@@ -81,8 +81,8 @@ def test_states_angles_and_touches_of_frames_never_seen(trained, dataset):
 
 
 def test_training_reports_its_progress(trained):
-    assert ["state classifier", 14, 14] in trained.said
-    assert ["touch map", 1, 14] in trained.said
+    assert ["state classifier", 9, 9] in trained.said
+    assert ["touch map", 1, 9] in trained.said
 
 
 def test_held_out_frames_are_those_the_split_left(trained, dataset):
