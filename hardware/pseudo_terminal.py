@@ -179,8 +179,9 @@ class PseudoTerminal(Closing, Generic[FirmwareType]):
             except OSError as error:
                 self._hang_up()
                 raise ConfigurationError(
-                    f"cannot make {self._link} lead to the virtual board: {error}; choose a path "
-                    "that is free, in a folder that can be written"
+                    f"cannot make {self._link} lead to the virtual board: "
+                    f"{error.strerror or error}; choose a path that is free, in a folder that can "
+                    "be written"
                 ) from error
 
     def _hang_up(self) -> None:
