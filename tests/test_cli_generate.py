@@ -10,11 +10,15 @@ import sys
 
 import numpy as np
 import pytest
+from shards_here import in_this_process
 from typer.testing import CliRunner
 
 from eitskin.cli.main import app
-from eitskin.datasets import TorchDataset, open_dataset, save_dataset
+from eitskin.datasets import Recipe, TorchDataset, open_dataset, save_dataset
+from eitskin.datasets.shard import shard_bytes
+from eitskin.datasets.simulated import simulate_shard
 from eitskin.geometry import ConfigurationError, DataError, PartialError
+from eitskin.geometry.config import parse_toml
 
 from small_dataset import make
 
@@ -59,6 +63,8 @@ def test_a_recipe_by_its_path(recipe, tmp_path):
 def test_one_shard_says_what_is_missing(recipe, tmp_path):
     ran = run("generate", recipe, "--out", tmp_path / "set", "--shard", 2)
     assert "8 frames" in ran.stdout
+    made = simulate_shard(parse_toml(Recipe, recipe.read_text()), 2)
+    assert (tmp_path / "set" / "shard-000002.h5").read_bytes() == shard_bytes(made, 16)
     assert "other shards are missing still" in ran.stdout.replace("\n", " ")
     with pytest.raises(ConfigurationError, match="shards 0 to 2, got shard 3"):
         run("generate", recipe, "--out", tmp_path / "set", "--shard", 3)
@@ -125,9 +131,11 @@ def test_interrupted_it_says_how_to_go_on(recipe, tmp_path):
     assert "Traceback" not in said
 
 
-def test_killed_at_once_it_leaves_what_a_resumed_run_completes(recipe, tmp_path):
+def test_killed_at_once_it_leaves_what_a_resumed_run_completes(recipe, tmp_path, monkeypatch):
     recipe.write_text(RECIPE.format(count=80))
-    run("generate", recipe, "--out", tmp_path / "whole", "--workers", 1)
+    with monkeypatch.context() as within:
+        in_this_process(within)
+        run("generate", recipe, "--out", tmp_path / "whole")
     whole = {path.name: path.read_bytes() for path in (tmp_path / "whole").iterdir()}
     out = tmp_path / "set"
     given = ["generate", str(recipe), "--out", str(out), "--quiet"]
@@ -139,7 +147,7 @@ def test_killed_at_once_it_leaves_what_a_resumed_run_completes(recipe, tmp_path)
     finished = list(out.glob("shard-*.h5"))
     assert finished
     assert all(path.read_bytes() == whole[path.name] for path in finished)
-    run("generate", recipe, "--out", out, "--resume")
+    run("generate", recipe, "--out", out, "--workers", 1, "--resume")
     found = {path.name: path.read_bytes() for path in out.iterdir() if path.name[0] != "."}
     assert found == whole
 
@@ -169,7 +177,8 @@ def test_a_write_that_fails_in_a_worker_is_a_partial_error(recipe, tmp_path, mon
     assert not (out / "manifest.json").exists()
     monkeypatch.undo()
     kept = {shard: shard.stat().st_mtime_ns for shard in out.glob("shard-00000[012].h5")}
-    run("generate", recipe, "--out", out, "--workers", 1, "--resume")
+    in_this_process(monkeypatch)
+    run("generate", recipe, "--out", out, "--resume")
     assert {shard: shard.stat().st_mtime_ns for shard in kept} == kept
     assert len(open_dataset(out)) == 48
 

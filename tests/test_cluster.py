@@ -5,6 +5,7 @@ import signal
 import threading
 
 import pytest
+from shards_here import in_this_process
 
 from eitskin.datasets import Recipe, cluster, generate
 from eitskin.datasets.recipe import with_seed
@@ -32,6 +33,7 @@ def contents(folder):
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
+    """What a worker process makes."""
     folder = tmp_path_factory.mktemp("cluster") / "whole"
     generate(RECIPE, folder, workers=1)
     return contents(folder)
@@ -96,10 +98,12 @@ def test_an_address_where_nothing_answers_leaves_no_folder(tmp_path, address):
     assert not (tmp_path / "set").exists()
 
 
-# One shard at a time, as in arrays of jobs
+# One shard at a time, as in arrays of jobs. In the process of the test: what is tried is who begins
+# and who completes a folder; tests of the command make a shard with a worker.
 
 
-def test_the_last_of_the_single_shards_completes_the_set(whole, tmp_path):
+def test_the_last_of_the_single_shards_completes_the_set(whole, tmp_path, monkeypatch):
+    in_this_process(monkeypatch)
     folder = tmp_path / "set"
     for shard in (2, 0):
         assert generate(RECIPE, folder, shard=shard) is None
@@ -114,7 +118,8 @@ def test_the_last_of_the_single_shards_completes_the_set(whole, tmp_path):
     assert contents(folder) == whole
 
 
-def test_single_shards_made_at_the_same_time(whole, tmp_path):
+def test_single_shards_made_at_the_same_time(whole, tmp_path, monkeypatch):
+    in_this_process(monkeypatch)
     # Each begins the folder, and sees the half-written files of the others.
     folder, failed = tmp_path / "set", []
 
@@ -134,7 +139,8 @@ def test_single_shards_made_at_the_same_time(whole, tmp_path):
     assert contents(folder) == whole
 
 
-def test_half_written_files_of_others_are_left_alone(tmp_path):
+def test_half_written_files_of_others_are_left_alone(tmp_path, monkeypatch):
+    in_this_process(monkeypatch)
     (tmp_path / ".writing-other").write_bytes(b"half")
     generate(RECIPE, tmp_path, shard=1)
     assert (tmp_path / ".writing-other").exists()
@@ -142,7 +148,8 @@ def test_half_written_files_of_others_are_left_alone(tmp_path):
     assert not (tmp_path / ".writing-other").exists()
 
 
-def test_options_that_contradict_are_refused(tmp_path):
+def test_options_that_contradict_are_refused(tmp_path, monkeypatch):
+    in_this_process(monkeypatch)
     for shard in (-1, 3):
         with pytest.raises(ConfigurationError, match=f"shards 0 to 2, got shard {shard}"):
             generate(RECIPE, tmp_path / "set", shard=shard)

@@ -8,6 +8,7 @@ import sys
 
 import numpy as np
 import pytest
+from shards_here import in_this_process
 from threadpoolctl import threadpool_limits
 
 from eitskin.datasets import Recipe, State, generate, open_dataset, processes, read_shard
@@ -140,7 +141,8 @@ def test_killed_worker_costs_its_shard_once_more(whole, tmp_path):
     assert contents(folder) == contents(whole)
 
 
-def test_damaged_and_lost_shards_are_made_again(whole, tmp_path):
+def test_damaged_and_lost_shards_are_made_again(whole, tmp_path, monkeypatch):
+    in_this_process(monkeypatch)
     folder = tmp_path / "damaged"
     folder.mkdir()
     for name, content in contents(whole).items():
@@ -251,7 +253,8 @@ from eitskin.geometry.config import parse_toml
 
 if __name__ == "__main__":
     recipe = parse_toml(Recipe, sys.argv[1])
-    generate(recipe, sys.argv[2], 2, lambda done, total: print(done, flush=True), resume=True)
+    workers = int(sys.argv[3])
+    generate(recipe, sys.argv[2], workers, lambda done, _: print(done, flush=True), resume=True)
 """
 LONG = """
 name = "long"
@@ -267,8 +270,8 @@ def test_interrupts_in_a_row_end_it_once_and_leave_it_resumable(tmp_path) -> Non
     """As Ctrl-C pressed twice in a terminal, which signals the workers too."""
     script, out = tmp_path / "make.py", tmp_path / "set"
     script.write_text(SCRIPT)
-    run = [sys.executable, str(script), LONG, str(out)]
-    for _ in range(2):
+    for workers in ("2", "1"):
+        run = [sys.executable, str(script), LONG, str(out), workers]
         with subprocess.Popen(
             run, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
         ) as process:

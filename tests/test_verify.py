@@ -97,7 +97,9 @@ def test_wrong_number_of_frames(folder):
     assert "must hold 11 frames, got 10" in problems(folder)["shard-000004.h5"]
 
 
-def test_every_flip_and_cut_at_random_places_is_found(folder):
+def test_every_flip_and_cut_at_random_places_is_found(tmp_path):
+    folder = tmp_path / "set"
+    save_dataset(make(20), folder, frames_per_shard=10)
     rng = np.random.default_rng(0)
     paths = sorted(folder.glob("shard-*.h5"))
     for trial in range(60):

@@ -1,0 +1,34 @@
+"""Shards made in the process of the test, where it is not processes that are tried."""
+
+import threading
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from threadpoolctl import threadpool_limits
+
+from eitskin.datasets import Recipe, processes, write_shard
+from eitskin.datasets.shard import shard_name
+from eitskin.datasets.simulated import simulate_shard
+
+_one_at_a_time = threading.Lock()  # simulators are shared
+
+
+def make_shards(
+    recipe: Recipe,
+    folder: Path,
+    shards: Sequence[int],
+    workers: int,  # noqa: ARG001
+    report: Callable[[int], None],
+) -> list[int]:
+    """As that of `processes`, without the second that each worker takes to load."""
+    for shard in shards:
+        with _one_at_a_time, threadpool_limits(1):  # as in workers, on whose sums bytes depend
+            data = simulate_shard(recipe, shard)
+        write_shard(folder / shard_name(shard), data, recipe.shard_range(shard).start)
+        report(shard)
+    return []
+
+
+def in_this_process(monkeypatch):
+    """Let `generate` make shards here."""
+    monkeypatch.setattr(processes, "make_shards", make_shards)
