@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from eitskin.cli.options import TRAINING, Json, Output, Quiet, Seed, Verbose, ended_by_signals
+from eitskin.geometry import PartialError
 from eitskin.geometry.optional import require_all
 
 FOLDER, WORKERS = Path("build/demo"), 2
@@ -35,7 +36,7 @@ def command(
     try:
         with ended_by_signals():
             _run(out, data, workers, seed, output)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, PartialError):
         again = ["eitskin", "demo", "--out", str(out)]
         again += [] if data is None else ["--data", str(data)]
         again += [] if workers == WORKERS else ["--workers", str(workers)]

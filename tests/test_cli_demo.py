@@ -291,12 +291,13 @@ def test_a_folder_that_cannot_be_used_is_refused(tmp_path):
         keep(tmp_path / "nowhere" / "part.json", {}, lambda: Part({}))
 
 
-def test_an_interrupt_says_how_to_go_on(tmp_path, monkeypatch, capsys):
-    def interrupt(*_):
-        raise KeyboardInterrupt
+@pytest.mark.parametrize("what", [KeyboardInterrupt, PartialError])
+def test_what_was_stopped_says_how_to_go_on(what, tmp_path, monkeypatch, capsys):
+    def stop(*_):
+        raise what
 
-    monkeypatch.setattr("eitskin.cli.demo_stages.run_stages", interrupt)
-    with pytest.raises(KeyboardInterrupt):
+    monkeypatch.setattr("eitskin.cli.demo_stages.run_stages", stop)
+    with pytest.raises(what):
         demo.command(out=tmp_path / "a b", workers=5, seed=3)
     said = capsys.readouterr().err
     assert f"continue with: eitskin demo --out '{tmp_path}/a b' --workers 5 --seed 3\n" in said
