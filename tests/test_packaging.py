@@ -24,6 +24,13 @@ HEAVY = (
     "pytetwild",
     "pyeit",
 )
+# Each after those above it.
+STEPS = {
+    "frames": "import eitskin.simulator; from eitskin.simulator import Frame, Protocol",
+    "simulator": "from eitskin.geometry import *; from eitskin.simulator import *",
+    "scenes": "Simulator(SensorDesign.reference(), 'fast').measure_all([Scene()])",
+    "datasets": "import eitskin.datasets",
+}
 
 
 def test_the_wheel_holds_every_module_of_the_tree(tmp_path) -> None:
@@ -44,20 +51,27 @@ def test_the_wheel_holds_every_module_of_the_tree(tmp_path) -> None:
     assert not [name for name in held if name.startswith(FOLDERS)]
 
 
-def loaded(code: str, packages: tuple[str, ...]) -> list[str]:
-    """Which of the packages are in memory after `code`, in a process of its own."""
-    code += f"; import sys; print(*[m for m in {packages} if m in sys.modules])"
+@pytest.fixture(scope="module")
+def loaded() -> dict[str, set[str]]:
+    """What is in memory after each step of one process, by the step's name."""
+    told = "import sys; print(*sys.modules)"
+    code = "\n".join(f"{step}; {told}" for step in STEPS.values())
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    return done.stdout.split()
+    lines = done.stdout.splitlines()
+    return {step: set(line.split()) for step, line in zip(STEPS, lines, strict=True)}
 
 
-def test_the_simulator_loads_no_heavy_package() -> None:
-    assert loaded("from eitskin.geometry import *; from eitskin.simulator import *", HEAVY) == []
+def test_the_simulator_loads_no_heavy_package(loaded) -> None:
+    assert loaded["simulator"] & set(HEAVY) == set()
 
 
-def test_frames_and_protocols_load_no_solver() -> None:
-    code = "import eitskin.simulator; from eitskin.simulator import Frame, Protocol"
-    assert loaded(code, ("scipy", "skfem", "numpy")) == ["numpy"]
+def test_frames_and_protocols_load_no_solver(loaded) -> None:
+    assert loaded["frames"] & {"scipy", "skfem", "numpy"} == {"numpy"}
+
+
+def test_torch_is_loaded_by_batches_alone(loaded) -> None:
+    assert "torch" not in loaded["scenes"]
+    assert loaded["datasets"] & {"torch", "dask"} == set()
 
 
 def test_every_name_of_the_simulator_is_there_once_it_is_asked_for() -> None:

@@ -211,8 +211,13 @@ def test_groups_are_solved_once_per_specimen_and_untouched_once_per_angle(monkey
 
 def test_a_shard_may_begin_in_the_middle_of_a_block():
     """But for the 1e-2 of a touch's signal that the engine may leave where touches share a bend."""
-    one, other = simulate_shard(GROUPED, 0), simulate_shard(GROUPED, 1)
-    whole = simulate_shard(dataclasses.replace(GROUPED, frames_per_shard=50), 0)
+    short = dataclasses.replace(GROUPED, frames_per_shard=6)
+    before, after = (sample(short, index).scene for index in (5, 6))
+    assert before.bend == after.bend
+    assert before.touches
+    assert after.touches
+    one, other = simulate_shard(short, 0), simulate_shard(short, 1)
+    whole = simulate_shard(dataclasses.replace(GROUPED, frames_per_shard=12), 0)
     for name in ("impedance", "touch_reference", "touch_x", "bend_angle_deg", "specimen"):
         joined = np.concatenate([getattr(one, name), getattr(other, name)])
         assert getattr(whole, name) == pytest.approx(joined, rel=5e-5, nan_ok=True), name
