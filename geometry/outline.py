@@ -43,18 +43,23 @@ class _Plane:
 
         Raises ConfigurationError, naming the nearest place, for one that is not on it.
         """
-        s, depth = self.nearest(np.array([x, y]))
-        if not abs(depth) <= _ON * self._size():
-            near_x, near_y = self.at(s)
-            raise ConfigurationError(
-                f"({x:g}, {y:g}) m is {abs(depth):g} m off the outline; the nearest place on it is "
-                f"({near_x:.9g}, {near_y:.9g}) m"
-            )
-        return float(s)
+        return _located(self, x, y)
 
     def _size(self) -> float:
         """Larger extent [m]."""
         raise NotImplementedError
+
+
+@lru_cache(maxsize=1024)  # the same electrodes are placed for every change of a design
+def _located(outline: _Plane, x: float, y: float) -> float:
+    s, depth = outline.nearest(np.array([x, y]))
+    if not abs(depth) <= _ON * outline._size():
+        near_x, near_y = outline.at(s)
+        raise ConfigurationError(
+            f"({x:g}, {y:g}) m is {abs(depth):g} m off the outline; the nearest place on it is "
+            f"({near_x:.9g}, {near_y:.9g}) m"
+        )
+    return float(s)
 
 
 class _Sided(_Plane):
