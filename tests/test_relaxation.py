@@ -197,7 +197,7 @@ def test_materials_of_equal_times_merge():
     assert both.amplitudes == pytest.approx((0.05, 0.3))
 
 
-MODULI, DEPTH = np.array([28e3, 12e3]), 0.0008
+MODULI, DEPTH = np.array([28e3, 12e3]), 0.0004
 
 
 @cache
