@@ -9,7 +9,12 @@ import pytest
 from layouts_fakes import FEW, FEWEST, flat_bound
 from typer.testing import CliRunner
 
-from eitskin.benchmarks import layouts_report, layouts_run, layouts_store
+from eitskin.benchmarks import (
+    layouts_report,
+    layouts_run,
+    layouts_store,
+    layouts_trained_report,
+)
 from eitskin.benchmarks.layouts import PAPER, Layout, paper, sweeps, with_electrodes
 from eitskin.benchmarks.layouts_bound import Sampling, SheetBound, own_mirrors
 from eitskin.benchmarks.layouts_free import FreePlan, exchanged, free_search, images
@@ -212,6 +217,7 @@ def test_command_writes_table_and_maps(tmp_path, monkeypatch):
         assert (tmp_path / name).read_bytes()[:4] == b"\x89PNG"
     before = len(judged)
     monkeypatch.setattr(layouts_report, "plot_maps", lambda _, path: path.write_bytes(b""))
+    monkeypatch.setattr(layouts_trained_report, "plot", lambda _, path: path.write_bytes(b""))
     shown = CliRunner().invoke(app, [*arguments, "--sweep", "contact"])
     assert shown.exit_code == 0, shown.output
     assert "0.01 ohm m2" in shown.output

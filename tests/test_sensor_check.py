@@ -14,7 +14,7 @@ from eitskin.cli.main import app
 from eitskin.datasets import Recipe
 from eitskin.datasets.sampling import specimen
 from eitskin.geometry import ConfigurationError, FrameError
-from eitskin.hardware import port
+from eitskin.hardware import port, virtual
 from eitskin.hardware.finding import What
 from eitskin.hardware.port import PortInfo
 from eitskin.hardware.sensor_check import check_sensor
@@ -303,6 +303,9 @@ def test_frames_that_do_not_belong_together():
 # ---- the command ----
 
 
+kept_simulator = lru_cache(Simulator)  # of the sensor that all of the boards have
+
+
 def run(*arguments):
     return CliRunner().invoke(app, ["check", *arguments])
 
@@ -331,7 +334,8 @@ def test_the_command_finds_nothing_on_a_healthy_board():
         ("phase_360@0", []),
     ],
 )
-def test_the_command_names_the_faults_of_a_virtual_board(faults, expected):
+def test_the_command_names_the_faults_of_a_virtual_board(faults, expected, monkeypatch):
+    monkeypatch.setattr(virtual, "Simulator", kept_simulator)
     result = run("--json", "--board", f"virtual:?speed=max&faults={faults}")
     said = json.loads(result.stdout)
     assert [(each["what"], each["electrodes"]) for each in said["findings"]] == expected
