@@ -58,6 +58,11 @@ def properties(each):
     }
 
 
+@cache
+def spread_properties():
+    return [properties(each) for each in made(SPREAD)]
+
+
 NOMINAL = properties(made(Specimens())[0])
 RELATIVE = (
     "conductivity",
@@ -86,7 +91,7 @@ def test_without_spread_every_specimen_is_nominal():
 
 @pytest.mark.parametrize("name", NOMINAL)
 def test_spread_has_the_standard_deviation_that_was_asked_for(name):
-    values = np.array([properties(each)[name] for each in made(SPREAD)])
+    values = np.array([each[name] for each in spread_properties()])
     asked = getattr(SPREAD, name)
     deviation = values - NOMINAL[name]
     if name in RELATIVE:
