@@ -77,13 +77,12 @@ class Load:
 
 
 class Factorised(Protocol):
-    """A symmetric matrix that can be solved with.
+    """A symmetric matrix that can be solved with."""
 
-    Attributes:
-        negative: number of its negative eigenvalues.
-    """
-
-    negative: int
+    @property
+    def negative(self) -> int:
+        """Number of its negative eigenvalues."""
+        ...
 
     def solve(self, right: Array) -> Array:
         """The solution (n,) for a right side (n,)."""
@@ -105,7 +104,11 @@ class SparseLU:
             diag_pivot_thresh=0.0,
             options={"SymmetricMode": True},
         )
-        self.negative = int(np.count_nonzero(self._lu.U.diagonal() < 0.0))
+
+    @property
+    def negative(self) -> int:
+        """Number of its negative eigenvalues."""
+        return int(np.count_nonzero(self._lu.U.diagonal() < 0.0))
 
     def solve(self, right: Array) -> Array:
         """The solution (n,) for a right side (n,)."""
@@ -125,12 +128,14 @@ def newton(parts: Sequence[Part], x: Array, load: Load, factorise: Factorise = S
     start = np.abs(x).max()  # where all loads are taken off, x itself goes to zero
     constraints = sum(part.multipliers for part in parts)
     for iteration in range(_ITERATIONS):
-        step, negative, unbalanced = _correction(parts, x, load, free, factorise)
+        step, factorised, unbalanced = _correction(parts, x, load, free, factorise)
         # At first full steps find out quickly what touches; later ones must not go in circles.
         limit = np.inf if iteration < _FULL_STEPS else unbalanced
         x = _corrected(parts, x, step, load.forces, free, limit)
         if np.abs(step).max() <= _TOLERANCE * max(start, np.abs(x).max()):
-            if negative != constraints:
+            # The potential has a minimum over displacements, given the constraints, where there
+            # are as many negative pivots as multipliers (Sylvester's law of inertia).
+            if factorised.negative != constraints:
                 raise SolidError("the equilibrium is unstable: it would buckle or crease")
             return x
     raise SolidError(f"Newton's method does not converge in {_ITERATIONS} iterations")
@@ -148,12 +153,8 @@ def _reached(parts: Sequence[Part], x: Array, load: Load) -> tuple[Array, tuple[
 
 def _correction(
     parts: Sequence[Part], x: Array, load: Load, free: Indices, factorise: Factorise
-) -> tuple[Array, int, float]:
-    """The Newton step, the number of negative pivots of the stiffness, and the unbalanced force.
-
-    The potential has a minimum over displacements, given the constraints, where there are as many
-    negative pivots as multipliers (Sylvester's law of inertia).
-    """
+) -> tuple[Array, Factorised, float]:
+    """The Newton step, the stiffness that gave it, and the unbalanced force."""
     linearised = [part.linearise(x) for part in parts]
     residual = sum((forces for forces, _ in linearised), start=-load.forces)
     K = sum((stiffness for _, stiffness in linearised[1:]), start=linearised[0][1])
@@ -166,7 +167,7 @@ def _correction(
     step[free] = factorised.solve((-residual - K @ step)[free])
     if not np.all(np.isfinite(step)):
         raise SolidError("the stiffness is singular")
-    return step, factorised.negative, float(np.linalg.norm(residual[free]))
+    return step, factorised, float(np.linalg.norm(residual[free]))
 
 
 def _corrected(
