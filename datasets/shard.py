@@ -4,7 +4,7 @@ import hashlib
 import json
 import threading
 from collections.abc import Mapping
-from functools import lru_cache
+from functools import cache, lru_cache
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -78,8 +78,9 @@ def read_shard(path: Path, first_index: int | None = None) -> Dataset:
         ) from error
 
 
-def package_versions() -> dict[str, str]:
-    """Versions of the packages that decide over the numbers in a dataset."""
+@cache
+def package_versions() -> Mapping[str, str]:
+    """Versions of the packages that decide over the numbers in a dataset; looked up once."""
     versions = {}
     for package in ("eitskin", "h5py", "numpy", "scikit-fem", "scipy"):
         try:

@@ -114,7 +114,7 @@ def test_interrupted_it_says_how_to_go_on(recipe, tmp_path):
     """As Ctrl-C in a terminal: exit code 130, and a line to copy that finishes the set."""
     recipe.write_text(RECIPE.format(count=20000))
     out = tmp_path / "a set"
-    given = ["generate", str(recipe), "--out", str(out), "--seed", "9", "--quiet"]
+    given = ["generate", str(recipe), "--out", str(out), "--seed", "9", "--workers", "1", "--quiet"]
     with subprocess.Popen(
         [sys.executable, "-c", COMMAND, *given],
         stderr=subprocess.PIPE,
@@ -133,21 +133,20 @@ def test_interrupted_it_says_how_to_go_on(recipe, tmp_path):
 
 def test_killed_at_once_it_leaves_what_a_resumed_run_completes(recipe, tmp_path, monkeypatch):
     recipe.write_text(RECIPE.format(count=80))
-    with monkeypatch.context() as within:
-        in_this_process(within)
-        run("generate", recipe, "--out", tmp_path / "whole")
+    in_this_process(monkeypatch)  # but for the one that is killed
+    run("generate", recipe, "--out", tmp_path / "whole")
     whole = {path.name: path.read_bytes() for path in (tmp_path / "whole").iterdir()}
     out = tmp_path / "set"
-    given = ["generate", str(recipe), "--out", str(out), "--quiet"]
+    given = ["generate", str(recipe), "--out", str(out), "--workers", "1", "--quiet"]
     with subprocess.Popen([sys.executable, "-c", COMMAND, *given]) as process:
         wait_for_a_shard(process, out)
-        process.kill()  # its workers notice by themselves
+        process.kill()  # its worker notices by itself
     assert process.returncode == -signal.SIGKILL
     assert not (out / "manifest.json").exists()
     finished = list(out.glob("shard-*.h5"))
     assert finished
     assert all(path.read_bytes() == whole[path.name] for path in finished)
-    run("generate", recipe, "--out", out, "--workers", 1, "--resume")
+    run("generate", recipe, "--out", out, "--resume")
     found = {path.name: path.read_bytes() for path in out.iterdir() if path.name[0] != "."}
     assert found == whole
 

@@ -230,7 +230,7 @@ def test_scene_files_name_indenters(tmp_path) -> None:
 def ball(tmp_path) -> Path:
     trimesh = pytest.importorskip("trimesh")
     path = tmp_path / "ball.stl"
-    trimesh.creation.icosphere(subdivisions=5, radius=7.5).export(path)
+    trimesh.creation.icosphere(subdivisions=4, radius=7.5).export(path)
     return path
 
 
