@@ -223,10 +223,10 @@ def train(
         layouts = [paper(), one_sided()]
         if not quick:
             counts = sweeps()["count"]
-            best = [
-                at_arcs(name, found.arcs)
-                for name, found in _best(judge, folder / "parts", quick).items()
-            ]
+            names: dict[tuple[float, ...], list[str]] = {}  # both searches may find the same
+            for name, found in _best(judge, folder / "parts", quick).items():
+                names.setdefault(tuple(found.arcs), []).append(name)
+            best = [at_arcs(" and ".join(each), arcs) for arcs, each in names.items()]
             layouts = [layouts[0], *best, counts[0], counts[-1], layouts[1]]
         bounds = judge([(layout, _QUICK if quick else SAMPLING) for layout in layouts])
     lesson = layouts_trained.QUICK if quick else Lesson(seed=SEED)

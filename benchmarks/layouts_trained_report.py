@@ -106,11 +106,15 @@ def plot(trained: Training, path: Path) -> None:
     """Draw errors over bounds, with the line where a pipeline would reach the bound."""
     figure = require("matplotlib.figure", "bench").Figure(figsize=(6.0, 4.5), layout="constrained")
     axes = figure.subplots()
-    for each in trained.learned:
+    for i, each in enumerate(sorted(trained.learned, key=lambda each: each.bound_rms_mm)):
         if each.error_rms_mm is not None:
             axes.plot(each.bound_rms_mm, each.error_rms_mm, "o", color="#1f5f8b")
             at = (each.bound_rms_mm, each.error_rms_mm)
-            axes.annotate(each.layout, at, (5, 4), textcoords="offset points", fontsize=8)
+            # Above and below in turn: neighbours' names would lie upon each other.
+            axes.annotate(
+                each.layout, at, (0, (-14, 7)[i % 2]), textcoords="offset points",
+                fontsize=8, ha="center", annotation_clip=False,
+            )  # fmt: skip
     ends = np.array([min(each.bound_rms_mm for each in trained.learned) / 2, 20.0])
     axes.plot(ends, ends, color="#888888", linewidth=1.0)
     axes.set(xscale="log", yscale="log")
