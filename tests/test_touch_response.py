@@ -2,6 +2,8 @@
 
 from dataclasses import replace
 
+import dataclasses
+
 import numpy as np
 import pytest
 import torch
@@ -208,9 +210,11 @@ def test_strengths_of_specimens_do_not_blur_it(trained):
     np.testing.assert_allclose(strengths, STRENGTHS, rtol=0.07)
 
 
-def test_network_says_what_it_was_trained_to_say():
-    """The response without torch is the network's own, frame by frame."""
+@pytest.mark.parametrize("features", [0, 1])
+def test_network_says_what_it_was_trained_to_say(features):
+    """The response without torch is the network's own, frame by frame; one specimen has none."""
     data = frames(40, 4)
+    data = dataclasses.replace(data, features=data.features[:, :features])
     network = ResponseNetwork(data)
     network.unseen.data[:] = torch.tensor([0.3, -0.5])  # the same for all: then it is none
     with torch.inference_mode():

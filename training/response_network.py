@@ -89,7 +89,7 @@ class ResponseNetwork(nn.Module):
         summed = (hidden * factors[..., None]).sum(dim=1)
         terms = self.output(summed).reshape(len(packed), -1, self.channels)
         number = specimen[:, 0].long()
-        share = torch.cat([torch.ones_like(features[:, :1]), features, self.unseen[number]], dim=1)
+        share = torch.cat([torch.ones_like(specimen), features, self.unseen[number]], dim=1)
         strength = torch.exp(self.log_strength - self.log_strength.mean())
         change: Tensor = torch.einsum("npc,np->nc", terms, share)
         return change * strength[number][:, None]
