@@ -2,8 +2,6 @@
 
 from dataclasses import replace
 
-import dataclasses
-
 import numpy as np
 import pytest
 import torch
@@ -214,7 +212,7 @@ def test_strengths_of_specimens_do_not_blur_it(trained):
 def test_network_says_what_it_was_trained_to_say(features):
     """The response without torch is the network's own, frame by frame; one specimen has none."""
     data = frames(40, 4)
-    data = dataclasses.replace(data, features=data.features[:, :features])
+    data = replace(data, features=data.features[:, :features])
     network = ResponseNetwork(data)
     network.unseen.data[:] = torch.tensor([0.3, -0.5])  # the same for all: then it is none
     with torch.inference_mode():
