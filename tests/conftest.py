@@ -10,24 +10,22 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 # Solved presses are kept between runs, apart from the user's own.
 os.environ.setdefault("EITSKIN_CACHE", str(Path(__file__).parents[1] / ".pytest_cache" / "kernels"))
 
-# Files that take longest come first, so that no worker is left alone with one of them at the end.
+# Files that take longest come first, so that no worker is left alone with one of them at the end;
+# the second is one that needs no table of presses, which the first has the time to solve.
 LONGEST = (
     "test_cli_demo",
+    "test_indentation",
+    "test_bench",
     "test_gallery",
     "test_generate",
-    "test_cluster",
-    "test_indentation",
-    "test_cli_generate",
     "test_pressed",
-    "test_bench_paper",
-    "test_saved_pipeline",
-    "test_bench",
-    "test_bench_layouts",
+    "test_cli_generate",
     "test_calibration",
-    "test_thread",
-    "test_cli_train",
-    "test_batches",
-    "test_sampling",
+    "test_stability",
+    "test_vtu",
+    "test_convergence",
+    "test_view",
+    "test_delaunay",
 )
 
 

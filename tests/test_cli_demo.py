@@ -43,10 +43,10 @@ def tiny_plan(seed=0):
         return Recipe(name, scenes, seed=seed, frames_per_shard=200)
 
     lessons = (
-        SceneGroup("idle", 40),
-        SceneGroup("bend", 60, angle_deg=(-20.0, 50.0)),
-        touches(40, touches=(1, 4)),
-        touches(20, angle_deg=(-20.0, 50.0), touches=(1, 4)),
+        SceneGroup("idle", 20),
+        SceneGroup("bend", 25, angle_deg=(-20.0, 50.0)),
+        touches(20, touches=(1, 4)),
+        touches(10, angle_deg=(-20.0, 50.0), touches=(1, 4)),
     )
     tests = (
         SceneGroup("idle", 6),
