@@ -113,7 +113,7 @@ def plot(trained: Training, path: Path) -> None:
             # Above and below in turn: neighbours' names would lie upon each other.
             axes.annotate(
                 each.layout, at, (0, (-14, 7)[i % 2]), textcoords="offset points",
-                fontsize=8, ha="center", annotation_clip=False,
+                fontsize=8, ha=("left", "right")[i % 2],
             )  # fmt: skip
     ends = np.array([min(each.bound_rms_mm for each in trained.learned) / 2, 20.0])
     axes.plot(ends, ends, color="#888888", linewidth=1.0)

@@ -231,7 +231,7 @@ def _read(file: h5py.File) -> Dataset:
 
 @lru_cache(maxsize=8)
 def _read_design(text: str) -> SensorDesign:
-    """Kept, since all shards of a set hold the same, and reading it takes a third of their time."""
+    """Kept, since all shards of a set hold the same."""
     return parse_toml(SensorDesign, text, "attribute 'design'")
 
 

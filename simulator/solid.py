@@ -239,8 +239,11 @@ class Solid:
             if self.kinematics == "axisymmetric":
                 F[..., 2, 2] += (u[:, :1] @ self._hoops)[:, 0]
             H = cofactor(F)
+            J = determinant(F, H)
+            for kept in (F, H, J):
+                kept.flags.writeable = False  # who asks for them gets these very arrays
             p = self._pressure_scale * (x[self._pressure_numbers] @ self._pressure_values)
-            self._last = _Strained(x.copy(), F, H, determinant(F, H), p)
+            self._last = _Strained(x.copy(), F, H, J, p)
         return self._last
 
     def _mean_stress(self, at: _Strained) -> Array:

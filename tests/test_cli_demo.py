@@ -21,12 +21,12 @@ from eitskin.cli.demo_stages import STAGES, run_stages
 from eitskin.cli.options import Output
 from eitskin.datasets import Recipe, processes
 from eitskin.datasets.scene_group import SceneGroup
-from eitskin.datasets.shard import shard_name, write_shard
-from eitskin.datasets.simulated import simulate_shard
 from eitskin.geometry import ConfigurationError, DataError, PartialError
 from eitskin.training import Report
 from eitskin.training.observed import fingerprint
 from eitskin.training.report_table import table_rows
+
+from shards_here import make_shards
 
 TIMES = re.compile("seconds|date|latency|_ms$")
 DOT = bytes.fromhex(
@@ -82,17 +82,8 @@ def run(folder, at=None, data=None):
     return write_demo_report(run_stages(here), here)
 
 
-def make_here(recipe, folder, shards, workers, report):  # noqa: ARG001
-    """Shards without processes of their own."""
-    for shard in shards:
-        data = simulate_shard(recipe, shard)
-        write_shard(folder / shard_name(shard), data, recipe.shard_range(shard).start)
-        report(shard)
-    return []
-
-
 def as_they_stand(figure, svg=demo_parts._svg):
-    """Figures without room made for their texts, which takes half of the time."""
+    """Figures without room made for their texts, which takes long."""
     figure.set_layout_engine("none")
     return svg(figure)
 
@@ -103,7 +94,7 @@ def quickly():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(demo_parts, "_svg", as_they_stand)
         patch.setattr(demo_sensor, "_rendered", lambda _: DOT)
-        patch.setattr(processes, "make_shards", make_here)
+        patch.setattr(processes, "make_shards", make_shards)
         patch.setattr(demo_folder, "train_pipeline", trained_once())
         yield
 

@@ -10,7 +10,6 @@ import sys
 
 import numpy as np
 import pytest
-from shards_here import in_this_process
 from typer.testing import CliRunner
 
 from eitskin.cli.main import app
@@ -20,6 +19,7 @@ from eitskin.datasets.simulated import simulate_shard
 from eitskin.geometry import ConfigurationError, DataError, PartialError
 from eitskin.geometry.config import parse_toml
 
+from shards_here import in_this_process
 from small_dataset import make
 
 RECIPE = """

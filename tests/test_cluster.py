@@ -5,13 +5,14 @@ import signal
 import threading
 
 import pytest
-from shards_here import in_this_process
 
 from eitskin.datasets import Recipe, cluster, generate
 from eitskin.datasets.recipe import with_seed
 from eitskin.datasets.scene_group import SceneGroup
 from eitskin.datasets.shard import shard_name
 from eitskin.geometry import ConfigurationError, PartialError
+
+from shards_here import in_this_process
 
 distributed = pytest.importorskip("distributed")
 dask = pytest.importorskip("dask")

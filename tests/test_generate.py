@@ -8,7 +8,6 @@ import sys
 
 import numpy as np
 import pytest
-from shards_here import in_this_process
 from threadpoolctl import threadpool_limits
 
 from eitskin.datasets import Recipe, State, generate, open_dataset, processes, read_shard
@@ -20,6 +19,8 @@ from eitskin.datasets.simulated import simulate_shard
 from eitskin.datasets.specimen import Specimens
 from eitskin.geometry import Bend, ConfigurationError, PartialError
 from eitskin.simulator import Instrument, Scene, Simulator
+
+from shards_here import in_this_process
 
 RECIPE = Recipe(
     "small",
