@@ -3,6 +3,8 @@
 import os
 from pathlib import Path
 
+import pytest
+
 # As the command line does, and for torch too; here before the first test module loads them. Workers
 # are processes of their own: more threads than cores only wait for each other.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -33,3 +35,22 @@ def pytest_collection_modifyitems(items):
     """Long files first; else in their order."""
     ranks = {name: rank for rank, name in enumerate(LONGEST)}
     items.sort(key=lambda item: ranks.get(item.path.stem, len(LONGEST)))
+
+
+@pytest.fixture
+def connection():
+    """A board that is no board, for the live page."""
+    from page_fakes import FakeConnection
+
+    return FakeConnection()
+
+
+@pytest.fixture
+def page(connection):
+    """The live page of that board."""
+    from eitskin.cli.page import Page
+
+    from page_fakes import DESIGN
+
+    with Page(connection, DESIGN) as made:
+        yield made

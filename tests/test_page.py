@@ -21,7 +21,6 @@ from eitskin.training.perceived import FoundTouches
 from page_fakes import (
     DESIGN,
     PROTOCOL,
-    FakeConnection,
     FakeEstimate,
     Info,
     Stream,
@@ -29,17 +28,6 @@ from page_fakes import (
     port_of,
     reading,
 )
-
-
-@pytest.fixture
-def connection():
-    return FakeConnection()
-
-
-@pytest.fixture
-def page(connection):
-    with Page(connection, DESIGN) as made:
-        yield made
 
 
 @pytest.fixture

@@ -22,21 +22,16 @@ from page_fakes import (
 )
 
 
-@pytest.fixture
-def connection():
+@pytest.fixture(scope="module")
+def unchanged():
+    """The connection of `refusing`."""
     return FakeConnection()
 
 
-@pytest.fixture
-def page(connection):
-    with Page(connection, DESIGN) as made:
-        yield made
-
-
 @pytest.fixture(scope="module")
-def refusing():
+def refusing(unchanged):
     """A page for many requests that change nothing."""
-    with Page(FakeConnection(), DESIGN) as made:
+    with Page(unchanged, DESIGN) as made:
         yield made
 
 
@@ -117,9 +112,8 @@ def test_a_scene_is_set(page, connection) -> None:
         ({"bend_deg": 13}, "an unlucky one"),
     ],
 )
-def test_what_cannot_be_a_scene_is_refused_in_words(refusing, data, message) -> None:
-    stage = refusing._connection.board.stage
-    stage.scene = Scene()
+def test_what_cannot_be_a_scene_is_refused_in_words(refusing, unchanged, data, message) -> None:
+    stage = unchanged.board.stage
     status, answer = post(refusing, "/scene", data)
     assert status == 400
     assert any(part in answer["error"] for part in message.split("|")), answer
