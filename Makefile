@@ -18,7 +18,7 @@ test: $(VENV)/installed
 	$(BIN)/python -m pytest $(WORKERS) $(ARGS)
 
 # By lines; physics, datasets and codecs must have 95 %, each by itself. docs/testing.md has the table.
-CODEC := hardware/packets.py,hardware/messages.py,hardware/text_*.py
+CODEC := hardware/protocol/packets.py,hardware/protocol/messages.py,hardware/text_*.py
 coverage: $(VENV)/installed
 	rm -rf build/coverage && mkdir -p build/coverage
 	$(BIN)/coverage run -m pytest $(WORKERS) $(ARGS)
@@ -35,7 +35,7 @@ lint: $(VENV)/installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/lint-imports
+	cd .types && ../$(BIN)/lint-imports --config ../pyproject.toml
 
 # The reference as HTML that needs no network, in build/docs: every public name, and the modules
 # that pages tell of beside them.

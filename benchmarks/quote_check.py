@@ -11,8 +11,8 @@ import numpy as np
 from eitskin.benchmarks.markdown_tables import value_of
 from eitskin.benchmarks.quotes import ROOT, Number, Page, Picture, pages, unit_of
 from eitskin.benchmarks.results import Results, found_results
-from eitskin.geometry import ConfigurationError
-from eitskin.geometry.optional import require
+from eitskin.errors import ConfigurationError
+from eitskin.extras import require
 
 SHADE = 0.1  # difference of a channel, of 0 to 1, below which two points are alike
 

@@ -27,7 +27,7 @@ from pathlib import Path
 import msgspec
 
 from eitskin.benchmarks.markdown_tables import NUMBER, keyed, numbers, tables
-from eitskin.geometry import ConfigurationError
+from eitskin.errors import ConfigurationError
 
 ROOT = Path(__file__).parent.parent
 """Of the checkout, whose documents are read."""

@@ -12,11 +12,11 @@ from typing import Any
 
 import msgspec
 
-from eitskin.benchmarks.provenance import Provenance
 from eitskin.benchmarks.tables import write_table
-from eitskin.datasets.folder import make_folder
-from eitskin.geometry import DataError
-from eitskin.geometry.whole_file import whole_file
+from eitskin.datasets.store.folder import make_folder
+from eitskin.errors import DataError
+from eitskin.files import whole_file
+from eitskin.provenance import Provenance
 
 RESULTS, TABLE, INDEX = "results.json", "table.csv", "index.md"
 Plots = Mapping[str, Callable[[Path], object]]

@@ -1,7 +1,8 @@
 """All benchmarks, one after the other: `eitskin bench all`.
 
 Some are commands of `eitskin bench` that write their results themselves. The others leave a report
-in Markdown, most by printing it, `python -m eitskin.benchmarks.NAME`: its tables become results.
+in Markdown, most by printing it, `python -m eitskin.benchmarks.studies.NAME`: its tables become
+results.
 """
 
 import subprocess
@@ -13,11 +14,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from eitskin.benchmarks.markdown_tables import figures
-from eitskin.benchmarks.provenance import Provenance
 from eitskin.benchmarks.results import RESULTS, Results, read_results, write_results
-from eitskin.datasets.folder import make_folder
-from eitskin.geometry import DataError
-from eitskin.geometry.whole_file import whole_file
+from eitskin.datasets.store.folder import make_folder
+from eitskin.errors import DataError
+from eitskin.files import whole_file
+from eitskin.provenance import Provenance
 
 EITSKIN = (sys.executable, "-c", "from eitskin.cli.main import run; run()")
 REPORT = "report.md"
@@ -62,7 +63,11 @@ class Benchmark:
         options = self.quick if quick else self.options
         given = [part.format_map(places) for part in options or ()]
         seeds = ["--seed", str(seed)] if self.seeded else []
-        what = ["bench", self.name] if self.command else ["-m", f"eitskin.benchmarks.{self.name}"]
+        what = (
+            ["bench", self.name]
+            if self.command
+            else ["-m", f"eitskin.benchmarks.studies.{self.name}"]
+        )
         return [*what, *seeds, *given]
 
 

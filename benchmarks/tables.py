@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from eitskin.geometry.whole_file import whole_file
+from eitskin.files import whole_file
 
 
 def write_table(path: Path, rows: Sequence[dict[str, Any]], comment: str) -> None:

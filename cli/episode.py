@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from rich.table import Table
 
-from eitskin.geometry import Bend
-from eitskin.simulator import Scene, Touch
+from eitskin.geometry.deformation.fixtures import Bend
+from eitskin.simulator.scene.scene import Scene
+from eitskin.simulator.scene.touch import Touch
 
 if TYPE_CHECKING:
     from eitskin.hardware.live import FramePipeline, Reading
@@ -37,8 +38,9 @@ def run_episode(pipeline: "FramePipeline", seed: int, frames: int = FRAMES) -> l
     the state that most of its frames were given, the median angle, and the touches of its last;
     and state, angle and time of each of its frames.
     """
-    from eitskin.hardware import Script, Step, open_board
     from eitskin.hardware.live import run_live
+    from eitskin.hardware.opening import open_board
+    from eitskin.hardware.virtual.scene_script import Script, Step
 
     script = Script(tuple(Step(scene, frames) for scene in STEPS), repeat=False)
     readings: list[Reading] = []
@@ -72,7 +74,7 @@ def episode_table(rows: Sequence[dict[str, Any]]) -> Table:
 
 
 def _row(scene: Scene, readings: Sequence["Reading"]) -> dict[str, Any]:
-    from eitskin.training import metrics
+    from eitskin.training.evaluation import metrics
 
     estimates = [reading.estimate for reading in readings if reading.estimate is not None]
     names = [str(getattr(e.state, "name", e.state)).lower() for e in estimates]

@@ -11,8 +11,9 @@ from rich.table import Table
 from rich.text import Text
 
 if TYPE_CHECKING:
-    from eitskin.hardware import Counts, Estimate, Reading
-    from eitskin.simulator import Frame
+    from eitskin.frame import Frame
+    from eitskin.hardware.boards.board import Counts
+    from eitskin.hardware.live import Estimate, Reading
 
 SHOWN = 0.3  # of the touch map; fainter pixels stay dark
 
@@ -136,7 +137,7 @@ def state_name(estimate: "Estimate") -> str:
 
 
 def _status_text(bits: int) -> str:
-    from eitskin.simulator import Status
+    from eitskin.frame import Status
 
     names = [flag.name.lower().replace("_", " ") for flag in Status if flag.name and flag & bits]
     return ", ".join(names) or f"status {bits:#04x}"

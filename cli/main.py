@@ -6,13 +6,12 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
-from eitskin.cli import (
+from eitskin.cli.commands import (
     bench,
     board,
     calibrate,
     check,
     dataset,
-    demo,
     evaluate,
     export,
     generate,
@@ -22,7 +21,8 @@ from eitskin.cli import (
     simulate,
     train,
 )
-from eitskin.geometry import EitskinError
+from eitskin.cli.demo import command as demo
+from eitskin.errors import EitskinError
 
 EXIT_USAGE = 2
 

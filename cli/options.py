@@ -12,7 +12,7 @@ import typer
 from rich.console import Console, RenderableType
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from eitskin.geometry import ConfigurationError
+from eitskin.errors import ConfigurationError
 
 Seed = Annotated[int, typer.Option(help="Seed of everything random; same seed, same result.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")]

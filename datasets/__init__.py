@@ -1,32 +1,5 @@
 """Frames in quantity: what to generate, generating it, keeping it, reading it back."""
 
-from eitskin.datasets.dataset import Dataset
-from eitskin.datasets.folder import open_dataset, save_dataset
-from eitskin.datasets.generate import generate
-from eitskin.datasets.recipe import Recipe
-from eitskin.datasets.recordings import RecordingNames, read_recording
-from eitskin.datasets.shard import read_shard, write_shard
-from eitskin.datasets.state import UNKNOWN_STATE, State
-from eitskin.datasets.torch_dataset import ShuffledShards, TorchDataset
-from eitskin.datasets.touch_map import touch_maps
-from eitskin.datasets.verify import verify
-from eitskin.datasets.writer import ShardWriter
+from eitskin.lazy import offered
 
-__all__ = [
-    "UNKNOWN_STATE",
-    "Dataset",
-    "Recipe",
-    "RecordingNames",
-    "ShardWriter",
-    "ShuffledShards",
-    "State",
-    "TorchDataset",
-    "generate",
-    "open_dataset",
-    "read_recording",
-    "read_shard",
-    "save_dataset",
-    "touch_maps",
-    "verify",
-    "write_shard",
-]
+__all__, __getattr__, __dir__ = offered(__name__, __file__)

@@ -10,12 +10,12 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.datasets.dataset import Dataset
-from eitskin.datasets.schema import MAX_TOUCHES
-from eitskin.datasets.state import UNKNOWN_STATE, State
-from eitskin.geometry import ConfigurationError, DataError
-from eitskin.geometry.limits import LONGEST
-from eitskin.simulator import Protocol
+from eitskin.bounds import LONGEST
+from eitskin.datasets.store.dataset import Dataset
+from eitskin.datasets.store.schema import MAX_TOUCHES
+from eitskin.datasets.store.state import UNKNOWN_STATE, State
+from eitskin.errors import ConfigurationError, DataError
+from eitskin.protocol import Protocol
 
 Tables = Mapping[str, NDArray[Any]]
 

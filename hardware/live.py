@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.datasets import State
-from eitskin.geometry import FrameError, UnusableFrameError
-from eitskin.simulator import Frame
+from eitskin.datasets.store.state import State
+from eitskin.errors import FrameError, UnusableFrameError
+from eitskin.frame import Frame
 
 
 class Estimate(typing.Protocol):

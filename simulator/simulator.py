@@ -8,20 +8,22 @@ from typing import TypeAlias, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.geometry import Bend, ConfigurationError, Hinge, SensorDesign, Surface
-from eitskin.geometry.bend import Fixture
-from eitskin.geometry.deformation import Composed, Deformation
-from eitskin.simulator.dents import Dents
-from eitskin.simulator.forward import AreaRatio, ForwardModel
-from eitskin.simulator.frame import Frame
-from eitskin.simulator.instrument import Instrument
-from eitskin.simulator.mechanics import Mechanics
-from eitskin.simulator.presses import Pressed, TouchModel, dents, pressed
-from eitskin.simulator.protocol import Protocol
-from eitskin.simulator.reanalysis import Reanalysis, Tolerance, is_possible
-from eitskin.simulator.resolution import Discretisation, Resolution
-from eitskin.simulator.scene import Scene
-from eitskin.simulator.setting import Setting
+from eitskin.errors import ConfigurationError
+from eitskin.frame import Frame
+from eitskin.geometry.deformation.fixtures import Bend, Fixture, Hinge
+from eitskin.geometry.deformation.kinematics import Composed, Deformation
+from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.geometry.design.surface import Surface
+from eitskin.protocol import Protocol
+from eitskin.simulator.electrical.forward_model import AreaRatio, ForwardModel
+from eitskin.simulator.electrical.reanalysis import Reanalysis, Tolerance, is_possible
+from eitskin.simulator.electrical.resolution import Discretisation, Resolution
+from eitskin.simulator.instrument.instrument import Instrument
+from eitskin.simulator.layer.deformed_layer import Setting
+from eitskin.simulator.layer.dents import Dents
+from eitskin.simulator.layer.pressed_touches import Pressed, TouchModel, dents, pressed
+from eitskin.simulator.mechanics.layer_stack import Mechanics
+from eitskin.simulator.scene.scene import Scene
 
 Array = NDArray[np.float64]
 Field: TypeAlias = Callable[[Array], Array]

@@ -15,26 +15,31 @@ os.environ.setdefault("EITSKIN_CACHE", str(Path(__file__).parents[1] / ".pytest_
 # Files that take longest come first, so that no worker is left alone with one of them at the end;
 # the second is one that needs no table of presses, which the first has the time to solve.
 LONGEST = (
-    "test_cli_demo",
-    "test_indentation",
-    "test_bench",
-    "test_gallery",
-    "test_generate",
-    "test_pressed",
-    "test_cli_generate",
-    "test_calibration",
-    "test_stability",
-    "test_vtu",
-    "test_convergence",
-    "test_view",
-    "test_delaunay",
+    "cli/test_demo",
+    "simulator/mechanics/test_axisymmetric_press",
+    "benchmarks/test_bench",
+    "project/test_gallery",
+    "datasets/test_generate",
+    "simulator/mechanics/test_press_3d",
+    "cli/test_generate",
+    "training/test_calibration",
+    "benchmarks/test_stability",
+    "simulator/view/test_vtu",
+    "simulator/electrical/test_convergence",
+    "simulator/view/test_scene_pictures",
+    "geometry/test_delaunay",
 )
 
 
 def pytest_collection_modifyitems(items):
     """Long files first; else in their order."""
     ranks = {name: rank for rank, name in enumerate(LONGEST)}
-    items.sort(key=lambda item: ranks.get(item.path.stem, len(LONGEST)))
+    here = Path(__file__).parent
+    items.sort(
+        key=lambda item: ranks.get(
+            item.path.relative_to(here).with_suffix("").as_posix(), len(LONGEST)
+        )
+    )
 
 
 @pytest.fixture
@@ -48,7 +53,7 @@ def connection():
 @pytest.fixture
 def page(connection):
     """The live page of that board."""
-    from eitskin.cli.page import Page
+    from eitskin.cli.page.live_page import Page
 
     from page_fakes import DESIGN
 

@@ -8,7 +8,7 @@ import pyvista
 
 from eitskin.geometry import Bend, SensorDesign
 from eitskin.simulator import Scene, Simulator, Touch
-from eitskin.simulator.vtu import field_resolution, scene_grids, write_grids
+from eitskin.simulator.view.vtu import field_resolution, scene_grids, write_grids
 
 from style import RISING, TEAL, colours, figure, save, wanted
 

@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from eitskin.geometry import ConfigurationError, Electrode, Polygon, Rectangle, SensorDesign
-from eitskin.geometry.layouts import uniform
+from eitskin.errors import ConfigurationError
+from eitskin.geometry import Electrode, Polygon, Rectangle, SensorDesign
+from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.simulator import Protocol, Scene, Simulator, Touch
 
 from style import circle, figure, save, sensor, wanted

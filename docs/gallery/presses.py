@@ -36,7 +36,7 @@ print(f"the sum of both alone misses {missing:.1%} of the signal of both togethe
 assert missing < 0.05
 
 if wanted():
-    from eitskin.simulator.vtu import thinning
+    from eitskin.simulator.view.vtu import thinning
 
     drawn, (above, below) = figure(2, 1, (7.2, 4.6), height_ratios=(1.5, 1.0))
     x, y = np.meshgrid(np.linspace(0, 0.150, 301), np.linspace(0, 0.060, 121))

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from eitskin.datasets import Recipe, State, open_dataset, save_dataset, touch_maps
-from eitskin.datasets.simulated import simulate
+from eitskin.datasets.generation.shard_simulation import simulate
 
 from style import GOLD, GREY, RISING, TEAL, circle, colours, figure, save, sensor, wanted
 

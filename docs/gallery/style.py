@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.geometry import Polygon, SensorDesign
-from eitskin.geometry.outline import PlaneOutline
+from eitskin.geometry.design.outline import PlaneOutline
 
 INK, GREY, PALE = "#1d3142", "#8596a3", "#e6edf1"
 TEAL, ORANGE, GOLD, RED = "#17828a", "#e2703a", "#f0b63c", "#c0392b"

@@ -22,7 +22,16 @@ from queue import Queue
 
 ROOT = Path(__file__).resolve().parents[2]
 LIST = Path(__file__).with_name("mutations.toml")
-FOLDERS = (".types", "benchmarks", "cli", "datasets", "geometry", "hardware", "simulator")
+FOLDERS = (
+    ".types",
+    "benchmarks",
+    "cli",
+    "datasets",
+    "eitskin",
+    "geometry",
+    "hardware",
+    "simulator",
+)
 FOLDERS += ("tests", "training")
 PASSED, FAILED = 0, 1  # exit codes of pytest; others mean that nothing was tested
 WORDS = {FAILED: "killed", PASSED: "SURVIVED"}

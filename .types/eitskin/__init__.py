@@ -1,0 +1,1 @@
+../../eitskin/__init__.py

@@ -1,0 +1,1 @@
+../../eitskin/__main__.py

@@ -1,0 +1,1 @@
+../../eitskin/config.py

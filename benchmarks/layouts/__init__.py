@@ -1,0 +1,1 @@
+"""Electrode layouts compared by their bounds: `eitskin bench layouts`."""

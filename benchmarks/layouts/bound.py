@@ -1,0 +1,228 @@
+"""How well a layout can know a press, over the sheet: Cramer-Rao bounds at a grid of places.
+
+Derivatives by place and force are central differences of scenes that are solved anew where the
+press changes much (`Simulator.measure_all`): a press of 10 N changes the conductivity beneath it by
+so much that the first order of the adjoint sensitivity misses the signal altogether. The derivative
+by the angle is that of the sheet without the press. docs/layouts.md says what both leave.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.benchmarks.layouts.candidates import Layout
+from eitskin.errors import ConfigurationError
+from eitskin.geometry.deformation.fixtures import Bend
+from eitskin.geometry.design.electrode import Electrode
+from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.protocol import Protocol
+from eitskin.simulator.electrical.resolution import Discretisation, Resolution, discretisation
+from eitskin.simulator.instrument.instrument import Instrument
+from eitskin.simulator.scene.scene import Scene
+from eitskin.simulator.scene.touch import Touch
+from eitskin.simulator.simulator import Simulator
+from eitskin.training.evaluation.cramer_rao import SceneDerivatives, Steps, scene_derivatives
+
+Array = NDArray[np.float64]
+Numbers = NDArray[np.int64]
+
+FORCE = 10.0  # of the press [N]
+_COMPARED = 15  # singular values: further ones depend on how many places there are
+_DIGITS = 9  # of places in metres, to recognise an electrode in the mirror
+_PAD_ORDERS = (2, 2, 2)  # from a pad currents spread in height as they do in the plane
+_MIRRORS = ((False, False), (True, False), (False, True), (True, True))
+_STENCIL = ((-1, 0, 0), (1, 0, 0), (0, -1, 0), (0, 1, 0), (0, 0, -1), (0, 0, 1))
+
+
+@dataclass(frozen=True, slots=True)
+class Sampling:
+    """Where and how a layout is judged.
+
+    Attributes:
+        spacing: of the places, at most [m].
+        margin: of the sheet without places: presses nearer to the rim are felt by images only [m].
+        resolution: of the forward model.
+        snr_db: of the instrument's white noise below full scale [dB].
+    """
+
+    spacing: float = 0.005
+    margin: float = 0.0075
+    resolution: Resolution = "fast"
+    snr_db: float = 75.0
+
+    def grid(self, design: SensorDesign) -> tuple[Array, Array]:
+        """Lines x and y of the places, mirror images of themselves [m]."""
+        return self._line(design.outline.length), self._line(design.outline.width)
+
+    def _line(self, extent: float) -> Array:
+        room = extent - 2.0 * self.margin
+        if not (self.spacing > 0.0 and room > 0.0):
+            raise ConfigurationError(
+                f"places {self.spacing:g} m apart and {self.margin:g} m from the rim do not fit on "
+                f"{extent:g} m"
+            )
+        return self.margin + np.linspace(0.0, room, math.ceil(room / self.spacing - 1e-9) + 1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SheetBound:
+    """Bounds of one press of 10 N on a sheet, from one frame against a reference of one frame.
+
+    Attributes:
+        x, y: lines of the places (nx,), (ny,) [m].
+        place: sqrt(var x + var y) with the angle of the bend unknown (ny, nx) [m].
+        place_known: the same with the angle known.
+        force: angle unknown (ny, nx) [N].
+        angle_deg: of the bend, beside the press (ny, nx) [deg].
+        signal: norm of the change by the press, in deviations of the noise (ny, nx).
+        untouched_deg: bound of the angle of the untouched sheet [deg].
+        full_scale: largest resistance of the flat, untouched sheet [ohm].
+        spectrum: singular values of all signals, rms over the places, in deviations of the noise,
+            falling; as many as there are measurements, or places.
+    """
+
+    x: Array
+    y: Array
+    place: Array
+    place_known: Array
+    force: Array
+    angle_deg: Array
+    signal: Array
+    untouched_deg: float
+    full_scale: float
+    spectrum: Array
+
+    @property
+    def uniformity(self) -> float:
+        """Signal where it is weak over where it is strong, 10th over 90th percentile."""
+        weak, strong = np.percentile(self.signal, (10, 90))
+        return float(weak / strong)
+
+    @property
+    def condition(self) -> float:
+        """Largest over 15th singular value of the signals, the last of six electrodes."""
+        return float(self.spectrum[0] / self.spectrum[:_COMPARED][-1])
+
+    @property
+    def patterns(self) -> int:
+        """How many independent patterns of the signals exceed the noise of a frame."""
+        return int((self.spectrum > 1.0).sum())
+
+
+def sheet_bound(layout: Layout, sampling: Sampling) -> SheetBound:
+    """Bounds over the sheet, solved in the part that the layout's mirrors do not repeat.
+
+    Raises ConfigurationError, naming the layout, where its measurements do not determine a press.
+    """
+    sim = Simulator(layout.design, judged_discretisation(layout.design, sampling.resolution))
+    x, y = sampling.grid(layout.design)
+    places = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    mirrors = list(own_mirrors(layout.design))
+    images = np.array([mirrored_places(len(x), len(y), *mirror) for mirror, _ in mirrors])
+    first = images.min(axis=0)
+    solved = np.unique(first)
+    untouched = scene_derivatives(sim, Scene(Bend(layout.angle_deg)))
+    found = touch_derivatives(sim, untouched, layout.angle_deg, places[solved])
+    instrument = Instrument(snr_db=sampling.snr_db)
+    try:
+        rows = np.array([_row(each, untouched, instrument, sim.full_scale) for each in found])
+        alone = untouched.bound(untouched.noise(instrument, sim.full_scale))
+    except ConfigurationError as error:
+        raise ConfigurationError(f"layout '{layout.name}': {error}") from error
+    maps = rows[np.searchsorted(solved, first)].T.reshape(-1, len(y), len(x))
+    white = np.array([_signal(each, untouched, instrument, sim.full_scale) for each in found])
+    whole = np.empty((len(places), white.shape[1]))
+    for image, (_, order) in zip(images, mirrors, strict=True):
+        whole[np.ix_(image[solved], order)] = white
+    spectrum: Array = np.asarray(np.linalg.svd(whole / math.sqrt(len(places)), compute_uv=False))
+    place, known, force, angle, signal = maps
+    return SheetBound(
+        x, y, place, known, force, angle, signal, alone.angle_deg, sim.full_scale, spectrum
+    )
+
+
+def judged_discretisation(design: SensorDesign, resolution: Resolution) -> Discretisation:
+    """Orders of the elements, and the mesh's grading, that a layout is judged with."""
+    orders, grading = discretisation(resolution, design, "hexahedra")
+    pads = any(electrode.on != "side" for electrode in design.electrodes)
+    return _PAD_ORDERS if pads else orders, grading
+
+
+def touch_derivatives(
+    sim: Simulator, untouched: SceneDerivatives, angle_deg: float, places: Array
+) -> list[SceneDerivatives]:
+    """Derivatives at a press of 10 N on each of the places (n, 2) [m], with the untouched angle's.
+
+    Steps are those of `training.cramer_rao`.
+    """
+    steps = Steps()
+    step = np.array([steps.place, steps.place, steps.force * FORCE])
+    moved = np.array([(x, y, FORCE) for x, y in places])[:, None] + np.array(_STENCIL) * step
+    scenes = [
+        Scene(Bend(angle_deg), (Touch(x, y, force),))
+        for x, y, force in moved.reshape(-1, 3).tolist()
+    ]
+    resistance = sim.measure_all(scenes).real.reshape(len(places), 3, 2, -1)
+    logarithms = np.log(np.abs(resistance))
+    slopes = (logarithms[:, :, 1] - logarithms[:, :, 0]) / (2.0 * step[:, None])
+    pressed = resistance[:, 2].mean(axis=1)
+    return [
+        SceneDerivatives(level, slope[None], untouched.by_angle)
+        for level, slope in zip(pressed, slopes, strict=True)
+    ]
+
+
+def own_mirrors(design: SensorDesign) -> Iterator[tuple[tuple[bool, bool], Numbers]]:
+    """Mirrors along x and y that leave a rectangular sensor as it is, the identity first.
+
+    Each with the number that each measurement of every pair has in the mirror, (measurements,).
+    """
+    outline, electrodes = design.outline, design.electrodes
+    known = {_rounded(each, each.x, each.y): number for number, each in enumerate(electrodes)}
+    pairs = [row[:2] for row in Protocol.pairwise(len(electrodes)).table]
+    number_of = {frozenset(pair): number for number, pair in enumerate(pairs)}
+    for along, across in _MIRRORS:
+        seen = (
+            _rounded(
+                each,
+                outline.length - each.x if along else each.x,
+                outline.width - each.y if across else each.y,
+            )
+            for each in electrodes
+        )
+        electrode = [known[each] for each in seen if each in known]
+        if len(electrode) == len(electrodes):
+            order = [number_of[frozenset((electrode[a], electrode[b]))] for a, b in pairs]
+            yield (along, across), np.array(order)
+
+
+def _rounded(electrode: Electrode, x: float, y: float) -> Electrode:
+    return replace(electrode, x=round(x, _DIGITS) + 0.0, y=round(y, _DIGITS) + 0.0)
+
+
+def mirrored_places(nx: int, ny: int, along: bool, across: bool) -> Numbers:
+    """Number of the place that each place of a grid has in a mirror, (nx * ny,)."""
+    numbers = np.arange(nx * ny).reshape(ny, nx)
+    return numbers[:: -1 if across else 1, :: -1 if along else 1].ravel()
+
+
+def _row(
+    found: SceneDerivatives, untouched: SceneDerivatives, instrument: Instrument, full_scale: float
+) -> tuple[float, ...]:
+    noise = found.noise(instrument, full_scale)
+    least = found.bound(noise)
+    known = found.bound(noise, angle_known=True)
+    signal = np.linalg.norm(_signal(found, untouched, instrument, full_scale))
+    return least.place[0], known.place[0], least.force[0], least.angle_deg, float(signal)
+
+
+def _signal(
+    found: SceneDerivatives, untouched: SceneDerivatives, instrument: Instrument, full_scale: float
+) -> Array:
+    """Change by the press in deviations of one frame's noise, (measurements,)."""
+    change = np.log(np.abs(found.resistance / untouched.resistance))
+    white: Array = change / untouched.noise(instrument, full_scale)
+    return white

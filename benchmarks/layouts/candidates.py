@@ -1,0 +1,120 @@
+"""Where electrodes could be: the layouts that `eitskin bench layouts` compares, as data."""
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.errors import ConfigurationError
+from eitskin.geometry.design.electrode import Electrode
+from eitskin.geometry.design.outline import Rectangle
+from eitskin.geometry.design.regular_layouts import grid, uniform
+from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.protocol import Protocol
+from eitskin.simulator.instrument.ad5940 import MEASUREMENT_TIME
+
+Array = NDArray[np.float64]
+
+PAPER = "paper: 8 on the rim"
+COUNTS = (6, 8, 10, 12, 16)
+WIDTHS = (0.002, 0.0035, 0.005, 0.008, 0.012)  # along the rim [m]
+CONTACTS = (1e-5, 1e-4, 1e-3, 1e-2)  # [ohm m2]
+ANGLES = (-20.0, -10.0, 0.0, 10.0, 20.0, 30.0, 40.0, 50.0)  # [deg]
+SIZE = (0.150, 0.060)  # of the paper's sensor [m]
+_RIM = 0.005  # from the rim to the middle of a pad beside it [m]
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """A sensor with electrodes somewhere, at a bend; every pair of them is measured.
+
+    Attributes:
+        name: of the layout, for tables; says nothing about it.
+        design: the sensor.
+        angle_deg: of the bend at which it is judged [deg].
+    """
+
+    name: str
+    design: SensorDesign
+    angle_deg: float = 0.0
+
+    @property
+    def protocol(self) -> Protocol:
+        """Which pairs are measured: all."""
+        return Protocol.pairwise(len(self.design.electrodes))
+
+    @property
+    def scan_time(self) -> float:
+        """From one frame to the next [s]."""
+        return len(self.protocol) * MEASUREMENT_TIME
+
+
+def paper(angle_deg: float = 0.0) -> Layout:
+    """The paper's sensor, at a bend."""
+    return Layout(PAPER, SensorDesign.reference(), angle_deg)
+
+
+def with_electrodes(name: str, electrodes: Sequence[Electrode]) -> Layout:
+    """The paper's sensor with other electrodes.
+
+    Raises ConfigurationError, naming the layout, for electrodes that overlap or do not fit.
+    """
+    try:
+        design = dataclasses.replace(SensorDesign.reference(), electrodes=tuple(electrodes))
+    except ConfigurationError as error:
+        raise ConfigurationError(f"layout '{name}': {error}") from error
+    return Layout(name, design)
+
+
+def sweeps() -> dict[str, tuple[Layout, ...]]:
+    """Layouts by the name of the sweep that they belong to; the paper's is in each."""
+    return {
+        "count": tuple(_counted(count) for count in COUNTS),
+        "placement": tuple(_placements()),
+        "width": tuple(
+            with_electrodes(f"{1e3 * width:g} mm wide", _around(8, width=width)) for width in WIDTHS
+        ),
+        "contact": tuple(
+            with_electrodes(f"{z:g} ohm m2", _around(8, contact_impedance=z)) for z in CONTACTS
+        ),
+        "bend": tuple(dataclasses.replace(paper(angle), name=f"{angle:g} deg") for angle in ANGLES),
+    }
+
+
+def one_sided() -> Layout:
+    """Eight electrodes along one long side, which say little of the other."""
+    pitch = SIZE[0] / 8
+    row = [Electrode(pitch * (i + 0.5), 0.0) for i in range(8)]
+    return with_electrodes("8 along one side", row)
+
+
+def _around(count: int, width: float = 0.005, contact_impedance: float = 1e-3) -> list[Electrode]:
+    """Evenly spaced on the rim, one in the middle of the lower side, as with the paper's."""
+    outline = Rectangle(*SIZE)
+    start = outline.length / 2 % (outline.perimeter / count)
+    return list(uniform(outline, count, width, start, contact_impedance))
+
+
+def _counted(count: int) -> Layout:
+    return with_electrodes(f"{count} on the rim", _around(count))
+
+
+def _placements() -> Iterator[Layout]:
+    """Eight electrodes of 5 mm on the rim, on top beside it, on top all over, and within."""
+    design = SensorDesign.reference()
+    outline, half = Rectangle(*SIZE), design.thickness / 2
+    yield paper()
+    rim = np.array([(e.x, e.y) for e in design.electrodes])
+    kinds: tuple[tuple[Literal["top", "inside"], float | None, str], ...] = (
+        ("top", None, "on top"),
+        ("inside", half, "inside"),
+    )
+    for on, z, where in kinds:
+        beside = np.clip(rim, _RIM, np.array(SIZE) - _RIM)
+        pads = [Electrode(x, y, z=z, on=on) for x, y in beside.tolist()]
+        yield with_electrodes(f"{where}, beside the rim", pads)
+        spread = grid(outline, 2, 4, 0.005, on=on, z=z)
+        yield with_electrodes(f"{where}, 2 x 4", spread)

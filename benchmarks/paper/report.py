@@ -1,0 +1,173 @@
+"""What `bench paper` leaves behind: the table as Markdown, CSV and JSON, and a plot."""
+
+import dataclasses
+import json
+from collections.abc import Iterator, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from eitskin.benchmarks import markdown_tables
+from eitskin.benchmarks.paper.limits import SignalToNoise
+from eitskin.benchmarks.paper.lines import LINES, Line
+from eitskin.benchmarks.paper.plot import plot_time, plot_touches
+from eitskin.benchmarks.paper.run import COLUMNS, OURS, OWN, Comparison
+from eitskin.benchmarks.paper.scores import Figures
+from eitskin.benchmarks.results import Results, write_results
+from eitskin.training.evaluation.metrics import GATE
+from eitskin.training.evaluation.report import SSIM_DEFINITION
+
+HEADINGS = ("experiment", "paper", *COLUMNS, "to reach", "bound", "ours / bound")
+BOUND = "Cramer-Rao bound"
+NAME = "paper"
+_DIGITS = {"mm": 2, "deg": 2, "%": 2, "ms": 2, "": 3}
+
+
+def table(found: Comparison) -> Iterator[tuple[str, ...]]:
+    """Rows of cells under `HEADINGS`: mean over the seeds, and its spread where there are some.
+
+    Indented lines that no column has a figure for are left out; others head what follows them.
+    """
+    for line in LINES:
+        columns = [_values(found.figures[name], line) for name in COLUMNS]
+        bound = _values(found.bounds, line)
+        if line.text.startswith(" ") and not any(columns):
+            continue
+        ours = _values(found.figures[OURS], line)
+        multiple = f"{np.mean(ours) / np.mean(bound):.1f}" if ours and bound else ""
+        cells = (_cell(values, line.unit) for values in columns)
+        text = f"{line.text} [{line.unit}]" if line.unit else line.text
+        yield text, line.paper, *cells, line.target, _cell(bound, line.unit), multiple
+
+
+def _values(figures: Sequence[Figures], line: Line) -> list[float]:
+    """Of the seeds that have one."""
+    factor = 100.0 if line.unit == "%" else 1.0
+    return [factor * each[line.figure] for each in figures if line.figure in each]
+
+
+def _cell(values: Sequence[float], unit: str) -> str:
+    if not values:
+        return ""
+    digits = _DIGITS[unit]
+    mean = f"{np.mean(values):.{digits}f}"
+    return mean if len(values) == 1 else f"{mean} +- {np.std(values, ddof=1):.{digits}f}"
+
+
+def sentences(found: Comparison) -> Iterator[str]:
+    """What belongs beside the table."""
+    seeds = ", ".join(map(str, found.seeds))
+    quick = "; a tenth of the frames, for trying out only" if found.quick else ""
+    yield f"{found.provenance}; seeds {seeds}{quick}"
+    trained = len(found.figures[OWN])
+    if trained < len(found.seeds):
+        yield f"The paper's pipeline was trained for {trained} of these seeds."
+    yield f"ours: {found.pipeline}"
+    yield (
+        "Means over the seeds, +- their standard deviation. Each seed has its own sensors, frames, "
+        "and a pipeline of the paper that is trained on one sensor, tested on that one and on "
+        "sensors never seen; ours is one pipeline, on the same unseen sensors. Training meshes are "
+        "coarser than the test frames'."
+    )
+    yield SSIM_DEFINITION
+    yield (
+        f"Places: touches matched by the Hungarian method within {1e3 * GATE:g} mm; what is not "
+        "matched is missed or false and has no error."
+    )
+    yield (
+        "Bounds: white noise alone, of the nominal sensor, some of the frames. The bound of an "
+        "angle while touched is that of the frame by itself; a pipeline also knows the frames "
+        "before the touch, so it may do better."
+    )
+    for seed, ratio in zip(found.seeds, found.signal_to_noise, strict=True):
+        yield f"seed {seed}: {_ratio(ratio)}"
+    yield f"instrument: {_terms(found.recipe.instrument)}"
+    yield f"specimens: {_terms(found.recipe.specimens)}"
+
+
+def _ratio(ratio: SignalToNoise) -> str:
+    return (
+        f"signal to noise of a touch, rms, per channel: {ratio.least:.1f} least, "
+        f"{ratio.median:.1f} median, {ratio.most:.1f} most"
+    )
+
+
+def _terms(said: Any) -> str:
+    return ", ".join(f"{name} {value}" for name, value in dataclasses.asdict(said).items() if value)
+
+
+def figures(found: Comparison) -> dict[str, float]:
+    """Means over the seeds as `COLUMN: FIGURE`, their deviations with ` +-`, shares in percent.
+
+    Cells of the table have keys of their own, `ROW / COLUMN`.
+    """
+    named: dict[str, float] = {}
+    for column, seeds in {**found.figures, BOUND: found.bounds}.items():
+        for line in LINES:
+            values = _values(seeds, line)
+            if values:
+                named[f"{column}: {line.figure}"] = float(np.mean(values))
+            if len(values) > 1:
+                named[f"{column}: {line.figure} +-"] = float(np.std(values, ddof=1))
+    return named | markdown_tables.figures(markdown(found))
+
+
+def as_data(found: Comparison) -> dict[str, Any]:
+    """Everything as plain data."""
+    return {
+        "provenance": dataclasses.asdict(found.provenance),
+        "seeds": list(found.seeds),
+        "quick": found.quick,
+        "pipeline": found.pipeline,
+        "figures": {name: list(each) for name, each in found.figures.items()},
+        "bounds": list(found.bounds),
+        "signal_to_noise": [dataclasses.asdict(each) for each in found.signal_to_noise],
+        "variants": {each.name: list(each.figures) for each in found.variants},
+        "instrument": dataclasses.asdict(found.recipe.instrument),
+        "specimens": dataclasses.asdict(found.recipe.specimens),
+        "definitions": {"ssim": SSIM_DEFINITION},
+    }
+
+
+def write(found: Comparison, out: Path) -> list[Path]:
+    """Write results, table.csv, paper.md, paper.json and two plots into `out/paper`, each whole."""
+    seeds, trained = len(found.seeds), len(found.figures[OWN])
+    results = Results(
+        name=NAME,
+        command=f"eitskin bench paper --seeds {seeds} --paper-seeds {trained}"
+        + " --quick" * found.quick,
+        provenance=dataclasses.replace(found.provenance, seed=found.seeds[0]),
+        seconds=found.seconds,
+        quick=found.quick,
+        figures=figures(found),
+    )
+    files = {
+        "paper.md": partial(_write_text, markdown(found)),
+        "paper.json": partial(_write_text, json.dumps(as_data(found)) + "\n"),
+        "paper-touches.png": partial(plot_touches, found),
+        "paper-time.png": partial(plot_time, found),
+    }
+    return write_results(results, out, list(_long(found)), files)
+
+
+def _write_text(text: str, path: Path) -> None:
+    path.write_text(text, encoding="utf-8")
+
+
+def markdown(found: Comparison) -> str:
+    """The table and what belongs beside it."""
+    rows = [HEADINGS, ("---",) * len(HEADINGS), *table(found)]
+    lines = ["| " + " | ".join(cell.replace("  ", "&emsp;") for cell in row) + " |" for row in rows]
+    return "\n".join([*lines, "", *(f"- {each}" for each in sentences(found)), ""])
+
+
+def _long(found: Comparison) -> Iterator[dict[str, Any]]:
+    """One row per seed, column and figure."""
+    columns = {**found.figures, BOUND: found.bounds}
+    columns |= {f"variant: {each.name}": each.figures for each in found.variants}
+    for column, seeds in columns.items():
+        for seed, figures in zip(found.seeds, seeds, strict=False):
+            for figure, value in figures.items():
+                yield {"column": column, "seed": seed, "figure": figure, "value": value}

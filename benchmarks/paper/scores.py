@@ -1,0 +1,172 @@
+"""What a pipeline reaches in the paper's experiments: figures by name, of one set of frames."""
+
+import dataclasses
+import time
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.benchmarks.paper.sets import episodes, in_episode
+from eitskin.datasets.store.dataset import Dataset
+from eitskin.datasets.store.state import State
+from eitskin.frame import Frame
+from eitskin.training.evaluation.evaluate import Evaluation
+from eitskin.training.evaluation.metrics import (
+    determination,
+    match_distances,
+    percentiles,
+    root_mean_square,
+)
+from eitskin.training.evaluation.report import TouchScore
+from eitskin.training.pipeline.pipeline import Estimate, Pipeline
+
+Array = NDArray[np.float64]
+Figures = dict[str, float]
+"""By name, as `paper_table.LINES` has them; what a pipeline does not give is left out."""
+
+
+def scores(pipeline: Pipeline, sets: Mapping[str, Dataset]) -> Figures:
+    """All figures of the experiments, by `paper_sets.SPECIMENS`'s names, but calibrated ones."""
+    found = touch_scores(pipeline, sets["touch"])
+    found |= _touches(
+        "indentation", Evaluation.of(pipeline, sets["indentation"]).report.touches["1"]
+    )
+    found |= state_scores(pipeline, sets["states"])
+    found |= bend_scores(pipeline, sets["bending"])
+    found |= demo_scores(pipeline, sets["demo"])
+    return found
+
+
+def touch_scores(pipeline: Pipeline, data: Dataset) -> Figures:
+    """One touch at many bends, several at some, all of them together, and the time of a frame."""
+    report = Evaluation.of(pipeline, data).report
+    found: Figures = {}
+    for group in ("1", "2", "3", "4", "several"):
+        if group in report.touches:
+            found |= _touches(f"touch.{group}", report.touches[group])
+    groups = [report.touches[group] for group in ("1", "2", "3", "4") if group in report.touches]
+    found |= _given("touch.state", report.states.bent_touch_accuracy)
+    found |= _given("touch.angle_deg", report.bend.touched_rmse_deg)
+    errors = [(s.mean_error_mm, s.frames) for s in groups if s.mean_error_mm is not None]
+    if errors:
+        values, weights = zip(*errors, strict=True)
+        found["touch.error_mm"] = float(np.average(values, weights=weights))
+    p50, p99 = percentiles(times(pipeline, data).tolist())
+    return found | {"time.p50_ms": 1e3 * p50, "time.p99_ms": 1e3 * p99}
+
+
+def state_scores(pipeline: Pipeline, data: Dataset) -> Figures:
+    """How many of each state are recognised."""
+    accuracy = Evaluation.of(pipeline, data).report.states.accuracy
+    return {f"state.{name}": share for name, share in accuracy.items() if share is not None}
+
+
+def bend_scores(pipeline: Pipeline, data: Dataset) -> Figures:
+    """Angles of the bent sensor, of frames by themselves and of a sequence as it comes."""
+    alone = data.select(~in_episode(data) & (data.state == State.BEND))
+    angle = alone.bend_angle_deg.astype(float)
+    said = pipeline.perceive(alone).bend_angle_deg
+    found = {"bend.angle_deg": root_mean_square(said - angle)}
+    found |= _given("bend.r2", determination(angle, said))
+    errors = [
+        estimate.bend_angle_deg - angle
+        for sequence in episodes(data)
+        for estimate, angle in zip(
+            replayed(pipeline, sequence), sequence.bend_angle_deg, strict=True
+        )
+    ]
+    return found | {"sequence.angle_deg": root_mean_square(errors)}
+
+
+def demo_scores(pipeline: Pipeline, data: Dataset) -> Figures:
+    """The demonstration frame by frame: states, angles, and touches at each of its steps."""
+    estimates = list(replayed(pipeline, data))
+    right = np.array([each.state for each in estimates]) == data.state
+    said = np.array([each.bend_angle_deg for each in estimates])
+    found = {
+        "demo.state": float(right.mean()),
+        "demo.angle_deg": root_mean_square(said - data.bend_angle_deg),
+    }
+    counts = data.touch_count
+    steps = dict.fromkeys(zip(data.bend_angle_deg.tolist(), counts.tolist(), strict=True))
+    for angle, count in (step for step in steps if step[1]):
+        rows = np.flatnonzero((data.bend_angle_deg == angle) & (counts == count))
+        distances = [d for row in rows for d in _distances(data, int(row), estimates[row])]
+        name = f"demo.{angle:g}deg.{count}"
+        found[f"{name}.state"] = float(right[rows].mean())
+        found[f"{name}.found"] = len(distances) / (count * len(rows))
+        if distances:
+            found[f"{name}.error_mm"] = 1e3 * float(np.mean(distances))
+    return found
+
+
+def calibrated_scores(
+    pipeline: Pipeline, sets: Mapping[str, Dataset], known: Mapping[str, Dataset]
+) -> Figures:
+    """Angles once the pipeline is calibrated to each sensor by its frames in `known`."""
+    bending, touch = sets["bending"], sets["touch"]
+    alone = bending.select(~in_episode(bending) & (bending.state == State.BEND))
+    free = _calibrated_angles(pipeline, alone, known["bending"])
+    touched = _calibrated_angles(pipeline, touch, known["touch"])
+    found = {"calibrated.angle_deg": root_mean_square(free - alone.bend_angle_deg)}
+    found |= _given("calibrated.r2", determination(alone.bend_angle_deg.astype(float), free))
+    return found | {"calibrated.touched_deg": root_mean_square(touched - touch.bend_angle_deg)}
+
+
+def _calibrated_angles(pipeline: Pipeline, data: Dataset, known: Dataset) -> Array:
+    angles = np.full(len(data), np.nan)
+    for number in np.unique(data.specimen):
+        mine = known.select(known.specimen == number)
+        own = dataclasses.replace(pipeline)  # the one that was trained stays as it is
+        own.calibrate([mine.frame(row) for row in range(len(mine))], mine.bend_angle_deg)
+        rows = np.flatnonzero(data.specimen == number)
+        angles[rows] = own.perceive(data.select(rows)).bend_angle_deg
+    return angles
+
+
+def replayed(pipeline: Pipeline, data: Dataset) -> Iterator[Estimate]:
+    """What a pipeline says of an episode's frames as they come, the first as its reference."""
+    pipeline.reset()
+    for row in range(len(data)):
+        yield pipeline.process(data.frame(row))
+    pipeline.reset()
+
+
+def times(pipeline: Pipeline, data: Dataset) -> Array:
+    """How long `process` takes for each frame (n,) [s], after one each of its two references."""
+    seconds = np.zeros(len(data))
+    for row in range(len(data)):
+        pipeline.reset()
+        flat, free = data.reference[data.specimen[row]], data.touch_reference[row]
+        frames = [_frame(data, values, n) for n, values in enumerate((flat, free))]
+        for frame in frames:
+            pipeline.process(frame)
+        last = _frame(data, data.impedance[row], len(frames))
+        start = time.perf_counter()
+        pipeline.process(last)
+        seconds[row] = time.perf_counter() - start
+    pipeline.reset()
+    return seconds
+
+
+def _frame(data: Dataset, values: NDArray[np.complex64], number: int) -> Frame:
+    return dataclasses.replace(
+        data.frame(0), impedance=values.astype(np.complex128), time=0.3 * number, number=number
+    )
+
+
+def _touches(name: str, score: TouchScore) -> Figures:
+    found = {f"{name}.found": score.found, f"{name}.false": score.false_per_touch}
+    found |= _given(f"{name}.error_mm", score.mean_error_mm)
+    found |= _given(f"{name}.deviation_mm", score.deviation_mm)
+    return found | {f"{name}.ssim.{picture}": value for picture, value in score.ssim.items()}
+
+
+def _distances(data: Dataset, row: int, estimate: Estimate) -> list[float]:
+    true = np.stack([data.touch_x[row], data.touch_y[row]], axis=1)
+    return match_distances(true[np.isfinite(true[:, 0])], estimate.found.place)
+
+
+def _given(name: str, value: float | None) -> Figures:
+    return {} if value is None else {name: value}

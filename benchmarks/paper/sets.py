@@ -1,0 +1,178 @@
+"""The frames of `bench paper`: the paper's experiments on sensors that differ, and on one."""
+
+import dataclasses
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.datasets.generation.generate import generate
+from eitskin.datasets.recipe.episode import Episodes, ScriptedEpisode
+from eitskin.datasets.recipe.frame_sampling import specimen
+from eitskin.datasets.recipe.recipe import Recipe
+from eitskin.datasets.recipe.scene_group import SceneGroup
+from eitskin.datasets.recipe.specimen import Specimen, Specimens
+from eitskin.datasets.store.dataset import Dataset
+from eitskin.datasets.store.folder import open_dataset
+from eitskin.errors import ConfigurationError
+from eitskin.geometry.design.sensor import SensorDesign
+
+SPECIMENS = {"indentation": 8, "touch": 40, "states": 40, "bending": 10, "demo": 1}
+"""Experiments, and how many unseen sensors each is made with."""
+CALIBRATED = ("bending", "touch")
+"""Experiments whose unseen sensors are calibrated."""
+KNOWN_DEG = (-20.0, -2.5, 15.0, 32.5, 50.0)
+"""Angles that a sensor is calibrated with, beside the flat one."""
+REFERENCE_FRAMES = 8
+QUICK = 10  # times fewer frames
+OWN = 500  # added to seeds: other scenes and other noise on the sensor that was trained on
+
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sets:
+    """All frames of one seed.
+
+    Attributes:
+        training: of one sensor, for the paper's pipeline.
+        own: the experiments on that sensor, by name.
+        unseen: the same on sensors that no pipeline was trained with.
+        calibration: the unseen sensors of two experiments, flat and bent by `KNOWN_DEG`.
+        recipe: of the unseen touches, which has the instrument and the spread of all.
+    """
+
+    training: Dataset
+    own: dict[str, Dataset]
+    unseen: dict[str, Dataset]
+    calibration: dict[str, Dataset]
+    recipe: Recipe
+
+
+def make(folder: Path, seed: int, quick: bool, workers: int, progress: Progress) -> Sets:
+    """Generate in `folder` what is not there yet, and read everything.
+
+    Raises ConfigurationError where `folder` holds frames of other recipes.
+    """
+    all_recipes, made = dict(recipes(seed, quick)), {}
+    for name, recipe in all_recipes.items():
+        place = folder / name
+
+        def show(done: int, total: int, name: str = name) -> None:
+            progress(f"frames, seed {seed}: {name}", done, total)
+
+        generate(recipe, place, workers, show, resume=(place / "recipe.toml").is_file())
+        made[name] = open_dataset(place)
+    # A pipeline is told of the nominal sensor; what is special about this one nobody knows.
+    training = dataclasses.replace(made["training"], design=SensorDesign.reference())
+    own, unseen = (
+        {name: made[f"{kind}-{name}"] for name in SPECIMENS} for kind in ("own", "unseen")
+    )
+    calibration = {name: made[f"calibration-{name}"] for name in CALIBRATED}
+    return Sets(training, own, unseen, calibration, all_recipes["unseen-touch"])
+
+
+def recipes(seed: int, quick: bool) -> Iterator[tuple[str, Recipe]]:
+    """The recipes of `Sets`, named "training", "own-...", "unseen-..." and "calibration-...".
+
+    Instrument and spread of the sensors are those of the recipe "training"; none is chosen here.
+    """
+    if seed < 0:
+        raise ConfigurationError(f"a seed must not be negative, got {seed}")
+    unseen = {name: _experiment(name, seed, quick) for name in SPECIMENS}
+    one = _only_sensor(unseen["bending"])
+    yield "training", one(_training(unseen))
+    for name, recipe in unseen.items():
+        yield f"own-{name}", dataclasses.replace(one(recipe), seed=recipe.seed + OWN)
+        yield f"unseen-{name}", recipe
+    for name in CALIBRATED:
+        yield f"calibration-{name}", _calibration(unseen[name])
+
+
+def in_episode(data: Dataset) -> NDArray[np.bool_]:
+    """Which frames (n,) are followed or preceded by others in time."""
+    return np.asarray(np.bincount(data.episode)[data.episode] > 1)
+
+
+def episodes(data: Dataset) -> list[Dataset]:
+    """The frames of each episode of more than one frame."""
+    numbers = np.unique(data.episode[in_episode(data)])
+    return [data.select(data.episode == number) for number in numbers]
+
+
+def _experiment(name: str, seed: int, quick: bool) -> Recipe:
+    """The paper's recipe on a finer mesh, with the sensors and the instrument of "training"."""
+    recipe, training = Recipe.shipped(f"paper_{name}"), Recipe.shipped("training")
+    count = max(1, SPECIMENS[name] // (QUICK if quick else 1))
+    return dataclasses.replace(
+        recipe,
+        seed=recipe.seed + 1000 * (1 + seed),
+        resolution="standard",
+        instrument=training.instrument,
+        specimens=dataclasses.replace(training.specimens, count=count),
+        reference_frames=REFERENCE_FRAMES,
+        scenes=tuple(_fewer(each) if quick else each for each in recipe.scenes),
+        episodes=tuple(_of_every_sensor(each, count) for each in recipe.episodes),
+    )
+
+
+def _fewer(group: SceneGroup) -> SceneGroup:
+    if group.positions:
+        return dataclasses.replace(group, repeats=1)
+    return dataclasses.replace(group, count=-(-group.count // QUICK))
+
+
+def _of_every_sensor(episode: Episodes, sensors: int) -> Episodes:
+    """The sequence for each sensor; of repeated cycles one, so that sensors count, not turns."""
+    if isinstance(episode, ScriptedEpisode):
+        episode = dataclasses.replace(episode, repeats=1)
+    return dataclasses.replace(episode, count=sensors)
+
+
+def _only_sensor(recipe: Recipe) -> Callable[[Recipe], Recipe]:
+    """What puts one sensor, drawn like those of `recipe`, in place of all sensors of a recipe."""
+    drawn: Specimen = specimen(dataclasses.replace(recipe, seed=recipe.seed + OWN), 0)
+
+    def replaced(other: Recipe) -> Recipe:
+        return dataclasses.replace(
+            other,
+            sensor=drawn.design,
+            hinge=drawn.hinge,
+            mechanics=drawn.mechanics,
+            specimens=Specimens(),
+            episodes=tuple(dataclasses.replace(each, count=1) for each in other.episodes),
+        )
+
+    return replaced
+
+
+def _training(experiments: dict[str, Recipe]) -> Recipe:
+    """Frames as the paper trained with: states, bends and touches on the bent sensor, no others."""
+    scenes = (experiments[name].scenes for name in ("states", "bending", "touch"))
+    first = experiments["states"]
+    return dataclasses.replace(
+        first,
+        name="paper_training",
+        description="States, bends, and touches on the bent sensor, of one sensor.",
+        seed=first.seed + OWN // 2,
+        resolution="fast",
+        scenes=tuple(group for part in scenes for group in part),
+    )
+
+
+def _calibration(experiment: Recipe) -> Recipe:
+    """Every sensor once flat and once at each known angle, in the session of its other frames.
+
+    The groups are as long as there are sensors, so that each sensor has one frame of each.
+    """
+    count = experiment.specimens.count
+    bends = (SceneGroup("bend", count=count, angle_deg=(angle, angle)) for angle in KNOWN_DEG)
+    return dataclasses.replace(
+        experiment,
+        name="paper_calibration",
+        description="Sensors flat and at five known angles.",
+        scenes=(SceneGroup("idle", count=count), *bends),
+        episodes=(),
+    )

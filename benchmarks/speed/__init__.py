@@ -1,0 +1,1 @@
+"""Speed of simulation, generation and pipeline: `eitskin bench speed`."""

@@ -1,0 +1,162 @@
+"""Ways through the simulator: how many scenes per second, and the error that they buy.
+
+Random presses of 5 to 12 N on the reference sensor: single ones and up to four, many of one bend
+and each with its own, by reanalysis and one by one, on two processes at once. Errors are those of
+the presses' signals against the resolution "fine". The hinge has a transition: without, presses at
+its ends meet a jump inside cells, which no resolution gets right (one way has none, to show it).
+"""
+
+import dataclasses
+import time
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.datasets.recipe.touch_sampling import draw_places
+from eitskin.extras import require
+from eitskin.geometry.deformation.fixtures import Bend, Hinge
+from eitskin.geometry.design.outline import Rectangle
+from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.simulator.electrical.reanalysis import EXACT, Tolerance
+from eitskin.simulator.electrical.resolution import Resolution
+from eitskin.simulator.scene.scene import Scene
+from eitskin.simulator.scene.touch import Touch
+from eitskin.simulator.simulator import Simulator
+
+Array = NDArray[np.float64]
+
+ANGLES = (-20.0, 50.0)
+FORCES = (5.0, 12.0)
+PER_BEND = 32
+JUDGED = 12  # scenes of which the error is known
+PROCESSES = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Way:
+    """One way through the simulator.
+
+    Attributes:
+        name: of the way.
+        touches: lowest and highest number at once.
+        per_bend: scenes that share a bend.
+        resolution: of the simulator.
+        tolerance: of reanalysis; the default when omitted.
+        device: of torch, for batches.
+        transition: of the hinge [m].
+    """
+
+    name: str
+    touches: tuple[int, int] = (1, 1)
+    per_bend: int = PER_BEND
+    resolution: Resolution = "fast"
+    tolerance: Tolerance | None = None
+    device: str | None = None
+    transition: float = 0.010
+
+    def simulator(self, resolution: Resolution) -> Simulator:
+        """Of the reference sensor."""
+        hinge = Hinge(transition=self.transition)
+        return Simulator(SensorDesign.reference(), resolution, fixture=hinge)
+
+
+JUMPING = Way("one touch, 32 per bend, hinge without transition", transition=0.0)
+WAYS = (
+    Way("one touch, 32 per bend"),
+    Way("one to four touches, 32 per bend", touches=(1, 4)),
+    Way("one touch, bends of their own", per_bend=1),
+    Way("one to four touches, bends of their own", (1, 4), 1),
+    Way("one touch, 32 per bend, `EXACT`", tolerance=EXACT),
+    Way("one touch, 32 per bend, resolution `standard`", resolution="standard"),
+    JUMPING,
+    Way("one touch, 32 per bend, batches by torch on the processor", device="cpu"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Rate:
+    """What one way costs and buys.
+
+    Attributes:
+        name: of the way.
+        scenes_per_second: of two processes at once, solutions without touches included.
+        scene_ms: of one scene, processor time of one process alone.
+        error_median, error_max: norm of the error over norm of the signal, of some scenes.
+    """
+
+    name: str
+    scenes_per_second: float
+    scene_ms: float
+    error_median: float
+    error_max: float
+
+
+def scenes(way: Way, count: int, seed: int) -> list[Scene]:
+    """Random presses; those that share a bend follow each other."""
+    rng = np.random.default_rng(seed)
+    outline = Rectangle(0.150, 0.060)
+    found = []
+    for number in range(count):
+        if number % way.per_bend == 0:
+            bend = Bend(float(rng.uniform(*ANGLES)))
+        places = draw_places(
+            int(rng.integers(*way.touches, endpoint=True)), outline, 0.01, 0.03, rng
+        )
+        touches = tuple(Touch(float(x), float(y), float(rng.uniform(*FORCES))) for x, y in places)
+        found.append(Scene(bend, touches))
+    return found
+
+
+def work(way: Way, count: int, seed: int) -> tuple[float, float]:
+    """Time and processor time of solving so many scenes, after meshing and a first one [s]."""
+    with require("threadpoolctl", "bench").threadpool_limits(1):
+        if way.device:
+            require("torch", "training").set_num_threads(1)
+        sim = way.simulator(way.resolution)
+        some = scenes(way, count, seed)
+        sim.measure(some[0])
+        start = time.perf_counter(), time.process_time()
+        sim.measure_all(some, way.tolerance, device=way.device)
+        return time.perf_counter() - start[0], time.process_time() - start[1]
+
+
+def rate(way: Way, count: int, pool: ProcessPoolExecutor) -> Rate:
+    """Measure one way."""
+    _, alone = work(way, count // 2, 0)
+    together = [pool.submit(work, way, count, seed) for seed in range(1, PROCESSES + 1)]
+    seconds = [future.result()[0] for future in together]
+    errors = signal_errors(way)
+    return Rate(
+        name=way.name,
+        scenes_per_second=sum(count / each for each in seconds),
+        scene_ms=1e3 * alone / (count // 2),
+        error_median=float(np.median(errors)),
+        error_max=float(errors.max()),
+    )
+
+
+def signal_errors(way: Way) -> Array:
+    """Of some scenes, four to a bend so that they are reanalysed, (JUDGED,)."""
+    some = scenes(dataclasses.replace(way, per_bend=min(way.per_bend, 4)), JUDGED, 99)
+    truth = _true_signals(tuple(some), way.transition)
+    missed = _signals(some, way, way.resolution) - truth
+    found: Array = np.linalg.norm(missed, axis=1) / np.linalg.norm(truth, axis=1)
+    return found
+
+
+@cache
+def _true_signals(some: tuple[Scene, ...], transition: float) -> Array:
+    return _signals(some, Way("", tolerance=EXACT, transition=transition), "fine")
+
+
+def _signals(some: Sequence[Scene], way: Way, resolution: Resolution) -> Array:
+    """What the touches change [ohm], (scenes, measurements)."""
+    sim = way.simulator(resolution)
+    both = [*some, *(Scene(scene.bend) for scene in some)]
+    measured = sim.measure_all(both, way.tolerance, device=way.device).real
+    changes: Array = measured[: len(some)] - measured[len(some) :]
+    return changes

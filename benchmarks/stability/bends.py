@@ -1,0 +1,221 @@
+"""Bends, rolls, twists and presses up to their limits and past them.
+
+The sensor is a bar between electrodes over two whole faces. Always true: the deformations keep
+volume (det F = 1, of presses on average), and a rigid motion afterwards changes nothing.
+"""
+
+import dataclasses
+import math
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cache, partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.benchmarks.stability.case import Case, Found
+from eitskin.benchmarks.stability.closed_forms import sector
+from eitskin.benchmarks.stability.electrical import OUTLINE, H, L, W, bar
+from eitskin.errors import ConfigurationError
+from eitskin.geometry.deformation.fixtures import Bend, Fixture, FreeArc, Hinge
+from eitskin.geometry.deformation.kinematics import Composed, Deformation, pulled_back
+from eitskin.geometry.deformation.twist import Roll, Twist
+from eitskin.geometry.design.electrode import Electrode
+from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.geometry.meshing.grading import Grading
+from eitskin.simulator.layer.pressed_touches import TouchModel
+from eitskin.simulator.scene.scene import Scene
+from eitskin.simulator.scene.touch import Touch
+from eitskin.simulator.simulator import Simulator
+
+Array = NDArray[np.float64]
+
+_Z = 1e-9  # contact impedance [ohm m2]
+_MESH = ((2, 2, 2), Grading(1e-2, 1e-2, 1.0, layers=4))
+_ACROSS = (Electrode(L / 2, 0.0, L, _Z), Electrode(L / 2, W, L, _Z))
+
+
+FIXTURES: dict[str, Fixture] = {
+    "hinge": Hinge(),
+    "hinge, axis mid-layer": Hinge(offset=0.0),
+    "hinge, axis above": Hinge(offset=-0.008),
+    "smooth hinge": Hinge(transition=0.01, contraction=0.8),
+    "arc of 20 mm": FreeArc(0.02),
+    "smooth arc of 20 mm": FreeArc(0.02, transition=0.005, contraction=1.0),
+}
+QUICK_FIXTURES = ("hinge", "smooth arc of 20 mm")
+
+
+@dataclass(frozen=True, slots=True)
+class _Moved:
+    """A rigid motion: turned by some odd angles, and shifted."""
+
+    def positions(self, points: Array) -> Array:
+        moved: Array = points @ self._turn().T + np.array([0.3, -2.0, 0.01])
+        return moved
+
+    def gradient(self, points: Array) -> Array:
+        return np.broadcast_to(self._turn(), (*points.shape, 3))
+
+    def _turn(self) -> Array:
+        (c, s), (d, e) = ((math.cos(a), math.sin(a)) for a in (1.0, 2.0))
+        about_z = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        about_y = np.array([[d, 0.0, e], [0.0, 1.0, 0.0], [-e, 0.0, d]])
+        turn: Array = about_y @ about_z
+        return turn
+
+
+def bends(quick: bool) -> Iterator[Case]:
+    """Free arcs to the full circle, hinges and short arcs to their last angles, and past them."""
+    angles = (-180.0, 180.0, 360.0) if quick else (-360.0, -180.0, -90.0, -1e-3, 1e-3, 90.0, 360.0)
+    for angle in angles:
+        yield Case("bends", f"whole length to {angle:g} deg", partial(_arc, angle))
+    for angle in (360.1, -1e6):
+        solve = partial(_arc, angle)
+        name = f"whole length to {angle:g} deg"
+        yield Case("bends", name, solve, "refused", "last possible angle")
+    for name, fixture in FIXTURES.items():
+        if quick and name not in QUICK_FIXTURES:
+            continue
+        for way, sign in (("up", 1.0), ("down", -1.0)):
+            last, past = partial(_last, fixture, sign), partial(_past, fixture, sign)
+            yield Case("bends", f"{name}, {way}, to the end", last)
+            yield Case("bends", f"{name}, {way}, past it", past, "refused", "last possible angle")
+
+
+def rolls_and_twists(quick: bool) -> Iterator[Case]:
+    """Across the width to where the edges meet, and about the long axis many times."""
+    for angle in (-180.0, 360.0) if quick else (-360.0, -180.0, -90.0, 90.0, 180.0, 360.0):
+        yield Case("rolls and twists", f"roll, {angle:g} deg", partial(_rolled, angle))
+    for angle in (360.1, float("nan")):
+        solve = partial(_rolled, angle)
+        yield Case("rolls and twists", f"roll, {angle:g} deg", solve, "refused", "-360 to 360")
+    for turns in (0.25, 10, 100, 1000):
+        solve = partial(_scene, Scene(twist=Twist(360.0 * turns)))
+        # F grows with the turns, and what rounding takes from det F with its cube.
+        yield Case("rolls and twists", f"twist, {turns:g} turns", solve)
+
+
+def compositions(model: TouchModel) -> Iterator[Case]:
+    """Presses on bent, rolled and twisted sensors; volume is kept on average."""
+    press = (Touch(0.075, 0.030),)
+    four = tuple(Touch(x, 0.030) for x in (0.03, 0.06, 0.09, 0.12))
+    scenes = {
+        "press, arc of 360 deg": Scene(Bend(360.0), press),
+        "press, arc of -180 deg": Scene(Bend(-180.0), press),
+        "press on the rim, arc of 90 deg": Scene(Bend(90.0), (Touch(0.075, 0.0),)),
+        "press, roll, bend and twist": Scene(Bend(20.0), press, Roll(20.0), Twist(90.0)),
+        "four presses": Scene(touches=four),
+    }
+    for name, scene in scenes.items():
+        solve = partial(_scene, scene, FreeArc(L), model)
+        yield Case("compositions", name, solve, invariant_limit=5e-3)
+    for gap in (0.016, 0.0):
+        name = f"two presses {1e3 * gap:g} mm apart"
+        yield Case("compositions", name, partial(_two, gap, model), None, invariant_limit=5e-2)
+    rolled = Scene(Bend(90.0), roll=Roll(180.0))
+    yield Case("compositions", "rolled to 180 deg, then bent", partial(_scene, rolled), None)
+
+
+def _arc(angle: float) -> Found:
+    """All of the bar bent evenly: an annular sector."""
+    sim = Simulator(bar(_Z), _MESH, FreeArc(L))
+    flexure = sim.fixture.flexure(sim.design, Bend(angle))
+    exact = sector(math.radians(angle), H, W, flexure.stretch, L)
+    return _found(sim, flexure, lambda R: abs(R / exact - 1.0))
+
+
+def _rolled(angle: float) -> Found:
+    """The same across the width."""
+    roll = Roll(angle)
+    sim = Simulator(SensorDesign(OUTLINE, H, _ACROSS), _MESH)
+    rolled = roll.deformation(sim.design)
+    exact = sector(math.radians(angle), H, L, rolled.flexure.stretch, W)
+    return _found(sim, rolled, lambda R: abs(R / exact - 1.0))
+
+
+def _scene(
+    scene: Scene, fixture: Fixture | None = None, model: TouchModel = "closed form"
+) -> Found:
+    """The bar under a scene, its resistance between rigorous bounds."""
+    sim = Simulator(bar(_Z), _MESH, fixture, touch_model=model)
+    deformation = sim.deformation(scene)
+    if deformation is None:
+        raise ConfigurationError("the scene does not deform the sensor")
+    low, high = _bounds(deformation)
+    found = _found(sim, deformation, lambda R: max(low / R, R / high, 1.0) - 1.0)
+    if not scene.touches:
+        return found
+    volume = abs(float(_determinants(deformation).mean()) - 1.0)
+    return dataclasses.replace(found, invariant=volume)
+
+
+def _two(gap: float, model: TouchModel) -> Found:
+    """Presses near each other, whose dents overlap."""
+    touches = tuple(Touch(0.075 + side * gap, 0.030) for side in (-0.5, 0.5))
+    return _scene(Scene(touches=touches), FreeArc(L), model)
+
+
+def _last(fixture: Fixture, sign: float) -> Found:
+    """At the angle that the refusal of a larger one names."""
+    angle = _last_angle(fixture, sign)
+    found = _scene(Scene(Bend(angle)), fixture)
+    return dataclasses.replace(found, reached=f"{angle:g} deg")
+
+
+def _past(fixture: Fixture, sign: float) -> Found:
+    return _scene(Scene(Bend(_last_angle(fixture, sign) + 0.2 * sign)), fixture)
+
+
+@cache
+def _last_angle(fixture: Fixture, sign: float) -> float:
+    try:
+        fixture.flexure(bar(_Z), Bend(1e4 * sign))
+    except ConfigurationError as error:
+        return float(re.findall(r"last possible .* is (\S+) deg", str(error))[0])
+    raise ConfigurationError(f"{fixture} bends by ten thousand degrees")
+
+
+def _found(sim: Simulator, deformation: Deformation, error: Callable[[float], float]) -> Found:
+    """The resistance, and what a rigid motion makes of it."""
+    R, moved = (
+        complex(sim.deformed(each).impedance[0])
+        for each in (deformation, Composed(deformation, _Moved()))
+    )
+    return Found(
+        residual=abs(moved / R - 1.0),
+        invariant=float(np.abs(_determinants(deformation) - 1.0).max()),
+        error=error(R.real),
+    )
+
+
+def _places() -> tuple[Array, Array]:
+    """Gauss points (n, m, 3) [m], section by section, and weights (m,) of a section [m2]."""
+    ends = np.linspace(0.0, L, 151)  # of which some are where hinges and arcs begin
+    gauss = 0.5 + 0.5 * np.array([-1.0, 1.0]) / math.sqrt(3.0)
+    x = ends[:-1, None] + gauss * np.diff(ends)[:, None]
+    nodes, weights = np.polynomial.legendre.leggauss(8)
+    across, up = 0.5 * W * (nodes + 1.0), 0.5 * H * (nodes + 1.0)
+    grid = np.stack(np.meshgrid(x.ravel(), across, up, indexing="ij"), axis=-1)
+    section = 0.25 * W * H * np.outer(weights, weights)
+    return grid.reshape(len(grid), -1, 3), section.ravel()
+
+
+def _determinants(deformation: Deformation) -> Array:
+    J: Array = np.linalg.det(deformation.gradient(_places()[0]))
+    return J
+
+
+def _bounds(deformation: Deformation) -> tuple[float, float]:
+    """Between sections of one potential each, and fibres that exchange no current [ohm].
+
+    With S = J F^-1 F^-T: int dX / int S_XX dA <= R <= int int (S^-1)_XX dA dX / A^2 (Dirichlet's
+    and Thomson's principles).
+    """
+    points, section = _places()
+    S = pulled_back(deformation.gradient(points))
+    step = L / len(points)
+    low = float((step / (S[..., 0, 0] @ section)).sum())
+    fibres = np.linalg.inv(S)[..., 0, 0] @ section
+    return low, float(step * fibres.sum()) / (W * H) ** 2 + 2.0 * _Z / (W * H)

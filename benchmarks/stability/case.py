@@ -1,0 +1,177 @@
+"""One stiff or extreme case, what was found in it, and whether that can be trusted."""
+
+import math
+import signal
+import threading
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from eitskin.errors import ConfigurationError
+
+Outcome = Literal["ok", "refused", "left out", "wrong"]
+
+_PATIENCE = 300.0  # s: what takes longer counts as a hang
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """What one case gave; None where a quantity does not apply.
+
+    Attributes:
+        residual: of electrical cases, largest relative difference between the impedances by two
+            direct solvers, which eliminate in another order; of mechanical ones, largest
+            unbalanced force over the largest force. Condition times the precision of numbers.
+        invariant: worst relative violation of what always holds; see the families.
+        error: relative, against a closed form, or outside rigorous bounds.
+        naive: the same error of the plain method that the case is hard for.
+        iterations: of Newton's method, all steps of the load together.
+        reached: in words, how far it went.
+        refused: why it went no further.
+    """
+
+    residual: float | None = None
+    invariant: float | None = None
+    error: float | None = None
+    naive: float | None = None
+    iterations: int | None = None
+    reached: str = ""
+    refused: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """Something to compute, and what must come of it.
+
+    Attributes:
+        family: row of the table of extreme cases that it belongs to.
+        name: what is special about it.
+        solve: computes it; raises ConfigurationError where it cannot be.
+        expected: whether it can be; None where either will do.
+        says: what a refusal must say.
+        residual_limit, invariant_limit, error_limit: beyond which the result is wrong.
+    """
+
+    family: str
+    name: str
+    solve: Callable[[], Found]
+    expected: Literal["ok", "refused"] | None = "ok"
+    says: str = ""
+    residual_limit: float = math.inf
+    invariant_limit: float = 1e-6
+    error_limit: float = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """What came of one case.
+
+    Attributes:
+        family, case: as in `Case`.
+        outcome: "ok"; "refused" by a ConfigurationError; "left out" where something is not
+            installed; or "wrong": not a number, beyond a limit, another exception, a hang, or
+            another outcome than the expected one.
+        reached: how far it went, in words.
+        reason: why it is not ok, or went no further.
+        residual, invariant, error, naive, iterations: as in `Found`; None also for what is not
+            a number.
+        seconds: that it took [s].
+    """
+
+    family: str
+    case: str
+    outcome: Outcome
+    reached: str
+    reason: str
+    residual: float | None
+    invariant: float | None
+    error: float | None
+    naive: float | None
+    iterations: int | None
+    seconds: float
+
+
+def judge(case: Case, patience: float = _PATIENCE) -> Row:
+    """Compute a case and say what came of it; a warning counts as a failure.
+
+    Where the system has no alarm clock, hangs are not ended.
+    """
+    start = time.perf_counter()
+    outcome: Outcome
+    found = Found()
+    try:
+        with _alarm(patience), warnings.catch_warnings():
+            warnings.simplefilter("error")
+            found = case.solve()
+        outcome, reason = _outcome(case, found)
+    except ConfigurationError as error:
+        outcome, reason = _refusal(case, str(error))
+    except ImportError as error:
+        outcome, reason = "left out", str(error)
+    except Exception as error:  # whatever else comes is a bug to be listed
+        outcome, reason = "wrong", f"{type(error).__name__}: {error}"
+    return Row(
+        family=case.family,
+        case=case.name,
+        outcome=outcome,
+        reached=found.reached,
+        reason=reason,
+        residual=_number(found.residual),
+        invariant=_number(found.invariant),
+        error=_number(found.error),
+        naive=_number(found.naive),
+        iterations=found.iterations,
+        seconds=time.perf_counter() - start,
+    )
+
+
+def _outcome(case: Case, found: Found) -> tuple[Outcome, str]:
+    for name in ("residual", "invariant", "error"):
+        value, limit = getattr(found, name), getattr(case, f"{name}_limit")
+        if value is None:
+            continue
+        if not np.isfinite(value):
+            return "wrong", f"{name} is not a number"
+        if value > limit:
+            return "wrong", f"{name} of {value:.2g}, at most {limit:g} was expected"
+    if found.refused:
+        return _refusal(case, found.refused)
+    if case.expected == "refused":
+        return "wrong", "was not refused"
+    return "ok", ""
+
+
+def _refusal(case: Case, reason: str) -> tuple[Outcome, str]:
+    if case.expected == "ok":
+        return "wrong", f"was refused: {reason}"
+    if case.says not in reason:
+        return "wrong", f"the refusal does not say '{case.says}': {reason}"
+    return "refused", reason
+
+
+def _number(value: float | None) -> float | None:
+    return None if value is None or not np.isfinite(value) else float(value)
+
+
+@contextmanager
+def _alarm(seconds: float) -> Iterator[None]:
+    """Raise TimeoutError in the block after some time, where the system can."""
+    if not hasattr(signal, "setitimer") or threading.current_thread() != threading.main_thread():
+        yield
+        return
+
+    def ring(*_: Any) -> None:
+        raise TimeoutError(f"took longer than {seconds:g} s")
+
+    before = signal.signal(signal.SIGALRM, ring)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)

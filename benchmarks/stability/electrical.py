@@ -1,0 +1,261 @@
+"""Conductivities, contacts, electrodes and cells at the ends of what sensors can have.
+
+Always true: power is not given back; the power put in is the power that body and contacts turn
+into heat; by the other factorisation, the one with which sensitivities are computed.
+"""
+
+import cmath
+import dataclasses
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.benchmarks.stability.case import Case, Found
+from eitskin.benchmarks.stability.closed_forms import block
+from eitskin.geometry.design.electrode import Electrode
+from eitskin.geometry.design.outline import Rectangle
+from eitskin.geometry.design.sensor import Layer, SensorDesign
+from eitskin.geometry.meshing.grading import Grading
+from eitskin.geometry.meshing.mesh_of import CellKind
+from eitskin.protocol import Protocol
+from eitskin.simulator.electrical.forward_model import ForwardModel
+from eitskin.simulator.electrical.resolution import Discretisation, Resolution
+
+Array = NDArray[np.float64]
+Numbers = NDArray[np.inexact]
+
+L, W, H = 0.15, 0.06, 0.005  # of the block [m]
+OUTLINE = Rectangle(L, W)
+AREA = W * H
+COARSE = Grading(finest=2e-2, coarsest=2e-2, growth=1.0)
+
+
+def imbalance(model: ForwardModel, conductivity: Array | None = None) -> float:
+    """Worst violation of what holds for all impedances of a sensor, relative.
+
+    No currents give power: Re Z has no negative eigenvalue. And by Tellegen's theorem the
+    impedance of every pair is
+
+        R = int sigma |grad u|^2 dV + sum_l int z_l j^2 dS = -sum_c sigma_c dR/d sigma_c
+            + sum_l z_l dR/dz_l.
+    """
+    protocol = Protocol.pairwise(len(model.design.electrodes))
+    mesh = model.mesh
+    middles = mesh.points[mesh.cells].mean(axis=1)
+    sigma = model.design.conductivity_at(middles) if conductivity is None else conductivity
+    z = np.array([electrode.contact_impedance for electrode in model.design.electrodes])
+    Z = model.impedance(conductivity)
+    R = protocol.measure(Z)
+    heat = model.contact_sensitivity(protocol, conductivity) @ z
+    heat = heat - model.sensitivity(protocol, conductivity) @ sigma
+    values = np.linalg.eigvalsh(np.real(Z))
+    return float(max(np.abs(heat / R - 1.0).max(), -values[0] / values[-1]))
+
+
+def apart(first: Numbers, second: Numbers) -> float:
+    """Largest relative difference between two arrays."""
+    return float(np.abs(first / second - 1.0).max())
+
+
+def solved(
+    design: SensorDesign,
+    resolution: Resolution | Discretisation,
+    exact: Callable[[Numbers, ForwardModel], float] | None = None,
+    *,
+    cells: CellKind | None = None,
+    breaks: Sequence[float] = (),
+    conductivity: Callable[[Array], Array] | None = None,
+) -> Found:
+    """All pairs of a sensor, by both solvers.
+
+    `exact` gives the error of the impedances of the pairs; `conductivity` the values at the
+    middles (cells, 3) [m] of cells.
+    """
+    protocol = Protocol.pairwise(len(design.electrodes))
+    found = []
+    for solver in ("block Cholesky", "sparse LU"):
+        model = ForwardModel(design, resolution, breaks, cells, solver)
+        middles = model.mesh.points[model.mesh.cells].mean(axis=1)
+        sigma = None if conductivity is None else conductivity(middles)
+        found.append(protocol.measure(model.impedance(sigma)))
+        if cells == "tetrahedra":  # no two meshes are the same
+            break
+    return Found(
+        residual=apart(found[0], found[1]) if len(found) > 1 else None,
+        invariant=imbalance(model, sigma),
+        error=None if exact is None else exact(found[-1], model),
+    )
+
+
+def bar(
+    *z: complex,
+    layers: tuple[Layer, ...] = (),
+    outline: Rectangle = OUTLINE,
+    thickness: float = H,
+) -> SensorDesign:
+    """A block between electrodes over its two whole ends x = 0 and x = length."""
+    length, width = outline.length, outline.width
+    ends = (
+        Electrode(0.0, 0.5 * width, width, z[0]),
+        Electrode(length, 0.5 * width, width, z[-1]),
+    )
+    return SensorDesign(outline, thickness, ends, layers=layers)
+
+
+def outside(R: Numbers, low: Numbers, high: Numbers) -> float:
+    """How far resistances are outside rigorous bounds, relative; 0 within."""
+    return float(np.maximum(low / R - 1.0, R / high - 1.0).max(initial=0.0))
+
+
+# Conductivities
+
+
+def contrasts(ratios: Sequence[float]) -> Iterator[Case]:
+    """Two conductivities in one sensor: in series, in parallel, and under the electrodes."""
+    for ratio in ratios:
+        cases = {"in series": _in_series, "in parallel": _in_parallel, "half a sensor": _half}
+        for name, solve in cases.items():
+            yield Case(
+                "conductivity contrast",
+                f"{name}, 1 : {ratio:g}",
+                partial(solve, ratio),
+                # Digits are lost in proportion to the contrast.
+                invariant_limit=1e-11 * max(ratio, 1.0 / ratio) + 1e-10,
+                error_limit=1e-6,
+            )
+
+
+def _in_series(ratio: float) -> Found:
+    exact = block(0.5 * L, AREA, 1.0, 1e-9) + block(0.5 * L, AREA, ratio, 1e-9)
+    return solved(
+        bar(1e-9),
+        ((2,), COARSE),
+        lambda R, _: apart(R, np.array([exact])),
+        breaks=(0.5 * L,),
+        conductivity=lambda x: np.where(x[:, 0] < 0.5 * L, 1.0, ratio),
+    )
+
+
+def _in_parallel(ratio: float, thin: float = 0.5) -> Found:
+    """Sheets with contacts of their own conduct least; sheets that share them, most."""
+    z, shares = 1e-9, ((1.0 - thin, 1.0), (thin, ratio))
+    sheets = tuple(Layer(share * H, sigma) for share, sigma in shares)
+
+    def together(*contact: float) -> Numbers:
+        each = [1.0 / block(L, share * AREA, sigma, *contact) for share, sigma in shares]
+        return np.array([1.0 / sum(each)])
+
+    bounds = together(), together(z, z)
+    found = partial(_outside_bounds, bounds=bounds)
+    return solved(bar(z, layers=sheets), ((2, 2, 2), COARSE), found)
+
+
+def _outside_bounds(R: Numbers, _: ForwardModel, bounds: tuple[Numbers, Numbers]) -> float:
+    return outside(R, *bounds)
+
+
+def _half(ratio: float) -> Found:
+    """The reference sensor, of which one half conducts more, between none and all of it."""
+
+    def error(R: Numbers, model: ForwardModel) -> float:
+        protocol = Protocol.pairwise(8)
+        ends = [protocol.measure(model.impedance(sigma)) for sigma in (1.0, ratio)]
+        return outside(R, np.minimum(*ends), np.maximum(*ends))
+
+    return solved(
+        SensorDesign.reference(),
+        "fast",
+        error,
+        breaks=(0.5 * L,),
+        conductivity=lambda x: np.where(x[:, 0] < 0.5 * L, 1.0, ratio),
+    )
+
+
+# Layers and cells
+
+
+def layers(ratios: Sequence[float], shares: Sequence[float]) -> Iterator[Case]:
+    """Thin sheets in the stack, between pads on top and bottom and between its ends."""
+    for thin in shares:
+        for ratio in ratios:
+            name = f"1 : {ratio:g} S/m, {1.0 / thin - 1.0:.0f} : 1"
+            limit = 1e-11 * max(ratio, 1.0 / ratio) + 1e-10
+            kinds = {"across": _across, "along": _in_parallel}
+            for kind, solve in kinds.items():
+                yield Case(
+                    "thin layers",
+                    f"{kind}, {name}",
+                    partial(solve, ratio, thin),
+                    invariant_limit=limit,
+                    error_limit=1e-7,
+                )
+
+
+def _across(ratio: float, thin: float) -> Found:
+    faces = tuple(Electrode(L / 2, W / 2, L, 1e-9, height=W, on=on) for on in ("top", "bottom"))
+    sheets = (Layer((1.0 - thin) * H, 1.0), Layer(thin * H, ratio))
+    exact = H * (1.0 - thin + thin / ratio) / (L * W) + 2e-9 / (L * W)
+    design = SensorDesign(OUTLINE, H, faces, layers=sheets)
+    return solved(design, ((1, 1), COARSE), lambda R, _: apart(R, np.array([exact])))
+
+
+# Contacts
+
+
+def contacts() -> Iterator[Case]:
+    """z from 1e-9 to 1e3 ohm m2, alike and mixed, real and complex, and beyond."""
+    pairs: list[tuple[complex, complex]] = [(z, z) for z in (1e-10, 1e-9, 1e-6, 1e-3, 1.0, 1e3)]
+    pairs += [(1e-9, 1e3), (1e-9, 1e-3 + 1e3j), (1e3, 1e-3 - 4e-3j)]
+    pairs += [(cmath.rect(z, 1.5), cmath.rect(z, -1.5)) for z in (1e-9, 1e-3, 1e3)]
+    for one, other in pairs:
+        name = ", ".join(f"{z:.1g}" for z in dict.fromkeys((one, other)))
+        yield Case("contact impedance", f"block, {name}", partial(_body, one, other))
+    for z in (1e-9, 1e-3, 1e3, 1e3 * cmath.exp(1.5j)):
+        yield Case("contact impedance", f"{z:.2g}, but 1e6 before one", partial(_buried, z))
+    for sigma in (1.0, 1e-2, 1e-4):
+        solve = partial(_strips, sigma)
+        name = f"2 mm high, 1e-09, {sigma:g} S/m"
+        # What a height shares with all others and its own part cancel: 2e-18 m / (z sigma).
+        yield Case("contact impedance", name, solve, invariant_limit=1e-4)
+    for bad in (0.0, 1e-11, 1e7, -1e-3, 1e-3j, float("nan"), float("inf")):
+        yield Case(
+            "contact impedance",
+            f"{bad:.2g}",
+            partial(_body, bad, bad),
+            "refused",
+            "contact_impedance must be",
+        )
+
+
+def _body(one: complex, other: complex) -> Found:
+    """The body's own share of the impedance, L / (sigma A), however large the contacts' is."""
+
+    def error(R: Numbers, _: ForwardModel) -> float:
+        return apart(R - (one + other) / AREA, np.array([L / AREA]))
+
+    return solved(bar(one, other), ((2,), COARSE), error)
+
+
+def _strips(sigma: float) -> Found:
+    """Electrodes that do not cover the full thickness, without a closed form."""
+    places = (0.03, 0.09)
+    strips = tuple(Electrode(x, 0.0, 0.005, 1e-9, height=0.002) for x in places)
+    return solved(SensorDesign(OUTLINE, H, strips, conductivity=sigma), "fast")
+
+
+def _buried(z: complex) -> Found:
+    """With 1e6 ohm m2 before it, an electrode is as good as not there."""
+    sensor = SensorDesign.reference()
+    changed = [dataclasses.replace(e, contact_impedance=z) for e in sensor.electrodes]
+    rest = dataclasses.replace(sensor, electrodes=tuple(changed[1:]))
+    changed[0] = dataclasses.replace(changed[0], contact_impedance=1e6)
+    whole = dataclasses.replace(sensor, electrodes=tuple(changed))
+
+    def error(R: Numbers, _: ForwardModel) -> float:
+        # The first seven pairs are those of electrode 0.
+        alone = ForwardModel(rest, "fast").impedance()
+        return apart(R[7:], Protocol.pairwise(7).measure(alone))
+
+    return solved(whole, "fast", error)

@@ -1,0 +1,147 @@
+"""Sensors and scenes drawn at random, most of them odd, some of them impossible."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.benchmarks.stability.case import Case, Found
+from eitskin.benchmarks.stability.electrical import imbalance
+from eitskin.geometry.deformation.fixtures import Bend, Fixture, FreeArc, Hinge
+from eitskin.geometry.deformation.twist import Roll, Twist
+from eitskin.geometry.design.electrode import Electrode, On, Shape
+from eitskin.geometry.design.outline import Disc, PlaneOutline, Polygon, Rectangle
+from eitskin.geometry.design.sensor import Layer, SensorDesign
+from eitskin.geometry.meshing.grading import Grading
+from eitskin.simulator.scene.scene import Scene
+from eitskin.simulator.scene.touch import Touch
+from eitskin.simulator.simulator import Simulator
+
+Array = NDArray[np.float64]
+
+RANDOM = "random designs"
+
+
+@dataclass(frozen=True, slots=True)
+class Drawn:
+    """A sensor on a fixture, and what happens to it."""
+
+    design: SensorDesign
+    fixture: Fixture
+    scene: Scene
+
+
+def draw(rng: np.random.Generator) -> Drawn:
+    """A sensor, its fixture and a scene; raises ConfigurationError where one of them cannot be."""
+    extent = _log_uniform(rng, 1e-2, 0.5)
+    outline = _outline(rng, extent)
+    thickness = extent * _log_uniform(rng, 3e-3, 0.3)
+    count = int(rng.integers(2, 9))
+    electrodes = tuple(_electrode(rng, outline, thickness, count) for _ in range(count))
+    kinds = rng.integers(4) == 0
+    shares = rng.dirichlet(np.ones(3)) if kinds else np.ones(1)
+    design = SensorDesign(
+        outline=outline,
+        thickness=thickness,
+        electrodes=electrodes,
+        conductivity=1.0 if kinds else _log_uniform(rng, 1e-3, 1e2),
+        layers=_layers(rng, thickness, shares) if kinds else (),
+        encapsulated_thickness=thickness * rng.uniform(1.0, 3.0),
+    )
+    return Drawn(design, _fixture(rng, outline), _scene(rng, outline))
+
+
+def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+
+def _outline(rng: np.random.Generator, extent: float) -> PlaneOutline:
+    kind = rng.integers(3)
+    if kind == 0:
+        return Rectangle(extent, extent * _log_uniform(rng, 0.1, 3.0))
+    if kind == 1:
+        return Disc(0.5 * extent)
+    # A star about the middle; now and then its corners are not in turn, so that sides cross.
+    turn = rng.uniform(0.0, 2.0 * np.pi, int(rng.integers(3, 10)))
+    turn = turn if rng.integers(6) == 0 else np.sort(turn)
+    reach = 0.5 * extent * rng.uniform(0.3, 1.0, len(turn))
+    points = reach[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    points -= points.min(axis=0)
+    return Polygon(tuple((float(x), float(y)) for x, y in points))
+
+
+def _electrode(
+    rng: np.random.Generator, outline: PlaneOutline, thickness: float, count: int
+) -> Electrode:
+    impedance = _log_uniform(rng, 1e-9, 1e3) * np.exp(1j * _phase(rng))
+    z = complex(impedance) if impedance.imag else float(impedance.real)
+    share = outline.perimeter / count
+    make = partial(Electrode, contact_impedance=z)
+    if rng.integers(4):
+        x, y = outline.at(rng.uniform(0.0, outline.perimeter)).tolist()
+        width = share * _log_uniform(rng, 1e-2, 0.6)
+        height = thickness * float(rng.uniform(0.1, 1.0)) if rng.integers(4) == 0 else None
+        return make(x, y, width, height=height)
+    x, y = (rng.uniform(0.2, 0.8, 2) * (outline.length, outline.width)).tolist()
+    width, height = (0.5 * share * _log_uniform(rng, 0.1, 0.4) for _ in range(2))
+    shape: Shape = "round" if rng.integers(2) else "rectangle"
+    on: On = ("top", "bottom", "inside")[int(rng.integers(3))]
+    inside = thickness * float(rng.uniform(0.0, 1.1)) if on == "inside" else None
+    return make(x, y, width, height=height, z=inside, on=on, shape=shape)
+
+
+def _phase(rng: np.random.Generator) -> float:
+    """Angle of a contact impedance, seldom one that would give power."""
+    if rng.integers(3):
+        return 0.0
+    return float(rng.uniform(-0.51, 0.51) * np.pi)
+
+
+def _layers(rng: np.random.Generator, thickness: float, shares: Array) -> tuple[Layer, ...]:
+    return tuple(Layer(float(share * thickness), _log_uniform(rng, 1e-3, 1e3)) for share in shares)
+
+
+def _fixture(rng: np.random.Generator, outline: PlaneOutline) -> Fixture:
+    length = outline.length * float(rng.uniform(0.2, 1.1))
+    transition = float(rng.choice([0.0, 0.2])) * length
+    contraction = float(rng.choice([0.0, 0.8]))
+    if rng.integers(2):
+        return FreeArc(length, transition=transition, contraction=contraction)
+    offset = outline.length * float(rng.uniform(-0.2, 0.2))
+    return Hinge(length, offset, transition=transition, contraction=contraction)
+
+
+def _scene(rng: np.random.Generator, outline: PlaneOutline) -> Scene:
+    places = rng.uniform(0.0, 1.0, (int(rng.integers(3)), 2)) * (outline.length, outline.width)
+    return Scene(
+        bend=Bend(float(rng.uniform(-200.0, 200.0)) if rng.integers(2) else 0.0),
+        touches=tuple(Touch(float(x), float(y), float(rng.uniform(0.0, 13.0))) for x, y in places),
+        roll=Roll(float(rng.uniform(-400.0, 400.0))) if rng.integers(4) == 0 else None,
+        twist=Twist(float(rng.uniform(-1e3, 1e3))) if rng.integers(4) == 0 else None,
+    )
+
+
+def random_designs(seed: int, count: int) -> Iterator[Case]:
+    """Sensors and scenes, each with a generator of its own."""
+    for number in range(count):
+        solve = partial(_measured, (seed, number))
+        # Contrasts of a million between layers leave ten digits of a frame, and fewer of the heat.
+        yield Case(RANDOM, f"{seed}-{number}", solve, None, invariant_limit=1e-4)
+
+
+def _measured(seed: tuple[int, int]) -> Found:
+    """A frame of the scene, all of whose resistances are positive, as in the flat sensor."""
+    drawn = draw(np.random.default_rng(seed))
+    design, outline = drawn.design, drawn.design.outline
+    size = 0.2 * max(outline.length, outline.width)
+    finest = min(min(e.width, e.height or e.width) for e in design.electrodes)
+    sizes = Grading(float(np.clip(0.5 * finest, 0.1 * size, size)), size, 3.0)
+    # Every stack would need a table of presses of its own, which takes a minute.
+    sim = Simulator(design, ((1, 1), sizes), drawn.fixture, touch_model="closed form")
+    flat = imbalance(sim.model)
+    R = sim.measure(drawn.scene).impedance.real
+    if not np.all(R > 0.0):
+        raise ArithmeticError(f"resistances of {R.min():g} to {R.max():g} ohm")
+    return Found(invariant=flat)

@@ -1,0 +1,1 @@
+"""Single measurements that pages quote; run from a checkout, not part of the wheel."""

@@ -1,0 +1,147 @@
+"""What each part of the joint method buys, and what it costs per frame.
+
+    python -m eitskin.benchmarks.studies.ablation DATASET [--pipeline NAME.eitmodel] [--frames 400]
+
+DATASET holds touched frames, such as `seed-0/unseen-touch` in the folder of `eitskin bench paper`.
+Prints two tables in Markdown: errors and times without each part, and the time of each stage; times
+are of the processor, which other programs on the machine do not lengthen.
+"""
+
+import argparse
+import dataclasses
+import time
+from collections.abc import Callable, Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.datasets.store.dataset import Dataset
+from eitskin.datasets.store.folder import open_dataset
+from eitskin.errors import ConfigurationError
+from eitskin.provenance import Provenance
+from eitskin.training.evaluation import metrics
+from eitskin.training.joint.method import JointMethod
+from eitskin.training.joint.proposal_model import network_inputs
+from eitskin.training.joint.touch_discs import disc_map
+from eitskin.training.method.observations import Observed
+from eitskin.training.pipeline.pipeline import Pipeline
+
+Array = NDArray[np.float64]
+Places = Callable[[Observed], Array]
+"""Places (k, 2) [m] of the touches in one frame."""
+
+
+def main() -> None:
+    """Print both tables."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("dataset", help="of touched frames")
+    parser.add_argument("--pipeline", default="reference.eitmodel")
+    parser.add_argument("--frames", type=int, default=400, help="at most")
+    arguments = parser.parse_args()
+    method = Pipeline.load(arguments.pipeline).method
+    if not isinstance(method, JointMethod):
+        raise ConfigurationError(f"expected a joint pipeline, got one of method '{method.KIND}'")
+    data = open_dataset(arguments.dataset)
+    data = data.select(np.flatnonzero(data.touch_count > 0)[: arguments.frames])
+    print(f"{len(data)} frames of {arguments.dataset}; {Provenance.now(data.seed)}\n")
+    print("| | mean error, mm | found, % | false, % | median ms | p99 ms |")
+    print("| --- | --- | --- | --- | --- | --- |")
+    for name, places in variants(method):
+        print(
+            f"| {name} | " + " | ".join(f"{value:.2f}" for value in measured(places, data)) + " |"
+        )
+    print("\n## stages\n\n| stage | median ms | p99 ms |\n| --- | --- | --- |")
+    for name, seconds in stages(method, data).items():
+        p50, p99 = metrics.percentiles([1e3 * value for value in seconds])
+        print(f"| {name} | {p50:.2f} | {p99:.2f} |")
+
+
+def variants(method: JointMethod) -> Iterator[tuple[str, Places]]:
+    """The method, and the method less one part each."""
+    silent = dataclasses.replace(
+        method.proposals, biases=(*method.proposals.biases[:-1], method.proposals.biases[-1] - 50.0)
+    )
+    features = dataclasses.replace(
+        method.features, directions=np.zeros_like(method.features.directions)
+    )
+    certain = dataclasses.replace(
+        method.response, hidden_output=np.zeros_like(method.response.hidden_output)
+    )
+    bend = dataclasses.replace(
+        method.curves, covariance=1e-12 * np.eye(len(method.curves.covariance))
+    )
+    yield "all of it", fitted(method)
+    yield (
+        "no network: places from the search alone",
+        fitted(dataclasses.replace(method, proposals=silent)),
+    )
+    yield "no fit: places from the network alone", proposed(method)
+    yield "no features of the specimen", fitted(dataclasses.replace(method, features=features))
+    yield (
+        "no hidden differences of specimens",
+        fitted(dataclasses.replace(method, response=certain)),
+    )
+    yield "bend curve taken for certain", fitted(dataclasses.replace(method, curves=bend))
+
+
+def fitted(method: JointMethod) -> Places:
+    """What the method finds."""
+    return lambda frame: method.perceive(frame).touches[0].place
+
+
+def proposed(method: JointMethod) -> Places:
+    """What its network proposes, as it is."""
+
+    def places(frame: Observed) -> Array:
+        change = np.log1p(frame.dynamic[0])
+        features = method.features.apply(frame.flat[0])
+        inputs = network_inputs(change, np.sqrt(2.0) * method.noise, 0.0, features)
+        return method.proposals.places(inputs, method.habits.separation)
+
+    return places
+
+
+def measured(places: Places, data: Dataset) -> tuple[float, float, float, float, float]:
+    """Mean error [mm], found and false [%], median and p99 of the time per frame [ms]."""
+    observed = Observed.of(data)
+    pairs, seconds = [], []
+    for i in range(len(data)):
+        frame = observed[i : i + 1]
+        places(frame)  # what is kept for a specimen and an angle is made here
+        start = time.process_time()
+        found = places(frame)
+        seconds.append(time.process_time() - start)
+        true = np.stack([data.touch_x[i], data.touch_y[i]], axis=1)
+        pairs.append((true[np.isfinite(true[:, 0])], found))
+    score = metrics.localisation(pairs)
+    p50, p99 = metrics.percentiles(seconds)
+    error = 1e3 * float(np.mean(score.errors)) if score.errors else float("nan")
+    share = 100.0 / score.true
+    return error, share * len(score.errors), share * score.false, 1e3 * p50, 1e3 * p99
+
+
+def stages(method: JointMethod, data: Dataset) -> dict[str, list[float]]:
+    """Seconds of each stage, frame by frame."""
+    observed = Observed.of(data)
+    seconds: dict[str, list[float]] = {"proposals": [], "map of touches": [], "whole frame": []}
+    propose, whole = proposed(method), method.perceive
+    for i in range(len(data)):
+        frame = observed[i : i + 1]
+        whole(frame)
+        for name, run in (("proposals", propose), ("whole frame", whole)):
+            start = time.process_time()
+            run(frame)
+            seconds[name].append(time.process_time() - start)
+        found = whole(frame).touches[0]
+        start = time.process_time()
+        disc_map(found.place, found.deviation, method.radius, method.size, method.shape)
+        seconds["map of touches"].append(time.process_time() - start)
+    rest = zip(
+        *(seconds[name] for name in ("whole frame", "proposals", "map of touches")), strict=True
+    )
+    seconds["angles and fit"] = [all_of_it - network - drawn for all_of_it, network, drawn in rest]
+    return seconds
+
+
+if __name__ == "__main__":
+    main()

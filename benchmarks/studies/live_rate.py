@@ -1,0 +1,241 @@
+"""How fast the live loop is.
+
+Run by `python -m eitskin.benchmarks.studies.live_rate [--hours H]`.
+
+Frames cross a pseudo-terminal as packets, from a board in a process of its own, and go through the
+pipeline that ships. Prints frames per second and the time of each stage, for boards as fast as they
+are read and for paced ones; with --hours, what a live session with a page holds while it goes on.
+"""
+
+import argparse
+import contextlib
+import json
+import multiprocessing
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, MutableSequence
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any
+
+import numpy as np
+
+from eitskin.geometry.deformation.fixtures import Bend
+from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.hardware.boards.board import Board
+from eitskin.hardware.opening import open_board
+from eitskin.hardware.protocol.packets import Decoder
+from eitskin.hardware.virtual.fault import Fault
+from eitskin.hardware.virtual.scene_script import Script, Step
+from eitskin.hardware.virtual.virtual_board import virtual_terminal
+from eitskin.provenance import Provenance
+from eitskin.simulator.scene.scene import Scene
+from eitskin.simulator.scene.touch import Touch
+from eitskin.simulator.simulator import Simulator
+
+if TYPE_CHECKING:
+    from multiprocessing.connection import Connection as Pipe
+
+    from eitskin.training.pipeline.pipeline import Pipeline
+
+PAPER_MS = 606.6
+FOUR = tuple(
+    Touch(x, y) for x, y in ((0.025, 0.018), (0.050, 0.042), (0.100, 0.042), (0.125, 0.018))
+)
+SCENES = {
+    "idle": Scene(),
+    "bent": Scene(Bend(20.0)),
+    "one touch, bent": Scene(Bend(20.0), FOUR[:1]),
+    "four touches, bent": Scene(Bend(20.0), FOUR),
+}
+MIXED = """
+[[steps]]
+frames = 20
+[steps.scene]
+[[steps]]
+frames = 20
+[steps.scene.bend]
+angle_deg = 20.0
+[[steps]]
+frames = 20
+[steps.scene]
+bend = { angle_deg = 20.0 }
+touches = [{ x = 0.030, y = 0.040 }, { x = 0.075, y = 0.018 }]
+[[steps]]
+frames = 20
+[steps.scene]
+touches = [{ x = 0.025, y = 0.018 }, { x = 0.050, y = 0.042 }, { x = 0.100, y = 0.042 }]
+"""
+"""All states in turn, for a session that goes on for hours."""
+BOARDS: dict[str, dict[str, Any]] = {
+    "as fast as it is read": {"speed": "max", "period": 0.01},
+    "30 per second": {"speed": "real", "period": 1 / 30},
+    "the AD5940's, 3.37 per second": {"speed": "real", "period": None},
+}
+STAGES = ("line and codec", "pipeline")
+
+
+class Clocked(Fault):
+    """No fault: notes when each frame is handed to the line, `times` by its number [s]."""
+
+    times: "MutableSequence[float]"
+
+    def sent(self, now: int, packet: bytes, period: float) -> bytes:  # noqa: ARG002
+        """The packet as it is."""
+        self.times[now % len(self.times)] = time.perf_counter()
+        return packet
+
+
+def serve(path: "Pipe", times: "MutableSequence[float]", options: dict[str, Any]) -> None:
+    """Serve a virtual board in a process of its own, as a real board is none of the host's."""
+    with contextlib.suppress(KeyboardInterrupt):
+        terminal = virtual_terminal(**options)
+        clocked = Clocked()
+        clocked.times = times
+        terminal.firmware.stage.inject([clocked])
+        path.send(terminal.path)
+        terminal.serve()
+
+
+@contextlib.contextmanager
+def apart(**options: Any) -> "Iterator[tuple[Board, MutableSequence[float]]]":
+    """A virtual board in another process, and when it sent each frame."""
+    context = multiprocessing.get_context("spawn")
+    times = context.Array("d", 4096, lock=False)
+    here, there = context.Pipe()
+    process = context.Process(target=serve, args=(there, times, options), daemon=True)
+    process.start()
+    try:
+        with open_board(f"serial:{here.recv()}") as board:
+            yield board, times
+    finally:
+        process.kill()
+        process.join()
+
+
+def staged(
+    board: Board, times: "MutableSequence[float]", pipeline: "Pipeline", frames: int
+) -> np.ndarray:
+    """Seconds of each stage for so many frames, and when each was done, (frames, stages + 1)."""
+    rows = []
+    for frame in board.frames():
+        came = time.perf_counter()
+        pipeline.process(frame)
+        done = time.perf_counter()
+        sent = times[frame.number % len(times)]
+        rows.append((came - sent, done - came, done))
+        if len(rows) == frames:
+            break
+    return np.array(rows)
+
+
+def rates(frames: int, seed: int) -> Iterator[str]:
+    """The tables of rates and stages, as Markdown."""
+    from eitskin.training.pipeline.pipeline import Pipeline
+
+    pipeline = Pipeline.load("reference.eitmodel")
+    stages = " | ".join(f"{stage}, ms: p50 (p99)" for stage in STAGES)
+    yield f"| board | scene | frames/s | CPU, % of a core | {stages} |"
+    yield "|---" * (4 + len(STAGES)) + "|"
+    for name, options in BOARDS.items():
+        count = frames if options["period"] else frames // 20
+        for scene_name, scene in SCENES.items():
+            script = Script((Step(Scene(), 12), Step(scene, 1)), repeat=False)
+            settings = {"scene": script, "seed": seed, "instrument": "ad5940", **options}
+            with apart(**settings) as (board, times):
+                pipeline.reset()
+                cpu, began = time.process_time(), time.perf_counter()
+                rows = staged(board, times, pipeline, count)[min(20, count // 2) :]
+                busy = (time.process_time() - cpu) / (time.perf_counter() - began)
+            rate = (len(rows) - 1) / (rows[-1, 2] - rows[0, 2])
+            half, most = np.percentile(1e3 * rows[:, :2], (50, 99), axis=0)
+            shown = [f"{a:.2f} ({b:.2f})" for a, b in zip(half, most, strict=True)]
+            if options["speed"] == "max":
+                shown[0] = "full queue"
+            yield (
+                f"| {name} | {scene_name} | {rate:.1f} | {100 * busy:.0f} | {' | '.join(shown)} |"
+            )
+    yield f"\nThe paper's frame takes {PAPER_MS} ms, 303 of them for its acquisition.\n"
+    yield f"- codec alone, decoded from bytes in memory, frames per second: {codec_rate():,.0f}"
+
+
+def codec_rate(frames: int = 20000) -> float:
+    """Frames per second that the codec decodes."""
+    from eitskin.hardware.protocol.messages import unpack
+
+    with virtual_terminal(simulator=Simulator(SensorDesign.reference(), resolution="fast")) as t:
+        packet = t.firmware.frame()
+    data = packet * frames
+    began = time.perf_counter()
+    decoder, count = Decoder(), 0
+    for start in range(0, len(data), 4096):
+        for each in decoder.feed(data[start : start + 4096]):
+            unpack(each)
+            count += 1
+    assert count == frames  # noqa: S101
+    return count / (time.perf_counter() - began)
+
+
+def endure(hours: float, seed: int) -> Iterator[str]:
+    """What `eitskin live --page` holds, minute by minute, at full rate and through all states."""
+    run = "from eitskin.cli.main import run; run()"
+    yield "| minute | frames | frames/s | lost | resident, MiB | open files | threads |"
+    yield "|---|---|---|---|---|---|---|"
+    with tempfile.TemporaryDirectory() as folder:
+        scene = Path(folder) / "scenes.toml"
+        scene.write_text(MIXED, encoding="utf-8")
+        board = f"virtual:?speed=max&instrument=ad5940&seed={seed}&scene={scene}"
+        live = ["live", "reference.eitmodel", "--board", board, "--json", "--every-frame"]
+        process = subprocess.Popen(  # noqa: S603
+            [sys.executable, "-c", run, *live, "--page", "--page-port", "0", "--quiet"],
+            stdout=subprocess.PIPE,
+        )
+        try:
+            assert process.stdout is not None  # noqa: S101
+            yield from _watched(process.stdout, process.pid, round(60 * hours))
+        finally:
+            process.terminate()
+            process.wait()
+
+
+def _watched(lines: IO[bytes], pid: int, minutes: int) -> Iterator[str]:
+    """One row a minute while a live session prints its lines."""
+    count, began = 0, time.perf_counter()
+    due, before = began + 60.0, 0
+    for line in lines:
+        count += 1
+        if time.perf_counter() < due:
+            continue
+        minute = round((due - began) / 60.0)
+        rate, lost = (count - before) / 60.0, json.loads(line)["lost"]
+        yield f"| {minute} | {count} | {rate:.1f} | {lost} | {_holds(pid)} |"
+        due, before = due + 60.0, count
+        if minute >= minutes:
+            return
+
+
+def _holds(pid: int) -> str:
+    process = Path(f"/proc/{pid}")
+    pages = int((process / "statm").read_text(encoding="ascii").split()[1])
+    resident = pages * os.sysconf("SC_PAGE_SIZE") / 2**20
+    files, threads = (len(list((process / name).iterdir())) for name in ("fd", "task"))
+    return f"{resident:.1f} | {files} | {threads}"
+
+
+def main() -> None:
+    """Print the report."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--frames", type=int, default=600, help="of each board and scene")
+    parser.add_argument("--hours", type=float, default=0.0)
+    parser.add_argument("--seed", type=int, default=0)
+    given = parser.parse_args()
+    print(f"Measured on {Provenance.now(given.seed)}\n")
+    hours, frames, seed = given.hours, given.frames, given.seed
+    for line in endure(hours, seed) if hours else rates(frames, seed):
+        print(line, flush=True)
+
+
+if __name__ == "__main__":
+    main()

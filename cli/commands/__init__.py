@@ -1,0 +1,1 @@
+"""The commands of `eitskin`, one module each."""

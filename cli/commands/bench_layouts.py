@@ -1,0 +1,95 @@
+"""`eitskin bench layouts`: where electrodes should be."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich import box
+from rich.console import Group
+from rich.table import Table
+
+from eitskin.cli.options import TRAINING, Json, Output, Quiet, Verbose
+from eitskin.extras import require_all
+
+if TYPE_CHECKING:
+    from eitskin.benchmarks.layouts.run import Comparison, Training
+
+
+def command(
+    out: Annotated[Path, typer.Option(help="Folder for tables, maps and finished layouts.")] = Path(
+        "build/bench/layouts"
+    ),
+    *,
+    sweep: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="count, placement, width, contact, bend, search or free; may be given several "
+            "times, all if omitted."
+        ),
+    ] = None,
+    trained: Annotated[
+        bool, typer.Option("--trained", help="Also train and test pipelines for chosen layouts.")
+    ] = False,
+    workers: Annotated[int, typer.Option(min=1, help="Processes that judge and train.")] = 2,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Few places, short searches, little training.")
+    ] = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """How well layouts of electrodes can know a press: sweeps, and a search for the best eight.
+
+    Cramer-Rao bounds over the sheet. Finished layouts are kept in the folder; a run that was
+    stopped goes on from them.
+    """
+    from eitskin.benchmarks.layouts import trained_report as training
+    from eitskin.benchmarks.layouts.report import LEGEND, as_data, sentences, write
+    from eitskin.benchmarks.layouts.run import NAMES, run, train
+    from eitskin.datasets.store.folder import make_folder
+
+    output = Output(as_json, quiet, verbose)
+    require_all(training=TRAINING if trained else "", bench="matplotlib")
+    make_folder(out)
+    with output.progress() as bar:
+        task = bar.add_task("layouts", total=None, rate="")
+
+        def show(name: str) -> None:
+            bar.update(task, advance=1, rate=name)
+
+        found = run(out / "parts", names=sweep or NAMES, quick=quick, workers=workers, watch=show)
+        learned = train(out, quick=quick, workers=workers, watch=show) if trained else None
+    paths, data = write(found, out), as_data(found)
+    shown = [_as_table(found)]
+    if learned is not None:
+        paths += training.write(learned, out)
+        data["trained"] = training.as_data(learned)
+        shown.append(_trained_table(learned))
+    output.result(data | {"files": [str(path) for path in paths]}, Group(*shown))
+    output.show(LEGEND)
+    for line in (*sentences(found), *(training.sentences(learned) if learned else ())):
+        output.show(line)
+    output.note("written: " + ", ".join(str(path) for path in paths))
+
+
+def _as_table(found: "Comparison") -> Table:
+    from eitskin.benchmarks.layouts.report import HEADINGS, SHORT, table
+
+    drawn = Table(*HEADINGS[:SHORT], box=box.SIMPLE, pad_edge=False, padding=0)
+    drawn.columns[0].width = 23
+    for column in drawn.columns[1:]:
+        column.justify, column.width = "right", 5
+    for row in table(found):
+        drawn.add_row(f"[bold]{row[0]}[/bold]" if len(row) == 1 else row[0], *row[1:SHORT])
+    return drawn
+
+
+def _trained_table(learned: "Training") -> Table:
+    from eitskin.benchmarks.layouts.trained_report import HEADINGS, table
+
+    drawn = Table(*HEADINGS, title="trained", box=box.SIMPLE, pad_edge=False, padding=0)
+    for column in drawn.columns[1:]:
+        column.justify = "right"
+    for row in table(learned):
+        drawn.add_row(*row)
+    return drawn

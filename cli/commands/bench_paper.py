@@ -1,0 +1,75 @@
+"""`eitskin bench paper`: the paper's table, measured."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich import box
+from rich.table import Table
+
+from eitskin.cli.options import TRAINING, Json, Output, Quiet, Verbose
+from eitskin.extras import require_all
+
+if TYPE_CHECKING:
+    from eitskin.benchmarks.paper.run import Comparison
+
+
+def command(
+    out: Annotated[
+        Path, typer.Option(help="Folder of all results; frames are kept in its folder paper.")
+    ] = Path("build/bench"),
+    *,
+    pipeline: Annotated[
+        Path | None,
+        typer.Option(help="What to measure, NAME.eitmodel; the one that comes along if omitted."),
+    ] = None,
+    seeds: Annotated[int, typer.Option(min=1, help="How many; the first is 0.")] = 3,
+    workers: Annotated[int, typer.Option(min=1, help="Processes that make frames.")] = 2,
+    paper_seeds: Annotated[
+        int | None,
+        typer.Option(min=1, help="Seeds that the paper's pipeline is trained for; all if omitted."),
+    ] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="A tenth of the frames.")] = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """The paper's experiments: as published, with its pipeline trained here, and with ours.
+
+    Frames are kept, and made on from where an earlier run was stopped.
+    """
+    from eitskin.benchmarks.paper.report import NAME, as_data, sentences, write
+    from eitskin.benchmarks.paper.run import REFERENCE, run
+    from eitskin.datasets.store.folder import make_folder
+
+    output = Output(as_json, quiet, verbose)
+    require_all(training=TRAINING, bench="matplotlib")
+    make_folder(out / NAME)
+    with output.progress() as bar:
+        tasks: dict[str, Any] = {}
+
+        def show(part: str, done: int, total: int) -> None:
+            name, _, rest = part.partition(": ")
+            if name not in tasks:
+                tasks[name] = bar.add_task(name, total=total, rate="")
+            bar.update(tasks[name], completed=done, total=total, rate=rest)
+
+        found = run(
+            pipeline or REFERENCE, out / NAME, seeds, quick, workers, show, paper_seeds=paper_seeds
+        )
+    paths = write(found, out)
+    output.result(as_data(found) | {"files": [str(path) for path in paths]}, _as_table(found))
+    for line in sentences(found):
+        output.show(line)
+    output.note("written: " + ", ".join(str(path) for path in paths))
+
+
+def _as_table(found: "Comparison") -> Table:
+    from eitskin.benchmarks.paper.report import HEADINGS, table
+
+    drawn = Table(*HEADINGS, box=box.SIMPLE, pad_edge=False)
+    for column in drawn.columns[1:]:
+        column.justify = "right"
+    for row in table(found):
+        drawn.add_row(*row)
+    return drawn

@@ -1,0 +1,46 @@
+"""`eitskin bench speed`: scenes, frames and datasets per second."""
+
+import dataclasses
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich import box
+from rich.table import Table
+
+from eitskin.cli.options import Json, Output, Quiet, Seed, Verbose
+from eitskin.extras import require_all
+
+
+def command(
+    out: Annotated[Path, typer.Option(help="Folder of all results.")] = Path("build/bench"),
+    *,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Two ways and few scenes, in a minute.")
+    ] = False,
+    seed: Seed = 0,
+    as_json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Scenes per second, each way beside its error; pyEIT; datasets; frames of the pipeline."""
+    from eitskin.benchmarks.speed.report import HEADINGS, sentences, table, write
+    from eitskin.benchmarks.speed.run import run
+    from eitskin.cli.commands.bench import watched
+    from eitskin.datasets.store.folder import make_folder
+
+    output = Output(as_json, quiet, verbose)
+    require_all(training="torch safetensors", bench="threadpoolctl matplotlib")
+    make_folder(out)
+    found = run(seed, quick, watched(output))
+    paths = [str(path) for path in write(found, out)]
+    drawn = Table(*HEADINGS, box=box.SIMPLE, pad_edge=False)
+    for column in drawn.columns[1:]:
+        column.justify = "right"
+    for row in table(found):
+        drawn.add_row(*row)
+    ratio = found.peer_ratio if found.peer else None
+    output.result(dataclasses.asdict(found) | {"pyeit_ratio": ratio, "files": paths}, drawn)
+    for line in sentences(found):
+        output.show(line)
+    output.note("written: " + ", ".join(paths))

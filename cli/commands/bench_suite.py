@@ -1,0 +1,125 @@
+"""`eitskin bench all` and `eitskin bench quoted`: all benchmarks, and what pages quote of them."""
+
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich import box
+from rich.markup import escape
+from rich.table import Table
+
+from eitskin.cli.options import TRAINING, Json, Output, Quiet, Seed, Verbose, ended_by_signals
+from eitskin.errors import ConfigurationError
+from eitskin.extras import require_all
+
+if TYPE_CHECKING:
+    from eitskin.benchmarks.suite import Benchmark
+
+Out = Annotated[Path, typer.Option(help="Folder of all results; each benchmark has one in it.")]
+_OUT = Path("build/bench")
+_COLOURS = {"measured": "green", "equal": "green", "failed": "bold red", "off": "bold red"}
+
+
+def run_all(
+    out: Out = _OUT,
+    *,
+    only: Annotated[
+        list[str] | None, typer.Option(help="Name of a benchmark; may be given several times.")
+    ] = None,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Fewer and smaller cases, and what has no such run not.")
+    ] = False,
+    long: Annotated[
+        bool,
+        typer.Option("--long", help="Also those that take more than ten minutes, hours in all."),
+    ] = False,
+    fresh: Annotated[
+        bool, typer.Option("--fresh", help="Also those measured with this version and seed before.")
+    ] = False,
+    data: Annotated[
+        Path | None,
+        typer.Option(help="Folder with real recordings; what needs them is left out without."),
+    ] = None,
+    seed: Seed = 0,
+    as_json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """All benchmarks, one after the other, into one folder; index.md says what is there.
+
+    Goes on after one that failed, and ends with exit code 1 then.
+    """
+    from eitskin.benchmarks import suite
+    from eitskin.benchmarks.results import INDEX, write_index
+    from eitskin.datasets.store.folder import make_folder
+
+    output = Output(as_json, quiet, verbose)
+    chosen = _chosen(only, long or quick)
+    if only is None:
+        require_all(training=TRAINING, hardware="serial cobs", bench="threadpoolctl matplotlib")
+    make_folder(out)
+    done = []
+    with ended_by_signals():  # or the benchmark that runs would go on without this one
+        for each in suite.run_all(chosen, out, seed, quick=quick, fresh=fresh, data=data):
+            done.append(each)
+            why = f": {each.why}" if each.why else f" in {each.seconds:.0f} s"
+            output.note(f"{len(done)} of {len(chosen)}: {each.name} {each.outcome}{why}")
+    table = Table("benchmark", "outcome", "s", "", box=box.SIMPLE)
+    for each in done:
+        seconds = f"{each.seconds:.0f}" if each.seconds else ""
+        table.add_row(each.name, _coloured(each.outcome), seconds, escape(each.why))
+    rows = [{"name": d.name, "outcome": d.outcome, "why": d.why} for d in done]
+    output.result({"benchmarks": rows, "index": str(out / INDEX)}, table)
+    output.note(f"written: {write_index(out)}")  # last: results of others may be broken
+    if any(each.outcome == "failed" for each in done):
+        raise typer.Exit(1)
+
+
+def _chosen(only: list[str] | None, long: bool) -> "list[Benchmark]":
+    """By name, or all but the long ones."""
+    from eitskin.benchmarks.suite import ALL
+
+    names = [each.name for each in ALL]
+    for name in only or ():
+        if name not in names:
+            raise ConfigurationError(f"no benchmark {name!r}; there are: {', '.join(names)}")
+    return [each for each in ALL if (each.name in only if only else long or not each.long)]
+
+
+def quoted(
+    out: Out = _OUT,
+    *,
+    as_json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Numbers and pictures that README and docs quote, compared with the results in the folder.
+
+    Lists what is off, with --verbose all; exit code 1 where something is.
+    """
+    from eitskin.benchmarks.quote_check import compare
+
+    output = Output(as_json, quiet, verbose)
+    found = list(compare(out))
+    table = Table("page", "says", "measured", "within", "figure", box=box.SIMPLE, pad_edge=False)
+    for one in found:
+        if verbose or one.verdict in {"off", "no such figure"}:
+            place = f"{one.document}:{one.line}" if one.line else one.document
+            measured = "" if one.measured is None else f"{one.measured:.6g}"
+            verdict = _coloured(one.verdict)
+            table.add_row(place, one.written, f"{measured} {verdict}", one.spread, escape(one.key))
+    counts = Counter(one.verdict for one in found)
+    rows: list[dict[str, Any]] = [one.as_data() for one in found]
+    output.result({"counts": dict(counts), "quotes": rows}, table)
+    output.show(", ".join(f"{count} {verdict}" for verdict, count in counts.most_common()))
+    missing = Counter(one.results for one in found if one.verdict == "not measured")
+    for name, count in missing.items():
+        output.note(f"not measured: {count} of {name}; eitskin bench all --only {name}")
+    if counts["off"] or counts["no such figure"]:
+        raise typer.Exit(1)
+
+
+def _coloured(word: str) -> str:
+    colour = _COLOURS.get(word, "yellow")
+    return f"[{colour}]{word}[/]"

@@ -1,0 +1,91 @@
+"""`eitskin board`: a virtual board on a pseudo-terminal, for any program that speaks to boards."""
+
+import time
+from contextlib import closing
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.table import Table
+
+from eitskin.cli.options import Json, Output, Quiet, Seed, Verbose, ended_by_signals
+
+SceneFile = Annotated[
+    Path | None, typer.Option(help="Scene or script (TOML); flat and untouched when omitted.")
+]
+SensorFile = Annotated[
+    Path | None, typer.Option(help="Sensor design file; the reference sensor when omitted.")
+]
+BoardResolution = Annotated[str, typer.Option(help="Of the simulator: fast, standard or fine.")]
+Instrument = Annotated[
+    str | None, typer.Option(help="ad5940: all terms of its chain; white noise when omitted.")
+]
+Period = Annotated[
+    float | None, typer.Option(min=1e-4, help="From frame to frame, s; the AD5940's when omitted.")
+]
+Faults = Annotated[
+    str, typer.Option(help="What goes wrong, name@frame:index,...; --list-faults names them.")
+]
+Link = Annotated[
+    Path | None, typer.Option(help="A path that leads to the board, also after it was replugged.")
+]
+ListFaults = Annotated[bool, typer.Option("--list-faults", help="Name all faults, and end.")]
+Speed = Annotated[str, typer.Option(help="real: as the AD5940; max: as fast as it is read.")]
+
+
+def command(
+    *,
+    scene: SceneFile = None,
+    sensor: SensorFile = None,
+    resolution: BoardResolution = "fast",
+    speed: Speed = "real",
+    instrument: Instrument = None,
+    period: Period = None,
+    faults: Faults = "",
+    link: Link = None,
+    list_faults: ListFaults = False,
+    seed: Seed = 0,
+    as_json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Serve a virtual board on a pseudo-terminal until Ctrl-C; hosts can come and go."""
+    from eitskin.hardware.virtual.virtual_board import virtual_terminal
+
+    output = Output(as_json, quiet, verbose)
+    if list_faults:
+        output.result(_meanings(), _fault_table())
+        return
+    output.detail(f"meshing at resolution {resolution}, computing the scenes")
+    terminal = virtual_terminal(
+        speed=speed,
+        resolution=resolution,
+        scene=scene,
+        sensor=sensor,
+        seed=seed,
+        instrument=instrument,
+        period=period,
+        faults=faults,
+        link=link,
+    )
+    uri = f"serial:{link or terminal.path}"
+    output.result({"uri": uri}, uri)
+    output.note("serving until Ctrl-C; open it with eitskin live MODEL --board " + uri)
+    # Started again it must not pass for the same board: hosts keep references for each boot.
+    terminal.firmware.boots_from(int(time.time()))
+    with ended_by_signals(), closing(terminal):
+        terminal.serve()
+
+
+def _meanings() -> dict[str, str]:
+    """What each fault does, in its own words."""
+    from eitskin.hardware.virtual.faults import FAULTS
+
+    return {name: " ".join((kind.__doc__ or "").split()) for name, kind in FAULTS.items()}
+
+
+def _fault_table() -> Table:
+    table = Table("fault", "what it does")
+    for name, meaning in _meanings().items():
+        table.add_row(name, meaning)
+    return table

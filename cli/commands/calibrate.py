@@ -1,0 +1,157 @@
+"""`eitskin calibrate`: a pipeline adapted to one sensor, from a few known angles."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.table import Table
+
+from eitskin.cli.commands.live import seeded
+from eitskin.cli.options import Json, Model, Output, Quiet, Seed, Verbose
+from eitskin.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from eitskin.frame import Frame
+    from eitskin.training.method.calibration import Calibration
+    from eitskin.training.method.input_spec import Layout
+
+Angles = Annotated[
+    str, typer.Option(help="Known angles in degrees, apart by commas; flat comes first anyway.")
+]
+PerAngle = Annotated[int, typer.Option("--frames", min=1, help="Frames taken at each angle.")]
+NoPrompt = Annotated[
+    bool,
+    typer.Option(
+        "--no-prompt", help="Do not wait: the board goes through the angles by itself, in turn."
+    ),
+]
+BoardOption = Annotated[
+    str | None,
+    typer.Option("--board", help="serial:PORT, text:PORT, virtual: or replay:DIRECTORY."),
+]
+DatasetOption = Annotated[
+    Path | None, typer.Option("--dataset", help="Instead of a board: untouched, labelled frames.")
+]
+Specimen = Annotated[int, typer.Option(min=0, help="Of the dataset.")]
+
+STALE = 2  # frames after a prompt that may have begun before it was answered
+
+
+def command(
+    model: Model,
+    *,
+    out: Annotated[Path, typer.Option(help="Where to save it, NAME.eitmodel.")],
+    board: BoardOption = None,
+    dataset: DatasetOption = None,
+    specimen: Specimen = 0,
+    angles: Angles = "-20,-2.5,15,32.5,50",
+    frames: PerAngle = 8,
+    no_prompt: NoPrompt = False,
+    seed: Seed = 0,
+    as_json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Adapt a trained pipeline to the sensor at hand, from a flat reference and known angles.
+
+    With a board: bring the sensor to each angle when asked, hold it still and untouched, and press
+    Enter. With a dataset: its untouched frames of one specimen are taken.
+    """
+    from eitskin.training.pipeline.pipeline import Pipeline
+    from eitskin.training.pipeline.saved_form import require_place
+
+    output = Output(as_json, quiet, verbose)
+    require_place(out)
+    if (board is None) == (dataset is None):
+        raise ConfigurationError("give either --board or --dataset, the sensor to calibrate for")
+    pipeline = Pipeline.load(model)
+    if dataset is not None:
+        taken, known = _from_dataset(dataset, specimen)
+    else:
+        wanted = [0.0, *_angles(angles)]
+        taken = list(
+            _from_board(str(board), pipeline.layout, wanted, frames, no_prompt, seed, output)
+        )
+        known = [angle for angle in wanted for _ in range(frames)]
+    calibration = pipeline.calibrate(taken, known)
+    saved = pipeline.save(out)
+    output.result({"out": str(saved), **calibration.as_dict()}, _table(calibration))
+    output.note(f"saved {saved}; use it with this sensor only")
+
+
+def _angles(text: str) -> list[float]:
+    try:
+        return [angle for angle in map(float, text.split(",")) if angle]
+    except ValueError as error:
+        raise ConfigurationError(
+            f"expected angles in degrees, apart by commas, such as -20,15,50, got {text!r}"
+        ) from error
+
+
+def _from_board(
+    uri: str,
+    layout: "Layout",
+    angles: Sequence[float],
+    frames: int,
+    no_prompt: bool,
+    seed: int,
+    output: Output,
+) -> "Iterator[Frame]":
+    from eitskin.hardware.opening import open_board
+
+    with open_board(uri, **seeded(uri, seed)) as board:
+        layout.require_same_measurements(board.protocol, board.info.frequency)
+        stream = board.frames(newest=not no_prompt)
+        for angle in angles:
+            if not no_prompt:
+                what = "lay it flat" if angle == 0 else f"bend it by {angle:g} deg"
+                typer.prompt(f"{what}, untouched, and press Enter", "", show_default=False)
+                for _ in range(STALE):
+                    next(stream)
+            for _ in range(frames):
+                frame = next(stream)
+                if angle == 0:  # refused now, not after the work of all angles
+                    layout.require_same_sensor(layout.voltages(frame)[0])
+                yield frame
+            output.note(f"{angle:g} deg: {frames} frames")
+
+
+def _from_dataset(folder: Path, specimen: int) -> "tuple[list[Frame], list[float]]":
+    import numpy as np
+
+    from eitskin.datasets.store.folder import open_dataset
+    from eitskin.datasets.store.state import State
+    from eitskin.errors import DataError
+    from eitskin.frame import Frame
+
+    data = open_dataset(folder)
+    rows = np.flatnonzero(
+        (data.specimen == specimen)
+        & (data.state != State.TOUCH)
+        & np.isfinite(data.bend_angle_deg)
+        & (data.bend_angle_deg != 0)
+    )
+    if not len(rows) or data.protocol is None:
+        raise DataError(
+            f"expected untouched frames of specimen {specimen} at known angles in {folder}, found "
+            f"{len(rows)}; choose another --specimen, or record some"
+        )
+    flat = Frame(
+        data.reference[specimen].astype(np.complex128), data.protocol, frequency=data.frequency
+    )
+    return [flat, *map(data.frame, rows.tolist())], [0.0, *data.bend_angle_deg[rows].tolist()]
+
+
+def _table(calibration: "Calibration") -> Table:
+    table = Table("angle, deg", "standard error before, deg", "after, deg")
+    rows = zip(
+        calibration.angles_deg,
+        calibration.error_before_deg,
+        calibration.error_after_deg,
+        strict=True,
+    )
+    for angle, before, after in rows:
+        table.add_row(f"{angle:.1f}", f"{before:.2f}", f"{after:.2f}")
+    table.caption = f"residual of the calibration frames {calibration.residual_deg:.2f} deg"
+    return table

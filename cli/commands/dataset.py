@@ -1,0 +1,126 @@
+"""`eitskin dataset`: what a dataset holds, and whether all of it is sound."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from rich import box
+from rich.markup import escape
+from rich.table import Table
+
+from eitskin.cli.options import Frames, Json, Output, Quiet, Seed, Verbose
+from eitskin.datasets.generation.verification import Damage, verify
+from eitskin.datasets.store.dataset import Dataset
+from eitskin.datasets.store.folder import open_dataset
+from eitskin.datasets.store.state import State
+from eitskin.errors import DataError
+
+app = typer.Typer(help="Look at a dataset, or look for damage in it.", no_args_is_help=True)
+
+Folder = Annotated[Path, typer.Argument(help="The dataset's folder.")]
+EXIT_DAMAGED = DataError.exit_code
+
+
+@app.command("info")
+def info(
+    dataset: Frames,
+    *,
+    seed: Seed = 0,  # noqa: ARG001 - every command takes it
+    as_json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Say what a dataset holds: frames, channels, states, angles, touches, origin."""
+    output = Output(as_json, quiet, verbose)
+    data = open_dataset(dataset)
+    files = [dataset] if dataset.is_file() else list(dataset.glob("shard-*.h5"))
+    megabytes = sum(path.stat().st_size for path in files) / 1e6
+    found = {"dataset": str(dataset), "shards": len(files), "megabytes": round(megabytes, 3)}
+    found |= _summary(data)
+    table = Table(box=None, show_header=False, pad_edge=False)
+    for name, value in found.items():
+        if value is not None:
+            table.add_row(name.replace("_", " "), escape(_as_text(value)))
+    output.result(found, table)
+
+
+@app.command("verify")
+def check(
+    dataset: Folder,
+    *,
+    seed: Seed = 0,  # noqa: ARG001 - every command takes it
+    as_json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Look through every file for damage and list all of it; exit code 3 where there is some."""
+    output = Output(as_json, quiet, verbose)
+    with output.progress() as bar:
+        task = bar.add_task("shards", total=None, rate="")
+        verdict = verify(dataset, lambda done, total: bar.update(task, completed=done, total=total))
+    output.result(
+        {
+            "dataset": str(dataset),
+            "sound": not verdict.damage,
+            "shards": verdict.shards,
+            "frames": verdict.frames,
+            "damage": [{"file": each.file, "problem": each.problem} for each in verdict.damage],
+        },
+        _damage_table(verdict.damage)
+        if verdict.damage
+        else f"{verdict.frames} frames in {verdict.shards} shards, all sound",
+    )
+    if verdict.damage:
+        output.note(f"{verdict.frames} frames in {verdict.shards} shards are sound")
+        raise typer.Exit(EXIT_DAMAGED)
+
+
+def _damage_table(damage: tuple[Damage, ...]) -> Table:
+    table = Table("file", "what is wrong", box=box.SIMPLE)
+    table.columns[0].no_wrap = True
+    for each in damage:
+        table.add_row(escape(each.file), escape(each.problem))
+    return table
+
+
+def _summary(data: Dataset) -> dict[str, Any]:
+    """What is in the frames; None for what is unknown."""
+    counts = {state.name.lower(): int(np.sum(data.state == state)) for state in State}
+    counts["unknown"] = len(data) - sum(counts.values())
+    touches = np.bincount(data.touch_count, minlength=1)
+    return {
+        "frames": len(data),
+        "channels": data.impedance.shape[1],
+        "electrodes": data.protocol.n_electrodes if data.protocol else None,
+        "frequency_hz": data.frequency,
+        "source": data.source,
+        "seed": data.seed if data.recipe else None,
+        "specimens": len(data.reference),
+        "episodes": len(np.unique(data.episode)),
+        "states": {name: count for name, count in counts.items() if count},
+        "touches_per_frame": {str(n): int(count) for n, count in enumerate(touches) if count},
+        "bend_angle_deg": _range(data.bend_angle_deg),
+        "touch_x_mm": _range(1e3 * data.touch_x),
+        "touch_y_mm": _range(1e3 * data.touch_y),
+        "force_n": _range(data.touch_force),
+        "impedance_ohm": _range(np.abs(data.impedance)),
+        "flagged_values": int(np.count_nonzero(data.status)),
+    }
+
+
+def _range(values: "np.ndarray[Any, Any]") -> dict[str, float] | None:
+    """Least and greatest of the known values."""
+    known = values[np.isfinite(values)]
+    if not known.size:
+        return None
+    return {"from": float(f"{known.min():.4g}"), "to": float(f"{known.max():.4g}")}
+
+
+def _as_text(value: Any) -> str:
+    if not isinstance(value, Mapping):
+        return str(value)
+    if set(value) == {"from", "to"}:
+        return f"{value['from']:g} to {value['to']:g}"
+    return ", ".join(f"{name}: {count}" for name, count in value.items())

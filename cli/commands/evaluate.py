@@ -1,0 +1,94 @@
+"""`eitskin evaluate`: the paper's table, with what a pipeline reaches beside it."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.table import Table
+
+from eitskin.cli.options import Json, Output, Quiet, Seed, Verbose
+
+if TYPE_CHECKING:
+    from eitskin.training.evaluation.evaluate import Evaluation, Report
+    from eitskin.training.positions.recorded_touches import PositionScore
+
+
+def command(
+    pipeline: Annotated[Path, typer.Argument(help="The trained pipeline, NAME.eitmodel.")],
+    dataset: Annotated[Path, typer.Argument(help="Dataset to measure it on.")],
+    *,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for a report with pictures; an earlier report is replaced."),
+    ] = None,
+    seed: Seed = 0,
+    as_json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Measure a pipeline; on the dataset it was trained on, only the part it never saw."""
+    from eitskin.datasets.store.folder import open_dataset
+    from eitskin.errors import ConfigurationError
+    from eitskin.training.evaluation.evaluate import Evaluation
+    from eitskin.training.evaluation.report_folder import require_report_folder
+    from eitskin.training.pipeline.pipeline import Pipeline
+    from eitskin.training.pipeline.saved_form import read_pipeline
+    from eitskin.training.positions.recorded_touches import RecordedTouches
+
+    output = Output(as_json, quiet, verbose)
+    output.detail(f"nothing is random in an evaluation, seed {seed} is not used")
+    data = open_dataset(dataset)
+    if read_pipeline(pipeline).kind == RecordedTouches.KIND:
+        if out is not None:
+            raise ConfigurationError(
+                f"{pipeline} has learned touch positions and nothing else, which make no report; "
+                "leave --out away"
+            )
+        score = RecordedTouches.load(pipeline).evaluate(data)
+        output.result(score.as_dict(), position_table(score))
+        return
+    trained = Pipeline.load(pipeline)
+    if out is not None:
+        require_report_folder(out)
+    frames = trained.held_out(data)
+    if len(frames) < len(data):
+        output.note(f"trained on this dataset: only the {len(frames)} frames never seen count")
+    evaluation = Evaluation.of(trained, data.select(frames))
+    if out is not None:
+        save_report(evaluation, out, output)
+    output.result(evaluation.report.as_dict(), paper_table(evaluation.report))
+
+
+def save_report(evaluation: "Evaluation", folder: Path, output: Output) -> None:
+    """Write the report folder, with this machine, its versions and the date in it."""
+    from eitskin.provenance import Provenance
+    from eitskin.training.evaluation.report_folder import write_report
+
+    made = Provenance.now(evaluation.pipeline.settings.seed)
+    versions = ", ".join(f"{name} {made.packages[name]}" for name in ("eitskin", "numpy", "scipy"))
+    made_with = {
+        "machine": made.machine,
+        "versions": f"Python {made.python}, {versions}",
+        "date": made.date,
+    }
+    output.note(f"report: {write_report(evaluation, folder, made_with)}")
+
+
+def paper_table(report: "Report") -> Table:
+    """The figures of the paper beside those of `report`."""
+    from eitskin.training.evaluation.report import SSIM_DEFINITION
+    from eitskin.training.evaluation.report_table import HEADINGS, table_rows
+
+    table = Table(*HEADINGS, title=f"{report.frames} frames", caption=SSIM_DEFINITION)
+    for row in table_rows(report):
+        table.add_row(*row)
+    return table
+
+
+def position_table(score: "PositionScore") -> Table:
+    """Touch positions learned without geometry."""
+    table = Table("touch position", "here", title=f"{score.frames} frames")
+    table.add_row("mean error", f"{score.mean_error_mm:.2f} mm")
+    table.add_row("median error", f"{score.median_error_mm:.2f} mm")
+    table.add_row("mean error of saying the middle", f"{score.guess_error_mm:.1f} mm")
+    return table

@@ -1,0 +1,201 @@
+"""`eitskin export`: recordings, pipelines and scenes in files that other programs read."""
+
+import math
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich import box
+from rich.table import Table
+
+from eitskin.cli.commands.simulate import simulator
+from eitskin.cli.options import (
+    FixtureFile,
+    Frames,
+    Json,
+    MechanicsFile,
+    Model,
+    Output,
+    Pairs,
+    PressModel,
+    Quiet,
+    SceneFile,
+    Seed,
+    SensorFile,
+    Verbose,
+)
+from eitskin.cli.unsolved_presses import announce
+from eitskin.datasets.store.folder import make_folder
+from eitskin.errors import ConfigurationError
+from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.simulator.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from eitskin.hardware.boards.replay_board import ReplayBoard
+    from eitskin.hardware.live import Reading
+
+app = typer.Typer(
+    help="Write recordings as MCAP, pipelines as ONNX, scenes as VTK files.", no_args_is_help=True
+)
+
+NewFolder = Annotated[Path, typer.Option("--out", help="Folder to write to, new or empty.")]
+
+
+@app.command("mcap")
+def export_mcap(
+    recording: Frames,
+    *,
+    out: Annotated[Path, typer.Option(help="The file, NAME.mcap; not there yet.")],
+    model: Annotated[
+        Path | None, typer.Option(help="Also write what this pipeline says of every frame.")
+    ] = None,
+    seed: Seed = 0,  # noqa: ARG001 - every command takes it
+    as_json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Write the frames of a recording, and a pipeline's estimates, as standard ROS 2 messages.
+
+    docs/interoperability.md has the topics and their units.
+    """
+    from eitskin.hardware.boards.replay_board import ReplayBoard
+    from eitskin.hardware.export.mcap import McapWriter, require_new
+
+    output = Output(as_json, quiet, verbose)
+    require_new(out)
+    board, start = ReplayBoard(str(recording)), time.perf_counter()
+    readings, frames, estimates = _readings(board, model), 0, 0
+    writer = McapWriter(out)
+    try:
+        with output.progress() as bar:
+            task = bar.add_task("frames", total=None, rate="")
+            for reading in readings:
+                writer.write(reading)
+                frames, estimates = frames + 1, estimates + (reading.estimate is not None)
+                bar.update(task, completed=frames)
+    except BaseException:
+        writer.discard()  # the recording is still there
+        raise
+    writer.close()
+    seconds = time.perf_counter() - start
+    data = {
+        "file": str(out),
+        "frames": frames,
+        "estimates": estimates,
+        "messages": writer.messages,
+        "megabytes": round(out.stat().st_size / 1e6, 3),
+        "seconds": seconds,
+    }
+    text = f"{frames} frames, {estimates} estimates, {data['megabytes']} MB in {seconds:.1f} s"
+    output.result(data, f"{out}: {text}")
+
+
+@app.command("onnx")
+def export_onnx(
+    model: Model,
+    *,
+    out: NewFolder,
+    seed: Seed = 0,  # noqa: ARG001 - every command takes it
+    as_json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Write what of a pipeline is a graph as ONNX, checked against the pipeline itself."""
+    from eitskin.training.export import onnx_export
+    from eitskin.training.pipeline.pipeline import Pipeline
+
+    output = Output(as_json, quiet, verbose)
+    _require_empty(out)
+    document = onnx_export.export_onnx(Pipeline.load(model), out)
+    table = Table("graph", "output", "largest difference", "allowed", box=box.SIMPLE)
+    for graph in document["graphs"]:
+        output.detail(f"{graph['file']}: {graph['what']}")
+        for found in graph["outputs"]:
+            differences = (found["largest_difference"], found["allowed_difference"])
+            table.add_row(graph["file"], found["name"], *(f"{each:.1e}" for each in differences))
+    output.result(document, table)
+    for text in document["not_in_graphs"]:
+        output.note(f"not in the graphs: {text}")
+    output.note(f"inputs, outputs and units: {out / onnx_export.DOCUMENT}")
+
+
+@app.command("vtu")
+def export_vtu(
+    scene: SceneFile,
+    *,
+    out: NewFolder,
+    sensor: SensorFile = None,
+    mechanics: MechanicsFile = None,
+    fixture: FixtureFile = None,
+    touch_model: PressModel = "tabulated",
+    protocol: Pairs = "pairwise",
+    drive: Annotated[
+        tuple[int, int] | None,
+        typer.Option(help="Only the current from A to B; all of the protocol when omitted."),
+    ] = None,
+    cell: Annotated[
+        float | None, typer.Option(help="Largest cell [m]; a sixtieth of the length when omitted.")
+    ] = None,
+    seed: Seed = 0,  # noqa: ARG001 - every command takes it
+    as_json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Write the deformed sensor of a scene, its fields and its electrodes, for ParaView."""
+    from eitskin.simulator.view.vtu import field_resolution, scene_grids, write_grids
+
+    output = Output(as_json, quiet, verbose)
+    what = Scene.from_toml(scene)
+    _require_empty(out)
+    design = SensorDesign.from_toml(sensor) if sensor else SensorDesign.reference()
+    resolution = field_resolution(design, cell)
+    sim = simulator(design, resolution, fixture, protocol, mechanics, touch_model)
+    if touch_model == "tabulated":
+        announce(design, sim.mechanics, (touch.indenter for touch in what.touches), output)
+    start = time.perf_counter()
+    grids = scene_grids(sim, what, None if drive is None else [drive])
+    make_folder(out)
+    write_grids(grids, out)
+    fields = {name: grid.array_names for name, grid in grids.items()}
+    output.result(
+        {
+            "folder": str(out),
+            "cells": len(sim.model.mesh.cells),
+            "points": len(sim.model.mesh.points),
+            "fields": fields,
+            "seconds": time.perf_counter() - start,
+        },
+        _field_table(out, fields),
+    )
+
+
+def _readings(board: "ReplayBoard", model: Path | None) -> "Iterator[Reading]":
+    """Of every recorded frame, with estimates where there is a model; latency is not known."""
+    from eitskin.hardware.live import Reading, run_live
+
+    if model is None:
+        return (Reading(frame, None, math.nan, math.nan) for frame in board.frames())
+    from eitskin.training.pipeline.pipeline import Pipeline
+
+    return run_live(board, Pipeline.load(model), newest=False, clock=lambda: math.nan)
+
+
+def _require_empty(folder: Path) -> None:
+    """Raise ConfigurationError for a folder that holds something; make nothing yet."""
+    if folder.is_dir() and not any(folder.iterdir()):
+        return
+    if folder.exists():
+        raise ConfigurationError(
+            f"{folder} is {'not empty' if folder.is_dir() else 'no folder'}, and nothing in it is "
+            "replaced; name a new one with --out"
+        )
+
+
+def _field_table(folder: Path, fields: dict[str, list[str]]) -> Table:
+    table = Table("file", "field", box=box.SIMPLE)
+    for name, names in fields.items():
+        for i, field in enumerate(names):
+            table.add_row("" if i else str(folder / name), field)
+    return table

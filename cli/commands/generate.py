@@ -1,0 +1,163 @@
+"""`eitskin generate`: a dataset from a recipe."""
+
+import dataclasses
+import shlex
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from eitskin.cli.options import Json, Output, Quiet, Verbose
+from eitskin.datasets.generation.cost_estimate import Estimate, estimate
+from eitskin.datasets.generation.generate import generate
+from eitskin.datasets.generation.shard_simulation import unsolved
+from eitskin.datasets.recipe.recipe import Recipe, shipped_names, with_seed
+from eitskin.errors import ConfigurationError
+from eitskin.simulator.mechanics.press_store import folder
+
+
+def command(
+    recipe: Annotated[
+        str, typer.Argument(help=f"Recipe: a .toml file, or one of {', '.join(shipped_names())}.")
+    ],
+    *,
+    out: Annotated[Path, typer.Option(help="Folder for the dataset; new or empty.")],
+    workers: Annotated[int, typer.Option(min=1, help="Processes that simulate.")] = 2,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(help="A dask scheduler whose workers simulate, as tcp://127.0.0.1:8786."),
+    ] = None,
+    shard: Annotated[
+        int | None,
+        typer.Option(help="Make only this shard, as $SLURM_ARRAY_TASK_ID; from 0 on."),
+    ] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Keep finished shards in --out, make the others.")
+    ] = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Only estimate time and size, from a measured part.")
+    ] = False,
+    seed: Annotated[
+        int | None, typer.Option(help="Seed of everything random, instead of the recipe's.")
+    ] = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Generate a dataset from a recipe; it can be interrupted and resumed."""
+    output = Output(as_json, quiet, verbose)
+    chosen = with_seed(_read(recipe), seed)
+    if dry_run:
+        _announce(chosen, output)
+        found = estimate(chosen, out, workers)
+        output.result(dataclasses.asdict(found), _as_text(found, chosen, workers, out))
+        return
+    try:
+        made = make_dataset(chosen, out, workers, resume, output, scheduler, shard)
+    except KeyboardInterrupt:
+        again = ["eitskin", "generate", recipe, "--out", str(out)]
+        again += [] if seed is None else ["--seed", str(seed)]
+        again += [] if scheduler is None else ["--scheduler", scheduler]
+        again += ["--resume"] if shard is None else ["--shard", str(shard)]
+        # Not through a console, which would break the line.
+        typer.echo(f"finished shards are kept; continue with: {shlex.join(again)}", err=True)
+        raise
+    output.result(*made)
+
+
+def make_dataset(
+    recipe: Recipe,
+    out: Path,
+    workers: int,
+    resume: bool,
+    output: Output,
+    scheduler: str | None = None,
+    shard: int | None = None,
+) -> tuple[dict[str, Any], str]:
+    """Generate with a progress bar; what was made, as data and as a sentence."""
+    by = f"the cluster of {scheduler}" if scheduler else f"{workers} workers"
+    output.detail(f"{recipe.frames} frames in {recipe.shards} shards, {by}")
+    _announce(recipe, output)
+    start = time.perf_counter()
+    with output.progress() as bar:
+        task = bar.add_task(recipe.name, total=recipe.frames, rate="")
+        kept: list[int] = []
+        finished = 0
+
+        def show(done: int, total: int) -> None:
+            nonlocal finished
+            finished = done
+            kept.append(done)
+            bar.update(task, completed=done, total=total)
+            speed = bar.tasks[task].speed  # of late; the time left is reckoned from it
+            bar.update(task, rate=f"{speed:.0f}/s" if speed else "")
+
+        manifest = generate(
+            recipe, out, workers, progress=show, resume=resume, scheduler=scheduler, shard=shard
+        )
+    seconds = time.perf_counter() - start
+    made = finished - kept[0]
+    megabytes = sum(path.stat().st_size for path in out.glob("shard-*.h5")) / 1e6
+    data = {
+        "out": str(out),
+        "recipe": recipe.name,
+        "seed": recipe.seed,
+        "frames": finished,
+        "made": made,
+        "complete": manifest is not None,
+        "seconds": round(seconds, 3),
+        "frames_per_second": round(made / seconds, 1),
+        "megabytes": round(megabytes, 3),
+    }
+    complete = "" if manifest else "; other shards are missing still"
+    return data, (
+        f"{finished} frames in {out}: {made} made in {seconds:.1f} s "
+        f"({made / seconds:.0f}/s), {megabytes:.1f} MB{complete}"
+    )
+
+
+def _announce(recipe: Recipe, output: Output) -> None:
+    """Say that presses have to be solved before anything else."""
+    missing = len(unsolved(recipe))
+    if missing:
+        output.note(
+            f"solving {missing} table{'s' * (missing > 1)} of presses that no sensor has needed "
+            f"so far, once: from ten seconds to a few minutes each; kept in {folder()}"
+        )
+
+
+def _as_text(found: Estimate, recipe: Recipe, workers: int, out: Path) -> str:
+    if found.megabytes > found.megabytes_free:
+        raise ConfigurationError(
+            f"the disk of {out} has no room: '{recipe.name}' will take about "
+            f"{_size(found.megabytes)}, got {_size(found.megabytes_free)}; make room, or choose "
+            "a folder elsewhere"
+        )
+    return (
+        f"{recipe.name}: {found.frames} frames in {found.shards} shards, about "
+        f"{_duration(found.seconds)} with {workers} workers here and {_size(found.megabytes)} of "
+        f"{_size(found.megabytes_free)} free; measured on {found.measured_frames} frames, nothing "
+        "was written"
+    )
+
+
+def _size(megabytes: float) -> str:
+    return f"{megabytes:.1f} MB" if megabytes < 1000 else f"{megabytes / 1000:.1f} GB"
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 120:
+        return f"{seconds:.2g} s" if seconds < 10 else f"{seconds:.0f} s"
+    if seconds < 7200:
+        return f"{seconds / 60:.0f} min"
+    return f"{seconds / 3600:.1f} h"
+
+
+def _read(recipe: str) -> Recipe:
+    """A recipe by path, or, where it is no path, by the name of a shipped one."""
+    if recipe.endswith(".toml") or Path(recipe).is_file():
+        return Recipe.from_toml(recipe)
+    if "/" in recipe:
+        raise ConfigurationError(f"there is no recipe {recipe}; give a .toml file")
+    return Recipe.shipped(recipe)

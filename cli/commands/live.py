@@ -1,0 +1,245 @@
+"""`eitskin live`: what a board's sensor feels, as it happens, in the terminal and on a page."""
+
+import json
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, closing
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import typer
+from numpy.typing import NDArray
+from rich.console import Group, RenderableType
+from rich.live import Live
+from rich.text import Text
+
+from eitskin.cli.commands.live_recording import FrameRecording, MessageRecording, Recording
+from eitskin.cli.live_view import draw, losses, plain
+from eitskin.cli.options import Json, Model, Output, Quiet, Seed, Verbose, ended_by_signals
+from eitskin.errors import PartialError
+from eitskin.geometry.design.sensor import SensorDesign
+
+if TYPE_CHECKING:
+    from eitskin.cli.page.live_page import Page
+    from eitskin.frame import Frame
+    from eitskin.hardware.boards.connection import Connection
+    from eitskin.hardware.live import Reading
+
+BoardUri = Annotated[
+    str, typer.Option("--board", help="serial:PORT, text:PORT, virtual: or replay:DIRECTORY.")
+]
+Frames = Annotated[int | None, typer.Option(min=1, help="End after so many; else at Ctrl-C.")]
+Record = Annotated[
+    Path | None, typer.Option(help="Also write every frame into a new dataset in this folder.")
+]
+Mcap = Annotated[
+    Path | None,
+    typer.Option(help="Also write frames and estimates, as ROS 2 messages, into this .mcap file."),
+]
+EveryFrame = Annotated[
+    bool,
+    typer.Option("--every-frame", help="Process all frames, not only the newest."),
+]
+ShowPage = Annotated[bool, typer.Option("--page", help="Also serve a page to this machine.")]
+PagePort = Annotated[int, typer.Option(min=0, max=65535, help="Of the page; 0 for a free one.")]
+
+REFRESH = 10  # per second
+CHECKED = 16  # frames of a session's beginning that say how the sensor is
+SHORTEST_SILENCE = 1.0  # s, before what is shown is called old
+
+
+def command(
+    model: Model,
+    *,
+    board: BoardUri = "virtual:",
+    frames: Frames = None,
+    record: Record = None,
+    mcap: Mcap = None,
+    every_frame: EveryFrame = False,
+    page: ShowPage = False,
+    page_port: PagePort = 8940,
+    seed: Seed = 0,
+    as_json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Show what a board's sensor feels; with --json, print one JSON object per frame.
+
+    The sensor must be flat and untouched when a session begins: at the start, and whenever the
+    board has started anew. A board that goes away is connected to again until it is back.
+    """
+    from eitskin.hardware.boards.connection import Connection
+    from eitskin.hardware.live import run_live
+    from eitskin.hardware.opening import open_board
+    from eitskin.training.pipeline.pipeline import Pipeline
+
+    output = Output(as_json, quiet, verbose)
+    pipeline = Pipeline.load(model)
+    recordings: list[Recording] = []
+    with ExitStack() as stack:
+        # Asked last, when all are closed: most sessions are ended by Ctrl-C.
+        stack.push(partial(_tell_losses, recordings))
+        stack.enter_context(ended_by_signals())
+        for each in _recordings(record, mcap):
+            recordings.append(stack.enter_context(closing(each)))
+        opened = stack.enter_context(open_board(board, **seeded(board, seed)))
+        output.detail(f"{opened.uri}: firmware {opened.info.firmware}, {opened.protocol.labels}")
+        session = LiveSession(Connection(opened), output, recordings)
+        session.connection.tell = session.say
+        layout = getattr(pipeline, "layout", None)
+        # A recording was checked when it was made, and need not begin flat.
+        if layout is not None and not board.startswith("replay:"):
+            session.expected = layout.reference
+        if page:
+            from eitskin.cli.page.live_page import Page
+
+            design = SensorDesign.reference() if layout is None else layout.design
+            session.page = stack.enter_context(closing(Page(session.connection, design, page_port)))
+            output.note(f"page: {session.page.url}")
+        newest = not (every_frame or recordings)
+        session.follow(run_live(session.connection, pipeline, newest=newest), frames)
+
+
+def _tell_losses(recordings: Sequence[Recording], _: object, ended: object, __: object) -> None:
+    """Raise PartialError for what could not be written, unless another error ended the session."""
+    lost = [each.loss for each in recordings if each.loss]
+    if lost and (ended is None or isinstance(ended, KeyboardInterrupt)):
+        raise PartialError("; ".join(lost))
+
+
+def _recordings(record: Path | None, mcap: Path | None) -> Iterator[Recording]:
+    """What a session is written to; nothing that is there already is replaced.
+
+    The file comes first: where it cannot be, no folder has been made.
+    """
+    if mcap is not None:
+        from eitskin.hardware.export.mcap import McapWriter
+
+        yield MessageRecording(McapWriter(mcap, now=time.time_ns))
+    if record is not None:
+        from eitskin.datasets.store.writer import ShardWriter
+
+        yield FrameRecording(ShardWriter(record), record)
+
+
+def seeded(uri: str, seed: int) -> dict[str, Any]:
+    """The seed is the virtual board's, unless its URI has its own."""
+    return {"seed": seed} if uri.startswith("virtual:") and "seed=" not in uri else {}
+
+
+@dataclass
+class LiveSession:
+    """One run of the command: shows, records and sums up what comes."""
+
+    connection: "Connection"
+    output: Output
+    recordings: Sequence[Recording] = ()
+    page: "Page | None" = None
+    expected: NDArray[np.float64] | None = None
+    clock: Callable[[], float] = time.monotonic
+    processed: int = 0
+    latencies: deque[float] = field(default_factory=lambda: deque(maxlen=10_000))
+    newest: "Reading | None" = None
+    newest_at: float = 0.0
+    beginning: "list[Frame]" = field(default_factory=list)
+    notes: deque[str] = field(default_factory=lambda: deque(maxlen=3))
+
+    def follow(self, readings: Iterator["Reading"], frames: int | None) -> None:
+        """Show the readings until they end, or so many frames have come, and sum up."""
+        view = Live(
+            get_renderable=self.view,
+            console=self.output.console,
+            refresh_per_second=REFRESH,
+            auto_refresh=self.output.console.is_terminal,
+        )
+        try:
+            with ExitStack() as stack:
+                if not (self.output.as_json or self.output.quiet):
+                    stack.enter_context(view)
+                for reading in readings:
+                    self.take(reading)
+                    if self.processed == frames:
+                        break
+        finally:
+            self.sum_up()
+
+    def take(self, reading: "Reading") -> None:
+        """Keep, show, record and print one reading."""
+        self.notice_session(reading.frame)
+        self.newest, self.newest_at = reading, self.clock()
+        self.processed += 1
+        self.latencies.append(reading.latency)
+        if self.page is not None:
+            self.page.publish(reading)
+        self.record(reading)
+        if self.output.as_json:
+            counts = self.connection.board.counts
+            typer.echo(json.dumps(plain(reading, counts), allow_nan=False))
+
+    def record(self, reading: "Reading") -> None:
+        """Write the reading; where that fails, go on without and say so."""
+        for recording in self.recordings:
+            known = recording.problem
+            recording.append(reading)
+            if recording.problem != known:
+                self.say(f"recording stopped: {recording.problem}")
+
+    def notice_session(self, frame: "Frame") -> None:
+        """Say that a session begins, and how the sensor is at its beginning."""
+        last = self.newest.frame if self.newest is not None else None
+        if last is not None and frame.session != last.session:
+            self.say(
+                f"session {frame.session} begins: the board has started anew, and the sensor must "
+                "be flat and untouched now"
+            )
+            self.beginning = []
+        if self.expected is None or len(self.beginning) >= CHECKED:
+            return
+        self.beginning.append(frame)
+        if len(self.beginning) == CHECKED:
+            from eitskin.hardware.diagnosis.sensor_check import check_sensor
+
+            for finding in check_sensor(self.beginning, self.expected).findings:
+                self.say(f"sensor check: {finding.message}")
+
+    def say(self, text: str) -> None:
+        """Say something beside the view, which two writers to one terminal would tear."""
+        if self.output.console.is_terminal and not (self.output.as_json or self.output.quiet):
+            self.notes.append(text)
+        else:
+            self.output.note(text)
+
+    def silence(self) -> str:
+        """Why the newest reading is old; empty while it is not."""
+        from eitskin.hardware.boards.board import silence_after
+
+        period = self.connection.board.info.period
+        age = self.clock() - self.newest_at
+        # A machine that is busy for a moment is no silence.
+        if age < silence_after(period, SHORTEST_SILENCE):
+            return ""
+        return f"nothing for {age:.0f} s" + f"; {self.connection.problem}" * bool(
+            self.connection.problem
+        )
+
+    def view(self) -> RenderableType:
+        """The newest reading, drawn."""
+        notes = [Text(note, style="yellow") for note in self.notes]
+        if self.newest is None:
+            waiting = self.connection.problem or "waiting for the first frame"
+            return Group(*notes, Text(waiting))
+        return Group(*notes, draw(self.newest, self.connection.board.counts, self.silence()))
+
+    def sum_up(self) -> None:
+        """Say how it went."""
+        unusable = self.newest.unusable if self.newest is not None else 0
+        text = f"{self.processed} frames processed, "
+        text += losses(self.connection.board.counts, unusable)
+        if self.latencies:
+            half, most = np.percentile(self.latencies, (50, 99)) * 1e3
+            text += f"; latency {half:.1f} ms median, {most:.1f} ms p99"
+        self.output.note(text)

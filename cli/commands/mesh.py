@@ -1,0 +1,123 @@
+"""`eitskin mesh`: the mesh of a design in numbers and as a picture."""
+
+import dataclasses
+import re
+import time
+from pathlib import Path
+from typing import Annotated, Any, cast, get_args
+
+import numpy as np
+import typer
+from rich.table import Table
+
+from eitskin.cli.options import Json, Output, Quiet, Verbose
+from eitskin.errors import ConfigurationError
+from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.geometry.meshing.mesh import Mesh
+from eitskin.geometry.meshing.mesh_of import CellKind, mesh_of, natural_cells
+from eitskin.geometry.meshing.quality import quality
+from eitskin.protocol import Protocol
+from eitskin.simulator.electrical.resolution import Resolution, discretisation
+from eitskin.simulator.view.render import require_picture
+
+
+def command(
+    *,
+    sensor: Annotated[
+        Path | None, typer.Option(help="Sensor design file; the reference sensor when omitted.")
+    ] = None,
+    resolution: Annotated[str, typer.Option(help="fast, standard or fine.")] = "standard",
+    cells: Annotated[
+        str | None,
+        typer.Option(help="hexahedra, prisms or tetrahedra; what suits the outline when omitted."),
+    ] = None,
+    view: Annotated[Path | None, typer.Option(help="Draw the mesh into this PNG file.")] = None,
+    drive: Annotated[
+        str | None, typer.Option(help="With --view: draw what a current from A to B does, as A,B.")
+    ] = None,
+    json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Mesh a sensor: how many cells, how well shaped, and what it looks like."""
+    output = Output(json, quiet, verbose)
+    design = SensorDesign.from_toml(sensor) if sensor else SensorDesign.reference()
+    kind = _cells(cells) or natural_cells(design)
+    pair = None if drive is None else _pair(drive, len(design.electrodes))
+    if pair is not None and view is None:
+        raise ConfigurationError("--drive says what to draw; name the picture with --view")
+    if view is not None:
+        require_picture(view)
+    start = time.perf_counter()
+    _, grading = discretisation(cast(Resolution, resolution), design, kind)
+    mesh = mesh_of(design, grading, kind)
+    data = _numbers(design, mesh, kind, time.perf_counter() - start)
+    output.result(data, _as_table(data))
+    if view is not None:
+        _draw(design, mesh, kind, pair, view)
+        output.note(f"picture: {view}")
+
+
+def _cells(text: str | None) -> CellKind | None:
+    if text is not None and text not in get_args(CellKind):
+        raise ConfigurationError(
+            f"--cells must be one of {', '.join(get_args(CellKind))}, got '{text}'"
+        )
+    return cast(CellKind | None, text)
+
+
+def _pair(text: str, electrodes: int) -> tuple[int, int]:
+    found = re.fullmatch(r"\s*(\d{1,6})\s*,\s*(\d{1,6})\s*", text)
+    if found is None:
+        raise ConfigurationError(
+            f"--drive takes two electrodes counted from 0, as 0,4, got '{text}'"
+        )
+    plus, minus = int(found[1]), int(found[2])
+    Protocol(((plus, minus, plus, minus),), electrodes)  # refuses electrodes that do not exist
+    return plus, minus
+
+
+def _numbers(design: SensorDesign, mesh: Mesh, kind: CellKind, seconds: float) -> dict[str, Any]:
+    """What is shown, all of it plain numbers and text."""
+    asked = np.array([patch.area for patch in design.patches()])
+    found = np.bincount(mesh.contacts.electrode, mesh.contacts.areas, len(asked))
+    return {
+        "kind": kind,
+        **dataclasses.asdict(quality(mesh)),
+        "electrodes": len(asked),
+        "electrode_area_error": float(np.abs(found / asked - 1.0).max()),
+        "seconds": seconds,
+    }
+
+
+def _as_table(data: dict[str, Any]) -> Table:
+    table = Table("mesh", "", show_header=False)
+    table.columns[1].justify = "right"
+    for name, value in (
+        ("cells", f"{data['cells']} {data['kind']}"),
+        ("points", f"{data['points']}"),
+        ("volume", f"{1e6 * data['volume']:.4g} cm3"),
+        ("least scaled Jacobian, 1 is best", f"{data['scaled_jacobian']:.3g}"),
+        ("longest to shortest edge, worst", f"{data['aspect_ratio']:.3g}"),
+        ("longest to shortest edge, median", f"{data['median_aspect_ratio']:.3g}"),
+        (
+            "angles between faces",
+            f"{data['smallest_angle']:.1f} to {data['largest_angle']:.1f} deg",
+        ),
+        ("electrodes", f"{data['electrodes']}"),
+        ("largest error of an electrode's area", f"{data['electrode_area_error']:.1e}"),
+        ("time", f"{data['seconds']:.2f} s"),
+    ):
+        table.add_row(name, value)
+    return table
+
+
+def _draw(
+    design: SensorDesign, mesh: Mesh, kind: CellKind, drive: tuple[int, int] | None, path: Path
+) -> None:
+    from eitskin.simulator.view.model_pictures import draw_drive, draw_mesh, model_for_pictures
+
+    if drive is None:
+        draw_mesh(mesh, path)
+    else:
+        draw_drive(model_for_pictures(design, kind), drive, path, mesh)

@@ -1,0 +1,250 @@
+"""`eitskin simulate SCENE.toml`: the impedances of one scene, and its picture."""
+
+import dataclasses
+import math
+import re
+import time
+from pathlib import Path
+from typing import Annotated, cast
+
+import numpy as np
+import typer
+from rich.console import Group
+from rich.table import Table
+
+from eitskin.cli.options import (
+    FixtureFile,
+    Json,
+    MechanicsFile,
+    Output,
+    Pairs,
+    PressModel,
+    Quiet,
+    SceneFile,
+    Seed,
+    SensorFile,
+    Verbose,
+    one_of,
+)
+from eitskin.cli.unsolved_presses import announce
+from eitskin.config import read_toml
+from eitskin.errors import ConfigurationError
+from eitskin.frame import Frame
+from eitskin.geometry.deformation.fixtures import Fixture
+from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.protocol import Protocol
+from eitskin.simulator.electrical.resolution import Discretisation, Resolution
+from eitskin.simulator.instrument.instrument import Instrument
+from eitskin.simulator.layer.pressed_touches import Pressed, TouchModel
+from eitskin.simulator.mechanics.layer_stack import Mechanics
+from eitskin.simulator.scene.scene import Scene
+from eitskin.simulator.simulator import Simulator
+from eitskin.simulator.view.render import require_picture
+from eitskin.simulator.view.scene_pictures import Colour, draw
+
+
+def command(
+    scene: SceneFile,
+    sensor: SensorFile = None,
+    mechanics: MechanicsFile = None,
+    fixture: FixtureFile = None,
+    touch_model: PressModel = "tabulated",
+    resolution: Annotated[str, typer.Option(help="fast, standard or fine.")] = "standard",
+    noise: Annotated[
+        float | None, typer.Option(help="Add white noise this many dB below full scale.")
+    ] = None,
+    instrument: Annotated[
+        str | None, typer.Option(help="ad5940: measure with every term of that board.")
+    ] = None,
+    protocol: Pairs = "pairwise",
+    view: Annotated[Path | None, typer.Option(help="Draw the scene into this PNG file.")] = None,
+    colour: Annotated[
+        str | None, typer.Option(help="Of the picture: conductance, strain or current.")
+    ] = None,
+    drive: Annotated[
+        str | None,
+        typer.Option(help="Current from A to B, as A-B; the pair that the scene changes most."),
+    ] = None,
+    seed: Seed = 0,
+    json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Simulate one scene: its impedances, their change from the flat, untouched sensor, and the
+    depth and pressure of its touches.
+    """
+    output = Output(json, quiet, verbose)
+    what = Scene.from_toml(scene)
+    design = SensorDesign.from_toml(sensor) if sensor else SensorDesign.reference()
+    board = _instrument(noise, instrument)
+    colours, pair = _colours(view, colour, drive, len(design.electrodes))
+    detail = cast(Resolution, one_of("--resolution", resolution, Resolution))
+    sim = simulator(design, detail, fixture, protocol, mechanics, touch_model)
+    sim.require_possible(what)  # before its presses are solved, which takes minutes
+    flat = sim.measure(Scene())
+    if touch_model == "tabulated":
+        announce(design, sim.mechanics, (touch.indenter for touch in what.touches), output)
+    start = time.perf_counter()
+    frame = sim.measure(what, board, np.random.default_rng(seed))
+    seconds = time.perf_counter() - start
+    output.detail(f"{sim.model.solver.name}, {len(sim.model.mesh.cells)} cells, {seconds:.3f} s")
+    presses = sim.presses(what) if touch_model == "tabulated" else ()
+    data = _as_data(frame, flat, seconds) | {"touches": [_touch_data(one) for one in presses]}
+    shown = [_as_table(frame, flat), *([_touch_table(presses)] if presses else [])]
+    output.result(data, Group(*shown, *_cautions(presses)))
+    if view is not None:
+        draw(sim, [(_title(scene.stem, what), what)], view, colours, pair)
+        output.note(f"picture: {view}")
+
+
+def simulator(
+    design: SensorDesign,
+    resolution: Resolution | Discretisation,
+    fixture: Path | None,
+    protocol: str,
+    mechanics: Path | None,
+    touch_model: str,
+) -> Simulator:
+    """The simulator that the options of a command ask for.
+
+    Raises ConfigurationError for options or files that do not fit.
+    """
+    return Simulator(
+        design,
+        resolution,
+        read_toml(cast("type[Fixture]", Fixture), fixture) if fixture else None,
+        Protocol.named(protocol, len(design.electrodes)),
+        read_toml(Mechanics, mechanics) if mechanics else None,
+        cast(TouchModel, one_of("--touch-model", touch_model, TouchModel)),
+    )
+
+
+def _instrument(noise: float | None, name: str | None) -> Instrument | None:
+    """White noise, a board, a board with other noise, or none."""
+    if name is None:
+        return None if noise is None else Instrument(noise)
+    board = Instrument.named(name)
+    return board if noise is None else dataclasses.replace(board, snr_db=noise)
+
+
+def _colours(
+    view: Path | None, colour: str | None, drive: str | None, electrodes: int
+) -> tuple[Colour, tuple[int, int] | None]:
+    """What a picture shows; checked, with the file, before anything is computed."""
+    if view is not None:
+        require_picture(view)
+    for option, given in (("--colour", colour), ("--drive", drive)):
+        if given is not None and view is None:
+            raise ConfigurationError(f"{option} says what to draw; name the picture with --view")
+    what = cast(Colour, one_of("--colour", colour or "conductance", Colour))
+    if drive is None:
+        return what, None
+    if what != "current":
+        raise ConfigurationError(f"--drive is for --colour current, got --colour {what}")
+    found = re.fullmatch(r"\s*(\d{1,6})\s*[-,]\s*(\d{1,6})\s*", drive)
+    pair = (int(found[1]), int(found[2])) if found else (0, 0)
+    if pair[0] == pair[1] or max(pair) >= electrodes:
+        raise ConfigurationError(
+            f"--drive takes two different electrodes from 0 to {electrodes - 1}, as 0-4, got "
+            f"'{drive}'"
+        )
+    return what, pair
+
+
+def _title(name: str, scene: Scene) -> str:
+    """The name of a scene and what happens in it."""
+    parts = [f"bent by {scene.bend.angle_deg:g} deg"] if scene.bend.angle_deg else []
+    parts += [f"rolled by {scene.roll.angle_deg:g} deg"] if scene.roll else []
+    parts += [f"twisted by {scene.twist.angle_deg:g} deg"] if scene.twist else []
+    count = len(scene.touches)
+    parts += [f"{count} touch{'es' * (count > 1)}"] if count else []
+    return f"{name}: {', '.join(parts) or 'flat, untouched'}"
+
+
+def _relative_change(frame: Frame, flat: Frame) -> list[float | None]:
+    """Change from the flat frame, of the real part; None where that is zero but for rounding."""
+    before = flat.impedance.real
+    rounding = 1e-9 * np.abs(before).max()
+    return [
+        float(now / then - 1.0) if abs(then) > rounding else None
+        for now, then in zip(frame.impedance.real, before, strict=True)
+    ]
+
+
+def _as_data(frame: Frame, flat: Frame, seconds: float) -> dict[str, object]:
+    return {
+        "measurements": list(frame.protocol.labels),
+        "independent": frame.protocol.rank,
+        "impedance_real_ohm": frame.impedance.real.tolist(),
+        "impedance_imag_ohm": frame.impedance.imag.tolist(),
+        "status": frame.status.tolist(),
+        "change_ohm": (frame.impedance - flat.impedance).real.tolist(),
+        "relative_change": _relative_change(frame, flat),
+        "seconds": seconds,
+    }
+
+
+def _as_table(frame: Frame, flat: Frame) -> Table:
+    table = Table("measurement", "R, ohm", "X, ohm", "change, ohm", "change, %")
+    for column in table.columns[1:]:
+        column.justify = "right"
+    for label, Z, before, part in zip(
+        frame.protocol.labels,
+        frame.impedance,
+        flat.impedance,
+        _relative_change(frame, flat),
+        strict=True,
+    ):
+        percent = "" if part is None else f"{100 * part:+.3f}"
+        change = f"{(Z - before).real:+.3f}"
+        table.add_row(label, f"{Z.real:.3f}", f"{Z.imag:.3f}", change, percent)
+    return table
+
+
+def _touch_data(press: Pressed) -> dict[str, object]:
+    return {
+        "x_m": press.touch.x,
+        "y_m": press.touch.y,
+        "force_N": press.force,
+        "depth_m": press.depth,
+        "contact_radius_m": press.contact_radius,
+        "contact_area_m2": press.contact_area,
+        "mean_pressure_Pa": press.mean_pressure,
+        "peak_pressure_Pa": press.peak_pressure,
+        "thinning": press.thinning,
+        "edge_distance_m": press.edge_distance,
+        "neighbour_distance_m": (
+            press.neighbour_distance if math.isfinite(press.neighbour_distance) else None
+        ),
+        "signal_error": press.signal_error,
+        "caution": press.caution,
+    }
+
+
+def _touch_table(presses: tuple[Pressed, ...]) -> Table:
+    table = Table("touch\nat, mm", "force\nN", "depth\nmm", "contact\nmm2", "mean\nkPa")
+    for title in ("peak\nkPa", "gel thinner\nby, %", "to edge\nmm"):
+        table.add_column(title)
+    for column in table.columns[1:]:
+        column.justify = "right"
+    for press in presses:
+        table.add_row(
+            f"{1e3 * press.touch.x:.1f}, {1e3 * press.touch.y:.1f}",
+            f"{press.force:.2f}",
+            f"{1e3 * press.depth:.3f}",
+            f"{1e6 * press.contact_area:.1f}",
+            f"{1e-3 * press.mean_pressure:.1f}",
+            f"{1e-3 * press.peak_pressure:.1f}",
+            f"{100 * press.thinning:.1f}",
+            f"{1e3 * press.edge_distance:.1f}",
+        )
+    return table
+
+
+def _cautions(presses: tuple[Pressed, ...]) -> list[str]:
+    return [
+        f"caution: touch at {1e3 * press.touch.x:.1f}, {1e3 * press.touch.y:.1f} mm: "
+        f"{press.caution}"
+        for press in presses
+        if press.caution
+    ]

@@ -1,0 +1,1 @@
+"""The demo: every stage from the bare sensor to a live pipeline, and its report."""

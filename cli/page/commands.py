@@ -1,0 +1,154 @@
+"""What the live page may ask of a virtual board: bend and press it, play, break, mend."""
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import numpy as np
+
+from eitskin.cli.episode import STEPS
+from eitskin.config import from_dict
+from eitskin.errors import ConfigurationError
+from eitskin.geometry.deformation.fixtures import Bend
+from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.geometry.design.surface import Surface
+from eitskin.simulator.scene.scene import Scene
+from eitskin.simulator.scene.touch import Touch
+
+if TYPE_CHECKING:
+    from eitskin.hardware.boards.board import Board
+
+MOST_TOUCHES = 4
+STEP = 3.0  # how long each step of the episode lasts [s]
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Bend [deg] and force [N] at one end of what the page offers."""
+
+    bend_deg: float
+    force: float
+
+
+LEAST, LARGEST = Limits(-30.0, 1.0), Limits(60.0, 12.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Press:
+    """A finger on the page: place on the flat sensor [m] and force [N]."""
+
+    x: float
+    y: float
+    force: float
+
+    def __post_init__(self) -> None:
+        """Check the force; the place is the sensor's matter."""
+        _require_within("force", self.force, LEAST.force, LARGEST.force, "N")
+
+
+@dataclass(frozen=True, slots=True)
+class SceneCommand:
+    """POST /scene: the whole scene that the board is to measure from now on."""
+
+    bend_deg: float = 0.0
+    touches: tuple[Press, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Check angle and number."""
+        _require_within("bend_deg", self.bend_deg, LEAST.bend_deg, LARGEST.bend_deg, "deg")
+        if len(self.touches) > MOST_TOUCHES:
+            raise ConfigurationError(
+                f"at most {MOST_TOUCHES} touches at once, got {len(self.touches)}"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class FaultCommand:
+    """POST /fault: a fault as "name" or "name:index", or the end of those that last."""
+
+    fault: str = ""
+    clear: bool = False
+
+    def __post_init__(self) -> None:
+        """Check that it says one thing."""
+        if bool(self.fault) == self.clear:
+            raise ConfigurationError('give either "fault", a name, or "clear": true')
+        if self.fault and not re.fullmatch(r"\w{1,40}(:\d{1,6})?", self.fault):
+            raise ConfigurationError(f"expected a fault as name or name:index, got {self.fault!r}")
+
+
+@dataclass(frozen=True, slots=True)
+class PlayCommand:
+    """POST /play: begin the paper's episode, or end it with the sensor flat and untouched."""
+
+    play: bool
+
+
+def obey(board: "Board", design: SensorDesign, path: str, body: bytes) -> None:
+    """Do what was posted to `path`.
+
+    Raises ConfigurationError for what cannot be read or done; KeyError for an unknown path.
+    """
+    command, act = COMMANDS[path]
+    try:
+        data = msgspec.json.decode(body)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise ConfigurationError(f"expected JSON, got what is not: {error}") from error
+    if not isinstance(data, Mapping):
+        raise ConfigurationError(f"expected a JSON object, got {type(data).__name__}")
+    act(board, design, from_dict(command, data, path.lstrip("/")))
+
+
+def _set_scene(board: "Board", design: SensorDesign, command: SceneCommand) -> None:
+    for press in command.touches:
+        _require_inside(design, press)
+    touches = tuple(Touch(press.x, press.y, press.force) for press in command.touches)
+    _stage(board).set(Scene(Bend(command.bend_deg), touches))
+
+
+def _break(board: "Board", design: SensorDesign, command: FaultCommand) -> None:  # noqa: ARG001
+    if command.clear:
+        _stage(board).clear()
+    else:
+        _stage(board).inject(command.fault)
+
+
+def _play(board: "Board", design: SensorDesign, command: PlayCommand) -> None:  # noqa: ARG001
+    from eitskin.hardware.virtual.scene_script import Script, Step
+
+    if not command.play:
+        _stage(board).set(Scene())
+        return
+    frames = max(1, round(STEP / (board.info.period or 1.0)))
+    _stage(board).play(Script(tuple(Step(scene, frames) for scene in STEPS)))
+
+
+COMMANDS: dict[str, tuple[Any, Callable[["Board", SensorDesign, Any], None]]] = {
+    "/scene": (SceneCommand, _set_scene),
+    "/fault": (FaultCommand, _break),
+    "/play": (PlayCommand, _play),
+}
+
+
+def _stage(board: "Board") -> Any:
+    return getattr(board, "stage", None)
+
+
+def _require_inside(design: SensorDesign, press: Press) -> None:
+    outline = design.outline
+    if isinstance(outline, Surface):
+        inside = 0.0 <= press.x <= outline.length and 0.0 <= press.y <= outline.width
+    else:
+        inside = bool(outline.contains(np.array([press.x, press.y])))
+    if not inside:
+        raise ConfigurationError(
+            f"touches are on the sensor, {outline.length:g} x {outline.width:g} m, got one at "
+            f"({press.x:g}, {press.y:g}) m"
+        )
+
+
+def _require_within(name: str, value: float, least: float, most: float, unit: str) -> None:
+    if not least <= value <= most:
+        raise ConfigurationError(f"{name} must be from {least:g} to {most:g} {unit}, got {value:g}")

@@ -1,0 +1,166 @@
+"""The live page: what `eitskin live --page` shows in a browser on this machine."""
+
+import json
+import logging
+import threading
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from eitskin.cli.page.commands import obey
+from eitskin.cli.page.server import HOST, Patience, Server
+from eitskin.cli.page.state import Snapshot, View, filled
+from eitskin.cli.page.stream import Newest
+from eitskin.closing import Closing
+from eitskin.frame import Frame
+from eitskin.geometry.design.sensor import SensorDesign
+
+if TYPE_CHECKING:
+    from eitskin.hardware.boards.board import Counts
+    from eitskin.hardware.boards.connection import Connection
+    from eitskin.hardware.live import Reading
+
+log = logging.getLogger(__name__)
+
+SHORTEST = 1.0  # s; a machine that is busy for a moment is no silence
+HEARTBEAT = 1.0  # s
+MOST_PER_SECOND = 60  # more than a screen shows
+
+
+class Page(Closing):
+    """Serves the page and tells it of the newest reading; never a queue, never an old one.
+
+    Whoever runs the live loop publishes; encoding and sending are done by threads of the page, so
+    that neither browsers nor their number can slow the loop.
+
+    Attributes:
+        url: where the page is.
+    """
+
+    def __init__(
+        self,
+        connection: "Connection",
+        design: SensorDesign,
+        port: int = 0,
+        patience: Patience | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """Serve, from now on.
+
+        Args:
+            connection: to the board whose readings will be published; a virtual one can be
+                commanded by the page.
+            design: of its sensor.
+            port: of 127.0.0.1; 0 for any that is free.
+            patience: with browsers.
+            clock: [s].
+
+        Raises ConfigurationError where the port cannot be had.
+        """
+        board = connection.board
+        self._connection, self._clock = connection, clock
+        self._view = View.of(board, design)
+        self._published: tuple[Reading, Counts, float] | None = None
+        self._reference: Frame | None = None
+        self._arrived = self._closed = False
+        self._changed = threading.Condition()
+        self._events = Newest()
+        hello = b"retry: 1000\n" + event("sensor", self._view.sensor())
+        self._server = Server(
+            port,
+            self._events,
+            hello,
+            lambda path, body: obey(board, design, path, body),
+            getattr(board, "stage", None) is not None,
+            patience or Patience(),
+        )
+        self.url = f"http://{HOST}:{self._server.server_port}/"
+        self._thread = threading.Thread(target=self._tell, name="page", daemon=True)
+        self._thread.start()
+        self._server.start()
+
+    def publish(self, reading: "Reading") -> None:
+        """Have the page show this reading next; takes no time, whoever watches."""
+        counts = self._connection.board.counts
+        with self._changed:
+            if self._reference is None or self._reference.session != reading.frame.session:
+                self._reference = reading.frame
+            elif self._reference.status.any():
+                self._reference = filled(self._reference, reading.frame)
+            self._published, self._arrived = (reading, counts, self._clock()), True
+            self._changed.notify()
+
+    def close(self) -> None:
+        """End the page and its threads; a second time does nothing."""
+        if self._closed:
+            return
+        with self._changed:
+            self._closed = True
+            self._changed.notify()
+        self._events.close()
+        self._server.close()
+        self._thread.join()
+
+    def _tell(self) -> None:
+        """Encode each newest reading once, and how things are where none comes."""
+        told = -1.0 / MOST_PER_SECOND
+        while self._wait(told):
+            snapshot = self._take()
+            told = self._clock()
+            if not self._server.watching:
+                continue
+            try:
+                self._events.put(self._message(snapshot))
+            except Exception:  # the page must outlive whatever a pipeline comes up with
+                log.exception("the page cannot show frame")
+
+    def _wait(self, told: float) -> bool:
+        """Wait for a reading or the next heartbeat, no more often than a screen shows."""
+        with self._changed:
+            pause = told + 1.0 / MOST_PER_SECOND - self._clock()
+            if pause > 0.0:
+                self._changed.wait_for(lambda: self._closed, pause)
+            self._changed.wait_for(lambda: self._closed or self._arrived, self._patience())
+            return not self._closed
+
+    def _patience(self) -> float:
+        """How long no reading may come before the page is told [s]."""
+        age = self._age()
+        left = self._stale_after() - age if age is not None else 0.0
+        return min(left, HEARTBEAT) if left > 0.0 else HEARTBEAT
+
+    def _stale_after(self) -> float:
+        """How old the newest reading may be [s]; a board of text learns its period as it goes."""
+        from eitskin.hardware.boards.board import silence_after
+
+        return silence_after(self._connection.board.info.period, SHORTEST)
+
+    def _age(self) -> float | None:
+        """Of the newest reading [s]; None where there is none."""
+        return None if self._published is None else self._clock() - self._published[2]
+
+    def _take(self) -> Snapshot | None:
+        """The newest reading, where it has not been taken before."""
+        with self._changed:
+            if not self._arrived or self._published is None or self._reference is None:
+                return None
+            self._arrived = False
+            return Snapshot(*self._published[:2], self._reference)
+
+    def _message(self, snapshot: Snapshot | None) -> bytes:
+        age = self._age()
+        health = {
+            "sent": round(self._clock(), 4),
+            "age": None if age is None else round(age, 3),
+            "stale": age is None or age >= self._stale_after(),
+            "connection": self._connection.problem,
+        }
+        if snapshot is None:
+            return event("health", {**health, "stage": self._view.stage()})
+        return event("frame", {**health, **self._view.frame(snapshot)})
+
+
+def event(name: str, data: dict[str, Any]) -> bytes:
+    """One server-sent event; raises ValueError for numbers that JSON cannot say."""
+    text = json.dumps(data, allow_nan=False, separators=(",", ":"))
+    return f"event: {name}\ndata: {text}\n\n".encode()

@@ -1,0 +1,160 @@
+"""The sensor's gel as the live page draws it: bent and dented by eitskin's own geometry."""
+
+import base64
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.errors import ConfigurationError
+from eitskin.geometry.deformation.fixtures import Bend, Hinge
+from eitskin.geometry.deformation.flexure import Flexure
+from eitskin.geometry.deformation.kinematics import Composed, Deformation
+from eitskin.geometry.design.outline import Rectangle
+from eitskin.geometry.design.placement import placed
+from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.geometry.design.side_contacts import Strip
+from eitskin.simulator.layer.closed_dent import LARGEST_FORCE
+from eitskin.simulator.layer.pressed_touches import dents
+from eitskin.simulator.mechanics.layer_stack import Mechanics
+from eitskin.simulator.scene.touch import Touch
+
+Array = NDArray[np.float64]
+
+COLUMNS, ROWS = 51, 21  # of the face, every 3 mm on the reference sensor
+FORCE_UNKNOWN = 6.0  # that a touch is drawn with whose force the pipeline does not say [N]
+_STEEPEST = 60.0  # bends are drawn up to this, either way [deg]
+_FINEST = 0.2  # difference of two bends that are drawn [deg]; each is computed once
+_STEPS = 32000  # of a coordinate from the middle to twice the sensor's length
+_SAME_ANGLE, _SAME_PRESS = 0.3, (0.0015, 0.0015, 0.5)  # too little to be seen [deg], [m, m, N]
+
+Press = tuple[float, float, float]
+"""x [m], y [m] and force [N]; NaN for an unknown force."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shape:
+    """Points of the flat gel, and how far they can be bent.
+
+    Attributes:
+        design: the sensor.
+        points: the face, row by row, `ROWS` times `COLUMNS`; the bottom along both long edges,
+            2 times `COLUMNS`; four corners of each electrode (n, 3) [m].
+        least, most: bends that the hinge can be drawn at [deg].
+    """
+
+    design: SensorDesign
+    points: Array
+    least: float
+    most: float
+
+    @classmethod
+    def of(cls, design: SensorDesign) -> "Shape | None":
+        """The shape of a rectangular sensor; None for others, which are not drawn."""
+        if not isinstance(design.outline, Rectangle):
+            return None
+        length, width = design.outline.length, design.outline.width
+        x = np.linspace(0.0, length, COLUMNS)
+        face = _sheet(x, np.linspace(0.0, width, ROWS), design.thickness)
+        bottom = _sheet(x, np.array([0.0, width]), 0.0)
+        points = np.concatenate([face, bottom, electrode_corners(design).reshape(-1, 3)])
+        return cls(design, points, _farthest(design, -1), _farthest(design, 1))
+
+    def bent(self, angle_deg: float, presses: Sequence[Press]) -> Array:
+        """The points bent and pressed at (x [m], y [m], force [N]), (n, 3) [m].
+
+        Bends are drawn in steps of `_FINEST`. Dents are to scale, in the closed form that is fitted
+        for the 15 mm cylinder; forces past its last are drawn as that, unknown ones as
+        `FORCE_UNKNOWN`, an unknown angle as flat.
+        """
+        angle = _FINEST * round(angle_deg / _FINEST) if math.isfinite(angle_deg) else 0.0
+        angle = min(max(angle, self.least), self.most)
+        touches = tuple(Touch(x, y, _drawn_force(force)) for x, y, force in presses)
+        shape: Deformation = _flexure(self.design, angle)
+        if touches:
+            pressed = dents(touches, self.design, Mechanics(), "closed form")
+            shape = Composed(pressed, shape)
+        return shape.positions(self.points)
+
+
+@dataclass(slots=True, eq=False)
+class Drawing:
+    """The shape as it was last drawn: what only flickers by noise is not drawn again.
+
+    Attributes:
+        shape: that is drawn.
+        unit: length that the last digit of a coordinate stands for [m].
+    """
+
+    shape: Shape
+    unit: float
+    _drawn: Array | None = None
+    _points: str = ""
+
+    @classmethod
+    def of(cls, design: SensorDesign) -> "Drawing | None":
+        """A drawing of a rectangular sensor; None for others."""
+        shape = Shape.of(design)
+        return None if shape is None else cls(shape, 2.0 * design.outline.length / _STEPS)
+
+    def points(self, angle_deg: float, presses: Sequence[Press]) -> str:
+        """The points bent and pressed, in multiples of `unit`: int16, little-endian, base64."""
+        wanted = np.array([angle_deg, *(value for press in presses for value in press)])
+        tolerance = np.array([_SAME_ANGLE, *_SAME_PRESS * len(presses)])
+        if self._drawn is None or not _near(wanted, self._drawn, tolerance):
+            steps = np.rint(self.shape.bent(angle_deg, presses) / self.unit)
+            self._points = base64.b64encode(steps.astype("<i2").tobytes()).decode()
+            self._drawn = wanted
+        return self._points
+
+
+def _near(one: Array, other: Array, tolerance: Array) -> bool:
+    """Whether all values, NaN among them, are as near as `tolerance`."""
+    if one.shape != other.shape:
+        return False
+    same = np.isnan(one) & np.isnan(other)
+    return bool((same | (np.abs(one - other) <= tolerance)).all())
+
+
+def electrode_corners(design: SensorDesign) -> Array:
+    """Four corners of each electrode in turn (electrodes, 4, 3) [m]; round ones as squares."""
+    corners = []
+    for contact in placed(design.electrodes, design.outline, design.thickness):
+        if isinstance(contact, Strip):
+            ends = contact.outline.at([contact.start, contact.end, contact.end, contact.start])
+            heights = [contact.low, contact.low, contact.high, contact.high]
+            corners.append(np.column_stack([ends, heights]))
+        else:
+            corners.append(contact.corners[:: len(contact.corners) // 4])
+    return np.array(corners)
+
+
+def _sheet(x: Array, y: Array, z: float) -> Array:
+    """Points (len(y) * len(x), 3) [m] at height z, row by row."""
+    rows, columns = np.meshgrid(y, x, indexing="ij")
+    return np.stack([columns, rows, np.full_like(rows, z)], axis=-1).reshape(-1, 3)
+
+
+@lru_cache(maxsize=1024)
+def _flexure(design: SensorDesign, angle: float) -> Flexure:
+    return Hinge().flexure(design, Bend(angle))
+
+
+def _farthest(design: SensorDesign, sign: int) -> float:
+    """The farthest of a few bends in one direction that the hinge reaches [deg]."""
+    for angle in np.arange(_STEEPEST, 0.0, -10.0):
+        try:
+            _flexure(design, float(sign * angle))
+        except ConfigurationError:
+            continue
+        return float(sign * angle)
+    return 0.0
+
+
+def _drawn_force(force: float) -> float:
+    """In steps of 0.1 N, each of which is computed once."""
+    known = force if math.isfinite(force) else FORCE_UNKNOWN
+    return round(min(max(known, 0.1), LARGEST_FORCE), 1)

@@ -1,0 +1,220 @@
+"""What the live page is told: of the sensor once, and of each frame, as plain data for JSON."""
+
+import base64
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.cli.live_view import bad_channels, state_name
+from eitskin.cli.page.commands import LARGEST, LEAST, MOST_TOUCHES
+from eitskin.cli.page.shape import COLUMNS, ROWS, Drawing, Press, electrode_corners
+from eitskin.frame import Frame
+from eitskin.geometry.design.outline import Disc, Rectangle
+from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.geometry.design.surface import Surface
+
+if TYPE_CHECKING:
+    from eitskin.hardware.boards.board import Board, Counts
+    from eitskin.hardware.live import Estimate, Reading
+    from eitskin.simulator.scene.scene import Scene
+
+_RIM = 96  # points of an outline without corners
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Snapshot:
+    """One reading, and what is shown beside it.
+
+    Attributes:
+        reading: from the live loop.
+        counts: of the board at that moment.
+        reference: the frame that changes of channels are from, the first of the session.
+    """
+
+    reading: "Reading"
+    counts: "Counts"
+    reference: Frame
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """Turns readings of one board into what the page shows.
+
+    Attributes:
+        board: whose readings they are.
+        design: its sensor.
+        drawing: of it in three dimensions; None where there is none.
+    """
+
+    board: "Board"
+    design: SensorDesign
+    drawing: Drawing | None
+
+    @classmethod
+    def of(cls, board: "Board", design: SensorDesign) -> "View":
+        """The view of a board with a sensor."""
+        return cls(board, design, Drawing.of(design))
+
+    def sensor(self) -> dict[str, Any]:
+        """What does not change while the page is open."""
+        design, board = self.design, self.board
+        outline, corners = design.outline, electrode_corners(design)
+        return {
+            "uri": board.uri,
+            "firmware": board.info.firmware,
+            "period": _known(board.info.period, 6),
+            "length": outline.length,
+            "width": outline.width,
+            "thickness": design.thickness,
+            "outline": _rounded(_rim(design), 5),
+            "electrodes": _rounded(corners.mean(axis=1)[:, :2], 5),
+            "labels": list(board.protocol.labels),
+            "shape": None
+            if self.drawing is None
+            else {"columns": COLUMNS, "rows": ROWS, "unit": self.drawing.unit},
+            "controls": self._controls(),
+        }
+
+    def _controls(self) -> dict[str, Any] | None:
+        """What can be done to a virtual board; None with a real one."""
+        if getattr(self.board, "stage", None) is None:
+            return None
+        from eitskin.hardware.virtual.faults import FAULTS
+
+        return {
+            "bend": [LEAST.bend_deg, LARGEST.bend_deg],
+            "force": [LEAST.force, LARGEST.force],
+            "touches": MOST_TOUCHES,
+            "faults": list(FAULTS),
+        }
+
+    def frame(self, snapshot: Snapshot) -> dict[str, Any]:
+        """One reading; null stands for what is unknown."""
+        reading, counts = snapshot.reading, snapshot.counts
+        frame = reading.frame
+        return {
+            "number": frame.number,
+            "session": frame.session,
+            "rate": _known(reading.rate, 2),
+            "latency_ms": _known(1e3 * reading.latency, 2),
+            "unusable": reading.unusable,
+            "frames": counts.frames,
+            "lost": counts.lost,
+            "skipped": counts.skipped,
+            "dropped": dict(counts.dropped),
+            "reconnections": counts.reconnections,
+            "channels": relative_change(frame, snapshot.reference),
+            "bad": bad_channels(frame),
+            "problem": reading.problem,
+            "estimate": None if reading.estimate is None else self._estimate(reading.estimate),
+            "stage": self.stage(frame.number),
+        }
+
+    def _estimate(self, estimate: "Estimate") -> dict[str, Any]:
+        presses = found_presses(estimate)
+        return {
+            "state": state_name(estimate),
+            "probabilities": [_known(float(p), 4) for p in estimate.probabilities],
+            "angle": _known(estimate.bend_angle_deg, 3),
+            "deviation": _known(getattr(estimate, "bend_deviation_deg", math.nan), 3),
+            "map": pixels(estimate.touch_map),
+            "touches": [
+                {
+                    "x": _known(x, 5),
+                    "y": _known(y, 5),
+                    "strength": _known(strength, 3),
+                    "force": _known(press[2], 2),
+                }
+                for (x, y, strength), press in zip(estimate.touches, presses, strict=True)
+            ],
+            "problems": list(estimate.problems),
+            "points": ""
+            if self.drawing is None
+            else self.drawing.points(float(estimate.bend_angle_deg), presses),
+        }
+
+    def stage(self, number: int | None = None) -> dict[str, Any] | None:
+        """What a virtual board is told to do, and what frame `number` was really measured of."""
+        stage = getattr(self.board, "stage", None)
+        if stage is None:
+            return None
+        truth = None if number is None else stage.truth(number)
+        return {
+            "commanded": _scene(stage.scene),
+            "truth": None if truth is None else _scene(truth),
+            "faults": list(stage.faults),
+        }
+
+
+def filled(reference: Frame, frame: Frame) -> Frame:
+    """The reference with what was bad in it taken from `frame`, where that is good."""
+    better = (reference.status != 0) & (frame.status == 0)
+    return dataclasses.replace(
+        reference,
+        impedance=np.where(better, frame.impedance, reference.impedance),
+        status=np.where(better, frame.status, reference.status),
+    )
+
+
+def relative_change(frame: Frame, reference: Frame) -> list[float | None]:
+    """Change of the real part of each channel from the reference [%]; None where unknown."""
+    now, then = frame.impedance, reference.impedance
+    with np.errstate(all="ignore"):
+        change = 100.0 * np.real((now - then) / then)
+    return [_known(float(value), 3) for value in change]
+
+
+def found_presses(estimate: "Estimate") -> list[Press]:
+    """x [m], y [m] and force [N] of each touch found; NaN where the method says no force."""
+    forces = getattr(getattr(estimate, "found", None), "force", None)
+    known = [math.nan] * len(estimate.touches) if forces is None else [float(f) for f in forces]
+    return [(float(x), float(y), f) for (x, y, _), f in zip(estimate.touches, known, strict=True)]
+
+
+def pixels(touch_map: NDArray[np.floating]) -> dict[str, Any] | None:
+    """A map, 0 to 1, as bytes in base64, from its first row; None for an empty one."""
+    values = np.nan_to_num(np.asarray(touch_map, dtype=float))
+    if not values.any():
+        return None
+    levels = np.rint(255.0 * np.clip(values, 0.0, 1.0)).astype(np.uint8)
+    rows, columns = levels.shape
+    return {"rows": rows, "columns": columns, "data": base64.b64encode(levels.tobytes()).decode()}
+
+
+def _scene(scene: "Scene") -> dict[str, Any]:
+    touches = [touch for touch in scene.touches if not touch.released]
+    return {
+        "bend_deg": _known(scene.bend.angle_deg, 3),
+        "touches": [
+            {
+                "x": _known(touch.x, 5),
+                "y": _known(touch.y, 5),
+                "force": _known(touch.force, 2) if touch.depth is None else None,
+            }
+            for touch in touches
+        ],
+    }
+
+
+def _rim(design: SensorDesign) -> NDArray[np.float64]:
+    """Points of the outline in turn (k, 2) [m]; of a surface the rectangle that holds it."""
+    outline = design.outline
+    if isinstance(outline, Surface):
+        outline = Rectangle(outline.length, outline.width)
+    if isinstance(outline, Disc):
+        return outline.at(np.arange(_RIM) * (outline.perimeter / _RIM))
+    return outline.vertices
+
+
+def _rounded(values: NDArray[np.float64], digits: int) -> list[Any]:
+    rounded: list[Any] = np.round(values, digits).tolist()
+    return rounded
+
+
+def _known(value: float, digits: int) -> float | None:
+    """`value` in few digits, None where it is not finite, which JSON cannot say."""
+    return round(float(value), digits) if math.isfinite(value) else None

@@ -1,0 +1,38 @@
+"""Public names of eitskin.datasets, and where each is defined."""
+
+from eitskin.datasets.generation.generate import generate as generate
+from eitskin.datasets.generation.verification import verify as verify
+from eitskin.datasets.recipe.recipe import Recipe as Recipe
+from eitskin.datasets.recordings import (
+    RecordingNames as RecordingNames,
+)
+from eitskin.datasets.recordings import (
+    read_recording as read_recording,
+)
+from eitskin.datasets.store.dataset import Dataset as Dataset
+from eitskin.datasets.store.folder import (
+    open_dataset as open_dataset,
+)
+from eitskin.datasets.store.folder import (
+    save_dataset as save_dataset,
+)
+from eitskin.datasets.store.shard import (
+    read_shard as read_shard,
+)
+from eitskin.datasets.store.shard import (
+    write_shard as write_shard,
+)
+from eitskin.datasets.store.state import (
+    UNKNOWN_STATE as UNKNOWN_STATE,
+)
+from eitskin.datasets.store.state import (
+    State as State,
+)
+from eitskin.datasets.store.torch_dataset import (
+    ShuffledShards as ShuffledShards,
+)
+from eitskin.datasets.store.torch_dataset import (
+    TorchDataset as TorchDataset,
+)
+from eitskin.datasets.store.touch_map import touch_maps as touch_maps
+from eitskin.datasets.store.writer import ShardWriter as ShardWriter

@@ -1,0 +1,229 @@
+"""Making a dataset from a recipe, on all cores, so that it can be interrupted and resumed."""
+
+import hashlib
+import shutil
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+
+from eitskin.datasets.generation import cluster
+from eitskin.datasets.generation import process_pool as processes
+from eitskin.datasets.generation.shard_simulation import prepare
+from eitskin.datasets.recipe.recipe import Recipe
+from eitskin.datasets.store.durable import remove_file, remove_leftovers, write_file
+from eitskin.datasets.store.folder import (
+    MANIFEST,
+    Manifest,
+    make_folder,
+    new_folder,
+    read_manifest,
+    shard_entry,
+    write_manifest,
+)
+from eitskin.datasets.store.shard import read_shard, shard_name
+from eitskin.errors import ConfigurationError, DataError, PartialError
+from eitskin.files import TEMPORARY
+
+RECIPE = "recipe.toml"
+# Less than any frame takes: noise does not compress, and each channel is stored twice.
+_LEAST_BYTES_PER_CHANNEL = 4
+
+Progress = Callable[[int, int], None]
+
+
+def generate(
+    recipe: Recipe,
+    out: str | Path,
+    workers: int = 2,
+    progress: Progress | None = None,
+    resume: bool = False,
+    scheduler: str | None = None,
+    shard: int | None = None,
+) -> Manifest | None:
+    """Make the dataset of `recipe` in the folder `out`.
+
+    The bytes depend on the recipe alone, not on where they are made or on interruptions. Scripts
+    that call this need the usual `if __name__ == "__main__":`, because workers are started afresh.
+
+    Args:
+        recipe: what to make.
+        out: folder; new or empty, unless `resume` or `shard`.
+        workers: processes that simulate; unused with `scheduler` and `shard`.
+        progress: called with the number of finished frames and of all frames.
+        resume: keep the finished shards that lie in `out` and make the others.
+        scheduler: address of a dask.distributed scheduler, whose workers simulate instead.
+        shard: make this one only. Any number of such calls may share a folder at the same time;
+            one that finds all shards finished writes the manifest.
+
+    Returns:
+        The manifest that was written; None where `shard` was given and others are missing.
+
+    Raises:
+        ConfigurationError: where `out` holds something else or has no room, forces are beyond
+            reach, or the scheduler cannot be used.
+        PartialError: where files cannot be written or workers died; resume when that is mended.
+    """
+    _check_options(recipe, workers, scheduler, shard)
+    prepare(recipe)
+    folder = Path(out)
+    wanted = range(recipe.shards) if shard is None else range(shard, shard + 1)
+    missing = _unfinished(recipe, folder, wanted) if resume or shard is not None else list(wanted)
+    _check_room(recipe, folder, missing)
+    _begin(recipe, folder, resume, shared=shard is not None)
+    total = _frames(recipe, wanted)
+    done = total - _frames(recipe, missing)
+
+    def report(finished: int | None = None) -> None:
+        nonlocal done
+        done += _frames(recipe, () if finished is None else (finished,))
+        if progress:
+            progress(done, total)
+
+    report()
+    if missing:
+        remove_file(folder / MANIFEST)
+        make = (
+            partial(cluster.make_shards, address=scheduler, report=report)
+            if scheduler
+            else partial(processes.make_shards, workers=workers, report=report)
+        )
+        _make(recipe, folder, missing, make)
+    if shard is not None and not _complete(recipe, folder):
+        return None
+    manifest = _manifest(recipe, folder)
+    write_manifest(folder, manifest)
+    return manifest
+
+
+def least_bytes(recipe: Recipe, frames: int) -> int:
+    """What `frames` of `recipe` surely take on a disk [bytes]."""
+    electrodes = len(recipe.sensor.electrodes)
+    return frames * electrodes * (electrodes - 1) // 2 * _LEAST_BYTES_PER_CHANNEL
+
+
+def free_bytes(folder: Path) -> int:
+    """What is free on the disk where `folder` lies or would be made [bytes]."""
+    there = next(place for place in (folder, *folder.absolute().parents) if place.is_dir())
+    return shutil.disk_usage(there).free
+
+
+def _check_options(recipe: Recipe, workers: int, scheduler: str | None, shard: int | None) -> None:
+    if workers < 1:
+        raise ConfigurationError(f"workers must be at least 1, got {workers}")
+    if shard is not None and not 0 <= shard < recipe.shards:
+        raise ConfigurationError(
+            f"recipe '{recipe.name}' has shards 0 to {recipe.shards - 1}, got shard {shard}; give "
+            "one of them, or change frames_per_shard in the recipe"
+        )
+    if shard is not None and scheduler:
+        raise ConfigurationError(
+            "expected a scheduler, which makes all shards, or the number of one shard, got both; "
+            "leave one out"
+        )
+    if scheduler:
+        cluster.check_scheduler(scheduler)
+
+
+def _check_room(recipe: Recipe, folder: Path, missing: Sequence[int]) -> None:
+    """Refuse a disk that is obviously too full, before hours are spent on filling it."""
+    needed, free = least_bytes(recipe, _frames(recipe, missing)), free_bytes(folder)
+    if needed > free:
+        raise ConfigurationError(
+            f"the disk of {folder} has no room: expected at least {needed / 1e6:.2g} MB, got "
+            f"{free / 1e6:.2g} MB; make room, or choose a folder elsewhere"
+        )
+
+
+def _frames(recipe: Recipe, shards: Sequence[int]) -> int:
+    return sum(len(recipe.shard_range(shard)) for shard in shards)
+
+
+def _begin(recipe: Recipe, folder: Path, resume: bool, shared: bool) -> None:
+    """Make sure that `folder` holds this recipe, and nothing of another.
+
+    A `shared` folder may be begun by several at once: they write the same recipe, and leave each
+    other's temporary files alone.
+    """
+    text, path = recipe.to_toml().encode(), folder / RECIPE
+    if not (resume or shared):
+        new_folder(folder)
+    # Asked for before the recipe: another may write it, and a shard, in between.
+    held = sorted(name for name in make_folder(folder) if not name.startswith(TEMPORARY))
+    if not shared:
+        remove_leftovers(folder)
+    if path.is_file():
+        if path.read_bytes() != text:
+            raise ConfigurationError(
+                f"cannot resume in {folder}: it was begun with another recipe or seed, which "
+                f"{path} holds; give that recipe, or choose another folder"
+            )
+    elif held:
+        raise ConfigurationError(
+            f"cannot resume in {folder}: it holds {held[0]} but no {RECIPE}, so it is no dataset "
+            "that was begun; choose another folder"
+        )
+    else:
+        write_file(path, text)
+
+
+def _unfinished(recipe: Recipe, folder: Path, shards: Sequence[int]) -> list[int]:
+    """Those of `shards` that do not lie in `folder` whole, so that they are to be made."""
+    checksums = _checksums(folder)
+    return [shard for shard in shards if not _finished(recipe, folder, shard, checksums)]
+
+
+def _complete(recipe: Recipe, folder: Path) -> bool:
+    """Whether all shards are there; they are read only where none is absent."""
+    shards = range(recipe.shards)
+    there = all((folder / shard_name(shard)).is_file() for shard in shards)
+    return there and not _unfinished(recipe, folder, shards)
+
+
+def _checksums(folder: Path) -> Mapping[str, str]:
+    """SHA-256 of the shards in `folder` by name, where it was complete once."""
+    try:
+        return {entry.name: entry.sha256 for entry in read_manifest(folder).shards}
+    except DataError:
+        return {}
+
+
+def _finished(recipe: Recipe, folder: Path, shard: int, checksums: Mapping[str, str]) -> bool:
+    name, frames = shard_name(shard), recipe.shard_range(shard)
+    try:
+        data = read_shard(folder / name, frames.start)
+    except DataError:
+        return False
+    if len(data) != len(frames) or data.recipe != recipe.to_toml():
+        return False
+    return name not in checksums or checksums[name] == shard_entry(folder, name, 0, 0).sha256
+
+
+def _make(
+    recipe: Recipe,
+    folder: Path,
+    missing: Sequence[int],
+    make: Callable[[Recipe, Path, Sequence[int]], list[int]],
+) -> None:
+    lost = make(recipe, folder, missing)
+    if lost:  # a worker died: the fault may be the machine's, so its shards get one more try
+        lost = make(recipe, folder, lost)
+    if lost:
+        raise PartialError(
+            f"workers died twice, {len(lost)} of {recipe.shards} shards are missing in "
+            f"{folder}. Look for lack of memory, or, in a script, for a missing "
+            "if __name__ == '__main__'; then continue with --resume"
+        )
+
+
+def _manifest(recipe: Recipe, folder: Path) -> Manifest:
+    ranges = [recipe.shard_range(shard) for shard in range(recipe.shards)]
+    return Manifest(
+        source="simulated",
+        recipe_sha256=hashlib.sha256(recipe.to_toml().encode()).hexdigest(),
+        seed=recipe.seed,
+        frames=recipe.frames,
+        shards=tuple(
+            shard_entry(folder, shard_name(shard), frames.start, len(frames))
+            for shard, frames in enumerate(ranges)
+        ),
+    )

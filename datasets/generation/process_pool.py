@@ -1,0 +1,144 @@
+"""Shards made by processes of this machine; one that is killed costs its shard once more."""
+
+import ctypes
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from pathlib import Path
+
+from eitskin.datasets.generation.shard_simulation import simulate_shard
+from eitskin.datasets.recipe.recipe import Recipe
+from eitskin.datasets.store.shard import shard_name, write_shard
+
+_THREAD_LIMITS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+def make_shards(
+    recipe: Recipe,
+    folder: Path,
+    shards: Sequence[int],
+    workers: int,
+    report: Callable[[int], None],
+) -> list[int]:
+    """Make `shards` of `recipe` in `folder` with `workers` processes.
+
+    Calls `report` with the number of each finished shard. Returns those that were lost because
+    a worker died.
+    """
+    context = multiprocessing.get_context("spawn")
+    # Shared memory without a lock: one held at the wrong moment would stop the workers for ever.
+    stop = context.RawValue(ctypes.c_bool, False)
+    lost = set(shards)
+    with (
+        _one_interrupt(stop),
+        _one_thread_per_process(),
+        ProcessPoolExecutor(
+            min(workers, len(shards)), context, initializer=_start_worker, initargs=(stop,)
+        ) as pool,
+    ):
+        try:
+            with _interrupts_held_back():  # workers start here, and keep them blocked
+                futures = [pool.submit(_make_shard, recipe, folder, shard) for shard in shards]
+            for future in as_completed(futures):
+                if isinstance(future.exception(), BrokenProcessPool):
+                    continue
+                lost.remove(future.result())
+                report(future.result())
+        except BrokenProcessPool:  # from submit
+            pass
+        except BaseException:
+            stop.value = True
+            # Waits while further interrupts are still swallowed: after a shutdown that does not
+            # wait, nobody would, and one of them could cut the pool off from its workers.
+            pool.shutdown(wait=True, cancel_futures=True)
+            raise
+    return sorted(lost)
+
+
+@contextmanager
+def _one_interrupt(stop: ctypes.c_bool) -> Iterator[None]:
+    """Let Ctrl-C stop the workers and be raised once; more would disturb the clearing up."""
+
+    def interrupt(number: int, frame: object) -> None:  # noqa: ARG001
+        if not stop.value:
+            stop.value = True
+            raise KeyboardInterrupt
+
+    # Only the main thread may say what a signal does, and only it gets the interrupt.
+    before = signal.getsignal(signal.SIGINT)
+    ours = threading.current_thread() is threading.main_thread() and callable(before)
+    if ours:
+        signal.signal(signal.SIGINT, interrupt)
+    try:
+        yield
+    finally:
+        if ours:
+            signal.signal(signal.SIGINT, before)
+
+
+@contextmanager
+def _interrupts_held_back() -> Iterator[None]:
+    """Keep Ctrl-C waiting; processes that are started meanwhile never get it."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextmanager
+def _one_thread_per_process() -> Iterator[None]:
+    """Let processes that are started now use one BLAS thread each.
+
+    More would fight over the cores, and sums would depend on how many there are.
+    """
+    before = {name: os.environ.get(name) for name in _THREAD_LIMITS}
+    os.environ.update(dict.fromkeys(_THREAD_LIMITS, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+# From here on: what runs in a worker.
+
+_stop: ctypes.c_bool | None = None
+
+
+class _Stopped(Exception):  # noqa: N818 - it is no error
+    """The parent has asked for an end."""
+
+
+def _start_worker(stop: ctypes.c_bool) -> None:
+    """Look to `stop`, which the parent sets; end when the parent has gone."""
+    global _stop  # noqa: PLW0603 - the one way to reach tasks from a pool's initializer
+    _stop = stop
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+def _make_shard(recipe: Recipe, folder: Path, shard: int) -> int:
+    """Simulate and write `shard`; only its number goes back."""
+    data = simulate_shard(recipe, shard, before_solve=_check_stop)
+    write_shard(folder / shard_name(shard), data, recipe.shard_range(shard).start)
+    return shard
+
+
+def _check_stop() -> None:
+    if _stop is not None and _stop.value:
+        raise _Stopped

@@ -1,0 +1,191 @@
+"""The frames of one shard, simulated: a function of the recipe and the shard's number alone."""
+
+import dataclasses
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.datasets.recipe.frame_sampling import Sample, Stream, generator, sample, specimen
+from eitskin.datasets.recipe.recipe import Recipe
+from eitskin.datasets.recipe.specimen import Specimen
+from eitskin.datasets.store.dataset import Dataset
+from eitskin.datasets.store.writer import touch_columns
+from eitskin.protocol import Protocol
+from eitskin.simulator.electrical.resolution import Resolution
+from eitskin.simulator.instrument.instrument import Instrument
+from eitskin.simulator.instrument.session import Session
+from eitskin.simulator.layer.pressed_touches import pressed
+from eitskin.simulator.mechanics import press_store as kernel_store
+from eitskin.simulator.scene.indenters import Cylinder
+from eitskin.simulator.scene.scene import Scene
+from eitskin.simulator.scene.touch import Touch
+from eitskin.simulator.simulator import Simulator
+
+Impedance = NDArray[np.complex128]
+Solved = Mapping[tuple[int, Scene], Impedance]
+
+
+def unsolved(recipe: Recipe) -> set[Path]:
+    """The tables of presses that a recipe needs and that have not been solved yet."""
+    if not recipe.largest_force:
+        return set()
+    found: set[Path] = set()
+    for made in _specimens(recipe):
+        found |= kernel_store.missing(made.design, made.mechanics, Cylinder())
+    return found
+
+
+def prepare(recipe: Recipe) -> None:
+    """Solve once what all workers need, and check what takes a solution to know.
+
+    Raises ConfigurationError for forces that the presses on some specimen do not reach.
+    """
+    if recipe.largest_force:
+        for made in _specimens(recipe):
+            pressed((Touch(0.0, 0.0, recipe.largest_force),), made.design, made.mechanics)
+
+
+def simulate_shard(
+    recipe: Recipe, shard: int, before_solve: Callable[[], None] = lambda: None
+) -> Dataset:
+    """The frames of `shard`; `before_solve` is called before each solution and may raise."""
+    return simulate(recipe, recipe.shard_range(shard), before_solve)
+
+
+def simulate(
+    recipe: Recipe, indices: Iterable[int], before_solve: Callable[[], None] = lambda: None
+) -> Dataset:
+    """Any frames of a recipe, at least one.
+
+    They are the same in whatever company, but for what `Simulator.measure_all` allows itself where
+    many touches share a bend.
+    """
+    samples = [sample(recipe, index) for index in indices]
+    boards = [_board(recipe, number, before_solve) for number in range(recipe.specimens.count)]
+    offsets = recipe.instrument.offsets(boards[0].protocol)
+    solved = _solve(recipe, samples, bool(offsets.any()), before_solve)
+
+    def clean(each: Sample, seen: Callable[[Scene], Scene]) -> Impedance:
+        impedance = solved[each.specimen, seen(each.scene)]
+        if offsets.any() and each.after is not None:
+            moved = solved[each.specimen, seen(each.after)] - impedance
+            impedance = impedance + offsets / each.period * moved
+        return impedance
+
+    def measure(each: Sample) -> tuple[Impedance, NDArray[np.uint8]]:
+        """The frame, and the mean of those without touches that go with it."""
+        count = recipe.reference_frames
+        free = np.broadcast_to(clean(each, untouched), (count, len(offsets)))
+        both = np.concatenate([clean(each, _as_it_is)[None], free])
+        rng = generator(recipe, Stream.NOISE, each.index)
+        times = np.full(1 + count, each.session_time)
+        measured, status = boards[each.specimen].session.measure(both, times, rng)
+        return np.stack([measured[0], measured[1:].mean(axis=0)]), status[:2]
+
+    impedance, status = (np.array(part) for part in zip(*map(measure, samples), strict=True))
+    touches = [touch_columns(_acting(each.scene)) for each in samples]
+    return Dataset.from_arrays(
+        impedance[:, 0],
+        np.array([board.reference for board in boards]),
+        touch_reference=impedance[:, 1],
+        status=status[:, 0],
+        specimen=np.array([each.specimen for each in samples]),
+        state=np.array([each.state for each in samples]),
+        bend_angle_deg=np.array([each.scene.bend.angle_deg for each in samples]),
+        **{name: np.array([row[name] for row in touches]) for name in touches[0]},
+        time=np.array([each.time for each in samples]),
+        episode=np.array([each.episode for each in samples]),
+        number=np.array([each.index for each in samples]),
+        protocol=boards[0].protocol,
+        source="simulated",
+        recipe=recipe.to_toml(),
+        seed=recipe.seed,
+        design=recipe.sensor,
+    )
+
+
+def untouched(scene: Scene) -> Scene:
+    """The scene without its touches, and what they have left."""
+    return dataclasses.replace(scene, touches=())
+
+
+def _as_it_is(scene: Scene) -> Scene:
+    return scene
+
+
+def _acting(scene: Scene) -> tuple[Touch, ...]:
+    return tuple(touch for touch in scene.touches if not touch.released)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Board:
+    """The board of one specimen in its session.
+
+    Attributes:
+        protocol: which pairs are measured.
+        session: of the instrument.
+        reference: of the flat, untouched sensor at the session's start, free of noise [ohm].
+    """
+
+    protocol: Protocol
+    session: Session
+    reference: Impedance
+
+
+def _board(recipe: Recipe, number: int, before_solve: Callable[[], None]) -> _Board:
+    before_solve()
+    protocol, flat, full_scale = _flat(specimen(recipe, number), recipe.resolution)
+
+    def session(instrument: Instrument) -> Session:
+        return instrument.session(protocol, full_scale, generator(recipe, Stream.SESSION, number))
+
+    still = session(dataclasses.replace(recipe.instrument, snr_db=0.0, floor=0.0))
+    rng = generator(recipe, Stream.SESSION, number)  # nothing is left that draws from it
+    (reference,), _ = still.measure(flat[None], np.zeros(1), rng)
+    return _Board(protocol, session(recipe.instrument), reference)
+
+
+def _solve(
+    recipe: Recipe, samples: Sequence[Sample], skewed: bool, before_solve: Callable[[], None]
+) -> Solved:
+    """The noise-free impedance [ohm] of every different scene, each solved once."""
+    wanted: dict[int, dict[Scene, None]] = {}
+    for each in samples:
+        # Where a frame ends matters only if it is scanned while that moves.
+        scenes = [each.scene, each.after] if skewed and each.after is not None else [each.scene]
+        scenes += [untouched(scene) for scene in scenes]
+        wanted.setdefault(each.specimen, {}).update(dict.fromkeys(scenes))
+    solved: dict[tuple[int, Scene], Impedance] = {}
+    for number, distinct in wanted.items():
+        made = specimen(recipe, number)
+        solved[number, Scene()] = _flat(made, recipe.resolution)[1]
+        scenes = [scene for scene in distinct if scene != Scene()]
+        if scenes:
+            simulator = _simulator(made, recipe.resolution)
+            found = simulator.measure_all(scenes, before_each=before_solve)
+            solved |= {(number, scene): row for scene, row in zip(scenes, found, strict=True)}
+    return solved
+
+
+def _specimens(recipe: Recipe) -> Iterator[Specimen]:
+    return (specimen(recipe, number) for number in range(recipe.specimens.count))
+
+
+# Meshing takes as long as a few scenes, so simulators are kept, though only a few: each holds
+# its mesh's matrices. Flat frames are small, and every shard needs those of all specimens.
+@lru_cache(maxsize=4)
+def _simulator(made: Specimen, resolution: Resolution) -> Simulator:
+    return Simulator(
+        made.design, resolution=resolution, fixture=made.hinge, mechanics=made.mechanics
+    )
+
+
+@lru_cache(maxsize=4096)
+def _flat(made: Specimen, resolution: Resolution) -> tuple[Protocol, Impedance, float]:
+    """What the flat, untouched specimen gives, free of noise, and its full scale [ohm]."""
+    frame = _simulator(made, resolution).measure(Scene())
+    return frame.protocol, frame.impedance, float(np.abs(frame.impedance).max())

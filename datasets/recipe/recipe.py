@@ -1,0 +1,238 @@
+"""What a dataset is made of: sensor, specimens, scenes, episodes, instrument and seed."""
+
+import dataclasses
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from eitskin.config import from_dict, to_toml
+from eitskin.datasets.recipe.episode import Episodes
+from eitskin.datasets.recipe.scene_group import SceneGroup
+from eitskin.datasets.recipe.specimen import Specimens
+from eitskin.datasets.store.schema import LIMITS
+from eitskin.errors import ConfigurationError
+from eitskin.geometry.deformation.fixtures import Bend, Hinge
+from eitskin.geometry.design.outline import PlaneOutline
+from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.geometry.design.surface import Surface
+from eitskin.protocol import Protocol
+from eitskin.simulator.electrical.resolution import Resolution
+from eitskin.simulator.instrument.instrument import Instrument
+from eitskin.simulator.mechanics.layer_stack import Mechanics
+
+MOST_REFERENCE_FRAMES = 1000
+
+SHIPPED = Path(__file__).parent / "shipped"
+
+
+@dataclass(frozen=True, slots=True)
+class Recipe:
+    """Everything that decides over a dataset; equal recipes make equal datasets.
+
+    Attributes:
+        name: short, of the recipe.
+        scenes: groups of scenes, which are interleaved; frames that follow none and lead to none.
+        episodes: time series, which come after the scenes, one kind after the other.
+        seed: of everything random.
+        description: for people.
+        resolution: of the simulator, "fast", "standard" or "fine".
+        frames_per_shard: how many frames share a file and a piece of work. Episodes are not cut:
+            a shard has as many as fit, at least one.
+        sensor: the design. In TOML also "reference" or the path of a design file.
+        hinge: that bends the sensor.
+        mechanics: what it is made of.
+        instrument: that measures it; a specimen is measured by one, in one session.
+        specimens: how many sensors there are and how they differ.
+        reference_frames: how many frames of the untouched sensor, each with its noise, are averaged
+            for a frame's `touch_reference`, as a pipeline does while a sensor is still.
+    """
+
+    name: str
+    scenes: tuple[SceneGroup, ...] = ()
+    episodes: tuple[Episodes, ...] = ()
+    seed: int = 0
+    description: str = ""
+    resolution: Resolution = "fast"
+    frames_per_shard: int = 256
+    sensor: SensorDesign = field(default_factory=SensorDesign.reference)
+    hinge: Hinge = field(default_factory=Hinge)
+    mechanics: Mechanics = field(default_factory=Mechanics)
+    instrument: Instrument = field(default_factory=Instrument)
+    specimens: Specimens = field(default_factory=Specimens)
+    reference_frames: int = 1
+
+    def __post_init__(self) -> None:
+        """Refuse a recipe that contradicts itself, with everything that is wrong with it."""
+        problems = list(self._problems())
+        if problems:
+            raise ConfigurationError(
+                f"recipe '{self.name}' cannot be made:\n- " + "\n- ".join(problems)
+            )
+
+    @classmethod
+    def from_toml(cls, path: str | Path) -> "Recipe":
+        """Read a recipe; raises ConfigurationError for anything that does not fit."""
+        path = Path(path)
+        try:
+            data = tomllib.loads(path.read_text(encoding="utf-8"))
+        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+            raise ConfigurationError(f"cannot read the recipe {path}: {error}") from error
+        return from_dict(cls, _with_sensor(data, path.parent), str(path), path.parent)
+
+    @classmethod
+    def shipped(cls, name: str) -> "Recipe":
+        """One of the recipes that come with eitskin; see `shipped_names`."""
+        if name not in shipped_names():
+            raise ConfigurationError(
+                f"there is no shipped recipe '{name}'; shipped are {', '.join(shipped_names())}. "
+                "For a recipe of your own, give the path of its .toml file"
+            )
+        return cls.from_toml(SHIPPED / f"{name}.toml")
+
+    def to_toml(self) -> str:
+        """The recipe as TOML that needs no other file; `from_toml` of it is this recipe."""
+        return to_toml(self)
+
+    @property
+    def outline(self) -> PlaneOutline:
+        """Of the sensor; raises ConfigurationError for a surface, which bends and presses lack."""
+        outline = self.sensor.outline
+        if isinstance(outline, Surface):
+            raise ConfigurationError(
+                "sensor: bending and touches need a rectangle, disc or polygon as outline, not a "
+                "surface; "
+                "give the rim of a flat sensor as outline = { points = [...] }"
+            )
+        return outline
+
+    @property
+    def snapshots(self) -> int:
+        """Number of frames that belong to no episode; they come first."""
+        return sum(group.frames for group in self.scenes)
+
+    @property
+    def frames(self) -> int:
+        """Number of frames."""
+        return self.snapshots + sum(each.count * each.frames for each in self.episodes)
+
+    @property
+    def largest_force(self) -> float:
+        """Of any touch [N]; 0 without touches."""
+        forces = [group.force[1] for group in self.scenes if group.state == "touch"]
+        return max([*forces, *(each.largest_force for each in self.episodes)], default=0.0)
+
+    @property
+    def shards(self) -> int:
+        """Number of files; they need not be of one length."""
+        return len(_shard_ranges(self))
+
+    def shard_range(self, shard: int) -> range:
+        """Numbers of the frames in `shard`."""
+        return _shard_ranges(self)[shard]
+
+    def _problems(self) -> Iterator[str]:
+        if not self.name:
+            yield "name must not be empty"
+        if not 0 <= self.seed < 2**63:
+            yield f"seed must be from 0 to 2^63 - 1, got {self.seed}"
+        if not 1 <= self.frames_per_shard <= LIMITS["frame"]:
+            yield (
+                f"frames_per_shard must be from 1 to {LIMITS['frame']}, got {self.frames_per_shard}"
+            )
+        if not 1 <= self.reference_frames <= MOST_REFERENCE_FRAMES:
+            yield (
+                f"reference_frames must be from 1 to {MOST_REFERENCE_FRAMES}, got "
+                f"{self.reference_frames}"
+            )
+        yield from self.specimens.problems(self.sensor, self.hinge)
+        if not self.scenes and not self.episodes:
+            yield "scenes or episodes must hold at least one group"
+        try:
+            outline = self.outline
+        except ConfigurationError as error:
+            yield str(error)
+            return
+        for number, group in enumerate(self.scenes):
+            problems = [*group.problems(outline), *self._bend_problems(group.angle_deg)]
+            for problem in problems:
+                yield f"scenes[{number}] ({group.state}): {problem}"
+        for number, each in enumerate(self.episodes):
+            problems = list(each.problems(outline))
+            problems = problems or [*self._bend_problems(each.angles_deg)]
+            problems += self._skew_problems(each.period)
+            for problem in problems:
+                yield f"episodes[{number}]: {problem}"
+
+    def _bend_problems(self, angles_deg: tuple[float, float]) -> Iterator[str]:
+        for angle in angles_deg:
+            if problem := _bend_problem(self.sensor, self.hinge, self.specimens, angle):
+                yield problem
+
+    def _skew_problems(self, period: float) -> Iterator[str]:
+        protocol = Protocol.pairwise(len(self.sensor.electrodes))
+        last = float(self.instrument.offsets(protocol).max())
+        if last > period:
+            yield (
+                f"period must be at least the {last:g} s that the instrument needs for a frame, "
+                f"got {period:g} s"
+            )
+
+
+@lru_cache(maxsize=64)  # recipes have the same angles in most of their groups
+def _bend_problem(
+    sensor: SensorDesign, hinge: Hinge, specimens: Specimens, angle_deg: float
+) -> str:
+    """Why the sensor or an extreme specimen cannot be bent so far; empty where they can."""
+    try:
+        hinge.flexure(sensor, Bend(angle_deg))
+        if not list(specimens.problems(sensor, hinge)):
+            for design, own in specimens.extremes(sensor, hinge):
+                own.flexure(design, Bend(angle_deg))
+    except ConfigurationError as error:
+        return str(error)
+    return ""
+
+
+@lru_cache(maxsize=16)
+def _shard_ranges(recipe: Recipe) -> tuple[range, ...]:
+    """Frames of each shard: first snapshots, then episodes that are not cut."""
+    pieces = [(recipe.snapshots, recipe.frames_per_shard)]
+    for each in recipe.episodes:
+        together = max(1, recipe.frames_per_shard // each.frames)
+        pieces.append((each.count * each.frames, together * each.frames))
+    ranges, start = [], 0
+    for frames, length in pieces:
+        end = start + frames
+        ranges += [range(first, min(first + length, end)) for first in range(start, end, length)]
+        start = end
+    return tuple(ranges)
+
+
+def shipped_names() -> tuple[str, ...]:
+    """Names of the recipes that come with eitskin."""
+    return tuple(sorted(path.stem for path in SHIPPED.glob("*.toml")))
+
+
+def _with_sensor(data: Mapping[str, Any], folder: Path) -> Mapping[str, Any]:
+    """`data` with a sensor that is given by name or path put in place."""
+    given = data.get("sensor")
+    if isinstance(given, Mapping) and "file" in given:
+        raise ConfigurationError(
+            'sensor: a design file is named as sensor = "PATH.toml", got a table with the key '
+            "'file'"
+        )
+    if not isinstance(given, str):
+        return data
+    if given == "reference":
+        design = SensorDesign.reference()
+    else:
+        design = SensorDesign.from_toml(folder / given)
+    return {**data, "sensor": design}
+
+
+def with_seed(recipe: Recipe, seed: int | None) -> Recipe:
+    """`recipe` with another seed, where one is given."""
+    return recipe if seed is None else dataclasses.replace(recipe, seed=seed)

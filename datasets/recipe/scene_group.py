@@ -1,0 +1,120 @@
+"""One kind of scene in a recipe: how many, how bent, where touched, and drawing them."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+from typing import Literal
+
+import numpy as np
+
+from eitskin.datasets.recipe.touch_sampling import draw_places, place_problems, touch_problems
+from eitskin.datasets.store.state import State
+from eitskin.geometry.deformation.fixtures import Bend
+from eitskin.geometry.design.outline import PlaneOutline
+from eitskin.simulator.scene.scene import Scene
+from eitskin.simulator.scene.touch import Touch
+
+_TOUCH_ONLY = ("touches", "force", "margin", "spacing", "positions", "repeats")
+
+
+@dataclass(frozen=True, slots=True)
+class SceneGroup:
+    """Scenes of one kind; ranges are [lowest, highest], drawn from uniformly.
+
+    Attributes:
+        state: "idle", "bend" or "touch"; a touched sensor may be bent as well.
+        count: how many frames; follows from `positions` where those are given.
+        angle_deg: range of the bend angle.
+        touches: range of how many touches at once, 1 to 4; one when omitted.
+        force: range of the force of each touch [N].
+        margin: least distance of a touch's centre from the rim [m].
+        spacing: least distance between the centres of two touches [m].
+        positions: places (x, y) [m] that are pressed one at a time, instead of random ones.
+        repeats: how many frames for each of `positions`.
+        per_bend: how many frames in a row share one angle, so that it is factorised once.
+    """
+
+    state: Literal["idle", "bend", "touch"]
+    count: int = 0
+    angle_deg: tuple[float, float] = (0.0, 0.0)
+    touches: tuple[int, int] = (1, 1)
+    force: tuple[float, float] = (10.0, 10.0)
+    margin: float = 0.010
+    spacing: float = 0.030
+    positions: tuple[tuple[float, float], ...] = ()
+    repeats: int = 1
+    per_bend: int = 1
+
+    @property
+    def frames(self) -> int:
+        """Number of frames."""
+        return len(self.positions) * self.repeats if self.positions else self.count
+
+    @property
+    def label(self) -> State:
+        """What the frames are labelled with."""
+        return State[self.state.upper()]
+
+    def problems(self, outline: PlaneOutline) -> Iterator[str]:
+        """Everything about the group that contradicts itself or the sensor's `outline`."""
+        for name in ("angle_deg", "touches", "force"):
+            low, high = getattr(self, name)
+            if not (math.isfinite(low) and math.isfinite(high) and low <= high):
+                yield f"{name} must be [lowest, highest], got [{low}, {high}]"
+        if self.positions:
+            yield from self._position_problems(outline)
+        elif self.count < 1:
+            yield f"count must be at least 1, got {self.count}"
+        elif self.repeats != 1:
+            yield "repeats goes with positions; give positions, or count alone"
+        if self.per_bend < 1:
+            yield f"per_bend must be at least 1, got {self.per_bend}"
+        if self.state == "touch":
+            yield from touch_problems(self.force, self.touches, self.margin, self.spacing, outline)
+        else:
+            defaults = {field.name: field.default for field in fields(self)}
+            given = [name for name in _TOUCH_ONLY if getattr(self, name) != defaults[name]]
+            if given:
+                yield f"state '{self.state}' has no touches, so leave out {', '.join(given)}"
+        if self.state == "idle" and self.angle_deg != (0.0, 0.0):
+            yield 'an idle sensor is flat: leave out angle_deg, or say state = "bend"'
+        if self.state == "bend" and self.angle_deg == (0.0, 0.0):
+            yield "state 'bend' needs a range of angle_deg other than [0, 0]"
+
+    @property
+    def blocks(self) -> int:
+        """Number of rows of frames that share an angle."""
+        return -(-self.frames // self.per_bend)
+
+    def draw_bend(self, rng: np.random.Generator) -> Bend:
+        """How the frames of one block are bent."""
+        return Bend(float(rng.uniform(*self.angle_deg)))
+
+    def draw(
+        self, number: int, bend: Bend, outline: PlaneOutline, rng: np.random.Generator
+    ) -> Scene:
+        """Scene `number` of the group at a bend, of what `rng` gives."""
+        if self.state != "touch":
+            return Scene(bend=bend)
+        if self.positions:
+            places = np.array([self.positions[number % len(self.positions)]])
+        else:
+            amount = int(rng.integers(self.touches[0], self.touches[1], endpoint=True))
+            places = draw_places(amount, outline, self.margin, self.spacing, rng)
+        forces = rng.uniform(*self.force, size=len(places))
+        return Scene(
+            bend=bend,
+            touches=tuple(
+                Touch(float(x), float(y), float(force))
+                for (x, y), force in zip(places, forces, strict=True)
+            ),
+        )
+
+    def _position_problems(self, outline: PlaneOutline) -> Iterator[str]:
+        if self.count:
+            yield "count follows from positions and repeats; leave it out"
+        if self.repeats < 1:
+            yield f"repeats must be at least 1, got {self.repeats}"
+        if self.touches != (1, 1):
+            yield "positions are pressed one at a time; leave out touches"
+        yield from place_problems(self.positions, outline)

@@ -1,0 +1,217 @@
+"""Sensors of one design that differ as hand-cast ones do."""
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.datasets.store.schema import LIMITS
+from eitskin.geometry.deformation.fixtures import Hinge
+from eitskin.geometry.design.electrode import Electrode
+from eitskin.geometry.design.outline import Rectangle
+from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.geometry.design.surface import Surface
+from eitskin.simulator.mechanics.layer_stack import Mechanics
+from eitskin.simulator.mechanics.materials import NeoHookean, Ogden
+
+Array = NDArray[np.float64]
+
+WIDEST = 3.0
+"""Draws further from the middle than so many standard deviations are drawn again."""
+
+_RANGES = {
+    "conductivity": (1.0, ""),
+    "thickness": (0.05, ""),
+    "gel_modulus": (0.3, ""),
+    "encapsulation_modulus": (0.3, ""),
+    "contact_impedance": (1.0, ""),
+    "electrode_place": (0.01, " m"),
+    "hinge_span": (0.01, " m"),
+    "hinge_offset": (0.01, " m"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Specimens:
+    """How many sensors a recipe has and how much they differ from the design.
+
+    Standard deviations; nothing differs by more than three of them, and 0 is not at all. Those
+    without a unit are relative, of lognormal factors with median one, so nothing turns negative.
+
+    Attributes:
+        count: of specimens, which follow each other in the dataset.
+        conductivity: of the layer.
+        thickness: of layer and encapsulation alike.
+        gel_modulus: shear modulus of the layer.
+        encapsulation_modulus: that of what surrounds it.
+        contact_impedance: of each electrode by itself.
+        electrode_place: along the rim, of each electrode on the side by itself [m].
+        hinge_span: free length of the hinge [m].
+        hinge_offset: place of the hinge's axis across the layer [m].
+    """
+
+    count: int = 1
+    conductivity: float = 0.0
+    thickness: float = 0.0
+    gel_modulus: float = 0.0
+    encapsulation_modulus: float = 0.0
+    contact_impedance: float = 0.0
+    electrode_place: float = 0.0
+    hinge_span: float = 0.0
+    hinge_offset: float = 0.0
+
+    def problems(self, design: SensorDesign, hinge: Hinge) -> Iterator[str]:
+        """Everything that cannot be, of sensors like `design` on a `hinge`."""
+        if not 1 <= self.count <= LIMITS["specimen"]:
+            yield f"specimens: count must be from 1 to {LIMITS['specimen']}, got {self.count}"
+        for name, (limit, unit) in _RANGES.items():
+            if not 0.0 <= (value := getattr(self, name)) <= limit:
+                yield f"specimens: {name} must be from 0 to {limit:g}{unit}, got {value}"
+        if not WIDEST * self.hinge_span < hinge.span:
+            yield (
+                f"specimens: hinge_span must be less than a third of the span of {hinge.span:g} m, "
+                f"got {self.hinge_span}"
+            )
+        free = _freedom(design)
+        if WIDEST * self.electrode_place > free:
+            yield (
+                f"specimens: electrode_place must be at most {free / WIDEST:.3g} m, three of which "
+                f"bring electrodes to each other or to a corner, got {self.electrode_place}"
+            )
+
+    def extremes(self, design: SensorDesign, hinge: Hinge) -> Iterator[tuple[SensorDesign, Hinge]]:
+        """Sensors and hinges that are as far from the nominal as any can be."""
+        thick = _thicker(design, lognormal(self.thickness, WIDEST))
+        ends = (-WIDEST, WIDEST)
+        for one, other in itertools.product(ends, ends):
+            span = hinge.span + one * self.hinge_span
+            offset = hinge.offset + other * self.hinge_offset
+            yield thick, dataclasses.replace(hinge, span=span, offset=offset)
+
+
+@dataclass(frozen=True, slots=True)
+class Specimen:
+    """One sensor, what it is made of, and its fixture."""
+
+    design: SensorDesign
+    hinge: Hinge
+    mechanics: Mechanics
+
+
+def draw_specimen(spread: Specimens, nominal: Specimen, rng: np.random.Generator) -> Specimen:
+    """A sensor that differs from `nominal` by `spread`; itself where that is zero.
+
+    Every property has draws of its own, whether or not others are spread.
+    """
+    design, hinge, mechanics = nominal.design, nominal.hinge, nominal.mechanics
+    conductivity, thickness, gel, around, span, offset = truncated_normal(rng, 6).tolist()
+    contacts, places = truncated_normal(rng, 2 * len(design.electrodes)).reshape(2, -1).tolist()
+
+    def factor(name: str, normal: float) -> float:
+        return lognormal(getattr(spread, name), normal)
+
+    electrodes = tuple(
+        dataclasses.replace(
+            _moved(electrode, spread.electrode_place * place, design),
+            contact_impedance=electrode.contact_impedance * factor("contact_impedance", contact),
+        )
+        for electrode, contact, place in zip(design.electrodes, contacts, places, strict=True)
+    )
+    made = dataclasses.replace(design, electrodes=electrodes)
+    made = _conducting(made, factor("conductivity", conductivity))
+    if spread.thickness:
+        made = _thicker(made, factor("thickness", thickness))
+        mechanics = dataclasses.replace(
+            mechanics, solved_thickness=mechanics.solved_thickness or design.thickness
+        )
+    return Specimen(
+        made,
+        dataclasses.replace(
+            hinge,
+            span=hinge.span + spread.hinge_span * span,
+            offset=hinge.offset + spread.hinge_offset * offset,
+        ),
+        dataclasses.replace(
+            mechanics,
+            gel=_stiffer(mechanics.gel, factor("gel_modulus", gel)),
+            encapsulation=_stiffer(
+                mechanics.encapsulation, factor("encapsulation_modulus", around)
+            ),
+        ),
+    )
+
+
+def lognormal(deviation: float, normal: float) -> float:
+    """A factor of median one and relative standard deviation `deviation`, from a normal draw.
+
+    With s^2 the variance of its logarithm, (deviation / mean)^2 = exp(s^2) - 1.
+    """
+    return math.exp(math.sqrt(math.log1p(deviation**2)) * normal)
+
+
+def truncated_normal(rng: np.random.Generator, size: int) -> Array:
+    """Standard normal draws (size,), those beyond `WIDEST` drawn again."""
+    drawn = rng.standard_normal(size)
+    while (wide := np.abs(drawn) > WIDEST).any():
+        drawn[wide] = rng.standard_normal(int(wide.sum()))
+    return drawn
+
+
+def _conducting(design: SensorDesign, factor: float) -> SensorDesign:
+    """`design` with every conductivity times `factor`."""
+    if not design.layers:
+        return dataclasses.replace(design, conductivity=factor * design.conductivity)
+    layers = (dataclasses.replace(x, conductivity=factor * x.conductivity) for x in design.layers)
+    return dataclasses.replace(design, layers=tuple(layers))
+
+
+def _thicker(design: SensorDesign, factor: float) -> SensorDesign:
+    """`design` with every height times `factor`."""
+    layers = (dataclasses.replace(x, thickness=factor * x.thickness) for x in design.layers)
+    return dataclasses.replace(
+        design,
+        thickness=factor * design.thickness,
+        encapsulated_thickness=factor * design.encapsulated_thickness,
+        layers=tuple(layers),
+        electrodes=tuple(_higher(electrode, factor) for electrode in design.electrodes),
+    )
+
+
+def _higher(electrode: Electrode, factor: float) -> Electrode:
+    z = None if electrode.z is None else factor * electrode.z
+    upright = electrode.on == "side" and electrode.height is not None
+    height = factor * electrode.height if upright and electrode.height else electrode.height
+    return dataclasses.replace(electrode, z=z, height=height)
+
+
+def _stiffer(law: NeoHookean | Ogden, factor: float) -> NeoHookean | Ogden:
+    return dataclasses.replace(law, shear_modulus=factor * law.shear_modulus)
+
+
+def _moved(electrode: Electrode, distance: float, design: SensorDesign) -> Electrode:
+    """An electrode on the side `distance` [m] further along the rim, counter-clockwise."""
+    outline = design.outline
+    if electrode.on != "side" or not distance or isinstance(outline, Surface):
+        return electrode
+    x, y = outline.at(outline.locate(electrode.x, electrode.y) + distance).tolist()
+    return dataclasses.replace(electrode, x=x, y=y)
+
+
+def _freedom(design: SensorDesign) -> float:
+    """How far each electrode on the side may move and stay apart from others and corners [m]."""
+    outline, electrodes = design.outline, [e for e in design.electrodes if e.on == "side"]
+    if isinstance(outline, Surface) or not electrodes:
+        return math.inf
+    half = 0.5 * np.array([electrode.width for electrode in electrodes])
+    places = np.array([outline.locate(e.x, e.y) for e in electrodes])
+    order = np.argsort(places)
+    around = np.diff(places[order], append=places[order[0]] + outline.perimeter)
+    free = [*(0.5 * (around - half[order] - half[np.roll(order, -1)]))]
+    if isinstance(outline, Rectangle):
+        corners = np.append(outline.corners, outline.perimeter)
+        free += [*(np.abs(places[:, None] - corners).min(axis=1) - half)]
+    return max(0.0, float(min(free)))

@@ -1,0 +1,1 @@
+"""Datasets in memory and on disk: the shard format, whole files, reading and writing."""

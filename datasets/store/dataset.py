@@ -1,0 +1,235 @@
+"""A dataset in memory: frames with everything that is known about them."""
+
+import dataclasses
+import itertools
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from eitskin.datasets.store.schema import FIELDS, FRAME_FIELDS, LIMITS, MAX_TOUCHES
+from eitskin.datasets.store.state import UNKNOWN_STATE, State
+from eitskin.errors import ConfigurationError, DataError
+from eitskin.frame import Frame, Status
+from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.protocol import Protocol
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Dataset:
+    """Frames of one or several specimens; n frames, C channels, S specimens.
+
+    Attributes:
+        impedance: measured, (n, C) complex64 [ohm]; measured recordings may hold any quantity
+            that is proportional to it.
+        touch_reference: the untouched sensor at the same bend, with its own noise, (n, C)
+            complex64 [ohm]; NaN where unknown.
+        reference: the flat untouched sensor, (S, C) complex64 [ohm].
+        specimen: row of `reference` that a frame belongs to, (n,) uint32.
+        state: `State`, or `UNKNOWN_STATE`, (n,) uint8.
+        bend_angle_deg: (n,) float32; NaN where unknown.
+        touch_x, touch_y: in coordinates of the flat sensor, (n, 4) float32 [m]; NaN where absent.
+        touch_force: (n, 4) float32 [N]; NaN where absent or unknown.
+        touch_radius: of the indenter, (n, 4) float32 [m]; NaN where absent or unknown.
+        time: since the episode began, (n,) float64 [s].
+        status: `eitskin.simulator.Status` bits, (n, C) uint8.
+        episode: frames of one episode follow each other in time, (n,) uint32.
+        number: of each frame as it was counted, (n,) uint32; a gap says that frames were lost.
+        protocol: what the channels are; None where a recording does not say.
+        frequency: of the excitation [Hz].
+        source: "simulated" or "measured".
+        recipe: TOML text that the frames were made from; empty for recordings.
+        seed: of everything random in them.
+        design: the nominal sensor; None where unknown.
+    """
+
+    impedance: NDArray[np.complex64]
+    touch_reference: NDArray[np.complex64]
+    reference: NDArray[np.complex64]
+    specimen: NDArray[np.uint32]
+    state: NDArray[np.uint8]
+    bend_angle_deg: NDArray[np.float32]
+    touch_x: NDArray[np.float32]
+    touch_y: NDArray[np.float32]
+    touch_force: NDArray[np.float32]
+    touch_radius: NDArray[np.float32]
+    time: NDArray[np.float64]
+    status: NDArray[np.uint8]
+    episode: NDArray[np.uint32]
+    number: NDArray[np.uint32]
+    protocol: Protocol | None = None
+    frequency: float = 40e3
+    source: str = "measured"
+    recipe: str = ""
+    seed: int = 0
+    design: SensorDesign | None = None
+
+    def __post_init__(self) -> None:
+        """Bring the arrays to the format's types and check shapes and values."""
+        sizes = {"frame": len(self.impedance), "channel": np.shape(self.impedance)[-1]}
+        sizes |= {"specimen": len(self.reference), "touch": MAX_TOUCHES}
+        for axis in ("channel", "specimen"):
+            if not 1 <= sizes[axis] <= LIMITS[axis]:
+                raise DataError(f"expected 1 to {LIMITS[axis]} {axis}s, got {sizes[axis]}")
+        for field in FIELDS:
+            values = np.ascontiguousarray(getattr(self, field.name), dtype=field.dtype)
+            expected = tuple(sizes[axis] for axis in field.axes)
+            if values.shape != expected:
+                raise DataError(
+                    f"{field.name} must have shape {expected} ({', '.join(field.axes)}), "
+                    f"got {values.shape}"
+                )
+            if field.finite and not np.isfinite(values).all():
+                row = int(np.argwhere(~np.isfinite(values))[0][0])
+                raise DataError(
+                    f"{field.name} must be finite, but {field.axes[0]} {row} is not; leave such "
+                    "frames out"
+                )
+            object.__setattr__(self, field.name, values)
+        _check_labels(self)
+
+    @classmethod
+    def from_arrays(
+        cls,
+        impedance: ArrayLike,
+        reference: ArrayLike | None = None,
+        **known: Any,
+    ) -> "Dataset":
+        """A dataset of what is known; the rest is filled with what stands for "not known".
+
+        Args:
+            impedance: (n, C) [ohm].
+            reference: (S, C) or (C,) [ohm]; the first frame when omitted.
+            known: any other attributes of `Dataset`.
+
+        Raises DataError where shapes or values do not fit.
+        """
+        values = np.asarray(impedance)
+        if values.ndim != 2 or 0 in values.shape:
+            raise DataError(
+                "impedance must be a table of frames by channels with at least one of each, got "
+                f"shape {values.shape}"
+            )
+        first = values[0] if reference is None else np.asarray(reference)
+        arrays: dict[str, Any] = {"impedance": values, "reference": np.atleast_2d(first)}
+        sizes = {"frame": values.shape[0], "channel": values.shape[1], "touch": MAX_TOUCHES}
+        for field in FRAME_FIELDS:
+            if field.name == "number":
+                arrays["number"] = known.pop("number", np.arange(len(values)))
+            elif field.name != "impedance":
+                shape = tuple(sizes[axis] for axis in field.axes)
+                arrays[field.name] = known.pop(field.name, np.full(shape, field.missing))
+        return cls(**arrays, **known)
+
+    def __len__(self) -> int:
+        """Number of frames."""
+        return len(self.impedance)
+
+    @property
+    def reference_frames(self) -> int:
+        """How many frames were averaged for each `touch_reference`, as the recipe says."""
+        return int(tomllib.loads(self.recipe).get("reference_frames", 1))
+
+    @property
+    def touch_count(self) -> NDArray[np.int64]:
+        """How many touches each frame has, (n,)."""
+        count: NDArray[np.int64] = np.isfinite(self.touch_x).sum(axis=1)
+        return count
+
+    def frame(self, index: int) -> Frame:
+        """Frame `index` as a board gave or would give it; raises DataError without a protocol.
+
+        A value that the status calls not finite is NaN again.
+        """
+        if self.protocol is None:
+            raise DataError(
+                "this recording does not say which electrodes its channels were measured at, so "
+                "it has no frames; import it with --protocol, or use its arrays"
+            )
+        lost = (self.status[index] & np.uint8(Status.NOT_FINITE)).astype(bool)
+        return Frame(
+            impedance=np.where(lost, np.nan, self.impedance[index].astype(np.complex128)),
+            protocol=self.protocol,
+            time=float(self.time[index]),
+            number=int(self.number[index]),
+            session=int(self.episode[index]),
+            frequency=self.frequency,
+            status=self.status[index],
+        )
+
+    def select(self, indices: ArrayLike | slice) -> "Dataset":
+        """The frames at `indices` (integers, slice or mask) in that order; all specimens stay."""
+        chosen = indices if isinstance(indices, slice) else np.asarray(indices)
+        if isinstance(chosen, np.ndarray) and chosen.size == 0:
+            chosen = chosen.astype(np.int64)  # numpy makes an empty list an array of floats
+        return dataclasses.replace(
+            self, **{field.name: getattr(self, field.name)[chosen] for field in FRAME_FIELDS}
+        )
+
+    def split(self, fractions: Sequence[float], seed: int = 0) -> tuple[NDArray[np.int64], ...]:
+        """Random disjoint numbers of frames, (n,) each, in the given proportions, which sum to one.
+
+        Whole specimens are dealt out where there are enough for every part to get one, so that
+        a test part holds sensors that training never saw; else single frames.
+        """
+        shares = np.asarray(fractions, dtype=float)
+        if shares.ndim != 1 or not (shares > 0).all() or abs(shares.sum() - 1.0) > 1e-9:
+            raise ConfigurationError(
+                f"fractions must be positive and sum to one, got {tuple(fractions)}"
+            )
+        rng = np.random.default_rng(seed)
+        specimens = rng.permutation(np.unique(self.specimen))
+        parts = _deal(specimens, shares)
+        if all(len(part) for part in parts):
+            return tuple(np.flatnonzero(np.isin(self.specimen, part)) for part in parts)
+        return tuple(np.sort(part) for part in _deal(rng.permutation(len(self)), shares))
+
+    @classmethod
+    def concatenate(cls, parts: Sequence["Dataset"]) -> "Dataset":
+        """All frames of `parts`, which must share everything that is not per frame."""
+        first = parts[0]
+        for part in parts[1:]:
+            same = np.array_equal(part.reference, first.reference)
+            same = same and (part.protocol, part.frequency) == (first.protocol, first.frequency)
+            if not same or (part.recipe, part.source) != (first.recipe, first.source):
+                raise DataError(
+                    "the parts of a dataset must share protocol, frequency, reference, source "
+                    "and recipe; these were not made together"
+                )
+        joined: dict[str, Any] = {
+            field.name: np.concatenate([getattr(part, field.name) for part in parts])
+            for field in FRAME_FIELDS
+        }
+        return dataclasses.replace(first, **joined)
+
+
+def _deal(items: NDArray[Any], shares: NDArray[np.float64]) -> list[NDArray[Any]]:
+    """Cut `items` in the proportions `shares`."""
+    edges = np.rint(np.cumsum([0.0, *shares]) * len(items)).astype(int)
+    return [items[start:stop] for start, stop in itertools.pairwise(edges)]
+
+
+def _check_labels(data: Dataset) -> None:
+    """Refuse labels that contradict the arrays beside them."""
+    if data.source not in ("simulated", "measured"):
+        raise DataError(f"source must be 'simulated' or 'measured', got {data.source!r}")
+    if data.protocol is not None and len(data.protocol) != data.impedance.shape[1]:
+        raise DataError(
+            f"the protocol has {len(data.protocol)} measurements, but the frames have "
+            f"{data.impedance.shape[1]} channels; give the protocol they were measured with"
+        )
+    if len(data) == 0:
+        return
+    if data.specimen.max() >= len(data.reference):
+        raise DataError(
+            f"specimen {data.specimen.max()} has no reference; there are {len(data.reference)}"
+        )
+    wrong = set(np.unique(data.state).tolist()) - {*State, UNKNOWN_STATE}
+    if wrong:
+        known = ", ".join(f"{state.value} {state.name.lower()}" for state in State)
+        raise DataError(f"states must be {known} or {UNKNOWN_STATE} unknown, got {sorted(wrong)}")
+    if not np.array_equal(np.isfinite(data.touch_x), np.isfinite(data.touch_y)):
+        raise DataError("a touch needs both touch_x and touch_y; one of them is NaN")

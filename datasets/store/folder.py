@@ -1,0 +1,199 @@
+"""A dataset on disk: a folder of shards and the manifest that says it is complete."""
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+
+from eitskin.datasets.store.dataset import Dataset
+from eitskin.datasets.store.durable import write_file
+from eitskin.datasets.store.schema import FORMAT, FORMAT_VERSION
+from eitskin.datasets.store.shard import read_shard, shard_name, write_shard
+from eitskin.errors import ConfigurationError, DataError, PartialError
+
+MANIFEST = "manifest.json"
+
+
+@dataclass(frozen=True, slots=True)
+class ShardEntry:
+    """One shard in a manifest: its file, its frames, its checksum."""
+
+    name: str
+    first_index: int
+    count: int
+    sha256: str
+
+
+@dataclass(frozen=True, slots=True)
+class Manifest:
+    """What a complete dataset consists of; written after everything that it names."""
+
+    source: str
+    recipe_sha256: str
+    seed: int
+    frames: int
+    shards: tuple[ShardEntry, ...]
+    format: str = FORMAT
+    format_version: int = FORMAT_VERSION
+
+
+def open_dataset(path: str | Path) -> Dataset:
+    """Read a dataset into memory.
+
+    Args:
+        path: a dataset's folder, or a single shard.
+
+    Raises DataError where files are missing, damaged, newer than this eitskin or not a dataset.
+    """
+    path = Path(path)
+    if path.is_file():
+        return read_shard(path)
+    manifest = read_manifest(path)
+    parts = [read_entry(path, entry) for entry in manifest.shards]
+    return Dataset.concatenate(parts)
+
+
+def save_dataset(data: Dataset, folder: str | Path, frames_per_shard: int = 4096) -> Manifest:
+    """Write `data` into a new or empty folder.
+
+    Raises ConfigurationError where the folder holds something, PartialError where it cannot be
+    written.
+    """
+    if not len(data):
+        raise DataError("a dataset needs at least one frame, got none")
+    folder = new_folder(Path(folder))
+    entries: list[ShardEntry] = []
+    for first in range(0, len(data), frames_per_shard):
+        part = data.select(slice(first, first + frames_per_shard))
+        name = shard_name(len(entries))
+        write_shard(folder / name, part, first)
+        entries.append(shard_entry(folder, name, first, len(part)))
+    manifest = Manifest(
+        source=data.source,
+        recipe_sha256=hashlib.sha256(data.recipe.encode()).hexdigest(),
+        seed=data.seed,
+        frames=len(data),
+        shards=tuple(entries),
+    )
+    write_manifest(folder, manifest)
+    return manifest
+
+
+def read_manifest(folder: Path) -> Manifest:
+    """Read and check the manifest of a dataset's folder; raises DataError."""
+    path = folder / MANIFEST
+    if not path.is_file():
+        found = len(list(folder.glob("shard-*.h5"))) if folder.is_dir() else 0
+        remedy = (
+            f"{found} finished shards lie there, so it was interrupted; generate it again with "
+            "--resume, or open a single shard"
+            if found
+            else "give the folder that eitskin generate or eitskin import wrote"
+        )
+        raise DataError(f"{folder} is not a complete dataset, it has no {MANIFEST}; {remedy}")
+    try:
+        content = path.read_bytes()
+        _check_version(path, content)
+        manifest = msgspec.json.decode(content, type=Manifest)
+    except (OSError, msgspec.MsgspecError) as error:
+        raise DataError(f"{path} is not a manifest: {error}; make the dataset again") from error
+    _check_shards(path, manifest)
+    return manifest
+
+
+def write_manifest(folder: Path, manifest: Manifest) -> None:
+    """Write the manifest; last of all, because it says that the dataset is complete."""
+    content = msgspec.json.format(msgspec.json.encode(manifest), indent=2)
+    write_file(folder / MANIFEST, content + b"\n")
+
+
+def shard_entry(folder: Path, name: str, first_index: int, count: int) -> ShardEntry:
+    """The manifest's line for a shard that lies in `folder`; PartialError where it does not."""
+    try:
+        content = (folder / name).read_bytes()
+    except OSError as error:
+        raise PartialError(
+            f"cannot read back {folder / name}: {error.strerror}; where workers run on other "
+            "machines, they must see the same folder under the same path; then continue with "
+            "--resume"
+        ) from error
+    return ShardEntry(name, first_index, count, hashlib.sha256(content).hexdigest())
+
+
+def new_folder(folder: Path) -> Path:
+    """Make `folder`, or take an empty one; raises ConfigurationError otherwise."""
+    if make_folder(folder):
+        raise ConfigurationError(
+            f"{folder} is not empty; choose another folder, or continue what lies there with "
+            "--resume where it was generated"
+        )
+    return folder
+
+
+def make_folder(folder: Path) -> frozenset[str]:
+    """Make `folder` unless it is there; names of what lies in it.
+
+    Raises ConfigurationError where it cannot be made or looked into.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        return frozenset(path.name for path in folder.iterdir())
+    except OSError as error:
+        raise ConfigurationError(
+            f"cannot use the folder {folder}: {error.strerror}; give permission, or choose another"
+        ) from error
+
+
+def read_entry(folder: Path, entry: ShardEntry) -> Dataset:
+    """Read a shard that the manifest names; raises DataError where anything is wrong with it.
+
+    A file with another checksum is not even opened: what its damage makes of a reader of HDF5
+    cannot be told.
+    """
+    path = folder / entry.name
+    try:
+        found = hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as error:
+        raise DataError(f"cannot read {path}, which the manifest names: {error}") from error
+    if found != entry.sha256:
+        raise DataError(
+            f"{path} is not the file that the manifest names: expected SHA-256 {entry.sha256}, "
+            f"got {found}; copy it again, or delete it and generate with --resume"
+        )
+    data = read_shard(path, entry.first_index)
+    if len(data) != entry.count:
+        raise DataError(f"{path} must hold {entry.count} frames, got {len(data)}")
+    return data
+
+
+def _check_version(path: Path, content: bytes) -> None:
+    """Look at format and version first: a newer manifest may hold what this one knows not."""
+    head = msgspec.json.decode(content)
+    if not isinstance(head, dict):
+        raise DataError(f"{path} is not a manifest: expected an object, got {type(head).__name__}")
+    name, version = head.get("format"), head.get("format_version")
+    if name != FORMAT:
+        raise DataError(f"{path}: expected format '{FORMAT}', got {name!r}")
+    if not isinstance(version, int) or version < 1:
+        raise DataError(f"{path}: expected a format version of 1 or more, got {version!r}")
+    if version > FORMAT_VERSION:
+        raise DataError(
+            f"{path}: format version {version} is newer than {FORMAT_VERSION}, the last that this "
+            "eitskin reads; upgrade with pip install --upgrade eitskin"
+        )
+
+
+def _check_shards(path: Path, manifest: Manifest) -> None:
+    """Refuse shards outside the folder, gaps and overlaps."""
+    following = 0
+    for entry in manifest.shards:
+        if Path(entry.name).name != entry.name or entry.name.startswith("."):
+            raise DataError(f"{path}: a shard must lie beside the manifest, got {entry.name!r}")
+        if entry.first_index != following:
+            raise DataError(
+                f"{path}: {entry.name} must start at frame {following}, got {entry.first_index}"
+            )
+        following += entry.count
+    if not manifest.shards or following != manifest.frames:
+        raise DataError(f"{path}: expected {manifest.frames} frames, its shards hold {following}")

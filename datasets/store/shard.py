@@ -1,0 +1,261 @@
+"""One HDF5 file of a dataset: built in memory, written whole, checked when read."""
+
+import hashlib
+import json
+import threading
+from collections.abc import Mapping
+from functools import cache, lru_cache
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.config import parse_toml
+from eitskin.datasets.store.dataset import Dataset
+from eitskin.datasets.store.durable import write_file
+from eitskin.datasets.store.schema import (
+    FIELDS,
+    FORMAT,
+    FORMAT_VERSION,
+    LIMITS,
+    MAX_TOUCHES,
+    MAX_VALUES,
+    Field,
+)
+from eitskin.datasets.store.state import UNKNOWN_STATE, State
+from eitskin.errors import DataError
+from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.protocol import Protocol
+
+CHUNK_FRAMES = 1024
+# Not lzf: h5py's leaves its hash table uninitialised, so equal data give different bytes.
+STORAGE = {"compression": "gzip", "compression_opts": 4, "shuffle": True, "fletcher32": True}
+STATES = {**{state.name.lower(): state.value for state in State}, "unknown": UNKNOWN_STATE}
+
+
+def shard_name(index: int) -> str:
+    """File name of shard `index` within its folder."""
+    return f"shard-{index:06d}.h5"
+
+
+def write_shard(path: Path, data: Dataset, first_index: int = 0) -> None:
+    """Write `data` as one shard; equal data give equal bytes.
+
+    Args:
+        path: of the new file; an old one is replaced in one step.
+        data: frames of the shard.
+        first_index: number of its first frame within the whole dataset.
+
+    Raises PartialError where the file cannot be written.
+    """
+    write_file(Path(path), shard_bytes(data, first_index))
+
+
+def read_shard(path: Path, first_index: int | None = None) -> Dataset:
+    """Read and check one shard.
+
+    Args:
+        path: of the file.
+        first_index: number that its first frame must have, where that is known.
+
+    Raises DataError for anything that the format does not allow.
+    """
+    path = Path(path)
+    try:
+        with h5py.File(path, "r") as file:
+            _check_format(file)
+            found = int(file.attrs["first_index"])
+            if first_index is not None and found != first_index:
+                raise DataError(f"expected frames from {first_index} on, got {found}")
+            return _read(file)
+    except DataError as error:
+        raise DataError(f"{path}: {error}") from error
+    except (OSError, KeyError, ValueError, TypeError, RuntimeError, AttributeError) as error:
+        raise DataError(
+            f"{path} is not a whole shard of an eitskin dataset: {error}; make or copy it again"
+        ) from error
+
+
+@cache
+def package_versions() -> Mapping[str, str]:
+    """Versions of the packages that decide over the numbers in a dataset; looked up once."""
+    versions = {}
+    for package in ("eitskin", "h5py", "numpy", "scikit-fem", "scipy"):
+        try:
+            versions[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            versions[package] = "not installed"
+    return versions
+
+
+def shard_bytes(data: Dataset, first_index: int = 0) -> bytes:
+    """The content of the file that `write_shard` writes; equal data give equal bytes."""
+    # HDF5 refuses two open files of one name, be they in memory, and so in other threads.
+    name = f"shard-{threading.get_ident()}"
+    with h5py.File(name, "w", driver="core", backing_store=False) as file:
+        file.attrs.update(_root_attributes(data, first_index))
+        for field in FIELDS:
+            _write_field(file, field, getattr(data, field.name))
+        if data.protocol is not None:
+            table = np.array(data.protocol.table, dtype="<i2")
+            _write_array(file, "protocol", table, ("channel", "electrode"))
+            file["protocol"].attrs["n_electrodes"] = data.protocol.n_electrodes
+            file["protocol"].attrs["units"] = "1"
+            file["protocol"].attrs["description"] = "drive+, drive-, sense+, sense- of a channel"
+        _attach_time(file)
+        file.flush()
+        image: bytes = file.id.get_file_image()
+        return image
+
+
+def _root_attributes(data: Dataset, first_index: int) -> dict[str, Any]:
+    return {
+        "format": FORMAT,
+        "format_version": FORMAT_VERSION,
+        "source": data.source,
+        "recipe": data.recipe,
+        "recipe_sha256": hashlib.sha256(data.recipe.encode()).hexdigest(),
+        "seed": data.seed,
+        "first_index": first_index,
+        "count": len(data),
+        "frequency": data.frequency,
+        "design": data.design.to_toml() if data.design else "",
+        "packages": json.dumps(package_versions(), sort_keys=True),
+    }
+
+
+def _write_field(file: h5py.File, field: Field, values: NDArray[Any]) -> None:
+    dtype = h5py.enum_dtype(STATES, basetype="u1") if field.name == "state" else field.dtype
+    _write_array(file, field.path, values, field.axes, dtype)
+    file[field.path].attrs["units"] = field.units
+    file[field.path].attrs["description"] = field.description
+
+
+def _write_array(
+    file: h5py.File,
+    path: str,
+    values: NDArray[Any],
+    axes: tuple[str, ...],
+    dtype: np.dtype[Any] | None = None,
+) -> None:
+    chunks = (max(1, min(len(values), CHUNK_FRAMES)), *values.shape[1:])
+    dataset = file.create_dataset(path, data=values, dtype=dtype, chunks=chunks, **STORAGE)
+    # Else chunks go to the file when the last reference goes, which a profiler may hold: another
+    # order, other bytes.
+    dataset.flush()
+    for axis, name in enumerate(axes):
+        dataset.dims[axis].label = name
+
+
+def _attach_time(file: h5py.File) -> None:
+    """Make `time` the dimension scale of every frame axis."""
+    file["time"].make_scale("time")
+    for field in FIELDS:
+        if field.axes[0] == "frame" and field.name != "time":
+            file[field.path].dims[0].attach_scale(file["time"])
+
+
+def _check_format(file: h5py.File) -> None:
+    """Refuse other formats, newer versions, and files that lead out of themselves."""
+    found = file.attrs.get("format")
+    if found != FORMAT:
+        raise DataError(f"expected format '{FORMAT}', got {found!r}; this is another kind of file")
+    version = int(file.attrs["format_version"])
+    if version > FORMAT_VERSION:
+        raise DataError(
+            f"format version {version} is newer than {FORMAT_VERSION}, the last that this eitskin "
+            "reads; upgrade with pip install --upgrade eitskin"
+        )
+    if version < 1:
+        raise DataError(
+            f"expected format version 1 to {FORMAT_VERSION}, got {version}, which no eitskin has "
+            "written; generate or copy it again"
+        )
+    _check_links(file)
+    if not 0 <= int(file.attrs["count"]) <= LIMITS["frame"]:
+        raise DataError(f"expected at most {LIMITS['frame']} frames, got {file.attrs['count']}")
+    text = file.attrs["recipe"]
+    if hashlib.sha256(text.encode()).hexdigest() != file.attrs["recipe_sha256"]:
+        raise DataError("the recipe and its checksum disagree; make or copy the file again")
+
+
+def _check_links(group: h5py.Group, inner: bool = False) -> None:
+    """Refuse whatever would read other files than this one, or run foreign filters."""
+    for name in group:
+        if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+            raise DataError(f"'{name}' is a soft or external link, and only plain data are read")
+        item = group[name]
+        if isinstance(item, h5py.Group) and not inner:
+            _check_links(item, inner=True)
+        elif not isinstance(item, h5py.Dataset) or item.is_virtual or item.external:
+            raise DataError(f"'{name}' is nested, virtual or elsewhere; only plain data are read")
+        else:
+            _check_filters(item)
+
+
+def _check_filters(dataset: h5py.Dataset) -> None:
+    known = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
+    known.add(h5py.h5z.FILTER_LZF)
+    properties = dataset.id.get_create_plist()
+    for number in range(properties.get_nfilters()):
+        code = properties.get_filter(number)[0]
+        if code not in known:
+            raise DataError(f"'{dataset.name}' uses filter {code}; expected gzip or lzf")
+
+
+def _read(file: h5py.File) -> Dataset:
+    sizes = {"frame": int(file.attrs["count"]), "touch": MAX_TOUCHES}
+    sizes["channel"] = file["impedance"].shape[-1]
+    sizes["specimen"] = file["reference"].shape[0]
+    arrays = {
+        field.name: _read_field(file, field, sizes)
+        for field in FIELDS
+        if field.path in file or not field.optional
+    }
+    # Files from before frames had numbers: the count within the set is as good.
+    first = int(file.attrs["first_index"])
+    arrays.setdefault("number", np.arange(first, first + sizes["frame"]))
+    design = file.attrs["design"]
+    return Dataset(
+        **arrays,
+        protocol=_read_protocol(file),
+        frequency=float(file.attrs["frequency"]),
+        source=str(file.attrs["source"]),
+        recipe=str(file.attrs["recipe"]),
+        seed=int(file.attrs["seed"]),
+        design=_read_design(design) if design else None,
+    )
+
+
+@lru_cache(maxsize=8)
+def _read_design(text: str) -> SensorDesign:
+    """Kept, since all shards of a set hold the same."""
+    return parse_toml(SensorDesign, text, "attribute 'design'")
+
+
+def _read_field(file: h5py.File, field: Field, sizes: Mapping[str, int]) -> NDArray[Any]:
+    """Read one array after its claims about itself have been checked."""
+    stored = file[field.path]
+    expected = tuple(sizes[axis] for axis in field.axes)
+    if stored.shape != expected:
+        raise DataError(f"'{field.path}' must have shape {expected}, got {stored.shape}")
+    if stored.dtype != field.dtype:
+        raise DataError(f"'{field.path}' must hold {field.dtype.name}, got {stored.dtype}")
+    if any(sizes[axis] > LIMITS[axis] for axis in field.axes) or stored.size > MAX_VALUES:
+        raise DataError(f"'{field.path}' claims {expected} values, above the format's limits")
+    values: NDArray[Any] = stored[()]
+    return values
+
+
+def _read_protocol(file: h5py.File) -> Protocol | None:
+    if "protocol" not in file:
+        return None
+    stored = file["protocol"]
+    if stored.ndim != 2 or stored.shape[1] != 4 or stored.shape[0] > LIMITS["channel"]:
+        raise DataError(f"'protocol' must have shape (channels, 4), got {stored.shape}")
+    if stored.dtype != np.dtype("<i2"):
+        raise DataError(f"'protocol' must hold int16, got {stored.dtype}")
+    return Protocol.from_rows(stored[()], int(stored.attrs["n_electrodes"]))

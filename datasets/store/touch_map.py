@@ -1,0 +1,48 @@
+"""Pictures of where the sensor is touched, drawn from the list of touches."""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from eitskin.errors import DataError
+
+
+def touch_maps(
+    x: ArrayLike,
+    y: ArrayLike,
+    radius: ArrayLike,
+    outline: tuple[float, float] = (0.150, 0.060),
+    shape: tuple[int, int] = (32, 80),
+) -> NDArray[np.float32]:
+    """Draw every touch as a disc.
+
+    Args:
+        x, y, radius: places and radii of touches, (n, touches) [m]; NaN where absent.
+        outline: length and width of the sensor [m].
+        shape: rows (along y) and columns (along x) of a map.
+
+    Returns:
+        (n, *shape) float32: 1 inside a disc, 0 outside, in between on the pixels that its edge
+        passes. Rows and columns grow with y and x.
+
+    Raises DataError where a touch has a place and no radius.
+    """
+    x, y, radius = (np.asarray(values, dtype=np.float32) for values in (x, y, radius))
+    if np.any(np.isfinite(x) & ~np.isfinite(radius)):
+        raise DataError(
+            "a touch map needs the radius of every touch, and this recording does not say it; "
+            "pass the radius of the indenter that was used"
+        )
+    rows, columns = shape
+    step_x, step_y = outline[0] / columns, outline[1] / rows
+    across = (np.arange(columns, dtype=np.float32) + np.float32(0.5)) * np.float32(step_x)
+    up = (np.arange(rows, dtype=np.float32) + np.float32(0.5)) * np.float32(step_y)
+    pixel = np.float32(np.sqrt(step_x * step_y))
+    maps = np.zeros((len(x), rows, columns), dtype=np.float32)
+    for touch in range(x.shape[1]):
+        frames = np.flatnonzero(np.isfinite(x[:, touch]))
+        cx, cy, r = (values[frames, touch, None, None] for values in (x, y, radius))
+        distance = np.hypot(across[None, None, :] - cx, up[None, :, None] - cy)
+        # The edge is one pixel wide, so that moving a touch changes its map smoothly.
+        disc = np.clip((r - distance) / pixel + np.float32(0.5), 0.0, 1.0)
+        maps[frames] = np.maximum(maps[frames], disc)
+    return maps

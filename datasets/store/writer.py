@@ -1,0 +1,156 @@
+"""A dataset that grows frame by frame, as a recording does."""
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.closing import Closing
+from eitskin.datasets.store.dataset import Dataset
+from eitskin.datasets.store.folder import (
+    Manifest,
+    ShardEntry,
+    new_folder,
+    shard_entry,
+    write_manifest,
+)
+from eitskin.datasets.store.schema import MAX_TOUCHES
+from eitskin.datasets.store.shard import shard_name, write_shard
+from eitskin.datasets.store.state import UNKNOWN_STATE
+from eitskin.errors import ConfigurationError, FrameError
+from eitskin.frame import Frame, Status
+from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.simulator.scene.touch import Touch
+
+
+class ShardWriter(Closing):
+    """Writes frames into a new folder, a shard at a time, and the manifest when closed.
+
+    A crash costs the frames of the last, unfinished shard: the manifest lists those before it.
+    Values that are not finite are written as 0, with a status that says so.
+
+    Use as a context manager:
+
+        with ShardWriter("run", reference) as writer:
+            writer.append(frame)
+
+    Attributes:
+        folder: where the shards go.
+        readable: frames that can be read back, whatever happens now.
+    """
+
+    def __init__(
+        self,
+        folder: str | Path,
+        reference: NDArray[Any] | None = None,
+        *,
+        design: SensorDesign | None = None,
+        source: str = "measured",
+        frames_per_shard: int = 256,
+    ) -> None:
+        """Start a dataset in `folder`, which must be new or empty.
+
+        Args:
+            folder: where the shards go.
+            reference: the flat untouched sensor, (C,) [ohm]; the first frame, of which all is
+                finite, of the first shard when omitted.
+            design: of the sensor, where known.
+            source: "measured" or "simulated".
+            frames_per_shard: how many frames a crash can cost.
+        """
+        self.folder = new_folder(Path(folder))
+        self._reference = reference
+        self._shared: dict[str, Any] = {"design": design, "source": source}
+        self._frames_per_shard = frames_per_shard
+        self.readable = 0
+        self._rows: list[tuple[Frame, Mapping[str, Any]]] = []
+        self._entries: list[ShardEntry] = []
+
+    def append(
+        self,
+        frame: Frame,
+        *,
+        state: int = UNKNOWN_STATE,
+        bend_angle_deg: float = np.nan,
+        touches: Sequence[Touch] = (),
+        touch_reference: NDArray[Any] | None = None,
+    ) -> None:
+        """Add one frame with what is known about it; raises FrameError for another protocol."""
+        protocol = self._shared.setdefault("protocol", frame.protocol)
+        if frame.protocol != protocol:
+            raise FrameError(
+                f"expected frames of one protocol with {len(protocol)} measurements, got another "
+                f"with {len(frame.protocol)}; record each protocol into its own folder"
+            )
+        self._shared.setdefault("frequency", frame.frequency)
+        labels: dict[str, Any] = {"state": state, "bend_angle_deg": bend_angle_deg}
+        labels["touch_reference"] = (
+            np.full(len(protocol), np.nan) if touch_reference is None else touch_reference
+        )
+        labels |= touch_columns(touches)
+        self._rows.append((frame, labels))
+        if len(self._rows) == self._frames_per_shard:
+            self._finish_shard()
+
+    def close(self) -> None:
+        """Write what is left; a writer without frames leaves no dataset."""
+        if self._rows:
+            self._finish_shard()
+        elif self.readable < sum(entry.count for entry in self._entries):
+            self._list_shards()  # which failed before
+
+    def _finish_shard(self) -> None:
+        frames = [frame for frame, _ in self._rows]
+        labels = {name: np.array([row[name] for _, row in self._rows]) for name in self._rows[0][1]}
+        with np.errstate(over="ignore"):  # what single precision cannot hold is not finite
+            impedance = np.array([frame.impedance for frame in frames]).astype(np.complex64)
+        status = np.array([frame.status for frame in frames])
+        finite = np.isfinite(impedance)
+        impedance[~finite] = 0.0
+        status[~finite] |= np.uint8(Status.NOT_FINITE)
+        if self._reference is None:
+            self._reference = impedance[int(finite.all(axis=1).argmax())]
+        data = Dataset.from_arrays(
+            impedance,
+            self._reference,
+            time=np.array([frame.time for frame in frames]),
+            status=status,
+            episode=np.array([frame.session for frame in frames]),
+            number=np.array([frame.number for frame in frames]),
+            **labels,
+            **self._shared,
+        )
+        name = shard_name(len(self._entries))
+        first = sum(entry.count for entry in self._entries)
+        write_shard(self.folder / name, data, first)
+        entry = shard_entry(self.folder, name, first, len(data))
+        self._rows.clear()
+        self._entries.append(entry)
+        self._list_shards()
+
+    def _list_shards(self) -> None:
+        frames = sum(entry.count for entry in self._entries)
+        manifest = Manifest(
+            source=self._shared["source"],
+            recipe_sha256=hashlib.sha256(b"").hexdigest(),
+            seed=0,
+            frames=frames,
+            shards=tuple(self._entries),
+        )
+        write_manifest(self.folder, manifest)
+        self.readable = frames
+
+
+def touch_columns(touches: Sequence[Touch]) -> dict[str, NDArray[np.float32]]:
+    """The four touch arrays of one frame, (4,) each; raises ConfigurationError for more touches."""
+    if len(touches) > MAX_TOUCHES:
+        raise ConfigurationError(
+            f"a dataset holds at most {MAX_TOUCHES} touches per frame, got {len(touches)}"
+        )
+    columns = np.full((4, MAX_TOUCHES), np.nan, dtype=np.float32)
+    for number, touch in enumerate(touches):
+        columns[:, number] = touch.x, touch.y, touch.force, touch.indenter.rims[1]
+    return dict(zip(("touch_x", "touch_y", "touch_force", "touch_radius"), columns, strict=True))

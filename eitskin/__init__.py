@@ -1,0 +1,12 @@
+"""A simulator of electrical-impedance robot skin, and the perception pipeline trained on it.
+
+Here lives what all rooms share: errors, checked configuration, whole files, optional extras, and
+the two types that every room speaks: `Frame` and `Protocol`. Data passes through the rooms in
+turn: geometry -> simulator -> datasets -> training -> hardware -> cli.
+"""
+
+from eitskin.lazy import offered
+
+__version__ = "0.1.0"
+
+__all__, __getattr__, __dir__ = offered(__name__, __file__)

@@ -1,0 +1,1 @@
+"""Deformations of the layer: kinematics, bending fixtures, twist and roll."""

@@ -1,0 +1,205 @@
+"""Fixtures that bend a sensor about y, and how far they can."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from eitskin.errors import ConfigurationError
+from eitskin.geometry.deformation.flexure import Flexure
+from eitskin.geometry.design.sensor import SensorDesign
+
+
+@dataclass(frozen=True, slots=True)
+class Bend:
+    """How far the sensor is bent.
+
+    Attributes:
+        angle_deg: between the two ends; positive is convex on the touched side.
+    """
+
+    angle_deg: float
+
+    def __post_init__(self) -> None:
+        """Check the number; whether the angle can be reached depends on fixture and sensor."""
+        if not math.isfinite(self.angle_deg):
+            raise ConfigurationError(f"angle_deg must be a finite number, got {self.angle_deg}")
+
+
+@dataclass(frozen=True, slots=True)
+class Hinge:
+    """Two plates that clamp the sensor's ends and turn about one axis under its middle.
+
+    The ends turn rigidly by +-theta/2 about the axis at distance d below mid-layer; their
+    distance sets the stretch of the arc between them. For constant curvature over the span s,
+
+        lambda_0 = (theta/2) cot(theta/2) + d theta / s.
+
+    Attributes:
+        span: free length between the clamps, centred on the sensor [m].
+        offset: d, of the hinge axis below the mid-plane of the conductive layer [m].
+        give: how far the bend reaches into each clamp, as soft layers between stiff plates do [m].
+        transition: flat length over which the curvature rises, at each end of the bend [m].
+        contraction: of the width, 0 as a plate to 1 as a beam; see Flexure.
+
+    As they stand, a plate between rigid ends. `give=0.002, contraction=0.8` fits the 3D model of
+    the reference stack best (`python -m eitskin.benchmarks.studies.bends`).
+    """
+
+    span: float = 0.040
+    offset: float = 0.008
+    give: float = 0.0
+    transition: float = 0.0
+    contraction: float = 0.0
+
+    @property
+    def bent_length(self) -> float:
+        """Flat length that bends [m]."""
+        return self.span + 2.0 * self.give
+
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        if not (math.isfinite(self.span) and self.span > 0):
+            raise ConfigurationError(f"hinge span must be a positive length in m, got {self.span}")
+        if not math.isfinite(self.offset):
+            raise ConfigurationError(f"hinge offset must be finite, in m, got {self.offset}")
+        if not (math.isfinite(self.give) and self.give >= 0):
+            raise ConfigurationError(f"hinge give must be a length in m, got {self.give}")
+        _check_profile("hinge", self.bent_length, self.transition, self.contraction)
+
+    def flexure(self, design: SensorDesign, bend: Bend) -> Flexure:
+        """The deformation; ConfigurationError, naming the last possible angle, past it."""
+        return _within_limits(self, self._flexure, design, bend)
+
+    def _flexure(self, design: SensorDesign, theta: float) -> Flexure:
+        centre, half = _centre(design), 0.5 * theta
+        length = self.bent_length
+        clamp = 0.5 * length
+        unstretched = Flexure(centre, length, theta, 1.0, self.transition)
+        stretched = Flexure(centre, length, theta, 2.0, self.transition)
+        straight, more = (
+            float(f.centre_line(np.array(clamp))[0]) for f in (unstretched, stretched)
+        )
+        # The centre line's length along x is linear in the stretch; it must end at the clamp.
+        wanted = clamp * math.cos(half) + self.offset * math.sin(half)
+        stretch = 1.0 + (wanted - straight) / (more - straight)
+        made = Flexure(centre, length, theta, stretch, self.transition, self.contraction)
+        down = float(made.centre_line(np.array(clamp))[1])
+        height = -clamp * math.sin(half) + self.offset * (math.cos(half) - 1.0)
+        return Flexure(
+            centre, length, theta, stretch, self.transition, self.contraction, height + down
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class FreeArc:
+    """No fixture: the sensor is bent by moments alone into an arc over some of its length.
+
+    Without forces at the ends, lambda_0^2 = sqrt(1 + (c h)^2) for a stack of thickness h, as for
+    a uniform neo-Hookean block (Rivlin 1949).
+
+    Attributes:
+        length: flat length of the arc, centred on the sensor [m].
+        transition, contraction: as of a Hinge.
+    """
+
+    length: float
+    transition: float = 0.0
+    contraction: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        if not (math.isfinite(self.length) and self.length > 0):
+            raise ConfigurationError(
+                f"arc length must be a positive length in m, got {self.length}"
+            )
+        _check_profile("arc", self.length, self.transition, self.contraction)
+
+    @property
+    def bent_length(self) -> float:
+        """Flat length that bends [m]."""
+        return self.length
+
+    def flexure(self, design: SensorDesign, bend: Bend) -> Flexure:
+        """The deformation; ConfigurationError, naming the last possible angle, past it."""
+        return _within_limits(self, self._flexure, design, bend)
+
+    def _flexure(self, design: SensorDesign, theta: float) -> Flexure:
+        c = theta / (self.length - self.transition)
+        stretch = (1.0 + (c * design.encapsulated_thickness) ** 2) ** 0.25
+        return Flexure(
+            _centre(design), self.length, theta, stretch, self.transition, self.contraction
+        )
+
+
+Fixture = Hinge | FreeArc
+
+
+def _check_profile(name: str, span: float, transition: float, contraction: float) -> None:
+    if not 0.0 <= transition <= 0.5 * span:
+        raise ConfigurationError(
+            f"{name} transition must be from 0 to half the bent length, {0.5 * span:g} m, got "
+            f"{transition}"
+        )
+    if not 0.0 <= contraction <= 1.0:
+        raise ConfigurationError(
+            f"{name} contraction must be from 0 (plate) to 1 (beam), got {contraction}"
+        )
+
+
+def _centre(design: SensorDesign) -> tuple[float, float, float]:
+    outline = design.outline
+    return (0.5 * outline.length, 0.5 * outline.width, 0.5 * design.thickness)
+
+
+def _within_limits(
+    fixture: Fixture,
+    flexure: Callable[[SensorDesign, float], Flexure],
+    design: SensorDesign,
+    bend: Bend,
+) -> Flexure:
+    """The flexure, where every fibre of the stack keeps its length positive and no ends cross."""
+    length = design.outline.length
+    if fixture.bent_length > length:
+        raise ConfigurationError(
+            f"the bent length of {fixture.bent_length:g} m must not exceed the sensor's length of "
+            f"{length:g} m"
+        )
+
+    def possible(degrees: float) -> bool:
+        theta = math.radians(degrees)
+        return abs(degrees) <= 360.0 and _possible(flexure(design, theta), design)
+
+    if possible(bend.angle_deg):
+        return flexure(design, math.radians(bend.angle_deg))
+    sign = math.copysign(1.0, bend.angle_deg)
+    good, bad = 0.0, min(abs(bend.angle_deg), 361.0)
+    for step in range(1, 361):
+        if not possible(sign * step):
+            good, bad = step - 1.0, float(step)
+            break
+    while bad - good > 1e-9:
+        middle = 0.5 * (good + bad)
+        good, bad = (middle, bad) if possible(sign * middle) else (good, middle)
+    last = sign * math.floor(good * 10.0 + 1e-6) / 10.0
+    raise ConfigurationError(
+        f"a bend of {bend.angle_deg:g} deg is not possible with {fixture}; the last possible "
+        f"angle in this direction is {last:.1f} deg. Bend less, bend over a greater length, or "
+        "change the fixture"
+    )
+
+
+def _possible(flexure: Flexure, design: SensorDesign) -> bool:
+    """Whether the stack keeps all fibres, and its inner face stays on its side of the middle."""
+    half = 0.5 * design.encapsulated_thickness
+    inner = -math.copysign(half, flexure.angle)
+    X = np.linspace(0.0, 0.5 * design.outline.length, 400)[1:]
+    face = np.stack([X, np.zeros_like(X), np.full_like(X, inner)], axis=-1) + flexure.centre
+    if flexure.stretch <= 0.0 or flexure.stretch**2 + 2.0 * flexure.curvature * inner <= 0.0:
+        return False
+    try:
+        x = flexure.positions(face)[:, 0] - flexure.centre[0]
+    except ConfigurationError:  # where curvature rises, fibres may be shorter than in the middle
+        return False
+    return bool(x.min() > -1e-9)

@@ -1,0 +1,112 @@
+"""Twist about x and rolling about x: how a sensor turns or curls across its width."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from eitskin.errors import ConfigurationError
+from eitskin.geometry.deformation.flexure import Flexure
+from eitskin.geometry.deformation.kinematics import Gradients, Points
+from eitskin.geometry.design.sensor import SensorDesign
+
+
+@dataclass(frozen=True, slots=True)
+class Twist:
+    """One end turned against the other about the sensor's long axis.
+
+    Attributes:
+        angle_deg: of the end at large x against the end at x = 0, right-handed about x.
+    """
+
+    angle_deg: float
+
+    def __post_init__(self) -> None:
+        """Check the number."""
+        if not math.isfinite(self.angle_deg):
+            raise ConfigurationError(f"twist angle_deg must be finite, got {self.angle_deg}")
+
+    def deformation(self, design: SensorDesign) -> "Twisted":
+        """The twist of a design, its middle at rest."""
+        outline = design.outline
+        centre = (0.5 * outline.length, 0.5 * outline.width, 0.5 * design.thickness)
+        return Twisted(centre, math.radians(self.angle_deg) / outline.length)
+
+
+@dataclass(frozen=True, slots=True)
+class Twisted:
+    """Every cross-section turned rigidly about x in proportion to its place.
+
+    x' = R(tau X) x and F = R + tau e_x x (R x) e_X: shear only, det F = 1 (Saint-Venant's torsion
+    without warping).
+
+    Attributes:
+        centre: a point of the axis, where the turning is zero [m].
+        rate: tau [rad/m].
+    """
+
+    centre: tuple[float, float, float]
+    rate: float
+
+    def positions(self, points: Points) -> Points:
+        """Deformed places [m], (..., 3), of flat points [m], (..., 3)."""
+        X, Y, Z = np.moveaxis(points - self.centre, -1, 0)
+        cos, sin = np.cos(self.rate * X), np.sin(self.rate * X)
+        return np.stack([X, cos * Y - sin * Z, sin * Y + cos * Z], axis=-1) + self.centre
+
+    def gradient(self, points: Points) -> Gradients:
+        """Deformation gradient, (..., 3, 3); det F = 1 everywhere."""
+        X, Y, Z = np.moveaxis(points - self.centre, -1, 0)
+        cos, sin = np.cos(self.rate * X), np.sin(self.rate * X)
+        F = np.zeros((*points.shape, 3))
+        F[..., 0, 0] = 1.0
+        F[..., 1, 1], F[..., 1, 2] = cos, -sin
+        F[..., 2, 1], F[..., 2, 2] = sin, cos
+        F[..., 1, 0] = -self.rate * (sin * Y + cos * Z)
+        F[..., 2, 0] = self.rate * (cos * Y - sin * Z)
+        return F
+
+
+@dataclass(frozen=True, slots=True)
+class Roll:
+    """The sensor curled across its width into an arc about x, free of forces.
+
+    Attributes:
+        angle_deg: between the two long edges; positive is convex on the touched side.
+    """
+
+    angle_deg: float
+
+    def __post_init__(self) -> None:
+        """Check the number."""
+        if not abs(self.angle_deg) <= 360.0:
+            raise ConfigurationError(
+                f"roll angle_deg must be from -360 to 360, where the edges meet, got "
+                f"{self.angle_deg}"
+            )
+
+    def deformation(self, design: SensorDesign) -> "Rolled":
+        """The roll of a design: Rivlin's flexure of the whole width."""
+        outline, theta = design.outline, math.radians(self.angle_deg)
+        centre = (0.5 * outline.width, 0.5 * outline.length, 0.5 * design.thickness)
+        c = theta / outline.width
+        stretch = (1.0 + (c * design.encapsulated_thickness) ** 2) ** 0.25
+        return Rolled(Flexure(centre, outline.width, theta, stretch))
+
+
+@dataclass(frozen=True, slots=True)
+class Rolled:
+    """A flexure with the roles of x and y exchanged."""
+
+    flexure: Flexure
+
+    def positions(self, points: Points) -> Points:
+        """Deformed places [m], (..., 3), of flat points [m], (..., 3)."""
+        moved: Points = self.flexure.positions(points[..., [1, 0, 2]])[..., [1, 0, 2]]
+        return moved
+
+    def gradient(self, points: Points) -> Gradients:
+        """Deformation gradient, (..., 3, 3); det F = 1 everywhere."""
+        swap = [1, 0, 2]
+        F: Gradients = self.flexure.gradient(points[..., swap])[..., swap, :][..., swap]
+        return F

@@ -1,0 +1,112 @@
+"""One electrode: where it is, how large, and how well it conducts to the body."""
+
+import cmath
+import math
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.bounds import require_length
+from eitskin.errors import ConfigurationError
+
+Array = NDArray[np.float64]
+
+On = Literal["side", "top", "bottom", "inside", "surface"]
+Shape = Literal["rectangle", "round"]
+
+LEAST_IMPEDANCE, GREATEST_IMPEDANCE = 1e-10, 1e6
+_ROUND_SIDES = 32
+
+
+@dataclass(frozen=True, slots=True)
+class Electrode:
+    """A contact area and its impedance.
+
+    Attributes:
+        x, y: centre [m]; on the outline for an electrode on the side.
+        width: extent along the outline, on the side; along x, on top, bottom and inside;
+            horizontally in the tangent plane, on a surface [m].
+        contact_impedance: z of the complete electrode model, may be complex [ohm m2].
+        height: extent across the width [m]: along z on the side, the full thickness when
+            omitted; along y on top, bottom and inside, the width when omitted.
+        z: height of the centre [m]. On the side the middle when omitted; needed inside, where it
+            is the height of the sheet, and on a surface, where the centre is the nearest place
+            of the surface to (x, y, z).
+        on: which face carries it; "inside" is a thin sheet within the layer, as of wire mesh, with
+            one potential on both faces and its area counted once; "surface" goes with a `Surface`.
+        shape: "round" makes an ellipse of width and height, as a polygon of the same area.
+    """
+
+    x: float
+    y: float
+    width: float = 0.005
+    contact_impedance: complex = 1e-3
+    height: float | None = None
+    z: float | None = None
+    on: On = "side"
+    shape: Shape = "rectangle"
+
+    def __post_init__(self) -> None:
+        """Check what needs no outline."""
+        require_length("electrode width", self.width)
+        if self.height is not None:
+            require_length("electrode height", self.height)
+        place = (self.x, self.y, self.z or 0.0)
+        if not all(math.isfinite(value) for value in place):
+            raise ConfigurationError(f"electrode place must be finite, in m, got {place}")
+        for name, kind in (("on", On), ("shape", Shape)):
+            if getattr(self, name) not in get_args(kind):
+                known = ", ".join(f"'{choice}'" for choice in get_args(kind))
+                raise ConfigurationError(
+                    f"electrode {name} must be one of {known}, got {getattr(self, name)!r}"
+                )
+        self._check_combination()
+        self._check_impedance()
+
+    def footprint(self) -> Array:
+        """Corners (k, 2) [m] about the centre, counter-clockwise, across width and height."""
+        extent = np.array([self.width, self.height or self.width])
+        if self.shape == "rectangle":
+            unit = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
+        else:
+            step = 2.0 * math.pi / _ROUND_SIDES
+            angle = step * (np.arange(_ROUND_SIDES) + 0.5)
+            # A regular n-gon of circumradius r has the area n r^2 sin(2 pi / n) / 2.
+            radius = 0.5 * math.sqrt(step / math.sin(step))
+            unit = radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        corners: Array = extent * unit
+        return corners
+
+    def _check_combination(self) -> None:
+        """Refuse what says nothing about an electrode at that place."""
+        if self.on == "side" and self.shape == "round":
+            raise ConfigurationError("an electrode on the side is a rectangle; leave out shape")
+        if self.on == "side" and self.z is not None and self.height is None:
+            raise ConfigurationError(
+                "an electrode on the side without height covers the full thickness; give its "
+                "height, or leave out z"
+            )
+        if self.on in ("top", "bottom") and self.z is not None:
+            raise ConfigurationError(
+                f"the height of an electrode on the {self.on} is known; leave out z"
+            )
+        if self.on in ("inside", "surface") and self.z is None:
+            raise ConfigurationError(
+                f'an electrode with on = "{self.on}" needs the height z of its centre, in m'
+            )
+
+    def _check_impedance(self) -> None:
+        z = complex(self.contact_impedance)
+        if not (cmath.isfinite(z) and z.real > 0.0):
+            raise ConfigurationError(
+                "electrode contact_impedance must be finite with a positive real part, in ohm m2, "
+                f"got {self.contact_impedance!r}"
+            )
+        if not LEAST_IMPEDANCE <= abs(z) <= GREATEST_IMPEDANCE:
+            raise ConfigurationError(
+                f"electrode contact_impedance must be between {LEAST_IMPEDANCE:g} and "
+                f"{GREATEST_IMPEDANCE:g} ohm m2 in magnitude, got {abs(z):g} ohm m2; it is the "
+                "impedance of a contact times its area"
+            )

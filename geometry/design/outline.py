@@ -1,0 +1,293 @@
+"""The plane shapes that a conductive layer may have, and how places on their rim are named."""
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from eitskin.bounds import MOST_POINTS, require_count, require_length
+from eitskin.errors import ConfigurationError
+from eitskin.geometry.design.surface import Surface
+
+Array = NDArray[np.float64]
+
+_ON = 1e-6  # how far from the outline a place on it may be, relative to the outline's size
+_SAME = 1e-9  # what counts as one place, relative to the outline's size
+
+
+class _Plane:
+    """What all plane outlines can answer from the nearest place on the rim."""
+
+    __slots__ = ()
+
+    def at(self, s: ArrayLike) -> Array:
+        """Places (..., 2) [m] at arc lengths `s` (...) [m], counter-clockwise."""
+        raise NotImplementedError
+
+    def nearest(self, points: Array) -> tuple[Array, Array]:
+        """Of points (..., 2) [m]: arc length of the nearest place on the rim, and depth [m].
+
+        The depth is the distance to the rim, negative outside; both have the shape (...).
+        """
+        raise NotImplementedError
+
+    def contains(self, points: Array, margin: float = 0.0) -> NDArray[np.bool_]:
+        """Which of the points (..., 2) [m] are inside, at least `margin` [m] from the rim."""
+        _, depth = self.nearest(np.asarray(points, dtype=float))
+        return depth >= margin - _SAME * self._size()
+
+    def locate(self, x: float, y: float) -> float:
+        """Arc length [m] of the place (x, y) [m] on the rim.
+
+        Raises ConfigurationError, naming the nearest place, for one that is not on it.
+        """
+        return _located(self, x, y)
+
+    def _size(self) -> float:
+        """Larger extent [m]."""
+        raise NotImplementedError
+
+
+@lru_cache(maxsize=1024)  # the same electrodes are placed for every change of a design
+def _located(outline: _Plane, x: float, y: float) -> float:
+    s, depth = outline.nearest(np.array([x, y]))
+    if not abs(depth) <= _ON * outline._size():
+        near_x, near_y = outline.at(s)
+        raise ConfigurationError(
+            f"({x:g}, {y:g}) m is {abs(depth):g} m off the outline; the nearest place on it is "
+            f"({near_x:.9g}, {near_y:.9g}) m"
+        )
+    return float(s)
+
+
+class _Sided(_Plane):
+    """An outline of straight sides; arc length runs counter-clockwise from its first vertex."""
+
+    __slots__ = ()
+
+    @property
+    def vertices(self) -> Array:
+        """Corners in turn, counter-clockwise, (k, 2) [m]."""
+        raise NotImplementedError
+
+    @property
+    def corners(self) -> Array:
+        """Arc lengths of the corners, rising from 0, (k,) [m]."""
+        return _sides(self).knots[:-1]
+
+    @property
+    def perimeter(self) -> float:
+        """Length of the rim [m]."""
+        return float(_sides(self).knots[-1])
+
+    def at(self, s: ArrayLike) -> Array:
+        """Places (..., 2) [m] at arc lengths `s` (...) [m], counter-clockwise."""
+        sides = _sides(self)
+        along = np.mod(s, sides.knots[-1])
+        return np.stack([np.interp(along, sides.knots, axis) for axis in sides.closed.T], axis=-1)
+
+    def nearest(self, points: Array) -> tuple[Array, Array]:
+        """Of points (..., 2) [m]: arc length of the nearest place on the rim, and depth [m]."""
+        sides = _sides(self)
+        step, lengths = sides.step, sides.lengths
+        away = points[..., None, :] - sides.closed[:-1]
+        along = np.clip((away * step).sum(-1) / lengths**2, 0.0, 1.0)
+        gap = away - along[..., None] * step
+        apart = np.hypot(gap[..., 0], gap[..., 1])
+        side = apart.argmin(axis=-1)
+        share = np.take_along_axis(along, side[..., None], axis=-1)[..., 0]
+        s = np.mod(sides.knots[side] + share * lengths[side], sides.knots[-1])
+        # A ray towards +x crosses the rim an odd number of times from inside.
+        slope = step[:, 0] / np.where(step[:, 1] == 0.0, 1.0, step[:, 1])
+        crossed = (away[..., 1] < 0.0) != (away[..., 1] < step[:, 1])
+        inside = (crossed & (away[..., 0] < away[..., 1] * slope)).sum(axis=-1) % 2 == 1
+        depth = apart.min(axis=-1)
+        return s, np.where(inside, depth, -depth)
+
+    def _size(self) -> float:
+        """Larger extent [m]."""
+        return float(_sides(self).closed.max())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Sides:
+    """Sides of an outline: vertices (k + 1, 2), the last the first; steps, lengths, arc lengths."""
+
+    closed: Array
+    step: Array
+    lengths: Array
+    knots: Array
+
+
+@lru_cache(maxsize=64)
+def _sides(outline: _Sided) -> _Sides:
+    closed = np.concatenate([outline.vertices, outline.vertices[:1]])
+    step = np.diff(closed, axis=0)
+    lengths = np.hypot(step[:, 0], step[:, 1])
+    knots = np.concatenate([[0.0], np.cumsum(lengths)])
+    knots.flags.writeable = False  # `corners` hands them out
+    return _Sides(closed, step, lengths, knots)
+
+
+@dataclass(frozen=True, slots=True)
+class Rectangle(_Sided):
+    """Outline with a corner at the origin: length along x, width along y [m].
+
+    Arc length runs counter-clockwise from the origin.
+    """
+
+    length: float
+    width: float
+
+    def __post_init__(self) -> None:
+        """Check the sizes."""
+        require_length("outline.length", self.length)
+        require_length("outline.width", self.width)
+
+    @property
+    def vertices(self) -> Array:
+        """Corners in turn, counter-clockwise, (4, 2) [m]."""
+        x, y = self.length, self.width
+        return np.array([[0.0, 0.0], [x, 0.0], [x, y], [0.0, y]])
+
+
+@dataclass(frozen=True, slots=True)
+class Polygon(_Sided):
+    """Outline through points (x, y) [m] in turn, at least three; the last joins the first.
+
+    The least x and the least y must be 0. Points that run clockwise are put in the other order,
+    the first one staying the first: arc length runs counter-clockwise from it.
+    """
+
+    points: tuple[tuple[float, float], ...]
+
+    def __post_init__(self) -> None:
+        """Check that the points make one simple outline."""
+        require_count("the number of outline.points", len(self.points), 3, MOST_POINTS)
+        if any(len(point) != 2 for point in self.points):
+            raise ConfigurationError("outline.points must be pairs (x, y), in m")
+        given = np.array(self.points, dtype=float)
+        if not np.isfinite(given).all():
+            raise ConfigurationError("outline.points must be finite, in m")
+        low, extent = given.min(axis=0), np.ptp(given, axis=0)
+        require_length("outline.points' extent along x", float(extent[0]))
+        require_length("outline.points' extent along y", float(extent[1]))
+        same = _SAME * float(extent.max())
+        if np.abs(low).max() > same:
+            raise ConfigurationError(
+                "the bounding box of outline.points must start at the origin; shift the points by "
+                f"({-low[0]:.9g}, {-low[1]:.9g}) m"
+            )
+        _require_simple(given, same)
+        x, y = given.T
+        if (x * np.roll(y, -1) - np.roll(x, -1) * y).sum() < 0.0:
+            given = np.concatenate([given[:1], given[:0:-1]])
+        points = tuple((float(x), float(y)) for x, y in given)
+        object.__setattr__(self, "points", points)
+
+    @property
+    def vertices(self) -> Array:
+        """Corners in turn, counter-clockwise, (k, 2) [m]."""
+        return np.array(self.points)
+
+    @property
+    def length(self) -> float:
+        """Extent along x [m]."""
+        return max(x for x, _ in self.points)
+
+    @property
+    def width(self) -> float:
+        """Extent along y [m]."""
+        return max(y for _, y in self.points)
+
+
+@dataclass(frozen=True, slots=True)
+class Disc(_Plane):
+    """Outline of a circle about (radius, radius) [m].
+
+    Arc length runs counter-clockwise from angle 0, the place (2 radius, radius).
+    """
+
+    radius: float
+
+    def __post_init__(self) -> None:
+        """Check the size."""
+        require_length("outline.radius", self.radius)
+
+    @property
+    def length(self) -> float:
+        """Extent along x [m]."""
+        return 2.0 * self.radius
+
+    @property
+    def width(self) -> float:
+        """Extent along y [m]."""
+        return 2.0 * self.radius
+
+    @property
+    def corners(self) -> Array:
+        """None: (0,)."""
+        return np.empty(0)
+
+    @property
+    def perimeter(self) -> float:
+        """Length of the rim [m]."""
+        return 2.0 * math.pi * self.radius
+
+    def at(self, s: ArrayLike) -> Array:
+        """Places (..., 2) [m] at arc lengths `s` (...) [m], counter-clockwise."""
+        angle = np.asarray(s, dtype=float) / self.radius
+        return self.radius * (1.0 + np.stack([np.cos(angle), np.sin(angle)], axis=-1))
+
+    def nearest(self, points: Array) -> tuple[Array, Array]:
+        """Of points (..., 2) [m]: arc length of the nearest place on the rim, and depth [m]."""
+        away = points - self.radius
+        angle = np.mod(np.arctan2(away[..., 1], away[..., 0]), 2.0 * math.pi)
+        return angle * self.radius, self.radius - np.hypot(away[..., 0], away[..., 1])
+
+    def _size(self) -> float:
+        """Larger extent [m]."""
+        return 2.0 * self.radius
+
+
+PlaneOutline = Rectangle | Disc | Polygon
+Outline = PlaneOutline | Surface
+
+
+def _require_simple(points: Array, same: float) -> None:
+    """Raise ConfigurationError where sides through `points` (k, 2) touch other than in turn."""
+    count = len(points)
+    step = np.roll(points, -1, axis=0) - points
+    short = np.flatnonzero(np.hypot(*step.T) <= same)
+    if short.size:
+        i, j = int(short[0]), int((short[0] + 1) % count)
+        close = "; leave out the last, the outline closes by itself" if j == 0 else ""
+        raise ConfigurationError(
+            f"outline.points {i} and {j} are the same place, so the side between them has no "
+            f"length{close}"
+        )
+    squared = (step**2).sum(axis=1)
+    numbers = np.arange(count)
+    for i, (point, next_point) in enumerate(zip(points, points + step, strict=True)):
+        apart = [(i - numbers) % count > 1, (numbers - i) % count > 1]
+        away = point - points
+        along = np.clip((away * step).sum(axis=1) / squared, 0.0, 1.0)
+        gap = np.linalg.norm(away - along[:, None] * step, axis=1)
+        touched = (gap <= same) & (numbers != i) & ((numbers + 1) % count != i)
+        # Sides cross where the ends of each lie on different sides of the other.
+        ends = [_cross(step, p - points) for p in (point, next_point)]
+        other = [_cross(step[i], p - point) for p in (points, points + step)]
+        crossed = (ends[0] * ends[1] < 0.0) & (other[0] * other[1] < 0.0)
+        wrong = np.flatnonzero(touched | (crossed & apart[0] & apart[1]))
+        if wrong.size:
+            raise ConfigurationError(
+                f"the outline touches or crosses itself: its side from point {i} meets the one "
+                f"from point {wrong[0]}; give the points in turn around the outline, each once"
+            )
+
+
+def _cross(a: Array, b: Array) -> Array:
+    product: Array = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+    return product

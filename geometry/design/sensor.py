@@ -1,0 +1,166 @@
+"""What a sensor is: outline, thickness, electrodes, materials."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from eitskin.bounds import MOST_ELECTRODES, require_count, require_length, require_positive
+from eitskin.config import Place, build, choose, read, read_toml, to_toml, write_toml
+from eitskin.errors import ConfigurationError
+from eitskin.geometry.design.electrode import Electrode
+from eitskin.geometry.design.outline import Outline, Rectangle
+from eitskin.geometry.design.patches import Patch
+from eitskin.geometry.design.placement import placed, require_apart
+from eitskin.geometry.design.regular_layouts import grid, uniform
+from eitskin.geometry.design.surface import Surface
+
+Array = NDArray[np.float64]
+
+_SAME = 1e-9  # how far thicknesses that should agree may be apart, relative
+_SAME_HEIGHT = 1e-6  # the same for the height of a surface, which files give in few digits
+_POINTS_PER_EDGE = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Layer:
+    """A conductive sheet of a layered sensor: thickness [m], conductivity [S/m]."""
+
+    thickness: float
+    conductivity: float
+
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        require_length("layer thickness", self.thickness)
+        require_positive("layer conductivity", self.conductivity, "S/m")
+
+
+@dataclass(frozen=True, slots=True)
+class SensorDesign:
+    """A conductive body with electrodes, flat or of any shape, inside a soft encapsulation.
+
+    Attributes:
+        outline: of the body. The bounding box of a plane outline starts at the origin, and the
+            body stands on it from z = 0 to `thickness`; a surface is where its file says.
+        thickness: of the conductive body, along z [m].
+        electrodes: in the order in which they are numbered.
+        conductivity: of the body [S/m].
+        layers: sheets from the bottom upwards, instead of one conductivity; their thicknesses add
+            up to `thickness`.
+        encapsulated_thickness: of body and encapsulation together, body centred [m].
+    """
+
+    outline: Outline
+    thickness: float
+    electrodes: tuple[Electrode, ...]
+    conductivity: float = 1.0
+    layers: tuple[Layer, ...] = ()
+    encapsulated_thickness: float = 0.012
+
+    def __post_init__(self) -> None:
+        """Check that everything fits together and that no electrodes overlap."""
+        self._check_thickness()
+        require_positive("conductivity", self.conductivity, "S/m")
+        self._check_layers()
+        require_count("the number of electrodes", len(self.electrodes), 2, MOST_ELECTRODES)
+        require_apart(placed(self.electrodes, self.outline, self.thickness))
+
+    @classmethod
+    def reference(cls) -> "SensorDesign":
+        """The sensor of the paper: 150 x 60 x 5 mm, eight 5 mm electrodes, counter-clockwise."""
+        outline = Rectangle(0.150, 0.060)
+        return cls(outline, thickness=0.005, electrodes=uniform(outline, 8, start=0.0225))
+
+    @classmethod
+    def from_toml(cls, path: str | Path) -> "SensorDesign":
+        """Read a design; raises ConfigurationError for anything that does not fit."""
+        return read_toml(cls, path)
+
+    @classmethod
+    def spelled_out(cls, data: Mapping[str, Any], place: Place) -> Mapping[str, Any]:
+        """Plain data of a design whose `electrodes` may be one table: a layout, by its keys."""
+        table = data.get("electrodes")
+        if not isinstance(table, Mapping):
+            return data
+        if "outline" not in data:
+            raise place.error("missing required field `outline`, which the layout goes around")
+        where = place.under("electrodes")
+        outline = read(Outline, data["outline"], place.under("outline"))
+        layout = choose([partial(make, outline) for make in (uniform, grid)], table, where)
+        return {**data, "outline": outline, "electrodes": build(layout, table, where)}
+
+    def to_toml(self, path: str | Path | None = None) -> str:
+        """The design as TOML, written to `path` where one is given; `from_toml` reads it back.
+
+        Raises ConfigurationError where the file cannot be written; what was there is kept.
+        """
+        return to_toml(self) if path is None else write_toml(self, path)
+
+    def patches(self) -> tuple[Patch, ...]:
+        """Where the body's boundary, or a sheet inside it, is touched by each electrode."""
+        contacts = placed(self.electrodes, self.outline, self.thickness)
+        return tuple(contact.patch() for contact in contacts)
+
+    def edges(self, spacing: float | None = None) -> Array:
+        """Points (k, 3) [m] along the electrodes' edges, where potentials are singular.
+
+        Edges of the body are left out: the potential continues mirrored across them.
+
+        Args:
+            spacing: most distance between points of one edge; an eighth of the smallest
+                electrode's extent when omitted [m].
+        """
+        extents = [e.width for e in self.electrodes]
+        extents += [e.height or self.thickness for e in self.electrodes]
+        spacing = spacing or min(extents) / _POINTS_PER_EDGE
+        contacts = placed(self.electrodes, self.outline, self.thickness)
+        return np.concatenate([contact.edges(spacing) for contact in contacts])
+
+    def conductivity_at(self, points: ArrayLike) -> Array:
+        """Conductivity (...) [S/m] at points (..., 3) [m].
+
+        A place between two layers belongs to the upper one, one outside the body to the nearest.
+        """
+        z = np.asarray(points, dtype=float)[..., 2]
+        if not self.layers:
+            return np.full(z.shape, float(self.conductivity))
+        bottom = self.outline.bounds[0, 2] if isinstance(self.outline, Surface) else 0.0
+        tops = bottom + np.cumsum([layer.thickness for layer in self.layers])
+        values = np.array([layer.conductivity for layer in self.layers], dtype=float)
+        inside: Array = values[np.searchsorted(tops[:-1], z, side="right")]
+        return inside
+
+    def _check_thickness(self) -> None:
+        require_length("thickness", self.thickness)
+        require_length("encapsulated_thickness", self.encapsulated_thickness)
+        if not self.encapsulated_thickness >= self.thickness:
+            raise ConfigurationError(
+                f"encapsulated_thickness must be at least the layer's {self.thickness:g} m, "
+                f"got {self.encapsulated_thickness:g} m"
+            )
+        if isinstance(self.outline, Surface):
+            height = self.outline.height
+            if abs(self.thickness - height) > _SAME_HEIGHT * height:
+                raise ConfigurationError(
+                    f"thickness must be the height of the surface, {height:.9g} m, "
+                    f"got {self.thickness:g} m"
+                )
+
+    def _check_layers(self) -> None:
+        if not self.layers:
+            return
+        total = sum(layer.thickness for layer in self.layers)
+        if abs(total - self.thickness) > _SAME * self.thickness:
+            raise ConfigurationError(
+                f"the layers' thicknesses must add up to the thickness of {self.thickness:g} m, "
+                f"got {total:.9g} m"
+            )
+        if self.conductivity != 1.0:
+            raise ConfigurationError(
+                "give either one conductivity or layers with conductivities of their own, got "
+                f"conductivity {self.conductivity:g} S/m and {len(self.layers)} layers"
+            )

@@ -1,0 +1,134 @@
+"""Bodies of any shape: closed triangle surfaces from files."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.bounds import require_length, require_positive
+from eitskin.errors import ConfigurationError
+from eitskin.extras import require
+
+Array = NDArray[np.float64]
+Faces = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class Surface:
+    """A body inside the closed triangle surface of a file (STL, OBJ, PLY, OFF ...).
+
+    Places keep the file's coordinates, times `scale`. A surface within the outer one bounds a
+    cavity where its faces look the other way.
+
+    Attributes:
+        file: path of the surface; made absolute.
+        scale: metres per unit of the file, 1e-3 for millimetres.
+    """
+
+    file: Path
+    scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Load the surface; raises ConfigurationError where it bounds no body."""
+        object.__setattr__(self, "file", Path(self.file).absolute())
+        require_positive("outline.scale", self.scale, "m per unit of the file")
+        for name in ("length", "width", "height"):
+            require_length(f"{name} of the surface {self.file.name}", getattr(self, name))
+
+    @property
+    def bounds(self) -> Array:
+        """Least and greatest x, y, z, (2, 3) [m]."""
+        points, _ = self.triangles()
+        return np.stack([points.min(axis=0), points.max(axis=0)])
+
+    @property
+    def length(self) -> float:
+        """Extent along x [m]."""
+        return self._extent(0)
+
+    @property
+    def width(self) -> float:
+        """Extent along y [m]."""
+        return self._extent(1)
+
+    @property
+    def height(self) -> float:
+        """Extent along z [m]."""
+        return self._extent(2)
+
+    def triangles(self) -> tuple[Array, Faces]:
+        """Points (n, 3) [m] and faces (k, 3), counter-clockwise seen from outside."""
+        try:
+            changed = self.file.stat().st_mtime_ns
+        except OSError as error:
+            raise ConfigurationError(f"cannot read {self.file}: {error.strerror}") from error
+        points, faces = _load(self.file, changed)
+        return points * self.scale, faces
+
+    def nearest(self, point: Array) -> tuple[Array, Array]:
+        """The place (3,) [m] on the surface nearest to `point` (3,) [m], and its normal (3,)."""
+        points, faces = self.triangles()
+        corners = points[faces]
+        closest = require("trimesh", "mesh").triangles.closest_point(
+            corners, np.broadcast_to(point, (len(faces), 3))
+        )
+        doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        size = np.linalg.norm(doubled, axis=1)
+        gap = np.where(size > 0.0, np.linalg.norm(closest - point, axis=1), np.inf)
+        face = gap.argmin()
+        return closest[face], doubled[face] / size[face]
+
+    def _extent(self, axis: int) -> float:
+        return float(np.ptp(self.bounds[:, axis]))
+
+
+@lru_cache(maxsize=8)
+def _load(path: Path, changed: int) -> tuple[Array, Faces]:  # noqa: ARG001
+    """Points and faces of a file that was last `changed` then, checked."""
+    trimesh = require("trimesh", "mesh")
+    try:
+        mesh = trimesh.load_mesh(path)
+    except Exception as error:  # whatever the reader of that format stumbles over
+        raise ConfigurationError(
+            f"cannot read {path} as a surface: {error}; expected a triangle surface such as STL, "
+            "OBJ, PLY or OFF"
+        ) from error
+    points, faces = np.array(mesh.vertices, dtype=float), np.array(mesh.faces, dtype=np.int64)
+    _require_closed(path.name, mesh, faces)
+    points.flags.writeable = faces.flags.writeable = False
+    return points, faces
+
+
+def _require_closed(name: str, mesh: Any, faces: Faces) -> None:
+    """Raise ConfigurationError unless the trimesh `mesh` bounds one body from outside."""
+    if not len(faces):
+        raise ConfigurationError(
+            f"{name} holds no triangles; expected the closed surface of a body"
+        )
+    if not mesh.is_watertight:
+        edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+        _, counts = np.unique(edges, axis=0, return_counts=True)
+        raise ConfigurationError(
+            f"the surface in {name} is open: {(counts != 2).sum()} of its edges do not lie between "
+            "two triangles; fill the holes and merge coincident points"
+        )
+    if not mesh.is_winding_consistent:
+        raise ConfigurationError(
+            f"the triangles in {name} look both ways: neighbours run through their common edge in "
+            "the same direction; make the normals consistent and outward"
+        )
+    shells = mesh.split(only_watertight=False)
+    outer = [shell for shell in shells if shell.volume > 0.0]
+    if not outer:
+        raise ConfigurationError(f"the surface in {name} is inside out; flip its triangles")
+    if len(outer) > 1:
+        raise ConfigurationError(
+            f"{name} holds {len(outer)} bodies; a sensor is one: join them or keep the largest"
+        )
+    if (mesh.bounds != outer[0].bounds).any():
+        raise ConfigurationError(
+            f"{name} holds an inside-out surface that is no cavity of its body; flip or remove it"
+        )

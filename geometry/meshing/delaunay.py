@@ -1,0 +1,272 @@
+"""Graded triangulations of plane outlines: Delaunay refinement, then subdivision."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import skfem
+from numpy.typing import NDArray
+from scipy.spatial import Delaunay, cKDTree
+
+from eitskin.errors import ConfigurationError
+from eitskin.geometry.design.outline import Disc, PlaneOutline
+
+Array = NDArray[np.float64]
+Numbers = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+
+# Subdivision starts from edges of a sixteenth of the outline, or of the coarsest size where that
+# is more, and angles of 28 degrees. Circumradius over shortest edge is 1 / (2 sin) of the
+# smallest angle.
+_COARSE = 16.0
+_WORST_RATIO = 0.5 / np.sin(np.radians(28.0))
+_CHORDS = 24  # a circle has at least so many
+_MOST_ROUNDS = 300
+_MOST_POINTS = 500_000
+_SAME = 1e-9  # what counts as one place or length, relative
+
+
+def triangulated(
+    outline: PlaneOutline, fixed: Array, coarsest: float, size: Callable[[Array], Array]
+) -> tuple[Array, Numbers]:
+    """Triangulate an outline with no edge longer than `size`.
+
+    A coarse Delaunay triangulation with angles of at least 28 degrees is subdivided where it is
+    too coarse, by halving edges, the longest of a triangle first ("red-green-blue"; angles stay
+    above 14 degrees, and nearly always above 25). The same input gives the same triangles.
+
+    Args:
+        outline: what to fill. On a disc all points of the rim are on the circle.
+        fixed: arc lengths where the rim must have a point, besides the corners, (k,) [m].
+        coarsest: the largest size [m].
+        size: longest edges (n,) [m] wanted at places (n, 2) [m].
+
+    Returns:
+        points: (n, 2), by rising x [m].
+        triangles: (m, 3) point numbers, counter-clockwise.
+
+    Raises ConfigurationError where more than half a million points were needed, or where electrode
+    ends and corners allow no triangulation.
+    """
+    points, triangles = coarse_triangulation(outline, fixed, coarsest)
+    mesh = skfem.MeshTri(np.ascontiguousarray(points.T), np.ascontiguousarray(triangles.T))
+    while True:
+        corners = mesh.p.T[mesh.t.T]
+        longest = _edges(corners).max(axis=1)
+        large = np.flatnonzero(longest > size(corners.mean(axis=1)) * (1.0 + _SAME))
+        if not len(large):
+            clockwise = _doubled_areas(corners) < 0.0
+            triangles = mesh.t.T.astype(np.int64)
+            triangles[clockwise] = triangles[clockwise][:, ::-1]
+            return numbered_along_x(mesh.p.T, triangles)
+        # Each takes at least one new edge midpoint, shared with one other.
+        _require_few(mesh.p.shape[1] + len(large) // 2)
+        mesh = mesh.refined(large)
+        if isinstance(outline, Disc):
+            rim = mesh.boundary_nodes()
+            arc, _ = outline.nearest(mesh.p.T[rim])
+            mesh.p[:, rim] = outline.at(arc).T
+
+
+def coarse_triangulation(
+    outline: PlaneOutline, fixed: Array, coarsest: float
+) -> tuple[Array, Numbers]:
+    """The coarse triangulation of `triangulated`, with points where it must have some.
+
+    Circumcentres of triangles that are too large or too thin go into a Delaunay triangulation;
+    chords of the rim that a point would come too close to are halved instead (Ruppert 1995). Next
+    to corners below 60 degrees they are split at distances that are powers of two, and triangles
+    across such a corner keep their angles (Miller, Pav & Walkington 2003).
+    """
+    longest = max(coarsest, max(outline.length, outline.width) / _COARSE)
+    rim, inner = _Rim.of(outline, fixed), np.empty((0, 2))
+    for _ in range(_MOST_ROUNDS):
+        rim = rim.clear_of(inner, longest)
+        points = np.concatenate([rim.places, inner])
+        triangles = _inside(outline, points)
+        corners = points[triangles]
+        centres, radii = _circumcircles(corners)
+        edges = _edges(corners)
+        poor = radii > _WORST_RATIO * edges.min(axis=1)
+        poor &= ~rim.across_acute_corner(triangles, edges)
+        poor |= edges.max(axis=1) > longest
+        if not poor.any():
+            return points, triangles
+        chosen = np.flatnonzero(poor)[_far_apart(triangles[poor], centres[poor], radii[poor])]
+        rim, accepted = rim.split_by(centres[chosen])
+        inner = np.concatenate([inner, accepted])
+    raise ConfigurationError(
+        f"no triangulation with angles of 28 degrees was found in {_MOST_ROUNDS} rounds; move "
+        "electrode ends away from each other and from the outline's corners"
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Rim:
+    """The points of the rim by rising arc length, and which corners are acute.
+
+    Attributes:
+        outline: on which the points are.
+        arc: lengths within one turn, (n,) [m].
+        acute: which corners are below 60 degrees, seen from inside or outside, (c,).
+    """
+
+    outline: PlaneOutline
+    arc: Array
+    acute: Flags
+
+    @classmethod
+    def of(cls, outline: PlaneOutline, fixed: Array) -> "_Rim":
+        whole = outline.perimeter
+        marks = np.mod(fixed, whole)
+        if isinstance(outline, Disc):
+            arc = _cut_evenly(np.sort(marks) if len(marks) else np.zeros(1), whole)
+            acute = np.zeros(0, dtype=bool)
+        else:
+            gap = np.abs(marks[:, None] - outline.corners)
+            off = (np.minimum(gap, whole - gap) > _SAME * whole).all(axis=1)
+            arc = np.sort(np.concatenate([outline.corners, marks[off]]))
+            side = np.roll(outline.vertices, -1, axis=0) - outline.vertices
+            side /= np.linalg.norm(side, axis=1)[:, None]
+            acute = -(side * np.roll(side, 1, axis=0)).sum(axis=1) > 0.5 + _SAME
+        apart = np.diff(arc, append=arc[0] + whole) > _SAME * whole
+        return cls(outline, arc[apart], acute)
+
+    @property
+    def places(self) -> Array:
+        """(n, 2) [m]."""
+        return self.outline.at(self.arc)
+
+    def clear_of(self, inner: Array, longest: float) -> "_Rim":
+        """Halve chords until none is too long or has a point within its diametral circle.
+
+        Then all chords are edges of the Delaunay triangulation.
+        """
+        rim = self
+        while True:
+            middle, radius = rim._circles()
+            nearest, _ = cKDTree(np.concatenate([rim.places, inner])).query(middle)
+            close = nearest < radius * (1.0 - 1e-6)
+            wrong = close | (2.0 * radius > longest)
+            if not wrong.any():
+                return rim
+            rim = rim._split(wrong)
+            _require_few(len(rim.arc))
+
+    def split_by(self, centres: Array) -> tuple["_Rim", Array]:
+        """Split the chords that `centres` (k, 2) are too close to; return the other centres."""
+        middle, radius = self._circles()
+        struck = cKDTree(centres).query_ball_point(middle, radius)
+        split = np.array([len(numbers) > 0 for numbers in struck])
+        free = np.ones(len(centres), dtype=bool)
+        free[[number for numbers in struck for number in numbers]] = False
+        lost = free & ~self.outline.contains(centres)
+        split[cKDTree(middle).query(centres[lost])[1]] = True
+        return self._split(split), centres[free & ~lost]
+
+    def across_acute_corner(self, triangles: Numbers, edges: Array) -> Flags:
+        """Whether the shortest edge of each triangle joins the two sides of an acute corner."""
+        if not self.acute.any():
+            return np.zeros(len(triangles), dtype=bool)
+        first = edges.argmin(axis=1)[:, None]
+        ends = np.take_along_axis(triangles, np.hstack([first, first - 1]), axis=1)
+        on_rim = ends.max(axis=1) < len(self.arc)
+        arc = self.arc[np.where(on_rim[:, None], ends, 0)]
+        a, b = np.searchsorted(self.outline.corners, arc, side="right").T - 1
+        next_a, next_b = (a + 1) % len(self.acute), (b + 1) % len(self.acute)
+        across: Flags = (self.acute[b] & (next_a == b)) | (self.acute[a] & (next_b == a))
+        across &= on_rim & ~np.isin(arc, self.outline.corners).any(axis=1)
+        return across
+
+    def _circles(self) -> tuple[Array, Array]:
+        """Centres (n, 2) and radii (n,) of the circles that have the chords as diameters [m]."""
+        start = self.places
+        end = np.roll(start, -1, axis=0)
+        return 0.5 * (start + end), 0.5 * np.linalg.norm(end - start, axis=1)
+
+    def _split(self, which: Flags) -> "_Rim":
+        whole = self.outline.perimeter
+        start = self.arc[which]
+        end = np.append(self.arc[1:], self.arc[0] + whole)[which]
+        half = 0.5 * (end - start)
+        # Equal distances on both sides of an acute corner, so that the sides stop splitting
+        # each other.
+        shell = np.exp2(np.round(np.log2(half)))
+        sharp = np.asarray(self.outline.corners)[self.acute]
+        at_start, at_end = np.isin(start, sharp), np.isin(np.mod(end, whole), sharp)
+        middle = np.where(at_start, start + shell, np.where(at_end, end - shell, start + half))
+        arc = np.sort(np.concatenate([self.arc, np.mod(middle, whole)]))
+        return _Rim(self.outline, arc, self.acute)
+
+
+def _cut_evenly(marks: Array, whole: float) -> Array:
+    """Arc lengths on a circle that include the `marks` (k,), close enough for a polygon."""
+    gaps = np.diff(marks, append=marks[0] + whole)
+    counts = np.ceil(gaps * _CHORDS / whole - _SAME).astype(int)
+    parts = [m + g * np.arange(n) / n for m, g, n in zip(marks, gaps, counts, strict=True) if n]
+    return np.sort(np.mod(np.concatenate(parts), whole))
+
+
+def _inside(outline: PlaneOutline, points: Array) -> Numbers:
+    """The Delaunay triangles (m, 3) of points (n, 2) within the outline, counter-clockwise."""
+    triangles = Delaunay(points / np.ptp(points)).simplices.astype(np.int64)
+    corners = points[triangles]
+    doubled = _doubled_areas(corners)
+    triangles[doubled < 0.0] = triangles[doubled < 0.0][:, ::-1]
+    # Points on a straight side give triangles without area.
+    real = np.abs(doubled) > _SAME * _edges(corners).max(axis=1) ** 2
+    inside: Numbers = triangles[real & outline.contains(corners.mean(axis=1))]
+    return inside
+
+
+def _circumcircles(corners: Array) -> tuple[Array, Array]:
+    """Centres (m, 2) and radii (m,) [m] of the circles through triangles (m, 3, 2)."""
+    u, v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    uu, vv = (u**2).sum(axis=1), (v**2).sum(axis=1)
+    away = np.column_stack([v[:, 1] * uu - u[:, 1] * vv, u[:, 0] * vv - v[:, 0] * uu])
+    away /= 2.0 * _doubled_areas(corners)[:, None]
+    return corners[:, 0] + away, np.hypot(*away.T)
+
+
+def _doubled_areas(corners: Array) -> Array:
+    """Twice the areas (m,) [m2] of triangles (m, 3, 2), positive counter-clockwise."""
+    u, v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    doubled: Array = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
+    return doubled
+
+
+def _edges(corners: Array) -> Array:
+    """Lengths (m, 3) [m] of the edges that end at each corner of triangles (m, 3, 2)."""
+    lengths: Array = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
+    return lengths
+
+
+def _far_apart(triangles: Numbers, centres: Array, radii: Array) -> Numbers:
+    """Which circumcentres can be inserted at once, larger circles before smaller ones."""
+    rank = np.empty(len(radii), dtype=np.int64)
+    rank[np.argsort(-radii, kind="stable")] = np.arange(len(radii))
+    best = np.full(triangles.max() + 1, len(rank))
+    np.minimum.at(best, triangles.ravel(), np.repeat(rank, 3))
+    first = np.flatnonzero((best[triangles] == rank[:, None]).all(axis=1))
+    # Circumcentres of thin triangles are far from them and may be close to each other.
+    near = np.arange(min(5, len(first))) + 1
+    distance, other = cKDTree(centres[first]).query(centres[first], k=near)
+    beaten = (distance < radii[first][:, None]) & (rank[first][other] < rank[first][:, None])
+    chosen: Numbers = first[~beaten.any(axis=1)]
+    return chosen
+
+
+def numbered_along_x(points: Array, cells: Numbers) -> tuple[Array, Numbers]:
+    """The same mesh with its points (n, d) by rising x, then y; matrices get a narrow band."""
+    order = np.lexsort(points.T[::-1])
+    number = np.empty_like(order)
+    number[order] = np.arange(len(order))
+    return points[order], number[cells]
+
+
+def _require_few(count: int) -> None:
+    if count > _MOST_POINTS:
+        raise ConfigurationError(
+            f"a triangulation of more than {_MOST_POINTS} points was asked for; choose a larger "
+            "finest or coarsest size, or more growth"
+        )

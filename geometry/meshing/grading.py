@@ -1,0 +1,119 @@
+"""Cell sizes, and lines graded by them."""
+
+import itertools
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.errors import ConfigurationError
+from eitskin.geometry.design.electrode import Electrode
+from eitskin.geometry.design.sensor import SensorDesign
+
+Lines = NDArray[np.float64]
+
+_MOST_POINTS = 1_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Grading:
+    """Cell sizes of a mesh: size = min(coarsest, finest + growth * distance to the nearest edge).
+
+    Potentials are singular at the edges of electrodes and smooth elsewhere.
+
+    Attributes:
+        finest: cell size at the electrode edges [m].
+        coarsest: cell size far from them [m].
+        growth: increase of cell size per distance from the nearest edge.
+        layers: cells through each conductive sheet, where no electrode edge asks for more.
+    """
+
+    finest: float
+    coarsest: float
+    growth: float
+    layers: int = 1
+
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        sizes = (self.finest, self.coarsest, self.growth)
+        if not all(math.isfinite(s) and s > 0 for s in sizes) or self.finest > self.coarsest:
+            raise ConfigurationError(
+                "grading needs 0 < finest <= coarsest in m and a positive growth, got "
+                f"finest={self.finest}, coarsest={self.coarsest}, growth={self.growth}"
+            )
+        if self.layers < 1:
+            raise ConfigurationError(f"grading needs at least one layer, got {self.layers}")
+
+    def size(self, distance: Lines) -> Lines:
+        """Cell size [m] at a distance from the nearest electrode edge [m]."""
+        sizes: Lines = np.minimum(self.coarsest, self.finest + self.growth * distance)
+        return sizes
+
+
+def require_possible(points: float, grading: Grading) -> None:
+    """Refuse a grid of so many points, before there are any, that its matrix would fill the memory.
+
+    A linear hexahedron has 64 places in the matrix, each of two whole numbers and a value.
+    """
+    if points > _MOST_POINTS:
+        raise ConfigurationError(
+            f"a grid of {points:.2g} points, with cells of {grading.finest:g} to "
+            f"{grading.coarsest:g} m, needs {points * 64 * 24 / 1e9:.2g} GB of memory or more; at "
+            f"most {_MOST_POINTS:g} points are possible, choose a larger finest or coarsest size, "
+            "more growth or fewer layers"
+        )
+
+
+def graded_lines(
+    extent: float, edges: Iterable[float], breaks: Iterable[float], grading: Grading
+) -> Lines:
+    """Lines from 0 to `extent`, through all edges and breaks, fine near the edges [m]."""
+    near = np.array(sorted(edges))
+    fixed = np.unique(np.clip([0.0, extent, *near, *breaks], 0.0, extent).round(12))
+    attractors = near if len(near) else np.array([-np.inf])
+    pieces = [fixed[:1]]
+    for start, end in itertools.pairwise(fixed):
+        # Samples close enough to follow the size: even ones, and geometric ones from both ends.
+        steps = np.geomspace(min(1e-2 * grading.finest, end - start), end - start, 400)
+        even = np.linspace(start, end, 401)
+        fine = np.unique(np.clip(np.concatenate([even, start + steps, end - steps]), start, end))
+        middle = 0.5 * (fine[:-1] + fine[1:])
+        size = grading.size(np.abs(middle[:, None] - attractors).min(axis=1))
+        # Cumulative number of cells; lines go where it crosses equal steps.
+        count = np.concatenate([[0.0], np.cumsum(np.diff(fine) / size)])
+        require_possible(count[-1], grading)
+        cells = max(1, int(np.ceil(count[-1] - 1e-9)))
+        lines = np.interp(np.linspace(0.0, count[-1], cells + 1), count, fine)
+        lines[-1] = end
+        pieces.append(lines[1:])
+    return np.concatenate(pieces)
+
+
+def _edge_heights(electrode: Electrode, thickness: float) -> tuple[float, ...]:
+    """Heights of the level edges of an electrode, where potentials are singular [m]."""
+    if electrode.on == "side":
+        if electrode.height is None:
+            return ()
+        z = 0.5 * thickness if electrode.z is None else electrode.z
+        ends = (z - 0.5 * electrode.height, z + 0.5 * electrode.height)
+        # At the rim of the layer the potential continues mirrored.
+        return tuple(end for end in ends if 1e-9 < end / thickness < 1.0 - 1e-9)
+    return (float({"top": thickness, "bottom": 0.0}.get(electrode.on, electrode.z or 0.0)),)
+
+
+def layer_heights(design: SensorDesign, grading: Grading) -> Lines:
+    """Heights of the layers of points: through sheets and electrode edges, fine near these [m].
+
+    Where electrodes span the full thickness, every sheet has `grading.layers` equal cells.
+    """
+    thickness = design.thickness
+    edges = {z for electrode in design.electrodes for z in _edge_heights(electrode, thickness)}
+    interfaces = np.cumsum([layer.thickness for layer in design.layers])[:-1]
+    if edges:
+        largest = max(min(grading.coarsest, thickness / grading.layers), grading.finest)
+        return graded_lines(thickness, edges, interfaces, replace(grading, coarsest=largest))
+    sheets = np.array([0.0, *interfaces, thickness])
+    steps = [np.linspace(a, b, grading.layers + 1)[:-1] for a, b in itertools.pairwise(sheets)]
+    return np.concatenate([*steps, [thickness]])

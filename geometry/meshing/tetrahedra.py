@@ -1,0 +1,159 @@
+"""Tetrahedra for bodies of any shape, by fTetWild."""
+
+import contextlib
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import Delaunay, cKDTree
+
+from eitskin.errors import ConfigurationError
+from eitskin.extras import require
+from eitskin.geometry.design.outline import Disc, Outline
+from eitskin.geometry.design.patches import boundary_faces, electrode_contacts
+from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.geometry.design.surface import Surface
+from eitskin.geometry.meshing.delaunay import coarse_triangulation, numbered_along_x
+from eitskin.geometry.meshing.grading import Grading
+from eitskin.geometry.meshing.mesh import Mesh
+from eitskin.geometry.meshing.quality import volumes
+from eitskin.geometry.meshing.snapping import TriangleSurface, snapped
+
+Array = NDArray[np.float64]
+Numbers = NDArray[np.int64]
+
+_CHORDS = 60  # of a circle, before points of its rim are put on it
+_SPACING = 2.0  # of points along electrode edges, relative to the finest size
+_AT_EDGES = 0.7  # what to ask for along electrode edges, where fTetWild gives 1.4 times as much
+# fTetWild samples the surface at distances of its envelope, so that a small one takes long: the
+# reference slab 4 s at 2e-3 of the diagonal, 100 s at 1e-4.
+_WIDEST_ENVELOPE, _SLIMMEST_ENVELOPE = 2e-3, 1e-4
+_REACH = 1.25  # of the snapping, in envelopes: a point near an edge is off two faces
+_MOST_CELLS = 300_000
+
+
+def tetrahedral_mesh(design: SensorDesign, grading: Grading) -> Mesh:
+    """Mesh any body by tetrahedra, fine at the electrode edges (Hu et al. 2020, fTetWild).
+
+    fTetWild may move the boundary by its envelope, here a quarter of the finest size at most;
+    points of the boundary are then put back on the body's faces, edges and corners. Points are
+    numbered by rising x. Interfaces between layers of different conductivity are not fitted.
+
+    Two runs give different meshes of the same sizes and quality: fTetWild cannot be seeded.
+
+    Args:
+        design: the sensor.
+        grading: edge lengths; `layers` is not used.
+
+    Raises:
+        ConfigurationError: where sizes are so small that it would take many minutes, or where no
+            mesh of the body was found.
+        ImportError: where pytetwild is missing.
+    """
+    tetwild = require("pytetwild", "mesh")
+    surface = TriangleSurface.of(*_surface(design.outline, design.thickness))
+    diagonal = float(np.linalg.norm(np.ptp(surface.points, axis=0)))
+    envelope = min(0.25 * grading.finest, _WIDEST_ENVELOPE * diagonal)
+    _require_feasible(design, grading, envelope / diagonal)
+    places, tetrahedra, sizes = _sizing(design, grading, surface.points)
+    # fTetWild leaves a file in the working directory.
+    with TemporaryDirectory() as scratch, contextlib.chdir(scratch):
+        points, cells = tetwild.tetrahedralize(
+            surface.points,
+            surface.faces.astype(np.int32),
+            edge_length_abs=grading.coarsest,
+            epsilon=envelope / diagonal,
+            num_threads=1,
+            vtk_ordering=True,
+            bg_vertices=places,
+            bg_tets=tetrahedra,
+            bg_values=sizes,
+        )
+    cells = _oriented(points, cells.astype(np.int64))
+    points = snapped(points, cells, surface, _REACH * envelope)
+    if isinstance(design.outline, Disc):
+        points = _on_circle(design.outline, points, cells)
+    points, cells = numbered_along_x(points, cells)
+    return Mesh(points, cells, electrode_contacts(points, cells, design.patches()), None)
+
+
+def _surface(outline: Outline, thickness: float) -> tuple[Array, Numbers]:
+    """Points (n, 3) [m] and faces (k, 3) of the body, counter-clockwise seen from outside."""
+    if isinstance(outline, Surface):
+        return outline.triangles()
+    rim = np.arange(_CHORDS if isinstance(outline, Disc) else 0) / _CHORDS
+    plane, lower = coarse_triangulation(outline, rim * outline.perimeter, np.inf)
+    count = len(plane)
+    bottom, top = (np.column_stack([plane, np.full(count, z)]) for z in (0.0, thickness))
+    # The rim's edges are those that no other triangle runs through the other way.
+    sides = lower[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    lone = ~np.isin(sides @ [count, 1], sides[:, ::-1] @ [count, 1])
+    a, b = sides[lone].T
+    walls = [np.column_stack([a, b, b + count]), np.column_stack([a, b + count, a + count])]
+    return np.concatenate([bottom, top]), np.concatenate([lower[:, ::-1], lower + count, *walls])
+
+
+def _sizing(design: SensorDesign, grading: Grading, points: Array) -> tuple[Array, Numbers, Array]:
+    """Edge lengths [m] on tetrahedra around the body: places, corners, and lengths at places."""
+    edges = design.edges(_SPACING * grading.finest)
+    low, high = points.min(axis=0), points.max(axis=0)
+    margin = 0.1 * float((high - low).max())
+    step = max(2.0 * grading.coarsest, margin / 3.0)
+    counts = np.ceil((high - low + 2.0 * margin) / step).astype(int) + 1
+    lines = [
+        np.linspace(a - margin, b + margin, n) for a, b, n in zip(low, high, counts, strict=True)
+    ]
+    lattice = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 3)
+    # A little disorder spares the tetrahedra without volume that a lattice gives.
+    lattice += 1e-3 * step * np.random.default_rng(0).uniform(-1.0, 1.0, lattice.shape)
+    tree = cKDTree(edges)
+    far = tree.query(lattice)[0] > _SPACING * grading.finest
+    places = np.unique(np.concatenate([edges, lattice[far]]).round(12), axis=0)
+    tetrahedra = Delaunay(places).simplices
+    solid = np.abs(volumes(places, tetrahedra)) > 1e-12 * step**3
+    distance, _ = tree.query(places)
+    sizes = np.minimum(grading.coarsest, _AT_EDGES * grading.finest + grading.growth * distance)
+    return places, tetrahedra[solid].astype(np.int32), sizes
+
+
+def _on_circle(disc: Disc, points: Array, cells: Numbers) -> Array:
+    """Points with those of the wall, which are on chords, moved outwards onto the circle."""
+    boundary = np.unique(boundary_faces(cells)[0])
+    _, depth = disc.nearest(points[boundary, :2])
+    rim = boundary[depth < 1.001 * disc.radius * (1.0 - np.cos(np.pi / _CHORDS))]
+    arc, _ = disc.nearest(points[rim, :2])
+    moved = points.copy()
+    moved[rim, :2] = disc.at(arc)
+    return moved
+
+
+def _require_feasible(design: SensorDesign, grading: Grading, envelope: float) -> None:
+    """Raise ConfigurationError where fTetWild would take far too long.
+
+    With edges of length s there are about 8.5 tetrahedra in s^3; around a straight electrode edge
+    of length l on a wall there are 8.5 pi l / (2 growth^2 finest) more.
+    """
+    outline, spacing = design.outline, _SPACING * grading.finest
+    volume = outline.length * outline.width * design.thickness
+    length = len(design.edges(spacing)) * spacing
+    around = 0.5 * np.pi * length / (grading.growth**2 * grading.finest)
+    cells = 8.5 * (volume / grading.coarsest**3 + around)
+    if cells > _MOST_CELLS or envelope < _SLIMMEST_ENVELOPE:
+        least = grading.finest * max(1.0, _SLIMMEST_ENVELOPE / envelope)
+        raise ConfigurationError(
+            f"about {cells:.2g} tetrahedra with edges down to {grading.finest:g} m would take too "
+            f"long: at most {_MOST_CELLS:.0e} with edges of at least {least:.2g} m are possible; "
+            "choose larger sizes or more growth, or use hexahedra or prisms"
+        )
+
+
+def _oriented(points: Array, cells: Numbers) -> Numbers:
+    """Cells turned to positive volume; raises ConfigurationError if there are none."""
+    if not len(cells):
+        raise ConfigurationError(
+            "fTetWild found no tetrahedra inside the body; choose smaller sizes, or repair the "
+            "surface where it meets itself"
+        )
+    inverted = volumes(points, cells) < 0.0
+    cells[inverted] = cells[inverted][:, [0, 2, 1, 3]]
+    return cells

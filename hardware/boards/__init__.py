@@ -1,0 +1,1 @@
+"""Boards that give frames: on a serial port, printing text, or replayed from a recording."""

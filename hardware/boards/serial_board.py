@@ -1,0 +1,368 @@
+"""The host's side of the wire: a board on a serial port.
+
+Nothing is made up here. What is lost is counted, what is damaged is dropped and counted, and a
+board that has fallen silent is an error, never an old frame.
+"""
+
+import logging
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
+
+from eitskin.closing import Closing
+from eitskin.errors import ConfigurationError, DeviceError
+from eitskin.frame import Frame, Status
+from eitskin.hardware.boards.board import Counts, silence_after
+from eitskin.hardware.boards.held_port import BACKLOG, CHUNK, HeldPort, UnrecoverableError
+from eitskin.hardware.boards.port import Port
+from eitskin.hardware.protocol.messages import (
+    Ack,
+    Calibrate,
+    Event,
+    FrameData,
+    GetTable,
+    Hello,
+    Info,
+    Message,
+    MessageError,
+    Reply,
+    Request,
+    Start,
+    Stop,
+    Table,
+    pack,
+    unpack,
+)
+from eitskin.hardware.protocol.packets import Decoder, Drop, encode
+from eitskin.protocol import Protocol
+
+if TYPE_CHECKING:
+    from eitskin.hardware.virtual.stage import Stage
+
+REPLY_WITHIN = 0.5  # s
+TRIES = 3
+
+log = logging.getLogger(__name__)
+Answer = TypeVar("Answer", bound=Message)
+
+
+class SerialBoard(Closing):
+    """A board behind a port that is open; see `eitskin.hardware.Board`.
+
+    Attributes:
+        uri: what it was opened as.
+        info: who it is; replaced when it has restarted.
+        protocol: what it measures.
+        stage: what happens to it, for a virtual board; None for a real one.
+        events: the last lines of text that its firmware sent.
+    """
+
+    def __init__(
+        self,
+        connect: Callable[[], Port],
+        uri: str,
+        clock: Callable[[], float] = time.monotonic,
+        and_close: Callable[[], None] = lambda: None,
+        stage: "Stage | None" = None,
+    ) -> None:
+        """Ask the board who it is and what it measures.
+
+        Args:
+            connect: gives an open port, which reads what there is after a short while; called again
+                by `reconnect`.
+            uri: to name it in messages.
+            clock: seconds, to know how long it has been silent.
+            and_close: called once when the board is closed.
+            stage: what happens to it, for a virtual board.
+
+        Raises DeviceError where it does not answer as expected.
+        """
+        self.uri, self.stage = uri, stage
+        self.events: deque[Event] = deque(maxlen=20)
+        self._clock, self._and_close = clock, and_close
+        self._decoder = Decoder()
+        self._inbox: deque[Message] = deque()
+        self._malformed = ""
+        self._seq = 0
+        self._expected: int | None = None
+        self._restarted = self._resuming = False
+        self._frames = self._lost = self._skipped = self._reconnections = 0
+        try:
+            self._port = HeldPort(connect, uri)
+        except BaseException:
+            and_close()
+            raise
+        try:
+            self.info = self._meet()
+            self.protocol = self._read_protocol()
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def lost(self) -> int:
+        """Frames lost so far, by their numbers."""
+        return self._lost
+
+    @property
+    def counts(self) -> Counts:
+        """What has come through so far."""
+        dropped = {reason.value: n for reason, n in sorted(self._decoder.drops.items())}
+        return Counts(self._frames, self._lost, self._skipped, dropped, self._reconnections)
+
+    def frames(self, newest: bool = False) -> Iterator[Frame]:
+        """Start the board and give its frames as they come.
+
+        Args:
+            newest: give only the newest of the frames that are waiting; the others are counted
+                as skipped.
+
+        Raises DeviceError where three periods pass without a frame, or the board goes away.
+        """
+        self._port.clear()
+        self._inbox.clear()
+        if not self._resuming:
+            self._expected = None
+        self._start()
+        while True:
+            if newest:
+                self._discard_old()
+            frame = self._next_frame()
+            if newest:
+                frame = self._overtaken_by(frame)
+            self._frames += 1
+            yield frame
+
+    def reconnect(self) -> None:
+        """Let go of the port and connect again, after which `frames` goes on.
+
+        Frames that the board numbered meanwhile are lost and counted; where it has started anew,
+        nobody knows how many there were.
+
+        Raises:
+            DeviceError: where it is not there, or does not answer as expected; try again later.
+            UnrecoverableError: where another board answers, or the same with another table.
+        """
+        self._port.reopen()
+        self._decoder.restart()
+        self._inbox.clear()
+        found = self._meet()
+        self._require_same(found)
+        self._resuming = found.boot_count == self.info.boot_count
+        self.info = found
+        self._reconnections += 1
+
+    def calibrate(self) -> None:
+        """Have the board measure its calibration resistor again before its next frame."""
+        self._request(Calibrate(), Ack)
+
+    def close(self) -> None:
+        """Ask the board to stop and let go of the port; a second time does nothing."""
+        if self._port.closed:
+            return
+        try:
+            self._send(Stop(), self._seq + 1)
+        except DeviceError:
+            pass  # it is gone, and so needs no stopping
+        finally:
+            self._port.close()
+            self._and_close()
+
+    def _meet(self) -> Info:
+        self._read_at = self._clock()
+        self._port.clear()
+        return self._request(Hello(), Info)
+
+    def _require_same(self, found: Info) -> None:
+        known = self.info
+        if (found.uid, found.table_crc32) != (known.uid, known.table_crc32):
+            raise UnrecoverableError(
+                f"{self.uri}: expected board {known.uid.hex()}, table {known.table_crc32:08x}; "
+                f"found board {found.uid.hex()}, table {found.table_crc32:08x}; what was learned "
+                "of one sensor does not fit another, start anew"
+            )
+
+    def _read_protocol(self) -> Protocol:
+        table = self._request(GetTable(), Table)
+        said = (self.info.n_measurements, self.info.table_crc32)
+        if (len(table.rows), table.crc32) != said:
+            raise DeviceError(
+                f"{self.uri}: the board announced a table of {said[0]} measurements with CRC "
+                f"{said[1]:08x} and sent {len(table.rows)} with CRC {table.crc32:08x}; its "
+                "firmware contradicts itself, flash a good one"
+            )
+        try:
+            return Protocol.from_rows(table.rows, self.info.n_electrodes)
+        except ConfigurationError as error:
+            raise DeviceError(
+                f"{self.uri}: the board's measurement table cannot be: {error}; flash a good one"
+            ) from error
+
+    def _start(self) -> None:
+        """Start the frames; those that come before the answer are old and are passed over."""
+        self._request(Start(), Ack)
+        self._restarted = False
+
+    def _next_frame(self) -> Frame:
+        # A board that starts anew again and again gives no frame either.
+        for message in self._messages(self._patience):
+            if isinstance(message, FrameData):
+                frame = self._accept(message)
+                if frame is not None:
+                    return frame
+            else:
+                self._note(message)
+            if self._restarted:
+                self._start()
+        raise DeviceError(
+            f"{self.uri}: the stream is stale, no frame came for {self._patience:.3f} s, with one "
+            f"due every {self.info.period:.3f} s{self._hearsay()}; check power and cable, then "
+            "connect again"
+        )
+
+    @property
+    def _patience(self) -> float:
+        """How long no frame may come [s]."""
+        return silence_after(self.info.period)
+
+    def _discard_old(self) -> None:
+        """Throw away what waits in a port that nobody has read for long.
+
+        Its queues are full of the oldest frames then, and so is the board's own, which holds one.
+        """
+        if self._clock() - self._read_at > self._patience:
+            self._port.clear()
+            self._inbox.clear()
+            lost = self._lost
+            self._next_frame()
+            self._skipped += 1 + self._lost - lost  # they were there, had anyone read them
+            self._lost = lost
+
+    def _overtaken_by(self, frame: Frame) -> Frame:
+        """The newest frame among those that have arrived by now, `frame` if there is none."""
+        # A board that never pauses is not followed for ever.
+        for _ in range(BACKLOG // CHUNK):
+            while self._inbox and not self._restarted:
+                message = self._inbox.popleft()
+                if not isinstance(message, FrameData):
+                    self._note(message)
+                elif (later := self._accept(message)) is not None:
+                    self._skipped += 1
+                    frame = later
+            if self._restarted or not self._port.waiting():
+                break
+            self._receive()
+        return frame
+
+    def _accept(self, data: FrameData) -> Frame | None:
+        """The frame in `data`; None where it is late, or not of this protocol."""
+        if len(data.impedance) != len(self.protocol):
+            self._drop_malformed(
+                f"FRAME of {len(data.impedance)} channels, expected {len(self.protocol)}"
+            )
+            return None
+        gap = 0 if self._expected is None else (data.number - self._expected) % 2**32
+        if gap >= 2**31:  # behind, not ahead: numbers wrap
+            if not self._resuming:
+                self._decoder.drops[Drop.STALE] += 1
+                return None
+            gap = 0  # it counts anew, though it says that it did not start anew
+        self._resuming = False
+        self._lost += gap
+        self._expected = (data.number + 1) % 2**32
+        if data.kind != 0:
+            return None
+        status = data.status.copy()
+        status[~np.isfinite(data.impedance)] |= np.uint8(Status.NOT_FINITE)
+        return Frame(
+            impedance=data.impedance.astype(np.complex128),
+            protocol=self.protocol,
+            time=data.time,
+            number=data.number,
+            session=self.info.boot_count,
+            frequency=self.info.frequency,
+            status=status,
+        )
+
+    def _note(self, message: Message) -> None:
+        """Take in what came unasked."""
+        if isinstance(message, Event):
+            self.events.append(message)
+            log.info("%s: %s", self.uri, message.text)
+        elif isinstance(message, Info) and message.boot_count != self.info.boot_count:
+            self._require_same(message)
+            self.info = message
+            self._restarted, self._expected = True, None
+
+    def _request(self, request: Request, answer: type[Answer]) -> Answer:
+        """Send `request` until it is answered; every try has the same number."""
+        self._seq = (self._seq + 1) % 2**16
+        for _ in range(TRIES):
+            self._send(request, self._seq)
+            for message in self._messages(REPLY_WITHIN):
+                if isinstance(message, Ack):
+                    if message.request != self._seq:
+                        continue
+                    self._require_done(request, message)
+                if isinstance(message, answer):
+                    return message
+                self._note(message)
+        raise DeviceError(
+            f"{self.uri}: expected an answer to {type(request).__name__.upper()} within "
+            f"{REPLY_WITHIN:g} s, none came in {TRIES} tries{self._hearsay()}; check that this is "
+            "the EIT board, its power and its cable"
+        )
+
+    def _require_done(self, request: Request, ack: Ack) -> None:
+        if ack.status != Reply.DONE:
+            known = ack.status in Reply.__members__.values()
+            reason = Reply(ack.status).name.lower() if known else f"status {ack.status}"
+            raise DeviceError(
+                f"{self.uri}: the board refused {type(request).__name__.upper()}: "
+                f"{reason.replace('_', ' ')}{self._hearsay()}; check that its firmware fits this "
+                "eitskin"
+            )
+
+    def _hearsay(self) -> str:
+        """What came instead of what was expected."""
+        if self.events and self.events[-1].level > 0:
+            return f" (its firmware says: {self.events[-1].text})"
+        drops = self._decoder.drops
+        if drops[Drop.VERSION]:
+            return " (it speaks another version of the protocol: update eitskin or the firmware)"
+        if self._malformed:
+            return f" (it sent {self._malformed})"
+        if drops.total():
+            return f" (dropped: {dict(self.counts.dropped)}; a wrong baud rate looks like this)"
+        return ""
+
+    def _send(self, request: Request, seq: int) -> None:
+        self._port.write(encode(pack(request, seq)))
+
+    def _messages(self, seconds: float) -> Iterator[Message]:
+        """What comes within so many seconds; what is not taken stays for the next time."""
+        deadline = self._clock() + seconds
+        while True:
+            # Look before giving up: this process may have slept past the deadline itself.
+            if not self._inbox:
+                self._receive()
+            while self._inbox:
+                yield self._inbox.popleft()
+            if self._clock() >= deadline:
+                return
+
+    def _receive(self) -> None:
+        """Read once and decode; waits a short while at most."""
+        self._read_at = self._clock()
+        for packet in self._decoder.feed(self._port.read()):
+            try:
+                self._inbox.append(unpack(packet))
+            except MessageError as error:
+                self._drop_malformed(str(error))
+
+    def _drop_malformed(self, what: str) -> None:
+        self._decoder.drops[Drop.MALFORMED] += 1
+        self._malformed = what

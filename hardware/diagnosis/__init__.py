@@ -1,0 +1,1 @@
+"""The sensor check: what is wrong with electrodes, wires and front end."""

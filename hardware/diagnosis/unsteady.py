@@ -1,0 +1,83 @@
+"""What changes from frame to frame that should not, and what does not that should."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from eitskin.hardware.diagnosis.checked_frames import SHORT, Array, Bools, CheckedFrames, blamed
+from eitskin.hardware.diagnosis.finding import Finding, What, indices, located
+
+MOVED, TOUCHED = 0.003, 0.0003
+"""Of a value, from one quarter of the check to another: of all in common, and beside that, rms."""
+UNLIKELY = 6.0
+"""Mean square of the latter in standard deviations; it is 1 where nothing moves."""
+NOISY, NOISE = 4.0, 0.001
+"""Times the noise of the other channels, and of its value, before a channel counts as noisy."""
+NOISY_BOARD = 0.005
+"""Of the value, in the median channel."""
+FEWEST_FOR_NOISE = 8
+
+
+def frozen(seen: CheckedFrames) -> Iterator[Finding]:
+    """Values that repeat to the last bit, which no measurement does."""
+    same = np.diff(np.where(seen.finite, seen.impedance, 0.0), axis=0) == 0
+    if len(same) < 2 or not seen.usable.any():
+        return
+    same[:, ~seen.usable] = True
+    repeats = int(same.all(axis=1).sum())
+    if repeats >= 2:
+        text = (
+            f"{repeats} of {len(same) + 1} frames repeat the one before: the board sends old "
+            "values; restart it"
+        )
+        yield Finding(What.FROZEN, (), tuple(range(len(seen.expected))), text)
+        return
+    if (stuck := same.all(axis=0) & seen.usable & ~seen.opened & ~seen.shorted).any():
+        remedy = "its value never changes, not even by noise: check its multiplexer path"
+        yield from located(What.STUCK, stuck, seen, "is stuck", remedy)
+
+
+def unsteady(seen: CheckedFrames, rest: Bools) -> Iterator[Finding]:
+    """Noise and movement."""
+    if len(seen.impedance) < FEWEST_FOR_NOISE or not rest.any():
+        return
+    value, noise = np.abs(seen.value), seen.noise
+    relative = noise / np.maximum(value, SHORT * seen.expected)
+    usual = float(np.median(noise[rest]))
+    if (whole := float(np.median(relative[rest]))) > NOISY_BOARD:
+        text = (
+            f"all values scatter by {100 * whole:.1f} % from frame to frame: check ground, shield "
+            "and supply of the board, and that nothing moves"
+        )
+        yield Finding(What.NOISY, (), indices(rest), text)
+    elif (noisy := rest & (noise > NOISY * usual) & (relative > NOISE)).any():
+        yield from located(What.NOISY, noisy, seen, "is noisy", "a loose wire or plug does this")
+        rest = rest & ~noisy
+    yield from _moved(seen, rest, np.maximum(relative, np.median(relative[rest])))
+
+
+def _moved(seen: CheckedFrames, rest: Bools, noise: Array) -> Iterator[Finding]:
+    """Changes beyond the noise, relative, from quarter to quarter of the check."""
+    value = np.where(seen.value == 0.0, 1.0, seen.value)
+    values = (np.where(seen.finite, seen.impedance, value) / value)[:, rest]
+    means = np.array([quarter.mean(axis=0) for quarter in np.array_split(values.real, 4)])
+    changes = (means[:, None] - means[None]).reshape(16, -1)
+    common = np.median(changes, axis=1)
+    chance = np.maximum(noise[rest] * np.sqrt(2 * 4 / len(values)), np.finfo(float).eps)
+    beside = changes - common[:, None]
+    touched = np.sqrt((beside**2).mean(axis=1)) > TOUCHED
+    touched &= ((beside / chance) ** 2).mean(axis=1) > UNLIKELY
+    if not touched.any() and np.abs(common).max() <= max(MOVED, 3.0 * np.median(chance)):
+        return
+    largest = np.abs(changes).max(axis=0)
+    moved = np.zeros_like(rest)
+    moved[rest] = largest > np.maximum(MOVED, UNLIKELY * chance)
+    electrodes, others = blamed(moved, seen.protocol)
+    text = f"values changed by up to {100 * float(largest.max()):.2g} % during the check: "
+    if len(electrodes) == 1 and not others:
+        (e,) = electrodes
+        text += f"the contact of electrode {e} is loose, press its wire into the gel, check plug "
+        yield Finding(What.MOVED, (e,), indices(moved), f"{text}{e}")
+        return
+    text += "lay the sensor flat, leave it untouched, let it settle, and check again"
+    yield Finding(What.MOVED, (), indices(moved), text)

@@ -1,0 +1,214 @@
+"""A reading as standard ROS 2 messages: which topics, of which types, in which units."""
+
+import json
+import math
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.extras import require
+from eitskin.frame import Frame, Status
+from eitskin.hardware.live import Estimate, Reading
+
+FRAME_ID = "eitskin"
+"""Of all headers: coordinates of the flat sensor, x along and y across it, z = 0 its face."""
+
+TOPICS = {
+    "/eitskin/sensor": "std_msgs/msg/String",
+    "/eitskin/impedance": "std_msgs/msg/Float64MultiArray",
+    "/eitskin/bend": "sensor_msgs/msg/JointState",
+    "/eitskin/touch_map": "sensor_msgs/msg/Image",
+    "/eitskin/touches": "sensor_msgs/msg/PointCloud2",
+    "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
+}
+
+TOUCH_FIELDS = ("x", "y", "z", "strength", "force", "deviation")
+_FLOAT32 = 7  # sensor_msgs/PointField
+_OK, _WARN, _ERROR = 0, 1, 2  # diagnostic_msgs/DiagnosticStatus
+
+
+class Messages:
+    """Makes messages of readings, and the bytes (CDR) that stand for them in a bag.
+
+    Attributes:
+        store: rosbags' definitions of the standard messages; the same in every ROS 2.
+    """
+
+    def __init__(self) -> None:
+        """Raises ImportError, naming the extra, where rosbags is missing."""
+        require("rosbags", "ros")
+        from rosbags.typesys import Stores, get_typestore
+
+        self.store: Any = get_typestore(Stores.ROS2_HUMBLE)
+
+    def serialised(self, topic: str, message: Any) -> bytes:
+        """The message as it is written to `topic`."""
+        return bytes(self.store.serialize_cdr(message, TOPICS[topic]))
+
+    def sensor(self, frame: Frame) -> Any:
+        """/eitskin/sensor: what is measured, and the units of every topic, as JSON."""
+        text = {
+            "measurements": frame.protocol.labels,
+            "protocol": asdict(frame.protocol),
+            "frequency_Hz": frame.frequency,
+            "units": {
+                "/eitskin/impedance": "ohm; real, imaginary",
+                "/eitskin/bend": "rad",
+                "/eitskin/touch_map": "probability 0 to 1; rows and columns grow with y and x",
+                "/eitskin/touches": "x, y, z, deviation: m; force: N; strength: 0 to 1",
+            },
+        }
+        return self._make("std_msgs/msg/String", data=json.dumps(text))
+
+    def of(self, reading: Reading, stamp: int) -> dict[str, Any]:
+        """Messages by topic of one reading at `stamp` [ns]; those of an estimate where it has one.
+
+        The stamp is that of the frame, not of the estimate, which is ready a little later.
+        """
+        frame, estimate = reading.frame, reading.estimate
+        header = self._header(stamp)
+        said = {"/eitskin/impedance": self._impedance(frame)}
+        if estimate is not None:
+            said["/eitskin/bend"] = self._make(
+                "sensor_msgs/msg/JointState",
+                header=header,
+                name=["bend"],
+                position=np.radians([estimate.bend_angle_deg]),
+                velocity=np.zeros(0),
+                effort=np.zeros(0),
+            )
+            said["/eitskin/touch_map"] = self._image(header, estimate.touch_map)
+            said["/eitskin/touches"] = self._points(header, touch_rows(estimate))
+        statuses = [self._sensor_status(reading), self._channel_status(frame)]
+        said["/diagnostics"] = self._make(
+            "diagnostic_msgs/msg/DiagnosticArray", header=header, status=statuses
+        )
+        return said
+
+    def _make(self, kind: str, **fields: Any) -> Any:
+        return self.store.types[kind](**fields)
+
+    def _header(self, stamp: int) -> Any:
+        seconds, nanoseconds = divmod(stamp, 10**9)
+        time = self._make("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds)
+        return self._make("std_msgs/msg/Header", stamp=time, frame_id=FRAME_ID)
+
+    def _impedance(self, frame: Frame) -> Any:
+        channels = len(frame.protocol)
+        shape = (("measurement", channels, 2 * channels), ("real, imaginary [ohm]", 2, 2))
+        dimensions = [
+            self._make("std_msgs/msg/MultiArrayDimension", label=label, size=size, stride=stride)
+            for label, size, stride in shape
+        ]
+        layout = self._make("std_msgs/msg/MultiArrayLayout", dim=dimensions, data_offset=0)
+        return self._make(
+            "std_msgs/msg/Float64MultiArray", layout=layout, data=frame.impedance.view(float)
+        )
+
+    def _image(self, header: Any, touch_map: NDArray[np.floating]) -> Any:
+        values = np.ascontiguousarray(touch_map, dtype="<f4")
+        rows, columns = values.shape
+        return self._make(
+            "sensor_msgs/msg/Image",
+            header=header,
+            height=rows,
+            width=columns,
+            encoding="32FC1",
+            is_bigendian=0,
+            step=4 * columns,
+            data=values.reshape(-1).view(np.uint8),
+        )
+
+    def _points(self, header: Any, rows: NDArray[np.float32]) -> Any:
+        fields = [
+            self._make(
+                "sensor_msgs/msg/PointField", name=name, offset=4 * i, datatype=_FLOAT32, count=1
+            )
+            for i, name in enumerate(TOUCH_FIELDS)
+        ]
+        step = 4 * len(TOUCH_FIELDS)
+        return self._make(
+            "sensor_msgs/msg/PointCloud2",
+            header=header,
+            height=1,
+            width=len(rows),
+            fields=fields,
+            is_bigendian=False,
+            point_step=step,
+            row_step=step * len(rows),
+            data=rows.reshape(-1).view(np.uint8),
+            is_dense=bool(np.isfinite(rows).all()),
+        )
+
+    def _sensor_status(self, reading: Reading) -> Any:
+        """State and doubts; values that are not known are left out."""
+        frame, estimate = reading.frame, reading.estimate
+        values: dict[str, object] = {
+            "session": frame.session,
+            "number": frame.number,
+            "time [s]": frame.time,
+            "frequency [Hz]": frame.frequency,
+            "unusable frames": reading.unusable,
+            "latency [s]": reading.latency,
+            "rate [Hz]": reading.rate,
+        }
+        level, message = (_ERROR, reading.problem) if reading.problem else (_OK, "not estimated")
+        if estimate is not None:
+            state = getattr(estimate.state, "name", str(estimate.state)).lower()
+            level = _WARN if estimate.problems else _OK
+            message = "; ".join((state, *estimate.problems))
+            values["state"] = state
+            values["bend angle [deg]"] = estimate.bend_angle_deg
+            values["bend deviation [deg]"] = getattr(estimate, "bend_deviation_deg", math.nan)
+            values |= {
+                f"probability {i}": float(value) for i, value in enumerate(estimate.probabilities)
+            }
+        known = {
+            name: value
+            for name, value in values.items()
+            if not (isinstance(value, float) and math.isnan(value))
+        }
+        return self._status("eitskin: sensor", level, message, known)
+
+    def _channel_status(self, frame: Frame) -> Any:
+        """The board's status of each measurement, by its label."""
+        health = [Status(int(bits)).name or str(bits) if bits else "good" for bits in frame.status]
+        bad = sum(each != "good" for each in health)
+        return self._status(
+            "eitskin: channels",
+            _WARN if bad else _OK,
+            f"{bad} of {len(health)} channels are bad" if bad else "all channels are good",
+            dict(zip(frame.protocol.labels, health, strict=True)),
+        )
+
+    def _status(self, name: str, level: int, message: str, values: dict[str, Any]) -> Any:
+        pairs = [
+            self._make("diagnostic_msgs/msg/KeyValue", key=key, value=_text(value))
+            for key, value in values.items()
+        ]
+        return self._make(
+            "diagnostic_msgs/msg/DiagnosticStatus",
+            level=level,
+            name=name,
+            message=message,
+            hardware_id=FRAME_ID,
+            values=pairs,
+        )
+
+
+def touch_rows(estimate: Estimate) -> NDArray[np.float32]:
+    """The k touches as rows of `TOUCH_FIELDS` (k, 6); NaN where the pipeline does not say."""
+    rows = np.full((len(estimate.touches), len(TOUCH_FIELDS)), np.nan, dtype="<f4")
+    found = getattr(estimate, "found", None)
+    for row, (x, y, strength) in zip(rows, estimate.touches, strict=True):
+        row[:4] = x, y, 0.0, strength
+    if found is not None:
+        rows[:, 4], rows[:, 5] = found.force, found.deviation
+    return rows
+
+
+def _text(value: object) -> str:
+    """Floats in as many digits as they have, so that nothing is lost."""
+    return repr(value) if isinstance(value, float) else str(value)

@@ -1,0 +1,1 @@
+"""The wire protocol between host and board: packets and messages."""

@@ -1,0 +1,320 @@
+"""Messages between host and board: what each says, and its bytes, little-endian.
+
+`docs/wire-protocol.md` is the written form of this module.
+"""
+
+import math
+import struct
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.errors import ConfigurationError, DeviceError
+from eitskin.hardware.protocol.packets import MAX_PAYLOAD, Packet
+from eitskin.protocol import Protocol
+
+MAGIC = b"EITS"
+
+_START = struct.Struct("<I")
+_INFO = struct.Struct("<4s16s12sIBBIffffI")
+_ACK = struct.Struct("<HBB")
+_FRAME = struct.Struct("<IQIBBH")
+_EVENT = struct.Struct("<BH")
+_BYTES_PER_CHANNEL = 9  # re f32, im f32, status u8
+MAX_CHANNELS = (MAX_PAYLOAD - _FRAME.size) // _BYTES_PER_CHANNEL
+
+
+class Type(IntEnum):
+    """Message types: below 0x80 from the host, from 0x80 on from the board."""
+
+    HELLO = 0x01
+    START = 0x02
+    STOP = 0x03
+    GET_TABLE = 0x04
+    CALIBRATE = 0x05
+    INFO = 0x81
+    ACK = 0x82
+    FRAME = 0x83
+    EVENT = 0x84
+    TABLE = 0x85
+
+
+class Reply(IntEnum):
+    """Status of an ACK."""
+
+    DONE = 0
+    UNKNOWN_TYPE = 1
+    MALFORMED = 2
+    BUSY = 3
+    FAILED = 4
+
+
+class MessageError(DeviceError):
+    """A packet that came whole and yet is no message of this protocol."""
+
+
+@dataclass(frozen=True, slots=True)
+class Hello:
+    """Asks the board who it is; answered by Info."""
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """Asks for `frames` frames, for ever if 0; said again, it starts the count again."""
+
+    frames: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Stop:
+    """Asks for no more frames."""
+
+
+@dataclass(frozen=True, slots=True)
+class GetTable:
+    """Asks which electrodes are measured; answered by Table."""
+
+
+@dataclass(frozen=True, slots=True)
+class Calibrate:
+    """Asks the board to measure its calibration resistor again."""
+
+
+@dataclass(frozen=True, slots=True)
+class Info:
+    """Who the board is; the answer to Hello, and said once on boot.
+
+    Attributes:
+        firmware: its name and version, at most 16 ASCII characters.
+        uid: of the microcontroller, 12 bytes.
+        boot_count: how often the board has started; another one voids all references.
+        n_electrodes, n_measurements: of its measurement table.
+        table_crc32: CRC-32 of the table as it is sent.
+        frequency: of the excitation [Hz].
+        amplitude: of the excitation [V]; NaN where unknown.
+        rtia, rcal: gain and calibration resistors [ohm]; NaN where unknown.
+        period: from one frame to the next [s], to the microsecond.
+    """
+
+    firmware: str
+    uid: bytes
+    boot_count: int
+    n_electrodes: int
+    n_measurements: int
+    table_crc32: int
+    frequency: float
+    amplitude: float
+    rtia: float
+    rcal: float
+    period: float
+
+
+@dataclass(frozen=True, slots=True)
+class Ack:
+    """The answer to request number `request` of type `type`."""
+
+    request: int
+    type: int
+    status: int = Reply.DONE
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameData:
+    """One frame as the board measured it.
+
+    Attributes:
+        number: counts frames since boot, modulo 2**32.
+        time: when the frame began, since boot [s], to the microsecond.
+        duration: of its measurements [s], to the microsecond.
+        impedance: (n,) complex64 [ohm]; may hold NaN and infinity.
+        status: (n,) uint8, bits of `eitskin.simulator.Status`.
+        kind: 0, a measurement of the sensor; others are reserved.
+        flags: reserved, 0.
+    """
+
+    number: int
+    time: float
+    duration: float
+    impedance: NDArray[np.complex64]
+    status: NDArray[np.uint8]
+    kind: int = 0
+    flags: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """A line of text from the firmware; level 0 note, 1 warning, 2 error."""
+
+    level: int
+    code: int
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Which electrodes are measured: rows of (drive+, drive-, sense+, sense-)."""
+
+    rows: tuple[tuple[int, int, int, int], ...]
+
+    @classmethod
+    def of(cls, protocol: Protocol) -> "Table":
+        """The table of `protocol`; raises ConfigurationError where a board cannot hold it."""
+        if len(protocol) > MAX_CHANNELS:
+            raise ConfigurationError(
+                f"one frame on the wire holds at most {MAX_CHANNELS} measurements, the protocol "
+                f"has {len(protocol)}; measure fewer"
+            )
+        return cls(protocol.table)
+
+    @property
+    def crc32(self) -> int:
+        """CRC-32 of the table as it is sent."""
+        return zlib.crc32(_pack_table(self))
+
+
+Request = Hello | Start | Stop | GetTable | Calibrate
+Message = Request | Info | Ack | FrameData | Event | Table
+
+
+def pack(message: Message, seq: int) -> Packet:
+    """`message` as packet number `seq`, modulo 65536."""
+    type_, packed = _PACK[type(message)]
+    return Packet(type_, seq & 0xFFFF, packed(message))
+
+
+def unpack(packet: Packet) -> Message:
+    """The message that `packet` carries; raises MessageError where it carries none."""
+    try:
+        name = Type(packet.type)
+    except ValueError:
+        raise MessageError(
+            f"expected a message type from 0x01 to 0x05 or 0x81 to 0x85, got {packet.type:#04x}"
+        ) from None
+    try:
+        return _UNPACK[name](packet.payload)
+    except (struct.error, UnicodeDecodeError) as error:
+        raise MessageError(
+            f"{name.name} of {len(packet.payload)} bytes does not fit: {error}"
+        ) from error
+
+
+def _pack_info(info: Info) -> bytes:
+    return _INFO.pack(
+        MAGIC,
+        info.firmware.encode("ascii"),
+        info.uid,
+        info.boot_count,
+        info.n_electrodes,
+        info.n_measurements,
+        info.table_crc32,
+        info.frequency,
+        info.amplitude,
+        info.rtia,
+        info.rcal,
+        round(info.period * 1e6),
+    )
+
+
+def _unpack_info(payload: bytes) -> Info:
+    magic, name, uid, boots, n_el, n_meas, crc, *analog, period_us = _INFO.unpack(payload)
+    firmware = name.rstrip(b"\0").decode("ascii")
+    frequency, amplitude, rtia, rcal = analog
+    period = period_us * 1e-6
+    info = Info(firmware, uid, boots, n_el, n_meas, crc, frequency, amplitude, rtia, rcal, period)
+    _require("INFO", "magic", magic == MAGIC, f"{MAGIC!r}", magic)
+    _require("INFO", "n_el", info.n_electrodes >= 2, "at least 2", info.n_electrodes)
+    n = info.n_measurements
+    _require("INFO", "n_meas", 1 <= n <= MAX_CHANNELS, f"1 to {MAX_CHANNELS}", n)
+    for name in ("frequency", "amplitude", "rtia", "rcal"):
+        value = getattr(info, name)
+        _require("INFO", name, math.isfinite(value) and value > 0, "finite and positive", value)
+    _require("INFO", "period_us", period_us > 0, "at least 1", period_us)
+    return info
+
+
+def _pack_frame(frame: FrameData) -> bytes:
+    n = len(frame.impedance)
+    times = round(frame.time * 1e6), round(frame.duration * 1e6)
+    head = _FRAME.pack(frame.number & 0xFFFFFFFF, *times, frame.kind, n, frame.flags)
+    return head + frame.impedance.astype("<c8").tobytes() + frame.status.tobytes()
+
+
+def _unpack_frame(payload: bytes) -> FrameData:
+    number, time_us, duration_us, kind, n, flags = _FRAME.unpack_from(payload)
+    expected = _FRAME.size + _BYTES_PER_CHANNEL * n
+    _require("FRAME", "length", len(payload) == expected, f"{expected} for n = {n}", len(payload))
+    _require("FRAME", "n", n >= 1, "at least 1", n)
+    return FrameData(
+        number=number,
+        time=time_us * 1e-6,
+        duration=duration_us * 1e-6,
+        impedance=np.frombuffer(payload, "<c8", n, _FRAME.size),
+        status=np.frombuffer(payload, np.uint8, n, _FRAME.size + 8 * n),
+        kind=kind,
+        flags=flags,
+    )
+
+
+def _pack_event(event: Event) -> bytes:
+    text = event.text.encode("utf-8")[: MAX_PAYLOAD - _EVENT.size]
+    return _EVENT.pack(event.level, event.code) + text
+
+
+def _unpack_event(payload: bytes) -> Event:
+    level, code = _EVENT.unpack_from(payload)
+    # The text is for people: a damaged letter is no reason to lose the rest of it.
+    return Event(level, code, payload[_EVENT.size :].decode("utf-8", errors="replace"))
+
+
+def _pack_table(table: Table) -> bytes:
+    return bytes(electrode for row in table.rows for electrode in row)
+
+
+def _unpack_table(payload: bytes) -> Table:
+    whole = len(payload) > 0 and len(payload) % 4 == 0
+    _require("TABLE", "length", whole, "a positive multiple of 4", len(payload))
+    return Table(tuple(struct.iter_unpack("<4B", payload)))
+
+
+def _empty(message: Callable[[], Message]) -> Callable[[bytes], Message]:
+    def unpack_nothing(payload: bytes) -> Message:
+        name = getattr(message, "__name__", "")
+        _require(name, "length", payload == b"", "0", len(payload))
+        return message()
+
+    return unpack_nothing
+
+
+def _require(message: str, name: str, good: bool, expected: str, got: object) -> None:
+    if not good:
+        raise MessageError(f"{message}: {name} must be {expected}, got {got!r}")
+
+
+_PACK: dict[type, tuple[Type, Callable[..., bytes]]] = {
+    Hello: (Type.HELLO, lambda _: b""),
+    Start: (Type.START, lambda start: _START.pack(start.frames)),
+    Stop: (Type.STOP, lambda _: b""),
+    GetTable: (Type.GET_TABLE, lambda _: b""),
+    Calibrate: (Type.CALIBRATE, lambda _: b""),
+    Info: (Type.INFO, _pack_info),
+    Ack: (Type.ACK, lambda ack: _ACK.pack(ack.request, ack.type, ack.status)),
+    FrameData: (Type.FRAME, _pack_frame),
+    Event: (Type.EVENT, _pack_event),
+    Table: (Type.TABLE, _pack_table),
+}
+_UNPACK: dict[Type, Callable[[bytes], Message]] = {
+    Type.HELLO: _empty(Hello),
+    Type.START: lambda payload: Start(*_START.unpack(payload)),
+    Type.STOP: _empty(Stop),
+    Type.GET_TABLE: _empty(GetTable),
+    Type.CALIBRATE: _empty(Calibrate),
+    Type.INFO: _unpack_info,
+    Type.ACK: lambda payload: Ack(*_ACK.unpack(payload)),
+    Type.FRAME: _unpack_frame,
+    Type.EVENT: _unpack_event,
+    Type.TABLE: _unpack_table,
+}

@@ -1,0 +1,140 @@
+"""Packets on the wire: framing, checksum, and a decoder that no byte can break.
+
+    packet = 00 | COBS(version u8, type u8, seq u16, payload, crc32 u32) | 00
+
+Consistent overhead byte stuffing (Cheshire and Baker, 1999) leaves no zero inside a packet, so a
+zero always ends one, and whatever was damaged costs no more than itself.
+"""
+
+import struct
+import zlib
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+
+from eitskin.errors import ConfigurationError
+from eitskin.extras import require
+
+VERSION = 1
+MAX_PACKET = 1024
+"""Longest packet on the wire, both zeros included [bytes]."""
+
+_HEADER = struct.Struct("<BBH")
+_CRC = struct.Struct("<I")
+_MAX_STUFFED = MAX_PACKET - 2
+# A stuffed byte string is longer by one byte per 254, rounded up.
+MAX_PAYLOAD = _MAX_STUFFED - (_MAX_STUFFED + 254) // 255 - _HEADER.size - _CRC.size
+"""Longest payload that fits into a packet [bytes]."""
+
+
+class Drop(StrEnum):
+    """Why bytes were thrown away."""
+
+    TOO_LONG = "too long"
+    STUFFING = "bad stuffing"
+    TOO_SHORT = "too short"
+    CHECKSUM = "bad checksum"
+    VERSION = "other version"
+    MALFORMED = "malformed message"
+    STALE = "repeated or late frame"
+
+
+@dataclass(frozen=True, slots=True)
+class Packet:
+    """What one packet carries.
+
+    Attributes:
+        type: which message the payload is.
+        seq: number of the request, or of the packet, 0 to 65535.
+        payload: the packed message.
+    """
+
+    type: int
+    seq: int
+    payload: bytes = b""
+
+
+def encode(packet: Packet, version: int = VERSION) -> bytes:
+    """The bytes of `packet` on the wire; raises ConfigurationError for a payload too long."""
+    if len(packet.payload) > MAX_PAYLOAD:
+        raise ConfigurationError(
+            f"a packet carries at most {MAX_PAYLOAD} bytes, got {len(packet.payload)}; measure "
+            "fewer channels in one frame"
+        )
+    body = _HEADER.pack(version, packet.type, packet.seq) + packet.payload
+    stuffed: bytes = require("cobs.cobs", "hardware").encode(body + _CRC.pack(zlib.crc32(body)))
+    return b"\0" + stuffed + b"\0"
+
+
+class Decoder:
+    """Cuts a stream of bytes, however it is chopped, into packets.
+
+    Attributes:
+        drops: how often bytes were thrown away, by reason.
+    """
+
+    def __init__(self) -> None:
+        """Start between two packets."""
+        self.drops: Counter[Drop] = Counter()
+        self._cobs = require("cobs.cobs", "hardware")
+        self._partial = bytearray()
+        self._skipping = False
+
+    def restart(self) -> None:
+        """Forget what came of an unfinished packet; what follows is of another stream."""
+        self._partial.clear()
+        self._skipping = False
+
+    @property
+    def buffered(self) -> int:
+        """Bytes held of an unfinished packet; never more than `MAX_PACKET`."""
+        return len(self._partial)
+
+    def feed(self, data: bytes) -> Iterator[Packet]:
+        """The packets that `data` completes; takes any bytes, drops what is not a packet."""
+        *ended, rest = bytes(data).split(b"\0")
+        for part in ended:
+            self._extend(part)
+            packet = self._finish()
+            if packet is not None:
+                yield packet
+        self._extend(rest)
+
+    def _extend(self, part: bytes) -> None:
+        if self._skipping:
+            return
+        if len(self._partial) + len(part) > _MAX_STUFFED:
+            self.drops[Drop.TOO_LONG] += 1
+            self._partial.clear()
+            self._skipping = True
+        else:
+            self._partial += part
+
+    def _finish(self) -> Packet | None:
+        """Take what came since the last zero; None where that is nothing or no packet."""
+        stuffed = bytes(self._partial)
+        self._partial.clear()
+        self._skipping = False
+        if not stuffed:
+            return None
+        found = self._open(stuffed)
+        if isinstance(found, Drop):
+            self.drops[found] += 1
+            return None
+        return found
+
+    def _open(self, stuffed: bytes) -> Packet | Drop:
+        try:
+            body: bytes = self._cobs.decode(stuffed)
+        except self._cobs.DecodeError:
+            return Drop.STUFFING
+        if len(body) < _HEADER.size + _CRC.size:
+            return Drop.TOO_SHORT
+        content, checksum = body[: -_CRC.size], body[-_CRC.size :]
+        if _CRC.pack(zlib.crc32(content)) != checksum:
+            return Drop.CHECKSUM
+        version, type_, seq = _HEADER.unpack_from(content)
+        if version != VERSION:
+            return Drop.VERSION
+        return Packet(type_, seq, content[_HEADER.size :])

@@ -1,0 +1,1 @@
+"""The virtual board: the firmware's logic on simulated measurements, and its faults."""

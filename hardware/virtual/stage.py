@@ -1,0 +1,145 @@
+"""What happens to a virtual board while it runs: its scene, and what goes wrong with it."""
+
+import threading
+from collections import OrderedDict, deque
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.hardware.virtual.board_faults import AnswerFault
+from eitskin.hardware.virtual.fault import Fault
+from eitskin.hardware.virtual.faults import fault_name, read_faults
+from eitskin.hardware.virtual.scene_script import SceneSource, Script, Step
+from eitskin.simulator.scene.scene import Scene
+
+REMEMBERED = 4096
+"""Frames whose scene is still known; what a host has not read by then it will not ask for."""
+
+Solve = Callable[[Scene], NDArray[np.complex128]]
+Solved = tuple[Scene, NDArray[np.complex128]]
+"""A scene and its noise-free impedances, (measurements,) [ohm]."""
+
+
+class Stage:
+    """The scene and the faults of a virtual board; may be changed from any thread.
+
+    A new scene is solved by whoever sets it, so that an impossible one is refused there and the
+    board goes on in its pace.
+
+    Attributes:
+        frames: measured so far, since the board was made.
+        requests: answered so far.
+        changed: called when the faults have changed, for whoever waits.
+    """
+
+    def __init__(
+        self, solve: Solve, scenes: SceneSource | None = None, faults: Sequence[Fault] = ()
+    ) -> None:
+        """Set the stage.
+
+        Args:
+            solve: gives the noise-free impedances of a scene, (measurements,) [ohm].
+            scenes: a `Script`, or any function from frame number to scene; flat and untouched when
+                omitted. Those of a script are solved now.
+            faults: what goes wrong.
+        """
+        self.frames = self.requests = 0
+        self.changed: Callable[[], None] = lambda: None
+        self._solve, self._solving = solve, threading.Lock()
+        self._faults = tuple(faults)
+        self._injected: deque[Fault] = deque()
+        self._cleared = False
+        self._truth: OrderedDict[int, Scene] = OrderedDict()
+        self._newest = Scene()
+        self._source: Callable[[int], Solved] = self._lazily(lambda _: Scene())
+        self.play(scenes or Script((Step(Scene()),)))
+
+    @property
+    def scene(self) -> Scene:
+        """The scene of the newest frame; before the first, of the frame to come."""
+        return self._newest if self.frames else self._source(0)[0]
+
+    def set(self, scene: Scene) -> None:
+        """Have this scene from the next frame on; raises ConfigurationError if it cannot be."""
+        solved = scene, self._solved(scene)
+        self._source = lambda _: solved
+
+    def play(self, scenes: SceneSource) -> None:
+        """Follow a script from the next frame on; raises ConfigurationError if it cannot be.
+
+        The scenes of any other function are solved when their frames are due, which may be late.
+        """
+        first = self.frames
+        if not isinstance(scenes, Script):
+            self._source = self._lazily(lambda now: scenes(now - first))
+            return
+        # Solved here and kept: the board's own thread never waits for a solution.
+        known = {step.scene: self._solved(step.scene) for step in scenes.steps}
+
+        def told(now: int) -> Solved:
+            scene = scenes(now - first)
+            return scene, known[scene]
+
+        first = self.frames
+        self._source = told
+
+    def measured(self, now: int) -> NDArray[np.complex128]:
+        """Noise-free impedances of frame `now`, counted since the board was made, (n,) [ohm]."""
+        self._newest, impedance = self._source(now)
+        return impedance
+
+    def sent_as(self, number: int) -> None:
+        """Remember the newest scene as that of the frame with this number."""
+        self._truth[number] = self._newest
+        self._truth.move_to_end(number)
+        if len(self._truth) > REMEMBERED:
+            self._truth.popitem(last=False)
+
+    def truth(self, number: int) -> Scene | None:
+        """The scene that frame `number` was measured of; None for one long gone."""
+        return self._truth.get(number)
+
+    @property
+    def active(self) -> tuple[Fault, ...]:
+        """The faults, to be asked frame by frame, by the board's own thread.
+
+        What was injected begins now: only that thread knows which frame comes next.
+        """
+        if self._cleared:
+            self._cleared, self._faults = False, ()
+        while self._injected:
+            fault = self._injected.popleft()
+            fault.frame = self.requests if isinstance(fault, AnswerFault) else self.frames
+            self._faults += (fault,)
+        if any(fault.over(self.frames) for fault in self._faults):
+            self._faults = tuple(f for f in self._faults if not f.over(self.frames))
+        return self._faults
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """The faults that are still to strike or to last."""
+        begun = () if self._cleared else self._faults
+        return tuple(fault_name(fault) for fault in (*begun, *self._injected))
+
+    def inject(self, faults: str | Sequence[Fault]) -> None:
+        """Have faults strike next, "name:index,..."; raises ConfigurationError for others."""
+        self._injected.extend(read_faults(faults) if isinstance(faults, str) else faults)
+        self.changed()
+
+    def clear(self) -> None:
+        """End what lasts, and what has yet to strike."""
+        self._injected.clear()
+        self._cleared = True
+        self.changed()
+
+    def _lazily(self, scenes: SceneSource) -> "Callable[[int], Solved]":
+        def solved(now: int) -> Solved:
+            scene = scenes(now)
+            return scene, self._solved(scene)
+
+        return solved
+
+    def _solved(self, scene: Scene) -> NDArray[np.complex128]:
+        with self._solving:
+            return self._solve(scene)

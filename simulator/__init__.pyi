@@ -1,0 +1,31 @@
+"""Public names of eitskin.simulator, and where each is defined."""
+
+from eitskin.frame import (
+    Frame as Frame,
+)
+from eitskin.frame import (
+    Status as Status,
+)
+from eitskin.protocol import Protocol as Protocol
+from eitskin.simulator.electrical.forward_model import ForwardModel as ForwardModel
+from eitskin.simulator.electrical.reanalysis import (
+    EXACT as EXACT,
+)
+from eitskin.simulator.electrical.reanalysis import (
+    Tolerance as Tolerance,
+)
+from eitskin.simulator.instrument.instrument import Instrument as Instrument
+from eitskin.simulator.instrument.session import Session as Session
+from eitskin.simulator.mechanics.layer_stack import Mechanics as Mechanics
+from eitskin.simulator.scene.indenters import (
+    Cylinder as Cylinder,
+)
+from eitskin.simulator.scene.indenters import (
+    Profile as Profile,
+)
+from eitskin.simulator.scene.indenters import (
+    Sphere as Sphere,
+)
+from eitskin.simulator.scene.scene import Scene as Scene
+from eitskin.simulator.scene.touch import Touch as Touch
+from eitskin.simulator.simulator import Simulator as Simulator

@@ -1,0 +1,1 @@
+"""The complete electrode model: from a conductivity to the impedances between electrodes."""

@@ -1,0 +1,309 @@
+"""Reference elements: shape functions on one column of an extrusion, or on one tetrahedron."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal, Protocol
+
+import numpy as np
+import skfem
+from numpy.polynomial import legendre
+from numpy.typing import NDArray
+
+from eitskin.errors import ConfigurationError
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+Numbers = NDArray[np.inexact]
+Base = Literal["quadrilateral", "triangle"]
+
+
+class Element(Protocol):
+    """Shape functions and an exact quadrature rule on one reference element.
+
+    Attributes:
+        inner: how many functions, the last ones, meet neither other elements nor electrodes.
+        cells: mesh cells that make one element.
+        face_degree: polynomial degree of the functions on a face.
+    """
+
+    @property
+    def inner(self) -> int: ...  # noqa: D102
+
+    @property
+    def cells(self) -> int: ...  # noqa: D102
+
+    @property
+    def face_degree(self) -> int: ...  # noqa: D102
+
+    def indicator(self, low: float, high: float) -> Array:
+        """Coefficients, (functions,), of a function that is one from height `low` to `high` [m].
+
+        It falls to zero at the next heights of points, where there are any.
+        """
+        ...
+
+    def values(self, X: Array) -> Array:
+        """phi_i, (functions, ...), at X (3, ...)."""
+        ...
+
+    def gradients(self, X: Array) -> Array:
+        """d phi_i / dX, (functions, 3, ...), at X (3, ...)."""
+        ...
+
+    def rule(self) -> tuple[Array, Array]:
+        """Points (3, q) and weights (q,), cell by cell, exact for products of two functions."""
+        ...
+
+    def coarse_rule(self) -> tuple[Array, Array]:
+        """Few points (3, s) and weights (s,), cell by cell, for what varies little within cells."""
+        ...
+
+    def linear(self, X: Array) -> Array:
+        """As many functions as each cell has coarse points, linear along each axis, (s, ...)."""
+        ...
+
+
+def plane_element(base: Base, order: int) -> skfem.Element:
+    """The element of polynomial `order` on the unit square or triangle."""
+    if base == "triangle":
+        known = {
+            1: skfem.ElementTriP1,
+            2: skfem.ElementTriP2,
+            3: skfem.ElementTriP3,
+            4: skfem.ElementTriP4,
+        }
+        if order not in known:
+            raise ConfigurationError(f"prisms have orders 1 to 4 in the plane, got {order}")
+        return known[order]()
+    square = {1: skfem.ElementQuad1, 2: skfem.ElementQuad2}
+    return square[order]() if order in square else skfem.ElementQuadP(order)
+
+
+def _coefficients_of_one(element: skfem.Element, base: Base) -> Array:
+    """Coefficients of the function that is one: all ones, or ones at the corners."""
+    shape = skfem.refdom.RefTri if base == "triangle" else skfem.refdom.RefQuad
+    X, _ = skfem.quadrature.get_quadrature(shape, 2 * element.maxdeg)
+    values = np.stack([element.lbasis(X, i)[0] for i in range(len(element.doflocs))])
+    found = np.linalg.lstsq(values.T, np.ones(X.shape[1]))[0]
+    return np.asarray(np.round(found), dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class ExtrudedElement:
+    """A column of cells over the unit square or triangle: plane functions times upright ones.
+
+    The layer is thin, so most of a potential is the same at all heights. The upright functions
+    are hierarchical - constant, linear (hats on the inner and upper heights), then polynomial
+    bubbles within each cell - and each degree has its own order in the plane: `order` (3, 2, 1)
+    takes cubics for the constant part, quadratics for the linear part and linears for the
+    quadratic part. X holds two reference coordinates in the plane and the height itself [m].
+
+    Attributes:
+        base: of the cells.
+        order: in the plane, of the constant, linear, quadratic ... upright functions.
+        heights: of the layers of points [m].
+        condensed: whether functions that vanish on all upright faces count as inner.
+    """
+
+    base: Base
+    order: tuple[int, ...]
+    heights: tuple[float, ...]
+    condensed: bool
+
+    @property
+    def cells(self) -> int:
+        """Cells in a column."""
+        return len(self.heights) - 1
+
+    @property
+    def face_degree(self) -> int:
+        """Degree along an upright face, in the plane plus upwards."""
+        return max(self.order) + len(self.order) - 1
+
+    @cached_property
+    def planes(self) -> tuple[skfem.Element, ...]:
+        """The plane element of each upright degree."""
+        return tuple(plane_element(self.base, order) for order in self.order)
+
+    @cached_property
+    def functions(self) -> Indices:
+        """(upright degree, plane function, upright function of that degree), (functions, 3)."""
+        outer: list[tuple[int, int, int]] = []
+        inner: list[tuple[int, int, int]] = []
+        for degree, plane in enumerate(self.planes):
+            count = len(plane.doflocs)
+            for i in range(count):
+                hidden = self.condensed and i >= count - plane.interior_dofs
+                part = inner if hidden else outer
+                part += [(degree, i, m) for m in range(self.modes(degree))]
+        return np.array(outer + inner)
+
+    @cached_property
+    def inner(self) -> int:
+        """How many functions, the last ones, vanish on all upright faces."""
+        if not self.condensed:
+            return 0
+        return sum(p.interior_dofs * self.modes(d) for d, p in enumerate(self.planes))
+
+    def modes(self, degree: int) -> int:
+        """Number of upright functions of a degree."""
+        return 1 if degree == 0 else self.cells
+
+    def indicator(self, low: float, high: float) -> Array:
+        """Coefficients, (functions,), of a function that is one from height `low` to `high` [m]."""
+        h = np.array(self.heights)
+        same = 1e-9 * (h[-1] - h[0])
+        wanted = ((h > low - same) & (h < high + same)).astype(float)
+        if len(self.order) == 1:
+            wanted[:] = 1.0
+        # The constant gives the value at the lowest height, hats what others have beyond it.
+        upright = {(0, 0): wanted[0]}
+        upright |= {(1, m): wanted[m + 1] - wanted[0] for m in range(self.cells)}
+        flat = [_coefficients_of_one(plane, self.base) for plane in self.planes]
+        factors = [flat[d][i] * upright.get((d, m), 0.0) for d, i, m in self.functions.tolist()]
+        return np.array(factors)
+
+    def values(self, X: Array) -> Array:
+        """phi_i, (functions, ...), at X (3, ...)."""
+        return np.stack([flat[0] * up[0] for flat, up in self._factors(X)])
+
+    def gradients(self, X: Array) -> Array:
+        """d phi_i / dX, (functions, 3, ...), at X (3, ...)."""
+        return np.stack(
+            [
+                np.stack([flat[1][0] * up[0], flat[1][1] * up[0], flat[0] * up[1]])
+                for flat, up in self._factors(X)
+            ]
+        )
+
+    def column_gradients(self, coefficients: Numbers, X: Array, heights: Array) -> Numbers:
+        """d/dX of sums of functions, at all `heights` (q,) above points X (2, n, p) of the plane.
+
+        Coefficients (n, functions, k) give (n, 3, p, q, k). The plane functions are evaluated
+        once for all heights and the upright ones once for all points, so that this takes much
+        less than `gradients` at the n p q points.
+        """
+        n, points, q, k = len(coefficients), X.shape[2], len(heights), coefficients.shape[2]
+        total = np.zeros((n, 3, points, q, k), dtype=coefficients.dtype)
+        for degree, plane in enumerate(self.planes):
+            flat = [plane.lbasis(X, i) for i in range(len(plane.doflocs))]
+            values = np.stack([value for value, _ in flat], axis=-1)
+            slopes = np.stack([slope for _, slope in flat], axis=-1)
+            upright = self._upright(heights, degree)
+            # All of one degree: plane function by plane function, upwards.
+            mine = coefficients[:, self.functions[:, 0] == degree]
+            parts = mine.reshape(n, len(flat), len(upright), k)
+            level, rise = (
+                np.einsum("nimk,mq->niqk", parts, np.stack(part)).reshape(n, len(flat), q * k)
+                for part in zip(*upright, strict=True)
+            )
+            for axis, sums in enumerate((slopes[0] @ level, slopes[1] @ level, values @ rise)):
+                total[:, axis] += sums.reshape(n, points, q, k)
+        return total
+
+    def rule(self) -> tuple[Array, Array]:
+        """Gauss points (3, q) and weights (q,), cell by cell upwards."""
+        return self._gauss(2 * max(self.order), len(self.order))
+
+    def coarse_rule(self) -> tuple[Array, Array]:
+        """Gauss points (3, s) and weights (s,), two along each direction or three of a triangle."""
+        return self._gauss(2, 2)
+
+    def linear(self, X: Array) -> Array:
+        """1, x, y and, on squares, x y; and these times the height."""
+        one, (x, y, z) = np.ones_like(X[0]), X
+        flat = [one, x, y] if self.base == "triangle" else [one, x, y, x * y]
+        return np.stack([*flat, *(part * z / self.heights[-1] for part in flat)])
+
+    def _gauss(self, degree: int, heights: int) -> tuple[Array, Array]:
+        """Points and weights for polynomials of `degree` in the plane, at `heights` heights."""
+        shape = skfem.refdom.RefTri if self.base == "triangle" else skfem.refdom.RefQuad
+        plane, plane_weights = skfem.quadrature.get_quadrature(shape, degree)
+        nodes, weights = legendre.leggauss(heights)
+        points, shares = [], []
+        for low, high in zip(self.heights, self.heights[1:], strict=False):
+            z = low + 0.5 * (nodes + 1.0) * (high - low)
+            flat = np.repeat(plane, len(z), axis=1)
+            points.append(np.concatenate([flat, np.tile(z, plane.shape[1])[None]]))
+            shares.append(np.outer(plane_weights, 0.5 * (high - low) * weights).ravel())
+        return np.concatenate(points, axis=1), np.concatenate(shares)
+
+    def _factors(self, X: Array) -> Iterator[tuple[tuple[Array, Array], tuple[Array, Array]]]:
+        plane = {
+            (degree, i): element.lbasis(X[:2], i)
+            for degree, element in enumerate(self.planes)
+            for i in range(len(element.doflocs))
+        }
+        upright = {degree: self._upright(X[2], degree) for degree in range(len(self.order))}
+        for degree, i, m in self.functions:
+            yield plane[degree, i], upright[degree][m]
+
+    def _upright(self, z: Array, degree: int) -> list[tuple[Array, Array]]:
+        """Values and slopes [1/m] of the upright functions of a degree at heights z."""
+        if degree == 0:
+            return [(np.ones_like(z), np.zeros_like(z))]
+        h = np.array(self.heights)
+        cell = np.clip(np.searchsorted(h, z, side="right") - 1, 0, self.cells - 1)
+        thickness = np.diff(h)[cell]
+        t = (z - h[cell]) / thickness
+        if degree == 1:
+            rising = [(cell == m - 1, cell == m) for m in range(1, self.cells + 1)]
+            return [
+                (up * t + down * (1.0 - t), (up * 1.0 - down) / thickness) for up, down in rising
+            ]
+        # Integrated Legendre polynomials, zero at both ends of the cell.
+        bubble = legendre.Legendre.basis(degree) - legendre.Legendre.basis(degree - 2)
+        value, slope = bubble(2.0 * t - 1.0), bubble.deriv()(2.0 * t - 1.0) * 2.0 / thickness
+        return [((cell == m) * value, (cell == m) * slope) for m in range(self.cells)]
+
+
+@dataclass(frozen=True)
+class TetrahedralElement:
+    """Linear or quadratic functions on the unit tetrahedron."""
+
+    order: int
+    inner: int = 0
+    cells: int = 1
+
+    def __post_init__(self) -> None:
+        """Check the order."""
+        if self.order not in (1, 2):
+            raise ConfigurationError(f"tetrahedra have order 1 or 2, got {self.order}")
+
+    @property
+    def face_degree(self) -> int:
+        """Degree on a face."""
+        return self.order
+
+    @cached_property
+    def element(self) -> skfem.Element:
+        """The scikit-fem element."""
+        return {1: skfem.ElementTetP1, 2: skfem.ElementTetP2}[self.order]()
+
+    def indicator(self, low: float, high: float) -> Array:  # noqa: ARG002
+        """Coefficients, (functions,), of the function that is one, at any height."""
+        return np.ones(len(self.element.doflocs))
+
+    def values(self, X: Array) -> Array:
+        """phi_i, (functions, ...), at X (3, ...)."""
+        return np.stack([self.element.lbasis(X, i)[0] for i in range(len(self.element.doflocs))])
+
+    def gradients(self, X: Array) -> Array:
+        """d phi_i / dX, (functions, 3, ...), at X (3, ...)."""
+        count = len(self.element.doflocs)
+        return np.stack([np.stack(self.element.lbasis(X, i)[1]) for i in range(count)])
+
+    def rule(self) -> tuple[Array, Array]:
+        """Points (3, q) and weights (q,)."""
+        points, weights = skfem.quadrature.get_quadrature(skfem.refdom.RefTet, 2 * self.order)
+        return points, weights
+
+    def coarse_rule(self) -> tuple[Array, Array]:
+        """Points (3, s) and weights (s,)."""
+        points, weights = skfem.quadrature.get_quadrature(skfem.refdom.RefTet, 2)
+        return points, weights
+
+    def linear(self, X: Array) -> Array:
+        """1, x, y and z."""
+        return np.stack([np.ones_like(X[0]), *X])

@@ -1,0 +1,152 @@
+"""Finite element functions on a mesh: which unknown stands for which function of which element."""
+
+from typing import NamedTuple
+
+import numpy as np
+import skfem
+from numpy.typing import NDArray
+
+from eitskin.errors import ConfigurationError
+from eitskin.geometry.meshing.mesh import Mesh
+from eitskin.simulator.electrical.elements import Element, ExtrudedElement, TetrahedralElement
+
+Array = NDArray[np.float64]
+Numbers = NDArray[np.inexact]
+Indices = NDArray[np.int64]
+
+
+class Rule(NamedTuple):
+    """Quadrature in all cells; c cells in an element, q points in each.
+
+    Attributes:
+        X: reference points, cell by cell, (3, c q).
+        weights: their reference weights, (c q,).
+        points: their images, (cells, q, 3) [m].
+    """
+
+    X: Array
+    weights: Array
+    points: Array
+
+
+class FunctionSpace:
+    """Continuous functions on a mesh, with affine maps from one reference element.
+
+    An element is a column of cells of an extrusion, or one tetrahedron.
+
+    Attributes:
+        element: the functions on the reference element.
+        unknowns: number of unknowns; functions inside elements are not counted.
+        numbers: unknown of each outer function, (elements, outer functions).
+        origins: images of X = 0, (elements, 3) [m].
+        inverses: dX/dx, (elements, 3, 3).
+        jacobians: |det dx/dX|, (elements,).
+        rule: for integrals of products of two functions.
+        coarse: for what varies little within cells.
+    """
+
+    def __init__(self, mesh: Mesh, order: tuple[int, ...]) -> None:
+        """Number the unknowns for elements of `order`, one number for tetrahedra."""
+        if mesh.heights is None:
+            self._tetrahedra(mesh, order)
+        else:
+            self._columns(mesh, mesh.heights, order)
+        self.rule = self._rule(*self.element.rule())
+        self.coarse = self._rule(*self.element.coarse_rule())
+
+    def _tetrahedra(self, mesh: Mesh, order: tuple[int, ...]) -> None:
+        if len(order) != 1:
+            raise ConfigurationError(f"tetrahedra take one order, (1,) or (2,), got {order}")
+        element = TetrahedralElement(order[0])
+        grid = skfem.MeshTet(
+            np.ascontiguousarray(mesh.points.T), np.ascontiguousarray(mesh.cells.T)
+        )
+        basis = skfem.CellBasis(grid, element.element, intorder=1)
+        self.element: Element = element
+        self.numbers: Indices = basis.element_dofs.T.astype(np.int64)
+        self.unknowns = int(basis.N)
+        corners = mesh.points[grid.t.T]
+        self._map(corners[:, 0], corners[:, 1:] - corners[:, :1])
+
+    def _columns(self, mesh: Mesh, heights: Array, order: tuple[int, ...]) -> None:
+        levels, base = len(heights), mesh.cells.shape[1] // 2
+        flat = np.ascontiguousarray(mesh.points[::levels, :2].T)
+        cells = np.ascontiguousarray(mesh.cells[:: levels - 1, :base].T // levels)
+        # Squares keep their corners' order, which gives shared edges one direction on a
+        # structured mesh; triangles are sorted by scikit-fem, which does so on any mesh.
+        grid = (
+            skfem.MeshTri(flat, cells) if base == 3 else skfem.MeshQuad(flat, cells, sort_t=False)
+        )
+        lateral = np.ptp(mesh.contacts.corners[..., 2], axis=1) > 0.0
+        element = ExtrudedElement(
+            base="triangle" if base == 3 else "quadrilateral",
+            order=order,
+            heights=tuple(heights.tolist()),
+            condensed=bool(lateral.all()),
+        )
+        self.element = element
+        degree, i, mode = element.functions.T
+        bases = [skfem.CellBasis(grid, plane, intorder=1) for plane in element.planes]
+        offsets = np.cumsum([0] + [b.N * element.modes(d) for d, b in enumerate(bases)])
+        numbers = np.stack(
+            [
+                offsets[d] + bases[d].element_dofs[k] * element.modes(d) + m
+                for d, k, m in zip(degree, i, mode, strict=True)
+            ],
+            axis=1,
+        )
+        outer = numbers[:, : numbers.shape[1] - element.inner]
+        kept, renumbered = np.unique(outer, return_inverse=True)
+        self.numbers = renumbered.reshape(outer.shape)
+        self.unknowns = len(kept)
+        corners = grid.p.T[grid.t.T]
+        columns = np.zeros((len(corners), 3, 3))
+        columns[:, :2, :2] = corners[:, [1, -1]] - corners[:, :1]
+        columns[:, 2, 2] = 1.0
+        self._map(np.pad(corners[:, 0], ((0, 0), (0, 1))), columns)
+
+    def _map(self, origins: Array, edges: Array) -> None:
+        self.origins: Array = origins
+        self._edges: Array = edges
+        self.inverses: Array = np.asarray(np.linalg.inv(edges.swapaxes(1, 2)), dtype=np.float64)
+        volumes = np.asarray(np.linalg.det(edges), dtype=np.float64)
+        self.jacobians: Array = np.abs(volumes)
+
+    def _rule(self, X: Array, weights: Array) -> Rule:
+        points: Array = self.origins[:, None] + X.T @ self._edges
+        return Rule(X, weights, points.reshape(len(points) * self.element.cells, -1, 3))
+
+    def reference(self, elements: Indices, points: Array) -> Array:
+        """X, (3, n, ...), of `points` (n, ..., 3) [m] in `elements` (n,)."""
+        moved = points - np.expand_dims(self.origins[elements], tuple(range(1, points.ndim - 1)))
+        X: Array = np.einsum("nab,n...b->an...", self.inverses[elements], moved)
+        return X
+
+    def in_elements(self, potentials: Numbers, inner: Array) -> Numbers:
+        """Potentials (unknowns, k) element by element, (elements, functions, k).
+
+        `inner` gives an element's inner unknowns from its others, (elements, inner, outer).
+        """
+        outer = potentials[self.numbers]
+        return np.concatenate([outer, inner @ outer], axis=1)
+
+    def column_gradients(
+        self, potentials: Numbers, elements: Indices, plane: Array, heights: Array
+    ) -> Numbers:
+        """grad u_k, (n, 3, p, q, k), at q `heights` (q,) above p places in each of n columns.
+
+        Args:
+            potentials: element by element, (elements, functions, k).
+            elements: the columns (n,).
+            plane: x and y of their places, (n, p, 2) [m].
+            heights: above each of the places [m].
+        """
+        element, inverses = self.element, self.inverses[elements]
+        if not isinstance(element, ExtrudedElement):
+            raise TypeError(f"heights above places need columns of cells, got {element}")
+        moved = plane - self.origins[elements, None, :2]
+        X = np.einsum("nab,npb->anp", inverses[:, :2, :2], moved)
+        slopes = element.column_gradients(potentials[elements], X, heights)
+        # One product for all places of a column.
+        gradients: Numbers = inverses.swapaxes(1, 2) @ slopes.reshape(len(elements), 3, -1)
+        return gradients.reshape(slopes.shape)

@@ -1,0 +1,87 @@
+"""One session of a board, from one calibration to the next."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.errors import ConfigurationError, FrameError
+from eitskin.simulator.instrument import ad5940
+from eitskin.simulator.instrument.drift import RandomWalk
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+LONGEST = 365 * 86400.0
+"""Of a session [s]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Session:
+    """What stays the same of an `Instrument` for one session; `measure` adds the rest.
+
+    Attributes:
+        driven: the measurement that shows the drive pair of each measurement, (measurements,).
+        capacitance: across the drive pairs, (measurements,) [F].
+        factor: gain, phase and errors of the paths together, (measurements,) complex.
+        drift: of the electronics, the logarithm of a factor.
+        gel_drift: the same of the gel.
+        deviation: of the white noise per quadrature [ohm].
+        front_end: that drives and converts.
+    """
+
+    driven: NDArray[np.int64]
+    capacitance: Array
+    factor: Complex
+    drift: RandomWalk
+    gel_drift: RandomWalk
+    deviation: float
+    front_end: ad5940.FrontEnd
+
+    def measure(
+        self, impedance: Complex, times: Array, rng: np.random.Generator
+    ) -> tuple[Complex, NDArray[np.uint8]]:
+        """What the board says of frames: impedances [ohm] and `Status` bits.
+
+        Both are (frames, measurements). Frames of one session may be measured together or one by
+        one, in any order: the drift depends on their times alone.
+
+        Args:
+            impedance: noise-free, (frames, measurements) complex [ohm].
+            times: of the frames after the session's start, (frames,) [s].
+            rng: of what differs from frame to frame.
+
+        Raises:
+            FrameError: where the shapes do not fit, or an impedance is not finite.
+            ConfigurationError: for a time before the session, or a year after its start.
+        """
+        Z, times = self._checked(impedance, times)
+        white, floor = rng.spawn(2)
+        if self.gel_drift.deviation:
+            Z = Z * np.exp(self.gel_drift(times))[:, None]
+        if self.capacitance.any():
+            Z = ad5940.shunted(Z, Z[:, self.driven], self.capacitance)
+        driven = Z[:, self.driven]
+        Z = Z * self.factor
+        if self.drift.deviation:
+            Z = Z * np.exp(self.drift(times))[:, None]
+        if self.deviation:
+            noise = self.deviation * white.standard_normal((2, *Z.shape))
+            Z = Z + noise[0] + 1j * noise[1]
+        return self.front_end.convert(Z, driven, floor)
+
+    def _checked(self, impedance: Complex, times: Array) -> tuple[Complex, Array]:
+        Z, times = np.asarray(impedance, np.complex128), np.asarray(times, np.float64)
+        if Z.shape != (*times.shape, len(self.driven)) or times.ndim != 1:
+            raise FrameError(
+                f"expected impedances of shape (frames, {len(self.driven)}) and a time for each "
+                f"frame, got {Z.shape} and {times.shape}"
+            )
+        if not np.isfinite(Z).all():
+            raise FrameError("expected finite impedances; an instrument adds to a solution")
+        if not ((times >= 0.0) & (times <= LONGEST)).all():
+            raise ConfigurationError(
+                f"times of a session are from 0 to {LONGEST:g} s after its start, got "
+                f"{times.min():g} to {times.max():g} s"
+            )
+        return Z, times

@@ -1,0 +1,1 @@
+"""What a scene makes of the conductive layer: dents, deformed conductivity, contact areas."""

@@ -1,0 +1,207 @@
+"""How presses deform the flat layer: dents of revolution, side by side."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.geometry.deformation.kinematics import Gradients, Points
+from eitskin.simulator.layer.smooth_field import Box, SmoothField
+
+Array = NDArray[np.float64]
+
+_AT_ONCE = 30_000  # distances, so that what is known of them stays in the processor's memory
+_HAIR = 1e-9  # [m]
+# Images farther from the layer than this [m] are interpolated, by polynomials of these numbers in
+# x, y and z. That moves the signal of a press by 1e-3 to 5e-3, up to 2e-2 where it is smallest, as
+# much as the end of the tables' reach does.
+_FAR = 0.035
+_DEGREES = (16, 8, 4)
+
+
+class Dent(Protocol):
+    """A displacement of the layer that is symmetric about an upright axis."""
+
+    @property
+    def reach(self) -> float:
+        """Distance from the axis beyond which nothing moves [m]."""
+        ...
+
+    def motion(self, r: Array, z: Array) -> Array:
+        """u, w, du/dz, dw/dz, du/dr and dw/dr, (..., n, 6, h): u outwards and w upwards [m].
+
+        At distances r > 0 (..., n) from the axis and heights z (n, h) over the layer's bottom [m].
+        """
+        ...
+
+    def mean_stress(self, r: Array, z: Array) -> Array:
+        """Mean stress [Pa], positive in tension, (..., n, h) at r (..., n) and z (n, h)."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Placed:
+    """A dent at (x, y) of the flat sensor [m], times a sign."""
+
+    x: float
+    y: float
+    dent: Dent
+    sign: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Dents:
+    """The deformation of the flat layer by presses, displacements superposed.
+
+    Each keeps the volume; several do up to the product of their strains where they overlap. Dents
+    are those of an unbounded layer; what its rim does is up to images beyond it. What images far
+    outside do to the layer is smooth: it is found at a few places and interpolated.
+
+    Attributes:
+        presses: the dents.
+        box: around all that moves; without it every dent counts as near.
+    """
+
+    presses: tuple[Placed, ...]
+    box: Box | None = None
+
+    def positions(self, points: Points) -> Points:
+        """Deformed places [m], (..., 3), of flat points [m], (..., 3)."""
+        return self.mapped(points)[0]
+
+    def gradient(self, points: Points) -> Gradients:
+        """Deformation gradient, (..., 3, 3)."""
+        return self.mapped(points)[1]
+
+    def mapped(self, points: Points) -> tuple[Points, Gradients]:
+        """Both at once, for little more than either costs."""
+        columns, shape = _columns(points), points.shape[:-1]
+        near, far = self._parts
+        moved = far(columns) if far else np.zeros((12, columns.shape[1], len(columns)))
+        moved[3::4] += 1.0  # the diagonal of F
+        _move(near, columns, moved)
+        moved = moved.swapaxes(-2, -1)
+        places = points + np.moveaxis(moved[:3].reshape(3, *shape), 0, -1)
+        return places, np.moveaxis(moved[3:].reshape(3, 3, *shape), (0, 1), (-2, -1))
+
+    @cached_property
+    def _parts(self) -> tuple[tuple[Placed, ...], SmoothField | None]:
+        """Dents near the layer, and displacement and derivative by those that are far from it."""
+        if self.box is None:
+            return self.presses, None
+        near: list[Placed] = []
+        far: list[Placed] = []
+        for press in self.presses:
+            (far if self.box.distance(press.x, press.y) > _FAR else near).append(press)
+        if not far:
+            return self.presses, None
+
+        def moved(columns: Points) -> Array:
+            found = np.zeros((12, columns.shape[1], len(columns)))
+            _move(tuple(far), columns, found)
+            return found
+
+        return tuple(near), SmoothField.of(moved, self.box, _DEGREES)
+
+    def mean_stress(self, points: Points) -> Array:
+        """Mean stress [Pa] at flat points (..., 3) [m], (...), positive in tension."""
+        columns = _columns(points)
+        stress = np.zeros(columns.shape[:2])
+        for same in _alike(self.presses):
+            for part, signs, _, r in _around(same, columns):
+                found = same[0].dent.mean_stress(r, columns[part, :, 2])
+                felt = np.where(r[..., None] < same[0].dent.reach, found, 0.0)
+                stress[part] += np.tensordot(signs, felt, axes=1)
+        return stress.reshape(points.shape[:-1])
+
+
+def _alike(presses: tuple[Placed, ...]) -> Iterable[list[Placed]]:
+    """Presses by their dent."""
+    alike: dict[int, list[Placed]] = {}
+    for press in presses:
+        alike.setdefault(id(press.dent), []).append(press)
+    return alike.values()
+
+
+def _move(presses: tuple[Placed, ...], columns: Points, moved: Array) -> None:
+    """Add displacements and their derivatives, 3 and 3 x 3, to `moved` (12, h, n)."""
+    for same in _alike(presses):
+        for part, signs, way, r in _around(same, columns):
+            motion = same[0].dent.motion(r, columns[part, :, 2])
+            upright = np.ascontiguousarray(np.moveaxis(motion, (2, 0, 3, 1), (0, 1, 2, 3)))
+            _add(upright, signs, way, r, moved[..., part])
+
+
+def _around(
+    same: list[Placed], columns: Points
+) -> Iterator[tuple[slice, Array, tuple[Array, Array], Array]]:
+    """Parts of the columns, signs (k,) of the dents that move them, and the way there [m].
+
+    Along x and y and as distance, (k, n) each; on the axis, a hair's breadth beside it.
+    """
+    places = np.array([(press.x, press.y) for press in same])
+    most = max(1, _AT_ONCE // len(same))
+    for start in range(0, len(columns), most):
+        part = slice(start, start + most)
+        signs = np.array([press.sign for press in same])
+        dx, dy = (columns[None, part, 0, axis] - places[:, axis, None] for axis in (0, 1))
+        r = np.sqrt(dx**2 + dy**2)
+        felt = r.min(axis=1) < same[0].dent.reach
+        if not felt.all():
+            signs, dx, dy, r = (each[felt] for each in (signs, dx, dy, r))
+        on_axis = r < _HAIR
+        if on_axis.any():
+            dx[on_axis], dy[on_axis], r[on_axis] = _HAIR, 0.0, _HAIR
+        if len(signs):
+            yield part, signs, (dx, dy), r
+
+
+def _add(motion: Array, signs: Array, way: tuple[Array, Array], r: Array, moved: Array) -> None:
+    """Add the motion (6, k, h, n) around k dents to displacements and gradients (12, h, n).
+
+    With direction (c, s), F_xx = du/dr c^2 + u/r s^2 and so on: only these depend on the way.
+    """
+    u, F = moved[:3], moved[3:].reshape(3, 3, *moved.shape[1:])
+    one = np.broadcast_to(signs[:, None], r.shape)
+    cos, sin = way[0] / r, way[1] / r
+    c, s = one * cos, one * sin
+    cc, ss, cs = c * cos, s * sin, c * sin
+    outward = _totals((c, s, ss / r, cc / r, -cs / r), motion[0])
+    radial = _totals((cc, ss, cs), motion[4])
+    u[:2] += outward[:2]
+    u[2] += _totals((one,), motion[1])[0]
+    F[0, 0] += outward[2] + radial[0]
+    F[1, 1] += outward[3] + radial[1]
+    across = outward[4] + radial[2]
+    F[0, 1] += across
+    F[1, 0] += across
+    F[:2, 2] += _totals((c, s), motion[2])
+    F[2, :2] += _totals((c, s), motion[5])
+    F[2, 2] += _totals((one,), motion[3])[0]
+
+
+def _totals(factors: tuple[Array, ...], values: Array) -> Array:
+    """Sums (f, h, n) over dents of factors (k, n) times values (k, h, n)."""
+    totals: Array = np.einsum("fkn,khn->fhn", np.stack(factors), values)
+    return totals
+
+
+def _columns(points: Points) -> Points:
+    """Points (n, h, 3), those of a row above each other, so that each distance is needed once.
+
+    Quadrature points of upright cells come in such columns; others stand by themselves, h = 1.
+    """
+    flat = points.reshape(-1, 3)
+    height = 1
+    while height < len(flat) and np.array_equal(flat[height, :2], flat[0, :2]):
+        height += 1
+    if len(flat) % height == 0:
+        columns = flat.reshape(-1, height, 3)
+        if np.array_equal(
+            columns[..., :2], np.broadcast_to(columns[:, :1, :2], columns[..., :2].shape)
+        ):
+            return columns
+    return flat[:, None]

@@ -1,0 +1,251 @@
+"""What the touches of a scene do to the sensor: depth, contact, pressure and the dents."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import product
+from typing import Literal
+
+import numpy as np
+
+from eitskin.errors import ConfigurationError
+from eitskin.geometry.design.outline import Rectangle
+from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.geometry.design.surface import Surface
+from eitskin.simulator.layer.closed_dent import ClosedDent
+from eitskin.simulator.layer.dents import Dents, Placed
+from eitskin.simulator.layer.smooth_field import Box
+from eitskin.simulator.mechanics import viscoelasticity as relaxation
+from eitskin.simulator.mechanics.layer_stack import Mechanics
+from eitskin.simulator.mechanics.press_store import kernel
+from eitskin.simulator.mechanics.tabulated_dent import TabulatedDent
+from eitskin.simulator.scene.touch import Touch
+
+TouchModel = Literal["tabulated", "closed form"]
+
+# Distances of the axis from the gel's edge and from another touch, below which signals are more
+# than a tenth off the full model's, or not compared with it (docs/deformation.md) [m].
+EDGE = 0.0075
+NEIGHBOUR = 0.030
+# Largest errors of the signal that were found up to these distances, from the edge and from another
+# touch [m], [-]; none where nothing was compared. Beside the edge signals are large, and so exact.
+_BY_EDGE = ((0.005, None), (EDGE, 0.10), (0.0121, 0.03), (math.inf, 0.21))
+_BY_NEIGHBOUR = ((0.020, None), (NEIGHBOUR, 0.40), (0.0451, 0.16), (math.inf, 0.0))
+
+
+@dataclass(frozen=True, slots=True)
+class Pressed:
+    """One touch of a scene, pressed.
+
+    Attributes:
+        touch: what was asked for.
+        force: that acts on the indenter now [N]; 0 once it was taken off.
+        depth: of the dent: how far the indenter's lowest point is, or was, below the undeformed
+            top of the stack [m].
+        contact_radius: where contact ends, in the deformed stack [m]; 0 without contact.
+        mean_pressure: force over contact area [Pa].
+        peak_pressure: [Pa].
+        thinning: 1 - thickness over undeformed thickness of the gel, on the axis.
+        edge_distance: from the axis to the nearest edge of the gel [m].
+        neighbour_distance: from the axis to that of the nearest other touch [m].
+        signal_error: largest error of the signal, relative, that comparisons with the full model
+            found at such distances, for 10 N by the 15 mm cylinder on the reference sensor
+            (docs/deformation.md); None nearer than any of them.
+        caution: why the dent is less exact than one alone in the middle of the sensor; empty where
+            it is not.
+    """
+
+    touch: Touch
+    force: float
+    depth: float
+    contact_radius: float
+    mean_pressure: float
+    peak_pressure: float
+    thinning: float
+    edge_distance: float
+    neighbour_distance: float
+    signal_error: float | None
+    caution: str = ""
+
+    @property
+    def contact_area(self) -> float:
+        """[m2]."""
+        return math.pi * self.contact_radius**2
+
+
+def dents(
+    touches: tuple[Touch, ...], design: SensorDesign, mechanics: Mechanics, model: TouchModel
+) -> Dents:
+    """The deformation of the gel by touches.
+
+    Raises ConfigurationError for presses that the model does not reach.
+    """
+    if model == "closed form":
+        _refuse_what_is_not_in_the_closed_form(touches)
+        return Dents(tuple(Placed(t.x, t.y, ClosedDent.of(t.indenter, t.force)) for t in touches))
+    found = [(touch, _dent(touch, design, mechanics)[0]) for touch in touches]
+    return Dents(
+        tuple(
+            press
+            for touch, dent in found
+            if dent is not None
+            for press in images(Placed(touch.x, touch.y, dent), design, mechanics.margin)
+        ),
+        _box(design, mechanics.margin),
+    )
+
+
+def _box(design: SensorDesign, margin: float) -> Box | None:
+    """Around the gel and what surrounds it sideways."""
+    outline = design.outline
+    if isinstance(outline, Surface):
+        return None
+    high = (outline.length + margin, outline.width + margin, design.thickness)
+    return Box((-margin, -margin, 0.0), high)
+
+
+def images(press: Placed, design: SensorDesign, margin: float) -> Iterator[Placed]:
+    """A press and its images beyond the free edges of the stack, of alternating sign.
+
+    At a free edge the pressure of the stack vanishes, as it does half-way between a press and its
+    negative mirror image. Outlines other than rectangles have one image, beyond the nearest place
+    of the edge.
+    """
+    outline, thickness = design.outline, design.encapsulated_thickness
+    if isinstance(outline, Surface):
+        yield press
+    elif isinstance(outline, Rectangle):
+        along = _mirrored(press.x, outline.length, margin, thickness)
+        across = _mirrored(press.y, outline.width, margin, thickness)
+        for (x, one), (y, other) in product(along, across):
+            image = Placed(x, y, press.dent, one * other)
+            outside = np.hypot(max(-x, x - outline.length, 0.0), max(-y, y - outline.width, 0.0))
+            if outside < press.dent.reach:
+                yield image
+    else:
+        place = np.array([press.x, press.y])
+        s, depth = outline.nearest(place)
+        normal = (outline.at(s) - place) / max(float(depth), 1e-12)
+        distance = float(depth) + margin
+        x, y = place + 2.0 * (distance - mirror_inside(distance, thickness)) * normal
+        yield press
+        yield Placed(float(x), float(y), press.dent, -1.0)
+
+
+def mirror_inside(distance: float, thickness: float) -> float:
+    """How far inside a free edge the mirror of a press is [m]; negative where it is outside.
+
+    Fitted to the full model (docs/deformation.md): what a press does far away decays slowly and
+    meets an edge further in, what it does close by bulges the edge.
+
+    Args:
+        distance: of the press from the edge [m].
+        thickness: of the stack [m].
+    """
+    fitted = 0.15 - 0.25 * math.exp(2.0 * (1.04 - distance / thickness))
+    return thickness * max(fitted, -0.3)
+
+
+def _mirrored(
+    place: float, extent: float, margin: float, thickness: float
+) -> tuple[tuple[float, float], ...]:
+    """A place between two edges, its images in their mirrors, and theirs, each with its sign."""
+    low = -margin + mirror_inside(place + margin, thickness)
+    high = extent + margin - mirror_inside(extent + margin - place, thickness)
+    period = 2.0 * (high - low)
+    return (
+        (place, 1.0),
+        (2.0 * low - place, -1.0),
+        (2.0 * high - place, -1.0),
+        (place - period, 1.0),
+        (place + period, 1.0),
+    )
+
+
+def pressed(
+    touches: tuple[Touch, ...], design: SensorDesign, mechanics: Mechanics
+) -> tuple[Pressed, ...]:
+    """What becomes of each touch, from the tabulated presses."""
+    return tuple(_pressed(touch, touches, design, mechanics) for touch in touches)
+
+
+def _pressed(
+    touch: Touch, touches: tuple[Touch, ...], design: SensorDesign, mechanics: Mechanics
+) -> Pressed:
+    dent, force = _dent(touch, design, mechanics)
+    edge = _edge_distance(touch, design)
+    neighbour = min(
+        (math.dist((touch.x, touch.y), (t.x, t.y)) for t in touches if t is not touch),
+        default=math.inf,
+    )
+    # Without contact there is a dent, but no pressure.
+    radius = dent.contact_radius if dent is not None and force > 0.0 else 0.0
+    return Pressed(
+        touch=touch,
+        force=force,
+        depth=dent.depth if dent is not None else 0.0,
+        contact_radius=radius,
+        mean_pressure=force / (math.pi * radius**2) if radius else 0.0,
+        peak_pressure=dent.peak_pressure * force / dent.force if dent is not None else 0.0,
+        thinning=dent.thinning if dent is not None else 0.0,
+        edge_distance=edge,
+        neighbour_distance=neighbour,
+        signal_error=_signal_error(edge, neighbour),
+        caution=_caution(edge, neighbour),
+    )
+
+
+def _dent(
+    touch: Touch, design: SensorDesign, mechanics: Mechanics
+) -> tuple[TabulatedDent | None, float]:
+    """The dent, if there is any, and the force that acts on the indenter [N]."""
+    table = kernel(design, mechanics, touch.indenter)
+    first = table.pressed(touch.force) if touch.depth is None else table.pressed_to(touch.depth)
+    if touch.held is None:
+        return first, first.force
+    prony = relaxation.mixed(
+        (mechanics.gel_relaxation, mechanics.encapsulation_relaxation),
+        (first.share, 1.0 - first.share),
+    )
+    if touch.depth is None:
+        elastic = relaxation.held(prony, touch.force, touch.held, touch.released)
+        acting = touch.force
+    else:
+        elastic = relaxation.held_at_depth(prony, first.force, touch.held, touch.released)
+        acting = first.force * float(prony.relaxation(touch.held))
+    dent = table.pressed(elastic) if elastic > 0.0 else None
+    return dent, 0.0 if touch.released else acting
+
+
+def _edge_distance(touch: Touch, design: SensorDesign) -> float:
+    outline = design.outline
+    if isinstance(outline, Surface):
+        return math.inf
+    _, depth = outline.nearest(np.array([touch.x, touch.y]))
+    return float(depth)
+
+
+def _signal_error(edge: float, neighbour: float) -> float | None:
+    alone, together = (
+        next(error for limit, error in table if distance < limit or limit == math.inf)
+        for distance, table in ((edge, _BY_EDGE), (neighbour, _BY_NEIGHBOUR))
+    )
+    return None if alone is None or together is None else max(alone, together)
+
+
+def _caution(edge: float, neighbour: float) -> str:
+    reasons = []
+    if edge < EDGE:
+        reasons.append(f"{1e3 * edge:.1f} mm from the edge of the gel, felt by images only")
+    if neighbour < NEIGHBOUR:
+        reasons.append(f"{1e3 * neighbour:.1f} mm from another, whose dent is only added")
+    return "; ".join(reasons)
+
+
+def _refuse_what_is_not_in_the_closed_form(touches: tuple[Touch, ...]) -> None:
+    for touch in touches:
+        if touch.depth is not None or touch.held is not None:
+            raise ConfigurationError(
+                "the closed form knows forces only, no depth, held or released; use the touch "
+                "model 'tabulated'"
+            )

@@ -1,0 +1,1 @@
+"""Direct solvers for symmetric systems: factorise once, solve for many right-hand sides."""

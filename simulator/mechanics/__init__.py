@@ -1,0 +1,1 @@
+"""Solid mechanics of the encapsulated gel: materials, equilibrium, presses and bends."""

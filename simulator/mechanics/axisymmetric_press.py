@@ -1,0 +1,247 @@
+"""An indenter pressed into a stack of bonded layers on a rigid base, as bodies of revolution."""
+
+import itertools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+import skfem
+from numpy.typing import NDArray
+
+from eitskin.errors import ConfigurationError
+from eitskin.geometry.meshing.grading import Grading, graded_lines
+from eitskin.simulator.mechanics.layer_stack import Stack
+from eitskin.simulator.mechanics.load_stepping import Load, SolidError, follow
+from eitskin.simulator.mechanics.mixed_solid import Solid
+from eitskin.simulator.mechanics.penalty_contact import Contact
+from eitskin.simulator.scene.indenters import Indenter
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+# Pressure over entry into the indenter, relative to shear modulus over radius of contact.
+_CONTACT_STIFFNESS = 5e3
+# Of the depth over the thickness: with larger steps Newton's method looks for contact in vain.
+_FIRST_STEP = 0.008
+# Likewise: a rough indenter holds what it touches only after each step.
+_LONGEST_STEP = 0.04
+_ATTRACTORS = 24  # at most, over the band where contact may end
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Indentation:
+    """The stack under an indenter.
+
+    Attributes:
+        stack: what is pressed.
+        force: on the indenter [N].
+        depth: of its lowest point under the undeformed top [m].
+        contact_radius: where contact ends, in the deformed body [m].
+        radii: places of the deformed contact face, rising [m].
+        pressure: there [Pa].
+        r: radial places of the displacement nodes, undeformed, (nr,) [m].
+        z: their heights over the base, (nz,) [m].
+        displacement: radial and upward, (nr, nz, 2) [m].
+        mean_stress: of each layer at corners of its cells, r[::2] and z[::2], (layers, nr', nz')
+            [Pa]; NaN outside the layer.
+        energies: of changes of shape stored in every layer [J].
+        volume_ratios: deformed over undeformed volume of every layer.
+    """
+
+    stack: Stack
+    force: float
+    depth: float
+    contact_radius: float
+    radii: Array
+    pressure: Array
+    r: Array
+    z: Array
+    displacement: Array
+    mean_stress: Array
+    energies: Array
+    volume_ratios: tuple[float, ...]
+
+    def thinning(self, layer: int) -> float:
+        """1 - thickness over undeformed thickness of a layer, on the axis."""
+        below, above = np.searchsorted(
+            self.z, np.array(self.stack.levels[layer : layer + 2]) - 1e-9
+        )
+        shortened = self.displacement[0, below, 1] - self.displacement[0, above, 1]
+        return float(shortened / (self.z[above] - self.z[below]))
+
+
+class Press:
+    """One indenter on one stack; each press starts from where the last one ended.
+
+    Attributes:
+        stack, indenter: what is pressed by what.
+        solid: the meshed stack.
+        contact: its upper face against the indenter.
+        unknowns: those of the solid, then the depth [m], as the last press left them.
+    """
+
+    def __init__(
+        self,
+        stack: Stack,
+        indenter: Indenter,
+        finest: float | None = None,
+        band: tuple[float, float] | None = None,
+        reach: float | None = None,
+    ) -> None:
+        """Mesh the stack, finely where contact may end.
+
+        Args:
+            stack: the layers.
+            indenter: what presses.
+            finest: cell size there; 1/30 of the largest radius of contact when omitted [m].
+            band: undeformed radii between which contact may end; from 0.7 of the smallest to the
+                largest that the indenter allows when omitted [m].
+            reach: radius at which the stack ends, on a frictionless wall; eight such radii
+                or thicknesses, whichever is more, when omitted [m].
+        """
+        self.stack, self.indenter = stack, indenter
+        thickness = stack.levels[-1]
+        band = band or (0.7 * indenter.rims[0], indenter.rims[1])
+        radius = band[1]
+        finest = radius / 30.0 if finest is None else finest
+        reach = 8.0 * max(radius, thickness) if reach is None else reach
+        grading = Grading(finest, max(finest, thickness / 4.0), 0.3)
+        mesh = _mesh(stack.levels, band, reach, grading)
+        heights = mesh.p[1, mesh.t].mean(axis=0)
+        law_of_cell = np.searchsorted(stack.levels[1:-1], heights)
+        laws = [sheet.law for sheet in stack.sheets]
+        self.solid = Solid(mesh, laws, law_of_cell, "axisymmetric", stack.bulk_ratio)
+        top = mesh.facets_satisfying(lambda p: np.isclose(p[1], thickness), boundaries_only=True)
+        mu = laws[-1].shear_modulus
+        self.contact = Contact.of_face(
+            self.solid, top, indenter, _CONTACT_STIFFNESS * mu / radius, np.zeros(1)
+        )
+        r, z = self.solid.nodes.T
+        self._lines = tuple(_with_middles(np.unique(mesh.p[k])) for k in range(2))
+        self._places, self._corners = (
+            tuple(
+                np.searchsorted(0.5 * (line[1:] + line[:-1]), at)
+                for line, at in zip(self._lines, points, strict=True)
+            )
+            for points in ((r, z), mesh.p)
+        )
+        walls = np.flatnonzero((r < 1e-12) | (r > reach - 1e-9))
+        base = np.flatnonzero(z < 1e-12)
+        self._held: Indices = np.union1d(2 * walls, np.concatenate([2 * base, 2 * base + 1]))
+        self.unknowns: Array = np.zeros(self.solid.unknowns + 1)
+
+    def to_force(self, force: float) -> Indentation:
+        """Press with a force [N]; raises SolidError, with the fraction reached, where it cannot."""
+        _check_positive("force", force, "N")
+        if not self.contact.force(self.unknowns):
+            self.to_depth(self._touching_depth(force))
+        start = self.contact.force(self.unknowns)
+        held, values = self._held, np.zeros(len(self._held))
+
+        def path(t: float) -> Load:
+            forces = np.zeros(len(self.unknowns))
+            forces[-1] = start + t * (force - start)
+            return Load(held, values, forces)
+
+        return self._settle(path)
+
+    def to_depth(self, depth: float) -> Indentation:
+        """Press to a depth [m]; raises SolidError, with the fraction reached, where it cannot."""
+        _check_positive("depth", depth, "m")
+        start, longest = self.unknowns[-1], _LONGEST_STEP * self.stack.levels[-1]
+        steps = np.linspace(start, depth, 1 + max(1, math.ceil(abs(depth - start) / longest)))
+        for before, after in itertools.pairwise(steps):
+            try:
+                result = self._straight_to(before, after)
+            except SolidError as error:
+                reached = before + error.reached * (after - before)
+                raise SolidError(
+                    f"the indenter came {reached:.3g} m deep of {depth:g} m: {error}",
+                    reached / depth,
+                ) from error
+        return result
+
+    def _straight_to(self, before: float, after: float) -> Indentation:
+        fixed, none = np.append(self._held, len(self.unknowns) - 1), np.zeros(len(self.unknowns))
+
+        def path(t: float) -> Load:
+            values = np.zeros(len(fixed))
+            values[-1] = before + t * (after - before)
+            return Load(fixed, values, none)
+
+        first = _FIRST_STEP * self.stack.levels[-1] / max(abs(after - before), 1e-12)
+        return self._settle(path, 1.0 if before else min(1.0, first))
+
+    def _touching_depth(self, force: float) -> float:
+        """A depth at which somewhat less than `force` acts, as on a half-space."""
+        mu = min(sheet.law.shear_modulus for sheet in self.stack.sheets)
+        depth = 0.02 * self.stack.levels[-1]
+        r = np.linspace(0.0, self.indenter.rims[1], 1001)
+        height = self.indenter.profile(r)[0]
+        for _ in range(60):
+            touched = r[np.flatnonzero(height <= depth)[-1]]
+            if 8.0 * mu * touched * depth <= 0.5 * force:
+                break
+            depth *= 0.7
+        return depth
+
+    def _settle(self, path: Callable[[float], Load], first_step: float = 1.0) -> Indentation:
+        """Follow the path."""
+        self.unknowns, (_, contact) = follow(
+            (self.solid, self.contact), self.unknowns, path, first_step
+        )
+        self.contact = cast("Contact", contact)
+        return self._result()
+
+    def _result(self) -> Indentation:
+        x, solid = self.unknowns, self.solid
+        radii, pressure = self.contact.pressure(x)
+        r, z = self._lines
+        grid = np.empty((len(r), len(z), 2))
+        grid[self._places] = solid.displacement(x)
+        layers = range(len(self.stack.sheets))
+        corners = np.full((len(layers), len(r), len(z)), np.nan)
+        corners[(slice(None), *self._corners)] = [solid.corner_mean_stress(x, k) for k in layers]
+        J = solid.volume_ratio(x) * solid.weights
+        return Indentation(
+            stack=self.stack,
+            force=self.contact.force(x),
+            depth=float(x[-1]),
+            contact_radius=_end_of(radii, pressure),
+            radii=radii,
+            pressure=pressure,
+            r=r,
+            z=z,
+            displacement=grid,
+            mean_stress=corners[:, ::2, ::2],
+            energies=solid.shape_energies(x),
+            volume_ratios=tuple(
+                float(J[cells].sum() / solid.weights[cells].sum()) for cells in solid.cells_of_law
+            ),
+        )
+
+
+def _mesh(
+    levels: tuple[float, ...], band: tuple[float, float], reach: float, grading: Grading
+) -> skfem.MeshQuad:
+    count = min(_ATTRACTORS, 2 + int((band[1] - band[0]) / grading.finest))
+    r = graded_lines(reach, np.linspace(*band, count), (), grading)
+    z = graded_lines(levels[-1], levels[-1:], levels[1:-1], grading)
+    return skfem.MeshQuad.init_tensor(r, z)
+
+
+def _with_middles(lines: Array) -> Array:
+    return np.sort(np.concatenate([lines, 0.5 * (lines[1:] + lines[:-1])]))
+
+
+def _end_of(radii: Array, pressure: Array) -> float:
+    """Between the last place with pressure and the next."""
+    last = np.flatnonzero(pressure > 0.0)[-1:]
+    return float(radii[last[0] : last[0] + 2].mean()) if len(last) else 0.0
+
+
+def _check_positive(name: str, value: float, unit: str) -> None:
+    if not (math.isfinite(value) and value > 0):
+        raise ConfigurationError(f"a press needs a positive {name} in {unit}, got {value}")

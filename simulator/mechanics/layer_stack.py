@@ -1,0 +1,129 @@
+"""What the sensor is made of, mechanically, and its layers as an indenter meets them."""
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.errors import ConfigurationError
+from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.simulator.mechanics.materials import NeoHookean, Ogden
+from eitskin.simulator.mechanics.viscoelasticity import ECOFLEX, GEL, Prony
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Piezoresistivity:
+    """Conductivity sigma_0 (1 + k_v (J - 1) + k_p p); none for an ideal ionic conductor.
+
+    Attributes:
+        volume: k_v, per change of volume J - 1.
+        pressure: k_p, per pressure p under presses, positive in compression [1/Pa]. Bends by a
+            fixture are kinematic and have no pressure.
+    """
+
+    volume: float = 0.0
+    pressure: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        if not (math.isfinite(self.volume) and math.isfinite(self.pressure)):
+            raise ConfigurationError(
+                f"piezoresistive coefficients must be finite, got {self.volume}, {self.pressure}"
+            )
+
+    def factor(self, J: Array, mean_stress: Array | float) -> Array:
+        """Conductivity over that at rest, (...).
+
+        Raises ConfigurationError where that is not positive.
+        """
+        factor = 1.0 + self.volume * (J - 1.0) - self.pressure * mean_stress
+        if not np.all(factor > 0.0):
+            raise ConfigurationError(
+                "the piezoresistive conductivity must stay positive, but falls to "
+                f"{float(np.min(factor)):.3g} of that at rest; use smaller coefficients or forces"
+            )
+        return np.asarray(factor)
+
+
+@dataclass(frozen=True, slots=True)
+class Mechanics:
+    """Gel in encapsulation, bonded.
+
+    Attributes:
+        gel: law of the conductive layer; E = 60 kPa.
+        encapsulation: law of what surrounds it; Ecoflex 00-30.
+        margin: width of the encapsulation beyond the gel on all four sides [m].
+        bulk_ratio: kappa / mu of both.
+        gel_relaxation, encapsulation_relaxation: how they relax when held.
+        piezoresistivity: how the gel's conductivity changes beyond its geometry.
+        solved_thickness: of the gel, for which presses are solved, and for some steps above and
+            below it; those on the design's thickness are interpolated [m]. Sensors that differ
+            little share what is solved. Solved for the design's own thickness when omitted.
+    """
+
+    gel: NeoHookean | Ogden = field(default_factory=lambda: NeoHookean(20e3))
+    encapsulation: NeoHookean | Ogden = field(default_factory=lambda: NeoHookean(28e3))
+    margin: float = 0.005
+    bulk_ratio: float = 1e4
+    gel_relaxation: Prony = GEL
+    encapsulation_relaxation: Prony = ECOFLEX
+    piezoresistivity: Piezoresistivity = field(default_factory=Piezoresistivity)
+    solved_thickness: float | None = None
+
+    def __post_init__(self) -> None:
+        """Check the lengths; laws and solid check the rest."""
+        if not (math.isfinite(self.margin) and self.margin >= 0.0):
+            raise ConfigurationError(f"margin must be a length in m, got {self.margin}")
+        solved = self.solved_thickness
+        if solved is not None and not (math.isfinite(solved) and solved > 0.0):
+            raise ConfigurationError(f"solved_thickness must be a positive length, got {solved}")
+
+    def stack(self, design: SensorDesign) -> "Stack":
+        """The layers of a sensor from below: encapsulation, gel, encapsulation."""
+        around = 0.5 * (design.encapsulated_thickness - design.thickness)
+        sheets = [Sheet(design.thickness, self.gel)]
+        if around > 0.0:
+            silicone = Sheet(around, self.encapsulation)
+            sheets = [silicone, *sheets, silicone]
+        return Stack(tuple(sheets), self.bulk_ratio)
+
+
+@dataclass(frozen=True, slots=True)
+class Sheet:
+    """One layer of a stack: its thickness [m] and what it is made of."""
+
+    thickness: float
+    law: NeoHookean | Ogden
+
+    def __post_init__(self) -> None:
+        """Check the thickness."""
+        if not (math.isfinite(self.thickness) and self.thickness > 0):
+            raise ConfigurationError(
+                f"the thickness of a layer must be positive, in m, got {self.thickness}"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class Stack:
+    """Layers bonded to each other and to a rigid base, from below.
+
+    Attributes:
+        sheets: the layers.
+        bulk_ratio: kappa / mu of all of them.
+    """
+
+    sheets: tuple[Sheet, ...]
+    bulk_ratio: float = 1e4
+
+    def __post_init__(self) -> None:
+        """Check that there is a layer."""
+        if not self.sheets:
+            raise ConfigurationError("a stack needs at least one layer")
+
+    @property
+    def levels(self) -> tuple[float, ...]:
+        """Heights of base, interfaces and top [m]."""
+        return (0.0, *np.cumsum([sheet.thickness for sheet in self.sheets]).tolist())

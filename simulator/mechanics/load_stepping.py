@@ -1,0 +1,227 @@
+"""Equilibrium of a solid under loads: Newton's method, and loads applied in steps."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csc_array
+from scipy.sparse.linalg import splu
+
+from eitskin.errors import ConfigurationError
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+_ITERATIONS = 20
+_FULL_STEPS = 6
+_TOLERANCE = (
+    1e-7  # last correction against the largest unknown, now or before; what is left is its square
+)
+_HALVINGS = 6  # of a correction that would turn a cell inside out
+_SMALLEST_STEP = 1.0 / 200.0
+
+
+class SolidError(ConfigurationError):
+    """A load under which a solid has no stable equilibrium that was found.
+
+    Attributes:
+        reached: the fraction of the load that was carried.
+    """
+
+    def __init__(self, message: str, reached: float = 0.0) -> None:
+        """Say what was asked, what was reached and what to change."""
+        super().__init__(message)
+        self.reached = reached
+
+
+class Part(Protocol):
+    """Something that exerts forces on the unknowns: a solid, a contact."""
+
+    @property
+    def multipliers(self) -> int:
+        """How many unknowns are multipliers of constraints, such as pressures."""
+        ...
+
+    def forces(self, x: Array) -> Array:
+        """Forces (n,) at the unknowns x (n,)."""
+        ...
+
+    def linearise(self, x: Array) -> tuple[Array, csc_array]:
+        """Forces (n,) and symmetric stiffness (n, n) at the unknowns x (n,)."""
+        ...
+
+    def admissible(self, x: Array) -> bool:
+        """Whether x is possible at all."""
+        ...
+
+    def advanced(self, x: Array) -> Self:
+        """The part as it is once x has been reached, where its forces depend on the past."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Load:
+    """What acts on the unknowns.
+
+    Attributes:
+        fixed: unknowns that are prescribed.
+        values: their values, (len(fixed),).
+        forces: dead forces on all unknowns, (n,).
+    """
+
+    fixed: Indices
+    values: Array
+    forces: Array
+
+
+class Factorised(Protocol):
+    """A symmetric matrix that can be solved with."""
+
+    @property
+    def negative(self) -> int:
+        """Number of its negative eigenvalues."""
+        ...
+
+    def solve(self, right: Array) -> Array:
+        """The solution (n,) for a right side (n,)."""
+        ...
+
+
+class SparseLU:
+    """A symmetric matrix (n, n) factorised by SuperLU."""
+
+    def __init__(self, matrix: csc_array) -> None:
+        """Pivots stay on the diagonal, where their signs count.
+
+        What that costs in accuracy the next iteration of Newton's method mends, since it starts
+        from the true forces.
+        """
+        self._lu = splu(
+            matrix,
+            permc_spec="MMD_AT_PLUS_A",
+            diag_pivot_thresh=0.0,
+            options={"SymmetricMode": True},
+        )
+
+    @property
+    def negative(self) -> int:
+        """Number of its negative eigenvalues."""
+        return int(np.count_nonzero(self._lu.U.diagonal() < 0.0))
+
+    def solve(self, right: Array) -> Array:
+        """The solution (n,) for a right side (n,)."""
+        return np.asarray(self._lu.solve(right))
+
+
+Factorise = Callable[[csc_array], Factorised]
+
+
+def newton(parts: Sequence[Part], x: Array, load: Load, factorise: Factorise = SparseLU) -> Array:
+    """The stable equilibrium near x; `factorise` takes the stiffness of the free unknowns, rising.
+
+    Corrections that would invert a cell, or leave larger forces unbalanced, are halved. Raises
+    SolidError where no equilibrium is found; `follow` takes smaller steps then.
+    """
+    free = np.setdiff1d(np.arange(len(x)), load.fixed)
+    start = np.abs(x).max()  # where all loads are taken off, x itself goes to zero
+    constraints = sum(part.multipliers for part in parts)
+    for iteration in range(_ITERATIONS):
+        step, factorised, unbalanced = _correction(parts, x, load, free, factorise)
+        # At first full steps find out quickly what touches; later ones must not go in circles.
+        limit = np.inf if iteration < _FULL_STEPS else unbalanced
+        x = _corrected(parts, x, step, load.forces, free, limit)
+        if np.abs(step).max() <= _TOLERANCE * max(start, np.abs(x).max()):
+            # The potential has a minimum over displacements, given the constraints, where there
+            # are as many negative pivots as multipliers (Sylvester's law of inertia).
+            if factorised.negative != constraints:
+                raise SolidError("the equilibrium is unstable: it would buckle or crease")
+            return x
+    raise SolidError(f"Newton's method does not converge in {_ITERATIONS} iterations")
+
+
+def _reached(parts: Sequence[Part], x: Array, load: Load) -> tuple[Array, tuple[Part, ...]]:
+    """The equilibrium near x, also of the parts as they are then."""
+    x = newton(parts, x, load)
+    advanced = tuple(part.advanced(x) for part in parts)
+    before, after = (sum(part.forces(x) for part in each) for each in (parts, advanced))
+    if np.linalg.norm(after - before) > _TOLERANCE * np.linalg.norm(before):
+        x = newton(advanced, x, load)
+    return x, advanced
+
+
+def _correction(
+    parts: Sequence[Part], x: Array, load: Load, free: Indices, factorise: Factorise
+) -> tuple[Array, Factorised, float]:
+    """The Newton step, the stiffness that gave it, and the unbalanced force."""
+    linearised = [part.linearise(x) for part in parts]
+    residual = sum((forces for forces, _ in linearised), start=-load.forces)
+    K = sum((stiffness for _, stiffness in linearised[1:]), start=linearised[0][1])
+    step = np.zeros_like(x)
+    step[load.fixed] = load.values - x[load.fixed]
+    try:
+        factorised = factorise(csc_array(K[free][:, free]))
+    except RuntimeError as error:
+        raise SolidError("the stiffness is singular") from error
+    step[free] = factorised.solve((-residual - K @ step)[free])
+    if not np.all(np.isfinite(step)):
+        raise SolidError("the stiffness is singular")
+    return step, factorised, float(np.linalg.norm(residual[free]))
+
+
+def _corrected(
+    parts: Sequence[Part], x: Array, step: Array, loads: Array, free: Indices, limit: float
+) -> Array:
+    """x after as much of the step as leaves less force unbalanced than `limit`, or least of it."""
+    best, least = x, np.inf
+    for halving in range(_HALVINGS + 1):
+        trial = x + 0.5**halving * step
+        if not all(part.admissible(trial) for part in parts):
+            continue
+        residual = sum((part.forces(trial) for part in parts), start=-loads)
+        unbalanced = float(np.linalg.norm(residual[free]))
+        if unbalanced < least:
+            best, least = trial, unbalanced
+        if unbalanced < limit:
+            break
+    if least == np.inf:
+        raise SolidError("cells are turned inside out")
+    return best
+
+
+def follow(
+    parts: Sequence[Part],
+    x: Array,
+    path: Callable[[float], Load],
+    first_step: float = 1.0,
+) -> tuple[Array, tuple[Part, ...]]:
+    """The equilibrium under path(1), from x under path(0), in as few steps as will do.
+
+    Returns it with the parts as they are then.
+
+    Raises SolidError, with the fraction reached, where even small steps find no equilibrium.
+    """
+    t, step, growth = 0.0, first_step, 2.0
+    previous, previous_t = x, 0.0
+    while t < 1.0:
+        target = min(1.0, t + step)
+        slope = (x - previous) / (t - previous_t) if t > previous_t else 0.0
+        guess = x + (target - t) * slope
+        if not all(part.admissible(guess) for part in parts):
+            guess = x
+        try:
+            reached, advanced = _reached(parts, guess, path(target))
+        except SolidError as error:
+            step, growth = 0.5 * (target - t), 1.0
+            if step < _SMALLEST_STEP:
+                raise SolidError(
+                    f"the solid carries {t:.1%} of the load only; beyond, {error}. Load it less, "
+                    "or refine the mesh where it is strained most",
+                    reached=t,
+                ) from None
+            continue
+        previous, previous_t, x, t = x, t, reached, target
+        parts = advanced
+        step, growth = growth * step, 2.0
+    return x, tuple(parts)

@@ -1,0 +1,344 @@
+"""Nearly incompressible solids at finite strain: energy, forces and stiffness on a mesh.
+
+Mixed form, total Lagrangian: the stationary points of
+
+    int W(F) + p (J - 1) - p^2 / (2 kappa) dV,    F = 1 + du/dX, J = det F,
+
+with quadratic displacements u and linear pressures p (Taylor and Hood 1973), the pressure
+continuous within each material only. Eliminating p = kappa (J - 1) shows the energy of volume
+changes, kappa/2 (J - 1)^2; a small part of kappa acts on the displacements directly. The mean
+stress is positive in tension.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal, Self
+
+import numpy as np
+import skfem
+from numpy.typing import NDArray
+from scipy.sparse import coo_array, csc_array
+
+from eitskin.errors import ConfigurationError
+from eitskin.simulator.mechanics.materials import Law, cofactor, determinant
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+Kinematics = Literal["plane strain", "axisymmetric", "solid"]
+
+# Entries of F, flattened, that displacements can change; (2, 2) is the hoop stretch.
+_COMPONENTS = {
+    "plane strain": [0, 1, 3, 4],
+    "axisymmetric": [0, 1, 3, 4, 8],
+    "solid": list(range(9)),
+}
+_ELEMENTS = {
+    skfem.MeshQuad1: (skfem.ElementQuad2, skfem.ElementQuad1),
+    skfem.MeshTri1: (skfem.ElementTriP2, skfem.ElementTriP1),
+    skfem.MeshHex1: (skfem.ElementHex2, skfem.ElementHex1),
+    skfem.MeshTet1: (skfem.ElementTetP2, skfem.ElementTetP1),
+}
+_EVEN = np.zeros((3, 3, 3))
+for _i, _j, _k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+    _EVEN[_i, _j, _k], _EVEN[_i, _k, _j] = 1.0, -1.0
+# The second derivative of a determinant: d cof(F)_iJ / dF_kL = e_ikm e_JLn F_mn.
+_COFACTOR_SLOPE = np.einsum("ikm,JLn->mniJkL", _EVEN, _EVEN).reshape(9, 9, 9)
+STIFFEST = 1e8  # kappa / mu
+# Part of kappa / mu that acts on the displacements at every quadrature point. Without it, modes
+# that linear pressures do not see become soft at large strain: bent blocks then wrinkle at 0.83 of
+# their length instead of at Biot's 0.54 (Auricchio et al. 2005 describe the effect). With much
+# more, quadratic displacements alone would lock.
+_DIRECT = 3.0
+_CHUNK = 4_000_000  # numbers held at once per array while the stiffness is assembled
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Strained:
+    """What holds at the quadrature points, for the unknowns x.
+
+    Attributes:
+        x: a copy of them.
+        F: deformation gradients, (cells, q, 3, 3).
+        H: their cofactors.
+        J: their determinants, (cells, q).
+        multiplier: pressure of the mixed form [Pa], (cells, q).
+    """
+
+    x: Array
+    F: Array
+    H: Array
+    J: Array
+    multiplier: Array
+
+
+class Solid:
+    """A meshed body of hyperelastic materials.
+
+    Unknowns x are the displacements [m], node by node, then the pressures, scaled to have the
+    size of displacements so that the stiffness is well scaled. Further unknowns may follow, such
+    as the depth of an indenter, on which the solid exerts no force.
+
+    Attributes:
+        mesh: cells; two-dimensional ones hold (x, y), or (r, z) when axisymmetric [m].
+        kinematics: what the mesh stands for.
+        basis: the functions of one displacement component, one per node.
+        nodes: places of the displacement nodes, (nodes, dim) [m].
+        unknowns: number of displacements and pressures.
+        cells_of_law: cells of each material.
+    """
+
+    def __init__(
+        self,
+        mesh: skfem.Mesh,
+        laws: Sequence[Law],
+        law_of_cell: Indices | None = None,
+        kinematics: Kinematics = "plane strain",
+        bulk_ratio: float = 1e5,
+    ) -> None:
+        """Number the unknowns and evaluate the shape functions.
+
+        Args:
+            mesh: quadrilaterals, triangles, hexahedra or tetrahedra of scikit-fem.
+            laws: the materials.
+            law_of_cell: which of them each cell is made of; the first when omitted.
+            kinematics: two-dimensional meshes are in plane strain or axisymmetric.
+            bulk_ratio: kappa / mu of every material, 2 (1 + nu) / (3 (1 - 2 nu)).
+        """
+        self.mesh, self.kinematics, self.laws = mesh, kinematics, tuple(laws)
+        elements = next((e for kind, e in _ELEMENTS.items() if isinstance(mesh, kind)), None)
+        if elements is None or mesh.dim() != self.dim:
+            raise ConfigurationError(
+                f"'{kinematics}' needs cells in {self.dim} dimensions, quadrilaterals, triangles, "
+                f"hexahedra or tetrahedra, got {type(mesh).__name__}"
+            )
+        if not 0.0 < bulk_ratio <= STIFFEST:
+            raise ConfigurationError(
+                f"bulk_ratio must lie above 0 and at most at {STIFFEST:g}, beyond which rounding "
+                f"spoils the pressure, got {bulk_ratio}"
+            )
+        if law_of_cell is None:
+            law_of_cell = np.zeros(mesh.t.shape[1], dtype=np.int64)
+        self.basis = skfem.CellBasis(mesh, elements[0](), intorder=4)
+        pressure = skfem.CellBasis(mesh, elements[1](), intorder=4)
+        self.nodes: Array = np.ascontiguousarray(self.basis.doflocs.T)
+        self._shape(pressure)
+        self._number(pressure, law_of_cell)
+        moduli = np.array([law.shear_modulus for law in laws])
+        direct = min(_DIRECT, 0.5 * bulk_ratio)
+        self._direct: Array = direct * moduli[law_of_cell]
+        self._last: _Strained | None = None
+        self._compliance: Array = 1.0 / ((bulk_ratio - direct) * moduli[law_of_cell])
+        # A pressure of mu/h does as much as a displacement of 1 in a cell of size h.
+        size = np.mean(np.abs(np.ptp(mesh.p[:, mesh.t], axis=1)))
+        self._pressure_scale = float(moduli.mean() / size)
+
+    @property
+    def dim(self) -> int:
+        """Displacement components per node."""
+        return 3 if self.kinematics == "solid" else 2
+
+    @property
+    def multipliers(self) -> int:
+        """Number of pressures."""
+        return self.unknowns - int(self.nodes.size)
+
+    def displacement(self, x: Array) -> Array:
+        """Displacements of the nodes [m], (nodes, dim)."""
+        return x[: self.nodes.size].reshape(self.nodes.shape)
+
+    def pressure(self, x: Array) -> Array:
+        """Mean stress at the quadrature points [Pa], (cells, q)."""
+        return self._mean_stress(self._strained(x))
+
+    def deformation_gradient(self, x: Array) -> Array:
+        """F at the quadrature points, (cells, q, 3, 3)."""
+        return self._strained(x).F
+
+    def volume_ratio(self, x: Array) -> Array:
+        """J = det F at the quadrature points, (cells, q)."""
+        return self._strained(x).J
+
+    def admissible(self, x: Array) -> bool:
+        """Whether no quadrature point is inverted."""
+        return bool(np.all(self._strained(x).J > 0.0))  # also false for NaN
+
+    def advanced(self, x: Array) -> Self:  # noqa: ARG002
+        """The solid itself: it is elastic."""
+        return self
+
+    def energy(self, x: Array) -> float:
+        """Stored energy [J]; per unit of thickness in plane strain."""
+        at = self._strained(x)
+        W = self._compliance[:, None] * at.multiplier**2
+        W += self._direct[:, None] * (at.J - 1.0) ** 2
+        W *= 0.5
+        for law, cells in self._groups():
+            W[cells] += law.energy(at.F[cells])
+        return float(np.sum(W * self.weights))
+
+    def shape_energies(self, x: Array) -> Array:
+        """Energy of changes of shape stored in each material [J], (laws,)."""
+        F = self.deformation_gradient(x)
+        stored = np.zeros(len(self.laws))
+        for k, (law, cells) in enumerate(zip(self.laws, self.cells_of_law, strict=True)):
+            stored[k] = np.sum(law.energy(F[cells]) * self.weights[cells])
+        return stored
+
+    def corner_mean_stress(self, x: Array, law: int) -> Array:
+        """Mean stress of one material at the corners of cells [Pa], (corners,); NaN elsewhere.
+
+        Without the small part that acts on the displacements directly.
+        """
+        cells = self.cells_of_law[law]
+        found = np.full(self.mesh.p.shape[1], np.nan)
+        found[self.mesh.t.T[cells]] = self._pressure_scale * x[self._pressure_numbers[cells]]
+        return found
+
+    def stress(self, x: Array) -> Array:
+        """First Piola-Kirchhoff stress at the quadrature points [Pa], (cells, q, 3, 3)."""
+        return self._stress(self._strained(x))
+
+    def forces(self, x: Array) -> Array:
+        """Residual of the equilibrium: nodal forces [N], then scaled volume errors."""
+        return self._gathered(self._strained(x))
+
+    def linearise(self, x: Array) -> tuple[Array, csc_array]:
+        """`forces` (n,) and their derivative, symmetric, (n, n), at x (n,)."""
+        at = self._strained(x)
+        numbers = np.hstack([self._displacement_numbers, self._pressure_numbers])
+        values = np.concatenate([self._stiffness(law, cells, at) for law, cells in self._groups()])
+        numbers = numbers[np.concatenate([cells for _, cells in self._groups()])]
+        rows = np.broadcast_to(numbers[:, :, None], values.shape)
+        columns = np.broadcast_to(numbers[:, None, :], values.shape)
+        K = coo_array((values.ravel(), (rows.ravel(), columns.ravel())), shape=(len(x), len(x)))
+        return self._gathered(at), K.tocsc()
+
+    def traction(self, facets: Indices, traction: Callable[[Array], Array]) -> Array:
+        """Nodal forces (unknowns,) of dead tractions on boundary facets of the undeformed mesh.
+
+        `traction` gives [Pa], (dim, ...), at places (dim, ...) [m].
+        """
+        rim = skfem.FacetBasis(self.mesh, self.basis.elem, facets=facets, intorder=5)
+        X = np.asarray(rim.global_coordinates())
+        weights = rim.dx * (2.0 * np.pi * X[0] if self.kinematics == "axisymmetric" else 1.0)
+        loads = np.zeros((len(self.nodes), self.dim))
+        for a, (function,) in enumerate(rim.basis):
+            parts = np.sum(traction(X) * np.asarray(function) * weights, axis=-1)
+            np.add.at(loads, rim.element_dofs[a], parts.T)
+        return np.concatenate([loads.ravel(), np.zeros(self.unknowns - loads.size)])
+
+    def _strained(self, x: Array) -> _Strained:
+        """The state at x; kept, since Newton's method asks several times for that of one x."""
+        if self._last is None or not np.array_equal(self._last.x, x):
+            u = self.displacement(x)[self.basis.element_dofs.T].swapaxes(1, 2)
+            slopes = self._slopes.reshape(*self._slopes.shape[:2], -1)
+            moved = (u @ slopes).reshape(len(u), self.dim, -1, self.dim).swapaxes(1, 2)
+            F = np.zeros((*self.weights.shape, 3, 3))
+            F[..., range(3), range(3)] = 1.0
+            F[..., : self.dim, : self.dim] += moved
+            if self.kinematics == "axisymmetric":
+                F[..., 2, 2] += (u[:, :1] @ self._hoops)[:, 0]
+            H = cofactor(F)
+            J = determinant(F, H)
+            for kept in (F, H, J):
+                kept.flags.writeable = False  # who asks for them gets these very arrays
+            p = self._pressure_scale * (x[self._pressure_numbers] @ self._pressure_values)
+            self._last = _Strained(x.copy(), F, H, J, p)
+        return self._last
+
+    def _mean_stress(self, at: _Strained) -> Array:
+        p: Array = at.multiplier + self._direct[:, None] * (at.J - 1.0)
+        return p
+
+    def _stress(self, at: _Strained) -> Array:
+        P: Array = self._mean_stress(at)[..., None, None] * at.H
+        for law, cells in self._groups():
+            P[cells] += law.stress(at.F[cells])
+        return P
+
+    def _shape(self, pressure: skfem.CellBasis) -> None:
+        """Shape functions at the quadrature points; weights include the ring 2 pi r."""
+        slopes = np.stack([np.asarray(f.grad) for (f,) in self.basis.basis])  # (a, J, c, q)
+        self._slopes: Array = np.ascontiguousarray(slopes.transpose(2, 0, 3, 1))
+        self.weights: Array = np.asarray(self.basis.dx).copy()
+        if self.kinematics == "axisymmetric":
+            r = np.asarray(self.basis.global_coordinates())[0]
+            values = np.stack(
+                [np.broadcast_to(np.asarray(f), r.shape) for (f,) in self.basis.basis]
+            )
+            self._hoops: Array = np.ascontiguousarray((values / r).swapaxes(0, 1))
+            self.weights *= 2.0 * np.pi * r
+        self._pressure_values: Array = np.stack([np.asarray(f)[0] for (f,) in pressure.basis])
+
+    def _number(self, pressure: skfem.CellBasis, law_of_cell: Indices) -> None:
+        dofs = self.basis.element_dofs.T.astype(np.int64)
+        spread = self.dim * dofs[:, :, None] + np.arange(self.dim)
+        self._displacement_numbers: Indices = spread.reshape(len(dofs), -1)
+        # Pressures jump between materials: one number per node and material.
+        pairs = pressure.element_dofs.T.astype(np.int64) * len(self.laws) + law_of_cell[:, None]
+        kept, numbers = np.unique(pairs, return_inverse=True)
+        self._pressure_numbers: Indices = self.nodes.size + numbers.reshape(pairs.shape)
+        self.unknowns = self.nodes.size + len(kept)
+        self.cells_of_law = [np.flatnonzero(law_of_cell == k) for k in range(len(self.laws))]
+
+    def _groups(self) -> Iterator[tuple[Law, Indices]]:
+        """Cells of one law, few enough to be assembled at once."""
+        functions, points = self._slopes.shape[1:3]
+        each = max(1, _CHUNK // (points * functions * self.dim * 9))
+        for law, cells in zip(self.laws, self.cells_of_law, strict=True):
+            for start in range(0, len(cells), each):
+                yield law, cells[start : start + each]
+
+    def _strain_operator(self, cells: Indices) -> Array:
+        """d(entries of F)/d(displacements of a cell), (cells, q, entries, functions * dim)."""
+        slopes = self._slopes[cells].transpose(0, 2, 3, 1)  # (cells, q, J, functions)
+        dim = self.dim
+        entries = _COMPONENTS[self.kinematics]
+        B = np.zeros((*slopes.shape[:2], len(entries), slopes.shape[3], dim))
+        for i in range(dim):
+            B[:, :, i * dim : (i + 1) * dim, :, i] = slopes
+        if self.kinematics == "axisymmetric":
+            B[:, :, 4, :, 0] = self._hoops[cells].swapaxes(1, 2)
+        return B.reshape(*B.shape[:3], -1)
+
+    def _gathered(self, at: _Strained) -> Array:
+        """Nodal forces and volume errors, (n,)."""
+        P = self._stress(at) * self.weights[..., None, None]
+        within = P[..., : self.dim, : self.dim].swapaxes(2, 3).reshape(len(P), -1, self.dim)
+        nodal = self._slopes.reshape(*self._slopes.shape[:2], -1) @ within
+        if self.kinematics == "axisymmetric":
+            nodal[..., :1] += self._hoops @ P[..., 2, 2:]
+        dilation = at.J - 1.0 - self._compliance[:, None] * at.multiplier
+        volume = self._pressure_scale * (dilation * self.weights) @ self._pressure_values.T
+        residual = np.bincount(
+            np.concatenate([self._displacement_numbers.ravel(), self._pressure_numbers.ravel()]),
+            weights=np.concatenate([nodal.ravel(), volume.ravel()]),
+            minlength=len(at.x),
+        )
+        return np.asarray(residual, dtype=np.float64)
+
+    def _stiffness(self, law: Law, cells: Indices, at: _Strained) -> Array:
+        """Element matrices of displacements and pressures, (cells, unknowns, unknowns)."""
+        entries = _COMPONENTS[self.kinematics]
+        w, F = self.weights[cells], at.F[cells]
+        H = at.H[cells].reshape(*w.shape, 9)[..., entries]
+        A = law.tangent(F, entries)
+        slope = _COFACTOR_SLOPE[:, entries][:, :, entries]
+        curvature = np.tensordot(F.reshape(*w.shape, 9), slope, axes=1)
+        A += self._mean_stress(at)[cells][..., None, None] * curvature
+        A += self._direct[cells, None, None, None] * H[..., :, None] * H[..., None, :]
+        A *= w[..., None, None]
+        B = self._strain_operator(cells)
+        joined = (len(cells), -1, B.shape[-1])
+        K_uu = B.reshape(joined).swapaxes(1, 2) @ (A @ B).reshape(joined)
+        swelling = (H[..., None, :] @ B)[..., 0, :]
+        psi = self._pressure_scale * self._pressure_values
+        K_up = (swelling * w[..., None]).swapaxes(1, 2) @ psi.T
+        K_pp = -self._compliance[cells, None, None] * np.einsum("cq,aq,bq->cab", w, psi, psi)
+        return np.concatenate(
+            [
+                np.concatenate([K_uu, K_up], axis=2),
+                np.concatenate([K_up.swapaxes(1, 2), K_pp], axis=2),
+            ],
+            axis=1,
+        )

@@ -1,0 +1,232 @@
+"""Kernels that have been solved before, in memory and on disk, and those between them."""
+
+import dataclasses
+import hashlib
+import json
+import math
+import os
+import sys
+import zipfile
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from eitskin.errors import ConfigurationError
+from eitskin.files import whole_file
+from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.simulator.mechanics import press_table as kernels
+from eitskin.simulator.mechanics.layer_stack import Mechanics, Sheet, Stack
+from eitskin.simulator.mechanics.press_table import Kernel
+from eitskin.simulator.scene.indenters import Indenter
+
+# Of what is computed: raise it whenever presses are solved or tabulated in another way.
+_VERSION = 1
+# Kernels are solved for moduli of the encapsulation over the gel's of 1.4 2^(k/2), k an integer;
+# 1.4 is the reference. Those between are interpolated.
+_REFERENCE_RATIO = 1.4
+_STEPS = 2.0  # per factor of two
+_THICKER = 1.1  # between thicknesses that are solved, where sensors share them
+# Everything is solved at one scale: a layer this thick [m], of this shear modulus [Pa].
+_THICKNESS, _MODULUS = 0.005, 20e3
+_SAMPLES = 65  # of the indenter's profile, by which it is known
+_LENGTHS = ("depths", "contact_radii", "thickness", "knots", "moved")
+_STRESSES = ("peak_pressures", "stressed")
+
+
+@lru_cache(maxsize=64)
+def kernel(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -> Kernel:
+    """The kernel of a sensor and an indenter; the first time it takes seconds to a minute.
+
+    Raises ConfigurationError where not even shallow presses are carried.
+    """
+    thickness = design.thickness
+    found = [(_stored(stack, indenter), weight) for stack, weight in _needed(design, mechanics)]
+    if len(found) == 1:
+        return found[0][0]
+    return kernels.combined(
+        [one.stretched(thickness / float(one.thickness)) for one, _ in found],
+        np.array([weight for _, weight in found]),
+    )
+
+
+def is_stored(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -> bool:
+    """Whether all that `kernel` needs has been solved and is on the disk."""
+    return not missing(design, mechanics, indenter)
+
+
+def missing(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -> set[Path]:
+    """The files that `kernel` needs and are not there; each takes seconds to a minute to solve."""
+    paths = (_path(stack, indenter) for stack, _ in _needed(design, mechanics))
+    return {path for path in paths if not path.is_file()}
+
+
+def folder() -> Path:
+    """Where kernels are stored: $EITSKIN_CACHE, or the user's folder for caches."""
+    given = os.environ.get("EITSKIN_CACHE")
+    if given:
+        return Path(given)
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA", Path.home())) / "eitskin"
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches" / "eitskin"
+    return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "eitskin"
+
+
+def _needed(design: SensorDesign, mechanics: Mechanics) -> list[tuple[Stack, float]]:
+    """Stacks that are solved, and their weights in the kernel of a design's stack."""
+    return [
+        (stack, high * stiff)
+        for thick, high in _of_thicknesses(mechanics.stack(design), design, mechanics)
+        for stack, stiff in _of_ratios(thick)
+    ]
+
+
+def _of_thicknesses(
+    stack: Stack, design: SensorDesign, mechanics: Mechanics
+) -> list[tuple[Stack, float]]:
+    """The stack at thicknesses that are solved, and their weights."""
+    solved = mechanics.solved_thickness or design.thickness
+    place = float(np.log(design.thickness / solved) / np.log(_THICKER))
+    middle = round(place) if abs(place) > 1.0 else 0  # within a step three tables serve all
+    return [
+        (_scaled_heights(stack, solved * _THICKER**p / design.thickness), weight)
+        for p, weight in _lagrange(place, range(middle - 1, middle + 2))
+    ]
+
+
+def _of_ratios(stack: Stack) -> list[tuple[Stack, float]]:
+    """The stack with moduli of the encapsulation that are solved, and their weights."""
+    if len(stack.sheets) == 1:
+        return [(stack, 1.0)]
+    around, gel, _ = (sheet.law.shear_modulus for sheet in stack.sheets)
+    place = float(_STEPS * np.log2(around / gel / _REFERENCE_RATIO))
+    first = math.ceil(place) - 2
+    weights = _lagrange(place, range(first, first + 4))
+    return [(_with_ratio(stack, p), weight) for p, weight in weights]
+
+
+def _lagrange(place: float, places: range) -> list[tuple[int, float]]:
+    """Weights of values at `places` in their polynomial at `place`; of one, where it is there."""
+    nearest = round(place)
+    if abs(place - nearest) < 1e-9:
+        return [(nearest, 1.0)]
+    return [(p, math.prod((place - q) / (p - q) for q in places if q != p)) for p in places]
+
+
+def _scaled_heights(stack: Stack, factor: float) -> Stack:
+    sheets = tuple(dataclasses.replace(x, thickness=factor * x.thickness) for x in stack.sheets)
+    return dataclasses.replace(stack, sheets=sheets)
+
+
+def _with_ratio(stack: Stack, place: int) -> Stack:
+    """The stack with the encapsulation of one of the moduli that kernels are solved for."""
+    around, gel, _ = stack.sheets
+    modulus = _REFERENCE_RATIO * 2.0 ** (place / _STEPS) * gel.law.shear_modulus
+    law = dataclasses.replace(around.law, shear_modulus=modulus)
+    silicone = dataclasses.replace(around, law=law)
+    return dataclasses.replace(stack, sheets=(silicone, gel, silicone))
+
+
+def _stored(stack: Stack, indenter: Indenter) -> Kernel:
+    """The kernel of the middle sheet from the disk, or solved now and put there."""
+    length, modulus = _scales(stack)
+    path = _path(stack, indenter)
+    found = _read(path)
+    if found is None:
+        found = kernels.solved(
+            _scaled_stack(stack, length, modulus),
+            len(stack.sheets) // 2,
+            _Scaled(indenter, length),
+        )
+        _write(found, path)
+    scale = dict.fromkeys(_LENGTHS, length) | dict.fromkeys(_STRESSES, modulus)
+    scale |= {"forces": modulus * length**2, "energies": modulus * length**3}
+    values = {name: scale.get(name, 1.0) * array for name, array in _arrays(found).items()}
+    return Kernel(**values)
+
+
+def _scales(stack: Stack) -> tuple[float, float]:
+    """Length and modulus of the middle sheet over those that kernels are solved for."""
+    layer = stack.sheets[len(stack.sheets) // 2]
+    return layer.thickness / _THICKNESS, layer.law.shear_modulus / _MODULUS
+
+
+def _path(stack: Stack, indenter: Indenter) -> Path:
+    return folder() / f"kernel-{_key(stack, indenter, *_scales(stack))}.npz"
+
+
+def _scaled_stack(stack: Stack, length: float, modulus: float) -> Stack:
+    sheets = tuple(
+        Sheet(
+            sheet.thickness / length,
+            dataclasses.replace(sheet.law, shear_modulus=sheet.law.shear_modulus / modulus),
+        )
+        for sheet in stack.sheets
+    )
+    return dataclasses.replace(stack, sheets=sheets)
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class _Scaled:
+    """An indenter drawn at another scale: lengths are divided by `length`."""
+
+    indenter: Indenter
+    length: float
+
+    @property
+    def rough(self) -> bool:
+        return self.indenter.rough
+
+    @property
+    def rims(self) -> tuple[float, float]:
+        inner, outer = self.indenter.rims
+        return inner / self.length, outer / self.length
+
+    def profile(self, r: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        height, slope, bend = self.indenter.profile(r * self.length)
+        return height / self.length, slope, bend * self.length
+
+
+def _key(stack: Stack, indenter: Indenter, length: float, modulus: float) -> str:
+    """A hash of everything that the scaled kernel depends on."""
+    scaled, shape = _scaled_stack(stack, length, modulus), _Scaled(indenter, length)
+    heights, slopes, _ = shape.profile(np.linspace(0.0, shape.rims[1], _SAMPLES))
+    described = {
+        "version": _VERSION,
+        "sheets": [
+            [sheet.thickness, type(sheet.law).__name__, *dataclasses.astuple(sheet.law)]
+            for sheet in scaled.sheets
+        ],
+        "bulk_ratio": stack.bulk_ratio,
+        "rims": shape.rims,
+        "rough": shape.rough,
+        "heights": heights.tolist(),
+        "slopes": slopes.tolist(),
+    }
+    text = json.dumps(described, default=float, sort_keys=True)
+    rounded = json.dumps(json.loads(text, parse_float=lambda s: f"{float(s):.9g}"))
+    return hashlib.sha256(rounded.encode()).hexdigest()[:32]
+
+
+def _arrays(kernel: Kernel) -> dict[str, np.ndarray]:
+    return {field.name: getattr(kernel, field.name) for field in dataclasses.fields(Kernel)}
+
+
+def _read(path: Path) -> Kernel | None:
+    """The kernel in a file; None where there is none, or not a whole one."""
+    try:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+            return Kernel(**{field.name: file[field.name] for field in dataclasses.fields(Kernel)})
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        return None
+
+
+def _write(kernel: Kernel, path: Path) -> None:
+    """Store a kernel, if the disk will have it: without, it is solved again the next time."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with whole_file(path) as temporary:
+            np.savez(temporary, allow_pickle=False, **_arrays(kernel))
+    except (OSError, ConfigurationError):
+        return

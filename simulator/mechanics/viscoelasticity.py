@@ -1,0 +1,202 @@
+"""How presses creep and relax: quasi-linear viscoelasticity of force against depth.
+
+A press to a depth d takes an elastic force F_e(d) at once and relaxes: F(t) = int G(t-s) dF_e(s)
+(Fung 1993, section 7.6). Under a given force the dent is the one that F_e(t) = int J(t-s) dF(s)
+would make at once; J, the creep function, undoes G. So everything about time goes through F_e,
+"the elastic force", and whatever is known of presses at once holds for it.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import brentq
+
+from eitskin.errors import ConfigurationError
+
+Array = NDArray[np.float64]
+
+_LONGEST = 1e30  # s; squares of such times neither overflow nor vanish
+_FAINTEST = 1e-60  # amplitudes below it are those of no term
+
+
+@dataclass(frozen=True)
+class Prony:
+    """Reduced relaxation function G(t) = 1 - sum_k g_k (1 - exp(-t / tau_k)).
+
+    Attributes:
+        amplitudes: g_k, what relaxes of a force of 1; together less than 1.
+        times: tau_k [s].
+    """
+
+    amplitudes: tuple[float, ...] = ()
+    times: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        g, tau = self.amplitudes, self.times
+        if len(g) != len(tau):
+            raise ConfigurationError(
+                f"a Prony series needs one time per amplitude, got {len(g)} amplitudes and "
+                f"{len(tau)} times"
+            )
+        if not all(a >= 0.0 for a in g) or not math.fsum(g) < 1.0:
+            raise ConfigurationError(
+                "amplitudes of a Prony series must not be negative and must add up to less than "
+                f"1, or the material would flow; got {g}"
+            )
+        if not all(1.0 / _LONGEST <= time <= _LONGEST for time in tau):
+            raise ConfigurationError(
+                f"relaxation times must be positive and finite, in s, got {tau}"
+            )
+
+    def relaxation(self, t: ArrayLike) -> Array:
+        """G at times t >= 0 [s]: the force after a step of depth that took a force of 1."""
+        return 1.0 - _approach(self.amplitudes, self.times, t)
+
+    def creep(self, t: ArrayLike) -> Array:
+        """J at times t >= 0 [s]: the elastic force after a step of force of 1."""
+        return 1.0 + _approach(*self.dual, t)
+
+    @cached_property
+    def dual(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Retardation amplitudes j_k and times [s]: J(t) = 1 + sum_k j_k (1 - exp(-t / time_k)).
+
+        The Laplace transform of G is sum_k w_k / (s + p_k) with weights w = (1 - sum g, g_1, ...)
+        and rates p = (0, 1 / tau_1, ...). That of J is 1 over s^2 times it, so retardation rates
+        are its zeros, one between any two neighbouring p, and the amplitudes follow from the
+        residues. All sums are of terms of one sign: close and far rates keep their digits.
+        """
+        g = np.array(self.amplitudes)
+        kept = g > _FAINTEST
+        rates, which = np.unique(1.0 / np.array(self.times)[kept], return_inverse=True)
+        p = np.append(0.0, rates)
+        w = np.append(1.0 - math.fsum(g), np.bincount(which, weights=g[kept]))
+        amplitudes, times = [], []
+        for k in reversed(range(len(rates))):
+            origin, offset = _zero_between(p, w, k)
+            rate = p[origin] + offset
+            amplitudes.append(1.0 / float(w @ (rate / ((p[origin] - p) + offset)) ** 2))
+            times.append(1.0 / float(rate))
+        return tuple(amplitudes), tuple(times)
+
+
+GEL = Prony((0.10, 0.10, 0.05), (0.5, 10.0, 200.0))
+ECOFLEX = Prony((0.05, 0.05), (1.0, 30.0))
+
+
+def mixed(materials: Sequence[Prony], shares: ArrayLike) -> Prony:
+    """The relaxation of a body of several materials, sum_k s_k G_k(t).
+
+    Args:
+        materials: those of the parts.
+        shares: s_k = (mu_k / F) dF/dmu_k at fixed depth, adding up to 1 (`layer_shares`).
+
+    The elastic force is F(mu_1, mu_2, ...), homogeneous of degree one. Were the body linear, its
+    transformed relaxation would be F(mu_1 s G_1, ...) exactly (correspondence principle), of
+    which this is the first order in the amplitudes. It is exact for parts side by side; for parts
+    on top of each other it is off by some s_1 s_2 (G_1 - G_2)^2.
+    """
+    s = np.array(shares, dtype=np.float64)
+    if s.shape != (len(materials),) or not (np.all(s >= 0.0) and abs(s.sum() - 1.0) < 1e-6):
+        raise ConfigurationError(
+            f"mixing {len(materials)} materials needs as many shares, none negative, that add up "
+            f"to 1, got {s.tolist()}"
+        )
+    terms: dict[float, float] = {}
+    for share, material in zip(s.tolist(), materials, strict=True):
+        for amplitude, time in zip(material.amplitudes, material.times, strict=True):
+            terms[time] = terms.get(time, 0.0) + share * amplitude
+    times = tuple(sorted(terms))
+    return Prony(tuple(terms[time] for time in times), times)
+
+
+# The reference stack under the 15 mm cylinder: the gel's share is 0.436 at 2 N, 0.433 at 5 N and
+# 0.414 at 10 N (`python -m eitskin.benchmarks.studies.creep`).
+REFERENCE = mixed((GEL, ECOFLEX), (0.43, 0.57))
+
+
+def held(prony: Prony, force: float, seconds: float, released: float = 0.0) -> float:
+    """The elastic force [N] of a force [N] applied at once, held, then perhaps taken off.
+
+    Args:
+        prony: how the body relaxes.
+        force: while it is held [N].
+        seconds: for how long it is held [s].
+        released: how long ago it was taken off [s]; 0 while it still acts.
+    """
+    check_not_negative(force=force, seconds=seconds, released=released)
+    j, times = (np.array(part) for part in prony.dual)
+    crept = float(j @ (np.exp(-released / times) * -np.expm1(-seconds / times)))
+    return force * (crept if released > 0.0 else 1.0 + crept)
+
+
+def held_at_depth(prony: Prony, force: float, seconds: float, released: float = 0.0) -> float:
+    """The elastic force [N] of a depth reached at once, held, then perhaps left to itself.
+
+    Args:
+        prony: how the body relaxes.
+        force: at the first moment [N].
+        seconds: for how long the depth is held [s].
+        released: how long ago the indenter was taken off [s]; 0 while it is there.
+
+    While the depth is held the force is F G(t). What each retardation time lets the body feel of
+    it, time q' = F G - q, fades after the release; all terms are positive.
+    """
+    check_not_negative(force=force, seconds=seconds, released=released)
+    if released == 0.0:
+        return force
+    g, rates = np.array(prony.amplitudes), 1.0 / np.array(prony.times)
+    j, times = (np.array(part) for part in prony.dual)
+    retardation = 1.0 / times[:, None]
+    # (exp(-rate t) - exp(-retardation t)) / (retardation - rate), where they are close as well.
+    lag = seconds * np.exp(-np.minimum(rates, retardation) * seconds)
+    lag *= mean_decay(np.abs(rates - retardation) * seconds)
+    felt = (1.0 - math.fsum(g)) * -np.expm1(-seconds / times) + (retardation * lag) @ g
+    return force * float(j @ (felt * np.exp(-released / times)))
+
+
+def mean_decay(x: Array) -> Array:
+    """The mean of exp(-s) over s from 0 to x, (1 - exp(-x)) / x."""
+    mean: Array = np.divide(-np.expm1(-x), x, out=np.ones_like(x), where=x > 0.0)
+    return mean
+
+
+def check_not_negative(**numbers: float) -> None:
+    """Raise a ConfigurationError that names the first of `numbers` that is not 0 or more."""
+    for name, value in numbers.items():
+        if not (math.isfinite(value) and value >= 0.0):
+            raise ConfigurationError(f"{name} must be a number of 0 or more, got {value}")
+
+
+def _approach(amplitudes: ArrayLike, times: ArrayLike, t: ArrayLike) -> Array:
+    """sum_k a_k (1 - exp(-t / time_k)), of the shape of t."""
+    at, a, tau = (np.asarray(part, dtype=np.float64) for part in (t, amplitudes, times))
+    if not np.all(at >= 0.0):
+        raise ConfigurationError(f"times since a step must be 0 s or more, got {at.min()}")
+    return np.asarray(np.tensordot(a, -np.expm1(-np.multiply.outer(1.0 / tau, at)), axes=1))
+
+
+def _zero_between(p: Array, w: Array, k: int) -> tuple[int, float]:
+    """The zero of sum_i w_i / (x - p_i) between p_k and p_(k+1), as the nearer one and the rest.
+
+    Seen from the nearer pole, no digits of the distance to it are lost (Li 1993, LAPACK's dlaed4).
+    """
+    left, right = p[k], p[k + 1]
+    others = np.delete(np.arange(len(p)), [k, k + 1])
+
+    def without_poles(offset: float, origin: int) -> float:
+        above, below = (p[origin] - left) + offset, (right - p[origin]) - offset
+        rest = float(w[others] @ (1.0 / ((p[origin] - p[others]) + offset)))
+        return float(w[k] * below - w[k + 1] * above + above * below * rest)
+
+    gap = right - left
+    origin, reach = (k + 1, -0.75 * gap) if without_poles(0.5 * gap, k) > 0.0 else (k, 0.75 * gap)
+    precision = np.finfo(np.float64)
+    offset = brentq(
+        without_poles, 0.0, reach, (origin,), precision.tiny, 4.0 * precision.eps, maxiter=2000
+    )
+    return origin, float(offset)

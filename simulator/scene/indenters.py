@@ -1,0 +1,191 @@
+"""Convex rigid bodies of revolution that press on the sensor, as maps of their height."""
+
+import math
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.bounds import require_length
+from eitskin.errors import ConfigurationError
+
+Array = NDArray[np.float64]
+
+# Walls are as steep as this at most: 80 degrees, so that every indenter is a height map.
+_STEEPEST = math.tan(math.radians(80.0))
+_PROJECTIONS = 12
+_WIDEST = 0.5  # m; no finger or tool is wider, but 1 mm written as 1 is
+
+
+class Indenter(Protocol):
+    """A convex body of revolution with a vertical axis."""
+
+    @property
+    def rough(self) -> bool:
+        """Whether it holds what it touches; else the face slides along it freely."""
+        ...
+
+    @property
+    def rims(self) -> tuple[float, float]:
+        """Smallest and largest radius at which contact may end under any load [m]."""
+        ...
+
+    def profile(self, r: Array) -> tuple[Array, Array, Array]:
+        """Height h(r) over the lowest point [m], dh/dr, and d2h/dr2 [1/m] at distance r [m]."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Cylinder:
+    """A flat-ended cylinder.
+
+    Attributes:
+        radius: of the cylinder [m].
+        edge: radius of its rounded rim over its own radius. No rim is perfectly sharp, and the
+            material that a press squeezes out slides around it.
+    """
+
+    radius: float = 0.0075
+    edge: float = 0.05
+    rough: bool = True
+
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        require_length("indenter radius", self.radius, _WIDEST)
+        if not 0.0 < self.edge <= 1.0:
+            raise ConfigurationError(
+                f"the rim of a cylinder needs 0 < edge <= 1 of its radius, got {self.edge}"
+            )
+
+    @property
+    def rims(self) -> tuple[float, float]:
+        """Smallest and largest radius at which contact may end under any load [m]."""
+        return self.radius * (1.0 - self.edge), self.radius
+
+    def profile(self, r: Array) -> tuple[Array, Array, Array]:
+        """Height h(r) over the lowest point [m], dh/dr, and d2h/dr2 [1/m] at distance r [m]."""
+        rounding = self.edge * self.radius
+        return _arc(np.maximum(r - self.radius + rounding, 0.0), rounding)
+
+
+@dataclass(frozen=True, slots=True)
+class Sphere:
+    """A ball, or a rod with a hemispherical end.
+
+    Attributes:
+        radius: [m].
+        shape: tells it from a cylinder in files.
+    """
+
+    radius: float
+    rough: bool = True
+    shape: Literal["sphere"] = "sphere"
+
+    def __post_init__(self) -> None:
+        """Check the radius."""
+        require_length("indenter radius", self.radius, _WIDEST)
+
+    @property
+    def rims(self) -> tuple[float, float]:
+        """Smallest and largest radius at which contact may end under any load [m]."""
+        return 0.0, self.radius
+
+    def profile(self, r: Array) -> tuple[Array, Array, Array]:
+        """Height h(r) over the lowest point [m], dh/dr, and d2h/dr2 [1/m] at distance r [m]."""
+        return _arc(r, self.radius)
+
+
+@dataclass(frozen=True, slots=True)
+class Profile:
+    """A convex body of revolution given by heights at some radii.
+
+    The slope is linear between the middles of the segments, so that the surface is smooth and
+    cuts corners by a quarter of a segment; past the last radius there is a wall.
+
+    Attributes:
+        radii: rising from 0 [m].
+        heights: over the lowest point, from 0, with rising slope [m].
+    """
+
+    radii: tuple[float, ...]
+    heights: tuple[float, ...]
+    rough: bool = True
+
+    def __post_init__(self) -> None:
+        """Check that the heights are those of a convex body."""
+        r, h = np.array(self.radii, dtype=float), np.array(self.heights, dtype=float)
+        if len(r) < 2 or r.shape != h.shape or not np.all(np.isfinite([r, h])):
+            raise ConfigurationError(
+                "a profile needs two or more finite radii and as many heights, in m, got "
+                f"{len(self.radii)} and {len(self.heights)}"
+            )
+        if r[0] != 0.0 or h[0] != 0.0 or np.any(np.diff(r) <= 0.0):
+            raise ConfigurationError(
+                "a profile starts with radius 0 and height 0, and its radii rise; got radii "
+                f"{self.radii} and first height {h[0]}"
+            )
+        slopes = np.diff(h) / np.diff(r)
+        if slopes[0] < 0.0 or np.any(np.diff(slopes) < -1e-9 * (1.0 + np.abs(slopes[1:]))):
+            raise ConfigurationError(
+                "a profile must be convex: its slope never falls, got slopes "
+                f"{', '.join(f'{s:g}' for s in slopes)}"
+            )
+
+    @property
+    def rims(self) -> tuple[float, float]:
+        """Smallest and largest radius at which contact may end under any load [m]."""
+        h = np.array(self.heights)
+        flat = float(np.array(self.radii)[np.flatnonzero(h <= 1e-9 * h.max() + 0.0)[-1]])
+        return flat, self.radii[-1]
+
+    def profile(self, r: Array) -> tuple[Array, Array, Array]:
+        """Height h(r) over the lowest point [m], dh/dr, and d2h/dr2 [1/m] at distance r [m]."""
+        radii, heights = np.array(self.radii), np.array(self.heights)
+        middles = 0.5 * (radii[1:] + radii[:-1])
+        slopes = np.minimum(np.diff(heights) / np.diff(radii), _STEEPEST)
+        end = radii[-1]
+        knots = np.concatenate([[0.0], middles, [end, 1.02 * end]])
+        values = np.concatenate([slopes[:1], slopes, slopes[-1:], [_STEEPEST]])
+        # Piecewise linear slope: heights at the knots by the trapezoidal rule, parabolas between.
+        at_knots = np.concatenate(
+            [[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]) * np.diff(knots))]
+        )
+        piece = np.clip(np.searchsorted(knots, r, side="right") - 1, 0, len(knots) - 1)
+        bends = np.append(np.diff(values) / np.diff(knots), 0.0)
+        along = r - knots[piece]
+        slope = values[piece] + bends[piece] * along
+        height = at_knots[piece] + (values[piece] + 0.5 * bends[piece] * along) * along
+        return height, slope, bends[piece]
+
+
+def entry(indenter: Indenter, r: Array, height: Array) -> tuple[Array, tuple[Array, Array], Array]:
+    """How deep places at distance r and a height over the lowest point are inside an indenter.
+
+    Returns the distance g to its surface, positive inside [m]; the gradient of g, radial and
+    upward; and its second derivative along the surface, across the gradient [1/m].
+    """
+    h, slope, bend = indenter.profile(r)
+    inside = height > h
+    # The foot s of the normal through a place: (s - r) + (h(s) - height) h'(s) = 0.
+    s = r.copy()
+    for _ in range(_PROJECTIONS):
+        offset = s - r + (h - height) * slope
+        rate = 1.0 + slope**2 + np.maximum((h - height) * bend, -0.5)
+        s = np.maximum(s - offset / rate, 0.0)
+        h, slope, bend = indenter.profile(s)
+    distance = np.hypot(s - r, h - height)
+    length = np.hypot(1.0, slope)
+    g = np.where(inside, distance, -distance)
+    curvature = bend / length**3
+    return g, (-slope / length, 1.0 / length), -curvature / np.maximum(1.0 - curvature * g, 0.1)
+
+
+def _arc(s: Array, radius: float) -> tuple[Array, Array, Array]:
+    """A circular arc that starts level at s = 0 and goes on straight where it is steepest."""
+    last = radius * _STEEPEST / math.hypot(1.0, _STEEPEST)
+    on_arc = np.minimum(s, last)
+    root = np.sqrt(radius**2 - on_arc**2)
+    slope = on_arc / root
+    height = on_arc**2 / (radius + root) + _STEEPEST * (s - on_arc)
+    return height, slope, np.where((s > 0.0) & (s < last), radius**2 / root**3, 0.0)

@@ -1,0 +1,46 @@
+"""What happens to the sensor at one moment: how it is bent and where it is pressed."""
+
+import math
+from dataclasses import dataclass, field
+from itertools import combinations
+from pathlib import Path
+
+from eitskin.config import read_toml
+from eitskin.errors import ConfigurationError
+from eitskin.geometry.deformation.fixtures import Bend
+from eitskin.geometry.deformation.twist import Roll, Twist
+from eitskin.simulator.scene.touch import Touch
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """One moment of one sensor; `Scene()` is the flat, untouched sensor.
+
+    Attributes:
+        bend: how the sensor is bent by its fixture; zero degrees when omitted.
+        touches: presses on the top side, in coordinates of the flat sensor.
+        roll: how it is curled across its width, before it is bent; flat when omitted.
+        twist: how it is twisted about its long axis, after all else; not at all when omitted.
+    """
+
+    bend: Bend = field(default_factory=lambda: Bend(0.0))
+    touches: tuple[Touch, ...] = ()
+    roll: Roll | None = None
+    twist: Twist | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse indenters that would be inside each other."""
+        pressing = [touch for touch in self.touches if not touch.released]
+        for one, other in combinations(pressing, 2):
+            apart = math.dist((one.x, one.y), (other.x, other.y))
+            least = one.indenter.rims[1] + other.indenter.rims[1]
+            if apart < least * (1.0 - 1e-9):
+                raise ConfigurationError(
+                    f"touches at ({one.x:g}, {one.y:g}) and ({other.x:g}, {other.y:g}) m are "
+                    f"{apart:g} m apart, but their indenters need {least:g} m"
+                )
+
+    @classmethod
+    def from_toml(cls, path: str | Path) -> "Scene":
+        """Read a scene; raises ConfigurationError for anything that does not fit."""
+        return read_toml(cls, path)

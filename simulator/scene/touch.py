@@ -1,0 +1,54 @@
+"""A press on the touched side of the sensor."""
+
+import math
+from dataclasses import dataclass, field
+
+from eitskin.errors import ConfigurationError
+from eitskin.simulator.scene.indenters import Cylinder, Profile, Sphere
+from eitskin.simulator.scene.scanned_indenter import Scanned
+
+DEFAULT_FORCE = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class Touch:
+    """A press at (x, y) of the flat sensor, with a force or to a depth.
+
+    Attributes:
+        x, y: centre of the indenter [m].
+        force: normal force [N]; not used where a depth is given.
+        indenter: its shape.
+        depth: of the indenter's lowest point under the undeformed surface, instead of a force [m].
+        held: for how long the press has been held, or was held until it was released [s]. Without
+            it the press is as at its first moment, and nothing relaxes.
+        released: how long ago the indenter was taken off [s]; the dent that lingers is left.
+    """
+
+    x: float
+    y: float
+    force: float = DEFAULT_FORCE
+    indenter: Cylinder | Sphere | Profile | Scanned = field(default_factory=Cylinder)
+    depth: float | None = None
+    held: float | None = None
+    released: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Check the numbers; how far a press can go depends on what is pressed."""
+        if not (math.isfinite(self.x) and math.isfinite(self.y)):
+            raise ConfigurationError(f"touch place must be finite, got ({self.x}, {self.y})")
+        if not (math.isfinite(self.force) and self.force > 0.0):
+            raise ConfigurationError(f"touch force must be above 0 N, got {self.force} N")
+        if self.depth is not None:
+            if not (math.isfinite(self.depth) and self.depth > 0.0):
+                raise ConfigurationError(f"touch depth must be above 0 m, got {self.depth} m")
+            if self.force != DEFAULT_FORCE:
+                raise ConfigurationError(
+                    f"a touch has a force or a depth, got {self.force} N and {self.depth} m"
+                )
+        for name, seconds in (("held", self.held), ("released", self.released)):
+            if seconds is not None and not (math.isfinite(seconds) and seconds >= 0.0):
+                raise ConfigurationError(f"{name} must be a time of 0 s or more, got {seconds}")
+        if self.released and self.held is None:
+            raise ConfigurationError(
+                "a touch that was released needs held, the time in s for which it lasted"
+            )

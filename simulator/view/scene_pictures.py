@@ -1,0 +1,258 @@
+"""Pictures of scenes: the bent, pressed sensor, coloured by what the scene does to it."""
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.errors import ConfigurationError
+from eitskin.geometry.deformation.kinematics import Deformation
+from eitskin.geometry.meshing.grading import Grading
+from eitskin.geometry.meshing.mesh import Mesh
+from eitskin.geometry.meshing.mesh_of import mesh_of, natural_cells
+from eitskin.protocol import Protocol
+from eitskin.simulator.electrical.forward_model import AreaRatio, ForwardModel
+from eitskin.simulator.scene.scene import Scene
+from eitskin.simulator.simulator import Field, Simulator
+from eitskin.simulator.view import shapes
+from eitskin.simulator.view.render import MATT, TRUE, Panel, colour_scale, render
+
+Array = NDArray[np.float64]
+Colour = Literal["conductance", "strain", "current"]
+
+# Cells along the longer side of what is drawn: finer than a dent where they are cheap.
+_CELLS = {"hexahedra": 200, "prisms": 80, "tetrahedra": 30}
+_ORDER: dict[str, tuple[int, ...]] = {"hexahedra": (1, 1), "prisms": (1, 1), "tetrahedra": (1,)}
+_PALEST = 0.01  # least reach of the colours, so that rounding does not look like a deformation
+_ROUND = (1.0, 1.2, 1.6, 2.0, 2.4, 3.2, 4.0, 5.0, 6.0, 8.0, 10.0)
+_NET = 30.0  # lines of the flat body across its longer side
+_ROUNDING = 1e-9  # of the largest measurement: a change of less is none
+
+
+def conductance_change(sim: Simulator, scene: Scene, points: Array) -> Array:
+    """Relative change of the conductance along x at `points` (n, 3) [m] of the flat sensor, (n,).
+
+    The entry xx of J F^-1 sigma F^-T over sigma, less one: what a current along the sensor meets.
+    """
+    conductivity = sim.conductivity(scene)
+    if conductivity is None:
+        return np.zeros(len(points))
+    change: Array = conductivity(points)[:, 0, 0] / sim.design.conductivity_at(points) - 1.0
+    return change
+
+
+def largest_strain(deformation: Deformation | None, points: Array) -> Array:
+    """Largest principal logarithmic strain at `points` (n, 3) [m] of the flat sensor, (n,).
+
+    ln of the largest principal stretch (Hencky 1928): positive wherever volumes are kept and
+    something deforms, because one fibre at least is stretched.
+    """
+    if deformation is None:
+        return np.zeros(len(points))
+    F = deformation.gradient(points)
+    squares = np.linalg.eigvalsh(np.swapaxes(F, -1, -2) @ F)
+    strain: Array = 0.5 * np.log(squares[:, -1])
+    return strain
+
+
+def current_density(
+    model: ForwardModel,
+    deformation: Deformation | None,
+    drive: tuple[int, int],
+    conductivity: Field | None = None,
+    area_ratio: AreaRatio | None = None,
+) -> Array:
+    """Current density in the deformed body for a current of 1 A, (cells, 3) [A/m2 per A].
+
+    A current passes through the same material faces in the flat and in the deformed body, whose
+    areas differ: j = F j_ref / J (Piola's transformation), with j_ref the mean in each cell of the
+    model and F in its middle.
+
+    Args:
+        model: of the flat body.
+        deformation: of the body; None where it is flat.
+        drive: the electrodes that the current enters and leaves by.
+        conductivity: f(x), pulled back to the flat body; the design's own when omitted.
+        area_ratio: f(x, normals), deformed over flat area; 1 when omitted.
+    """
+    flat: Array = np.real(model.current_density(drive, conductivity, area_ratio))
+    if deformation is None:
+        return flat
+    F = deformation.gradient(model.mesh.points[model.mesh.cells].mean(axis=1))
+    moved: Array = np.einsum("cij,cj->ci", F, flat) / np.linalg.det(F)[:, None]
+    return moved
+
+
+def most_changed(sim: Simulator, scene: Scene) -> tuple[int, int]:
+    """The drive pair of the measurement that `scene` changes most, relative to the flat sensor's.
+
+    Where nothing changes, the pair of largest resistance.
+    """
+    flat, now = (sim.measure(s).impedance.real for s in (Scene(), scene))
+    rounding = _ROUNDING * np.abs(flat).max()
+    seen = np.abs(flat) > rounding
+    change = np.where(seen, np.abs(now - flat) / np.where(seen, np.abs(flat), 1.0), 0.0)
+    score = change if change.max() > _ROUNDING else np.abs(flat)
+    plus, minus, *_ = sim.protocol.table[int(np.argmax(score))]
+    return plus, minus
+
+
+def draw(
+    sim: Simulator,
+    scenes: Sequence[tuple[str, Scene]],
+    path: str | Path,
+    colour: Colour = "conductance",
+    drive: tuple[int, int] | None = None,
+) -> None:
+    """Render titled scenes below each other into a PNG at `path`, without a screen.
+
+    The gel stands at its deformed place, all scenes true to one scale, with its electrodes and
+    the indenters that press it; the encapsulation between them is left out.
+
+    Args:
+        sim: the sensor.
+        scenes: titles and scenes.
+        path: of the PNG file.
+        colour: "conductance", the change of `conductance_change`; "strain", `largest_strain`; or
+            "current", the magnitude of `current_density`.
+        drive: of the current; for each scene the pair that it changes most when omitted.
+
+    Raises ImportError, naming the extra, where pyvista is missing, and ConfigurationError where
+    the file cannot be written or the colour or an electrode does not exist.
+    """
+    if colour not in get_args(Colour):
+        raise ConfigurationError(f"colour must be one of {get_args(Colour)}, got {colour!r}")
+    if drive is not None:
+        Protocol(((*drive, *drive),), len(sim.design.electrodes))
+    model = _model(sim) if colour == "current" else None
+    flat = model.mesh if model else _mesh(sim)
+    shown = [_shown(sim, scene, flat, colour, model, drive) for _, scene in scenes]
+    seen = np.concatenate([part.points for one in shown for part in (one.body, *one.indenters)])
+    scale = _scale(colour, [one.values for one in shown])
+    panels = []
+    for number, ((title, _), one) in enumerate(zip(scenes, shown, strict=True)):
+        last = number == len(shown) - 1
+        driven = f", driven from {one.drive[0]} to {one.drive[1]}" if one.drive else ""
+        panels.append(Panel(title + driven, seen, _painter(flat, one, scale, last), legend=last))
+    render(panels, path)
+
+
+class _Shown(NamedTuple):
+    """One scene as it is drawn: gel, values at its points, indenters, and the drive pair."""
+
+    body: Mesh
+    values: Array
+    indenters: list[Any]
+    drive: tuple[int, ...]
+
+
+def _shown(
+    sim: Simulator,
+    scene: Scene,
+    flat: Mesh,
+    colour: Colour,
+    model: ForwardModel | None,
+    drive: tuple[int, int] | None,
+) -> _Shown:
+    deformation = sim.deformation(scene)
+    body, indenters = _moved(flat, deformation), _indenters(sim, scene)
+    if model is not None:
+        pair = drive or most_changed(sim, scene)
+        fields = sim.conductivity(scene), sim.area_ratio(scene)
+        density = current_density(model, deformation, pair, *fields)
+        values = shapes.at_points(flat, 1e-3 * np.linalg.norm(density, axis=1))  # of 1 mA
+        return _Shown(body, values, indenters, pair)
+    if colour == "strain":
+        return _Shown(body, largest_strain(deformation, flat.points), indenters, ())
+    return _Shown(body, 100.0 * conductance_change(sim, scene, flat.points), indenters, ())
+
+
+def _grading(sim: Simulator) -> Grading:
+    outline, kind = sim.design.outline, natural_cells(sim.design)
+    size = max(outline.length, outline.width) / _CELLS[kind]
+    layers = 1 if kind == "tetrahedra" else max(3, round(sim.design.thickness / (4.0 * size)))
+    return Grading(size, size, 1.0, layers)
+
+
+def _mesh(sim: Simulator) -> Mesh:
+    return mesh_of(sim.design, _grading(sim))
+
+
+def _model(sim: Simulator) -> ForwardModel:
+    return ForwardModel(sim.design, (_ORDER[natural_cells(sim.design)], _grading(sim)))
+
+
+def _moved(mesh: Mesh, deformation: Deformation | None) -> Mesh:
+    if deformation is None:
+        return mesh
+    corners = deformation.positions(mesh.contacts.corners)
+    contacts = dataclasses.replace(mesh.contacts, corners=corners)
+    return dataclasses.replace(mesh, points=deformation.positions(mesh.points), contacts=contacts)
+
+
+def _indenters(sim: Simulator, scene: Scene) -> list[Any]:
+    """The indenters that press, where the model of touches knows how deep; turned by the bend."""
+    if not scene.touches or sim.touch_model == "closed form":
+        return []
+    bent = sim.deformation(dataclasses.replace(scene, touches=()))
+    top = 0.5 * (sim.design.thickness + sim.design.encapsulated_thickness)
+    bodies = []
+    for press in sim.presses(scene):
+        if press.force > 0.0:
+            tip, turned = np.array([press.touch.x, press.touch.y, top - press.depth]), np.eye(3)
+            if bent is not None:
+                left, _, right = np.linalg.svd(bent.gradient(tip))
+                tip, turned = bent.positions(tip), left @ right
+            bodies.append(shapes.revolved(press.touch.indenter, tip, turned))
+    return bodies
+
+
+def _scale(colour: Colour, values: Sequence[Array]) -> dict[str, Any]:
+    """Colours that all scenes share: arguments of pyvista's add_mesh."""
+    everything = np.concatenate(values)
+    if colour == "current":
+        low, high = (float(value) for value in np.percentile(everything, [5.0, 99.9]))
+        bar = colour_scale("current density for 1 mA [A/m2]", fmt="%.2g")
+        clim = (max(low, 1e-3 * high), high)
+        colours = {"cmap": "viridis_r", "clim": clim, "log_scale": True}
+        # Its colours hardly follow the dents, so these need the light.
+        return {**colours, **MATT, "scalar_bar_args": bar}
+    palest = _PALEST * (100.0 if colour == "conductance" else 1.0)
+    reach = _round_number(max(float(np.abs(everything).max()), palest))
+    if colour == "strain":
+        bar = colour_scale("largest principal strain, logarithmic [-]", fmt="%.3g")
+        return {"cmap": "YlGnBu", "clim": (0.0, reach), **TRUE, "scalar_bar_args": bar}
+    bar = colour_scale("change of conductance along x [%]", fmt="%.3g")
+    return {"cmap": "RdBu", "clim": (-reach, reach), **TRUE, "scalar_bar_args": bar}
+
+
+def _round_number(value: float) -> float:
+    """The next number above whose halves and quarters are short."""
+    power = 10.0 ** math.floor(math.log10(value))
+    return power * next(step for step in _ROUND if value <= step * power * (1.0 + 1e-9))
+
+
+def _painter(flat: Mesh, shown: _Shown, scale: dict[str, Any], bar: bool) -> Any:
+    def paint(plotter: Any) -> None:
+        surface = shapes.surface(shown.body, values=shown.values, flat=flat.points)
+        plotter.add_mesh(
+            surface,
+            scalars="values",
+            smooth_shading=True,
+            split_sharp_edges=True,
+            show_scalar_bar=bar,
+            **scale,
+        )
+        shapes.add_net(
+            plotter, surface, flat, _round_number(np.ptp(flat.points, axis=0).max() / _NET)
+        )
+        shapes.add_electrodes(plotter, shown.body, shown.drive)
+        shapes.add_numbers(plotter, shown.body, range(len(shown.body.electrode_facets)))
+        for indenter in shown.indenters:
+            shapes.add_indenter(plotter, indenter)
+
+    return paint

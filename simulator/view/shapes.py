@@ -1,0 +1,222 @@
+"""Meshes, electrodes and lines of current as pyvista draws them."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.extras import require
+from eitskin.geometry.meshing.mesh import Mesh
+from eitskin.simulator.scene.indenters import Indenter
+from eitskin.simulator.view.render import DIRECTION, MATT
+
+Array = NDArray[np.float64]
+
+GEL, METAL, EDGE, GLASS = "#dde8f0", "#e08a2e", "#52606d", "#7d8b99"
+PLUS, MINUS = "#c0392b", "#2c5fa8"
+
+_VTK_TYPES = {8: 12, 6: 13, 4: 10}  # hexahedron, wedge, tetrahedron
+_LIFT = 3e-4  # of what lies on a surface, relative to the body's size: else both flicker
+_AWAY = 0.045  # of numbers from their electrodes, likewise
+_RADII, _AZIMUTHS = 49, 73  # of the net that an indenter is drawn as
+_DRAWN = 1.2  # height of what is drawn of an indenter, of its radius
+
+
+def volume(mesh: Mesh) -> Any:
+    """The cells of a mesh."""
+    pv = require("pyvista", "view")
+    corners = mesh.cells.shape[1]
+    cells = np.column_stack([np.full(len(mesh.cells), corners), mesh.cells])
+    types = np.full(len(cells), _VTK_TYPES[corners], dtype=np.uint8)
+    return pv.UnstructuredGrid(cells.ravel(), types, mesh.points)
+
+
+def surface(mesh: Mesh, **point_values: Array) -> Any:
+    """The boundary of a mesh, with named values (points, ...) at its points."""
+    cells = volume(mesh)
+    for name, values in point_values.items():
+        cells[name] = values
+    return cells.extract_surface(algorithm="dataset_surface")
+
+
+def at_points(mesh: Mesh, values: Array) -> Array:
+    """Values of cells (cells,) at the points, (points,): the mean of the cells around each."""
+    points, corners = mesh.cells.ravel(), mesh.cells.shape[1]
+    sums = np.bincount(points, np.repeat(values, corners), len(mesh.points))
+    return sums / np.bincount(points, minlength=len(mesh.points))
+
+
+def revolved(indenter: Indenter, tip: Array, turned: Array) -> Any:
+    """The lower part of an indenter as a surface, open above.
+
+    Args:
+        indenter: whose profile turns about its axis.
+        tip: where its lowest point is, (3,) [m].
+        turned: rotation from upright, (3, 3).
+    """
+    pv = require("pyvista", "view")
+    rim = indenter.rims[1]
+    r = np.linspace(0.0, rim, _RADII)
+    height = indenter.profile(r)[0]
+    r, height = np.append(r, rim), np.append(height, max(height[-1], _DRAWN * rim))
+    azimuth = np.linspace(0.0, 2.0 * np.pi, _AZIMUTHS)
+    upright = np.stack(
+        [
+            np.outer(r, np.cos(azimuth)),
+            np.outer(r, np.sin(azimuth)),
+            np.outer(height, np.ones_like(azimuth)),
+        ],
+        axis=-1,
+    )
+    x, y, z = np.moveaxis(upright @ turned.T + tip, -1, 0)[..., None]
+    net = pv.StructuredGrid(x, y, z).extract_surface(algorithm="dataset_surface")
+    return net.clean(tolerance=1e-6)  # joins the ends of every ring
+
+
+def size(mesh: Mesh) -> float:
+    """Diagonal of the bounding box [m]."""
+    return float(np.linalg.norm(np.ptp(mesh.points, axis=0)))
+
+
+def contact(mesh: Mesh, electrode: int) -> tuple[Array, Array]:
+    """Corners of what an electrode touches, (n, 3 or 4, 3) [m], and its mean outward normal."""
+    corners = mesh.contacts.corners[mesh.contacts.electrode == electrode]
+    areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, -1] - corners[:, 0])
+    normal = areas.sum(axis=0)
+    return corners, normal / max(float(np.linalg.norm(normal)), np.finfo(float).tiny)
+
+
+def plate(mesh: Mesh, electrode: int, lift: float = _LIFT) -> Any:
+    """What an electrode touches, lifted off the body by this part of its size."""
+    pv = require("pyvista", "view")
+    corners, _ = contact(mesh, electrode)
+    areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, -1] - corners[:, 0])
+    lengths = np.maximum(np.linalg.norm(areas, axis=1), np.finfo(float).tiny)
+    corners = corners + lift * size(mesh) * (areas / lengths[:, None])[:, None]
+    count, sides = corners.shape[:2]
+    numbers = np.arange(count * sides).reshape(count, sides)
+    faces = np.column_stack([np.full(count, sides), numbers])
+    return pv.PolyData(corners.reshape(-1, 3), faces.ravel())
+
+
+def add_cells(plotter: Any, mesh: Mesh, line: float) -> None:
+    """All cells of the surface, with edges `line` pixels wide, and the electrodes."""
+    edges = {"show_edges": True, "edge_color": EDGE, "line_width": line}
+    plotter.add_mesh(surface(mesh), color=GEL, **edges, **MATT)
+    for electrode in range(len(mesh.electrode_facets)):
+        plotter.add_mesh(plate(mesh, electrode), color=METAL, **edges, **MATT)
+
+
+def add_body(plotter: Any, mesh: Mesh, opacity: float) -> None:
+    """The body, translucent, and its sharp edges."""
+    body = surface(mesh)
+    plotter.add_mesh(body, color=GEL, opacity=opacity, **MATT)
+    edges = body.extract_feature_edges(feature_angle=40.0)
+    if edges.n_cells:
+        plotter.add_mesh(edges, color=EDGE, line_width=1.5)
+
+
+def add_net(plotter: Any, surface: Any, mesh: Mesh, spacing: float) -> None:
+    """Lines of equal x and y of the flat body, `spacing` [m] apart, on the deformed surface.
+
+    The surface has its points' flat places as `flat`.
+    """
+    for axis in (0, 1):
+        low, high = surface["flat"][:, axis].min(), surface["flat"][:, axis].max()
+        levels = np.arange(low + spacing, high - 0.01 * spacing, spacing)
+        lines = surface.contour(levels, scalars=surface["flat"][:, axis])
+        if lines.n_cells:
+            lines = towards(DIRECTION, lines, mesh)
+            plotter.add_mesh(lines, color=EDGE, line_width=1.0, opacity=0.6)
+
+
+def add_electrodes(plotter: Any, mesh: Mesh, drive: tuple[int, ...] = ()) -> None:
+    """The electrodes; those of a drive pair in red and blue."""
+    colours = dict(zip(drive, (PLUS, MINUS), strict=False))
+    for electrode in range(len(mesh.electrode_facets)):
+        colour = colours.get(electrode, METAL)
+        plotter.add_mesh(plate(mesh, electrode), color=colour, **MATT)
+
+
+def add_numbers(plotter: Any, mesh: Mesh, electrodes: Sequence[int]) -> None:
+    """Numbers of electrodes, in front of each."""
+    places = []
+    for electrode in electrodes:
+        corners, normal = contact(mesh, electrode)
+        places.append(corners.mean(axis=(0, 1)) + _AWAY * size(mesh) * normal)
+    plotter.add_point_labels(
+        np.array(places),
+        [str(electrode) for electrode in electrodes],
+        font_size=22,
+        bold=True,
+        text_color="black",
+        shape_color="white",
+        shape_opacity=0.8,
+        margin=3,
+        show_points=False,
+        always_visible=True,
+    )
+
+
+def add_indenter(plotter: Any, body: Any) -> None:
+    """An indenter, translucent, and its sharp edges."""
+    plotter.add_mesh(body, color=GLASS, opacity=0.25, smooth_shading=True, **MATT)
+    edges = body.extract_feature_edges(feature_angle=20.0)
+    if edges.n_cells:
+        plotter.add_mesh(edges, color=EDGE, line_width=1.5)
+
+
+def add_rim(plotter: Any, mesh: Mesh, electrode: int, direction: Array) -> None:
+    """The edge of an electrode, for an eye in `direction`."""
+    whole = plate(mesh, electrode, lift=0.0).clean(tolerance=1e-6)
+    rim = whole.extract_feature_edges(feature_edges=False, manifold_edges=False)
+    plotter.add_mesh(towards(direction, rim, mesh), color=PLUS, line_width=3.0)
+
+
+def towards(direction: Array, lines: Any, mesh: Mesh) -> Any:
+    """Lines on the surface, moved towards an eye in `direction`; on the screen they stay."""
+    return lines.translate(5.0 * _LIFT * size(mesh) * direction, inplace=False)
+
+
+def lines_of_current(mesh: Mesh, density: Array, plus: int, count: int) -> Any:
+    """Lines along the current density (cells, 3) that begin on an electrode, evenly by current."""
+    cells = volume(mesh)
+    cells.cell_data["density"] = density
+    lines = cells.cell_data_to_point_data().streamlines_from_source(
+        _seeds(mesh, density, plus, count),
+        vectors="density",
+        integration_direction="forward",
+        max_length=20.0 * size(mesh),
+        max_steps=8000,
+        initial_step_length=0.1,
+        max_step_length=0.25,
+        min_step_length=1e-3,
+        terminal_speed=0.0,
+    )
+    lines["magnitude"] = np.linalg.norm(lines["density"], axis=1)
+    return lines
+
+
+def _seeds(mesh: Mesh, density: Array, plus: int, count: int) -> Any:
+    """Places just inside an electrode, as many as the current through each piece asks for."""
+    pv = require("pyvista", "view")
+    contacts = mesh.contacts
+    mine = np.flatnonzero(contacts.electrode == plus)
+    cells = contacts.cell[mine]
+    inward = mesh.points[mesh.cells[cells]].mean(axis=1) - contacts.corners[mine].mean(axis=1)
+    share = contacts.areas[mine] * np.linalg.norm(density[cells], axis=1)
+    steps = (np.arange(count) + 0.5) / count
+    chosen = np.searchsorted(np.cumsum(share) / share.sum(), steps)
+    corners = contacts.corners[mine[chosen]]
+    # Roberts' R2 sequence spreads evenly over a square and, folded, over a triangle.
+    a, b = (np.arange(count)[:, None] * [0.7548776662, 0.5698402910] % 1.0).T
+    if corners.shape[1] == 3:
+        outside = a + b > 1.0
+        a, b = np.where(outside, 1.0 - a, a), np.where(outside, 1.0 - b, b)
+    sides = corners[:, [1, -1]] - corners[:, :1]
+    places = corners[:, 0] + a[:, None] * sides[:, 0] + b[:, None] * sides[:, 1]
+    into = 0.3 * inward[chosen]
+    if not len(contacts.facets[plus]):
+        into[::2] *= -1.0  # a sheet inside the body conducts to both sides of it
+    return pv.PolyData(places + into)

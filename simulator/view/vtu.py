@@ -1,0 +1,187 @@
+"""A scene's deformed sensor and its fields as VTK files, which ParaView opens."""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.errors import ConfigurationError
+from eitskin.extras import require
+from eitskin.files import whole_file
+from eitskin.geometry.deformation.kinematics import Deformation
+from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.geometry.meshing.mesh import Mesh
+from eitskin.geometry.meshing.mesh_of import natural_cells
+from eitskin.simulator.electrical.fields import Fields, fields_in
+from eitskin.simulator.electrical.resolution import Discretisation, discretisation
+from eitskin.simulator.layer.deformed_layer import Setting
+from eitskin.simulator.scene.scene import Scene
+from eitskin.simulator.simulator import Simulator
+from eitskin.simulator.view import shapes
+from eitskin.simulator.view.scene_pictures import largest_strain
+
+Array = NDArray[np.float64]
+Arrays = dict[str, NDArray[Any]]
+Drive = tuple[int, int]
+
+BODY, ELECTRODES = "body.vtu", "electrodes.vtp"
+_CELLS = 60  # along the longer side: dents show, and impedances are within 2e-4 of converged
+
+
+def field_resolution(design: SensorDesign, cell: float | None = None) -> Discretisation:
+    """The standard resolution with cells small enough for fields that are shown cell by cell.
+
+    Args:
+        design: the sensor.
+        cell: largest cell [m]; a sixtieth of the longer side when omitted.
+    """
+    longer = max(design.outline.length, design.outline.width)
+    size = longer / _CELLS if cell is None else cell
+    if not 0.0 < size <= longer:
+        raise ConfigurationError(
+            f"the largest cell must be above 0 and at most {longer:g} m, got {size:g} m; are the "
+            "units metres?"
+        )
+    order, grading = discretisation("standard", design, natural_cells(design))
+    finest, coarsest = min(grading.finest, size), min(grading.coarsest, size)
+    layers = max(grading.layers, 2)
+    return order, dataclasses.replace(grading, finest=finest, coarsest=coarsest, layers=layers)
+
+
+def scene_grids(
+    sim: Simulator, scene: Scene, drives: Sequence[Drive] | None = None
+) -> dict[str, Any]:
+    """The deformed body and its electrodes with their fields, by the names of their files.
+
+    Everything stands at its deformed place and in SI units, which the names of the fields end in;
+    `1` is dimensionless. Potentials and current densities are for a current of 1 A; potentials
+    count from the mean of the electrodes; where they are complex, their real part.
+
+    body.vtu, at points: `displacement_m`; `largest_strain_1`, logarithmic, see
+    `view.largest_strain`; `thinning_1`, see `thinning`; `potential_A_B_V_per_A`. In cells:
+    `conductivity_S_per_m`, F K F^T / J of the deformed body, and
+    `pulled_back_conductivity_S_per_m`, K = J F^-1 sigma F^-T of the flat body that is solved, both
+    (3, 3) row by row; `current_density_A_B_A_per_m2_per_A`, the mean.
+
+    electrodes.vtp, in the pieces of cell faces that electrodes touch: `electrode`, its number;
+    `contact_impedance_ohm_m2`; `potential_A_B_V_per_A` of the electrode.
+
+    Args:
+        sim: the sensor; see `field_resolution`.
+        scene: what happens to it.
+        drives: electrodes that a current enters and leaves by; those of `sim.protocol` when
+            omitted.
+
+    Returns grids of pyvista.
+
+    Raises ImportError, naming the extra, where pyvista is missing, and ConfigurationError for
+    electrodes that do not exist.
+    """
+    require("pyvista", "view")
+    pairs = _pairs(sim, drives)
+    setting, mesh = sim.setting(scene), sim.model.mesh
+    deformation, fields = setting.deformation, fields_in(sim.model, setting)
+    body = shapes.volume(dataclasses.replace(mesh, points=_placed(deformation, mesh.points)))
+    body.point_data.update(_point_fields(sim, deformation, fields, pairs))
+    body.cell_data.update(_cell_fields(sim, setting, fields, pairs))
+    electrodes = _plates(mesh, deformation)
+    electrodes.cell_data.update(_electrode_fields(sim, fields, pairs))
+    return {BODY: body, ELECTRODES: electrodes}
+
+
+def write_grids(grids: Mapping[str, Any], folder: str | Path) -> None:
+    """Write grids as binary files of VTK; raises ConfigurationError where that fails."""
+    for name, grid in grids.items():
+        with whole_file(Path(folder) / name) as temporary:
+            grid.save(temporary, binary=True)
+
+
+def thinning(sim: Simulator, deformation: Deformation | None, points: Array) -> Array:
+    """1 - thickness over flat thickness of the layer at x and y of flat `points` (n, 3) [m], (n,).
+
+    The thickness is the distance of the deformed places of what was above each other.
+    """
+    if deformation is None:
+        return np.zeros(len(points))
+    flat = sim.design.thickness
+    faces = [np.column_stack([points[:, :2], np.full(len(points), z)]) for z in (0.0, flat)]
+    low, high = (deformation.positions(face) for face in faces)
+    thinner: Array = 1.0 - np.linalg.norm(high - low, axis=1) / flat
+    return thinner
+
+
+def _pairs(sim: Simulator, drives: Sequence[Drive] | None) -> list[Drive]:
+    if drives is None:
+        return list(dict.fromkeys((plus, minus) for plus, minus, *_ in sim.protocol.table))
+    last = len(sim.design.electrodes) - 1
+    for drive in drives:
+        if drive[0] == drive[1] or not all(0 <= electrode <= last for electrode in drive):
+            raise ConfigurationError(
+                f"a drive takes two different electrodes from 0 to {last}, got {drive}"
+            )
+    return list(drives)
+
+
+def _placed(deformation: Deformation | None, points: Array) -> Array:
+    return points if deformation is None else deformation.positions(points)
+
+
+def _point_fields(
+    sim: Simulator, deformation: Deformation | None, fields: Fields, drives: Sequence[Drive]
+) -> Arrays:
+    flat = sim.model.mesh.points
+    return {
+        "displacement_m": _placed(deformation, flat) - flat,
+        "largest_strain_1": largest_strain(deformation, flat),
+        "thinning_1": thinning(sim, deformation, flat),
+        **_potentials(fields.potentials, drives),
+    }
+
+
+def _cell_fields(
+    sim: Simulator, setting: Setting, fields: Fields, drives: Sequence[Drive]
+) -> Arrays:
+    """Moved into the deformed body by Piola's transformation, see `view.current_density`."""
+    mesh = sim.model.mesh
+    middles = mesh.points[mesh.cells].mean(axis=1)
+    pulled_back, F = setting.conductivity(middles), np.broadcast_to(np.eye(3), (len(middles), 3, 3))
+    if setting.deformation is not None:
+        F = setting.deformation.gradient(middles)
+    forward = F / np.linalg.det(F)[:, None, None]
+    spatial = forward @ pulled_back @ np.swapaxes(F, -1, -2)
+    densities = np.real(forward @ fields.current_densities)
+    return {
+        "conductivity_S_per_m": spatial.reshape(-1, 9),
+        "pulled_back_conductivity_S_per_m": pulled_back.reshape(-1, 9),
+        **{
+            f"current_density_{a}_{b}_A_per_m2_per_A": densities[..., a] - densities[..., b]
+            for a, b in drives
+        },
+    }
+
+
+def _plates(mesh: Mesh, deformation: Deformation | None) -> Any:
+    """The pieces of cell faces that electrodes touch, at their deformed places."""
+    pv = require("pyvista", "view")
+    corners = _placed(deformation, mesh.contacts.corners)
+    count, sides = corners.shape[:2]
+    numbers = np.arange(count * sides).reshape(count, sides)
+    faces = np.column_stack([np.full(count, sides), numbers])
+    return pv.PolyData(corners.reshape(-1, 3), faces.ravel())
+
+
+def _electrode_fields(sim: Simulator, fields: Fields, drives: Sequence[Drive]) -> Arrays:
+    electrode = sim.model.mesh.contacts.electrode
+    return {
+        "electrode": electrode,
+        "contact_impedance_ohm_m2": np.real(sim.model.contact_impedance)[electrode],
+        **_potentials(fields.electrode_potentials[electrode], drives),
+    }
+
+
+def _potentials(values: NDArray[np.inexact], drives: Sequence[Drive]) -> Arrays:
+    real = np.real(values)
+    return {f"potential_{a}_{b}_V_per_A": real[:, a] - real[:, b] for a, b in drives}

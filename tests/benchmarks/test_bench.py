@@ -1,0 +1,250 @@
+"""`eitskin bench accuracy`: its errors, its files, and what it says of its targets."""
+
+import csv
+import dataclasses
+import json
+from functools import partial
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from eitskin.benchmarks.accuracy import cases, peer
+from eitskin.benchmarks.accuracy import report as accuracy_report
+from eitskin.benchmarks.accuracy import run as accuracy
+from eitskin.benchmarks.accuracy.report import misses, write
+from eitskin.benchmarks.accuracy.run import compare, measure, published_error
+from eitskin.benchmarks.accuracy.truth import Drop, Truth, drops, judge, model_frame
+from eitskin.benchmarks.results import read_results
+from eitskin.cli.main import app
+from eitskin.errors import ConfigurationError
+from eitskin.geometry import SensorDesign
+from eitskin.geometry.meshing.grading import Grading
+from eitskin.simulator import ForwardModel, Protocol
+
+
+def bench(*options) -> str:
+    ran = CliRunner().invoke(app, ["bench", "accuracy", "--quick", *options])
+    if ran.exception is not None:
+        raise ran.exception
+    return ran.stdout
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("bench") / "accuracy"
+
+
+@pytest.fixture(scope="module")
+def data(folder) -> dict:
+    """Of a run that times each model once: how long it takes is not looked at here."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(accuracy, "judge", partial(judge, least_seconds=0.0))
+        return json.loads(bench("--out", str(folder.parent), "--json", "--seed", "3"))
+
+
+@pytest.fixture(scope="module")
+def truth() -> Truth:
+    """A coarse one: enough where only the arithmetic is looked at."""
+    design = SensorDesign.reference()
+    coarse = cases.Case("", "", ((2, 1), Grading(2e-3, 8e-3, 1.0)))
+    frame = model_frame(coarse.model(design))
+    changes = drops(design, seed=1, count=2)
+    flat = frame(None)
+    return Truth(design, changes, flat, np.array([frame(d) - flat for d in changes]), 0.0, 0.0)
+
+
+def family(data, name) -> list[dict]:
+    return [point for point in data["results"] if point["family"] == name]
+
+
+@pytest.mark.parametrize(
+    "name", ["hexahedra, linear", "hexahedra, cubic, sparse LU", "prisms, quadratic"]
+)
+def test_errors_fall_along_a_ladder_and_stay_above_the_references_own(data, name) -> None:
+    first, second = family(data, name)
+    for quantity in ("resistance_error", "signal_error"):
+        assert second[quantity] < 0.5 * first[quantity]
+        assert second[quantity] > 10 * data[quantity]
+    assert second["published_error"] < first["published_error"]
+    assert second["unknowns"] > first["unknowns"]
+
+
+def test_every_point_says_how_it_was_made(data) -> None:
+    assert {point["solver"] for point in data["results"]} == {"block Cholesky", "sparse LU"}
+    assert {point["cells"] for point in data["results"]} == {"hexahedra", "prisms"}
+    assert all(point["frame_seconds"] > 0 for point in data["results"])
+    assert data["provenance"]["seed"] == 3
+    assert data["provenance"]["machine"]
+    assert data["provenance"]["packages"]["numpy"] == np.__version__
+
+
+def test_bent_and_pressed_scenes_are_compared(data) -> None:
+    (check, fast) = data["deformed"]
+    assert (check["name"], fast["name"]) == ("second reference", "fast")
+    for scene, error in fast["signal_errors"].items():
+        assert check["signal_errors"][scene] < error < 0.02
+
+
+def test_the_tables_hold_what_was_found(data, folder) -> None:
+    comment, *lines = (folder / "table.csv").read_text().splitlines()
+    assert comment.startswith("# ")
+    assert data["provenance"]["machine"] in comment
+    rows = list(csv.DictReader(lines))
+    points = data["results"] + [d["own"] for d in data["duels"]]
+    points += [d["other"] for d in data["duels"]]
+    assert [float(row["signal_error"]) for row in rows] == [p["signal_error"] for p in points]
+    deformed = list(csv.DictReader((folder / "deformed.csv").read_text().splitlines()[1:]))
+    assert float(deformed[1]["10 N"]) == data["deformed"][1]["signal_errors"]["10 N"]
+
+
+@pytest.mark.usefixtures("data")
+def test_the_plot_is_drawn_in_the_colours_of_its_families(folder) -> None:
+    from PIL import Image
+
+    assert sorted(p.name for p in folder.iterdir()) == [
+        "accuracy.png",
+        "deformed.csv",
+        "results.json",
+        "table.csv",
+    ]
+    pixels = np.asarray(Image.open(folder / "accuracy.png").convert("RGB")).astype(int)
+    for colour in ("#1f5fa8", "#2e8b57"):
+        rgb = [int(colour[i : i + 2], 16) for i in (1, 3, 5)]
+        assert (np.abs(pixels - rgb).sum(axis=2) < 10).sum() > 100
+
+
+def test_figures_are_the_points_of_the_table(data, folder) -> None:
+    results = read_results(folder / "results.json")
+    assert results.quick
+    assert results.command == "eitskin bench accuracy --seed 3 --quick"
+    point = family(data, "hexahedra, linear")[1]
+    name = f"hexahedra, linear, {point['name']}"
+    assert results.figures[f"{name}.frame_ms"] == 1e3 * point["frame_seconds"]
+    assert results.figures[f"{name}.signal_error"] == point["signal_error"]
+    deformed = data["deformed"][1]["signal_errors"]
+    assert results.figures["bent and pressed, fast.10 N"] == deformed["10 N"]
+
+
+def test_a_plot_that_fails_leaves_the_old_one(truth, tmp_path, monkeypatch) -> None:
+    def broken(_, path):
+        path.write_bytes(b"half")
+        raise OverflowError
+
+    picture = tmp_path / "accuracy" / "accuracy.png"
+    picture.parent.mkdir()
+    picture.write_bytes(b"old")
+    monkeypatch.setattr(accuracy_report, "plot", broken)
+    with pytest.raises(OverflowError):
+        write(found_by_hand(truth), tmp_path)
+    assert picture.read_bytes() == b"old"
+    names = sorted(path.name for path in picture.parent.iterdir())
+    assert names == ["accuracy.png", "deformed.csv"]  # no results that would vouch for the rest
+
+
+def found_by_hand(truth: Truth, **changes):
+    from eitskin.benchmarks.accuracy.deformed import Deformed
+    from eitskin.benchmarks.accuracy.run import Accuracy
+    from eitskin.provenance import Provenance
+
+    result = measure(cases.named("hexahedra", ("fast",))[0], truth)
+    return Accuracy(
+        provenance=Provenance.now(0),
+        seconds=1.0,
+        quick=True,
+        resistance_error=1e-9,
+        signal_error=1e-9,
+        results=(dataclasses.replace(result, **changes),),
+        duels=(),
+        deformed=(Deformed("fast", 1, 0.1, {"bend": 0.1}),),
+    )
+
+
+def test_missed_targets_are_said(truth) -> None:
+    good = {"frame_seconds": 0.005, "signal_error": 0.01}
+    assert list(misses(found_by_hand(truth, **good))) == []
+    (line,) = misses(found_by_hand(truth, **good | {"frame_seconds": 0.02}))
+    assert line == "fast: seconds per frame 0.02, target 0.01"
+    (line,) = misses(found_by_hand(truth, **good | {"signal_error": 0.05}))
+    assert line == "fast: signal error 0.05, target 0.02"
+
+
+def test_judge_measures_the_errors_that_a_frame_has(truth) -> None:
+    def frame(drop):
+        change = 0.0 if drop is None else truth.signals[truth.drops.index(drop)]
+        wrong = np.where(np.arange(28) == 5, 1.02, 1.01)
+        return wrong * truth.resistances + 1.1 * change
+
+    found = judge(frame, truth, least_seconds=0.0)
+    assert found.resistance_error == pytest.approx(0.02)
+    assert found.signal_error == pytest.approx(0.1)
+
+
+def test_a_drop_is_30_percent_where_it_is_touched_and_smooth() -> None:
+    drop = Drop(0.05, 0.02, 0.005, background=2.0)
+    points = np.array([[0.05, 0.02, 0.005], [0.058, 0.02, 0.005], [0.15, 0.06, 0.0]])
+    assert drop(points) == pytest.approx([1.4, 2.0 * (1 - 0.3 / np.e), 2.0])
+
+
+def test_drops_follow_the_seed() -> None:
+    design = SensorDesign.reference()
+    assert drops(design, 1) == drops(design, 1)
+    assert drops(design, 1) != drops(design, 2)
+
+
+def test_the_published_error_is_that_of_the_published_contact_impedance() -> None:
+    fine = cases.Case("", "", ((4, 1), Grading(2e-6, 6e-3, 2.0)))
+    assert published_error(fine) < 3e-5
+
+
+def test_superposed_drives_are_what_the_peer_says_of_each_pair(truth) -> None:
+    pytest.importorskip("pyeit")
+    mesh = ForwardModel(truth.design, ((1, 1), Grading(8e-3, 8e-3, 1.0, 2))).mesh
+    for plane in (False, True):
+        model = peer.PointElectrodeModel(truth.design, mesh, plane)
+        R = model.frame(background=1.0)(None)
+        table = Protocol.pairwise(8).table
+        for number in (3, 12, 27):
+            i, j = table[number][:2]
+            u = model._forward.solve(np.array([i, j]))[model._electrodes]
+            assert R[number] == pytest.approx(u[i] - u[j])
+        assert model.frame(background=2.0)(None) == pytest.approx(0.5 * R)
+
+
+def test_the_peer_feels_a_drop_as_we_do_where_electrodes_are_far(truth) -> None:
+    pytest.importorskip("pyeit")
+    # Point electrodes spoil R itself; what a far drop adds depends on them much less.
+    mesh = ForwardModel(truth.design, ((1, 1), Grading(4e-3, 4e-3, 1.0, 2))).mesh
+    drop = Drop(0.10, 0.03, 0.005)
+    ours = model_frame(ForwardModel(truth.design, "fast"))
+    pair = Protocol.pairwise(8).labels.index("3-7")
+    expected = (ours(drop) - ours(None))[pair]
+    for plane in (False, True):
+        theirs = peer.PointElectrodeModel(truth.design, mesh, plane).frame(1.0)
+        assert (theirs(drop) - theirs(None))[pair] == pytest.approx(expected, rel=0.1)
+
+
+def test_a_duel_is_on_equal_nodes(truth) -> None:
+    pytest.importorskip("pyeit")
+    for layers, cells in ((1, "tetrahedra"), (0, "triangles")):
+        duel = compare(cases.uniform(9e-3, layers), truth)
+        assert duel.other.cells == cells
+        assert duel.own.unknowns == duel.other.nodes == duel.own.nodes
+        assert duel.ratio == duel.other.frame_seconds / duel.own.frame_seconds
+
+
+def test_without_the_peer_the_rest_is_measured(monkeypatch, tmp_path) -> None:
+    monkeypatch.setattr(peer, "is_installed", lambda: False)
+    monkeypatch.setattr(cases, "QUICK", cases.ladder((1, 1), Grading(8e-3, 8e-3, 1.0), 1))
+    coarse = cases.ladder((1, 1), Grading(9e-3, 9e-3, 1.0), 2)
+    monkeypatch.setattr(cases, "QUICK_REFERENCES", tuple(coarse))
+    said = bench("--out", str(tmp_path / "deep" / "er"))
+    assert "pyEIT is not installed and was left out" in said
+    written = (tmp_path / "deep" / "er" / "accuracy" / "table.csv").read_text()
+    assert "pyEIT" not in written.split("\n", 1)[1]
+
+
+def test_a_folder_that_cannot_be_made_is_said(tmp_path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ConfigurationError, match="cannot use the folder"):
+        bench("--out", str(tmp_path / "file" / "bench"))

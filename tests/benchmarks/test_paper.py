@@ -1,0 +1,315 @@
+"""`eitskin bench paper`: its frames, its figures against known answers, its table and files."""
+
+import csv
+import dataclasses
+import json
+from collections import Counter
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from eitskin.benchmarks.paper import limits as paper_limits
+from eitskin.benchmarks.paper import run as paper
+from eitskin.benchmarks.paper import sets as paper_sets
+from eitskin.benchmarks.paper.limits import SignalToNoise
+from eitskin.benchmarks.paper.lines import LINES
+from eitskin.benchmarks.paper.report import HEADINGS, table
+from eitskin.benchmarks.paper.sets import KNOWN_DEG, SPECIMENS, Sets, in_episode, recipes
+from eitskin.benchmarks.results import read_results
+from eitskin.cli.main import app
+from eitskin.datasets import Dataset, Recipe, State
+from eitskin.datasets.recipe.frame_sampling import sample, specimen
+from eitskin.errors import ConfigurationError
+from eitskin.geometry import Bend, SensorDesign
+from eitskin.simulator import Protocol, Scene, Simulator, Touch
+from eitskin.training import FoundTouches, Perceived, Pipeline, TrainingSettings
+from eitskin.training.evaluation.cramer_rao import scene_derivatives
+from eitskin.training.method.calibration import Calibration
+from eitskin.training.method.input_spec import Layout
+from eitskin.training.method.observations import Observed
+
+FLAT = np.linspace(400.0, 820.0, 28)
+NOISE, SIGNAL = 1e-4, 1e-2  # of a frame and of a touch, relative
+PLACES = [(0.02, 0.02), (0.06, 0.04), (0.09, 0.02), (0.13, 0.04)]
+SETS: list[Dataset] = []
+
+
+def dataset(frames, seed=0, episode=None):
+    """Frames of one sensor, of (angle, number of touches); no two are alike."""
+    rng = np.random.default_rng(seed)
+    n = len(frames)
+    angle, count = np.array(frames, float).T
+    xy = np.full((2, n, 4), np.nan)
+    for row, touches in enumerate(count.astype(int)):
+        xy[:, row, :touches] = np.array(PLACES[:touches]).reshape(-1, 2).T
+    there = np.isfinite(xy[0])
+    free = FLAT * (1 + 1e-3 * angle[:, None]) * (1 + NOISE * rng.normal(size=(n, 28)) / 8**0.5)
+    signal = SIGNAL * (count > 0)[:, None] + NOISE * rng.normal(size=(n, 28))
+    made = Dataset.from_arrays(
+        FLAT * (1 + 1e-3 * angle[:, None] + signal),
+        FLAT,
+        touch_reference=free,
+        specimen=np.zeros(n),
+        state=np.where(count > 0, State.TOUCH, np.where(angle != 0, State.BEND, State.IDLE)),
+        bend_angle_deg=angle,
+        touch_x=xy[0],
+        touch_y=xy[1],
+        touch_force=np.where(there, 10.0, np.nan),
+        touch_radius=np.where(there, 0.0075, np.nan),
+        time=0.3 * np.arange(n),
+        episode=np.arange(n) if episode is None else episode,
+        protocol=Protocol.pairwise(8),
+        design=SensorDesign.reference(),
+        recipe='name = "by hand"\nreference_frames = 8\n',
+        source="simulated",
+    )
+    SETS.append(made)
+    return made
+
+
+def experiments(seed):
+    touches = [(0, 1), (30, 1), (20, 2), (10, 3), (30, 4)]
+    sequence = [(0, 0), (10, 0), (20, 0)]
+    demo = [(0, 0), (-10, 0), (-10, 2), (20, 3), (20, 3), (40, 4), (0, 4)]
+    return {
+        "indentation": dataset([(0, 1)] * 3, seed),
+        "touch": dataset(touches, seed + 1),
+        "states": dataset([(0, 0), (0, 0), (15, 0), (0, 1)], seed + 2),
+        "bending": dataset([(-20, 0), (25, 0), (50, 0), *sequence], seed + 3, [0, 1, 2, 3, 3, 3]),
+        "demo": dataset(demo, seed + 4, [0] * len(demo)),
+    }
+
+
+def made(_folder, seed, *_args):
+    """Sets as `paper_sets.make` gives them, without simulating any."""
+    known = dataset([(angle, 0) for angle in (0.0, *KNOWN_DEG)], 90)
+    calibration = {"bending": known, "touch": known}
+    own, unseen = experiments(10 * seed), experiments(10 * seed + 100)
+    return Sets(known, own, unseen, calibration, Recipe.shipped("training"))
+
+
+@dataclasses.dataclass
+class Known:
+    """A method that knows every frame, and is wrong by as much as it is told."""
+
+    KIND: ClassVar[str] = "known"
+    AVERAGES: ClassVar[bool] = False
+    place: float  # m, along x
+    angle_deg: float
+
+    def perceive(self, observed):
+        return Perceived.joined([self._one(row) for row in observed.static])
+
+    def _one(self, static):
+        frames = [(each, row) for each in SETS for row in range(len(each))]
+        values = np.array([each.impedance[row].real / FLAT - 1 for each, row in frames])
+        data, row = frames[int(np.abs(values - static).sum(axis=1).argmin())]
+        places = np.stack([data.touch_x[row], data.touch_y[row]], axis=1)
+        places = places[np.isfinite(places[:, 0])] + [self.place, 0.0]
+        return Perceived(
+            np.eye(3)[[data.state[row]]],
+            np.array([data.bend_angle_deg[row] + self.angle_deg]),
+            np.full(1, np.nan),
+            np.zeros((1, 32, 80), np.float32),
+            (FoundTouches.of(places, np.ones(len(places))),),
+            ((),),
+        )
+
+    def adapted(self, known):
+        """Right to a tenth of what it was."""
+        np.testing.assert_allclose(known.angle_deg, KNOWN_DEG)
+        better = dataclasses.replace(self, angle_deg=self.angle_deg / 10)
+        return better, Calibration(KNOWN_DEG, (1.0,) * 5, (0.1,) * 5, 0.1)
+
+
+def pipeline(place, angle_deg):
+    layout = Layout(SensorDesign.reference(), Protocol.pairwise(8), 40e3, FLAT)
+    said = {"frames": 7, "source": "simulated", "sha256": ""}
+    examples = Observed.of(dataset([(0, 0)], 77))
+    return Pipeline(layout, Known(place, angle_deg), NOISE, TrainingSettings(), said, examples)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """What the command leaves behind for two seeds, and what it printed as JSON."""
+    out = tmp_path_factory.mktemp("paper")
+    (out / "ours.eitmodel").mkdir()
+    limits = {"indentation.error_mm": 0.5, "bend.angle_deg": 0.1}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(paper, "make", made)
+        patch.setattr(paper, "_paper_pipeline", lambda *_args: pipeline(5e-3, 2.0))
+        patch.setattr(paper.Pipeline, "load", lambda _path: pipeline(1e-3, 0.5))
+        patch.setattr(paper_limits, "bounds", lambda *_args: limits)
+        options = ("--pipeline", str(out / "ours.eitmodel"), "--seeds", "2", "--quick", "--json")
+        ran = CliRunner().invoke(app, ["bench", "paper", "--out", str(out), *options, "--quiet"])
+    if ran.exception is not None:
+        raise ran.exception
+    folder = out / "paper"
+    (folder / "printed.json").write_text(ran.stdout)
+    return folder
+
+
+def test_figures_are_what_the_pipelines_are_known_to_do(folder):
+    printed = json.loads((folder / "printed.json").read_text())
+    columns = {paper.OWN: (5.0, 2.0), paper.UNSEEN: (5.0, 2.0), paper.OURS: (1.0, 0.5)}
+    for column, (millimetres, degrees) in columns.items():
+        for figures in printed["figures"][column]:
+            for name in ("indentation", "touch.1", "touch.2", "touch.3", "touch.4", "touch"):
+                assert figures[f"{name}.error_mm"] == pytest.approx(millimetres, rel=1e-4)
+            assert figures["touch.4.found"] == figures["state.touch"] == figures["demo.state"] == 1
+            assert figures["touch.4.false"] == 0
+            for name in ("bend", "touch", "sequence", "demo"):
+                assert figures[f"{name}.angle_deg"] == pytest.approx(degrees, rel=1e-4)
+            assert figures["demo.20deg.3.found"] == 1
+            assert figures["demo.20deg.3.error_mm"] == pytest.approx(millimetres, rel=1e-4)
+            assert 0 < figures["time.p50_ms"] <= figures["time.p99_ms"]
+    ours = printed["figures"][paper.OURS][0]
+    assert ours["calibrated.angle_deg"] == pytest.approx(0.05, rel=1e-3)
+    assert ours["calibrated.touched_deg"] == pytest.approx(0.05, rel=1e-3)
+    assert "calibrated.angle_deg" not in printed["figures"][paper.OWN][0]
+    assert printed["variants"]["ours"] == printed["figures"][paper.OURS]
+
+
+def test_files_hold_the_table_and_what_it_was_made_with(folder):
+    with (folder / "table.csv").open() as lines:
+        assert next(lines).startswith("# ")
+        rows = list(csv.DictReader(lines))
+    one = [r for r in rows if r["column"] == paper.OURS and r["figure"] == "indentation.error_mm"]
+    assert [row["seed"] for row in one] == ["0", "1"]
+    assert float(one[0]["value"]) == pytest.approx(1.0, rel=1e-4)
+    text = (folder / "paper.md").read_text()
+    row = next(line for line in text.splitlines() if "27 places" in line)
+    assert [cell.strip() for cell in row.strip("|").split("|")][1:] == [
+        "4.8", "5.00 +- 0.00", "5.00 +- 0.00", "1.00 +- 0.00", "<= 1.5", "0.50 +- 0.00", "2.0"
+    ]  # fmt: skip
+    for said in ("structural_similarity", "signal to noise", "snr_db 75", "conductivity 0.15"):
+        assert said in text
+    assert json.loads((folder / "paper.json").read_text())["seeds"] == [0, 1]
+    results = read_results(folder / "results.json")
+    assert (results.quick, results.provenance.seed) == (True, 0)
+    assert results.figures[f"{paper.OURS}: indentation.error_mm"] == pytest.approx(1.0, rel=1e-4)
+    assert results.figures[f"{paper.OURS}: touch.4.found"] == 100.0
+    cell = f"&emsp;standard deviation [mm] (2) / {paper.OWN}"
+    assert results.figures[cell] == pytest.approx(0.0, abs=0.01)
+    for picture in ("paper-touches.png", "paper-time.png"):
+        assert (folder / picture).read_bytes().startswith(b"\x89PNG")
+
+
+def test_every_figure_has_a_line_or_is_a_part_of_one(folder):
+    """What is measured is shown, but pictures and misses that the table sums up elsewhere."""
+    figures = json.loads((folder / "paper.json").read_text())["figures"][paper.OURS][0]
+    shown = {line.figure for line in LINES}
+    hidden = {name for name in figures if name not in shown}
+    assert all("ssim" in name or "several" in name or name == "touch.error_mm" for name in hidden)
+
+
+def test_spread_is_that_of_the_seeds():
+    found = comparison({"bend.angle_deg": 1.0}, {"bend.angle_deg": 2.0}, {})
+    rows = [row for row in table(found) if row[0].startswith(" ")]
+    assert [row[0].strip() for row in rows] == ["RMSE [deg]"]
+    assert rows[0][HEADINGS.index(paper.OURS)] == "1.50 +- 0.71"
+    heads = [row[0] for row in table(found)]
+    assert heads[heads.index("  RMSE [deg]") - 1] == "bend angle: R2"
+
+
+def comparison(*figures):
+    """One column's figures by seed; the third seed has none."""
+    empty = tuple({} for _ in figures)
+    return paper.Comparison(
+        provenance=paper.Provenance.now(0),
+        seconds=0.0,
+        seeds=tuple(range(len(figures))),
+        quick=True,
+        pipeline="",
+        recipe=Recipe.shipped("training"),
+        figures={paper.OWN: empty, paper.UNSEEN: empty, paper.OURS: figures},
+        bounds=empty,
+        signal_to_noise=(),
+        variants=(),
+    )
+
+
+def test_signal_to_noise_is_per_channel():
+    found = SignalToNoise.of(experiments(500) | {"states": dataset([(0, 0)] * 2000, 9)})
+    assert found.median == pytest.approx(SIGNAL / NOISE, rel=0.02)
+    assert 0.9 * SIGNAL / NOISE < found.least < found.median < found.most < 1.1 * SIGNAL / NOISE
+
+
+def test_bounds_are_those_of_the_frames_scenes():
+    """By hand: the noise is the instrument's, the reference of the recipe's number of frames."""
+    recipe = dict(recipes(0, True))["unseen-touch"]
+    sets = {
+        "indentation": dataset([(0, 1)]),
+        "touch": dataset([(20, 1)]),
+        "bending": dataset([(30, 0)]),
+    }
+    found = paper_limits.bounds(sets, recipe, 5, seed=0)
+    sim = Simulator(SensorDesign.reference(), "fast")
+    touch = Touch(*(float(np.float32(v)) for v in PLACES[0]), 10.0)
+    bent = scene_derivatives(sim, Scene(Bend(20.0), (touch,)))
+    noise = bent.noise(recipe.instrument, sim.full_scale)
+    expected = 1e3 * bent.bound(noise, 8).distance[0]
+    assert found["touch.1.error_mm"] == pytest.approx(expected, rel=1e-6)
+    assert found["touch.angle_deg"] == pytest.approx(bent.bound(noise, np.inf).angle_deg, rel=1e-6)
+    free = scene_derivatives(sim, Scene(Bend(30.0)))
+    expected = free.bound(free.noise(recipe.instrument, sim.full_scale), np.inf).angle_deg
+    assert found["bend.angle_deg"] == pytest.approx(expected, rel=1e-6)
+
+
+# Frames
+
+
+def test_recipes_are_the_papers_on_a_finer_mesh_with_the_training_recipes_instrument():
+    training = Recipe.shipped("training")
+    whole = dict(recipes(1, quick=False))
+    for name, count in SPECIMENS.items():
+        shipped, unseen = Recipe.shipped(f"paper_{name}"), whole[f"unseen-{name}"]
+        assert unseen.instrument == training.instrument
+        assert unseen.specimens == dataclasses.replace(training.specimens, count=count)
+        assert unseen.scenes == shipped.scenes
+        assert unseen.resolution == "standard"
+        assert unseen.seed == shipped.seed + 2000
+    seeds = Counter(recipe.seed for recipe in whole.values())
+    # Calibration has the sensors of its experiment, which its seed gives.
+    assert {seeds[whole[name].seed] for name in whole} == {1, 2}
+    assert not seeds.keys() & {recipe.seed + 1000 for recipe in whole.values()}
+
+
+def test_own_sensor_is_one_and_the_same_and_no_nominal_one():
+    whole = dict(recipes(0, quick=True))
+    own = [specimen(whole[name], 0) for name in ("training", "own-touch", "own-bending")]
+    assert own[0] == own[1] == own[2]
+    assert own[0].design != SensorDesign.reference()
+    assert specimen(whole["unseen-touch"], 0) != own[0]
+    assert whole["training"].resolution == "fast"
+    assert sample(whole["own-touch"], 3).scene != sample(whole["unseen-touch"], 3).scene
+
+
+def test_each_sensor_is_calibrated_by_one_frame_of_each_angle():
+    whole = dict(recipes(0, quick=False))
+    for name in ("bending", "touch"):
+        known, experiment = whole[f"calibration-{name}"], whole[f"unseen-{name}"]
+        shown = [sample(known, index) for index in range(known.frames)]
+        frames = Counter((each.specimen, each.scene.bend.angle_deg) for each in shown)
+        assert set(frames.values()) == {1}
+        assert len(frames) == 6 * experiment.specimens.count
+        assert specimen(known, 3) == specimen(experiment, 3)
+
+
+def test_episodes_are_frames_that_follow_each_other():
+    data = experiments(0)["bending"]
+    assert in_episode(data).tolist() == [False] * 3 + [True] * 3
+    (sequence,) = paper_sets.episodes(data)
+    assert sequence.bend_angle_deg.tolist() == [0.0, 10.0, 20.0]
+
+
+def test_refusals():
+    with pytest.raises(ConfigurationError, match="at least one seed"):
+        paper.run(Path("nowhere"), Path(), seeds=0)
+    with pytest.raises(ConfigurationError, match="--pipeline"):
+        paper.run(Path("nowhere"), Path())
+    with pytest.raises(ConfigurationError, match="not be negative"):
+        next(recipes(-1, quick=True))

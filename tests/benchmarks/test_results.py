@@ -1,0 +1,146 @@
+"""Results of benchmarks: one writer, one folder; reports in Markdown read back as figures."""
+
+import csv
+import json
+import math
+
+import pytest
+
+from eitskin.benchmarks.markdown_tables import figures, tables
+from eitskin.benchmarks.results import (
+    Results,
+    found_results,
+    read_results,
+    write_index,
+    write_results,
+)
+from eitskin.errors import ConfigurationError, DataError
+from eitskin.provenance import Provenance
+
+REPORT = """
+Measured on a machine; 2026-11-22
+
+## bends
+
+| pair | -20 | +10 |
+| --- | ---: | --- |
+| 0-1 | -3.18 | +1.31 |
+| 0-2 | -2.60 | full queue |
+
+**times**
+
+| board | scene | frames/s | ms: p50 (p99) |
+|---|---|---|---|
+| fast | idle | 1,297.4 | 2.56 (9.01) |
+| fast | bent | 458.3 | 2.03 (7.40) |
+
+| row | a | b |
+|---|---|---|
+| error | 1.5e-3 | |
+| error | 2.5e-3 | 4 |
+
+- skew, at most [%]: 0.36
+- a remark without any number: none
+"""
+
+
+def made(name="one", quick=False, seed=0, **given):
+    values = given or {"a": 1.5, "b": 2.0}
+    return Results(name, "eitskin bench one", Provenance.now(seed), 3.0, quick, values)
+
+
+def test_what_is_written_is_read_and_pictures_stand_beside(tmp_path):
+    results = made()
+    paths = write_results(results, tmp_path, plots={"p.png": lambda path: path.write_bytes(b"p")})
+    assert [path.name for path in paths] == ["p.png", "table.csv", "results.json"]
+    assert read_results(tmp_path / "one" / "results.json") == results
+    assert (tmp_path / "one" / "p.png").read_bytes() == b"p"
+    comment, *lines = (tmp_path / "one" / "table.csv").read_text().splitlines()
+    assert comment == f"# {results.provenance}"
+    assert list(csv.DictReader(lines)) == [
+        {"figure": "a", "value": "1.5"},
+        {"figure": "b", "value": "2.0"},
+    ]
+
+
+def test_rows_of_a_table_are_written_as_they_are(tmp_path):
+    write_results(made(), tmp_path, [{"x": 1, "y": "two"}])
+    assert (tmp_path / "one" / "table.csv").read_text().splitlines()[1:] == ["x,y", "1,two"]
+
+
+def test_a_figure_that_is_no_number_is_left_out(tmp_path):
+    write_results(made(a=1.0, b=math.nan, c=math.inf), tmp_path)
+    data = json.loads((tmp_path / "one" / "results.json").read_text())
+    assert data["figures"] == {"a": 1.0}
+    assert data["provenance"]["machine"] == Provenance.now(0).machine
+
+
+def test_a_picture_that_fails_leaves_no_results_that_vouch_for_it(tmp_path):
+    def broken(path):
+        path.write_bytes(b"half")
+        raise OverflowError
+
+    with pytest.raises(OverflowError):
+        write_results(made(), tmp_path, plots={"p.png": broken})
+    assert list((tmp_path / "one").iterdir()) == []
+
+
+def test_results_that_cannot_be_read_are_refused_with_what_to_do(tmp_path):
+    path = tmp_path / "results.json"
+    for text in ('{"name": "half', '{"name": 3}'):
+        path.write_text(text)
+        with pytest.raises(DataError, match="--fresh"):
+            read_results(path)
+
+
+def test_a_folder_that_cannot_be_written_is_said(tmp_path):
+    (tmp_path / "one").mkdir()
+    (tmp_path / "one" / "table.csv").mkdir()
+    with pytest.raises(ConfigurationError):
+        write_results(made(), tmp_path)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ConfigurationError, match="cannot use the folder"):
+        write_results(made(), tmp_path / "file")
+
+
+def test_results_answer_for_the_same_seed_and_whole_ones_also_for_quick():
+    assert made().answers(seed=0, quick=False)
+    assert made().answers(seed=0, quick=True)
+    assert made(quick=True).answers(seed=0, quick=True)
+    assert not made(quick=True).answers(seed=0, quick=False)
+    assert not made(seed=1).answers(seed=0, quick=False)
+
+
+def test_the_index_names_every_result_and_its_files(tmp_path):
+    write_results(made("two", quick=True), tmp_path)
+    write_results(made("one"), tmp_path, plots={"p.png": lambda path: path.write_bytes(b"p")})
+    (tmp_path / "frames").mkdir()  # no results in it
+    assert [each.name for each in found_results(tmp_path)] == ["one", "two"]
+    text = write_index(tmp_path).read_text()
+    assert "| one | 2 | 3 | 0 | " in text
+    assert "| two, quick | 2 |" in text
+    assert "[p.png](one/p.png), [results.json](one/results.json)" in text
+    assert Provenance.now(0).machine in text
+
+
+def test_tables_of_a_report_are_figures_by_title_row_and_column():
+    found = figures(REPORT)
+    assert found == {
+        "bends / 0-1 / -20": -3.18,
+        "bends / 0-1 / +10": 1.31,
+        "bends / 0-2 / -20": -2.6,
+        "times / fast, idle / frames/s": 1297.4,
+        "times / fast, idle / ms: p50 (p99)": 2.56,
+        "times / fast, idle / ms: p50 (p99) #2": 9.01,
+        "times / fast, bent / frames/s": 458.3,
+        "times / fast, bent / ms: p50 (p99)": 2.03,
+        "times / fast, bent / ms: p50 (p99) #2": 7.40,
+        "error / a": 1.5e-3,
+        "error (2) / a": 2.5e-3,
+        "error (2) / b": 4.0,
+        "skew, at most [%]": 0.36,
+    }
+
+
+def test_a_title_belongs_to_the_next_table_alone():
+    assert [table.title for table in tables(REPORT)] == ["bends", "times", ""]

@@ -1,0 +1,118 @@
+"""`eitskin bench speed`: what its ways draw, its ratios, its files."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from eitskin.benchmarks.accuracy import peer
+from eitskin.benchmarks.results import read_results
+from eitskin.benchmarks.speed import run as speed
+from eitskin.benchmarks.speed import scenes
+from eitskin.benchmarks.speed.run import Floor, FrameTime, Generation, Peer
+from eitskin.benchmarks.speed.scenes import JUMPING, WAYS, Rate
+from eitskin.cli.main import app
+
+MADE = Generation(256, 40.0, 0.5, {32: 200.0, 128: 201.0})
+
+
+@pytest.fixture
+def ran(tmp_path, monkeypatch):
+    """The command with parts that answer at once, its folder and what it printed as JSON."""
+    monkeypatch.setattr(speed, "rate", lambda way, *_: Rate(way.name, 80, 20, 0.01, 0.02))
+    monkeypatch.setattr(speed, "pyeit", lambda _seed: Peer(1989, 90.0))
+    monkeypatch.setattr(speed, "floor", lambda: Floor(8e7, 2.0, 20.0))
+    monkeypatch.setattr(speed, "generation", lambda _count, _engine: MADE)
+    monkeypatch.setattr(speed, "frame_time", lambda name, *_: FrameTime(name, 3.0, 9.0))
+    command = ["bench", "speed", "--quick", "--seed", "2", "--json", "--quiet"]
+    done = CliRunner().invoke(app, [*command, "--out", str(tmp_path)])
+    if done.exception is not None:
+        raise done.exception
+    return tmp_path / "speed", json.loads(done.stdout)
+
+
+def test_rates_stand_beside_errors_and_ratios_are_of_one_run(ran):
+    folder, printed = ran
+    results = read_results(folder / "results.json")
+    assert results.quick
+    assert results.provenance.seed == 2
+    first = WAYS[0].name
+    assert results.figures[f"{first} / per second"] == 80.0
+    assert results.figures[f"{first} / error, median"] == 1.0
+    assert results.figures[f"{first} / largest"] == 2.0
+    assert results.figures["pyEIT.times_longer"] == printed["pyeit_ratio"] == 4.5
+    assert results.figures["floor.times_longer"] == 10.0
+    assert results.figures["dataset.share_percent"] == 50.0
+    assert results.figures["memory, large.mb"] == 201.0
+    assert results.figures["pipeline, four touches, bent.p99_ms"] == 9.0
+    assert [rate["name"] for rate in printed["rates"]] == [first, JUMPING.name]
+
+
+def test_files_are_a_table_and_a_plot(ran):
+    folder, _ = ran
+    assert sorted(path.name for path in folder.iterdir()) == [
+        "results.json",
+        "speed.png",
+        "table.csv",
+    ]
+    rows = list(csv.DictReader((folder / "table.csv").read_text().splitlines()[1:]))
+    assert [float(row["scenes_per_second"]) for row in rows] == [80.0, 80.0]
+    assert (folder / "speed.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_without_the_peer_the_rest_is_measured(monkeypatch):
+    monkeypatch.setattr(peer, "is_installed", lambda: False)
+    assert speed.pyeit(0) is None
+
+
+def test_the_peers_time_is_of_a_scene():
+    pytest.importorskip("pyeit")
+    found = speed.pyeit(0, count=1)
+    assert found.nodes == 1989
+    assert found.scene_ms > 0.0
+
+
+def test_the_floor_is_below_what_a_touch_takes():
+    found = speed.floor(count=2)
+    assert 1e7 < found.operations < 1e9
+    assert 0.0 < found.least_ms < found.ms
+
+
+def test_a_frames_time_is_that_of_the_pipeline_alone():
+    found = speed.frame_time("idle", frames=5, seed=0)
+    assert 0.0 < found.median_ms <= found.p99_ms < 1e3
+
+
+def test_scenes_of_a_way_share_bends_as_it_says():
+    for way in WAYS:
+        some = scenes.scenes(way, 40, seed=1)
+        bends = [scene.bend for scene in some]
+        assert len(set(bends)) == (40 if way.per_bend == 1 else 2)
+        counts = {len(scene.touches) for scene in some}
+        assert counts == set(range(way.touches[0], way.touches[1] + 1))
+        assert all(5.0 <= t.force <= 12.0 for scene in some for t in scene.touches)
+    assert scenes.scenes(WAYS[0], 3, 1) == scenes.scenes(WAYS[0], 3, 1)
+
+
+def test_an_exact_way_is_off_by_its_mesh_alone(monkeypatch):
+    """Against itself it has no error; a coarser mesh has."""
+    monkeypatch.setattr(scenes, "JUDGED", 2)
+    truth = scenes._signals(scenes.scenes(WAYS[0], 2, 99), WAYS[4], "standard")
+    monkeypatch.setattr(scenes, "_true_signals", lambda *_: truth)
+    standard = scenes.Way("", resolution="standard", tolerance=WAYS[4].tolerance)
+    assert np.abs(scenes.signal_errors(standard)).max() < 1e-9
+    assert 1e-3 < scenes.signal_errors(WAYS[4]).max() < 0.1
+
+
+def test_datasets_are_told_as_a_share_of_what_the_engine_does(monkeypatch):
+    asked = []
+    clock = iter((10.0, 12.0))
+    monkeypatch.setattr(speed, "generate", lambda made, *_args, **_kw: asked.append(made.frames))
+    monkeypatch.setattr(speed, "memory_mb", lambda frames: 100.0 + frames)
+    monkeypatch.setattr(speed.time, "perf_counter", lambda: next(clock))
+    found = speed.generation(32, Rate("", 160.0, 1.0, 0.0, 0.0))
+    assert asked == [256]
+    assert (found.frames_per_second, found.share) == (128.0, 0.8)
+    assert found.memory_mb == {32: 132.0, 128: 228.0}

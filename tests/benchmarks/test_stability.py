@@ -1,0 +1,398 @@
+"""`eitskin bench stability`: what it holds against what, and that it finds what is wrong."""
+
+import csv
+import dataclasses
+import json
+import time
+import warnings
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from typer.testing import CliRunner
+
+from eitskin.benchmarks.results import read_results
+from eitskin.benchmarks.stability import (
+    bends as stability_bends,
+)
+from eitskin.benchmarks.stability import (
+    electrical as stability_electrical,
+)
+from eitskin.benchmarks.stability import (
+    run as stability,
+)
+from eitskin.benchmarks.stability import (
+    solids as stability_solids,
+)
+from eitskin.benchmarks.stability.case import Case, Found, Row, judge
+from eitskin.benchmarks.stability.closed_forms import punched_layer, sector, shunt_pair
+from eitskin.benchmarks.stability.places import SPANS, cells, electrodes
+from eitskin.benchmarks.stability.random_designs import RANDOM, random_designs
+from eitskin.cli.main import app
+from eitskin.errors import ConfigurationError
+from eitskin.geometry import Bend, Hinge, Rectangle, SensorDesign
+from eitskin.geometry.deformation.fixtures import FreeArc
+from eitskin.provenance import Provenance
+from eitskin.simulator import ForwardModel
+from eitskin.simulator.mechanics.axisymmetric_press import Press
+from eitskin.simulator.mechanics.load_stepping import SolidError
+
+import closed_forms
+
+
+def found(**values):
+    return Case("family", "name", lambda: Found(**values), invariant_limit=1e-6, error_limit=1e-3)
+
+
+def failing(error, **options):
+    def solve():
+        raise error
+
+    return Case("family", "name", solve, **options)
+
+
+# What counts as wrong
+
+
+def test_a_number_within_its_limits_is_ok() -> None:
+    row = judge(found(residual=1e-9, invariant=1e-7, error=1e-4, iterations=3, reached="far"))
+    assert (row.outcome, row.reason, row.reached) == ("ok", "", "far")
+    assert (row.residual, row.invariant, row.error, row.iterations) == (1e-9, 1e-7, 1e-4, 3)
+
+
+@pytest.mark.parametrize(
+    ("values", "reason"),
+    [
+        ({"error": 2e-3}, "error of 0.002, at most 0.001 was expected"),
+        ({"invariant": 1e-5}, "invariant of 1e-05, at most 1e-06 was expected"),
+        ({"error": np.nan}, "error is not a number"),
+        ({"residual": np.inf}, "residual is not a number"),
+    ],
+)
+def test_numbers_beyond_their_limits_and_no_numbers_are_wrong(values, reason) -> None:
+    row = judge(found(**values))
+    assert (row.outcome, row.reason) == ("wrong", reason)
+    json.dumps(dataclasses.asdict(row), allow_nan=False)
+
+
+def test_residuals_have_a_limit_where_forces_must_balance() -> None:
+    case = dataclasses.replace(found(residual=1e-2), residual_limit=1e-6)
+    assert judge(case).reason == "residual of 0.01, at most 1e-06 was expected"
+
+
+def test_other_exceptions_are_wrong() -> None:
+    row = judge(failing(ZeroDivisionError("by zero")))
+    assert (row.outcome, row.reason) == ("wrong", "ZeroDivisionError: by zero")
+
+
+def test_warnings_are_wrong() -> None:
+    def solve():
+        warnings.warn("overflow encountered", RuntimeWarning, stacklevel=1)
+        return Found()
+
+    row = judge(Case("family", "name", solve))
+    assert (row.outcome, row.reason) == ("wrong", "RuntimeWarning: overflow encountered")
+
+
+def test_hangs_are_wrong_and_end() -> None:
+    def solve():
+        while True:
+            time.perf_counter()
+
+    row = judge(Case("family", "name", solve), patience=0.05)
+    assert (row.outcome, row.reason) == ("wrong", "TimeoutError: took longer than 0.05 s")
+    assert row.seconds < 1.0
+
+
+def test_refusals_are_fine_where_they_are_expected_and_say_why() -> None:
+    error = ConfigurationError("at most 10 deg")
+    assert judge(failing(error, expected=None)).outcome == "refused"
+    assert judge(failing(error, expected="refused", says="10 deg")).outcome == "refused"
+    assert judge(failing(error, expected="refused", says="20 deg")).outcome == "wrong"
+    assert judge(failing(error)).reason == "was refused: at most 10 deg"
+    accepted = dataclasses.replace(found(error=0.0), expected="refused")
+    assert judge(accepted).reason == "was not refused"
+
+
+def test_numbers_found_before_a_refusal_are_kept_and_judged() -> None:
+    case = dataclasses.replace(found(error=1e-4, reached="half", refused="no"), expected=None)
+    row = judge(case)
+    assert (row.outcome, row.error, row.reached, row.reason) == ("refused", 1e-4, "half", "no")
+    off = dataclasses.replace(found(error=1.0, refused="no"), expected=None)
+    assert judge(off).outcome == "wrong"
+
+
+def test_what_is_not_installed_is_left_out() -> None:
+    row = judge(failing(ImportError("pip install it")))
+    assert (row.outcome, row.reason) == ("left out", "pip install it")
+
+
+def test_an_interrupt_is_not_swallowed() -> None:
+    with pytest.raises(KeyboardInterrupt):
+        judge(failing(KeyboardInterrupt()))
+
+
+# Closed forms
+
+
+@pytest.mark.parametrize(
+    ("ratio", "factor"), [(0.2, 1.281), (0.4, 1.684), (0.6, 2.213), (1.0, 3.619), (2.0, 9.15)]
+)
+def test_punched_layer_is_hayes_and_on_a_thick_layer_a_half_space(ratio, factor) -> None:
+    mu, nu = 1.0, 0.5
+    half_space = 4.0 * mu * ratio / (1.0 - nu)
+    assert punched_layer(ratio, 1.0, nu) == pytest.approx(factor * half_space, rel=3e-4)
+    assert punched_layer(1e-3, 1.0, 0.3) == pytest.approx(4e-3 / 0.7, rel=2e-3)
+
+
+@pytest.mark.parametrize("name", SPANS)
+def test_shunt_pair_is_that_of_the_tests(name) -> None:
+    ends = Rectangle(0.15, 0.06).at(np.array(SPANS[name])).reshape(4, 2)
+    expected = closed_forms.shunt_pair(0.15, 0.06, ends.tolist())
+    assert shunt_pair(0.15, 0.06, SPANS[name]) == pytest.approx(expected, rel=1e-5)
+
+
+def test_sector_is_between_two_radii_and_thin_ones_are_bars() -> None:
+    angle, length, height, stretch = 2.0, 0.1, 0.02, 1.05
+    curvature = angle / length
+    inner, outer = np.sqrt(stretch**2 + curvature * height * np.array([-1, 1])) / curvature
+    expected = closed_forms.sector_between_ends(angle, inner, outer)
+    assert sector(angle, height, 1.0, stretch, length) == pytest.approx(expected)
+    assert sector(-1e-6, height, 2.0, 1.0, length) == pytest.approx(length / (2.0 * height))
+
+
+# The cases themselves
+
+
+def named(cases, *names):
+    picked = {case.name: case for case in cases if case.name in names}
+    assert set(picked) == set(names)
+    return [judge(picked[name]) for name in names]
+
+
+def test_electrical_cases_are_right_and_refusals_refused() -> None:
+    rows = [
+        *map(judge, stability_electrical.contrasts((1e6,))),
+        *map(judge, stability_electrical.layers((1e-6,), (0.01,))),
+        *named(stability_electrical.contacts(), "block, 1e+03", "block, 1e-09, 1e+03", "nan"),
+        *named(electrodes(quick=True), "1 um", "one on the other"),
+        *named(cells(quick=True), "15000 : 1 needle, hexahedra", "hexahedra sheared by 10000"),
+    ]
+    refused = [row.case for row in rows if row.outcome == "refused"]
+    assert refused == ["nan", "one on the other", "hexahedra sheared by 10000"]
+    assert all(row.outcome != "wrong" for row in rows)
+    assert all(row.error is not None and row.invariant < 1e-4 for row in rows if row.residual)
+
+
+def test_the_heat_balance_sees_a_wrong_conductivity() -> None:
+    model = ForwardModel(SensorDesign.reference(), "fast")
+    assert stability_electrical.imbalance(model) < 1e-11
+    exact = model.sensitivity
+    model.sensitivity = lambda *scene: 1.001 * exact(*scene)
+    assert stability_electrical.imbalance(model) > 1e-4
+
+
+def test_resistances_outside_bounds_are_measured() -> None:
+    R, low, high = np.array([1.0, 2.0]), np.array([0.9, 2.2]), np.array([1.1, 2.5])
+    assert stability_electrical.outside(R, low, high) == pytest.approx(0.1)
+    assert stability_electrical.outside(R, 0.5 * low, high) == 0.0
+
+
+def test_bends_are_right_to_their_ends_and_the_ends_are_named() -> None:
+    rows = named(
+        stability_bends.bends(quick=True),
+        "whole length to 360 deg",
+        "whole length to 360.1 deg",
+        "hinge, up, to the end",
+        "hinge, up, past it",
+    )
+    assert [row.outcome for row in rows] == ["ok", "refused"] * 2
+    assert rows[0].error < 1e-7
+    assert rows[2].reached == "148.7 deg"
+    rows = named(stability_bends.rolls_and_twists(quick=True), "roll, 360 deg", "twist, 10 turns")
+    assert [row.outcome for row in rows] == ["ok", "ok"]
+
+
+def test_bounds_hold_the_resistance_and_meet_for_an_arc() -> None:
+    """Sections of an arc have one potential each; fibres would exchange current."""
+    design = stability_electrical.bar(1e-9)
+    arc = FreeArc(0.15).flexure(design, Bend(270.0))
+    low, high = stability_bends._bounds(arc)
+    exact = sector(np.radians(270.0), 0.005, 0.06, arc.stretch, 0.15)
+    assert low == pytest.approx(exact, rel=1e-9)
+    assert high > 1.0005 * low
+    straight = stability_bends._bounds(FreeArc(0.15).flexure(design, Bend(1e-6)))
+    assert straight == pytest.approx((500.0, 500.0), rel=1e-7)
+
+
+@pytest.mark.parametrize(
+    "fixture",
+    [Hinge(transition=0.01, contraction=0.8), FreeArc(0.02, transition=0.005, contraction=1.0)],
+    ids=["hinge", "arc"],
+)
+def test_smooth_fixtures_name_their_last_angle_too(fixture) -> None:
+    """Where the curvature rises, fibres may be shorter than in the middle."""
+    design = SensorDesign.reference()
+    with pytest.raises(ConfigurationError, match="last possible angle") as error:
+        fixture.flexure(design, Bend(1e3))
+    last = float(str(error.value).split("direction is ")[1].split(" deg")[0])
+    fixture.flexure(design, Bend(last))
+    with pytest.raises(ConfigurationError, match="last possible angle"):
+        fixture.flexure(design, Bend(last + 0.2))
+
+
+def test_presses_and_bends_compose_or_are_refused() -> None:
+    rows = named(
+        stability_bends.compositions("closed form"),
+        "press, arc of 360 deg",
+        "two presses 0 mm apart",
+    )
+    assert [row.outcome for row in rows] == ["ok", "refused"]
+
+
+def test_linear_triangles_lock_and_mixed_elements_do_not() -> None:
+    compressible, stiff = named(
+        stability_solids.incompressible(quick=True), "nu = 0.3", "nu = 0.49999"
+    )
+    assert max(compressible.error, stiff.error) < 2e-3
+    assert compressible.naive < 0.1
+    assert 50.0 < stiff.naive < 100.0
+    assert stiff.iterations == 3
+
+
+def test_a_press_says_how_far_it_went_and_why_no_farther(monkeypatch) -> None:
+    to_depth = Press.to_depth
+
+    def shallow(self, depth):
+        if depth > 0.004:
+            raise SolidError("the solid carries 40.0% of the load only")
+        return to_depth(self, depth)
+
+    monkeypatch.setattr(Press, "to_depth", shallow)
+    (case,) = stability_solids.presses(quick=True)
+    row = judge(case)
+    assert row.outcome == "refused"
+    assert row.reason.startswith("the solid carries 40.0%")
+    assert row.reached.startswith("30% deep, ")
+    assert row.residual < 1e-9
+    assert row.invariant < 1e-4
+    assert row.iterations > 5
+
+
+# Random designs
+
+
+@settings(max_examples=12, derandomize=True, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_any_design_gives_a_frame_or_a_refusal(seed) -> None:
+    (case,) = random_designs(seed, 1)
+    row = judge(case)
+    assert row.outcome in ("ok", "refused"), row.reason
+    assert bool(row.reason) == (row.outcome == "refused")
+
+
+def test_random_designs_follow_the_seed_and_are_often_possible() -> None:
+    first, again = (
+        [dataclasses.replace(judge(case), seconds=0.0) for case in random_designs(5, 6)]
+        for _ in range(2)
+    )
+    assert first == again
+    assert len({row.reason for row in first}) > 1
+    assert any(row.outcome == "ok" for row in first)
+
+
+def row(outcome="ok", family=RANDOM, reason="", **numbers) -> Row:
+    values = {"residual": None, "invariant": 1e-9, "error": None, "naive": None} | numbers
+    return Row(family, "case", outcome, "", reason, **values, iterations=None, seconds=1.0)
+
+
+def test_random_designs_are_counted_by_the_kind_of_message() -> None:
+    rows = [
+        row(family="bends"),
+        row("refused", reason="overlap by 1e-3 mm"),
+        row("refused", reason="overlap by 20 mm"),
+        row(invariant=1e-12),
+        row(invariant=1e-7),
+        row(),
+    ]
+    tallied = stability.tallied(rows)
+    assert [one.case for one in tallied] == ["case", "3", "2: overlap by # mm"]
+    assert tallied[1].invariant == 1e-7
+    assert tallied[1].seconds == 3.0
+
+
+# The command
+
+
+def bench(folder, monkeypatch, cases, *options):
+    monkeypatch.setattr(stability, "cases", lambda *_: iter(cases))
+    return CliRunner().invoke(app, ["bench", "stability", "--out", str(folder), *options])
+
+
+GOOD = found(error=1e-5, reached="12 deg")
+REFUSED = failing(ConfigurationError("[bold]no[/bold]"), expected="refused")
+BAD = failing(RuntimeError("oh"))
+
+
+def test_the_command_writes_all_rows_and_shows_them(tmp_path, monkeypatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    ran = bench(tmp_path / "new", monkeypatch, [GOOD, REFUSED, GOOD])
+    assert ran.exit_code == 0
+    assert "2 ok, 1 refused" in ran.stdout
+    assert "12 deg" in ran.stdout
+    assert "[bold]no[/bold]" not in ran.stdout
+    assert max(map(len, ran.stdout.splitlines())) <= 80
+    comment, *lines = (tmp_path / "new" / "stability" / "table.csv").read_text().splitlines()
+    assert str(Provenance.now(0).machine) in comment
+    rows = list(csv.DictReader(lines))
+    assert [one["outcome"] for one in rows] == ["ok", "refused", "ok"]
+    assert float(rows[0]["error"]) == 1e-5
+    assert rows[1]["reason"] == "[bold]no[/bold]"
+    assert rows[1]["error"] == ""
+
+
+def test_verbose_says_why_cases_were_refused(tmp_path, monkeypatch) -> None:
+    ran = bench(tmp_path, monkeypatch, [REFUSED], "--verbose")
+    assert "family, name: [bold]no[/bold]" in ran.stdout
+
+
+def test_json_is_one_object(tmp_path, monkeypatch) -> None:
+    ran = bench(tmp_path, monkeypatch, [GOOD, BAD], "--json", "--quiet", "--seed", "4")
+    data = json.loads(ran.stdout)
+    assert [one["outcome"] for one in data["rows"]] == ["ok", "wrong"]
+    assert data["wrong"] == 1
+    assert data["provenance"]["seed"] == 4
+    folder = tmp_path / "stability"
+    assert data["files"] == [str(folder / "table.csv"), str(folder / "results.json")]
+    figures = read_results(folder / "results.json").figures
+    assert (figures["all.cases"], figures["all.ok"], figures["all.wrong"]) == (2, 1, 1)
+    assert figures["family.error"] == 1e-5
+
+
+def test_a_wrong_row_is_named_and_gives_exit_code_1(tmp_path, monkeypatch) -> None:
+    ran = bench(tmp_path, monkeypatch, [GOOD, BAD])
+    assert ran.exit_code == 1
+    assert "RuntimeError: oh" in ran.stdout
+    assert (tmp_path / "stability" / "table.csv").exists()
+
+
+def test_every_family_of_the_table_is_among_the_cases() -> None:
+    for quick in (True, False):
+        listed = list(stability.cases(0, quick))
+        families = list(dict.fromkeys(case.family for case in listed))
+        assert families == [
+            "bends",
+            "rolls and twists",
+            "compositions",
+            "incompressible",
+            "presses",
+            "conductivity contrast",
+            "contact impedance",
+            "electrodes",
+            "thin layers",
+            "cells",
+            RANDOM,
+        ]
+        names = [(case.family, case.name) for case in listed]
+        assert len(set(names)) == len(names)

@@ -1,0 +1,264 @@
+"""The live page: what is sent, and to whom. No browser is needed."""
+
+import json
+import socket
+import threading
+from contextlib import closing
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from eitskin.cli.page.live_page import Page, event
+from eitskin.cli.page.server import ASSETS, MOST_CLIENTS, Patience
+from eitskin.cli.page.stream import Newest
+from eitskin.errors import ConfigurationError
+from eitskin.hardware import Reading
+from eitskin.simulator import Frame
+from eitskin.training.method.predictions import FoundTouches
+
+from page_fakes import (
+    DESIGN,
+    PROTOCOL,
+    FakeEstimate,
+    Info,
+    Stream,
+    ask,
+    port_of,
+    reading,
+)
+
+
+@pytest.fixture
+def many_beats(monkeypatch):
+    monkeypatch.setattr("eitskin.cli.page.live_page.HEARTBEAT", 0.02)
+
+
+@pytest.fixture
+def stream(page):
+    opened = Stream(page)
+    yield opened
+    opened.close()
+
+
+def test_the_stream_begins_with_the_sensor_and_goes_on_with_frames(page, stream) -> None:
+    assert stream.answer.headers["Content-Type"] == "text/event-stream"
+    sensor = stream.until("sensor")
+    assert sensor["labels"] == list(PROTOCOL.labels)
+    assert len(sensor["electrodes"]) == 8
+    assert sensor["outline"] == [[0.0, 0.0], [0.15, 0.0], [0.15, 0.06], [0.0, 0.06]]
+    assert "bit_flip" in sensor["controls"]["faults"]
+    page.publish(reading(7))
+    frame = stream.until("frame")
+    assert (frame["number"], frame["lost"], frame["dropped"]) == (7, 2, {"crc": 1})
+    assert not frame["stale"]
+    estimate = frame["estimate"]
+    assert (estimate["state"], estimate["angle"], estimate["deviation"]) == ("touch", 20.5, None)
+    assert estimate["touches"] == [{"x": 0.05, "y": 0.031, "strength": 0.9, "force": 7.5}]
+    assert frame["stage"]["truth"] == {
+        "bend_deg": 20.0,
+        "touches": [{"x": 0.05, "y": 0.03, "force": 10.0}],
+    }
+
+
+def test_a_damaged_frame_is_sent_without_nan(page, stream) -> None:
+    impedance = np.full(28, 500.0 + 0j)
+    impedance[3] = complex(np.nan, np.nan)
+    touch_map = np.full((32, 80), np.nan)
+    touch_map[1, 2] = 1.5
+    estimate = FakeEstimate(
+        bend_angle_deg=float("nan"),
+        touch_map=touch_map,
+        probabilities=(np.nan, 0.5, 0.5),
+        found=FoundTouches.of([(0.05, 0.03)], [0.5]),
+    )
+    page.publish(reading(1, estimate, impedance, rate=float("nan")))
+    frame = stream.until("frame")  # the JSON of Python reads NaN; its writer here refuses to
+    assert frame["channels"][3] is None
+    assert frame["channels"][4] == 0.0
+    assert frame["rate"] is frame["estimate"]["angle"] is None
+    assert frame["estimate"]["touches"][0]["force"] is None
+    with pytest.raises(ValueError, match="JSON"):
+        event("frame", {"rate": float("nan")})
+
+
+def test_a_frame_without_an_estimate_says_why(page, stream) -> None:
+    frame = Frame(np.full(28, 500.0), PROTOCOL, number=9, status=np.full(28, 8, np.uint8))
+    page.publish(Reading(frame, None, 0.001, 30.0, 1, "too few good channels"))
+    shown = stream.until("frame")
+    assert shown["estimate"] is None
+    assert shown["problem"] == "too few good channels"
+    assert shown["bad"]["0-1"] == "open"
+
+
+def test_changes_are_from_the_first_frame_of_the_session(page, stream) -> None:
+    changes = []
+    for session, ohm in ((1, 500.0), (1, 510.0), (2, 600.0), (2, 594.0)):
+        page.publish(reading(7, impedance=np.full(28, ohm), session=session))
+        changes.append(stream.until("frame")["channels"][0])
+    assert changes == [0.0, 2.0, 0.0, -1.0]
+
+
+def test_messages_are_small(page, stream) -> None:
+    noisy = np.random.default_rng(0).random((32, 80))
+    page.publish(reading(7, FakeEstimate(touch_map=noisy)))
+    assert len(json.dumps(stream.until("frame"))) < 20_000
+
+
+def test_readers_get_the_newest_only() -> None:
+    newest = Newest()
+    for number in range(1, 6):
+        newest.put(b"%d" % number)
+    assert newest.after(0) == (5, b"5")
+    assert newest.after(5, timeout=0.0) is None
+    newest.put(b"6")
+    assert newest.after(2) == (6, b"6")
+    newest.close()
+    assert newest.after(0) is None
+
+
+def test_a_slow_browser_misses_frames_and_never_gets_old_ones(page, stream) -> None:
+    stream.until("sensor")
+    numbers = [0]
+    for first in (1, 101, 201):
+        for number in range(first, first + 100):
+            page.publish(reading(number))
+        while numbers[-1] != first + 99:
+            numbers.append(stream.until("frame")["number"])
+    assert numbers == sorted(set(numbers))
+    assert len(numbers) < 300
+
+
+def test_a_browser_that_reads_nothing_is_dropped_and_delays_nobody(connection) -> None:
+    with Page(connection, DESIGN, patience=Patience(send=0.2, buffer=4096)) as page:
+        stalled = socket.socket()
+        stalled.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        stalled.connect(("127.0.0.1", port_of(page)))
+        stalled.sendall(f"GET /events HTTP/1.0\r\nHost: 127.0.0.1:{port_of(page)}\r\n\r\n".encode())
+        stream = Stream(page)
+        stream.until("sensor")
+        served = page._server
+        noisy = FakeEstimate(touch_map=np.random.default_rng(0).random((32, 80)))
+        number = most = 0
+        # Ends by the tests' limit of time, where the stalled one is never admitted or dropped.
+        while most < 2 or served.watching > 1:
+            most = max(most, served.watching)
+            number += 1
+            page.publish(reading(number, noisy))
+            assert stream.until("frame")["number"] == number
+        stream.close()
+        stalled.close()
+
+
+def test_publishing_needs_no_browser_and_no_encoding(connection) -> None:
+    with Page(connection, DESIGN) as page:
+        page.publish(reading(1, estimate="not an estimate at all"))
+
+
+@pytest.mark.usefixtures("many_beats")
+def test_an_estimate_that_cannot_be_shown_is_not_the_end(page, stream, caplog) -> None:
+    stream.until("sensor")
+    page.publish(reading(1, estimate="not an estimate at all"))
+    while not caplog.records:
+        assert stream.until("health")
+    page.publish(reading(2))
+    assert stream.until("frame")["number"] == 2
+
+
+@pytest.mark.usefixtures("many_beats")
+def test_silence_is_told(connection) -> None:
+    now = [0.0]
+    with Page(connection, DESIGN, clock=lambda: now[0]) as page:
+        stream = Stream(page)
+        stream.until("sensor")
+        page.publish(reading(1))
+        assert not stream.until("frame")["stale"]
+        now[0] = 1.5
+        connection.problem = "the board went away"
+        connection.board.stage.faults = ("unplug",)
+        while not (health := stream.until("health"))["connection"]:
+            pass
+        assert health["stale"]
+        assert health["age"] == 1.5
+        assert health["connection"] == "the board went away"
+        assert health["stage"]["faults"] == ["unplug"]
+        stream.close()
+
+
+def test_only_so_many_browsers_may_watch(page) -> None:
+    streams = [Stream(page) for _ in range(MOST_CLIENTS)]
+    for stream in streams:
+        stream.until("sensor")
+    assert ask(page, "GET", "/events")[0] == 503
+    for stream in streams:
+        stream.close()
+    while page._server.watching:
+        page.publish(reading(1))
+    again = Stream(page)
+    assert again.answer.status == 200
+    again.close()
+
+
+def open_files():
+    return len(list(Path("/dev/fd").iterdir()))
+
+
+def test_closing_leaves_nothing_behind(connection) -> None:
+    with Page(connection, DESIGN):  # whatever a first one loads and keeps
+        pass
+    threads, descriptors = set(threading.enumerate()), open_files()
+    page = Page(connection, DESIGN, patience=Patience(receive=1e4))
+    streams = [Stream(page) for _ in range(3)]
+    silent = socket.create_connection(("127.0.0.1", port_of(page)))
+    for stream in streams:
+        stream.until("sensor")
+    page.close()
+    page.close()
+    assert set(threading.enumerate()) <= threads  # one of an earlier test may have ended
+    for stream in streams:
+        while stream.next() is not None:
+            pass
+        stream.close()
+    silent.close()
+    assert open_files() <= descriptors
+    with pytest.raises(OSError, match="refused"):
+        socket.create_connection(("127.0.0.1", port_of(page)))
+
+
+def test_a_port_in_use_is_named(page, connection) -> None:
+    with pytest.raises(ConfigurationError, match=f"cannot serve the page on port {port_of(page)}"):
+        Page(connection, DESIGN, port=port_of(page))
+
+
+def test_only_this_machine_is_served(page) -> None:
+    assert page.url.startswith("http://127.0.0.1:")
+    assert page._server.server_address[0] == "127.0.0.1"
+
+
+def test_every_asset_is_shipped_served_and_of_this_page_alone(page) -> None:
+    folder = resources.files("eitskin.cli.page") / "web"
+    shipped = {entry.name for entry in folder.iterdir()}
+    assert shipped == set(ASSETS)
+    for name, kind in ASSETS.items():
+        status, headers, body = ask(page, "GET", f"/{name}")
+        assert status == 200
+        assert headers["Content-Type"] == kind
+        assert headers["Cache-Control"] == "no-store"
+        assert headers["Content-Security-Policy"].startswith("default-src 'self';")
+        assert body == (folder / name).read_bytes()
+        text = body.decode().replace("http://www.w3.org/2000/svg", "")
+        assert "http:" not in text  # nothing is loaded from elsewhere
+        assert "https:" not in text
+    index = (folder / "index.html").read_text()
+    assert "style=" not in index  # which the policy forbids
+    assert ask(page, "GET", "/")[2].decode() == index
+    for path in ("/../page.py", "/page_http.py", "/%2e%2e/page.py"):
+        assert ask(page, "GET", path)[0] == 404
+
+
+def test_a_board_of_unknown_period_is_shown_and_not_called_silent(connection):
+    connection.board.info = Info(period=float("nan"))
+    with Page(connection, DESIGN) as made, closing(Stream(made)) as stream:
+        assert stream.until("sensor")["period"] is None
+        assert made._stale_after() == np.inf

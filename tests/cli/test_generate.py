@@ -1,0 +1,232 @@
+"""`eitskin generate`, `dataset` and `import`: what they print, their exit codes, Ctrl-C."""
+
+import contextlib
+import errno
+import json
+import os
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from eitskin.cli.main import app
+from eitskin.config import parse_toml
+from eitskin.datasets import Recipe, TorchDataset, open_dataset, save_dataset
+from eitskin.datasets.generation.shard_simulation import simulate_shard
+from eitskin.datasets.store.shard import shard_bytes
+from eitskin.errors import ConfigurationError, DataError, PartialError
+
+from shards_here import in_this_process
+from small_dataset import make
+
+RECIPE = """
+name = "cheap"
+seed = 4
+frames_per_shard = 8
+[[scenes]]
+state = "bend"
+count = {count}
+angle_deg = [10, 10]
+"""
+COMMAND = "from eitskin.cli.main import run; run()"
+
+
+@pytest.fixture
+def recipe(tmp_path):
+    path = tmp_path / "cheap.toml"
+    path.write_text(RECIPE.format(count=24))
+    return path
+
+
+def run(*given):
+    ran = CliRunner().invoke(app, [str(word) for word in given])
+    if ran.exception is not None and not isinstance(ran.exception, SystemExit):
+        raise ran.exception
+    return ran
+
+
+def as_data(*given):
+    return json.loads(run(*given, "--json", "--quiet").stdout)
+
+
+def test_a_recipe_by_its_path(recipe, tmp_path):
+    found = as_data("generate", recipe, "--out", tmp_path / "set", "--workers", 1)
+    assert (found["frames"], found["made"], found["complete"]) == (24, 24, True)
+    assert len(open_dataset(tmp_path / "set")) == 24
+    again = as_data("generate", recipe, "--out", tmp_path / "set", "--resume")
+    assert (again["frames"], again["made"]) == (24, 0)
+
+
+def test_one_shard_says_what_is_missing(recipe, tmp_path):
+    ran = run("generate", recipe, "--out", tmp_path / "set", "--shard", 2)
+    assert "8 frames" in ran.stdout
+    made = simulate_shard(parse_toml(Recipe, recipe.read_text()), 2)
+    assert (tmp_path / "set" / "shard-000002.h5").read_bytes() == shard_bytes(made, 16)
+    assert "other shards are missing still" in ran.stdout.replace("\n", " ")
+    with pytest.raises(ConfigurationError, match="shards 0 to 2, got shard 3"):
+        run("generate", recipe, "--out", tmp_path / "set", "--shard", 3)
+
+
+def test_dry_run_writes_nothing(recipe, tmp_path):
+    found = as_data("generate", recipe, "--out", tmp_path / "set", "--dry-run")
+    assert (found["frames"], found["shards"]) == (24, 3)
+    assert found["seconds"] > 0
+    assert found["megabytes_free"] > found["megabytes"] > 0
+    said = run("generate", recipe, "--out", tmp_path / "set", "--dry-run").stdout
+    assert "24 frames in 3 shards, about" in said
+    assert list(tmp_path.iterdir()) == [recipe]
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (("absent.toml", "--out", "set"), "cannot read the recipe absent.toml"),
+        (("nothing", "--out", "set"), "no shipped recipe 'nothing'; shipped are"),
+        (("cheap.toml", "--out", "cheap.toml"), "cannot use the folder cheap.toml: File exists"),
+        (("cheap.toml", "--out", "."), "is not empty"),
+        (("cheap.toml", "--out", "set", "--scheduler", "x"), "no dask scheduler answers at 'x'"),
+    ],
+)
+def test_wrong_input_says_what_to_do(recipe, given, message, monkeypatch):
+    monkeypatch.chdir(recipe.parent)
+    with pytest.raises(ConfigurationError, match=message) as caught:
+        run("generate", *given)
+    assert caught.value.exit_code == 2
+
+
+def test_no_workers_is_a_usage_error(recipe, tmp_path):
+    ran = run("generate", recipe, "--out", tmp_path / "set", "--workers", 0)
+    assert ran.exit_code == 2
+
+
+def wait_for_a_shard(process, out):
+    """Until the first shard is there, or the process has ended without."""
+    while not list(out.glob("shard-*.h5")):
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(0.02)
+            break
+
+
+def test_interrupted_it_says_how_to_go_on(recipe, tmp_path):
+    """As Ctrl-C in a terminal: exit code 130, and a line to copy that finishes the set."""
+    recipe.write_text(RECIPE.format(count=20000))
+    out = tmp_path / "a set"
+    given = ["generate", str(recipe), "--out", str(out), "--seed", "9", "--workers", "1", "--quiet"]
+    with subprocess.Popen(
+        [sys.executable, "-c", COMMAND, *given],
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    ) as process:
+        wait_for_a_shard(process, out)
+        os.killpg(process.pid, signal.SIGINT)
+        _, said = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert said.splitlines()[0].endswith(
+        f"continue with: eitskin generate {recipe} --out '{out}' --seed 9 --resume"
+    )
+    assert "Traceback" not in said
+
+
+def test_killed_at_once_it_leaves_what_a_resumed_run_completes(recipe, tmp_path, monkeypatch):
+    recipe.write_text(RECIPE.format(count=80))
+    in_this_process(monkeypatch)  # but for the one that is killed
+    run("generate", recipe, "--out", tmp_path / "whole")
+    whole = {path.name: path.read_bytes() for path in (tmp_path / "whole").iterdir()}
+    out = tmp_path / "set"
+    given = ["generate", str(recipe), "--out", str(out), "--workers", "1", "--quiet"]
+    with subprocess.Popen([sys.executable, "-c", COMMAND, *given]) as process:
+        wait_for_a_shard(process, out)
+        process.kill()  # its worker notices by itself
+    assert process.returncode == -signal.SIGKILL
+    assert not (out / "manifest.json").exists()
+    finished = list(out.glob("shard-*.h5"))
+    assert finished
+    assert all(path.read_bytes() == whole[path.name] for path in finished)
+    run("generate", recipe, "--out", out, "--resume")
+    found = {path.name: path.read_bytes() for path in out.iterdir() if path.name[0] != "."}
+    assert found == whole
+
+
+def test_a_write_that_fails_in_a_worker_is_a_partial_error(recipe, tmp_path, monkeypatch):
+    (tmp_path / "failing").mkdir()
+    (tmp_path / "failing" / "sitecustomize.py").write_text(
+        "import errno, os\n"
+        "left, real = 6, os.fsync\n"
+        "def fsync(handle):\n"
+        "    global left\n"
+        "    left -= 1\n"
+        "    if left < 0:\n"
+        "        raise OSError(errno.EIO, os.strerror(errno.EIO))\n"
+        "    real(handle)\n"
+        "os.fsync = fsync\n"
+    )
+    path = os.pathsep.join([str(tmp_path / "failing"), os.environ.get("PYTHONPATH", "")])
+    monkeypatch.setenv("PYTHONPATH", path)  # of the worker, which starts afresh
+    out = tmp_path / "set"
+    recipe.write_text(RECIPE.format(count=48))
+    with pytest.raises(PartialError, match=os.strerror(errno.EIO)) as caught:
+        run("generate", recipe, "--out", out, "--workers", 1)
+    assert caught.value.exit_code == 5
+    assert len(list(out.glob("shard-*.h5"))) >= 3
+    assert not list(out.glob(".writing-*"))
+    assert not (out / "manifest.json").exists()
+    monkeypatch.undo()
+    kept = {shard: shard.stat().st_mtime_ns for shard in out.glob("shard-00000[012].h5")}
+    in_this_process(monkeypatch)
+    run("generate", recipe, "--out", out, "--resume")
+    assert {shard: shard.stat().st_mtime_ns for shard in kept} == kept
+    assert len(open_dataset(out)) == 48
+
+
+# eitskin dataset
+
+
+def test_info_of_a_simulated_set_and_of_one_shard(tmp_path):
+    save_dataset(make(40), tmp_path / "set", frames_per_shard=20)
+    found = as_data("dataset", "info", tmp_path / "set")
+    assert (found["frames"], found["shards"], found["channels"]) == (40, 2, 28)
+    assert found["states"] == {"touch": 20, "bend": 20}
+    assert found["touches_per_frame"] == {"0": 20, "1": 20}
+    assert found["touch_x_mm"] == {"from": 50.0, "to": 50.0}
+    assert (found["electrodes"], found["specimens"], found["seed"]) == (8, 2, 7)
+    data = make(40)
+    assert found["flagged_values"] == np.count_nonzero(data.status)
+    said = run("dataset", "info", tmp_path / "set").stdout
+    assert "touch: 20, bend: 20" in said
+    assert "50 to 50" in said
+    assert as_data("dataset", "info", tmp_path / "set" / "shard-000001.h5")["frames"] == 20
+
+
+def test_verify_lists_all_damage_and_exits_with_three(tmp_path):
+    folder = tmp_path / "set"
+    save_dataset(make(40), folder, frames_per_shard=10)
+    sound = run("dataset", "verify", folder)
+    assert sound.exit_code == 0
+    assert "40 frames in 4 shards, all sound" in sound.stdout
+    (folder / "shard-000001.h5").write_bytes(b"rubbish")
+    (folder / "shard-000003.h5").unlink()
+    ran = run("dataset", "verify", folder, "--json", "--quiet")
+    assert ran.exit_code == DataError.exit_code == 3
+    found = json.loads(ran.stdout)
+    assert (found["sound"], found["shards"], found["frames"]) == (False, 2, 20)
+    assert [each["file"] for each in found["damage"]] == ["shard-000001.h5", "shard-000003.h5"]
+    assert "shard-000003.h5" in run("dataset", "verify", folder).stdout
+
+
+# eitskin import
+
+
+def test_an_imported_recording_is_opened_like_any_other_set(tmp_path):
+    values = np.random.default_rng(0).normal(100.0, 1.0, (30, 5))
+    np.savez(tmp_path / "run.npz", down=values, t=np.arange(30.0))
+    said = run("import", tmp_path / "run.npz", "--values", "down", "--out", tmp_path / "set").stdout
+    assert "30 frames of 5 channels" in said
+    found = as_data("dataset", "info", tmp_path / "set")
+    assert (found["channels"], found["source"], found["electrodes"]) == (5, "measured", None)
+    assert run("dataset", "verify", tmp_path / "set").exit_code == 0
+    item = TorchDataset(tmp_path / "set")[7]
+    assert np.allclose(item["impedance"].numpy(), values[7])

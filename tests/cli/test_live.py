@@ -1,0 +1,325 @@
+"""The command `eitskin live`, on fake pipelines."""
+
+import json
+import types
+from functools import partial
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from eitskin.cli import live_view
+from eitskin.cli.commands import live as cli
+from eitskin.cli.commands.live_recording import FrameRecording
+from eitskin.cli.options import Output
+from eitskin.datasets import ShardWriter, open_dataset
+from eitskin.datasets.store import durable
+from eitskin.errors import ConfigurationError, DeviceError, PartialError
+from eitskin.hardware import Connection, Counts, Reading, open_board
+from eitskin.simulator import Status
+
+from live_fakes import PROTOCOL, Estimate, FakePipeline, frame, run_command
+
+# ---- the command ----
+
+
+@pytest.fixture
+def run(monkeypatch):
+    return partial(run_command, monkeypatch)
+
+
+def test_json_is_one_object_per_frame(run):
+    result = run(FakePipeline(), "--board", "virtual:?speed=max", "--json", "--frames", "4")
+    assert result.exit_code == 0
+    lines = [json.loads(line) for line in result.stdout.splitlines()]
+    assert len(lines) == 4
+    assert lines[0]["state"] == "touch"
+    assert lines[0]["touches"] == [[0.05, 0.02, 0.9]]
+    assert lines[0]["bend_angle_deg"] == -12.5
+    assert lines[0]["rate_hz"] is None
+    assert lines[-1]["bad_channels"] == {}
+    assert lines[-1]["problems"] == []
+    assert lines[-1]["number"] == lines[-1]["skipped"] + 3
+
+
+def test_unknown_values_are_null_in_json_and_states_may_be_text():
+    estimate = Estimate(state="idle", bend_angle_deg=float("nan"), problems=("no reference",))
+    data = live_view.plain(Reading(frame(), estimate, 0.001, float("nan")), Counts())
+    assert json.loads(json.dumps(data, allow_nan=False))["bend_angle_deg"] is None
+    assert (data["state"], data["problems"]) == ("idle", ["no reference"])
+
+
+def test_the_terminal_shows_state_angle_touches_losses_and_health(run):
+    result = run(
+        FakePipeline(),
+        "--board",
+        "virtual:?speed=max&faults=nan_channel@0:1",
+        "--frames",
+        "3",
+        "--every-frame",
+    )
+    assert result.exit_code == 0
+    for shown in ("touch", "-12.5 deg", "(50, 20) mm 0.90", "0 lost", "0-2 not finite"):
+        assert shown in result.stdout
+    assert "3 frames processed" in result.stderr
+
+
+def test_quiet_says_nothing_but_works(run):
+    pipeline = FakePipeline()
+    result = run(pipeline, "--board", "virtual:?speed=max", "--frames", "3", "-q")
+    assert (result.exit_code, result.output, len(pipeline.seen)) == (0, "", 3)
+
+
+def test_ctrl_c_ends_cleanly_and_keeps_the_recording(run, tmp_path):
+    result = run(
+        FakePipeline(interrupt_at=5),
+        "--board",
+        "virtual:?speed=max",
+        "--record",
+        str(tmp_path / "r"),
+    )
+    assert result.exit_code == 130
+    assert len(open_dataset(tmp_path / "r")) == 4
+
+
+def test_a_recording_can_be_replayed(run, tmp_path):
+    folder = tmp_path / "recording"
+    result = run(
+        FakePipeline(),
+        "--board",
+        "virtual:?speed=max",
+        "--frames",
+        "6",
+        "--record",
+        str(folder),
+        "--json",
+    )
+    numbers = [json.loads(line)["number"] for line in result.stdout.splitlines()]
+    assert numbers == list(range(6))
+    data = open_dataset(folder)
+    assert (data.source, data.protocol, len(data)) == ("measured", PROTOCOL, 6)
+    assert np.allclose(data.time, 0.2968 * np.arange(6))
+    pipeline = FakePipeline()
+    assert run(pipeline, "--board", f"replay:{folder}").exit_code == 0
+    assert pipeline.seen == list(range(6))
+
+
+def test_frames_that_are_not_finite_are_recorded_and_come_back_as_they_were(run, tmp_path):
+    board = "virtual:?speed=max&faults=nan_channel@4:1"
+    run(FakePipeline(), "--board", board, "--frames", "6", "--record", str(tmp_path / "r"))
+    with open_board(f"replay:{tmp_path / 'r'}") as replay:
+        frames = list(replay.frames())
+    assert [bool(f.status.any()) for f in frames] == [False] * 4 + [True] * 2
+    assert np.flatnonzero(np.isnan(frames[4].impedance)).tolist() == [1]
+    assert frames[4].status[1] == Status.NOT_FINITE
+
+
+def test_the_seed_is_the_virtual_boards(run, tmp_path):
+    def recorded(name, *arguments):
+        run(FakePipeline(), "--frames", "2", "--record", str(tmp_path / name), *arguments)
+        return open_dataset(tmp_path / name).impedance
+
+    first = recorded("a", "--board", "virtual:?speed=max", "--seed", "5")
+    assert np.array_equal(first, recorded("b", "--board", "virtual:?speed=max&seed=5"))
+    assert not np.array_equal(first, recorded("c", "--board", "virtual:?speed=max"))
+
+
+@pytest.mark.parametrize(
+    ("uri", "error"),
+    [("serial:/dev/none", DeviceError), ("nothing", ConfigurationError)],
+)
+def test_errors_keep_their_kind(run, uri, error):
+    assert isinstance(run(FakePipeline(), "--board", uri).exception, error)
+
+
+# ---- long runs ----
+
+
+def session_of(board, **known):
+    output = Output(console=Console(width=100), notes=Console(width=200))
+    return cli.LiveSession(Connection(board), output, clock=lambda: 50.0, **known)
+
+
+def reading(number=0, **changes):
+    return Reading(frame(number, **changes), Estimate(), 0.001, 3.0)
+
+
+class QuietBoard:
+    counts = Counts(reconnections=2)
+
+    def __init__(self):
+        self.info = types.SimpleNamespace(period=0.3)
+
+
+def shown(session):
+    console = Console(width=100)
+    with console.capture() as capture:
+        console.print(session.view())
+    return capture.get()
+
+
+def test_what_is_old_is_never_shown_as_new():
+    session = session_of(QuietBoard())
+    session.take(reading())
+    assert "nothing for" not in shown(session)
+    session.clock = lambda: 50.8
+    assert "nothing for" not in shown(session)  # three periods, but a busy machine may do that
+    session.clock = lambda: 57.0
+    session.connection.problem = "the board went away"
+    assert "nothing for 7 s; the board went away" in shown(session)
+    assert "2 reconnections" in shown(session)
+
+
+def test_a_frame_without_estimate_says_why():
+    session = session_of(QuietBoard())
+    session.take(Reading(frame(), None, 0.001, 3.0, 4, "all channels are open"))
+    assert "unknown: all channels are open" in shown(session)
+    data = live_view.plain(session.newest, Counts())
+    assert (data["state"], data["problems"]) == (None, ["all channels are open"])
+    json.dumps(data, allow_nan=False)
+
+
+def test_a_new_session_is_announced_and_the_sensor_looked_over_again():
+    session = session_of(QuietBoard(), expected=np.full(28, 600.0))
+    with session.output.notes.capture() as capture:
+        for number in range(40):
+            status = np.zeros(28, np.uint8)
+            status[[3 in row for row in PROTOCOL.table]] = Status.OPEN * (number >= 20)
+            session.take(reading(number, session=1 + (number >= 20), status=status))
+    said = capture.get()
+    assert said.count("session 2 begins") == 1
+    assert "electrode 3 is open" in said.partition("session 2 begins")[2]
+    assert "electrode 3 is open" not in said.partition("session 2 begins")[0]
+
+
+@pytest.fixture
+def full_disk(monkeypatch):
+    """A disk that takes so many files from now on."""
+
+    def fill(files):
+        left = [files]
+        real = durable.whole_file
+
+        def counted(path, *arguments):
+            left[0] -= 1
+            if left[0] < 0:
+                raise PartialError(f"cannot write {path}: no space left on the device; make room")
+            return real(path, *arguments)
+
+        monkeypatch.setattr(durable, "whole_file", counted)
+
+    return fill
+
+
+@pytest.mark.parametrize(
+    ("files", "readable"),
+    [(0, 0), (1, 0), (2, 4), (3, 4), (4, 8)],  # a shard, the manifest, and so on
+)
+def test_a_full_disk_ends_the_recording_and_not_the_session(tmp_path, full_disk, files, readable):
+    recording = FrameRecording(ShardWriter(tmp_path / "r", frames_per_shard=4), tmp_path / "r")
+    session = session_of(QuietBoard(), recordings=[recording])
+    full_disk(files)
+    with session.output.notes.capture() as capture:
+        for number in range(11):
+            session.take(reading(number))
+        recording.close()
+    # The last shard is written when the session has ended, and the command says what it lacks.
+    assert capture.get().count("recording stopped: cannot write") == (files < 4)
+    assert (session.processed, recording.missing) == (11, 11 - readable)
+    assert "no space left" in recording.problem
+    assert "make room" not in recording.problem
+    if readable:
+        assert len(open_dataset(tmp_path / "r")) == readable
+
+
+def test_a_disk_that_has_room_again_gets_what_was_held_back(tmp_path, full_disk, monkeypatch):
+    recording = FrameRecording(ShardWriter(tmp_path / "r", frames_per_shard=4), tmp_path / "r")
+    full_disk(1)  # the shard goes through, its manifest does not
+    for number in range(4):
+        recording.append(reading(number))
+    monkeypatch.undo()
+    recording.close()
+    assert recording.missing == 0
+    assert len(open_dataset(tmp_path / "r")) == 4
+
+
+def test_a_recording_that_lost_frames_ends_the_command_with_exit_code_5(run, tmp_path, full_disk):
+    full_disk(0)
+    board = ["--board", "virtual:?speed=max", "--frames", "3"]
+    result = run(FakePipeline(), *board, "--record", str(tmp_path / "r"))
+    assert isinstance(result.exception, PartialError)
+    assert "3 frames are not in" in str(result.exception)
+    assert "no space left" in str(result.exception)
+    assert "3 frames processed" in result.stderr
+
+
+def test_a_lost_board_is_told_once_and_so_is_its_return(run):
+    board = "virtual:?speed=max&period=0.01&faults=replug@4"
+    result = run(FakePipeline(), "--board", board, "--frames", "20", "--json")
+    assert result.stderr.count("the board went away") == 1
+    assert result.stderr.count("the board is back") == 1
+
+
+def test_before_the_first_frame_the_view_says_what_is_wrong():
+    session = session_of(QuietBoard())
+    assert "waiting for the first frame" in shown(session)
+    session.connection.problem = "the board went away"
+    assert "the board went away" in shown(session)
+
+
+def test_on_a_terminal_notes_are_part_of_the_view():
+    session = session_of(QuietBoard())
+    session.output.console = Console(width=100, force_terminal=True)
+    for number in range(5):
+        session.say(f"note [{number}]")
+    session.take(reading())
+    assert [f"note [{number}]" in shown(session) for number in range(5)] == [False] * 2 + [True] * 3
+
+
+def test_a_board_whose_period_is_unknown_is_not_called_silent():
+    session = session_of(QuietBoard())
+    session.take(reading())
+    session.connection.board.info = types.SimpleNamespace(period=float("nan"))
+    session.clock = lambda: 1e6
+    assert "nothing for" not in shown(session)
+
+
+def test_the_command_outlives_an_unplugged_cable(run):
+    board = "virtual:?speed=max&period=0.01&faults=replug@4"
+    result = run(FakePipeline(), "--board", board, "--frames", "30", "--json", "--every-frame")
+    assert result.exit_code == 0
+    last = json.loads(result.stdout.splitlines()[-1])
+    assert (last["session"], last["reconnections"]) == (2, 1)
+
+
+# ---- pictures ----
+
+
+def test_the_touch_map_is_drawn_with_y_up():
+    touch_map = np.zeros((32, 80))
+    touch_map[0, 0] = 1.0  # (0, 0) mm, lower left
+    touch_map[31, 79] = 1.0  # (150, 60) mm, upper right
+    touch_map[16:18, 40] = 1.0
+    lines = live_view.touch_picture(touch_map).plain.split("\n")
+    assert [len(line) for line in lines] == [80] * 16
+    assert (lines[15][0], lines[0][79], lines[7][40]) == ("▄", "▀", "█")
+    assert sum(line.count(" ") for line in lines) == 80 * 16 - 3
+
+
+def test_channel_health_names_what_is_wrong():
+    status = np.zeros(28, np.uint8)
+    status[[0, 27]] = Status.OPEN | Status.CLIPPED, 128
+    assert live_view.bad_channels(frame(status=status)) == {
+        "0-1": "clipped, open",
+        "6-7": "status 0x80",
+    }
+
+
+def test_problems_are_shown():
+    console = Console(width=100)
+    with console.capture() as capture:
+        reading = Reading(frame(), Estimate(problems=("electrode 3 is open",)), 0.002, 3.37)
+        console.print(live_view.draw(reading, Counts(lost=2, dropped={"bad checksum": 1})))
+    shown = capture.get()
+    for text in ("electrode 3 is open", "3.4 frames/s", "2.0 ms", "2 lost", "1 bad checksum"):
+        assert text in shown

@@ -1,0 +1,58 @@
+"""`eitskin mesh`: numbers, and what is refused."""
+
+import json
+
+import pytest
+from typer.testing import CliRunner
+
+from eitskin.cli.main import app
+from eitskin.errors import ConfigurationError
+
+
+def mesh(*options) -> str:
+    ran = CliRunner().invoke(app, ["mesh", *options])
+    if ran.exception is not None:
+        raise ran.exception
+    return ran.stdout
+
+
+@pytest.mark.parametrize("kind", ["hexahedra", "prisms"])
+def test_the_numbers_are_those_of_the_reference_sensor(kind) -> None:
+    found = json.loads(mesh("--cells", kind, "--resolution", "fast", "--json"))
+    assert found["kind"] == kind
+    assert found["volume"] == pytest.approx(0.150 * 0.060 * 0.005)
+    assert found["electrodes"] == 8
+    assert found["electrode_area_error"] < 1e-9
+    assert found["cells"] > 100
+    assert 0.0 < found["scaled_jacobian"] <= 1.0 + 1e-12
+
+
+def test_the_table_says_what_the_json_says() -> None:
+    found = json.loads(mesh("--resolution", "fast", "--json"))
+    assert f"{found['cells']} hexahedra" in mesh("--resolution", "fast")
+
+
+def test_a_design_file_is_meshed_by_what_suits_it(tmp_path) -> None:
+    (tmp_path / "disc.toml").write_text(
+        "outline = { radius = 0.03 }\nthickness = 0.004\n[electrodes]\ncount = 6\nwidth = 0.004\n"
+    )
+    found = json.loads(mesh("--sensor", str(tmp_path / "disc.toml"), "--json"))
+    assert found["kind"] == "prisms"
+    assert found["electrodes"] == 6
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--cells", "cubes"), "--cells must be one of hexahedra, prisms, tetrahedra"),
+        (("--resolution", "best"), "resolution must be one of fast, standard, fine"),
+        (("--drive", "0,4"), "name the picture with --view"),
+        (("--drive", "0-4", "--view", "x.png"), "two electrodes counted from 0, as 0,4"),
+        (("--drive", "0,8", "--view", "x.png"), "each from 0 to 7"),
+        (("--drive", "3,3", "--view", "x.png"), "two different electrodes"),
+        (("--view", "/nowhere/at/all.png", "--resolution", "fast"), "cannot write"),
+    ],
+)
+def test_what_cannot_be_is_refused(options, message) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        mesh(*options)

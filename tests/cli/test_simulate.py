@@ -1,0 +1,268 @@
+"""`eitskin simulate`: numbers, protocols, touches, and what is refused."""
+
+import json
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from eitskin.cli.main import app
+from eitskin.config import read_toml, to_dict
+from eitskin.errors import ConfigurationError
+from eitskin.geometry import Bend, SensorDesign
+from eitskin.geometry.deformation.fixtures import Fixture, FreeArc, Hinge
+from eitskin.simulator import Cylinder, Mechanics, Protocol, Scene, Simulator, Sphere
+from eitskin.simulator.mechanics import press_store as kernel_store
+from eitskin.simulator.mechanics import press_table as kernels
+from eitskin.simulator.mechanics.layer_stack import Piezoresistivity
+from eitskin.simulator.mechanics.materials import NeoHookean
+
+PAGE = Path(__file__).parents[2] / "docs" / "scenes.md"
+
+
+@pytest.fixture
+def scene(tmp_path):
+    path = tmp_path / "scene.toml"
+    path.write_text("[[touches]]\nx = 0.05\ny = 0.02\n")
+    return path
+
+
+def run(scene, *options):
+    ran = CliRunner().invoke(app, ["simulate", str(scene), "--resolution", "fast", *options])
+    if ran.exception is not None:
+        raise ran.exception
+    return ran
+
+
+def simulate(scene, *options) -> dict:
+    return json.loads(run(scene, "--json", *options).stdout)
+
+
+def written(path, text):
+    path.write_text(text)
+    return path
+
+
+def test_an_instrument_measures_and_its_noise_may_be_another(tmp_path) -> None:
+    flat = written(tmp_path / "flat.toml", "")
+    board = ("--instrument", "ad5940")
+    clean, one, again, quieter, other = (
+        simulate(flat, *options)
+        for options in ((), board, board, (*board, "--noise", "90"), (*board, "--seed", "1"))
+    )
+    assert set(clean["impedance_imag_ohm"]) == {0.0}
+    assert max(one["impedance_imag_ohm"]) < -1.0  # of the stray capacitance
+    assert one["impedance_real_ohm"] == again["impedance_real_ohm"]
+    assert one["impedance_real_ohm"] != other["impedance_real_ohm"]
+    moved = [a - b for a, b in zip(one["change_ohm"], quieter["change_ohm"], strict=True)]
+    assert 0.05 < max(map(abs, moved)) < 1.0  # 0.15 ohm of noise are gone
+    assert one["status"] == [0] * 28
+    with pytest.raises(ConfigurationError, match="'ad5940', got 'ad'"):
+        simulate(flat, "--instrument", "ad")
+    with pytest.raises(ConfigurationError, match="snr_db must be from 60 to 90"):
+        simulate(flat, "--noise", "10")
+
+
+def test_adjacent_values_are_sums_of_pairwise_ones(scene, tmp_path) -> None:
+    Protocol(((0, 1, 2, 3),), 8).to_file(tmp_path / "one.csv")
+    pairs = simulate(scene)
+    R = dict(zip(pairs["measurements"], pairs["impedance_real_ohm"], strict=True))
+    one = simulate(scene, "--protocol", str(tmp_path / "one.csv"))
+    # Z_ij = (Z_ii + Z_jj - R_ij) / 2, so the diagonal drops out of a four-electrode value.
+    expected = 0.5 * (R["0-3"] + R["1-2"] - R["0-2"] - R["1-3"])
+    assert one["measurements"] == ["0-1/2-3"]
+    assert one["impedance_real_ohm"][0] == pytest.approx(expected)
+    assert pairs["independent"] == 28
+    assert one["independent"] == 1
+
+
+def test_a_value_that_is_zero_by_symmetry_has_no_relative_change(scene, tmp_path) -> None:
+    # Electrodes 7 and 3 are the middles of the short sides, 1 and 5 of the long ones.
+    Protocol(((1, 5, 3, 7), (1, 5, 1, 5)), 8).to_file(tmp_path / "symmetric.csv")
+    found = simulate(scene, "--protocol", str(tmp_path / "symmetric.csv"))
+    assert found["relative_change"][0] is None
+    before = found["impedance_real_ohm"][1] - found["change_ohm"][1]
+    assert found["relative_change"][1] == pytest.approx(found["change_ohm"][1] / before)
+    assert abs(found["change_ohm"][0]) > 1e-3
+
+
+def test_an_unknown_protocol_is_refused(scene) -> None:
+    with pytest.raises(ConfigurationError, match="expected a protocol"):
+        simulate(scene, "--protocol", "neighbours")
+
+
+# Touches
+
+
+def test_every_touch_tells_what_became_of_it(tmp_path) -> None:
+    scene = written(
+        tmp_path / "two.toml",
+        "[[touches]]\nx = 0.05\ny = 0.02\n[[touches]]\nx = 0.06\ny = 0.056\nforce = 5\n",
+    )
+    found = simulate(scene)["touches"]
+    presses = Simulator(SensorDesign.reference(), "fast").presses(Scene.from_toml(scene))
+    for row, press in zip(found, presses, strict=True):
+        assert row["force_N"] == press.force
+        assert row["depth_m"] == press.depth
+        assert row["contact_radius_m"] == press.contact_radius
+        assert row["contact_area_m2"] == press.contact_area
+        assert row["mean_pressure_Pa"] == press.mean_pressure
+        assert row["peak_pressure_Pa"] == press.peak_pressure
+        assert row["thinning"] == press.thinning
+        assert row["edge_distance_m"] == press.edge_distance
+        assert row["neighbour_distance_m"] == press.neighbour_distance
+        assert row["signal_error"] == press.signal_error
+        assert row["caution"] == press.caution
+    shown = run(scene).stdout
+    first, second = presses
+    assert f"{1e3 * first.depth:.3f} " in shown
+    assert f"{1e-3 * second.mean_pressure:.1f} " in shown
+    assert first.caution == ""
+    assert shown.count("caution") == 1
+    assert f"60.0, 56.0 mm: {second.caution}" in " ".join(shown.split())
+
+
+def test_a_touch_by_itself_has_no_neighbour_and_the_closed_form_tells_nothing(scene) -> None:
+    assert simulate(scene)["touches"][0]["neighbour_distance_m"] is None
+    closed = simulate(scene, "--touch-model", "closed form")
+    assert closed["touches"] == []
+    frame = Simulator(SensorDesign.reference(), "fast", touch_model="closed form").measure(
+        Scene.from_toml(scene)
+    )
+    assert closed["impedance_real_ohm"] == frame.impedance.real.tolist()
+
+
+def test_it_is_said_when_presses_have_to_be_solved(scene, tmp_path, monkeypatch) -> None:
+    table = kernel_store.kernel(SensorDesign.reference(), Mechanics(), Cylinder())
+    monkeypatch.setattr(kernels, "solved", lambda *_: table)
+    monkeypatch.setenv("EITSKIN_CACHE", str(tmp_path / "store"))
+    for options, said in ((("--touch-model", "closed form"), False), ((), True), ((), False)):
+        kernel_store.kernel.cache_clear()
+        assert ("solving the presses of 1 indenter that is new" in run(scene, *options).stderr) is (
+            said
+        )
+    for path in (tmp_path / "store").iterdir():
+        path.unlink()
+    kernel_store.kernel.cache_clear()
+    assert run(scene, "--quiet").stderr == ""
+    kernel_store.kernel.cache_clear()
+
+
+# Mechanics and fixture from files
+
+
+def test_mechanics_and_fixture_come_from_files(scene, tmp_path) -> None:
+    mechanics = written(
+        tmp_path / "mechanics.toml",
+        "margin = 0.004\n[gel]\nshear_modulus = 10e3\n"
+        "[encapsulation]\nshear_modulus = 14e3\n[piezoresistivity]\nvolume = 1.5\n",
+    )
+    scene.write_text(scene.read_text() + "force = 4\n[bend]\nangle_deg = 15\n")
+    given = ("--mechanics", str(mechanics))
+    for text, fixture in (
+        ("span = 0.05\n", Hinge(span=0.05)),
+        ("length = 0.07\n", FreeArc(0.07)),
+    ):
+        found = simulate(scene, *given, "--fixture", str(written(tmp_path / "f.toml", text)))
+        soft = Mechanics(
+            NeoHookean(10e3),
+            NeoHookean(14e3),
+            0.004,
+            piezoresistivity=Piezoresistivity(volume=1.5),
+        )
+        sim = Simulator(SensorDesign.reference(), "fast", fixture, mechanics=soft)
+        frame = sim.measure(Scene.from_toml(scene))
+        assert found["impedance_real_ohm"] == pytest.approx(frame.impedance.real, rel=1e-12)
+        assert found["touches"][0]["depth_m"] > simulate(scene)["touches"][0]["depth_m"]
+
+
+def test_files_that_are_no_fixture_or_mechanics_are_refused(scene, tmp_path) -> None:
+    wrong = str(written(tmp_path / "wrong.toml", "spam = 0.05\n"))
+    with pytest.raises(ConfigurationError, match=r"wrong.toml: .*Hinge.*did you mean 'span'"):
+        simulate(scene, "--fixture", wrong)
+    with pytest.raises(ConfigurationError, match=r"wrong.toml: unknown key 'spam'"):
+        simulate(scene, "--mechanics", wrong)
+    with pytest.raises(ConfigurationError, match="cannot read"):
+        simulate(scene, "--fixture", str(tmp_path / "none.toml"))
+    with pytest.raises(ConfigurationError, match="not valid TOML"):
+        simulate(scene, "--fixture", str(written(tmp_path / "broken.toml", "span =")))
+
+
+# Pictures
+
+
+def test_a_picture_is_drawn_of_what_is_asked_for(scene, tmp_path) -> None:
+    path = tmp_path / "scene.png"
+    ran = run(scene, "--view", str(path), "--colour", "strain")
+    assert path.stat().st_size > 10_000
+    assert "picture: " in ran.stderr
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--colour", "strain"), "name the picture with --view"),
+        (("--drive", "0-4"), "name the picture with --view"),
+        (("--view", "a.png", "--colour", "red"), "conductance, strain, current, got 'red'"),
+        (("--view", "a.png", "--drive", "0-4"), "--drive is for --colour current"),
+        (
+            ("--view", "a.png", "--colour", "current", "--drive", "0-8"),
+            "--drive takes two different electrodes from 0 to 7",
+        ),
+        (("--view", "a.png", "--colour", "current", "--drive", "4"), "as 0-4, got '4'"),
+        (("--view", "a.png", "--colour", "current", "--drive", "4,4"), "two different"),
+        (("--view", "a.gif"), "pictures are PNG files"),
+        (("--view", "no/such/a.png"), "there is no folder"),
+        (("--touch-model", "exact"), "tabulated, closed form, got 'exact'"),
+        (("--resolution", "finest"), "fast, standard, fine, got 'finest'"),
+    ],
+)
+def test_options_that_make_no_sense_are_refused(scene, monkeypatch, options, message) -> None:
+    monkeypatch.chdir(scene.parent)
+    with pytest.raises(ConfigurationError, match=re.escape(message)):
+        run(scene, *options)
+    assert [path.name for path in scene.parent.iterdir()] == ["scene.toml"]
+
+
+def test_the_help_names_what_a_scene_holds() -> None:
+    shown = CliRunner().invoke(app, ["simulate", "--help"], terminal_width=200).stdout
+    assert "how it is bent and where it is pressed" in " ".join(shown.replace("│", " ").split())
+
+
+# The page on scenes
+
+
+def examples(kind) -> list[str]:
+    blocks = re.findall(r"```toml\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    assert all(block.startswith(("# scene", "# mechanics", "# fixture")) for block in blocks)
+    return [block for block in blocks if block.startswith(f"# {kind}")]
+
+
+def test_the_examples_of_the_page_are_read(tmp_path) -> None:
+    first, everything = (
+        Scene.from_toml(written(tmp_path / "s.toml", text)) for text in examples("scene")
+    )
+    sim = Simulator(SensorDesign.reference(), "fast")
+    assert first.bend == Bend(30.0)
+    assert f"{sim.presses(first)[0].depth:.2e}" == "2.68e-03"
+    assert len(everything.touches) == 3
+    assert isinstance(everything.touches[1].indenter, Sphere)
+    (mechanics,) = examples("mechanics")
+    assert tomllib.loads(mechanics) == to_dict(Mechanics())
+    for text, expected in zip(examples("fixture"), (Hinge(), FreeArc(0.1)), strict=True):
+        assert read_toml(Fixture, written(tmp_path / "fixture.toml", text)) == expected
+
+
+def test_the_mistakes_of_the_page_are_answered_as_it_says(tmp_path) -> None:
+    section = PAGE.read_text(encoding="utf-8").partition("## What goes wrong")[2]
+    rows = re.findall(r"^\| `(.*?)` \| (`.*) \|$", section, re.MULTILINE)
+    assert len(rows) == section.count("\n| `")
+    assert len(rows) > 8
+    for text, message in rows:
+        with pytest.raises(ConfigurationError) as error:
+            run(written(tmp_path / "wrong.toml", text + "\n"))
+        said = str(error.value).replace("`", "'")
+        for part in re.findall(r"`(.*?)`", message):
+            assert part in said, (text, said)

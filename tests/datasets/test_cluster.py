@@ -1,0 +1,162 @@
+"""Shards made by dask workers and by single calls: the same bytes, however they come about."""
+
+import os
+import signal
+import threading
+
+import pytest
+
+from eitskin.datasets import Recipe, generate
+from eitskin.datasets.generation import cluster
+from eitskin.datasets.recipe.recipe import with_seed
+from eitskin.datasets.recipe.scene_group import SceneGroup
+from eitskin.datasets.store.shard import shard_name
+from eitskin.errors import ConfigurationError, PartialError
+
+from shards_here import in_this_process
+
+distributed = pytest.importorskip("distributed")
+dask = pytest.importorskip("dask")
+
+RECIPE = Recipe(
+    "cheap",
+    seed=3,
+    frames_per_shard=8,
+    scenes=(
+        SceneGroup("idle", count=12),
+        SceneGroup("bend", count=12, angle_deg=(10.0, 10.0)),
+    ),
+)
+
+
+def contents(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """What a worker process makes."""
+    folder = tmp_path_factory.mktemp("cluster") / "whole"
+    generate(RECIPE, folder, workers=1)
+    return contents(folder)
+
+
+@pytest.fixture(scope="module")
+def local_cluster():
+    """A scheduler and two worker processes, whose BLAS would use two threads."""
+    threads = {"OPENBLAS_NUM_THREADS": "2", "OMP_NUM_THREADS": "2"}
+    with (
+        dask.config.set({"distributed.nanny.pre-spawn-environ": threads}),
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=2, processes=True, dashboard_address=None
+        ) as made,
+    ):
+        yield made
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_killed_workers_of_a_cluster_change_no_byte(whole, local_cluster, tmp_path):
+    killed = []
+
+    def kill_once(done, _total):
+        if done and not killed:
+            killed.append(next(iter(local_cluster.workers.values())).pid)
+            os.kill(killed[0], signal.SIGKILL)
+
+    address = local_cluster.scheduler_address
+    generate(RECIPE, tmp_path / "set", progress=kill_once, scheduler=address)
+    assert killed
+    assert contents(tmp_path / "set") == whole
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_what_workers_raise_reaches_the_caller(local_cluster, tmp_path, monkeypatch):
+    def move(done, _total):
+        if not done:
+            (tmp_path / "set").rename(tmp_path / "elsewhere")
+
+    address = local_cluster.scheduler_address
+    with pytest.raises(PartialError, match=r"cannot write .*shard-00000\d\.h5"):
+        generate(RECIPE, tmp_path / "set", progress=move, scheduler=address)
+    monkeypatch.setattr(cluster, "package_versions", lambda: {"numpy": "0.1"})
+    with pytest.raises(ConfigurationError, match=r"other packages.*'numpy': '0\.1'"):
+        generate(RECIPE, tmp_path / "other", scheduler=address)
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_cluster_without_workers_says_how_to_start_one(tmp_path, monkeypatch):
+    monkeypatch.setattr(cluster, "WORKERS_SECONDS", 0.2)
+    with (
+        distributed.LocalCluster(n_workers=0, dashboard_address=None) as empty,
+        pytest.raises(ConfigurationError, match=r"no workers; start some with 'dask worker tcp:"),
+    ):
+        generate(RECIPE, tmp_path / "set", scheduler=empty.scheduler_address)
+
+
+@pytest.mark.parametrize("address", ["rubbish", "tcp://127.0.0.1", "tcp://127.0.0.1:1", "8786"])
+def test_an_address_where_nothing_answers_leaves_no_folder(tmp_path, address):
+    with pytest.raises(ConfigurationError, match="start one with 'dask scheduler'"):
+        generate(RECIPE, tmp_path / "set", scheduler=address)
+    assert not (tmp_path / "set").exists()
+
+
+# One shard at a time, as in arrays of jobs. In the process of the test: what is tried is who begins
+# and who completes a folder; tests of the command make a shard with a worker.
+
+
+def test_the_last_of_the_single_shards_completes_the_set(whole, tmp_path, monkeypatch):
+    in_this_process(monkeypatch)
+    folder = tmp_path / "set"
+    for shard in (2, 0):
+        assert generate(RECIPE, folder, shard=shard) is None
+    assert sorted(contents(folder)) == ["recipe.toml", *map(shard_name, (0, 2))]
+    reports = []
+    generate(RECIPE, folder, shard=2, progress=lambda *report: reports.append(report))
+    assert reports == [(8, 8)]  # finished already
+    (folder / shard_name(0)).write_bytes(b"damaged meanwhile")
+    assert generate(RECIPE, folder, shard=1) is None
+    manifest = generate(RECIPE, folder, shard=0)
+    assert manifest.frames == 24
+    assert contents(folder) == whole
+
+
+def test_single_shards_made_at_the_same_time(whole, tmp_path, monkeypatch):
+    in_this_process(monkeypatch)
+    # Each begins the folder, and sees the half-written files of the others.
+    folder, failed = tmp_path / "set", []
+
+    def make(shard):
+        try:
+            generate(RECIPE, folder, shard=shard)
+        except BaseException as error:
+            failed.append(error)
+            raise
+
+    threads = [threading.Thread(target=make, args=(shard,)) for shard in range(RECIPE.shards)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert failed == []
+    assert contents(folder) == whole
+
+
+def test_half_written_files_of_others_are_left_alone(tmp_path, monkeypatch):
+    in_this_process(monkeypatch)
+    (tmp_path / ".writing-other").write_bytes(b"half")
+    generate(RECIPE, tmp_path, shard=1)
+    assert (tmp_path / ".writing-other").exists()
+    generate(RECIPE, tmp_path, resume=True)
+    assert not (tmp_path / ".writing-other").exists()
+
+
+def test_options_that_contradict_are_refused(tmp_path, monkeypatch):
+    in_this_process(monkeypatch)
+    for shard in (-1, 3):
+        with pytest.raises(ConfigurationError, match=f"shards 0 to 2, got shard {shard}"):
+            generate(RECIPE, tmp_path / "set", shard=shard)
+    with pytest.raises(ConfigurationError, match="got both"):
+        generate(RECIPE, tmp_path / "set", shard=0, scheduler="tcp://127.0.0.1:1")
+    generate(RECIPE, tmp_path / "set", shard=0)
+    with pytest.raises(ConfigurationError, match="another recipe or seed"):
+        generate(with_seed(RECIPE, 4), tmp_path / "set", shard=1)

@@ -1,0 +1,43 @@
+"""What a dataset will cost, and refusing a disk that has no room for it."""
+
+import shutil
+from collections import namedtuple
+
+import pytest
+
+from eitskin.datasets import Recipe, generate
+from eitskin.datasets.generation.cost_estimate import estimate
+from eitskin.datasets.generation.generate import free_bytes, least_bytes
+from eitskin.datasets.recipe.scene_group import SceneGroup
+from eitskin.errors import ConfigurationError
+
+RECIPE = Recipe(
+    "cheap",
+    seed=2,
+    frames_per_shard=50,
+    scenes=(SceneGroup("bend", count=120, angle_deg=(10.0, 10.0)),),
+)
+Usage = namedtuple("Usage", "total used free")
+
+
+def test_size_is_that_of_the_files(tmp_path):
+    found = estimate(RECIPE, tmp_path / "set", workers=1)
+    assert (found.frames, found.shards) == (120, 3)
+    assert 16 <= found.measured_frames <= 50
+    assert found.seconds > 0
+    assert found.megabytes_free == pytest.approx(free_bytes(tmp_path) / 1e6, rel=0.1)
+    assert list(tmp_path.iterdir()) == []
+    generate(RECIPE, tmp_path / "set", workers=1)
+    size = sum(path.stat().st_size for path in (tmp_path / "set").glob("shard-*"))
+    assert found.megabytes == pytest.approx(size / 1e6, rel=0.02)
+    assert least_bytes(RECIPE, 120) < size
+
+
+def test_a_disk_without_room_is_refused_before_anything_is_made(tmp_path, monkeypatch):
+    needed = least_bytes(RECIPE, 120)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _folder: Usage(10**9, 10**9, needed - 1))
+    with pytest.raises(
+        ConfigurationError, match=r"no room: expected at least 0\.013 MB, got 0\.013 MB; make room"
+    ):
+        generate(RECIPE, tmp_path / "set")
+    assert list(tmp_path.iterdir()) == []

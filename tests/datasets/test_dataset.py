@@ -1,0 +1,190 @@
+"""Datasets in memory, touch maps drawn from them, and recording."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from eitskin.datasets import Dataset, ShardWriter, State, open_dataset, touch_maps
+from eitskin.errors import ConfigurationError, DataError, FrameError
+from eitskin.simulator import Frame, Protocol, Status, Touch
+
+from small_dataset import make
+
+# Datasets in memory
+
+
+def test_frame_is_what_a_board_would_give():
+    data = make()
+    frame = data.frame(13)
+    assert np.array_equal(frame.impedance, data.impedance[13])
+    assert (frame.protocol, frame.frequency) == (data.protocol, 50e3)
+    assert (frame.number, frame.session) == (13, 1)
+    assert frame.time == pytest.approx(1.3)
+    assert np.array_equal(frame.status, data.status[13])
+
+
+def test_frames_need_a_protocol():
+    with pytest.raises(DataError, match="--protocol"):
+        dataclasses.replace(make(), protocol=None).frame(0)
+
+
+def test_select_keeps_order_and_specimens():
+    data = make()
+    part = data.select([5, 3])
+    assert len(part) == 2
+    assert np.array_equal(part.impedance, data.impedance[[5, 3]])
+    assert np.array_equal(part.touch_x, data.touch_x[[5, 3]], equal_nan=True)
+    assert np.array_equal(part.reference, data.reference)
+    assert len(data.select(data.state == State.BEND)) == 20
+    assert len(data.select([])) == 0
+
+
+def test_split_by_frames_where_specimens_are_few():
+    parts = make(100, specimens=1).split((0.6, 0.2, 0.2), seed=3)
+    assert [len(part) for part in parts] == [60, 20, 20]
+    assert np.array_equal(np.sort(np.concatenate(parts)), np.arange(100))
+    again = make(100, specimens=1).split((0.6, 0.2, 0.2), seed=3)
+    other = make(100, specimens=1).split((0.6, 0.2, 0.2), seed=4)
+    assert all(np.array_equal(a, b) for a, b in zip(parts, again, strict=True))
+    assert not np.array_equal(parts[0], other[0])
+
+
+def test_split_by_specimens_where_they_are_enough():
+    data = make(100, specimens=10)
+    train, validate, test = (set(data.specimen[part]) for part in data.split((0.6, 0.2, 0.2), 0))
+    assert (len(train), len(validate), len(test)) == (6, 2, 2)
+    assert train | validate | test == set(range(10))
+
+
+def test_split_refuses_what_does_not_sum_to_one():
+    with pytest.raises(ConfigurationError, match="sum to one"):
+        make().split((0.5, 0.2))
+
+
+def test_parts_that_do_not_belong_together_are_refused():
+    with pytest.raises(DataError, match="not made together"):
+        Dataset.concatenate([make(), make(recipe="other")])
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"time": np.zeros(3)}, r"time must have shape \(40,\)"),
+        ({"protocol": Protocol.pairwise(4)}, "6 measurements, .* 28 channels"),
+        ({"source": "guessed"}, "source must be"),
+    ],
+)
+def test_arrays_that_do_not_fit_are_refused(changes, message):
+    with pytest.raises(DataError, match=message):
+        make(**changes)
+
+
+# Touch maps
+
+
+def test_touch_maps_are_discs_of_the_right_area_and_place():
+    x, y = np.array([[0.05, np.nan], [0.10, 0.03]]), np.array([[0.02, np.nan], [0.04, 0.02]])
+    maps = touch_maps(x, y, np.where(np.isnan(x), np.nan, 0.0075))
+    assert maps.shape == (2, 32, 80)
+    assert maps.dtype == np.float32
+    assert maps.min() == 0.0
+    assert maps.max() == 1.0
+    pixel = 0.001875
+    assert maps[0].sum() * pixel**2 == pytest.approx(np.pi * 0.0075**2, rel=0.02)
+    assert maps[1].sum() * pixel**2 == pytest.approx(2 * np.pi * 0.0075**2, rel=0.02)
+    rows, columns = np.mgrid[:32, :80]
+    assert (maps[0] * columns).sum() / maps[0].sum() == pytest.approx(0.05 / pixel - 0.5, abs=0.05)
+    assert (maps[0] * rows).sum() / maps[0].sum() == pytest.approx(0.02 / pixel - 0.5, abs=0.05)
+
+
+def test_overlapping_discs_stay_at_one():
+    maps = touch_maps([[0.05, 0.052]], [[0.02, 0.02]], [[0.0075, 0.0075]])
+    assert maps.max() == 1.0
+
+
+def test_untouched_frames_have_empty_maps():
+    assert not touch_maps(*np.full((3, 2, 4), np.nan)).any()
+
+
+def test_touch_maps_need_radii():
+    with pytest.raises(DataError, match="radius"):
+        touch_maps([[0.05]], [[0.02]], [[np.nan]])
+
+
+# Recording
+
+
+def frames(n, protocol=None):
+    protocol = protocol or Protocol.pairwise(4)
+    for number in range(n):
+        values = np.arange(len(protocol)) + 1.0 + number
+        yield Frame(values, protocol, time=number * 0.5, number=number, session=number // 4)
+
+
+def test_recorded_frames_come_back_with_their_labels(tmp_path):
+    touch = Touch(0.05, 0.02, 9.0)
+    with ShardWriter(tmp_path / "run", frames_per_shard=3) as writer:
+        for frame in frames(8):
+            writer.append(frame, state=State.TOUCH, bend_angle_deg=5.0, touches=(touch,))
+    data = open_dataset(tmp_path / "run")
+    assert (len(data), data.source) == (8, "measured")
+    assert len(list((tmp_path / "run").glob("shard-*.h5"))) == 3
+    assert np.array_equal(data.impedance[:, 0], np.arange(8) + 1.0)
+    assert np.array_equal(data.time, np.arange(8) * 0.5)
+    assert np.array_equal(data.episode, np.arange(8) // 4)
+    assert np.array_equal(data.reference[0], data.impedance[0])
+    assert data.touch_force[7, 0] == 9.0
+    assert np.isnan(data.touch_force[7, 1])
+    assert np.isnan(data.touch_reference).all()
+
+
+def test_recording_keeps_what_came_before_an_error(tmp_path):
+    def record():
+        with ShardWriter(tmp_path / "run") as writer:
+            for frame in frames(5):
+                writer.append(frame)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        record()
+    assert len(open_dataset(tmp_path / "run")) == 5
+
+
+def test_recording_keeps_numbers_and_says_what_was_lost(tmp_path):
+    numbers = [4, 5, 9, 2**32 - 1]
+    with ShardWriter(tmp_path / "run", frames_per_shard=3) as writer:
+        for frame, number in zip(frames(4), numbers, strict=True):
+            writer.append(dataclasses.replace(frame, number=number))
+    data = open_dataset(tmp_path / "run")
+    assert data.number.tolist() == numbers
+    assert [data.frame(i).number for i in range(4)] == numbers
+
+
+def test_values_that_are_not_finite_come_back_as_nan_and_marked(tmp_path):
+    with ShardWriter(tmp_path / "run") as writer:
+        for frame, bad in zip(frames(3), (np.nan, complex(np.inf, 1.0), 7.0), strict=True):
+            values = frame.impedance.copy()
+            values[2] = bad
+            writer.append(dataclasses.replace(frame, impedance=values))
+    data = open_dataset(tmp_path / "run")
+    assert np.isfinite(data.impedance).all()
+    assert np.isnan([data.frame(i).impedance[2] for i in range(3)]).tolist() == [True, True, False]
+    assert data.status[:, 2].tolist() == [Status.NOT_FINITE, Status.NOT_FINITE, 0]
+    assert data.reference[0, 2] == 7.0  # of the first frame that is whole
+
+
+def test_a_recording_that_was_killed_can_be_read_up_to_its_last_shard(tmp_path):
+    writer = ShardWriter(tmp_path / "run", frames_per_shard=3)
+    for frame in frames(8):
+        writer.append(frame)
+    assert len(open_dataset(tmp_path / "run")) == 6  # never closed
+
+
+def test_recording_refuses_another_protocol_and_an_occupied_folder(tmp_path):
+    with ShardWriter(tmp_path / "run") as writer:
+        writer.append(next(frames(1)))
+        with pytest.raises(FrameError, match="one protocol"):
+            writer.append(next(frames(1, Protocol.pairwise(5))))
+    with pytest.raises(ConfigurationError, match="not empty"):
+        ShardWriter(tmp_path / "run")

@@ -1,0 +1,288 @@
+"""Episodes: bends that move, presses that come, creep and linger, frames that take their time."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from eitskin.datasets import Recipe, State
+from eitskin.datasets.generation.shard_simulation import simulate_shard
+from eitskin.datasets.recipe.episode import (
+    Held,
+    Keyframe,
+    Press,
+    RandomEpisodes,
+    ScriptedEpisode,
+    Timeline,
+)
+from eitskin.datasets.recipe.frame_sampling import Stream, generator, sample, specimen
+from eitskin.datasets.recipe.specimen import Specimens
+from eitskin.geometry import Bend, Electrode, Rectangle, SensorDesign
+from eitskin.simulator import Instrument, Scene, Simulator
+from eitskin.simulator.mechanics.viscoelasticity import REFERENCE, held
+
+OUTLINE = Rectangle(0.150, 0.060)
+HERE, THERE = Press(0.05, 0.02), Press(0.1, 0.04, 8.0)
+QUIET = Instrument(snr_db=0.0)
+SCANNED = Instrument(snr_db=0.0, measurement_time=0.0106)
+RNG = np.random.default_rng(0)
+# Six channels, for scenes that are solved by the dozen.
+SMALL = SensorDesign(
+    OUTLINE, 0.005, tuple(Electrode(x, y) for x in (0.0225, 0.1275) for y in (0.0, 0.06))
+)
+SWEEP = (Keyframe(0.0, -20.0), Keyframe(3.5, 50.0))
+
+
+def script(*keyframes, **changes) -> ScriptedEpisode:
+    return ScriptedEpisode(tuple(keyframes), **changes)
+
+
+def recipe(*episodes, **changes) -> Recipe:
+    return Recipe("episodes", episodes=episodes, seed=3, **changes)
+
+
+def linear_in_the_angle(self, scenes, **_options):
+    """Impedances as a made-up sensor would have them, 1 ohm per degree and newton."""
+    values = [
+        100.0 + scene.bend.angle_deg + sum(t.force for t in scene.touches) for scene in scenes
+    ]
+    return np.outer(values, np.arange(1, len(self.protocol) + 1)).astype(complex)
+
+
+# What is told
+
+
+def test_angles_are_straight_between_keyframes_and_presses_last_while_they_are_told():
+    told = script(
+        Keyframe(0.0),
+        Keyframe(2.0, 10.0, (HERE,)),
+        Keyframe(4.0, 10.0, (HERE, THERE)),
+        Keyframe(5.0, -20.0),
+        Keyframe(6.0, -20.0),
+    ).draw(OUTLINE, RNG)
+    assert [told.scene(t).bend.angle_deg for t in (0.0, 1.0, 3.0, 4.5, 5.5)] == [0, 5, 10, -5, -20]
+    assert set(told.presses) == {Held(HERE, 2.0, 5.0), Held(THERE, 4.0, 5.0)}
+
+
+def test_a_repeated_script_goes_on_where_it_ended():
+    told = script(Keyframe(0.0), Keyframe(1.0, 30.0, (HERE,)), Keyframe(2.0), repeats=3, period=0.5)
+    assert told.frames == 12
+    line = told.draw(OUTLINE, RNG)
+    assert [line.scene(t).bend.angle_deg for t in (0.5, 1.0, 2.0, 3.0, 5.0, 5.5)] == [
+        *(15.0, 30.0, 0.0, 30.0, 30.0, 15.0)
+    ]
+    assert [(each.start, each.end) for each in line.presses] == [(1.0, 2.0), (3.0, 4.0), (5.0, 6.0)]
+
+
+def test_presses_creep_while_held_linger_afterwards_and_are_forgotten():
+    line = Timeline((0.0,), (0.0,), (Held(HERE, 1.0, 3.0),))
+    assert line.scene(0.9, REFERENCE) == Scene()
+    (touch,) = line.scene(1.0, REFERENCE).touches
+    assert (touch.x, touch.y, touch.force, touch.held, touch.released) == (
+        0.05,
+        0.02,
+        10.0,
+        0.0,
+        0.0,
+    )
+    assert line.scene(2.5, REFERENCE).touches[0].held == 1.5
+    (left,) = line.scene(3.0, REFERENCE).touches
+    assert (left.held, left.released > 0.0) == (2.0, True)
+    forgotten = next(t for t in np.arange(3.0, 400.0) if not line.scene(t, REFERENCE).touches)
+    assert held(REFERENCE, 1.0, 2.0, forgotten - 3.0) <= 1e-3
+    assert held(REFERENCE, 1.0, 2.0, forgotten - 4.0) > 1e-3
+
+
+def test_without_relaxation_nothing_creeps_or_lingers():
+    line = Timeline((0.0,), (0.0,), (Held(HERE, 1.0, 3.0),))
+    assert line.scene(1.0) == line.scene(2.9)
+    assert line.scene(1.0).touches[0].held is None
+    assert line.scene(3.0) == Scene()
+
+
+def test_random_episodes_keep_their_ranges():
+    kind = RandomEpisodes(
+        1,
+        400,
+        angle_deg=(-20.0, 50.0),
+        speed_deg_s=(5.0, 30.0),
+        rest_s=(2.0, 6.0),
+        pause_s=(1.0, 4.0),
+        hold_s=(1.0, 3.0),
+        touches=(1, 3),
+        force=(4.0, 12.0),
+    )
+    lines = [kind.draw(OUTLINE, np.random.default_rng(seed)) for seed in range(20)]
+    for line in lines:
+        times, angles = np.array(line.times), np.array(line.angles_deg)
+        lasts, turned = np.diff(times), np.abs(np.diff(angles))
+        assert times[-1] >= 400 * kind.period
+        assert ((lasts[::2] >= 2.0) & (lasts[::2] <= 6.0)).all()
+        assert (turned[::2] == 0.0).all()
+        assert (turned[1::2] / lasts[1::2] >= 5.0 - 1e-9).all()
+        assert (turned[1::2] / lasts[1::2] <= 30.0 + 1e-9).all()
+        starts = sorted({each.start for each in line.presses})
+        ends = sorted({each.end for each in line.presses})
+        assert all(1.0 <= b - a <= 4.0 for a, b in zip(ends[:-1], starts[1:], strict=True))
+        assert all(1.0 <= b - a <= 3.0 for a, b in zip(starts, ends, strict=True))
+    angles = np.array([angle for line in lines for angle in line.angles_deg[2::2]])
+    forces = np.array([each.press.force for line in lines for each in line.presses])
+    for values, low, high in ((angles, -20.0, 50.0), (forces, 4.0, 12.0)):
+        assert low <= values.min() < low + 0.05 * (high - low)
+        assert high - 0.05 * (high - low) < values.max() <= high
+        deviation = (high - low) / np.sqrt(12)
+        assert values.std() == pytest.approx(deviation, rel=4 / np.sqrt(2 * len(values)))
+    numbers = np.array(
+        [
+            sum(e.start == s for e in line.presses)
+            for line in lines
+            for s in {e.start for e in line.presses}
+        ]
+    )
+    shares = np.bincount(numbers, minlength=4)[1:] / len(numbers)
+    assert shares == pytest.approx(1 / 3, abs=4 * np.sqrt(2 / 9 / len(numbers)))
+
+
+# What becomes of it in a dataset
+
+
+def test_frames_of_an_episode_are_labelled_and_follow_each_other():
+    told = script(
+        Keyframe(0.0), Keyframe(2.0), Keyframe(3.0, 10.0), Keyframe(4.0, 10.0, (HERE, THERE)),
+        Keyframe(6.0, 10.0), Keyframe(8.0), period=0.5, count=3,
+    )  # fmt: skip
+    asked = recipe(told, specimens=Specimens(2), frames_per_shard=16)
+    drawn = [sample(asked, index) for index in range(asked.frames)]
+    assert [each.time for each in drawn] == [0.5 * k for k in range(16)] * 3
+    assert [each.episode for each in drawn] == [0] * 16 + [1] * 16 + [2] * 16
+    assert [each.specimen for each in drawn] == [0] * 32 + [1] * 16
+    states = [each.state for each in drawn[:16]]
+    assert states == [State.IDLE] * 5 + [State.BEND] * 3 + [State.TOUCH] * 4 + [State.BEND] * 4
+    # One session of a specimen: the second episode goes on where the first ended.
+    assert [each.session_time for each in drawn[:32]] == [0.5 * k for k in range(32)]
+    assert drawn[32].session_time == 0.0
+    assert drawn[7].after == drawn[8].scene
+    assert drawn[0].after is None
+    assert sample(asked, 40) == drawn[40]
+
+
+def test_lingering_dents_are_no_touches_in_the_labels(monkeypatch):
+    monkeypatch.setattr(Simulator, "measure_all", linear_in_the_angle)
+    told = script(Keyframe(0.0, 0.0, (HERE,)), Keyframe(2.0), Keyframe(4.0), period=0.5)
+    data = simulate_shard(recipe(told, instrument=QUIET), 0)
+    assert data.touch_count.tolist() == [1] * 4 + [0] * 4
+    assert data.state.tolist() == [State.TOUCH] * 4 + [State.IDLE] * 4
+    assert (data.impedance[4:, 0].real > 105).all()  # the dent is there, though
+    assert data.touch_reference[4:, 0].real == pytest.approx(data.reference[0, 0].real)
+
+
+def test_skew_is_exact_where_signals_are_linear_in_time(monkeypatch):
+    monkeypatch.setattr(Simulator, "measure_all", linear_in_the_angle)
+    data = simulate_shard(recipe(script(*SWEEP, period=0.35), instrument=SCANNED), 0)
+    assert len(data) == 10
+    offsets = 0.0106 * np.arange(28)
+    angles = -20.0 + 20.0 * (0.35 * np.arange(10)[:, None] + offsets)
+    assert data.impedance.real == pytest.approx((100.0 + angles) * np.arange(1, 29), rel=1e-6)
+    assert data.touch_reference == pytest.approx(data.impedance, rel=1e-6)
+    assert data.bend_angle_deg == pytest.approx(-20.0 + 7.0 * np.arange(10))
+
+
+def test_skew_of_a_moving_bend_is_near_to_solving_every_moment():
+    """At 30 deg/s, of what each measurement says where every moment is a scene of its own."""
+    fast = script(Keyframe(0.0, -20.0), Keyframe(7 / 3, 50.0), period=0.297)
+    slow_scan = dataclasses.replace(SCANNED, measurement_time=0.05)
+    data = simulate_shard(recipe(fast, instrument=slow_scan, sensor=SMALL), 0)
+    sim = Simulator(SMALL, "fast")
+    offsets = slow_scan.offsets(sim.protocol)
+    assert offsets[-1] == pytest.approx(0.25)
+    moments = data.time[:, None] + offsets
+    truth = np.empty(moments.shape)
+    for place in np.ndindex(moments.shape):
+        scene = Scene(Bend(-20.0 + 30.0 * moments[place]))
+        truth[place] = sim.measure(scene).impedance[place[1]].real
+    unmoved = np.array([sim.measure(Scene(Bend(float(a)))).impedance for a in data.bend_angle_deg])
+    inside = slice(0, -1)  # the last frame ends when the bend does, where the angle has a kink
+    error = np.abs(data.impedance.real / truth - 1.0)[inside].max()
+    without = np.abs(unmoved.real / truth - 1.0)[inside].max()
+    assert error < 2e-4  # as much as the noise; without interpolation 0.85 %
+    assert without > 40 * error
+
+
+def test_a_press_creeps_from_frame_to_frame_and_its_dent_fades():
+    told = script(
+        Keyframe(0.0), Keyframe(0.5, 0.0, (Press(0.0525, 0.03),)), Keyframe(3.0), Keyframe(5.0),
+        period=0.25,
+    )  # fmt: skip
+    data = simulate_shard(recipe(told, instrument=QUIET, sensor=SMALL), 0)
+    change = np.abs(data.impedance - data.touch_reference)
+    signal = change[:, change.max(axis=0).argmax()]
+    assert (signal[:2] == 0.0).all()
+    held_for, released = signal[2:12], signal[12:]
+    assert (np.diff(held_for) > 0.0).all()  # it creeps, ever more slowly,
+    assert (np.diff(held_for, 2) < 0.0).all()
+    assert 1.02 < held_for[-1] / held_for[0] < 1.3  # by a tenth in 2.5 s,
+    assert released[0] < 0.2 * held_for[-1]  # and leaves a dent that fades
+    assert (np.diff(released) < 0.0).all()
+    assert released[-1] > 0.0
+
+
+def test_where_nothing_moves_nothing_is_solved_twice_or_interpolated(monkeypatch):
+    asked = []
+
+    def measure_all(self, scenes, **_options):
+        asked.extend(scenes)
+        return linear_in_the_angle(self, scenes) + 1 / 3
+
+    monkeypatch.setattr(Simulator, "measure_all", measure_all)
+    told = script(
+        Keyframe(0.0, 20.0), Keyframe(5.0, 20.0, (HERE,)), Keyframe(9.0, 20.0), relaxation=False
+    )
+    data = simulate_shard(recipe(told, instrument=SCANNED), 0)
+    assert len(asked) == 2
+    assert len(np.unique(data.impedance, axis=0)) == 4  # with and without it, set on and lifted
+    assert len(np.unique(data.touch_reference, axis=0)) == 1
+    # Without skew nothing beyond the last frame is asked for either.
+    asked.clear()
+    simulate_shard(recipe(script(*SWEEP, period=0.5), instrument=QUIET), 0)
+    assert len(asked) == 6  # the seventh is flat, which every specimen's reference is
+    assert Bend(50.0) not in {scene.bend for scene in asked}
+
+
+def test_drift_runs_on_along_and_across_the_episodes_of_a_specimen(monkeypatch):
+    monkeypatch.setattr(Simulator, "measure_all", linear_in_the_angle)
+    drifting = Instrument(snr_db=0.0, drift=0.1)
+    still = script(Keyframe(0.0, 5.0), Keyframe(600.0, 5.0), period=10.0, count=3)
+    asked = recipe(still, instrument=drifting, frames_per_shard=60, specimens=Specimens(1))
+    parts = [simulate_shard(asked, shard) for shard in range(3)]
+    drift = np.concatenate([part.impedance[:, 0].real for part in parts]) / 105.0
+    steps = np.diff(np.log(drift))
+    # A step of the walk in 10 s has the sd 0.1 sqrt(10 / 14400), over the shards' ends as within.
+    size = 0.1 * np.sqrt(10.0 / 14400.0)
+    assert steps.std() == pytest.approx(size, rel=4 / np.sqrt(2 * len(steps)))
+    assert np.abs(steps[[59, 119]]).max() < 3.5 * size
+    assert drift[0] == pytest.approx(1.0, abs=1e-6)
+
+
+def test_gain_of_a_specimens_board_is_that_of_its_reference():
+    """All of a specimen is measured in one session, so a ratio to its reference is free of it."""
+    gains = Instrument(snr_db=0.0, gain=0.005, reciprocity=0.004)
+    told = script(Keyframe(0.0), Keyframe(1.0), period=0.5, count=2)
+    asked = recipe(told, instrument=gains, specimens=Specimens(2), sensor=SMALL, frames_per_shard=4)
+    data = simulate_shard(asked, 0)
+    flat = Simulator(specimen(asked, 0).design, "fast").measure(Scene()).impedance
+    for number in range(2):
+        assert np.array_equal(data.impedance[2 * number], data.reference[number])
+        assert 1e-4 < np.abs(data.reference[number] / flat - 1.0).max() < 0.03
+    assert np.abs(data.reference[0] / data.reference[1] - 1.0).max() > 1e-4
+
+
+def test_an_episode_depends_on_its_number_alone():
+    kind = RandomEpisodes(6, 50, angle_deg=(-20.0, 50.0))
+    asked = recipe(kind, frames_per_shard=10)
+    numbers = range(180, 250, 7)
+    drawn = [sample(asked, index) for index in numbers]
+    assert [sample(asked, index) for index in reversed(numbers)][::-1] == drawn
+    line = kind.draw(OUTLINE, generator(asked, Stream.EPISODE, 4))
+    last = sample(asked, 249)
+    assert last.scene.bend == line.scene(49 * kind.period).bend != Bend(0.0)
+    assert len({sample(asked, 50 * episode + 49).scene.bend for episode in range(6)}) == 6

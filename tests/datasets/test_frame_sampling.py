@@ -1,0 +1,225 @@
+"""Sampling: what is drawn, and that a frame depends on its number alone."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from eitskin.datasets import Recipe, State
+from eitskin.datasets.generation.shard_simulation import simulate_shard, untouched
+from eitskin.datasets.recipe.frame_sampling import Stream, generator, sample
+from eitskin.datasets.recipe.recipe import with_seed
+from eitskin.datasets.recipe.scene_group import SceneGroup
+from eitskin.datasets.recipe.specimen import Specimens
+from eitskin.datasets.recipe.touch_sampling import draw_places
+from eitskin.errors import ConfigurationError
+from eitskin.geometry import Bend, Disc, Rectangle, SensorDesign
+from eitskin.geometry.design.regular_layouts import uniform
+from eitskin.simulator import Scene, Simulator
+
+IDLE = SceneGroup("idle", count=30)
+BENT = SceneGroup("bend", count=60, angle_deg=(-20.0, 50.0))
+TOUCHED = SceneGroup(
+    "touch", count=90, angle_deg=(0.0, 30.0), touches=(1, 4), force=(8.0, 12.0), margin=0.012
+)
+MIXED = Recipe("mixed", scenes=(IDLE, BENT, TOUCHED), seed=5)
+GROUPED = Recipe(
+    "grouped",
+    seed=6,
+    frames_per_shard=25,
+    specimens=Specimens(3, conductivity=0.01),
+    scenes=(IDLE, dataclasses.replace(TOUCHED, per_bend=8)),
+)
+
+
+def all_samples(recipe):
+    return [sample(recipe, index) for index in range(recipe.frames)]
+
+
+def test_any_first_part_is_a_balanced_mix():
+    states = np.array([sample(MIXED, index).state for index in range(MIXED.frames)])
+    shares = {State.IDLE: 30 / 180, State.BEND: 60 / 180, State.TOUCH: 90 / 180}
+    assert {state: int((states == state).sum()) for state in State} == {
+        State.IDLE: 30,
+        State.BEND: 60,
+        State.TOUCH: 90,
+    }
+    for length in range(1, len(states) + 1):
+        for state, share in shares.items():
+            assert abs((states[:length] == state).sum() - share * length) <= 2.0
+
+
+def test_groups_are_not_tied_to_specimens():
+    recipe = dataclasses.replace(
+        MIXED,
+        scenes=(SceneGroup("idle", count=100), SceneGroup("bend", count=100, angle_deg=(1.0, 2.0))),
+        specimens=Specimens(count=2),
+    )
+    drawn = [sample(recipe, index) for index in range(recipe.frames)]
+    idle_of_first = sum(s.state == State.IDLE and s.specimen == 0 for s in drawn)
+    assert 25 < idle_of_first < 75
+
+
+def test_frames_hold_what_their_group_says():
+    outline = MIXED.sensor.outline
+    for drawn in (sample(MIXED, index) for index in range(MIXED.frames)):
+        touches = drawn.scene.touches
+        if drawn.state == State.IDLE:
+            assert drawn.scene.bend == Bend(0.0)
+        if drawn.state != State.TOUCH:
+            assert touches == ()
+            continue
+        assert 1 <= len(touches) <= 4
+        assert 0.0 <= drawn.scene.bend.angle_deg <= 30.0
+        places = np.array([(touch.x, touch.y) for touch in touches])
+        assert (places >= 0.012).all()
+        assert (places <= np.array([outline.length, outline.width]) - 0.012).all()
+        assert all(8.0 <= touch.force <= 12.0 for touch in touches)
+        gaps = np.linalg.norm(places[:, None] - places, axis=-1)
+        assert (gaps[np.triu_indices(len(places), 1)] >= 0.030).all()
+    counts = {len(sample(MIXED, i).scene.touches) for i in range(MIXED.frames)}
+    angles = [sample(MIXED, i).scene.bend.angle_deg for i in range(MIXED.frames)]
+    assert counts == {0, 1, 2, 3, 4}
+    assert min(angles) < -10.0
+    assert max(angles) > 40.0
+
+
+def test_a_frame_depends_on_seed_and_number_alone():
+    backwards = [sample(MIXED, index) for index in reversed(range(20))][::-1]
+    assert backwards == [sample(MIXED, index) for index in range(20)]
+    assert [s.scene for s in backwards] != [sample(with_seed(MIXED, 6), i).scene for i in range(20)]
+    draws = {
+        float(generator(MIXED, stream, index).uniform()) for stream in Stream for index in range(9)
+    }
+    assert len(draws) == len(Stream) * 9
+
+
+@pytest.mark.parametrize("per_bend", [1, 5])
+def test_listed_positions_are_pressed_repeats_times_each(per_bend):
+    places = ((0.02, 0.02), (0.05, 0.03), (0.1, 0.04))
+    recipe = Recipe(
+        "listed", scenes=(SceneGroup("touch", positions=places, repeats=4, per_bend=per_bend),)
+    )
+    pressed = [sample(recipe, index).scene.touches for index in range(recipe.frames)]
+    assert recipe.frames == 12
+    assert all(len(touches) == 1 for touches in pressed)
+    assert sorted((t.x, t.y) for (t,) in pressed) == sorted(places * 4)
+
+
+def test_places_are_spread_evenly():
+    rng = np.random.default_rng(0)
+    outline = Rectangle(0.150, 0.060)
+    places = np.array([draw_places(1, outline, 0.010, 0.030, rng)[0] for _ in range(2000)])
+    # Uniform over 130 x 40 mm: means in the middle, standard deviations length / sqrt(12).
+    assert np.allclose(places.mean(axis=0), [0.075, 0.030], atol=3 * 0.0375 / np.sqrt(2000))
+    assert np.allclose(places.std(axis=0), np.array([0.130, 0.040]) / np.sqrt(12), rtol=0.05)
+
+
+def test_touches_lie_on_the_sensor_whatever_its_outline():
+    disc = Disc(0.04)
+    design = SensorDesign(disc, 0.005, uniform(disc, 8))
+    group = SceneGroup("touch", count=50, touches=(1, 2), margin=0.010, spacing=0.02)
+    recipe = Recipe("round", scenes=(group,), sensor=design)
+    drawn = [sample(recipe, index).scene.touches for index in range(recipe.frames)]
+    places = np.array([(touch.x, touch.y) for touches in drawn for touch in touches])
+    assert np.hypot(*(places - 0.04).T).max() <= 0.030
+    with pytest.raises(ConfigurationError, match=r"\(0.005, 0.005\) m is off the"):
+        Recipe("off", scenes=(SceneGroup("touch", positions=((0.005, 0.005),)),), sensor=design)
+
+
+# Grouping
+
+
+def test_frames_of_a_block_share_specimen_and_bend_and_nothing_else():
+    touched = [each for each in all_samples(GROUPED) if each.state == State.TOUCH]
+    assert len(touched) == 90
+    blocks = {}
+    for each in touched:
+        blocks.setdefault(each.scene.bend, []).append(each)
+    assert sorted(len(block) for block in blocks.values()) == [2] + [8] * 11
+    for block in blocks.values():
+        assert len({each.specimen for each in block}) == 1
+        assert len({each.scene.touches for each in block}) == len(block)
+        indices = [each.index for each in block]
+        assert indices == list(range(indices[0], indices[0] + len(block)))
+
+
+def test_specimens_follow_each_other_and_begin_their_sessions_anew():
+    drawn = all_samples(GROUPED)
+    numbers = [each.specimen for each in drawn]
+    assert numbers == sorted(numbers)
+    assert set(numbers) == {0, 1, 2}
+    for number in range(3):
+        mine = [each for each in drawn if each.specimen == number]
+        assert 30 <= len(mine) <= 50
+        assert mine[0].session_time == 0.0
+        assert np.diff([each.session_time for each in mine]) == pytest.approx(0.297)
+        assert 0.05 < np.mean([each.state == State.IDLE for each in mine]) < 0.35
+
+
+def test_more_specimens_than_blocks_leave_some_out():
+    recipe = dataclasses.replace(GROUPED, specimens=Specimens(100))
+    drawn = all_samples(recipe)
+    assert len({each.specimen for each in drawn}) == 30 + 12
+    assert all(each.session_time < 8 * 0.297 for each in drawn)
+
+
+def test_angles_are_spread_evenly_with_or_without_blocks():
+    for per_bend in (1, 4):
+        group = dataclasses.replace(BENT, count=4000, per_bend=per_bend)
+        recipe = Recipe("angles", scenes=(group,), seed=8)
+        angles = np.array([each.scene.bend.angle_deg for each in all_samples(recipe)])[::per_bend]
+        assert len(np.unique(angles)) == 4000 // per_bend
+        # Uniform over 70 degrees about 15: standard deviation 70 / sqrt(12).
+        deviation = 70 / np.sqrt(12)
+        assert angles.mean() == pytest.approx(15.0, abs=4 * deviation / np.sqrt(len(angles)))
+        assert angles.std() == pytest.approx(deviation, rel=4 / np.sqrt(2 * len(angles)))
+        assert -20.0 <= angles.min() < -19.0
+        assert 49.0 < angles.max() <= 50.0
+
+
+def test_forces_and_numbers_of_touches_are_spread_evenly():
+    group = dataclasses.replace(TOUCHED, count=2000)
+    drawn = all_samples(Recipe("forces", scenes=(group,), seed=9))
+    counts = np.bincount([len(each.scene.touches) for each in drawn], minlength=5)
+    assert counts[0] == 0
+    assert counts[1:] == pytest.approx(500, abs=4 * np.sqrt(2000 * 0.25 * 0.75))
+    forces = np.array([touch.force for each in drawn for touch in each.scene.touches])
+    assert forces.mean() == pytest.approx(10.0, abs=4 * 4 / np.sqrt(12 * len(forces)))
+    assert forces.std() == pytest.approx(4 / np.sqrt(12), rel=4 / np.sqrt(2 * len(forces)))
+
+
+def test_groups_are_solved_once_per_specimen_and_untouched_once_per_angle(monkeypatch):
+    """All distinct scenes of a specimen in one call, so that their bends are factorised once."""
+    asked = []
+
+    def measure_all(self, scenes, **_options):
+        asked.append(scenes)
+        return np.full((len(scenes), len(self.protocol)), 100.0 + 0.0j)
+
+    monkeypatch.setattr(Simulator, "measure_all", measure_all)
+    shard = range(25, 50)
+    simulate_shard(GROUPED, 1)
+    drawn = [sample(GROUPED, index) for index in shard]
+    assert len(asked) == len({each.specimen for each in drawn})
+    flat = [scene for scenes in asked for scene in scenes]
+    assert len(flat) == len(set(flat))
+    wanted = {each.scene for each in drawn} | {untouched(each.scene) for each in drawn}
+    assert set(flat) == wanted - {Scene()}
+    bends = {each.scene.bend for each in drawn if each.state == State.TOUCH}
+    assert sum(not scene.touches for scene in flat) == len(bends) < 6
+
+
+def test_a_shard_may_begin_in_the_middle_of_a_block():
+    """But for the 1e-2 of a touch's signal that the engine may leave where touches share a bend."""
+    short = dataclasses.replace(GROUPED, frames_per_shard=6)
+    before, after = (sample(short, index).scene for index in (5, 6))
+    assert before.bend == after.bend
+    assert before.touches
+    assert after.touches
+    one, other = simulate_shard(short, 0), simulate_shard(short, 1)
+    whole = simulate_shard(dataclasses.replace(GROUPED, frames_per_shard=12), 0)
+    for name in ("impedance", "touch_reference", "touch_x", "bend_angle_deg", "specimen"):
+        joined = np.concatenate([getattr(one, name), getattr(other, name)])
+        assert getattr(whole, name) == pytest.approx(joined, rel=5e-5, nan_ok=True), name
+    assert np.array_equal(whole.reference, one.reference)

@@ -1,0 +1,290 @@
+"""Generating: the same bytes whatever happens, and no work done twice."""
+
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from threadpoolctl import threadpool_limits
+
+from eitskin.datasets import Recipe, State, generate, open_dataset, read_shard
+from eitskin.datasets.generation import process_pool as processes
+from eitskin.datasets.generation.shard_simulation import simulate_shard
+from eitskin.datasets.recipe.frame_sampling import sample, specimen
+from eitskin.datasets.recipe.recipe import with_seed
+from eitskin.datasets.recipe.scene_group import SceneGroup
+from eitskin.datasets.recipe.specimen import Specimens
+from eitskin.datasets.store.shard import shard_name
+from eitskin.errors import ConfigurationError, PartialError
+from eitskin.geometry import Bend
+from eitskin.simulator import Instrument, Scene, Simulator
+
+from shards_here import in_this_process
+
+RECIPE = Recipe(
+    "small",
+    seed=11,
+    frames_per_shard=4,
+    specimens=Specimens(count=2, conductivity=0.05, contact_impedance=0.1, hinge_offset=2e-4),
+    scenes=(
+        SceneGroup("idle", count=5),
+        SceneGroup("bend", count=4, angle_deg=(-20.0, 50.0)),
+        SceneGroup("touch", count=5, angle_deg=(0.0, 30.0), touches=(1, 2)),
+    ),
+)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def one_blas_thread():
+    """As in the workers; two threads on busy cores take twenty times as long for small blocks."""
+    with threadpool_limits(1):
+        yield
+
+
+def contents(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """The recipe made by two workers without interruption."""
+    folder = tmp_path_factory.mktemp("datasets") / "whole"
+    reports = []
+    generate(RECIPE, folder, workers=2, progress=lambda *report: reports.append(report))
+    assert reports[0] == (0, 14)
+    assert sorted(reports) == reports
+    assert reports[-1] == (14, 14)
+    return folder
+
+
+def test_dataset_holds_what_the_recipe_says(whole):
+    data = open_dataset(whole)
+    samples = [sample(RECIPE, index) for index in range(RECIPE.frames)]
+    assert len(data) == 14
+    assert sorted(path.name for path in whole.iterdir()) == [
+        "manifest.json",
+        "recipe.toml",
+        *(shard_name(number) for number in range(4)),
+    ]
+    assert (data.source, data.recipe, data.seed) == ("simulated", RECIPE.to_toml(), 11)
+    assert data.design == RECIPE.sensor
+    assert data.state.tolist() == [each.state for each in samples]
+    assert data.specimen.tolist() == [0] * 7 + [1] * 7
+    assert data.episode.tolist() == list(range(14))
+    angles = np.float32([each.scene.bend.angle_deg for each in samples])
+    assert np.array_equal(data.bend_angle_deg, angles)
+    for index, each in enumerate(samples):
+        touches = each.scene.touches
+        assert data.touch_count[index] == len(touches)
+        assert np.allclose(data.touch_x[index, : len(touches)], [t.x for t in touches])
+        assert np.allclose(data.touch_force[index, : len(touches)], [t.force for t in touches])
+
+
+def test_values_are_those_of_the_simulator_with_noise_of_the_right_size(whole):
+    data = open_dataset(whole)
+    noise, reference_noise = [], []
+    simulators = []
+    for number in range(2):
+        made = specimen(RECIPE, number)
+        simulators.append(Simulator(made.design, resolution="fast", fixture=made.hinge))
+        flat = simulators[number].measure(Scene()).impedance
+        assert np.allclose(data.reference[number], flat, rtol=1e-6)
+    for index in range(len(data)):
+        drawn = sample(RECIPE, index)
+        simulator, scene = simulators[drawn.specimen], drawn.scene
+        deviation = Instrument(75.0).deviation(simulator.full_scale)
+        clean = simulator.measure(scene).impedance
+        untouched = simulator.measure(Scene(bend=scene.bend)).impedance
+        noise.append((data.impedance[index] - clean) / deviation)
+        reference_noise.append((data.touch_reference[index] - untouched) / deviation)
+    for values in (np.array(noise), np.array(reference_noise)):
+        # 392 values: four standard errors of a standard deviation are 4 / sqrt(784) = 0.14.
+        assert values.real.std() == pytest.approx(1.0, abs=0.15)
+        assert values.imag.std() == pytest.approx(1.0, abs=0.15)
+    together = np.corrcoef(np.array(noise).real.ravel(), np.array(reference_noise).real.ravel())
+    assert abs(together[0, 1]) < 0.2
+
+
+def test_interrupted_with_one_worker_and_resumed_gives_the_same_bytes(whole, tmp_path, monkeypatch):
+    folder = tmp_path / "resumed"
+
+    def interrupt(done, _total):
+        if done:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        generate(RECIPE, folder, workers=1, progress=interrupt)
+    finished = contents(folder)
+    assert "manifest.json" not in finished
+    assert 1 <= sum(name.startswith("shard") for name in finished) <= 2
+    assert not any(name.startswith(".") for name in finished)
+    (folder / ".writing-killed").write_bytes(b"half")
+    before = {name: (folder / name).stat().st_mtime_ns for name in finished}
+    reports = []
+    in_this_process(monkeypatch)
+    generate(RECIPE, folder, progress=lambda *report: reports.append(report), resume=True)
+    assert reports[0][0] >= 4
+    assert contents(folder) == contents(whole)
+    assert {name: (folder / name).stat().st_mtime_ns for name in finished} == before
+
+
+def test_killed_worker_costs_its_shard_once_more(whole, tmp_path):
+    folder, killed = tmp_path / "killed", []
+
+    def kill_once(done, _total):
+        if done and not killed:
+            (worker,) = multiprocessing.active_children()
+            killed.append(worker.pid)
+            os.kill(worker.pid, signal.SIGKILL)
+
+    generate(RECIPE, folder, workers=1, progress=kill_once)
+    assert killed
+    assert contents(folder) == contents(whole)
+
+
+def test_damaged_and_lost_shards_are_made_again(whole, tmp_path, monkeypatch):
+    in_this_process(monkeypatch)
+    folder = tmp_path / "damaged"
+    folder.mkdir()
+    for name, content in contents(whole).items():
+        (folder / name).write_bytes(content)
+    (folder / shard_name(1)).write_bytes(b"rubbish")
+    (folder / shard_name(3)).unlink()
+    generate(RECIPE, folder, resume=True)
+    assert contents(folder) == contents(whole)
+
+
+def test_workers_that_die_twice_leave_a_resumable_part(tmp_path, monkeypatch):
+    tries = []
+
+    def die(_recipe, _folder, shards, workers, report):  # noqa: ARG001
+        tries.append(list(shards))
+        return list(shards)
+
+    monkeypatch.setattr(processes, "make_shards", die)
+    with pytest.raises(PartialError, match=r"4 of 4 shards are missing .*--resume") as caught:
+        generate(RECIPE, tmp_path / "set")
+    assert caught.value.exit_code == 5
+    assert tries == [[0, 1, 2, 3]] * 2
+    assert not (tmp_path / "set" / "manifest.json").exists()
+
+
+def test_failure_in_a_worker_reaches_the_caller(tmp_path):
+    folder = tmp_path / "set"
+
+    def take_the_folder_away(done, _total):
+        if not done:
+            folder.rename(tmp_path / "gone")
+
+    with pytest.raises(PartialError, match=r"cannot write .*shard-000000\.h5"):
+        generate(RECIPE, folder, workers=1, progress=take_the_folder_away)
+
+
+def test_finished_dataset_is_not_made_again(whole, monkeypatch):
+    def refuse(*_arguments, **_named):
+        raise AssertionError("there was nothing to make")
+
+    monkeypatch.setattr(processes, "make_shards", refuse)
+    before = contents(whole)
+    generate(RECIPE, whole, resume=True)
+    assert contents(whole) == before
+
+
+def test_occupied_folders_are_refused(whole, tmp_path):
+    with pytest.raises(ConfigurationError, match="--resume"):
+        generate(RECIPE, whole)
+    with pytest.raises(ConfigurationError, match="another recipe or seed"):
+        generate(with_seed(RECIPE, 12), whole, resume=True)
+    (tmp_path / "letter.txt").write_text("mine")
+    with pytest.raises(ConfigurationError, match=r"no recipe\.toml"):
+        generate(RECIPE, tmp_path, resume=True)
+    with pytest.raises(ConfigurationError, match="workers must be at least 1"):
+        generate(RECIPE, tmp_path / "new", workers=0)
+
+
+def test_environment_is_as_before(monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
+    with processes._one_thread_per_process():
+        assert os.environ["OMP_NUM_THREADS"] == os.environ["OPENBLAS_NUM_THREADS"] == "1"
+    assert os.environ["OMP_NUM_THREADS"] == "7"
+    assert "OPENBLAS_NUM_THREADS" not in os.environ
+
+
+def test_equal_scenes_are_solved_once(monkeypatch):
+    measured = []
+    measure = Simulator.measure
+
+    def counting(self, scene, *arguments):
+        measured.append(scene)
+        return measure(self, scene, *arguments)
+
+    monkeypatch.setattr(Simulator, "measure", counting)
+    places = ((0.05, 0.02), (0.09, 0.04))
+    recipe = Recipe(
+        "few scenes",
+        seed=12345,  # of no other test, whose specimens would be kept
+        specimens=Specimens(count=1, conductivity=0.01),
+        scenes=(
+            SceneGroup("idle", count=50),
+            SceneGroup("bend", count=30, angle_deg=(20.0, 20.0)),
+            SceneGroup("touch", positions=places, repeats=10, angle_deg=(20.0, 20.0)),
+        ),
+    )
+    data = simulate_shard(recipe, 0)
+    assert len(data) == 100
+    assert len(measured) == 4  # flat, bent, and two touches
+    assert {scene.bend for scene in measured} == {Bend(0.0), Bend(20.0)}
+    idle = data.impedance[data.state == State.IDLE]
+    assert len(np.unique(idle[:, 0])) == 50  # each with its own noise
+
+
+def test_shard_is_a_function_of_recipe_and_number(whole):
+    data = read_shard(whole / shard_name(2), first_index=8)
+    again = simulate_shard(RECIPE, 2)
+    assert np.array_equal(data.impedance, again.impedance)
+    assert np.array_equal(data.touch_reference, again.touch_reference)
+    assert np.array_equal(data.touch_x, again.touch_x, equal_nan=True)
+
+
+SCRIPT = """
+import sys
+from eitskin.datasets import Recipe, generate
+from eitskin.config import parse_toml
+
+if __name__ == "__main__":
+    recipe = parse_toml(Recipe, sys.argv[1])
+    workers = int(sys.argv[3])
+    generate(recipe, sys.argv[2], workers, lambda done, _: print(done, flush=True), resume=True)
+"""
+LONG = """
+name = "long"
+frames_per_shard = 5
+[[scenes]]
+state = "bend"
+count = 5000
+angle_deg = [1, 9]
+"""
+
+
+def test_interrupts_in_a_row_end_it_once_and_leave_it_resumable(tmp_path) -> None:
+    """As Ctrl-C pressed twice in a terminal, which signals the workers too."""
+    script, out = tmp_path / "make.py", tmp_path / "set"
+    script.write_text(SCRIPT)
+    for workers in ("2", "1"):
+        run = [sys.executable, str(script), LONG, str(out), workers]
+        with subprocess.Popen(
+            run, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+        ) as process:
+            assert process.stdout is not None
+            before = int(process.stdout.readline())
+            assert int(process.stdout.readline()) > before  # a shard is finished, others are begun
+            os.killpg(process.pid, signal.SIGINT)
+            os.killpg(process.pid, signal.SIGINT)
+            _, said = process.communicate(timeout=60)
+        assert said.count("Traceback") == 1
+        assert said.rstrip().endswith("KeyboardInterrupt")
+    assert before > 0  # what the first run finished, the second kept

@@ -1,0 +1,216 @@
+"""Recipes: what is refused, what is drawn, and that a frame depends on its number alone."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from eitskin.datasets import Recipe
+from eitskin.datasets.recipe.episode import Keyframe, Press, RandomEpisodes, ScriptedEpisode
+from eitskin.datasets.recipe.recipe import shipped_names
+from eitskin.datasets.recipe.scene_group import SceneGroup
+from eitskin.datasets.recipe.specimen import Specimens
+from eitskin.errors import ConfigurationError
+from eitskin.geometry import Electrode, Hinge, SensorDesign, Surface
+from eitskin.simulator import Instrument, Mechanics
+from eitskin.simulator.mechanics.materials import Ogden
+
+IDLE = SceneGroup("idle", count=30)
+BENT = SceneGroup("bend", count=60, angle_deg=(-20.0, 50.0))
+TOUCHED = SceneGroup(
+    "touch", count=90, angle_deg=(0.0, 30.0), touches=(1, 4), force=(8.0, 12.0), margin=0.012
+)
+MIXED = Recipe("mixed", scenes=(IDLE, BENT, TOUCHED), seed=5)
+
+
+def write(tmp_path, text):
+    path = tmp_path / "recipe.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("name", shipped_names())
+def test_shipped_recipes_are_the_same_after_writing_and_reading(name, tmp_path):
+    recipe = Recipe.shipped(name)
+    assert recipe.name == name
+    assert Recipe.from_toml(write(tmp_path, recipe.to_toml())) == recipe
+
+
+def test_paper_recipes_hold_the_numbers_of_the_paper():
+    states = Recipe.shipped("paper_states")
+    assert [(g.state, g.frames) for g in states.scenes] == [
+        ("idle", 360),
+        ("bend", 360),
+        ("touch", 360),
+    ]
+    assert states.scenes[1].angle_deg == (-20.0, 50.0)
+    assert states.scenes[2].touches == (1, 4)
+    bending = Recipe.shipped("paper_bending")
+    assert bending.snapshots == 360
+    assert bending.episodes[0].angles_deg == (-20.0, 50.0)
+    (indentation,) = Recipe.shipped("paper_indentation").scenes
+    xs, ys = ({place[axis] for place in indentation.positions} for axis in (0, 1))
+    assert len(indentation.positions) == 27
+    assert np.allclose(sorted(xs), np.arange(15, 136, 15) / 1e3)
+    assert np.allclose(sorted(ys), [0.015, 0.030, 0.045])
+    assert (indentation.repeats, indentation.force) == (8, (10.0, 10.0))
+    touch = Recipe.shipped("paper_touch").scenes
+    assert [(g.touches, g.angle_deg) for g in touch] == [
+        ((1, 1), (-10.0, 50.0)),
+        *(((n, n), (0.0, 30.0)) for n in (2, 3, 4)),
+    ]
+    (demo,) = Recipe.shipped("paper_demo").episodes
+    pressed = [(k.angle_deg, len(k.touches)) for k in demo.keyframes if k.touches]
+    assert pressed == [(-10.0, 2), (20.0, 3), (40.0, 4), (0.0, 4)]
+    assert demo.period == 0.303
+
+
+def test_shipped_recipes_with_episodes_or_terms_of_a_board_are_for_those_who_ask():
+    """The demo and its tests stay with snapshots and white noise, and one sensor."""
+    for name in ("quick", "quick_test", "paper_states", "paper_indentation"):
+        recipe = Recipe.shipped(name)
+        assert recipe.episodes == ()
+        assert recipe.specimens.count == 1
+        assert recipe.instrument == Instrument(75.0)
+    training = Recipe.shipped("training")
+    assert training.specimens.count >= 50
+    assert training.instrument.measurement_time > 0.0
+    assert any(group.per_bend > 1 for group in training.scenes)
+
+
+def test_episodes_are_not_cut():
+    recipe = Recipe(
+        "uncut",
+        scenes=(IDLE,),
+        episodes=(RandomEpisodes(count=5, frames=10), RandomEpisodes(count=2, frames=40)),
+        frames_per_shard=25,
+    )
+    assert (recipe.snapshots, recipe.frames) == (30, 160)
+    lengths = [len(recipe.shard_range(shard)) for shard in range(recipe.shards)]
+    assert lengths == [25, 5, 20, 20, 10, 40, 40]
+    joined = [index for shard in range(recipe.shards) for index in recipe.shard_range(shard)]
+    assert joined == list(range(160))
+
+
+def test_recipe_of_episodes_survives_writing(tmp_path):
+    script = ScriptedEpisode(
+        (Keyframe(0.0), Keyframe(3.0, 20.0, (Press(0.05, 0.03),)), Keyframe(5.0))
+    )
+    recipe = dataclasses.replace(
+        MIXED,
+        episodes=(script, RandomEpisodes(2, 9, angle_deg=(0.0, 30.0), relaxation=False)),
+        mechanics=Mechanics(gel=Ogden(15e3, 2.0), margin=0.004),
+        instrument=Instrument.ad5940(),
+    )
+    assert Recipe.from_toml(write(tmp_path, recipe.to_toml())) == recipe
+
+
+def test_a_board_may_be_named(tmp_path):
+    board = '[instrument]\nboard = "ad5940"\nsnr_db = 80\n'
+    text = f'name = "a"\n{board}[[scenes]]\nstate = "idle"\ncount = 1\n'
+    expected = dataclasses.replace(Instrument.ad5940(), snr_db=80.0)
+    assert Recipe.from_toml(write(tmp_path, text)).instrument == expected
+
+
+def test_unknown_shipped_name_lists_those_that_exist():
+    with pytest.raises(ConfigurationError, match=r"'quik'.*paper_states, paper_touch, quick"):
+        Recipe.shipped("quik")
+
+
+def test_recipe_with_awkward_text_and_specimens_survives_writing(tmp_path):
+    recipe = dataclasses.replace(
+        MIXED,
+        description='quotes " and \\ and\nlines and ü and \x7f',
+        specimens=Specimens(3, conductivity=0.05),
+        hinge=Hinge(span=0.05, offset=0.007),
+        instrument=Instrument(60.0),
+    )
+    assert Recipe.from_toml(write(tmp_path, recipe.to_toml())) == recipe
+
+
+def test_sensor_may_be_a_file_beside_the_recipe(tmp_path):
+    design = dataclasses.replace(SensorDesign.reference(), conductivity=0.5)
+    (tmp_path / "sensor.toml").write_text(design.to_toml(), encoding="utf-8")
+    text = 'name = "a"\nsensor = "sensor.toml"\n[[scenes]]\nstate = "idle"\ncount = 1\n'
+    assert Recipe.from_toml(write(tmp_path, text)).sensor == design
+
+
+def test_all_contradictions_are_listed_at_once():
+    with pytest.raises(ConfigurationError) as caught:
+        Recipe(
+            "bad",
+            seed=-1,
+            frames_per_shard=0,
+            specimens=Specimens(count=0, conductivity=2.0),
+            scenes=(
+                SceneGroup("idle", count=1, touches=(2, 3), angle_deg=(0.0, 10.0)),
+                SceneGroup("bend", count=0),
+                SceneGroup("touch", count=1, force=(-5.0, 50.0), touches=(0, 9)),
+                SceneGroup("touch", count=1, touches=(4, 4), spacing=0.1),
+                SceneGroup("touch", count=2, positions=((15.0, 0.1),), repeats=0),
+                SceneGroup("bend", count=1, angle_deg=(-400.0, 0.0)),
+                SceneGroup("touch", count=1, per_bend=0),
+            ),
+            episodes=(
+                ScriptedEpisode((Keyframe(1.0), Keyframe(2.0))),
+                ScriptedEpisode((Keyframe(0.0, touches=(Press(0.2, 0.0, -1.0),)), Keyframe(2.0))),
+                ScriptedEpisode((Keyframe(0.0), Keyframe(1.0, 400.0)), count=0, period=-1.0),
+                RandomEpisodes(1, 0, angle_deg=(9.0, 3.0), hold_s=(0.0, 1.0), touches=(5, 5)),
+                RandomEpisodes(1, 1, angle_deg=(0.0, 300.0), period=0.2),
+            ),
+            instrument=Instrument.ad5940(),
+        )
+    message = str(caught.value)
+    for expected in (
+        "seed must be",
+        "frames_per_shard must be",
+        "specimens: count",
+        "specimens: conductivity",
+        "scenes[0] (idle): state 'idle' has no touches, so leave out touches",
+        "scenes[0] (idle): an idle sensor is flat",
+        "scenes[1] (bend): count must be at least 1",
+        "scenes[1] (bend): state 'bend' needs a range",
+        "scenes[2] (touch): force must be a rising range above 0 N",
+        "scenes[2] (touch): touches must be from 1 to 4",
+        "scenes[3] (touch): 4 touches 0.1 m apart",
+        "scenes[4] (touch): count follows from positions",
+        "scenes[4] (touch): repeats must be at least 1",
+        "scenes[4] (touch): position (15, 0.1) m is off",
+        "scenes[5] (bend): a bend of -400 deg is not possible",
+        "scenes[6] (touch): per_bend must be at least 1",
+        "episodes[0]: keyframes must be at least two, rising in time from 0 s, got",
+        "episodes[1]: position (0.2, 0) m is off",
+        "episodes[1]: keyframes[0] has a force that is not above 0 N",
+        "episodes[2]: count must be at least 1",
+        "episodes[2]: period must be a time above 0 s",
+        "episodes[3]: frames must be from 1",
+        "episodes[3]: angle_deg must be [lowest, highest]",
+        "episodes[3]: hold_s must be a rising range above 0",
+        "episodes[3]: touches must be from 1 to 4",
+        "episodes[4]: a bend of 300 deg is not possible",
+        "episodes[4]: period must be at least the 0.2862 s",
+    ):
+        assert expected in message
+
+
+def test_misspelt_key_is_refused_with_the_nearest(tmp_path):
+    text = 'name = "a"\n[[scenes]]\nstate = "idle"\ncuont = 1\n'
+    with pytest.raises(ConfigurationError, match=r"'cuont'; did you mean 'count'"):
+        Recipe.from_toml(write(tmp_path, text))
+
+
+def test_missing_and_broken_files_are_refused(tmp_path):
+    with pytest.raises(ConfigurationError, match="cannot read the recipe"):
+        Recipe.from_toml(tmp_path / "none.toml")
+    with pytest.raises(ConfigurationError, match="cannot read the recipe"):
+        Recipe.from_toml(write(tmp_path, "name = "))
+
+
+def test_a_surface_can_be_no_sensor_of_a_recipe(tmp_path):
+    import trimesh
+
+    trimesh.creation.box(bounds=[[0, 0, 0], [0.15, 0.06, 0.005]]).export(tmp_path / "box.stl")
+    pads = tuple(Electrode(x, 0.03, z=0.005, on="surface") for x in (0.02, 0.12))
+    design = SensorDesign(Surface(tmp_path / "box.stl"), 0.005, pads)
+    with pytest.raises(ConfigurationError, match="need a rectangle, disc or polygon"):
+        Recipe("solid", scenes=(IDLE,), sensor=design)

@@ -1,0 +1,381 @@
+"""Shards: round trips, equal bytes, damage, hostile files, full disks."""
+
+import errno
+import json
+import os
+from concurrent.futures import ThreadPoolExecutor
+
+import h5py
+import numpy as np
+import pytest
+
+from eitskin.datasets import (
+    UNKNOWN_STATE,
+    Dataset,
+    open_dataset,
+    read_shard,
+    save_dataset,
+    write_shard,
+)
+from eitskin.datasets.store.durable import remove_file
+from eitskin.datasets.store.schema import FIELDS, FORMAT_VERSION
+from eitskin.datasets.store.shard import shard_bytes
+from eitskin.errors import DataError, PartialError
+
+from small_dataset import assert_same, make
+
+
+@pytest.fixture
+def shard(tmp_path):
+    path = tmp_path / "shard.h5"
+    write_shard(path, make())
+    return path
+
+
+# Round trips
+
+
+def test_everything_comes_back(shard):
+    assert_same(read_shard(shard), make())
+
+
+def test_what_is_unknown_comes_back_as_unknown(tmp_path):
+    data = Dataset.from_arrays(np.arange(12.0).reshape(3, 4) + 1)
+    write_shard(tmp_path / "s.h5", data)
+    again = read_shard(tmp_path / "s.h5")
+    assert_same(again, data)
+    assert again.protocol is None
+    assert again.design is None
+    assert (again.state == UNKNOWN_STATE).all()
+    assert np.isnan(again.touch_reference).all()
+    assert np.isnan(again.bend_angle_deg).all()
+    assert np.array_equal(again.reference, data.impedance[:1])
+
+
+def test_files_from_before_frames_had_numbers_count_them(tmp_path):
+    write_shard(tmp_path / "s.h5", make(5), first_index=40)
+    with h5py.File(tmp_path / "s.h5", "r+") as file:
+        del file["number"]
+    assert read_shard(tmp_path / "s.h5").number.tolist() == [40, 41, 42, 43, 44]
+
+
+def test_folder_of_several_shards_comes_back_as_one(tmp_path):
+    manifest = save_dataset(make(50), tmp_path / "set", frames_per_shard=20)
+    assert [entry.count for entry in manifest.shards] == [20, 20, 10]
+    assert_same(open_dataset(tmp_path / "set"), make(50))
+
+
+def test_equal_data_give_equal_bytes(tmp_path):
+    contents = set()
+    for number in range(20):
+        litter = np.random.default_rng(number).bytes(1000 * (number + 1))
+        write_shard(tmp_path / "s.h5", make(600))
+        contents.add((tmp_path / "s.h5").read_bytes())
+        assert litter
+    assert len(contents) == 1
+
+
+def test_bytes_do_not_depend_on_when_python_lets_go_of_objects(monkeypatch):
+    expected, kept = shard_bytes(make()), []
+    create, find = h5py.Group.create_dataset, h5py.Group.__getitem__
+
+    def keep(made):
+        kept.append(made)
+        return made
+
+    monkeypatch.setattr(
+        h5py.Group, "create_dataset", lambda *given, **named: keep(create(*given, **named))
+    )
+    monkeypatch.setattr(h5py.Group, "__getitem__", lambda *given: keep(find(*given)))
+    assert shard_bytes(make()) == expected
+    assert len(kept) > 13
+
+
+def test_threads_do_not_disturb_each_other():
+    with ThreadPoolExecutor(8) as pool:
+        assert len(set(pool.map(lambda _number: shard_bytes(make(600)), range(32)))) == 1
+
+
+def test_file_describes_itself(shard):
+    with h5py.File(shard) as file:
+        assert file.attrs["format"] == "eitskin-dataset"
+        assert file.attrs["format_version"] == FORMAT_VERSION
+        assert (file.attrs["first_index"], file.attrs["count"], file.attrs["seed"]) == (0, 40, 7)
+        assert json.loads(file.attrs["packages"])["numpy"] == np.__version__
+        assert h5py.check_enum_dtype(file["state"].dtype) == {
+            "idle": 0,
+            "touch": 1,
+            "bend": 2,
+            "unknown": 255,
+        }
+        for path in (*(field.path for field in FIELDS), "protocol"):
+            stored = file[path]
+            assert stored.attrs["units"]
+            assert stored.attrs["description"]
+            assert (stored.compression, stored.shuffle, stored.fletcher32) == ("gzip", True, True)
+            assert all(dimension.label for dimension in stored.dims)
+        assert file["impedance"].dims[0][0] == file["time"]
+        assert set(file) == {f.path.split("/")[0] for f in FIELDS} | {"protocol"}
+
+
+# Damage and hostility
+
+
+def test_every_flipped_byte_is_noticed_through_the_manifest(tmp_path):
+    save_dataset(make(), tmp_path / "set")
+    path = tmp_path / "set" / "shard-000000.h5"
+    whole = path.read_bytes()
+    for place in np.random.default_rng(0).integers(0, len(whole), 100):
+        broken = bytearray(whole)
+        broken[place] ^= 0x10
+        path.write_bytes(broken)
+        with pytest.raises(DataError, match="SHA-256"):
+            open_dataset(tmp_path / "set")
+
+
+def test_flipped_bytes_in_values_are_noticed_without_a_manifest(shard):
+    whole = shard.read_bytes()
+    with h5py.File(shard) as file:
+        chunk = file["impedance"].id.get_chunk_info(0)
+    for place in np.random.default_rng(0).integers(0, chunk.size, 50):
+        broken = bytearray(whole)
+        broken[chunk.byte_offset + place] ^= 0x01
+        shard.write_bytes(broken)
+        with pytest.raises(DataError, match="make or copy it again"):
+            read_shard(shard)
+
+
+@pytest.mark.parametrize("length", [0, 100, 5000, -1])
+def test_cut_files_are_refused(shard, length):
+    shard.write_bytes(shard.read_bytes()[:length])
+    with pytest.raises(DataError, match="not a whole shard"):
+        read_shard(shard)
+
+
+def replace(file, name, **options):
+    del file[name]
+    return file.create_dataset(name, **options)
+
+
+def newer(file):
+    file.attrs["format_version"] = FORMAT_VERSION + 1
+
+
+def other_format(file):
+    file.attrs["format"] = "something"
+
+
+def no_format(file):
+    del file.attrs["format"]
+
+
+def missing_array(file):
+    del file["touch/x"]
+
+
+def wrong_shape(file):
+    replace(file, "time", data=np.zeros(3))
+
+
+def wrong_type(file):
+    replace(file, "impedance", data=np.ones((40, 28)))
+
+
+def text_for_numbers(file):
+    replace(file, "time", data=np.array(["a"] * 40, dtype=object), dtype=h5py.string_dtype())
+
+
+def not_finite(file):
+    file["impedance"][3, 4] = np.nan
+
+
+def unknown_state(file):
+    file["state"][0] = 9
+
+
+def missing_reference(file):
+    file["specimen"][0] = 2
+
+
+def half_a_touch(file):
+    file["touch/x"][0, 0] = np.nan
+
+
+def other_recipe(file):
+    file.attrs["recipe"] = "forged"
+
+
+def claims_too_much(file):
+    file.attrs["count"] = 2**40
+
+
+def external_link(file):
+    del file["time"]
+    file["time"] = h5py.ExternalLink("other.h5", "/time")
+
+
+def soft_link(file):
+    del file["time"]
+    file["time"] = h5py.SoftLink("/bend_angle_deg")
+
+
+def deep_link(file):
+    del file["touch/x"]
+    file["touch/x"] = h5py.ExternalLink("other.h5", "/x")
+
+
+def endless_group(file):
+    file["touch/again"] = file["/"]
+
+
+def external_storage(file):
+    replace(file, "time", shape=(40,), dtype="f8", external=[("/etc/hostname", 0, 320)])
+
+
+def virtual(file):
+    del file["time"]
+    layout = h5py.VirtualLayout(shape=(40,), dtype="f8")
+    layout[:] = h5py.VirtualSource("other.h5", "time", shape=(40,))
+    file.create_virtual_dataset("time", layout)
+
+
+def foreign_filter(file):
+    replace(file, "time", data=np.zeros(40), chunks=(40,), scaleoffset=3)
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (newer, f"version {FORMAT_VERSION + 1} is newer .* upgrade"),
+        (other_format, "expected format 'eitskin-dataset', got 'something'"),
+        (no_format, "expected format 'eitskin-dataset', got None"),
+        (missing_array, "not a whole shard"),
+        (wrong_shape, r"'time' must have shape \(40,\), got \(3,\)"),
+        (wrong_type, "'impedance' must hold complex64, got float64"),
+        (text_for_numbers, "'time' must hold float64, got object"),
+        (not_finite, "impedance must be finite, but frame 3 is not"),
+        (unknown_state, r"states must be .*got \[9\]"),
+        (missing_reference, "specimen 2 has no reference"),
+        (half_a_touch, "both touch_x and touch_y"),
+        (other_recipe, "recipe and its checksum disagree"),
+        (claims_too_much, "expected at most"),
+        (external_link, "soft or external link"),
+        (soft_link, "soft or external link"),
+        (deep_link, "soft or external link"),
+        (endless_group, "nested, virtual or elsewhere"),
+        (external_storage, "nested, virtual or elsewhere"),
+        (virtual, "nested, virtual or elsewhere"),
+        (foreign_filter, "uses filter"),
+    ],
+)
+def test_files_that_the_format_does_not_allow_are_refused(shard, damage, message):
+    with h5py.File(shard, "r+") as file:
+        damage(file)
+    with pytest.raises(DataError, match=message) as caught:
+        read_shard(shard)
+    assert str(shard) in str(caught.value)
+
+
+def test_a_huge_claim_costs_no_memory(shard):
+    with h5py.File(shard, "r+") as file:
+        file.attrs["count"] = 2**20
+        for field in FIELDS:
+            if field.axes[0] == "frame":
+                shape = (2**20, *file[field.path].shape[1:])
+                if field.name in ("impedance", "touch_reference", "status"):
+                    shape = (2**20, 4096)
+                replace(file, field.path, shape=shape, dtype=field.dtype, chunks=True)
+    with pytest.raises(DataError, match="above the format's limits"):
+        read_shard(shard)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"format_version": FORMAT_VERSION + 1, "new": 1}, "newer than .* upgrade"),
+        ({"format": "other"}, "expected format"),
+        ({"frames": 41}, "expected 41 frames, its shards hold 40"),
+        ({"shards": []}, "expected 40 frames, its shards hold 0"),
+        ({"seed": "x"}, "not a manifest"),
+    ],
+)
+def test_manifests_that_do_not_fit_are_refused(tmp_path, change, message):
+    save_dataset(make(), tmp_path / "set")
+    path = tmp_path / "set" / "manifest.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | change))
+    with pytest.raises(DataError, match=message):
+        open_dataset(tmp_path / "set")
+
+
+def test_manifest_may_not_lead_out_of_its_folder(tmp_path):
+    save_dataset(make(), tmp_path / "set")
+    write_shard(tmp_path / "elsewhere.h5", make())
+    path = tmp_path / "set" / "manifest.json"
+    content = json.loads(path.read_text())
+    content["shards"][0]["name"] = "../elsewhere.h5"
+    path.write_text(json.dumps(content))
+    with pytest.raises(DataError, match="must lie beside the manifest"):
+        open_dataset(tmp_path / "set")
+
+
+@pytest.mark.parametrize("content", [b"", b"[]", b"7", b"{", b"\xff"])
+def test_rubbish_for_a_manifest_is_refused(tmp_path, content):
+    (tmp_path / "manifest.json").write_bytes(content)
+    with pytest.raises(DataError, match="manifest"):
+        open_dataset(tmp_path)
+
+
+def test_unfinished_and_absent_datasets_say_what_to_do(tmp_path, shard):
+    shard.rename(tmp_path / "shard-000000.h5")
+    with pytest.raises(DataError, match=r"1 finished shards .*--resume"):
+        open_dataset(tmp_path)
+    with pytest.raises(DataError, match="eitskin generate or eitskin import"):
+        open_dataset(tmp_path / "absent")
+
+
+def test_lost_shard_is_named(tmp_path):
+    save_dataset(make(), tmp_path / "set")
+    (tmp_path / "set" / "shard-000000.h5").unlink()
+    with pytest.raises(DataError, match=r"shard-000000\.h5, which the manifest names"):
+        open_dataset(tmp_path / "set")
+
+
+# Disks
+
+
+def test_full_disk_leaves_the_old_file_and_nothing_else(tmp_path, shard, monkeypatch):
+    before = shard.read_bytes()
+
+    def full(_handle):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(PartialError, match=r"shard\.h5: No space left.*--resume") as caught:
+        write_shard(shard, make(60))
+    assert caught.value.exit_code == 5
+    assert shard.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [shard]
+
+
+def test_write_that_the_system_cuts_short_leaves_nothing(tmp_path):
+    resource = pytest.importorskip("resource")
+    old = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, old[1]))
+    try:
+        with pytest.raises(PartialError, match="cannot write"):
+            write_shard(tmp_path / "s.h5", make())
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, old)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_cannot_be_removed_is_a_clear_error(tmp_path):
+    remove_file(tmp_path / "absent")
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(PartialError, match=r"cannot remove .*folder: .*--resume"):
+        remove_file(tmp_path / "folder")
+
+
+def test_absent_folder_is_a_clear_error(tmp_path):
+    with pytest.raises(PartialError, match="No such file"):
+        write_shard(tmp_path / "absent" / "s.h5", make())

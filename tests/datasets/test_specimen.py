@@ -1,0 +1,257 @@
+"""Specimens: spread as asked for, never an impossible sensor, and few tables of presses."""
+
+import dataclasses
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from eitskin.datasets import Recipe
+from eitskin.datasets.generation.shard_simulation import prepare, unsolved
+from eitskin.datasets.recipe.frame_sampling import specimen
+from eitskin.datasets.recipe.scene_group import SceneGroup
+from eitskin.datasets.recipe.specimen import WIDEST, Specimens, truncated_normal
+from eitskin.errors import ConfigurationError
+from eitskin.geometry import Electrode, Hinge, Layer, SensorDesign
+from eitskin.simulator import Cylinder, Mechanics
+from eitskin.simulator.mechanics import press_store as kernel_store
+from eitskin.simulator.mechanics.press_table import Kernel
+
+DESIGN = SensorDesign.reference()
+SPREAD = Specimens(
+    400,
+    conductivity=0.1,
+    thickness=0.02,
+    gel_modulus=0.1,
+    encapsulation_modulus=0.15,
+    contact_impedance=0.3,
+    electrode_place=0.001,
+    hinge_span=0.001,
+    hinge_offset=0.0005,
+)
+
+
+def recipe(spread, **changes) -> Recipe:
+    scenes = (SceneGroup("touch", count=spread.count, angle_deg=(0.0, 30.0)),)
+    return Recipe("specimens", scenes=scenes, seed=5, specimens=spread, **changes)
+
+
+@cache
+def made(spread, **changes):
+    asked = recipe(spread, **changes)
+    return [specimen(asked, number) for number in range(spread.count)]
+
+
+def properties(each):
+    """Everything that is spread, by the name of its spread; places as arc lengths [m]."""
+    outline = each.design.outline
+    electrodes = each.design.electrodes
+    return {
+        "conductivity": [each.design.conductivity],
+        "thickness": [each.design.thickness],
+        "gel_modulus": [each.mechanics.gel.shear_modulus],
+        "encapsulation_modulus": [each.mechanics.encapsulation.shear_modulus],
+        "contact_impedance": [e.contact_impedance.real for e in electrodes],
+        "electrode_place": [outline.locate(e.x, e.y) for e in electrodes],
+        "hinge_span": [each.hinge.span],
+        "hinge_offset": [each.hinge.offset],
+    }
+
+
+@cache
+def spread_properties():
+    return [properties(each) for each in made(SPREAD)]
+
+
+NOMINAL = properties(made(Specimens())[0])
+RELATIVE = (
+    "conductivity",
+    "thickness",
+    "gel_modulus",
+    "encapsulation_modulus",
+    "contact_impedance",
+)
+
+
+def test_draws_are_normal_up_to_three_standard_deviations():
+    drawn = truncated_normal(np.random.default_rng(0), 100_000)
+    # A normal distribution cut at -+c has the variance 1 - 2 c phi(c) / (2 Phi(c) - 1).
+    c = WIDEST
+    variance = 1.0 - 2.0 * c * norm.pdf(c) / (2.0 * norm.cdf(c) - 1.0)
+    assert drawn.std() == pytest.approx(math.sqrt(variance), rel=4 / math.sqrt(2 * len(drawn)))
+    assert 2.9 < np.abs(drawn).max() <= WIDEST
+
+
+def test_without_spread_every_specimen_is_nominal():
+    for each in made(Specimens(4)):
+        assert each.design == DESIGN
+        assert each.hinge == Hinge()
+        assert each.mechanics == Mechanics()
+
+
+@pytest.mark.parametrize("name", NOMINAL)
+def test_spread_has_the_standard_deviation_that_was_asked_for(name):
+    values = np.array([each[name] for each in spread_properties()])
+    asked = getattr(SPREAD, name)
+    deviation = values - NOMINAL[name]
+    if name in RELATIVE:
+        # (deviation / mean)^2 = exp(s^2) - 1 with s that of the logarithm, whose mean is 0.
+        deviation = np.log(values / NOMINAL[name])
+        asked = math.sqrt(math.log1p(asked**2))
+    # Four standard errors; cutting at three standard deviations takes 1.4 % off.
+    assert deviation.std() == pytest.approx(0.986 * asked, rel=4 / math.sqrt(2 * deviation.size))
+    assert abs(deviation.mean()) < 4 * asked / math.sqrt(deviation.size)
+    assert np.abs(deviation).max() <= WIDEST * asked * (1 + 1e-9)
+    if deviation.shape[1] > 1:  # electrodes by themselves
+        assert abs(np.corrcoef(deviation[:, 0], deviation[:, 1])[0, 1]) < 0.2
+
+
+@pytest.mark.parametrize("name", NOMINAL)
+def test_each_property_has_draws_of_its_own(name):
+    """Switching one off changes nothing else."""
+    without = dataclasses.replace(SPREAD, count=2, **{name: 0.0})
+    for one, other in zip(made(dataclasses.replace(SPREAD, count=2)), made(without), strict=True):
+        for key, values in properties(other).items():
+            expected = NOMINAL[key] if key == name else properties(one)[key]
+            assert values == pytest.approx(expected, rel=1e-12)
+
+
+def test_a_thicker_sensor_is_thicker_in_everything():
+    pads = (
+        Electrode(0.02, 0.0, z=0.002, height=0.002),
+        Electrode(0.12, 0.03, z=0.001, on="inside"),
+    )
+    layers = (Layer(0.002, 0.5), Layer(0.003, 2.0))
+    design = dataclasses.replace(DESIGN, electrodes=pads, layers=layers)
+    (each,) = made(Specimens(1, thickness=0.05), sensor=design)
+    factor = each.design.thickness / 0.005
+    assert factor != 1.0
+    assert each.design.encapsulated_thickness == pytest.approx(0.012 * factor)
+    assert [x.thickness for x in each.design.layers] == pytest.approx(
+        [0.002 * factor, 0.003 * factor]
+    )
+    side, inside = each.design.electrodes
+    assert (side.z, side.height) == pytest.approx((0.002 * factor, 0.002 * factor))
+    assert inside.z == pytest.approx(0.001 * factor)
+    assert inside.height is None
+    assert each.mechanics.solved_thickness == 0.005
+
+
+def test_conductivities_of_layers_scatter_together():
+    layers = (Layer(0.002, 0.5), Layer(0.003, 2.0))
+    design = dataclasses.replace(DESIGN, layers=layers)
+    found = [each.design.layers for each in made(Specimens(50, conductivity=0.1), sensor=design)]
+    conductivity = np.array([[layer.conductivity for layer in layers] for layers in found])
+    assert conductivity[:, 1] / conductivity[:, 0] == pytest.approx(np.full(50, 4.0))
+    assert 0.05 < np.log(conductivity[:, 0] / 0.5).std() < 0.15
+
+
+@pytest.mark.parametrize(
+    ("spread", "message"),
+    [
+        (Specimens(0), "count must be from 1"),
+        (Specimens(conductivity=1.1), "conductivity must be from 0 to 1, got 1.1"),
+        (Specimens(thickness=0.06), "thickness must be from 0 to 0.05, got 0.06"),
+        (Specimens(gel_modulus=float("nan")), "gel_modulus must be"),
+        (Specimens(electrode_place=0.007), "electrode_place must be at most 0.00667 m"),
+        (Specimens(hinge_offset=0.02), "hinge_offset must be from 0 to 0.01 m"),
+        (Specimens(hinge_span=0.009), "a bend of -60 deg is not possible"),
+    ],
+)
+def test_spreads_that_make_impossible_sensors_are_refused(spread, message):
+    with pytest.raises(ConfigurationError, match=message):
+        Recipe(
+            "bad",
+            scenes=(SceneGroup("bend", count=1, angle_deg=(-60.0, 0.0)),),
+            specimens=spread,
+        )
+
+
+def test_the_widest_spread_that_is_accepted_makes_only_possible_sensors():
+    """Electrodes 5 mm wide at x = 22.5 mm are 20 mm from the corner: three times 6.66 mm."""
+    for each in made(Specimens(200, thickness=0.05, electrode_place=0.00666)):
+        assert len(each.design.patches()) == 8
+
+
+def test_a_short_hinge_is_refused_with_the_span_that_it_may_lose():
+    with pytest.raises(ConfigurationError, match=r"hinge_span must be less than a third"):
+        recipe(Specimens(hinge_span=0.005), hinge=Hinge(span=0.015))
+
+
+# Presses
+
+
+def test_specimens_share_what_is_solved(monkeypatch, tmp_path):
+    monkeypatch.setenv("EITSKIN_CACHE", str(tmp_path))
+    assert len(unsolved(recipe(Specimens(30)))) == 1
+    assert len(unsolved(recipe(Specimens(30, thickness=0.03)))) == 3
+    # Stiffness ratios of 1.4 times 0.66 to 1.53 lie within one step of half an octave, or two:
+    # four tables about each place, from two or three below to three above.
+    assert len(unsolved(recipe(Specimens(30, gel_modulus=0.1)))) in (5, 6, 7)
+    assert len(unsolved(recipe(Specimens(30, gel_modulus=0.1, thickness=0.03)))) <= 3 * 7
+    untouched = Recipe("flat", scenes=(SceneGroup("idle", count=1),), specimens=SPREAD)
+    assert unsolved(untouched) == set()
+
+
+def law(stack, _indenter) -> Kernel:
+    """Presses whose dents grow with thickness t in mm as polynomials of log t, and knots with t."""
+    t = 1e3 * stack.sheets[1].thickness
+    depths = 1e-3 * t * np.linspace(0.0, 0.6, 6)
+    knots = 1e-3 * t * np.linspace(0.0, 12.0, 200)
+    shape = (knots / knots[-1] - 1.0) ** 4 * (1.0 + 2.0 * np.log(t) ** 2)
+    moved = depths[:, None, None, None] * shape[:, None, None] * np.ones((1, 1, 6, 2))
+    return Kernel(
+        depths=depths,
+        forces=np.linspace(0.0, 40.0, 6) * (1.0 + np.log(t)),
+        contact_radii=np.full(6, 0.0075),
+        peak_pressures=np.linspace(0.0, 1e5, 6),
+        thinnings=np.linspace(0.0, 0.9, 6),
+        energies=np.linspace(0.0, 1.0, 12).reshape(6, 2) * t,
+        thickness=np.array(stack.sheets[1].thickness),
+        knots=knots,
+        moved=moved,
+        stressed=moved[..., 0],
+    )
+
+
+@pytest.mark.parametrize("factor", [0.93, 1.04])
+def test_presses_between_thicknesses_are_interpolated(monkeypatch, factor):
+    monkeypatch.setattr(kernel_store, "_stored", law)
+    design = dataclasses.replace(
+        DESIGN, thickness=0.005 * factor, encapsulated_thickness=0.012 * factor
+    )
+    shared = Mechanics(solved_thickness=0.005)
+    found = kernel_store.kernel.__wrapped__(design, shared, Cylinder())
+    exact = law(Mechanics().stack(design), None)
+    for name in ("depths", "forces", "contact_radii", "thinnings", "energies", "thickness"):
+        assert getattr(found, name) == pytest.approx(getattr(exact, name), rel=1e-9), name
+    # Knots go with the thickness: between those tables the dents differ by more than their law.
+    upward = np.array([np.interp(found.knots, exact.knots, row) for row in exact.moved[..., 0, 1]])
+    assert found.moved[..., 0, 1] == pytest.approx(upward, abs=0.01 * upward.max())
+    nominal = kernel_store.kernel.__wrapped__(DESIGN, shared, Cylinder())
+    assert np.array_equal(nominal.moved, law(Mechanics().stack(DESIGN), None).moved)
+
+
+def test_stretched_presses_keep_volumes_and_forces():
+    table = law(Mechanics().stack(DESIGN), None)
+    high = table.stretched(1.5)
+    assert np.array_equal(high.moved[..., 0], table.moved[..., 0])
+    assert high.moved[..., 1] == pytest.approx(1.5 * table.moved[..., 1])
+    assert high.thickness == 1.5 * table.thickness
+    dent, stretched = table.pressed(20.0), high.pressed(20.0)
+    assert stretched.depth == pytest.approx(1.5 * dent.depth)
+    assert stretched.share == pytest.approx(dent.share)
+
+
+def test_forces_must_be_within_reach_of_every_specimen(monkeypatch):
+    """Here a table reaches 104 N at the nominal 5 mm, and less on thinner sensors."""
+    monkeypatch.setattr(kernel_store, "_stored", law)
+    kernel_store.kernel.cache_clear()
+    group = SceneGroup("touch", count=20, force=(100.0, 103.0))
+    one = Recipe("force", scenes=(group,))
+    prepare(one)
+    with pytest.raises(ConfigurationError, match="force must be above 0 and at most"):
+        prepare(dataclasses.replace(one, specimens=Specimens(20, thickness=0.04)))
+    kernel_store.kernel.cache_clear()

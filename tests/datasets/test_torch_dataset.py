@@ -1,0 +1,115 @@
+"""Datasets as torch reads them."""
+
+import itertools
+import pickle
+
+import numpy as np
+import pytest
+import torch
+from torch.utils.data import DataLoader
+
+from eitskin.datasets import ShuffledShards, TorchDataset, open_dataset, save_dataset
+from eitskin.errors import ConfigurationError, DataError
+
+from small_dataset import make
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    place = tmp_path_factory.mktemp("torch") / "set"
+    save_dataset(make(50), place, frames_per_shard=8)
+    return place
+
+
+@pytest.fixture(scope="module")
+def data(folder):
+    return open_dataset(folder)
+
+
+def episodes_and_times(batches):
+    """What tells a frame from the others, in the order in which frames come."""
+    return [time for batch in batches for time in batch["time"].tolist()]
+
+
+def test_items_are_the_frames(folder, data):
+    frames = TorchDataset(folder)
+    assert len(frames) == 50
+    item = frames[13]
+    assert np.array_equal(item["impedance"].numpy(), data.impedance[13])
+    assert np.array_equal(item["reference"].numpy(), data.reference[1])
+    assert np.array_equal(item["touch_x"].numpy(), data.touch_x[13], equal_nan=True)
+    assert item["state"].dtype == torch.int64
+    assert item["bend_angle_deg"].shape == ()
+    assert frames[-1]["time"] == frames[49]["time"] == data.time[49]
+    with pytest.raises(IndexError):
+        frames[50]
+
+
+def test_items_belong_to_the_reader(folder):
+    frames = TorchDataset(folder)
+    frames[0]["impedance"][:] = 0
+    assert frames[0]["impedance"].abs().min() > 0
+
+
+def test_files_are_read_in_each_process_of_its_own(folder):
+    frames = TorchDataset(folder, names=("impedance", "state"))
+    before = len(pickle.dumps(frames))
+    assert set(frames[0]) == {"impedance", "state"}
+    sent = pickle.dumps(frames)
+    assert len(sent) == before < 2000
+    assert torch.equal(pickle.loads(sent)[7]["impedance"], frames[7]["impedance"])  # noqa: S301
+
+
+def test_batches_with_and_without_workers(folder, data):
+    for workers in (0, 2):
+        loader = DataLoader(TorchDataset(folder), batch_size=16, num_workers=workers)
+        batches = list(loader)
+        assert batches[0]["impedance"].shape == (16, 28)
+        assert batches[0]["impedance"].dtype == torch.complex64
+        assert episodes_and_times(batches) == data.time.tolist()
+
+
+def test_a_set_above_the_limit_says_what_to_take(folder, data):
+    names = set(TorchDataset(folder).names) - {"reference"}
+    size = sum(getattr(data, name).nbytes for name in names)
+    TorchDataset(folder, memory_limit=size)
+    with pytest.raises(ConfigurationError, match="ShuffledShards"):
+        TorchDataset(folder, memory_limit=size - 1)
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_shuffled_shards_give_every_frame_once(folder, data, workers):
+    loader = DataLoader(ShuffledShards(folder, seed=3), batch_size=None, num_workers=workers)
+    times = [item["time"].item() for item in loader]
+    assert sorted(times) == data.time.tolist()
+    assert times != sorted(times)
+
+
+def test_order_follows_from_seed_and_epoch(folder):
+    def order(seed, epoch):
+        shards = ShuffledShards(folder, names=("time",), seed=seed)
+        shards.set_epoch(epoch)
+        return [item["time"].item() for item in shards]
+
+    assert order(3, 0) == order(3, 0)
+    assert order(3, 0) != order(3, 1)
+    assert order(3, 0) != order(4, 0)
+    # A shard's frames stay together: only one of them is in memory at a time.
+    shards = [round(time * 10) // 8 for time in order(3, 0)]
+    assert len([a for a, b in itertools.pairwise(shards) if a != b]) == 6
+
+
+def test_damage_is_noticed(tmp_path):
+    save_dataset(make(20), tmp_path / "set", frames_per_shard=10)
+    path = tmp_path / "set" / "shard-000001.h5"
+    path.write_bytes(path.read_bytes()[:-1])
+    with pytest.raises(DataError, match="SHA-256"):
+        TorchDataset(tmp_path / "set")[0]
+    with pytest.raises(DataError, match="SHA-256"):
+        list(ShuffledShards(tmp_path / "set"))
+
+
+def test_other_names_are_refused(folder):
+    for read in (TorchDataset, ShuffledShards):
+        with pytest.raises(ConfigurationError, match=r"reference, got weather"):
+            read(folder, names=("impedance", "weather"))

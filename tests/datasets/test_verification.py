@@ -1,0 +1,121 @@
+"""Looking through datasets for damage."""
+
+import hashlib
+import json
+
+import numpy as np
+import pytest
+
+from eitskin.datasets import Dataset, save_dataset, verify, write_shard
+from eitskin.datasets.store.shard import shard_bytes
+
+from small_dataset import make
+
+
+@pytest.fixture
+def folder(tmp_path):
+    save_dataset(make(50), tmp_path / "set", frames_per_shard=10)
+    return tmp_path / "set"
+
+
+def problems(folder):
+    return {each.file: each.problem for each in verify(folder).damage}
+
+
+def test_a_sound_set_is_said_to_be_sound(folder):
+    seen = []
+    verdict = verify(folder, lambda *counts: seen.append(counts))
+    assert (verdict.shards, verdict.frames, verdict.damage) == (5, 50, ())
+    assert seen == [(number, 5) for number in range(6)]
+
+
+def test_measured_sets_of_any_number_of_channels(tmp_path):
+    save_dataset(Dataset.from_arrays(np.ones((3, 5))), tmp_path / "set")
+    assert verify(tmp_path / "set").damage == ()
+
+
+def test_all_damage_is_listed(folder):
+    flipped = folder / "shard-000001.h5"
+    content = bytearray(flipped.read_bytes())
+    content[5000] ^= 1
+    flipped.write_bytes(content)
+    (folder / "shard-000002.h5").unlink()
+    cut = folder / "shard-000003.h5"
+    cut.write_bytes(cut.read_bytes()[:3000])
+    (folder / "shard-000007.h5").write_bytes(shard_bytes(make(3)))
+    (folder / "recipe.toml").write_text("another")
+    (folder / "notes.txt").write_text("mine")
+    verdict = verify(folder)
+    assert (verdict.shards, verdict.frames) == (2, 20)
+    found = problems(folder)
+    assert set(found) == {
+        "recipe.toml",
+        *(f"shard-00000{number}.h5" for number in (1, 2, 3, 7)),
+    }
+    assert "expected SHA-256" in found["shard-000001.h5"]
+    assert "No such file" in found["shard-000002.h5"]
+    assert "expected SHA-256" in found["shard-000003.h5"]
+    assert "not named in manifest.json" in found["shard-000007.h5"]
+    assert "expected SHA-256" in found["recipe.toml"]
+
+
+def test_without_a_manifest_the_shards_are_still_checked(folder):
+    (folder / "manifest.json").unlink()
+    cut = folder / "shard-000003.h5"
+    cut.write_bytes(cut.read_bytes()[:3000])
+    verdict = verify(folder)
+    assert (verdict.shards, verdict.frames) == (4, 40)
+    assert {each.file for each in verdict.damage} == {"manifest.json", "shard-000003.h5"}
+
+
+def rewritten(folder, number, **changes):
+    """A shard of other content, to which the manifest has been made to agree."""
+    path = folder / f"shard-00000{number}.h5"
+    write_shard(path, make(10, **changes), 10 * number)
+    manifest = json.loads((folder / "manifest.json").read_text())
+    manifest["shards"][number]["sha256"] = hashlib.sha256(path.read_bytes()).hexdigest()
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"seed": 8}, "another recipe or seed"),
+        ({"recipe": "other"}, "another recipe or seed"),
+        ({"frequency": 1e3}, "not made together"),
+    ],
+)
+def test_shards_of_another_set_do_not_belong(folder, changes, message):
+    rewritten(folder, 2, **changes)
+    assert message in problems(folder)["shard-000002.h5"]
+
+
+def test_wrong_number_of_frames(folder):
+    manifest = json.loads((folder / "manifest.json").read_text())
+    manifest["shards"][4]["count"], manifest["frames"] = 11, 51
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    assert "must hold 11 frames, got 10" in problems(folder)["shard-000004.h5"]
+
+
+def test_every_flip_and_cut_at_random_places_is_found(tmp_path):
+    folder = tmp_path / "set"
+    save_dataset(make(20), folder, frames_per_shard=10)
+    rng = np.random.default_rng(0)
+    paths = sorted(folder.glob("shard-*.h5"))
+    for trial in range(60):
+        path = paths[rng.integers(len(paths))]
+        whole = path.read_bytes()
+        broken = bytearray(whole)
+        place = int(rng.integers(len(whole)))
+        if trial % 3:
+            broken[place] ^= 1 << int(rng.integers(8))
+        else:
+            del broken[place:]
+        path.write_bytes(broken)
+        assert list(problems(folder)) == [path.name]
+        path.write_bytes(whole)
+    assert problems(folder) == {}
+
+
+def test_a_folder_that_is_none_is_damage(tmp_path):
+    assert "eitskin generate or eitskin import" in problems(tmp_path / "absent")["manifest.json"]

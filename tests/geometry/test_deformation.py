@@ -1,0 +1,239 @@
+"""Bends and dents: F is the derivative of the map, volumes are kept, limits are met."""
+
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from eitskin.errors import ConfigurationError
+from eitskin.geometry import Bend, Hinge, SensorDesign
+from eitskin.geometry.deformation.fixtures import FreeArc
+from eitskin.geometry.deformation.kinematics import Composed, Displaced, area_ratio, pulled_back
+from eitskin.geometry.deformation.twist import Roll, Twist
+from eitskin.simulator.layer.closed_dent import ClosedDent
+from eitskin.simulator.layer.dents import Dents, Placed
+from eitskin.simulator.scene.indenters import Cylinder, Sphere
+
+DESIGN = SensorDesign.reference()
+HINGE = Hinge(span=0.040, offset=0.008)
+SHARP = Hinge(give=0.0, contraction=0.0)  # Rivlin's flexure between rigid ends
+
+
+def points(n: int = 200, seed: int = 3, clear: float = 1e-4) -> NDArray[np.float64]:
+    """Random points of the layer, off the clamps where F jumps."""
+    rng = np.random.default_rng(seed)
+    x = rng.uniform([0, 0, 0], [0.150, 0.060, 0.005], (n, 3))
+    return x[
+        (np.abs(np.abs(x[:, 0] - 0.075) - 0.020) > clear)
+        & (np.abs(np.abs(x[:, 0] - 0.075) - 0.022) > clear)
+    ]
+
+
+def derivative(deformation, x: NDArray[np.float64], step: float = 1e-7) -> NDArray[np.float64]:
+    """Central differences of positions, (..., 3, 3)."""
+    columns = [
+        (deformation.positions(x + e) - deformation.positions(x - e)) / (2 * step)
+        for e in step * np.eye(3)
+    ]
+    return np.stack(columns, axis=-1)
+
+
+def dented(x: float, y: float, force: float) -> Placed:
+    return Placed(x, y, ClosedDent.of(Cylinder(), force))
+
+
+DENTS = Dents((dented(0.050, 0.020, 10.0), dented(0.090, 0.041, 7.0)))
+DEFORMATIONS = {
+    "bend": HINGE.flexure(DESIGN, Bend(40.0)),
+    "bend back": HINGE.flexure(DESIGN, Bend(-20.0)),
+    "slight bend": HINGE.flexure(DESIGN, Bend(1e-7)),
+    "soft clamps": Hinge(transition=0.006, contraction=0.5).flexure(DESIGN, Bend(45.0)),
+    "soft clamps, back": Hinge(transition=0.02, contraction=1.0).flexure(DESIGN, Bend(-25.0)),
+    "free arc": FreeArc(0.150).flexure(DESIGN, Bend(300.0)),
+    "free arc over a part": FreeArc(0.06, 0.01, 0.3).flexure(DESIGN, Bend(-120.0)),
+    "twist": Twist(40.0).deformation(DESIGN),
+    "roll": Roll(-200.0).deformation(DESIGN),
+    "roll, then twist": Composed(Roll(30.0).deformation(DESIGN), Twist(20.0).deformation(DESIGN)),
+    "displaced": Displaced(lambda x: 0.02 * np.sin(10 * x[..., [1, 2, 0]])),
+    "dents": DENTS,
+    "dents, then bend": Composed(DENTS, HINGE.flexure(DESIGN, Bend(30.0))),
+}
+
+
+@pytest.mark.parametrize("name", DEFORMATIONS)
+def test_gradient_is_the_derivative_of_positions(name) -> None:
+    deformation, x = DEFORMATIONS[name], points()
+    assert deformation.gradient(x) == pytest.approx(derivative(deformation, x), abs=3e-6)
+
+
+@pytest.mark.parametrize("name", [n for n in DEFORMATIONS if n not in ("dents", "displaced")])
+def test_gels_keep_their_volume(name) -> None:
+    """Two presses superposed keep it up to the product of their strains where they overlap."""
+    J = np.linalg.det(DEFORMATIONS[name].gradient(points()))
+    assert J == pytest.approx(1.0, abs=2e-3 if "dents" in name else 1e-12)
+
+
+def test_a_full_circle_closes_and_no_more() -> None:
+    arc = FreeArc(0.150)
+    ends = np.array([[0.0, 0.03, 0.0025], [0.150, 0.03, 0.0025]])
+    left, right = arc.flexure(DESIGN, Bend(360.0)).positions(ends)
+    assert left == pytest.approx(right, abs=1e-6)
+    with pytest.raises(ConfigurationError, match=r"last possible angle .* is 360\.0 deg"):
+        arc.flexure(DESIGN, Bend(361.0))
+    short = FreeArc(0.060)
+    with pytest.raises(ConfigurationError, match="last possible angle"):
+        short.flexure(DESIGN, Bend(350.0))  # its straight ends would cross
+
+
+def test_both_faces_of_a_free_arc_are_free():
+    """From one to the other the radial stress changes by int (lambda - lambda^-3) d lambda."""
+    arc = FreeArc(0.060).flexure(DESIGN, Bend(90.0))
+    half = 0.5 * DESIGN.encapsulated_thickness * np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
+    top, bottom = np.linalg.norm(arc.gradient(arc.centre + half)[..., 0], axis=-1)
+    assert top > 1.1
+    assert top**2 + top**-2 == pytest.approx(bottom**2 + bottom**-2, rel=1e-12)
+
+
+def test_sharp_clamps_are_the_limit_of_soft_ones_and_obey_the_hinge() -> None:
+    """lambda_0 = (theta/2) cot(theta/2) + d theta / s."""
+    theta = math.radians(50.0)
+    expected = theta / 2 / math.tan(theta / 2) + 0.008 * theta / 0.040
+    assert SHARP.flexure(DESIGN, Bend(50.0)).stretch == pytest.approx(expected, rel=1e-9)
+    x = points(clear=2e-3)
+    sharp = SHARP.flexure(DESIGN, Bend(50.0)).positions(x)
+    apart = [
+        np.abs(
+            Hinge(give=0.0, transition=t, contraction=0.0).flexure(DESIGN, Bend(50.0)).positions(x)
+            - sharp
+        ).max()
+        for t in (2e-3, 1e-3)
+    ]
+    assert 2e-6 < apart[1] < 0.6 * apart[0]
+
+
+def test_soft_clamps_leave_no_jump_in_the_gradient() -> None:
+    flexure = Hinge(give=0.0, transition=0.004, contraction=0.3).flexure(DESIGN, Bend(40.0))
+    for clamp in (0.055, 0.095, 0.059, 0.091, 0.075):
+        sides = np.array([[clamp - 1e-9, 0.05, 0.004], [clamp + 1e-9, 0.05, 0.004]])
+        before, after = flexure.gradient(sides)
+        assert before == pytest.approx(after, abs=1e-5)
+
+
+def test_a_displacement_that_turns_the_body_inside_out_is_refused() -> None:
+    inside_out = Displaced(lambda x: -2.0 * x)
+    with pytest.raises(ConfigurationError, match="inside out"):
+        inside_out.gradient(points())
+
+
+@pytest.mark.parametrize("angle", [-60.0, -20.0, 1e-6, 50.0, 140.0])
+def test_bending_keeps_volume(angle) -> None:
+    F = HINGE.flexure(DESIGN, Bend(angle)).gradient(points())
+    assert np.linalg.det(F) == pytest.approx(1.0, abs=1e-13)
+
+
+@pytest.mark.parametrize("force", [0.01, 5.0, 10.0, 12.0])
+def test_a_dent_keeps_volume(force) -> None:
+    F = Dents((dented(0.075, 0.030, force),)).gradient(points())
+    assert np.linalg.det(F) == pytest.approx(1.0, abs=1e-12)
+
+
+def test_dent_passes_through_the_published_fits() -> None:
+    for force, amplitude, width in ((5.0, 0.21, 0.0120), (10.0, 0.48, 0.0112)):
+        dent = ClosedDent.of(Cylinder(), force)
+        assert (dent.amplitude, dent.width) == pytest.approx((amplitude, width), rel=1e-12)
+        w = dent.motion(np.array([0.0, width]), np.ones((2, 1)))[:, 1, 0]
+        assert w == pytest.approx([-amplitude, 0.0], abs=1e-15)
+
+
+def test_dent_is_regular_on_its_axis_and_fades() -> None:
+    dents = Dents((dented(0.075, 0.030, 10.0),))
+    on_axis = dents.gradient(np.array([[0.075, 0.030, 0.002]]))[0]
+    thinned = 1 - 0.48
+    assert np.diag(on_axis) == pytest.approx([thinned**-0.5, thinned**-0.5, thinned], rel=1e-12)
+    far = dents.gradient(np.array([[0.002, 0.030, 0.002]]))[0]
+    assert np.abs(far - np.eye(3)).max() < 0.01
+
+
+def test_ends_of_a_bent_sensor_are_rigid_and_turned_by_half_the_angle() -> None:
+    F = HINGE.flexure(DESIGN, Bend(40.0)).gradient(np.array([[0.01, 0.03, 0.004]]))[0]
+    half = math.radians(20.0)
+    turned = [[math.cos(half), 0, -math.sin(half)], [0, 1, 0], [math.sin(half), 0, math.cos(half)]]
+    assert F == pytest.approx(np.array(turned), abs=1e-14)
+
+
+def test_bent_sensor_is_continuous_at_mid_layer_and_convex_on_top() -> None:
+    bend = HINGE.flexure(DESIGN, Bend(50.0))
+    clamp = np.array([[0.095, 0.03, 0.0025]])
+    nudge = np.array([[1e-10, 0, 0]])
+    assert bend.positions(clamp - nudge) == pytest.approx(bend.positions(clamp + nudge), abs=1e-9)
+    middle, end = bend.positions(np.array([[0.075, 0.03, 0.0025], [0.150, 0.03, 0.0025]]))
+    assert middle[2] > end[2] + 0.02
+    top, bottom = bend.gradient(np.array([[0.075, 0.03, 0.005], [0.075, 0.03, 0.0]]))[:, 0, 0]
+    assert top > bottom
+
+
+def test_mid_layer_arc_closes_the_hinge_triangle() -> None:
+    """Arc length over the span is lambda_0 s, whatever the angle."""
+    for angle in (-20.0, 30.0, 90.0):
+        bend = SHARP.flexure(DESIGN, Bend(angle))
+        x = np.linspace(0.055, 0.095, 4001)
+        path = bend.positions(np.stack([x, 0 * x + 0.03, 0 * x + 0.0025], axis=1))
+        length = np.linalg.norm(np.diff(path, axis=0), axis=1).sum()
+        assert length == pytest.approx(bend.stretch * 0.040, rel=1e-6)
+
+
+def test_impossible_angles_name_the_last_possible_one() -> None:
+    with pytest.raises(ConfigurationError, match=r"last possible angle in this direction is -\d+"):
+        HINGE.flexure(DESIGN, Bend(-85.0))
+    with pytest.raises(ConfigurationError, match="last possible angle") as error:
+        HINGE.flexure(DESIGN, Bend(300.0))
+    limit = float(str(error.value).split("direction is ")[1].split(" deg")[0])
+    HINGE.flexure(DESIGN, Bend(limit))
+    with pytest.raises(ConfigurationError):
+        HINGE.flexure(DESIGN, Bend(limit + 0.2))
+
+
+def test_pull_back_and_area_ratio_agree_with_their_definitions() -> None:
+    rng = np.random.default_rng(5)
+    F = np.eye(3) + 0.3 * rng.standard_normal((50, 3, 3))
+    F = F[np.linalg.det(F) > 0.1]
+    J, inverse = np.linalg.det(F), np.linalg.inv(F)
+    expected = J[:, None, None] * inverse @ inverse.swapaxes(1, 2)
+    assert pulled_back(F) == pytest.approx(expected, rel=1e-10)
+    normals = rng.standard_normal((len(F), 3))
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    with pytest.raises(ConfigurationError, match="inside out or is not a number at 1 of"):
+        pulled_back(np.concatenate([F, np.diag([1.0, 1.0, -0.1])[None]]))
+    nanson = J[:, None] * np.einsum("nji,nj->ni", inverse, normals)
+    assert area_ratio(F, normals) == pytest.approx(np.linalg.norm(nanson, axis=1), rel=1e-12)
+
+
+@pytest.mark.parametrize("force", [0.0, -1.0, 13.0, float("nan")])
+def test_forces_outside_the_fit_are_refused(force) -> None:
+    with pytest.raises(ConfigurationError, match="force must be above 0"):
+        ClosedDent.of(Cylinder(), force)
+
+
+@pytest.mark.parametrize("indenter", [Cylinder(0.02), Sphere(0.0075)])
+def test_indenters_outside_the_fit_are_refused(indenter) -> None:
+    with pytest.raises(ConfigurationError, match="fitted for a cylinder"):
+        ClosedDent.of(indenter, 5.0)
+
+
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (lambda: Bend(math.nan), "angle_deg must be a finite number, got nan"),
+        (lambda: Hinge(span=0.0), "span must be a positive length in m, got 0"),
+        (lambda: Hinge(offset=math.inf), "offset must be finite, in m, got inf"),
+        (lambda: Hinge(give=-0.001), "give must be a length in m, got -0.001"),
+        (lambda: Hinge(transition=0.021), r"transition must be from 0 to half .* 0\.02 m, got"),
+        (lambda: Hinge(contraction=1.1), r"contraction must be from 0 \(plate\) to 1 \(beam\)"),
+        (lambda: FreeArc(-0.1), "arc length must be a positive length in m, got -0.1"),
+        (lambda: FreeArc(0.2).flexure(DESIGN, Bend(9.0)), "must not exceed the sensor's length"),
+    ],
+)
+def test_fixtures_that_cannot_be_are_refused(make, says) -> None:
+    with pytest.raises(ConfigurationError, match=says):
+        make()

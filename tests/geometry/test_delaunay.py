@@ -1,0 +1,145 @@
+"""Plane triangulations: they fill any outline, keep their angles and follow the size wanted."""
+
+import numpy as np
+import pytest
+
+from eitskin.errors import ConfigurationError
+from eitskin.geometry.design.outline import Disc, Polygon, Rectangle
+from eitskin.geometry.meshing.delaunay import coarse_triangulation, triangulated
+
+SLAB = Rectangle(0.15, 0.06)
+BENT = Polygon(((0, 0), (0.1, 0), (0.1, 0.03), (0.03, 0.03), (0.03, 0.1), (0, 0.1)))
+NOTCHED = Polygon(
+    ((0, 0), (0.1, 0), (0.1, 0.05), (0.0505, 0.05), (0.05, 0.01), (0.0495, 0.05), (0, 0.05))
+)
+SPLINTER = Polygon(((0, 0), (0.1, 0), (0.1, 0.01)))  # its corner is 5.7 degrees
+
+
+def sized(outline, ends, finest, growth=0.5, coarsest=5e-3):
+    """Triangles refined around arc lengths `ends`; the size function beside them."""
+    places = outline.at(np.asarray(ends))
+
+    def size(x):
+        distance = np.linalg.norm(x[:, None] - places, axis=2).min(axis=1)
+        return np.minimum(coarsest, finest + growth * distance)
+
+    return *triangulated(outline, np.asarray(ends), coarsest, size), size
+
+
+def angles(points, triangles):
+    corners = points[triangles]
+    to_next = np.roll(corners, -1, axis=1) - corners
+    to_last = np.roll(corners, 1, axis=1) - corners
+    lengths = np.linalg.norm(to_next, axis=2) * np.linalg.norm(to_last, axis=2)
+    return np.degrees(np.arccos((to_next * to_last).sum(axis=2) / lengths))
+
+
+def areas(points, triangles):
+    a, b, c = np.moveaxis(points[triangles], 1, 0)
+    return 0.5 * ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
+
+
+def polygon_area(vertices):
+    x, y = vertices.T
+    return 0.5 * (x @ np.roll(y, -1) - y @ np.roll(x, -1))
+
+
+@pytest.mark.parametrize("outline", [SLAB, BENT, NOTCHED, SPLINTER])
+@pytest.mark.parametrize("finest", [1e-3, 1e-5])
+def test_triangles_fill_the_outline_no_larger_than_wanted(outline, finest):
+    points, triangles, size = sized(outline, [0.052, 0.057, 0.06], finest)
+    covered = areas(points, triangles)
+    assert covered.min() > 0
+    assert covered.sum() == pytest.approx(polygon_area(outline.vertices), rel=1e-12)
+    corners = points[triangles]
+    edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
+    assert (edges.max(axis=1) <= size(corners.mean(axis=1)) * (1 + 1e-8)).all()
+    # Edges that two triangles share, or the rim has: the triangulation has no hanging points.
+    sides, counts = np.unique(
+        np.sort(np.stack([triangles, np.roll(triangles, 1, axis=1)], axis=-1), axis=-1).reshape(
+            -1, 2
+        ),
+        axis=0,
+        return_counts=True,
+    )
+    rim = points[sides[counts == 1]]
+    assert np.abs(outline.nearest(rim.mean(axis=1))[1]).max() < 1e-12
+    length = np.linalg.norm(rim[:, 1] - rim[:, 0], axis=1).sum()
+    assert length == pytest.approx(outline.perimeter, rel=1e-12)
+
+
+@pytest.mark.parametrize(("outline", "least"), [(SLAB, 20), (BENT, 20), (NOTCHED, 20)])
+def test_angles_stay_large_where_corners_are(outline, least):
+    points, triangles, _ = sized(outline, [0.052, 0.057, 0.057001], 1e-5)
+    assert angles(points, triangles).min() > least
+
+
+def test_a_splinter_keeps_its_sharp_corner_and_good_angles_elsewhere():
+    points, triangles, _ = sized(SPLINTER, [0.052, 0.057], 1e-3)
+    smallest = angles(points, triangles).min(axis=1)
+    assert smallest.min() > 0.95 * np.degrees(np.arctan(0.1))
+    beyond = points[triangles][:, :, 0].min(axis=1) > 0.02
+    assert smallest[beyond].min() > 20
+
+
+@pytest.mark.parametrize("outline", [SLAB, BENT, Disc(0.05)])
+def test_the_rim_has_points_at_the_ends_wanted(outline):
+    ends = np.array([-1e-17, 0.0123, 0.0123001, 0.05, outline.perimeter - 1e-6])
+    points, _, _ = sized(outline, ends, 1e-3)
+    apart = np.linalg.norm(points[:, None] - outline.at(ends), axis=2)
+    assert apart.min(axis=0).max() < 1e-12
+
+
+def test_rims_of_discs_are_on_the_circle():
+    disc = Disc(0.05)
+    points, triangles, _ = sized(disc, [0.1, 0.11], 1e-4)
+    distance = np.linalg.norm(points - disc.radius, axis=1)
+    sides = np.sort(np.stack([triangles, np.roll(triangles, 1, axis=1)], axis=-1), axis=-1)
+    sides, counts = np.unique(sides.reshape(-1, 2), axis=0, return_counts=True)
+    rim = np.unique(sides[counts == 1])
+    assert np.abs(distance[rim] - disc.radius).max() < 1e-15
+    missing = 1 - areas(points, triangles).sum() / (np.pi * disc.radius**2)
+    coarse = np.linalg.norm(np.diff(points[sides[counts == 1]], axis=1), axis=2).max()
+    assert 0 < missing < (coarse / disc.radius) ** 2 / 6
+    assert angles(points, triangles).min() > 20
+
+
+def test_local_refinement_is_cheap():
+    counts = [len(sized(SLAB, [0.052, 0.057], finest)[0]) for finest in (1e-3, 1e-4, 1e-5, 1e-6)]
+    added = np.diff(counts)
+    # Each tenth of the finest size adds a few rings of triangles.
+    assert added.max() < 500
+    assert added.min() > 50
+
+
+def test_points_are_numbered_along_x_and_the_same_each_time():
+    points, triangles, _ = sized(BENT, [0.052, 0.057], 1e-4)
+    assert (np.diff(points[:, 0]) >= 0).all()
+    again, same, _ = sized(BENT, [0.052, 0.057], 1e-4)
+    assert np.array_equal(points, again)
+    assert np.array_equal(triangles, same)
+
+
+def test_coarse_triangles_have_angles_of_28_degrees():
+    for outline in (SLAB, BENT, NOTCHED, Disc(0.05)):
+        points, triangles = coarse_triangulation(outline, np.array([0.01, 0.0101]), 1e-3)
+        assert angles(points, triangles).min() > 28
+
+
+def test_any_star_shaped_polygon_is_filled():
+    rng = np.random.default_rng(4)
+    for sides in (3, 5, 8, 13):
+        turn = np.sort(rng.uniform(0, 2 * np.pi, sides))
+        reach = 0.1 * 10 ** rng.uniform(-1, 0, sides)
+        corners = reach[:, None] * np.column_stack([np.cos(turn), np.sin(turn)])
+        corners -= corners.min(axis=0)
+        outline = Polygon(tuple((float(x), float(y)) for x, y in corners))
+        ends = rng.uniform(0, outline.perimeter, 6)
+        points, triangles, _ = sized(outline, ends, 1e-4)
+        covered = areas(points, triangles).sum()
+        assert covered == pytest.approx(polygon_area(outline.vertices), rel=1e-9)
+
+
+def test_too_many_points_are_refused():
+    with pytest.raises(ConfigurationError, match=r"more than 500000 points.*larger finest"):
+        triangulated(SLAB, np.array([0.05]), 1e-5, lambda x: np.full(len(x), 1e-5))

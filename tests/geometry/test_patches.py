@@ -1,0 +1,189 @@
+"""Contacts are cut exactly, whatever cells lie under the electrodes."""
+
+import numpy as np
+import pytest
+
+from eitskin.errors import ConfigurationError
+from eitskin.geometry.design.patches import FACES, Patch, Region, boundary_faces, electrode_contacts
+
+SIZE = np.array([0.03, 0.02, 0.006])
+KINDS = [8, 6, 4]
+
+# A hexahedron as two wedges, and as six tetrahedra around its long diagonal 0-6.
+AS_WEDGES = np.array([[0, 1, 2, 4, 5, 6], [0, 2, 3, 4, 6, 7]])
+AS_TETRAHEDRA = np.array(
+    [[0, 1, 2, 6], [0, 2, 3, 6], [0, 3, 7, 6], [0, 7, 4, 6], [0, 4, 5, 6], [0, 5, 1, 6]]
+)
+
+
+def block(kind, counts=(7, 5, 3), size=SIZE):
+    """A block at the origin, cut into cells with `kind` corners each."""
+    lines = [np.linspace(0.0, s, n + 1) for s, n in zip(size, counts, strict=True)]
+    points = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 3)
+    number = np.arange(len(points)).reshape([n + 1 for n in counts])
+    plane = [number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]]
+    corners = [p[..., :-1] for p in plane] + [p[..., 1:] for p in plane]
+    cells = np.stack(corners, axis=-1).reshape(-1, 8)
+    if kind == 6:
+        cells = cells[:, AS_WEDGES].reshape(-1, 6)
+    if kind == 4:
+        cells = cells[:, AS_TETRAHEDRA].reshape(-1, 4)
+    return points, cells
+
+
+def box_region(low, high, normal):
+    eye = np.eye(3)
+    return Region(
+        np.vstack([np.column_stack([eye, high]), np.column_stack([-eye, -np.asarray(low)])]),
+        np.asarray(normal, dtype=float),
+    )
+
+
+def moments(corners):
+    """Area, centroid and mean square distance from the origin of a set of polygons."""
+    fans = [corners[:, [0, i, i + 1]] for i in range(1, corners.shape[1] - 1)]
+    a, b, c = np.moveaxis(np.concatenate(fans), 1, 0)
+    areas = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    centroid = areas @ (a + b + c) / 3 / areas.sum()
+    # The mid-side rule is exact for quadratics.
+    mids = [0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)]
+    square = sum(areas @ (m**2).sum(axis=1) for m in mids) / 3 / areas.sum()
+    return areas.sum(), centroid, square
+
+
+def assert_within_cells(points, cells, contacts):
+    faces = points[cells[contacts.cell][:, FACES[cells.shape[1]]]]
+    outward = np.cross(faces[:, :, 1] - faces[:, :, 0], faces[:, :, 2] - faces[:, :, 0])
+    reach = np.einsum("nfi,nci->nfc", outward, contacts.corners)
+    limit = np.einsum("nfi,nfi->nf", outward, faces[:, :, 0])
+    assert (reach <= limit[..., None] + 1e-14).all()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_boundary_faces_enclose_the_body(kind):
+    points, cells = block(kind)
+    faces, owners = boundary_faces(cells)
+    corners = points[faces]
+    spokes = corners[:, 1:] - corners[:, :1]
+    vectors = 0.5 * np.cross(spokes[:, :-1], spokes[:, 1:]).sum(axis=1)
+    a, b, c = SIZE
+    assert np.linalg.norm(vectors, axis=1).sum() == pytest.approx(2 * (a * b + b * c + c * a))
+    volume = np.einsum("ni,ni->", vectors, corners.mean(axis=1)) / 3
+    assert volume == pytest.approx(a * b * c)
+    assert all(np.isin(face, cells[owner]).all() for face, owner in zip(faces, owners, strict=True))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    ("low", "high", "normal"),
+    [
+        ((0.0041, -0.001, 0.0017), (0.0163, 0.001, 0.0049), (0, -1, 0)),  # on a side
+        ((0.029, 0.0033, 0.0), (0.031, 0.0157, 0.006), (1, 0, 0)),  # over the full height
+        ((0.0051, 0.0032, 0.005), (0.0211, 0.0133, 0.007), (0, 0, 1)),  # on top
+        ((0.0, 0.0, -0.001), (0.0101, 0.0133, 0.001), (0, 0, -1)),  # below, in a corner
+    ],
+)
+def test_pieces_make_up_the_electrode_on_any_cells(kind, low, high, normal):
+    points, cells = block(kind)
+    extent = np.clip(high, 0, SIZE) - np.clip(low, 0, SIZE)
+    low, high, normal = np.array(low), np.array(high), np.array(normal)
+    area = np.prod(extent[normal == 0])
+    contacts = electrode_contacts(points, cells, [Patch((box_region(low, high, normal),), area)])
+    centre = 0.5 * (np.clip(high, 0, SIZE) + np.clip(low, 0, SIZE))
+    centre[normal != 0] = np.where(normal.sum() > 0, SIZE, 0.0)[normal != 0]
+    side = extent * (normal == 0)
+    square = centre @ centre + side @ side / 12
+    assert moments(contacts.corners)[0] == pytest.approx(area, rel=1e-9)
+    assert contacts.areas.sum() == pytest.approx(area, rel=1e-9)
+    assert moments(contacts.corners)[1] == pytest.approx(centre, abs=1e-12)
+    assert moments(contacts.corners)[2] == pytest.approx(square, rel=1e-9)
+    assert_within_cells(points, cells, contacts)
+    a, b, c = np.moveaxis(contacts.corners[:, :3], 1, 0)
+    assert (np.cross(b - a, c - b) @ normal > 0).all()
+
+
+def test_pieces_are_parallelograms_where_faces_fit_and_triangles_where_not():
+    points, cells = block(8)
+    x, z = np.unique(points[:, 0]), np.unique(points[:, 2])
+    fitted = box_region((x[2], -1e-3, z[1]), (x[5], 1e-3, z[3]), (0, -1, 0))
+    area = (x[5] - x[2]) * (z[3] - z[1])
+    contacts = electrode_contacts(points, cells, [Patch((fitted,), area)])
+    assert contacts.corners.shape == (6, 4, 3)
+    assert contacts.facets[0].shape == (6, 4)
+    tilted = np.array([[1.0, 0.0, 1.0, 0.0], [-1.0, 0.0, -1.0, 0.0]]) / np.sqrt(2)
+    tilted[:, 3] = np.array([0.012, -0.008]) / np.sqrt(2)
+    slanted = Patch((Region(tilted, np.array([0.0, -1.0, 0.0])),), 0.004 * SIZE[2])
+    both = electrode_contacts(points, cells, [Patch((fitted,), area), slanted])
+    assert both.corners.shape[1:] == (3, 3)
+    assert np.bincount(both.electrode, both.areas) == pytest.approx([area, slanted.area])
+
+
+@pytest.mark.parametrize(("kind", "width"), [(8, 4), (6, 3), (4, 3)])
+def test_round_pads_and_facets_of_top_electrodes(kind, width):
+    points, cells = block(kind)
+    turn = np.arange(32) * 2 * np.pi / 32
+    outward = np.column_stack([np.cos(turn), np.sin(turn), 0 * turn])
+    centre, inradius = np.array([0.0137, 0.0091, 0.0]), 0.004
+    planes = np.column_stack([outward, outward @ centre + inradius])
+    area = 32 * np.tan(np.pi / 32) * inradius**2
+    patch = Patch((Region(planes, np.array([0.0, 0.0, 1.0])),), area)
+    contacts = electrode_contacts(points, cells, [patch])
+    assert moments(contacts.corners)[0] == pytest.approx(area, rel=1e-9)
+    assert moments(contacts.corners)[1][:2] == pytest.approx(centre[:2], abs=1e-12)
+    assert contacts.facets[0].shape[1] == width
+    assert (points[contacts.facets[0], 2] == SIZE[2]).all()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("z", [0.002, 0.004, 0.0033])  # on cell faces (three layers) or not
+def test_sheets_are_counted_once_wherever_they_lie(kind, z):
+    points, cells = block(kind)
+    sheet = np.array(
+        [[4.1e-3, 3.3e-3, z], [21e-3, 3.3e-3, z], [21e-3, 15e-3, z], [4.1e-3, 15e-3, z]]
+    )
+    area = (21e-3 - 4.1e-3) * (15e-3 - 3.3e-3)
+    contacts = electrode_contacts(points, cells, [Patch((), area, sheet)])
+    assert moments(contacts.corners)[0] == pytest.approx(area, rel=1e-9)
+    assert moments(contacts.corners)[1] == pytest.approx(sheet.mean(axis=0), abs=1e-12)
+    assert_within_cells(points, cells, contacts)
+    bottom = points[cells[contacts.cell]][:, :, 2].min(axis=1)
+    assert (bottom < z - 1e-9).all()
+    assert len(contacts.facets[0]) == 0
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_tilted_sheets_are_cut_by_the_cells_too(kind):
+    points, cells = block(kind)
+    a, b = np.array([0.013, 0.002, 0.003]), np.array([-0.004, 0.009, 0.0])
+    sheet = np.array([0.008, 0.004, 0.001]) + np.array([0 * a, a, a + b, b])
+    area = np.linalg.norm(np.cross(a, b))
+    contacts = electrode_contacts(points, cells, [Patch((), area, sheet)])
+    assert moments(contacts.corners)[0] == pytest.approx(area, rel=1e-9)
+    assert moments(contacts.corners)[1] == pytest.approx(sheet.mean(axis=0), abs=1e-12)
+    assert_within_cells(points, cells, contacts)
+
+
+def test_neighbouring_regions_share_faces_without_counting_them_twice():
+    points, cells = block(4)
+    cut = 0.0099
+    left = box_region((0.004, -1e-3, 0.001), (cut, 1e-3, 0.004), (0, -1, 0))
+    right = box_region((cut, -1e-3, 0.001), (0.0151, 1e-3, 0.004), (0, -1, 0))
+    area = (0.0151 - 0.004) * 0.003
+    contacts = electrode_contacts(points, cells, [Patch((left, right), area)])
+    assert contacts.areas.sum() == pytest.approx(area, rel=1e-9)
+    facets = np.sort(contacts.facets[0], axis=1)
+    assert len(np.unique(facets, axis=0)) == len(facets)
+
+
+def test_electrodes_off_the_body_are_named():
+    points, cells = block(8)
+    good = Patch((box_region((0, -1e-3, 0), (0.004, 1e-3, 1), (0, -1, 0)),), 0.004 * SIZE[2])
+    half_off = Patch((box_region((-0.002, -1e-3, 0), (0.002, 1e-3, 1), (0, -1, 0)),), good.area)
+    with pytest.raises(ConfigurationError, match=r"electrode 1 covers 12 of its 24 mm2.*off the"):
+        electrode_contacts(points, cells, [good, half_off])
+    away = Patch((box_region((1, 1, 1), (2, 2, 2), (0, -1, 0)),), good.area)
+    with pytest.raises(ConfigurationError, match="electrode 0 covers 0 of its 24 mm2"):
+        electrode_contacts(points, cells, [away])
+    outside = Patch((), 1e-4, np.array([[0, 0, 1.0], [0.01, 0, 1.0], [0.01, 0.01, 1.0]]))
+    with pytest.raises(ConfigurationError, match="electrode 0 covers 0 of"):
+        electrode_contacts(points, cells, [outside])

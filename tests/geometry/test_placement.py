@@ -1,0 +1,347 @@
+"""Where electrodes touch their body, and electrodes that do not fit it or each other."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from eitskin.errors import ConfigurationError
+from eitskin.geometry import Disc, Electrode, Polygon, Rectangle, SensorDesign, Surface
+from eitskin.geometry.design.regular_layouts import uniform
+
+SLAB = Rectangle(0.1, 0.05)
+TRIANGLE = Polygon(((0.02, 0.0), (0.06, 0.03), (0.0, 0.04)))
+# Two walls of 2 mm with a gap of 3 mm: parallel sides that look the same way.
+HALF = [(0.0, 0.0), (0.0, 0.05), (0.002, 0.05), (0.002, 0.01)]
+FORK = Polygon((*HALF, *((0.007 - x, y) for x, y in HALF[::-1])))
+THICKNESS = 0.004
+
+
+def within(patch, points, normals):
+    """Which places (n, 3) of a boundary with these normals belong to a patch."""
+    return np.any(
+        [
+            (points @ r.planes[:, :3].T <= r.planes[:, 3] + 1e-12).all(axis=1)
+            & (normals @ r.normal > 0.5)
+            for r in patch.regions
+        ],
+        axis=0,
+    )
+
+
+def side_of(outline, count=3000):
+    """Random places on the side: arc length, height, place, outward normal."""
+    rng = np.random.default_rng(0)
+    s, z = rng.uniform(0, outline.perimeter, count), rng.uniform(0, THICKNESS, count)
+    ahead, behind = outline.at(s + 1e-9), outline.at(s - 1e-9)
+    along = (ahead - behind) / np.linalg.norm(ahead - behind, axis=1)[:, None]
+    normals = np.column_stack([along[:, 1], -along[:, 0], np.zeros(count)])
+    return s, z, np.column_stack([outline.at(s), z]), normals
+
+
+@pytest.mark.parametrize("outline", [SLAB, TRIANGLE, FORK, Disc(0.02), Disc(0.005)])
+@pytest.mark.parametrize("count", [2, 5])
+@pytest.mark.parametrize("height", [None, 0.001])
+def test_a_side_patch_is_its_arc_times_its_height(outline, count, height):
+    pitch = outline.perimeter / count
+    z = None if height is None else 0.0012
+    design = SensorDesign(
+        outline, THICKNESS, uniform(outline, count, 0.7 * pitch, 0.1 * pitch, height=height, z=z)
+    )
+    s, heights, points, normals = side_of(outline)
+    upright = np.ones(len(s), bool) if height is None else np.abs(heights - 0.0012) < height / 2
+    for number, patch in enumerate(design.patches()):
+        from_centre = (s - (0.1 + number) * pitch + outline.perimeter / 2) % outline.perimeter
+        expected = (np.abs(from_centre - outline.perimeter / 2) < 0.35 * pitch) & upright
+        assert expected.sum() > 50
+        assert np.array_equal(within(patch, points, normals), expected)
+        assert patch.area == pytest.approx(0.7 * pitch * (height or THICKNESS))
+        assert patch.sheet is None
+        lids = points * [1, 1, 0]
+        assert not within(patch, lids, np.tile([0.0, 0.0, -1.0], (len(s), 1))).any()
+        for region in patch.regions:
+            assert np.linalg.norm(region.planes[:, :3], axis=1) == pytest.approx(1.0)
+
+
+def test_arcs_are_split_into_regions_of_at_most_half_a_radian():
+    radius = 0.02
+    around = uniform(Disc(radius), 2, width=3.0 * radius)
+    regions = SensorDesign(Disc(radius), THICKNESS, around).patches()[0].regions
+    normals = np.array([region.normal for region in regions])
+    turns = np.arccos((normals[1:] * normals[:-1]).sum(axis=1))
+    assert len(regions) == 6
+    assert turns == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("on", ["top", "bottom"])
+@pytest.mark.parametrize("shape", ["rectangle", "round"])
+def test_a_pad_is_its_shape_on_its_face(on, shape):
+    pad = Electrode(0.03, 0.02, width=0.02, height=0.01, on=on, shape=shape)
+    other = Electrode(0.08, 0.02, on="top")
+    patch = SensorDesign(SLAB, THICKNESS, (pad, other)).patches()[0]
+    x, y = np.random.default_rng(0).uniform([0, 0], [0.1, 0.05], size=(5000, 2)).T
+    u, v = np.abs((x - 0.03) / 0.01), np.abs((y - 0.02) / 0.005)
+    expected = (u < 1) & (v < 1) if shape == "rectangle" else np.hypot(u, v) < 1
+    clear = np.abs(np.hypot(u, v) - 1) > 0.01 if shape == "round" else np.ones_like(expected)
+    for face, z in (("top", THICKNESS), ("bottom", 0.0)):
+        points = np.column_stack([x, y, np.full_like(x, z)])
+        normals = np.tile([0.0, 0.0, 1.0 if face == "top" else -1.0], (len(x), 1))
+        found = within(patch, points, normals)
+        assert np.array_equal(found[clear], expected[clear] & (face == on))
+    area = 0.02 * 0.01 * (math.pi / 4 if shape == "round" else 1.0)
+    assert patch.area == pytest.approx(area, rel=1e-12)
+
+
+def test_a_sheet_inside_has_corners_and_no_regions():
+    pad = Electrode(0.03, 0.02, width=0.02, height=0.01, z=0.001, on="inside")
+    patch = SensorDesign(SLAB, THICKNESS, (pad, Electrode(0.08, 0.02, on="top"))).patches()[0]
+    assert patch.regions == ()
+    assert patch.area == pytest.approx(0.02 * 0.01)
+    expected = [[0.02, 0.015], [0.04, 0.015], [0.04, 0.025], [0.02, 0.025]]
+    assert patch.sheet == pytest.approx(np.column_stack([expected, np.full(4, 0.001)]))
+
+
+@pytest.fixture
+def ball(tmp_path):
+    import trimesh
+
+    trimesh.creation.icosphere(subdivisions=5, radius=0.05).export(tmp_path / "ball.stl")
+    return Surface(tmp_path / "ball.stl")
+
+
+def on_ball(ball, *pads, **options):
+    return SensorDesign(ball, 0.1, pads, encapsulated_thickness=0.1, **options)
+
+
+def test_a_pad_on_a_surface_covers_what_lies_under_it(ball):
+    """A disc of radius a over a sphere of radius R covers a cap of 2 pi R (R - sqrt(R2 - a2))."""
+    R, a = 0.05, 0.02
+    design = on_ball(
+        ball,
+        Electrode(0.051, 0.0, 2 * a, z=0.0, on="surface", shape="round"),
+        Electrode(-0.02, 0.01, 0.01, height=0.02, z=-0.05, on="surface"),
+    )
+    cap = 2 * math.pi * R * (R - math.sqrt(R**2 - a**2))
+    first, second = design.patches()
+    # The 32 sides and the facets of the sphere make up for the rest.
+    assert first.area == pytest.approx(cap, rel=2e-3)
+    assert 1.0 < second.area / (0.01 * 0.02) < 1.05
+    (region,) = first.regions
+    assert region.normal == pytest.approx([1, 0, 0], abs=1e-3)
+    assert within(first, np.array([[R, 0, 0], [R * 0.95, 0, 0.015]]), np.eye(3)[[0, 0]]).all()
+    assert not within(first, np.array([[-R, 0, 0], [R * 0.9, 0, 0.021]]), -np.eye(3)[[0, 0]]).any()
+
+
+def test_width_on_a_surface_is_horizontal_as_on_the_side_and_along_x_on_top(ball):
+    pads = [(0.05, 0.0, 0.0), (0.0, -0.05, 0.0), (0.0, 0.0, 0.05)]
+    design = on_ball(ball, *(Electrode(x, y, 0.01, 1e-3, 0.004, z, "surface") for x, y, z in pads))
+    extents = []
+    for patch in design.patches():
+        (region,) = patch.regions
+        room = region.planes[:, 3] - region.planes[:, :3] @ (0.05 * region.normal)
+        wide = np.abs(region.planes[np.abs(room - 0.005) < 1e-4, :3]).max(axis=0)
+        extents.append(wide)
+    assert np.array(extents) == pytest.approx(np.eye(3)[[1, 0, 0]], abs=2e-2)
+
+
+# Edges
+
+
+def test_edges_of_the_reference_sensor_are_upright_lines():
+    edges = SensorDesign.reference().edges()
+    x, y, z = edges.T
+    long_side = np.isin(y, [0.0, 0.06])
+    assert np.unique(x[long_side].round(9)) == pytest.approx(
+        [0.02, 0.025, 0.0725, 0.0775, 0.125, 0.13]
+    )
+    assert np.unique(y[~long_side].round(9)) == pytest.approx([0.0275, 0.0325])
+    line = np.sort(z[(np.abs(x - 0.02) < 1e-9) & (y == 0.0)])
+    assert line[[0, -1]] == pytest.approx([0.0, 0.005])
+    assert np.diff(line).max() <= 0.005 / 8 + 1e-12
+
+
+def test_edges_have_both_ends_however_wide_the_spacing():
+    round_the_corner = Electrode(0.0, 0.002, 0.01, height=0.002)
+    pad = Electrode(0.03, 0.025, 0.01, height=0.02, on="top")
+    edges = SensorDesign(SLAB, THICKNESS, (round_the_corner, pad)).edges(spacing=math.inf)
+    corners = [(x, y, THICKNESS) for x in (0.025, 0.035) for y in (0.015, 0.035)]
+    corners += [(x, y, z) for x, y in ((0, 0.007), (0, 0), (0.003, 0)) for z in (0.001, 0.003)]
+    assert {tuple(p) for p in (edges + 0.0).round(9).tolist()} == set(corners)
+
+
+def test_edges_run_around_what_lies_within_a_face(ball):
+    part = Electrode(0.03, 0.0, height=0.002, z=0.002)
+    standing = Electrode(0.06, 0.0, height=0.002, z=0.001)
+    pad = Electrode(0.03, 0.025, 0.01, on="top", shape="round")
+    edges = SensorDesign(SLAB, THICKNESS, (part, standing, pad)).edges(spacing=2e-4)
+    x, y, z = edges.T
+    upright = y == 0.0
+    for at, heights in ((0.03, [0.001, 0.003]), (0.06, [0.002])):
+        under = upright & (np.abs(x - at) < 0.002)
+        assert np.unique(z[under].round(9)) == pytest.approx(heights)
+        assert np.diff(np.sort(x[under & np.isclose(z, heights[0])])).max() <= 2e-4 * 1.001
+    assert z[~upright] == pytest.approx(THICKNESS)
+    assert np.hypot(x - 0.03, y - 0.025)[~upright] == pytest.approx(0.005, rel=0.005)
+    cap = on_ball(ball, *(Electrode(x, 0, 0.01, z=0.0, on="surface") for x in (-0.05, 0.05)))
+    assert np.linalg.norm(cap.edges(), axis=1) == pytest.approx(0.05, rel=0.02)
+
+
+# What does not fit
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"width": 5.0e3}, "electrode width must be between 1 um and 10 m"),
+        ({"width": 0.0}, "electrode width must be a positive number of m"),
+        ({"height": -1.0}, "electrode height must be a positive"),
+        ({"x": float("nan")}, "electrode place must be finite"),
+        ({"z": float("inf"), "on": "inside"}, "electrode place must be finite"),
+        ({"on": "rim"}, "electrode on must be one of 'side', 'top', .* got 'rim'"),
+        ({"shape": "oval"}, "electrode shape must be one of 'rectangle', 'round', got 'oval'"),
+        ({"shape": "round"}, "on the side is a rectangle"),
+        ({"z": 0.001}, "give its height, or leave out z"),
+        ({"on": "top", "z": 0.001}, "the height of an electrode on the top is known"),
+        ({"on": "inside"}, 'on = "inside" needs the height z'),
+        ({"on": "surface"}, 'on = "surface" needs the height z'),
+        ({"contact_impedance": 0.0}, "finite with a positive real part"),
+        ({"contact_impedance": -1e-3}, "finite with a positive real part"),
+        ({"contact_impedance": 1e-3j}, "finite with a positive real part"),
+        ({"contact_impedance": complex(1e-3, math.inf)}, "finite with a positive real part"),
+        ({"contact_impedance": float("nan")}, "finite with a positive real part"),
+        ({"contact_impedance": 1e-11}, "between 1e-10 and 1e[+]06 ohm m2 in magnitude, got 1e-11"),
+        ({"contact_impedance": 1 + 2e6j}, "in magnitude, got 2e[+]06"),
+    ],
+)
+def test_electrodes_that_cannot_be_are_refused(changes, message):
+    with pytest.raises(ConfigurationError, match=message):
+        Electrode(**{"x": 0.01, "y": 0.0, **changes})
+
+
+FAR = Electrode(0.1, 0.025)
+
+
+@pytest.mark.parametrize(
+    ("outline", "electrode", "message"),
+    [
+        (SLAB, Electrode(0.02, 0.01), r"electrode 0: \(0.02, 0.01\) m is 0.01 m off the outline"),
+        (SLAB, Electrode(0.02, 0.0, 0.4), "width of 0.4 m must be less than .* perimeter of 0.3 m"),
+        (SLAB, Electrode(0.02, 0.0, height=0.005), "from z = -0.0005 to 0.0045 m, beyond .* 0.004"),
+        (SLAB, Electrode(0.02, 0.0, height=0.002, z=0.0035), "from z = 0.0025 to 0.0045 m, beyond"),
+        (SLAB, Electrode(0.02, 0.01, z=0.004, on="inside"), "above 0 and below 0.004 m, got 0.004"),
+        (SLAB, Electrode(0.02, 0.01, z=0.0, on="inside"), 'say on = "top" or "bottom"'),
+        (SLAB, Electrode(0.001, 0.01, on="top"), r"reaches 0.0015 m beyond the outline"),
+        (SLAB, Electrode(0.3, 0.01, on="bottom"), r"reaches 0.2025 m beyond the outline"),
+        (FORK, Electrode(0.0035, 0.03, 0.0065, on="top"), "reaches .* m beyond the outline"),
+        (SLAB, Electrode(0.0, 0.0, z=0.0, on="surface"), 'got on = "surface" with a Rectangle'),
+    ],
+)
+def test_electrodes_off_their_body_are_refused(outline, electrode, message):
+    with pytest.raises(ConfigurationError, match=message):
+        SensorDesign(outline, THICKNESS, (electrode, FAR))
+
+
+@pytest.mark.parametrize(
+    ("electrode", "message"),
+    [
+        (Electrode(0.06, 0.0, z=0.0, on="surface"), r"0.01 m off the surface.*\(0.05, "),
+        (Electrode(0.05, 0.0, 0.096, z=0.0, on="surface"), "only .*% of its pad lies on the surf"),
+        (Electrode(0.05, 0.0), 'got on = "side" with a Surface'),
+        (Electrode(0.05, 0.0, on="top"), 'got on = "top" with a Surface'),
+    ],
+)
+def test_electrodes_off_a_surface_are_refused(ball, electrode, message):
+    with pytest.raises(ConfigurationError, match=message):
+        on_ball(ball, electrode, Electrode(-0.05, 0.0, z=0.0, on="surface"))
+
+
+def test_thickness_must_be_the_height_of_a_surface(ball):
+    pads = [Electrode(x, 0.0, z=0.0, on="surface") for x in (-0.05, 0.05)]
+    with pytest.raises(
+        ConfigurationError, match=r"height of the surface, 0\.1000?0*1?5?.* got 0.09"
+    ):
+        SensorDesign(ball, 0.09, tuple(pads), encapsulated_thickness=0.1)
+
+
+def part(x, z, height=0.001):
+    return Electrode(x, 0.0, height=height, z=z)
+
+
+@pytest.mark.parametrize(
+    ("electrodes", "message"),
+    [
+        ((Electrode(0.02, 0.0), Electrode(0.022, 0.0)), "0 and 1 overlap by 3 mm along the outl"),
+        ((FAR, Electrode(0.022, 0.0), Electrode(0.02, 0.0)), "1 and 2 overlap by 3 mm along"),
+        ((Electrode(0.001, 0.0), Electrode(0.0, 0.002)), "0 and 1 overlap by 2 mm along"),
+        ((part(0.02, 0.001), part(0.021, 0.0018)), "overlap by 0.2 mm along the outline"),
+        (
+            (Electrode(0.02, 0.02, on="top"), Electrode(0.023, 0.021, on="top")),
+            "overlap by 2 mm in their plane",
+        ),
+        (
+            [Electrode(x, 0.02, z=0.001, on="inside") for x in (0.02, 0.024)],
+            "overlap by 1 mm in their plane",
+        ),
+        ((Electrode(0.02, 0.0),), "number of electrodes must be from 2 to 1024, got 1"),
+        ((), "from 2 to 1024, got 0"),
+    ],
+)
+def test_overlapping_or_missing_electrodes_are_refused(electrodes, message):
+    with pytest.raises(ConfigurationError, match=message):
+        SensorDesign(SLAB, THICKNESS, tuple(electrodes))
+
+
+@pytest.mark.parametrize(
+    "electrodes",
+    [
+        (Electrode(0.02, 0.0), Electrode(0.025, 0.0)),
+        (Electrode(0.0025, 0.0), Electrode(0.0, 0.0025)),
+        (part(0.02, 0.001), part(0.021, 0.002)),
+        (Electrode(0.02, 0.02, on="top"), Electrode(0.02, 0.02, on="bottom")),
+        (Electrode(0.02, 0.0025, on="top"), Electrode(0.02, 0.0)),
+        [Electrode(0.02, 0.02, z=z, on="inside") for z in (0.001, 0.002)],
+        [Electrode(0.02, y, on="top", shape="round") for y in (0.02, 0.02502)],
+        [Electrode(0.02 + d, 0.02 + d, on="top", shape="round") for d in (0, 0.0036)],
+    ],
+)
+def test_electrodes_may_touch_or_lie_over_each_other(electrodes):
+    SensorDesign(SLAB, THICKNESS, tuple(electrodes))
+
+
+@pytest.mark.parametrize(("angle", "fits"), [(0.25, True), (0.19, False)])
+def test_pads_on_a_surface_are_kept_apart(ball, angle, fits):
+    """Pads 10 mm wide on a ball of 50 mm radius meet where they are 0.2 rad apart."""
+    places = [(0.05 * math.cos(a), 0.05 * math.sin(a)) for a in (0.0, angle)]
+    pads = [Electrode(x, y, 0.01, z=0.0, on="surface") for x, y in places]
+    if fits:
+        on_ball(ball, *pads)
+        return
+    with pytest.raises(ConfigurationError, match="electrodes 0 and 1 overlap by"):
+        on_ball(ball, *pads)
+
+
+SIZES = st.floats(0.004, 0.02)
+
+
+@settings(max_examples=60, derandomize=True, deadline=None, database=None)
+@given(st.lists(SIZES, min_size=4, max_size=4), st.floats(0, 6.3), st.floats(0.0, 0.02))
+def test_pads_overlap_where_a_place_is_in_both(sizes, turn, apart):
+    """Ellipses, as polygons, against many places tried one by one."""
+    x, y = 0.05 + apart * math.cos(turn), 0.025 + apart * math.sin(turn)
+    first = Electrode(0.05, 0.025, sizes[0], height=sizes[1], on="top", shape="round")
+    second = Electrode(x, y, sizes[2], height=sizes[3], on="top", shape="round")
+    assume(0.01 < y < 0.04)
+    places = np.random.default_rng(0).uniform(-1, 1, size=(4000, 2)) * [0.01, 0.01]
+    common = [
+        np.hypot((places[:, 0] + 0.05 - e.x) / e.width, (places[:, 1] + 0.025 - e.y) / e.height)
+        for e in (first, second)
+    ]
+    depth = 0.5 - np.maximum(*common).min()
+    assume(abs(depth) > 0.02)
+    if depth < 0:
+        SensorDesign(SLAB, THICKNESS, (first, second))
+        return
+    with pytest.raises(ConfigurationError, match="electrodes 0 and 1 overlap"):
+        SensorDesign(SLAB, THICKNESS, (first, second))

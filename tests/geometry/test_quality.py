@@ -1,0 +1,158 @@
+"""Quality: the shapes of known cells, VTK's own measures, and what the gate refuses."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from eitskin.errors import ConfigurationError
+from eitskin.geometry import SensorDesign, structured_mesh
+from eitskin.geometry.meshing.grading import Grading
+from eitskin.geometry.meshing.mesh import Contacts, Mesh
+from eitskin.geometry.meshing.quality import check_quality, quality, scaled_jacobians, volumes
+
+CUBE = np.array(
+    [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]], float
+)
+HALF = np.sqrt(0.75)
+PRISM = np.array(
+    [[0, 0, 0], [1, 0, 0], [0.5, HALF, 0], [0, 0, 1], [1, 0, 1], [0.5, HALF, 1]], float
+)
+TETRAHEDRON = np.array([[1, 1, 1], [1, -1, -1], [-1, -1, 1], [-1, 1, -1]], float)
+IDEAL = [CUBE, PRISM, TETRAHEDRON]
+
+
+def edge_of(ideal):
+    return np.linalg.norm(ideal[1] - ideal[0])
+
+
+def mesh_of(points, cells=None):
+    if cells is None:
+        cells = np.arange(len(points))[None]
+    empty = np.zeros(0, dtype=int)
+    return Mesh(points, cells, Contacts(empty, empty, np.zeros((0, 3, 3)), np.zeros(0), ()), None)
+
+
+def crooked(ideal, count, amount):
+    """`count` separate cells, each an ideal one with its corners moved at random."""
+    rng = np.random.default_rng(1)
+    points = ideal + amount * rng.uniform(-1, 1, (count, *ideal.shape))
+    return mesh_of(points.reshape(-1, 3), np.arange(count * len(ideal)).reshape(count, -1))
+
+
+@pytest.mark.parametrize(
+    ("ideal", "volume", "angles"),
+    [
+        (CUBE, 1.0, (90, 90)),
+        (PRISM, HALF / 2, (60, 90)),
+        (TETRAHEDRON, 8 / 3, [np.degrees(np.arccos(1 / 3))] * 2),
+    ],
+)
+def test_ideal_cells(ideal, volume, angles):
+    found = quality(mesh_of(ideal))
+    assert found.scaled_jacobian == pytest.approx(1)
+    assert found.aspect_ratio == pytest.approx(1)
+    assert found.volume == pytest.approx(volume)
+    assert (found.smallest_angle, found.largest_angle) == pytest.approx(angles)
+    assert (found.cells, found.points) == (1, len(ideal))
+
+
+@pytest.mark.parametrize("ideal", IDEAL)
+def test_shapes_do_not_depend_on_size_place_or_turning(ideal):
+    turn, _ = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))
+    turn *= np.linalg.det(turn)
+    mesh = crooked(ideal, 20, 0.2)
+    moved = mesh_of(1e-4 * mesh.points @ turn.T + [1.0, 2.0, 3.0], mesh.cells)
+    assert scaled_jacobians(moved.points, moved.cells) == pytest.approx(
+        scaled_jacobians(mesh.points, mesh.cells), rel=1e-8
+    )
+    mirrored = mesh_of(mesh.points * [1, 1, -1], mesh.cells)
+    assert volumes(mirrored.points, mirrored.cells) == pytest.approx(
+        -volumes(mesh.points, mesh.cells)
+    )
+    assert scaled_jacobians(mirrored.points, mirrored.cells).max() < 0
+
+
+@pytest.mark.parametrize(
+    ("ideal", "kind"), [(CUBE, "HEXAHEDRON"), (PRISM, "WEDGE"), (TETRAHEDRON, "TETRA")]
+)
+def test_measures_agree_with_vtk(ideal, kind):
+    pyvista = pytest.importorskip("pyvista")
+    mesh = crooked(ideal, 50, 0.15)
+    grid = pyvista.UnstructuredGrid({getattr(pyvista.CellType, kind): mesh.cells}, mesh.points)
+    theirs = grid.cell_quality("scaled_jacobian")["scaled_jacobian"]
+    assert scaled_jacobians(mesh.points, mesh.cells) == pytest.approx(theirs, rel=1e-12)
+    assert quality(mesh).worst == theirs.argmin()
+    if kind == "TETRA":  # faces are plane, so the volume needs no further definition
+        assert volumes(mesh.points, mesh.cells) == pytest.approx(
+            grid.cell_quality("volume")["volume"], rel=1e-12
+        )
+
+
+def test_angles_between_the_faces_of_tetrahedra():
+    mesh = crooked(TETRAHEDRON, 50, 0.15)
+    angles = []
+    for cell in mesh.points[mesh.cells]:
+        for a, b, c, d in itertools.permutations(cell):
+            along = (b - a) / np.linalg.norm(b - a)
+            # Seen along the edge a-b, the angle between the faces is the one between c and d.
+            to_c, to_d = (p - a - (p - a) @ along * along for p in (c, d))
+            cosine = to_c @ to_d / np.linalg.norm(to_c) / np.linalg.norm(to_d)
+            angles.append(np.degrees(np.arccos(cosine)))
+    assert quality(mesh).smallest_angle == pytest.approx(min(angles))
+    assert quality(mesh).largest_angle == pytest.approx(max(angles))
+
+
+@pytest.mark.parametrize("ideal", IDEAL)
+def test_aspect_ratios_are_those_of_stretched_cells(ideal):
+    once, twice = mesh_of(ideal * [1, 1, 1]), mesh_of(ideal * [1, 1, 3])
+    edges = np.linalg.norm((ideal[:, None] - ideal) * [1, 1, 3], axis=2)
+    true_edges = np.isclose(np.linalg.norm(ideal[:, None] - ideal, axis=2), edge_of(ideal))
+    stretched = edges[true_edges]
+    expected = stretched.max() / stretched.min()
+    both = mesh_of(
+        np.concatenate([once.points, twice.points]), np.arange(2 * len(ideal)).reshape(2, -1)
+    )
+    assert quality(both).aspect_ratio == pytest.approx(expected)
+    assert quality(both).median_aspect_ratio == pytest.approx(0.5 * (1 + expected))
+
+
+def test_thin_boxes_of_a_graded_mesh_pass_with_their_aspect_ratio_told():
+    design = SensorDesign.reference()
+    mesh = structured_mesh(design, Grading(finest=5e-6, coarsest=5e-3, growth=0.7, layers=1))
+    check_quality(mesh)
+    found = quality(mesh)
+    assert found.scaled_jacobian == pytest.approx(1)
+    assert found.aspect_ratio > 500
+    assert found.volume == pytest.approx(0.15 * 0.06 * 0.005)
+
+
+@pytest.mark.parametrize("ideal", IDEAL)
+def test_the_gate_names_the_worst_cell(ideal):
+    good, count = crooked(ideal, 5, 0.05), len(ideal)
+    check_quality(good)
+    points = good.points.copy()
+    # The top of cell 3 goes through its bottom.
+    points[3 * count : 4 * count, 2] *= -1
+    centre = points[3 * count : 4 * count].mean(axis=0)
+    place = ", ".join(f"{c:.6g}" for c in centre)
+    with pytest.raises(ConfigurationError, match=r"cell 3 at \(.*inverted") as error:
+        check_quality(mesh_of(points, good.cells))
+    assert f"({place}) m" in str(error.value)
+    points[3 * count : 4 * count] = [1.0, 2.0, 3.0]  # all corners in one place
+    with pytest.raises(ConfigurationError, match=r"cell 3 .* is degenerate"):
+        check_quality(mesh_of(points, good.cells))
+
+
+def test_slivers_are_degenerate():
+    flat = TETRAHEDRON * [1, 1, 1e-4]
+    with pytest.raises(ConfigurationError, match=r"1 of 1 cells .* degenerate"):
+        check_quality(mesh_of(flat))
+    check_quality(mesh_of(flat), least=1e-5)
+
+
+def test_points_that_are_not_finite_are_refused():
+    points = CUBE.copy()
+    points[6, 1] = np.nan
+    with pytest.raises(ConfigurationError, match=r"point 6 of the mesh.*not finite"):
+        check_quality(mesh_of(points))

@@ -1,0 +1,120 @@
+"""Bodies from surface files, and files that bound none."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from eitskin.errors import ConfigurationError
+from eitskin.geometry import Surface
+
+
+def save(mesh, path):
+    mesh.export(path)
+    return path
+
+
+def ball(radius=1.0):
+    return trimesh.creation.icosphere(subdivisions=3, radius=radius)
+
+
+@pytest.mark.parametrize("ending", ["stl", "obj", "ply", "off"])
+def test_extents_and_volume_are_in_metres(tmp_path, ending):
+    box = trimesh.creation.box(bounds=[[1, 2, 3], [21, 12, 9]])
+    surface = Surface(save(box, tmp_path / f"box.{ending}"), scale=1e-3)
+    assert (surface.length, surface.width, surface.height) == pytest.approx((0.02, 0.01, 0.006))
+    assert surface.bounds == pytest.approx(np.array([[1, 2, 3], [21, 12, 9]]) * 1e-3)
+    points, faces = surface.triangles()
+    volume = np.linalg.det(points[faces]).sum() / 6
+    assert volume == pytest.approx(0.02 * 0.01 * 0.006, rel=1e-6)
+
+
+def test_nearest_place_and_normal_on_a_box(tmp_path):
+    surface = Surface(save(trimesh.creation.box(extents=[2, 2, 2]), tmp_path / "box.stl"))
+    for given, place, normal in (
+        ((0.3, 0.2, 5.0), (0.3, 0.2, 1.0), (0, 0, 1)),
+        ((0.3, 0.2, 0.9), (0.3, 0.2, 1.0), (0, 0, 1)),
+        ((-1.5, 0.2, 0.1), (-1.0, 0.2, 0.1), (-1, 0, 0)),
+    ):
+        found = surface.nearest(np.array(given))
+        assert found[0] == pytest.approx(np.array(place))
+        assert found[1] == pytest.approx(np.array(normal))
+    corner, _ = surface.nearest(np.array([3.0, 4.0, 5.0]))
+    assert corner == pytest.approx(np.ones(3))
+
+
+def test_a_cavity_is_part_of_the_body(tmp_path):
+    hole = ball(0.3)
+    hole.invert()
+    both = trimesh.util.concatenate([trimesh.creation.box(extents=[1, 1, 1]), hole])
+    points, faces = Surface(save(both, tmp_path / "hollow.stl")).triangles()
+    volume = np.linalg.det(points[faces]).sum() / 6
+    assert volume == pytest.approx(1.0 - hole.volume * -1, rel=1e-5)
+
+
+def test_a_changed_file_is_read_again(tmp_path):
+    path = save(ball(1.0), tmp_path / "ball.stl")
+    assert Surface(path).height == pytest.approx(2.0)
+    save(ball(2.0), path)
+    assert Surface(path).height == pytest.approx(4.0)
+
+
+def without_a_face():
+    mesh = ball()
+    mesh.faces = mesh.faces[1:]
+    return mesh
+
+
+def with_a_turned_face():
+    mesh = ball()
+    faces = mesh.faces.copy()
+    faces[0] = faces[0][::-1]
+    mesh.faces = faces
+    return mesh
+
+
+def inside_out():
+    mesh = ball()
+    mesh.invert()
+    return mesh
+
+
+def beside(mesh):
+    return trimesh.util.concatenate([ball(), mesh.apply_translation((5, 0, 0))])
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (without_a_face, "is open: 3 of its edges .* fill the holes"),
+        (with_a_turned_face, "look both ways: .* make the normals consistent"),
+        (inside_out, "is inside out; flip"),
+        (lambda: beside(ball()), "holds 2 bodies"),
+        (lambda: beside(inside_out()), "no cavity of its body"),
+        (lambda: ball(20.0), "length of the surface bad.stl must be between .* in metres"),
+    ],
+)
+def test_surfaces_that_bound_no_body_say_what_to_do(tmp_path, make, message):
+    with pytest.raises(ConfigurationError, match=message):
+        Surface(save(make(), tmp_path / "bad.stl"))
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("none.stl", None, "cannot read .*none.stl: No such file"),
+        ("text.stl", "hello", "holds no triangles"),
+        ("empty.ply", "ply\n", "cannot read .*empty.ply as a surface"),
+        ("part.step", "ISO-10303-21;", "expected a triangle surface such as STL"),
+    ],
+)
+def test_files_that_hold_no_surface_are_refused(tmp_path, name, content, message):
+    if content is not None:
+        (tmp_path / name).write_text(content)
+    with pytest.raises(ConfigurationError, match=message):
+        Surface(tmp_path / name)
+
+
+@pytest.mark.parametrize("scale", [0.0, -1.0, float("nan")])
+def test_scales_that_cannot_be_are_refused(tmp_path, scale):
+    with pytest.raises(ConfigurationError, match=r"outline\.scale must be a positive number"):
+        Surface(save(ball(), tmp_path / "ball.stl"), scale)

@@ -1,0 +1,255 @@
+"""Boards: one suite for all of them, how they are opened, recordings, the command."""
+
+import contextlib
+import itertools
+import os
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from eitskin.datasets import Dataset, ShardWriter, write_shard
+from eitskin.errors import ConfigurationError, DataError, DeviceError
+from eitskin.hardware import ReplayBoard, open_board
+from eitskin.hardware.boards.port import open_port
+from eitskin.hardware.protocol.messages import Table
+from eitskin.hardware.virtual.virtual_board import virtual_terminal
+from eitskin.simulator import Frame, Status
+
+from compiled_firmware import compiled_terminal
+from loopback import FLAT, PROTOCOL, FakeSimulator, connected, firmware, take, virtual
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("recording") / "run"
+    rng = np.random.default_rng(1)
+    with ShardWriter(folder) as writer:
+        for number in range(12):
+            status = np.zeros(28, np.uint8)
+            status[number] = Status.CLIPPED
+            impedance = FLAT + rng.normal(0, 0.1, 28)
+            writer.append(Frame(impedance, PROTOCOL, 0.3 * number, number, 7, status=status))
+    return folder
+
+
+@contextlib.contextmanager
+def served_by_the_firmware():
+    """The firmware in C, behind a pseudo-terminal."""
+    with compiled_terminal() as terminal, open_board(f"serial:{terminal.path}") as board:
+        yield board
+
+
+@pytest.fixture(params=["virtual", "firmware in C", "replay", "loopback"])
+def board(request, recording):
+    opened = {
+        "virtual": virtual,
+        "firmware in C": served_by_the_firmware,
+        "replay": lambda: open_board(f"replay:{recording}"),
+        "loopback": lambda: connected(firmware())[0],
+    }
+    with opened[request.param]() as board:
+        yield board
+
+
+# ---- every board ----
+
+
+def test_gives_frames_of_its_protocol_in_order(board):
+    frames = take(board, 10)
+    assert board.protocol == PROTOCOL
+    assert all(frame.protocol == PROTOCOL for frame in frames)
+    assert [frame.number for frame in frames] == list(range(10))
+    assert np.allclose([frame.impedance for frame in frames], FLAT, atol=2.0)
+    assert len({frame.session for frame in frames}) == 1
+    times = [frame.time for frame in frames]
+    assert np.allclose(np.diff(times), board.info.period)
+
+
+def test_counts_what_it_gives(board):
+    take(board, 5)
+    assert (board.counts.frames, board.lost, board.counts.dropped) == (5, 0, {})
+
+
+def test_says_who_it_is(board):
+    assert board.info.frequency == 40e3
+    assert (board.info.n_electrodes, board.info.n_measurements) == (8, 28)
+    assert board.info.table_crc32 == Table.of(PROTOCOL).crc32
+
+
+def test_closing_twice_does_nothing(board):
+    take(board, 1)
+    board.close()
+    board.close()
+
+
+def test_calibrates_where_there_is_something_to_calibrate(board):
+    if isinstance(board, ReplayBoard):
+        with pytest.raises(ConfigurationError, match="a recording cannot"):
+            board.calibrate()
+    else:
+        board.calibrate()
+        assert np.allclose(take(board, 1)[0].impedance, FLAT, atol=2.0)
+
+
+def test_goes_on_after_connecting_again(board):
+    first = take(board, 3)
+    board.reconnect()
+    again = take(board, 3)
+    assert again[0].session == first[0].session
+    assert all(np.allclose(frame.impedance, FLAT, atol=2.0) for frame in again)
+    assert board.counts.frames == 6
+
+
+# ---- opening ----
+
+
+@pytest.mark.parametrize(
+    ("uri", "complaint"),
+    [
+        ("ttyACM0", "expected a board as serial:PORT"),
+        ("virtuel:", "did you mean 'virtual:'"),
+        ("serial:", "needs a port, such as serial:/dev/ttyACM0"),
+        ("replay:", "needs a dataset's folder"),
+        ("replay:x?speed=fast", "speed must be one of real, max, got 'fast'"),
+        ("virtual:?sped=max", "no option 'sped'; it has speed"),
+        ("virtual:?seed=one", "option seed must be a number, got 'one'"),
+        ("virtual:?simulator=x", "cannot be said in a URI"),
+        ("virtual:scene.toml", r"write virtual:\?scene=scene.toml"),
+        ("virtual:?speed=", "speed must be one of real, max, got ''"),
+        ("virtual:?speed=fast", "speed must be one of real, max, got 'fast'"),
+        ("virtual:?resolution=best", "resolution must be one of fast, standard, fine"),
+        ("virtual:?faults=gremlins", "name among bit_flip, .*got 'gremlins'"),
+        ("virtual:?scene=missing.toml", "missing.toml"),
+    ],
+)
+def test_a_uri_that_cannot_be_says_what_to_write(uri, complaint, monkeypatch):
+    monkeypatch.setattr("serial.tools.list_ports.comports", list)
+    with pytest.raises(ConfigurationError, match=complaint):
+        open_board(uri)
+
+
+def test_an_option_that_no_board_has_is_refused_before_anything_opens():
+    with pytest.raises(ConfigurationError, match="replay: has no option 'sped'; it has speed"):
+        open_board("replay:nowhere", sped="max")
+
+
+def test_a_missing_port_is_named(tmp_path):
+    with pytest.raises(DeviceError, match="there is none of this name; check the cable"):
+        open_board(f"serial:{tmp_path}/ttyACM0")
+
+
+def test_a_file_is_no_port(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(DeviceError, match="check that it is a serial port"):
+        open_board(f"serial:{tmp_path}/file")
+
+
+def test_a_port_in_use_is_refused_and_reopens_when_free():
+    with virtual_terminal(speed="max", simulator=FakeSimulator()) as terminal:
+        uri = f"serial:{terminal.path}"
+        with open_board(uri) as first:
+            with pytest.raises(DeviceError, match="another program uses it"):
+                open_board(uri)
+            before = take(first, 3)
+        with open_board(uri) as second:
+            after = take(second, 3)
+    assert after[0].number > before[-1].number
+    assert after[0].session == before[0].session
+    assert (second.lost, second.counts.frames) == (0, 3)
+
+
+# ---- recordings ----
+
+
+def test_what_was_lost_is_counted_within_a_session_only(tmp_path):
+    with ShardWriter(tmp_path / "run") as writer:
+        for number, session in ((0, 1), (3, 1), (2**32 - 1, 1), (0, 1), (9, 2), (10, 2)):
+            writer.append(Frame(FLAT, PROTOCOL, 0.3 * number, number, session))
+    with open_board(f"replay:{tmp_path / 'run'}") as board:
+        lost = [board.lost for _ in board.frames()]
+    assert lost == [0, 2, 2, 2, 2, 2]  # a number that falls behind is none
+
+
+def test_a_recording_keeps_its_status_and_session(recording):
+    with open_board(f"replay:{recording}") as board:
+        frames = list(board.frames())
+    assert len(frames) == 12
+    assert [int(np.flatnonzero(frame.status)[0]) for frame in frames] == list(range(12))
+    assert {frame.session for frame in frames} == {7}
+
+
+def test_a_recording_without_protocol_cannot_be_replayed(tmp_path):
+    path = tmp_path / "shard-00000.h5"
+    write_shard(path, Dataset.from_arrays(np.ones((4, 28), np.complex64)), 0)
+    with pytest.raises(DataError, match=r"does not say which electrodes.*--protocol"):
+        open_board(f"replay:{path}")
+
+
+def test_no_recording_is_an_error(tmp_path):
+    with pytest.raises(DataError, match="not a complete dataset"):
+        open_board(f"replay:{tmp_path}")
+
+
+def test_real_speed_waits_as_the_recording_did(recording):
+    now, waits = [0.0], []
+
+    def wait(seconds):
+        waits.append(seconds)
+        now[0] += seconds
+
+    board = ReplayBoard(str(recording), speed="real", clock=lambda: now[0], wait=wait)
+    for frame in itertools.islice(board.frames(), 4):
+        now[0] += 0.1 if frame.number else 0.0  # time that the listener takes
+    assert waits == pytest.approx([0.0, 0.3, 0.2, 0.2])
+
+
+# ---- the command ----
+
+
+@pytest.mark.parametrize("ended_by", [signal.SIGINT, signal.SIGTERM])
+def test_eitskin_board_serves_one_host_after_the_other_until_interrupted(ended_by, tmp_path):
+    script = "import typer; from eitskin.cli.commands.board import command; typer.run(command)"
+    process = subprocess.Popen(
+        [
+            sys.executable,
+            "-c",
+            script,
+            "--speed",
+            "max",
+            "--quiet",
+            "--link",
+            str(tmp_path / "tty"),
+        ],
+        stdout=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"OMP_NUM_THREADS": "1"},
+    )
+    with process:
+        try:
+            uri = process.stdout.readline().strip()
+            assert uri == f"serial:{tmp_path / 'tty'}"
+            numbers = []
+            for _ in range(2):
+                with open_board(uri) as board:
+                    numbers += [frame.number for frame in take(board, 5)]
+            assert numbers == sorted(set(numbers))
+            process.send_signal(ended_by)
+            assert process.wait(20) == 130
+            assert not list(tmp_path.iterdir())
+        finally:
+            process.kill()
+
+
+def test_ports_are_opened_without_flow_control():
+    with virtual_terminal(speed="max", simulator=FakeSimulator()) as terminal:
+        port = open_port(terminal.path, "serial:x")
+        assert (port.baudrate, port.xonxoff, port.rtscts, port.exclusive) == (
+            921600,
+            False,
+            False,
+            True,
+        )
+        port.close()

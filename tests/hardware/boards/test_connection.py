@@ -1,0 +1,339 @@
+"""Boards that go away and come back: what is counted, what is a new session, what is final."""
+
+import dataclasses
+import threading
+from pathlib import Path
+
+import pytest
+
+from eitskin.errors import ConfigurationError, DeviceError
+from eitskin.geometry import Bend
+from eitskin.hardware import Connection, Script, Step, open_board
+from eitskin.hardware.boards.connection import FIRST_PAUSE, LONGEST_PAUSE
+from eitskin.hardware.boards.held_port import HeldPort, UnrecoverableError
+from eitskin.hardware.virtual.virtual_board import virtual_terminal
+from eitskin.simulator import Scene
+
+from loopback import FakeSimulator, Loopback, connected, firmware, take, virtual
+
+
+class Flaky:
+    """A board of which connecting fails some times; its streams end in an error."""
+
+    def __init__(self, streams, failures=0, final=None):
+        self.streams, self.failures, self.final = iter(streams), failures, final
+        self.tries = 0
+
+    def frames(self, newest=False):  # noqa: ARG002
+        for each in next(self.streams):
+            if isinstance(each, Exception):
+                raise each
+            yield each
+
+    def reconnect(self):
+        self.tries += 1
+        if self.final is not None:
+            raise self.final
+        if self.tries <= self.failures:
+            raise DeviceError("not there yet")
+
+
+GONE = DeviceError("went away")
+
+
+def test_frames_go_on_after_the_board_has_been_away():
+    waits = []
+    board = Flaky([[1, 2, GONE], [3, GONE], [4]], failures=2)
+    connection = Connection(board, wait=waits.append)
+    assert list(connection.frames()) == [1, 2, 3, 4]
+    assert board.tries == 4
+    assert waits == pytest.approx([0.1, 0.2, 0.4, 0.1])
+
+
+def test_the_pause_grows_to_its_longest_and_the_reason_is_told():
+    waits, reasons = [], []
+
+    def wait(seconds):
+        waits.append(seconds)
+        reasons.append(connection.problem)
+
+    connection = Connection(Flaky([[GONE], [1]], failures=9), wait=wait)
+    frames = connection.frames()
+    assert next(frames) == 1
+    assert waits[0] == FIRST_PAUSE
+    assert waits[-1] == max(waits) == LONGEST_PAUSE
+    assert reasons[:2] == ["went away", "not there yet"]
+    assert connection.problem == ""
+
+
+def test_a_board_that_goes_away_at_once_again_is_not_hammered():
+    waits = []
+    connection = Connection(Flaky([[GONE]] * 6 + [[1]]), wait=waits.append)
+    assert list(connection.frames()) == [1]
+    assert waits == sorted(set(waits))
+
+
+def test_what_cannot_be_mended_ends_it():
+    connection = Connection(
+        Flaky([[1, GONE]], final=UnrecoverableError("another board")), wait=lambda _: None
+    )
+    with pytest.raises(UnrecoverableError, match="another board"):
+        list(connection.frames())
+
+
+def test_frames_that_the_board_numbered_meanwhile_are_lost_and_counted():
+    board, port = connected(firmware())
+    first = take(board, 3)[-1].number
+    for _ in range(5):
+        port.firmware.skip()
+    board.reconnect()
+    after = take(board, 2)
+    assert [frame.number for frame in after] == [first + 6, first + 7]
+    assert (board.lost, board.counts.reconnections) == (5, 1)
+    assert after[0].session == 1
+
+
+def test_a_board_that_started_anew_meanwhile_is_a_new_session_and_nothing_is_lost():
+    board, port = connected(firmware())
+    take(board, 3)
+    port.firmware.boot()
+    board.reconnect()
+    after = take(board, 2)
+    assert [(frame.session, frame.number) for frame in after] == [(2, 0), (2, 1)]
+    assert board.lost == 0
+
+
+def test_a_board_that_counts_anew_without_saying_so_is_believed():
+    board, port = connected(firmware())
+    take(board, 3)
+    port.firmware._number = 0
+    board.reconnect()
+    assert [frame.number for frame in take(board, 2)] == [0, 1]
+    assert (board.lost, board.counts.dropped) == (0, {})
+
+
+def test_half_a_packet_from_before_does_not_spoil_what_comes_after():
+    board, port = connected(firmware())
+    frames = board.frames()
+    next(frames)
+    port.waiting += port.firmware.frame()[:100]
+    board._receive()
+    board.reconnect()
+    take(board, 2)
+    assert board.counts.dropped == {}
+
+
+@pytest.mark.parametrize("changes", [{"uid": b"another one!"}, {"table_crc32": 7}])
+def test_another_board_is_refused(changes):
+    board, port = connected(firmware())
+    known = board.info
+    port.firmware.info = dataclasses.replace(port.firmware.info, **changes)
+    with pytest.raises(UnrecoverableError, match=r"expected board .*; found board .* start anew"):
+        board.reconnect()
+    assert board.info == known
+
+
+def test_a_closed_board_does_not_come_back():
+    board, _ = connected(firmware())
+    board.close()
+    with pytest.raises(UnrecoverableError, match="is closed"):
+        list(Connection(board, wait=lambda _: None).frames())
+
+
+# ---- cables ----
+
+
+def test_a_cable_that_is_put_back_is_found_at_its_new_terminal():
+    with virtual() as board:
+        frames = Connection(board, wait=lambda _: None).frames()
+        assert next(frames).session == 1
+        board.stage.inject("replug")
+        while next(frames).session == 1:
+            pass
+        assert next(frames).session == 2
+    assert board.counts.reconnections == 1
+
+
+def test_an_unplugged_board_stays_away_until_that_is_cleared():
+    with virtual() as board:
+
+        def wait(_):
+            waited.append(1)
+            if len(waited) == 3:
+                board.stage.clear()
+
+        waited = []
+        frames = Connection(board, wait=wait).frames()
+        next(frames)
+        board.stage.inject("unplug_mid_frame")
+        while next(frames).session == 1:
+            pass
+    assert len(waited) >= 3
+
+
+def test_a_link_leads_to_the_board_before_and_after(tmp_path):
+    link = tmp_path / "ttyEIT"
+    with virtual_terminal(speed="max", simulator=FakeSimulator(), link=link) as terminal:
+        with open_board(f"serial:{link}") as board:
+            frames = Connection(board, wait=lambda _: None).frames()
+            next(frames)
+            terminal.firmware.stage.inject("replug")
+            while next(frames).session == 1:
+                pass
+        assert link.is_symlink()
+    assert not link.is_symlink()
+
+
+def test_a_link_that_another_board_took_over_is_left_to_it(tmp_path):
+    link = tmp_path / "ttyEIT"
+    first = virtual_terminal(simulator=FakeSimulator(), link=link)
+    second = virtual_terminal(simulator=FakeSimulator(), link=link)
+    first.close()
+    assert str(link.readlink()) == second.path
+    second.close()
+    assert not link.is_symlink()
+
+
+def test_a_link_does_not_replace_a_file(tmp_path):
+    (tmp_path / "notes").write_text("kept")
+    with pytest.raises(ConfigurationError, match="is no link; choose a path that is free"):
+        virtual_terminal(simulator=FakeSimulator(), link=tmp_path / "notes")
+    assert (tmp_path / "notes").read_text() == "kept"
+
+
+def test_unplugging_and_replugging_leaves_nothing_behind():
+    def state():
+        return len(list(Path("/dev/fd").iterdir())), threading.active_count()
+
+    with virtual() as board:
+        connection = Connection(board, wait=lambda _: None)
+        frames = connection.frames()
+        next(frames)
+        before = state()
+        for _ in range(10):
+            session = next(frames).session
+            board.stage.inject("replug")
+            while next(frames).session == session:
+                pass
+        assert state() == before
+    assert board.counts.reconnections == 10
+
+
+def test_a_board_that_starts_anew_again_and_again_is_a_stale_stream():
+    board, port = connected(firmware())
+    frames = board.frames()
+    next(frames)
+    port.firmware.frame = port.firmware.boot
+
+    def start(data, receive=port.firmware.receive):
+        answer = receive(data)
+        port.firmware.streaming = True
+        return answer
+
+    port.firmware.receive = start
+    with pytest.raises(DeviceError, match="stale"):
+        next(frames)
+
+
+def test_closing_while_it_connects_leaves_no_port_open():
+    ports = []
+
+    def connect():
+        port = Loopback(firmware())
+        ports.append(port)
+        if len(ports) == 2:
+            held.close()
+        return port
+
+    held = HeldPort(connect, "serial:x")
+    with pytest.raises(UnrecoverableError, match="is closed"):
+        held.reopen()
+    assert [port.closed for port in ports] == [True, True]
+
+
+# ---- the stage ----
+
+
+def test_the_board_never_waits_for_whoever_sets_a_scene():
+    begun, go_on = threading.Event(), threading.Event()
+
+    class Slow(FakeSimulator):
+        def measure(self, scene):
+            if scene.bend.angle_deg:
+                begun.set()
+                assert go_on.wait(20.0)
+            return super().measure(scene)
+
+    with open_board("virtual:?speed=max", simulator=Slow()) as board:
+        script = Script((Step(Scene(bend=Bend(20.0)), 2),))
+        setter = threading.Thread(target=board.stage.play, args=(script,))
+        setter.start()
+        assert begun.wait(20.0)
+        assert len(take(board, 50)) == 50
+        go_on.set()
+        setter.join()
+        frames = board.frames(newest=True)
+        while not board.stage.truth(next(frames).number).bend.angle_deg:
+            pass
+
+
+def test_the_scene_changes_while_the_board_runs_and_is_known_for_each_frame():
+    with virtual(snr_db=float("inf")) as board:
+        frames = board.frames(newest=True)
+        flat = next(frames)
+        board.stage.set(Scene(bend=Bend(20.0)))
+        while (frame := next(frames)).impedance[0] == flat.impedance[0]:
+            pass
+        assert board.stage.truth(flat.number) == Scene()
+        assert board.stage.truth(frame.number) == board.stage.scene == Scene(bend=Bend(20.0))
+        assert frame.impedance[0].real == pytest.approx(1.02 * flat.impedance[0].real, rel=1e-6)
+        assert board.stage.truth(2**31) is None
+
+
+def test_an_impossible_scene_is_refused_where_it_is_set_and_the_board_goes_on():
+    class Brittle(FakeSimulator):
+        def measure(self, scene):
+            if scene.bend.angle_deg > 60:
+                raise ConfigurationError("cannot bend that far")
+            return super().measure(scene)
+
+    with open_board("virtual:?speed=max", simulator=Brittle()) as board:
+        with pytest.raises(ConfigurationError, match="cannot bend that far"):
+            board.stage.set(Scene(bend=Bend(90.0)))
+        take(board, 2)
+        assert board.stage.scene == Scene()
+
+
+def test_a_script_begins_when_it_is_played():
+    board = firmware()
+    for _ in range(7):
+        board.frame()
+    board.stage.play(lambda number: Scene(bend=Bend(float(number))))
+    assert board.stage.measured(board.stage.frames) is not None
+    assert board.stage.scene.bend.angle_deg == 0.0
+
+
+def test_faults_that_are_injected_strike_at_once_and_are_named():
+    board, port = connected(firmware())
+    frames = board.frames()
+    numbers = [next(frames).number for _ in range(8)]
+    board.stage = port.firmware.stage
+    board.stage.inject("lost_frame, nan_channel:3")
+    with pytest.raises(ConfigurationError, match="did you mean lost_frame"):
+        board.stage.inject("lost_fram")
+    numbers += [next(frames).number for _ in range(2)]
+    assert numbers == [*range(8), 9, 10]
+    assert board.stage.faults == ("nan_channel:3",)  # the other one is over
+    assert next(frames).status.any()
+    board.stage.clear()
+    assert not next(frames).status.any()
+
+
+def test_only_the_newest_scenes_are_remembered():
+    board = firmware()
+    for _ in range(5000):
+        board.stage.measured(0)
+        board.stage.sent_as(board.stage.frames)
+        board.stage.frames += 1
+    assert len(board.stage._truth) == 4096
+    assert board.stage.truth(4999) is not None

@@ -1,0 +1,321 @@
+"""The host on a serial port: what can go wrong on the wire, on connecting, and with cables."""
+
+import dataclasses
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+import serial
+
+from eitskin.errors import DeviceError
+from eitskin.hardware import SerialBoard
+from eitskin.hardware.protocol.messages import Ack, Event, FrameData, Type, pack
+from eitskin.hardware.protocol.packets import Packet, encode
+from eitskin.hardware.virtual.faults import FAULTS
+from eitskin.hardware.virtual.sensor_faults import NanChannel
+from eitskin.hardware.virtual.virtual_board import virtual_terminal
+from eitskin.hardware.virtual.wire_faults import BitFlip, DroppedByte, LostFrame
+from eitskin.simulator import Status
+
+from loopback import FLAT, PROTOCOL, FakeSimulator, Loopback, connected, firmware, take, virtual
+
+# ---- what goes wrong on the wire ----
+
+
+@pytest.mark.parametrize("fault", [BitFlip(3, 500), DroppedByte(3, 100), LostFrame(3)])
+def test_a_damaged_frame_is_lost_and_counted(fault):
+    board, _ = connected(firmware([fault]))
+    assert [frame.number for frame in take(board, 6)] == [0, 1, 2, 4, 5, 6]
+    assert board.lost == 1
+
+
+def test_late_and_repeated_frames_are_dropped():
+    board, port = connected(firmware())
+    frames = board.frames()
+    next(frames)
+    second = port.firmware.frame()
+    third = port.firmware.frame()
+    port.waiting += third + second + third
+    assert [next(frames).number for _ in range(2)] == [2, 3]
+    assert (board.lost, board.counts.dropped) == (1, {"repeated or late frame": 2})
+
+
+def test_frame_numbers_may_wrap():
+    board, port = connected(firmware())
+    port.firmware._number = 2**32 - 2
+    assert [frame.number for frame in take(board, 4)] == [2**32 - 2, 2**32 - 1, 0, 1]
+    assert board.lost == 0
+
+
+def test_a_value_that_is_not_finite_is_marked_and_the_frame_kept():
+    board, _ = connected(firmware([NanChannel(1, 4)]))
+    good, bad = take(board, 2)
+    assert not good.status.any()
+    assert np.flatnonzero(bad.status).tolist() == [4]
+    assert bad.status[4] == Status.NOT_FINITE
+    assert np.isnan(bad.impedance[4])
+    assert np.isfinite(np.delete(bad.impedance, 4)).all()
+
+
+def test_infinity_is_marked_too():
+    board, _ = connected(firmware(sensor=lambda _: np.where(FLAT > 819, complex(0, np.inf), FLAT)))
+    (frame,) = take(board, 1)
+    assert np.flatnonzero(frame.status).tolist() == [27]
+
+
+def test_an_open_electrode_opens_its_seven_pairs():
+    with virtual(faults="open_electrode@1:3") as board:
+        good, bad = take(board, 2)
+    with_three = [3 in row for row in PROTOCOL.table]
+    assert not good.status.any()
+    assert np.array_equal(bad.status == Status.OPEN, with_three)
+    assert np.abs(bad.impedance[with_three]) == pytest.approx(39.8e3, rel=1e-3)
+
+
+def test_every_fault_can_be_named():
+    for name in FAULTS:
+        with virtual(faults=f"{name}@50:1") as board:
+            assert board.stage.faults == (f"{name}:1",)
+
+
+def test_silence_for_three_periods_is_a_stale_stream():
+    board, port = connected(firmware())
+    frames = board.frames()
+    next(frames)
+    port.firmware.streaming = False
+    began = port.now
+    with pytest.raises(DeviceError, match=r"stale, no frame came for 0\.890 s, with one due"):
+        next(frames)
+    assert 3 * 0.2968 <= port.now - began < 3 * 0.2968 + 0.1
+
+
+def test_chatter_without_frames_is_stale_too():
+    board, port = connected(firmware())
+    frames = board.frames()
+    next(frames)
+    port.firmware.frame = lambda: encode(pack(Event(1, 2, "busy"), 0))
+    with pytest.raises(DeviceError, match="stale"):
+        next(frames)
+    assert {event.text for event in board.events} == {"busy"}
+
+
+def test_a_restarted_board_is_a_new_session():
+    board, port = connected(firmware())
+    frames = board.frames()
+    before = [next(frames) for _ in range(3)]
+    port.waiting += port.firmware.boot()
+    after = [next(frames) for _ in range(2)]
+    assert after[0].session == before[0].session + 1
+    assert [frame.number for frame in after] == [0, 1]
+    assert board.lost == 0
+
+
+def test_a_restart_with_another_table_is_an_error():
+    board, port = connected(firmware())
+    frames = board.frames()
+    next(frames)
+    port.firmware.info = dataclasses.replace(port.firmware.info, table_crc32=1)
+    port.waiting += port.firmware.boot()
+    with pytest.raises(DeviceError, match=r"expected board .* table .* start anew"):
+        next(frames)
+
+
+def test_the_newest_frame_overtakes_the_others():
+    board, port = connected(firmware())
+    frames = board.frames(newest=True)
+    next(frames)
+    port.waiting += b"".join(port.firmware.frame() for _ in range(5))
+    assert next(frames).number == 5
+    assert (board.counts.skipped, board.lost, board.counts.frames) == (4, 0, 2)
+
+
+def test_the_newest_frame_is_found_behind_a_long_queue():
+    board, port = connected(firmware())
+    frames = board.frames(newest=True)
+    next(frames)
+    port.waiting += b"".join(port.firmware.frame() for _ in range(200))
+    assert next(frames).number == 200
+    assert board.counts.skipped == 199
+
+
+def test_frames_that_lay_unread_for_long_are_not_given_out_as_new():
+    board, port = connected(firmware())
+    frames = board.frames(newest=True)
+    next(frames)
+    port.waiting += b"".join(port.firmware.frame() for _ in range(5))
+    for _ in range(100):
+        port.firmware.skip()  # its queues were full
+    port.now += 60.0
+    assert next(frames).number > 105
+    assert board.counts.frames + board.counts.skipped == next(frames).number
+    assert board.lost == 0
+
+
+def test_frames_from_before_the_start_are_never_given_out():
+    board, port = connected(firmware())
+    port.firmware.receive(encode(Packet(Type.START, 1, bytes(4))))
+    port.waiting += b"".join(port.firmware.frame() for _ in range(5))
+    assert take(board, 1)[0].number == 5
+
+
+# ---- what goes wrong on connecting ----
+
+
+@pytest.mark.parametrize("deaf", [1, 2])
+def test_a_request_is_repeated_under_the_same_number(deaf):
+    _, port = connected(firmware(), deaf=deaf)
+    hellos = [packet.seq for packet in port.heard if packet.type == Type.HELLO]
+    assert hellos == hellos[:1] * (deaf + 1)
+
+
+def test_no_answer_in_three_tries_is_an_error():
+    port = Loopback(firmware())
+    port.deaf = 99
+    with pytest.raises(DeviceError, match=r"an answer to HELLO within 0\.5 s, none came in 3"):
+        SerialBoard(lambda: port, "serial:x", clock=port.clock)
+    assert 1.5 <= port.now < 1.8
+    assert [packet.type for packet in port.heard].count(Type.HELLO) == 3
+    assert port.closed
+
+
+def test_a_streaming_board_that_never_answers_is_an_error_too():
+    port = Loopback(firmware())
+    port.firmware.receive(encode(Packet(Type.START, 1, bytes(4))))
+    port.deaf = 99
+    with pytest.raises(DeviceError, match="none came"):
+        SerialBoard(lambda: port, "serial:x", clock=port.clock)
+
+
+def test_a_board_already_streaming_connects():
+    streaming = firmware()
+    port = Loopback(streaming)
+    streaming.receive(encode(Packet(Type.START, 1, bytes(4))))
+    board = SerialBoard(lambda: port, "serial:x", clock=port.clock)
+    assert len(take(board, 3)) == 3
+    assert board.lost == 0
+
+
+def answering(response):
+    """A port whose board answers every request with the same bytes."""
+    port = Loopback(firmware())
+    port.firmware.receive = lambda _: response
+    return port
+
+
+@pytest.mark.parametrize(
+    ("response", "complaint"),
+    [
+        (encode(Packet(Type.INFO, 0), version=2), "another version of the protocol"),
+        (encode(Packet(Type.INFO, 0, b"hello")), "it sent INFO of 5 bytes"),
+        (b"\0RzMag: 600.0 Ohm\0", "bad stuffing.*baud rate"),
+        (encode(pack(Ack(1, Type.HELLO, 3), 0)), "refused HELLO: busy"),
+        (encode(pack(Ack(1, Type.HELLO, 77), 0)), "refused HELLO: status 77"),
+    ],
+)
+def test_a_board_that_speaks_otherwise_is_told_apart(response, complaint):
+    port = answering(response)
+    with pytest.raises(DeviceError, match=complaint):
+        SerialBoard(lambda: port, "serial:x", clock=port.clock)
+
+
+@pytest.mark.parametrize(
+    "changes", [{"table_crc32": 1}, {"n_measurements": 27}, {"n_electrodes": 4}]
+)
+def test_a_table_that_contradicts_info_is_an_error(changes):
+    with pytest.raises(DeviceError, match=r"contradicts itself|table cannot be"):
+        connected(firmware(**changes))
+
+
+def test_a_frame_of_another_length_is_dropped():
+    board, port = connected(firmware())
+    frames = board.frames()
+    next(frames)
+    short = FrameData(1, 0.0, 0.0, np.ones(3, np.complex64), np.zeros(3, np.uint8))
+    port.waiting += encode(pack(short, 0))
+    assert next(frames).number == 1
+    assert board.counts.dropped == {"malformed message": 1}
+
+
+def test_calibration_is_acknowledged():
+    board, port = connected(firmware())
+    board.calibrate()
+    assert port.heard[-1].type == Type.CALIBRATE
+
+
+def test_the_answer_to_an_earlier_request_is_no_answer_to_this_one():
+    board, port = connected(firmware())
+    port.deaf = 99
+    port.waiting += encode(pack(Ack(1, Type.CALIBRATE, 4), 0))
+    with pytest.raises(DeviceError, match="an answer to CALIBRATE"):
+        board.calibrate()
+
+
+# ---- cables ----
+
+
+def test_unplugging_is_one_device_error():
+    numbers = []
+    with virtual(faults="unplug@4") as board:
+        with pytest.raises(DeviceError, match=r"the board went away.*connect again"):
+            numbers += [frame.number for frame in board.frames()]
+        with pytest.raises(DeviceError, match="went away"):
+            next(board.frames())
+    assert numbers == list(range(len(numbers)))
+
+
+@pytest.mark.parametrize("error", [serial.SerialException("gone"), OSError(5, "gone"), TypeError()])
+@pytest.mark.parametrize("method", ["read", "in_waiting"])
+def test_each_way_a_port_dies_is_the_same_error(error, method, monkeypatch):
+    board, port = connected(firmware())
+    frames = board.frames()
+    next(frames)
+
+    def die(*_):
+        raise error
+
+    monkeypatch.setattr(Loopback, method, property(die) if method == "in_waiting" else die)
+    with pytest.raises(DeviceError, match="went away"):
+        next(frames)
+    board.close()
+    assert port.closed
+
+
+def test_closing_while_another_thread_reads_ends_its_reading():
+    failures, first = [], threading.Event()
+    board = virtual()
+
+    def read():
+        try:
+            for _ in board.frames():
+                first.set()
+        except DeviceError as error:
+            failures.append(str(error))
+
+    thread = threading.Thread(target=read)
+    thread.start()
+    assert first.wait(10.0)
+    board.close()
+    thread.join(10.0)
+    assert not thread.is_alive()
+    assert len(failures) == 1
+
+
+def test_a_closed_board_says_so():
+    board, _ = connected(firmware())
+    board.close()
+    with pytest.raises(DeviceError, match="is closed; open it again"):
+        next(board.frames())
+
+
+def open_files():
+    return len(list(Path("/dev/fd").iterdir()))
+
+
+def test_no_file_stays_open():
+    before = open_files()
+    for _ in range(3):
+        with virtual(faults="unplug@2") as board, pytest.raises(DeviceError):
+            take(board, 5)
+        virtual_terminal(simulator=FakeSimulator()).close()
+    assert open_files() == before

@@ -1,0 +1,278 @@
+"""The firmware in C: its packets, its answers, and that no bytes break it."""
+
+import random
+import subprocess
+
+import numpy as np
+import pytest
+
+from eitskin.errors import DeviceError
+from eitskin.hardware import open_board
+from eitskin.hardware.protocol.messages import (
+    Ack,
+    Event,
+    FrameData,
+    GetTable,
+    Hello,
+    Info,
+    Reply,
+    Start,
+    Stop,
+    Table,
+    Type,
+    pack,
+    unpack,
+)
+from eitskin.hardware.protocol.packets import Decoder, Packet, encode
+
+from compiled_firmware import (
+    ask,
+    booted,
+    build,
+    compiled_board,
+    compiled_terminal,
+    frames,
+    messages,
+)
+from loopback import FLAT, PROTOCOL, connected, take
+
+# ---- who it is ----
+
+
+def test_it_says_who_it_is_on_boot_and_when_asked():
+    board = compiled_board()
+    (info,) = messages(board.boot())
+    assert ask(board, Hello()) == [info]
+    assert (info.firmware, info.uid) == ("eitskin-c 1.0", b"uid-of-12-by")
+    assert (info.boot_count, info.n_electrodes, info.n_measurements) == (1, 8, 28)
+    assert info.table_crc32 == Table.of(PROTOCOL).crc32
+    assert (info.frequency, info.rtia, info.rcal) == (40e3, 200.0, 200.0)
+    assert info.amplitude == pytest.approx(0.607)
+    assert info.period == pytest.approx(28 * 10.6e-3)
+    assert ask(board, GetTable()) == [Table.of(PROTOCOL)]
+
+
+def test_a_reboot_counts_and_starts_the_numbers_again():
+    board = booted()
+    frames(board, 2)
+    (info,) = messages(board.boot())
+    assert info.boot_count == 2
+    assert not board.streaming
+    first, _ = frames(board, 2)
+    assert (first.number, first.time) == (0, pytest.approx(0.0177, abs=1e-3))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"n_measurements": 0},
+        {"n_measurements": 110},
+        {"n_electrodes": 7},
+        {"pga": 5},
+        {"rtia": 8},
+        {"period_us": 290_000},
+    ],
+)
+def test_a_configuration_that_cannot_be_does_not_boot(changes):
+    with pytest.raises(AssertionError):
+        compiled_board(**changes).boot()
+
+
+# ---- requests ----
+
+
+def test_start_counts_frames():
+    taken = frames(booted(), 3)
+    assert [frame.number for frame in taken] == [0, 1, 2]
+    assert np.allclose(np.diff([frame.time for frame in taken]), 28 * 10.6e-3)
+
+
+def test_requests_may_be_repeated():
+    board = booted()
+    assert ask(board, Start(2), 4) == ask(board, Start(2), 4) == [Ack(4, Type.START)]
+    board.frame()
+    assert ask(board, Start(2), 4) == [Ack(4, Type.START)]
+    numbers = []
+    while board.streaming:
+        numbers += [message.number for message in messages(board.frame())]
+    assert numbers == [1, 2]
+    assert ask(board, Stop(), 5) == ask(board, Stop(), 5) == [Ack(5, Type.STOP)]
+
+
+def test_stop_ends_the_frame_that_is_being_measured():
+    board = booted()
+    board.receive(encode(pack(Start(0), 1)))
+    board.frame()
+    board.poll(20)
+    assert ask(board, Stop(), 2) == [Ack(2, Type.STOP)]
+    assert messages(board.poll(1000)) == []
+    (frame,) = frames(board, 1)
+    assert frame.number == 1
+    assert not frame.status.any()
+    assert not board.afe.complaints
+
+
+@pytest.mark.parametrize("type_", [0x00, 0x06, 0x7F, Type.FRAME, 0xFF])
+def test_an_unknown_request_is_told_so(type_):
+    sent = booted().receive(encode(Packet(type_, 300, b"x" * 1000)))
+    assert messages(sent) == [Ack(300, type_, Reply.UNKNOWN_TYPE)]
+
+
+@pytest.mark.parametrize(
+    ("type_", "payload"),
+    [
+        (Type.HELLO, b"x"),
+        (Type.START, b""),
+        (Type.START, b"123"),
+        (Type.START, b"12345"),
+        (Type.STOP, b"x"),
+        (Type.GET_TABLE, b"1234"),
+        (Type.CALIBRATE, b"\0"),
+    ],
+)
+def test_a_malformed_request_is_told_so_and_changes_nothing(type_, payload):
+    board = booted()
+    sent = board.receive(encode(Packet(type_, 7, payload)))
+    assert messages(sent) == [Ack(7, type_, Reply.MALFORMED)]
+    assert not board.streaming
+
+
+def test_frame_numbers_wrap():
+    board = booted()
+    board.number = 2**32 - 2
+    assert [frame.number for frame in frames(board, 4)] == [2**32 - 2, 2**32 - 1, 0, 1]
+
+
+# ---- a bad line ----
+
+
+def damaged(rng, packet):
+    data = bytearray(packet)
+    place = rng.randrange(1, len(data) - 1)
+    kind = rng.randrange(3)
+    if kind == 0:
+        data[place] ^= 1 << rng.randrange(8)
+    elif kind == 1:
+        del data[place]
+    else:
+        data.insert(place, rng.randrange(256))
+    return bytes(data)
+
+
+def noisy_stream(rng, pieces):
+    """Requests, damaged requests and garbage."""
+    stream = bytearray()
+    for number in range(pieces):
+        type_ = rng.choice([*range(7), 0x83, 0xFF])
+        payload = rng.randbytes(rng.choice([0, 0, 0, 4, rng.randrange(1009)]))
+        packet = encode(Packet(type_, number & 0xFFFF, payload))
+        kind = rng.randrange(5)
+        if kind < 2:
+            stream += packet
+        elif kind == 2:
+            stream += damaged(rng, packet)
+        else:
+            stream += rng.randbytes(rng.choice([3, 30, 300, 3000]) if kind == 3 else 1)
+    return bytes(stream) + b"\0"
+
+
+def expected_answer(packet):
+    good = {0x01: 0, 0x02: 4, 0x03: 0, 0x04: 0, 0x05: 0}
+    if packet.type not in good:
+        return Ack(packet.seq, packet.type, Reply.UNKNOWN_TYPE)
+    if len(packet.payload) != good[packet.type]:
+        return Ack(packet.seq, packet.type, Reply.MALFORMED)
+    if packet.type in {Type.HELLO, Type.GET_TABLE}:
+        return Info if packet.type == Type.HELLO else Table
+    return Ack(packet.seq, packet.type)
+
+
+def fuzzer():
+    """The firmware as a program; with the compiler's sanitizers, if it has them."""
+    try:
+        return build(
+            "firmware_fuzz.c", "-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover"
+        )
+    except AssertionError:
+        return build("firmware_fuzz.c", "-O1")
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_no_bytes_break_it_and_only_whole_requests_are_answered(seed):
+    stream = noisy_stream(random.Random(seed), 4000)
+    done = subprocess.run([fuzzer()], input=stream, capture_output=True, check=False)
+    assert done.returncode == 0, done.stderr.decode()
+    decoder = Decoder()
+    sent = list(decoder.feed(done.stdout))
+    assert not decoder.drops
+    assert [packet.seq for packet in sent] == [n & 0xFFFF for n in range(len(sent))]
+    answers = [unpack(packet) for packet in sent]
+    answers = [a if isinstance(a, Ack) else type(a) for a in answers]
+    answers = [a for a in answers if a not in (FrameData, Event)]
+    expected = [Info] + [expected_answer(packet) for packet in Decoder().feed(stream)]
+    assert len(expected) > 1000
+    assert answers == expected
+
+
+def test_requests_wait_while_their_answers_cannot_be_sent():
+    board = booted()
+    board.line = 0
+    asked = b"".join(encode(pack(GetTable(), seq)) for seq in range(40))  # 5 kB of answers
+    board.hear(asked)
+    assert board.poll(200) == b""
+    board.line = None
+    assert messages(board.receive(b"")) == [Table.of(PROTOCOL)] * 40
+
+
+def test_a_slow_line_loses_frames_whole_and_counts_them():
+    board = booted()
+    board.receive(encode(pack(Start(0), 1)))
+    board.at_once, sent = 7, b""
+    rate = 110 / board.info.period * 1e-6  # bytes per us; a frame has 284
+    started, asked = board.afe.now, 0
+    while board.number < 40:
+        board.line = int((board.afe.now - started) * rate) - len(sent)
+        sent += board.poll()
+        if board.number == asked + 10:
+            asked = board.number
+            board.hear(encode(pack(Hello(), asked)))
+    board.line = None
+    sent += board.frame()
+    found = messages(sent)
+    numbers = [message.number for message in found if isinstance(message, FrameData)]
+    assert len([message for message in found if isinstance(message, Info)]) == 4
+    assert 10 <= len(numbers) <= 17  # 41 * 110 / 284 at most
+    assert all(1 <= gap <= 5 for gap in np.diff(numbers))
+
+
+# ---- behind a port ----
+
+
+def test_the_host_counts_the_frames_that_the_board_skipped():
+    board, port = connected(compiled_board())
+    stream = board.frames()
+    numbers = [next(stream).number for _ in range(2)]
+    port.firmware.skip()  # measured, and kept while the line is blocked
+    port.firmware.skip()
+    numbers += [next(stream).number for _ in range(2)]
+    assert numbers == [0, 1, 2, 4]
+    assert board.lost == 1
+    assert board.counts.dropped == {}
+
+
+def test_the_host_talks_to_it_over_a_pseudo_terminal():
+    with compiled_terminal() as terminal, open_board(f"serial:{terminal.path}") as board:
+        taken = take(board, 6)
+        assert board.protocol == PROTOCOL
+        assert [frame.number for frame in taken] == list(range(6))
+        assert np.allclose([frame.impedance for frame in taken], FLAT, atol=0.03)
+        assert np.allclose(np.diff([frame.time for frame in taken]), board.info.period)
+        assert (board.lost, board.counts.dropped) == (0, {})
+        assert terminal.firmware.afe.complaints == []
+
+
+def test_the_host_is_told_that_the_part_is_missing():
+    board = compiled_board()
+    board.afe.present = False
+    with pytest.raises(DeviceError, match=r"refused START: failed.*no AD5940 answers"):
+        take(connected(board)[0], 1)

@@ -1,0 +1,316 @@
+"""The firmware in C: what it measures through the AD5940, and what it says of it."""
+
+import numpy as np
+import pytest
+
+from eitskin.geometry import SensorDesign
+from eitskin.hardware.protocol.messages import (
+    Ack,
+    Calibrate,
+    Event,
+    FrameData,
+    GetTable,
+    Info,
+    Reply,
+    Start,
+    Stop,
+    Table,
+    Type,
+    pack,
+)
+from eitskin.hardware.protocol.packets import encode
+from eitskin.simulator import Protocol, Scene, Simulator, Status
+from eitskin.simulator.instrument.ad5940 import CODES, FrontEnd
+
+from compiled_firmware import (
+    CompiledFirmware,
+    ask,
+    booted,
+    compiled_board,
+    config,
+    frames,
+    messages,
+    sensor,
+)
+from loopback import FLAT, PROTOCOL
+from simulated_afe import SimulatedAfe
+
+ABSENCE = Event(2, 1, "no AD5940 answers: check its SPI and its supply")
+
+
+def quantisation(values, amplitude=0.607, full_range=0.9, rtia=200.0):
+    """How far off rounding to codes can be [ohm]: of V, of I, and of both on RCAL = 200 ohm."""
+    step = full_range / CODES
+    half_codes = step * np.sqrt(0.5)
+    of_v = half_codes / amplitude
+    of_i = half_codes / (amplitude / np.abs(values) * rtia)
+    at_rcal = min(amplitude, 0.48, 0.8 * full_range / rtia * 200.0)
+    of_rcal = half_codes / at_rcal + half_codes / (at_rcal / 200.0 * rtia)
+    return np.abs(values) * (of_v + of_i + of_rcal + 1e-6)
+
+
+# ---- what it measures ----
+
+
+def complex_sensor():
+    """Phases all around, so that a sign or a wrapped angle would show."""
+    return FLAT * np.exp(2j * np.pi * np.arange(28) / 28.0)
+
+
+@pytest.mark.parametrize("values", [FLAT + 0j, complex_sensor()], ids=["real", "complex"])
+def test_a_frame_is_the_sensor_to_within_its_codes(values):
+    board = booted(values)
+    (frame,) = frames(board, 1)
+    assert not board.afe.complaints
+    assert not frame.status.any()
+    error = np.abs(frame.impedance - values)
+    assert (error <= quantisation(values)).all()
+    assert error.max() > 1e-4  # there are codes indeed
+
+
+def test_it_reads_what_the_model_of_the_instrument_reads():
+    front_end = FrontEnd(
+        floor=0.0, quantisation=True, clipping=True, excitation=0.607, pga_range=0.9, rtia=200.0
+    )
+    expected, _ = front_end.convert(FLAT + 0j, FLAT + 0j, np.random.default_rng(0))
+    (frame,) = frames(booted(), 1)
+    ratio = frame.impedance / expected
+    assert np.abs(ratio - ratio.mean()).max() < 3e-7  # one factor, of the calibration
+    assert abs(ratio.mean() - 1.0) < 2e-5
+
+
+def test_the_part_is_set_up_for_40_khz_and_2048_points():
+    board = booted()
+    frames(board, 1)
+    on_rcal, on_sensor = board.afe.seen[:2], board.afe.seen[2:]
+    assert len(on_sensor) == 2 * 28
+    for setting in board.afe.seen:
+        assert setting["frequency"] == pytest.approx(40e3, abs=0.02)
+        assert (setting["points"], setting["range"]) == (2048, 0.9)
+    assert not any(setting["on_sensor"] for setting in on_rcal)
+    assert all(setting["amplitude"] == pytest.approx(0.607) for setting in on_sensor)
+
+
+def test_a_pair_takes_the_time_that_the_simulator_knows():
+    first, second = frames(booted(), 2)
+    assert first.duration / 28 == pytest.approx(10.6e-3, rel=0.01)
+    assert first.duration < second.time - first.time == pytest.approx(28 * 10.6e-3)
+
+
+@pytest.mark.parametrize(
+    ("changes", "amplitude", "full_range", "rtia"),
+    [
+        ({"excitation": 1, "rtia": 1}, 0.121, 0.9, 1e3),
+        ({"excitation": 2, "pga": 4}, 0.075, 0.133, 200.0),
+        ({"excitation": 3, "pga": 3, "rtia": 2}, 0.015, 0.3, 5e3),
+        ({"pga": 0}, 0.607, 0.9, 200.0),
+    ],
+)
+def test_other_gains_measure_the_same(changes, amplitude, full_range, rtia):
+    board = booted(**changes)
+    (frame,) = frames(board, 1)
+    assert not board.afe.complaints
+    assert not frame.status.any()
+    assert (np.abs(frame.impedance - FLAT) <= quantisation(FLAT, amplitude, full_range, rtia)).all()
+
+
+def test_calibration_takes_out_what_the_part_is_off():
+    board = compiled_board()
+    board.afe.rtia_factor = 1.2 * np.exp(0.3j)
+    board.afe.voltage_factor = 0.97 * np.exp(-0.1j)
+    board.boot()
+    (frame,) = frames(board, 1)
+    assert not frame.status.any()
+    assert (np.abs(frame.impedance - FLAT) <= 1.3 * quantisation(FLAT)).all()
+
+
+def test_a_drift_is_taken_out_by_calibrating_again():
+    board = booted()
+    board.afe.rtia_factor = 1.05
+    (off,) = frames(board, 1)
+    assert np.allclose(off.impedance, FLAT / 1.05, rtol=1e-4)
+    assert ask(board, Calibrate()) == [Ack(1, Type.CALIBRATE)]
+    (good,) = frames(board, 1)
+    assert (np.abs(good.impedance - FLAT) <= 1.1 * quantisation(FLAT)).all()
+
+
+@pytest.mark.parametrize("period_us", [296_800, 294_000])  # the second is always late
+def test_calibrating_while_it_streams_waits_for_the_frame_to_end(period_us):
+    board = booted(period_us=period_us)
+    board.receive(encode(pack(Start(0), 1)))
+    board.frame()
+    board.poll(20)
+    board.afe.rtia_factor = 1.05
+    (ack,) = ask(board, Calibrate(), 9)
+    assert ack == Ack(9, Type.CALIBRATE)
+    torn, good = (messages(board.frame())[-1] for _ in range(2))
+    assert torn.impedance[-1] == pytest.approx(FLAT[-1] / 1.05, rel=1e-4)
+    assert (np.abs(good.impedance - FLAT) <= 1.1 * quantisation(FLAT)).all()
+
+
+@pytest.mark.parametrize("rcal", [1e9, 1e-2, 800.0])
+def test_without_its_resistor_it_says_that_it_is_uncalibrated(rcal):
+    board = compiled_board()
+    board.afe.rcal = rcal
+    *_, event = messages(board.boot())
+    assert (event.level, event.text) == (1, "RCAL reads wrong: RTIA is not calibrated")
+    (frame,) = frames(board, 1)
+    assert (frame.status == Status.UNCALIBRATED).all()
+    assert np.allclose(frame.impedance, FLAT, rtol=1e-4)  # by the nominal resistor
+
+
+def test_four_electrodes_may_differ():
+    protocol = Protocol.adjacent(8)
+    drives = {row[:2] for row in protocol.table}
+    values = np.linspace(-30.0, 40.0, len(protocol)) + 3j
+    transfer = dict(zip(protocol.table, values, strict=True))
+    transfer |= {drive + drive: 500.0 for drive in drives}
+    afe = SimulatedAfe(transfer.__getitem__)
+    board = CompiledFirmware(afe, config(protocol.table, period_us=500_000))
+    board.boot()
+    assert ask(board, GetTable()) == [Table.of(protocol)]
+    (frame,) = frames(board, 1)
+    assert np.abs(frame.impedance - values).max() < 0.02
+    assert not afe.complaints
+
+
+# ---- what it says of a measurement ----
+
+
+def one_bad(value, row=3):
+    values = FLAT.astype(complex)
+    values[row] = value
+    (frame,) = frames(booted(values), 1)
+    others = np.arange(28) != row
+    assert not frame.status[others].any()
+    assert np.allclose(frame.impedance[others], FLAT[others], rtol=1e-4)
+    return frame.impedance[row], Status(int(frame.status[row]))
+
+
+def test_an_open_pair_is_open_and_shows_its_stray_capacitance():
+    stray = 1.0 / (2j * np.pi * 40e3 * 100e-12)
+    impedance, status = one_bad(stray)
+    assert status == Status.OPEN
+    assert impedance == pytest.approx(stray, rel=0.01)
+
+
+def test_no_current_at_all_is_no_infinity():
+    impedance, status = one_bad(1e12)
+    assert status == Status.OPEN | Status.LOW_CURRENT
+    assert impedance == pytest.approx(200.0 * 0.607 / 0.9 * CODES, rel=1e-3)
+
+
+def test_a_current_of_a_few_codes_is_low():
+    _, status = one_bad(2e6)
+    assert Status.LOW_CURRENT in status
+
+
+@pytest.mark.parametrize("value", [150.0, 20.0, 1e-3])
+def test_too_much_current_is_clipped(value):
+    _, status = one_bad(value)
+    assert status == Status.CLIPPED
+
+
+def test_codes_at_the_end_of_their_range_are_clipped():
+    board = booted(rtia=1)  # 1 kohm: a volt and more for every pair
+    board.afe.comparators = False
+    (frame,) = frames(board, 1)
+    saturated = FLAT < 500.0
+    assert (frame.status[saturated] == Status.CLIPPED).all()
+
+
+def test_a_transform_that_never_ends_is_a_timeout_of_that_row_alone():
+    board = booted()
+    board.afe.stuck = {PROTOCOL.table[5]}
+    (frame,) = frames(board, 1)
+    good = np.arange(28) != 5
+    assert list(np.flatnonzero(frame.status)) == [5]
+    assert frame.status[5] == Status.DFT_TIMEOUT
+    assert np.isnan(frame.impedance[5])
+    assert np.allclose(frame.impedance[good], FLAT[good], rtol=1e-4)
+
+
+def test_timeouts_of_several_frames_do_not_add_up():
+    board = booted()
+    board.afe.stuck = set(PROTOCOL.table[:14])
+    for frame in frames(board, 3):  # and no event
+        assert np.count_nonzero(frame.status) == 14
+
+
+def test_a_part_that_lost_its_registers_is_set_up_again():
+    board = booted()
+    board.afe.reset()
+    board.receive(encode(pack(Start(0), 1)))
+    silent, event, good = messages(board.frame() + board.frame())
+    assert (silent.status & Status.DFT_TIMEOUT).all()
+    assert (event.level, event.text) == (1, "a frame of DFT timeouts: resetting the AD5940")
+    assert (np.abs(good.impedance - FLAT) <= quantisation(FLAT)).all()
+    assert (good.number, board.streaming) == (1, True)
+
+
+def test_a_part_that_is_not_there_is_said_and_start_refused():
+    board = compiled_board()
+    board.afe.present = False
+    info, event = messages(board.boot())
+    assert isinstance(info, Info)
+    assert event == ABSENCE
+    assert ask(board, Start(1)) == [ABSENCE, Ack(1, Type.START, Reply.FAILED)]
+    assert ask(board, Calibrate()) == [Ack(1, Type.CALIBRATE, Reply.FAILED)]
+    assert ask(board, Stop()) == [Ack(1, Type.STOP)]
+    assert not board.streaming
+
+
+def test_a_part_that_goes_away_ends_the_stream():
+    board = booted()
+    board.receive(encode(pack(Start(0), 1)))
+    board.afe.present = False
+    sent = b""
+    while board.streaming:
+        sent += board.frame()
+    assert [type(message) for message in messages(sent)] == [FrameData, Event, Event]
+    assert ask(board, Start(1)) == [ABSENCE, Ack(1, Type.START, Reply.FAILED)]
+
+
+def test_a_part_that_comes_back_is_found_and_calibrated():
+    board = booted()
+    board.receive(encode(pack(Start(0), 1)))
+    board.afe.present = False
+    while board.streaming:
+        board.frame()
+    board.poll(50)
+    assert ask(board, Start(1)) == [ABSENCE, Ack(1, Type.START, Reply.FAILED)]
+    before = board.afe.now
+    board.afe.present, board.afe.rtia_factor = True, 1.1
+    board.poll(50)
+    assert board.afe.now - before < 1.2e6  # us: it is looked for each second
+    (frame,) = frames(board, 1)
+    assert not frame.status.any()
+    assert (np.abs(frame.impedance - FLAT) <= 1.2 * quantisation(FLAT)).all()
+
+
+def test_a_part_that_stays_away_is_said_once():
+    board = compiled_board()
+    board.afe.present = False
+    board.boot()
+    assert messages(board.poll(200)) == []
+    assert board.afe.now > 5e6
+
+
+def test_a_calibration_that_failed_is_tried_again():
+    board = compiled_board()
+    board.afe.rcal = 1e9
+    board.boot()
+    board.afe.rcal = 200.0
+    taken = frames(board, 40)
+    uncalibrated = [bool(frame.status.all()) for frame in taken]
+    assert uncalibrated == [True] * 32 + [False] * 8
+
+
+def test_it_measures_the_simulated_sensor():
+    simulator = Simulator(SensorDesign.reference(), resolution="fast")
+    values = simulator.measure(Scene()).impedance
+    board = CompiledFirmware(SimulatedAfe(sensor(values, simulator.protocol)))
+    board.boot()
+    (frame,) = frames(board, 1)
+    assert not frame.status.any()
+    assert (np.abs(frame.impedance - values) <= quantisation(values)).all()

@@ -1,0 +1,264 @@
+"""Framing and messages: whatever the bytes, nothing raises and nothing false comes through."""
+
+import dataclasses
+import random
+import struct
+import zlib
+
+import numpy as np
+import pytest
+from cobs import cobs
+from hypothesis import given
+from hypothesis import strategies as st
+
+from eitskin.errors import ConfigurationError
+from eitskin.hardware.protocol.messages import (
+    MAX_CHANNELS,
+    Ack,
+    Calibrate,
+    Event,
+    FrameData,
+    GetTable,
+    Hello,
+    Info,
+    MessageError,
+    Start,
+    Stop,
+    Table,
+    Type,
+    pack,
+    unpack,
+)
+from eitskin.hardware.protocol.packets import MAX_PACKET, MAX_PAYLOAD, Decoder, Drop, Packet, encode
+from eitskin.simulator import Protocol
+
+packets = st.builds(
+    Packet,
+    st.integers(0, 0xFF),
+    st.integers(0, 0xFFFF),
+    st.binary(max_size=MAX_PAYLOAD) | st.integers(0, MAX_PAYLOAD).map(lambda n: b"\0" * n),
+)
+u8, u16, u32 = (st.integers(0, 2**bits - 1) for bits in (8, 16, 32))
+positive = st.floats(2.0**-100, 2.0**100, width=32)
+microseconds = st.integers(0, 2**50).map(lambda us: us * 1e-6)
+INFO = Info("eitskin 1.0", b"0123456789ab", 3, 8, 28, 0xDEADBEEF, 40e3, 0.5, 1e3, 200.0, 0.2968)
+
+
+def frame_data(number=0, n=28):
+    rng = np.random.default_rng(number)
+    impedance = rng.normal(600, 50, n) + 1j * rng.normal(0, 5, n)
+    return FrameData(number, 0.25, 0.125, impedance.astype(np.complex64), np.zeros(n, np.uint8))
+
+
+def frame_packet(number):
+    return encode(pack(frame_data(number), seq=number))
+
+
+def numbers(data):
+    """Frame numbers in a stream of bytes."""
+    return [unpack(packet).number for packet in Decoder().feed(data)]
+
+
+@given(st.lists(packets, max_size=5), st.lists(st.integers(1, 700), min_size=1))
+def test_packets_survive_however_the_stream_is_chopped(sent, pieces):
+    stream = b"".join(encode(packet) for packet in sent)
+    decoder, received = Decoder(), []
+    for length in pieces * (len(stream) // sum(pieces) + 1):
+        received += decoder.feed(stream[:length])
+        stream = stream[length:]
+    assert received == sent
+    assert not decoder.drops
+
+
+def test_framing_is_the_specified_one():
+    body = struct.pack("<BBH", 1, 0x02, 0x1234) + b"\x01\x00\x00\x00"
+    body += struct.pack("<I", zlib.crc32(body))
+    assert encode(Packet(0x02, 0x1234, b"\x01\0\0\0")) == b"\0" + cobs.encode(body) + b"\0"
+
+
+def test_hello_has_the_bytes_given_in_the_specification():
+    assert encode(pack(Hello(), 1)).hex(" ") == "00 04 01 01 01 05 0f e3 21 81 00"
+
+
+def test_a_frame_and_info_have_the_bytes_of_the_specification():
+    """Little-endian, one field after the other; see docs/wire-protocol.md."""
+    values = np.array([1 - 2j], np.complex64)
+    frame = FrameData(0x01020304, 1.5, 0.25, values, np.array([5], np.uint8))
+    assert pack(frame, 0).payload.hex(" ") == (
+        "04 03 02 01 60 e3 16 00 00 00 00 00 90 d0 03 00 00 01 00 00 00 00 80 3f 00 00 00 c0 05"
+    )
+    assert pack(INFO, 0).payload == (
+        b"EITSeitskin 1.0\0\0\0\0\x000123456789ab"
+        + bytes.fromhex("03 00 00 00 08 1c ef be ad de 00 40 1c 47 00 00 00 3f")
+        + bytes.fromhex("00 00 7a 44 00 00 48 43 60 87 04 00")
+    )
+
+
+@given(st.binary(min_size=MAX_PAYLOAD, max_size=MAX_PAYLOAD))
+def test_the_longest_payload_fits_into_a_packet(payload):
+    packet = Packet(0xFF, 0xFFFF, payload)
+    assert len(encode(packet)) <= MAX_PACKET
+    assert list(Decoder().feed(encode(packet))) == [packet]
+
+
+def test_payload_limit_is_tight_and_checked():
+    assert len(encode(Packet(0xFF, 0xFFFF, b"\xff" * MAX_PAYLOAD))) == MAX_PACKET
+    with pytest.raises(ConfigurationError, match="at most 1009 bytes, got 1010"):
+        encode(Packet(1, 1, b"x" * (MAX_PAYLOAD + 1)))
+
+
+def test_buffer_is_bounded_and_the_decoder_recovers():
+    decoder = Decoder()
+    for _ in range(1000):
+        assert list(decoder.feed(b"x" * 1000)) == []
+        assert decoder.buffered <= MAX_PACKET
+    assert [packet.type for packet in decoder.feed(encode(pack(Hello(), 0)) * 2)] == [1, 1]
+    assert decoder.drops == {Drop.TOO_LONG: 1}
+
+
+@pytest.mark.parametrize(
+    ("bytes_", "reason"),
+    [
+        (b"\0\x05ab\0", Drop.STUFFING),
+        (b"\0" + cobs.encode(b"1234567") + b"\0", Drop.TOO_SHORT),
+        (b"\0" + cobs.encode(b"12345678") + b"\0", Drop.CHECKSUM),
+        (b"\0" + b"y" * MAX_PACKET + b"\0", Drop.TOO_LONG),
+        (encode(Packet(1, 1), version=2), Drop.VERSION),
+    ],
+)
+def test_every_drop_is_counted_by_its_reason(bytes_, reason):
+    decoder = Decoder()
+    assert list(decoder.feed(bytes_)) == []
+    assert decoder.drops == {reason: 1}
+
+
+@given(st.binary(max_size=3000), packets)
+def test_garbage_never_raises_and_does_not_hide_the_next_packet(garbage, packet):
+    received = list(Decoder().feed(garbage + encode(packet)))
+    assert received[-1:] == [packet]
+
+
+@pytest.mark.parametrize("damage", [0x00, 0x01, 0x55, 0xFF, None])
+def test_one_damaged_byte_costs_at_most_one_frame(damage):
+    before, middle, after = (frame_packet(number) for number in range(3))
+    for place in range(len(middle)):
+        wrong = b"" if damage is None else bytes([damage])
+        received = numbers(before + middle[:place] + wrong + middle[place + 1 :] + after)
+        assert received in ([0, 2], [0, 1, 2]), place
+
+
+def test_an_inserted_byte_costs_at_most_one_frame():
+    before, middle, after = (frame_packet(number) for number in range(3))
+    for place in range(len(middle) + 1):
+        for extra in (b"\0", b"\1", b"\xaa"):
+            received = numbers(before + middle[:place] + extra + middle[place:] + after)
+            assert received in ([0, 2], [0, 1, 2]), place
+
+
+def test_no_mutation_is_accepted_as_something_that_was_not_sent():
+    rng = random.Random(20)
+    sent = [frame_packet(number) for number in range(50)]
+    allowed = {next(Decoder().feed(packet)).payload for packet in sent}
+    decoder, accepted = Decoder(), 0
+    for _ in range(30_000):
+        for packet in decoder.feed(mutated(rng, rng.choice(sent))):
+            accepted += 1
+            assert packet.payload in allowed
+    assert accepted > 3_000
+    assert decoder.drops.total() > 20_000
+
+
+def mutated(rng, packet):
+    """The packet with one of the things done to it that a bad line does."""
+    place, length = rng.randrange(len(packet)), rng.randrange(1, 20)
+    noise = rng.randbytes(length)
+    return rng.choice(
+        [
+            packet[:place] + noise + packet[place + length :],
+            packet[:place] + noise + packet[place:],
+            packet[:place] + packet[place + length :],
+            packet[:place],
+            rng.randbytes(rng.randrange(400)),
+            packet[:place] + bytes([packet[place] ^ 1 << rng.randrange(8)]) + packet[place + 1 :],
+            packet,
+        ]
+    )
+
+
+@given(
+    st.sampled_from([Hello(), Stop(), GetTable(), Calibrate()])
+    | st.builds(Start, u32)
+    | st.builds(Ack, u16, u8, u8)
+    | st.builds(Event, u8, u16, st.text("µVé日\n\0", max_size=200))
+    | st.builds(
+        Info,
+        st.text("eit 1.0-", max_size=16),
+        st.binary(min_size=12, max_size=12),
+        u32,
+        st.integers(2, 255),
+        st.integers(1, MAX_CHANNELS),
+        u32,
+        *[positive] * 4,
+        st.integers(1, 2**32 - 1).map(lambda us: us * 1e-6),
+    )
+    | st.builds(
+        Table, st.lists(st.tuples(u8, u8, u8, u8), min_size=1, max_size=MAX_CHANNELS).map(tuple)
+    ),
+    u16,
+)
+def test_messages_survive_the_wire(message, seq):
+    (packet,) = Decoder().feed(encode(pack(message, seq)))
+    assert packet.seq == seq
+    assert unpack(packet) == message
+
+
+@given(
+    u32,
+    microseconds,
+    microseconds.filter(lambda s: s < 4000),
+    st.integers(1, MAX_CHANNELS),
+    st.data(),
+)
+def test_frames_survive_the_wire_bit_for_bit(number, time, duration, n, data):
+    values = np.frombuffer(data.draw(st.binary(min_size=9 * n, max_size=9 * n)), np.uint8)
+    sent = FrameData(number, time, duration, values[: 8 * n].view(np.complex64), values[8 * n :])
+    (packet,) = Decoder().feed(encode(pack(sent, 0)))
+    received = unpack(packet)
+    assert (received.number, received.time, received.duration) == (number, time, duration)
+    assert received.impedance.tobytes() == sent.impedance.tobytes()
+    assert received.status.tobytes() == sent.status.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("type_", "payload", "complaint"),
+    [
+        (0x42, b"", "message type"),
+        (Type.HELLO, b"x", "length must be 0, got 1"),
+        (Type.START, b"123", "START of 3 bytes"),
+        (Type.ACK, b"12345", "ACK of 5 bytes"),
+        (Type.TABLE, b"12345", "multiple of 4, got 5"),
+        (Type.TABLE, b"", "multiple of 4, got 0"),
+        (Type.EVENT, b"1", "EVENT of 1 bytes"),
+        (Type.FRAME, pack(frame_data(), 0).payload[:-1], "length must be 272 for n = 28, got 271"),
+        (Type.FRAME, pack(frame_data(n=0), 0).payload, "at least 1, got 0"),
+        (Type.INFO, b"EITX" + pack(INFO, 0).payload[4:], "magic must be b'EITS', got b'EITX'"),
+        (Type.INFO, pack(INFO, 0).payload[:-4] + bytes(4), "period_us must be at least 1"),
+    ],
+)
+def test_whole_packets_that_are_no_message_are_refused(type_, payload, complaint):
+    with pytest.raises(MessageError, match=complaint):
+        unpack(Packet(type_, 0, payload))
+
+
+@pytest.mark.parametrize("name", ["frequency", "amplitude", "rtia", "rcal"])
+@pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), float("inf")])
+def test_info_numbers_must_be_positive_and_finite(name, value):
+    wrong = pack(dataclasses.replace(INFO, **{name: value}), 0)
+    with pytest.raises(MessageError, match=f"{name} must be finite and positive"):
+        unpack(wrong)
+
+
+def test_a_table_too_long_for_a_frame_is_refused_by_name():
+    assert MAX_CHANNELS == 109
+    with pytest.raises(ConfigurationError, match="at most 109 measurements"):
+        Table.of(Protocol.pairwise(16))

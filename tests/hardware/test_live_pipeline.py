@@ -1,0 +1,133 @@
+"""The pipeline that ships, live on every kind of board: the same frames, the same estimates."""
+
+import contextlib
+import itertools
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from eitskin.cli.main import app
+from eitskin.datasets import ShardWriter, State
+from eitskin.geometry import Bend, SensorDesign
+from eitskin.hardware import Script, Step, open_board, run_live
+from eitskin.hardware.virtual.pseudo_terminal import Pace, PseudoTerminal
+from eitskin.simulator import Scene, Simulator, Touch
+from eitskin.training import Pipeline
+
+from compiled_firmware import CompiledFirmware, config
+from loopback import PROTOCOL
+from simulated_afe import SimulatedAfe
+
+STEPS = (
+    Step(Scene(), 6),
+    Step(Scene(Bend(20.0)), 4),
+    Step(Scene(Bend(20.0), (Touch(0.05, 0.02),)), 4),
+)
+SCRIPT = Script(STEPS, repeat=False)
+FRAMES = sum(step.frames for step in STEPS)
+FAULTS = "faults=nan_channel@9:4,lost_frame@8"
+
+
+@pytest.fixture(scope="module")
+def pipeline():
+    return Pipeline.load("reference.eitmodel")
+
+
+@pytest.fixture(scope="module")
+def simulator():
+    return Simulator(SensorDesign.reference(), resolution="fast")
+
+
+@contextlib.contextmanager
+def virtual_board(simulator, _):
+    uri = f"virtual:?speed=max&instrument=ad5940&seed=3&{FAULTS}"
+    with open_board(uri, scene=SCRIPT, simulator=simulator) as board:
+        yield board
+
+
+@contextlib.contextmanager
+def firmware_board(simulator, _):
+    """The firmware in C on an AD5940 that sees the script's scenes."""
+
+    def impedance(row):
+        scene = SCRIPT(firmware.number)
+        return simulator.measure(scene).impedance[PROTOCOL.table.index(tuple(row))]
+
+    firmware = CompiledFirmware(SimulatedAfe(impedance), config())
+    with (
+        PseudoTerminal(firmware, Pace(0.0)) as terminal,
+        open_board(f"serial:{terminal.path}") as board,
+    ):
+        yield board
+
+
+@contextlib.contextmanager
+def replay_board(simulator, folder):
+    with virtual_board(simulator, folder) as board, ShardWriter(folder / "run") as writer:
+        for frame in itertools.islice(board.frames(), FRAMES):
+            writer.append(frame)
+    with open_board(f"replay:{folder / 'run'}") as board:
+        yield board
+
+
+@pytest.fixture(params=[virtual_board, firmware_board, replay_board])
+def board(request, simulator, tmp_path):
+    with request.param(simulator, tmp_path) as opened:
+        yield opened
+
+
+def said(estimate):
+    """Everything that an estimate says, to the last bit."""
+    found = estimate.found
+    arrays = (estimate.probabilities, estimate.touch_map, found.place, found.force, found.strength)
+    return (
+        estimate.state,
+        estimate.bend_angle_deg,
+        estimate.bend_deviation_deg,
+        estimate.problems,
+        *(np.asarray(array).tobytes() for array in arrays),
+    )
+
+
+def test_live_estimates_are_those_of_the_same_frames_offline(board, pipeline):
+    pipeline.reset()
+    readings = list(itertools.islice(run_live(board, pipeline, newest=False), FRAMES - 1))
+    offline = Pipeline.load("reference.eitmodel")
+    assert [said(offline.process(r.frame)) for r in readings] == [
+        said(r.estimate) for r in readings
+    ]
+    states = [reading.estimate.state for reading in readings]
+    assert states[:6] == [State.IDLE] * 6
+    assert set(states[6:9]) == {State.BEND}
+    assert states[-3:] == [State.TOUCH] * 3
+    ((x, y, _),) = readings[-1].estimate.touches
+    assert np.hypot(x - 0.05, y - 0.02) < 4e-3
+    assert readings[-1].estimate.bend_angle_deg == pytest.approx(20.0, abs=4.0)
+
+
+def test_a_recording_replays_to_identical_lines(tmp_path):
+    """Through the command, with lost frames, values that are none, and a restart."""
+    scene = tmp_path / "script.toml"
+    scene.write_text(
+        "repeat = false\n[[steps]]\nframes = 4\n[steps.scene]\n"
+        "[[steps]]\nframes = 3\n[steps.scene.bend]\nangle_deg = 20.0\n"
+        "[[steps]]\nframes = 9\n[steps.scene]\n[[steps.scene.touches]]\nx = 0.05\ny = 0.02\n"
+    )
+    uri = f"virtual:?speed=max&scene={scene}&faults=lost_frame@5,inf_channel@8:4,reboot@12"
+
+    def lines(*arguments):
+        result = CliRunner().invoke(app, ["live", "reference.eitmodel", "--json", *arguments])
+        assert result.exit_code == 0, result.output
+        found = [json.loads(line) for line in result.stdout.splitlines()]
+        moment = ("latency_ms", "rate_hz", "dropped", "skipped", "reconnections")
+        return [{k: v for k, v in line.items() if k not in moment} for line in found]
+
+    folder = tmp_path / "run"
+    live = lines("--board", uri, "--frames", "14", "--record", str(folder))
+    assert lines("--board", f"replay:{folder}") == live
+    assert {line["session"] for line in live} == {1, 2}
+    assert live[-1]["lost"] == 1
+    assert live[8]["bad_channels"] == {"0-5": "not finite"}
+    assert {line["state"] for line in live} == {"idle", "bend", "touch"}

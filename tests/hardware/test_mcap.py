@@ -1,0 +1,314 @@
+"""Recordings and readings as MCAP: read back by rosbags, equal to the last bit."""
+
+import dataclasses
+import json
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_typestore
+from typer.testing import CliRunner
+
+from eitskin.cli.main import app
+from eitskin.datasets import Dataset, State, save_dataset
+from eitskin.errors import ConfigurationError, PartialError
+from eitskin.hardware import Reading
+from eitskin.hardware.export.mcap import GAP, McapWriter, Stamps
+from eitskin.hardware.export.ros_messages import FRAME_ID, TOPICS, TOUCH_FIELDS
+from eitskin.simulator import Frame, Protocol, Status
+from eitskin.training import Estimate, FoundTouches, Pipeline
+
+from small_dataset import make
+
+STORE = get_typestore(Stores.ROS2_HUMBLE)
+UNKNOWN = math.nan
+
+
+def read(path):
+    """Stamps [ns] and messages by topic."""
+    found = {}
+    with Reader(path) as bag:
+        for connection, stamp, data in bag.messages():
+            assert connection.msgtype == TOPICS[connection.topic]
+            message = STORE.deserialize_cdr(data, connection.msgtype)
+            found.setdefault(connection.topic, []).append((stamp, message))
+    return found
+
+
+def values_of(message, name):
+    """Level, message and values of one status of a DiagnosticArray."""
+    status = next(each for each in message.status if each.name == name)
+    return status.level, status.message, {pair.key: pair.value for pair in status.values}
+
+
+def rows_of(points):
+    """Touches of a PointCloud2, (k, fields)."""
+    return points.data.view("<f4").reshape(points.width, len(TOUCH_FIELDS))
+
+
+def a_frame(time=0.0, session=0, number=0):
+    return Frame(np.arange(28) + 1j, Protocol.pairwise(8), time, number, session)
+
+
+def an_estimate(**changes):
+    rng = np.random.default_rng(2)
+    found = FoundTouches.of([[0.05, 0.02], [0.1, 0.04]], [0.9, 0.7], [9.5, np.nan], [1e-3, 2e-3])
+    known = {
+        "state": State.TOUCH,
+        "probabilities": np.array([0.01, 0.98, 0.01]),
+        "bend_angle_deg": -12.3456789,
+        "bend_deviation_deg": 0.25,
+        "touch_map": rng.random((32, 80), dtype=np.float32),
+        "found": found,
+        "problems": (),
+        "number": 0,
+        "time": 0.0,
+    }
+    return Estimate(**known | changes)
+
+
+def write_all(path, readings):
+    with McapWriter(path) as writer:
+        for reading in readings:
+            writer.write(reading)
+
+
+def written(path, *readings):
+    write_all(path, readings)
+    return read(path)
+
+
+# What is written
+
+
+def test_frames_come_back_to_the_last_bit(tmp_path) -> None:
+    data = make(20)
+    frames = [data.frame(i) for i in range(len(data))]
+    lost = np.where(np.arange(28) == 3, np.nan, frames[7].impedance)
+    status = np.where(np.arange(28) == 3, Status.NOT_FINITE, 0).astype(np.uint8)
+    frames[7] = dataclasses.replace(frames[7], impedance=lost, status=status)
+    path = tmp_path / "run.mcap"
+    found = written(path, *(Reading(frame, None, UNKNOWN, UNKNOWN) for frame in frames))
+    assert [each.name for each in tmp_path.iterdir()] == ["run.mcap"]
+    assert set(found) == {"/eitskin/sensor", "/eitskin/impedance", "/diagnostics"}
+    assert len(found["/eitskin/impedance"]) == len(frames)
+    pairs = zip(frames, found["/eitskin/impedance"], found["/diagnostics"], strict=True)
+    for frame, (stamp, impedance), (_, diagnostics) in pairs:
+        assert np.asarray(impedance.data).tobytes() == frame.impedance.tobytes()
+        assert [(d.size, d.stride) for d in impedance.layout.dim] == [(28, 56), (2, 2)]
+        header = diagnostics.header
+        assert header.stamp.sec * 10**9 + header.stamp.nanosec == stamp
+        assert header.frame_id == FRAME_ID
+        _, _, about = values_of(diagnostics, "eitskin: sensor")
+        assert float(about["time [s]"]) == frame.time
+        assert (int(about["session"]), int(about["number"])) == (frame.session, frame.number)
+        assert "latency [s]" not in about
+        _, _, channels = values_of(diagnostics, "eitskin: channels")
+        assert tuple(channels) == frame.protocol.labels
+    level, text, channels = values_of(found["/diagnostics"][7][1], "eitskin: channels")
+    assert (level, text, channels["0-4"]) == (1, "1 of 28 channels are bad", "NOT_FINITE")
+    about = [json.loads(message.data) for _, message in found["/eitskin/sensor"]]
+    assert len(about) == 2  # one for each session
+    assert about[0]["protocol"]["table"] == [list(row) for row in data.protocol.table]
+    assert about[0]["frequency_Hz"] == data.frequency
+
+
+def test_estimates_come_back_to_the_last_bit(tmp_path) -> None:
+    estimate = an_estimate(problems=("channel 0-1 is left out",))
+    path = tmp_path / "run.mcap"
+    found = written(path, Reading(a_frame(), estimate, 0.004, 3.3, unusable=2))
+    (_, bend), (_, picture), (_, touches), (_, diagnostics) = (
+        found[topic][0]
+        for topic in ("/eitskin/bend", "/eitskin/touch_map", "/eitskin/touches", "/diagnostics")
+    )
+    assert bend.name == ["bend"]
+    assert bend.position.tolist() == [np.radians(-12.3456789)]
+    assert (picture.height, picture.width, picture.step) == (32, 80, 320)
+    assert (picture.encoding, picture.is_bigendian) == ("32FC1", 0)
+    assert picture.data.tobytes() == estimate.touch_map.tobytes()
+    assert tuple(field.name for field in touches.fields) == TOUCH_FIELDS
+    assert [field.offset for field in touches.fields] == [0, 4, 8, 12, 16, 20]
+    rows = rows_of(touches)
+    expected = [[0.05, 0.02, 0, 0.9, 9.5, 1e-3], [0.1, 0.04, 0, 0.7, np.nan, 2e-3]]
+    assert np.array_equal(rows, np.array(expected, np.float32), equal_nan=True)
+    assert not touches.is_dense
+    level, text, values = values_of(diagnostics, "eitskin: sensor")
+    assert (level, text) == (1, "touch; channel 0-1 is left out")
+    assert values["bend angle [deg]"] == "-12.3456789"
+    assert float(values["bend deviation [deg]"]) == 0.25
+    assert (values["latency [s]"], values["rate [Hz]"]) == ("0.004", "3.3")
+    assert (values["unusable frames"], values["probability 1"]) == ("2", "0.98")
+
+
+def test_a_frame_without_touches_has_an_empty_cloud_and_no_doubts(tmp_path) -> None:
+    estimate = an_estimate(state=State.IDLE, found=FoundTouches.of((), ()))
+    found = written(tmp_path / "run.mcap", Reading(a_frame(), estimate, 0.0, UNKNOWN))
+    touches = found["/eitskin/touches"][0][1]
+    assert (touches.width, len(touches.data)) == (0, 0)
+    assert values_of(found["/diagnostics"][0][1], "eitskin: sensor")[:2] == (0, "idle")
+
+
+def test_a_frame_that_was_too_damaged_says_why(tmp_path) -> None:
+    reading = Reading(a_frame(), None, 0.0, UNKNOWN, unusable=1, problem="too few channels")
+    found = written(tmp_path / "run.mcap", reading)
+    assert values_of(found["/diagnostics"][0][1], "eitskin: sensor")[:2] == (2, "too few channels")
+    assert "/eitskin/bend" not in found
+
+
+def test_the_page_names_every_topic_type_and_field() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "interoperability.md").read_text()
+    for topic, kind in TOPICS.items():
+        assert f"| `{topic}` | `{kind.replace('/msg', '')}` |" in page
+    for name in TOUCH_FIELDS:
+        assert f"`{name}`" in page
+
+
+# When
+
+
+def test_sessions_of_a_recording_follow_each_other_by_a_second() -> None:
+    stamps = Stamps()
+    times = [(0, 5.0), (0, 5.25), (1, 0.0), (1, 0.5), (1, 0.5), (1, 0.2), (1, 0.3)]
+    found = [stamps.of(a_frame(time, session)) for session, time in times]
+    assert [stamp for stamp, _ in found] == [
+        GAP,
+        GAP + 250_000_000,
+        2 * GAP + 250_000_000,
+        2 * GAP + 750_000_000,
+        3 * GAP + 750_000_000,  # the time did not go on
+        4 * GAP + 750_000_000,  # it went back
+        4 * GAP + 850_000_000,
+    ]
+    assert [begins for _, begins in found] == [True, False, True, False, True, True, False]
+
+
+def test_live_a_session_begins_by_the_clock_and_stamps_never_go_back() -> None:
+    clock = iter([1_700_000_000 * 10**9, 1_600_000_000 * 10**9])
+    stamps = Stamps(lambda: next(clock))
+    frames = [a_frame(100.0), a_frame(100.3), a_frame(0.0, session=1)]
+    first, second, third = (stamps.of(frame)[0] for frame in frames)
+    assert first == 1_700_000_000 * 10**9
+    assert second == first + 300_000_000
+    assert third == second + 1  # the clock was set back
+
+
+# Whole or unfinished
+
+
+def test_what_was_written_before_an_interrupt_is_kept(tmp_path) -> None:
+    path = tmp_path / "run.mcap"
+
+    def readings():
+        yield Reading(a_frame(), None, UNKNOWN, UNKNOWN)
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_all(path, readings())
+    assert len(read(path)["/eitskin/impedance"]) == 1
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_without_readings_there_is_no_file(tmp_path) -> None:
+    write_all(tmp_path / "run.mcap", [])
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_killed_writer_leaves_its_folder_and_no_file_under_the_name(tmp_path) -> None:
+    path = tmp_path / "run.mcap"
+    killed = McapWriter(path)
+    killed.write(Reading(a_frame(), None, UNKNOWN, UNKNOWN))
+    assert [each.name for each in tmp_path.iterdir()] == ["run.mcap.unfinished"]
+    with pytest.raises(ConfigurationError, match="unfinished exists and is not replaced"):
+        McapWriter(path)
+    killed.discard()
+    assert not list(tmp_path.iterdir())
+
+
+def test_nothing_is_replaced_and_the_ending_is_checked(tmp_path) -> None:
+    (tmp_path / "run.mcap").write_text("a recording")
+    with pytest.raises(ConfigurationError, match=r"run\.mcap exists"):
+        McapWriter(tmp_path / "run.mcap")
+    with pytest.raises(ConfigurationError, match=r"must end in \.mcap"):
+        McapWriter(tmp_path / "run.bag")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ConfigurationError, match="cannot write"):
+        McapWriter(tmp_path / "file" / "run.mcap")
+
+
+def test_a_full_disk_says_where_the_rest_lies(tmp_path, monkeypatch) -> None:
+    writer = McapWriter(tmp_path / "run.mcap")
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(writer._bag, "write", full)
+    with pytest.raises(PartialError, match=r"No space left.*run\.mcap\.unfinished"):
+        writer.write(Reading(a_frame(), None, UNKNOWN, UNKNOWN))
+    writer.discard()
+
+
+def test_the_missing_extra_is_named(tmp_path, monkeypatch) -> None:
+    monkeypatch.setitem(sys.modules, "rosbags", None)
+    with pytest.raises(ImportError, match=r"eitskin\[ros\]"):
+        McapWriter(tmp_path / "run.mcap")
+    assert not list(tmp_path.iterdir())
+
+
+# The command
+
+
+@pytest.fixture(scope="module")
+def pipeline():
+    return Pipeline.load("reference.eitmodel")
+
+
+@pytest.fixture
+def recording(pipeline, tmp_path):
+    """A session that begins flat and is touched, of frames that the pipeline knows."""
+    golden, flat = pipeline.examples, pipeline.examples.flat[2]
+    frames = np.array([flat, flat, flat * (1 + golden.static[2])])
+    data = Dataset.from_arrays(
+        frames,
+        flat,
+        time=[0.0, 0.3, 0.6],
+        specimen=np.zeros(3),
+        episode=np.zeros(3),
+        status=np.zeros((3, 28)),
+        protocol=pipeline.layout.protocol,
+        frequency=pipeline.layout.frequency,
+    )
+    save_dataset(data, tmp_path / "recording")
+    return data
+
+
+def test_the_command_writes_what_the_pipeline_says(recording, pipeline, tmp_path) -> None:
+    out = tmp_path / "run.mcap"
+    words = ["export", "mcap", str(tmp_path / "recording"), "--out", str(out), "--json", "-q"]
+    result = CliRunner().invoke(app, [*words, "--model", "reference.eitmodel"])
+    assert result.exit_code == 0, result.output
+    said = json.loads(result.stdout)
+    assert (said["frames"], said["estimates"], said["messages"]) == (3, 3, 16)
+    found = read(out)
+    pipeline.reset()
+    for i in range(3):
+        estimate = pipeline.process(recording.frame(i))
+        assert found["/eitskin/touch_map"][i][1].data.tobytes() == estimate.touch_map.tobytes()
+        assert found["/eitskin/bend"][i][1].position[0] == np.radians(estimate.bend_angle_deg)
+        points = found["/eitskin/touches"][i][1]
+        rows = rows_of(points)
+        assert np.array_equal(rows[:, :2], estimate.found.place.astype(np.float32))
+        assert np.array_equal(rows[:, 4], estimate.found.force.astype(np.float32))
+    assert estimate.state is State.TOUCH
+    assert points.width >= 1
+
+
+def test_the_command_leaves_nothing_of_a_recording_of_another_sensor(tmp_path) -> None:
+    save_dataset(make(), tmp_path / "other")
+    out = tmp_path / "run.mcap"
+    words = ["export", "mcap", str(tmp_path / "other"), "--out", str(out)]
+    result = CliRunner().invoke(app, [*words, "--model", "reference.eitmodel"])
+    assert "40000 Hz" in str(result.exception)
+    assert [each.name for each in tmp_path.iterdir()] == ["other"]

@@ -1,0 +1,361 @@
+"""The sensor check: it leaves healthy sensors alone, and names what is wrong with others."""
+
+import dataclasses
+import json
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from eitskin.benchmarks.studies.sensor_check import FRAMES, PAIRS, cases, measured
+from eitskin.cli.commands.check import _require_same
+from eitskin.cli.main import app
+from eitskin.datasets import Recipe
+from eitskin.datasets.recipe.frame_sampling import specimen
+from eitskin.errors import ConfigurationError, FrameError
+from eitskin.hardware.boards import port
+from eitskin.hardware.boards.port import PortInfo
+from eitskin.hardware.diagnosis.finding import What
+from eitskin.hardware.diagnosis.sensor_check import check_sensor
+from eitskin.hardware.virtual import virtual_board as virtual
+from eitskin.simulator import Frame, Instrument, Protocol, Scene, Simulator, Status
+
+PROTOCOL = Protocol.pairwise(8)
+FULL_SCALE = 846.0
+
+
+@lru_cache
+def flat(number=None):
+    """Noise-free values of a specimen, or of the design."""
+    recipe = Recipe.shipped("training")
+    design = recipe.sensor if number is None else specimen(recipe, number).design
+    return Simulator(design, recipe.resolution).measure(Scene()).impedance
+
+
+def expected():
+    return np.abs(flat())
+
+
+def frames(truth, count=FRAMES, seed=0, instrument=None):
+    rng = np.random.default_rng(seed)
+    session = (instrument or Instrument.ad5940()).session(PROTOCOL, FULL_SCALE, rng)
+    times = 0.3 * np.arange(count)
+    truth = np.broadcast_to(truth, (count, 28)).astype(complex)
+    found = zip(*session.measure(truth, times, rng), times, strict=True)
+    return [Frame(z, PROTOCOL, t, k, status=s) for k, (z, s, t) in enumerate(found)]
+
+
+def check(truth, **options):
+    return check_sensor(frames(truth, **options), expected())
+
+
+def at(electrode):
+    return np.array([electrode in pair for pair in PAIRS])
+
+
+def found(result):
+    return [(each.what, each.electrodes) for each in result.findings]
+
+
+def exchanged(values, one, other):
+    turned = {one: other, other: one}
+    return values[[PAIRS.index(tuple(sorted(turned.get(e, e) for e in pair))) for pair in PAIRS]]
+
+
+# ---- healthy sensors ----
+
+
+@pytest.mark.parametrize("number", range(6))
+def test_a_healthy_specimen_is_not_accused(number):
+    assert check(flat(number), seed=number).findings == ()
+
+
+@pytest.mark.parametrize("snr_db", [60.0, 90.0])
+def test_neither_noisy_nor_quiet_boards_are_accused(snr_db):
+    board = dataclasses.replace(Instrument.ad5940(), snr_db=snr_db)
+    assert check(flat(), instrument=board).healthy
+
+
+def test_a_few_frames_are_enough_for_what_one_frame_shows():
+    one = flat(0) + 400.0 * at(6)
+    assert check(flat(0), count=1).healthy
+    assert found(check(one, count=1)) == [(What.BAD_CONTACT, (6,))]
+
+
+def test_a_plug_turned_round_cannot_be_seen():
+    order = [(e + 4) % 8 for e in range(8)]
+    turned = [PAIRS.index(tuple(sorted((order[a], order[b])))) for a, b in PAIRS]
+    assert check(flat()[turned]).healthy
+
+
+# ---- one fault ----
+
+RNG = np.random.default_rng(1)
+CASES = tuple(cases(flat(1), np.zeros((0, 28)), RNG))
+
+
+@pytest.mark.parametrize("name", sorted({case.name for case in CASES} - {"bad contact, 60 ohm"}))
+def test_each_fault_is_named_at_each_place_and_nothing_else_is(name):
+    some = [case for case in CASES if case.name == name]
+    for case in some if len(some) < 28 else some[::4]:
+        result = check_sensor(measured(case, RNG, FULL_SCALE), expected())
+        assert case.alone(result), (case.electrodes, case.channels, result)
+
+
+@pytest.mark.parametrize("ohm", [120.0, 500.0, 5000.0])
+def test_a_bad_contact_is_told_in_ohm(ohm):
+    (finding,) = check(flat(2) + ohm * at(3)).findings
+    said = float(finding.message.split(", ")[1].split()[0])
+    assert said == pytest.approx(ohm, rel=0.02, abs=30.0)
+    assert finding.channels == tuple(np.flatnonzero(at(3)))
+    assert "electrode 3 has a bad contact" in finding.message
+
+
+def test_the_ohms_are_those_of_the_right_scale():
+    given = [
+        dataclasses.replace(each, impedance=5.0 * each.impedance)
+        for each in frames(flat() + 300.0 * at(5))
+    ]
+    factor, contact = check_sensor(given, expected()).findings
+    assert (factor.what, contact.electrodes) == (What.FACTOR, (5,))
+    assert "5 times" in factor.message
+    assert float(contact.message.split(", ")[1].split()[0]) == pytest.approx(300.0, abs=25.0)
+
+
+def test_a_loose_contact_is_named():
+    worse = flat() * (1.0 + 0.05 * np.arange(FRAMES)[:, None] * at(4))
+    result = check(worse)
+    assert (What.MOVED, (4,)) in found(result)
+    assert {electrodes for _, electrodes in found(result)} == {(4,)}
+
+
+def test_a_touch_during_the_check_is_seen():
+    touched = np.repeat(flat()[None], FRAMES, axis=0)
+    touched[6:] *= 1.0 + 0.002 * np.sin(np.arange(28))
+    (finding,) = check(touched).findings
+    assert (finding.what, finding.electrodes) == (What.MOVED, ())
+    assert "untouched" in finding.message
+
+
+def test_a_step_of_the_gain_is_seen():
+    steps = np.where(np.arange(FRAMES) < 9, 1.0, 1.02)[:, None]
+    assert [what for what, _ in found(check(flat() * steps))] == [What.MOVED]
+
+
+def test_a_bent_sensor_does_not_pass_for_a_flat_one():
+    bent = flat() * (1.0 + 0.05 * np.cos(2.0 * np.arange(28)))
+    assert [what for what, _ in found(check(bent))] == [What.MISFIT]
+
+
+def test_noise_on_every_channel_is_the_boards():
+    noise = np.random.default_rng(0).standard_normal((FRAMES, 28))
+    (finding,) = check(flat() * (1.0 + 0.02 * noise)).findings
+    assert (finding.what, len(finding.channels)) == (What.NOISY, 28)
+
+
+def test_nothing_connected_is_one_finding():
+    (finding,) = check(np.full(28, -39.8e3j)).findings
+    assert (finding.what, finding.electrodes) == (What.OPEN, tuple(range(8)))
+    assert "plug between sensor and board" in finding.message
+
+
+def test_one_open_channel_is_no_electrode():
+    one = flat().copy()
+    one[9] = -39.8e3j
+    (finding,) = check(one).findings
+    assert (finding.what, finding.electrodes, finding.channels) == (What.OPEN, (), (9,))
+
+
+def test_exchanged_sense_leads_turn_every_phase():
+    (finding,) = check_sensor(
+        [dataclasses.replace(f, impedance=-f.impedance) for f in frames(flat())], expected()
+    ).findings
+    assert finding.what == What.PHASE
+    assert "180 deg" in finding.message
+
+
+@pytest.mark.parametrize(
+    ("bit", "said"),
+    [
+        (Status.UNCALIBRATED, "calibrate the board"),
+        (Status.DFT_TIMEOUT, "timed out"),
+        (Status.FIFO_OVERFLOW, "memory"),
+    ],
+)
+def test_what_the_board_says_is_passed_on(bit, said):
+    status = np.full(28, bit, np.uint8)
+    marked = [dataclasses.replace(each, status=status) for each in frames(flat())]
+    (finding,) = check_sensor(marked, expected()).findings
+    assert finding.what == What.BOARD
+    assert said in finding.message
+
+
+def test_an_electrode_whose_pairs_are_no_numbers_is_named():
+    given = [np.where(at(2), complex(np.inf, 0), each.impedance) for each in frames(flat())]
+    result = check_sensor([Frame(z, PROTOCOL) for z in given], expected())
+    assert found(result) == [(What.NOT_FINITE, (2,))]
+
+
+def test_an_open_electrode_that_gives_no_numbers_is_one_finding():
+    marked = [
+        dataclasses.replace(
+            each,
+            impedance=np.where(at(2), complex(np.nan, np.nan), each.impedance),
+            status=np.where(at(2), Status.OPEN | Status.NOT_FINITE, 0),
+        )
+        for each in frames(flat())
+    ]
+    assert found(check_sensor(marked, expected())) == [(What.OPEN, (2,))]
+
+
+def test_values_that_are_all_no_numbers_are_one_finding():
+    result = check_sensor([Frame(np.full(28, np.nan), PROTOCOL)] * 8, expected())
+    assert found(result) == [(What.NOT_FINITE, ())]
+
+
+def test_values_that_are_all_zero_are_not_taken_for_a_sensor():
+    result = check_sensor([Frame(np.zeros(28), PROTOCOL)] * 8, expected())
+    assert {what for what, _ in found(result)} == {What.FROZEN, What.FACTOR}
+
+
+# ---- several faults ----
+
+
+@pytest.mark.parametrize("ohm", [0.1, 5.0])
+def test_pairs_that_are_all_shorted_are_findings(ohm):
+    assert not check_sensor(frames(np.full(28, ohm)), expected()).healthy
+
+
+def test_whatever_is_wrong_is_a_finding_and_no_error():
+    rng = np.random.default_rng(8)
+    for _ in range(150):
+        truth = flat() * rng.choice([1.0, 1e-4, 1e3, 0.9], 28, p=[0.7, 0.1, 0.1, 0.1])
+        given = frames(truth, count=int(rng.integers(1, 9)), seed=int(rng.integers(99)))
+        bits = rng.choice([0, 1, 8, 16, 64], 28, p=[0.6, 0.1, 0.1, 0.1, 0.1]).astype(np.uint8)
+        share = rng.choice([0.0, 0.5, 1.0])
+        struck = [dataclasses.replace(f, status=bits * (rng.random(28) < share)) for f in given]
+        for finding in check_sensor(struck, expected()).findings:
+            assert finding.message
+
+
+def test_several_faults_are_named_together():
+    ill = exchanged(flat(3), 0, 3) + 300.0 * at(5)
+    ill[at(6)] = -39.8e3j
+    assert set(found(check(ill))) == {
+        (What.OPEN, (6,)),
+        (What.SWAPPED, (0, 3)),
+        (What.BAD_CONTACT, (5,)),
+    }
+
+
+def test_two_exchanges_are_named_together():
+    ill = exchanged(exchanged(flat(4), 0, 1), 5, 7)
+    assert set(found(check(ill))) == {(What.SWAPPED, (0, 1)), (What.SWAPPED, (5, 7))}
+
+
+def test_half_of_the_electrodes_may_be_open():
+    ill = flat(5).copy()
+    for e in (0, 2, 3, 7):
+        ill[at(e)] = -39.8e3j
+    assert found(check(ill)) == [(What.OPEN, (e,)) for e in (0, 2, 3, 7)]
+    # Six channels are too few for contacts, whatever they show.
+    ill[PAIRS.index((1, 4))] *= 1.4
+    assert found(check(ill)) == [(What.OPEN, (e,)) for e in (0, 2, 3, 7)]
+
+
+# ---- other protocols, and what cannot be ----
+
+
+def test_of_other_protocols_only_what_can_be_said():
+    protocol = Protocol.adjacent(8)
+    values = np.linspace(20.0, 60.0, len(protocol))
+    noise = np.random.default_rng(0).standard_normal((FRAMES, len(protocol)))
+    measured = values * (1.0 + 1e-4 * noise)
+    assert check_sensor([Frame(z, protocol) for z in measured], values).healthy
+    measured[:, 4] = measured[0, 4]
+    (finding,) = check_sensor([Frame(z, protocol) for z in measured], values).findings
+    assert (finding.what, finding.channels) == (What.STUCK, (4,))
+    (finding,) = check_sensor([Frame(6.0 * z, protocol) for z in measured[:1]], values).findings
+    assert finding.what == What.FACTOR
+    measured[:, 9] *= 0.01  # no short, as it is not driven where it is sensed
+    assert What.SHORT not in {
+        each.what for each in check_sensor([Frame(z, protocol) for z in measured], values).findings
+    }
+
+
+@pytest.mark.parametrize(
+    ("reference", "said"),
+    [(np.ones(27), "shape"), (np.zeros(28), "positive"), (np.full(28, np.nan), "positive")],
+)
+def test_expected_values_that_cannot_be(reference, said):
+    with pytest.raises(ConfigurationError, match=said):
+        check_sensor(frames(flat(), count=1), reference)
+
+
+def test_frames_that_do_not_belong_together():
+    with pytest.raises(FrameError, match="at least one"):
+        check_sensor([], expected())
+    other = Frame(np.ones(1), Protocol.pairwise(2))
+    with pytest.raises(FrameError, match="one protocol"):
+        check_sensor([*frames(flat(), count=1), other], expected())
+
+
+# ---- the command ----
+
+
+kept_simulator = lru_cache(Simulator)  # of the sensor that all of the boards have
+
+
+def run(*arguments):
+    return CliRunner().invoke(app, ["check", *arguments])
+
+
+def test_the_command_finds_nothing_on_a_healthy_board():
+    result = run("--board", "virtual:?speed=max", "--frames", "8")
+    assert result.exit_code == 0
+    assert "healthy: nothing was found in 8 frames" in result.stdout
+    assert "keep the sensor flat and untouched" in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("faults", "expected"),
+    [
+        ("open_electrode@0:3", [("open", [3])]),
+        ("swapped_electrodes@0:5", [("swapped", [5, 6])]),
+        ("shorted_pair@0:12", [("short", [1, 7])]),
+        ("contact_loss@0:2", [("moved", [2])]),
+        ("wrong_rtia@0", [("factor", [])]),
+        ("frozen_frame@0", [("frozen", [])]),
+        ("stuck_channel@0:4", [("stuck", [])]),
+        ("clipping@0:4", [("clipped", [])]),
+        ("nan_channel@0:4", [("not finite", [])]),
+        ("inf_channel@3:4", [("not finite", [])]),
+        ("gain_step@7", [("moved", [])]),
+        ("phase_360@0", []),
+    ],
+)
+def test_the_command_names_the_faults_of_a_virtual_board(faults, expected, monkeypatch):
+    monkeypatch.setattr(virtual, "Simulator", kept_simulator)
+    result = run("--json", "--board", f"virtual:?speed=max&faults={faults}")
+    said = json.loads(result.stdout)
+    assert [(each["what"], each["electrodes"]) for each in said["findings"]] == expected
+    assert said["healthy"] is not bool(expected)
+    assert result.exit_code == (4 if expected else 0)
+    if faults.endswith(":4"):
+        assert said["findings"][0]["channels"] == ["0-5"]
+
+
+def test_a_board_of_another_protocol_is_refused():
+    with pytest.raises(FrameError, match=r"28 measurements .* the board measures 6"):
+        _require_same(PROTOCOL, Protocol.pairwise(4))
+
+
+def test_the_command_lists_ports(monkeypatch):
+    ports = (PortInfo("/dev/ttyS0"), PortInfo("/dev/ttyACM0", "EIT board", "ST", 1155, 1, "20 5A"))
+    monkeypatch.setattr(port, "serial_ports", lambda: ports)
+    listed = json.loads(run("--list", "--json").stdout)["ports"]
+    assert [each["uri"] for each in listed] == ["serial:/dev/ttyS0", "serial:?usb=20%205A"]
+    assert "0483:0001" in run("--list").stdout
+    monkeypatch.setattr(port, "serial_ports", lambda: ())
+    assert "no serial port was found here" in run("--list").stdout

@@ -1,0 +1,298 @@
+"""Every fault of the list: what the host makes of it."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from eitskin.errors import ConfigurationError, DeviceError
+from eitskin.hardware import Connection, SerialBoard, open_board
+from eitskin.hardware.protocol.packets import Decoder
+from eitskin.hardware.virtual.faults import FAULTS, fault_name, read_faults
+from eitskin.hardware.virtual.virtual_board import virtual_terminal
+from eitskin.simulator import Status
+
+from loopback import FLAT, PROTOCOL, FakeSimulator, Loopback, connected, firmware, virtual
+
+FRAMES = 12
+DAMAGE = {  # numbers that are missing, those lost, and what was dropped why
+    "bit_flip@4:1000": ([4], 1, {"bad checksum"}),
+    "dropped_byte@4:100": ([4], 1, {"bad checksum", "bad stuffing"}),
+    "inserted_byte@4:100": ([4], 1, {"bad checksum", "bad stuffing"}),
+    "burst@4:100": ([4], 1, {"bad checksum", "bad stuffing", "too short"}),
+    "truncated@4:100": ([4], 1, {"bad checksum", "bad stuffing"}),
+    "merged@4": ([4, 5], 2, {"bad checksum", "bad stuffing"}),
+    "duplicated@4": ([], 0, {"repeated or late frame"}),
+    "lost_frame@4": ([4], 1, set()),
+    "reordered@4": ([4], 1, {"repeated or late frame"}),
+    "garbage@4": ([], 0, {"bad checksum", "bad stuffing", "too short"}),
+    "text@4": ([], 0, {"bad stuffing", "too short", "bad checksum"}),
+    "oversized@4": ([], 0, {"too long"}),
+    "back_pressure@4:2": ([], 0, set()),
+    "already_streaming": ([], 0, set()),
+    "no_reply@0:2": ([], 0, set()),
+    "late_reply@1:2": ([], 0, set()),
+}
+
+
+def faulty(text):
+    return connected(firmware(read_faults(text)))
+
+
+@pytest.mark.parametrize("text", DAMAGE)
+def test_damage_costs_what_was_damaged_and_no_more(text):
+    missing, lost, reasons = DAMAGE[text]
+    board, _ = faulty(text)
+    frames = list(itertools.islice(board.frames(), FRAMES))
+    first = frames[0].number
+    expected = [number for number in range(first, 99) if number not in missing][:FRAMES]
+    assert [frame.number for frame in frames] == expected
+    assert board.lost == lost
+    assert bool(board.counts.dropped) == bool(reasons)
+    assert set(board.counts.dropped) <= reasons
+    assert all(np.allclose(frame.impedance, FLAT) for frame in frames)
+
+
+def test_a_stall_is_a_stale_stream_and_the_next_frames_are_later():
+    board = firmware(read_faults("stall@2:7"))
+    before = [board.frame() and board.delay for _ in range(4)]
+    assert before == pytest.approx([0.0, 0.0, 7 * 0.2968, 0.0])
+
+
+def test_jitter_delays_every_frame_by_less_than_a_period():
+    board = firmware(read_faults("jitter@3:1"))
+    delays = [board.frame() and board.delay for _ in range(200)]
+    assert delays[:3] == [0.0] * 3
+    assert 0.0 < min(delays[3:]) < max(delays[3:]) < 0.2968
+    assert np.std(delays[3:]) == pytest.approx(0.2968 / np.sqrt(12), rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("wrong_baud@0", "an answer to HELLO.*(baud rate|dropped|none came)"),
+        ("wrong_version@0", "another version of the protocol"),
+        ("wrong_count@0", "announced a table of 27"),
+        ("wrong_table@0", "contradicts itself"),
+        ("no_reply@0:3", "none came in 3 tries"),
+    ],
+)
+def test_a_board_that_cannot_be_met_says_why(text, complaint):
+    with pytest.raises(DeviceError, match=complaint):
+        faulty(text)
+
+
+def test_a_refused_start_says_so():
+    board, _ = faulty("negative_ack@2")
+    with pytest.raises(DeviceError, match="refused START: busy"):
+        next(board.frames())
+
+
+@pytest.mark.parametrize("text", ["wrong_baud@6", "wrong_version@6"])
+def test_a_line_that_goes_wrong_gives_nothing_false_and_comes_back_when_mended(text):
+    board, port = faulty(text)
+    stage = port.firmware.stage
+
+    def wait(_):
+        waits.append(1)
+        if len(waits) == 2:
+            stage.clear()
+
+    waits = []
+    frames = list(itertools.islice(Connection(board, wait=wait).frames(), FRAMES))
+    assert all(np.allclose(frame.impedance, FLAT) for frame in frames)
+    assert [frame.number for frame in frames[:6]] == list(range(6))
+    assert board.lost == frames[6].number - 6
+    assert {frame.session for frame in frames} == {1}
+    assert board.counts.dropped
+
+
+@pytest.mark.parametrize(("text", "first"), [("reboot@4", 0), ("counter_wrap@4", 2**32 - 3)])
+def test_a_reboot_is_a_new_session_whose_numbers_may_wrap(text, first):
+    board, _ = faulty(text)
+    frames = list(itertools.islice(board.frames(), FRAMES))
+    assert [frame.session for frame in frames] == [1] * 4 + [2] * 8
+    assert [frame.number for frame in frames[4:]] == [(first + i) % 2**32 for i in range(8)]
+    assert frames[4].time == pytest.approx(0.0)
+    assert (board.lost, board.counts.dropped) == (0, {})
+
+
+def test_a_port_in_use_is_refused_until_it_is_free():
+    with pytest.raises(DeviceError, match="another program uses it"):
+        virtual(faults="port_in_use")
+    with virtual() as board:
+        frames = Connection(board, wait=lambda _: tries.append(board.stage.clear())).frames()
+        tries = []
+        next(frames)
+        board.stage.inject("port_in_use, replug")
+        while next(frames).session == 1:
+            pass
+        assert tries
+
+
+def test_a_port_that_a_host_has_is_taken_when_the_host_lets_go():
+    with virtual_terminal(speed="max", simulator=FakeSimulator()) as terminal:
+        uri = f"serial:{terminal.path}"
+        with open_board(uri) as board:
+            terminal.firmware.stage.inject("port_in_use")
+            assert len(list(itertools.islice(board.frames(), 50))) == 50
+
+        # It looks again when something happens on the line, such as the host's last words.
+        def connect_often():
+            for _ in range(200):
+                open_board(uri).close()
+
+        with pytest.raises(DeviceError, match="another program uses it"):
+            connect_often()
+
+
+# ---- values ----
+
+
+def values(text, frame=0, n=FRAMES):
+    """Impedances and status of frame `frame` with a fault from frame 2 on, and of frame 0."""
+    board, _ = faulty(text)
+    frames = list(itertools.islice(board.frames(), n))
+    assert np.allclose(frames[1].impedance, FLAT)
+    assert not frames[1].status.any()
+    return frames[frame].impedance, frames[frame].status
+
+
+PAIRS = [set(row[:2]) for row in PROTOCOL.table]
+
+
+@pytest.mark.parametrize("name", ["nan_channel", "inf_channel"])
+def test_values_that_are_none_are_marked(name):
+    impedance, status = values(f"{name}@2:5", 2)
+    assert np.flatnonzero(~np.isfinite(impedance)).tolist() == [5]
+    assert np.flatnonzero(status == Status.NOT_FINITE).tolist() == [5]
+
+
+def test_clipping_is_marked_and_too_small():
+    impedance, status = values("clipping@2:5", 2)
+    assert np.flatnonzero(status == Status.CLIPPED).tolist() == [5]
+    assert impedance[5].real == pytest.approx(0.7 * FLAT[5])
+
+
+def test_an_open_electrode_marks_its_seven_pairs():
+    impedance, status = values("open_electrode@2:3", 2)
+    through = np.array([3 in pair for pair in PAIRS])
+    assert through.sum() == 7
+    assert np.array_equal(status == Status.OPEN, through)
+    assert np.abs(impedance[through]) == pytest.approx(39.8e3, rel=1e-3)
+    assert np.allclose(impedance[~through], FLAT[~through])
+
+
+def test_a_shorted_pair_makes_two_electrodes_one():
+    impedance, status = values("shorted_pair@2:0", 2)  # electrodes 0 and 1
+    assert not status.any()
+    assert abs(impedance[0]) < 5.0
+    for third in range(2, 8):
+        one, other = (impedance[PAIRS.index({end, third})] for end in (0, 1))
+        assert one == other
+    untouched = [i for i, pair in enumerate(PAIRS) if not pair & {0, 1}]
+    assert np.allclose(impedance[untouched], FLAT[untouched])
+
+
+def test_swapped_electrodes_exchange_their_pairs():
+    impedance, _ = values("swapped_electrodes@2:3", 2)  # electrodes 3 and 4
+    for third in (0, 1, 2, 5, 6, 7):
+        assert impedance[PAIRS.index({3, third})] == pytest.approx(FLAT[PAIRS.index({4, third})])
+        assert impedance[PAIRS.index({4, third})] == pytest.approx(FLAT[PAIRS.index({3, third})])
+    assert impedance[PAIRS.index({3, 4})] == pytest.approx(FLAT[PAIRS.index({3, 4})])
+
+
+def test_a_contact_is_lost_slowly():
+    through = np.array([6 in pair for pair in PAIRS])
+    for frame in (4, 10):
+        impedance, _ = values("contact_loss@2:6", frame)
+        assert impedance[through] == pytest.approx(FLAT[through] * (1 + 0.05 * (frame - 2)))
+        assert np.allclose(impedance[~through], FLAT[~through])
+
+
+@pytest.mark.parametrize(
+    ("name", "factor"),
+    [
+        ("wrong_rtia", 0.2),
+        ("phase_360", 1.0),
+        ("gain_step", 1.02),
+        ("drift_ramp", 1.0008),
+    ],
+)
+def test_all_channels_change_by_one_factor(name, factor):
+    impedance, status = values(f"{name}@2", 10)
+    assert impedance == pytest.approx(FLAT * factor, rel=2e-6)
+    assert not status.any()
+
+
+@pytest.mark.parametrize(("name", "frozen"), [("frozen_frame", 28), ("stuck_channel", 1)])
+def test_what_is_stuck_has_no_noise_left(name, frozen):
+    rng = np.random.default_rng(0)
+    noisy = firmware(read_faults(f"{name}@2:7"), sensor=lambda _: FLAT + rng.normal(size=28))
+    board, _ = connected(noisy)
+    frames = np.array([frame.impedance for frame in itertools.islice(board.frames(), FRAMES)])
+    still = (frames[2:] == frames[2]).all(axis=0)
+    assert still.sum() == frozen
+    assert still[7]
+    assert not (frames[:3] == frames[2]).all(axis=0).any()
+
+
+def test_a_fault_of_answers_that_is_injected_strikes_the_next_request():
+    board, port = connected(firmware())
+    list(itertools.islice(board.frames(), 5))
+    port.firmware.stage.inject("no_reply")
+    before = len(port.heard)
+    board.calibrate()
+    assert len(port.heard) == before + 2  # asked twice, answered once
+
+
+# ---- names ----
+
+
+def test_every_fault_of_the_list_has_a_name_and_is_read_back():
+    assert len(FAULTS) == 42
+    for name, kind in FAULTS.items():
+        (fault,) = read_faults(f"{name}@17:3")
+        assert (type(fault), fault.frame, fault.index) == (kind, 17, 3)
+        assert fault_name(fault) == f"{name}:3"
+        assert kind.__doc__
+
+
+@pytest.mark.parametrize("text", ["gremlins", "bit_flip@x", "bit_flip@1:2:3", "bit_flip@-1"])
+def test_what_is_no_fault_is_refused_with_the_names(text):
+    with pytest.raises(ConfigurationError, match="name among bit_flip"):
+        read_faults(text)
+
+
+def test_faults_of_two_boards_are_apart():
+    """A fault that remembers must not remember another board."""
+    rng = np.random.default_rng(0)
+    boards = [
+        firmware(read_faults("frozen_frame@0"), sensor=lambda _: FLAT + rng.normal(size=28))
+        for _ in range(2)
+    ]
+    one, other = (next(Decoder().feed(board.frame())).payload for board in boards)
+    assert one != other
+
+
+def test_every_fault_at_once_ends_in_frames_or_in_a_device_error():
+    """Whatever is combined: no other exception, and no value that was not sent."""
+    rng = np.random.default_rng(5)
+    names = [name for name in FAULTS if "unplug" not in name and name not in ("replug",)]
+    for _ in range(60):
+        chosen = rng.choice(names, 4, replace=False)
+        text = ",".join(f"{name}@{rng.integers(12)}:{rng.integers(300)}" for name in chosen)
+        port = Loopback(firmware(read_faults(text)))
+        try:
+            board = SerialBoard(lambda port=port: port, "serial:x", clock=port.clock)
+            frames = list(itertools.islice(board.frames(), FRAMES))
+        except DeviceError:
+            continue
+        assert [len(frame.impedance) for frame in frames] == [28] * FRAMES
+
+
+def test_a_virtual_board_takes_every_fault():
+    for name in FAULTS:
+        if name != "port_in_use":
+            with virtual(faults=f"{name}@50:1") as board:
+                assert board.stage.faults == (f"{name}:1",)

@@ -1,0 +1,211 @@
+"""The virtual board: its script, noise and pace, and its firmware."""
+
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from eitskin.errors import ConfigurationError
+from eitskin.geometry import Bend, Rectangle, SensorDesign
+from eitskin.geometry.design.regular_layouts import uniform
+from eitskin.hardware import Script, Step, open_board
+from eitskin.hardware.protocol.messages import Ack, Type, pack, unpack
+from eitskin.hardware.protocol.packets import Decoder, Packet, encode
+from eitskin.hardware.virtual.pseudo_terminal import Pace, PseudoTerminal
+from eitskin.hardware.virtual.scene_script import SimulatedSensor
+from eitskin.hardware.virtual.stage import Stage
+from eitskin.hardware.virtual.virtual_board import virtual_terminal
+from eitskin.simulator import Instrument, Protocol, Scene, Simulator, Status, Touch
+
+from loopback import FLAT, PROTOCOL, FakeSimulator, firmware, take, virtual
+
+# ---- virtual boards ----
+
+
+def test_a_script_changes_the_scene_while_the_board_runs():
+    bent, flat = Scene(bend=Bend(20.0)), Scene()
+    script = Script((Step(flat, 2), Step(bent, 3)))
+    simulator = FakeSimulator()
+    with open_board("virtual:", speed="max", scene=script, snr_db=np.inf, simulator=simulator) as b:
+        ratios = [frame.impedance[0].real / FLAT[0] for frame in take(b, 10)]
+    assert np.allclose(ratios, [1, 1, 1.02, 1.02, 1.02] * 2)
+    assert simulator.computed == 2
+
+
+def test_a_script_without_repeat_stays_at_its_last_scene():
+    bent, flat = Scene(bend=Bend(20.0)), Scene()
+    script = Script((Step(flat, 2), Step(bent, 1)), repeat=False)
+    assert [script(number) for number in (0, 1, 2, 3, 99)] == [flat, flat, bent, bent, bent]
+
+
+def test_scenes_may_come_from_any_function():
+    stage = Stage(SimulatedSensor(FakeSimulator()).solve, lambda now: Scene(bend=Bend(float(now))))
+    assert np.allclose(stage.measured(30), FLAT * 1.03)
+
+
+def test_scripts_and_single_scenes_are_read_from_toml(tmp_path):
+    (tmp_path / "scene.toml").write_text("[bend]\nangle_deg = 20.0\n")
+    (tmp_path / "script.toml").write_text(
+        "repeat = false\n[[steps]]\nframes = 2\n[steps.scene.bend]\nangle_deg = 20.0\n"
+    )
+    step = Step(Scene(bend=Bend(20.0)), 2)
+    assert Script.from_toml(tmp_path / "script.toml") == Script((step,), repeat=False)
+    assert Script.from_toml(tmp_path / "scene.toml")(5) == step.scene
+    with pytest.raises(ConfigurationError, match="at least one step"):
+        Script(())
+    with pytest.raises(ConfigurationError, match="at least one frame"):
+        Step(Scene(), 0)
+
+
+def test_noise_is_that_of_the_seed_and_of_the_frame():
+    sensors = [SimulatedSensor(FakeSimulator(), Instrument(60.0), seed) for seed in (3, 3, 4)]
+    one, same, other = (sensor.measure(FLAT, 5)[0] for sensor in sensors)
+    assert np.array_equal(one, same)
+    assert not np.array_equal(one, other)
+    assert not np.array_equal(one, sensors[0].measure(FLAT, 6)[0])
+    residual = np.array([sensors[0].measure(FLAT, number)[0] - FLAT for number in range(300)])
+    assert residual.real.std() == pytest.approx(820.0 * 1e-3, rel=0.03)
+
+
+def test_a_virtual_board_is_one_session_of_its_instrument_and_drifts_along_its_frames():
+    steady = Instrument(snr_db=0.0, gain=0.002, reciprocity=0.004)
+    sensor = SimulatedSensor(FakeSimulator(), steady, seed=3)
+    first, _ = sensor.measure(FLAT, 0)
+    assert np.array_equal(sensor.measure(FLAT, 1000)[0], first)
+    assert not np.allclose(first, FLAT, rtol=1e-4)
+    drifting = Instrument(snr_db=0.0, drift=0.002)
+    sensor = SimulatedSensor(FakeSimulator(), drifting, seed=3, period=0.5)
+    session = drifting.session(
+        PROTOCOL, 820.0, np.random.default_rng(np.random.SeedSequence(3, spawn_key=(0,)))
+    )
+    factor = np.exp(session.drift(np.array([500.0]))[0])
+    assert abs(factor - 1.0) > 1e-5
+    assert np.allclose(sensor.measure(FLAT, 1000)[0], FLAT * factor, rtol=1e-12)
+
+
+def test_the_virtual_board_sends_the_status_of_its_instrument():
+    small = Instrument(snr_db=0.0, clipping=True, excitation=0.607, pga_range=0.3)
+    with virtual(instrument=small) as board:
+        (frame,) = take(board, 1)
+    assert (frame.status == Status.CLIPPED).all()
+
+
+def test_an_instrument_may_be_named_where_the_board_is():
+    with open_board("virtual:?speed=max&instrument=ad5940", simulator=FakeSimulator()) as board:
+        (frame,) = take(board, 1)
+    assert (frame.impedance.imag < -0.5).all()  # 40 pF are 99 kohm: 1.6 ohm beside 400
+    with pytest.raises(ConfigurationError, match="'ad5940', got 'ad'"):
+        open_board("virtual:?instrument=ad", simulator=FakeSimulator())
+
+
+def test_the_virtual_board_measures_what_the_simulator_does():
+    scene = Scene(touches=(Touch(0.05, 0.02),))
+    with open_board("virtual:?speed=max&resolution=fast&snr_db=inf", scene=scene) as board:
+        (frame,) = take(board, 1)
+    expected = Simulator(SensorDesign.reference(), resolution="fast").measure(scene)
+    assert np.allclose(frame.impedance, expected.impedance, rtol=1e-6)
+
+
+@pytest.mark.parametrize("period", [float("nan"), -1.0, 0.0, 1e9])
+def test_a_period_that_cannot_be_is_refused(period):
+    with pytest.raises(ConfigurationError, match="period must be from 1e-06 to 3600 s"):
+        virtual_terminal(simulator=FakeSimulator(), period=period)
+
+
+def test_pace_is_one_frame_a_period_without_bursts():
+    now = [0.0]
+    pace = Pace(0.3, clock=lambda: now[0])
+    assert pace.remaining() == pytest.approx(0.3)
+    now[0] = 0.4
+    assert pace.remaining() == 0.0
+    pace.advance()
+    assert pace.remaining() == pytest.approx(0.2)  # due at 0.6: late once, not late for ever
+    now[0] = 9.0
+    pace.advance()
+    pace.advance()
+    assert pace.remaining() == pytest.approx(0.3)  # what was missed is not caught up
+
+
+def test_a_paced_board_sends_no_frame_before_it_is_due():
+    terminal = PseudoTerminal(firmware(), Pace(0.01))
+    with terminal, open_board(f"serial:{terminal.path}") as board:
+        began = time.monotonic()
+        last = take(board, 4)[-1].number
+        assert time.monotonic() - began >= (last + 1) * 0.01
+
+
+def test_a_virtual_board_is_paced_as_its_info_says():
+    terminal = virtual_terminal(simulator=FakeSimulator())
+    assert terminal._pace.period == terminal.firmware.info.period == pytest.approx(0.2968)
+    terminal.close()
+
+
+def test_real_period_is_28_pairs_of_10_6_ms():
+    assert firmware().info.period == pytest.approx(0.2968)
+
+
+def test_a_paced_board_skips_frames_that_nobody_reads():
+    measured, full = firmware(), threading.Event()
+    skip = measured.skip
+
+    def counted_skip():
+        skip()
+        if measured._number > 1500:
+            full.set()
+
+    measured.skip = counted_skip
+    terminal = PseudoTerminal(measured, Pace(1e-4))
+    with terminal, open_board(f"serial:{terminal.path}") as board:
+        frames = board.frames()
+        next(frames)
+        assert full.wait(20.0)
+        numbers = [next(frames).number for _ in range(1000)]
+    assert board.lost > 100
+    assert board.lost == numbers[-1] - 1000
+
+
+# ---- firmware: bytes in, bytes out ----
+
+
+def answers(board_firmware, *packets):
+    return [
+        unpack(packet)
+        for sent in packets
+        for packet in Decoder().feed(board_firmware.receive(encode(sent)))
+    ]
+
+
+def test_firmware_says_no_to_what_it_does_not_know():
+    assert answers(firmware(), Packet(0x42, 7)) == [Ack(7, 0x42, 2)]
+    assert answers(firmware(), Packet(Type.START, 8, b"x")) == [Ack(8, Type.START, 2)]
+    assert answers(firmware(), pack(Ack(1, 1), 9)) == [Ack(9, Type.ACK, 1)]
+
+
+def test_firmware_ignores_garbage():
+    assert firmware().receive(b"\0\x03AT\r\n\0") == b""
+
+
+def test_a_board_of_another_sensor_measures_its_pairs(tmp_path):
+    design = SensorDesign(Rectangle(0.1, 0.05), 0.004, uniform(Rectangle(0.1, 0.05), 6))
+    path = tmp_path / "own sensor.toml"
+    design.to_toml(path)
+    with open_board(f"virtual:?sensor={path}&speed=max&snr_db=inf") as board:
+        assert board.protocol == Protocol.pairwise(6)
+        frame = next(board.frames())
+    expected = Simulator(design, resolution="fast").measure(Scene()).impedance
+    assert frame.impedance == pytest.approx(expected, rel=1e-6)
+
+
+def test_a_board_has_a_sensor_or_a_simulator():
+    with pytest.raises(ConfigurationError, match="give one of the two"):
+        virtual_terminal(simulator=FakeSimulator(), sensor=SensorDesign.reference())
+
+
+def test_start_with_a_count_ends_after_it():
+    board = firmware()
+    board.receive(encode(Packet(Type.START, 1, b"\x03\0\0\0")))
+    for _ in range(3):
+        assert board.streaming
+        board.frame()
+    assert not board.streaming

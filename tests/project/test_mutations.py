@@ -1,0 +1,27 @@
+"""The list of mutations fits the tree; `make mutations` tries them, which takes minutes."""
+
+import pytest
+
+from mutations.run import ROOT, Mutation, listed
+
+MUTATIONS = listed()
+
+
+def test_the_list_is_long_and_says_everything_once():
+    assert len(MUTATIONS) >= 40
+    assert len({(each.file, each.old, each.new) for each in MUTATIONS}) == len(MUTATIONS)
+    assert len({each.what for each in MUTATIONS}) == len(MUTATIONS)
+
+
+@pytest.mark.parametrize("mutation", MUTATIONS, ids=lambda mutation: mutation.what)
+def test_each_can_be_applied_and_tested(mutation):
+    assert mutation.applied() != (ROOT / mutation.file).read_text(encoding="utf-8")
+    compile(mutation.applied(), mutation.file, "exec")
+    for test in mutation.tests:
+        assert (ROOT / "tests" / test.partition("::")[0]).is_file()
+
+
+def test_text_that_is_gone_is_an_error():
+    lost = Mutation("lost", "eitskin/protocol.py", "what was never there", "", ())
+    with pytest.raises(ValueError, match=r"lost: expected 'what was never there' once .* 0 times"):
+        lost.applied()

@@ -1,0 +1,137 @@
+"""Dataclasses from TOML and back: unions, complex numbers, paths, and what is refused."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import pytest
+
+from eitskin.config import from_dict, parse_toml, read_toml, to_dict, to_toml, write_toml
+from eitskin.errors import ConfigurationError
+
+
+@dataclass(frozen=True, slots=True)
+class Ball:
+    radius: float
+
+
+@dataclass(frozen=True, slots=True)
+class Box:
+    length: float
+    width: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Thing:
+    shape: Ball | Box
+    z: complex = 0.0
+    parts: tuple[Ball, ...] = ()
+    spare: Ball | None = None
+    file: Path | None = None
+    size: float | None = None
+    numbers: tuple[float, ...] = field(default=())
+    side: Literal["left", "right"] = "left"
+
+
+def thing(text):
+    return parse_toml(Thing, text, "thing.toml", Path("folder"))
+
+
+def test_a_union_is_the_member_whose_keys_are_there():
+    assert thing("shape = { radius = 2 }").shape == Ball(2.0)
+    assert thing("shape = { length = 2 }").shape == Box(2.0)
+    assert thing("shape = { width = 3, length = 2 }").shape == Box(2.0, 3.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (
+            "shape = { radus = 2 }",
+            r"thing.toml: shape: expected the keys of one of Ball \(radius\) or "
+            r"Box \(length, \[width\]\), got radus; did you mean 'radius'\?",
+        ),
+        ("shape = { radius = 2, width = 1 }", "got radius, width$"),
+        ("shape = { width = 1 }", "got width$"),
+        ("shape = {}", "got no keys"),
+        ("shape = 'ball'", r"expected a table, Ball \(radius\) or .*, got `str`"),
+        ("shape = { radius = 'big' }", "shape.radius: Expected `float`, got `str`"),
+        ("shape = { radius = 1 }\nparts = [{ radius = 1 }, { radus = 1 }]", r"parts\[1\]: unknown"),
+        (
+            "shape = { radius = 1 }\nparts = [{ radius = 1 }, { }]",
+            r"parts\[1\]: missing .*`radius`",
+        ),
+        (
+            "shape = { radius = 1 }\nparts = { radius = 1 }",
+            r"parts: Expected `array`, got `dict`; tables of a list are headed \[\[parts\]\]",
+        ),
+        ("shape = { radius = 1 }\nparts = 3", "parts: Expected `array`, got `int`$"),
+        ("shape = { radius = 1 }\nspare = 3", r"spare: expected a table \(radius\), got `int`"),
+        ("z = 1", "missing required field `shape`"),
+        ("shape = { radius = nan }", "shape.radius: expected a finite number, got nan"),
+        ("shape = { radius = 1 }\nnumbers = [1, -inf]", r"numbers\[1\]: expected a finite .*-inf"),
+        ("shape = { radius = 1 }\nz = [1, nan]", "z: expected a finite number"),
+        ("shape = { radius = 1 }\nz = [1, 2, 3]", "z: .*length 2"),
+        ("shape = { radius = 1 }\nz = '1+2j'", "z: Expected `float`, got `str`"),
+        ("shape = { radius = 1 }\nfile = 3", "file: Expected `str`"),
+        ("shape = { radius = 1 }\nside = 'up'", "side: expected 'left' or 'right', got 'up'"),
+        ("shape = { radius = 1 }\nside = [1]", r"side: expected 'left' or 'right', got \[1\]"),
+    ],
+)
+def test_what_does_not_fit_is_named_with_its_place(text, message):
+    with pytest.raises(ConfigurationError, match=message):
+        thing(text)
+
+
+def test_a_key_that_is_none_in_python_may_be_null():
+    assert from_dict(Thing, {"shape": {"radius": 1.0}, "spare": None, "size": None}, "data") == (
+        Thing(Ball(1.0))
+    )
+
+
+@pytest.mark.parametrize(
+    ("z", "written"),
+    [(0.5, "0.5"), (0.5 + 0j, "0.5"), (1 - 2e-3j, "[1.0, -0.002]"), (2j, "[0.0, 2.0]")],
+)
+def test_complex_numbers_are_a_number_or_a_pair(z, written):
+    text = to_toml(Thing(Ball(1.0), z=z))
+    assert f"\nz = {written}\n" in f"\n{text}"
+    assert thing(text).z == z
+
+
+def test_numbers_of_numpy_are_written_as_plain_ones():
+    given = Thing(Ball(np.float64(0.1)), z=np.complex128(1 + 2j), numbers=(np.float32(0.5),))
+    assert to_dict(given) == {
+        "shape": {"radius": 0.1},
+        "z": [1.0, 2.0],
+        "parts": [],
+        "numbers": [0.5],
+        "side": "left",
+    }
+    assert thing(to_toml(given)) == given
+
+
+def test_paths_start_from_the_folder_of_their_file(tmp_path):
+    (tmp_path / "thing.toml").write_text("file = 'part.stl'\nshape = { radius = 1 }")
+    assert read_toml(Thing, tmp_path / "thing.toml").file == tmp_path / "part.stl"
+    assert thing("file = 'part.stl'\nshape = { radius = 1 }").file == Path("folder/part.stl")
+    assert thing("file = '/part.stl'\nshape = { radius = 1 }").file == Path("/part.stl")
+
+
+def test_text_that_is_no_file_of_the_users_names_no_files():
+    with pytest.raises(ConfigurationError, match="TOML text: file: names a file"):
+        parse_toml(Thing, "file = '/etc/hosts'\nshape = { radius = 1 }")
+
+
+def test_a_file_is_written_whole_or_not_at_all(tmp_path):
+    path = tmp_path / "thing.toml"
+    text = write_toml(Thing(Ball(1.0)), path)
+    assert path.read_text() == text == to_toml(Thing(Ball(1.0)))
+    path.unlink()
+    path.mkdir()
+    with pytest.raises(ConfigurationError, match=r"cannot write .*thing\.toml"):
+        write_toml(Thing(Ball(2.0)), path)
+    with pytest.raises(ConfigurationError, match="cannot write"):
+        write_toml(Thing(Ball(2.0)), tmp_path / "none" / "thing.toml")
+    assert list(tmp_path.iterdir()) == [path]

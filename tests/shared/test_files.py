@@ -1,0 +1,77 @@
+"""Files that appear whole or not at all."""
+
+import pytest
+
+from eitskin.errors import ConfigurationError
+from eitskin.files import whole_file, whole_folder
+
+
+def test_a_block_that_raises_leaves_the_old_file_and_nothing_else(tmp_path) -> None:
+    path = tmp_path / "a.txt"
+    path.write_text("old")
+    with pytest.raises(UnicodeEncodeError), whole_file(path) as temporary:
+        temporary.write_text("half \udcff", encoding="utf-8")
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_the_file_takes_its_name_only_at_the_end(tmp_path) -> None:
+    path = tmp_path / "a.png"
+    with whole_file(path) as temporary:
+        temporary.write_text("new")
+        assert temporary.suffix == ".png"
+        assert not path.exists()
+    assert path.read_text() == "new"
+    assert path.stat().st_mode & 0o777 == 0o644
+
+
+def test_a_folder_that_is_not_there_is_said(tmp_path) -> None:
+    with (
+        pytest.raises(ConfigurationError, match="No such file or directory; name a file"),
+        whole_file(tmp_path / "none" / "a.txt"),
+    ):
+        pass
+
+
+def filled(path, *names) -> None:
+    with whole_folder(path) as folder:
+        for name in names:
+            (folder / name).write_text(name)
+
+
+def test_a_folder_is_replaced_whole_or_not_at_all(tmp_path) -> None:
+    path = tmp_path / "above" / "some"
+    filled(path, "a", "b")
+    with pytest.raises(UnicodeEncodeError), whole_folder(path) as folder:
+        (folder / "c").write_text("half \udcff", encoding="utf-8")
+    assert sorted(file.name for file in path.iterdir()) == ["a", "b"]
+    filled(path, "c")
+    assert [file.name for file in path.iterdir()] == ["c"]
+    assert path.stat().st_mode & 0o777 == 0o755
+    assert list(path.parent.iterdir()) == [path]
+
+
+@pytest.mark.parametrize(
+    ("error", "raised"),
+    [
+        (PermissionError(13, "Permission denied"), ConfigurationError),
+        (KeyboardInterrupt(), KeyboardInterrupt),
+    ],
+)
+def test_a_folder_that_cannot_take_the_name_leaves_what_was_there(
+    error, raised, tmp_path, monkeypatch
+) -> None:
+    path = tmp_path / "some"
+    filled(path, "a")
+    rename = type(path).rename
+
+    def refuse(source, target):
+        if source.name.startswith(".some.") and target == path:
+            raise error
+        return rename(source, target)
+
+    monkeypatch.setattr(type(path), "rename", refuse)
+    with pytest.raises(raised, match=r"^$|Permission denied; name a file"):
+        filled(path, "b")
+    assert [file.name for file in path.iterdir()] == ["a"]
+    assert list(tmp_path.iterdir()) == [path]

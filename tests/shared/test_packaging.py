@@ -1,0 +1,97 @@
+"""What is installed: every module of the tree, and nothing heavy where it is not needed."""
+
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from eitskin import simulator
+
+ROOT = Path(__file__).resolve().parents[2]
+FOLDERS = ("geometry", "simulator", "datasets", "training", "hardware", "cli", "benchmarks")
+HEAVY = (
+    "torch",
+    "pyvista",
+    "matplotlib",
+    "serial",
+    "sklearn",
+    "skimage",
+    "safetensors",
+    "h5py",
+    "trimesh",
+    "pytetwild",
+    "pyeit",
+)
+# Each after those above it.
+STEPS = {
+    "frames": "import eitskin.simulator; from eitskin.simulator import Frame, Protocol",
+    "simulator": "from eitskin.geometry import *; from eitskin.simulator import *",
+    "scenes": "Simulator(SensorDesign.reference(), 'fast').measure_all([Scene()])",
+    "datasets": "import eitskin.datasets",
+}
+
+
+def test_the_wheel_holds_every_module_of_the_tree(tmp_path) -> None:
+    build = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(tmp_path)]
+    done = subprocess.run([*build, str(ROOT)], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    (wheel,) = tmp_path.glob("*.whl")
+    held = set(zipfile.ZipFile(wheel).namelist())
+    assert "eitskin/training/reference.eitmodel/weights.safetensors" in held
+    wanted = {
+        f"eitskin/{path.relative_to(ROOT).as_posix()}"
+        for folder in FOLDERS
+        for pattern in ("*.py", "py.typed", "*/*.toml", "firmware/*.[ch]", "*.css", "web/*")
+        for path in (ROOT / folder).glob(pattern)
+    }
+    assert len(wanted) > 30
+    assert wanted <= held, sorted(wanted - held)
+    assert not [name for name in held if name.startswith(FOLDERS)]
+
+
+@pytest.fixture(scope="module")
+def loaded() -> dict[str, set[str]]:
+    """What is in memory after each step of one process, by the step's name."""
+    told = "import sys; print(*sys.modules)"
+    code = "\n".join(f"{step}; {told}" for step in STEPS.values())
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    lines = done.stdout.splitlines()
+    return {step: set(line.split()) for step, line in zip(STEPS, lines, strict=True)}
+
+
+def test_the_simulator_loads_no_heavy_package(loaded) -> None:
+    assert loaded["simulator"] & set(HEAVY) == set()
+
+
+def test_frames_and_protocols_load_no_solver(loaded) -> None:
+    assert loaded["frames"] & {"scipy", "skfem", "numpy"} == {"numpy"}
+
+
+def test_torch_is_loaded_by_batches_alone(loaded) -> None:
+    assert "torch" not in loaded["scenes"]
+    assert loaded["datasets"] & {"torch", "dask"} == set()
+
+
+def test_every_name_of_the_simulator_is_there_once_it_is_asked_for() -> None:
+    assert set(simulator.__all__) <= set(dir(simulator))
+    for name in set(simulator.__all__) - {"EXACT"}:
+        assert getattr(simulator, name).__name__ == name
+    assert isinstance(simulator.EXACT, simulator.Tolerance)
+    with pytest.raises(AttributeError, match=r"'eitskin\.simulator' has no attribute 'Forward'"):
+        simulator.Forward  # noqa: B018
+
+
+def test_no_module_is_longer_than_400_lines() -> None:
+    modules = [path for folder in (*FOLDERS, "tests") for path in (ROOT / folder).rglob("*.py")]
+    assert len(modules) > 300
+    lines = {path: len(path.read_text(encoding="utf-8").splitlines()) for path in modules}
+    assert {path.name: count for path, count in lines.items() if count > 400} == {}
+
+
+def test_a_missing_extra_is_named() -> None:
+    from eitskin.extras import require
+
+    with pytest.raises(ImportError, match=r"pip install 'eitskin\[view\]'"):
+        require("a_package_that_is_not_there", "view")

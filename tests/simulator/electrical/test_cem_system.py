@@ -1,0 +1,163 @@
+"""The linear system: condensation, solvers, and forms that no contact impedance makes cancel."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from eitskin.errors import ConfigurationError
+from eitskin.geometry import Electrode, Rectangle, SensorDesign
+from eitskin.geometry.design.regular_layouts import grid
+from eitskin.geometry.meshing.grading import Grading
+from eitskin.simulator import ForwardModel, Protocol
+from eitskin.simulator.linalg.block_cholesky import levels
+
+REFERENCE = SensorDesign.reference()
+PAIRS = Protocol.pairwise(8)
+COARSE = Grading(finest=2.5e-3, coarsest=1e-2, growth=1.0, layers=1)
+
+
+def with_contacts(z) -> SensorDesign:
+    electrodes = zip(REFERENCE.electrodes, np.broadcast_to(z, 8), strict=True)
+    electrodes = tuple(dataclasses.replace(e, contact_impedance=v) for e, v in electrodes)
+    return dataclasses.replace(REFERENCE, electrodes=electrodes)
+
+
+def whole_matrices(model, sigma):
+    """K, B, D and the contact mass over all functions, inner ones too, dense."""
+    assembly = model.assembly
+    space, element, outer = assembly.space, assembly.space.element, assembly.unknowns
+    inner = outer + np.arange(len(space.numbers) * element.inner).reshape(len(space.numbers), -1)
+    numbers = np.concatenate([space.numbers, inner], axis=1)
+    X, weights = element.rule()
+    shape = np.einsum("iaq,cab->cqib", element.gradients(X), space.inverses)
+    points = assembly.points.reshape(len(numbers), -1, 3)
+    scale = sigma(points) * weights * space.jacobians[:, None]
+    cells = np.einsum("cq,cqib,cqjb->cij", scale, shape, shape, optimize=True)
+    K = np.zeros((numbers.max() + 1,) * 2)
+    np.add.at(K, (numbers[:, :, None], numbers[:, None, :]), cells)
+    return K, assembly
+
+
+@pytest.mark.parametrize("layers", [1, 2])
+@pytest.mark.parametrize("order", [(2, 1), (2, 2), (3, 2, 1), (3, 3, 3)])
+@pytest.mark.parametrize("z", [1e-3, 1e-3 - 4e-4j])
+def test_the_whole_system_solved_densely_gives_the_same_impedances(order, layers, z) -> None:
+    """All unknowns kept, neither condensed nor lifted nor grounded."""
+    places = [(0.01, 0.0), (0.04, 0.01), (0.02, 0.02)]
+    electrodes = tuple(Electrode(x, y, contact_impedance=z) for x, y in places)
+    design = SensorDesign(Rectangle(0.04, 0.02), 0.005, electrodes)
+    grading = Grading(finest=5e-3, coarsest=1e-2, growth=1.0, layers=layers)
+    model = ForwardModel(design, (order, grading))
+    K, assembly = whole_matrices(model, lambda x: 1 + 4 * x[..., 1])
+    contact = assembly.contact(np.full(3, z))
+    A, n = K.astype(type(z)), len(K)
+    rows, columns = (p[-assembly.contact_entries :] for p in (assembly.rows, assembly.columns))
+    np.add.at(A, (rows, columns), contact.values)
+    off = rows != columns
+    np.add.at(A, (columns[off], rows[off]), contact.values[off])
+    B = np.zeros((n, 3), dtype=A.dtype)
+    B[: assembly.unknowns] = contact.coupling
+    Y = np.diag(contact.admittance) - B.T @ np.linalg.solve(A, B)
+    Z = model.impedance(lambda x: 1 + 4 * x[..., 1])
+    assert pytest.approx(np.eye(3) - 1 / 3, abs=1e-9) == Y @ Z
+
+
+@pytest.mark.parametrize("z", [1e-3, 2e-4 + 3e-4j])
+def test_block_cholesky_equals_sparse_lu(z) -> None:
+    sigma = lambda x: 1 + 3 * x[..., 1]  # noqa: E731
+    one, other = (
+        ForwardModel(with_contacts(z), ((2, 2), COARSE), solver=name)
+        for name in ("block Cholesky", "sparse LU")
+    )
+    assert one.solver.name != other.solver.name
+    for _ in range(2):  # sparse LU keeps its first ordering
+        assert one.impedance(sigma) == pytest.approx(other.impedance(sigma), rel=1e-10, abs=1e-9)
+    J = one.sensitivity(PAIRS, sigma)
+    assert pytest.approx(other.sensitivity(PAIRS, sigma), rel=1e-8, abs=1e-6) == J
+
+
+def test_an_unknown_solver_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match="solver must be"):
+        ForwardModel(REFERENCE, "fast", solver="multigrid")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("z", [1e-9, 1e-6, 1.0, 1e3])
+def test_both_forms_of_an_electrode_agree_where_both_hold(z, monkeypatch) -> None:
+    """Lifted or not, an electrode is the same; far from z = 1 one of the two loses digits."""
+    model = ForwardModel(with_contacts(z), ((2, 2), COARSE))
+    free = PAIRS.measure(model.impedance())
+    monkeypatch.setattr(model.places, "_liftable", np.zeros(8, dtype=bool))
+    plain = PAIRS.measure(model.impedance())
+    lost = 1e-16 / z / 1e-9 + 1e-10  # what the plain form loses
+    assert plain == pytest.approx(free, rel=max(lost, 1e-10))
+
+
+def test_small_contact_impedances_keep_their_digits() -> None:
+    """R(z) is smooth near z = 0: its second difference at 1e-9 is far below rounding of 1/z."""
+    z = 1e-9 * np.array([1.0, 2.0, 3.0])
+    R = [PAIRS.measure(ForwardModel(with_contacts(v), ((2, 2), COARSE)).impedance()) for v in z]
+    first, second = R[1] - R[0], R[2] - 2 * R[1] + R[0]
+    assert np.all(first > 0)
+    assert np.abs(second).max() < 1e-2 * np.abs(first).max()
+
+
+def test_large_contact_impedances_do_not_bury_the_body() -> None:
+    """R less the contacts' own 2 z / A tends to the gap model's R, at 1e3 as at 10 ohm m2."""
+    body = [
+        PAIRS.measure(ForwardModel(with_contacts(z), ((2, 2), COARSE)).impedance()) - 2 * z / 25e-6
+        for z in (10.0, 1e3)
+    ]
+    assert body[1] == pytest.approx(body[0], rel=1e-3)
+    Z = ForwardModel(with_contacts(1e3), ((2, 2), COARSE)).impedance(1.3)
+    assert PAIRS.measure(Z) - 2e3 / 25e-6 == pytest.approx(body[1] / 1.3, rel=1e-3)
+
+
+def test_contacts_of_opposite_extremes_on_one_sensor() -> None:
+    """Shunt electrodes beside buried ones: each keeps its digits, against a scaled copy."""
+    z = np.array([1e-9, 1e3, 1e-3, 1e-9, 1.0, 1e-6, 1e3, 1e-9])
+    Z = ForwardModel(with_contacts(z), ((2, 2), COARSE)).impedance()
+    scaled = dataclasses.replace(with_contacts(z / 7.0), conductivity=7.0)
+    other = ForwardModel(scaled, ((2, 2), COARSE)).impedance()
+    # Pairs of shunt electrodes have resistances a million times smaller than the buried ones'.
+    assert 7.0 * PAIRS.measure(other) == pytest.approx(PAIRS.measure(Z), rel=1e-8)
+    shunt = ForwardModel(with_contacts(1e-9), ((2, 2), COARSE)).impedance()
+    both = Protocol(((0, 3, 0, 3), (0, 7, 0, 7)), 8)
+    # A buried electrode draws next to no current: the others see the body as if it were not there,
+    # while shunt electrodes short-circuit what they cover.
+    assert np.all(both.measure(Z) > both.measure(shunt))
+
+
+def test_complex_contacts_are_the_analytic_continuation_of_real_ones() -> None:
+    """Cauchy-Riemann: the imaginary part of Z(z + i h) / h is dZ/dz."""
+    h = 1e-11
+    step = ForwardModel(with_contacts(1e-3 + 1j * h), ((2, 2), COARSE)).impedance()
+    ahead, behind = (
+        PAIRS.measure(ForwardModel(with_contacts(1e-3 + s * 1e-7), ((2, 2), COARSE)).impedance())
+        for s in (1, -1)
+    )
+    assert PAIRS.measure(step).imag / h == pytest.approx((ahead - behind) / 2e-7, rel=1e-6)
+
+
+@pytest.mark.parametrize("order", [(3, 2, 1), (3, 2, 2)], ids=["fast", "standard"])
+@pytest.mark.parametrize("on", ["side", "top", "inside"])
+def test_what_is_grounded_takes_part_in_a_constant_potential(on, order) -> None:
+    """Else the system is singular but for rounding, and nearly all digits are lost."""
+    design = REFERENCE
+    if on != "side":
+        z = design.thickness / 2 if on == "inside" else None
+        pads = grid(Rectangle(0.15, 0.06), 2, 4, 0.005, on=on, z=z)
+        design = dataclasses.replace(REFERENCE, electrodes=tuple(pads))
+    model = ForwardModel(design, (order, COARSE))
+    Z = model.impedance(1.0)
+    size = np.abs(Z).max()
+    assert np.abs(Z.sum(axis=0)).max() < 1e-9 * size
+    assert np.abs(Z - Z.T).max() < 1e-9 * size
+    again = model.impedance(1.0 + 1e-12)
+    assert np.abs(again - Z).max() < 1e-9 * size
+
+
+def test_a_body_in_two_parts_is_refused() -> None:
+    """Two elements that share no unknown: from the first, nothing reaches the second."""
+    with pytest.raises(ConfigurationError, match="parts that do not touch"):
+        levels(np.array([[0, 1], [2, 3]]), np.array([0]))

@@ -1,0 +1,159 @@
+"""Sizes, contrasts and contact impedances at the ends of what sensors can have.
+
+Each gives the number of a closed form, or a ConfigurationError: never a NaN.
+"""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from eitskin.errors import ConfigurationError
+from eitskin.geometry import Electrode, Rectangle, SensorDesign
+from eitskin.geometry.design.sensor import Layer
+from eitskin.geometry.meshing.grading import Grading
+from eitskin.simulator import ForwardModel, Protocol
+
+import closed_forms
+
+OUTLINE = Rectangle(0.15, 0.06)
+THICKNESS = 0.005
+
+
+def between(start, end, z=1e-9):
+    """An electrode from arc length `start` to `end` of the outline, also round corners."""
+    return Electrode(*OUTLINE.at((start + end) / 2).tolist(), end - start, z)
+
+
+def resistance(design, order=(4,), finest=1e-6, growth=1.5, cells=None) -> complex:
+    grading = Grading(finest, coarsest=2e-2, growth=growth, layers=1)
+    model = ForwardModel(design, (order, grading), cells=cells)
+    return Protocol.pairwise(2).measure(model.impedance())[0]
+
+
+# Electrodes: tiny, huge, round corners
+
+SPANS = {
+    "1 um": ((0.03, 0.030001), (0.09, 0.090001)),
+    "10 um and 5 mm": ((0.03, 0.03001), (0.09, 0.095)),
+    "10 um apart": ((0.03, 0.035), (0.03501, 0.04)),
+    "all of the rim but 10 um twice": ((0.0, 0.21), (0.21001, 0.41999)),
+    "round one corner": ((0.14, 0.16), (0.3, 0.305)),
+    "round two corners, and the first": ((0.14, 0.22), (0.41, 0.43)),
+}
+
+
+def shunt_pair(spans):
+    """The design, and its resistance times its thickness."""
+    ends = OUTLINE.at(np.array(spans)).reshape(4, 2)
+    electrodes = tuple(between(*span, 1e-10) for span in spans)
+    exact = closed_forms.shunt_pair(OUTLINE.length, OUTLINE.width, ends.tolist())
+    return SensorDesign(OUTLINE, THICKNESS, electrodes), exact
+
+
+@pytest.mark.parametrize("name", SPANS)
+def test_shunt_electrodes_of_any_size(name) -> None:
+    design, exact = shunt_pair(SPANS[name])
+    R = resistance(design, finest=1e-3 * np.diff(np.ravel(SPANS[name])).min())
+    assert R * THICKNESS == pytest.approx(exact, rel=1e-4)
+
+
+@pytest.mark.parametrize("name", ["10 um and 5 mm", "round one corner"])
+def test_shunt_electrodes_of_any_size_on_prisms(name) -> None:
+    design, exact = shunt_pair(SPANS[name])
+    finest = 1e-2 * np.diff(np.ravel(SPANS[name])).min()
+    R = resistance(design, finest=finest, growth=1.0, cells="prisms")
+    assert R * THICKNESS == pytest.approx(exact, rel=2e-4)
+
+
+def test_overlapping_electrodes_are_refused() -> None:
+    with pytest.raises(ConfigurationError, match="overlap by"):
+        SensorDesign(OUTLINE, THICKNESS, (between(0.03, 0.035), between(0.034, 0.04)))
+
+
+# Contact impedances: mixed
+
+
+@pytest.mark.parametrize("buried", [0, 3])
+def test_a_buried_electrode_is_not_there(buried) -> None:
+    """With z = 1e3 beside 1e-9 no current can pass it: the others see a sensor without it."""
+    whole = SensorDesign.reference()
+    z = [1e3 if e == buried else 1e-9 for e in range(8)]
+    electrodes = tuple(
+        dataclasses.replace(e, contact_impedance=one)
+        for e, one in zip(whole.electrodes, z, strict=True)
+    )
+    rest = [e for e in range(8) if e != buried]
+    with_it = ForwardModel(dataclasses.replace(whole, electrodes=electrodes), "fast").impedance()
+    without = dataclasses.replace(whole, electrodes=tuple(electrodes[e] for e in rest))
+    pairs = Protocol.pairwise(7)
+    R = pairs.measure(with_it[np.ix_(rest, rest)])
+    assert R == pytest.approx(pairs.measure(ForwardModel(without, "fast").impedance()), rel=1e-3)
+
+
+def test_mixed_contacts_add_up_in_a_block() -> None:
+    ends = (Electrode(0.0, 0.03, 0.06, 1e-9), Electrode(0.15, 0.03, 0.06, 1e3))
+    R = resistance(SensorDesign(OUTLINE, THICKNESS, ends))
+    exact = closed_forms.block(0.15, 0.06 * THICKNESS, 1.0, 1e-9, 1e3)
+    assert R == pytest.approx(exact, rel=1e-12)
+
+
+@pytest.mark.parametrize("z", [0.0, -1e-3, float("nan"), float("inf"), 1e9, -1e-3 + 1e-3j])
+def test_contacts_that_cannot_be_are_refused(z) -> None:
+    with pytest.raises(ConfigurationError, match="contact_impedance must be"):
+        between(0.03, 0.035, z)
+
+
+# Layers: 100 to 1 in thickness, 1e-6 .. 1e6 in conductivity
+
+
+def stack(ratio, thin, electrodes):
+    """A layer of 1 S/m under one of `ratio` S/m, `thin` of the whole thickness."""
+    layers = (Layer((1 - thin) * THICKNESS, 1.0), Layer(thin * THICKNESS, ratio))
+    return SensorDesign(OUTLINE, THICKNESS, electrodes, layers=layers)
+
+
+@pytest.mark.parametrize("thin", [0.5, 0.01])
+@pytest.mark.parametrize("ratio", [1e-6, 1e6])
+def test_layers_in_parallel(ratio, thin) -> None:
+    """Above layers without contacts, below layers with contacts each of their own."""
+    z = 1e-10
+    ends = (Electrode(0.0, 0.03, 0.06, z), Electrode(0.15, 0.03, 0.06, z))
+    R = resistance(stack(ratio, thin, ends), order=(2, 2, 2), finest=2e-2)
+    area = 0.06 * THICKNESS
+    low, high = (
+        1
+        / sum(
+            1 / closed_forms.block(0.15, share * area, sigma, *contacts)
+            for share, sigma in ((1 - thin, 1.0), (thin, ratio))
+        )
+        for contacts in ((), (z, z))
+    )
+    assert low * (1 - 1e-9) <= R <= high * (1 + 1e-9)
+    assert high < low * (1 + 2e-3)
+
+
+STACKS = [
+    (z, ratio, thin) for z in (1e-9, 1e-3, 1e3) for ratio in (1e-6, 1e6) for thin in (0.5, 0.01)
+]
+
+
+@pytest.mark.parametrize(("z", "ratio", "thin"), STACKS)
+def test_layers_in_series(z, ratio, thin) -> None:
+    faces = tuple(Electrode(0.075, 0.03, 0.15, z, height=0.06, on=on) for on in ("top", "bottom"))
+    R = resistance(stack(ratio, thin, faces), order=(1, 1), finest=2e-2)
+    area = 0.15 * 0.06
+    exact = THICKNESS * (1 - thin + thin / ratio) / area + 2 * z / area
+    assert R == pytest.approx(exact, rel=1e-8)
+
+
+@pytest.mark.parametrize("ratio", [1e-6, 1e6])
+def test_contrast_with_electrodes_on_the_side(ratio) -> None:
+    """Between all-insulating and all-conducting halves R stays between its two bounds."""
+    forward = ForwardModel(SensorDesign.reference(), "fast")
+    half = forward.mesh.points[forward.mesh.cells, 0].mean(axis=1) < 0.075
+    pairs = Protocol.pairwise(8)
+    R = pairs.measure(forward.impedance(np.where(half, 1.0, ratio)))
+    uniform, scaled = (pairs.measure(forward.impedance(s)) for s in (1.0, ratio))
+    low, high = np.minimum(uniform, scaled), np.maximum(uniform, scaled)
+    assert np.all((low * (1 - 1e-9) <= R) & (R <= high * (1 + 1e-9)))

@@ -1,0 +1,219 @@
+"""The complete electrode model: closed forms, independent solutions, invariants, twins."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from eitskin.errors import ConfigurationError
+from eitskin.geometry import Electrode, Rectangle, SensorDesign
+from eitskin.geometry.deformation.kinematics import area_ratio, pulled_back
+from eitskin.geometry.meshing.hexahedra import Grading
+from eitskin.simulator import ForwardModel, Protocol
+from eitskin.simulator.electrical.assembly import TENSOR_COLUMNS, TENSOR_ROWS, _tensor_map
+
+from alternatives import plain_impedance
+
+REFERENCE = SensorDesign.reference()
+PAIRS = Protocol.pairwise(8)
+COARSE = Grading(finest=2.5e-3, coarsest=1e-2, growth=1.0, layers=1)
+
+
+def with_contact(design: SensorDesign, z: float) -> SensorDesign:
+    electrodes = tuple(dataclasses.replace(e, contact_impedance=z) for e in design.electrodes)
+    return dataclasses.replace(design, electrodes=electrodes)
+
+
+@pytest.fixture(scope="module")
+def model() -> ForwardModel:
+    return ForwardModel(REFERENCE, "fast")
+
+
+def test_flat_reference_sensor_matches_the_hp_solution() -> None:
+    """hp-FEM values for sigma = 1 S/m, z = 1e-4 ohm m2, converged to nine digits."""
+    R = PAIRS.measure(ForwardModel(with_contact(REFERENCE, 1e-4), "standard").impedance())
+    first = [530.08615, 718.93029, 744.02202, 720.20649, 548.07843, 470.82818, 407.32498]
+    assert R[:7] == pytest.approx(first, rel=1e-3)
+    assert R.sum() == pytest.approx(16209.0957, rel=1e-3)
+
+
+@pytest.mark.parametrize("z", [1e-6, 1e-3, 1.0])
+@pytest.mark.parametrize("order", [(1,), (1, 1), (2, 1), (2, 2, 2), (3, 2, 1), (5, 4)])
+def test_block_with_full_end_electrodes_is_exact(z, order) -> None:
+    """R = L / (sigma A) + 2 z / A: the potential is linear, so every element has it."""
+    ends = (Electrode(0.0, 0.02, 0.04, z), Electrode(0.1, 0.02, 0.04, z))
+    block = SensorDesign(Rectangle(0.1, 0.04), 0.005, ends, conductivity=0.5)
+    R = Protocol.pairwise(2).measure(ForwardModel(block, (order, COARSE)).impedance())
+    area = 0.04 * 0.005
+    assert R == pytest.approx([0.1 / (0.5 * area) + 2 * z / area], rel=1e-9)
+
+
+def test_anisotropic_block_conducts_along_its_axis() -> None:
+    ends = (Electrode(0.0, 0.02, 0.04, 1e-3), Electrode(0.1, 0.02, 0.04, 1e-3))
+    block = SensorDesign(Rectangle(0.1, 0.04), 0.005, ends)
+    Z = ForwardModel(block, "fast").impedance(lambda x: np.diag([4.0, 1.0, 9.0]) + 0 * x[..., None])
+    R = Protocol.pairwise(2).measure(Z)
+    assert R == pytest.approx([(0.1 / 4.0 + 2e-3) / (0.04 * 0.005)], rel=1e-9)
+
+
+@pytest.mark.parametrize("order", [(1,), (2, 2), (3, 2, 1)])
+@pytest.mark.parametrize("z", [1e-9, 1e-3, 1e3])
+def test_potentials_count_from_the_mean_of_the_electrodes(z, order) -> None:
+    """Half an ampere from end to end: u = (L / 2 - x) / (2 sigma A), whatever is grounded."""
+    ends = (Electrode(0.0, 0.02, 0.04, z), Electrode(0.1, 0.02, 0.04, 2 * z))
+    block = SensorDesign(Rectangle(0.1, 0.04), 0.005, ends, conductivity=0.5)
+    model = ForwardModel(block, (order, COARSE))
+    area = 0.04 * 0.005
+    # The far contact drops as much again as the near one, half of which is on either side of zero.
+    expected = (0.05 - model.mesh.points[:, 0]) / (2 * 0.5 * area) + 0.5 * z / (2 * area)
+    reach = np.abs(expected).max()
+    assert model.potentials()[:, 0] == pytest.approx(expected, abs=1e-9 * reach)
+    assert model.potentials()[:, 1] == pytest.approx(-expected, abs=1e-9 * reach)
+
+
+def test_errors_fall_with_refinement() -> None:
+    design = with_contact(REFERENCE, 1e-4)
+    sums = [
+        PAIRS.measure(ForwardModel(design, ((2, 2), Grading(finest, 5e-3, 1.0, 1))).impedance())
+        for finest in (2e-3, 1e-3, 5e-4)
+    ]
+    errors = [abs(R.sum() / 16209.0957 - 1) for R in sums]
+    assert errors[0] > 1.7 * errors[1] > 1.7**2 * errors[2]
+
+
+def test_impedance_is_reciprocal_and_its_rows_sum_to_zero(model) -> None:
+    """Before any symmetrisation: the electrodes' own potentials, by solving for each current."""
+    Z = model.impedance()
+    assert Z.sum(axis=0) == pytest.approx(0, abs=1e-10)
+    _, U = model.element_potentials()
+    U = U - U.mean(axis=0)
+    assert pytest.approx(U.T, rel=1e-9, abs=1e-9) == U
+    assert pytest.approx(Z, rel=1e-9, abs=1e-9) == U
+
+
+def test_power_is_positive(model) -> None:
+    assert np.linalg.eigvalsh(model.impedance())[1:].min() > 0
+
+
+def test_resistance_scales_with_conductivity_and_contact_impedance(model) -> None:
+    scaled = dataclasses.replace(with_contact(REFERENCE, 1e-3 / 3.7), conductivity=3.7)
+    Z = ForwardModel(scaled, "fast").impedance()
+    assert pytest.approx(model.impedance() / 3.7, rel=1e-10) == Z
+
+
+def test_resistance_falls_where_conductivity_rises(model) -> None:
+    flat = PAIRS.measure(model.impedance())
+    rng = np.random.default_rng(1)
+    for centre in rng.uniform([0, 0], [0.150, 0.060], (4, 2)):
+        raised = model.impedance(
+            lambda x, c=centre: 1 + 0.5 * np.exp(-((x[..., :2] - c) ** 2).sum(-1) / 0.01**2)
+        )
+        assert np.all(PAIRS.measure(raised) < flat)
+
+
+def test_symmetry_of_the_reference_sensor(model) -> None:
+    """Mirrored at x = L/2 or y = W/2, the sensor is itself with other electrode numbers."""
+    Z = model.impedance()
+    for mirror in ([2, 1, 0, 7, 6, 5, 4, 3], [6, 5, 4, 3, 2, 1, 0, 7]):
+        assert Z[np.ix_(mirror, mirror)] == pytest.approx(Z, rel=1e-9, abs=1e-9)
+
+
+def test_renumbering_electrodes_renumbers_the_matrix(model) -> None:
+    order = [3, 1, 7, 0, 5, 2, 6, 4]
+    electrodes = tuple(REFERENCE.electrodes[i] for i in order)
+    other = ForwardModel(dataclasses.replace(REFERENCE, electrodes=electrodes), "fast")
+    assert other.impedance() == pytest.approx(model.impedance()[np.ix_(order, order)], abs=1e-8)
+
+
+def test_conductivity_per_cell_equals_the_same_field(model) -> None:
+    centres = model.assembly.points.mean(axis=1)
+    tensors = np.eye(3) * (1 + 5 * centres[:, 0])[:, None, None]
+    by_cell = model.impedance(tensors)
+    assert model.impedance(tensors[:, 0, 0]) == pytest.approx(by_cell, rel=1e-12, abs=1e-9)
+    smooth = model.impedance(lambda x: 1 + 5 * x[..., 0])
+    assert by_cell == pytest.approx(smooth, rel=2e-3, abs=0.5)
+
+
+def skewed(x):
+    """A smooth map of space that keeps nothing straight."""
+    moved = x.copy()
+    moved[..., 0] += 0.1 * x[..., 2] + 0.3 * x[..., 1] * x[..., 0]
+    moved[..., 1] += 0.2 * x[..., 0] ** 2
+    moved[..., 2] += 0.5 * x[..., 0] * x[..., 2]
+    return moved
+
+
+def trilinear_gradients(mesh, moved, cells, points):
+    """d moved / dX at `points` (n, 3) of the boxes `cells` (n,), (n, 3, 3)."""
+    corners, images = mesh.points[mesh.cells[cells]], moved[mesh.cells[cells]]
+    size = corners[:, 6] - corners[:, 0]
+    t = (points - corners[:, 0]) / size
+    F = np.zeros((len(points), 3, 3))
+    for corner in range(8):
+        sign = np.sign(corners[:, corner] - corners.mean(axis=1))
+        factors = np.where(sign > 0, t, 1 - t)
+        for axis in range(3):
+            others = np.delete(factors, axis, axis=1).prod(axis=1)
+            slope = sign[:, axis] / size[:, axis] * others
+            F[:, :, axis] += images[:, corner] * slope[:, None]
+    return F
+
+
+def test_assembly_equals_scikit_fem_on_the_flat_mesh() -> None:
+    model = ForwardModel(REFERENCE, ((1, 1), COARSE))
+    assert model.impedance() == pytest.approx(plain_impedance(model.mesh, 1e-3), abs=1e-9)
+
+
+def test_pull_back_equals_a_truly_deformed_mesh() -> None:
+    """The same trilinear displacement, once as a tensor and once as moved mesh points."""
+    model = ForwardModel(REFERENCE, ((1, 1), COARSE))
+    mesh, assembly = model.mesh, model.assembly
+    moved = skewed(mesh.points)
+
+    def F(points, cells):
+        return np.stack(
+            [trilinear_gradients(mesh, moved, c, p) for p, c in zip(points, cells, strict=True)]
+        )
+
+    q = assembly.points.shape[1]
+    cells = np.repeat(np.arange(len(mesh.cells))[:, None], q, axis=1)
+    owners = mesh.contacts.cell[:, None].repeat(assembly.facet_points.shape[1], axis=1)
+    Z = model.impedance(
+        lambda x: pulled_back(F(x, cells)), lambda x, normal: area_ratio(F(x, owners), normal)
+    )
+    truth = plain_impedance(mesh, 1e-3, points=moved)
+    assert abs(truth / plain_impedance(mesh, 1e-3) - 1).max() > 0.02
+    assert pytest.approx(truth, rel=1e-10, abs=1e-8) == Z
+
+
+@pytest.mark.parametrize(
+    ("conductivity", "message"),
+    [
+        (0.0, "positive"),
+        (-1.0, "positive"),
+        (float("nan"), "positive"),
+        (np.ones(3), "got shape"),
+        (lambda x: np.ones(7), "got shape"),  # noqa: ARG005
+        (lambda x: np.diag([1.0, 1.0, -1.0]) + 0 * x[..., None], "positive"),
+        (lambda x: np.array([[1.0, 0, 0], [0.5, 1, 0], [0, 0, 1]]) + 0 * x[..., None], "symmetric"),
+    ],
+)
+def test_impossible_conductivities_are_refused(model, conductivity, message) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        model.impedance(conductivity)
+
+
+def test_an_unknown_resolution_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match="fast, standard, fine"):
+        ForwardModel(REFERENCE, "finest")  # type: ignore[arg-type]
+
+
+def test_tensors_are_pulled_back_to_skewed_cells_too() -> None:
+    """The map of a tensor to the reference cell, entry by entry, is A S A^T."""
+    rng = np.random.default_rng(6)
+    A, S = rng.standard_normal((2, 5, 3, 3))
+    S = S + S.swapaxes(1, 2)
+    entries = S[:, TENSOR_ROWS, TENSOR_COLUMNS]
+    mapped = np.einsum("ck,ckl->cl", entries, _tensor_map(A))
+    expected = (A @ S @ A.swapaxes(1, 2))[:, TENSOR_ROWS, TENSOR_COLUMNS]
+    assert mapped == pytest.approx(expected, rel=1e-12)

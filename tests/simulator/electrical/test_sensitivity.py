@@ -1,0 +1,125 @@
+"""The adjoint Jacobian against finite differences of the forward model."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from eitskin.errors import ConfigurationError
+from eitskin.geometry import SensorDesign
+from eitskin.geometry.meshing.hexahedra import Grading
+from eitskin.simulator import ForwardModel, Protocol
+
+COARSE = Grading(finest=2e-3, coarsest=8e-3, growth=1.0, layers=1)
+PROTOCOL = Protocol(((0, 1, 0, 1), (2, 6, 2, 6), (0, 4, 1, 3)), 8)
+
+
+@pytest.fixture(scope="module")
+def model() -> ForwardModel:
+    return ForwardModel(SensorDesign.reference(), ((2, 1), COARSE))
+
+
+def test_cells_agree_with_central_differences(model) -> None:
+    n = len(model.mesh.cells)
+    rng = np.random.default_rng(2)
+    base, step = 1 + 0.3 * rng.random(n), 1e-5
+    J = model.sensitivity(PROTOCOL, base)
+    for _ in range(3):
+        direction = rng.standard_normal(n)
+        ahead, behind = (
+            PROTOCOL.measure(model.impedance(base + s * step * direction)) for s in (1, -1)
+        )
+        assert J @ direction == pytest.approx((ahead - behind) / (2 * step), rel=1e-6, abs=1e-6)
+
+
+def test_pixels_agree_with_central_differences_when_pixels_are_unions_of_cells(model) -> None:
+    """Halves of the sensor: mesh faces lie on x = 75 mm only if asked, so it is asked."""
+    model = ForwardModel(SensorDesign.reference(), ((2, 1), COARSE), breaks=(0.075,))
+    J = model.sensitivity(PROTOCOL, pixels=(1, 2))
+    left = (model.assembly.points[:, :, 0].mean(axis=1) < 0.075).astype(float)
+    for pixel, inside in enumerate((left, 1 - left)):
+        ahead, behind = (PROTOCOL.measure(model.impedance(1 + s * 1e-5 * inside)) for s in (1, -1))
+        assert J[:, pixel] == pytest.approx((ahead - behind) / 2e-5, rel=1e-6)
+
+
+def test_pixels_share_out_what_cells_have(model) -> None:
+    cells = model.sensitivity(PROTOCOL).sum(axis=1)
+    pixels = model.sensitivity(PROTOCOL, pixels=(32, 80))
+    assert pixels.shape == (3, 2560)
+    assert pixels.sum(axis=1) == pytest.approx(cells, rel=1e-10)
+
+
+def tensor(x):
+    """A conductivity [S/m] that differs by place and direction, (..., 3, 3)."""
+    found = np.zeros((*x.shape[:-1], 3, 3))
+    found[..., 0, 0] = 1.0 + 4.0 * x[..., 0]
+    found[..., 1, 1] = 1.5 - 6.0 * x[..., 1]
+    found[..., 2, 2] = 0.8
+    found[..., 0, 1] = found[..., 1, 0] = 0.3
+    return found
+
+
+@pytest.mark.parametrize("cells", ["hexahedra", "prisms"])
+def test_along_a_tensor_agrees_with_central_differences(cells) -> None:
+    """A factor on an anisotropic conductivity, of each half, with stretched electrodes."""
+    model = ForwardModel(SensorDesign.reference(), ((2, 1), COARSE), (0.075,), cells)
+
+    def area(x, _normal):
+        return 1.0 + 2.0 * x[..., 0]
+
+    def measured(share, left):
+        def changed(x):
+            inside = (x[..., 0] < 0.075) == left
+            return tensor(x) * (1.0 + share * inside)[..., None, None]
+
+        return PROTOCOL.measure(model.impedance(changed, area))
+
+    J = model.sensitivity(PROTOCOL, tensor, (1, 2), area, along=tensor)
+    for pixel, left in enumerate((True, False)):
+        differences = (measured(1e-4, left) - measured(-1e-4, left)) / 2e-4
+        assert J[:, pixel] == pytest.approx(differences, rel=2e-5)
+    with pytest.raises(ConfigurationError, match="give pixels"):
+        model.sensitivity(PROTOCOL, tensor, along=tensor)
+
+
+def test_pixel_rows_run_along_y_and_columns_along_x(model) -> None:
+    """Driving the short-side electrode 7 and its neighbour 0 is felt in the lower left corner."""
+    J = np.abs(model.sensitivity(Protocol(((7, 0, 7, 0),), 8), pixels=(2, 5))[0]).reshape(2, 5)
+    assert np.unravel_index(J.argmax(), J.shape) == (0, 0)
+
+
+def test_scaling_law(model) -> None:
+    """Euler: for z = 0 R is of degree -1 in sigma; with contacts, J sigma = -(R - contact part)."""
+    J = model.sensitivity(PROTOCOL)
+    R = PROTOCOL.measure(model.impedance())
+    assert np.all(J[:2].sum(axis=1) < 0)
+    assert np.all(-J[:2].sum(axis=1) < R[:2])
+
+
+@pytest.mark.parametrize("z", [1e-3, 1e-9, 10.0, 1e-3 - 5e-4j])
+def test_contact_sensitivity_agrees_with_central_differences(z) -> None:
+    """For every electrode alone, in both forms of the electrode terms, real and complex."""
+    reference = SensorDesign.reference()
+
+    def measured(number: int, factor: float):
+        electrodes = tuple(
+            dataclasses.replace(e, contact_impedance=z * (factor if i == number else 1.0))
+            for i, e in enumerate(reference.electrodes)
+        )
+        design = dataclasses.replace(reference, electrodes=electrodes)
+        return ForwardModel(design, ((2, 1), COARSE))
+
+    J = measured(0, 1.0).contact_sensitivity(PROTOCOL)
+    assert J.shape == (3, 8)
+    step = 1e-4 if abs(z) > 1e-6 else 0.3  # at 1e-9 R depends on z by its tenth digit
+    for number in (0, 1, 6):
+        ahead, behind = (
+            PROTOCOL.measure(measured(number, 1 + s * step).impedance()) for s in (1, -1)
+        )
+        expected = (ahead - behind) / (2 * step * z)
+        assert J[:, number] == pytest.approx(expected, rel=1e-4, abs=1e-4 * abs(J).max())
+
+
+def test_pixels_must_be_positive(model) -> None:
+    with pytest.raises(ConfigurationError, match="two positive numbers"):
+        model.sensitivity(PROTOCOL, pixels=(0, 3))

@@ -1,0 +1,157 @@
+"""The AD5940's conversion: ranges, clipping, codes, and what an extreme impedance reads as."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from eitskin.simulator import Instrument, Protocol, Status
+from eitskin.simulator.instrument.ad5940 import (
+    CODES,
+    PGA_RANGES,
+    clipped,
+    current,
+    pga_range,
+    quantised,
+)
+
+ONE = Protocol.pairwise(2)
+BOARD = Instrument.ad5940()
+
+
+def only(**terms):
+    return dataclasses.replace(Instrument(snr_db=0.0), **terms)
+
+
+def read_one(instrument, impedance):
+    """Reading and status of one pair."""
+    rng = np.random.default_rng(0)
+    session = instrument.session(ONE, 850.0, rng)
+    Z, status = session.measure(np.array([[complex(impedance)]]), np.zeros(1), rng)
+    return Z[0, 0], status[0, 0]
+
+
+def test_codes_are_multiples_of_a_step_with_a_uniform_error():
+    rng = np.random.default_rng(5)
+    phasors = rng.uniform(-0.6, 0.6, 20000) + 1j * rng.uniform(-0.6, 0.6, 20000)
+    step = 0.9 / 2**17
+    found = quantised(phasors, np.full(20000, 0.9))
+    codes = np.array([found.real, found.imag]) / step
+    np.testing.assert_allclose(codes, np.round(codes), atol=1e-9)
+    error = np.array([(found - phasors).real, (found - phasors).imag]) / step
+    assert np.abs(error).max() <= 0.5 + 1e-9
+    np.testing.assert_allclose(error.std(axis=1), 1 / np.sqrt(12), rtol=0.02)
+    np.testing.assert_allclose(np.histogram(error, 5, (-0.5, 0.5))[0] / 40000, 0.2, atol=0.01)
+
+
+@pytest.mark.parametrize("size", [480.0, 650.0, 850.0])
+def test_an_impedance_is_the_ratio_of_two_codes(size):
+    Z = size * np.exp(-0.02j)
+    found, status = read_one(only(quantisation=True), Z)
+    through = 0.607 / Z * 200.0
+    step_v = 0.9 / CODES
+    step_i = min(each for each in PGA_RANGES if each >= abs(through)) / CODES
+    code = complex(round(through.real / step_i), round(through.imag / step_i))
+    expected = round(0.607 / step_v) * step_v / (code * step_i) * 200.0
+    assert found == pytest.approx(expected, rel=1e-12)
+    assert 1e-7 < abs(found / Z - 1) < 3e-5
+    assert status == 0
+
+
+def test_a_sine_that_is_cut_off_loses_fundamental_as_its_transform_says():
+    phase = 2 * np.pi * np.arange(2**19) / 2**19
+    for size in (0.5, 1.0, 1.001, 1.3, 2.0, 10.0, 1e4):
+        wave = np.clip(size * np.cos(phase + 0.7), -1.0, 1.0)
+        fundamental = 2 * np.mean(wave * np.exp(-1j * phase))
+        found = clipped(np.array([size * np.exp(0.7j)]), np.array([1.0]))[0]
+        assert found == pytest.approx(fundamental, rel=1e-5)
+    assert clipped(np.array([1.0 + 0j]), np.array([1.0]))[0] == 1.0
+
+
+def test_clipping_begins_where_the_current_passes_3_mA():
+    fixed = only(clipping=True, excitation=0.607)
+    edge = 0.607 / 3e-3
+    Z, status = read_one(fixed, edge * (1 + 1e-9))
+    assert status == 0
+    assert Z == pytest.approx(edge, rel=1e-8)
+    Z, status = read_one(fixed, edge * (1 - 1e-9))
+    assert status == Status.CLIPPED
+    Z, status = read_one(fixed, edge / 2)
+    assert Z == pytest.approx(edge / 2 / (2 / np.pi * (np.pi / 6 + np.sqrt(3) / 4)), rel=1e-12)
+    assert status == Status.CLIPPED
+
+
+@pytest.mark.parametrize(("pga", "excitation"), [(0.6, 0.607), (0.133, 0.607), (0.3, 0.607)])
+def test_clipping_begins_where_the_voltage_passes_the_range(pga, excitation):
+    terms = {"clipping": True, "rtia": 200.0, "excitation": excitation}
+    Z, status = read_one(only(**terms, pga_range=pga), 5000.0)
+    r = pga / excitation
+    part = 2 / np.pi * (np.arcsin(r) + r * np.sqrt(1 - r * r))
+    assert Z == pytest.approx(5000.0 * part, rel=1e-12)
+    assert status == Status.CLIPPED
+    assert read_one(only(**terms, pga_range=0.9), 5000.0)[1] == 0
+
+
+def test_the_current_is_clipped_by_the_range_where_rtia_makes_much_of_it():
+    terms = {"clipping": True, "excitation": 0.607, "rtia": 1000.0}
+    assert read_one(only(**terms), 0.607 / 0.9e-3 * (1 + 1e-9))[1] == 0
+    assert read_one(only(**terms), 0.607 / 0.9e-3 * (1 - 1e-9))[1] == Status.CLIPPED
+
+
+@pytest.mark.parametrize(
+    ("impedance", "excitation"),
+    [
+        *((1e6, 0.607), (202.34, 0.607), (202.33, 0.121), (40.34, 0.121), (40.33, 0.075)),
+        *((25.01, 0.075), (24.99, 0.015), (5.01, 0.015), (4.0, 0.015)),
+    ],
+)
+def test_auto_ranging_takes_the_largest_excitation_that_fits(impedance, excitation):
+    Z = np.array([[complex(impedance)]])
+    assert np.abs(current(Z, Z, 200.0)) == pytest.approx(excitation / impedance, rel=1e-12)
+    clips = impedance < 5.0
+    assert read_one(only(clipping=True), impedance)[1] == (Status.CLIPPED if clips else 0)
+
+
+@pytest.mark.parametrize(("impedance", "excitation"), [(674.5, 0.607), (674.4, 0.121)])
+def test_auto_ranging_heeds_what_rtia_makes_of_the_current(impedance, excitation):
+    Z = np.array([[complex(impedance)]])  # 0.9 V through 1 kohm are 0.9 mA
+    assert np.abs(current(Z, Z, 1000.0)) == pytest.approx(excitation / impedance, rel=1e-12)
+
+
+def test_auto_ranging_heeds_a_sense_pair_that_sees_more_than_the_drive_pair():
+    drive, transfer = np.array([[300.0 + 0j]]), np.array([[900.0 + 0j]])
+    assert current(transfer, drive, 200.0) == pytest.approx(0.121 / 300.0)
+
+
+@pytest.mark.parametrize(("pga", "excitation"), [(0.9, 0.607), (0.6, 0.121), (0.133, 0.121)])
+def test_auto_ranging_heeds_a_fixed_range(pga, excitation):
+    assert read_one(only(clipping=True, pga_range=pga), 500.0)[1] == 0
+    noise = only(floor=1.9e-6, clipping=True)
+    fixed, auto = (
+        read_one(dataclasses.replace(noise, pga_range=pga, excitation=each), 500.0)[0]
+        for each in (excitation, 0.0)
+    )
+    assert fixed == auto
+    assert read_one(only(clipping=True, pga_range=0.133), 10.0)[1] == Status.CLIPPED
+
+
+def test_auto_ranging_takes_the_smallest_range_that_fits():
+    sizes = np.array([0.0, 0.133, 0.1331, 0.3, 0.3001, 0.6, 0.6001, 0.9, 2.0]) * 1j
+    expected = [0.133, 0.133, 0.3, 0.3, 0.6, 0.6, 0.9, 0.9, 0.9]
+    np.testing.assert_array_equal(pga_range(sizes), expected)
+    np.testing.assert_array_equal(pga_range(sizes, 0.3), np.full(9, 0.3))
+
+
+def test_no_current_reads_as_the_largest_impedance_and_not_as_infinity():
+    Z, status = read_one(only(quantisation=True), 1e15)
+    assert status == Status.LOW_CURRENT
+    # One code of the smallest range, through RTIA.
+    assert abs(Z) == pytest.approx(0.607 / (0.133 / 2**17 / 200.0), rel=1e-4)
+    assert read_one(only(quantisation=True), 1e6)[1] == 0
+
+
+def test_a_short_circuit_reads_as_clipped_and_finite():
+    for instrument in (BOARD, only(clipping=True), only(quantisation=True), only(floor=1.9e-6)):
+        Z, status = read_one(instrument, 0.0)
+        assert np.isfinite(Z)
+        assert bool(status & Status.CLIPPED) == instrument.clipping

@@ -1,0 +1,374 @@
+"""The instrument: each term alone against its closed form, then all of them together."""
+
+import dataclasses
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from eitskin.benchmarks.studies.instrument import effect
+from eitskin.config import parse_toml, to_toml
+from eitskin.errors import ConfigurationError, FrameError
+from eitskin.geometry import SensorDesign
+from eitskin.simulator import Instrument, Protocol, Scene, Simulator, Status
+from eitskin.simulator.instrument.ad5940 import EXCITATIONS
+from eitskin.simulator.instrument.drift import HOURS
+
+PAIRS = Protocol.pairwise(8)
+FLAT = np.linspace(480.0, 850.0, 28).astype(complex)
+FULL_SCALE = 850.0
+OFF = Instrument(snr_db=0.0)
+ALL = dataclasses.replace(Instrument.ad5940(), gel_drift=0.05)
+
+
+def only(**terms):
+    return dataclasses.replace(OFF, **terms)
+
+
+def started(instrument, seed=0, protocol=PAIRS):
+    return instrument.session(protocol, FULL_SCALE, np.random.default_rng((1, seed)))
+
+
+def read(instrument, impedance=FLAT, *, seed=0, time=0.0, protocol=PAIRS):
+    """One frame of a session; the same seed is the same session and the same noise."""
+    session = started(instrument, seed, protocol)
+    frames = np.asarray(impedance, complex)[None]
+    (Z,), (status,) = session.measure(frames, np.array([time]), np.random.default_rng((2, seed)))
+    return Z, status
+
+
+def test_with_every_term_off_nothing_changes():
+    Z = FLAT * np.exp(-0.3j)
+    measured, status = read(OFF, Z, time=1e6)
+    np.testing.assert_array_equal(measured, Z)
+    assert not status.any()
+    assert not OFF.offsets(PAIRS).any()
+
+
+def test_white_noise_alone_is_the_default_and_the_board_has_every_term():
+    assert Instrument() == only(snr_db=75.0)
+    board = Instrument.ad5940()
+    off = {name for name in Instrument.__slots__ if getattr(board, name) == getattr(OFF, name)}
+    assert off == {"gel_drift", "excitation", "pga_range", "rtia"}
+
+
+# ---- noise ----
+
+
+@pytest.mark.parametrize("snr_db", [60.0, 75.0, 90.0])
+def test_white_noise_lies_below_full_scale_in_both_quadratures(snr_db):
+    frames = np.tile(FLAT, (1000, 1))
+    session = started(only(snr_db=snr_db))
+    noise = session.measure(frames, np.zeros(1000), np.random.default_rng(3))[0] - FLAT
+    expected = FULL_SCALE * 10 ** (-snr_db / 20)
+    # 28,000 values: four standard errors of a standard deviation are 1.7 %.
+    assert noise.real.std() == pytest.approx(expected, rel=0.017)
+    assert noise.imag.std() == pytest.approx(expected, rel=0.017)
+    assert abs(np.corrcoef(noise.real.ravel(), noise.imag.ravel())[0, 1]) < 0.024
+
+
+@pytest.mark.parametrize("excitation", EXCITATIONS)
+def test_floor_is_a_voltage_over_the_current(excitation):
+    session = started(only(floor=1.9e-6, excitation=excitation))
+    frames = np.tile(FLAT, (2000, 1))
+    noise = session.measure(frames, np.zeros(2000), np.random.default_rng(4))[0] - FLAT
+    expected = 1.9e-6 / (excitation / np.abs(FLAT))
+    np.testing.assert_allclose(noise.real.std(axis=0), expected, rtol=0.07)
+    np.testing.assert_allclose(noise.imag.std(axis=0), expected, rtol=0.07)
+    assert np.mean(noise.real.std(axis=0) / expected) == pytest.approx(1.0, abs=0.012)
+
+
+# ---- drift ----
+
+
+@pytest.mark.parametrize("term", ["drift", "gel_drift"])
+def test_drift_is_one_factor_for_all_measurements_from_the_sessions_start(term):
+    instrument = only(**{term: 0.002})
+    np.testing.assert_array_equal(read(instrument)[0], FLAT)
+    factor = read(instrument, time=HOURS)[0] / FLAT
+    assert np.ptp(factor) == pytest.approx(0.0, abs=1e-15)
+    later = np.array([read(instrument, time=HOURS, seed=seed)[0][0] for seed in range(1000)])
+    assert np.log(later / FLAT[0]).real.std() == pytest.approx(0.002, rel=0.09)
+
+
+def test_the_gel_drifts_before_the_stray_capacitance_and_the_electronics_after_it():
+    stray = {"stray_capacitance": (1e-9, 1e-9)}
+    w = 2 * np.pi * 40e3
+    for term, before in (("gel_drift", True), ("drift", False)):
+        factor = read(only(**{term: 0.1}), time=HOURS)[0] / FLAT
+        Z = FLAT * factor if before else FLAT
+        expected = Z / (1 + 1j * w * 1e-9 * Z) * (1 if before else factor)
+        found = read(only(**{term: 0.1}, **stray), time=HOURS)[0]
+        np.testing.assert_allclose(found, expected, rtol=1e-12)
+
+
+# ---- gain, phase, reciprocity ----
+
+
+def cut_deviation(deviation, limit):
+    """Of a normal distribution cut off at +-limit."""
+    a = limit / deviation
+    return deviation * np.sqrt(1 - 2 * a * norm.pdf(a) / (2 * norm.cdf(a) - 1))
+
+
+@pytest.mark.parametrize("deviation", [0.002, 0.0125])
+def test_gain_has_its_deviation_and_ends_at_its_limit(deviation):
+    gains = np.array([read(only(gain=deviation), seed=seed)[0] / FLAT - 1 for seed in range(1000)])
+    assert np.ptp(gains, axis=1).max() < 1e-15
+    assert np.abs(gains.imag).max() == 0.0
+    assert gains[:, 0].real.std() == pytest.approx(cut_deviation(deviation, 0.0125), rel=0.09)
+    assert np.abs(gains).max() <= 0.0125
+    assert abs(gains[:, 0].real.mean()) < 4 * deviation / np.sqrt(1000)
+
+
+@pytest.mark.parametrize("deviation", [0.1, 0.3])
+def test_phase_has_its_deviation_and_ends_at_its_limit(deviation):
+    factors = np.array([read(only(phase_deg=deviation), seed=s)[0] / FLAT for s in range(1000)])
+    phases = np.angle(factors, deg=True)
+    assert np.ptp(phases, axis=1).max() < 1e-12
+    np.testing.assert_allclose(np.abs(factors), 1.0, rtol=1e-12)
+    assert phases[:, 0].std() == pytest.approx(cut_deviation(deviation, 0.3), rel=0.09)
+    assert 0.25 < np.abs(phases).max() <= 0.3
+
+
+def test_reciprocal_measurements_differ_by_the_reciprocity_error():
+    rows = Protocol.adjacent(8)
+    reciprocal = [rows.table.index((c, d, a, b)) for a, b, c, d in rows.table]
+    flat = np.full(len(rows), 100.0)
+    sessions = (read(only(reciprocity=0.004), flat, seed=s, protocol=rows)[0] for s in range(200))
+    error = np.array([Z.real / 100.0 - 1.0 for Z in sessions])
+    # 4,000 pairs: four standard errors of a standard deviation are 4.5 %.
+    assert (error - error[:, reciprocal]).std() == pytest.approx(0.004, rel=0.045)
+    assert error.std() == pytest.approx(0.004 / np.sqrt(2), rel=0.045)
+
+
+def test_each_path_keeps_its_error_for_the_session():
+    session = started(only(reciprocity=0.004))
+    frames, _ = session.measure(np.tile(FLAT, (3, 1)), np.arange(3.0), np.random.default_rng(0))
+    np.testing.assert_array_equal(frames, np.tile(frames[0], (3, 1)))
+    assert len(np.unique(frames[0] / FLAT)) == 28
+    assert not np.allclose(read(only(reciprocity=0.004), seed=1)[0], frames[0], rtol=1e-4)
+
+
+def test_phase_stays_that_of_a_complex_number():
+    turned = Protocol(((0, 1, 0, 1), (0, 1, 1, 0)), 2)
+    Z, _ = read(Instrument.ad5940(), [600.0, -600.0], protocol=turned)
+    assert abs(np.angle(Z[0], deg=True)) < 2.0
+    assert abs(np.angle(-Z[1], deg=True)) < 2.0
+
+
+# ---- stray capacitance ----
+
+
+def test_100_pF_is_39_8_kohm_at_40_kHz_and_turns_1_kohm_by_1_4_deg():
+    w = 2 * np.pi * 40e3
+    assert 1 / (w * 100e-12) == pytest.approx(39.8e3, rel=1e-3)
+    (Z,), _ = read(only(stray_capacitance=(1e-10, 1e-10)), [1000.0], protocol=Protocol.pairwise(2))
+    assert Z == pytest.approx(1 / (1 / 1000.0 + 1j * w * 100e-12), rel=1e-12)
+    assert np.angle(Z, deg=True) == pytest.approx(-1.4397, abs=1e-4)
+
+
+def test_each_drive_pair_draws_a_capacitance_from_the_range():
+    instrument = only(stray_capacitance=(40e-12, 100e-12))
+    readings = np.array([read(instrument, seed=seed)[0] for seed in range(200)])
+    found = (1 / readings).imag / (2 * np.pi * 40e3)
+    assert 40e-12 <= found.min() < 40.1e-12
+    assert 99.9e-12 < found.max() <= 100e-12
+    assert found.mean() == pytest.approx(70e-12, rel=0.015)
+    assert found.std() == pytest.approx(60e-12 / np.sqrt(12), rel=0.03)
+    assert len(np.unique(found[0])) == 28
+
+
+def test_stray_capacitance_of_transfer_impedances_is_that_of_the_circuit():
+    rng = np.random.default_rng(6)
+    root = rng.standard_normal((4, 4))
+    centred = np.eye(4) - 0.25
+    matrix = 300.0 * centred @ (root @ root.T + 1j * np.diag(rng.uniform(0, 0.2, 4))) @ centred
+    rows = Protocol(((0, 1, 0, 1), (0, 1, 2, 3), (1, 0, 2, 3)), 4)
+    b = np.array([1.0, -1.0, 0.0, 0.0])
+    admittance = np.linalg.pinv(matrix) + 2j * np.pi * 40e3 * 1e-9 * np.outer(b, b)
+    expected = rows.measure(np.linalg.pinv(admittance))
+    found, _ = read(only(stray_capacitance=(1e-9, 1e-9)), rows.measure(matrix), protocol=rows)
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+
+
+def test_measurements_that_share_a_drive_pair_share_its_capacitance_and_current():
+    rows = Protocol(((2, 3, 2, 3), (0, 1, 0, 1), (0, 1, 2, 3), (1, 0, 3, 2)), 4)
+    Z = np.array([300.0, 600.0, 60.0, 60.0])
+    found, _ = read(only(stray_capacitance=(40e-12, 100e-12)), Z, protocol=rows)
+    shunt = Z / found
+    np.testing.assert_allclose(shunt[2:], shunt[1], rtol=1e-12)
+    assert shunt[0].imag / 300.0 != pytest.approx(shunt[1].imag / 600.0, rel=1e-3)
+    session = started(only(floor=1.9e-6, excitation=0.607), protocol=rows)
+    frames = np.tile(Z, (4000, 1))
+    noise = session.measure(frames, np.zeros(4000), np.random.default_rng(4))[0] - Z
+    expected = 1.9e-6 / 0.607 * np.array([300.0, 600.0, 600.0, 600.0])
+    np.testing.assert_allclose(noise.real.std(axis=0), expected, rtol=0.045)
+
+
+def test_terms_that_need_the_drive_pairs_impedance_ask_for_it():
+    neighbours = Protocol.adjacent(8)
+    for term in ({"floor": 1e-6}, {"quantisation": True}, {"clipping": True}):
+        with pytest.raises(ConfigurationError, match="drives 0-1, whose own impedance"):
+            started(only(**term), protocol=neighbours)
+    Z = np.full(len(neighbours), 50.0)
+    assert np.isfinite(read(Instrument(), Z, protocol=neighbours)[0]).all()
+    with_own = Protocol.adjacent(8, shared=True)
+    assert np.isfinite(read(ALL, np.full(len(with_own), 50.0), protocol=with_own)[0]).all()
+
+
+# ---- together ----
+
+
+def test_measurements_of_a_frame_follow_each_other_by_10_6_ms():
+    offsets = Instrument.ad5940().offsets(PAIRS)
+    np.testing.assert_allclose(offsets, 10.6e-3 * np.arange(28))
+    np.testing.assert_array_equal(only(measurement_time=0.02).offsets(PAIRS)[:3], [0, 0.02, 0.04])
+
+
+def test_the_same_seeds_give_the_same_readings():
+    one, again, other = (read(ALL, seed=seed, time=900.0)[0] for seed in (3, 3, 4))
+    np.testing.assert_array_equal(one, again)
+    assert not np.any(one == other)
+
+
+def test_frames_are_the_same_measured_at_once_and_one_by_one_but_for_noise():
+    session = started(dataclasses.replace(ALL, snr_db=0.0, floor=0.0))
+    frames, times = np.tile(FLAT, (4, 1)), np.array([0.0, 5.0, 4000.0, 90000.0])
+    rng = np.random.default_rng(0)
+    together, _ = session.measure(frames, times, rng)
+    for k in (2, 0, 3, 1):
+        alone, _ = session.measure(frames[k : k + 1], times[k : k + 1], rng)
+        np.testing.assert_array_equal(alone[0], together[k])
+
+
+ADDED = ("snr_db", "floor")
+FACTORS = ("drift", "gel_drift", "gain", "phase_deg", "reciprocity")
+
+
+@pytest.mark.parametrize("term", [*ADDED, *FACTORS, "stray_capacitance"])
+def test_switching_a_term_off_leaves_the_draws_of_the_others(term):
+    """A term does the same whether it acts alone or beside the others."""
+    others = {name: getattr(ALL, name) for name in (*ADDED, *FACTORS) if name != term}
+    if term in ("floor", "stray_capacitance"):  # do more, the larger the impedance
+        others |= {"gel_drift": 0.0}
+    mine = {term: getattr(ALL, term)}
+    found, without, alone = (
+        read(only(excitation=0.607, **terms), seed=8, time=HOURS)[0]
+        for terms in (others | mine, others, mine)
+    )
+    if term in ADDED:
+        np.testing.assert_allclose(found - without, alone - FLAT, rtol=1e-6)
+    else:
+        noisy = dict.fromkeys(ADDED, 0.0)
+        found, without = (
+            read(only(**(terms | noisy)), seed=8, time=HOURS)[0]
+            for terms in (others | mine, others)
+        )
+        np.testing.assert_allclose(found / without, alone / FLAT, rtol=1e-12)
+    assert np.abs(alone / FLAT - 1).max() > 1e-7
+
+
+def test_a_simulator_takes_each_frame_in_a_session_of_its_own_and_passes_the_status_on():
+    sim = Simulator(SensorDesign.reference(), resolution="fast")
+    rng = np.random.default_rng(0)
+    one, other = (sim.measure(Scene(), only(gain=0.002), rng) for _ in range(2))
+    clean = sim.measure(Scene()).impedance
+    gains = [(frame.impedance / clean - 1)[0] for frame in (one, other)]
+    assert gains[0] != gains[1]
+    assert not one.status.any()
+    too_small = only(clipping=True, excitation=0.607, pga_range=0.3)
+    assert (sim.measure(Scene(), too_small, rng).status == Status.CLIPPED).all()
+
+
+def test_the_benchmark_finds_what_is_left_of_a_term_in_a_signal():
+    sim = SimpleNamespace(protocol=PAIRS, full_scale=FULL_SCALE)
+    flat = np.full(28, FULL_SCALE + 0j)
+    pressed = np.tile(1.01 * flat, (3, 1))
+    noise = effect(only(snr_db=60.0), sim, flat, pressed, 200)
+    assert noise.value == pytest.approx(0.1, rel=0.03)
+    assert noise.signal == pytest.approx(0.1 * np.sqrt(1 + 1.01**2), rel=0.03)
+    assert noise.phase == pytest.approx(np.rad2deg(1e-3), rel=0.03)
+    gain = effect(only(gain=0.002), sim, flat, pressed, 200)
+    assert gain.value == pytest.approx(0.2, rel=0.15)
+    assert gain.signal < 1e-12
+    clipping = only(clipping=True, excitation=0.607, pga_range=0.3)
+    assert effect(clipping, sim, flat, pressed, 2).flagged == 100.0
+
+
+# ---- what is refused ----
+
+
+@pytest.mark.parametrize(
+    ("terms", "message"),
+    [
+        ({"snr_db": 59.9}, "snr_db must be from 60 to 90 dB, or 0 for none, got 59.9"),
+        ({"snr_db": 91.0}, "snr_db"),
+        ({"snr_db": np.inf}, "snr_db"),
+        ({"snr_db": np.nan}, "snr_db"),
+        ({"floor": 1.9}, "floor must be from 0 to 0.001 V, got 1.9"),
+        ({"floor": -1e-6}, "floor"),
+        ({"drift": 0.2}, "drift"),
+        ({"drift": -0.1}, "drift"),
+        ({"gel_drift": 1.0}, "gel_drift"),
+        ({"gain": 0.013}, "gain must be from 0 to 0.0125"),
+        ({"phase_deg": 0.31}, "phase_deg must be from 0 to 0.3 deg"),
+        ({"reciprocity": 0.4}, "reciprocity"),
+        ({"reciprocity": np.nan}, "reciprocity"),
+        ({"excitation": 0.5}, "excitation must be one of 0, 0.607, 0.121, 0.075, 0.015, got 0.5"),
+        ({"pga_range": 1.0}, "pga_range must be one of"),
+        ({"rtia": 0.0}, "rtia must be one of 200"),
+        ({"stray_capacitance": (100e-12, 40e-12)}, "stray_capacitance"),
+        ({"stray_capacitance": (-1e-12, 40e-12)}, "stray_capacitance"),
+        ({"stray_capacitance": (40.0, 100.0)}, "up to 1e-09 F"),
+        ({"measurement_time": 10.6}, "measurement_time"),
+    ],
+)
+def test_numbers_out_of_range_are_refused(terms, message):
+    with pytest.raises(ConfigurationError, match=message):
+        Instrument(**terms)
+
+
+def test_everything_that_is_wrong_is_said_at_once():
+    with pytest.raises(ConfigurationError, match=r"snr_db.*gain.*rtia"):
+        Instrument(snr_db=10.0, gain=1.0, rtia=1.0)
+
+
+@pytest.mark.parametrize("time", [-1.0, np.nan, np.inf, 4e7])
+def test_times_that_no_session_has_are_refused(time):
+    with pytest.raises(ConfigurationError, match="times of a session"):
+        read(ALL, time=time)
+
+
+def test_frames_that_do_not_fit_are_refused():
+    session, rng = started(ALL), np.random.default_rng(0)
+    for shape, times in (((28,), 1), ((2, 27), 2), ((2, 28), 3)):
+        with pytest.raises(FrameError, match=r"expected impedances of shape \(frames, 28\)"):
+            session.measure(np.ones(shape, complex), np.zeros(times), rng)
+    with pytest.raises(FrameError, match="finite"):
+        session.measure(np.full((1, 28), np.nan + 0j), np.zeros(1), rng)
+
+
+# ---- in files ----
+
+
+@dataclass(frozen=True)
+class Holder:
+    """What a recipe does with an instrument."""
+
+    instrument: Instrument = field(default_factory=Instrument)
+
+
+def test_an_instrument_survives_writing():
+    for instrument in (OFF, Instrument(), ALL):
+        assert parse_toml(Holder, to_toml(Holder(instrument))).instrument == instrument
+
+
+def test_a_file_may_name_a_board_and_change_terms_of_it():
+    text = '[instrument]\nboard = "ad5940"\ngain = 0.0\n'
+    expected = dataclasses.replace(Instrument.ad5940(), gain=0.0)
+    assert parse_toml(Holder, text).instrument == expected
+    with pytest.raises(ConfigurationError, match=r"instrument\.board: .*'ad5940', got 'ad'"):
+        parse_toml(Holder, '[instrument]\nboard = "ad"\n')

@@ -1,0 +1,221 @@
+"""Presses into layers against Hayes, Hertz, energy and symmetry."""
+
+import copy
+from functools import cache
+
+import numpy as np
+import pytest
+
+from eitskin.errors import ConfigurationError
+from eitskin.geometry import SensorDesign
+from eitskin.simulator.mechanics.axisymmetric_press import Press
+from eitskin.simulator.mechanics.layer_stack import Mechanics, Sheet, Stack
+from eitskin.simulator.mechanics.load_stepping import SolidError
+from eitskin.simulator.mechanics.materials import NeoHookean, Ogden
+from eitskin.simulator.mechanics.penalty_contact import Contact
+from eitskin.simulator.scene.indenters import Cylinder, Profile, Sphere, entry
+
+import closed_forms
+
+MU = 20e3
+REFERENCE = Mechanics().stack(SensorDesign.reference())
+
+
+def layer(thickness, law=None) -> Stack:
+    return Stack((Sheet(thickness, law or NeoHookean(MU)),), 1e5)
+
+
+# Against closed forms
+
+
+@pytest.mark.parametrize(
+    ("ratio", "published"), [(0.2, 1.281), (0.4, 1.684), (0.6, 2.213), (1.0, 3.619), (2.0, 9.15)]
+)
+def test_a_flat_punch_on_a_bonded_layer_is_hayess(ratio, published) -> None:
+    assert closed_forms.bonded_punch(ratio) == pytest.approx(published, rel=5e-4)
+    h = 0.01
+    punch = Cylinder(ratio * h, edge=0.02, rough=False)
+    found = Press(layer(h), punch, finest=punch.radius / 100).to_depth(1e-4 * min(1.0, ratio) * h)
+    # The rim is round, so the punch is as wide as what it touches. The contact's spring gives a
+    # little, most where the layer is stiffest.
+    a = found.contact_radius
+    factor = found.force * (1 - 0.5**2) / (2 * a * 3 * MU * found.depth)
+    assert factor == pytest.approx(closed_forms.bonded_punch(a / h), rel=6e-3)
+
+
+def test_a_small_press_of_a_sphere_is_hertzs() -> None:
+    R = 0.01
+    press = Press(
+        layer(0.1), Sphere(R, rough=False), finest=R / 200, band=(0.0, 0.08 * R), reach=0.1
+    )
+    found = press.to_force(4e-4)
+    modulus = 3 * MU / (1 - 0.5**2)
+    assert found.force == pytest.approx(4 / 3 * modulus * R**0.5 * found.depth**1.5, rel=5e-3)
+    assert found.contact_radius == pytest.approx(np.sqrt(R * found.depth), rel=0.03)
+    peak = 1.5 * found.force / (np.pi * R * found.depth)
+    assert found.pressure.max() == pytest.approx(peak, rel=0.03)
+
+
+def test_doubling_all_moduli_doubles_the_force() -> None:
+    soft, hard = layer(0.01, Ogden(MU, 3.0)), layer(0.01, Ogden(2 * MU, 3.0))
+    forces = [Press(s, Cylinder(0.005), finest=2e-3).to_depth(4e-4).force for s in (soft, hard)]
+    assert forces[1] == pytest.approx(2 * forces[0], rel=1e-6)
+
+
+# Invariants
+
+INDENTERS = {
+    "rough cylinder": Cylinder(),
+    "smooth sphere": Sphere(0.0075, rough=False),
+    "rough sphere": Sphere(0.0075),
+    "profile": Profile((0.0, 0.002, 0.004, 0.006), (0.0, 0.0002, 0.001, 0.003), rough=False),
+}
+
+
+@cache
+def deeper_and_deeper(name):
+    """The reference under an indenter at 2 mm, and what was found on the way there."""
+    press = Press(REFERENCE, INDENTERS[name], finest=6e-4)
+    return press, [press.to_depth(d) for d in np.linspace(4e-4, 2e-3, 5)]
+
+
+@pytest.fixture(params=INDENTERS)
+def pressed(request):
+    return deeper_and_deeper(request.param)
+
+
+def test_every_layer_keeps_its_volume(pressed) -> None:
+    _, found = pressed
+    assert found[-1].volume_ratios == pytest.approx([1.0, 1.0, 1.0], abs=1e-5)
+    assert 0.02 < found[-1].thinning(1) < 0.5
+
+
+def test_pressure_carries_the_force(pressed) -> None:
+    _, (*_, last) = pressed
+    r, p = last.radii, last.pressure
+    assert np.all(p >= 0.0)
+    inside = r < last.contact_radius
+    assert np.trapezoid(2 * np.pi * r[inside] * p[inside], r[inside]) == pytest.approx(
+        last.force, rel=0.15
+    )
+
+
+def test_the_base_carries_the_force(pressed) -> None:
+    press, (*_, last) = pressed
+    base = np.flatnonzero(press.solid.nodes[:, 1] < 1e-12)
+    reaction = press.solid.displacement(press.solid.forces(press.unknowns))[base, 1].sum()
+    assert reaction == pytest.approx(last.force, rel=1e-6)
+
+
+def test_the_work_of_the_force_is_the_energy_stored(pressed) -> None:
+    press, found = pressed
+    depths = np.array([0.0, *(one.depth for one in found)])
+    forces = np.array([0.0, *(one.force for one in found)])
+    work = np.trapezoid(forces, depths)
+    stored = press.solid.energy(press.unknowns) + press.contact.energy(press.unknowns)
+    assert stored == pytest.approx(work, rel=0.03)
+
+
+def test_stiffness_is_the_slope_of_the_forces(pressed) -> None:
+    press, _ = pressed
+    contact, x = press.contact, press.unknowns
+    forces, K = contact.linearise(x)
+    assert forces == pytest.approx(contact.forces(x))
+    assert abs(K - K.T).max() <= 1e-9 * abs(K).max()
+    v = np.random.default_rng(0).normal(size=len(x))
+    step = 1e-12 * v / np.abs(v).max()  # small beside what is pressed in, far from the rim
+    slope = (contact.forces(x + step) - contact.forces(x - step)) / 2
+    assert K @ step == pytest.approx(slope, abs=2e-3 * np.abs(slope).max())
+
+
+def test_forces_and_depths_are_each_others_inverse() -> None:
+    by_force = Press(REFERENCE, Cylinder(), finest=6e-4).to_force(3.0)
+    by_depth = Press(REFERENCE, Cylinder(), finest=6e-4).to_depth(by_force.depth)
+    assert by_depth.force == pytest.approx(3.0, rel=0.02)
+
+
+def test_finer_cells_change_little() -> None:
+    coarse, fine = (Press(REFERENCE, Cylinder(), finest=f).to_depth(0.0004) for f in (5e-4, 3e-4))
+    assert coarse.force == pytest.approx(fine.force, rel=0.01)
+    assert coarse.thinning(1) == pytest.approx(fine.thinning(1), rel=0.01)
+
+
+def test_a_press_far_beyond_what_is_published_turns_no_cell_inside_out() -> None:
+    press = copy.copy(deeper_and_deeper("rough cylinder")[0])
+    for depth in (0.003, 0.006, 0.007):
+        found = press.to_depth(depth)
+    assert found.thinning(1) > 0.7
+    assert press.solid.admissible(press.unknowns)
+
+
+# Shapes of indenters
+
+
+@pytest.mark.parametrize("name", INDENTERS)
+def test_entry_is_a_distance_with_these_derivatives(name) -> None:
+    indenter = INDENTERS[name]
+    rng = np.random.default_rng(1)
+    r, depth = rng.uniform(1e-4, 0.0068, 200), rng.uniform(1e-5, 5e-4, 200)
+    height = indenter.profile(r)[0] + depth
+    g, (radial, upward), _ = entry(indenter, r, height)
+    assert np.all((g > 0) & (g <= depth * (1 + 1e-9)))
+    assert np.hypot(radial, upward) == pytest.approx(np.ones(200))
+    step = 1e-8
+    slope_r = (entry(indenter, r + step, height)[0] - entry(indenter, r - step, height)[0]) / 2
+    slope_z = (entry(indenter, r, height + step)[0] - entry(indenter, r, height - step)[0]) / 2
+    assert slope_r / step == pytest.approx(radial, abs=2e-4)
+    assert slope_z / step == pytest.approx(upward, abs=2e-4)
+
+
+def test_a_sphere_is_round() -> None:
+    r, height = np.array([0.001, 0.003]), np.array([0.004, 0.006])
+    g, _, _ = entry(Sphere(0.0075), r, height)
+    assert g == pytest.approx(0.0075 - np.hypot(r, 0.0075 - height))
+
+
+def test_a_profile_of_a_sphere_presses_like_the_sphere() -> None:
+    r = np.linspace(0.0, 0.0065, 40)
+    profile = Profile(tuple(r), tuple(0.0075 - np.sqrt(0.0075**2 - r**2)))
+    forces = [
+        Press(REFERENCE, shape, finest=6e-4, band=(0.0, 0.005)).to_depth(0.0005).force
+        for shape in (Sphere(0.0075), profile)
+    ]
+    assert forces[1] == pytest.approx(forces[0], rel=0.01)
+
+
+# What cannot be
+
+
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (lambda: Cylinder(-1.0), "indenter radius must be a positive number of m, got -1"),
+        (lambda: Sphere(7.5), "between 1 um and 0.5 m, got 7.5 m; lengths are in metres"),
+        (lambda: Cylinder(edge=0.0), "0 < edge <= 1"),
+        (lambda: Sphere(float("nan")), "positive number"),
+        (lambda: Profile((0.0, 0.001), (0.0,)), "as many heights"),
+        (lambda: Profile((0.001, 0.002), (0.0, 0.001)), "starts with radius 0"),
+        (lambda: Profile((0.0, 0.001, 0.002), (0.0, 0.001, 0.0015)), "convex"),
+        (lambda: Stack(()), "at least one layer"),
+        (lambda: Sheet(0.0, NeoHookean(1.0)), "thickness"),
+        (lambda: Press(REFERENCE, Cylinder()).to_force(0.0), "positive force in N"),
+        (lambda: Press(REFERENCE, Cylinder()).to_depth(float("inf")), "positive depth in m"),
+    ],
+)
+def test_what_cannot_be_pressed_is_refused(make, says) -> None:
+    with pytest.raises(ConfigurationError, match=says):
+        make()
+
+
+def test_a_press_through_the_base_says_how_far_it_got() -> None:
+    press = Press(layer(0.002), Cylinder(0.004), finest=2e-3)
+    with pytest.raises(SolidError, match="m deep of") as error:
+        press.to_depth(0.00208)
+    assert 0.0 < error.value.reached < 1.0
+
+
+def test_a_flat_contact_starts_where_the_indenter_is_flat() -> None:
+    press = Press(REFERENCE, Cylinder(edge=0.2), finest=6e-4)
+    assert isinstance(press.contact, Contact)
+    found = press.to_depth(1e-5)
+    assert found.contact_radius == pytest.approx(0.8 * 0.0075, rel=0.1)

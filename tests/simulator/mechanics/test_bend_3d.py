@@ -1,0 +1,186 @@
+"""The 3D bend against beam and plate theory, symmetry, conserved volume and rigid limits."""
+
+import math
+
+import numpy as np
+import pytest
+
+from eitskin.errors import ConfigurationError
+from eitskin.geometry import Bend, Disc, Hinge, Rectangle, SensorDesign
+from eitskin.geometry.design.regular_layouts import uniform
+from eitskin.geometry.meshing.grading import Grading
+from eitskin.simulator import Simulator
+from eitskin.simulator.mechanics.bend_3d import ClampedStack
+from eitskin.simulator.mechanics.layer_stack import Mechanics
+from eitskin.simulator.mechanics.load_stepping import SolidError
+from eitskin.simulator.mechanics.materials import NeoHookean
+from eitskin.simulator.mechanics.quadratic_field import QuadraticField
+
+from clamped_stack import COARSE, plain
+
+
+@pytest.fixture(scope="module")
+def bent():
+    """The reference sensor at 20 degrees."""
+    stack = ClampedStack(SensorDesign.reference(), grading=COARSE, inside=0.016)
+    (found,) = stack.bent([20.0])
+    return found
+
+
+def points(n, low=(0.035, 0.0, 0.0), high=(0.115, 0.060, 0.005)):
+    return np.random.default_rng(3).uniform(low, high, (*np.atleast_1d(n), 3))
+
+
+def test_a_quadratic_is_its_own_interpolant() -> None:
+    lines = (np.array([0.0, 0.3, 1.0]), np.array([-1.0, 0.5]), np.array([0.0, 0.2, 0.3]))
+
+    def value(x, y, z):
+        return np.stack([x**2 * y**2 * z**2, 1.0 + x * y - z**2], axis=-1)
+
+    def slope(x, y, z):
+        first = [2 * x * (y * z) ** 2, 2 * y * (x * z) ** 2, 2 * z * (x * y) ** 2]
+        return np.stack([np.stack(first, axis=-1), np.stack([y, x, -2 * z], axis=-1)], axis=-2)
+
+    halved = [np.interp(np.arange(2 * len(x) - 1) / 2, np.arange(len(x)), x) for x in lines]
+    field = QuadraticField(lines, value(*np.meshgrid(*halved, indexing="ij")))
+    X = points((4, 50), (0.0, -1.0, 0.0), (1.0, 0.5, 0.3))
+    assert field(X) == pytest.approx(value(*np.moveaxis(X, -1, 0)), abs=1e-12)
+    assert field.derivative(X) == pytest.approx(slope(*np.moveaxis(X, -1, 0)), abs=1e-12)
+
+
+def test_gradient_is_the_derivative_of_positions(bent) -> None:
+    X = points(200)
+    steps = 1e-8 * np.eye(3)
+    ends = [bent.positions(X + e) - bent.positions(X - e) for e in steps]
+    slope = np.stack(ends, axis=-1) / 2e-8
+    # Where a difference straddles two cells, it is of neither.
+    error = np.abs(bent.gradient(X) - slope).max(axis=(1, 2))
+    assert np.quantile(error, 0.98) < 1e-6
+
+
+def test_left_mirrors_right_and_front_mirrors_back(bent) -> None:
+    centre = np.array([0.075, 0.030, 0.0])
+    for signs in (np.array([-1.0, 1.0, 1.0]), np.array([1.0, -1.0, 1.0])):
+        X = points(100) - centre
+        there = bent.positions(centre + signs * X) - centre
+        assert there == pytest.approx(signs * (bent.positions(centre + X) - centre), abs=1e-15)
+        F = bent.gradient(centre + signs * X)
+        expected = signs[:, None] * bent.gradient(centre + X) * signs
+        assert pytest.approx(expected, abs=1e-12) == F
+
+
+def test_the_gel_keeps_its_volume(bent) -> None:
+    J = np.linalg.det(bent.gradient(points(20_000)))
+    assert J.mean() == pytest.approx(1.0, abs=2e-4)
+    assert np.sqrt(np.mean((J - 1.0) ** 2)) < 0.005
+
+
+def test_arms_turn_rigidly_by_half_the_angle_about_the_hinge_axis(bent) -> None:
+    X = np.array([[0.115, 0.0, 0.0], [0.135, 0.050, 0.005], [0.150, 0.060, 0.0025]])
+    half = math.radians(10.0)
+    x, z = X[:, 0] - 0.075, X[:, 2] - 0.0025 + 0.008
+    turned = bent.positions(X) - np.array([0.075, 0.0, 0.0025 - 0.008])
+    assert turned[:, 0] == pytest.approx(x * math.cos(half) + z * math.sin(half), abs=1e-14)
+    assert turned[:, 2] == pytest.approx(z * math.cos(half) - x * math.sin(half), abs=1e-14)
+    assert turned[:, 1] == pytest.approx(X[:, 1], abs=1e-14)
+    F = bent.gradient(X[1:])
+    assert F.swapaxes(1, 2) @ F == pytest.approx(np.broadcast_to(np.eye(3), F.shape), abs=1e-12)
+    # The material between the plates gets there gradually: no gap where what is solved ends.
+    end = np.array([[0.111, y, z] for y in (0.0, 0.042) for z in (0.0, 0.005)])
+    step = np.array([1e-9, 0.0, 0.0])
+    assert bent.positions(end + step) == pytest.approx(bent.positions(end - step), abs=1e-8)
+
+
+def layered(length):
+    """A slender sensor whose encapsulation is stiffer, with its E A and E I."""
+    outline = Rectangle(length, 0.006)
+    design = SensorDesign(outline, 0.006, uniform(outline, 4), encapsulated_thickness=0.010)
+    gel, around = 3 * 20e3, 3 * 60e3
+    EA = around * (1e-4 - 36e-6) + gel * 36e-6
+    EI = (around * (1e-8 - 0.006**4) + gel * 0.006**4) / 12
+    return design, Mechanics(NeoHookean(gel / 3), NeoHookean(around / 3), margin=0.002), EA, EI
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.010])
+def test_small_bends_of_a_slender_beam_store_what_beam_theory_says(offset) -> None:
+    """U = (E I + E A d^2) theta^2 / (2 s); what clamps add to s is the same for every span."""
+    design, stack, EA, EI = layered(0.150)
+    angle, compliance = 0.1, []
+    for span in (0.060, 0.120):
+        grading = Grading(finest=3e-3, coarsest=0.010, growth=0.3)
+        hinge = Hinge(span, offset)
+        (found,) = ClampedStack(design, hinge, stack, grading, inside=0.010).bent([angle])
+        theta = math.radians(angle)
+        assert found.moment == pytest.approx(2.0 * found.energy / theta, rel=2e-3)
+        compliance.append(theta / found.moment)
+    expected = 0.060 / (EI + EA * offset**2)
+    assert compliance[1] - compliance[0] == pytest.approx(expected, rel=0.01)
+
+
+def test_a_wide_plate_bends_in_plane_strain_by_rivlins_flexure() -> None:
+    """C = diag(lambda^2, 1, lambda^-2), lambda^2 = lambda_0^2 + 2 c Z, far from all edges."""
+    design, stack = plain(0.080, 0.120, 0.004)
+    theta, span = math.radians(60.0), 0.040
+    unstretched = span * (1.0 - 0.5 * theta / math.tan(0.5 * theta)) / theta
+    hinge = Hinge(span, unstretched)
+    grading = Grading(finest=4e-3, coarsest=0.015, growth=0.4)
+    (found,) = ClampedStack(design, hinge, stack, grading, inside=0.004).bent([60.0])
+    X = points(400, (0.036, 0.050, 0.0), (0.044, 0.070, 0.004))
+    F = found.gradient(X)
+    C = F.swapaxes(1, 2) @ F
+    line = np.polynomial.Polynomial.fit(2.0 * (X[:, 2] - 0.002), C[:, 0, 0], 1).convert()
+    kinematic = Hinge(span, unstretched, give=0.0, contraction=0.0).flexure(design, Bend(60.0))
+    assert line.coef[1] == pytest.approx(kinematic.curvature, rel=0.05)
+    assert line.coef[0] == pytest.approx(kinematic.stretch**2, abs=0.007)  # of strains of 0.1
+    assert C[:, 1, 1] == pytest.approx(1.0, abs=5e-4)
+    assert C[:, 2, 2] * C[:, 0, 0] == pytest.approx(1.0, abs=0.012)
+
+
+def test_energy_is_the_work_of_the_moments() -> None:
+    """By Simpson's rule over the angle."""
+    design, stack = plain(0.100, 0.020, 0.010)
+    clamped = ClampedStack(design, Hinge(0.040), stack, COARSE, inside=0.010)
+    found = list(clamped.bent([10.0, 20.0, 30.0, 40.0]))
+    moments = np.array([0.0, *(b.moment for b in found)])
+    work = moments @ np.array([1, 4, 2, 4, 1]) / 3 * math.radians(10.0)
+    assert found[-1].energy == pytest.approx(work, rel=1e-3)
+
+
+def test_the_bend_signal_is_near_that_of_the_kinematic_model(bent) -> None:
+    """Near where the width contracts as in the 3D model, and far where it does not."""
+    sim = Simulator(SensorDesign.reference(), "fast")
+    flat = sim.protocol.measure(sim.model.impedance()).real
+    full = sim.deformed(bent).impedance.real / flat - 1.0
+
+    def error(contraction):
+        flexure = Hinge(contraction=contraction).flexure(sim.design, Bend(20.0))
+        kinematic = sim.deformed(flexure).impedance.real / flat - 1.0
+        return np.linalg.norm(kinematic - full) / np.linalg.norm(full)
+
+    assert error(0.75) < 0.06
+    assert error(0.0) > 0.5
+
+
+def test_what_cannot_be_bent_is_refused(bent) -> None:
+    reference = SensorDesign.reference()
+    with pytest.raises(ConfigurationError, match="beside the bent sensor"):
+        bent.positions(np.array([0.075, 0.030, 0.010]))
+    with pytest.raises(ConfigurationError, match="span"):
+        ClampedStack(reference, Hinge(span=0.155))
+    with pytest.raises(ConfigurationError, match="inside"):
+        ClampedStack(reference, inside=0.0)
+    with pytest.raises(ConfigurationError, match="margin"):
+        Mechanics(margin=-1e-3)
+    disc = Disc(0.050)
+    with pytest.raises(ConfigurationError, match="rectangular"):
+        ClampedStack(SensorDesign(disc, 0.005, uniform(disc, 4)))
+
+
+def test_a_bend_too_far_says_how_far_it_got() -> None:
+    design, stack = plain(0.060, 0.010, 0.010)
+    clamped = ClampedStack(
+        design, Hinge(0.012, 0.0), stack, Grading(6e-3, 0.012, 0.5), inside=0.004
+    )
+    with pytest.raises(SolidError, match=r"was bent to \d+\.\d deg of 300 deg") as refusal:
+        list(clamped.bent([20.0, 300.0]))
+    assert 0.0 < refusal.value.reached < 1.0

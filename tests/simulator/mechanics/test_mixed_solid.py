@@ -1,0 +1,372 @@
+"""Solids at finite strain against closed forms, convergence rates and what must always hold."""
+
+import numpy as np
+import pytest
+import skfem
+from skfem.models.elasticity import linear_elasticity
+
+from eitskin.errors import ConfigurationError
+from eitskin.simulator.mechanics.load_stepping import Load, SolidError, follow, newton
+from eitskin.simulator.mechanics.materials import NeoHookean, Ogden, cofactor
+from eitskin.simulator.mechanics.mixed_solid import Solid
+
+UNIT = np.linspace(0.0, 1.0, 3)
+MESHES = {
+    "quadrilaterals": (skfem.MeshQuad.init_tensor(UNIT, UNIT), "plane strain"),
+    "triangles": (skfem.MeshTri.init_tensor(UNIT, UNIT), "plane strain"),
+    "ring": (skfem.MeshQuad.init_tensor(UNIT, UNIT), "axisymmetric"),
+    "hexahedra": (skfem.MeshHex.init_tensor(UNIT, UNIT, UNIT), "solid"),
+    "tetrahedra": (skfem.MeshTet.init_tensor(UNIT, UNIT, UNIT), "solid"),
+}
+EVERY_MESH = pytest.mark.parametrize("kind", MESHES)
+SMALL = 1e-6  # strain at which finite strain theory is linear to rounding of the tests
+
+
+def distorted(mesh, size=0.12, seed=2):
+    inside = np.setdiff1d(np.arange(mesh.p.shape[1]), mesh.boundary_nodes())
+    p = mesh.p.copy()
+    p[:, inside] += np.random.default_rng(seed).uniform(-size, size, (p.shape[0], len(inside)))
+    return type(mesh)(p, mesh.t)
+
+
+def spread(nodes, dim):
+    """Unknowns of all displacement components of `nodes`."""
+    return (dim * np.asarray(nodes)[:, None] + np.arange(dim)).ravel()
+
+
+def prescribe(solid, nodes, displacement):
+    """A path along which `nodes` move to X + displacement(t), proportionally by default."""
+    fixed = spread(nodes, solid.dim)
+    return lambda t: Load(fixed, displacement(t).ravel(), np.zeros(solid.unknowns))
+
+
+def on_boundary(solid, low=0.0, high=1.0):
+    X = solid.nodes
+    return np.flatnonzero(np.any((np.abs(X - low) < 1e-9) | (np.abs(X - high) < 1e-9), axis=1))
+
+
+def state(solid, size=0.02, seed=0):
+    return size * np.random.default_rng(seed).uniform(-1, 1, solid.unknowns)
+
+
+@EVERY_MESH
+@pytest.mark.parametrize("law", [NeoHookean(3.0), Ogden(3.0, 3.5)], ids=str)
+def test_stiffness_is_the_slope_of_the_forces_and_symmetric(kind, law) -> None:
+    mesh, kinematics = MESHES[kind]
+    solid = Solid(distorted(mesh), [law], kinematics=kinematics, bulk_ratio=50.0)
+    x, direction = state(solid), state(solid, 1.0, seed=1)
+    forces, K = solid.linearise(x)
+    step = 1e-6 * direction
+    slope = (solid.forces(x + step) - solid.forces(x - step)) / 2e-6
+    assert K @ direction == pytest.approx(slope, abs=1e-7 * np.abs(slope).max())
+    assert forces == pytest.approx(solid.forces(x), abs=1e-14)
+    assert abs(K - K.T).max() < 1e-12 * abs(K).max()
+
+
+@EVERY_MESH
+def test_affine_displacements_of_the_boundary_strain_the_inside_alike(kind) -> None:
+    """The patch test, on a distorted mesh, at finite strain."""
+    mesh, kinematics = MESHES[kind]
+    solid = Solid(distorted(mesh), [NeoHookean(2.0)], kinematics=kinematics, bulk_ratio=100.0)
+    if kinematics == "axisymmetric":  # the only affine map of rings without shear at the axis
+        gradient = np.diag([1.2, 1.2**-2])
+    else:
+        gradient = np.eye(solid.dim)
+        gradient[0, -1], gradient[1, 0], gradient[0, 0] = 0.4, -0.1, 1.05
+    u = solid.nodes @ (gradient - np.eye(solid.dim)).T
+    nodes = on_boundary(solid)
+    x, _ = follow(
+        [solid], np.zeros(solid.unknowns), prescribe(solid, nodes, lambda t: t * u[nodes])
+    )
+    assert solid.displacement(x) == pytest.approx(u, abs=1e-9)
+    P = solid.stress(x)
+    assert pytest.approx(np.broadcast_to(P[0, 0], P.shape), abs=1e-7) == P
+
+
+def test_layers_share_traction_and_their_pressures_may_differ() -> None:
+    """Two layers in shear: mu_1 k_1 = mu_2 k_2, which linear shapes hold exactly."""
+    mesh = skfem.MeshQuad.init_tensor(UNIT, UNIT)
+    upper = (mesh.p[1, mesh.t].mean(axis=0) > 0.5).astype(np.int64)
+    solid = Solid(mesh, [NeoHookean(1.0), NeoHookean(4.0)], upper, bulk_ratio=1e7)
+    y = solid.nodes[:, 1]
+    u = np.stack([0.8 * np.minimum(y, 0.5) + 0.2 * np.maximum(y - 0.5, 0.0), 0 * y], axis=1)
+    nodes = on_boundary(solid)
+    x, _ = follow(
+        [solid], np.zeros(solid.unknowns), prescribe(solid, nodes, lambda t: t * u[nodes])
+    )
+    assert solid.displacement(x) == pytest.approx(u, abs=1e-8)
+    P = solid.stress(x)
+    assert P[..., 0, 1] == pytest.approx(0.8, abs=1e-7)
+    # The mean stress is -mu k^2 / 3 + constant once P_22 is the same on both sides.
+    mean = solid.pressure(x).mean(axis=1)
+    jump = mean[upper == 1].mean() - mean[upper == 0].mean()
+    assert jump == pytest.approx(4.0 * 0.2**2 / 3 - 0.8**2 / 3, abs=1e-6)
+
+
+@EVERY_MESH
+def test_rigid_motions_give_no_stress(kind) -> None:
+    mesh, kinematics = MESHES[kind]
+    solid = Solid(distorted(mesh), [Ogden(2.0, 3.0)], kinematics=kinematics)
+    Q = np.eye(solid.dim)
+    if kinematics != "axisymmetric":
+        Q[:2, :2] = [[np.cos(2.0), -np.sin(2.0)], [np.sin(2.0), np.cos(2.0)]]
+    if solid.dim == 3:
+        Q = Q @ Q[[2, 0, 1]][:, [2, 0, 1]]
+    shift = np.eye(solid.dim)[-1]  # along the axis of rings
+    x = np.zeros(solid.unknowns)
+    x[: solid.nodes.size] = (solid.nodes @ Q.T + 0.3 * shift - solid.nodes).ravel()
+    assert solid.forces(x) == pytest.approx(np.zeros(solid.unknowns), abs=1e-12)
+    assert solid.energy(x) == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("kind", ["ring", "hexahedra", "tetrahedra"])
+@pytest.mark.parametrize("stretch", [0.6, 1.8])
+def test_bars_follow_the_uniaxial_law(kind, stretch) -> None:
+    """Pulled between frictionless plates: force mu (s - 1/s^2) times the undeformed area."""
+    mesh, kinematics = MESHES[kind]
+    solid = Solid(mesh, [NeoHookean(2.0)], kinematics=kinematics, bulk_ratio=1e7)
+    dim, X = solid.dim, solid.nodes
+    held = [dim * np.flatnonzero(X[:, k] < 1e-9) + k for k in range(dim)]
+    top = dim * np.flatnonzero(X[:, -1] > 1 - 1e-9) + dim - 1
+    fixed = np.concatenate([*held, top])
+    target = np.concatenate([np.zeros(sum(map(len, held))), np.full(len(top), stretch - 1)])
+    none = np.zeros(solid.unknowns)
+    x, _ = follow([solid], none, lambda t: Load(fixed, t * target, none))
+    area = np.pi if kinematics == "axisymmetric" else 1.0
+    force = solid.forces(x)[top].sum()
+    assert force == pytest.approx(2.0 * area * (stretch - stretch**-2), rel=1e-6)
+    side = X @ np.diag([stretch**-0.5] * (dim - 1) + [stretch]) - X
+    assert solid.displacement(x) == pytest.approx(side, abs=1e-6)
+
+
+def squeezed(solid, height):
+    """Load that brings a cylinder of unit height between rough plates to `height`."""
+    z = solid.nodes[:, 1]
+    plates = np.flatnonzero((z < 1e-9) | (z > 1 - 1e-9))
+    axis = np.setdiff1d(np.flatnonzero(solid.nodes[:, 0] < 1e-9), plates)
+    fixed = np.concatenate([spread(plates, 2), 2 * axis])
+    moved = np.stack([0 * plates, (height - 1) * z[plates]], axis=1).ravel()
+    return Load(fixed, np.concatenate([moved, 0.0 * axis]), np.zeros(solid.unknowns))
+
+
+def test_corrections_that_would_invert_cells_are_halved(monkeypatch) -> None:
+    solid = Solid(MESHES["ring"][0], [NeoHookean(1.0)], kinematics="axisymmetric")
+    load = squeezed(solid, 3.0)
+    newton([solid], np.zeros(solid.unknowns), load)
+    monkeypatch.setattr("eitskin.simulator.mechanics.load_stepping._HALVINGS", 0)
+    with pytest.raises(SolidError, match="inside out"):
+        newton([solid], np.zeros(solid.unknowns), load)
+
+
+def test_the_work_of_the_load_is_the_energy_stored() -> None:
+    """A cylinder squeezed between rough plates, by Simpson's rule over the stroke."""
+    mesh = skfem.MeshQuad.init_tensor(np.linspace(0, 1, 5), np.linspace(0, 1, 5))
+    solid = Solid(mesh, [Ogden(2.0, 2.35)], kinematics="axisymmetric", bulk_ratio=1e3)
+    x, forces = np.zeros(solid.unknowns), [0.0]
+    strokes = np.linspace(0, 0.3, 9)
+    for stroke in strokes[1:]:
+        load = squeezed(solid, 1.0 - stroke)
+        x = newton([solid], x, load)
+        forces.append(solid.forces(x)[load.fixed] @ load.values / stroke)
+    simpson = np.array([1, 4, 2, 4, 2, 4, 2, 4, 1]) / 3 * strokes[1]
+    assert solid.energy(x) == pytest.approx(simpson @ forces, rel=1e-5)
+
+
+def test_thick_cylinder_under_pressure() -> None:
+    """Lame: u = q a^2 / (2 mu (b^2 - a^2)) ((1 - 2 nu) r + b^2 / r) in plane strain."""
+    mesh = skfem.MeshQuad.init_tensor(np.linspace(2, 4, 17), np.linspace(0, 1, 3))
+    for bulk_ratio in (1e7, 3.0):
+        solid = Solid(mesh, [NeoHookean(1.0)], kinematics="axisymmetric", bulk_ratio=bulk_ratio)
+        r, z = solid.nodes.T
+        inner = mesh.facets_satisfying(lambda p: np.isclose(p[0], 2.0), boundaries_only=True)
+        forces = solid.traction(inner, lambda p: SMALL * np.stack([np.ones_like(p[0]), 0 * p[0]]))
+        ends = 2 * np.flatnonzero((z < 1e-9) | (z > 1 - 1e-9)) + 1
+        x = newton([solid], np.zeros(solid.unknowns), Load(ends, np.zeros(len(ends)), forces))
+        nu = (3 * bulk_ratio - 2) / (6 * bulk_ratio + 2)
+        expected = SMALL / 6 * ((1 - 2 * nu) * r + 16 / r)
+        assert solid.displacement(x)[:, 0] == pytest.approx(expected, rel=2e-5)
+
+
+def cantilever(nodes, ratio, length=8.0):
+    """Timoshenko and Goodier's end-loaded cantilever of unit depth and mu = 1, P = SMALL."""
+    nu = (3 * ratio - 2) / (6 * ratio + 2)
+    E, n = 2 * (1 + nu) / (1 - nu**2), nu / (1 - nu)  # plane strain
+    x, y = nodes.T
+    scale = SMALL / (6 * E / 12)
+    ux = scale * y * ((6 * length - 3 * x) * x + (2 + n) * (y**2 - 0.25))
+    uy = -scale * (3 * n * y**2 * (length - x) + (4 + 5 * n) * x / 4 + (3 * length - x) * x**2)
+    return np.stack([ux, uy], axis=1)
+
+
+def bent_cantilever(mesh, ratio):
+    solid = Solid(mesh, [NeoHookean(1.0)], bulk_ratio=ratio)
+    end = mesh.facets_satisfying(lambda p: np.isclose(p[0], 8.0), boundaries_only=True)
+    shear = solid.traction(end, lambda p: -6 * SMALL * np.stack([0 * p[0], 0.25 - p[1] ** 2]))
+    root = np.flatnonzero(solid.nodes[:, 0] < 1e-9)
+    clamp = cantilever(solid.nodes[root], ratio).ravel()
+    x = newton([solid], np.zeros(solid.unknowns), Load(spread(root, 2), clamp, shear))
+    return solid, solid.displacement(x)
+
+
+def linear_triangles(mesh, ratio):
+    """The same cantilever by plain linear displacements, as small strain theory has it."""
+    basis = skfem.Basis(mesh, skfem.ElementVector(skfem.ElementTriP1()))
+    elasticity = linear_elasticity(ratio - 2 / 3, 1.0)
+    end = mesh.facets_satisfying(lambda p: np.isclose(p[0], 8.0), boundaries_only=True)
+
+    @skfem.LinearForm
+    def shear(v, w):
+        return -6 * SMALL * (0.25 - w.x[1] ** 2) * v[1]
+
+    load = shear.assemble(skfem.FacetBasis(mesh, basis.elem, facets=end))
+    root = np.flatnonzero(mesh.p[0] < 1e-9)
+    u = np.zeros(basis.N)
+    u[spread(root, 2)] = cantilever(mesh.p[:, root].T, ratio).ravel()
+    u = skfem.solve(*skfem.condense(elasticity.assemble(basis), load, x=u, D=spread(root, 2)))
+    return u.reshape(-1, 2)
+
+
+@pytest.mark.parametrize("ratio", [1e2, 1e4, 1e6])
+@pytest.mark.parametrize("cells", [skfem.MeshQuad, skfem.MeshTri])
+def test_a_cantilever_does_not_lock(cells, ratio) -> None:
+    mesh = cells.init_tensor(np.linspace(0, 8, 25), np.linspace(-0.5, 0.5, 4))
+    solid, u = bent_cantilever(mesh, ratio)
+    expected = cantilever(solid.nodes, ratio)
+    assert u == pytest.approx(expected, abs=2e-3 * np.abs(expected).max())
+
+
+def test_linear_displacements_do_lock() -> None:
+    """What the mixed form is for: a twin that is too stiff at nu = 0.499 and hopeless nearer."""
+    mesh = skfem.MeshTri.init_tensor(np.linspace(0, 8, 49), np.linspace(-0.5, 0.5, 7))
+    deflection = [
+        np.abs(linear_triangles(mesh, ratio)).max() / np.abs(cantilever(mesh.p.T, ratio)).max()
+        for ratio in (5.0, 5e2, 5e4)
+    ]
+    assert deflection[0] > 0.8
+    assert deflection[1] < 0.5
+    assert deflection[2] < 0.05
+
+
+def isochoric(X):
+    """Two shears, one after the other, and their deformation gradient (..., 3, 3)."""
+    x = X[0] + 0.1 * np.sin(np.pi * X[1])
+    y = X[1] + 0.1 * np.sin(np.pi * x)
+    F = np.zeros((*X.shape[1:], 3, 3))
+    F[..., 0, 0] = F[..., 2, 2] = 1.0
+    F[..., 0, 1] = slope = 0.1 * np.pi * np.cos(np.pi * X[1])
+    F[..., 1, 0] = turn = 0.1 * np.pi * np.cos(np.pi * x)
+    F[..., 1, 1] = 1.0 + turn * slope
+    return np.stack([x, y]) - X, F
+
+
+@pytest.mark.parametrize("cells", [skfem.MeshQuad, skfem.MeshTri])
+def test_errors_fall_with_the_third_power_of_the_cell(cells) -> None:
+    """A smooth finite deformation, loaded by int P : grad v for its own stress."""
+    law, errors = NeoHookean(1.0), []
+    for n in (4, 8, 16):
+        mesh = cells.init_tensor(*2 * [np.linspace(0, 1, n + 1)])
+        solid = Solid(mesh, [law], bulk_ratio=1e7)
+        fine = skfem.CellBasis(mesh, solid.basis.elem, intorder=8)
+        u, F = isochoric(np.asarray(fine.global_coordinates()))
+        X = np.asarray(fine.global_coordinates())
+        P = law.stress(F) + np.cos(X[0] + 2 * X[1])[..., None, None] * cofactor(F)
+        load = np.zeros((len(solid.nodes), 2))
+        for a, (function,) in enumerate(fine.basis):
+            parts = np.einsum("cqiJ,Jcq,cq->ci", P[..., :2, :2], function.grad, fine.dx)
+            np.add.at(load, fine.element_dofs[a], parts)
+        forces = np.concatenate([load.ravel(), np.zeros(solid.multipliers)])
+        rim = on_boundary(solid)
+        target = isochoric(solid.nodes[rim].T)[0].T.ravel()
+        fixed = spread(rim, 2)
+        x, _ = follow(
+            [solid],
+            np.zeros(solid.unknowns),
+            lambda t, fixed=fixed, target=target, forces=forces: Load(
+                fixed, t * target, t * forces
+            ),
+        )
+        found = solid.displacement(x)[fine.element_dofs]
+        at_points = sum(found[a].T[:, :, None] * np.asarray(f) for a, (f,) in enumerate(fine.basis))
+        errors.append(np.sqrt(np.sum((at_points - u) ** 2 * fine.dx)))
+    rates = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert rates[-1] == pytest.approx(3.0, abs=0.1)
+
+
+def rivlin(X, curvature):
+    """A block of unit thickness and unit mu, bent to an annular sector (Rivlin 1949)."""
+    middle = (1 + curvature**2) ** 0.25
+    stretch = np.sqrt(middle**2 + 2 * curvature * X[:, 1])
+    turn, radius = curvature * X[:, 0], stretch / curvature
+    x = np.stack([radius * np.sin(turn), radius * np.cos(turn) - middle / curvature], axis=1)
+    return x, stretch
+
+
+MOMENTS = {0.01: 0.99997, 0.1: 0.997, 0.5: 0.934, 1.0: 0.799, 2.0: 0.568}
+
+
+def bent_block(curvature, n):
+    mesh = skfem.MeshQuad.init_tensor(np.linspace(-1, 1, 2 * n + 1), np.linspace(-0.5, 0.5, n + 1))
+    solid = Solid(mesh, [NeoHookean(1.0)], bulk_ratio=1e7)
+    ends = np.flatnonzero(np.abs(solid.nodes[:, 0]) > 1 - 1e-9)
+    X = solid.nodes[ends]
+    turned = prescribe(solid, ends, lambda t: rivlin(X, max(t, 1e-9) * curvature)[0] - X)
+    return solid, follow([solid], np.zeros(solid.unknowns), turned)[0]
+
+
+@pytest.mark.parametrize("curvature", [0.01, 0.1, 0.5, 1.0])
+def test_bent_blocks_are_rivlins(curvature) -> None:
+    solid, x = bent_block(curvature, n=8)
+    places = solid.nodes + solid.displacement(x)
+    assert places == pytest.approx(rivlin(solid.nodes, curvature)[0], abs=1e-4)
+    end = solid.nodes[:, 0] > 1 - 1e-9
+    force = solid.displacement(solid.forces(x))[end]
+    moment = np.sum(places[end, 1] * force[:, 0] - places[end, 0] * force[:, 1])
+    # Four digits of the table are exact to half a unit of the last.
+    assert moment / (curvature / 3) == pytest.approx(MOMENTS[curvature], rel=7e-4)
+    assert np.linalg.det(solid.deformation_gradient(x)) == pytest.approx(1.0, abs=0.01)
+
+
+@pytest.mark.parametrize("curvature", MOMENTS)
+def test_moments_of_the_closed_form_of_bending(curvature) -> None:
+    """The stress integral; the pressure leaves the inner face free, as equilibrium then keeps."""
+    nodes, weights = np.polynomial.legendre.leggauss(30)
+    Y = np.stack([0 * nodes, nodes / 2], axis=1)
+    _, stretch = rivlin(Y, curvature)
+    F = np.zeros((30, 3, 3))
+    F[:, 0, 0], F[:, 1, 1], F[:, 2, 2] = stretch, 1 / stretch, 1.0
+    P = NeoHookean(1.0).stress(F)
+    # sigma_rr = W(stretch) - W(inner stretch), W = (s^2 + s^-2 - 2) / 2 (Rivlin 1949).
+    _, edge = rivlin(np.array([[0.0, -0.5]]), curvature)
+    radial = 0.5 * (stretch**2 + stretch**-2 - edge**2 - edge**-2)
+    hoop = radial + P[:, 0, 0] * stretch - P[:, 1, 1] / stretch
+    moment = 0.5 * weights @ (hoop / stretch * stretch / curvature)
+    assert moment / (curvature / 3) == pytest.approx(MOMENTS[curvature], rel=7e-4)
+
+
+def test_blocks_bent_until_they_wrinkle_are_refused() -> None:
+    """Biot: a free face is unstable once shortened to 0.544, here where c t = 1.54."""
+    with pytest.raises(SolidError, match="unstable") as error:
+        bent_block(2.0, n=6)
+    assert 2.0 * error.value.reached == pytest.approx(1.54, abs=0.15)
+
+
+def test_impossible_solids_are_refused() -> None:
+    mesh, _ = MESHES["hexahedra"]
+    law = NeoHookean(1.0)
+    with pytest.raises(ConfigurationError, match="in 2 dimensions"):
+        Solid(mesh, [law], kinematics="axisymmetric")
+    for ratio in (0.0, 1e9, np.nan):
+        with pytest.raises(ConfigurationError, match="bulk_ratio"):
+            Solid(mesh, [law], kinematics="solid", bulk_ratio=ratio)
+
+
+def test_impossible_loads_are_refused_with_what_was_reached() -> None:
+    """A plate that would pass through the one below it."""
+    mesh = skfem.MeshQuad.init_tensor(UNIT, UNIT)
+    solid = Solid(mesh, [NeoHookean(1.0)])
+    y = solid.nodes[:, 1]
+    plates = np.flatnonzero((y < 1e-9) | (y > 1 - 1e-9))
+    down = np.stack([0 * y, -1.1 * y], axis=1)[plates]
+    with pytest.raises(SolidError, match="of the load only") as error:
+        follow([solid], np.zeros(solid.unknowns), prescribe(solid, plates, lambda t: t * down))
+    assert 0.2 < error.value.reached < 1 / 1.1

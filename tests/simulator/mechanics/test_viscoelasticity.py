@@ -1,0 +1,285 @@
+"""Relaxation and creep functions, their duality, and mixtures of materials."""
+
+import dataclasses
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import quad
+
+from eitskin.errors import ConfigurationError
+from eitskin.geometry import SensorDesign
+from eitskin.simulator.mechanics.axisymmetric_press import Press
+from eitskin.simulator.mechanics.layer_shares import layer_shares
+from eitskin.simulator.mechanics.layer_stack import Mechanics, Sheet, Stack
+from eitskin.simulator.mechanics.materials import NeoHookean
+from eitskin.simulator.mechanics.viscoelasticity import (
+    ECOFLEX,
+    GEL,
+    REFERENCE,
+    Prony,
+    held,
+    held_at_depth,
+    mixed,
+)
+from eitskin.simulator.scene.indenters import Cylinder, Sphere
+
+steady = settings(max_examples=60, derandomize=True, deadline=None, database=None)
+T = np.geomspace(1e-3, 1e5, 60)
+
+
+@st.composite
+def spectra(draw, most=12):
+    count = draw(st.integers(1, most))
+    logs = draw(st.lists(st.floats(-6, 6), min_size=count, max_size=count))
+    parts = draw(st.lists(st.floats(0, 1), min_size=count, max_size=count))
+    total = draw(st.floats(1e-3, 0.999))
+    g = np.array(parts) * total / max(sum(parts), 1e-3)
+    return Prony(tuple(g.tolist()), tuple((10.0 ** np.array(logs)).tolist()))
+
+
+def transformed(prony, s):
+    """s times the Laplace transforms of G and of J."""
+    (g, tau), (j, times) = (prony.amplitudes, prony.times), prony.dual
+    relaxing = 1 - sum(a / (1 + s * b) for a, b in zip(g, tau, strict=True))
+    creeping = 1 + sum(a / (1 + s * b) for a, b in zip(j, times, strict=True))
+    return relaxing, creeping
+
+
+def test_the_gel_relaxes_from_one_to_three_quarters():
+    assert GEL.relaxation(0.0) == 1.0
+    assert GEL.relaxation(np.inf) == pytest.approx(0.75, rel=1e-15)
+    assert GEL.relaxation(0.5) == pytest.approx(
+        1 - 0.1 * (1 - np.exp(-1)) - 0.1 * (1 - np.exp(-0.05)) - 0.05 * (1 - np.exp(-0.0025))
+    )
+    assert ECOFLEX.relaxation(np.array([[1e9]])) == pytest.approx(np.array([[0.9]]))
+
+
+@pytest.mark.parametrize("g", [1e-12, 0.05, 0.5, 0.999, 1 - 1e-12])
+def test_one_term_creeps_as_the_standard_linear_solid(g):
+    tau = 7.0
+    expected = 1 + g / (1 - g) * -np.expm1(-T * (1 - g) / tau)
+    assert np.allclose(Prony((g,), (tau,)).creep(T), expected, rtol=2e-15, atol=0)
+    (amplitude,), _ = Prony((g,), (tau,)).dual
+    assert amplitude == pytest.approx(g / (1 - g), rel=1e-14)
+
+
+def test_relaxation_and_creep_convolve_to_time():
+    for prony, t in [(GEL, 0.7), (GEL, 40.0), (GEL, 900.0), (ECOFLEX, 25.0)]:
+        integral, _ = quad(
+            lambda s, prony=prony, t=t: prony.relaxation(t - s) * prony.creep(s),
+            *(0, t),
+            epsabs=1e-11 * t,
+            epsrel=1e-11,
+            limit=500,
+            points=[t * x for x in (1e-3, 1e-2, 0.1, 0.9, 0.99, 0.999)],
+        )
+        assert integral == pytest.approx(t, rel=1e-10)
+
+
+def test_the_dual_is_the_eigenproblem_of_a_diagonal_less_rank_one():
+    rates, g = 1 / np.array(GEL.times), np.array(GEL.amplitudes)
+    v = np.sqrt(g * rates)
+    values, vectors = np.linalg.eigh(np.diag(rates) - np.outer(v, v))
+    amplitudes, times = (np.array(part)[::-1] for part in GEL.dual)
+    assert np.allclose(1 / times, values, rtol=1e-12)
+    assert np.allclose(amplitudes, (v @ vectors) ** 2 / values, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "prony",
+    [
+        Prony((0.9 / 12,) * 12, tuple(np.geomspace(1e-6, 1e6, 12))),
+        Prony((0.999999 / 12,) * 12, tuple(np.geomspace(1e-6, 1e6, 12))),
+        Prony((0.08,) * 12, tuple(3.0 * (1 + 1e-13 * np.arange(12)))),
+        Prony((0.3, 0.3, 0.3), (3.0, float(np.nextafter(3.0, 4.0)), 3.0)),
+        Prony((1e-18, 0.5, 1e-9, 0.2), (1e-6, 1.0, 1.0 + 1e-9, 1e6)),
+        Prony((0.4, 0.4), (1e-30, 1e30)),
+    ],
+    ids=["spread", "nearly flowing", "close", "equal", "faint", "extreme"],
+)
+def test_the_dual_keeps_its_digits(prony):
+    s = np.append(0.0, np.geomspace(1e-9, 1e9, 400))
+    relaxing, creeping = transformed(prony, s)
+    assert np.allclose(relaxing * creeping, 1.0, rtol=1e-12 / (1 - sum(prony.amplitudes)), atol=0)
+    exact = 1 / (1 - np.sum(prony.amplitudes, dtype=np.longdouble))
+    assert prony.creep(np.inf) == pytest.approx(float(exact), rel=1e-9)
+
+
+@steady
+@given(spectra())
+def test_any_dual_is_one(prony):
+    relaxing, creeping = transformed(prony, np.geomspace(1e-8, 1e8, 50))
+    assert np.allclose(relaxing * creeping, 1.0, rtol=1e-11, atol=0)
+    j, times = prony.dual
+    assert all(a > 0 for a in j)
+    assert list(times) == sorted(times)
+    assert np.all(np.diff(prony.creep(np.geomspace(1e-8, 1e8, 50))) > -1e-12)
+
+
+def test_nothing_relaxes_without_terms():
+    for prony in (Prony(), Prony((0.0,), (1.0,))):
+        assert np.all(prony.creep(T) == 1.0)
+        assert held(prony, 4.0, 10.0) == 4.0
+        assert held(prony, 4.0, 10.0, released=1e-3) == 0.0
+
+
+def test_a_held_press_creeps_and_a_released_one_lingers():
+    assert held(GEL, 10.0, 0.0) == 10.0
+    assert held(GEL, 10.0, 30.0) == pytest.approx(10.0 * float(GEL.creep(30.0)), rel=1e-15)
+    left = np.array([held(GEL, 10.0, 30.0, released=t) for t in T])
+    assert np.allclose(left, 10 * (GEL.creep(T + 30.0) - GEL.creep(T)), rtol=1e-12, atol=1e-14)
+    assert np.all(np.diff(left) < 0)
+    assert left[-1] < 1e-100
+    assert left[np.searchsorted(T, 200.0)] > 0.01
+
+
+@pytest.mark.parametrize(
+    "prony", [GEL, ECOFLEX, Prony((0.2, 0.3, 0.4), (1e-6, 1.0, 1e6)), Prony((0.3,) * 3, (2.0,) * 3)]
+)
+def test_a_held_depth_lingers_by_the_force_that_held_it(prony):
+    """int J(t - s) dF(s) with F = F_e G until the release, by quadrature."""
+    hold, g, tau = 30.0, np.array(prony.amplitudes), np.array(prony.times)
+    assert held_at_depth(prony, 10.0, hold) == 10.0
+    for released in (1e-3, 1.0, 50.0, 1e4):
+        now = hold + released
+        left = float(prony.creep(now) - prony.relaxation(hold) * prony.creep(released))
+        for a, time in zip(g, tau, strict=True):
+            integral, _ = quad(
+                lambda x, time=time, now=now: np.exp(-x) * float(prony.creep(now - time * x)),
+                *(0.0, min(hold / time, 60.0)),
+                epsabs=1e-12,
+                limit=400,
+            )
+            left -= a * integral
+        assert held_at_depth(prony, 10.0, hold, released) == pytest.approx(10 * left, abs=2e-9)
+
+
+def test_a_held_depth_gives_back_at_once_what_had_not_relaxed():
+    for prony in (GEL, Prony((0.4, 0.5), (1e-6, 1e6))):
+        left = held_at_depth(prony, 1.0, 20.0, released=1e-12)
+        assert left == pytest.approx(1 - float(prony.relaxation(20.0)), rel=1e-5)
+    fading = [held_at_depth(GEL, 1.0, 20.0, released=t) for t in T]
+    assert np.all(np.diff(fading) < 0)
+    assert 0 < fading[-1] < 1e-100
+
+
+def test_the_reference_creeps_as_documented():
+    assert held(REFERENCE, 10.0, 60.0) == pytest.approx(11.68, abs=0.005)
+    assert held(REFERENCE, 10.0, 30.0, released=10.0) == pytest.approx(0.400, abs=0.0005)
+    assert 10 * REFERENCE.relaxation(60.0) == pytest.approx(8.55, abs=0.005)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.43, 0.9])
+def test_layers_side_by_side_mix_exactly(share):
+    both = mixed([GEL, ECOFLEX], [share, 1 - share])
+    assert np.allclose(
+        both.relaxation(T), share * GEL.relaxation(T) + (1 - share) * ECOFLEX.relaxation(T)
+    )
+
+
+def fainter(prony, factor):
+    return Prony(tuple(factor * g for g in prony.amplitudes), prony.times)
+
+
+def series_error(share, factor):
+    """Largest error of the creep of two layers on top of each other, whose creeps add exactly.
+
+    A layer's part of the compliance is its share of the force at fixed depth.
+    """
+    layers = [fainter(GEL, factor), fainter(ECOFLEX, factor)]
+    exact = share * layers[0].creep(T) + (1 - share) * layers[1].creep(T)
+    return np.abs(mixed(layers, [share, 1 - share]).creep(T) / exact - 1).max()
+
+
+def test_layers_on_top_of_each_other_mix_to_first_order():
+    errors = [series_error(0.43, factor) for factor in (1.0, 0.5, 0.25)]
+    assert errors[0] == pytest.approx(0.0081, abs=0.0003)
+    assert np.log2(errors[1] / errors[2]) == pytest.approx(2.0, abs=0.15)
+
+
+def test_materials_of_equal_times_merge():
+    both = mixed([Prony((0.2, 0.1), (5.0, 1.0)), Prony((0.4,), (5.0,))], [0.5, 0.5])
+    assert both.times == (1.0, 5.0)
+    assert both.amplitudes == pytest.approx((0.05, 0.3))
+
+
+MODULI, DEPTH = np.array([28e3, 12e3]), 0.0004
+
+
+@cache
+def pressed(*factors):
+    """A ball on two layers whose moduli are multiplied by the factors: the force."""
+    return ball(factors).to_depth(DEPTH).force
+
+
+@cache
+def shares_under_a_ball():
+    return layer_shares(ball((1, 1)), DEPTH)
+
+
+def ball(factors):
+    sheets = [Sheet(0.003, NeoHookean(mu)) for mu in MODULI * factors]
+    return Press(Stack(tuple(sheets)), Sphere(0.004, rough=False), finest=0.001, reach=0.012)
+
+
+def test_shares_are_what_moduli_do_to_the_force():
+    shares, h = shares_under_a_ball(), 0.02
+    assert shares.sum() == pytest.approx(1.0)
+    slopes = [
+        (pressed(1 + h, 1) - pressed(1 - h, 1)) / (2 * h * pressed(1, 1)),
+        (pressed(1, 1 + h) - pressed(1, 1 - h)) / (2 * h * pressed(1, 1)),
+    ]
+    assert shares == pytest.approx(slopes, abs=0.002)
+
+
+def test_the_long_time_force_is_that_of_relaxed_moduli():
+    shares = shares_under_a_ball()
+    relaxed = pressed(0.9, 0.75) / pressed(1, 1)
+    assert mixed([ECOFLEX, GEL], shares).relaxation(np.inf) == pytest.approx(relaxed, abs=0.005)
+
+
+def test_the_reference_has_the_shares_of_the_reference_stack():
+    press = Press(Mechanics().stack(SensorDesign.reference()), Cylinder(), finest=0.001)
+    below, gel, above = layer_shares(press, 0.0014)
+    assert gel == pytest.approx(0.43, abs=0.01)
+    whole = mixed([ECOFLEX, GEL, ECOFLEX], [below, gel, above])
+    assert np.allclose(whole.creep(T), REFERENCE.creep(T), rtol=0.002)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Prony((0.1,), ()), "one time per amplitude"),
+        (lambda: Prony((0.6, 0.4), (1.0, 2.0)), "less than 1"),
+        (lambda: Prony((-0.1,), (1.0,)), "not be negative"),
+        (lambda: Prony((float("nan"),), (1.0,)), "not be negative"),
+        (lambda: Prony((0.1,), (0.0,)), "positive and finite"),
+        (lambda: Prony((0.1,), (float("inf"),)), "positive and finite"),
+        (lambda: GEL.relaxation(-1.0), "0 s or more"),
+        (lambda: GEL.creep(float("nan")), "0 s or more"),
+        (lambda: mixed([GEL, ECOFLEX], [0.5, 0.6]), "add up to 1"),
+        (lambda: mixed([GEL, ECOFLEX], [1.5, -0.5]), "none negative"),
+        (lambda: mixed([GEL, ECOFLEX], [1.0]), "as many shares"),
+        (lambda: held(GEL, -1.0, 1.0), "force"),
+        (lambda: held_at_depth(GEL, 1.0, -1.0), "seconds"),
+        (lambda: held(GEL, 1.0, 1.0, released=float("nan")), "released"),
+    ],
+)
+def test_what_cannot_be_is_refused(make, message):
+    with pytest.raises(ConfigurationError, match=message):
+        make()
+
+
+@steady
+@given(spectra(4), st.floats(1e-3, 1e3))
+def test_less_lingers_of_a_shorter_press(prony, seconds):
+    longer, shorter = (held(prony, 1.0, s, released=2.0) for s in (2 * seconds, seconds))
+    assert longer >= shorter >= 0.0
+
+
+def test_a_series_is_a_value():
+    assert dataclasses.replace(GEL) == GEL
+    assert hash(Prony((0.1,), (1.0,))) == hash(Prony((0.1,), (1.0,)))

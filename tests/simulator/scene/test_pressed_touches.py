@@ -1,0 +1,291 @@
+"""Touches of a scene: forces, depths, time, files, and what is said of them."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from eitskin.errors import ConfigurationError
+from eitskin.geometry import Bend, Disc, Rectangle, SensorDesign, Surface
+from eitskin.geometry.design.regular_layouts import uniform
+from eitskin.simulator import Cylinder, Mechanics, Profile, Scene, Simulator, Sphere, Touch
+from eitskin.simulator.layer import pressed_touches as presses
+from eitskin.simulator.layer.pressed_touches import pressed
+from eitskin.simulator.mechanics.layer_stack import Piezoresistivity
+from eitskin.simulator.mechanics.viscoelasticity import Prony
+from eitskin.simulator.scene.scanned_indenter import Scanned
+
+DESIGN = SensorDesign.reference()
+WIDE = SensorDesign(Rectangle(0.55, 0.46), 0.005, uniform(Rectangle(0.55, 0.46), 4))
+X, Y = 0.060, 0.030
+
+
+@pytest.fixture(scope="module")
+def sim() -> Simulator:
+    return Simulator(DESIGN, resolution="fast")
+
+
+def one(touch, mechanics=None):
+    (found,) = pressed((touch,), DESIGN, mechanics or Mechanics())
+    return found
+
+
+def test_a_press_tells_depth_contact_and_pressure() -> None:
+    found = one(Touch(X, Y, 10.0))
+    assert found.force == pytest.approx(10.0)
+    assert 2e-3 < found.depth < 4e-3
+    assert found.contact_radius == pytest.approx(0.0075, rel=0.05)
+    assert found.mean_pressure == pytest.approx(10.0 / found.contact_area)
+    assert found.peak_pressure > found.mean_pressure
+    assert found.edge_distance == pytest.approx(0.030)
+    assert math.isinf(found.neighbour_distance)
+    assert found.caution == ""
+
+
+def test_a_press_to_the_depth_of_a_force_is_that_press(sim) -> None:
+    found = one(Touch(X, Y, 6.0))
+    to_depth = Touch(X, Y, depth=found.depth)
+    assert one(to_depth).force == pytest.approx(6.0, rel=1e-6)
+    frames = [sim.measure(Scene(touches=(t,))).impedance for t in (Touch(X, Y, 6.0), to_depth)]
+    assert frames[0] == pytest.approx(frames[1], rel=1e-9)
+
+
+def test_presses_near_the_edge_or_each_other_say_so() -> None:
+    assert "5.0 mm from the edge" in one(Touch(0.005, Y, 5.0)).caution
+    near = (Touch(X, Y, 5.0), Touch(X + 0.016, Y, 5.0))
+    for found in pressed(near, DESIGN, Mechanics()):
+        assert found.neighbour_distance == pytest.approx(0.016)
+        assert "16.0 mm from another" in found.caution
+
+
+@pytest.mark.parametrize(
+    ("y", "error"),
+    [(0.004, None), (0.006, 0.1), (0.0075, 0.03), (0.012, 0.03), (0.015, 0.21), (0.030, 0.21)],
+)
+def test_errors_of_the_signal_are_those_found_at_such_distances(y, error) -> None:
+    assert one(Touch(X, y, 5.0)).signal_error == error
+    together = {
+        0.018: None,
+        0.025: error and max(error, 0.40),
+        0.04: error and max(error, 0.16),
+        0.05: error,
+    }
+    for apart, expected in together.items():
+        pair = (Touch(X, y, 5.0), Touch(X + apart, y, 5.0))
+        assert [found.signal_error for found in pressed(pair, DESIGN, Mechanics())] == [
+            expected
+        ] * 2
+
+
+def test_indenters_are_not_inside_each_other() -> None:
+    with pytest.raises(ConfigurationError, match=r"0\.01 m apart, but their indenters need 0\.015"):
+        Scene(touches=(Touch(X, Y), Touch(X, Y + 0.010)))
+    Scene(touches=(Touch(X, Y, held=1.0, released=1.0), Touch(X, Y + 0.010)))
+    Scene(touches=(Touch(X, Y, 1.0, Sphere(0.004)), Touch(X, Y + 0.010, 1.0, Sphere(0.004))))
+
+
+def test_presses_that_turn_the_gel_inside_out_are_refused(sim) -> None:
+    near = Scene(touches=tuple(Touch(x, y, 38.0) for x in (0.02, 0.036) for y in (0.02, 0.036)))
+    with pytest.raises(ConfigurationError, match="inside out"):
+        sim.measure(near)
+
+
+def test_free_edges_carry_no_pressure() -> None:
+    """Half-way to the negative image, w and p vanish; both mirrors of the width repeat for ever."""
+    mechanics = Mechanics()
+    touch = Touch(0.070, 0.022, 8.0)
+    dents = presses.dents((touch,), DESIGN, mechanics, "tabulated")
+    x, z = np.meshgrid(np.linspace(0.03, 0.11, 9), [0.0005, 0.004])
+    middle = Touch(0.270, 0.222, 8.0)
+    alone = presses.dents((middle,), WIDE, mechanics, "tabulated")
+    for side, distance in ((-1, touch.y + 0.005), (1, 0.065 - touch.y)):
+        edge = touch.y + side * (distance - presses.mirror_inside(distance, 0.012))
+        rim = np.stack([x, np.full_like(x, edge), z], axis=-1)
+        unbounded = rim + np.array([0.2, 0.2, 0.0])
+        scale = np.abs(alone.positions(unbounded) - unbounded)[..., 2].max()
+        assert (dents.positions(rim) - rim)[..., 2] == pytest.approx(0 * x, abs=0.05 * scale)
+        stress = np.abs(alone.mean_stress(unbounded)).max()
+        assert dents.mean_stress(rim) == pytest.approx(0 * x, abs=0.05 * stress)
+
+
+def test_a_press_far_from_all_edges_has_no_images() -> None:
+    middle = Touch(0.270, 0.222, 8.0)
+    assert len(presses.dents((middle,), WIDE, Mechanics(), "tabulated").presses) == 1
+    assert len(presses.dents((Touch(X, Y),), DESIGN, Mechanics(), "tabulated").presses) > 3
+
+
+def test_a_round_sensor_has_an_image_beyond_the_nearest_rim() -> None:
+    disc = Disc(0.05)
+    design = SensorDesign(disc, 0.005, uniform(disc, 4))
+    found = presses.dents((Touch(0.08, 0.05, 5.0),), design, Mechanics(), "tabulated").presses
+    beyond = 0.005 - presses.mirror_inside(0.025, design.encapsulated_thickness)
+    assert [(press.x, press.y, press.sign) for press in found] == [
+        (0.08, 0.05, 1.0),
+        (pytest.approx(0.1 + 2 * beyond + 0.02), pytest.approx(0.05), -1.0),
+    ]
+
+
+# Time
+
+
+def held(**time):
+    return one(Touch(X, Y, 5.0, **time))
+
+
+def test_a_held_press_creeps_and_a_released_one_lingers() -> None:
+    at_once, first = held(), held(held=0.0)
+    assert first.depth == pytest.approx(at_once.depth)
+    minute = held(held=60.0)
+    assert minute.depth > 1.1 * at_once.depth
+    assert minute.force == 5.0
+    dents = [held(held=60.0, released=t).depth for t in (0.01, 10.0, 300.0)]
+    assert minute.depth > 2 * dents[0]
+    assert dents[0] > dents[1] > dents[2] > 0.0
+    released = held(held=60.0, released=10.0)
+    assert (released.force, released.contact_area, released.mean_pressure) == (0.0, 0.0, 0.0)
+
+
+def test_a_press_held_at_a_depth_relaxes_and_keeps_its_dent() -> None:
+    at_once = one(Touch(X, Y, depth=0.0015))
+    minute = one(Touch(X, Y, depth=0.0015, held=60.0))
+    assert minute.depth == pytest.approx(at_once.depth)
+    assert 0.7 * at_once.force < minute.force < 0.9 * at_once.force
+    released = one(Touch(X, Y, depth=0.0015, held=60.0, released=1.0))
+    assert 0.0 < released.depth < 0.4 * at_once.depth
+
+
+def test_materials_that_do_not_relax_forget_at_once() -> None:
+    elastic = Mechanics(gel_relaxation=Prony(), encapsulation_relaxation=Prony())
+    assert one(Touch(X, Y, 5.0, held=1e3), elastic).depth == pytest.approx(held().depth)
+    gone = Touch(X, Y, 5.0, held=1e3, released=1e-3)
+    assert one(gone, elastic).depth == 0.0
+    sim = Simulator(DESIGN, resolution="fast", mechanics=elastic)
+    flat = sim.measure(Scene()).impedance
+    assert sim.measure(Scene(touches=(gone,))).impedance == pytest.approx(flat, rel=1e-9)
+
+
+def test_static_presses_compute_no_relaxation(sim, monkeypatch) -> None:
+    def unwanted(*_):
+        raise AssertionError("a press without a time computed its relaxation")
+
+    for name in ("mixed", "held", "held_at_depth"):
+        monkeypatch.setattr(f"eitskin.simulator.mechanics.viscoelasticity.{name}", unwanted)
+    sim.measure(Scene(touches=(Touch(X, Y, 4.5),)))
+    with pytest.raises(AssertionError):
+        sim.measure(Scene(touches=(Touch(X, Y, 4.5, held=1.0),)))
+
+
+# Conductivity beyond geometry
+
+
+def signal(mechanics, scene):
+    sim = Simulator(DESIGN, resolution="fast", mechanics=mechanics)
+    return sim.measure(scene).impedance.real / sim.measure(Scene()).impedance.real - 1
+
+
+def test_piezoresistivity_adds_to_what_geometry_does() -> None:
+    scene = Scene(touches=(Touch(X, Y, 5.0),))
+    none, some, twice = (
+        signal(Mechanics(piezoresistivity=Piezoresistivity(pressure=k)), scene)
+        for k in (0.0, 1e-8, 2e-8)
+    )
+    # Pressure lifts the conductivity: resistances fall, in proportion where that is little.
+    assert np.all(some <= none + 1e-12)
+    assert np.all(some[np.abs(none) > 1e-4] < none[np.abs(none) > 1e-4])
+    assert twice - none == pytest.approx(2 * (some - none), rel=0.01, abs=1e-8)
+
+
+def test_volume_changes_count_only_where_there_are_any() -> None:
+    scene = Scene(Bend(20.0))
+    plain = signal(Mechanics(), scene)
+    assert signal(Mechanics(piezoresistivity=Piezoresistivity(volume=2.0)), scene) == (
+        pytest.approx(plain, abs=1e-10)
+    )
+
+
+def test_conductivities_must_stay_positive() -> None:
+    mechanics = Mechanics(piezoresistivity=Piezoresistivity(pressure=-1e-3))
+    with pytest.raises(ConfigurationError, match="must stay positive"):
+        signal(mechanics, Scene(touches=(Touch(X, Y, 10.0),)))
+
+
+# Files
+
+
+def test_scene_files_name_indenters(tmp_path) -> None:
+    box = tmp_path / "scene.toml"
+    box.write_text(
+        "[[touches]]\nx = 0.05\ny = 0.02\nforce = 3\n"
+        "indenter = { shape = 'sphere', radius = 0.01 }\n"
+        "[[touches]]\nx = 0.1\ny = 0.02\ndepth = 0.001\nheld = 3.0\nindenter = { radius = 0.005 }\n"
+        "[[touches]]\nx = 0.1\ny = 0.04\nindenter = { radii = [0, 0.004], heights = [0, 0.001] }\n"
+    )
+    assert Scene.from_toml(box).touches == (
+        Touch(0.05, 0.02, 3.0, Sphere(0.01)),
+        Touch(0.1, 0.02, depth=0.001, held=3.0, indenter=Cylinder(0.005)),
+        Touch(0.1, 0.04, indenter=Profile((0.0, 0.004), (0.0, 0.001))),
+    )
+
+
+@pytest.fixture
+def ball(tmp_path) -> Path:
+    trimesh = pytest.importorskip("trimesh")
+    path = tmp_path / "ball.stl"
+    trimesh.creation.icosphere(subdivisions=4, radius=7.5).export(path)
+    return path
+
+
+def test_a_scanned_ball_is_a_sphere(ball) -> None:
+    scanned, sphere = Scanned(ball, scale=1e-3), Sphere(0.0075)
+    r = np.linspace(0.0, 0.0065, 30)
+    assert scanned.profile(r)[0] == pytest.approx(sphere.profile(r)[0], abs=4e-5)
+    assert scanned.rims[1] == pytest.approx(0.0075, rel=0.01)
+    moved = Surface(ball, 1e-3)
+    assert moved.length == pytest.approx(0.015, rel=1e-3)
+
+
+def test_scene_files_name_meshes(ball) -> None:
+    path = ball.with_suffix(".toml")
+    path.write_text(
+        "[[touches]]\nx = 0.05\ny = 0.02\nindenter = { file = 'ball.stl', scale = 1e-3 }\n"
+    )
+    (touch,) = Scene.from_toml(path).touches
+    assert touch.indenter == Scanned(ball, 1e-3)
+
+
+def test_bodies_that_are_not_round_are_refused(tmp_path) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    path = tmp_path / "bar.stl"
+    trimesh.creation.capsule(height=30.0, radius=5.0).apply_transform(
+        trimesh.transformations.rotation_matrix(math.pi / 2, [0, 1, 0])
+    ).export(path)
+    with pytest.raises(ConfigurationError, match="round about an upright axis"):
+        Scanned(path, 1e-3)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ({"force": 0.0}, "above 0 N"),
+        ({"force": math.nan}, "above 0 N"),
+        ({"depth": -1e-3}, "above 0 m"),
+        ({"force": 3.0, "depth": 1e-3}, "a force or a depth"),
+        ({"held": -1.0}, "held must be a time"),
+        ({"held": 1.0, "released": math.inf}, "released must be a time"),
+        ({"released": 1.0}, "needs held"),
+    ],
+)
+def test_impossible_touches_are_refused(arguments, says) -> None:
+    with pytest.raises(ConfigurationError, match=says):
+        Touch(X, Y, **arguments)
+
+
+def test_the_closed_form_says_what_it_does_not_know() -> None:
+    sim = Simulator(DESIGN, resolution="fast", touch_model="closed form")
+    sim.measure(Scene(touches=(Touch(X, Y, 5.0),)))
+    for touch in (Touch(X, Y, depth=1e-3), Touch(X, Y, held=1.0), Touch(X, Y, 5.0, Sphere(0.01))):
+        with pytest.raises(ConfigurationError, match="tabulated"):
+            sim.measure(Scene(touches=(touch,)))
+    with pytest.raises(ConfigurationError, match="touch_model must be one of"):
+        Simulator(DESIGN, touch_model="guess")

@@ -1,0 +1,228 @@
+"""Simulator: scenes to frames, and no work that a scene does not need."""
+
+import numpy as np
+import pytest
+
+from eitskin.errors import ConfigurationError, FrameError
+from eitskin.geometry import Bend, Disc, Electrode, Hinge, Rectangle, SensorDesign
+from eitskin.geometry.deformation.fixtures import FreeArc
+from eitskin.geometry.deformation.kinematics import Displaced
+from eitskin.geometry.deformation.twist import Roll, Twist
+from eitskin.geometry.design.regular_layouts import uniform
+from eitskin.geometry.meshing.grading import Grading
+from eitskin.simulator import Frame, Instrument, Protocol, Scene, Simulator, Status, Touch
+
+import closed_forms
+
+
+@pytest.fixture(scope="module")
+def sim() -> Simulator:
+    return Simulator(SensorDesign.reference(), resolution="fast")
+
+
+@pytest.fixture
+def flat(sim):
+    return sim.measure(Scene()).impedance.real
+
+
+def test_frame_has_the_protocol_order_and_is_real_without_instrument(sim) -> None:
+    frame = sim.measure(Scene())
+    assert frame.impedance.shape == (28,)
+    assert np.all(frame.impedance.imag == 0)
+    assert sim.full_scale == frame.impedance.real.max()
+    assert not frame.status.any()
+
+
+def test_convex_bends_stretch_the_layer_and_concave_ones_shorten_it(sim, flat) -> None:
+    out = sim.measure(Scene(bend=Bend(50.0))).impedance.real / flat - 1
+    back = sim.measure(Scene(bend=Bend(-20.0))).impedance.real / flat - 1
+    assert np.median(out) > 0.02
+    assert np.median(back) < -0.01
+
+
+def test_without_hinge_offset_the_bend_signal_is_second_order() -> None:
+    """d = 0: the sign of the angle is lost, and half the angle is a quarter of the signal."""
+    neutral = Simulator(SensorDesign.reference(), "fast", fixture=Hinge(offset=0.0))
+    flat = neutral.measure(Scene()).impedance.real
+    signal = {
+        a: neutral.measure(Scene(bend=Bend(a))).impedance.real / flat - 1 for a in (10, -10, 5)
+    }
+    assert signal[10] == pytest.approx(signal[-10], rel=0.02, abs=1e-6)
+    assert signal[10] == pytest.approx(4 * signal[5], rel=0.05, abs=2e-6)
+
+
+def test_composing_with_what_does_nothing_changes_nothing(sim) -> None:
+    touch = (Touch(0.06, 0.02, 8.0),)
+    plain = sim.measure(Scene(Bend(20.0), touch)).impedance
+    same = sim.measure(Scene(Bend(20.0), touch, roll=Roll(0.0), twist=Twist(0.0))).impedance
+    assert same == pytest.approx(plain, rel=1e-12)
+    still = sim.deformed(Displaced(np.zeros_like)).impedance
+    assert still == pytest.approx(sim.measure(Scene()).impedance, rel=1e-10)
+
+
+def test_rigid_motions_are_not_felt(sim, flat) -> None:
+    turn = np.array([[0.6, -0.8, 0.0], [0.8, 0.6, 0.0], [0.0, 0.0, 1.0]])
+    moved = sim.deformed(Displaced(lambda x: x @ (turn.T - np.eye(3)) + 0.1)).impedance
+    assert moved.real == pytest.approx(flat, rel=1e-9)
+
+
+def test_a_twist_does_not_know_its_sense_but_by_the_electrodes(sim, flat) -> None:
+    """Twisting back mirrors the sensor: electrodes 0, 1, 2 take the places of 6, 5, 4."""
+    there, back = (
+        sim.measure(Scene(twist=Twist(sign * 60.0))).impedance.real for sign in (1.0, -1.0)
+    )
+    mirror = [6, 5, 4, 3, 2, 1, 0, 7]
+    labels = list(Protocol.pairwise(8).table)
+    pairs = [tuple(sorted((mirror[a], mirror[b]))) for a, b, _, _ in labels]
+    order = [labels.index((a, b, a, b)) for a, b in pairs]
+    assert there[order] == pytest.approx(back, rel=1e-9)
+    assert np.abs(there / flat - 1).max() > 1e-3
+
+
+def test_a_roll_stretches_nothing_at_first_order(sim, flat) -> None:
+    one, two = (sim.measure(Scene(roll=Roll(a))).impedance.real / flat - 1 for a in (20.0, 40.0))
+    assert np.linalg.norm(two) == pytest.approx(4 * np.linalg.norm(one), rel=0.1)
+
+
+def test_a_free_arc_bends_the_sensor_into_a_ring(flat) -> None:
+    ring = Simulator(SensorDesign.reference(), "fast", fixture=FreeArc(0.150))
+    R = ring.measure(Scene(Bend(360.0))).impedance.real
+    assert np.all(np.isfinite(R))
+    assert np.abs(R / flat - 1).max() < 0.5
+
+
+@pytest.mark.parametrize("angle", [30.0, 180.0, -300.0])
+@pytest.mark.parametrize("faces", ["ends", "top and bottom"])
+def test_a_block_on_a_free_arc_is_an_annular_sector(angle, faces) -> None:
+    """Between its straight ends, and between its curved faces; radii as its places tell them."""
+    length, width, thickness, z = 0.05, 0.02, 0.004, 1e-9
+    outline = Rectangle(length, width)
+    if faces == "ends":
+        electrodes = (Electrode(0.0, width / 2, width, z), Electrode(length, width / 2, width, z))
+    else:
+        electrodes = tuple(
+            Electrode(length / 2, width / 2, length, z, height=width, on=on)
+            for on in ("top", "bottom")
+        )
+    design = SensorDesign(outline, thickness, electrodes, encapsulated_thickness=thickness)
+    sim = Simulator(design, ((4, 4, 4, 4, 4), Grading(0.005, 0.01, 1.0)), FreeArc(length))
+    frame = sim.measure(Scene(Bend(angle)))
+    middle = np.array([[length / 2, width / 2, k * thickness / 2] for k in (0, 1, 2)])
+    bent = sim.deformation(Scene(Bend(angle))).positions(middle)
+    inner, outer = np.sort(_distances_from_axis(sim, Bend(angle), middle, bent))[[0, 2]]
+    theta = np.radians(abs(angle))
+    if faces == "ends":
+        exact = closed_forms.sector_between_ends(theta, inner, outer) / width
+    else:
+        exact = closed_forms.sector_between_arcs(theta, inner, outer) / width
+    assert frame.impedance[0] == pytest.approx(exact, rel=1e-5)
+
+
+def _distances_from_axis(sim, bend, flat, bent):
+    """Of places in the middle of an arc, which the ends of the sensor, rigidly turned, are not."""
+    half = np.radians(bend.angle_deg) / 2
+    end = flat + np.array([flat[0, 0], 0.0, 0.0])
+    apart = sim.deformation(Scene(bend)).positions(end) - bent
+    # Ends lie at r (sin, cos - 1) of half the angle from the middle, r from the axis.
+    return np.abs(apart[:, 0] / np.sin(half))
+
+
+def test_touch_signal_is_below_one_percent_and_grows_with_force(sim, flat) -> None:
+    signals = [
+        np.abs(sim.measure(Scene(touches=(Touch(0.06, 0.02, force),))).impedance.real / flat - 1)
+        for force in (2.0, 5.0, 10.0)
+    ]
+    assert signals[0].max() < signals[1].max() < signals[2].max() < 0.01
+    assert signals[2].max() > 0.001
+
+
+def test_vanishing_deformations_meet_the_flat_sensor(sim, flat) -> None:
+    bent = sim.measure(Scene(bend=Bend(1e-6))).impedance.real
+    touched = sim.measure(Scene(touches=(Touch(0.06, 0.02, 1e-6),))).impedance.real
+    assert bent == pytest.approx(flat, rel=1e-7)
+    assert touched == pytest.approx(flat, rel=1e-7)
+
+
+def test_mirrored_touches_give_mirrored_frames(sim) -> None:
+    protocol = sim.protocol
+    mirror = [2, 1, 0, 7, 6, 5, 4, 3]
+    names = [tuple(sorted((mirror[a], mirror[b]))) for a, b, _, _ in protocol.table]
+    order = [next(i for i, r in enumerate(protocol.table) if r[:2] == n) for n in names]
+    left = sim.measure(Scene(bend=Bend(20.0), touches=(Touch(0.040, 0.021),)))
+    right = sim.measure(Scene(bend=Bend(20.0), touches=(Touch(0.110, 0.021),)))
+    assert right.impedance[order] == pytest.approx(left.impedance, rel=1e-9)
+
+
+def test_the_same_scene_costs_no_new_factorisation(sim) -> None:
+    scene = Scene(bend=Bend(12.5))
+    sim.measure(scene)
+    assert sim.full_scale > 0.0  # of the flat sensor, which noise goes by, found once
+    before = sim.model.factorisations
+    sim.measure(scene, Instrument(), np.random.default_rng(0))
+    assert sim.model.factorisations == before
+    sim.measure(Scene(bend=Bend(12.6)))
+    assert sim.model.factorisations == before + 1
+
+
+def test_flat_scenes_ask_for_no_deformation(sim, monkeypatch) -> None:
+    def unwanted(*_):
+        raise AssertionError("a flat, untouched scene computed a deformation")
+
+    monkeypatch.setattr("eitskin.simulator.layer.deformed_layer.pulled_back_entries", unwanted)
+    monkeypatch.setattr("eitskin.simulator.layer.deformed_layer.area_ratio", unwanted)
+    assert sim.deformation(Scene()) is None
+    sim.measure(Scene(bend=Bend(0.0)))
+    sim.measure(Scene())
+
+
+def test_noise_has_the_stated_deviation_and_follows_its_seed(sim) -> None:
+    clean = sim.measure(Scene()).impedance
+    rng = np.random.default_rng(4)
+    noise = np.array(
+        [sim.measure(Scene(), Instrument(75.0), rng).impedance - clean for _ in range(400)]
+    )
+    deviation = sim.full_scale * 10 ** (-75 / 20)
+    assert noise.real.std() == pytest.approx(deviation, rel=0.03)
+    assert noise.imag.std() == pytest.approx(deviation, rel=0.03)
+    one, two = (sim.measure(Scene(), Instrument(), np.random.default_rng(9)) for _ in range(2))
+    assert np.array_equal(one.impedance, two.impedance)
+    with pytest.raises(ConfigurationError, match="default_rng"):
+        sim.measure(Scene(), Instrument())
+
+
+def test_impossible_scenes_are_refused(sim) -> None:
+    with pytest.raises(ConfigurationError, match="are the units metres"):
+        sim.measure(Scene(touches=(Touch(50.0, 20.0),)))
+    with pytest.raises(ConfigurationError, match="last possible angle"):
+        sim.measure(Scene(bend=Bend(-90.0)))
+    with pytest.raises(ConfigurationError, match="where the layer is pressed to"):
+        sim.measure(Scene(touches=(Touch(0.05, 0.02, 100.0),)))
+
+
+def test_a_touch_lies_on_the_outline_not_only_in_its_bounding_box() -> None:
+    disc = Disc(0.04)
+    round_sensor = Simulator(SensorDesign(disc, 0.005, uniform(disc, 4)), resolution="fast")
+    assert np.isfinite(round_sensor.measure(Scene(touches=(Touch(0.02, 0.04),))).impedance).all()
+    with pytest.raises(ConfigurationError, match=r"lie on the disc of 0.08 x 0.08 m, got \(0.005,"):
+        round_sensor.measure(Scene(touches=(Touch(0.005, 0.005),)))
+
+
+def test_scenes_read_from_toml(tmp_path) -> None:
+    path = tmp_path / "scene.toml"
+    path.write_text("[bend]\nangle_deg = 30\n[[touches]]\nx = 0.05\ny = 0.02\nforce = 8\n")
+    assert Scene.from_toml(path) == Scene(Bend(30.0), (Touch(0.05, 0.02, 8.0),))
+    path.write_text("[[touches]]\nx = 0.05\nz = 0.02\n")
+    with pytest.raises(ConfigurationError, match=r"touches\[0\]: unknown key 'z'"):
+        Scene.from_toml(path)
+
+
+def test_frames_own_their_values_and_check_their_shape() -> None:
+    protocol = Protocol.pairwise(3)
+    values = np.ones(3, complex)
+    frame = Frame(values, protocol, status=np.array([0, Status.OPEN, 0], np.uint8))
+    values[0] = 5.0
+    assert frame.impedance[0] == 1.0
+    with pytest.raises(ValueError, match="read-only"):
+        frame.impedance[0] = 2.0
+    with pytest.raises(FrameError, match="3 measurements"):
+        Frame(np.ones(4), protocol)

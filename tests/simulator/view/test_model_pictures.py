@@ -1,0 +1,148 @@
+"""Pictures of meshes and currents, for each kind of cell, and what they are made of."""
+
+import numpy as np
+import pytest
+
+from eitskin.errors import ConfigurationError
+from eitskin.geometry import SensorDesign
+from eitskin.geometry.design.electrode import Electrode
+from eitskin.geometry.design.outline import Disc, Rectangle
+from eitskin.geometry.meshing.grading import Grading
+from eitskin.geometry.meshing.mesh_of import mesh_of
+from eitskin.simulator import ForwardModel, Protocol
+from eitskin.simulator.view import shapes
+from eitskin.simulator.view.model_pictures import draw_drive, draw_mesh, model_for_pictures
+from eitskin.simulator.view.render import DIRECTION, Panel
+
+COARSE = Grading(2e-3, 5e-3, 1.0)
+
+
+@pytest.fixture(scope="module")
+def bar() -> SensorDesign:
+    """40 x 10 x 5 mm between electrodes that cover its ends: the current density is 1 / area."""
+    ends = (Electrode(0.0, 0.005, 0.010), Electrode(0.040, 0.005, 0.010))
+    return SensorDesign(Rectangle(0.040, 0.010), 0.005, ends)
+
+
+def colours(path) -> np.ndarray:
+    from PIL import Image
+
+    return np.asarray(Image.open(path).convert("RGB")).astype(int)
+
+
+def coloured(pixels, low, high) -> int:
+    """How many pixels lie between two colours."""
+    return int(((pixels >= low) & (pixels <= high)).all(axis=2).sum())
+
+
+@pytest.mark.parametrize("kind", ["hexahedra", "prisms"])
+def test_lines_of_current_in_a_bar_are_straight_and_carry_its_density(bar, kind) -> None:
+    model = ForwardModel(bar, ((1, 1), COARSE), cells=kind)
+    lines = shapes.lines_of_current(model.mesh, model.current_density((0, 1)), plus=0, count=10)
+    assert lines.n_cells == 10
+    assert lines["magnitude"] == pytest.approx(1.0 / (0.010 * 0.005), rel=1e-6)
+    for number in range(lines.n_cells):
+        points = lines.get_cell(number).points
+        assert np.ptp(points[:, 1:], axis=0).max() < 1e-6
+    x = lines.points[:, 0]
+    assert (x.min(), x.max()) == pytest.approx((0.0, 0.040), abs=3e-3)
+
+
+def test_lines_of_current_spread_over_the_electrode_they_begin_on(bar) -> None:
+    for kind in ("hexahedra", "prisms"):
+        model = ForwardModel(bar, ((1, 1), COARSE), cells=kind)
+        lines = shapes.lines_of_current(model.mesh, model.current_density((0, 1)), 0, count=40)
+        for axis, extent in ((1, 0.010), (2, 0.005)):
+            quarters = np.histogram(lines.points[:, axis], bins=4, range=(0.0, extent))[0]
+            assert quarters.min() > 0.5 * quarters.mean()
+
+
+@pytest.mark.parametrize("kind", ["hexahedra", "prisms", "tetrahedra"])
+def test_shapes_have_the_volume_and_the_electrodes_of_the_mesh(bar, kind) -> None:
+    if kind == "tetrahedra":
+        pytest.importorskip("pytetwild")
+    mesh = mesh_of(bar, COARSE, kind)
+    assert shapes.volume(mesh).volume == pytest.approx(0.040 * 0.010 * 0.005, rel=1e-5)
+    assert shapes.plate(mesh, 1).area == pytest.approx(0.010 * 0.005, rel=1e-6)
+    _, normal = shapes.contact(mesh, 1)
+    assert normal == pytest.approx([1.0, 0.0, 0.0], abs=1e-6)
+
+
+def test_all_points_are_seen_between_title_and_colour_scale() -> None:
+    points = np.random.default_rng(0).uniform(-1.0, 1.0, (50, 3)) * [0.3, 0.1, 0.05] + [1, 2, 3]
+
+    class Camera:
+        def SetParallelProjection(self, on):
+            self.parallel = on
+
+    for legend in (False, True):
+        panel = Panel("", points, lambda _: None, legend=legend)
+        width, height = 900, panel.height(900)
+        camera = Camera()
+        panel.look(camera, width, height)
+        right, up = panel.axes
+        per_pixel = 2.0 * camera.parallel_scale / height
+        x = (points - camera.focal_point) @ right / per_pixel
+        y = (points - camera.focal_point) @ up / per_pixel + height / 2
+        assert np.abs(x).max() < width / 2
+        assert y.max() < height - 48
+        assert y.min() > panel.rim - 48
+        assert ((points - camera.position) @ -panel.direction).min() > 0.0
+
+
+def test_a_design_with_electrodes_of_every_kind_is_drawn(tmp_path) -> None:
+    electrodes = (
+        Electrode(0.060, 0.030),
+        Electrode(0.040, 0.020, 0.010, on="top", shape="round"),
+        Electrode(0.020, 0.040, 0.010, on="inside", z=0.002),
+    )
+    design = SensorDesign(Disc(0.030), 0.004, electrodes)
+    draw_mesh(mesh_of(design, Grading(2e-3, 8e-3, 1.0)), tmp_path / "mesh.png")
+    pixels = colours(tmp_path / "mesh.png")
+    assert coloured(pixels, (160, 90, 20), (230, 150, 80)) > 2000  # electrodes
+    assert (pixels.min(axis=2) < 250).mean() > 0.2
+    assert [path.name for path in tmp_path.iterdir()] == ["mesh.png"]
+
+
+def test_potential_and_current_of_a_drive_pair_are_drawn(bar, tmp_path) -> None:
+    model = ForwardModel(bar, ((1, 1), COARSE))
+    draw_drive(model, (0, 1), tmp_path / "drive.png")
+    pixels = colours(tmp_path / "drive.png")
+    middle = pixels[pixels.shape[0] // 3 : 2 * pixels.shape[0] // 3]
+    potential = middle[:, : middle.shape[1] // 2]
+    red = potential[..., 0] - potential[..., 2] > 60
+    blue = potential[..., 2] - potential[..., 0] > 60
+    assert red.sum() > 3000
+    assert blue.sum() > 3000
+    # The current enters on the left, where the potential is high.
+    assert np.nonzero(red)[1].mean() < np.nonzero(blue)[1].mean()
+
+
+def test_electrodes_that_do_not_exist_are_refused(bar, tmp_path) -> None:
+    model = ForwardModel(bar, ((1, 1), COARSE))
+    for drive in ((0, 2), (1, 1)):
+        with pytest.raises(ConfigurationError):
+            draw_drive(model, drive, tmp_path / "drive.png")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("kind", ["hexahedra", "prisms"])
+def test_the_model_for_pictures_is_right_to_a_few_percent(kind) -> None:
+    design = SensorDesign.reference()
+    pairs = Protocol.pairwise(8)
+    model = model_for_pictures(design, kind)
+    R = pairs.measure(model.impedance())
+    assert pairs.measure(ForwardModel(design).impedance()) == pytest.approx(R, rel=0.03)
+    assert len(model.mesh.cells) < 40_000
+
+
+def test_electrodes_are_seen_from_in_front() -> None:
+    from eitskin.simulator.view.model_pictures import _in_front
+
+    mesh = mesh_of(SensorDesign.reference(), COARSE)
+    for electrode in range(8):
+        _, normal = shapes.contact(mesh, electrode)
+        eye = _in_front(mesh, electrode)
+        assert normal @ eye > 0.5
+        assert np.linalg.norm(eye) == pytest.approx(1.0)
+    assert DIRECTION @ [0.0, 0.0, 1.0] > 0.0

@@ -1,0 +1,259 @@
+"""What pictures of scenes show, against closed forms, and that they are drawn."""
+
+import math
+import sys
+
+import numpy as np
+import pytest
+
+from eitskin.errors import ConfigurationError
+from eitskin.geometry import Bend, Hinge, SensorDesign
+from eitskin.geometry.deformation.fixtures import FreeArc
+from eitskin.geometry.deformation.kinematics import Displaced, pulled_back
+from eitskin.geometry.deformation.twist import Roll, Twist
+from eitskin.geometry.design.electrode import Electrode
+from eitskin.geometry.design.outline import Rectangle
+from eitskin.geometry.meshing.grading import Grading
+from eitskin.simulator import Cylinder, ForwardModel, Protocol, Scene, Simulator, Sphere, Touch
+from eitskin.simulator.view import scene_pictures as view
+from eitskin.simulator.view import shapes
+from eitskin.simulator.view.scene_pictures import (
+    _indenters,
+    _round_number,
+    conductance_change,
+    current_density,
+    draw,
+    largest_strain,
+    most_changed,
+)
+
+LENGTH, WIDTH, THICKNESS = 0.040, 0.010, 0.005
+
+
+@pytest.fixture(scope="module")
+def sim() -> Simulator:
+    return Simulator(SensorDesign.reference(), "fast")
+
+
+@pytest.fixture(scope="module")
+def bar() -> SensorDesign:
+    """Between electrodes without contact impedance, to speak of, that cover its ends."""
+    places = ((0.0, 0.5 * WIDTH), (LENGTH, 0.5 * WIDTH))
+    ends = tuple(Electrode(x, y, WIDTH, contact_impedance=1e-9) for x, y in places)
+    return SensorDesign(Rectangle(LENGTH, WIDTH), THICKNESS, ends, encapsulated_thickness=THICKNESS)
+
+
+# Fields
+
+
+def test_conductance_falls_under_a_press_and_where_the_layer_is_stretched(sim) -> None:
+    points = np.array([[0.05, 0.02, 0.0025], [0.02, 0.05, 0.0025]])
+    scene = Scene(touches=(Touch(0.05, 0.02),))
+    pressed = conductance_change(sim, scene, points)
+    # On the axis the stretches are lambda in x and y and lambda^-2 in z: sigma_xx is lambda^-2.
+    deformed = sim.deformation(scene).gradient(points[:1])[0]
+    assert pressed[0] == pytest.approx(deformed[2, 2] / np.linalg.det(deformed) ** 2 - 1, rel=0.02)
+    assert pressed[0] < -0.2
+    assert abs(pressed[1]) < 0.02
+    middle = np.array([[0.075, 0.03, 0.004]])
+    assert conductance_change(sim, Scene(bend=Bend(40.0)), middle)[0] < -0.1
+    assert conductance_change(sim, Scene(), middle)[0] == 0.0
+
+
+def test_strain_is_that_of_a_stretch_and_of_a_shear() -> None:
+    points = np.array([[0.01, 0.02, 0.003], [0.03, 0.01, 0.001]])
+    stretched = Displaced(lambda x: x * [0.3, 1.0 / 1.3 - 1.0, 0.0])
+    assert largest_strain(stretched, points) == pytest.approx(math.log(1.3), rel=1e-6)
+    sheared = Displaced(lambda x: 0.8 * x[..., [2, 0, 0]] * [1.0, 0.0, 0.0])
+    # The stretches of a simple shear g are g/2 +- sqrt(1 + g^2/4).
+    assert largest_strain(sheared, points) == pytest.approx(math.asinh(0.4), rel=1e-6)
+    assert not largest_strain(None, points).any()
+
+
+def test_the_current_in_a_stretched_and_turned_block_is_uniform(bar) -> None:
+    c, s = math.cos(0.5), math.sin(0.5)
+    F = np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]]) @ np.diag([1.5, 0.9, 0.7])
+    affine = Displaced(lambda x: x @ (F - np.eye(3)).T)
+    model = ForwardModel(bar, ((1, 1), Grading(2e-3, 2e-3, 1.0, 2)))
+    tensor = np.broadcast_to(pulled_back(F), (len(model.mesh.cells), 3, 3))
+    found = current_density(model, affine, (0, 1), tensor)
+    area = 0.9 * WIDTH * 0.7 * THICKNESS
+    assert found == pytest.approx(np.tile([c / area, 0.0, s / area], (len(found), 1)), abs=1e-3)
+
+
+def test_the_current_in_a_bent_bar_falls_with_the_radius(bar) -> None:
+    arc, angle = FreeArc(LENGTH), 60.0
+    sim = Simulator(bar, "fast", arc)
+    scene = Scene(Bend(angle))
+    bent = sim.deformation(scene)
+    model = ForwardModel(bar, ((1, 1), Grading(1e-3, 1e-3, 1.0, 10)))
+    j = current_density(model, bent, (0, 1), sim.conductivity(scene), sim.area_ratio(scene))
+    # The centre of the arc: the ends are `angle` apart, symmetrical about the middle.
+    half = math.radians(0.5 * angle)
+    inner, outer = (
+        np.hypot(*np.ptp(bent.positions(np.array([[0, 0, z], [LENGTH, 0, z]])), axis=0)[[0, 2]])
+        / (2.0 * math.sin(half))
+        for z in (0.0, THICKNESS)
+    )
+    top = bent.positions(np.array([0.5 * LENGTH, 0.0, THICKNESS]))
+    across = bent.positions(model.mesh.points[model.mesh.cells].mean(axis=1))[:, [0, 2]]
+    radial = across - (top - [0.0, 0.0, outer])[[0, 2]]
+    r = np.linalg.norm(radial, axis=1)
+    # An annular sector between straight ends: j = I / (w r ln(r2 / r1)), along the arc.
+    assert np.linalg.norm(j, axis=1) == pytest.approx(
+        1.0 / (WIDTH * r * math.log(outer / inner)), rel=2e-3
+    )
+    along = np.einsum("ck,ck->c", j[:, [0, 2]], radial)
+    assert np.abs(along).max() < 2e-3 * np.linalg.norm(j, axis=1).max() * outer
+    assert np.ptp(r) > 0.1 * r.mean()
+
+
+def test_all_current_passes_every_section_of_a_bent_pressed_sensor(sim) -> None:
+    """Through flat sections x = const, of which the deformed ones are the images."""
+    model = ForwardModel(sim.design, ((1, 1), Grading(2.5e-3, 2.5e-3, 1.0, 2)))
+    scene = Scene(Bend(30.0), (Touch(0.100, 0.030),))
+    deformation = sim.deformation(scene)
+    j = current_density(model, deformation, (7, 3), sim.conductivity(scene), sim.area_ratio(scene))
+    corners = model.mesh.points[model.mesh.cells]
+    F = deformation.gradient(corners.mean(axis=1))
+    # The area of the image of a section is J F^-T e_x (Nanson).
+    through = np.einsum("ci,ci->c", np.linalg.inv(F)[:, 0], j) * np.linalg.det(F)
+    volumes = np.prod(np.ptp(corners, axis=1), axis=1)
+    middles = corners[..., 0].mean(axis=1)
+    for x in (0.05, 0.100):
+        near = np.abs(middles - x) < 0.010
+        length = np.ptp(corners[near][..., 0])
+        assert (through * volumes)[near].sum() / length == pytest.approx(1.0, rel=1e-3)
+
+
+def test_the_pair_that_changes_most_is_found(sim) -> None:
+    scene = Scene(touches=(Touch(0.13, 0.03),))
+    change = np.abs(sim.measure(scene).impedance / sim.measure(Scene()).impedance - 1.0)
+    best = sim.protocol.table[int(np.argmax(change))]
+    assert most_changed(sim, scene) == best[:2]
+    assert set(best) <= {2, 3, 4}  # at the end that is pressed
+    flat = sim.measure(Scene()).impedance.real
+    assert most_changed(sim, Scene()) == sim.protocol.table[int(np.argmax(flat))][:2]
+
+
+def test_values_that_are_zero_by_symmetry_are_not_those_that_change_most() -> None:
+    symmetric = Protocol(((1, 5, 3, 7), (0, 4, 0, 4)), 8)
+    sim = Simulator(SensorDesign.reference(), "fast", protocol=symmetric)
+    assert most_changed(sim, Scene(touches=(Touch(0.05, 0.02),))) == (0, 4)
+
+
+# What is drawn
+
+
+def test_values_of_cells_go_to_their_points(bar) -> None:
+    mesh = ForwardModel(bar, ((1, 1), Grading(2e-3, 2e-3, 1.0, 1))).mesh
+    x = mesh.points[mesh.cells].mean(axis=1)[:, 0]
+    inside = (mesh.points[:, 0] > 1e-9) & (mesh.points[:, 0] < LENGTH - 1e-9)
+    assert shapes.at_points(mesh, x)[inside] == pytest.approx(mesh.points[inside, 0], abs=1e-9)
+
+
+@pytest.mark.parametrize("indenter", [Cylinder(), Sphere(0.006)])
+def test_an_indenter_has_its_shape_and_stands_upright_on_what_it_presses(indenter) -> None:
+    turned = Roll(90.0).deformation(SensorDesign.reference())
+    tip = np.array([0.05, 0.02, 0.01])
+    left, _, right = np.linalg.svd(turned.gradient(tip))
+    body = shapes.revolved(indenter, tip, left @ right)
+    offsets = (body.points - tip) @ (left @ right)
+    r = np.hypot(offsets[:, 0], offsets[:, 1])
+    assert r.max() == pytest.approx(indenter.rims[1], rel=1e-6)
+    under = r < 0.999 * indenter.rims[1]
+    assert offsets[under, 2] == pytest.approx(indenter.profile(r[under])[0], abs=1e-8)
+
+
+def test_indenters_are_where_they_press_and_not_where_they_were_taken_off(sim) -> None:
+    press, released = Touch(0.05, 0.02, 6.0), Touch(0.12, 0.03, held=10.0, released=1.0)
+    scene = Scene(touches=(press, released))
+    (body,) = _indenters(sim, scene)
+    lowest = body.points[:, 2].min()
+    assert lowest == pytest.approx(0.0085 - sim.presses(scene)[0].depth, rel=1e-5)
+    assert body.points[:, :2].mean(axis=0) == pytest.approx([0.05, 0.02], abs=2e-4)
+    bent = Scene(Bend(40.0), (press,), twist=Twist(20.0))
+    (moved,) = _indenters(sim, bent)
+    tip = np.array([0.05, 0.02, lowest])
+    place = sim.deformation(Scene(Bend(40.0), twist=Twist(20.0))).positions(tip)
+    # Moved as a rigid body: distances from the tip stay.
+    before = np.linalg.norm(body.points - tip, axis=1)
+    after = np.linalg.norm(moved.points - place, axis=1)
+    assert np.sort(after) == pytest.approx(np.sort(before), abs=1e-7)
+    closed = Simulator(SensorDesign.reference(), "fast", touch_model="closed form")
+    assert _indenters(closed, Scene(touches=(press,))) == []
+
+
+@pytest.mark.parametrize(
+    ("value", "found"), [(45.7, 50.0), (0.31, 0.32), (1.0, 1.0), (9.1, 10.0), (0.1, 0.1)]
+)
+def test_colour_scales_end_at_round_numbers(value, found) -> None:
+    assert _round_number(value) == pytest.approx(found)
+
+
+@pytest.fixture
+def few_cells(monkeypatch) -> None:
+    """Coarser pictures, drawn sooner."""
+    monkeypatch.setitem(view._CELLS, "hexahedra", 75)
+
+
+def picture(path) -> np.ndarray:
+    from PIL import Image
+
+    return np.asarray(Image.open(path).convert("RGB")).astype(int)
+
+
+@pytest.fixture(scope="module")
+def bent_and_pressed() -> Scene:
+    return Scene(Bend(40.0), (Touch(0.05, 0.02), Touch(0.12, 0.055, 5.0)), twist=Twist(15.0))
+
+
+@pytest.mark.usefixtures("few_cells")
+@pytest.mark.parametrize("colour", ["conductance", "strain", "current"])
+def test_a_bent_pressed_sensor_is_drawn_whole(sim, bent_and_pressed, colour, tmp_path) -> None:
+    path = tmp_path / "scene.png"
+    draw(sim, [("bent and pressed", bent_and_pressed)], path, colour)
+    pixels = picture(path)
+    assert (pixels.min(axis=2) < 250).mean() > 0.15
+    rim = np.concatenate([pixels[-3:].reshape(-1, 3), pixels[:, -3:].reshape(-1, 3)])
+    assert (rim > 250).all()
+    saturated = np.ptp(pixels, axis=2) > 60
+    assert saturated.mean() > 0.02
+    assert [p.name for p in tmp_path.iterdir()] == ["scene.png"]
+
+
+@pytest.mark.usefixtures("few_cells")
+def test_a_press_is_red_where_it_is_and_nowhere_else(sim, tmp_path) -> None:
+    scenes = [Scene(), Scene(touches=(Touch(0.05, 0.02),))]
+    draw(sim, [(f"{i}", scene) for i, scene in enumerate(scenes)], tmp_path / "two.png")
+    pixels = picture(tmp_path / "two.png")
+    red = (pixels[..., 0] > 100) & (pixels[..., 1] < 90) & (pixels[..., 2] < 90)
+    red &= pixels[..., 0] - pixels[..., 1] > 80  # electrodes are orange
+    upper, lower = red[: len(red) // 2], red[len(red) // 2 : -120]  # without the colour scale
+    assert upper.sum() < 50
+    assert lower.sum() > 500
+    assert np.nonzero(lower)[1].mean() == pytest.approx(418, abs=40)
+
+
+@pytest.mark.usefixtures("few_cells")
+def test_a_flat_sensor_is_drawn_in_every_colour(bar, tmp_path) -> None:
+    flat = Simulator(bar, "fast", Hinge(span=0.02))
+    for colour in ("conductance", "strain", "current"):
+        draw(flat, [("flat", Scene())], tmp_path / f"{colour}.png", colour)
+        assert (picture(tmp_path / f"{colour}.png").min(axis=2) < 250).mean() > 0.05
+
+
+def test_pictures_that_cannot_be_drawn_are_refused(sim, tmp_path, monkeypatch) -> None:
+    scenes = [("flat", Scene())]
+    with pytest.raises(ConfigurationError, match="conductance', 'strain', 'current'"):
+        draw(sim, scenes, tmp_path / "a.png", "red")
+    with pytest.raises(ConfigurationError, match="0 to 7"):
+        draw(sim, scenes, tmp_path / "a.png", "current", (0, 8))
+    with pytest.raises(ConfigurationError, match=r"name one like a\.png"):
+        draw(sim, scenes, tmp_path / "a.gif")
+    with pytest.raises(ConfigurationError, match="there is no folder"):
+        draw(sim, scenes, tmp_path / "none" / "a.png")
+    monkeypatch.setitem(sys.modules, "pyvista", None)
+    with pytest.raises(ImportError, match=r"pip install 'eitskin\[view\]'"):
+        draw(sim, scenes, tmp_path / "a.png")
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,246 @@
+"""Scenes as VTK files: read back by pyvista, against the model and against closed forms."""
+
+import json
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import pyvista
+from typer.testing import CliRunner
+
+from eitskin.cli.main import app
+from eitskin.errors import ConfigurationError
+from eitskin.geometry import Bend, SensorDesign
+from eitskin.geometry.design.electrode import Electrode
+from eitskin.geometry.design.outline import Rectangle
+from eitskin.geometry.meshing.grading import Grading
+from eitskin.simulator import Protocol, Scene, Simulator, Touch
+from eitskin.simulator.electrical.fields import fields_in
+from eitskin.simulator.view import shapes
+from eitskin.simulator.view.scene_pictures import current_density, largest_strain
+from eitskin.simulator.view.vtu import (
+    BODY,
+    ELECTRODES,
+    field_resolution,
+    scene_grids,
+    thinning,
+    write_grids,
+)
+
+LENGTH, WIDTH, THICKNESS, CONDUCTIVITY = 0.040, 0.010, 0.005, 2.0
+CELL = 0.008
+BENT = Scene(bend=Bend(30.0), touches=(Touch(0.05, 0.02, force=12.0),))
+UNITS = ("_m", "_1", "_V_per_A", "_S_per_m", "_A_per_m2_per_A", "_ohm_m2")
+
+
+@pytest.fixture(scope="module")
+def sim() -> Simulator:
+    """Of few cells: what is compared is exact on any mesh."""
+    return Simulator(SensorDesign.reference(), ((2, 1), Grading(2e-3, CELL, 1.0, layers=2)))
+
+
+@pytest.fixture(scope="module")
+def written(sim, tmp_path_factory):
+    """Body and electrodes of a bent and pressed sensor, as pyvista reads them."""
+    folder = tmp_path_factory.mktemp("vtu")
+    grids = scene_grids(sim, BENT)
+    write_grids(grids, folder)
+    body, electrodes = pyvista.read(folder / BODY), pyvista.read(folder / ELECTRODES)
+    assert grids[BODY] == body  # all arrays
+    assert grids[ELECTRODES] == electrodes
+    assert sorted(path.name for path in folder.iterdir()) == [BODY, ELECTRODES]
+    return body, electrodes
+
+
+def close(said, known, part):
+    """Whether arrays differ by at most `part` of the largest value."""
+    return np.abs(said - known).max() <= part * np.abs(known).max()
+
+
+# What stands in the files
+
+
+def test_points_and_cells_are_those_of_the_deformed_mesh(sim, written) -> None:
+    body, electrodes = written
+    mesh, deformation = sim.model.mesh, sim.deformation(BENT)
+    assert np.array_equal(body.points, deformation.positions(mesh.points))
+    assert np.array_equal(body.cells_dict[12], mesh.cells)  # hexahedra, in VTK's order
+    assert body.compute_cell_sizes()["Volume"].min() > 0.0
+    corners = deformation.positions(mesh.contacts.corners)
+    assert np.array_equal(electrodes.points, corners.reshape(-1, 3))
+    assert electrodes.regular_faces.shape == corners.shape[:2]
+    assert np.array_equal(electrodes["electrode"], mesh.contacts.electrode)
+
+
+def test_fields_are_those_of_the_model(sim, written) -> None:
+    body, electrodes = written
+    mesh, setting = sim.model.mesh, sim.setting(BENT)
+    deformation = setting.deformation
+    fields = setting.conductivity, setting.area_ratio
+    assert np.array_equal(body["displacement_m"], body.points - mesh.points)
+    assert np.array_equal(body["largest_strain_1"], largest_strain(deformation, mesh.points))
+    u = sim.model.potentials(*fields)
+    for plus, minus, *_ in sim.protocol.table:
+        said = body[f"potential_{plus}_{minus}_V_per_A"]
+        assert close(said, u[:, plus] - u[:, minus], 1e-9)
+    density = current_density(sim.model, deformation, (2, 5), *fields)
+    said = body["current_density_2_5_A_per_m2_per_A"]
+    assert close(said, density, 1e-9)
+    middles = mesh.points[mesh.cells].mean(axis=1)
+    pulled_back = body["pulled_back_conductivity_S_per_m"].reshape(-1, 3, 3)
+    assert close(pulled_back, setting.conductivity(middles), 1e-12)
+    # Deformation moves the gel and leaves its own conductivity alone.
+    own = body["conductivity_S_per_m"].reshape(-1, 3, 3)
+    assert close(own, sim.design.conductivity * np.eye(3), 1e-12)
+    impedance = sim.measure(BENT).impedance.real
+    for value, (plus, minus, *_) in zip(impedance, sim.protocol.table, strict=True):
+        ends = electrodes[f"potential_{plus}_{minus}_V_per_A"]
+        of = electrodes["electrode"]
+        assert ends[of == plus][0] - ends[of == minus][0] == pytest.approx(value, rel=1e-9)
+
+
+def test_potentials_of_body_and_electrodes_count_from_one_place(sim, written) -> None:
+    """An electrode without current has the mean potential of what it touches."""
+    body, electrodes = written
+    facets = sim.model.mesh.contacts.facets
+    for electrode in (1, 2, 5, 6):
+        under = body["potential_0_4_V_per_A"][np.unique(facets[electrode])]
+        said = electrodes["potential_0_4_V_per_A"][electrodes["electrode"] == electrode]
+        assert np.ptp(said) == 0.0
+        assert under.min() < said[0] < under.max()
+
+
+def test_every_name_ends_in_its_unit(written) -> None:
+    for grid in written:
+        for name in grid.array_names:
+            assert name == "electrode" or name.endswith(UNITS), name
+
+
+def test_the_gel_is_as_thin_under_a_touch_as_the_press_says() -> None:
+    design = SensorDesign.reference()
+    sim = Simulator(design, field_resolution(design, CELL))
+    touch = Touch(0.05, 0.02, force=12.0)
+    scene = Scene(touches=(touch,))
+    on_the_axis = np.array([[touch.x, touch.y, 0.0]])
+    (press,) = sim.presses(scene)
+    said = thinning(sim, sim.deformation(scene), on_the_axis)
+    assert said == pytest.approx([press.thinning], rel=0.02)
+    assert said[0] > 0.1
+
+
+def test_the_page_names_every_field(written) -> None:
+    page = (Path(__file__).parents[3] / "docs" / "interoperability.md").read_text()
+    for grid in written:
+        for name in grid.array_names:
+            assert f"| `{re.sub('_[0-7]_[0-7]_', '_A_B_', name)}` |" in page
+
+
+# Closed forms
+
+
+@pytest.fixture(scope="module")
+def bar() -> Simulator:
+    """Between electrodes that cover its ends, without contact impedance to speak of."""
+    places = ((0.0, 0.5 * WIDTH), (LENGTH, 0.5 * WIDTH))
+    ends = tuple(Electrode(x, y, WIDTH, contact_impedance=1e-9) for x, y in places)
+    design = SensorDesign(
+        Rectangle(LENGTH, WIDTH), THICKNESS, ends, CONDUCTIVITY, encapsulated_thickness=THICKNESS
+    )
+    return Simulator(design, field_resolution(design, 0.004), protocol=Protocol.pairwise(2))
+
+
+def test_a_bar_has_ohms_law_in_every_cell(bar) -> None:
+    body, electrodes = scene_grids(bar, Scene()).values()
+    j = 1.0 / (WIDTH * THICKNESS)
+    assert close(body["current_density_0_1_A_per_m2_per_A"], np.array([j, 0.0, 0.0]), 1e-5)
+    potential = (0.5 * LENGTH - body.points[:, 0]) * j / CONDUCTIVITY
+    assert close(body["potential_0_1_V_per_A"], potential, 1e-4)
+    end = 0.5 * LENGTH * j / CONDUCTIVITY
+    ends = np.where(electrodes["electrode"] == 0, end, -end)
+    assert electrodes["potential_0_1_V_per_A"] == pytest.approx(ends, rel=1e-4)
+    for name in ("thinning_1", "largest_strain_1", "displacement_m"):
+        assert not body[name].any(), name
+
+
+def test_fields_of_all_electrodes_are_those_of_each(sim) -> None:
+    setting = sim.setting(Scene())
+    fields = fields_in(sim.model, setting)
+    assert fields.electrode_potentials == pytest.approx(sim.model.impedance(), rel=1e-9, abs=1e-9)
+    density = sim.model.current_density((3, 6))
+    difference = fields.current_densities[..., 3] - fields.current_densities[..., 6]
+    assert close(difference, density, 1e-9)
+
+
+# Choices and refusals
+
+
+def test_one_drive_can_be_chosen(sim) -> None:
+    names = scene_grids(sim, Scene(), [(6, 1)])[BODY].point_data.keys()
+    assert [n for n in names if n.startswith("potential")] == ["potential_6_1_V_per_A"]
+    for wrong in ((0, 8), (-1, 0), (3, 3)):
+        with pytest.raises(ConfigurationError, match="two different electrodes from 0 to 7"):
+            scene_grids(sim, Scene(), [wrong])
+
+
+def test_cells_are_as_small_as_asked() -> None:
+    design = SensorDesign.reference()
+    _, fine = field_resolution(design)
+    assert fine.coarsest == pytest.approx(0.150 / 60)
+    assert field_resolution(design, 1.0e-3)[1].coarsest == 1.0e-3
+    for wrong in (0.0, -1.0, 2.5, float("nan")):
+        with pytest.raises(ConfigurationError, match="are the units metres"):
+            field_resolution(design, wrong)
+
+
+def test_a_place_that_cannot_be_written_is_said(tmp_path) -> None:
+    with pytest.raises(ConfigurationError, match="cannot write"):
+        write_grids({BODY: pyvista.Sphere()}, tmp_path / "nowhere")
+
+
+def test_the_missing_extra_is_named(sim, monkeypatch) -> None:
+    monkeypatch.setitem(sys.modules, "pyvista", None)
+    with pytest.raises(ImportError, match=r"eitskin\[view\]"):
+        scene_grids(sim, Scene())
+
+
+def test_other_cells_are_written_too(tmp_path) -> None:
+    """A disc, of prisms."""
+    (tmp_path / "disc.toml").write_text(
+        "outline = { radius = 0.03 }\nthickness = 0.004\n[electrodes]\ncount = 6\nwidth = 0.004\n"
+    )
+    design = SensorDesign.from_toml(tmp_path / "disc.toml")
+    sim = Simulator(design, field_resolution(design, 0.006))
+    write_grids(scene_grids(sim, Scene(bend=Bend(10.0)), [(0, 3)]), tmp_path)
+    body = pyvista.read(tmp_path / BODY)
+    assert np.array_equal(body.cells_dict[13], shapes.volume(sim.model.mesh).cells_dict[13])
+    assert body["displacement_m"].any()
+
+
+# The command
+
+
+def export(*words):
+    ran = CliRunner().invoke(app, ["export", "vtu", *(str(word) for word in words)])
+    if ran.exception is not None:
+        raise ran.exception
+    return ran.stdout
+
+
+def test_the_command_writes_a_scene(tmp_path) -> None:
+    scene, out = tmp_path / "scene.toml", tmp_path / "out"
+    scene.write_text("[bend]\nangle_deg = 20.0\n")
+    options = ("--out", out, "--cell", 0.01, "--drive", 0, 4)
+    said = json.loads(export(scene, *options, "--json"))
+    body = pyvista.read(out / BODY)
+    assert (said["cells"], said["points"]) == (body.n_cells, body.n_points)
+    assert body["displacement_m"][:, 2].min() < -0.005
+    before = (out / BODY).read_bytes()
+    with pytest.raises(ConfigurationError, match="not empty"):
+        export(scene, *options)
+    assert (out / BODY).read_bytes() == before
+    for wrong in (("--touch-model", "guess"), ("--drive", 0, 9), ("--cell", 10)):
+        with pytest.raises(ConfigurationError):
+            export(scene, "--out", tmp_path / "other", *wrong)
+    assert not (tmp_path / "other").exists()

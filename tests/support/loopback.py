@@ -1,0 +1,91 @@
+"""A board behind a port that needs no cable, no pseudo-terminal and no waiting."""
+
+import dataclasses
+import itertools
+
+import numpy as np
+
+from eitskin.hardware import SerialBoard, open_board
+from eitskin.hardware.protocol.packets import Decoder
+from eitskin.hardware.virtual.scene_script import noise_free
+from eitskin.hardware.virtual.stage import Stage
+from eitskin.hardware.virtual.virtual_board import VirtualFirmware
+from eitskin.simulator import Frame, Protocol
+
+PROTOCOL = Protocol.pairwise(8)
+FLAT = np.linspace(400.0, 820.0, 28)
+
+
+class FakeSimulator:
+    """Impedances that depend on the bend angle alone; counts the scenes it computes."""
+
+    protocol = PROTOCOL
+    full_scale = 820.0
+
+    def __init__(self):
+        self.computed = 0
+
+    def measure(self, scene):
+        self.computed += 1
+        return Frame(FLAT * (1.0 + 1e-3 * scene.bend.angle_deg), PROTOCOL)
+
+
+def virtual(**options):
+    return open_board("virtual:?speed=max", simulator=FakeSimulator(), **options)
+
+
+def take(board, count, **options):
+    return list(itertools.islice(board.frames(**options), count))
+
+
+class Loopback:
+    """A port with a firmware right behind it, and a clock that only waiting moves."""
+
+    def __init__(self, firmware):
+        self.firmware, self.now, self.closed = firmware, 0.0, False
+        self.waiting = bytearray(firmware.boot())
+        self.deaf = 0  # requests that the board does not hear
+        self.heard = []
+
+    def clock(self):
+        return self.now
+
+    @property
+    def in_waiting(self):
+        return len(self.waiting)
+
+    def read(self, size=1):
+        if not self.waiting and self.firmware.streaming:
+            self.waiting += self.firmware.frame()
+            self.now += self.firmware.info.period
+        elif not self.waiting:
+            self.now += 0.05
+        data = bytes(self.waiting[:size])
+        del self.waiting[:size]
+        return data
+
+    def write(self, data):
+        self.heard += Decoder().feed(data)
+        if self.deaf:
+            self.deaf -= 1
+        else:
+            self.waiting += self.firmware.receive(data)
+
+    def reset_input_buffer(self):
+        self.waiting.clear()
+
+    def close(self):
+        self.closed = True
+
+
+def firmware(faults=(), sensor=lambda _: FLAT, **changes):
+    stage = Stage(lambda _: FLAT, faults=faults)
+    board = VirtualFirmware(stage, PROTOCOL, lambda _, now: noise_free(sensor(now), now))
+    board.info = dataclasses.replace(board.info, **changes)
+    return board
+
+
+def connected(board_firmware, **state):
+    port = Loopback(board_firmware)
+    vars(port).update(state)
+    return SerialBoard(lambda: port, "serial:loopback", clock=port.clock), port

@@ -1,0 +1,143 @@
+"""A board that the live page is of, and a browser that watches it."""
+
+import dataclasses
+import http.client
+import json
+from contextlib import closing
+
+import numpy as np
+
+from eitskin.datasets import State
+from eitskin.errors import ConfigurationError
+from eitskin.geometry import Bend, SensorDesign
+from eitskin.hardware import Counts, Reading
+from eitskin.simulator import Frame, Protocol, Scene, Touch
+from eitskin.training.method.predictions import FoundTouches
+
+PROTOCOL = Protocol.pairwise(8)
+DESIGN = SensorDesign.reference()
+JSON = {"Content-Type": "application/json"}
+
+
+@dataclasses.dataclass
+class Info:
+    firmware: str = "fake"
+    period: float = 1 / 30
+
+
+class FakeStage:
+    """Remembers what it was told; frame 7 was measured of a bent, touched sensor."""
+
+    def __init__(self):
+        self.scene, self.faults, self.played = Scene(), (), []
+
+    def set(self, scene):
+        if scene.bend.angle_deg == 13.0:
+            raise ConfigurationError("expected a scene, got an unlucky one")
+        self.scene = scene
+
+    def play(self, script):
+        self.played.append(script)
+
+    def truth(self, number):
+        return Scene(Bend(20.0), (Touch(0.05, 0.03),)) if number == 7 else None
+
+    def inject(self, text):
+        if not text.startswith("bit_flip"):
+            raise ConfigurationError(f"no fault {text}")
+        self.faults = (*self.faults, text)
+
+    def clear(self):
+        self.faults = ()
+
+
+@dataclasses.dataclass
+class FakeBoard:
+    stage: FakeStage | None = dataclasses.field(default_factory=FakeStage)
+    uri: str = "virtual:"
+    protocol: Protocol = PROTOCOL
+    info: Info = dataclasses.field(default_factory=Info)
+    counts: Counts = dataclasses.field(
+        default_factory=lambda: Counts(frames=5, lost=2, dropped={"crc": 1})
+    )
+
+
+@dataclasses.dataclass
+class FakeConnection:
+    board: FakeBoard = dataclasses.field(default_factory=FakeBoard)
+    problem: str = ""
+
+
+@dataclasses.dataclass
+class FakeEstimate:
+    state: State | str = State.TOUCH
+    probabilities: tuple = (0.1, 0.8, 0.1)
+    bend_angle_deg: float = 20.5
+    touch_map: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((32, 80)))
+    found: FoundTouches = dataclasses.field(
+        default_factory=lambda: FoundTouches.of([(0.05, 0.031)], [0.9], [7.5])
+    )
+    problems: tuple = ()
+
+    @property
+    def touches(self):
+        return self.found.triples
+
+
+def reading(number=7, estimate=None, impedance=None, session=1, **known):
+    impedance = np.full(28, 500.0 + number) if impedance is None else impedance
+    frame = Frame(impedance, PROTOCOL, number=number, session=session)
+    known = {"latency": 0.004, "rate": 30.0} | known
+    return Reading(frame, estimate or FakeEstimate(), **known)
+
+
+def port_of(page):
+    return int(page.url.rstrip("/").rpartition(":")[2])
+
+
+def ask(page, method, path, body=None, headers=None, own=True):
+    """Status, headers and body of an answer; from the page's own origin unless told otherwise."""
+    client = http.client.HTTPConnection("127.0.0.1", port_of(page), timeout=10)
+    own = {"Origin": page.url.rstrip("/")} if own and method == "POST" else {}
+    with closing(client):
+        client.request(method, path, body, own | (headers or {}))
+        answer = client.getresponse()
+        return answer.status, dict(answer.getheaders()), answer.read()
+
+
+def post(page, path, data, **headers):
+    """Status and parsed answer of a command."""
+    body = data if isinstance(data, bytes) else json.dumps(data).encode()
+    status, _, answer = ask(page, "POST", path, body, JSON | headers)
+    return status, json.loads(answer)
+
+
+class Stream:
+    """A browser's event source."""
+
+    def __init__(self, page):
+        self.client = http.client.HTTPConnection("127.0.0.1", port_of(page), timeout=10)
+        self.client.request("GET", "/events")
+        self.answer = self.client.getresponse()
+
+    def next(self):
+        """Name and data of the next event; None at the end."""
+        fields = {}
+        while line := self.answer.readline().decode():
+            name, colon, value = line.rstrip("\n").partition(": ")
+            if not name:
+                return fields["event"], json.loads(fields["data"])
+            assert colon
+            assert name in ("retry", "event", "data")
+            fields[name] = value
+        return None
+
+    def until(self, name):
+        """Data of the next event of that name."""
+        while (found := self.next())[0] != name:
+            pass
+        return found[1]
+
+    def close(self):
+        self.answer.close()
+        self.client.close()

@@ -1,0 +1,35 @@
+"""Shards made in the process of the test, where it is not processes that are tried."""
+
+import threading
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from threadpoolctl import threadpool_limits
+
+from eitskin.datasets import Recipe, write_shard
+from eitskin.datasets.generation import process_pool as processes
+from eitskin.datasets.generation.shard_simulation import simulate_shard
+from eitskin.datasets.store.shard import shard_name
+
+_one_at_a_time = threading.Lock()  # simulators are shared
+
+
+def make_shards(
+    recipe: Recipe,
+    folder: Path,
+    shards: Sequence[int],
+    workers: int,  # noqa: ARG001
+    report: Callable[[int], None],
+) -> list[int]:
+    """As that of `processes`, without the second that each worker takes to load."""
+    for shard in shards:
+        with _one_at_a_time, threadpool_limits(1):  # as in workers, on whose sums bytes depend
+            data = simulate_shard(recipe, shard)
+        write_shard(folder / shard_name(shard), data, recipe.shard_range(shard).start)
+        report(shard)
+    return []
+
+
+def in_this_process(monkeypatch):
+    """Let `generate` make shards here."""
+    monkeypatch.setattr(processes, "make_shards", make_shards)

@@ -1,0 +1,325 @@
+"""Bounds against closed forms, against estimates that reach them, and on real scenes."""
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+from scipy.special import erf
+
+from eitskin.errors import ConfigurationError
+from eitskin.geometry import Bend, SensorDesign
+from eitskin.simulator import Instrument, Scene, Simulator, Touch
+from eitskin.simulator.electrical.reanalysis import EXACT
+from eitskin.training.evaluation.cramer_rao import (
+    SceneDerivatives,
+    Steps,
+    bound,
+    information,
+    mean_distance,
+    scene_bound,
+    scene_derivatives,
+)
+
+PRESS = Scene(Bend(20.0), (Touch(0.040, 0.020, 8.0),))
+
+
+@pytest.fixture(scope="module")
+def sim():
+    return Simulator(SensorDesign.reference(), "fast")
+
+
+@pytest.fixture(scope="module")
+def derivatives(sim):
+    return scene_derivatives(sim, PRESS)
+
+
+def drawn(seed, parameters=4, measurements=9):
+    """Derivatives and a covariance with correlations."""
+    rng = np.random.default_rng(seed)
+    G, A = (rng.normal(size=(rows, measurements)) for rows in (parameters, measurements))
+    return G, A @ A.T + np.eye(measurements)
+
+
+def test_straight_line():
+    """y = a + b t with white noise s, by the formulas of linear regression."""
+    t, s = np.array([1.0, 2.0, 4.0, 7.0, 11.0]), 0.3
+    spread = ((t - t.mean()) ** 2).sum()
+    found = bound(information(np.array([np.ones(5), t]), s**2 * np.eye(5)))
+    assert found[1, 1] == pytest.approx(s**2 / spread)
+    assert found[0, 0] == pytest.approx(s**2 * (t**2).mean() / spread)
+    assert found[0, 1] == pytest.approx(-(s**2) * t.mean() / spread)
+    known = bound(information(t[None], s**2 * np.eye(5)))
+    assert known[0, 0] == pytest.approx(s**2 / (t**2).sum())
+
+
+def test_correlated_noise():
+    G, C = drawn(1)
+    assert information(G, C) == pytest.approx(G @ np.linalg.inv(C) @ G.T)
+    assert bound(information(G, C)) == pytest.approx(np.linalg.inv(G @ np.linalg.inv(C) @ G.T))
+
+
+def test_noise_that_all_values_share_does_not_blur_their_differences():
+    shared = 1e-4 * np.eye(2) + 10.0
+    found = bound(information(np.array([[1.0, -1.0]]), shared))
+    assert found[0, 0] == pytest.approx(0.5e-4)
+
+
+def test_most_likely_place_of_a_source_reaches_the_bound():
+    """A source at (x, y) of unknown strength, seen by sensors around it as its log intensity."""
+    around = 2.0 * np.pi * np.arange(8) / 8.0
+    sensors = np.stack([1.5 * np.cos(around), np.sin(around)], axis=1)
+    truth, s, n = np.array([0.4, 0.3, 0.2]), 2e-3, 4000
+
+    def mean(p):
+        return p[:, 2:] - np.log(1.0 + ((p[:, None, :2] - sensors) ** 2).sum(-1))
+
+    def slopes(p):
+        away = p[:, None, :2] - sensors
+        by_place = -2.0 * away / (1.0 + (away**2).sum(-1))[..., None]
+        return np.concatenate([by_place, np.ones((*away.shape[:2], 1))], axis=-1)
+
+    values = mean(truth[None]) + s * np.random.default_rng(2).normal(size=(n, 8))
+    found = np.tile(truth + 0.05, (n, 1))
+    for _ in range(6):  # Gauss-Newton; without correlations least squares are most likely
+        step = np.linalg.pinv(slopes(found)) @ (values - mean(found))[..., None]
+        found += step[..., 0]
+    assert np.abs(step).max() < 1e-9
+
+    least = bound(information(slopes(truth[None])[0].T, s**2 * np.eye(8)))
+    root = np.linalg.inv(np.linalg.cholesky(least))
+    ratios = np.linalg.eigvalsh(root @ np.cov(found.T) @ root.T)
+    assert np.abs(ratios - 1.0).max() < 4.0 * np.sqrt(2.0 / n)
+    distance = np.linalg.norm(found[:, :2] - truth[:2], axis=1)
+    error = distance.std() / np.sqrt(n)
+    assert abs(distance.mean() - mean_distance(least[:2, :2])) < 4.0 * error
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_what_is_unknown_never_lowers_the_bound(seed):
+    G, C = drawn(seed)
+    known, unknown = bound(information(G[:3], C)), bound(information(G, C), nuisance=(3,))
+    growth = np.linalg.eigvalsh(unknown - known)
+    assert growth.min() > -1e-12
+    assert growth.max() > 1e-4
+    assert unknown == pytest.approx(bound(information(G, C))[:3, :3])
+    assert bound(information(G[[3, 0, 1, 2]], C), nuisance=(0,)) == pytest.approx(unknown)
+
+
+def test_units_do_not_matter():
+    G, C = drawn(3)
+    units = np.array([1e-9, 1.0, 1e6, 1e12])
+    found = bound(information(units[:, None] * G, 1e-8 * C))
+    expected = 1e-8 * bound(information(G, C)) / np.outer(units, units)
+    assert found == pytest.approx(expected, rel=1e-9, abs=0.0)
+
+
+def test_parameters_seen_by_different_measurements_are_bounded_apart():
+    (G, C), (H, D) = drawn(4, 2, 5), drawn(5, 3, 6)
+    both = np.block([[G, np.zeros((2, 6))], [np.zeros((3, 5)), H]])
+    noise = np.block([[C, np.zeros((5, 6))], [np.zeros((6, 5)), D]])
+    found = bound(information(both, noise))
+    assert found[:2, :2] == pytest.approx(bound(information(G, C)))
+    assert found[2:, 2:] == pytest.approx(bound(information(H, D)))
+    assert np.abs(found[:2, 2:]).max() < 1e-12
+
+
+def test_what_cannot_be_told_is_said():
+    G, C = drawn(6)
+    with pytest.raises(ConfigurationError, match=r"nothing of parameters \[1\]"):
+        bound(information(G * np.array([[1.0], [0.0], [1.0], [1.0]]), C))
+    with pytest.raises(ConfigurationError, match=r"cannot tell parameters \[0, 2\] apart"):
+        bound(information(np.array([G[0], G[1], -3.0 * G[0]]), C))
+    with pytest.raises(ConfigurationError, match="positive definite"):
+        information(G, -C)
+    with pytest.raises(ConfigurationError, match="positive definite"):
+        information(G, np.ones((9, 9)))
+
+
+@pytest.mark.parametrize("deviations", [(1.0, 1.0), (1.0, 0.3), (2.0, 0.05)])
+def test_mean_distance_is_the_integral(deviations):
+    """Of the distance, over its density, on a fine grid along the principal axes."""
+    turn = np.array([[0.8, -0.6], [0.6, 0.8]])
+    covariance = turn @ np.diag(np.square(deviations)) @ turn.T
+    edges = np.linspace(-8.0, 8.0, 1601)
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    mass = np.diff(0.5 * erf(edges / np.sqrt(2.0)))
+    distance = np.hypot(deviations[0] * middle[:, None], deviations[1] * middle)
+    assert mean_distance(covariance) == pytest.approx(mass @ distance @ mass, rel=1e-4)
+
+
+def test_mean_distance_at_its_limits():
+    line = np.array([[4.0, 0.0], [0.0, 0.0]])
+    found = mean_distance(np.array([line, np.eye(2), np.zeros((2, 2))]))
+    assert found == pytest.approx([2.0 * np.sqrt(2.0 / np.pi), np.sqrt(np.pi / 2.0), 0.0])
+
+
+@dataclass
+class Quadratic:
+    """Takes the place of a simulator: logarithms are quadratic in x, y, force and angle."""
+
+    forces: tuple[float, float] = (0.0, 20.0)
+    seen: list[Scene] = field(default_factory=list)
+
+    def deformation(self, scene):
+        low, high = self.forces
+        if not all(t.x >= 0.0 and t.y <= 0.06 and low <= t.force <= high for t in scene.touches):
+            raise ConfigurationError("off")
+
+    def measure_all(self, scenes, tolerance):
+        assert tolerance is EXACT  # what else is left out would be differentiated too
+        self.seen += scenes
+        return -np.exp([self.logarithm(scene) for scene in scenes]) + 5.0j
+
+    @staticmethod
+    def logarithm(scene):
+        a, (t,) = scene.bend.angle_deg, scene.touches
+        x, y = 1e2 * t.x, 1e2 * t.y
+        return [x**2 + y, y**2 + 0.1 * t.force**2, 0.01 * a**2 + x, y * y - x * x + 0.1 * a]
+
+
+@pytest.mark.parametrize("place", [(0.03, 0.03), (0.0005, 0.0599), (0.0, 0.06)])
+@pytest.mark.parametrize("force", [10.0, 19.9])
+def test_differences_are_of_second_order_next_to_limits_too(place, force):
+    model, scene = Quadratic(), Scene(Bend(5.0), (Touch(*place, force),))
+    found = scene_derivatives(model, scene)
+    x, y = 1e2 * place[0], 1e2 * place[1]
+    expected = [[2e2 * x, 0, 1e2, -2e2 * x], [1e2, 2e2 * y, 0, 2e2 * y], [0, 0.2 * force, 0, 0]]
+    assert found.by_touch[0] == pytest.approx(np.array(expected), rel=1e-9, abs=1e-9)
+    assert found.by_angle == pytest.approx(np.array([0, 0, 0.1, 0.1]), abs=1e-10)
+    assert found.resistance == pytest.approx(-np.exp(model.logarithm(scene)))
+    for each in model.seen:
+        model.deformation(each)
+
+
+def test_a_touch_without_room_is_refused():
+    scene = Scene(touches=(Touch(0.03, 0.03, 10.0),))
+    with pytest.raises(ConfigurationError, match=r"no room to change force of touch 0 by 0\.2"):
+        scene_derivatives(Quadratic(forces=(9.9, 10.1)), scene)
+
+
+def test_a_depth_is_refused(sim):
+    with pytest.raises(ConfigurationError, match="give it a force"):
+        scene_bound(sim, Scene(touches=(Touch(0.03, 0.03, depth=1e-3),)), 1e-3)
+
+
+def test_derivatives_are_those_of_the_measurements(sim, derivatives):
+    """Along a path through all parameters at once, from one side to the other."""
+
+    def at(t):
+        press = Touch(0.040 + 4e-4 * t, 0.020 - 6e-4 * t, 8.0 + 0.1 * t)
+        return np.log(sim.measure(Scene(Bend(20.0 + 0.05 * t), (press,))).impedance.real)
+
+    along = np.array([4e-4, -6e-4, 0.1]) @ derivatives.by_touch[0] + 0.05 * derivatives.by_angle
+    moved = 0.5 * (at(1.0) - at(-1.0))
+    assert np.linalg.norm(along - moved) < 0.02 * np.linalg.norm(moved)
+    assert derivatives.resistance == pytest.approx(np.exp(at(0.0)))
+
+
+def test_halving_the_steps_changes_little(sim, derivatives):
+    steps = Steps()
+    halved = Steps(steps.place / 2, steps.force / 2, steps.angle_deg / 2)
+    fine, coarse = scene_derivatives(sim, PRESS, halved).bound(1e-3), derivatives.bound(1e-3)
+    assert coarse.distance == pytest.approx(fine.distance, rel=0.02)
+    assert coarse.force == pytest.approx(fine.force, rel=0.02)
+    assert coarse.angle_deg == pytest.approx(fine.angle_deg, rel=0.001)
+
+
+def test_bounds_scale_with_the_noise_and_the_reference(derivatives):
+    once, louder = derivatives.bound(1e-3), derivatives.bound(np.full(28, 3e-3))
+    averaged, four = derivatives.bound(1e-3, math.inf), derivatives.bound(1e-3, 4.0)
+    for name in ("place", "distance", "force", "angle_deg"):
+        value = getattr(once, name)
+        assert np.all(value > 0.0)
+        assert getattr(louder, name) == pytest.approx(3.0 * value)
+        assert getattr(averaged, name) == pytest.approx(value / np.sqrt(2.0))
+        assert getattr(four, name) == pytest.approx(value * np.sqrt(1.25 / 2.0))
+    assert np.all(once.distance < once.place)
+
+
+def test_an_angle_or_a_drift_that_is_unknown_costs(derivatives):
+    free, known = derivatives.bound(1e-3), derivatives.bound(1e-3, angle_known=True)
+    drifting = derivatives.bound(1e-3, factor_known=False)
+    assert known.angle_deg == 0.0
+    for name in ("place", "distance", "force"):
+        assert np.all(getattr(known, name) < getattr(free, name))
+        assert np.all(getattr(free, name) < getattr(drifting, name))
+    assert free.angle_deg < drifting.angle_deg
+
+
+def test_each_bound_is_read_from_its_place_in_the_covariance(sim):
+    touches = (Touch(0.040, 0.020, 8.0), Touch(0.110, 0.040, 4.0))
+    found = scene_derivatives(sim, Scene(touches=touches))
+    rows = [*found.by_touch.reshape(6, 28), found.by_angle, np.ones(28)]
+    noise = np.linspace(1e-4, 5e-4, 28)
+    C = np.linalg.pinv(np.array(rows) @ np.diag(1.0 / (2.0 * noise**2)) @ np.array(rows).T, 1e-20)
+    least = found.bound(noise, factor_known=False)
+    variances = np.diag(C)
+    places = variances[:6].reshape(2, 3)[:, :2]
+    assert least.place == pytest.approx(np.sqrt(places.sum(axis=1)), rel=1e-4)
+    assert least.force == pytest.approx(np.sqrt(variances[[2, 5]]), rel=1e-4)
+    assert least.angle_deg == pytest.approx(np.sqrt(variances[6]), rel=1e-4)
+    assert least.distance[1] == pytest.approx(mean_distance(C[3:5, 3:5]), rel=1e-4)
+
+
+def test_a_common_factor_cannot_be_told_from_what_changes_all_values_alike():
+    alike = SceneDerivatives(np.ones(3), np.zeros((0, 3, 3)), np.full(3, 0.01))
+    assert alike.bound(0.03, math.inf).angle_deg == pytest.approx(3.0 / np.sqrt(3.0))
+    with pytest.raises(ConfigurationError, match="apart"):
+        alike.bound(0.03, factor_known=False)
+
+
+def test_white_noise_of_the_instrument(sim, derivatives):
+    """Of the logarithms of frames that it measures."""
+    noise = derivatives.noise(Instrument(), sim.full_scale)
+    rng, quiet = np.random.default_rng(7), np.log(np.abs(derivatives.resistance))
+    frames = [sim.measure(PRESS, Instrument(), rng).impedance.real for _ in range(300)]
+    relative = (np.log(frames) - quiet) / noise
+    assert np.sqrt(np.mean(relative**2)) == pytest.approx(1.0, abs=4.0 / np.sqrt(2 * 300 * 28))
+
+
+def test_touches_keep_their_order(sim):
+    """Each alone is bounded by less than beside the other, and they are not mixed up."""
+    touches = (Touch(0.075, 0.015, 5.0), Touch(0.105, 0.030, 10.0))
+    both = scene_derivatives(sim, Scene(touches=touches))
+    swapped = scene_derivatives(sim, Scene(touches=touches[::-1]))
+    assert swapped.by_touch[::-1] == pytest.approx(both.by_touch, rel=1e-6, abs=1e-9)
+    together = both.bound(1e-4)
+    for number in range(2):
+        alone = replace(both, by_touch=both.by_touch[number : number + 1]).bound(1e-4)
+        assert 0.5 * together.distance[number] < alone.distance[0] < together.distance[number]
+    assert 3.0 * together.distance[0] < together.distance[1]
+
+
+def test_mirror_images_are_known_alike(sim, derivatives):
+    """In the middle lines of the sensor, the bent one too."""
+    bound = derivatives.bound(1e-3)
+    for x, y in ((0.110, 0.020), (0.040, 0.040)):
+        image = scene_bound(sim, Scene(Bend(20.0), (Touch(x, y, 8.0),)), 1e-3)
+        assert image.distance == pytest.approx(bound.distance, rel=1e-3)
+        assert image.angle_deg == pytest.approx(bound.angle_deg, rel=1e-3)
+
+
+def test_an_untouched_sensor_has_an_angle(sim):
+    found = scene_bound(sim, Scene(Bend(10.0)), 2e-4)
+    assert len(found.place) == len(found.distance) == len(found.force) == 0
+    slope = np.log(sim.measure(Scene(Bend(10.5))).impedance.real) - np.log(
+        sim.measure(Scene(Bend(9.5))).impedance.real
+    )
+    assert found.angle_deg == pytest.approx(np.sqrt(2.0) * 2e-4 / np.linalg.norm(slope), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "match"),
+    [
+        ({"deviation": 0.0}, "above 0"),
+        ({"deviation": [1e-3, -1e-3, 1e-3]}, "above 0"),
+        ({"deviation": math.nan}, "above 0"),
+        ({"deviation": 1e-3, "reference_frames": 0.0}, "above 0"),
+        ({"deviation": 1e-3, "angle_known": True}, "nothing is estimated"),
+    ],
+)
+def test_what_cannot_be_bounded(arguments, match):
+    flat = SceneDerivatives(np.ones(3), np.zeros((0, 3, 3)), np.array([1.0, 2.0, 3.0]))
+    with pytest.raises(ConfigurationError, match=match):
+        flat.bound(**arguments)

@@ -1,0 +1,327 @@
+"""What `evaluate` measures, against figures worked out by hand, and the report folder."""
+
+import dataclasses
+import json
+import sys
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+from eitskin.datasets import Dataset, State, touch_maps
+from eitskin.errors import ConfigurationError, DataError, PartialError
+from eitskin.geometry import Disc, Electrode, SensorDesign
+from eitskin.simulator import Protocol
+from eitskin.training import FoundTouches, Perceived, Pipeline, TrainingSettings
+from eitskin.training.evaluation import report_folder
+from eitskin.training.evaluation.evaluate import Evaluation
+from eitskin.training.evaluation.report_drawing import draw_sensor, new_figure
+from eitskin.training.evaluation.report_folder import PICTURES, require_report_folder, write_report
+from eitskin.training.evaluation.report_table import table_rows
+from eitskin.training.method.input_spec import Layout
+from eitskin.training.method.observations import Observed
+from eitskin.training.method.predictions import NO_TOUCHES
+
+FLAT = np.linspace(400.0, 820.0, 28)
+NAN = float("nan")
+
+
+@dataclasses.dataclass
+class Told:
+    """A method that says what it was told to, whatever it is shown."""
+
+    KIND: ClassVar[str] = "told"
+    AVERAGES: ClassVar[bool] = False
+    histories: ClassVar[dict] = {}
+    says: Perceived
+
+    def perceive(self, observed):
+        if len(observed) == len(self.says.touches):
+            return self.says
+        return dataclasses.replace(
+            self.says,
+            **{
+                field.name: getattr(self.says, field.name)[: len(observed)]
+                for field in dataclasses.fields(self.says)
+            },
+        )
+
+
+# State, angle and places [mm]; what is said: angle, its deviation, places, forces, deviations.
+FRAMES = [
+    (State.IDLE, 0.0, [], 0.5, 1.0, [], [], []),
+    (State.IDLE, 0.0, [], 0.0, 1.0, [(20, 20)], [3.0], [1.0]),
+    (State.BEND, 10.0, [], 12.0, 1.0, [], [], []),
+    (State.BEND, -10.0, [], -11.0, 1.0, [], [], []),
+    (State.TOUCH, 0.0, [(30, 30)], 1.0, 2.0, [(33, 34)], [9.0], [4.0]),
+    (State.TOUCH, 20.0, [(30, 30), (90, 30)], 23.0, NAN, [(30, 31), (60, 30)], [12, 1], [2, 1]),
+    (State.TOUCH, -20.0, [(75, 30)], -20.0, NAN, [], [], []),
+]
+SAID = [State.IDLE, State.TOUCH, State.BEND, State.BEND, State.TOUCH, State.TOUCH, State.BEND]
+
+
+def discs(places):
+    """A touch map that is exactly the truth."""
+    xy = np.array(places, float).reshape(-1, 2).T[:, None] * 1e-3
+    return touch_maps(xy[0], xy[1], np.full(xy[0].shape, 0.0075))[0]
+
+
+def perceived():
+    return Perceived(
+        np.eye(3)[SAID],
+        np.array([frame[3] for frame in FRAMES]),
+        np.array([frame[4] for frame in FRAMES]),
+        np.array([discs(frame[2]) for frame in FRAMES]),
+        tuple(
+            FoundTouches.of(
+                1e-3 * np.array(places, float).reshape(-1, 2),
+                np.linspace(0.9, 0.8, len(places)),
+                forces,
+                1e-3 * np.array(deviations),
+            )
+            if places
+            else NO_TOUCHES
+            for *_, places, forces, deviations in FRAMES
+        ),
+        ((),) * len(FRAMES),
+    )
+
+
+def frames(**changes):
+    n = len(FRAMES)
+    xy = np.full((2, n, 4), np.nan)
+    for i, (_, _, places, *_) in enumerate(FRAMES):
+        xy[:, i, : len(places)] = 1e-3 * np.array(places, float).reshape(-1, 2).T
+    there = np.isfinite(xy[0])
+    known = {
+        "touch_reference": np.tile(FLAT, (n, 1)),
+        "specimen": np.zeros(n),
+        "state": [frame[0] for frame in FRAMES],
+        "bend_angle_deg": [frame[1] for frame in FRAMES],
+        "touch_x": xy[0],
+        "touch_y": xy[1],
+        "touch_radius": np.where(there, 0.0075, np.nan),
+        "touch_force": np.where(there, 10.0, np.nan),
+        "protocol": Protocol.pairwise(8),
+        "design": SensorDesign.reference(),
+        "recipe": 'name = "by hand"\n',
+        "source": "simulated",
+    }
+    return Dataset.from_arrays(np.tile(FLAT, (n, 1)), FLAT, **known | changes)
+
+
+def pipeline(says):
+    data = frames()
+    return Pipeline(
+        Layout(data.design, data.protocol, data.frequency, FLAT),
+        Told(says),
+        1e-4,
+        TrainingSettings(seed=5),
+        {"sha256": "0" * 64, "frames": 3, "source": "simulated"},
+        Observed.of(data.select([0])),
+    )
+
+
+@pytest.fixture(scope="module")
+def evaluation():
+    return Evaluation.of(pipeline(perceived()), frames())
+
+
+def test_states(evaluation):
+    states = evaluation.report.states
+    assert states.accuracy == {"idle": 0.5, "touch": pytest.approx(2 / 3), "bend": 1.0}
+    assert states.bent_touch_accuracy == 0.5
+    assert states.idle_as_touch == 0.5
+    assert states.confusion == [[1, 1, 0], [0, 2, 1], [0, 0, 2]]
+
+
+def test_bend(evaluation):
+    """Errors: bent 2, -1; touched 1, 3, 0; with a deviation 0.5/1, 0/1, 2/1, -1/1, 1/2."""
+    bend = evaluation.report.bend
+    assert bend.rmse_deg == pytest.approx(np.sqrt(5 / 2))
+    assert bend.bias_deg == pytest.approx(0.5)
+    assert bend.r2 == pytest.approx(1 - 5 / 200)
+    assert bend.touched_rmse_deg == pytest.approx(np.sqrt(10 / 3))
+    assert bend.touched_bias_deg == pytest.approx(4 / 3)
+    assert bend.calibration.count == 5
+    assert bend.calibration.rms_ratio == pytest.approx(np.sqrt((0.25 + 0 + 4 + 1 + 0.25) / 5))
+    assert bend.calibration.within_one == pytest.approx(4 / 5)
+
+
+def test_touches(evaluation):
+    """Matched: 5 mm off with deviation 4, 1 mm off with deviation 2; two missed, one false."""
+    touches = evaluation.report.touches
+    assert set(touches) == {"1", "2", "several", "bent"}
+    one, two, bent = touches["1"], touches["2"], touches["bent"]
+    assert (one.frames, one.found, one.false_per_touch) == (2, 0.5, 0.0)
+    assert (one.mean_error_mm, one.deviation_mm) == (pytest.approx(5.0), pytest.approx(0.0))
+    assert (two.frames, two.found, two.false_per_touch) == (1, 0.5, 0.5)
+    assert two.mean_error_mm == pytest.approx(1.0)
+    assert two == touches["several"]
+    assert (bent.frames, bent.found) == (2, pytest.approx(1 / 3))
+    assert one.ssim["touch_map"] == pytest.approx(1.0)
+    assert 0.85 < one.ssim["empty"] < 0.95
+    place = evaluation.report.place_calibration
+    assert place.count == 2
+    assert place.rms_ratio == pytest.approx(np.sqrt((1.25**2 + 0.25) / 2), rel=1e-5)
+    assert place.within_one == 0.5
+
+
+def test_spread_of_errors():
+    """Ten touches 0.1, 0.4, 0.9 ... 10 mm off."""
+    chosen = np.full(10, 4)
+    places = tuple(FoundTouches.of([(0.030 + 1e-4 * k**2, 0.030)], [1.0]) for k in range(1, 11))
+    told = perceived()
+    says = dataclasses.replace(
+        told,
+        **{
+            name: getattr(told, name)[chosen]
+            for name in ("probabilities", "bend_angle_deg", "bend_deviation_deg", "touch_map")
+        },
+        touches=places,
+        problems=((),) * 10,
+    )
+    report = Evaluation.of(pipeline(says), frames().select(chosen)).report
+    score = report.touches["1"]
+    assert score.mean_error_mm == pytest.approx(3.85, rel=1e-4)
+    assert score.median_error_mm == pytest.approx(3.05, rel=1e-4)
+    assert score.deviation_mm == pytest.approx(np.std(np.arange(1, 11) ** 2 / 10), rel=1e-4)
+    assert score.p95_error_mm == pytest.approx(8.1 + 0.55 * 1.9, rel=1e-4)
+    assert (report.force, report.place_calibration, report.untouched) == (None, None, None)
+
+
+def test_untouched_frames_and_forces(evaluation):
+    untouched, force = evaluation.report.untouched, evaluation.report.force
+    assert (untouched.frames, untouched.touched, untouched.touches) == (4, 0.25, 1)
+    assert force.touches == 2
+    assert force.mean_error_n == pytest.approx(1.5)
+    assert force.bias_n == pytest.approx(0.5)
+
+
+def test_table_has_a_row_for_all_of_it(evaluation):
+    rows = {name.strip(): here for name, _, here in table_rows(evaluation.report)}
+    assert rows["one touch: error"] == "5.00 +- 0.00 mm"
+    assert ("  median, 95 % within", "-", "5.00 mm, 5.00 mm") in table_rows(evaluation.report)
+    assert rows["taken for a touch"] == "50.0%"
+    assert rows["touches where there are none"] == "in 25.00% of 4 frames"
+    assert rows["force of a touch"] == "1.50 N off (bias +0.50)"
+    assert rows["place error / standard error"] == "rms 0.95, 50% within one"
+    assert rows["bend angle, RMSE"] == "1.58 deg (bias +0.50)"
+
+
+def picture_size(path):
+    """Width and height in the header of a PNG."""
+    data = path.read_bytes()
+    assert data[:8] == b"\x89PNG\r\n\x1a\n"
+    return int.from_bytes(data[16:20]), int.from_bytes(data[20:24])
+
+
+def test_folder_holds_what_there_is_to_show_and_says_what_not(evaluation, tmp_path):
+    folder = write_report(evaluation, tmp_path / "a" / "report", {"machine": "an abacus"})
+    document = json.loads((folder / "report.json").read_text())
+    shown, left_out = set(document["pictures"]), set(document["left_out"])
+    assert shown | left_out == set(PICTURES)
+    assert left_out == {"training_curves.png", "bend_sequence.png", "touch_maps_counts.png"}
+    assert {path.name for path in folder.iterdir()} == {*shown, "report.json", "report.md"}
+    assert all(min(picture_size(folder / name)) > 300 for name in shown)
+    assert document["report"] == evaluation.report.as_dict()
+    assert document["provenance"]["machine"] == "an abacus"
+    assert document["provenance"]["training seed"] == "5"
+    text = (folder / "report.md").read_text()
+    assert all(f"]({name})" in text for name in shown)
+    assert all(f"- {name}: {document['left_out'][name]}" in text for name in left_out)
+    assert "| force of a touch | - | 1.50 N off (bias +0.50) |" in text
+    assert "structural_similarity" in text
+    assert 'name = "by hand"' in text
+
+
+def test_episodes_and_several_touches_near_30_deg_have_pictures(tmp_path):
+    told, order = perceived(), np.tile(np.arange(len(FRAMES)), 4)
+    says = dataclasses.replace(
+        told,
+        **{
+            name: getattr(told, name)[order]
+            for name in ("probabilities", "bend_angle_deg", "bend_deviation_deg", "touch_map")
+        },
+        touches=tuple(told.touches[i] for i in order),
+        problems=((),) * len(order),
+    )
+    data = frames(bend_angle_deg=[0.0, 0.0, 10.0, -10.0, 0.0, 28.0, -20.0]).select(order)
+    data = dataclasses.replace(data, time=np.arange(len(order)) * 0.3)
+    folder = write_report(Evaluation.of(pipeline(says), data), tmp_path / "report", {})
+    document = json.loads((folder / "report.json").read_text())
+    assert set(document["left_out"]) == {"training_curves.png"}
+    assert "28 frames" in document["pictures"]["bend_sequence.png"]
+
+
+def test_touches_beside_the_sheet_are_refused_with_the_numbers():
+    data = frames()
+    in_mm = dataclasses.replace(data, touch_x=1e3 * data.touch_x)
+    with pytest.raises(DataError, match=r"touches of the dataset lie at x = .* by 0.06 m; give"):
+        Evaluation.of(pipeline(perceived()), in_mm)
+
+
+def test_sensors_of_any_outline_are_drawn_to_scale():
+    """A disc of 50 mm radius; its electrodes, 10 mm long, are drawn along the rim."""
+    axes = new_figure(3.0, 3.0).subplots()
+    electrodes = tuple(Electrode(x, 0.05, width=0.010) for x in (0.0, 0.1))
+    draw_sensor(axes, SensorDesign(Disc(0.05), 0.005, electrodes))
+    rim, _, electrode = (np.column_stack(line.get_data()) for line in axes.lines)
+    for line in (rim, electrode):
+        assert np.hypot(*(line - 50.0).T) == pytest.approx(50.0)
+    assert np.linalg.norm(np.diff(electrode, axis=0), axis=1).sum() == pytest.approx(10.0, rel=1e-3)
+    assert np.mean(electrode, axis=0) == pytest.approx([100.0, 50.0], abs=0.5)
+
+
+def test_without_matplotlib_the_extra_is_named_before_the_work(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(ImportError, match=r"eitskin\[view\]"):
+        require_report_folder(tmp_path / "report")
+    assert not (tmp_path / "report").exists()
+
+
+@pytest.fixture
+def few_pictures(monkeypatch):
+    """Two quick ones, of which there is one to draw."""
+    names = ("confusion.png", "bend_sequence.png")
+    monkeypatch.setattr(report_folder, "PICTURES", {name: PICTURES[name] for name in names})
+
+
+@pytest.mark.usefixtures("few_pictures")
+def test_an_earlier_report_is_replaced_and_its_old_pictures_go(evaluation, tmp_path):
+    folder = write_report(evaluation, tmp_path, {})
+    (folder / "bend_sequence.png").write_bytes(b"of an earlier report")
+    (folder / "notes.txt").write_text("mine")
+    write_report(evaluation, folder, {"date": "later"})
+    assert not (folder / "bend_sequence.png").exists()
+    assert (folder / "notes.txt").read_text() == "mine"
+    assert "date: later" in (folder / "report.md").read_text()
+
+
+def test_places_where_no_report_can_be_are_refused(evaluation, tmp_path):
+    file = tmp_path / "file"
+    file.write_text("mine")
+    for place in (file, file / "below"):
+        with pytest.raises(ConfigurationError, match="no report can be written to"):
+            write_report(evaluation, place, {})
+    with pytest.raises(ConfigurationError, match="holds other things and no report"):
+        require_report_folder(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+    assert file.read_text() == "mine"
+
+
+@pytest.mark.usefixtures("few_pictures")
+def test_a_full_disk_leaves_whole_files_and_says_what_to_do(evaluation, tmp_path, monkeypatch):
+    folder = write_report(evaluation, tmp_path / "report", {"date": "earlier"})
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+
+    def full(*_, **__):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_text", full)
+    with pytest.raises(PartialError, match="No space left on device; make room"):
+        write_report(evaluation, folder, {"date": "later"})
+    after = {path.name: path.read_bytes() for path in folder.iterdir()}
+    assert after.keys() == before.keys()
+    assert after["report.md"] == before["report.md"]

@@ -1,0 +1,303 @@
+"""Bend curves: what specimens share, what one has of its own, and angles read from them."""
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize_scalar
+
+from eitskin.training.joint.bend_curve import MEAN_POWERS, OWN_POWERS, SCALE, BendCurve, BendCurves
+from eitskin.training.joint.bend_estimate import angle_error, estimate_angle
+
+CHANNELS = 6
+NOISE = 2e-4**2 * np.eye(CHANNELS)
+RANGE = (-20.0, 50.0)
+
+
+def powers(angle_deg, count):
+    return (np.asarray(angle_deg)[..., None] / SCALE) ** np.arange(1, count + 1)
+
+
+def mean_curve():
+    """A monotonic response of a few percent, that is not a straight line."""
+    shape = np.linspace(0.02, 0.05, CHANNELS) * np.where(np.arange(CHANNELS) % 3, 1.0, -0.7)
+    return np.outer([1.0, 0.2, -0.1, 0.02, 0.01], shape)
+
+
+def own_covariance(rng, size=1.5e-3):
+    """Of a few ways in which specimens differ."""
+    ways = rng.standard_normal((5, OWN_POWERS * CHANNELS)) * size
+    return ways.T @ ways / 5 + (0.1 * size) ** 2 * np.eye(OWN_POWERS * CHANNELS)
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(5)
+
+
+@pytest.fixture
+def curve(rng):
+    own = np.zeros((OWN_POWERS, CHANNELS))
+    return BendCurve(mean_curve(), own, own_covariance(rng), RANGE)
+
+
+# A curve
+
+
+def test_curve_begins_at_zero_and_slope_is_its_derivative(curve, rng):
+    own = 1e-3 * rng.standard_normal(curve.own.shape)
+    curve = BendCurve(curve.mean, own, curve.covariance, RANGE)
+    np.testing.assert_array_equal(curve.value(0.0), 0.0)
+    for angle in (-20.0, 0.0, 33.0):
+        numeric = (curve.value(angle + 1e-3) - curve.value(angle - 1e-3)) / 2e-3
+        np.testing.assert_allclose(curve.slope(angle), numeric, rtol=1e-6, atol=1e-10)
+    np.testing.assert_allclose(curve.value([10.0, 20.0])[1], curve.value(20.0), rtol=1e-12)
+
+
+def test_uncertainty_is_the_covariance_of_curves_drawn(curve, rng):
+    drawn = rng.multivariate_normal(np.zeros(OWN_POWERS * CHANNELS), curve.covariance, 20_000)
+    own = drawn.reshape(-1, OWN_POWERS, CHANNELS)
+    for angle, reference in ((40.0, 0.0), (40.0, 30.0), (-20.0, 20.0)):
+        weights = powers(angle, OWN_POWERS) - powers(reference, OWN_POWERS)
+        sample = np.cov(np.tensordot(weights, own, axes=(0, 1)).T)
+        said = curve.uncertainty(angle, reference)
+        np.testing.assert_allclose(said, sample, atol=0.05 * np.diag(sample).max())
+    np.testing.assert_allclose(curve.uncertainty(20.0, 20.0), 0.0, atol=1e-18)
+    assert np.all(curve.uncertainty(0.0) == 0.0)
+
+
+def test_curve_is_that_of_the_plain_formula(curve, rng):
+    """However its arrays are arranged for speed."""
+    own = 1e-3 * rng.standard_normal(curve.own.shape)
+    curve = BendCurve(curve.mean, own, curve.covariance, RANGE)
+    angles, values = curve.grid(8)
+    np.testing.assert_allclose(angles, np.linspace(*RANGE, 8))
+    for angle, on_grid in zip(angles, values, strict=True):
+        expected = powers(angle, MEAN_POWERS) @ curve.mean + powers(angle, OWN_POWERS) @ own
+        value, slope = curve.tangent(angle)
+        np.testing.assert_allclose(value, expected, rtol=1e-12)
+        np.testing.assert_allclose(curve.value(angle), expected, rtol=1e-12)
+        np.testing.assert_allclose(on_grid, expected, rtol=1e-12)
+        np.testing.assert_array_equal(slope, curve.slope(angle))
+        weights = powers(angle, OWN_POWERS) - powers(12.0, OWN_POWERS)
+        spread = np.kron(weights, np.eye(CHANNELS))
+        np.testing.assert_allclose(
+            curve.uncertainty(angle, 12.0), spread @ curve.covariance @ spread.T, atol=1e-18
+        )
+
+
+# Given known angles
+
+
+def posterior(curve, angles, change, noise):
+    """Mean and covariance of w by the information form, measurement by measurement."""
+    precision = np.linalg.inv(curve.covariance)
+    evidence = np.zeros(len(precision))
+    for angle, row in zip(angles, change, strict=True):
+        good = np.isfinite(row)
+        H = np.kron(powers(angle, OWN_POWERS)[None], np.eye(CHANNELS))[good]
+        weight = H.T @ np.linalg.inv(noise[np.ix_(good, good)])
+        precision = precision + weight @ H
+        evidence = evidence + weight @ (row - curve.value(angle))[good]
+    covariance = np.linalg.inv(precision)
+    return curve.own.ravel() + covariance @ evidence, covariance
+
+
+def test_conditioned_is_bayes_rule(curve, rng):
+    """As the information form says, also where a channel is bad, and one after another."""
+    angles = np.array([-15.0, 20.0, 45.0])
+    change = curve.value(angles) + 2e-3 * rng.standard_normal((3, CHANNELS))
+    change[1, 2] = change[2, :2] = np.nan
+    noise = NOISE + 1e-8
+    mean, covariance = posterior(curve, angles, change, noise)
+    said = curve.conditioned(angles, change, noise)
+    size = np.sqrt(np.diag(covariance))
+    np.testing.assert_allclose((said.own.ravel() - mean) / size, 0.0, atol=1e-6)
+    np.testing.assert_allclose(
+        said.covariance / np.outer(size, size), covariance / np.outer(size, size), atol=1e-6
+    )
+    together = curve.conditioned(angles, change, np.kron(np.eye(3), noise))
+    np.testing.assert_allclose(together.own, said.own, rtol=1e-9)
+    turns = curve
+    for i in range(3):
+        turns = turns.conditioned(angles[i : i + 1], change[i : i + 1], noise)
+    np.testing.assert_allclose((turns.own - said.own).ravel() / size, 0.0, atol=1e-6)
+
+
+def test_every_known_angle_makes_the_curve_surer(curve, rng):
+    angles = np.array([50.0, -20.0, 25.0, 25.0, 10.0])
+    tried = np.linspace(-20.0, 50.0, 15)
+    before, known = [curve.uncertainty(a) for a in tried], curve
+    for angle in angles:
+        change = known.value([angle]) + 1e-3 * rng.standard_normal((1, CHANNELS))
+        known = known.conditioned(np.array([angle]), change, NOISE)
+        after = [known.uncertainty(a) for a in tried]
+        for one, other in zip(after, before, strict=True):
+            assert np.linalg.eigvalsh(other - one).min() > -1e-12
+        before = after
+    nothing = known.conditioned(np.array([30.0]), np.full((1, CHANNELS), np.nan), NOISE)
+    np.testing.assert_allclose(nothing.covariance, known.covariance, rtol=1e-12)
+    assert np.trace(known.uncertainty(50.0)) < 0.01 * np.trace(curve.uncertainty(50.0))
+
+
+def test_calibrated_curve_finds_the_specimen(curve, rng):
+    """Angles between those known: errors fall by several times, as the standard errors say."""
+    own = rng.multivariate_normal(np.zeros(18), curve.covariance).reshape(OWN_POWERS, CHANNELS)
+    true = BendCurve(curve.mean, own, 0.0 * curve.covariance, RANGE)
+    known = np.linspace(-20.0, 50.0, 8)
+    noisy = true.value(known) + 2e-4 * rng.standard_normal((8, CHANNELS))
+    calibrated = curve.conditioned(known, noisy, NOISE)
+    tried = np.arange(-18.0, 50.0, 4.0)
+    frames = true.value(tried) + 2e-4 * rng.standard_normal((len(tried), CHANNELS))
+    errors = {}
+    for name, each in (("before", curve), ("after", calibrated)):
+        said = np.array([estimate_angle(each, frame, NOISE) for frame in frames])
+        errors[name] = np.sqrt(np.mean((said[:, 0] - tried) ** 2))
+        assert np.sqrt(np.mean(((said[:, 0] - tried) / said[:, 1]) ** 2)) < 1.6
+    assert errors["after"] < 0.5 * errors["before"]
+    assert errors["after"] < 0.25
+
+
+# The angle of a frame
+
+
+def unlikeliness(curve, change, noise, angle, uncertain_at=None):
+    """Minus twice the logarithm of the exact likelihood, or of that with the covariance held."""
+    good = np.isfinite(change)
+    at = angle if uncertain_at is None else uncertain_at
+    covariance = (noise + curve.uncertainty(at))[np.ix_(good, good)]
+    left = (change - curve.value(angle))[good]
+    return left @ np.linalg.solve(covariance, left) + np.linalg.slogdet(covariance)[1]
+
+
+def test_angle_is_where_the_likelihood_is_greatest(curve, rng):
+    """Fisher's scoring holds the covariance; letting it go moves the maximum by little."""
+    for angle in (-18.0, -3.0, 4.0, 30.0, 48.0):
+        own = rng.multivariate_normal(np.zeros(18), curve.covariance).reshape(3, CHANNELS)
+        change = curve.value(angle) + powers(angle, OWN_POWERS) @ own
+        change += 2e-4 * rng.standard_normal(CHANNELS)
+        change[2] = np.nan
+        found, error = estimate_angle(curve, change, NOISE)
+        near = (found - 3.0, found + 3.0)
+        held = minimize_scalar(
+            lambda tried, y=change, at=found: unlikeliness(curve, y, NOISE, tried, at),
+            bounds=near,
+            method="bounded",
+        )
+        assert found == pytest.approx(held.x, abs=0.02 * error + 2e-3)
+        grid = np.linspace(*RANGE, 1401)
+        exact = grid[np.argmin([unlikeliness(curve, change, NOISE, tried) for tried in grid])]
+        assert found == pytest.approx(exact, abs=0.5 * error)
+
+
+def test_clean_frame_gives_its_angle(curve):
+    for angle in (-23.0, -20.0, -1.0, 0.0, 17.3, 50.0, 53.0):
+        found, error = estimate_angle(curve, curve.value(angle), NOISE)
+        assert found == pytest.approx(angle, abs=1e-3)
+        assert error > 0
+    beyond, _ = estimate_angle(curve, curve.value(80.0), NOISE)
+    assert beyond == 55.0
+
+
+def test_stated_error_is_that_of_many_frames(curve, rng):
+    """Over specimens and noise, at three angles, with a bad channel in every other frame."""
+    for angle in (-15.0, 10.0, 40.0):
+        own = rng.multivariate_normal(np.zeros(18), curve.covariance, 300)
+        change = curve.value(angle) + np.tensordot(
+            own.reshape(-1, OWN_POWERS, CHANNELS), powers(angle, OWN_POWERS), axes=(1, 0)
+        )
+        change += 2e-4 * rng.standard_normal(change.shape)
+        change[::2, 4] = np.nan
+        said = np.array([estimate_angle(curve, frame, NOISE) for frame in change])
+        z = (said[:, 0] - angle) / said[:, 1]
+        assert np.sqrt(np.mean(z**2)) == pytest.approx(1.0, abs=0.15)
+        whole = angle_error(curve, angle, NOISE)
+        assert whole == pytest.approx(np.median(said[1::2, 1]), rel=0.15)
+
+
+def test_common_drift_is_projected_out(curve):
+    """A factor common to all channels, a hundred times the noise, moves the angle by nothing."""
+    frame = curve.value(20.0) + 0.02
+    drifting = NOISE + 0.2**2
+    assert estimate_angle(curve, frame, drifting)[0] == pytest.approx(20.0, abs=0.2)
+    assert abs(estimate_angle(curve, frame, NOISE)[0] - 20.0) > 5.0
+    assert angle_error(curve, 20.0, drifting) > angle_error(curve, 20.0, NOISE)
+
+
+# Learning from many specimens
+
+
+def made_up(rng, count, frames, covariance, features=None):
+    """Bent frames of specimens: angles, changes, features and numbers of the specimens."""
+    own = rng.multivariate_normal(np.zeros(18), covariance, count).reshape(-1, 3, CHANNELS)
+    p = np.zeros((count, 0)) if features is None else rng.standard_normal((count, len(features)))
+    specimen = np.repeat(np.arange(count), frames)
+    angle = rng.uniform(*RANGE, len(specimen))
+    mean = powers(angle, MEAN_POWERS) @ mean_curve()
+    if features is not None:
+        mean = mean + np.einsum("np,pkc,nk->nc", p[specimen], features, powers(angle, MEAN_POWERS))
+    departure = np.einsum("nk,nkc->nc", powers(angle, OWN_POWERS), own[specimen])
+    noise = rng.multivariate_normal(np.zeros(CHANNELS), NOISE, len(angle))
+    order = rng.permutation(len(angle))  # specimens' frames need not follow each other
+    return angle[order], (mean + departure + noise)[order], p[specimen][order], specimen[order]
+
+
+def test_mixed_model_finds_covariance_and_mean(rng):
+    """Of what 400 specimens have of their own, from six frames each."""
+    true = own_covariance(rng)
+    curves = BendCurves.fit(*made_up(rng, 400, 6, true), NOISE)
+    scatter = np.sqrt(2.0 / 400)
+    size = np.sqrt(np.outer(np.diag(true), np.diag(true)))
+    at = {angle: curves.of(()).uncertainty(angle) for angle in (-20.0, 25.0, 50.0)}
+    truth = BendCurve(mean_curve(), np.zeros((3, CHANNELS)), true, RANGE)
+    for angle, said in at.items():
+        expected = truth.uncertainty(angle)
+        scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+        np.testing.assert_allclose(said / scale, expected / scale, atol=5 * scatter)
+        np.testing.assert_allclose(
+            curves.of(()).value(angle), truth.value(angle), atol=4 * np.sqrt(scale.max() / 400)
+        )
+    assert np.abs((curves.covariance - true) / size).max() < 1.0
+
+
+def test_features_shift_the_mean_and_are_not_counted_as_unknown(rng):
+    true = own_covariance(rng, 3e-4)
+    effect = 3e-3 * rng.standard_normal((2, MEAN_POWERS, CHANNELS))
+    data = made_up(rng, 200, 8, true, effect)
+    curves = BendCurves.fit(*data, NOISE)
+    blind = BendCurves.fit(data[0], data[1], data[2][:, :0], data[3], NOISE)
+    assert np.trace(blind.covariance) > 5 * np.trace(curves.covariance)
+    one = curves.of([1.0, -0.5]).value(40.0)
+    expected = powers(40.0, MEAN_POWERS) @ (mean_curve() + effect[0] - 0.5 * effect[1])
+    np.testing.assert_allclose(one, expected, atol=3e-4)
+    assert np.abs(curves.of([0.0, 0.0]).value(40.0) - expected).max() > 1e-3
+
+
+def test_specimens_that_do_not_differ_have_no_covariance(rng):
+    curves = BendCurves.fit(*made_up(rng, 60, 6, np.zeros((18, 18))), NOISE)
+    assert np.sqrt(np.diag(curves.of(()).uncertainty(50.0))).max() < 2e-4
+    assert np.isfinite(estimate_angle(curves.of(()), curves.of(()).value(30.0), NOISE)).all()
+
+
+def test_flat_is_among_the_angles_learned(rng):
+    """From bends of one sign, the flat sensor is still found flat."""
+    angle, change, features, specimen = made_up(rng, 30, 10, own_covariance(rng))
+    bent = angle > 5.0
+    curves = BendCurves.fit(angle[bent], change[bent], features[bent], specimen[bent], NOISE)
+    assert curves.angle_deg == (0.0, angle[bent].max())
+    found, _ = estimate_angle(curves.of(()), curves.of(()).value(-0.5), NOISE)
+    assert found == pytest.approx(-0.5, abs=0.01)
+
+
+def test_arrays_make_them_again(rng, curve):
+    effect = 3e-3 * rng.standard_normal((2, MEAN_POWERS, CHANNELS))
+    curves = BendCurves.fit(*made_up(rng, 20, 6, own_covariance(rng), effect), NOISE)
+    again = BendCurves.from_arrays(curves.arrays())
+    np.testing.assert_array_equal(
+        again.of([0.3, 2.0]).value(31.0), curves.of([0.3, 2.0]).value(31.0)
+    )
+    np.testing.assert_array_equal(again.covariance, curves.covariance)
+    assert again.angle_deg == curves.angle_deg
+    known = curve.conditioned(np.array([10.0]), curve.value([10.0]) + 1e-3, NOISE)
+    same = BendCurve.from_arrays(known.arrays())
+    np.testing.assert_array_equal(same.value(44.0), known.value(44.0))
+    np.testing.assert_array_equal(same.uncertainty(44.0), known.uncertainty(44.0))
+    assert same.angle_deg == RANGE

@@ -1,0 +1,363 @@
+"""The joint method: what it says of frames, of broken ones too."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from eitskin.datasets import State
+from eitskin.geometry import SensorDesign
+from eitskin.training.joint.method import JointMethod
+from eitskin.training.joint.proposal_model import Proposals
+from eitskin.training.joint.specimen_features import SpecimenFeatures
+from eitskin.training.joint.symmetry import mirrors
+from eitskin.training.method.calibration import KnownBends
+from eitskin.training.method.input_spec import Layout
+from eitskin.training.method.observations import Observed
+
+from smooth_sensor import (
+    FLAT,
+    HABITS,
+    NOISE,
+    PROTOCOL,
+    SIZE,
+    curves,
+    places,
+    powers,
+    response,
+)
+
+LAYOUT = Layout(SensorDesign.reference(), PROTOCOL, 40e3, FLAT)
+TOUCH = (0.045, 0.021, 8.0)
+ELECTRODE = [i for i, row in enumerate(PROTOCOL.table) if 3 in row[:2]]
+
+
+def silent_proposals():
+    """Of a network that never proposes anything: the search alone finds the touches."""
+    columns, rows = np.array([0.05, 0.10]), np.array([0.02, 0.04])
+    return Proposals((np.zeros((4, 30)),), (np.full(4, -9.0),), columns, rows)
+
+
+@pytest.fixture(scope="module")
+def method():
+    """Of a model that is exactly the sensor's."""
+    rng = np.random.default_rng(0)
+    flat = FLAT * np.exp(0.02 * rng.standard_normal((40, 28)))
+    features = SpecimenFeatures.fit(flat, mirrors(LAYOUT.design, PROTOCOL), count=1)
+    return JointMethod(
+        features=features,
+        response=response(mismatch=0.03, features=1),
+        curves=curves(features=1),
+        proposals=silent_proposals(),
+        habits=HABITS,
+        noise=np.full(28, NOISE),
+        drift=0.02,
+        places=places(),
+        radius=0.0075,
+        size=SIZE,
+        shape=(32, 80),
+        protocol=PROTOCOL,
+    )
+
+
+def observed(method, touches=(), angle_deg=0.0, rng=None, flat=FLAT, wrong=None, age=5.0):
+    """One frame of a specimen that has nothing of its own; `wrong` is added to its log V."""
+    touches = np.array(touches, dtype=float).reshape(-1, 3)
+    one = method.response.of(method.features.apply(flat))
+    bent = method.curves.of([0.0]).value(angle_deg)
+    frame = bent + one(touches, angle_deg).sum(axis=0)
+    if rng is not None:
+        frame = frame + NOISE * rng.standard_normal(28)
+        bent = bent + NOISE * rng.standard_normal(28)
+    if wrong is not None:
+        frame = frame + wrong
+    values = {
+        "static": np.expm1(frame),
+        "dynamic": np.expm1(frame - bent),
+        "flat": flat,
+        "static_frames": np.inf,
+        "age": age,
+        "dynamic_age": 0.0,
+    }
+    given = {
+        field.name: np.asarray(values.get(field.name, 1.0))[None] for field in fields(Observed)
+    }
+    return Observed(**given)
+
+
+def broken(good, bad):
+    """The same frame with bad measurements."""
+    static, dynamic = good.static.copy(), good.dynamic.copy()
+    static[0, bad] = dynamic[0, bad] = np.nan
+    return replace(good, static=static, dynamic=dynamic)
+
+
+# What it says
+
+
+def test_idle_bent_and_touched_frames(method):
+    rng = np.random.default_rng(1)
+    idle = method.perceive(observed(method, rng=rng))
+    assert idle.state[0] == State.IDLE
+    assert abs(idle.bend_angle_deg[0]) < 4 * idle.bend_deviation_deg[0]
+    bent = method.perceive(observed(method, angle_deg=30.0, rng=rng))
+    assert bent.state[0] == State.BEND
+    assert bent.bend_angle_deg[0] == pytest.approx(30.0, abs=4 * bent.bend_deviation_deg[0])
+    for angle in (0.0, 30.0):
+        said = method.perceive(observed(method, [TOUCH, (0.110, 0.040, 9.0)], angle, rng))
+        assert said.state[0] == State.TOUCH
+        assert said.bend_angle_deg[0] == pytest.approx(angle, abs=4 * said.bend_deviation_deg[0])
+        (found,) = said.touches
+        assert len(found) == 2
+        near = np.argsort(found.place[:, 0])
+        away = found.place[near] - [TOUCH[:2], (0.110, 0.040)]
+        assert (np.hypot(*away.T) < 4 * found.deviation[near]).all()
+        assert found.force[near] == pytest.approx([8.0, 9.0], abs=1.0)
+        assert ((found.strength >= 0.5) & (found.strength <= 1.0)).all()
+        assert said.problems == ((),)
+    for said in (idle, bent):
+        assert len(said.touches[0]) == 0
+        assert not said.touch_map.any()
+        assert said.problems == ((),)
+
+
+def test_touch_map_is_where_the_touch_is(method):
+    said = method.perceive(observed(method, [TOUCH]))
+    row, column = np.unravel_index(said.touch_map[0].argmax(), (32, 80))
+    x, y = (column + 0.5) * 0.150 / 80, (row + 0.5) * 0.060 / 32
+    assert np.hypot(x - TOUCH[0], y - TOUCH[1]) < 0.0075
+    area = said.touch_map[0].sum() * 0.150 * 0.060 / 2560
+    assert area == pytest.approx(np.pi * 0.0075**2, rel=0.15)
+
+
+def test_probabilities_add_up_and_follow_the_evidence(method):
+    """A touch of growing force and a bend of growing angle pass from unlikely to sure."""
+    still = method.perceive(observed(method)).probabilities[0]
+    assert still.sum() == pytest.approx(1.0)
+    bends = [
+        method.perceive(observed(method, angle_deg=a)).probabilities[0, State.BEND]
+        for a in (0.0, 0.3, 1.0, 3.0)
+    ]
+    assert bends == sorted(bends)
+    assert bends[0] < 0.1
+    assert bends[-1] > 0.99
+
+
+def test_state_and_touches_agree(method):
+    """Touched frames have touches, others none, also where the touch is hardly felt."""
+    rng = np.random.default_rng(2)
+    for factor in (0.02, 0.05, 0.1, 0.2):
+        one = method.response.of(method.features.apply(FLAT))
+        wrong = factor * one(np.array([TOUCH]), 0.0)[0]
+        for _ in range(5):
+            said = method.perceive(observed(method, rng=rng, wrong=wrong))
+            assert (said.state[0] == State.TOUCH) == (len(said.touches[0]) > 0)
+            assert said.touch_map.any() == (len(said.touches[0]) > 0)
+
+
+def test_older_reference_makes_the_angle_less_sure(method):
+    ages = [
+        method.perceive(observed(method, angle_deg=20.0, age=age)).bend_deviation_deg[0]
+        for age in (0.0, 600.0, 4 * 3600.0)
+    ]
+    assert ages == sorted(ages)
+    assert ages[-1] > 1.05 * ages[0]
+
+
+def test_drift_of_all_channels_is_no_bend_and_no_touch(method):
+    """A percent in four hours, since the static reference; the dynamic one has followed."""
+    aged = observed(method, angle_deg=20.0, age=4 * 3600.0)
+    said = method.perceive(replace(aged, static=(1.0 + aged.static) * 1.01 - 1.0))
+    assert said.bend_angle_deg[0] == pytest.approx(20.0, abs=2.0)
+    assert said.state[0] == State.BEND
+    fresh = observed(method, angle_deg=20.0, age=0.0)
+    wrong = method.perceive(replace(fresh, static=(1.0 + fresh.static) * 1.01 - 1.0))
+    assert abs(wrong.bend_angle_deg[0] - 20.0) > 2.0
+
+
+# Broken frames
+
+
+@pytest.mark.parametrize(
+    "bad", [[4], [0, 6, 11, 19, 25], ELECTRODE], ids=["one", "five", "an electrode"]
+)
+def test_bad_channels_are_done_without(method, bad):
+    rng = np.random.default_rng(3)
+    for angle in (0.0, 25.0):
+        still = method.perceive(broken(observed(method, angle_deg=angle, rng=rng), bad))
+        assert still.state[0] == (State.BEND if angle else State.IDLE)
+        assert still.bend_angle_deg[0] == pytest.approx(angle, abs=1.0)
+        touched = method.perceive(broken(observed(method, [TOUCH], angle, rng), bad))
+        assert touched.state[0] == State.TOUCH
+        (found,) = touched.touches
+        assert len(found) == 1
+        assert np.hypot(*(found.place[0] - TOUCH[:2])) < 5 * found.deviation[0]
+
+
+def test_channel_that_was_bad_in_the_flat_sensor_is_done_without(method):
+    flat = FLAT.copy()
+    flat[7] = np.nan
+    said = method.perceive(broken(observed(method, [TOUCH], 20.0, flat=flat), [7]))
+    assert said.state[0] == State.TOUCH
+    assert len(said.touches[0]) == 1
+    assert np.isfinite(said.probabilities).all()
+
+
+def test_values_without_a_logarithm_are_bad_channels(method):
+    good = observed(method, [TOUCH], 20.0)
+    static, dynamic = good.static.copy(), good.dynamic.copy()
+    static[0, 3] = dynamic[0, 3] = -1.0  # nothing measured
+    static[0, 9] = dynamic[0, 9] = -2.5  # the other sign
+    said = method.perceive(replace(good, static=static, dynamic=dynamic))
+    expected = method.perceive(broken(good, [3, 9]))
+    np.testing.assert_array_equal(said.touches[0].place, expected.touches[0].place)
+    np.testing.assert_array_equal(said.bend_angle_deg, expected.bend_angle_deg)
+
+
+@pytest.mark.parametrize("size", [0.003, 0.02, -0.05, 0.3])
+def test_wrong_channel_is_told_and_is_no_touch(method, size):
+    rng = np.random.default_rng(4)
+    for channel, angle in ((2, 0.0), (13, 25.0)):
+        wrong = size * (np.arange(28) == channel)
+        said = method.perceive(observed(method, (), angle, rng, wrong=wrong))
+        assert said.state[0] == (State.BEND if angle else State.IDLE)
+        assert len(said.touches[0]) == 0
+        assert said.bend_angle_deg[0] == pytest.approx(angle, abs=1.0)
+        assert PROTOCOL.labels[channel] in said.problems[0][0]
+
+
+@pytest.mark.parametrize("ohm", [2.0, 8.0])
+def test_contact_that_changed_is_told_and_is_no_touch(method, ohm):
+    rng = np.random.default_rng(5)
+    wrong = ohm / FLAT * np.isin(np.arange(28), ELECTRODE)
+    said = method.perceive(observed(method, (), 15.0, rng, wrong=wrong))
+    assert said.state[0] == State.BEND
+    assert said.bend_angle_deg[0] == pytest.approx(15.0, abs=1.0)
+    assert "contact of electrode 3" in said.problems[0][0]
+
+
+@pytest.mark.parametrize("kind", ["noise", "gain", "clipped", "swapped", "huge"])
+def test_nonsense_is_told_and_never_without_numbers(method, kind):
+    rng = np.random.default_rng(6)
+    V = FLAT * np.exp(method.curves.of([0.0]).value(20.0))
+    nonsense = {
+        "noise": V * np.exp(0.01 * rng.standard_normal(28)),
+        "gain": V * 1.1,
+        "clipped": np.minimum(V, np.sort(V)[-8]),
+        "swapped": V[[1, 0, 3, 2, *range(4, 28)]],
+        "huge": V * np.exp(3.0 * rng.standard_normal(28)),
+    }[kind]
+    said = method.perceive(observed(method, (), 20.0, wrong=np.log(nonsense / V)))
+    assert said.problems[0]
+    for values in (said.probabilities, said.bend_angle_deg, said.bend_deviation_deg):
+        assert np.isfinite(values).all()
+    (found,) = said.touches
+    assert np.isfinite(found.place).all()
+    assert (found.deviation > 0).all()
+    assert np.isfinite(said.touch_map).all()
+
+
+# Copies, and one sensor
+
+
+def sample(method):
+    rng = np.random.default_rng(7)
+    frames = [
+        observed(method, rng=rng),
+        observed(method, angle_deg=-10.0, rng=rng),
+        observed(method, [TOUCH], 20.0, rng),
+        broken(observed(method, [TOUCH], 0.0, rng), [3]),
+    ]
+    return Observed(
+        *(np.concatenate([getattr(f, field.name) for f in frames]) for field in fields(Observed))
+    )
+
+
+def calibrated(method, angles=(-15.0, 10.0, 30.0, 45.0), offset=1e-3):
+    """For a sensor whose channels each bend a little more than the middle one's."""
+    change = method.curves.of([0.0]).value(angles) + offset * powers(angles, 1)
+    known = KnownBends(FLAT, 4, np.array(angles), change, np.zeros(len(angles)))
+    return method.adapted(known)
+
+
+def test_arrays_make_it_again(method):
+    """To single precision, in which weights are kept."""
+    frames = sample(method)
+    for one in (method, calibrated(method)[0]):
+        again = JointMethod.from_arrays(one.arrays(), LAYOUT)
+        expected, said = one.outputs(frames), again.outputs(frames)
+        assert set(said) == {"probabilities", "bend_angle_deg", "touch_map"}
+        for name, array in expected.items():
+            np.testing.assert_allclose(said[name], array, atol=1e-4)
+        np.testing.assert_array_equal(again.noise, one.noise)
+        assert again.drift == one.drift
+
+
+def test_each_frame_is_by_itself(method):
+    frames = sample(method)
+    together = method.outputs(frames)
+    for i in (3, 1):
+        alone = method.outputs(frames[i : i + 1])
+        for name, array in together.items():
+            np.testing.assert_array_equal(alone[name][0], array[i])
+
+
+def test_arrays_that_lack_some_are_refused(method):
+    arrays = method.arrays()
+    del arrays["response.output"]
+    with pytest.raises(KeyError, match="output"):
+        JointMethod.from_arrays(arrays, LAYOUT)
+
+
+def test_calibration_makes_angles_right_and_surer(method):
+    one, told = calibrated(method)
+    frame = observed(method, angle_deg=35.0)
+    own = np.exp(1e-3 * 35.0 / 50.0)
+    frame = replace(frame, static=(1.0 + frame.static) * own - 1.0)
+    before, after = method.perceive(frame), one.perceive(frame)
+    assert abs(after.bend_angle_deg[0] - 35.0) < 0.3 * abs(before.bend_angle_deg[0] - 35.0)
+    assert after.bend_deviation_deg[0] < before.bend_deviation_deg[0]
+    assert np.array(told.error_after_deg).max() < np.array(told.error_before_deg).max()
+    assert told.residual_deg < 0.3
+
+
+def test_drift_during_calibration_is_not_taken_for_the_curve(method):
+    """Frames of one angle, all half a percent up after four hours: the curve hardly moves."""
+    angles = np.full(6, 30.0)
+    change = method.curves.of([0.0]).value(angles) + 5e-3
+    bend = {}
+    for name, age in (("fresh", 0.0), ("old", 4 * 3600.0)):
+        known = KnownBends(FLAT, 4, angles, change, np.full(6, age))
+        curve = method.adapted(known)[0].calibrated
+        bend[name] = np.abs(curve.own).max()
+    assert bend["old"] < 0.3 * bend["fresh"]
+
+
+def test_other_sensor_than_the_calibrated_one_is_told(method):
+    one, _ = calibrated(method)
+    assert one.perceive(observed(method)).problems == ((),)
+    rng = np.random.default_rng(8)
+    other = observed(method, flat=FLAT * np.exp(0.02 * rng.standard_normal(28)))
+    assert "calibrated for" in one.perceive(other).problems[0][0]
+    gain = observed(method, flat=1.3 * FLAT)
+    assert one.perceive(gain).problems == ((),)
+
+
+def test_a_contact_that_changed_since_the_session_began_bends_nothing(method):
+    """Only the static reference is out of date: the angle is told without that electrode."""
+    size = 0.005
+    wrong = np.zeros(28)
+    wrong[ELECTRODE] = np.log1p(size * np.median(FLAT) / FLAT[ELECTRODE])
+    right = observed(method, angle_deg=30.0, rng=np.random.default_rng(5))
+    shifted = replace(right, static=np.expm1(np.log1p(right.static) + wrong))
+    said = method.perceive(shifted)
+    assert said.bend_angle_deg[0] == pytest.approx(30.0, abs=4 * said.bend_deviation_deg[0])
+    assert any("electrode 3" in problem for problem in said.problems[0])
+    assert method.perceive(right).problems == ((),)
+
+
+def test_a_static_reference_that_nothing_explains_is_told(method):
+    right = observed(method, angle_deg=30.0)
+    noise = 0.01 * np.random.default_rng(6).standard_normal(28)
+    said = method.perceive(replace(right, static=np.expm1(np.log1p(right.static) + noise)))
+    assert any("no angle explains" in problem for problem in said.problems[0])

@@ -1,0 +1,374 @@
+"""The fit of one frame: gradients, recovery, errors as stated, how many touches, bad channels."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from eitskin.training.joint.channel_faults import possible_faults
+from eitskin.training.joint.model_selection import THRESHOLD, explain
+from eitskin.training.joint.objective import ANGLE_UNIT, TOUCH_UNITS, Point, TouchProblem, refined
+from eitskin.training.joint.touch_search import Candidates
+
+from smooth_sensor import FLAT, HABITS, NOISE, PROTOCOL, RANGES, curve, places, response
+
+RESPONSE = response()
+CURVE = curve()
+FAULTS = possible_faults(PROTOCOL, FLAT)
+ONE = RESPONSE.of(())
+STIFF = replace(
+    RESPONSE, weights=(RESPONSE.weights[0] * [1.0, 1.0, 1.0, 0.0], *RESPONSE.weights[1:])
+).of(())
+TWO_FRAMES = 2.0 * NOISE**2 * np.eye(28)  # covariance of the difference of two
+
+
+def candidates(angle_deg=0.0):
+    touches = np.column_stack([places(), np.full(len(places()), RANGES.middle_force)])
+    return Candidates(places(), RANGES.middle_force, ONE(touches, angle_deg))
+
+
+def excess(found):
+    """The misfit above its expectation, in standard deviations."""
+    return (found.misfit - found.freedom) / np.sqrt(2.0 * found.freedom)
+
+
+def frame(touches=(), angle_deg=0.0, reference_deg=0.0, rng=None, mismatch=0.0):
+    """The problem of a frame made from the model itself."""
+    touches = np.array(touches, dtype=float).reshape(-1, 3)
+    change = CURVE.value(angle_deg) - CURVE.value(reference_deg)
+    change = change + ONE(touches, angle_deg).sum(axis=0)
+    if rng is not None:
+        change = change + rng.multivariate_normal(np.zeros(28), TWO_FRAMES)
+    told = replace(RESPONSE, mismatch=mismatch).of(())
+    return TouchProblem.of(change, TWO_FRAMES, reference_deg, told, CURVE, HABITS)
+
+
+def changed(problem, change):
+    """The same problem of another change."""
+    return TouchProblem.of(
+        change, problem.noise, problem.reference_deg, problem.response, CURVE, HABITS
+    )
+
+
+def explained(problem, proposed=None):
+    return explain(problem, candidates(problem.reference_deg), proposed, FAULTS)
+
+
+def matched(found, true):
+    """The found touches in the order of the true ones."""
+    away = np.linalg.norm(np.asarray(true)[:, None, :2] - found[None, :, :2], axis=2)
+    order = away.argmin(axis=1)
+    assert sorted(order) == list(range(len(true)))
+    return order
+
+
+TOUCHES = {
+    1: [[0.045, 0.021, 8.0]],
+    2: [[0.030, 0.040, 6.0], [0.110, 0.020, 10.0]],
+    3: [[0.025, 0.020, 8.0], [0.075, 0.040, 9.0], [0.125, 0.025, 7.0]],
+    4: [[0.020, 0.045, 8.0], [0.055, 0.015, 7.0], [0.095, 0.044, 9.0], [0.130, 0.016, 8.0]],
+}
+
+
+# The problem
+
+
+@pytest.mark.parametrize("kind", ["far apart", "too near", "one", "untouched"])
+def test_gradient_is_that_of_finite_differences(kind):
+    """With the priors of motion, place and force, and the repulsion of touches too near.
+
+    The response is one that does not depend on the bend: its slope is left out of the angle's.
+    """
+    touches = {
+        "far apart": TOUCHES[2],
+        "too near": [[0.050, 0.030, 6.0], [0.062, 0.036, 11.0], [0.055, 0.020, 8.0]],
+        "one": TOUCHES[1],
+        "untouched": [],
+    }[kind]
+    problem = replace(frame(TOUCHES[3], 20.0, 12.0, np.random.default_rng(0)), response=STIFF)
+    point = Point(np.array(touches, dtype=float).reshape(-1, 3), 17.0)
+    at = problem.tangent(point)
+    whitening = problem.whitening(at)
+    quadratic = problem.quadratic(at, whitening)
+    assert quadratic.misfit == pytest.approx(problem.misfit(at, whitening), rel=1e-12)
+    np.testing.assert_allclose(at.left, problem.left_by(point), rtol=1e-12, atol=1e-16)
+    for i in range(len(quadratic.gradient)):
+        step = 1e-4 * np.eye(len(quadratic.gradient))[i]
+        up, down = (
+            problem.misfit(problem.tangent(problem.stepped(point, sign * step)), whitening)
+            for sign in (1, -1)
+        )
+        expected = -0.5 * (up - down) / 2e-4
+        size = np.abs(quadratic.gradient).max()
+        assert quadratic.gradient[i] == pytest.approx(expected, rel=1e-4, abs=1e-6 * size)
+
+
+def test_hessian_is_that_of_finite_differences_where_nothing_is_left():
+    """Gauss-Newton's matrix leaves out curvature times residuals: at the truth there are none."""
+    point = Point(np.array(TOUCHES[2]), 20.0)
+    said = STIFF(point.touches, 20.0).sum(axis=0)
+    problem = replace(changed(frame((), 20.0, 20.0), said), response=STIFF)
+    whitening = problem.whitening(problem.tangent(point))
+    quadratic = problem.quadratic(problem.tangent(point), whitening)
+    for i in range(7):
+        step = 1e-4 * np.eye(7)[i]
+        up, down = (
+            problem.quadratic(
+                problem.tangent(problem.stepped(point, sign * step)), whitening
+            ).gradient
+            for sign in (1, -1)
+        )
+        np.testing.assert_allclose(
+            quadratic.hessian[:, i],
+            (down - up) / 2e-4,
+            rtol=1e-3,
+            atol=1e-4 * quadratic.hessian.max(),
+        )
+
+
+def test_steps_stay_within_what_is_possible():
+    problem = frame()
+    point = Point(np.array([[0.075, 0.030, 8.0]]), 0.0)
+    for sign in (1.0, -1.0):
+        far = problem.stepped(point, sign * np.full(4, 1e3))
+        np.testing.assert_array_equal(far.touches[0], HABITS.high if sign > 0 else HABITS.low)
+        assert far.angle_deg == (55.0 if sign > 0 else -25.0)
+    one = problem.stepped(point, np.ones(4))
+    np.testing.assert_allclose(one.touches[0], point.touches[0] + TOUCH_UNITS)
+    assert one.angle_deg == ANGLE_UNIT
+
+
+def test_two_touches_at_one_place_can_be_told_apart():
+    """On one corner, as steps that are cut short leave them, they part: nothing is singular."""
+    problem = frame(TOUCHES[2])
+    corner = np.array([HABITS.low, HABITS.low])
+    found = refined(problem, problem.tangent(Point(corner, 0.0)), 30, 1e-6)
+    assert np.linalg.eigvalsh(found.quadratic.hessian).min() > 0
+    apart = np.linalg.norm(found.point.touches[0, :2] - found.point.touches[1, :2])
+    assert apart > 0.5 * HABITS.separation
+
+
+def test_residuals_are_whitened_with_noise_bend_and_mismatch():
+    """Over many frames of specimens that differ, they have variance one and are uncorrelated."""
+    rng = np.random.default_rng(4)
+    touches, angle, reference, mismatch = np.array(TOUCHES[2]), 40.0, 10.0, 0.1
+    problem = frame(touches, angle, reference, mismatch=mismatch)
+    point = Point(touches, angle)
+    whitening = problem.whitening(problem.tangent(point))
+    unsure = CURVE.uncertainty(angle, reference)
+    size = np.sqrt(np.sum(ONE(touches, angle) ** 2, axis=0))
+    wrong = rng.multivariate_normal(np.zeros(28), TWO_FRAMES + unsure, 4000)
+    # The first measurement lags half of the way behind the middle of the frame, the last leads.
+    late = CURVE.slope(angle) * (angle - reference) * (np.arange(28) / 28 - 0.5)
+    wrong = wrong + rng.standard_normal((4000, 1)) * late
+    wrong = wrong + mismatch * size * rng.standard_normal((4000, 28))
+    left = np.array(
+        [whitening @ changed(problem, problem.change + w).left_by(point) for w in wrong]
+    )
+    np.testing.assert_allclose(np.cov(left.T), np.eye(28), atol=0.12)
+
+
+def test_a_frame_that_is_scanned_while_the_sensor_moves_is_no_touch():
+    """The measurements of a frame follow the sensor from 24 to 36 deg; the reference was at 18."""
+    angles = np.linspace(24.0, 36.0, 28)
+    scanned = np.array([CURVE.value(angle)[i] for i, angle in enumerate(angles)])
+    still = frame([], 30.0, 18.0)
+    moving = changed(still, scanned - CURVE.value(18.0))
+    assert len(explain(moving, candidates(18.0)).touches) == 0
+    assert explain(moving, candidates(18.0)).angle_deg == pytest.approx(30.0, abs=2.0)
+
+
+# Recovery
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4])
+@pytest.mark.parametrize("angle_deg", [0.0, 35.0])
+def test_touches_are_recovered_without_noise(count, angle_deg):
+    """To what the gentle priors of force and place move them by."""
+    found = explained(frame(TOUCHES[count], angle_deg, angle_deg))
+    assert len(found.touches) == count
+    order = matched(found.touches, TOUCHES[count])
+    off = found.touches[order] - TOUCHES[count]
+    np.testing.assert_allclose(off[:, :2], 0.0, atol=3e-4)
+    np.testing.assert_allclose(off[:, 2], 0.0, atol=0.2)
+    assert found.angle_deg == pytest.approx(angle_deg, abs=0.3)
+    assert found.faults == ()
+
+
+def test_bend_since_the_reference_is_no_touch():
+    found = explained(frame((), 25.0, 10.0, np.random.default_rng(1)))
+    assert len(found.touches) == 0
+    assert found.evidence < THRESHOLD
+    assert found.angle_deg == pytest.approx(25.0, abs=3 * found.angle_deviation_deg)
+    assert found.angle_deviation_deg < 1.0
+
+
+@pytest.mark.parametrize(("angle_deg", "reference_deg"), [(22.0, 15.0), (-5.0, 4.0), (40.0, 10.0)])
+def test_touch_and_bend_since_the_reference_are_found_together(angle_deg, reference_deg):
+    rng = np.random.default_rng(2)
+    found = explained(frame(TOUCHES[2], angle_deg, reference_deg, rng))
+    assert len(found.touches) == 2
+    order = matched(found.touches, TOUCHES[2])
+    away = np.linalg.norm(found.touches[order, :2] - np.array(TOUCHES[2])[:, :2], axis=1)
+    assert away.max() < 0.006
+    assert found.angle_deg == pytest.approx(angle_deg, abs=4 * found.angle_deviation_deg + 0.2)
+
+
+def test_proposals_are_where_the_fit_starts_and_wrong_ones_are_given_up():
+    rng = np.random.default_rng(3)
+    problem = frame(TOUCHES[2], 0.0, 0.0, rng)
+    alone = explained(problem)
+    for proposed in (
+        [[0.032, 0.038], [0.105, 0.022]],
+        [[0.130, 0.045]],
+        [[0.075, 0.030], [0.02, 0.01], [0.14, 0.05]],
+    ):
+        said = explained(problem, np.array(proposed))
+        assert len(said.touches) == 2
+        order = matched(said.touches, alone.touches)
+        np.testing.assert_allclose(said.touches[order, :2], alone.touches[:, :2], atol=5e-4)
+
+
+# Errors, and false alarms
+
+
+def test_errors_are_as_large_as_stated():
+    """Of 60 frames with one touch anywhere: place, force and angle, in standard deviations."""
+    rng = np.random.default_rng(5)
+    scores, missed = [], 0
+    for _ in range(60):
+        touch = rng.uniform([0.012, 0.012, 5.0], [0.138, 0.048, 12.0])
+        found = explained(frame([touch], 10.0, 10.0, rng))
+        if len(found.touches) != 1:
+            missed += 1
+            continue
+        off = found.touches[0] - touch
+        angle = (found.angle_deg - 10.0) / found.angle_deviation_deg
+        scores.append([off @ np.linalg.solve(found.covariance[0], off), angle**2])
+    assert missed <= 2
+    place, angle = np.mean(scores, axis=0)
+    assert place == pytest.approx(3.0, abs=1.0)
+    assert 0.3 < angle < 1.7
+
+
+def test_misfit_is_its_degrees_of_freedom():
+    rng = np.random.default_rng(6)
+    found = [explained(frame(TOUCHES[2], 5.0, 5.0, rng)) for _ in range(30)]
+    assert {one.freedom for one in found} == {28 - 7}
+    excess = np.mean([one.misfit - one.freedom for one in found])
+    assert abs(excess) < 4 * np.sqrt(2 * 21 / 30) + 3  # the priors add a little
+
+
+def faint(share):
+    """A sensor that feels touches so much less, and its candidates."""
+    weak = replace(RESPONSE, scale=RESPONSE.scale * share).of(())
+    touches = np.column_stack([places(), np.full(len(places()), RANGES.middle_force)])
+    return weak, Candidates(places(), RANGES.middle_force, weak(touches, 0.0))
+
+
+@pytest.mark.parametrize("share", [1.0, 0.05])
+def test_noise_alone_is_no_touch(share):
+    """Below one false alarm in a hundred frames, also where touches are hardly felt."""
+    rng = np.random.default_rng(7)
+    weak, tried = faint(share)
+    alarms = 0
+    for angle in np.tile([0.0, 20.0], 100):
+        problem = replace(frame((), angle, angle, rng), response=weak)
+        alarms += len(explain(problem, tried, None, FAULTS).touches) > 0
+    assert alarms < 2
+
+
+def test_weak_touch_is_found_from_the_threshold_on():
+    """Growing from nothing, a touch is kept once it lowers the misfit by the threshold."""
+    weak, tried = faint(0.05)
+    whole = weak(np.array(TOUCHES[1]), 0.0)[0]
+    for share, count in ((0.2, 0), (1.5, 1)):
+        said = explain(replace(changed(frame(), share * whole), response=weak), tried)
+        assert len(said.touches) == count
+        assert (said.evidence > THRESHOLD) == (count > 0)
+
+
+# Bad measurements
+
+
+@pytest.mark.parametrize("bad", [[3], [0, 5, 12, 20, 27], list(range(7))])
+def test_bad_channels_are_left_out(bad):
+    """One, five, and all of electrode 0: as if there had never been such measurements."""
+    problem = frame(TOUCHES[1], 12.0, 12.0, np.random.default_rng(8))
+    change = problem.change.copy()
+    change[bad] = np.nan
+    missing = explained(changed(problem, change))
+    assert len(missing.touches) == 1
+    off = missing.touches[0] - TOUCHES[1][0]
+    assert off @ np.linalg.solve(missing.covariance[0], off) < 16.0
+    assert missing.freedom == 28 - len(bad) - 4
+    whole = explained(problem)
+    assert np.trace(missing.covariance[0]) > np.trace(whole.covariance[0])
+
+
+@pytest.mark.parametrize(("count", "size"), [(0, 0.003), (0, 0.02), (0, -0.05), (1, 0.005)])
+def test_one_wrong_channel_is_told_and_is_no_touch(count, size):
+    rng = np.random.default_rng(9)
+    for channel in (0, 9, 17):
+        problem = frame(TOUCHES.get(count, ()), 0.0, 0.0, rng)
+        change = problem.change.copy()
+        change[channel] += size
+        found = explained(changed(problem, change))
+        assert [fault.members for fault in found.faults] == [(channel,)]
+        assert PROTOCOL.labels[channel] in found.faults[0].name
+        assert len(found.touches) == count
+
+
+@pytest.mark.parametrize("size", [0.02, -0.05, 0.3])
+def test_wrong_channel_beside_a_touch_is_never_silent(size):
+    """It is named, or the frame counts as one that nothing explains."""
+    rng = np.random.default_rng(9)
+    for channel in (0, 9, 17):
+        problem = frame(TOUCHES[1], 0.0, 0.0, rng)
+        change = problem.change.copy()
+        change[channel] += size
+        found = explained(changed(problem, change))
+        assert found.faults or excess(found) > 6.0
+
+
+@pytest.mark.parametrize(("count", "share"), [(0, 0.001), (0, 0.01), (1, 0.002)])
+def test_contact_that_changed_is_told_and_is_no_touch(share, count):
+    """A series resistance of some ohm at one electrode: near it, a touch would do nearly that."""
+    rng = np.random.default_rng(11)
+    for electrode in (0, 3, 5):
+        through = np.array([electrode in row[:2] for row in PROTOCOL.table])
+        problem = frame(TOUCHES.get(count, ()), 0.0, 0.0, rng)
+        found = explained(
+            changed(problem, problem.change + share * np.median(FLAT) / FLAT * through)
+        )
+        assert len(found.touches) == count
+        (fault,) = found.faults
+        assert fault.name == f"the contact of electrode {electrode} has changed"
+        assert fault.members == tuple(np.flatnonzero(through))
+
+
+def test_touches_near_electrodes_are_no_faults():
+    rng = np.random.default_rng(12)
+    for x, y in ((0.0225, 0.010), (0.075, 0.012), (0.140, 0.030)):
+        found = explained(frame([[x, y, 8.0]], 0.0, 0.0, rng, mismatch=0.05))
+        assert len(found.touches) == 1
+        assert found.faults == ()
+
+
+def test_frame_that_nothing_explains_has_a_misfit_that_tells():
+    rng = np.random.default_rng(10)
+    for size in (0.003, 0.01, 0.05):
+        problem = changed(frame(), size * rng.standard_normal(28))
+        found = explained(problem)
+        assert excess(found) > 6.0
+        assert np.isfinite(found.covariance).all()
+        assert (np.diagonal(found.covariance, axis1=1, axis2=2) > 0).all()
+
+
+def test_any_common_factor_is_survived():
+    """A reference of another day: a few percent on all channels must not end a session."""
+    for factor in (0.01, 0.1, -0.1, 1.0, -0.7):
+        found = explained(changed(frame(TOUCHES[1]), frame(TOUCHES[1]).change + factor))
+        assert np.isfinite(found.angle_deg)
+        assert np.isfinite(found.covariance).all()
+        assert excess(found) > 6.0

@@ -1,0 +1,147 @@
+"""Where touches may be, at first glance: the network, and the places read from its map."""
+
+import numpy as np
+import pytest
+import torch
+
+from eitskin.training.joint import proposal_training as proposal_network
+from eitskin.training.joint.proposal_model import MOST, Proposals, network_inputs
+from eitskin.training.joint.proposal_training import Model, fit_proposals
+from eitskin.training.method.settings import NetworkSettings
+
+from smooth_sensor import HABITS, NOISE, curves, response
+
+MODEL = Model(response(mismatch=0.05, features=1), curves(features=1), HABITS, np.full(28, NOISE))
+
+
+@pytest.fixture(scope="module")
+def trained():
+    """A smaller network than is used, for seconds: what it gave, and what it said."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    said = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(proposal_network, "HIDDEN", (128, 128))
+        settings = NetworkSettings(1e-2, epochs=5, batch=96)
+        proposals, history = fit_proposals(MODEL, settings, 0, lambda *told: said.append(told))
+    torch.set_num_threads(before)
+    return proposals, history, said
+
+
+def frames(count, seed=1):
+    return MODEL.frames(count, np.random.default_rng(seed))
+
+
+# Frames made up
+
+
+def test_frames_are_as_habits_say():
+    _, places = frames(4000)
+    there = np.isfinite(places[..., 0])
+    counts = there.sum(axis=1)
+    assert set(counts) == {0, 1, 2, 3, 4}
+    assert 0.12 < np.mean(counts == 0) < 0.3
+    for axis in range(2):
+        values = places[..., axis][there]
+        assert HABITS.low[axis] <= values.min() < HABITS.low[axis] + 0.002
+        assert HABITS.high[axis] - 0.002 < values.max() <= HABITS.high[axis]
+    for i in range(MOST):
+        for j in range(i):
+            apart = np.hypot(*(places[:, i] - places[:, j]).T)
+            assert np.nanmin(apart) >= HABITS.separation
+
+
+def test_made_up_changes_are_those_of_the_response():
+    """Of one touch, on average over specimens and noise, what `TouchResponse` says."""
+    rng = np.random.default_rng(2)
+    touches = np.full((2000, MOST, 3), np.nan)
+    touches[:, 0] = [0.05, 0.02, 9.0]
+    angle, features = np.full(2000, 20.0), np.zeros((2000, 1))
+    change = MODEL._touched(touches, angle, features, rng)
+    expected = MODEL.response.of([0.0])(touches[0, :1], 20.0)[0]
+    strong = expected > 0.3 * expected.max()
+    mean = change.mean(axis=0) / np.exp(0.5 * proposal_network.STRENGTHS**2)
+    np.testing.assert_allclose(mean[strong], expected[strong], rtol=0.02)
+    spread = np.std(change / expected, axis=0)[strong]
+    np.testing.assert_allclose(spread, np.hypot(proposal_network.STRENGTHS, 0.05), rtol=0.1)
+
+
+def test_same_seed_makes_the_same_frames():
+    np.testing.assert_array_equal(frames(20)[0], frames(20)[0])
+    assert not np.array_equal(frames(20)[0], frames(20, seed=2)[0])
+
+
+# Learned
+
+
+def test_touches_are_proposed_near_where_they_are(trained):
+    """Most single touches to within 10 mm, in frames never seen."""
+    inputs, places = frames(600)
+    count = np.isfinite(places[..., 0]).sum(axis=1)
+    near, quiet = [], []
+    for i in np.flatnonzero(count <= 1):
+        proposed = trained[0].places(inputs[i], HABITS.separation)
+        if count[i] == 0:
+            quiet.append(len(proposed) == 0)
+            continue
+        true = places[i][np.isfinite(places[i][:, 0])][0]
+        away = np.hypot(*(proposed - true).T) if len(proposed) else [np.inf]
+        near.append(np.min(away) < 0.010)
+    assert len(near) > 50
+    assert np.mean(near) > 0.8
+    assert np.mean(quiet) > 0.8
+
+
+def test_training_tells_its_losses_and_progress(trained):
+    _, history, said = trained
+    assert len(history.training) == 5
+    assert history.training[-1] < 0.6 * history.training[0]
+    assert said == [("proposals", i, 5) for i in range(1, 6)]
+
+
+def test_arrays_make_them_again(trained):
+    proposals = trained[0]
+    again = Proposals.from_arrays(proposals.arrays())
+    for inputs in frames(5)[0]:
+        np.testing.assert_array_equal(again.map(inputs), proposals.map(inputs))
+        assert proposals.map(inputs).shape == (len(proposals.rows), len(proposals.columns))
+
+
+# Reading the map
+
+
+def picture(*touches):
+    """Proposals that say one map whatever the inputs are: bumps of these x, y and values."""
+    columns, rows = np.linspace(0.01, 0.14, 27), np.linspace(0.01, 0.05, 9)
+    x, y = np.meshgrid(columns, rows)
+    values = np.full(x.shape, 1e-3)
+    for px, py, value in touches:
+        bump = value * np.exp(-0.5 * ((x - px) ** 2 + (y - py) ** 2) / 0.004**2)
+        values = np.maximum(values, bump)
+    logits = np.log(values / (1.0 - values)).ravel()
+    return Proposals((np.zeros((len(logits), 3)),), (logits,), columns, rows)
+
+
+def test_places_are_the_peaks_likeliest_first():
+    found = picture((0.032, 0.023, 0.5), (0.112, 0.037, 0.9)).places(np.zeros(3), 0.030)
+    np.testing.assert_allclose(found, [[0.112, 0.037], [0.032, 0.023]], atol=1.5e-3)
+
+
+def test_nothing_is_proposed_where_nothing_is_likely():
+    assert picture((0.05, 0.03, 0.05)).places(np.zeros(3), 0.030).shape == (0, 2)
+    assert picture().places(np.zeros(3), 0.030).shape == (0, 2)
+
+
+def test_one_peak_is_one_place_and_there_are_four_at_most():
+    near = picture((0.050, 0.030, 0.9), (0.056, 0.030, 0.8)).places(np.zeros(3), 0.030)
+    assert len(near) == 1
+    many = [(0.02 + 0.022 * i, 0.03, 0.5) for i in range(6)]
+    assert len(picture(*many).places(np.zeros(3), 0.030)) == MOST
+
+
+def test_inputs_take_what_is_not_finite_for_no_change():
+    noise = np.full(3, 1e-4)
+    said = network_inputs(np.array([np.nan, -np.inf, 2e-4]), noise, 15.0, np.array([0.5, -1.0]))
+    np.testing.assert_allclose(said, [0.0, 0.0, np.arcsinh(1.0), 0.5, 0.5, -1.0])
+    many = network_inputs(np.zeros((4, 3)), noise, np.zeros(4), np.zeros((4, 2)))
+    assert many.shape == (4, 6)

@@ -1,0 +1,108 @@
+"""Mirrors of a sensor: which there are, and that the sensor measures the same in them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from eitskin.geometry import Bend, Polygon, SensorDesign
+from eitskin.simulator import Protocol, Scene, Simulator, Touch
+from eitskin.training.joint.symmetry import mirrors
+
+NONE, ACROSS_X, ACROSS_Y, TURNED = (False, False), (True, False), (False, True), (True, True)
+PAIRWISE = Protocol.pairwise(8)
+
+
+def flips(design, protocol=PAIRWISE):
+    return [mirror.flips for mirror in mirrors(design, protocol)]
+
+
+def with_electrode(number, **changes):
+    design = SensorDesign.reference()
+    electrodes = list(design.electrodes)
+    electrodes[number] = replace(electrodes[number], **changes)
+    return replace(design, electrodes=tuple(electrodes))
+
+
+def with_outline(*points):
+    return replace(SensorDesign.reference(), outline=Polygon(points))
+
+
+@pytest.mark.parametrize("name", ["pairwise", "adjacent", "opposite"])
+def test_reference_sensor_is_itself_in_four_mirrors(name):
+    protocol = getattr(Protocol, name)(8)
+    found = mirrors(SensorDesign.reference(), protocol)
+    assert [mirror.flips for mirror in found] == [NONE, ACROSS_X, ACROSS_Y, TURNED]
+    np.testing.assert_array_equal(found[0].order, np.arange(len(protocol)))
+    for mirror in found:
+        assert sorted(mirror.order) == list(range(len(protocol)))
+        np.testing.assert_array_equal(mirror.order[mirror.order], found[0].order)
+
+
+@pytest.mark.parametrize("name", ["pairwise", "opposite"])
+def test_touch_in_the_mirror_measures_what_the_mirror_says(name):
+    """To rounding of the solver: the mesh has the sensor's mirrors."""
+    design, protocol = SensorDesign.reference(), getattr(Protocol, name)(8)
+    simulator = Simulator(design, "fast", protocol=protocol)
+
+    def magnitudes(x, y):
+        scene = Scene(Bend(20.0), (Touch(float(x), float(y), 8.0),))
+        return np.abs(simulator.measure(scene).impedance)
+
+    here = magnitudes(0.045, 0.021)
+    for mirror in mirrors(design, protocol)[1:]:
+        there = magnitudes(*mirror.places(np.float64(0.045), np.float64(0.021)))
+        assert not np.allclose(there, here, rtol=1e-4)
+        np.testing.assert_allclose(there, here[mirror.order], rtol=1e-10)
+
+
+def test_places_in_the_mirrors():
+    found = mirrors(SensorDesign.reference(), PAIRWISE)
+    x, y = np.array([0.0, 0.03]), np.array([0.06, 0.01])
+    said = {mirror.flips: np.round(np.array(mirror.places(x, y)), 9).tolist() for mirror in found}
+    assert said == {
+        NONE: [[0.0, 0.03], [0.06, 0.01]],
+        ACROSS_X: [[0.15, 0.12], [0.06, 0.01]],
+        ACROSS_Y: [[0.0, 0.03], [0.0, 0.05]],
+        TURNED: [[0.15, 0.12], [0.0, 0.05]],
+    }
+
+
+def test_one_electrode_that_differs_leaves_no_mirror():
+    for changes in ({"x": 0.025}, {"contact_impedance": 2e-3}, {"width": 0.006}, {"height": 0.003}):
+        assert flips(with_electrode(0, **changes)) == [NONE]
+
+
+def test_electrode_on_the_axis_leaves_the_mirror_that_keeps_it():
+    assert flips(with_electrode(1, contact_impedance=2e-3)) == [NONE, ACROSS_X]
+    assert flips(with_electrode(3, contact_impedance=2e-3)) == [NONE, ACROSS_Y]
+
+
+def test_outline_must_be_its_own_image():
+    corners = ((0.0, 0.0), (0.15, 0.0), (0.15, 0.06), (0.0, 0.06))
+    assert flips(with_outline(*corners)) == [NONE, ACROSS_X, ACROSS_Y, TURNED]
+    cut = ((0.0, 0.0), (0.15, 0.0), (0.15, 0.048), (0.14, 0.06), (0.0, 0.06))
+    assert flips(with_outline(*cut)) == [NONE]
+
+
+def test_protocol_must_have_the_images():
+    """Without the last measurement, 6-7, its images 4-3 and 0-7 in the mirrors have no image."""
+    design = SensorDesign.reference()
+    assert flips(design, Protocol(PAIRWISE.table[:-1], 8)) == [NONE]
+    ring = Protocol(tuple(row for row in PAIRWISE.table if row[:2] in ((0, 1), (4, 5))), 8)
+    assert flips(design, ring) == [NONE, TURNED]
+
+
+def test_polarity_does_not_matter():
+    """Magnitudes are compared: a reversed pair on either side only changes the sign."""
+    table = tuple(
+        (b, a, c, d) if i % 3 == 0 else (a, b, c, d)
+        for i, (a, b, c, d) in enumerate(Protocol.adjacent(8).table)
+    )
+    assert len(flips(SensorDesign.reference(), Protocol(table, 8))) == 4
+
+
+def test_electrodes_must_have_images():
+    design = SensorDesign.reference()
+    half = replace(design, electrodes=design.electrodes[:4])
+    assert flips(half, Protocol.pairwise(4)) == [NONE]

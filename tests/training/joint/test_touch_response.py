@@ -1,0 +1,224 @@
+"""What a touch does: derivatives, linearity, copies, and learning it from frames."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from eitskin.training.joint import response_training as response_network
+from eitskin.training.joint.response_training import (
+    ResponseNetwork,
+    TouchFrames,
+    _packed,
+    _response,
+    fit_response,
+)
+from eitskin.training.joint.touch_response import TouchResponse
+from eitskin.training.method.settings import NetworkSettings, silent
+
+from smooth_sensor import HABITS, RANGES, response, touch_change
+
+STEPS = np.array([1e-6, 1e-6, 1e-4])  # m, m, N
+
+
+@pytest.fixture(scope="module")
+def learned():
+    return response(features=2, unseen=2)
+
+
+@pytest.fixture
+def touches():
+    return np.random.default_rng(1).uniform(HABITS.low, HABITS.high, (6, 3))
+
+
+def test_derivatives_are_those_of_finite_differences(learned, touches):
+    one = learned.of([0.5, -1.0])
+    said, _ = one.tangent(touches, 20.0)
+    values, slopes = said[:, 0], said[:, 1:]
+    np.testing.assert_allclose(values, one(touches, 20.0), rtol=1e-10)
+    assert slopes.shape == (6, 3, 28)
+    for axis in range(3):
+        step = np.eye(3)[axis] * STEPS[axis]
+        numeric = (one(touches + step, 20.0) - one(touches - step, 20.0)) / (2 * STEPS[axis])
+        np.testing.assert_allclose(
+            slopes[:, axis], numeric, atol=1e-6 * np.abs(numeric).max(), rtol=1e-5
+        )
+
+
+def plain(learned, p, touches, angle_deg):
+    """The response as its docstring writes it, touch by touch and layer by layer."""
+    output = learned.output[0] + np.tensordot(p, learned.output[1:], axes=1)
+    for touch in touches:
+        hidden = learned.ranges.inputs(touch, angle_deg)
+        for weight, bias in zip(learned.weights, learned.biases, strict=True):
+            before = weight @ hidden + bias
+            hidden = before / (1.0 + np.exp(-before))
+        factor = touch[2] / learned.ranges.middle_force * learned.scale
+        yield factor * output @ [*hidden, 1.0]
+
+
+@pytest.mark.parametrize("layers", [1, 2, 4])
+def test_response_is_that_of_the_plain_formula(learned, touches, layers):
+    """However its scales are folded into its layers, for any number of these."""
+    rng = np.random.default_rng(3)
+    deep = replace(
+        learned,
+        weights=(learned.weights[0], *(0.1 * rng.standard_normal((layers - 1, 160, 160)))),
+        biases=(learned.biases[0], *rng.standard_normal((layers - 1, 160))),
+    )
+    one, p = deep.of([0.5, -1.0]), [0.5, -1.0]
+    expected = np.array(list(plain(deep, p, touches, 33.0)))
+    size = np.abs(expected).max()
+    np.testing.assert_allclose(one(touches, 33.0), expected, rtol=0, atol=1e-12 * size)
+    said, hidden = one.tangent(touches, 33.0)
+    np.testing.assert_allclose(said[:, 0], expected, rtol=0, atol=1e-12 * size)
+    np.testing.assert_allclose(hidden @ one.output.T, expected, rtol=0, atol=1e-12 * size)
+
+
+def test_no_force_changes_nothing_and_angle_changes_the_response(learned, touches):
+    one = learned.of([1.0, 1.0])
+    np.testing.assert_array_equal(one(touches * [1.0, 1.0, 0.0], 30.0), 0.0)
+    assert np.abs(one(touches, 30.0) / one(touches, 0.0) - 1.0).max() > 0.01
+    assert one(touches[:0], 0.0).shape == (0, 28)
+
+
+def test_each_touch_is_alone(learned, touches):
+    one = learned.of([0.0, 0.0])
+    for i in range(6):
+        np.testing.assert_allclose(one(touches, 5.0)[i], one(touches[i : i + 1], 5.0)[0])
+
+
+def test_linear_in_features(learned, touches):
+    def change(*p):
+        return learned.of(p)(touches, 10.0)
+
+    middle = change(0.0, 0.0)
+    first, second = change(1.0, 0.0) - middle, change(0.0, 1.0) - middle
+    assert np.abs(first).max() > 0.01 * np.abs(middle).max()
+    np.testing.assert_allclose(
+        change(-2.0, 0.3), middle - 2.0 * first + 0.3 * second, rtol=1e-9, atol=1e-14
+    )
+
+
+def uncertainty(one, touches, angle_deg):
+    said, hidden = one.tangent(touches, angle_deg)
+    return one.uncertainty(said[:, 0], hidden)
+
+
+def test_uncertainty_is_the_covariance_of_what_is_not_known(learned, touches):
+    """Of the sum of three touches on specimens drawn at random, and of what no q explains."""
+    rng = np.random.default_rng(6)
+    three, angle = touches[:3], 10.0
+    told = replace(learned, mismatch=0.03)
+    one = told.of([0.5, 0.0])
+    shapes, each = one.unseen(three, angle), one(three, angle)
+    assert shapes.shape == (2, 28)
+    alone = [one.unseen(three[i : i + 1], angle) for i in range(3)]
+    np.testing.assert_allclose(np.sum(alone, axis=0), shapes)
+    drawn = rng.standard_normal((20_000, 2)) @ shapes
+    for change in each:
+        drawn += 0.03 * change * rng.standard_normal((20_000, 28))
+    said = uncertainty(one, three, angle)
+    np.testing.assert_allclose(said, np.cov(drawn.T), atol=0.04 * np.diag(said).max())
+    again = TouchResponse.from_arrays(told.arrays()).of([0.5, 0.0])
+    np.testing.assert_allclose(uncertainty(again, three, angle), said, atol=1e-5 * said.max())
+
+
+def test_arrays_make_it_again(learned, touches):
+    """To single precision, in which weights are trained and kept."""
+    told = replace(learned, mismatch=0.07)
+    again = TouchResponse.from_arrays(told.arrays())
+    expected = told.of([1.0, 2.0])(touches, -5.0)
+    said = again.of([1.0, 2.0])(touches, -5.0)
+    np.testing.assert_allclose(said, expected, atol=1e-5 * np.abs(expected).max())
+    twice = TouchResponse.from_arrays(again.arrays())
+    np.testing.assert_array_equal(twice.of([1.0, 2.0])(touches, -5.0), said)
+    assert again.mismatch == 0.07
+    assert again.ranges.size == told.ranges.size
+    assert again.ranges.force == told.ranges.force
+    assert again.ranges.angle_deg == told.ranges.angle_deg
+
+
+# Learning
+
+STRENGTHS = np.exp(np.array([0.2, -0.2, 0.1, 0.0, -0.1, 0.15, -0.15, 0.0]))
+
+
+def frames(count, seed):
+    """Of one and two touches, of eight specimens of one feature that differ in strength."""
+    rng = np.random.default_rng(seed)
+    touches = rng.uniform(HABITS.low, HABITS.high, (count, 2, 3))
+    touches[rng.uniform(size=count) < 0.5, 1] = np.nan
+    angle = rng.uniform(-20.0, 50.0, count)
+    specimen = rng.integers(0, len(STRENGTHS), count)
+    feature = np.linspace(-1.5, 1.5, len(STRENGTHS))[specimen]
+    change = np.nansum([touch_change(touches[:, i], angle[:, None]) for i in range(2)], axis=0)
+    # The feature makes some channels feel more and others less.
+    change *= 1.0 + 0.05 * np.outer(feature, np.where(np.arange(28) % 2, 1.0, -1.0))
+    change *= STRENGTHS[specimen][:, None]
+    change += 1e-5 * rng.standard_normal(change.shape)
+    return TouchFrames(touches, angle, feature[:, None], specimen, change)
+
+
+@pytest.fixture(scope="module")
+def trained():
+    """A smaller network than is used: seconds of training, to a tenth of the change."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(response_network, "HIDDEN", 48)
+        patch.setattr(response_network, "LAYERS", 2)
+        settings = NetworkSettings(1e-2, epochs=50, batch=32)
+        yield fit_response(frames(800, 0), RANGES, 1e-5, settings, 0, silent)
+    torch.set_num_threads(before)
+
+
+def test_smooth_response_is_learned_from_few_frames(trained):
+    """At places, forces, angles and features never seen."""
+    rng = np.random.default_rng(2)
+    errors, sizes = [], []
+    for touch in rng.uniform(HABITS.low, HABITS.high, (200, 3)):
+        angle, feature = rng.uniform(-20.0, 50.0), rng.uniform(-1.5, 1.5)
+        said = trained[0].of([feature])(touch[None], angle)[0]
+        true = touch_change(touch[None], angle)[0]
+        true = true * (1.0 + 0.05 * feature * np.where(np.arange(28) % 2, 1.0, -1.0))
+        errors.append(np.sum((said - true) ** 2))
+        sizes.append(np.sum(true**2))
+    assert np.sqrt(np.sum(errors) / np.sum(sizes)) < 0.12
+
+
+def test_strengths_of_specimens_do_not_blur_it(trained):
+    """Had it one response for all specimens, it would end at a loss above 0.02.
+
+    Relative to the middle one, each specimen is felt as strongly as it was made to be.
+    """
+    response, history = trained
+    assert history.training[-1] < 0.012
+    data = frames(300, 3)
+    strengths = []
+    for number in range(len(STRENGTHS)):
+        said, true = [], []
+        for i in np.flatnonzero(data.specimen == number):
+            touches = data.touches[i][np.isfinite(data.touches[i][:, 0])]
+            one = response.of(data.features[i])
+            said.append(one(touches, float(data.angle_deg[i])).sum(axis=0))
+            true.append(data.change[i])
+        strengths.append(np.vdot(said, true) / np.vdot(said, said))
+    np.testing.assert_allclose(strengths, STRENGTHS, rtol=0.07)
+
+
+@pytest.mark.parametrize("features", [0, 1])
+def test_network_says_what_it_was_trained_to_say(features):
+    """The response without torch is the network's own, frame by frame; one specimen has none."""
+    data = frames(40, 4)
+    data = replace(data, features=data.features[:, :features])
+    network = ResponseNetwork(data)
+    network.unseen.data[:] = torch.tensor([0.3, -0.5])  # the same for all: then it is none
+    with torch.inference_mode():
+        said = network(_packed(data, RANGES)).numpy() * 0.5
+    plain = _response(network, np.unique(data.specimen), 0.5, RANGES)
+    for i in range(40):
+        touches = data.touches[i][np.isfinite(data.touches[i][:, 0])]
+        alone = plain.of(data.features[i])(touches, float(data.angle_deg[i])).sum(axis=0)
+        np.testing.assert_allclose(alone, said[i], atol=1e-5 * np.abs(said).max())

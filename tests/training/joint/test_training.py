@@ -1,0 +1,145 @@
+"""Learning the joint method from frames of a sensor that is known in closed form."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from eitskin.datasets import Dataset, State
+from eitskin.errors import DataError
+from eitskin.geometry import SensorDesign
+from eitskin.training.joint import (
+    proposal_training as proposal_network,
+)
+from eitskin.training.joint import (
+    response_training as response_network,
+)
+from eitskin.training.joint import (
+    training as joint_training,
+)
+from eitskin.training.joint.method import JointMethod
+from eitskin.training.joint.training import fit_joint
+from eitskin.training.method.input_spec import Layout
+from eitskin.training.method.observations import Observed
+from eitskin.training.method.settings import JointSettings, NetworkSettings
+
+from smooth_sensor import (
+    FLAT,
+    HABITS,
+    NOISE,
+    PROTOCOL,
+    bend_mean,
+    powers,
+    touch_change,
+)
+
+LAYOUT = Layout(SensorDesign.reference(), PROTOCOL, 40e3, FLAT)
+
+
+def dataset(count=900, specimens=24, seed=0):
+    """Idle, touched and bent frames in turn, of specimens that differ in flat values and bends."""
+    rng = np.random.default_rng(seed)
+    flat = FLAT * np.exp(0.01 * rng.standard_normal((specimens, 28)))
+    own = 5e-4 * rng.standard_normal((specimens, 28))
+    specimen = rng.integers(0, specimens, count)
+    state = np.arange(count) % 3
+    state = np.where((state == State.IDLE) & (np.arange(count) % 2 == 0), State.TOUCH, state)
+    bent = (state == State.BEND) | ((state == State.TOUCH) & (rng.uniform(size=count) < 0.5))
+    angle = np.where(bent, rng.uniform(-20.0, 50.0, count), 0.0)
+    touches = rng.uniform(HABITS.low, HABITS.high, (count, 2, 3))
+    touches[..., 2] = rng.uniform(4.0, 12.0, (count, 2))
+    apart = np.hypot(*(touches[:, 0, :2] - touches[:, 1, :2]).T)
+    touches[(apart < 0.030) | (rng.uniform(size=count) < 0.5), 1] = np.nan
+    touches[state != State.TOUCH] = np.nan
+    log = powers(angle, 5) @ bend_mean() + powers(angle, 1) * own[specimen]
+    free = flat[specimen] * np.exp(log + NOISE * rng.standard_normal(log.shape))
+    each = [touch_change(touches[:, i], angle[:, None]) for i in range(2)]
+    log = log + np.nansum(each, axis=0) + NOISE * rng.standard_normal(log.shape)
+    columns = np.full((4, count, 4), np.nan)
+    columns[:3, :, :2] = touches.transpose(2, 0, 1)
+    columns[3] = np.where(np.isfinite(columns[0]), 0.0075, np.nan)
+    return Dataset.from_arrays(
+        (flat[specimen] * np.exp(log)).astype(complex),
+        flat,
+        touch_reference=free,
+        specimen=specimen,
+        state=state,
+        bend_angle_deg=angle,
+        touch_x=columns[0],
+        touch_y=columns[1],
+        touch_force=columns[2],
+        touch_radius=columns[3],
+        protocol=PROTOCOL,
+        source="simulated",
+        design=SensorDesign.reference(),
+    )
+
+
+@pytest.fixture(scope="module")
+def trained():
+    """Networks smaller than are used, trained for seconds."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    said = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(response_network, "HIDDEN", 48)
+        patch.setattr(response_network, "LAYERS", 2)
+        patch.setattr(proposal_network, "HIDDEN", (96, 96))
+        patch.setattr(proposal_network, "PER_EPOCH", 40)
+        patch.setattr(joint_training, "PITCH", 0.008)
+        settings = JointSettings(
+            response=NetworkSettings(1e-2, epochs=18, batch=48),
+            proposals=NetworkSettings(1e-2, epochs=2, batch=64),
+        )
+        method = fit_joint(dataset(), LAYOUT, settings, 0, lambda *told: said.append(told))
+    torch.set_num_threads(before)
+    return method, said
+
+
+def test_what_is_learned_is_the_sensor(trained):
+    method, said = trained
+    np.testing.assert_allclose(method.noise, NOISE, rtol=0.2)
+    assert method.habits.separation == pytest.approx(0.030, abs=0.001)
+    assert method.habits.force[0] == pytest.approx(8.0, abs=0.3)
+    assert method.radius == pytest.approx(0.0075)
+    assert method.response.ranges.angle_deg[0] < -18.0
+    assert 0.01 < method.response.mismatch < 0.4
+    angles = np.array([-15.0, 20.0, 45.0])
+    bend = method.curves.of(np.zeros(len(method.features.directions))).value(angles)
+    np.testing.assert_allclose(bend, powers(angles, 5) @ bend_mean(), atol=5e-4)
+    spread = np.sqrt(np.diag(method.curves.of(np.zeros(4)).uncertainty(50.0)))
+    assert 3e-4 < np.median(spread) < 8e-4
+    assert {stage for stage, *_ in said} == {"bend curve", "touch response", "proposals"}
+    assert all(done <= total for _, done, total in said)
+
+
+def test_learned_method_perceives_frames_never_seen(trained):
+    unseen = dataset(150, 24, seed=1)
+    said = trained[0].perceive(Observed.of(unseen))
+    assert np.mean(said.state == unseen.state) > 0.9
+    free = unseen.state != State.TOUCH
+    assert np.sqrt(np.mean((said.bend_angle_deg - unseen.bend_angle_deg)[free] ** 2)) < 1.5
+    away = []
+    for i in np.flatnonzero(unseen.touch_count == 1):
+        found = said.touches[i].place
+        true = [unseen.touch_x[i, 0], unseen.touch_y[i, 0]]
+        away.append(np.hypot(*(found - true).T).min() if len(found) else np.inf)
+    assert np.median(away) < 0.005
+
+
+def test_learned_method_is_copied_by_its_arrays(trained):
+    frames = Observed.of(dataset(12, 24, seed=2))
+    again = JointMethod.from_arrays(trained[0].arrays(), LAYOUT)
+    expected = trained[0].outputs(frames)
+    for name, array in again.outputs(frames).items():
+        np.testing.assert_allclose(array, expected[name], atol=1e-4)
+
+
+def test_too_little_to_learn_from_is_told():
+    data = dataset()
+    with pytest.raises(DataError, match="at least 100 frames of each kind"):
+        fit_joint(data.select(slice(60)), LAYOUT, JointSettings())
+    blind = replace(data, touch_force=np.full_like(data.touch_force, np.nan))
+    with pytest.raises(DataError, match="0 touched frames with known places, forces"):
+        fit_joint(blind, LAYOUT, JointSettings())

@@ -1,0 +1,94 @@
+"""One-step Gauss-Newton with the NOSER prior."""
+
+import numpy as np
+import pytest
+
+from eitskin.errors import ConfigurationError
+from eitskin.geometry import SensorDesign
+from eitskin.simulator import ForwardModel, Protocol
+from eitskin.training.paper.reconstruction import (
+    MAX_SNR,
+    Reconstruction,
+    relative_jacobian,
+    signal_to_noise,
+)
+
+SHAPE = (8, 16)
+
+
+@pytest.fixture
+def jacobian():
+    return np.random.default_rng(0).normal(size=(12, 128)) * np.geomspace(0.4, 1, 128)
+
+
+@pytest.fixture(scope="module")
+def sensor_jacobian():
+    model = ForwardModel(SensorDesign.reference(), resolution="fast")
+    protocol = Protocol.pairwise(8)
+    sensitivity = model.sensitivity(protocol, pixels=(32, 80))
+    return relative_jacobian(sensitivity, protocol.measure(model.impedance()), 1.0)
+
+
+def test_push_through_form_is_the_formula_of_the_paper(jacobian):
+    made = Reconstruction.fit(jacobian, snr=20.0, shape=SHAPE)
+    prior = np.diag(np.sum(jacobian**2, axis=0))
+    gram = jacobian.T @ jacobian + made.regularisation**2 * prior
+    np.testing.assert_allclose(made.matrix, np.linalg.solve(gram, jacobian.T), rtol=1e-7)
+
+
+def test_regularisation_gives_a_touch_the_size_that_the_prior_expects(jacobian):
+    """With lambda = n / s, pictures drawn from the prior have an rms signal of snr times n."""
+    made = Reconstruction.fit(jacobian, snr=20.0, shape=SHAPE)
+    noise, rng = 1e-3, np.random.default_rng(1)
+    s = noise / made.regularisation
+    pictures = rng.normal(size=(4000, 128)) * s / np.sqrt(np.sum(jacobian**2, axis=0))
+    assert np.std(pictures @ jacobian.T) == pytest.approx(20.0 * noise, rel=0.02)
+
+
+def test_pixel_that_nothing_sees_stays_zero(jacobian):
+    jacobian[:, 5] = 0.0
+    picture = Reconstruction.fit(jacobian, snr=20.0, shape=SHAPE).apply(np.ones(12))
+    assert picture.shape == SHAPE
+    assert picture.ravel()[5] == 0.0
+    assert np.isfinite(picture).all()
+
+
+def test_dark_pixels_are_not_favoured(jacobian):
+    """Plain NOSER puts a pixel's change near 1 / sensitivity; the floor stops that."""
+    jacobian[:, :3] *= 1e-3
+    picture = Reconstruction.fit(jacobian, snr=20.0, shape=SHAPE).apply(jacobian[:, 60])
+    assert np.abs(picture).argmax() == 60
+
+
+def test_relative_jacobian_of_the_whole_sensor(sensor_jacobian):
+    """One percent more conductivity everywhere lowers R by up to one percent; contacts share it."""
+    assert (sensor_jacobian.sum(axis=1) < -0.6).all()
+    assert (sensor_jacobian.sum(axis=1) > -1.0).all()
+
+
+@pytest.mark.parametrize("place", [(0.075, 0.030), (0.045, 0.045), (0.110, 0.015)])
+def test_picture_is_lowest_where_the_sensor_is_pressed(sensor_jacobian, place):
+    x, y = np.meshgrid((np.arange(80) + 0.5) * 0.150 / 80, (np.arange(32) + 0.5) * 0.060 / 32)
+    pressed = np.where(np.hypot(x - place[0], y - place[1]) < 0.0075, -0.2, 0.0)
+    made = Reconstruction.fit(sensor_jacobian, snr=30.0, shape=(32, 80))
+    picture = made.apply(sensor_jacobian @ pressed.ravel())
+    iy, ix = np.unravel_index(picture.argmin(), picture.shape)
+    assert np.hypot(x[iy, ix] - place[0], y[iy, ix] - place[1]) < 0.008
+
+
+def test_signal_to_noise_takes_the_noise_off():
+    touch = np.random.default_rng(2).normal(size=(5000, 20)) * np.hypot(3.0, 1.0)
+    assert signal_to_noise(touch, 1.0) == pytest.approx(3.0, rel=0.02)
+    assert signal_to_noise(touch, 0.0) == MAX_SNR
+    assert 0 < signal_to_noise(touch, 100.0) < 1
+
+
+def test_noise_free_training_sets_are_still_regularised(jacobian):
+    assert Reconstruction.fit(jacobian, snr=np.inf, shape=SHAPE).regularisation > 0
+
+
+def test_refusals(jacobian):
+    with pytest.raises(ConfigurationError, match="128 columns, got 120"):
+        Reconstruction.fit(jacobian[:, :120], snr=20.0, shape=SHAPE)
+    with pytest.raises(ConfigurationError, match="snr must be positive"):
+        Reconstruction.fit(jacobian, snr=-1.0, shape=SHAPE)

@@ -1,0 +1,320 @@
+"""Stages that are learned: state, touch map, touches, touch position."""
+
+import os
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from eitskin.datasets import RecordingNames, read_recording
+from eitskin.errors import ConfigurationError, DataError
+from eitskin.training import RecordedTouches
+from eitskin.training.method.networks import single_thread, weights_of
+from eitskin.training.method.settings import NetworkSettings, TrainingSettings
+from eitskin.training.paper.bend_subspace import bend_free
+from eitskin.training.paper.classifier import Classifier
+from eitskin.training.paper.missing_channels import MissingChannels
+from eitskin.training.paper.postprocessor import PostProcessor
+from eitskin.training.paper.reconstruction import Reconstruction
+from eitskin.training.paper.touch_regions import find_touches
+from eitskin.training.positions.touch_position import TouchPosition
+
+DATA = Path(os.environ.get("EITSKIN_DATA", Path(__file__).parents[4] / "shared" / "data"))
+SHAPE = (8, 16)
+OUTLINE = (0.16, 0.08)
+X, Y = np.meshgrid((np.arange(16) + 0.5) * 0.01, (np.arange(8) + 0.5) * 0.01)
+
+
+# A toy sensor of 8 x 16 pixels: thirty channels, each of which sees a blurred column or row.
+JACOBIAN = np.array(
+    [np.exp(-((X - place) ** 2) / 3e-4).ravel() for place in np.linspace(0, 0.16, 20)]
+    + [np.exp(-((Y - place) ** 2) / 3e-4).ravel() for place in np.linspace(0, 0.08, 10)]
+)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def one_thread():
+    """Small networks gain nothing from more, and lose where cores are shared."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.fixture(scope="module")
+def reconstruction():
+    return Reconstruction.fit(JACOBIAN, snr=100.0, shape=SHAPE)
+
+
+@pytest.fixture(scope="module")
+def embedding(reconstruction):
+    return reconstruction.matrix[None]
+
+
+@pytest.fixture(scope="module")
+def presses():
+    """dV and touch maps of 300 presses of the toy sensor, 20 mm across."""
+    rng = np.random.default_rng(0)
+    centres = rng.uniform([0.02, 0.02], [0.14, 0.06], size=(300, 2))
+    distance = np.hypot(X - centres[:, :1, None], Y - centres[:, 1:, None])
+    maps = np.clip(1.5 - distance / 0.01, 0, 1).astype(np.float32)
+    return maps.reshape(300, -1) @ JACOBIAN.T, maps, centres
+
+
+# Bend taken off
+
+
+def test_bend_free_signals_hold_no_bend_and_nearly_all_of_a_touch():
+    rng = np.random.default_rng(4)
+    angle, shapes = rng.uniform(-1, 1, 400), rng.normal(size=(2, 20))
+    bends = np.outer(angle, shapes[0]) + 0.1 * np.outer(angle**2, shapes[1])
+    noisy = bends + rng.normal(size=bends.shape) * 1e-3
+    projection = bend_free(noisy, noise=1e-3)
+    assert np.linalg.matrix_rank(projection) == 18
+    assert np.abs(bends @ projection).max() < 1e-3
+    touch = rng.normal(size=20)
+    assert np.linalg.norm(touch @ projection) > 0.7 * np.linalg.norm(touch)
+    assert np.linalg.matrix_rank(bend_free(rng.normal(size=(50, 20)), noise=1e-9)) == 10
+    np.testing.assert_array_equal(bend_free(np.zeros((50, 20)), noise=1e-9), np.eye(20))
+
+
+# Missing channels
+
+
+def test_missing_channels_are_what_the_others_say():
+    """Exact for signals of few shapes; nothing is made up where the channels say nothing."""
+    rng = np.random.default_rng(0)
+    shapes = rng.normal(size=(3, 10))
+    dV = rng.normal(size=(500, 3)) @ shapes
+    stage = MissingChannels.fit(dV, noise=1e-6)
+    whole = rng.normal(size=3) @ shapes
+    holed = np.where(np.isin(np.arange(10), [2, 7]), np.nan, whole)
+    np.testing.assert_allclose(stage.fill(holed[None])[0], whole, atol=1e-6)
+    np.testing.assert_array_equal(stage.fill(whole[None])[0], whole)
+    independent = MissingChannels.fit(np.eye(10), noise=1e-6)
+    assert independent.fill(holed[None])[0, 2] == pytest.approx(0.0, abs=1e-9)
+
+
+# Networks
+
+BRIEF = NetworkSettings(3e-3, epochs=20, batch=16)
+
+
+@pytest.fixture(scope="module")
+def states(presses):
+    """dV and states: nothing, presses, and a smooth change along the sensor."""
+    dV, _, _ = presses
+    rng = np.random.default_rng(3)
+    state = np.arange(300) % 3
+    bend = np.concatenate([np.linspace(-1, 1, 20), np.zeros(10)]) * dV.std() * 3
+    signal = np.where((state == 1)[:, None], dV, 0) + np.outer((state == 2), bend)
+    return signal + rng.normal(size=dV.shape) * dV.std() * 0.05, state
+
+
+def test_classifier_learns_and_generalises(states, embedding):
+    dV, state = states
+    stage = Classifier.fit(dV[:240], state[:240], embedding, SHAPE, BRIEF)
+    probabilities = stage.apply(dV[240:])
+    np.testing.assert_allclose(probabilities.sum(axis=1), 1.0)
+    assert np.mean(probabilities.argmax(axis=1) == state[240:]) > 0.95
+
+
+def test_classifier_is_the_papers(embedding):
+    settings = NetworkSettings(1e-3, epochs=1)
+    stage = Classifier.fit(np.eye(30)[:4], [0, 1, 2, 0], embedding, SHAPE, settings)
+    kinds = [type(m).__name__ for m in stage.network.modules()]
+    assert [kinds.count(k) for k in ("Conv2d", "MaxPool2d", "ConvTranspose2d")] == [3, 3, 3]
+    widths = [m.out_channels for m in stage.network.modules() if isinstance(m, torch.nn.Conv2d)]
+    assert widths == [16, 32, 64]
+    assert stage.network.layers[-3].out_features == 16
+    paper = TrainingSettings.preset("paper").classifier
+    assert (paper.learning_rate, paper.epochs, paper.batch) == (1e-5, 150, 64)
+    assert not paper.one_cycle
+    assert paper.noise == 0
+    whole = TrainingSettings.preset("paper")
+    assert not whole.bend_free_map
+    assert not whole.compressed_maps
+    assert not whole.bend_squares
+
+
+def test_classifier_sees_standardised_maps_or_compressed_ones(states, embedding):
+    dV, state = states
+    settings = NetworkSettings(1e-3, epochs=1)
+    plain, compressed = (
+        Classifier.fit(dV, state, embedding, SHAPE, settings, compress=compress)
+        for compress in (False, True)
+    )
+    maps = dV @ plain.embedding[0].T
+    assert np.std(maps) == pytest.approx(1.0)
+    assert np.std(dV[state == 0] @ compressed.embedding[0].T) == pytest.approx(0.5)
+    again = Classifier.from_arrays(plain.arrays(), SHAPE)
+    np.testing.assert_array_equal(again.apply(dV), plain.apply(dV))
+    with torch.inference_mode():
+        logits = plain.network(torch.tensor(maps.reshape(-1, 1, *SHAPE), dtype=torch.float32))
+    np.testing.assert_allclose(plain.apply(dV), logits.softmax(dim=1).numpy(), atol=1e-6)
+
+
+def test_training_is_the_seeds_alone_and_leaves_torch_as_it_was(states, embedding):
+    dV, state = (array[:64] for array in states)
+    settings = NetworkSettings(1e-3, epochs=2, noise=1.0)
+
+    def weights(seed):
+        stage = Classifier.fit(dV, state, embedding, SHAPE, settings, noise=0.01, seed=seed)
+        return np.concatenate([w.ravel() for w in weights_of(stage.network).values()])
+
+    torch.manual_seed(5)
+    before = torch.random.get_rng_state()
+    first = weights(1)
+    assert torch.equal(torch.random.get_rng_state(), before)
+    torch.rand(3)
+    np.testing.assert_array_equal(weights(1), first)
+    assert not np.array_equal(weights(2), first)
+
+
+def test_constant_learning_rate_is_the_one_asked_for(states, embedding):
+    """Adam's first step moves a weight by the learning rate, whatever the gradient."""
+    dV, state = (array[:64] for array in states)
+    moved = []
+    for rate in (1e-5, 1e-3):
+        settings = NetworkSettings(rate, epochs=1, batch=64, one_cycle=False)
+        stage = Classifier.fit(dV, state, embedding, SHAPE, settings)
+        moved.append(stage.network.layers[-1].bias.detach().numpy())
+    assert np.max(np.abs(moved[0] - moved[1])) == pytest.approx(1e-3 - 1e-5, rel=0.01)
+
+
+def test_postprocessor_sharpens(presses, reconstruction):
+    dV, maps, centres = presses
+    stage = PostProcessor.fit(dV[:240], maps[:240], reconstruction, BRIEF)
+    made = stage.apply(reconstruction.apply(dV[240:]))
+    assert made.shape == (60, *SHAPE)
+    assert made.min() >= 0
+    assert made.max() <= 1
+    assert np.mean((made - maps[240:]) ** 2) < 0.2 * maps[240:].var()
+    places = [
+        find_touches(touch_map, OUTLINE, threshold=0.2, smallest=1)[0][:2] for touch_map in made
+    ]
+    assert np.mean(np.linalg.norm(places - centres[240:], axis=1)) < 0.006
+
+
+def test_networks_survive_their_arrays(presses, reconstruction, embedding):
+    dV, maps, _ = presses
+    settings = NetworkSettings(1e-3, epochs=1)
+    stage = PostProcessor.fit(dV[:32], maps[:32], reconstruction, settings)
+    again = PostProcessor.from_arrays(stage.arrays(), SHAPE)
+    pictures = reconstruction.apply(dV[:5])
+    np.testing.assert_array_equal(again.apply(pictures), stage.apply(pictures))
+    with pytest.raises(DataError, match="missing"):
+        PostProcessor.from_arrays({"scale": np.array(1.0)}, SHAPE)
+    with pytest.raises(DataError, match="other shapes"):
+        Classifier.from_arrays(_classifier_arrays(dV, embedding), (16, 16))
+
+
+def _classifier_arrays(dV, embedding):
+    settings = NetworkSettings(1e-3, epochs=1)
+    return Classifier.fit(dV[:4], [0, 1, 2, 0], embedding, SHAPE, settings).arrays()
+
+
+def test_single_thread_gives_the_threads_back():
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    try:
+        with suppress(KeyError), single_thread():
+            assert torch.get_num_threads() == 1
+            raise KeyError
+        assert torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(before)
+
+
+def test_settings_refuse_nonsense():
+    with pytest.raises(ConfigurationError, match="must be positive"):
+        NetworkSettings(0.0, epochs=1)
+    with pytest.raises(ConfigurationError, match="'quick' or 'paper', got 'best'"):
+        TrainingSettings.preset("best")
+
+
+# Touches in a map
+
+
+def test_touches_are_weighted_centroids_strongest_first():
+    touch_map = np.zeros((32, 80))
+    touch_map[10:14, 20:24] = 0.8
+    touch_map[20:24, 60:64] = [[0.5, 0.5, 1.0, 1.0]] * 4
+    (x0, y0, s0), (x1, y1, s1) = find_touches(touch_map, (0.150, 0.060))
+    pixel = 0.150 / 80
+    weighted = (60.5 + 61.5 + 2 * 62.5 + 2 * 63.5) / 6
+    assert (x0, y0, s0) == pytest.approx((weighted * pixel, 22 * pixel, 1.0))
+    assert (x1, y1, s1) == pytest.approx((22 * pixel, 12 * pixel, 0.8))
+
+
+def test_faint_and_tiny_regions_are_no_touches():
+    touch_map = np.zeros((32, 80))
+    touch_map[10:14, 20:24] = 0.2
+    touch_map[20, 60:63] = 1.0
+    assert find_touches(touch_map, (0.150, 0.060)) == ()
+
+
+# Touch position without geometry
+
+
+def recorded(count=150, seed=0):
+    """Ratios of a toy skin of eight channels, each feeling presses near its own place."""
+    rng = np.random.default_rng(seed)
+    places = rng.uniform(-0.05, 0.05, size=(count, 2))
+    angles = np.arange(8) * np.pi / 4
+    own = 0.05 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    distance = np.linalg.norm(places[:, None] - own, axis=2)
+    strength = rng.uniform(0.5, 2.0, size=(count, 1))
+    change = 0.02 * strength * np.exp(-((distance / 0.04) ** 2))
+    return 1 + change + rng.normal(size=change.shape) * 1e-5, places
+
+
+def test_touch_position_is_learned_whatever_the_strength():
+    stage = TouchPosition.fit(*recorded())
+    ratio, places = recorded(50, seed=1)
+    assert np.mean(np.linalg.norm(stage.apply(ratio) - places, axis=1)) < 0.002
+    harder = stage.apply(ratio**3)  # three times the press, in log ratios
+    np.testing.assert_allclose(harder, stage.apply(ratio), atol=1e-9)
+
+
+def test_touch_position_is_scikit_learns_prediction():
+    from sklearn.gaussian_process import GaussianProcessRegressor
+    from sklearn.gaussian_process.kernels import Matern
+
+    ratio, places = recorded()
+    stage = TouchPosition.fit(ratio, places)
+    kernel = stage.variance * Matern(stage.length, nu=2.5)
+    process = GaussianProcessRegressor(kernel, optimizer=None)
+    process.X_train_, process.alpha_ = stage.directions, stage.weights
+    process._y_train_mean, process._y_train_std = 0.0, 1.0
+    process.kernel_ = kernel
+    logs = np.log(ratio) / stage.channel_scale
+    directions = logs / np.linalg.norm(logs, axis=1, keepdims=True)
+    np.testing.assert_allclose(
+        process.predict(directions) + stage.centre, stage.apply(ratio), atol=1e-9
+    )
+
+
+def test_touch_position_edges():
+    ratio, places = recorded()
+    stage = TouchPosition.fit(ratio, places)
+    ratio[0, 0], ratio[1] = np.nan, 1.0
+    assert np.isfinite(stage.apply(ratio)).all()
+    with pytest.raises(DataError, match="8 channels, got 7"):
+        stage.apply(ratio[:, :7])
+    with pytest.raises(DataError, match="at least 20"):
+        TouchPosition.fit(ratio[:5], places[:5])
+
+
+def test_measured_hydrogel_skin():
+    """500 presses of a real skin: better than extremely randomised trees' 4.5 mm."""
+    if not (DATA / "ohmc8.mat").is_file():
+        pytest.skip(f"no ohmc8.mat in {DATA}; set EITSKIN_DATA to the folder that holds it")
+    names = RecordingNames("responsedowns", "responseups", "positions")
+    recording = read_recording(DATA / "ohmc8.mat", names)
+    score = RecordedTouches.fit(recording).evaluate(recording)
+    assert score.frames == 100
+    assert score.mean_error_mm < 3.0
+    assert score.guess_error_mm > 40.0

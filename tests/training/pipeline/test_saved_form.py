@@ -1,0 +1,309 @@
+"""Pipelines on disk: the same after loading, refused when anything is wrong with them."""
+
+import dataclasses
+import hashlib
+import json
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from safetensors.numpy import load_file, save_file
+
+from eitskin.cli.commands import evaluate, train
+from eitskin.datasets import Dataset, State, save_dataset
+from eitskin.errors import ConfigurationError, DataError, PartialError
+from eitskin.geometry import SensorDesign
+from eitskin.simulator import Frame, Protocol
+from eitskin.training import NetworkSettings, Pipeline, RecordedTouches, TrainingSettings
+from eitskin.training.pipeline.saved_form import SUMS, read_pipeline, require_place
+
+FLAT = np.linspace(400.0, 820.0, 28)
+FILES = ["README.md", "SHA256SUMS", "golden.safetensors", "pipeline.json", "weights.safetensors"]
+
+
+@pytest.fixture(scope="module")
+def dataset():
+    """Sixty frames of nothing in particular: what is learned from them does not matter here."""
+    rng = np.random.default_rng(0)
+    state = np.arange(60) % 3
+    x = np.full((60, 4), np.nan)
+    x[state == State.TOUCH, 0] = rng.uniform(0.02, 0.04, 20)
+    return Dataset.from_arrays(
+        FLAT * (1 + rng.normal(size=(60, 28)) * 1e-3),
+        FLAT,
+        specimen=np.zeros(60),
+        state=state,
+        bend_angle_deg=np.where(state == State.BEND, rng.uniform(5, 50, 60), 0.0),
+        touch_x=x,
+        touch_y=x,
+        touch_radius=np.where(np.isfinite(x), 0.0075, np.nan),
+        protocol=Protocol.pairwise(8),
+        design=SensorDesign.reference(),
+    )
+
+
+@pytest.fixture(scope="module")
+def pipeline(dataset):
+    brief = NetworkSettings(1e-3, epochs=1, batch=32)
+    pipeline = Pipeline.fit(
+        dataset, TrainingSettings(classifier=brief, postprocessor=brief, seed=3)
+    )
+    pipeline.metrics["bend"] = {"r2": 0.5}
+    return pipeline
+
+
+@pytest.fixture
+def folder(pipeline, tmp_path):
+    return pipeline.save(tmp_path / "some.eitmodel")
+
+
+def reseal(folder):
+    """What someone does who changes a file and its checksum."""
+    names = [name for name in FILES if name != SUMS]
+    sums = [f"{hashlib.sha256((folder / n).read_bytes()).hexdigest()}  {n}\n" for n in names]
+    (folder / SUMS).write_text("".join(sums))
+
+
+def edit(folder, **changes):
+    document = json.loads((folder / "pipeline.json").read_text()) | changes
+    (folder / "pipeline.json").write_text(json.dumps(document))
+    reseal(folder)
+
+
+def test_loaded_pipeline_is_the_one_that_was_saved(pipeline, folder):
+    loaded = Pipeline.load(folder)
+    rng = np.random.default_rng(1)
+    frames = FLAT * (1 + rng.normal(size=(6, 28)) * 1e-3 * np.arange(6)[:, None])
+    pipeline.reset()
+    for number, impedance in enumerate(frames):
+        frame = Frame(impedance, Protocol.pairwise(8), 0.1 * number, number)
+        ours, theirs = pipeline.process(frame), loaded.process(frame)
+        np.testing.assert_array_equal(ours.probabilities, theirs.probabilities)
+        np.testing.assert_array_equal(ours.touch_map, theirs.touch_map)
+        assert ours.bend_angle_deg == theirs.bend_angle_deg
+    assert loaded.settings == pipeline.settings
+    assert loaded.metrics == pipeline.metrics
+    assert loaded.layout.design == pipeline.layout.design
+    assert loaded.noise == pipeline.noise
+
+
+def test_loaded_pipeline_knows_what_it_was_trained_on(dataset, pipeline, folder):
+    loaded = Pipeline.load(folder)
+    np.testing.assert_array_equal(loaded.held_out(dataset), pipeline.held_out(dataset))
+    assert len(loaded.held_out(dataset)) == 12
+
+
+def test_folder_says_what_it_is_and_holds_no_pickle(folder):
+    assert sorted(path.name for path in folder.iterdir()) == FILES
+    document = json.loads((folder / "pipeline.json").read_text())
+    assert document["format"] == "eitskin-pipeline"
+    assert document["layout"]["units"]["impedance"] == "ohm"
+    assert len(document["layout"]["protocol"]["table"]) == 28
+    assert document["settings"]["seed"] == 3
+    assert "torch" in document["made_with"]
+    card = (folder / "README.md").read_text()
+    assert "150 x 60 mm sensor with 8 electrodes, 28\nmeasurements" in card
+    for path in folder.iterdir():
+        assert b"\x80\x02" not in path.read_bytes()[:2]
+        assert not path.read_bytes().startswith(b"PK")
+
+
+@pytest.mark.skipif(shutil.which("sha256sum") is None, reason="sha256sum is not installed")
+def test_sums_are_what_sha256sum_reads(folder):
+    subprocess.run(["sha256sum", "--check", "--strict", SUMS], cwd=folder, check=True)
+
+
+@pytest.mark.parametrize("name", [name for name in FILES if name != SUMS])
+def test_changed_or_missing_files_are_refused(folder, name):
+    data = (folder / name).read_bytes()
+    (folder / name).write_bytes(data[:-3] + bytes([data[-3] ^ 1]) + data[-2:])
+    with pytest.raises(DataError, match=r"is not the file that was saved"):
+        Pipeline.load(folder)
+    (folder / name).unlink()
+    with pytest.raises(DataError, match="not a whole pipeline"):
+        Pipeline.load(folder)
+
+
+def test_missing_sums_or_folder_are_refused(folder):
+    (folder / SUMS).unlink()
+    with pytest.raises(DataError, match="not a whole pipeline"):
+        Pipeline.load(folder)
+    with pytest.raises(DataError, match="there is no pipeline"):
+        Pipeline.load(folder.parent / "other.eitmodel")
+
+
+def test_newer_versions_and_other_formats_are_refused(folder):
+    edit(folder, format_version=2)
+    with pytest.raises(DataError, match="version 2, this eitskin reads up to 1"):
+        Pipeline.load(folder)
+    edit(folder, format_version=1, format="else")
+    with pytest.raises(DataError, match="got 'else'"):
+        Pipeline.load(folder)
+
+
+@pytest.mark.parametrize("missing", ["layout", "settings", "noise", "kind", "format_version"])
+def test_incomplete_documents_are_refused(folder, missing):
+    document = json.loads((folder / "pipeline.json").read_text())
+    del document[missing]
+    (folder / "pipeline.json").write_text(json.dumps(document))
+    reseal(folder)
+    with pytest.raises(DataError, match=missing):
+        Pipeline.load(folder)
+
+
+def test_documents_that_are_no_json_are_refused(folder):
+    (folder / "pipeline.json").write_text("[]")
+    reseal(folder)
+    with pytest.raises(DataError, match="no pipeline that can be read"):
+        Pipeline.load(folder)
+    (folder / "pipeline.json").write_bytes(b"\xff{")
+    reseal(folder)
+    with pytest.raises(DataError, match="no pipeline that can be read"):
+        Pipeline.load(folder)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "bend_angle.coefficients",
+        "classifier.layers.11.weight",
+        "postprocessor.layers.9.weight",
+        "reconstruction.matrix",
+    ],
+)
+def test_pipeline_that_computes_something_else_is_refused(folder, name):
+    """Also where all checksums are right: golden inputs must give golden outputs."""
+    weights = load_file(folder / "weights.safetensors")
+    weights[name] = weights[name] * 1.5
+    save_file(weights, folder / "weights.safetensors")
+    reseal(folder)
+    with pytest.raises(DataError, match="does not compute here what it computed"):
+        Pipeline.load(folder)
+
+
+def test_weights_that_are_missing_or_misshapen_are_refused(folder):
+    weights = load_file(folder / "weights.safetensors")
+    matrix = weights.pop("reconstruction.matrix")
+    save_file(weights, folder / "weights.safetensors")
+    reseal(folder)
+    with pytest.raises(DataError, match="matrix"):
+        Pipeline.load(folder)
+    save_file(weights | {"reconstruction.matrix": matrix[:, :20]}, folder / "weights.safetensors")
+    reseal(folder)
+    with pytest.raises(DataError, match="not whole"):
+        Pipeline.load(folder)
+
+
+def test_saving_replaces_a_pipeline_and_nothing_else(pipeline, folder):
+    (folder / "leftover").write_text("from an older version")
+    pipeline.save(folder)
+    assert sorted(path.name for path in folder.iterdir()) == FILES
+    assert [path.name for path in folder.parent.iterdir()] == ["some.eitmodel"]
+    precious = folder.parent / "precious.eitmodel"
+    precious.mkdir()
+    (precious / "thesis.tex").write_text("...")
+    with pytest.raises(ConfigurationError, match="is no pipeline"):
+        pipeline.save(precious)
+    with pytest.raises(ConfigurationError, match=r"NAME\.eitmodel"):
+        pipeline.save(folder.parent / "some.zip")
+
+
+def test_failed_save_leaves_the_old_pipeline(pipeline, folder, monkeypatch):
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    written = []
+
+    write = Path.write_bytes
+
+    def fill_the_disk(path, data):
+        if len(written) == 2:
+            raise OSError(28, "No space left on device")
+        write(path, data)
+        written.append(path)
+
+    monkeypatch.setattr(Path, "write_bytes", fill_the_disk)
+    with pytest.raises(PartialError, match="No space left on device"):
+        pipeline.save(folder)
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+    assert [path.name for path in folder.parent.iterdir()] == ["some.eitmodel"]
+
+
+def test_the_pipeline_that_comes_along_is_read_wherever_one_is():
+    assert read_pipeline("reference.eitmodel").kind == "perception"
+
+
+def test_commands_train_and_evaluate(dataset, tmp_path, capsys):
+    data, out = tmp_path / "data", tmp_path / "some.eitmodel"
+    save_dataset(dataset, data)
+    train.command(data, out=out, epochs=1, preset="quick", seed=4, as_json=True, quiet=True)
+    trained = json.loads(capsys.readouterr().out)
+    assert trained["frames"] == 36
+    assert Pipeline.load(out).settings == TrainingSettings.preset("quick", 4).with_epochs(1)
+    evaluate.command(out, data, as_json=True)
+    said = capsys.readouterr()
+    report = json.loads(said.out)
+    assert report["frames"] == 12
+    assert "only the 12 frames never seen count" in said.err
+    kept = trained["metrics"]
+    assert (report["states"], report["bend"]) == (kept["states"], kept["bend"])
+    evaluate.command(out, data)
+    table = capsys.readouterr().out
+    assert all(figure in table for figure in ("4.8 +- 2.8 mm", "0.94", "> 97 %", "606.6 ms"))
+
+
+def test_commands_learn_touch_positions_without_geometry(dataset, tmp_path, capsys):
+    recording = dataclasses.replace(dataset, design=None).select(
+        np.repeat(np.flatnonzero(dataset.state == State.TOUCH), 2)
+    )
+    data, out = tmp_path / "data", tmp_path / "skin.eitmodel"
+    save_dataset(recording, data)
+    train.command(data, out=out, as_json=True, quiet=True)
+    assert json.loads(capsys.readouterr().out)["frames"] == 32
+    evaluate.command(out, data, as_json=True, quiet=True)
+    assert json.loads(capsys.readouterr().out)["frames"] == 8
+
+
+def test_a_place_that_cannot_be_is_refused_before_training(tmp_path):
+    with pytest.raises(ConfigurationError, match=r"NAME\.eitmodel"):
+        train.command(tmp_path / "absent", out=tmp_path / "model.zip")
+
+
+def test_recorded_touches_are_saved_in_the_same_format(tmp_path):
+    rng = np.random.default_rng(0)
+    places = rng.uniform(-0.05, 0.05, size=(40, 2))
+    x, y = np.full((2, 40, 4), np.nan)
+    x[:, 0], y[:, 0] = places.T
+    own = rng.uniform(-0.05, 0.05, size=(6, 2))
+    change = np.exp(-(((places[:, None] - own) ** 2).sum(axis=2)) / 2e-3)
+    values = 100.0 * (1 + 0.02 * change)
+    recording = Dataset.from_arrays(
+        values, np.full(6, 100.0), specimen=np.zeros(40), state=np.ones(40), touch_x=x, touch_y=y
+    )
+    learned = RecordedTouches.fit(recording)
+    learned.metrics.update(learned.evaluate(recording).as_dict())
+    folder = learned.save(tmp_path / "skin.eitmodel")
+    assert sorted(path.name for path in folder.iterdir()) == FILES
+    loaded = RecordedTouches.load(folder)
+    assert loaded.evaluate(recording) == learned.evaluate(recording)
+    assert loaded.metrics["frames"] == 8
+    assert read_pipeline(folder).kind == RecordedTouches.KIND
+    with pytest.raises(DataError, match="holds a 'touch position' pipeline"):
+        Pipeline.load(folder)
+    weights = load_file(folder / "weights.safetensors")
+    weights["centre"] += 0.01
+    save_file(weights, folder / "weights.safetensors")
+    reseal(folder)
+    with pytest.raises(DataError, match="does not compute here"):
+        RecordedTouches.load(folder)
+
+
+def test_a_place_that_may_not_be_written_to_is_refused_before_the_work(tmp_path, monkeypatch):
+    require_place(tmp_path / "new" / "deep.eitmodel")
+    (tmp_path / "file").write_text("no folder")
+    with pytest.raises(ConfigurationError, match="file may not be written to"):
+        require_place(tmp_path / "file" / "a.eitmodel")
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    with pytest.raises(ConfigurationError, match="may not be written to"):
+        require_place(tmp_path / "a.eitmodel")

@@ -1,0 +1,199 @@
+"""Adapting a pipeline to one sensor: what is asked for, what changes, and the command."""
+
+import json
+from contextlib import nullcontext
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from eitskin.cli.main import app
+from eitskin.datasets import Dataset, State, save_dataset
+from eitskin.errors import ConfigurationError, DataError, FrameError
+from eitskin.simulator import Frame
+from eitskin.training import Pipeline
+from eitskin.training.method.calibration import Calibration, KnownBends
+
+from linear_sensor import linear_sensor, trained_pipeline
+
+GAIN = 1.2  # of the sensor at hand, over that of the one trained with
+ANGLES = (0.0, 0.0, -20.0, -2.5, 15.0, 32.5, 50.0)
+
+
+@pytest.fixture(scope="module")
+def sensor():
+    return linear_sensor()
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory):
+    """A pipeline trained on the sensor, on disk."""
+    return trained_pipeline(tmp_path_factory)[0]
+
+
+def frames(sensor, angles, gain=GAIN):
+    """Frames of a sensor that bends `gain` times as much."""
+    rng = np.random.default_rng(3)
+    return [
+        Frame(sensor.impedance(gain * angle, None, rng), sensor.protocol, 0.3 * i, i)
+        for i, angle in enumerate(angles)
+    ]
+
+
+def rmse(pipeline, sensor, angles=(-15.0, 10.0, 25.0, 40.0)):
+    pipeline.reset()
+    first, *rest = (pipeline.process(frame) for frame in frames(sensor, (0.0, *angles)))
+    assert first.state is State.IDLE
+    return float(np.sqrt(np.mean((np.array([e.bend_angle_deg for e in rest]) - angles) ** 2)))
+
+
+def test_a_sensor_of_another_gain_is_calibrated(saved, sensor, tmp_path):
+    pipeline = Pipeline.load(saved)
+    before = rmse(pipeline, sensor)
+    said = pipeline.calibrate(frames(sensor, ANGLES), ANGLES)
+    assert before > 3.0
+    assert rmse(pipeline, sensor) < 0.5
+    assert said.error_after_deg[0] < 0.2 * said.error_before_deg[0]
+    again = Pipeline.load(pipeline.save(tmp_path / "mine.eitmodel"))
+    assert again.calibration == pipeline.calibration
+    assert rmse(again, sensor) == pytest.approx(rmse(pipeline, sensor), abs=1e-6)
+
+
+def test_known_bends_are_relative_to_the_mean_of_the_flat_frames(saved, sensor):
+    layout = Pipeline.load(saved).layout
+    taken = frames(sensor, ANGLES)
+    known = KnownBends.of(taken, ANGLES, layout)
+    flat = np.log(np.abs([frame.impedance for frame in taken[:2]])).mean(axis=0)
+    np.testing.assert_allclose(np.log(known.flat), flat)
+    np.testing.assert_allclose(known.change[0], np.log(np.abs(taken[2].impedance)) - flat)
+    assert known.angle_deg.tolist() == list(ANGLES[2:])
+    assert known.flat_frames == 2
+    np.testing.assert_allclose(known.age, 0.3 * np.arange(2, 7))
+
+
+@pytest.mark.parametrize(
+    ("angles", "error", "message"),
+    [
+        ((0.0, 10.0), ConfigurationError, "one angle for each frame, got 2 angles and 3 frames"),
+        ((5.0, 10.0, 20.0), ConfigurationError, "at least one frame of the flat sensor"),
+        ((0.0, 0.0, 0.0), ConfigurationError, "one of the bent sensor, got 3 and 0"),
+        ((0.0, float("nan"), 1.0), DataError, "finite angles"),
+    ],
+)
+def test_angles_that_cannot_be_are_refused(saved, sensor, angles, error, message):
+    pipeline = Pipeline.load(saved)
+    method = pipeline.method
+    with pytest.raises(error, match=message):
+        pipeline.calibrate(frames(sensor, (0.0, 10.0, 20.0)), angles)
+    assert pipeline.method is method
+
+
+def test_another_sensor_is_refused(saved, sensor):
+    strange = [
+        Frame(50.0 * frame.impedance, sensor.protocol) for frame in frames(sensor, (0.0, 10.0))
+    ]
+    with pytest.raises(FrameError, match="times those of the sensor"):
+        Pipeline.load(saved).calibrate(strange, (0.0, 10.0))
+
+
+def run(*arguments, **options):
+    return CliRunner().invoke(app, [str(a) for a in ("calibrate", *arguments)], **options)
+
+
+def bends(sensor, folder, angles=ANGLES[2:]):
+    """A dataset of untouched frames at known angles."""
+    taken = frames(sensor, angles)
+    data = Dataset.from_arrays(
+        np.array([frame.impedance for frame in taken]),
+        sensor.flat,
+        specimen=np.zeros(len(angles)),
+        state=np.full(len(angles), State.BEND),
+        bend_angle_deg=np.array(angles),
+        protocol=sensor.protocol,
+    )
+    save_dataset(data, folder)
+    return folder
+
+
+def test_the_command_calibrates_from_labelled_frames(saved, sensor, tmp_path):
+    folder, out = bends(sensor, tmp_path / "bends"), tmp_path / "mine.eitmodel"
+    done = run(saved, "--dataset", folder, "--out", out, "--json")
+    assert done.exit_code == 0, done.output
+    said = json.loads(done.stdout)
+    assert said["out"] == str(out)
+    assert said["residual_deg"] < 0.5
+    assert rmse(Pipeline.load(out), sensor) < 0.5
+
+
+def test_the_command_asks_for_each_angle_of_a_board(saved, tmp_path):
+    """The virtual board's sensor is flat all the time: asked for, but not bent."""
+    out = tmp_path / "mine.eitmodel"
+    board = "virtual:?speed=max"
+    done = run(
+        saved, "--board", board, "--angles", "10,20", "--frames", 2, "--out", out, input="\n\n\n"
+    )
+    assert "lay it flat, untouched, and press Enter" in done.output
+    assert "bend it by 20 deg, untouched, and press Enter" in done.output
+    assert isinstance(done.exception, DataError)
+    assert "for angles of 10 to 20 deg; check" in str(done.exception)
+    assert not out.exists()
+
+
+def test_the_command_calibrates_by_a_board(saved, sensor, tmp_path):
+    folder, out = bends(sensor, tmp_path / "bends", ANGLES[1:]), tmp_path / "mine.eitmodel"
+    done = run(saved, "--board", f"replay:{folder}", "--no-prompt", "--frames", 1, "--out", out)
+    assert done.exit_code == 0, done.output
+    assert rmse(Pipeline.load(out), sensor) < 0.5
+
+
+def test_another_sensor_is_refused_before_anything_is_asked(saved, tmp_path):
+    design = tmp_path / "six.toml"
+    design.write_text(
+        "thickness = 0.004\noutline = { length = 0.1, width = 0.05 }\nelectrodes = { count = 6 }\n"
+    )
+    done = run(saved, "--board", f"virtual:?sensor={design}", "--out", tmp_path / "mine.eitmodel")
+    assert isinstance(done.exception, FrameError)
+    assert "trained for 8 electrodes" in str(done.exception)
+    assert not done.output
+
+
+def test_angles_in_another_order_are_refused(saved, sensor):
+    pipeline = Pipeline.load(saved)
+    method = pipeline.method
+    with pytest.raises(DataError, match=r"do not fit their angles: .* deg off, .* for angles of"):
+        pipeline.calibrate(frames(sensor, ANGLES), (0.0, 0.0, *ANGLES[:1:-1]))
+    assert pipeline.method is method
+    assert not pipeline.calibration
+
+
+@pytest.mark.parametrize(
+    ("scale", "residual", "fits"),
+    [(1.0, 7.0, True), (1.0, 8.0, False), (np.pi / 180, 0.9, True), (np.pi / 180, 1.1, False)],
+)
+def test_the_residual_is_judged_by_the_size_of_the_angles(scale, residual, fits, saved, sensor):
+    layout = Pipeline.load(saved).layout
+    known = KnownBends.of(frames(sensor, ANGLES), np.multiply(ANGLES, scale), layout)
+    outcome = nullcontext() if fits else pytest.raises(DataError, match="do not fit")
+    with outcome:
+        Calibration((10.0,), (1.0,), (1.0,), residual).require_fit(known)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((), "either --board or --dataset"),
+        (("--board", "virtual:", "--dataset", "x"), "either --board or --dataset"),
+        (("--board", "virtual:", "--angles", "ten"), "apart by commas"),
+    ],
+)
+def test_the_command_says_what_it_needs(saved, tmp_path, arguments, message):
+    done = run(saved, "--out", tmp_path / "mine.eitmodel", *arguments)
+    assert isinstance(done.exception, ConfigurationError)
+    assert message in str(done.exception)
+
+
+def test_a_dataset_without_bends_is_named(saved, sensor, tmp_path):
+    folder = bends(sensor, tmp_path / "bends")
+    done = run(saved, "--dataset", folder, "--specimen", 1, "--out", tmp_path / "m.eitmodel")
+    assert isinstance(done.exception, DataError)
+    assert "untouched frames of specimen 1" in str(done.exception)

@@ -1,0 +1,270 @@
+"""The Cramer-Rao bound: how small the errors of any unbiased estimate can be.
+
+A frame's values are taken as the logarithms of its resistances over those of a reference, as the
+pipelines do, so that noise is relative. With their covariance C and their derivatives G by the
+parameters, no unbiased estimate has a covariance below (G C^-1 G^T)^-1 (Rao 1945, Cramer 1946).
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import cholesky, solve_triangular
+from scipy.special import ellipe
+
+from eitskin.errors import ConfigurationError
+from eitskin.geometry.deformation.fixtures import Bend
+from eitskin.simulator.electrical.reanalysis import EXACT
+from eitskin.simulator.instrument.instrument import Instrument
+from eitskin.simulator.scene.scene import Scene
+from eitskin.simulator.simulator import Simulator
+
+Array = NDArray[np.float64]
+
+_SINGULAR = 1e-12  # least eigenvalue of an information matrix with ones on its diagonal
+# Where a parameter is changed to, in steps, and the weights of its derivative; all of second order.
+_STENCILS = (
+    ((-1.0, 1.0), (-0.5, 0.5)),
+    ((0.0, 1.0, 2.0), (-1.5, 2.0, -0.5)),
+    ((0.0, -1.0, -2.0), (1.5, -2.0, 0.5)),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Steps:
+    """How far parameters are changed for differences; docs/cramer-rao.md says what that leaves.
+
+    Attributes:
+        place: of a touch [m].
+        force: relative to the force.
+        angle_deg: of the bend [deg].
+    """
+
+    place: float = 1e-3
+    force: float = 0.02
+    angle_deg: float = 0.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SceneBound:
+    """Least deviations of what is estimated from one frame of a scene with k touches.
+
+    Attributes:
+        place: sqrt(var x + var y) of each touch (k,) [m].
+        distance: mean distance between true and found place of each touch (k,) [m], smaller than
+            `place`, and what localisation errors are reported as.
+        force: of each touch (k,) [N].
+        angle_deg: of the bend [deg]; 0 where it is known.
+    """
+
+    place: Array
+    distance: Array
+    force: Array
+    angle_deg: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SceneDerivatives:
+    """How the m measured resistances of a scene with k touches depend on its parameters.
+
+    Attributes:
+        resistance: real parts of the measurements (m,) [ohm].
+        by_touch: derivatives of log resistance by x [1/m], y [1/m] and force [1/N], (k, 3, m).
+        by_angle: the same by the bend angle (m,) [1/deg].
+    """
+
+    resistance: Array
+    by_touch: Array
+    by_angle: Array
+
+    def noise(self, instrument: Instrument, full_scale: float) -> Array:
+        """Deviation of an instrument's white noise, relative to each resistance (m,).
+
+        The noise of the other quadrature turns the phase and leaves the logarithm alone.
+        """
+        return instrument.deviation(full_scale) / np.abs(self.resistance)
+
+    def bound(
+        self,
+        deviation: ArrayLike,
+        reference_frames: float = 1.0,
+        *,
+        angle_known: bool = False,
+        factor_known: bool = True,
+    ) -> SceneBound:
+        """The bound for one frame against a reference.
+
+        Args:
+            deviation: of the noise of one frame, relative to each resistance, (m,) or one number.
+            reference_frames: how many frames the reference is the mean of; math.inf for one
+                without noise.
+            angle_known: the bend angle need not be estimated.
+            factor_known: else all resistances have drifted by one unknown factor since the
+                reference was taken.
+
+        Raises:
+            ConfigurationError: for noise that is not positive, for nothing to estimate, and where
+                the measurements do not determine the parameters.
+        """
+        noise = np.broadcast_to(np.asarray(deviation, dtype=float), self.by_angle.shape)
+        if not (np.all(np.isfinite(noise) & (noise > 0.0)) and reference_frames > 0.0):
+            raise ConfigurationError(
+                "a bound needs noise and reference frames above 0, got deviations from "
+                f"{noise.min():g} to {noise.max():g} and {reference_frames:g} frames"
+            )
+        touches = len(self.by_touch)
+        rows = [self.by_touch.reshape(3 * touches, len(self.by_angle))]
+        if not angle_known:
+            rows.append(self.by_angle[None])
+        wanted = sum(map(len, rows))
+        if not wanted:
+            raise ConfigurationError("without touches and with a known angle nothing is estimated")
+        if not factor_known:
+            rows.append(np.ones((1, len(self.by_angle))))
+        covariance = np.diag(noise**2) * (1.0 + 1.0 / reference_frames)
+        parameters = information(np.concatenate(rows), covariance)
+        least = bound(parameters, nuisance=range(wanted, len(parameters)))
+        of_touches = [slice(start, start + 3) for start in range(0, 3 * touches, 3)]
+        blocks = np.array([least[part, part] for part in of_touches]).reshape(-1, 3, 3)
+        places = blocks[:, :2, :2]
+        return SceneBound(
+            place=np.sqrt(np.trace(places, axis1=1, axis2=2)),
+            distance=mean_distance(places),
+            force=np.sqrt(blocks[:, 2, 2]),
+            angle_deg=0.0 if angle_known else float(np.sqrt(least[wanted - 1, wanted - 1])),
+        )
+
+
+def information(derivatives: Array, covariance: Array) -> Array:
+    """Fisher information G C^-1 G^T of normal noise, (parameters, parameters).
+
+    Args:
+        derivatives: G, of the mean by the parameters, (parameters, measurements).
+        covariance: C, of the noise, (measurements, measurements).
+
+    Raises:
+        ConfigurationError: for a covariance that is not positive definite.
+    """
+    deviation = np.sqrt(np.abs(np.diag(covariance)))
+    try:
+        factor = cholesky(covariance / np.outer(deviation, deviation), lower=True)
+    except (np.linalg.LinAlgError, ValueError) as error:
+        raise ConfigurationError(
+            f"the covariance of the noise must be positive definite, got one that is not: {error}"
+        ) from error
+    white = solve_triangular(factor, (derivatives / deviation).T, lower=True)
+    found: Array = white.T @ white
+    return found
+
+
+def bound(information: Array, nuisance: Sequence[int] = ()) -> Array:
+    """Least covariance of unbiased estimates, of all parameters but `nuisance`.
+
+    Each parameter is taken in units of what it would be known to alone, so that metres beside
+    newtons cost no digits.
+
+    Args:
+        information: of all parameters, (parameters, parameters).
+        nuisance: numbers of those that are unknown too, but not asked for.
+
+    Raises:
+        ConfigurationError: where the measurements do not determine the parameters.
+    """
+    wanted = np.setdiff1d(np.arange(len(information)), np.asarray(nuisance, dtype=int))
+    diagonal = np.diag(information)
+    if not np.all(diagonal > 0.0):
+        nothing = np.flatnonzero(~(diagonal > 0.0)).tolist()
+        raise ConfigurationError(f"the measurements say nothing of parameters {nothing}")
+    alone = 1.0 / np.sqrt(diagonal)
+    values, vectors = np.linalg.eigh(information * np.outer(alone, alone))
+    if values[0] < _SINGULAR:
+        mixed = np.flatnonzero(np.abs(vectors[:, 0]) > 0.1).tolist()
+        raise ConfigurationError(f"the measurements cannot tell parameters {mixed} apart")
+    root = (alone[:, None] * vectors / np.sqrt(values))[wanted]
+    found: Array = root @ root.T
+    return found
+
+
+def mean_distance(covariance: Array) -> Array:
+    """Mean distance from the origin of normal places with covariance (..., 2, 2), (...).
+
+    With variances a >= b along the principal axes it is sqrt(2 a / pi) E(1 - b / a), E the complete
+    elliptic integral of the second kind of the parameter m = k^2: the mean over directions of
+    sqrt(a cos^2 + b sin^2), times the mean sqrt(pi / 2) of a Rayleigh distribution.
+    """
+    values = np.maximum(np.linalg.eigvalsh(covariance), 0.0)
+    small, large = values[..., 0], values[..., 1]
+    ratio = np.divide(small, large, out=np.ones_like(large), where=large > 0.0)
+    found: Array = np.sqrt(2.0 * large / math.pi) * ellipe(1.0 - ratio)
+    return found
+
+
+def scene_bound(
+    simulator: Simulator, scene: Scene, deviation: ArrayLike, reference_frames: float = 1.0
+) -> SceneBound:
+    """The bound of a scene with its angle unknown; see `SceneDerivatives.bound`."""
+    return scene_derivatives(simulator, scene).bound(deviation, reference_frames)
+
+
+def scene_derivatives(
+    simulator: Simulator, scene: Scene, steps: Steps | None = None
+) -> SceneDerivatives:
+    """Derivatives of a scene's measurements by central differences, one-sided next to a limit.
+
+    Raises ConfigurationError for a touch that is pressed to a depth, or without room to move.
+    """
+    if any(touch.depth is not None for touch in scene.touches):
+        raise ConfigurationError(
+            "the bound is one of forces, got a touch with a depth; give it a force"
+        )
+    scenes, weights = [scene], []
+    for number, name, step in _parameters(scene, steps or Steps()):
+        places, of_places = _stencil(simulator, scene, number, name, step)
+        weights.append((slice(len(scenes), len(scenes) + len(places)), np.array(of_places) / step))
+        scenes += places
+    measured = simulator.measure_all(scenes, EXACT).real
+    logarithms = np.log(np.abs(measured))
+    rows = np.array([weight @ logarithms[part] for part, weight in weights])
+    return SceneDerivatives(
+        resistance=measured[0],
+        by_touch=rows[:-1].reshape(len(scene.touches), 3, measured.shape[1]),
+        by_angle=rows[-1],
+    )
+
+
+def _parameters(scene: Scene, steps: Steps) -> Iterator[tuple[int | None, str, float]]:
+    """Number of a touch, or none for the bend, an attribute of it and its step."""
+    for number, touch in enumerate(scene.touches):
+        yield number, "x", steps.place
+        yield number, "y", steps.place
+        yield number, "force", steps.force * touch.force
+    yield None, "angle_deg", steps.angle_deg
+
+
+def _stencil(
+    simulator: Simulator, scene: Scene, number: int | None, name: str, step: float
+) -> tuple[list[Scene], tuple[float, ...]]:
+    """Scenes for one derivative, all possible, and their weights."""
+    for multiples, weights in _STENCILS:
+        try:
+            scenes = [_changed(scene, number, name, multiple * step) for multiple in multiples]
+            for each in scenes:
+                simulator.deformation(each)
+        except ConfigurationError:
+            continue
+        return scenes, weights
+    whose = "the bend" if number is None else f"touch {number}"
+    raise ConfigurationError(
+        f"no room to change {name} of {whose} by {step:g} either way; the bound needs a scene that "
+        "is possible a little to one side of every parameter"
+    )
+
+
+def _changed(scene: Scene, number: int | None, name: str, by: float) -> Scene:
+    if number is None:
+        return replace(scene, bend=Bend(scene.bend.angle_deg + by))
+    touches = list(scene.touches)
+    touches[number] = replace(touches[number], **{name: getattr(touches[number], name) + by})
+    return replace(scene, touches=tuple(touches))

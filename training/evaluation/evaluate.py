@@ -1,0 +1,271 @@
+"""How good a pipeline is on a dataset: the figures of the paper, by stated definitions."""
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.datasets.store.dataset import Dataset
+from eitskin.datasets.store.state import State
+from eitskin.datasets.store.touch_map import touch_maps
+from eitskin.errors import DataError
+from eitskin.frame import Frame
+from eitskin.protocol import Protocol
+from eitskin.training.evaluation import metrics
+from eitskin.training.evaluation.report import (
+    BendScore,
+    ForceScore,
+    LatencyScore,
+    Report,
+    StateScore,
+    TouchScore,
+    UntouchedScore,
+)
+from eitskin.training.evaluation.report_matches import Matches
+from eitskin.training.method.observations import Observed
+from eitskin.training.method.predictions import Perceived
+from eitskin.training.paper.method import PaperMethod
+from eitskin.training.pipeline.pipeline import Pipeline
+
+__all__ = ["Evaluation", "Report", "TouchScore", "evaluate"]
+
+TIMED_FRAMES = 300
+PIECE = 512  # frames at once
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evaluation:
+    """A pipeline, frames, and what it makes of them.
+
+    Attributes:
+        pipeline: as it was.
+        dataset: n frames.
+        perceived: what it says of each, by itself.
+        matches: its touches beside the true ones.
+        similarity: SSIM of each frame's pictures (n,), by picture: "touch_map" and, where the
+            method reconstructs, "static" and "dynamic"; and of an "empty" one, which is what
+            drawing nothing earns. NaN in untouched frames and where a radius is not known.
+        report: the figures.
+    """
+
+    pipeline: Pipeline
+    dataset: Dataset
+    perceived: Perceived
+    matches: Matches
+    similarity: dict[str, Array]
+    report: Report
+
+    @classmethod
+    def of(cls, pipeline: Pipeline, dataset: Dataset) -> "Evaluation":
+        """Measure `pipeline` on all frames of `dataset`.
+
+        Frames count one by one: each is compared with its specimen's flat reference and with its
+        own `touch_reference`, which is what the dynamic reference of a session would hold. Touches
+        are those the pipeline gives out, so a touch whose state was not recognised counts as
+        missed.
+
+        Raises DataError for a dataset without frames, or of other measurements than the pipeline's.
+        """
+        if len(dataset) == 0:
+            raise DataError("there are no frames to evaluate on")
+        if dataset.protocol != pipeline.layout.protocol:
+            raise DataError(
+                f"the pipeline was trained for {len(pipeline.layout.protocol)} measurements, the "
+                "dataset has others; evaluate on a dataset of the same sensor"
+            )
+        _require_on_sheet(dataset, pipeline.layout.outline)
+        perceived = _perceive(pipeline, dataset)
+        matches = Matches.of(dataset, perceived)
+        similarity = _similarities(pipeline, dataset, perceived)
+        report = Report(
+            len(dataset),
+            _state_score(dataset, perceived),
+            _bend_score(dataset, perceived),
+            _touch_scores(dataset, matches, similarity),
+            _untouched_score(dataset, matches),
+            _force_score(matches),
+            metrics.calibration(matches.error, matches.deviation),
+            _latency(pipeline, dataset),
+        )
+        return cls(pipeline, dataset, perceived, matches, similarity, report)
+
+
+def _require_on_sheet(dataset: Dataset, outline: tuple[float, float]) -> None:
+    """Refuse touches more than a sheet's length beside it: in millimetres, or of another sensor."""
+    for name, places in (("x", dataset.touch_x), ("y", dataset.touch_y)):
+        known = places[np.isfinite(places)]
+        if len(known) and np.abs(known).max() > 2.0 * max(outline):
+            raise DataError(
+                f"touches of the dataset lie at {name} = {known.min():g} to {known.max():g} m, the "
+                f"pipeline's sensor is {outline[0]:g} by {outline[1]:g} m; give positions in "
+                "metres from the sensor's corner"
+            )
+
+
+def evaluate(pipeline: Pipeline, dataset: Dataset) -> Report:
+    """The figures of `Evaluation.of` alone."""
+    return Evaluation.of(pipeline, dataset).report
+
+
+def contact_maps(
+    dataset: Dataset, pipeline: Pipeline, shape: tuple[int, ...]
+) -> NDArray[np.float32]:
+    """The true contact maps of touched frames (n, rows, columns)."""
+    discs = (dataset.touch_x, dataset.touch_y, dataset.touch_radius)
+    return touch_maps(*discs, pipeline.layout.outline, (shape[-2], shape[-1]))
+
+
+def reconstructions(pipeline: Pipeline, dataset: Dataset) -> dict[str, NDArray[np.float32]]:
+    """Pictures (n, rows, columns) from either reference, positive where conductivity is lower.
+
+    Empty for a method that reconstructs none.
+    """
+    if not isinstance(pipeline.method, PaperMethod):
+        return {}
+    static, dynamic = pipeline.method.pictures(Observed.of(dataset))
+    return {"static": -static, "dynamic": -dynamic}
+
+
+def _perceive(pipeline: Pipeline, dataset: Dataset) -> Perceived:
+    """In pieces: the maps inside a network take memory."""
+    starts = range(0, len(dataset), PIECE)
+    return Perceived.joined(
+        [pipeline.perceive(dataset.select(slice(start, start + PIECE))) for start in starts]
+    )
+
+
+def _similarities(pipeline: Pipeline, dataset: Dataset, perceived: Perceived) -> dict[str, Array]:
+    """SSIM of every picture, in pieces; a touch lowers the conductivity."""
+    placed = np.isfinite(dataset.touch_x)
+    drawable = placed.any(axis=1) & (np.isfinite(dataset.touch_radius) | ~placed).all(axis=1)
+    values: dict[str, Array] = {}
+    chosen = np.flatnonzero(drawable)
+    for start in range(0, len(chosen), PIECE):
+        piece = chosen[start : start + PIECE]
+        frames = dataset.select(piece)
+        truth = contact_maps(frames, pipeline, perceived.touch_map.shape)
+        pictures = {"touch_map": perceived.touch_map[piece], **reconstructions(pipeline, frames)}
+        pictures["empty"] = np.zeros_like(truth)
+        for name, maps in pictures.items():
+            pairs = zip(maps, truth, strict=True)
+            row = values.setdefault(name, np.full(len(dataset), np.nan))
+            row[piece] = [metrics.similarity(*pair) for pair in pairs]
+    return values
+
+
+def _state_score(dataset: Dataset, perceived: Perceived) -> StateScore:
+    known = np.isin(dataset.state, list(State))
+    counts = metrics.confusion(dataset.state[known], perceived.state[known])
+    bent = (dataset.state == State.TOUCH) & _bent(dataset)
+    right = perceived.state == dataset.state
+    idle = counts[State.IDLE]
+    return StateScore(
+        {
+            name: _share(row[i], row.sum())
+            for i, (name, row) in enumerate(zip(metrics.STATES, counts, strict=True))
+        },
+        _share(right[bent].sum(), bent.sum()),
+        _share(idle[State.TOUCH], idle.sum()),
+        counts.tolist(),
+    )
+
+
+def _bend_score(dataset: Dataset, perceived: Perceived) -> BendScore:
+    known = np.isfinite(dataset.bend_angle_deg)
+    bent, touched = (known & (dataset.state == state) for state in (State.BEND, State.TOUCH))
+    true, estimated = dataset.bend_angle_deg.astype(float), perceived.bend_angle_deg
+    error = estimated - true
+    return BendScore(
+        metrics.determination(true[bent], estimated[bent]) if bent.any() else None,
+        metrics.root_mean_square(error[bent]) if bent.any() else None,
+        float(error[bent].mean()) if bent.any() else None,
+        metrics.root_mean_square(error[touched]) if touched.any() else None,
+        float(error[touched].mean()) if touched.any() else None,
+        metrics.calibration(error, perceived.bend_deviation_deg),
+    )
+
+
+def _touch_scores(
+    dataset: Dataset, matches: Matches, similarity: dict[str, Array]
+) -> dict[str, TouchScore]:
+    """Scores of the groups that `Report` names, where they have frames."""
+    counts = dataset.touch_count
+    groups = {str(n): counts == n for n in range(1, dataset.touch_x.shape[1] + 1)}
+    groups |= {"several": counts > 1, "bent": (counts > 0) & _bent(dataset)}
+    return {
+        name: _touch_score(group, counts, matches, similarity)
+        for name, group in groups.items()
+        if group.any()
+    }
+
+
+def _touch_score(
+    group: Mask, counts: NDArray[np.int64], matches: Matches, similarity: dict[str, Array]
+) -> TouchScore:
+    """The score of the frames that the mask `group` (n,) chooses."""
+    errors = matches.error[group[matches.frame]] * 1e3
+    some = errors.size > 0
+    true = int(counts[group].sum())
+    drawn = {name: values[group & np.isfinite(values)] for name, values in similarity.items()}
+    return TouchScore(
+        int(group.sum()),
+        float(errors.mean()) if some else None,
+        float(errors.std()) if some else None,
+        float(np.median(errors)) if some else None,
+        float(np.percentile(errors, 95)) if some else None,
+        errors.size / true,
+        int(matches.false[group].sum()) / true,
+        {name: float(values.mean()) for name, values in drawn.items() if values.size},
+    )
+
+
+def _untouched_score(dataset: Dataset, matches: Matches) -> UntouchedScore | None:
+    untouched = np.isin(dataset.state, (State.IDLE, State.BEND))
+    if not untouched.any():
+        return None
+    false = matches.false[untouched]
+    return UntouchedScore(int(untouched.sum()), float(np.mean(false > 0)), int(false.sum()))
+
+
+def _force_score(matches: Matches) -> ForceScore | None:
+    error = matches.found_force - matches.true_force
+    error = error[np.isfinite(error)]
+    if not error.size:
+        return None
+    return ForceScore(len(error), float(np.abs(error).mean()), float(error.mean()))
+
+
+def _latency(pipeline: Pipeline, dataset: Dataset) -> LatencyScore:
+    """Time `process` on frames of one specimen as they come, after its flat reference."""
+    pipeline.reset()
+    seconds = []
+    for frame in _session(dataset, pipeline.layout.protocol):
+        start = time.perf_counter()
+        pipeline.process(frame)
+        seconds.append(time.perf_counter() - start)
+    pipeline.reset()
+    p50, p99 = metrics.percentiles(seconds[1:])
+    return LatencyScore(p50 * 1e3, p99 * 1e3)
+
+
+def _session(dataset: Dataset, protocol: Protocol) -> list[Frame]:
+    """A session: the flat reference of one specimen and some of its frames, numbered on."""
+    mine = np.flatnonzero(dataset.specimen == dataset.specimen[0])[:TIMED_FRAMES]
+    values = [dataset.reference[dataset.specimen[0]], *dataset.impedance[mine]]
+    return [
+        Frame(value.astype(np.complex128), protocol, 0.1 * n, n, 0, dataset.frequency)
+        for n, value in enumerate(values)
+    ]
+
+
+def _bent(dataset: Dataset) -> Mask:
+    bent: Mask = np.abs(dataset.bend_angle_deg) > 0
+    return bent
+
+
+def _share(part: int, whole: int) -> float | None:
+    return float(part) / float(whole) if whole else None

@@ -1,0 +1,88 @@
+"""How the pictures of a report look, and what drawing one gives."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from eitskin.extras import require
+from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.geometry.design.surface import Surface
+
+EXTRA = "view"  # of eitskin, that brings matplotlib
+
+# Okabe and Ito's colours, which all kinds of colour vision tell apart.
+BLUE, ORANGE, GREEN = "#0072B2", "#D55E00", "#009E73"
+DARK, GREY, PALE = "#222222", "#7a7a7a", "#e6e6e6"
+
+_STYLE = {
+    "font.size": 10,
+    "axes.titlesize": 11,
+    "axes.labelcolor": DARK,
+    "axes.edgecolor": GREY,
+    "axes.linewidth": 0.8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.axisbelow": True,
+    "axes.grid": True,
+    "grid.color": PALE,
+    "grid.linewidth": 0.7,
+    "xtick.color": GREY,
+    "ytick.color": GREY,
+    "xtick.labelcolor": DARK,
+    "ytick.labelcolor": DARK,
+    "legend.frameon": False,
+    "savefig.dpi": 150,
+    "savefig.facecolor": "white",
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drawn:
+    """A matplotlib figure, and what it shows in words."""
+
+    figure: Any
+    caption: str
+
+
+@dataclass(frozen=True, slots=True)
+class Absent:
+    """Why there is nothing to draw."""
+
+    why: str
+
+
+@contextmanager
+def style() -> Iterator[None]:
+    """The look of all pictures, while they are drawn and saved; the program's own afterwards."""
+    with require("matplotlib", EXTRA).rc_context(_STYLE):
+        yield
+
+
+def new_figure(width: float, height: float) -> Any:
+    """An empty figure of this size [inch] that no window knows of."""
+    figure = require("matplotlib.figure", EXTRA).Figure
+    return figure(figsize=(width, height), layout="constrained")
+
+
+def draw_sensor(axes: Any, design: SensorDesign) -> None:
+    """Outline of the conductive layer and its electrodes from above, in mm."""
+    outline = design.outline
+    margin = 0.03 * outline.length * 1e3
+    if not isinstance(outline, Surface):
+        around = np.sort(np.append(np.linspace(0, outline.perimeter, 241), outline.corners))
+        axes.plot(*(1e3 * outline.at(around)).T, color=GREY, linewidth=1.2, zorder=1)
+    for electrode in design.electrodes:
+        if electrode.on == "side" and not isinstance(outline, Surface):
+            middle = outline.locate(electrode.x, electrode.y)
+            along = middle + np.linspace(-0.5, 0.5, 9) * electrode.width
+            places = 1e3 * outline.at(along % outline.perimeter)
+            axes.plot(*places.T, color=GREY, linewidth=5, solid_capstyle="butt", zorder=1)
+        else:
+            axes.plot(1e3 * electrode.x, 1e3 * electrode.y, "s", color=GREY, zorder=1)
+    axes.set(xlim=(-margin, 1e3 * outline.length + margin), aspect="equal")
+    axes.set(ylim=(-margin, 1e3 * outline.width + margin))
+    axes.grid(visible=False)
+    axes.spines[:].set_visible(False)

@@ -1,0 +1,131 @@
+"""The report folder: figures, table and pictures of an evaluation, each a file of its own."""
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from eitskin.errors import ConfigurationError, PartialError
+from eitskin.extras import require
+from eitskin.files import whole_file
+from eitskin.training.evaluation.evaluate import Evaluation
+from eitskin.training.evaluation.report import SSIM_DEFINITION
+from eitskin.training.evaluation.report_bend import bend_angles, bend_sequence
+from eitskin.training.evaluation.report_curves import confusion_matrix, histories, training_curves
+from eitskin.training.evaluation.report_drawing import EXTRA, Absent, Drawn, style
+from eitskin.training.evaluation.report_maps import touch_maps_by_angle, touch_maps_by_count
+from eitskin.training.evaluation.report_places import error_vectors, localisation_errors
+from eitskin.training.evaluation.report_table import HEADINGS, table_rows
+from eitskin.training.method.observations import fingerprint
+
+DOCUMENT, TEXT = "report.json", "report.md"
+PICTURES: Mapping[str, Callable[[Evaluation], Drawn | Absent]] = {
+    "training_curves.png": training_curves,
+    "confusion.png": confusion_matrix,
+    "bend_angle.png": bend_angles,
+    "bend_sequence.png": bend_sequence,
+    "touch_maps_angles.png": touch_maps_by_angle,
+    "touch_maps_counts.png": touch_maps_by_count,
+    "error_vectors.png": error_vectors,
+    "localisation_errors.png": localisation_errors,
+}
+_REMEDY = "make room or choose another folder, and write the report again"
+
+
+def require_report_folder(folder: Path) -> None:
+    """Make the folder, and refuse one where no report can be, before the work of measuring.
+
+    Raises ConfigurationError for a place that cannot be made a folder, and for a folder that holds
+    other things than an earlier report, which is replaced; ImportError without matplotlib.
+    """
+    require("matplotlib", EXTRA)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        others = any(folder.iterdir()) and not (folder / DOCUMENT).is_file()
+    except OSError as error:
+        raise ConfigurationError(
+            f"no report can be written to {folder}: {error.strerror or error}; name a folder that "
+            "can be made or written to"
+        ) from error
+    if others:
+        raise ConfigurationError(
+            f"{folder} holds other things and no report; name a new or empty folder"
+        )
+
+
+def write_report(evaluation: Evaluation, folder: str | Path, made_with: Mapping[str, str]) -> Path:
+    """Write pictures, report.json and report.md; an earlier report there is replaced.
+
+    Args:
+        evaluation: what to report.
+        folder: made where it is not there.
+        made_with: provenance that only the caller knows: machine, versions, date.
+
+    Raises ConfigurationError as `require_report_folder`, and PartialError where the folder cannot
+    be written to any more; files that are there then are whole.
+    """
+    folder = Path(folder)
+    require_report_folder(folder)
+    captions, left_out = {}, {}
+    with style():
+        for name, draw in PICTURES.items():
+            drawn = draw(evaluation)
+            if isinstance(drawn, Absent):
+                left_out[name] = drawn.why
+                continue
+            with whole_file(folder / name, PartialError, _REMEDY) as path:
+                drawn.figure.savefig(path)
+            captions[name] = drawn.caption
+    document = {
+        "provenance": {**provenance(evaluation), **made_with},
+        "report": evaluation.report.as_dict(),
+        "definitions": {"ssim": SSIM_DEFINITION},
+        "losses": {name: asdict(each) for name, each in histories(evaluation.pipeline).items()},
+        "pictures": captions,
+        "left_out": left_out,
+    }
+    _write(folder / DOCUMENT, json.dumps(document, indent=1, allow_nan=False) + "\n")
+    _write(folder / TEXT, markdown(evaluation, document))
+    for name in left_out:
+        (folder / name).unlink(missing_ok=True)  # of an earlier report
+    return folder
+
+
+def _write(path: Path, text: str) -> None:
+    with whole_file(path, PartialError, _REMEDY) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def provenance(evaluation: Evaluation) -> dict[str, Any]:
+    """What was measured on what."""
+    pipeline, data = evaluation.pipeline, evaluation.dataset
+    return {
+        "method": pipeline.method.KIND,
+        "trained on": f"{pipeline.trained_on['frames']} {pipeline.trained_on['source']} frames of "
+        f"the dataset {pipeline.trained_on['sha256']}",
+        "training seed": str(pipeline.settings.seed),
+        "measured on": f"{len(data)} {data.source} frames of {len(set(data.specimen.tolist()))} "
+        "specimens, frames " + fingerprint(data),
+        "seed of these frames": str(data.seed),
+    }
+
+
+def markdown(evaluation: Evaluation, document: Mapping[str, Any]) -> str:
+    """The report for people."""
+    lines = ["# How good the pipeline is", ""]
+    lines += [f"- {name}: {value}" for name, value in document["provenance"].items()]
+    lines += ["", "| " + " | ".join(HEADINGS) + " |", "|---|---|---|"]
+    lines += ["| " + " | ".join(row) + " |" for row in table_rows(evaluation.report)]
+    lines += ["", SSIM_DEFINITION, ""]
+    lines += ["Errors of places are of touches matched by the Hungarian method within 15 mm.", ""]
+    for name, caption in document["pictures"].items():
+        lines += [f"![{name.removesuffix('.png').replace('_', ' ')}]({name})", "", caption, ""]
+    if document["left_out"]:
+        lines += ["Left out:", ""]
+        lines += [f"- {name}: {why}" for name, why in document["left_out"].items()]
+        lines.append("")
+    if evaluation.dataset.recipe:
+        lines += ["Recipe of the frames, with instrument and specimens:", ""]
+        lines += ["```toml", evaluation.dataset.recipe.rstrip(), "```", ""]
+    return "\n".join(lines)

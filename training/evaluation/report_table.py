@@ -1,0 +1,96 @@
+"""The paper's table with what a pipeline reaches beside it, as rows of words."""
+
+from collections.abc import Iterator
+
+from eitskin.training.evaluation.metrics import Calibration
+from eitskin.training.evaluation.report import Report, TouchScore
+
+Row = tuple[str, str, str]
+
+HEADINGS: Row = ("experiment", "paper", "here")
+COUNTS = {"1": "one touch", "2": "two touches", "3": "three touches", "4": "four touches"}
+GROUPS = {**COUNTS, "bent": "bent and touched"}
+PAPER_ERROR_MM = {"1": "4.8 +- 2.8 mm", "2": "5.5 mm", "3": "4.3 mm", "4": "5.0 mm"}
+PAPER_SSIM = {"1": ("0.29", "0.71", "0.94", "-"), "several": ("0.11", "0.47", "0.80", "-")}
+PICTURES = {
+    "static": "static",
+    "dynamic": "dynamic",
+    "touch_map": "post-processed",
+    "empty": "empty picture",
+}
+
+
+def table_rows(report: Report) -> Iterator[Row]:
+    """What is measured, what the paper gives and what `report` does."""
+    yield from _touch_rows(report)
+    yield from _state_rows(report)
+    yield from _bend_rows(report)
+    latency = report.latency
+    # The paper's 606.6 ms hold 303 ms of acquisition.
+    times = f"{latency.p50_ms:.1f} ms (p99 {latency.p99_ms:.1f} ms)"
+    yield "processing of a frame", "303.6 of 606.6 ms", times
+
+
+def _touch_rows(report: Report) -> Iterator[Row]:
+    for group, name in GROUPS.items():
+        if score := report.touches.get(group):
+            yield f"{name}: error", PAPER_ERROR_MM.get(group, "-"), _errors(score)
+            yield "  median, 95 % within", "-", _quantiles(score)
+            yield "  found", "-", f"{score.found:.1%}, and {score.false_per_touch:.1%} false"
+    for group, paper in PAPER_SSIM.items():
+        if score := report.touches.get(group):
+            name = COUNTS.get(group, group)
+            for (key, picture), figure in zip(PICTURES.items(), paper, strict=True):
+                if key in score.ssim:
+                    yield f"{name}: SSIM {picture}", figure, f"{score.ssim[key]:.2f}"
+    if untouched := report.untouched:
+        shown = f"in {untouched.touched:.2%} of {untouched.frames} frames"
+        yield "touches where there are none", "-", shown
+    if calibration := report.place_calibration:
+        yield "place error / standard error", "-", _calibration(calibration)
+    if force := report.force:
+        shown = f"{force.mean_error_n:.2f} N off (bias {force.bias_n:+.2f})"
+        yield "force of a touch", "-", shown
+
+
+def _state_rows(report: Report) -> Iterator[Row]:
+    states = report.states
+    yield "idle recognised", "> 97 %", _figure(states.accuracy["idle"], "{:.1%}")
+    yield "  taken for a touch", "-", _figure(states.idle_as_touch, "{:.1%}")
+    yield "touch recognised", "99 %", _figure(states.accuracy["touch"], "{:.1%}")
+    yield "  on a bent sensor", "-", _figure(states.bent_touch_accuracy, "{:.1%}")
+    yield "bend recognised", "-", _figure(states.accuracy["bend"], "{:.1%}")
+
+
+def _bend_rows(report: Report) -> Iterator[Row]:
+    bend = report.bend
+    yield "bend angle, R2", "0.997", _figure(bend.r2, "{:.4f}")
+    yield "bend angle, RMSE", "0.90 deg", _angle(bend.rmse_deg, bend.bias_deg)
+    yield "  while touched", "-", _angle(bend.touched_rmse_deg, bend.touched_bias_deg)
+    if bend.calibration:
+        yield "angle error / standard error", "-", _calibration(bend.calibration)
+
+
+def _errors(score: TouchScore) -> str:
+    if score.mean_error_mm is None:
+        return "-"
+    return f"{score.mean_error_mm:.2f} +- {score.deviation_mm:.2f} mm"
+
+
+def _quantiles(score: TouchScore) -> str:
+    if score.median_error_mm is None:
+        return "-"
+    return f"{score.median_error_mm:.2f} mm, {score.p95_error_mm:.2f} mm"
+
+
+def _angle(rmse: float | None, bias: float | None) -> str:
+    return "-" if rmse is None else f"{rmse:.2f} deg (bias {bias:+.2f})"
+
+
+def _calibration(found: Calibration) -> str:
+    return f"rms {found.rms_ratio:.2f}, {found.within_one:.0%} within one"
+
+
+def _figure(value: float | None, form: str) -> str:
+    """`value` in its form; a dash where there is none."""
+    return "-" if value is None else form.format(value)

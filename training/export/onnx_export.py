@@ -1,0 +1,148 @@
+"""`NAME.eitmodel` as ONNX graphs, each checked against the pipeline before anything is written."""
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.datasets.store.folder import make_folder
+from eitskin.errors import ConfigurationError, DataError
+from eitskin.extras import require
+from eitskin.files import whole_file
+from eitskin.training.export import onnx_joint, onnx_paper
+from eitskin.training.export.onnx_graph import OPSET, ExportedGraph, Port
+from eitskin.training.joint.method import JointMethod
+from eitskin.training.paper.method import PaperMethod
+from eitskin.training.pipeline.pipeline import Pipeline
+
+FORMAT = "eitskin-onnx"
+FORMAT_VERSION = 1
+DOCUMENT = "graphs.json"
+TOLERANCE = 1e-5  # of an output, relative to the largest; networks are in single precision
+
+
+def graphs_of(pipeline: Pipeline) -> tuple[list[ExportedGraph], tuple[str, ...]]:
+    """What of a pipeline is a graph, and in words what is not."""
+    method, layout, golden = pipeline.method, pipeline.layout, pipeline.examples
+    frames = golden[np.flatnonzero(np.isfinite(golden.static + golden.dynamic).all(axis=1))]
+    if not len(frames):
+        raise DataError(
+            "the pipeline keeps no golden frame without bad channels, so its graphs cannot be "
+            "checked; train it again on frames whose channels are good"
+        )
+    if isinstance(method, PaperMethod):
+        graphs = [onnx_paper.paper_graph(method, layout, frames)]
+        return graphs, onnx_paper.NOT_IN_GRAPH
+    if isinstance(method, JointMethod):
+        graphs = [each(method, layout, frames) for each in onnx_joint.GRAPHS]
+        return graphs, onnx_joint.NOT_IN_GRAPH
+    raise ConfigurationError(f"the method '{method.KIND}' cannot be exported")
+
+
+def export_onnx(
+    pipeline: Pipeline, folder: str | Path, tolerance: float = TOLERANCE
+) -> dict[str, Any]:
+    """Write the graphs of a pipeline and what they take and give into a folder.
+
+    Args:
+        pipeline: a trained one; a calibrated one is exported as it is.
+        folder: to write to; made unless it is there.
+        tolerance: most difference from the pipeline of any output on the golden frames, relative
+            to the largest value of that output.
+
+    Returns what it has written as `DOCUMENT`.
+
+    Raises:
+        ImportError: naming the extra, where onnx or onnxruntime is missing.
+        DataError: where a graph differs by more; nothing is written then.
+        ConfigurationError: where the folder cannot be made or written to.
+    """
+    graphs, left_out = graphs_of(pipeline)
+    differences = [checked(graph, tolerance) for graph in graphs]
+    entries = [
+        _entry(graph, found, tolerance) for graph, found in zip(graphs, differences, strict=True)
+    ]
+    document = {
+        "format": FORMAT,
+        "format_version": FORMAT_VERSION,
+        "method": pipeline.method.KIND,
+        "opset": OPSET,
+        "graphs": entries,
+        "not_in_graphs": list(left_out),
+        "layout": pipeline.layout.document(),
+        "outline_m": list(pipeline.layout.outline),
+        "trained_on": dict(pipeline.trained_on),
+        "calibrated": bool(pipeline.calibration),
+    }
+    text = json.dumps(document, indent=2, allow_nan=False) + "\n"
+    files = {f"{graph.name}.onnx": graph.model for graph in graphs}
+    make_folder(Path(folder))
+    for name, content in (files | {DOCUMENT: text.encode()}).items():
+        with whole_file(Path(folder) / name) as temporary:
+            temporary.write_bytes(content)
+    return document
+
+
+def run_graph(model: bytes, feeds: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """Outputs of a graph by onnxruntime, on one thread."""
+    runtime = require("onnxruntime", "onnx")
+    options = runtime.SessionOptions()
+    options.intra_op_num_threads = 1
+    options.log_severity_level = 3
+    session = runtime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
+    names = [output.name for output in session.get_outputs()]
+    return dict(zip(names, session.run(names, dict(feeds)), strict=True))
+
+
+def checked(graph: ExportedGraph, tolerance: float = TOLERANCE) -> dict[str, float]:
+    """Largest difference of each output from the pipeline's; raises DataError above tolerance."""
+    said, differences = run_graph(graph.model, graph.feeds), {}
+    for name, expected in graph.expected.items():
+        if said[name].shape != expected.shape:
+            raise DataError(
+                f"{graph.name}.onnx: expected '{name}' of shape {expected.shape}, got "
+                f"{said[name].shape}; nothing is written"
+            )
+        error = float(np.max(np.abs(said[name] - expected)))
+        allowed = tolerance * float(np.max(np.abs(expected)))
+        if not error <= allowed:
+            raise DataError(
+                f"{graph.name}.onnx does not compute what the pipeline does: '{name}' differs by "
+                f"{error:.3g}, allowed is {allowed:.3g}; nothing is written; install the versions "
+                "of onnx and onnxruntime in constraints.txt"
+            )
+        differences[name] = error
+    return differences
+
+
+def _entry(
+    graph: ExportedGraph, differences: Mapping[str, float], tolerance: float
+) -> dict[str, Any]:
+    """One graph, as JSON takes it."""
+    sizes = {name: float(np.max(np.abs(values))) for name, values in graph.expected.items()}
+    outputs = [
+        entry
+        | {
+            "largest_difference": differences[entry["name"]],
+            "allowed_difference": tolerance * sizes[entry["name"]],
+        }
+        for entry in _ports(graph.outputs)
+    ]
+    return {
+        "file": f"{graph.name}.onnx",
+        "sha256": hashlib.sha256(graph.model).hexdigest(),
+        "bytes": len(graph.model),
+        "what": graph.what,
+        "inputs": _ports(graph.inputs),
+        "outputs": outputs,
+        "checked_with": len(next(iter(graph.expected.values()))),
+    }
+
+
+def _ports(ports: Sequence[Port]) -> list[dict[str, Any]]:
+    return [asdict(port) for port in ports]

@@ -1,0 +1,1 @@
+"""The joint method: bend and touches estimated together by fitting a learned sensor model."""

@@ -1,0 +1,91 @@
+"""Mirrors under which a sensor is itself: what is known of one half is known of the other."""
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.geometry.design.surface import Surface
+from eitskin.protocol import Protocol
+
+Array = NDArray[np.float64]
+
+_GRID = 37  # places in x and in y at which an outline is compared with its image
+_TOLERANCE = 1e-6  # m, between an electrode and the mirror image of another
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mirror:
+    """One of them, or none at all.
+
+    Attributes:
+        flips: whether x and whether y run backwards in the mirror.
+        order: the mirrored sensor's measurement i has the magnitude of the sensor's order[i], (m,).
+        size: length and width of the sensor [m].
+    """
+
+    flips: tuple[bool, bool]
+    order: NDArray[np.int64]
+    size: tuple[float, float]
+
+    def places(self, x: Array, y: Array) -> tuple[Array, Array]:
+        """Where places lie in the mirror [m]."""
+        (length, width), (flip_x, flip_y) = self.size, self.flips
+        return (length - x if flip_x else x), (width - y if flip_y else y)
+
+
+def mirrors(design: SensorDesign, protocol: Protocol) -> tuple[Mirror, ...]:
+    """All mirrors of a sensor and its protocol, the trivial one first.
+
+    The hinge sits in the middle and bends about y, so it has both mirrors that a sensor can have.
+    """
+    length, width = design.outline.length, design.outline.width
+    places = np.array([[e.x, e.y] for e in design.electrodes])
+    found = []
+    for flips in ((False, False), (True, False), (False, True), (True, True)):
+        image = np.where(flips, (length, width) - places, places)
+        distance = np.linalg.norm(image[:, None] - places[None], axis=2)
+        partner = distance.argmin(axis=1)
+        same = (
+            _same_outline(design, flips)
+            and distance.min(axis=1).max() < _TOLERANCE
+            and all(_alike(design, a, b) for a, b in enumerate(partner.tolist()))
+        )
+        order = _order(protocol, partner) if same else None
+        if order is not None:
+            found.append(Mirror(flips, order, (length, width)))
+    return tuple(found)
+
+
+def _alike(design: SensorDesign, a: int, b: int) -> bool:
+    """Whether two electrodes differ in nothing but their place."""
+    one, other = (dataclasses.replace(design.electrodes[i], x=0.0, y=0.0) for i in (a, b))
+    return one == other
+
+
+def _same_outline(design: SensorDesign, flips: tuple[bool, bool]) -> bool:
+    """Whether the outline covers its own image, tried on a grid."""
+    if isinstance(design.outline, Surface):
+        return not any(flips)
+    length, width = design.outline.length, design.outline.width
+    steps = (np.arange(_GRID) + 0.5) / _GRID
+    x, y = (axis.ravel() for axis in np.meshgrid(steps * length, steps * width))
+    mirrored = np.stack([length - x if flips[0] else x, width - y if flips[1] else y], axis=1)
+    here, there = (design.outline.contains(p) for p in (np.stack([x, y], axis=1), mirrored))
+    return bool(np.array_equal(here, there))
+
+
+def _order(protocol: Protocol, partner: NDArray[np.intp]) -> NDArray[np.int64] | None:
+    """Which measurement is the image of each; polarities change the sign, not the magnitude."""
+    numbers = {_polar(row): i for i, row in enumerate(protocol.table)}
+    images = [_polar(tuple(int(partner[e]) for e in row)) for row in protocol.table]
+    if not all(image in numbers for image in images):
+        return None
+    return np.array([numbers[image] for image in images], dtype=np.int64)
+
+
+def _polar(row: tuple[int, ...]) -> tuple[int, ...]:
+    a, b, c, d = row
+    return min(a, b), max(a, b), min(c, d), max(c, d)

@@ -1,0 +1,1 @@
+"""What every perception method shares: settings, input, observations, predictions, networks."""

@@ -1,0 +1,243 @@
+"""The two networks, how they are trained and run. The only module that imports torch at its top.
+
+The stages import it inside the functions that need it, so that torch stays optional.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from math import isfinite
+from typing import Any, TypeVar
+
+import numpy as np
+import torch  # noqa: TID253  see above
+from numpy.typing import ArrayLike, NDArray
+from torch import Tensor, nn  # noqa: TID253  see above
+
+from eitskin.errors import ConfigurationError, DataError
+from eitskin.training.method.learning_curve import History
+from eitskin.training.method.settings import NetworkSettings
+
+Network = TypeVar("Network", bound=nn.Module)
+Batch = Callable[[Tensor, torch.Generator], tuple[Tensor, Tensor]]
+Maps = Callable[[Tensor, torch.Generator], Tensor]
+Loss = Callable[[Tensor, Tensor], Tensor]
+
+EVALUATED_AT_ONCE = 256  # maps; bounds the memory that a large dataset takes
+
+
+class StateNetwork(nn.Module):
+    """Encoder-decoder classifier of the paper, from a map to the logits of the three states.
+
+    Three 3x3 convolutions (16, 32, 64) with batch norm and max pooling, mirrored by transposed
+    convolutions that bring the map back to its size, two fully connected layers down to 16, and
+    the layer whose softmax is taken. Maps (n, maps, rows, columns), multiples of eight.
+    """
+
+    def __init__(self, shape: tuple[int, int], maps: int) -> None:
+        """Make it for `maps` maps of `shape`."""
+        super().__init__()
+        encoder = [_down(maps, 16), _down(16, 32), _down(32, 64)]
+        decoder = [_up(64, 32), _up(32, 16), _up(16, 1)]
+        head = [nn.Linear(shape[0] * shape[1], 64), nn.ReLU(), nn.Linear(64, 16), nn.ReLU()]
+        self.layers = nn.Sequential(*encoder, *decoder, nn.Flatten(), *head, nn.Linear(16, 3))
+
+    def forward(self, maps: Tensor) -> Tensor:
+        """Logits (n, 3)."""
+        logits: Tensor = self.layers(maps)
+        return logits
+
+
+class TouchMapNetwork(nn.Module):
+    """Light post-processor, from a reconstruction to the logits of the touch map.
+
+    One step down, dilated 3x3 convolutions that see the whole sensor, one step up. Two channels
+    beside the picture say where each pixel lies, because a reconstruction is sharp near the
+    electrodes and blurred in the middle. Maps (n, 1, rows, columns), multiples of two.
+    """
+
+    place: Tensor
+
+    def __init__(self, shape: tuple[int, int], width: int = 24) -> None:
+        """Make it for maps of `shape`, with `width` channels at half resolution."""
+        super().__init__()
+        y, x = torch.meshgrid(*(torch.linspace(-1, 1, n) for n in shape), indexing="ij")
+        self.register_buffer("place", torch.stack([y, x])[None], persistent=False)
+        self.layers = nn.Sequential(
+            nn.Conv2d(3, width, 3, stride=2, padding=1),
+            nn.ReLU(),
+            *(_dilated(width, dilation) for dilation in (1, 2, 4, 8, 1)),
+            nn.ConvTranspose2d(width, 8, 4, stride=2, padding=1),
+            nn.ReLU(),
+            nn.Conv2d(8, 1, 3, padding=1),
+        )
+
+    def forward(self, maps: Tensor) -> Tensor:
+        """Logits of the touch maps (n, 1, rows, columns)."""
+        place = self.place.expand(len(maps), -1, -1, -1)
+        logits: Tensor = self.layers(torch.cat([maps, place], dim=1))
+        return logits
+
+
+def _down(channels: int, filters: int) -> nn.Module:
+    convolution = nn.Conv2d(channels, filters, 3, padding=1)
+    return nn.Sequential(convolution, nn.BatchNorm2d(filters), nn.ReLU(), nn.MaxPool2d(2))
+
+
+def _up(channels: int, filters: int) -> nn.Module:
+    convolution = nn.ConvTranspose2d(channels, filters, 3, stride=2, padding=1, output_padding=1)
+    return nn.Sequential(convolution, nn.BatchNorm2d(filters), nn.ReLU())
+
+
+def _dilated(width: int, dilation: int) -> nn.Module:
+    convolution = nn.Conv2d(width, width, 3, padding=dilation, dilation=dilation, bias=False)
+    return nn.Sequential(convolution, nn.BatchNorm2d(width), nn.ReLU())
+
+
+def seeded(make: Callable[[], Network], seed: int) -> Network:
+    """The network that `make` gives, its weights drawn from `seed`; torch's own seed is kept."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        return make()
+
+
+def noisy_maps(
+    difference: ArrayLike, embedding: ArrayLike, shape: tuple[int, int], noise: float
+) -> Maps:
+    """Maps of the chosen dV (n, measurements), with fresh noise of this rms every time.
+
+    Args:
+        difference: dV (n, measurements).
+        embedding: linear, from dV to the maps (maps, pixels, measurements).
+        shape: of a map.
+        noise: rms, in units of dV.
+    """
+    dV = torch.as_tensor(np.asarray(difference, dtype=np.float32))
+    layers = torch.as_tensor(np.asarray(embedding, dtype=np.float32))
+
+    def maps(chosen: Tensor, generator: torch.Generator) -> Tensor:
+        rows = dV[chosen]
+        if noise > 0:
+            rows = rows + noise * torch.randn(rows.shape, generator=generator)
+        return torch.einsum("nm,kpm->nkp", rows, layers).reshape(len(rows), -1, *shape)
+
+    return maps
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """`count` samples, of which `batch` gives inputs and targets of the indices it is handed."""
+
+    batch: Batch
+    count: int
+
+
+def train(
+    network: nn.Module,
+    batch: Batch,
+    loss: Loss,
+    count: int,
+    settings: NetworkSettings,
+    seed: int,
+    progress: Callable[[int, int], None],
+    validation: Samples | None = None,
+) -> History:
+    """Adam on `count` samples; `batch` gives inputs and targets of the indices it is handed.
+
+    Returns the mean loss of every epoch; that of `validation` is only looked at, so the weights
+    are the same without it. Raises ConfigurationError where the loss is no longer a number.
+    """
+    generator = torch.Generator().manual_seed(seed)
+    optimiser = torch.optim.Adam(network.parameters(), lr=settings.learning_rate)
+    steps = settings.epochs * -(-count // settings.batch)
+    # Only where asked for: making the schedule already lowers the learning rate.
+    anneal = (
+        torch.optim.lr_scheduler.OneCycleLR(optimiser, settings.learning_rate, steps)
+        if settings.one_cycle
+        else None
+    )
+    fitted, unseen = [], []
+    for epoch in range(settings.epochs):
+        network.train()
+        total = 0.0
+        for chosen in torch.split(torch.randperm(count, generator=generator), settings.batch):
+            inputs, targets = batch(chosen, generator)
+            optimiser.zero_grad(set_to_none=True)
+            value = loss(network(inputs), targets)
+            value.backward()  # type: ignore[no-untyped-call]
+            optimiser.step()
+            if anneal:
+                anneal.step()
+            total += value.item() * len(chosen)
+        network.eval()
+        fitted.append(_finite(total / count, epoch, settings))
+        if validation is not None:
+            unseen.append(_finite(mean_loss(network, validation, loss), epoch, settings))
+        progress(epoch + 1, settings.epochs)
+    return History(tuple(fitted), tuple(unseen))
+
+
+def mean_loss(network: nn.Module, samples: Samples, loss: Loss) -> float:
+    """Mean loss per sample of a network in evaluation mode."""
+    generator = torch.Generator()
+    total = 0.0
+    with torch.inference_mode():
+        for chosen in torch.split(torch.arange(samples.count), EVALUATED_AT_ONCE):
+            inputs, targets = samples.batch(chosen, generator)
+            total += loss(network(inputs), targets).item() * len(chosen)
+    return total / samples.count
+
+
+def _finite(value: float, epoch: int, settings: NetworkSettings) -> float:
+    if not isfinite(value):
+        raise ConfigurationError(
+            f"training diverged in epoch {epoch + 1}: the loss is {value}; lower learning_rate, "
+            f"which is {settings.learning_rate:g}, and look for values in the frames that are not "
+            "finite"
+        )
+    return value
+
+
+@contextmanager
+def single_thread() -> Iterator[None]:
+    """One torch thread inside, what the program had set afterwards."""
+    before = torch.get_num_threads()
+    if before == 1:
+        yield
+        return
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+def evaluate(network: nn.Module, maps: ArrayLike) -> NDArray[np.float64]:
+    """Logits of `network` for maps (n, maps, rows, columns), in pieces."""
+    inputs = torch.as_tensor(np.asarray(maps, dtype=np.float32))
+    with torch.inference_mode():
+        parts = [network(part).numpy() for part in torch.split(inputs, EVALUATED_AT_ONCE)]
+    return np.concatenate(parts).astype(np.float64)
+
+
+def weights_of(network: nn.Module) -> dict[str, NDArray[np.generic]]:
+    """All weights and batch statistics, by name."""
+    return {name: tensor.numpy().copy() for name, tensor in network.state_dict().items()}
+
+
+def with_weights(network: Network, arrays: Mapping[str, NDArray[Any]]) -> Network:
+    """`network` with the weights in `arrays`, in evaluation mode; raises DataError on a misfit."""
+    names = network.state_dict().keys()
+    missing = sorted(names - arrays.keys())
+    if missing:
+        raise DataError(
+            f"a saved {type(network).__name__} must hold {len(names)} arrays, {', '.join(missing)} "
+            "missing; save the pipeline again"
+        )
+    try:
+        network.load_state_dict({name: torch.tensor(arrays[name]) for name in names})
+    except RuntimeError as error:
+        raise DataError(
+            f"the saved {type(network).__name__} has other shapes than this version's: {error}"
+        ) from error
+    return network.eval()

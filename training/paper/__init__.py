@@ -1,0 +1,1 @@
+"""The method of the paper: classifier, bend regression, reconstruction and post-processor."""

@@ -1,0 +1,168 @@
+"""Idle, touched or bent: the paper's encoder-decoder network on maps from the flat reference."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from eitskin.datasets.store.state import State
+from eitskin.extras import require
+from eitskin.training.method.learning_curve import History
+from eitskin.training.method.settings import NetworkSettings, Progress, silent
+
+if TYPE_CHECKING:
+    from eitskin.training.method.networks import StateNetwork
+
+
+class Classifier:
+    """Probabilities of the three states of `eitskin.datasets.State`.
+
+    The paper does not say how maps are scaled. They are divided by their standard deviation over
+    the training frames, or compressed: a touch may be three times the noise and a bend a hundred
+    times, so the network then sees asinh of the maps in units of their noise, linear for what is
+    small, logarithmic for what is large.
+
+    Attributes:
+        network: trained, in evaluation mode.
+        embedding: linear, from dV to maps in those units, (maps, pixels, measurements).
+        shape: of a map.
+        compress: whether the network sees asinh of the maps.
+        history: how its loss fell.
+    """
+
+    def __init__(
+        self,
+        network: "StateNetwork",
+        embedding: NDArray[np.float64],
+        shape: tuple[int, int],
+        compress: bool,
+        history: History | None = None,
+    ) -> None:
+        """Wrap a trained network."""
+        self.network = network
+        self.embedding = embedding
+        self.shape = shape
+        self.compress = compress
+        self.history = history or History()
+
+    @classmethod
+    def fit(
+        cls,
+        difference: ArrayLike,
+        state: ArrayLike,
+        embedding: ArrayLike,
+        shape: tuple[int, int],
+        settings: NetworkSettings,
+        noise: float = 0.0,
+        seed: int = 0,
+        progress: Progress = silent,
+        validation: tuple[ArrayLike, ArrayLike] | None = None,
+        *,
+        compress: bool = True,
+    ) -> "Classifier":
+        """Train with sparse categorical cross-entropy and Adam.
+
+        Args:
+            difference: dV from the static reference (n, measurements).
+            state: (n,) `State` values.
+            embedding: from dV to maps (maps, pixels, measurements), in any units; not trained.
+            shape: of a map.
+            settings: of the training.
+            noise: rms noise that dV already has; `settings.noise` counts in it.
+            seed: of initial weights, order and added noise.
+            progress: told of every epoch.
+            validation: dV and states of other frames, whose loss is told after every epoch.
+            compress: whether the network sees asinh of the maps.
+        """
+        require("torch", "training")
+        import torch
+
+        from eitskin.training.method.networks import (
+            Samples,
+            StateNetwork,
+            noisy_maps,
+            seeded,
+            train,
+        )
+
+        states = np.asarray(state, dtype=np.int64)
+        scaled = _scaled(
+            np.asarray(embedding, dtype=float),
+            np.asarray(difference),
+            states == State.IDLE if compress else None,
+        )
+        scale = torch.asinh if compress else torch.nn.Identity()
+        network = seeded(lambda: StateNetwork(shape, len(scaled)), seed)
+
+        def samples(dV: ArrayLike, truth: ArrayLike, rms: float) -> Samples:
+            maps = noisy_maps(dV, scaled, shape, rms)
+            targets = torch.as_tensor(np.asarray(truth, dtype=np.int64))
+            return Samples(
+                lambda chosen, generator: (scale(maps(chosen, generator)), targets[chosen]),
+                len(targets),
+            )
+
+        fitted = samples(difference, states, settings.noise * noise)
+        history = train(
+            network,
+            fitted.batch,
+            torch.nn.functional.cross_entropy,
+            fitted.count,
+            settings,
+            seed,
+            lambda done, total: progress("state classifier", done, total),
+            None if validation is None else samples(*validation, 0.0),
+        )
+        return cls(network, scaled, shape, compress, history)
+
+    def apply(self, difference: ArrayLike) -> NDArray[np.float64]:
+        """Probabilities (n, 3) of idle, touch and bend for dV (n, measurements)."""
+        from eitskin.training.method.networks import evaluate
+
+        dV = np.asarray(difference, dtype=float)
+        maps = np.stack([dV @ layer.T for layer in self.embedding], axis=1)
+        if self.compress:
+            maps = np.arcsinh(maps)
+        logits = evaluate(self.network, maps.reshape(len(dV), -1, *self.shape))
+        odds = np.exp(logits - logits.max(axis=1, keepdims=True))
+        probabilities: NDArray[np.float64] = odds / odds.sum(axis=1, keepdims=True)
+        return probabilities
+
+    def arrays(self) -> dict[str, NDArray[np.generic]]:
+        """What `from_arrays` needs to make this stage again."""
+        from eitskin.training.method.networks import weights_of
+
+        return {
+            "embedding": self.embedding,
+            "compress": np.array(self.compress),
+            **self.history.arrays(),
+            **weights_of(self.network),
+        }
+
+    @classmethod
+    def from_arrays(
+        cls, arrays: dict[str, NDArray[np.generic]], shape: tuple[int, int]
+    ) -> "Classifier":
+        """The stage that `arrays` came from, for maps of `shape`."""
+        require("torch", "training")
+        from eitskin.training.method.networks import StateNetwork, with_weights
+
+        embedding = arrays["embedding"].astype(float)
+        network = with_weights(StateNetwork(shape, len(embedding)), arrays)
+        compress = bool(arrays["compress"])
+        return cls(network, embedding, shape, compress, History.from_arrays(arrays))
+
+
+def _scaled(
+    embedding: NDArray[np.float64], difference: NDArray[np.floating], idle: NDArray[np.bool_] | None
+) -> NDArray[np.float64]:
+    """The embedding with each map divided by its standard deviation over the training frames.
+
+    Where `idle` frames are named it is twice that over them: the noise, and some of its tail.
+    """
+    scaled = np.empty_like(embedding)
+    for i, layer in enumerate(embedding):
+        maps = difference @ layer.T
+        noise = 0.0 if idle is None or not idle.any() else 2.0 * float(np.std(maps[idle]))
+        scaled[i] = layer / (noise or float(np.std(maps)) or 1.0)
+    return scaled

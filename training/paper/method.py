@@ -1,0 +1,323 @@
+"""The stages of the paper in a row: what two differences say, without any memory."""
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.datasets.store.dataset import Dataset
+from eitskin.datasets.store.state import UNKNOWN_STATE, State
+from eitskin.datasets.store.touch_map import touch_maps
+from eitskin.errors import DataError
+from eitskin.training.method.calibration import Calibration, KnownBends
+from eitskin.training.method.input_spec import Layout
+from eitskin.training.method.learning_curve import History
+from eitskin.training.method.observations import Observed, noise_of
+from eitskin.training.method.predictions import FoundTouches, Perceived
+from eitskin.training.method.settings import Progress, TrainingSettings, silent
+from eitskin.training.paper.bend_angle import BendAngle
+from eitskin.training.paper.bend_subspace import bend_free
+from eitskin.training.paper.classifier import Classifier
+from eitskin.training.paper.missing_channels import MissingChannels
+from eitskin.training.paper.postprocessor import PostProcessor
+from eitskin.training.paper.reconstruction import Reconstruction, signal_to_noise
+from eitskin.training.paper.sensitivity import sensitivity_at
+from eitskin.training.paper.touch_regions import find_touches
+
+Arrays = dict[str, NDArray[np.generic]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PaperMethod:
+    """The trained stages.
+
+    The preset "paper" is sections II and III of the paper. Where these are silent, this was chosen:
+
+    - dV is relative to the reference, channel by channel; the paper's equation has no division.
+    - R of NOSER has a floor and lambda follows from signal and noise (`Reconstruction`); the paper
+      chose lambda "heuristically". The Jacobian is that of the flat nominal sensor at every bend.
+    - Maps have about 2560 square pixels and are divided by one standard deviation (`Classifier`).
+    - The network's activations (ReLU), the widths of its decoder (32, 16, 1) and of the first
+      fully connected layer (64), and a last layer from 16 features to three states.
+    - k of SelectKBest comes from cross-validation (`BendAngle`). Idle frames, at 0 degrees, are
+      regressed upon beside the bent ones. A touched frame has the angle that its dynamic reference
+      had, see `perceive`.
+    - The whole post-processor, its loss and its training; and that touches are connected regions
+      of its map with weighted centroids, where the paper takes one centroid of a whole picture
+      that shows a single touch.
+    - Bad channels are filled in.
+
+    Attributes:
+        missing_static, missing_dynamic: fill in the bad channels of dV from either reference.
+        outline: length and width that the maps cover [m].
+    """
+
+    KIND: ClassVar[str] = "paper"
+    AVERAGES: ClassVar[bool] = False
+
+    reconstruction: Reconstruction
+    classifier: Classifier
+    bend_angle: BendAngle
+    postprocessor: PostProcessor
+    missing_static: MissingChannels
+    missing_dynamic: MissingChannels
+    outline: tuple[float, float]
+
+    @classmethod
+    def fit(
+        cls,
+        dataset: Dataset,
+        layout: Layout,
+        settings: TrainingSettings,
+        progress: Progress = silent,
+        validation: Dataset | None = None,
+    ) -> "PaperMethod":
+        """Train every stage on all frames of `dataset`, and look at the losses on `validation`.
+
+        Raises DataError where it lacks a state.
+        """
+        counts = {state: int(np.sum(dataset.state == state)) for state in State}
+        if not all(counts.values()):
+            found = ", ".join(f"{count} {state.name.lower()}" for state, count in counts.items())
+            raise DataError(
+                f"training needs idle, touch and bend frames, got {found}; add the missing ones"
+            )
+        observed = Observed.of(dataset)
+        noise = noise_of(dataset, observed)
+        missing_static = MissingChannels.fit(observed.static, noise)
+        missing_dynamic = MissingChannels.fit(observed.dynamic, noise)
+
+        def filled(data: Dataset, observed: Observed) -> Lessons:
+            static = missing_static.fill(observed.static)
+            return Lessons(data, static, missing_dynamic.fill(observed.dynamic))
+
+        train = filled(dataset, observed)
+        unseen = None if validation is None else filled(validation, Observed.of(validation))
+        touched = dataset.state == State.TOUCH
+        snr = signal_to_noise(train.dynamic[touched], noise)
+        reconstruction = Reconstruction.fit(sensitivity_at(layout), snr, layout.pixels)
+        return cls(
+            reconstruction,
+            _fit_classifier(train, unseen, reconstruction, settings, noise, progress),
+            _fit_bend_angle(train, settings),
+            _fit_postprocessor(
+                train, unseen, layout.outline, reconstruction, settings, noise, progress
+            ),
+            missing_static,
+            missing_dynamic,
+            layout.outline,
+        )
+
+    def perceive(self, observed: Observed) -> Perceived:
+        """What n frames show.
+
+        A touch disturbs the channels that tell the angle by more than a degree of bend does, so
+        the angle of a touched frame is that of its dynamic reference, the sensor as the touch
+        found it: V/ref_bend over V/ref_touch is ref_touch/ref_bend.
+        """
+        from eitskin.training.method.networks import single_thread
+
+        with single_thread():  # more only wait for each other
+            return self._perceive(observed)
+
+    def _perceive(self, observed: Observed) -> Perceived:
+        flat = self.missing_static.fill(observed.static)
+        free = self.missing_dynamic.fill(observed.dynamic)
+        probabilities = self.classifier.apply(flat)
+        touched = probabilities.argmax(axis=1) == State.TOUCH
+        untouched_dV = np.where(touched[:, None], (1 + flat) / (1 + free) - 1, flat)
+        maps = np.zeros((len(flat), *self.reconstruction.shape), np.float32)
+        if touched.any():
+            maps[touched] = self.postprocessor.apply(self.reconstruction.apply(free[touched]))
+        found = (find_touches(touch_map, self.outline) for touch_map in maps)
+        return Perceived(
+            probabilities,
+            self.bend_angle.apply(untouched_dV),
+            np.full(len(flat), np.nan),
+            maps,
+            tuple(FoundTouches.of([t[:2] for t in each], [t[2] for t in each]) for each in found),
+            ((),) * len(flat),
+        )
+
+    @property
+    def histories(self) -> Mapping[str, History]:
+        """How the losses of its networks fell."""
+        return {
+            "state classifier": self.classifier.history,
+            "touch map": self.postprocessor.history,
+        }
+
+    def adapted(self, known: KnownBends) -> "tuple[PaperMethod, Calibration]":
+        """The method for one sensor: its angles times the factor that fits known ones best.
+
+        The paper has no calibration; a factor is what a regression through zero can learn from a
+        few angles. The errors stated are those of the calibration frames about it.
+        """
+        flat_dV = np.expm1(self.missing_static.fill(known.change))
+        said = self.bend_angle.apply(flat_dV)
+        factor = float(said @ known.angle_deg) / float(said @ said)
+        before = float(np.sqrt(np.mean((said - known.angle_deg) ** 2)))
+        after = float(np.sqrt(np.mean((factor * said - known.angle_deg) ** 2)))
+        angles = tuple(float(angle) for angle in known.angle_deg)
+        count = len(angles)
+        adapted = dataclasses.replace(self, bend_angle=self.bend_angle.times(factor))
+        return adapted, Calibration(angles, (before,) * count, (after,) * count, after)
+
+    def pictures(self, observed: Observed) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Reconstructions of n frames from the static and from the dynamic reference."""
+        static = self.reconstruction.apply(self.missing_static.fill(observed.static))
+        dynamic = self.reconstruction.apply(self.missing_dynamic.fill(observed.dynamic))
+        return static.astype(np.float32), dynamic.astype(np.float32)
+
+    def outputs(self, observed: Observed) -> Arrays:
+        """What every stage makes of n frames, whatever the others say; for checking copies."""
+        static = self.missing_static.fill(observed.static)
+        dynamic = self.reconstruction.apply(self.missing_dynamic.fill(observed.dynamic))
+        return {
+            "picture": dynamic,
+            "probabilities": self.classifier.apply(static),
+            "bend_angle_deg": self.bend_angle.apply(static),
+            "touch_map": self.postprocessor.apply(dynamic),
+        }
+
+    def arrays(self) -> Arrays:
+        """What `from_arrays` needs to make these stages again."""
+        stages = {
+            "reconstruction": self.reconstruction.arrays(),
+            "classifier": self.classifier.arrays(),
+            "bend_angle": self.bend_angle.arrays(),
+            "postprocessor": self.postprocessor.arrays(),
+        }
+        return {
+            "missing_static.covariance": self.missing_static.covariance,
+            "missing_dynamic.covariance": self.missing_dynamic.covariance,
+            **{
+                f"{stage}.{name}": array
+                for stage, arrays in stages.items()
+                for name, array in arrays.items()
+            },
+        }
+
+    @classmethod
+    def from_arrays(
+        cls, arrays: Mapping[str, NDArray[np.generic]], layout: Layout
+    ) -> "PaperMethod":
+        """The stages that `arrays` came from; raises KeyError or DataError where they lack some."""
+
+        def stage(name: str) -> Arrays:
+            mine = (key for key in arrays if key.startswith(f"{name}."))
+            return {key.removeprefix(f"{name}."): arrays[key] for key in mine}
+
+        reconstruction = Reconstruction.from_arrays(stage("reconstruction"))
+        return cls(
+            reconstruction,
+            Classifier.from_arrays(stage("classifier"), reconstruction.shape),
+            BendAngle.from_arrays(stage("bend_angle")),
+            PostProcessor.from_arrays(stage("postprocessor"), reconstruction.shape),
+            MissingChannels(arrays["missing_static.covariance"].astype(float)),
+            MissingChannels(arrays["missing_dynamic.covariance"].astype(float)),
+            layout.outline,
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lessons:
+    """n frames to learn from, and their dV from either reference (n, measurements), no gaps."""
+
+    dataset: Dataset
+    static: NDArray[np.float64]
+    dynamic: NDArray[np.float64]
+
+    def states(self) -> tuple[NDArray[np.float64], NDArray[np.uint8]] | None:
+        """dV from the static reference, and the state, where it is known; None where nowhere."""
+        known = self.dataset.state != UNKNOWN_STATE
+        return (self.static[known], self.dataset.state[known]) if known.any() else None
+
+    def touches(
+        self, outline: tuple[float, float], shape: tuple[int, int]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float32]] | None:
+        """dV from the dynamic reference, and the map of its touches, where those are known."""
+        data = self.dataset
+        placed = (data.state == State.TOUCH) & (data.touch_count > 0)
+        if not placed.any():
+            return None
+        discs = (data.touch_x[placed], data.touch_y[placed], data.touch_radius[placed])
+        return self.dynamic[placed], touch_maps(*discs, outline, shape)
+
+
+def _fit_classifier(
+    train: Lessons,
+    unseen: Lessons | None,
+    reconstruction: Reconstruction,
+    settings: TrainingSettings,
+    noise: float,
+    progress: Progress,
+) -> Classifier:
+    """On the map of the paper and, unless the settings leave it out, one without the bend.
+
+    A bend changes dV ten to fifty times more than a light touch on top of it, which the network
+    then has to find in the last percent of its input.
+    """
+    state = train.dataset.state
+    known = state != UNKNOWN_STATE
+    maps = [reconstruction.matrix]
+    if settings.bend_free_map:
+        idle, bend = (train.static[state == s] for s in (State.IDLE, State.BEND))
+        idle_noise = float(np.sqrt(np.mean(idle**2)))
+        maps.append(reconstruction.matrix @ bend_free(bend, idle_noise))
+    return Classifier.fit(
+        train.static[known],
+        state[known],
+        np.stack(maps),
+        reconstruction.shape,
+        settings.classifier,
+        noise,
+        settings.seed,
+        progress,
+        unseen.states() if unseen else None,
+        compress=settings.compressed_maps,
+    )
+
+
+def _fit_bend_angle(train: Lessons, settings: TrainingSettings) -> BendAngle:
+    """On all frames that no touch disturbs; an idle sensor is flat."""
+    data = train.dataset
+    idle = data.state == State.IDLE
+    angle = np.where(idle, 0.0, data.bend_angle_deg)
+    usable = (idle | (data.state == State.BEND)) & np.isfinite(angle)
+    return BendAngle.fit(
+        train.static[usable],
+        angle[usable],
+        data.specimen[usable],
+        settings.seed,
+        squares=settings.bend_squares,
+    )
+
+
+def _fit_postprocessor(
+    train: Lessons,
+    unseen: Lessons | None,
+    outline: tuple[float, float],
+    reconstruction: Reconstruction,
+    settings: TrainingSettings,
+    noise: float,
+    progress: Progress,
+) -> PostProcessor:
+    placed = train.touches(outline, reconstruction.shape)
+    if placed is None:
+        raise DataError(
+            "the touch map is learned from touch frames whose places are known, and this dataset "
+            "has none; record or generate some"
+        )
+    return PostProcessor.fit(
+        *placed,
+        reconstruction,
+        settings.postprocessor,
+        noise,
+        settings.seed,
+        progress,
+        unseen.touches(outline, reconstruction.shape) if unseen else None,
+    )

@@ -1,0 +1,120 @@
+"""From a blurred reconstruction to the touch map: a light convolutional network."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from eitskin.extras import require
+from eitskin.training.method.learning_curve import History
+from eitskin.training.method.settings import NetworkSettings, Progress, silent
+from eitskin.training.paper.reconstruction import Reconstruction
+
+if TYPE_CHECKING:
+    from eitskin.training.method.networks import TouchMapNetwork
+
+
+class PostProcessor:
+    """Probability of each pixel to be under an indenter.
+
+    Attributes:
+        network: trained, in evaluation mode.
+        scale: maps are divided by this before they reach the network.
+        history: how its loss fell.
+    """
+
+    def __init__(
+        self, network: "TouchMapNetwork", scale: float, history: History | None = None
+    ) -> None:
+        """Wrap a trained network."""
+        self.network = network
+        self.scale = scale
+        self.history = history or History()
+
+    @classmethod
+    def fit(
+        cls,
+        difference: ArrayLike,
+        touch_map: ArrayLike,
+        reconstruction: Reconstruction,
+        settings: NetworkSettings,
+        noise: float = 0.0,
+        seed: int = 0,
+        progress: Progress = silent,
+        validation: tuple[ArrayLike, ArrayLike] | None = None,
+    ) -> "PostProcessor":
+        """Train with binary cross-entropy per pixel and Adam.
+
+        Args:
+            difference: dV from the dynamic reference (n, measurements).
+            touch_map: the truth (n, rows, columns), 1 under an indenter and 0 elsewhere.
+            reconstruction: makes the maps, a linear layer that is not trained.
+            settings: of the training.
+            noise: rms noise that dV already has; `settings.noise` counts in it.
+            seed: of initial weights, order and added noise.
+            progress: told of every epoch.
+            validation: dV and touch maps of other frames, whose loss is told after every epoch.
+        """
+        require("torch", "training")
+        import torch
+
+        from eitskin.training.method.networks import (
+            Samples,
+            TouchMapNetwork,
+            noisy_maps,
+            seeded,
+            train,
+        )
+
+        scale = float(np.std(reconstruction.apply(difference))) or 1.0
+        network = seeded(lambda: TouchMapNetwork(reconstruction.shape), seed)
+        layer = reconstruction.matrix[None] / scale
+
+        def samples(dV: ArrayLike, truth: ArrayLike, rms: float) -> Samples:
+            maps = noisy_maps(dV, layer, reconstruction.shape, rms)
+            targets = torch.as_tensor(np.asarray(truth, dtype=np.float32))[:, None]
+            return Samples(
+                lambda chosen, generator: (maps(chosen, generator), targets[chosen]), len(targets)
+            )
+
+        fitted = samples(difference, touch_map, settings.noise * noise)
+        history = train(
+            network,
+            fitted.batch,
+            torch.nn.functional.binary_cross_entropy_with_logits,
+            fitted.count,
+            settings,
+            seed,
+            lambda done, total: progress("touch map", done, total),
+            None if validation is None else samples(*validation, 0.0),
+        )
+        return cls(network, scale, history)
+
+    def apply(self, maps: ArrayLike) -> NDArray[np.float32]:
+        """Touch maps, 0 to 1, of reconstructions, both (n, rows, columns)."""
+        from eitskin.training.method.networks import evaluate
+
+        logits = evaluate(self.network, np.asarray(maps)[:, None] / self.scale)[:, 0]
+        touch_map: NDArray[np.float32] = (0.5 * (1 + np.tanh(0.5 * logits))).astype(np.float32)
+        return touch_map
+
+    def arrays(self) -> dict[str, NDArray[np.generic]]:
+        """What `from_arrays` needs to make this stage again."""
+        from eitskin.training.method.networks import weights_of
+
+        return {
+            "scale": np.array(self.scale),
+            **self.history.arrays(),
+            **weights_of(self.network),
+        }
+
+    @classmethod
+    def from_arrays(
+        cls, arrays: dict[str, NDArray[np.generic]], shape: tuple[int, int]
+    ) -> "PostProcessor":
+        """The stage that `arrays` came from, for maps of `shape`."""
+        require("torch", "training")
+        from eitskin.training.method.networks import TouchMapNetwork, with_weights
+
+        network = with_weights(TouchMapNetwork(shape), arrays)
+        return cls(network, float(arrays["scale"].astype(float)), History.from_arrays(arrays))

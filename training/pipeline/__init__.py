@@ -1,0 +1,1 @@
+"""The perception pipeline: frames in, estimates out; calibration and the saved form."""

@@ -1,0 +1,1 @@
+"""Touch positions on a sensor of unknown geometry, learned from labelled recordings."""

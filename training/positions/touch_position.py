@@ -1,0 +1,119 @@
+"""One touch on a sensor of unknown geometry: from relative differences to a place."""
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from eitskin.errors import DataError
+from eitskin.extras import require
+
+FEWEST = 20  # touches to train with
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TouchPosition:
+    """Gaussian-process regression from a frame and its reference to (x, y).
+
+    The features are log |V / ref| per channel, divided by the channel's root mean square over the
+    training touches and then by their own norm: to first order a press changes all channels
+    in proportion to its strength, so the direction of the vector says where and its length how
+    hard. The covariance is a Matern 5/2 function of the distance of two directions, plus noise.
+
+    Attributes:
+        channel_scale: root mean square of the log ratios (C,).
+        directions: of the training touches (k, C).
+        weights: (k, 2) [m].
+        centre: of the training places (2,) [m].
+        length: of the covariance, in units of the directions.
+        variance: of the covariance, its value at distance zero.
+    """
+
+    channel_scale: NDArray[np.float64]
+    directions: NDArray[np.float64]
+    weights: NDArray[np.float64]
+    centre: NDArray[np.float64]
+    length: float
+    variance: float
+
+    @classmethod
+    def fit(cls, ratio: ArrayLike, places: ArrayLike) -> "TouchPosition":
+        """Fit to |V / ref| (k, C) and places (k, 2) [m]; the marginal likelihood sets the rest."""
+        require("sklearn", "training")
+        from sklearn.exceptions import ConvergenceWarning
+        from sklearn.gaussian_process import GaussianProcessRegressor
+        from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
+
+        logs, xy = log_ratio(ratio), np.asarray(places, dtype=float)
+        if len(logs) < FEWEST:
+            raise DataError(
+                f"learning touch positions needs at least {FEWEST} frames with one touch and an "
+                f"untouched reference, got {len(logs)}; record more"
+            )
+        scale = np.sqrt(np.mean(logs**2, axis=0))
+        scale = np.where(scale > 0, scale, 1.0)
+        directions = _directions(logs / scale)
+        centre, extent = xy.mean(axis=0), float(xy.std())
+        kernel = ConstantKernel(1.0) * Matern(1.0, nu=2.5) + WhiteKernel(1e-2, (1e-6, 1e1))
+        with warnings.catch_warnings():
+            # A parameter at its bound: no noise, which is good, or nothing to learn, which shows
+            # in every score.
+            warnings.simplefilter("ignore", ConvergenceWarning)
+            process = GaussianProcessRegressor(kernel).fit(directions, (xy - centre) / extent)
+        signal = process.kernel_.k1
+        return cls(
+            scale,
+            directions,
+            np.asarray(process.alpha_, dtype=float) * extent,
+            centre,
+            float(signal.k2.length_scale),
+            float(signal.k1.constant_value),
+        )
+
+    def apply(self, ratio: ArrayLike) -> NDArray[np.float64]:
+        """Places (n, 2) [m] of one touch in each frame, from |V / ref| (n, C)."""
+        logs = log_ratio(ratio)
+        if logs.shape[-1] != len(self.channel_scale):
+            raise DataError(
+                f"these touch positions were learned from {len(self.channel_scale)} channels, "
+                f"got {logs.shape[-1]}; train on recordings of this sensor"
+            )
+        directions = _directions(logs / self.channel_scale)
+        inner = directions @ self.directions.T
+        square = np.sum(directions**2, axis=1)[:, None] + np.sum(self.directions**2, axis=1)
+        d = np.sqrt(5.0 * np.maximum(square - 2.0 * inner, 0.0)) / self.length
+        covariance = self.variance * (1.0 + d + d**2 / 3.0) * np.exp(-d)
+        places: NDArray[np.float64] = covariance @ self.weights + self.centre
+        return places
+
+    def arrays(self) -> dict[str, NDArray[np.generic]]:
+        """What `from_arrays` needs to make this stage again."""
+        return {
+            "channel_scale": self.channel_scale,
+            "directions": self.directions,
+            "weights": self.weights,
+            "centre": self.centre,
+            "length": np.array(self.length),
+            "variance": np.array(self.variance),
+        }
+
+    @classmethod
+    def from_arrays(cls, arrays: dict[str, NDArray[np.generic]]) -> "TouchPosition":
+        """The stage that `arrays` came from."""
+        values = {name: array.astype(float) for name, array in arrays.items()}
+        length, variance = float(values.pop("length")), float(values.pop("variance"))
+        return cls(**values, length=length, variance=variance)
+
+
+def log_ratio(ratio: ArrayLike) -> NDArray[np.float64]:
+    """log |V / ref| of ratios (n, C); zero, no signal, where a channel gave nothing usable."""
+    size = np.abs(np.asarray(ratio))
+    usable = np.isfinite(size) & (size > 0)
+    return np.log(np.where(usable, size, 1.0))
+
+
+def _directions(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    norm = np.linalg.norm(vectors, axis=1, keepdims=True)
+    directions: NDArray[np.float64] = vectors / np.where(norm > 0, norm, 1.0)
+    return directions
