@@ -3,7 +3,7 @@
 import contextlib
 import json
 import signal
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, get_args
@@ -117,3 +117,17 @@ class Output:
             console=self.notes,
             disable=self.quiet,
         )
+
+
+def watched(output: Output) -> Callable[[str, Sequence[Any]], Iterable[Any]]:
+    """A progress bar around the items that a benchmark goes through."""
+
+    def watch(text: str, items: Sequence[Any]) -> Iterable[Any]:
+        with output.progress() as bar:
+            task = bar.add_task(text, total=len(items), rate="")
+            for item in items:
+                bar.update(task, rate=str(getattr(item, "family", "")))
+                yield item
+                bar.advance(task)
+
+    return watch

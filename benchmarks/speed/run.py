@@ -24,6 +24,7 @@ from eitskin.benchmarks.speed.scenes import (
     ANGLES,
     FORCES,
     JUMPING,
+    LIVE_SCENES,
     PER_BEND,
     PROCESSES,
     WAYS,
@@ -31,7 +32,6 @@ from eitskin.benchmarks.speed.scenes import (
     rate,
     scenes,
 )
-from eitskin.benchmarks.studies.live_rate import SCENES
 from eitskin.datasets.generation.generate import generate
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.recipe.scene_group import SceneGroup
@@ -139,7 +139,9 @@ def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> Speed:
     with require("threadpoolctl", "bench").threadpool_limits(1):
         (other,) = (solve(seed) for solve in watch("pyEIT", [pyeit]))
         least = floor()
-        times = tuple(frame_time(name, frames, seed) for name in watch("pipeline", list(SCENES)))
+        times = tuple(
+            frame_time(name, frames, seed) for name in watch("pipeline", list(LIVE_SCENES))
+        )
     (made,) = (make(count, engine) for make in watch("datasets", [generation]))
     return Speed(
         provenance=Provenance.now(seed),
@@ -244,7 +246,7 @@ def frame_time(name: str, frames: int, seed: int) -> FrameTime:
     from eitskin.training.pipeline.pipeline import Pipeline
 
     pipeline = Pipeline.load("reference.eitmodel")
-    script = Script((Step(Scene(), 12), Step(SCENES[name], 1)), repeat=False)
+    script = Script((Step(Scene(), 12), Step(LIVE_SCENES[name], 1)), repeat=False)
     settings = {"instrument": "ad5940", "speed": "max", "period": 0.01}
     with open_board("virtual:", scene=script, seed=seed, **settings) as board:
         shown = list(itertools.islice(board.frames(), frames + SETTLED))

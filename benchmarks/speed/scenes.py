@@ -160,3 +160,15 @@ def _signals(some: Sequence[Scene], way: Way, resolution: Resolution) -> Array:
     measured = sim.measure_all(both, way.tolerance, device=way.device).real
     changes: Array = measured[: len(some)] - measured[len(some) :]
     return changes
+
+
+FOUR = tuple(
+    Touch(x, y) for x, y in ((0.025, 0.018), (0.050, 0.042), (0.100, 0.042), (0.125, 0.018))
+)
+LIVE_SCENES = {
+    "idle": Scene(),
+    "bent": Scene(Bend(20.0)),
+    "one touch, bent": Scene(Bend(20.0), FOUR[:1]),
+    "four touches, bent": Scene(Bend(20.0), FOUR),
+}
+"""What a live board shows when its rate is measured, by name."""

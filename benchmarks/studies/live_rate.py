@@ -22,7 +22,7 @@ from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 
-from eitskin.geometry.deformation.fixtures import Bend
+from eitskin.benchmarks.speed.scenes import LIVE_SCENES
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.hardware.boards.board import Board
 from eitskin.hardware.opening import open_board
@@ -32,7 +32,6 @@ from eitskin.hardware.virtual.scene_script import Script, Step
 from eitskin.hardware.virtual.virtual_board import virtual_terminal
 from eitskin.provenance import Provenance
 from eitskin.simulator.scene.scene import Scene
-from eitskin.simulator.scene.touch import Touch
 from eitskin.simulator.simulator import Simulator
 
 if TYPE_CHECKING:
@@ -41,15 +40,6 @@ if TYPE_CHECKING:
     from eitskin.training.pipeline.pipeline import Pipeline
 
 PAPER_MS = 606.6
-FOUR = tuple(
-    Touch(x, y) for x, y in ((0.025, 0.018), (0.050, 0.042), (0.100, 0.042), (0.125, 0.018))
-)
-SCENES = {
-    "idle": Scene(),
-    "bent": Scene(Bend(20.0)),
-    "one touch, bent": Scene(Bend(20.0), FOUR[:1]),
-    "four touches, bent": Scene(Bend(20.0), FOUR),
-}
 MIXED = """
 [[steps]]
 frames = 20
@@ -141,7 +131,7 @@ def rates(frames: int, seed: int) -> Iterator[str]:
     yield "|---" * (4 + len(STAGES)) + "|"
     for name, options in BOARDS.items():
         count = frames if options["period"] else frames // 20
-        for scene_name, scene in SCENES.items():
+        for scene_name, scene in LIVE_SCENES.items():
             script = Script((Step(Scene(), 12), Step(scene, 1)), repeat=False)
             settings = {"scene": script, "seed": seed, "instrument": "ad5940", **options}
             with apart(**settings) as (board, times):

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from eitskin.benchmarks.studies.touches import Compared
 from eitskin.extras import require
 
 _MARKS = {
@@ -19,7 +18,7 @@ _COLOURS = {"tabulated": "#1f5fa8", "without_images": "#2e8b57", "closed_form": 
 _TOGETHER = ("two", "three", "four")
 
 
-def plot(found: Sequence[Compared], path: Path) -> None:
+def plot(found: Sequence[Any], path: Path) -> None:
     """Errors over the distance from the side of the gel, and over that between touches."""
     figure = require("matplotlib.figure", "bench").Figure(figsize=(10.0, 4.4), layout="constrained")
     panels = figure.subplots(1, 2, sharey=True)
@@ -31,7 +30,7 @@ def plot(found: Sequence[Compared], path: Path) -> None:
     figure.savefig(path, dpi=120, facecolor="white")
 
 
-def _panel(axes: Any, found: Sequence[Compared]) -> None:
+def _panel(axes: Any, found: Sequence[Any]) -> None:
     for family in dict.fromkeys(one.family for one in found):
         ordered = sorted(
             (one for one in found if one.family == family), key=lambda one: one.distance_mm

@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,7 +12,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from eitskin.cli.commands import bench_layouts, bench_paper, bench_speed, bench_suite
-from eitskin.cli.options import Json, Output, Quiet, Seed, Verbose
+from eitskin.cli.options import Json, Output, Quiet, Seed, Verbose, watched
 from eitskin.extras import require_all
 
 if TYPE_CHECKING:
@@ -87,20 +87,6 @@ def stability(
     output.note("written: " + ", ".join(paths))
     if found.wrong:
         raise typer.Exit(1)
-
-
-def watched(output: Output) -> "Any":
-    """A progress bar around the items that a benchmark goes through."""
-
-    def watch(text: str, items: Sequence[Any]) -> Iterable[Any]:
-        with output.progress() as bar:
-            task = bar.add_task(text, total=len(items), rate="")
-            for item in items:
-                bar.update(task, rate=str(getattr(item, "family", "")))
-                yield item
-                bar.advance(task)
-
-    return watch
 
 
 def _as_data(found: "Accuracy", paths: list[Path]) -> dict[str, Any]:

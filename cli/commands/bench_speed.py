@@ -8,7 +8,7 @@ import typer
 from rich import box
 from rich.table import Table
 
-from eitskin.cli.options import Json, Output, Quiet, Seed, Verbose
+from eitskin.cli.options import Json, Output, Quiet, Seed, Verbose, watched
 from eitskin.extras import require_all
 
 
@@ -26,7 +26,6 @@ def command(
     """Scenes per second, each way beside its error; pyEIT; datasets; frames of the pipeline."""
     from eitskin.benchmarks.speed.report import HEADINGS, sentences, table, write
     from eitskin.benchmarks.speed.run import run
-    from eitskin.cli.commands.bench import watched
     from eitskin.datasets.store.folder import make_folder
 
     output = Output(as_json, quiet, verbose)
