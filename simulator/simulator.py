@@ -31,7 +31,6 @@ Field: TypeAlias = Callable[[Array], Array]
 # Touched scenes of one bend from which on it pays to solve that once and for all: it costs as much
 # as two.
 _WORTH = 3
-_BATCH = 64  # scenes solved at once on a device of torch
 
 
 class Simulator:
@@ -172,7 +171,6 @@ class Simulator:
         scenes: Sequence[Scene],
         tolerance: Tolerance | None = None,
         before_each: Callable[[], None] = lambda: None,
-        device: str | None = None,
     ) -> NDArray[np.complex128]:
         """Noise-free measurements [ohm] of many scenes, (scenes, measurements).
 
@@ -184,11 +182,7 @@ class Simulator:
             tolerance: of that; what the default leaves is in docs/speed.md. EXACT solves as
                 `measure` does.
             before_each: called before each solution; may raise to stop.
-            device: of torch, such as "cuda", on which all scenes are solved as `measure` does, in
-                batches; for processors with many cores.
         """
-        if device is not None:
-            return self._measured_in_batches(scenes, before_each, device)
         found: dict[Scene, NDArray[np.complex128]] = {}
         for base, group in _by_bend(scenes).items():
             touched = [scene for scene in group if scene.touches]
@@ -203,21 +197,6 @@ class Simulator:
             for scene in touched:
                 before_each()
                 found[scene] = self._measured(solved.impedance(self.setting(scene)))
-        return np.array([found[scene] for scene in scenes])
-
-    def _measured_in_batches(
-        self, scenes: Sequence[Scene], before_each: Callable[[], None], device: str
-    ) -> NDArray[np.complex128]:
-        different = list(dict.fromkeys(scenes))
-        found: dict[Scene, NDArray[np.complex128]] = {}
-        for start in range(0, len(different), _BATCH):
-            before_each()
-            batch = different[start : start + _BATCH]
-            settings = [self.setting(scene) for scene in batch]
-            solved = self.model.impedances(
-                [(each.conductivity, each.area_ratio) for each in settings], device
-            )
-            found |= {scene: self._measured(Z) for scene, Z in zip(batch, solved, strict=True)}
         return np.array([found[scene] for scene in scenes])
 
     def _dents(self, scene: Scene) -> Dents:

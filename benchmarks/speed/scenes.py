@@ -46,7 +46,6 @@ class Way:
         per_bend: scenes that share a bend.
         resolution: of the simulator.
         tolerance: of reanalysis; the default when omitted.
-        device: of torch, for batches.
         transition: of the hinge [m].
     """
 
@@ -55,7 +54,6 @@ class Way:
     per_bend: int = PER_BEND
     resolution: Resolution = "fast"
     tolerance: Tolerance | None = None
-    device: str | None = None
     transition: float = 0.010
 
     def simulator(self, resolution: Resolution) -> Simulator:
@@ -73,7 +71,6 @@ WAYS = (
     Way("one touch, 32 per bend, `EXACT`", tolerance=EXACT),
     Way("one touch, 32 per bend, resolution `standard`", resolution="standard"),
     JUMPING,
-    Way("one touch, 32 per bend, batches by torch on the processor", device="cpu"),
 )
 
 
@@ -114,13 +111,11 @@ def scenes(way: Way, count: int, seed: int) -> list[Scene]:
 def work(way: Way, count: int, seed: int) -> tuple[float, float]:
     """Time and processor time of solving so many scenes, after meshing and a first one [s]."""
     with require("threadpoolctl", "bench").threadpool_limits(1):
-        if way.device:
-            require("torch", "training").set_num_threads(1)
         sim = way.simulator(way.resolution)
         some = scenes(way, count, seed)
         sim.measure(some[0])
         start = time.perf_counter(), time.process_time()
-        sim.measure_all(some, way.tolerance, device=way.device)
+        sim.measure_all(some, way.tolerance)
         return time.perf_counter() - start[0], time.process_time() - start[1]
 
 
@@ -157,7 +152,7 @@ def _signals(some: Sequence[Scene], way: Way, resolution: Resolution) -> Array:
     """What the touches change [ohm], (scenes, measurements)."""
     sim = way.simulator(resolution)
     both = [*some, *(Scene(scene.bend) for scene in some)]
-    measured = sim.measure_all(both, way.tolerance, device=way.device).real
+    measured = sim.measure_all(both, way.tolerance).real
     changes: Array = measured[: len(some)] - measured[len(some) :]
     return changes
 

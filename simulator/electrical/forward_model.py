@@ -12,12 +12,10 @@ from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.meshing.mesh import Mesh
 from eitskin.geometry.meshing.mesh_of import CellKind, mesh_of, natural_cells
 from eitskin.protocol import Protocol
-from eitskin.simulator.electrical import batches
 from eitskin.simulator.electrical.assembly import TENSOR_COLUMNS, TENSOR_ROWS, Assembly, Stiffness
 from eitskin.simulator.electrical.cem_system import Places, System, zero_sums
 from eitskin.simulator.electrical.resolution import Discretisation, Resolution, discretisation
 from eitskin.simulator.electrical.sensitivity import Tensors, pixel_gram
-from eitskin.simulator.linalg.block_cholesky import BlockCholesky
 from eitskin.simulator.linalg.sparse_solvers import Solver, SolverName, choose_solver
 
 Array = NDArray[np.float64]
@@ -106,23 +104,6 @@ class ForwardModel:
         """
         _, system = self._system(conductivity, area_ratio)
         return system.impedance(self.solver.congruence(system.values, system.coupling))
-
-    def impedances(
-        self, settings: Sequence[tuple[Conductivity, AreaRatio]], device: str = "cpu"
-    ) -> NDArray[np.inexact]:
-        """Electrode impedance matrices [ohm], (settings, electrodes, electrodes).
-
-        As `impedance`, but through one elimination in batches, by torch on `device`.
-
-        Raises ConfigurationError for models that are not solved strip by strip with real numbers.
-        """
-        if not isinstance(self.solver, BlockCholesky) or np.iscomplexobj(self.contact_impedance):
-            raise ConfigurationError(
-                "only models with block Cholesky and real contact impedances are solved in "
-                "batches; use ForwardModel.impedance"
-            )
-        systems = [self._system(*setting)[1] for setting in settings]
-        return batches.impedances(self.solver, systems, device)
 
     def sensitivity(
         self,
