@@ -12,7 +12,6 @@ class Closing:
         raise NotImplementedError
 
     def __enter__(self) -> Self:
-        """Give the object itself."""
         return self
 
     def __exit__(

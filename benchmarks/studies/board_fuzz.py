@@ -188,7 +188,6 @@ class TimedReplug(Replug):
     pulled = 0.0
 
     def sent(self, now: int, packet: bytes, period: float) -> bytes:
-        """Raises `Unplugged`, once."""
         if self.strikes(now):
             self.pulled = time.perf_counter()
         return super().sent(now, packet, period)

@@ -91,7 +91,6 @@ class Page(Closing):
             self._changed.notify()
 
     def close(self) -> None:
-        """End the page and its threads; a second time does nothing."""
         if self._closed:
             return
         with self._changed:

@@ -59,7 +59,6 @@ class Hinge:
         return self.span + 2.0 * self.give
 
     def __post_init__(self) -> None:
-        """Check the numbers."""
         if not (math.isfinite(self.span) and self.span > 0):
             raise ConfigurationError(f"hinge span must be a positive length in m, got {self.span}")
         if not math.isfinite(self.offset):
@@ -109,7 +108,6 @@ class FreeArc:
     contraction: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check the numbers."""
         if not (math.isfinite(self.length) and self.length > 0):
             raise ConfigurationError(
                 f"arc length must be a positive length in m, got {self.length}"

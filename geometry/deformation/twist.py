@@ -22,7 +22,6 @@ class Twist:
     angle_deg: float
 
     def __post_init__(self) -> None:
-        """Check the number."""
         if not math.isfinite(self.angle_deg):
             raise ConfigurationError(f"twist angle_deg must be finite, got {self.angle_deg}")
 
@@ -78,7 +77,6 @@ class Roll:
     angle_deg: float
 
     def __post_init__(self) -> None:
-        """Check the number."""
         if not abs(self.angle_deg) <= 360.0:
             raise ConfigurationError(
                 f"roll angle_deg must be from -360 to 360, where the edges meet, got "

@@ -83,13 +83,11 @@ class _Sided(_Plane):
         return float(_sides(self).knots[-1])
 
     def at(self, s: ArrayLike) -> Array:
-        """Places (..., 2) [m] at arc lengths `s` (...) [m], counter-clockwise."""
         sides = _sides(self)
         along = np.mod(s, sides.knots[-1])
         return np.stack([np.interp(along, sides.knots, axis) for axis in sides.closed.T], axis=-1)
 
     def nearest(self, points: Array) -> tuple[Array, Array]:
-        """Of points (..., 2) [m]: arc length of the nearest place on the rim, and depth [m]."""
         sides = _sides(self)
         step, lengths = sides.step, sides.lengths
         away = points[..., None, :] - sides.closed[:-1]
@@ -107,7 +105,6 @@ class _Sided(_Plane):
         return s, np.where(inside, depth, -depth)
 
     def _size(self) -> float:
-        """Larger extent [m]."""
         return float(_sides(self).closed.max())
 
 
@@ -142,7 +139,6 @@ class Rectangle(_Sided):
     width: float
 
     def __post_init__(self) -> None:
-        """Check the sizes."""
         require_length("outline.length", self.length)
         require_length("outline.width", self.width)
 
@@ -189,7 +185,6 @@ class Polygon(_Sided):
 
     @property
     def vertices(self) -> Array:
-        """Corners in turn, counter-clockwise, (k, 2) [m]."""
         return np.array(self.points)
 
     @property
@@ -213,7 +208,6 @@ class Disc(_Plane):
     radius: float
 
     def __post_init__(self) -> None:
-        """Check the size."""
         require_length("outline.radius", self.radius)
 
     @property
@@ -237,18 +231,15 @@ class Disc(_Plane):
         return 2.0 * math.pi * self.radius
 
     def at(self, s: ArrayLike) -> Array:
-        """Places (..., 2) [m] at arc lengths `s` (...) [m], counter-clockwise."""
         angle = np.asarray(s, dtype=float) / self.radius
         return self.radius * (1.0 + np.stack([np.cos(angle), np.sin(angle)], axis=-1))
 
     def nearest(self, points: Array) -> tuple[Array, Array]:
-        """Of points (..., 2) [m]: arc length of the nearest place on the rim, and depth [m]."""
         away = points - self.radius
         angle = np.mod(np.arctan2(away[..., 1], away[..., 0]), 2.0 * math.pi)
         return angle * self.radius, self.radius - np.hypot(away[..., 0], away[..., 1])
 
     def _size(self) -> float:
-        """Larger extent [m]."""
         return 2.0 * self.radius
 
 

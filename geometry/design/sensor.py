@@ -34,7 +34,6 @@ class Layer:
     conductivity: float
 
     def __post_init__(self) -> None:
-        """Check the numbers."""
         require_length("layer thickness", self.thickness)
         require_positive("layer conductivity", self.conductivity, "S/m")
 

@@ -36,7 +36,6 @@ class Grading:
     layers: int = 1
 
     def __post_init__(self) -> None:
-        """Check the numbers."""
         sizes = (self.finest, self.coarsest, self.growth)
         if not all(math.isfinite(s) and s > 0 for s in sizes) or self.finest > self.coarsest:
             raise ConfigurationError(

@@ -144,7 +144,6 @@ class TextBoard(Closing):
         self._begun = math.nan
 
     def close(self) -> None:
-        """Let go of the port; a second time does nothing."""
         self._port.close()
 
     def _restart(self) -> None:

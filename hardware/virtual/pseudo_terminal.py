@@ -140,7 +140,6 @@ class PseudoTerminal(Closing, Generic[FirmwareType]):
                 os.write(self._wake_write, b"x")
 
     def close(self) -> None:
-        """Pull the cable; a second time does nothing."""
         with self._closing:
             if self._stopped:
                 return

@@ -35,7 +35,6 @@ class Step:
     frames: int = 1
 
     def __post_init__(self) -> None:
-        """Check the number."""
         if self.frames < 1:
             raise ConfigurationError(f"a step lasts for at least one frame, got {self.frames}")
 

@@ -21,20 +21,23 @@ Base = Literal["quadrilateral", "triangle"]
 class Element(Protocol):
     """Shape functions and an exact quadrature rule on one reference element.
 
-    Attributes:
-        inner: how many functions, the last ones, meet neither other elements nor electrodes.
-        cells: mesh cells that make one element.
-        face_degree: polynomial degree of the functions on a face.
+    Inner functions, the last ones, meet neither other elements nor electrodes.
     """
 
     @property
-    def inner(self) -> int: ...  # noqa: D102
+    def inner(self) -> int:
+        """Number of inner functions."""
+        ...
 
     @property
-    def cells(self) -> int: ...  # noqa: D102
+    def cells(self) -> int:
+        """Number of mesh cells that make one element."""
+        ...
 
     @property
-    def face_degree(self) -> int: ...  # noqa: D102
+    def face_degree(self) -> int:
+        """Polynomial degree of the functions on a face."""
+        ...
 
     def indicator(self, low: float, high: float) -> Array:
         """Coefficients, (functions,), of a function that is one from height `low` to `high` [m].
@@ -267,7 +270,6 @@ class TetrahedralElement:
     cells: int = 1
 
     def __post_init__(self) -> None:
-        """Check the order."""
         if self.order not in (1, 2):
             raise ConfigurationError(f"tetrahedra have order 1 or 2, got {self.order}")
 

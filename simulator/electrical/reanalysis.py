@@ -40,7 +40,6 @@ class Tolerance:
     coarse: float = 0.03
 
     def __post_init__(self) -> None:
-        """Check the numbers."""
         if not 0.0 <= self.linear <= self.coarse < 1.0:
             raise ConfigurationError(
                 "tolerances must rise from 0 <= linear <= coarse < 1, got "

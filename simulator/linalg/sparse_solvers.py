@@ -33,7 +33,9 @@ class Solver(Protocol):
     """Factorises matrices whose lower-triangle values stand at fixed places."""
 
     @property
-    def name(self) -> str: ...  # noqa: D102
+    def name(self) -> str:
+        """Name of the method, for people."""
+        ...
 
     def factorise(self, values: Numbers) -> Factorisation:
         """Factorise the matrix with these values; values of equal place add up."""

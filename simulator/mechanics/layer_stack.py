@@ -28,7 +28,6 @@ class Piezoresistivity:
     pressure: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check the numbers."""
         if not (math.isfinite(self.volume) and math.isfinite(self.pressure)):
             raise ConfigurationError(
                 f"piezoresistive coefficients must be finite, got {self.volume}, {self.pressure}"
@@ -99,7 +98,6 @@ class Sheet:
     law: NeoHookean | Ogden
 
     def __post_init__(self) -> None:
-        """Check the thickness."""
         if not (math.isfinite(self.thickness) and self.thickness > 0):
             raise ConfigurationError(
                 f"the thickness of a layer must be positive, in m, got {self.thickness}"

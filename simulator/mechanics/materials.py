@@ -53,7 +53,6 @@ class NeoHookean:
     shear_modulus: float
 
     def __post_init__(self) -> None:
-        """Check the modulus."""
         _check_modulus(self.shear_modulus)
 
     def energy(self, F: Array) -> Array:

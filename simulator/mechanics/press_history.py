@@ -29,7 +29,6 @@ class ForceHistory:
     forces: Array
 
     def __post_init__(self) -> None:
-        """Check the samples."""
         _check_samples(self.times, self.forces, "forces in N")
 
     def elastic_force(self, prony: Prony, t: ArrayLike) -> Array:
@@ -56,7 +55,6 @@ class DepthHistory:
     depths: Array
 
     def __post_init__(self) -> None:
-        """Check the samples."""
         _check_samples(self.times, self.depths, "depths in m")
 
     def force(

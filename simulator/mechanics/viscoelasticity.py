@@ -36,7 +36,6 @@ class Prony:
     times: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        """Check the numbers."""
         g, tau = self.amplitudes, self.times
         if len(g) != len(tau):
             raise ConfigurationError(

@@ -51,7 +51,6 @@ class Cylinder:
     rough: bool = True
 
     def __post_init__(self) -> None:
-        """Check the numbers."""
         require_length("indenter radius", self.radius, _WIDEST)
         if not 0.0 < self.edge <= 1.0:
             raise ConfigurationError(
@@ -83,7 +82,6 @@ class Sphere:
     shape: Literal["sphere"] = "sphere"
 
     def __post_init__(self) -> None:
-        """Check the radius."""
         require_length("indenter radius", self.radius, _WIDEST)
 
     @property

@@ -1,14 +1,18 @@
-"""Every public name says what it is, and every array its shape or its unit."""
+"""Docstrings: every public name has one, every array in it a shape or a unit."""
 
+import ast
 import importlib
 import inspect
 import re
+from pathlib import Path
 
 import pytest
 
 PACKAGES = ("geometry", "simulator", "datasets", "training", "hardware")
 ARRAY = re.compile(r"ndarray|NDArray|ArrayLike")
 SHAPE_OR_UNIT = re.compile(r"\([^)]*[,\w][^)]*\)|\[[^]]+\]")
+ROOT = Path(__file__).parents[2]
+ROOMS = ("eitskin", *PACKAGES, "cli", "benchmarks")
 
 
 def public():
@@ -59,3 +63,30 @@ def test_every_array_that_is_returned_has_a_shape_or_a_unit(name):
     function = NAMES[name]
     if ARRAY.search(str(function.__annotations__.get("return", ""))):
         assert SHAPE_OR_UNIT.search(inspect.getdoc(function)), inspect.getdoc(function)
+
+
+def undocumented(room):
+    """Public methods without a docstring, each with its class; ruff holds all that is no method."""
+    for path in sorted((ROOT / room).rglob("*.py")):
+        inside = path.relative_to(ROOT).with_suffix("").parts
+        module = ".".join(inside if room == "eitskin" else ("eitskin", *inside))
+        for owner in ast.parse(path.read_text(encoding="utf-8")).body:
+            if not isinstance(owner, ast.ClassDef) or owner.name.startswith("_"):
+                continue
+            for method in owner.body:
+                if isinstance(method, ast.FunctionDef | ast.AsyncFunctionDef) and not (
+                    method.name.startswith("_") or ast.get_docstring(method)
+                ):
+                    yield module, owner.name, method.name
+
+
+def overrides_a_documented_one(module, owner, method):
+    """Whether a base class says what the method does."""
+    bases = getattr(importlib.import_module(module), owner).__mro__[1:]
+    return any(inspect.getdoc(vars(base).get(method)) for base in bases if method in vars(base))
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_every_public_method_or_the_one_it_overrides_is_documented(room):
+    missing = [names for names in undocumented(room) if not overrides_a_documented_one(*names)]
+    assert not missing

@@ -34,7 +34,6 @@ class NetworkSettings:
     noise: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check the numbers."""
         if not (self.learning_rate > 0 and self.epochs > 0 and self.batch > 0 and self.noise >= 0):
             raise ConfigurationError(
                 "learning_rate, epochs and batch must be positive and noise not negative, got "
