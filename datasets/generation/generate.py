@@ -51,9 +51,11 @@ def generate(
         workers: processes that simulate; unused with `scheduler` and `shard`.
         progress: called with the number of finished frames and of all frames.
         resume: keep the finished shards that lie in `out` and make the others.
+            Half-written files of killed writers are removed.
         scheduler: address of a dask.distributed scheduler, whose workers simulate instead.
-        shard: make this one only. Any number of such calls may share a folder at the same time;
-            one that finds all shards finished writes the manifest.
+        shard: make this one only. Any number of such calls may share a folder at the same time,
+            and leave the half-written files of others alone; one that finds all shards finished
+            writes the manifest.
 
     Returns:
         The manifest that was written; None where `shard` was given and others are missing.
@@ -88,6 +90,8 @@ def generate(
             else partial(processes.make_shards, workers=workers, report=report)
         )
         _make(recipe, folder, missing, make)
+        if shard is None:
+            remove_leftovers(folder)  # of workers killed while writing
     if shard is not None and not _complete(recipe, folder):
         return None
     manifest = _manifest(recipe, folder)

@@ -1,7 +1,5 @@
 """Shards made by dask workers and by single calls: the same bytes, however they come about."""
 
-import os
-import signal
 import threading
 
 import pytest
@@ -13,6 +11,7 @@ from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.datasets.store.shard import shard_name
 from eitskin.errors import ConfigurationError, PartialError
 
+from killed_writers import killed_in_cluster, was_killed
 from shards_here import in_this_process
 
 distributed = pytest.importorskip("distributed")
@@ -55,18 +54,14 @@ def local_cluster():
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_killed_workers_of_a_cluster_change_no_byte(whole, local_cluster, tmp_path):
-    killed = []
-
-    def kill_once(done, _total):
-        if done and not killed:
-            killed.append(next(iter(local_cluster.workers.values())).pid)
-            os.kill(killed[0], signal.SIGKILL)
-
-    address = local_cluster.scheduler_address
-    generate(RECIPE, tmp_path / "set", progress=kill_once, scheduler=address)
-    assert killed
-    assert contents(tmp_path / "set") == whole
+def test_a_worker_of_a_cluster_killed_while_writing_changes_no_byte(
+    whole, local_cluster, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(cluster, "_make_shard", killed_in_cluster)
+    folder = tmp_path / "set"
+    generate(RECIPE, folder, scheduler=local_cluster.scheduler_address)
+    assert was_killed(folder)
+    assert contents(folder) == whole
 
 
 @pytest.mark.filterwarnings("ignore")

@@ -1,6 +1,5 @@
 """Generating: the same bytes whatever happens, and no work done twice."""
 
-import multiprocessing
 import os
 import signal
 import subprocess
@@ -22,6 +21,7 @@ from eitskin.errors import ConfigurationError, PartialError
 from eitskin.geometry import Bend
 from eitskin.simulator import Instrument, Scene, Simulator
 
+from killed_writers import killed_in_pool, was_killed
 from shards_here import in_this_process
 
 RECIPE = Recipe(
@@ -131,17 +131,11 @@ def test_interrupted_with_one_worker_and_resumed_gives_the_same_bytes(whole, tmp
     assert {name: (folder / name).stat().st_mtime_ns for name in finished} == before
 
 
-def test_killed_worker_costs_its_shard_once_more(whole, tmp_path):
-    folder, killed = tmp_path / "killed", []
-
-    def kill_once(done, _total):
-        if done and not killed:
-            (worker,) = multiprocessing.active_children()
-            killed.append(worker.pid)
-            os.kill(worker.pid, signal.SIGKILL)
-
-    generate(RECIPE, folder, workers=1, progress=kill_once)
-    assert killed
+def test_worker_killed_while_writing_costs_its_shard_once_more(whole, tmp_path, monkeypatch):
+    monkeypatch.setattr(processes, "_make_shard", killed_in_pool)
+    folder = tmp_path / "set"
+    generate(RECIPE, folder, workers=1)
+    assert was_killed(folder)
     assert contents(folder) == contents(whole)
 
 

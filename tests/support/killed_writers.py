@@ -1,0 +1,38 @@
+"""Workers killed in the middle of writing a shard, once for each folder that is generated."""
+
+import os
+import signal
+from pathlib import Path
+
+import eitskin.files
+from eitskin.datasets.generation import cluster, process_pool
+
+
+def killed_in_pool(recipe, folder: Path, shard: int) -> int:
+    """Stands in for the task of a process pool; the first to come is killed while it writes."""
+    _be_killed_once(folder)
+    return process_pool._make_shard(recipe, folder, shard)
+
+
+def killed_in_cluster(recipe, folder: Path, shard: int, versions) -> int:
+    """Stands in for the task of a dask worker; the first to come is killed while it writes."""
+    _be_killed_once(folder)
+    return cluster._make_shard(recipe, folder, shard, versions)
+
+
+def was_killed(folder: Path) -> bool:
+    """Whether a worker began to write into `folder` and was killed."""
+    return _mark(folder).exists()
+
+
+def _be_killed_once(folder: Path) -> None:
+    """Let this process end when its temporary file is written and has not got its name yet."""
+    try:
+        _mark(folder).touch(exist_ok=False)
+    except FileExistsError:
+        return
+    eitskin.files._sync = lambda _: os.kill(os.getpid(), signal.SIGKILL)
+
+
+def _mark(folder: Path) -> Path:
+    return folder.with_name(f"{folder.name}-killed")
