@@ -9,7 +9,7 @@ WORKERS := --numprocesses 2 --dist loadfile --no-loadscope-reorder
 # Hundreds of processes start in the tests; what one has compiled the others need not.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test coverage mutations lint docs gallery bench bench-long clean
+.PHONY: demo test quick coverage mutations lint docs gallery bench bench-long clean
 
 demo: $(VENV)/installed
 	$(BIN)/eitskin demo --out build/demo --data $(DATA)
@@ -17,8 +17,12 @@ demo: $(VENV)/installed
 test: $(VENV)/installed
 	$(BIN)/python -m pytest $(WORKERS) $(ARGS)
 
+# All but the tests marked slow.
+quick: $(VENV)/installed
+	$(BIN)/python -m pytest $(WORKERS) -m "not slow" $(ARGS)
+
 # By lines; physics, datasets and codecs must have 95 %, each by itself. docs/testing.md has the table.
-CODEC := hardware/protocol/packets.py,hardware/protocol/messages.py,hardware/text_*.py
+CODEC := hardware/protocol/packets.py,hardware/protocol/messages.py,hardware/boards/text_*.py
 coverage: $(VENV)/installed
 	rm -rf build/coverage && mkdir -p build/coverage
 	$(BIN)/coverage run -m pytest $(WORKERS) $(ARGS)

@@ -12,34 +12,11 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 # Solved presses are kept between runs, apart from the user's own.
 os.environ.setdefault("EITSKIN_CACHE", str(Path(__file__).parents[1] / ".pytest_cache" / "kernels"))
 
-# Files that take longest come first, so that no worker is left alone with one of them at the end;
-# the second is one that needs no table of presses, which the first has the time to solve.
-LONGEST = (
-    "cli/test_demo",
-    "simulator/mechanics/test_axisymmetric_press",
-    "benchmarks/test_bench",
-    "project/test_gallery",
-    "datasets/test_generate",
-    "simulator/mechanics/test_press_3d",
-    "cli/test_generate",
-    "training/test_calibration",
-    "benchmarks/test_stability",
-    "simulator/view/test_vtu",
-    "simulator/electrical/test_convergence",
-    "simulator/view/test_scene_pictures",
-    "geometry/test_delaunay",
-)
-
 
 def pytest_collection_modifyitems(items):
-    """Long files first; else in their order."""
-    ranks = {name: rank for rank, name in enumerate(LONGEST)}
-    here = Path(__file__).parent
-    items.sort(
-        key=lambda item: ranks.get(
-            item.path.relative_to(here).with_suffix("").as_posix(), len(LONGEST)
-        )
-    )
+    """Files with slow tests first, so that no worker is left alone with one of them at the end."""
+    slow = {item.path for item in items if item.get_closest_marker("slow")}
+    items.sort(key=lambda item: item.path not in slow)
 
 
 @pytest.fixture
