@@ -15,7 +15,7 @@ import msgspec
 from eitskin.benchmarks.tables import write_table
 from eitskin.datasets.store.folder import make_folder
 from eitskin.errors import DataError
-from eitskin.files import whole_file
+from eitskin.files import atomic_file
 from eitskin.provenance import Provenance
 
 RESULTS, TABLE, INDEX = "results.json", "table.csv", "index.md"
@@ -70,13 +70,13 @@ def write_results(
     make_folder(folder)
     paths = [folder / name for name in (*(plots or {}), TABLE, RESULTS)]
     for name, draw in (plots or {}).items():
-        with whole_file(folder / name) as temporary:
+        with atomic_file(folder / name) as temporary:
             draw(temporary)
     figures = {name: value for name, value in results.figures.items() if math.isfinite(value)}
     long = [{"figure": name, "value": value} for name, value in figures.items()]
     write_table(folder / TABLE, list(rows) or long, str(results.provenance))
     data = msgspec.to_builtins(results) | {"figures": figures}
-    with whole_file(folder / RESULTS) as temporary:
+    with atomic_file(folder / RESULTS) as temporary:
         temporary.write_bytes(msgspec.json.format(msgspec.json.encode(data), indent=1) + b"\n")
     return paths
 
@@ -109,7 +109,7 @@ def write_index(out: Path) -> Path:
         cells = (name, len(one.figures), seconds, one.provenance.seed, date, links)
         lines.append("| " + " | ".join(map(str, cells)) + " |")
     lines += ["", *sorted({f"- {_machine(one)}" for one in found_results(out)}), ""]
-    with whole_file(out / INDEX) as temporary:
+    with atomic_file(out / INDEX) as temporary:
         temporary.write_text("\n".join(lines), encoding="utf-8")
     return out / INDEX
 

@@ -17,7 +17,7 @@ from eitskin.benchmarks.markdown_tables import figures
 from eitskin.benchmarks.results import RESULTS, Results, read_results, write_results
 from eitskin.datasets.store.folder import make_folder
 from eitskin.errors import DataError
-from eitskin.files import whole_file
+from eitskin.files import atomic_file
 from eitskin.provenance import Provenance
 
 EITSKIN = (sys.executable, "-c", "from eitskin.cli.main import run; run()")
@@ -206,7 +206,7 @@ def _printed(command: Sequence[str], report: Path, start: Start) -> int:
         printed = Path(folder) / report.name
         status = start(command, printed)
         if not status:
-            with whole_file(report) as temporary:
+            with atomic_file(report) as temporary:
                 temporary.write_bytes(printed.read_bytes())
     return status
 

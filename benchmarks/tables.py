@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from eitskin.files import whole_file
+from eitskin.files import atomic_file
 
 
 def write_table(path: Path, rows: Sequence[dict[str, Any]], comment: str) -> None:
@@ -19,5 +19,5 @@ def write_table(path: Path, rows: Sequence[dict[str, Any]], comment: str) -> Non
     writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
-    with whole_file(path) as temporary:
+    with atomic_file(path) as temporary:
         temporary.write_text(text.getvalue(), encoding="utf-8")

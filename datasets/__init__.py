@@ -1,5 +1,5 @@
 """Frames in quantity: what to generate, generating it, keeping it, reading it back."""
 
-from eitskin.lazy import offered
+from eitskin.lazy import lazy_exports
 
-__all__, __getattr__, __dir__ = offered(__name__, __file__)
+__all__, __getattr__, __dir__ = lazy_exports(__name__, __file__)

@@ -5,8 +5,8 @@ the two types that every room speaks: `Frame` and `Protocol`. Data passes throug
 turn: geometry -> simulator -> datasets -> training -> hardware -> cli.
 """
 
-from eitskin.lazy import offered
+from eitskin.lazy import lazy_exports
 
 __version__ = "0.1.0"
 
-__all__, __getattr__, __dir__ = offered(__name__, __file__)
+__all__, __getattr__, __dir__ = lazy_exports(__name__, __file__)

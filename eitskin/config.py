@@ -24,7 +24,7 @@ from typing import Any, TypeGuard, TypeVar
 import msgspec
 
 from eitskin.errors import ConfigurationError
-from eitskin.files import whole_file
+from eitskin.files import atomic_file
 
 T = TypeVar("T")
 
@@ -264,7 +264,7 @@ def write_toml(value: object, path: str | Path) -> str:
     Raises ConfigurationError where the file cannot be written.
     """
     text = to_toml(value)
-    with whole_file(path) as temporary:
+    with atomic_file(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
     return text
 

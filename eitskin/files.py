@@ -14,7 +14,7 @@ _REMEDY = "name a file in a folder that exists and can be written to"
 
 
 @contextmanager
-def whole_file(
+def atomic_file(
     path: str | Path, failure: type[EitskinError] = ConfigurationError, remedy: str = _REMEDY
 ) -> Iterator[Path]:
     """Give a temporary file beside `path` to write to; it takes the name when the block ends.
@@ -45,13 +45,13 @@ def whole_file(
 
 
 @contextmanager
-def whole_folder(
+def atomic_folder(
     path: str | Path, failure: type[EitskinError] = ConfigurationError, remedy: str = _REMEDY
 ) -> Iterator[Path]:
     """Give a temporary folder beside `path` to fill; it takes the name when the block ends.
 
-    Arguments and promises are those of `whole_file`. What stood at `path` steps aside for it and is
-    then removed; folders above are made.
+    Arguments and guarantees are those of `atomic_file`. A folder that stood at `path` is replaced;
+    missing parent folders are made.
     """
     path = Path(path)
     try:

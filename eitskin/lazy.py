@@ -7,7 +7,7 @@ from importlib import import_module
 from pathlib import Path
 
 
-def offered(
+def lazy_exports(
     package: str, file: str
 ) -> tuple[list[str], Callable[[str], object], Callable[[], list[str]]]:
     """`__all__`, `__getattr__` and `__dir__` of a package whose names stand in its stub.

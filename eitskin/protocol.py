@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from eitskin.errors import ConfigurationError
-from eitskin.files import whole_file
+from eitskin.files import atomic_file
 
 Row: TypeAlias = tuple[int, int, int, int]
 
@@ -123,7 +123,7 @@ class Protocol:
 
     def to_file(self, path: str | Path) -> None:
         """Write the table as `from_file` reads it."""
-        with whole_file(path) as temporary:
+        with atomic_file(path) as temporary:
             rows = (HEADER, *self.table)
             temporary.write_text("".join(_text(row) + "\n" for row in rows), encoding="utf-8")
 

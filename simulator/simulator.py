@@ -19,9 +19,9 @@ from eitskin.simulator.electrical.forward_model import AreaRatio, ForwardModel
 from eitskin.simulator.electrical.reanalysis import Reanalysis, Tolerance, is_possible
 from eitskin.simulator.electrical.resolution import Discretisation, Resolution
 from eitskin.simulator.instrument.instrument import Instrument
-from eitskin.simulator.layer.deformed_layer import Setting
+from eitskin.simulator.layer.deformed_layer import DeformedLayer
 from eitskin.simulator.layer.dents import Dents
-from eitskin.simulator.layer.pressed_touches import Pressed, TouchModel, dents, pressed
+from eitskin.simulator.layer.pressed_touches import PressedTouch, TouchModel, dents, pressed_touches
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.scene.scene import Scene
 
@@ -106,10 +106,10 @@ class Simulator:
             self._bent = (bend, self.fixture.flexure(self.design, bend))
         return self._bent[1]
 
-    def presses(self, scene: Scene) -> tuple[Pressed, ...]:
+    def presses(self, scene: Scene) -> tuple[PressedTouch, ...]:
         """Depth, contact and pressure of each touch of a scene, and how far to trust them."""
         self.require_possible(scene)
-        return pressed(scene.touches, self.design, self.mechanics)
+        return pressed_touches(scene.touches, self.design, self.mechanics)
 
     def require_possible(self, scene: Scene) -> None:
         """Raise ConfigurationError for touches off the layer, and for a surface that is not flat.
@@ -134,8 +134,8 @@ class Simulator:
 
     def deformed(self, deformation: Deformation) -> Frame:
         """The frame of the sensor under any deformation, such as `Displaced` by a function."""
-        setting = Setting(self.design, deformation, self.mechanics.piezoresistivity)
-        impedance = self.model.impedance(setting.conductivity, setting.area_ratio)
+        layer = DeformedLayer(self.design, deformation, self.mechanics.piezoresistivity)
+        impedance = self.model.impedance(layer.conductivity, layer.area_ratio)
         return Frame(self._measured(impedance), self.protocol)
 
     def measure(
@@ -192,11 +192,11 @@ class Simulator:
                     found[scene] = self.measure(scene).impedance
                 continue
             before_each()
-            solved = Reanalysis(self.model, self.setting(base), tolerance)
+            solved = Reanalysis(self.model, self.deformed_layer(base), tolerance)
             found[base] = self._measured(solved.base)
             for scene in touched:
                 before_each()
-                found[scene] = self._measured(solved.impedance(self.setting(scene)))
+                found[scene] = self._measured(solved.impedance(self.deformed_layer(scene)))
         return np.array([found[scene] for scene in scenes])
 
     def _dents(self, scene: Scene) -> Dents:
@@ -207,26 +207,26 @@ class Simulator:
 
         With piezoresistivity, where the mechanics have it.
         """
-        setting = self.setting(scene)
-        return None if setting.deformation is None else setting.conductivity
+        layer = self.deformed_layer(scene)
+        return None if layer.deformation is None else layer.conductivity
 
     def area_ratio(self, scene: Scene) -> AreaRatio | None:
         """Deformed over flat area at flat places [m] and unit normals; None where all is flat."""
-        setting = self.setting(scene)
-        return None if setting.deformation is None else setting.area_ratio
+        layer = self.deformed_layer(scene)
+        return None if layer.deformation is None else layer.area_ratio
 
     def _impedance(self, scene: Scene) -> NDArray[np.inexact]:
-        setting = self.setting(scene)
-        if setting.deformation is None:
+        layer = self.deformed_layer(scene)
+        if layer.deformation is None:
             return self.model.impedance()
-        return self.model.impedance(setting.conductivity, setting.area_ratio)
+        return self.model.impedance(layer.conductivity, layer.area_ratio)
 
-    def setting(self, scene: Scene) -> Setting:
+    def deformed_layer(self, scene: Scene) -> DeformedLayer:
         """What the scene makes of the layer."""
         deformation = self.deformation(scene)
         needed = self.mechanics.piezoresistivity.pressure and scene.touches
         stress = self._dents(scene).mean_stress if needed else None
-        return Setting(self.design, deformation, self.mechanics.piezoresistivity, stress)
+        return DeformedLayer(self.design, deformation, self.mechanics.piezoresistivity, stress)
 
     def _measured(self, impedance: NDArray[np.inexact]) -> NDArray[np.complex128]:
         measured: NDArray[np.complex128] = self.protocol.measure(impedance).astype(np.complex128)

@@ -6,7 +6,7 @@ from typing import get_args
 
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.meshing.grading import Grading
-from eitskin.geometry.meshing.mesh_of import CellKind
+from eitskin.geometry.meshing.mesh_design import CellKind
 from eitskin.simulator.electrical.forward_model import ForwardModel
 from eitskin.simulator.electrical.resolution import Discretisation, Resolution
 from eitskin.simulator.linalg.sparse_solvers import SolverName

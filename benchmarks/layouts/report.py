@@ -20,7 +20,7 @@ from eitskin.benchmarks.layouts.run import (
     Figures,
 )
 from eitskin.benchmarks.tables import write_table
-from eitskin.files import whole_file
+from eitskin.files import atomic_file
 
 HEADINGS = (
     "layout",
@@ -120,9 +120,9 @@ def write(found: Comparison, folder: Path) -> list[Path]:
     rows = [dataclasses.asdict(each) for each in found.figures]
     write_table(paths[0], rows, str(found.provenance))
     for path, text in ((paths[1], markdown(found)), (paths[2], json.dumps(as_data(found)) + "\n")):
-        with whole_file(path) as temporary:
+        with atomic_file(path) as temporary:
             temporary.write_text(text, encoding="utf-8")
-    with whole_file(paths[3]) as temporary:
+    with atomic_file(paths[3]) as temporary:
         plot_maps(found, temporary)
     return paths
 

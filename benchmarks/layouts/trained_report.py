@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from eitskin.benchmarks.layouts.run import Training
 from eitskin.benchmarks.tables import write_table
 from eitskin.extras import require
-from eitskin.files import whole_file
+from eitskin.files import atomic_file
 
 HEADINGS = (
     "layout",
@@ -95,9 +95,9 @@ def write(trained: Training, folder: Path) -> list[Path]:
     write_table(paths[0], rows, str(trained.provenance))
     texts = (markdown(trained), json.dumps(as_data(trained)) + "\n")
     for path, text in zip(paths[1:3], texts, strict=True):
-        with whole_file(path) as temporary:
+        with atomic_file(path) as temporary:
             temporary.write_text(text, encoding="utf-8")
-    with whole_file(paths[3]) as temporary:
+    with atomic_file(paths[3]) as temporary:
         plot(trained, temporary)
     return paths
 

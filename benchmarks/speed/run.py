@@ -176,11 +176,11 @@ def floor(count: int = PER_BEND) -> Floor:
     if not isinstance(solver, BlockCholesky):
         raise TypeError("the reference sensor is solved strip by strip")
     some = scenes(WAYS[0], count, 5)
-    solved = Reanalysis(sim.model, sim.setting(Scene(some[0].bend)))
+    solved = Reanalysis(sim.model, sim.deformed_layer(Scene(some[0].bend)))
     before = solved.strips, solved.resolved
     start = time.process_time()
     for scene in some:
-        solved.impedance(sim.setting(scene))
+        solved.impedance(sim.deformed_layer(scene))
     seconds = (time.process_time() - start) / count
     strips, resolved = (
         (now - then) / count

@@ -13,7 +13,7 @@ from eitskin.geometry.design.electrode import Electrode
 from eitskin.geometry.design.outline import Polygon, Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.meshing.grading import Grading
-from eitskin.geometry.meshing.mesh_of import CellKind, mesh_of
+from eitskin.geometry.meshing.mesh_design import CellKind, mesh_design
 from eitskin.geometry.meshing.quality import check_quality, quality
 
 Spans = Sequence[tuple[float, float]]
@@ -124,7 +124,7 @@ def _corner(degrees: float) -> Found:
 
 def _gate(shear: float) -> Found:
     """Boxes of a mesh sheared along x, past the gate that every mesh goes through."""
-    mesh = mesh_of(bar(1e-3), Grading(1e-2, 1e-2, 1.0))
+    mesh = mesh_design(bar(1e-3), Grading(1e-2, 1e-2, 1.0))
     points = mesh.points + shear * mesh.points[:, [1]] * np.array([1.0, 0.0, 0.0])
     sheared = dataclasses.replace(mesh, points=points)
     check_quality(sheared)

@@ -18,7 +18,7 @@ from eitskin.benchmarks.stability.case import Case, Found
 from eitskin.benchmarks.stability.closed_forms import punched_layer
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.meshing.grading import Grading, graded_lines
-from eitskin.simulator.mechanics.axisymmetric_press import Press
+from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
 from eitskin.simulator.mechanics.layer_stack import Mechanics, Sheet, Stack
 from eitskin.simulator.mechanics.load_stepping import Load, SolidError, newton
 from eitskin.simulator.mechanics.materials import NeoHookean
@@ -156,7 +156,7 @@ def presses(quick: bool) -> Iterator[Case]:
 
 def _pressed(stack: Stack, indenter: Indenter, finest: float, steps: int) -> Found:
     """Ever deeper; how far, and why no farther."""
-    press = Press(stack, indenter, finest=finest)
+    press = AxisymmetricPress(stack, indenter, finest=finest)
     counted = Counted(press.solid)
     press.solid = cast("Solid", counted)
     refused, found, x = "", None, counted.x

@@ -71,7 +71,7 @@ def solved(
     found, refused = [], []
     downwards = sorted((a for a in angles_deg if a < 0.0), reverse=True)
     for path in (downwards, sorted(a for a in angles_deg if a >= 0.0)):
-        equilibria = stack.bent(path)
+        equilibria = stack.equilibria(path)
         try:
             for _ in path:
                 start = time.perf_counter()

@@ -14,7 +14,7 @@ import numpy as np
 
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.provenance import Provenance
-from eitskin.simulator.mechanics.axisymmetric_press import Indentation, Press
+from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress, Indentation
 from eitskin.simulator.mechanics.layer_shares import layer_shares
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.mechanics.materials import NeoHookean
@@ -45,9 +45,9 @@ def main() -> None:
     run_times()
 
 
-def press(mechanics: Mechanics | None = None) -> Press:
+def press(mechanics: Mechanics | None = None) -> AxisymmetricPress:
     """The cylinder on the reference stack."""
-    return Press((mechanics or Mechanics()).stack(SensorDesign.reference()), Cylinder())
+    return AxisymmetricPress((mechanics or Mechanics()).stack(SensorDesign.reference()), Cylinder())
 
 
 def shares() -> None:

@@ -15,7 +15,7 @@ from eitskin.benchmarks.speed.scenes import JUDGED, WAYS, scenes
 from eitskin.geometry.deformation.fixtures import Bend
 from eitskin.provenance import Provenance
 from eitskin.simulator.electrical.reanalysis import EXACT, Reanalysis, Tolerance
-from eitskin.simulator.layer.deformed_layer import Setting
+from eitskin.simulator.layer.deformed_layer import DeformedLayer
 from eitskin.simulator.scene.scene import Scene
 from eitskin.simulator.scene.touch import Touch
 from eitskin.simulator.simulator import Simulator
@@ -30,13 +30,13 @@ SEED = 3
 class Near:
     """A touched layer, but untouched farther than `distance` [m] from the touch along x."""
 
-    touched: Setting
-    untouched: Setting
+    touched: DeformedLayer
+    untouched: DeformedLayer
     x: float
     distance: float
 
     def entries(self, x: Array) -> Array:
-        """As those of `Setting`; a cell, the first axis, is all near or not at all."""
+        """As those of `DeformedLayer`; a cell, the first axis, is all near or not at all."""
         near = np.abs(x[..., 0].mean(axis=1) - self.x) < self.distance
         both = self.touched.entries(x), self.untouched.entries(x)
         return np.where(near[:, None, None], *both)
@@ -80,7 +80,7 @@ def _few() -> list[Scene]:
 
 
 def _left_out(sim: Simulator, scene: Scene, distance: float) -> tuple[float, float]:
-    touched, untouched = sim.setting(scene), sim.setting(Scene(scene.bend))
+    touched, untouched = sim.deformed_layer(scene), sim.deformed_layer(Scene(scene.bend))
     near = Near(touched, untouched, scene.touches[0].x, distance)
     both = (touched.conductivity, touched.area_ratio), (near.conductivity, near.area_ratio)
     whole, truncated = (sim.protocol.measure(sim.model.impedance(*each)) for each in both)

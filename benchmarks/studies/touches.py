@@ -146,7 +146,7 @@ def places(case: Case) -> str:
 def compared(sim: Simulator, case: Case, grading: Grading | None = None) -> Compared:
     """The case, solved; raises SolidError where it cannot be."""
     start = time.perf_counter()
-    (full,) = PressedStack(sim.design, case.touches, sim.mechanics, grading).pressed()
+    (full,) = PressedStack(sim.design, case.touches, sim.mechanics, grading).equilibria()
     full_s = time.perf_counter() - start
     change = signal(sim, full)
     found = {}
@@ -191,7 +191,7 @@ def print_meshes(sim: Simulator, touch: Touch) -> None:
     for reach, grading in MESHES:
         start = time.perf_counter()
         stack = PressedStack(sim.design, (touch,), sim.mechanics, grading, reach)
-        (full,) = stack.pressed()
+        (full,) = stack.equilibria()
         change = signal(sim, full)
         reference = change if reference is None else reference
         apart = np.linalg.norm(change - reference) / np.linalg.norm(reference)

@@ -14,7 +14,7 @@ from eitskin.cli.options import Json, Output, Quiet, Verbose
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.meshing.mesh import Mesh
-from eitskin.geometry.meshing.mesh_of import CellKind, mesh_of, natural_cells
+from eitskin.geometry.meshing.mesh_design import CellKind, mesh_design, natural_cells
 from eitskin.geometry.meshing.quality import quality
 from eitskin.protocol import Protocol
 from eitskin.simulator.electrical.resolution import Resolution, discretisation
@@ -50,7 +50,7 @@ def command(
         require_picture(view)
     start = time.perf_counter()
     _, grading = discretisation(cast(Resolution, resolution), design, kind)
-    mesh = mesh_of(design, grading, kind)
+    mesh = mesh_design(design, grading, kind)
     data = _numbers(design, mesh, kind, time.perf_counter() - start)
     output.result(data, _as_table(data))
     if view is not None:

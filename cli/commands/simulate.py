@@ -35,7 +35,7 @@ from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.protocol import Protocol
 from eitskin.simulator.electrical.resolution import Discretisation, Resolution
 from eitskin.simulator.instrument.instrument import Instrument
-from eitskin.simulator.layer.pressed_touches import Pressed, TouchModel
+from eitskin.simulator.layer.pressed_touches import PressedTouch, TouchModel
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.scene.scene import Scene
 from eitskin.simulator.simulator import Simulator
@@ -201,7 +201,7 @@ def _as_table(frame: Frame, flat: Frame) -> Table:
     return table
 
 
-def _touch_data(press: Pressed) -> dict[str, object]:
+def _touch_data(press: PressedTouch) -> dict[str, object]:
     return {
         "x_m": press.touch.x,
         "y_m": press.touch.y,
@@ -221,7 +221,7 @@ def _touch_data(press: Pressed) -> dict[str, object]:
     }
 
 
-def _touch_table(presses: tuple[Pressed, ...]) -> Table:
+def _touch_table(presses: tuple[PressedTouch, ...]) -> Table:
     table = Table("touch\nat, mm", "force\nN", "depth\nmm", "contact\nmm2", "mean\nkPa")
     for title in ("peak\nkPa", "gel thinner\nby, %", "to edge\nmm"):
         table.add_column(title)
@@ -241,7 +241,7 @@ def _touch_table(presses: tuple[Pressed, ...]) -> Table:
     return table
 
 
-def _cautions(presses: tuple[Pressed, ...]) -> list[str]:
+def _cautions(presses: tuple[PressedTouch, ...]) -> list[str]:
     return [
         f"caution: touch at {1e3 * press.touch.x:.1f}, {1e3 * press.touch.y:.1f} mm: "
         f"{press.caution}"

@@ -12,7 +12,7 @@ import msgspec
 
 from eitskin.errors import PartialError
 from eitskin.extras import require
-from eitskin.files import whole_file
+from eitskin.files import atomic_file
 from eitskin.training.evaluation.report_drawing import EXTRA, Absent, Drawn
 
 PNG, SVG = "image/png", "image/svg+xml"
@@ -95,7 +95,7 @@ def keep(
     now = datetime.now(UTC).isoformat(timespec="seconds")
     made = Kept(expected, part, round(time.perf_counter() - start, 2), now)
     content = msgspec.json.encode(made)
-    with whole_file(path, PartialError, REMEDY) as temporary:
+    with atomic_file(path, PartialError, REMEDY) as temporary:
         temporary.write_bytes(content)
     return msgspec.json.decode(content, type=Kept)
 

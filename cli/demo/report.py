@@ -12,7 +12,7 @@ from eitskin.cli.demo.html import page
 from eitskin.cli.demo.parts import REMEDY, Kept
 from eitskin.cli.demo.sections import TITLE, content
 from eitskin.errors import PartialError
-from eitskin.files import whole_file
+from eitskin.files import atomic_file
 from eitskin.provenance import Provenance
 
 PAGE, DOCUMENT = "report.html", "report.json"
@@ -32,7 +32,7 @@ def write_demo_report(parts: Parts, demo: Demo) -> Document:
         PAGE: page(TITLE, content(parts, document)),
     }
     for name, text in texts.items():
-        with whole_file(demo.out / name, PartialError, REMEDY) as temporary:
+        with atomic_file(demo.out / name, PartialError, REMEDY) as temporary:
             temporary.write_text(text, encoding="utf-8")
     return document
 

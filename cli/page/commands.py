@@ -36,7 +36,7 @@ LEAST, LARGEST = Limits(-30.0, 1.0), Limits(60.0, 12.0)
 
 
 @dataclass(frozen=True, slots=True)
-class Press:
+class PageTouch:
     """A finger on the page: place on the flat sensor [m] and force [N]."""
 
     x: float
@@ -53,7 +53,7 @@ class SceneCommand:
     """POST /scene: the whole scene that the board is to measure from now on."""
 
     bend_deg: float = 0.0
-    touches: tuple[Press, ...] = ()
+    touches: tuple[PageTouch, ...] = ()
 
     def __post_init__(self) -> None:
         """Check angle and number."""
@@ -136,7 +136,7 @@ def _stage(board: "Board") -> Any:
     return getattr(board, "stage", None)
 
 
-def _require_inside(design: SensorDesign, press: Press) -> None:
+def _require_inside(design: SensorDesign, press: PageTouch) -> None:
     outline = design.outline
     if isinstance(outline, Surface):
         inside = 0.0 <= press.x <= outline.length and 0.0 <= press.y <= outline.width

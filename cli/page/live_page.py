@@ -11,7 +11,7 @@ from eitskin.cli.page.commands import obey
 from eitskin.cli.page.server import HOST, Patience, Server
 from eitskin.cli.page.state import Snapshot, View, filled
 from eitskin.cli.page.stream import Newest
-from eitskin.closing import Closing
+from eitskin.closeable import Closeable
 from eitskin.frame import Frame
 from eitskin.geometry.design.sensor import SensorDesign
 
@@ -27,7 +27,7 @@ HEARTBEAT = 1.0  # s
 MOST_PER_SECOND = 60  # more than a screen shows
 
 
-class Page(Closing):
+class Page(Closeable):
     """Serves the page and tells it of the newest reading; never a queue, never an old one.
 
     Whoever runs the live loop publishes; encoding and sending are done by threads of the page, so

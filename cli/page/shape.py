@@ -17,8 +17,8 @@ from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.placement import placed
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.side_contacts import Strip
-from eitskin.simulator.layer.closed_dent import LARGEST_FORCE
 from eitskin.simulator.layer.pressed_touches import dents
+from eitskin.simulator.mechanics.closed_form_dent import LARGEST_FORCE
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.scene.touch import Touch
 
@@ -31,7 +31,7 @@ _FINEST = 0.2  # difference of two bends that are drawn [deg]; each is computed 
 _STEPS = 32000  # of a coordinate from the middle to twice the sensor's length
 _SAME_ANGLE, _SAME_PRESS = 0.3, (0.0015, 0.0015, 0.5)  # too little to be seen [deg], [m, m, N]
 
-Press = tuple[float, float, float]
+DrawnPress = tuple[float, float, float]
 """x [m], y [m] and force [N]; NaN for an unknown force."""
 
 
@@ -63,7 +63,7 @@ class Shape:
         points = np.concatenate([face, bottom, electrode_corners(design).reshape(-1, 3)])
         return cls(design, points, _farthest(design, -1), _farthest(design, 1))
 
-    def bent(self, angle_deg: float, presses: Sequence[Press]) -> Array:
+    def bent(self, angle_deg: float, presses: Sequence[DrawnPress]) -> Array:
         """The points bent and pressed at (x [m], y [m], force [N]), (n, 3) [m].
 
         Bends are drawn in steps of `_FINEST`. Dents are to scale, in the closed form that is fitted
@@ -100,7 +100,7 @@ class Drawing:
         shape = Shape.of(design)
         return None if shape is None else cls(shape, 2.0 * design.outline.length / _STEPS)
 
-    def points(self, angle_deg: float, presses: Sequence[Press]) -> str:
+    def points(self, angle_deg: float, presses: Sequence[DrawnPress]) -> str:
         """The points bent and pressed, in multiples of `unit`: int16, little-endian, base64."""
         wanted = np.array([angle_deg, *(value for press in presses for value in press)])
         tolerance = np.array([_SAME_ANGLE, *_SAME_PRESS * len(presses)])

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from eitskin.cli.live_view import bad_channels, state_name
 from eitskin.cli.page.commands import LARGEST, LEAST, MOST_TOUCHES
-from eitskin.cli.page.shape import COLUMNS, ROWS, Drawing, Press, electrode_corners
+from eitskin.cli.page.shape import COLUMNS, ROWS, Drawing, DrawnPress, electrode_corners
 from eitskin.frame import Frame
 from eitskin.geometry.design.outline import Disc, Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
@@ -168,7 +168,7 @@ def relative_change(frame: Frame, reference: Frame) -> list[float | None]:
     return [_known(float(value), 3) for value in change]
 
 
-def found_presses(estimate: "Estimate") -> list[Press]:
+def found_presses(estimate: "Estimate") -> list[DrawnPress]:
     """x [m], y [m] and force [N] of each touch found; NaN where the method says no force."""
     forces = getattr(getattr(estimate, "found", None), "force", None)
     known = [math.nan] * len(estimate.touches) if forces is None else [float(f) for f in forces]

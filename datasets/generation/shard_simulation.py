@@ -18,8 +18,8 @@ from eitskin.protocol import Protocol
 from eitskin.simulator.electrical.resolution import Resolution
 from eitskin.simulator.instrument.instrument import Instrument
 from eitskin.simulator.instrument.session import Session
-from eitskin.simulator.layer.pressed_touches import pressed
-from eitskin.simulator.mechanics import press_store as kernel_store
+from eitskin.simulator.layer.pressed_touches import pressed_touches
+from eitskin.simulator.mechanics import press_store
 from eitskin.simulator.scene.indenters import Cylinder
 from eitskin.simulator.scene.scene import Scene
 from eitskin.simulator.scene.touch import Touch
@@ -35,7 +35,7 @@ def unsolved(recipe: Recipe) -> set[Path]:
         return set()
     found: set[Path] = set()
     for made in _specimens(recipe):
-        found |= kernel_store.missing(made.design, made.mechanics, Cylinder())
+        found |= press_store.missing(made.design, made.mechanics, Cylinder())
     return found
 
 
@@ -46,7 +46,7 @@ def prepare(recipe: Recipe) -> None:
     """
     if recipe.largest_force:
         for made in _specimens(recipe):
-            pressed((Touch(0.0, 0.0, recipe.largest_force),), made.design, made.mechanics)
+            pressed_touches((Touch(0.0, 0.0, recipe.largest_force),), made.design, made.mechanics)
 
 
 def simulate_shard(

@@ -23,7 +23,7 @@ _JUST = 1e-9  # s; a press that ends at this moment is over
 
 
 @dataclass(frozen=True, slots=True)
-class Press:
+class EpisodeTouch:
     """Where and how hard the sensor is pressed: place [m] and force [N]."""
 
     x: float
@@ -35,7 +35,7 @@ class Press:
 class Held:
     """A press from `start` until `end` [s]."""
 
-    press: Press
+    press: EpisodeTouch
     start: float
     end: float
 
@@ -89,7 +89,7 @@ class Keyframe:
 
     time: float
     angle_deg: float = 0.0
-    touches: tuple[Press, ...] = ()
+    touches: tuple[EpisodeTouch, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,7 +160,7 @@ class ScriptedEpisode:
 
 def _joined(told: list[tuple[float, Keyframe]]) -> Iterator[Held]:
     """The presses of keyframes at their times; one that stays for several is one press."""
-    begun: dict[Press, float] = {}
+    begun: dict[EpisodeTouch, float] = {}
     for time, keyframe in [*told[:-1], (told[-1][0], Keyframe(0.0))]:
         for press in [press for press in begun if press not in keyframe.touches]:
             yield Held(press, begun.pop(press), time)
@@ -247,7 +247,7 @@ class RandomEpisodes:
             places = draw_places(amount, outline, self.margin, self.spacing, rng).tolist()
             end = time + rng.uniform(*self.hold_s)
             for x, y in places:
-                yield Held(Press(x, y, rng.uniform(*self.force)), time, end)
+                yield Held(EpisodeTouch(x, y, rng.uniform(*self.force)), time, end)
             time = end + rng.uniform(*self.pause_s)
 
 

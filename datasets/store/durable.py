@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from eitskin.errors import PartialError
-from eitskin.files import TEMPORARY, whole_file
+from eitskin.files import TEMPORARY, atomic_file
 
 _REMEDY = (
     "files finished before it are intact; make room or give write permission, then continue with "
@@ -16,7 +16,7 @@ def write_file(path: Path, content: bytes) -> None:
 
     Raises PartialError, and leaves nothing of the new file, where it cannot be written.
     """
-    with whole_file(path, PartialError, _REMEDY) as temporary:
+    with atomic_file(path, PartialError, _REMEDY) as temporary:
         temporary.write_bytes(content)
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.closing import Closing
+from eitskin.closeable import Closeable
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.folder import (
     Manifest,
@@ -26,7 +26,7 @@ from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.simulator.scene.touch import Touch
 
 
-class ShardWriter(Closing):
+class ShardWriter(Closeable):
     """Writes frames into a new folder, a shard at a time, and the manifest when closed.
 
     A crash costs the frames of the last, unfinished shard: the manifest lists those before it.

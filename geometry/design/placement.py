@@ -13,12 +13,14 @@ from eitskin.geometry.design.side_contacts import Strip, on_side
 from eitskin.geometry.design.surface import Surface
 
 Array = NDArray[np.float64]
-Contact = Strip | Pad
+ContactArea = Strip | Pad
 
 _SAME = 1e-9  # electrodes that overlap by less touch only [m]
 
 
-def placed(electrodes: Sequence[Electrode], outline: Outline, thickness: float) -> list[Contact]:
+def placed(
+    electrodes: Sequence[Electrode], outline: Outline, thickness: float
+) -> list[ContactArea]:
     """Put electrodes on a body; raises ConfigurationError for the first one that is off it."""
     contacts = []
     for number, electrode in enumerate(electrodes):
@@ -29,7 +31,7 @@ def placed(electrodes: Sequence[Electrode], outline: Outline, thickness: float) 
     return contacts
 
 
-def require_apart(contacts: Sequence[Contact]) -> None:
+def require_apart(contacts: Sequence[ContactArea]) -> None:
     """Raise ConfigurationError, naming both, for the first two contacts that overlap.
 
     Strips are compared in the unrolled side, pads in their common plane; pads on a surface as if
@@ -49,7 +51,7 @@ def require_apart(contacts: Sequence[Contact]) -> None:
             )
 
 
-def _placed(electrode: Electrode, outline: Outline, thickness: float) -> Contact:
+def _placed(electrode: Electrode, outline: Outline, thickness: float) -> ContactArea:
     if isinstance(outline, Surface) != (electrode.on == "surface"):
         raise ConfigurationError(
             'on = "surface" goes with the surface of a file as outline and with nothing else; got '
@@ -62,7 +64,7 @@ def _placed(electrode: Electrode, outline: Outline, thickness: float) -> Contact
     return on_plane(electrode, outline, thickness)
 
 
-def _overlap(first: Contact, second: Contact) -> float:
+def _overlap(first: ContactArea, second: ContactArea) -> float:
     """How far two contacts overlap [m]; not above 0 where they do not."""
     if isinstance(first, Strip) and isinstance(second, Strip):
         return _strips_overlap(first, second)

@@ -6,7 +6,7 @@ from scipy.spatial import cKDTree
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.patches import electrode_contacts
-from eitskin.geometry.design.placement import Contact, placed
+from eitskin.geometry.design.placement import ContactArea, placed
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.side_contacts import Strip
 from eitskin.geometry.design.surface import Surface
@@ -54,6 +54,6 @@ def triangulated_mesh(design: SensorDesign, grading: Grading) -> Mesh:
     return Mesh(points, cells, electrode_contacts(points, cells, design.patches()), heights)
 
 
-def _full(contact: Contact) -> bool:
+def _full(contact: ContactArea) -> bool:
     """Whether an electrode covers the full thickness: from above, only its ends are edges."""
     return isinstance(contact, Strip) and contact.high - contact.low >= contact.thickness

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from eitskin.closing import Closing
+from eitskin.closeable import Closeable
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.folder import open_dataset
 from eitskin.errors import ConfigurationError, DataError
@@ -18,7 +18,7 @@ from eitskin.protocol import Protocol
 SPEEDS = ("real", "max")
 
 
-class ReplayBoard(Closing):
+class ReplayBoard(Closeable):
     """The frames of a dataset in their order, with the status they were recorded with.
 
     What its numbers leave out was lost when it was recorded, and is counted; see

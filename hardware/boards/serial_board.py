@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from eitskin.closing import Closing
+from eitskin.closeable import Closeable
 from eitskin.errors import ConfigurationError, DeviceError
 from eitskin.frame import Frame, Status
 from eitskin.hardware.boards.board import Counts, silence_after
@@ -49,7 +49,7 @@ log = logging.getLogger(__name__)
 Answer = TypeVar("Answer", bound=Message)
 
 
-class SerialBoard(Closing):
+class SerialBoard(Closeable):
     """A board behind a port that is open; see `eitskin.hardware.Board`.
 
     Attributes:

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from eitskin.closing import Closing
+from eitskin.closeable import Closeable
 from eitskin.datasets.recordings import parse_protocol
 from eitskin.errors import ConfigurationError, DeviceError
 from eitskin.frame import Frame, Status
@@ -33,7 +33,7 @@ FIRST_WITHIN = 10.0
 """A frame must come within, while its period is not known [s]; two pass before the first."""
 
 
-class TextBoard(Closing):
+class TextBoard(Closeable):
     """A board that prints lines; see `eitskin.hardware.Board`.
 
     It has no numbers, no sessions and no clock: frames are counted and timed as they come, and one

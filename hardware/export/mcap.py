@@ -6,9 +6,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from eitskin.closing import Closing
+from eitskin.closeable import Closeable
 from eitskin.errors import ConfigurationError, PartialError
-from eitskin.files import whole_file
+from eitskin.files import atomic_file
 from eitskin.frame import Frame
 from eitskin.hardware.export.ros_messages import TOPICS, Messages
 from eitskin.hardware.live import Reading
@@ -44,7 +44,7 @@ class Stamps:
         return stamp, begins
 
 
-class McapWriter(Closing):
+class McapWriter(Closeable):
     """Writes readings to one MCAP file, the topics of `ros_messages.TOPICS`.
 
     The file is written in the folder NAME.mcap.unfinished and takes its name when the writer is
@@ -121,7 +121,7 @@ class McapWriter(Closing):
         bag, self._bag = self._bag, None
         try:
             bag.close()
-            with whole_file(self.path, PartialError) as temporary:
+            with atomic_file(self.path, PartialError) as temporary:
                 (self._folder / f"{self._folder.name}{SUFFIX}").replace(temporary)
         except OSError as error:
             with suppress(OSError):

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Generic, Self, TypeVar
 
-from eitskin.closing import Closing
+from eitskin.closeable import Closeable
 from eitskin.errors import ConfigurationError
 from eitskin.hardware.virtual.fault import Unplugged
 
@@ -82,7 +82,7 @@ class Pace:
         return max(0.0, self._due - self._clock())
 
 
-class PseudoTerminal(Closing, Generic[FirmwareType]):
+class PseudoTerminal(Closeable, Generic[FirmwareType]):
     """A pseudo-terminal with a board at its other end.
 
     It keeps the host's end open too, so that hosts can come and go as on a plugged-in cable. When

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.simulator.electrical.forward_model import ForwardModel
-from eitskin.simulator.layer.deformed_layer import Setting
+from eitskin.simulator.layer.deformed_layer import DeformedLayer
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.inexact]
@@ -31,14 +31,14 @@ class Fields:
     current_densities: Numbers
 
 
-def fields_in(model: ForwardModel, setting: Setting) -> Fields:
-    """Solve the model in a setting, once for all electrodes."""
-    conductivity = None if setting.deformation is None else setting.conductivity
-    area_ratio = None if setting.deformation is None else setting.area_ratio
+def fields_in(model: ForwardModel, layer: DeformedLayer) -> Fields:
+    """Solve the model in a layer, once for all electrodes."""
+    conductivity = None if layer.deformation is None else layer.conductivity
+    area_ratio = None if layer.deformation is None else layer.area_ratio
     u, U = model.element_potentials(conductivity, area_ratio)
     level = U.mean(axis=0)
     gradients = model.assembly.cell_gradients(u)
-    flux = -_times(setting.entries(model.assembly.points), gradients)
+    flux = -_times(layer.entries(model.assembly.points), gradients)
     weights = model.assembly.cell_weights
     mean = np.einsum("cq,cqae->cae", weights, flux) / weights.sum(axis=1)[:, None, None]
     return Fields(model.at_points(u) - level, U - level, mean)

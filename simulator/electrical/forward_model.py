@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.meshing.mesh import Mesh
-from eitskin.geometry.meshing.mesh_of import CellKind, mesh_of, natural_cells
+from eitskin.geometry.meshing.mesh_design import CellKind, mesh_design, natural_cells
 from eitskin.protocol import Protocol
 from eitskin.simulator.electrical.assembly import TENSOR_COLUMNS, TENSOR_ROWS, Assembly, Stiffness
 from eitskin.simulator.electrical.cem_system import Places, System, zero_sums
@@ -62,7 +62,7 @@ class ForwardModel:
         cells = cells or natural_cells(design)
         order, grading = discretisation(resolution, design, cells)
         self.design = design
-        self.mesh: Mesh = mesh_of(design, grading, cells, breaks)
+        self.mesh: Mesh = mesh_design(design, grading, cells, breaks)
         self.factorisations = 0
         self.assembly = Assembly(self.mesh, order)
         self.places = Places(self.assembly)

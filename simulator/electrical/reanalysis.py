@@ -19,7 +19,7 @@ from eitskin.errors import ConfigurationError
 from eitskin.simulator.electrical.assembly import Stiffness
 from eitskin.simulator.electrical.cem_system import System, zero_sums
 from eitskin.simulator.electrical.forward_model import ForwardModel
-from eitskin.simulator.layer.deformed_layer import Setting
+from eitskin.simulator.layer.deformed_layer import DeformedLayer
 from eitskin.simulator.linalg.block_cholesky import BlockCholesky
 from eitskin.simulator.linalg.two_sided_elimination import BothEnds
 
@@ -59,9 +59,9 @@ class Reanalysis:
     """
 
     def __init__(
-        self, model: ForwardModel, setting: Setting, tolerance: Tolerance | None = None
+        self, model: ForwardModel, layer: DeformedLayer, tolerance: Tolerance | None = None
     ) -> None:
-        """Solve `model` with its layer in `setting`.
+        """Solve `model` with its layer in `layer`.
 
         Raises ConfigurationError for models that are not solved strip by strip with real numbers.
         """
@@ -73,15 +73,13 @@ class Reanalysis:
             )
         self._model, self._tolerance = model, tolerance or Tolerance()
         assembly = model.assembly
-        self._matrices = assembly.matrices(setting.entries(assembly.points))
+        self._matrices = assembly.matrices(layer.entries(assembly.points))
         stiffness = assembly.condensed(self._matrices)
         self._values = stiffness.values.reshape(len(self._matrices), -1)
-        self._coarse = setting.entries(assembly.space.coarse.points)
+        self._coarse = layer.entries(assembly.space.coarse.points)
         self._largest = self._coarse[..., :3].max(axis=(1, 2))
-        self._ratio = setting.area_ratio(assembly.facet_points, assembly.facet_normals)
-        self._coarse_ratio = setting.area_ratio(
-            assembly.facet_coarse_points, assembly.facet_normals
-        )
+        self._ratio = layer.area_ratio(assembly.facet_points, assembly.facet_normals)
+        self._coarse_ratio = layer.area_ratio(assembly.facet_coarse_points, assembly.facet_normals)
         contact = assembly.contact(model.contact_impedance, self._ratio)
         system = model.places.system(stiffness.values, contact)
         self._lifted = system.lifted
@@ -112,14 +110,14 @@ class Reanalysis:
         per_area = assembly.facet_weights / model.contact_impedance[assembly.facet_electrode, None]
         self._by_facet = assembly.facet_interpolation.T @ (per_area[..., None] * drops)
 
-    def impedance(self, setting: Setting) -> Array:
-        """Electrode impedance matrix [ohm], (electrodes, electrodes), of the layer in `setting`.
+    def impedance(self, layer: DeformedLayer) -> Array:
+        """Electrode impedance matrix [ohm], (electrodes, electrodes), of the layer in `layer`.
 
-        The setting is asked for few points of each cell, and for more where it has changed much.
+        The layer is asked for few points of each cell, and for more where it has changed much.
         """
         assembly, cells = self._model.assembly, self._model.assembly.space.element.cells
-        change = setting.entries(assembly.space.coarse.points) - self._coarse
-        wider = setting.area_ratio(assembly.facet_coarse_points, assembly.facet_normals)
+        change = layer.entries(assembly.space.coarse.points) - self._coarse
+        wider = layer.area_ratio(assembly.facet_coarse_points, assembly.facet_normals)
         wider = wider - self._coarse_ratio
         size = (np.abs(change).max(axis=(1, 2)) / self._largest).reshape(-1, cells).max(axis=1)
         owners = assembly.facet_owners
@@ -132,8 +130,8 @@ class Reanalysis:
             first, last = int(self._first[anew].min()), int(self._last[anew].max())
             linear = (self._first < first) | (self._last > last)
             resolved = (size >= self._tolerance.coarse) & ~linear
-            stiffness = self._stiffness(setting, change, resolved, ~linear & ~resolved)
-            ratio = self._new_ratio(setting, wider, resolved[owners], ~linear[owners])
+            stiffness = self._stiffness(layer, change, resolved, ~linear & ~resolved)
+            ratio = self._new_ratio(layer, wider, resolved[owners], ~linear[owners])
             Z = self._solved(stiffness, ratio, first, last)
         change[np.repeat(~linear, cells)] = 0.0
         wider[~linear[owners]] = 0.0
@@ -144,7 +142,9 @@ class Reanalysis:
         correction.T[self._pairs] = first_order
         return Z - correction
 
-    def _stiffness(self, setting: Setting, change: Array, resolved: Flags, even: Flags) -> Array:
+    def _stiffness(
+        self, layer: DeformedLayer, change: Array, resolved: Flags, even: Flags
+    ) -> Array:
         """Values of the condensed elements, those of `resolved` and `even` ones new."""
         assembly = self._model.assembly
         cells = np.arange(len(change)).reshape(len(resolved), -1)
@@ -155,14 +155,14 @@ class Reanalysis:
             new.append(self._matrices[parts[0]] + part)
         if len(parts[1]):
             points = assembly.points[cells[parts[1]].ravel()]
-            new.append(assembly.matrices(setting.entries(points), parts[1]))
+            new.append(assembly.matrices(layer.entries(points), parts[1]))
             self.resolved += len(parts[1])
         changed = np.concatenate(parts)
         found = assembly.condensed(np.concatenate(new)).values
         values[changed] = found.reshape(len(changed), -1)
         return values.ravel()
 
-    def _new_ratio(self, setting: Setting, wider: Array, resolved: Flags, anew: Flags) -> Array:
+    def _new_ratio(self, layer: DeformedLayer, wider: Array, resolved: Flags, anew: Flags) -> Array:
         """Area ratios (pieces, q), new on the pieces `anew`, at all points on those `resolved`."""
         assembly, ratio = self._model.assembly, self._ratio
         if not anew.any():
@@ -170,7 +170,7 @@ class Reanalysis:
         ratio = ratio + (wider * anew[:, None]) @ assembly.facet_interpolation.T
         if resolved.any():
             where = assembly.facet_points[resolved], assembly.facet_normals[resolved]
-            ratio[resolved] = setting.area_ratio(*where)
+            ratio[resolved] = layer.area_ratio(*where)
         return ratio
 
     def _solved(self, stiffness: Array, ratio: Array, first: int, last: int) -> Array:

@@ -6,7 +6,7 @@ from typing import Literal, TypeAlias, get_args
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.meshing.grading import Grading
-from eitskin.geometry.meshing.mesh_of import CellKind
+from eitskin.geometry.meshing.mesh_design import CellKind
 
 Resolution = Literal["fast", "standard", "fine"]
 Discretisation: TypeAlias = tuple[tuple[int, ...], Grading]

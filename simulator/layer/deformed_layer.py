@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class Setting:
+class DeformedLayer:
     """A deformed layer, seen from the flat one.
 
     Attributes:

@@ -43,7 +43,7 @@ class Dent(Protocol):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Placed:
+class PlacedDent:
     """A dent at (x, y) of the flat sensor [m], times a sign."""
 
     x: float
@@ -65,7 +65,7 @@ class Dents:
         box: around all that moves; without it every dent counts as near.
     """
 
-    presses: tuple[Placed, ...]
+    presses: tuple[PlacedDent, ...]
     box: Box | None = None
 
     def positions(self, points: Points) -> Points:
@@ -88,12 +88,12 @@ class Dents:
         return places, np.moveaxis(moved[3:].reshape(3, 3, *shape), (0, 1), (-2, -1))
 
     @cached_property
-    def _parts(self) -> tuple[tuple[Placed, ...], SmoothField | None]:
+    def _parts(self) -> tuple[tuple[PlacedDent, ...], SmoothField | None]:
         """Dents near the layer, and displacement and derivative by those that are far from it."""
         if self.box is None:
             return self.presses, None
-        near: list[Placed] = []
-        far: list[Placed] = []
+        near: list[PlacedDent] = []
+        far: list[PlacedDent] = []
         for press in self.presses:
             (far if self.box.distance(press.x, press.y) > _FAR else near).append(press)
         if not far:
@@ -118,15 +118,15 @@ class Dents:
         return stress.reshape(points.shape[:-1])
 
 
-def _alike(presses: tuple[Placed, ...]) -> Iterable[list[Placed]]:
+def _alike(presses: tuple[PlacedDent, ...]) -> Iterable[list[PlacedDent]]:
     """Presses by their dent."""
-    alike: dict[int, list[Placed]] = {}
+    alike: dict[int, list[PlacedDent]] = {}
     for press in presses:
         alike.setdefault(id(press.dent), []).append(press)
     return alike.values()
 
 
-def _move(presses: tuple[Placed, ...], columns: Points, moved: Array) -> None:
+def _move(presses: tuple[PlacedDent, ...], columns: Points, moved: Array) -> None:
     """Add displacements and their derivatives, 3 and 3 x 3, to `moved` (12, h, n)."""
     for same in _alike(presses):
         for part, signs, way, r in _around(same, columns):
@@ -136,7 +136,7 @@ def _move(presses: tuple[Placed, ...], columns: Points, moved: Array) -> None:
 
 
 def _around(
-    same: list[Placed], columns: Points
+    same: list[PlacedDent], columns: Points
 ) -> Iterator[tuple[slice, Array, tuple[Array, Array], Array]]:
     """Parts of the columns, signs (k,) of the dents that move them, and the way there [m].
 

@@ -12,12 +12,12 @@ from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.surface import Surface
-from eitskin.simulator.layer.closed_dent import ClosedDent
-from eitskin.simulator.layer.dents import Dents, Placed
+from eitskin.simulator.layer.dents import Dents, PlacedDent
 from eitskin.simulator.layer.smooth_field import Box
 from eitskin.simulator.mechanics import viscoelasticity as relaxation
+from eitskin.simulator.mechanics.closed_form_dent import ClosedFormDent
 from eitskin.simulator.mechanics.layer_stack import Mechanics
-from eitskin.simulator.mechanics.press_store import kernel
+from eitskin.simulator.mechanics.press_store import press_table
 from eitskin.simulator.mechanics.tabulated_dent import TabulatedDent
 from eitskin.simulator.scene.touch import Touch
 
@@ -34,7 +34,7 @@ _BY_NEIGHBOUR = ((0.020, None), (NEIGHBOUR, 0.40), (0.0451, 0.16), (math.inf, 0.
 
 
 @dataclass(frozen=True, slots=True)
-class Pressed:
+class PressedTouch:
     """One touch of a scene, pressed.
 
     Attributes:
@@ -82,14 +82,16 @@ def dents(
     """
     if model == "closed form":
         _refuse_what_is_not_in_the_closed_form(touches)
-        return Dents(tuple(Placed(t.x, t.y, ClosedDent.of(t.indenter, t.force)) for t in touches))
+        return Dents(
+            tuple(PlacedDent(t.x, t.y, ClosedFormDent.of(t.indenter, t.force)) for t in touches)
+        )
     found = [(touch, _dent(touch, design, mechanics)[0]) for touch in touches]
     return Dents(
         tuple(
             press
             for touch, dent in found
             if dent is not None
-            for press in images(Placed(touch.x, touch.y, dent), design, mechanics.margin)
+            for press in images(PlacedDent(touch.x, touch.y, dent), design, mechanics.margin)
         ),
         _box(design, mechanics.margin),
     )
@@ -104,7 +106,7 @@ def _box(design: SensorDesign, margin: float) -> Box | None:
     return Box((-margin, -margin, 0.0), high)
 
 
-def images(press: Placed, design: SensorDesign, margin: float) -> Iterator[Placed]:
+def images(press: PlacedDent, design: SensorDesign, margin: float) -> Iterator[PlacedDent]:
     """A press and its images beyond the free edges of the stack, of alternating sign.
 
     At a free edge the pressure of the stack vanishes, as it does half-way between a press and its
@@ -118,7 +120,7 @@ def images(press: Placed, design: SensorDesign, margin: float) -> Iterator[Place
         along = _mirrored(press.x, outline.length, margin, thickness)
         across = _mirrored(press.y, outline.width, margin, thickness)
         for (x, one), (y, other) in product(along, across):
-            image = Placed(x, y, press.dent, one * other)
+            image = PlacedDent(x, y, press.dent, one * other)
             outside = np.hypot(max(-x, x - outline.length, 0.0), max(-y, y - outline.width, 0.0))
             if outside < press.dent.reach:
                 yield image
@@ -129,7 +131,7 @@ def images(press: Placed, design: SensorDesign, margin: float) -> Iterator[Place
         distance = float(depth) + margin
         x, y = place + 2.0 * (distance - mirror_inside(distance, thickness)) * normal
         yield press
-        yield Placed(float(x), float(y), press.dent, -1.0)
+        yield PlacedDent(float(x), float(y), press.dent, -1.0)
 
 
 def mirror_inside(distance: float, thickness: float) -> float:
@@ -162,16 +164,16 @@ def _mirrored(
     )
 
 
-def pressed(
+def pressed_touches(
     touches: tuple[Touch, ...], design: SensorDesign, mechanics: Mechanics
-) -> tuple[Pressed, ...]:
+) -> tuple[PressedTouch, ...]:
     """What becomes of each touch, from the tabulated presses."""
     return tuple(_pressed(touch, touches, design, mechanics) for touch in touches)
 
 
 def _pressed(
     touch: Touch, touches: tuple[Touch, ...], design: SensorDesign, mechanics: Mechanics
-) -> Pressed:
+) -> PressedTouch:
     dent, force = _dent(touch, design, mechanics)
     edge = _edge_distance(touch, design)
     neighbour = min(
@@ -180,7 +182,7 @@ def _pressed(
     )
     # Without contact there is a dent, but no pressure.
     radius = dent.contact_radius if dent is not None and force > 0.0 else 0.0
-    return Pressed(
+    return PressedTouch(
         touch=touch,
         force=force,
         depth=dent.depth if dent is not None else 0.0,
@@ -199,8 +201,8 @@ def _dent(
     touch: Touch, design: SensorDesign, mechanics: Mechanics
 ) -> tuple[TabulatedDent | None, float]:
     """The dent, if there is any, and the force that acts on the indenter [N]."""
-    table = kernel(design, mechanics, touch.indenter)
-    first = table.pressed(touch.force) if touch.depth is None else table.pressed_to(touch.depth)
+    table = press_table(design, mechanics, touch.indenter)
+    first = table.at_force(touch.force) if touch.depth is None else table.at_depth(touch.depth)
     if touch.held is None:
         return first, first.force
     prony = relaxation.mixed(
@@ -213,7 +215,7 @@ def _dent(
     else:
         elastic = relaxation.held_at_depth(prony, first.force, touch.held, touch.released)
         acting = first.force * float(prony.relaxation(touch.held))
-    dent = table.pressed(elastic) if elastic > 0.0 else None
+    dent = table.at_force(elastic) if elastic > 0.0 else None
     return dent, 0.0 if touch.released else acting
 
 

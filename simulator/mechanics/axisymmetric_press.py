@@ -15,7 +15,7 @@ from eitskin.geometry.meshing.grading import Grading, graded_lines
 from eitskin.simulator.mechanics.layer_stack import Stack
 from eitskin.simulator.mechanics.load_stepping import Load, SolidError, follow
 from eitskin.simulator.mechanics.mixed_solid import Solid
-from eitskin.simulator.mechanics.penalty_contact import Contact
+from eitskin.simulator.mechanics.penalty_contact import PenaltyContact
 from eitskin.simulator.scene.indenters import Indenter
 
 Array = NDArray[np.float64]
@@ -72,7 +72,7 @@ class Indentation:
         return float(shortened / (self.z[above] - self.z[below]))
 
 
-class Press:
+class AxisymmetricPress:
     """One indenter on one stack; each press starts from where the last one ended.
 
     Attributes:
@@ -115,7 +115,7 @@ class Press:
         self.solid = Solid(mesh, laws, law_of_cell, "axisymmetric", stack.bulk_ratio)
         top = mesh.facets_satisfying(lambda p: np.isclose(p[1], thickness), boundaries_only=True)
         mu = laws[-1].shear_modulus
-        self.contact = Contact.of_face(
+        self.contact = PenaltyContact.of_face(
             self.solid, top, indenter, _CONTACT_STIFFNESS * mu / radius, np.zeros(1)
         )
         r, z = self.solid.nodes.T
@@ -192,7 +192,7 @@ class Press:
         self.unknowns, (_, contact) = follow(
             (self.solid, self.contact), self.unknowns, path, first_step
         )
-        self.contact = cast("Contact", contact)
+        self.contact = cast("PenaltyContact", contact)
         return self._result()
 
     def _result(self) -> Indentation:

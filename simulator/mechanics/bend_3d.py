@@ -149,7 +149,7 @@ class ClampedStack:
         self._centre = (float(self._gel[0]), float(self._gel[1]), float(self._gel[2]))
         self._held, self._fixed = self._supports()
 
-    def bent(self, angles_deg: Sequence[float]) -> Iterator[BentStack]:
+    def equilibria(self, angles_deg: Sequence[float]) -> Iterator[BentStack]:
         """The equilibria at these angles, each followed from the one before, the first from flat.
 
         Raises SolidError where there is none, or none that is stable; it says which angle was

@@ -35,8 +35,8 @@ class BendTable:
             raise ConfigurationError(
                 f"a table of bends needs four angles or more, on both sides of 0, got {angles_deg}"
             )
-        downwards = list(stack.bent(angles[angles < 0.0][::-1].tolist()))
-        upwards = list(stack.bent(angles[angles >= 0.0].tolist()))
+        downwards = list(stack.equilibria(angles[angles < 0.0][::-1].tolist()))
+        upwards = list(stack.equilibria(angles[angles >= 0.0].tolist()))
         return cls((*downwards[::-1], *upwards))
 
     def at(self, angle_deg: float) -> BentStack:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 
-from eitskin.simulator.mechanics.axisymmetric_press import Indentation, Press
+from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress, Indentation
 from eitskin.simulator.mechanics.layer_stack import Stack
 from eitskin.simulator.scene.indenters import Indenter
 from eitskin.simulator.scene.touch import Touch
@@ -19,7 +19,7 @@ _AXIS = 1e-9  # [m]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Alone:
+class UnboundedPress:
     """An axisymmetric press, put where a touch is.
 
     Attributes:
@@ -31,7 +31,7 @@ class Alone:
     press: Indentation
 
     @classmethod
-    def on(cls, stack: Stack, touch: Touch, force: float) -> "Alone":
+    def on(cls, stack: Stack, touch: Touch, force: float) -> "UnboundedPress":
         """Press with a force [N]; raises SolidError where the stack cannot carry it."""
         return cls(touch, _pressed(stack, touch.indenter, force))
 
@@ -67,4 +67,4 @@ class Alone:
 
 @lru_cache(maxsize=32)
 def _pressed(stack: Stack, indenter: Indenter, force: float) -> Indentation:
-    return Press(stack, indenter, finest=indenter.rims[1] / _CELLS).to_force(force)
+    return AxisymmetricPress(stack, indenter, finest=indenter.rims[1] / _CELLS).to_force(force)

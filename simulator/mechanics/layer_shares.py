@@ -3,12 +3,12 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.simulator.mechanics.axisymmetric_press import Press
+from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
 
 Array = NDArray[np.float64]
 
 
-def layer_shares(press: Press, depth: float, step: float = 0.02) -> Array:
+def layer_shares(press: AxisymmetricPress, depth: float, step: float = 0.02) -> Array:
     """How much of the force at a depth [m] the shear modulus of each layer accounts for, (layers,).
 
     By F = dU/dd, (mu_k / F) dF/dmu_k is the part of the work of going deeper that layer k stores,

@@ -36,7 +36,7 @@ class SolidError(ConfigurationError):
         self.reached = reached
 
 
-class Part(Protocol):
+class ForceTerm(Protocol):
     """Something that exerts forces on the unknowns: a solid, a contact."""
 
     @property
@@ -118,7 +118,9 @@ class SparseLU:
 Factorise = Callable[[csc_array], Factorised]
 
 
-def newton(parts: Sequence[Part], x: Array, load: Load, factorise: Factorise = SparseLU) -> Array:
+def newton(
+    terms: Sequence[ForceTerm], x: Array, load: Load, factorise: Factorise = SparseLU
+) -> Array:
     """The stable equilibrium near x; `factorise` takes the stiffness of the free unknowns, rising.
 
     Corrections that would invert a cell, or leave larger forces unbalanced, are halved. Raises
@@ -126,12 +128,12 @@ def newton(parts: Sequence[Part], x: Array, load: Load, factorise: Factorise = S
     """
     free = np.setdiff1d(np.arange(len(x)), load.fixed)
     start = np.abs(x).max()  # where all loads are taken off, x itself goes to zero
-    constraints = sum(part.multipliers for part in parts)
+    constraints = sum(term.multipliers for term in terms)
     for iteration in range(_ITERATIONS):
-        step, factorised, unbalanced = _correction(parts, x, load, free, factorise)
+        step, factorised, unbalanced = _correction(terms, x, load, free, factorise)
         # At first full steps find out quickly what touches; later ones must not go in circles.
         limit = np.inf if iteration < _FULL_STEPS else unbalanced
-        x = _corrected(parts, x, step, load.forces, free, limit)
+        x = _corrected(terms, x, step, load.forces, free, limit)
         if np.abs(step).max() <= _TOLERANCE * max(start, np.abs(x).max()):
             # The potential has a minimum over displacements, given the constraints, where there
             # are as many negative pivots as multipliers (Sylvester's law of inertia).
@@ -141,21 +143,23 @@ def newton(parts: Sequence[Part], x: Array, load: Load, factorise: Factorise = S
     raise SolidError(f"Newton's method does not converge in {_ITERATIONS} iterations")
 
 
-def _reached(parts: Sequence[Part], x: Array, load: Load) -> tuple[Array, tuple[Part, ...]]:
-    """The equilibrium near x, also of the parts as they are then."""
-    x = newton(parts, x, load)
-    advanced = tuple(part.advanced(x) for part in parts)
-    before, after = (sum(part.forces(x) for part in each) for each in (parts, advanced))
+def _reached(
+    terms: Sequence[ForceTerm], x: Array, load: Load
+) -> tuple[Array, tuple[ForceTerm, ...]]:
+    """The equilibrium near x, also of the terms as they are then."""
+    x = newton(terms, x, load)
+    advanced = tuple(term.advanced(x) for term in terms)
+    before, after = (sum(term.forces(x) for term in each) for each in (terms, advanced))
     if np.linalg.norm(after - before) > _TOLERANCE * np.linalg.norm(before):
         x = newton(advanced, x, load)
     return x, advanced
 
 
 def _correction(
-    parts: Sequence[Part], x: Array, load: Load, free: Indices, factorise: Factorise
+    terms: Sequence[ForceTerm], x: Array, load: Load, free: Indices, factorise: Factorise
 ) -> tuple[Array, Factorised, float]:
     """The Newton step, the stiffness that gave it, and the unbalanced force."""
-    linearised = [part.linearise(x) for part in parts]
+    linearised = [term.linearise(x) for term in terms]
     residual = sum((forces for forces, _ in linearised), start=-load.forces)
     K = sum((stiffness for _, stiffness in linearised[1:]), start=linearised[0][1])
     step = np.zeros_like(x)
@@ -171,15 +175,15 @@ def _correction(
 
 
 def _corrected(
-    parts: Sequence[Part], x: Array, step: Array, loads: Array, free: Indices, limit: float
+    terms: Sequence[ForceTerm], x: Array, step: Array, loads: Array, free: Indices, limit: float
 ) -> Array:
     """x after as much of the step as leaves less force unbalanced than `limit`, or least of it."""
     best, least = x, np.inf
     for halving in range(_HALVINGS + 1):
         trial = x + 0.5**halving * step
-        if not all(part.admissible(trial) for part in parts):
+        if not all(term.admissible(trial) for term in terms):
             continue
-        residual = sum((part.forces(trial) for part in parts), start=-loads)
+        residual = sum((term.forces(trial) for term in terms), start=-loads)
         unbalanced = float(np.linalg.norm(residual[free]))
         if unbalanced < least:
             best, least = trial, unbalanced
@@ -191,14 +195,14 @@ def _corrected(
 
 
 def follow(
-    parts: Sequence[Part],
+    terms: Sequence[ForceTerm],
     x: Array,
     path: Callable[[float], Load],
     first_step: float = 1.0,
-) -> tuple[Array, tuple[Part, ...]]:
+) -> tuple[Array, tuple[ForceTerm, ...]]:
     """The equilibrium under path(1), from x under path(0), in as few steps as will do.
 
-    Returns it with the parts as they are then.
+    Returns it with the terms as they are then.
 
     Raises SolidError, with the fraction reached, where even small steps find no equilibrium.
     """
@@ -208,10 +212,10 @@ def follow(
         target = min(1.0, t + step)
         slope = (x - previous) / (t - previous_t) if t > previous_t else 0.0
         guess = x + (target - t) * slope
-        if not all(part.admissible(guess) for part in parts):
+        if not all(term.admissible(guess) for term in terms):
             guess = x
         try:
-            reached, advanced = _reached(parts, guess, path(target))
+            reached, advanced = _reached(terms, guess, path(target))
         except SolidError as error:
             step, growth = 0.5 * (target - t), 1.0
             if step < _SMALLEST_STEP:
@@ -222,6 +226,6 @@ def follow(
                 ) from None
             continue
         previous, previous_t, x, t = x, t, reached, target
-        parts = advanced
+        terms = advanced
         step, growth = growth * step, 2.0
-    return x, tuple(parts)
+    return x, tuple(terms)

@@ -1,4 +1,4 @@
-"""Contact of a solid's upper face with a rigid indenter that comes from above."""
+"""PenaltyContact of a solid's upper face with a rigid indenter that comes from above."""
 
 from dataclasses import dataclass, replace
 
@@ -15,7 +15,7 @@ Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Contact:
+class PenaltyContact:
     """Pressure where the upper face would pass through the indenter, and nowhere tension.
 
     A place of the face that is inside the indenter by g is pushed back along the indenter's
@@ -61,8 +61,8 @@ class Contact:
         stiffness: float,
         centre: Array,
         number: int = 0,
-    ) -> "Contact":
-        """Contact `number` on boundary facets of the solid's mesh, a level face, at rest.
+    ) -> "PenaltyContact":
+        """PenaltyContact `number` on boundary facets of the solid's mesh, a level face, at rest.
 
         A rough flat end holds what lies under it from the start.
         """
@@ -103,7 +103,7 @@ class Contact:
         """Any place of the face is possible; it is only pushed back."""
         return True
 
-    def pressed(self, x: Array) -> Array:
+    def nominal_pressure(self, x: Array) -> Array:
         """q, force along the normal per undeformed area, (facets, q) [Pa]."""
         return self.stiffness * np.maximum(self._entry(x)[0], 0.0)
 
@@ -117,13 +117,13 @@ class Contact:
         squares = np.maximum(self._entry(x)[0], 0.0) ** 2 + np.sum(slip**2, axis=-1)
         return float(0.5 * self.stiffness * np.sum(self.weights * squares))
 
-    def advanced(self, x: Array) -> "Contact":
+    def advanced(self, x: Array) -> "PenaltyContact":
         """The contact after a step of the load: a rough indenter now holds what it touches."""
         if not self.indenter.rough:
             return self
         _, normal, _ = self._entry(x)
         relative = self._relative(x)
-        touching = self.pressed(x) > 0.0
+        touching = self.nominal_pressure(x) > 0.0
         known = np.any(self.holds != 0.0, axis=(-2, -1))
         across = np.eye(self.solid.dim) - normal[..., :, None] * normal[..., None, :]
         new = (touching & ~known)[..., None]
@@ -140,7 +140,7 @@ class Contact:
         along += np.array([1.0, 0.0])
         area_ratio = r / self.places[..., 0] * np.linalg.norm(along, axis=-1)
         order = np.argsort(r, axis=None)
-        return r.ravel()[order], (self.pressed(x) / area_ratio).ravel()[order]
+        return r.ravel()[order], (self.nominal_pressure(x) / area_ratio).ravel()[order]
 
     def forces(self, x: Array) -> Array:
         """Forces on the unknowns (n,) [N]."""

@@ -13,11 +13,11 @@ from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.meshing.grading import Grading, graded_lines
 from eitskin.simulator.linalg.nested_dissection import Block, by_blocks, dissected
-from eitskin.simulator.mechanics.initial_guess import Alone
+from eitskin.simulator.mechanics.initial_guess import UnboundedPress
 from eitskin.simulator.mechanics.layer_stack import Mechanics
-from eitskin.simulator.mechanics.load_stepping import Load, Part, SolidError, newton
+from eitskin.simulator.mechanics.load_stepping import ForceTerm, Load, SolidError, newton
 from eitskin.simulator.mechanics.mixed_solid import Solid
-from eitskin.simulator.mechanics.penalty_contact import Contact
+from eitskin.simulator.mechanics.penalty_contact import PenaltyContact
 from eitskin.simulator.mechanics.press_window import DentedStack, Window, check_places, touched
 from eitskin.simulator.mechanics.quadratic_field import QuadraticField
 from eitskin.simulator.scene.touch import Touch
@@ -96,7 +96,7 @@ class PressedStack:
         self._shares = np.array([self._share(touch) for touch in self._kept])
         self._eliminate = by_blocks(self._dissected())
 
-    def pressed(self, fractions: Sequence[float] = (1.0,)) -> Iterator[DentedStack]:
+    def equilibria(self, fractions: Sequence[float] = (1.0,)) -> Iterator[DentedStack]:
         """The equilibria under these fractions of all forces, each followed from the one before.
 
         Raises SolidError where there is none, or none that is stable; it says how much of the
@@ -112,8 +112,8 @@ class PressedStack:
             yield self._result(x, contacts)
 
     def _followed(
-        self, x: Array, contacts: list[Contact], before: float, after: float
-    ) -> tuple[Array, list[Contact]]:
+        self, x: Array, contacts: list[PenaltyContact], before: float, after: float
+    ) -> tuple[Array, list[PenaltyContact]]:
         """From one fraction of the load to another, in as few steps as will do.
 
         A step goes first where it would lead if each press were alone on an unbounded stack.
@@ -125,8 +125,8 @@ class PressedStack:
                 there = self._alone(target)
                 guess = x + there - alone
                 start = guess if self.solid.admissible(guess) else x
-                parts: list[Part] = [self.solid, *contacts]
-                moved = newton(parts, start, self._load(target), self._eliminate)
+                terms: list[ForceTerm] = [self.solid, *contacts]
+                moved = newton(terms, start, self._load(target), self._eliminate)
             except SolidError as error:
                 target = 0.5 * (reached + target)
                 if target - reached < _SMALLEST_STEP * after:
@@ -210,7 +210,7 @@ class PressedStack:
         places = zip((touch.x, touch.y), self.windows, strict=True)
         return math.prod(0.5 for place, w in places if w.mirrored and place < w.origin + _SAME)
 
-    def _contacts(self) -> list[Contact]:
+    def _contacts(self) -> list[PenaltyContact]:
         """The top against every indenter, at rest."""
         mesh, found = self.solid.mesh, []
         top = mesh.facets_satisfying(
@@ -223,7 +223,7 @@ class PressedStack:
             near = top[np.linalg.norm(middles - centre, axis=1) < _NEAR * radius]
             stiffness = _CONTACT_STIFFNESS * mu / radius
             found.append(
-                Contact.of_face(self.solid, near, touch.indenter, stiffness, centre, number)
+                PenaltyContact.of_face(self.solid, near, touch.indenter, stiffness, centre, number)
             )
         return found
 
@@ -247,7 +247,7 @@ class PressedStack:
         above = np.array([self.windows[0].origin, self.windows[1].origin, -self._lines[2][0]])
         tops = np.array([[t.x, t.y, self._stack.levels[-1]] for t in self._kept])
         for touch in self.touches if fraction else ():
-            alone = Alone.on(self._stack, touch, fraction * touch.force)
+            alone = UnboundedPress.on(self._stack, touch, fraction * touch.force)
             x[: nodes.size] += alone.displacement(nodes + above).ravel()
             # An indenter goes down with the top that others displace.
             own = [touch is kept for kept in self._kept]
@@ -257,7 +257,7 @@ class PressedStack:
         x[self._fixed] = 0.0
         return x
 
-    def _result(self, x: Array, contacts: Sequence[Contact]) -> DentedStack:
+    def _result(self, x: Array, contacts: Sequence[PenaltyContact]) -> DentedStack:
         solid, gel = self.solid, self.solid.cells_of_law[1]
         order = np.lexsort(solid.nodes.round(_ROUNDED).T[::-1])
         shape = tuple(2 * len(line) - 1 for line in self._lines)

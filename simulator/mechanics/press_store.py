@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 
 from eitskin.errors import ConfigurationError
-from eitskin.files import whole_file
+from eitskin.files import atomic_file
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.simulator.mechanics import press_table as kernels
 from eitskin.simulator.mechanics.layer_stack import Mechanics, Sheet, Stack
-from eitskin.simulator.mechanics.press_table import Kernel
+from eitskin.simulator.mechanics.press_table import PressTable
 from eitskin.simulator.scene.indenters import Indenter
 
 # Of what is computed: raise it whenever presses are solved or tabulated in another way.
@@ -35,7 +35,7 @@ _STRESSES = ("peak_pressures", "stressed")
 
 
 @lru_cache(maxsize=64)
-def kernel(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -> Kernel:
+def press_table(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -> PressTable:
     """The kernel of a sensor and an indenter; the first time it takes seconds to a minute.
 
     Raises ConfigurationError where not even shallow presses are carried.
@@ -128,7 +128,7 @@ def _with_ratio(stack: Stack, place: int) -> Stack:
     return dataclasses.replace(stack, sheets=(silicone, gel, silicone))
 
 
-def _stored(stack: Stack, indenter: Indenter) -> Kernel:
+def _stored(stack: Stack, indenter: Indenter) -> PressTable:
     """The kernel of the middle sheet from the disk, or solved now and put there."""
     length, modulus = _scales(stack)
     path = _path(stack, indenter)
@@ -143,7 +143,7 @@ def _stored(stack: Stack, indenter: Indenter) -> Kernel:
     scale = dict.fromkeys(_LENGTHS, length) | dict.fromkeys(_STRESSES, modulus)
     scale |= {"forces": modulus * length**2, "energies": modulus * length**3}
     values = {name: scale.get(name, 1.0) * array for name, array in _arrays(found).items()}
-    return Kernel(**values)
+    return PressTable(**values)
 
 
 def _scales(stack: Stack) -> tuple[float, float]:
@@ -209,24 +209,26 @@ def _key(stack: Stack, indenter: Indenter, length: float, modulus: float) -> str
     return hashlib.sha256(rounded.encode()).hexdigest()[:32]
 
 
-def _arrays(kernel: Kernel) -> dict[str, np.ndarray]:
-    return {field.name: getattr(kernel, field.name) for field in dataclasses.fields(Kernel)}
+def _arrays(kernel: PressTable) -> dict[str, np.ndarray]:
+    return {field.name: getattr(kernel, field.name) for field in dataclasses.fields(PressTable)}
 
 
-def _read(path: Path) -> Kernel | None:
+def _read(path: Path) -> PressTable | None:
     """The kernel in a file; None where there is none, or not a whole one."""
     try:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-            return Kernel(**{field.name: file[field.name] for field in dataclasses.fields(Kernel)})
+            return PressTable(
+                **{field.name: file[field.name] for field in dataclasses.fields(PressTable)}
+            )
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         return None
 
 
-def _write(kernel: Kernel, path: Path) -> None:
+def _write(kernel: PressTable, path: Path) -> None:
     """Store a kernel, if the disk will have it: without, it is solved again the next time."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with whole_file(path) as temporary:
+        with atomic_file(path) as temporary:
             np.savez(temporary, allow_pickle=False, **_arrays(kernel))
     except (OSError, ConfigurationError):
         return

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline, PPoly
 
 from eitskin.errors import ConfigurationError
-from eitskin.simulator.mechanics.axisymmetric_press import Indentation, Press
+from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress, Indentation
 from eitskin.simulator.mechanics.layer_stack import Stack
 from eitskin.simulator.mechanics.load_stepping import SolidError
 from eitskin.simulator.mechanics.tabulated_dent import DEGREE, TabulatedDent
@@ -32,7 +32,7 @@ _NEGLIGIBLE = 1e-4  # displacements at which a dent ends, of the depth
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Kernel:
+class PressTable:
     """Presses of one indenter on one stack, from none to the deepest that was solved.
 
     Attributes:
@@ -65,7 +65,7 @@ class Kernel:
         """The force up to which presses were solved [N]."""
         return float(self.forces[-1])
 
-    def pressed(self, force: float) -> TabulatedDent:
+    def at_force(self, force: float) -> TabulatedDent:
         """The dent of a press with `force` [N].
 
         Raises ConfigurationError for a force that is not positive, or beyond the table.
@@ -78,8 +78,8 @@ class Kernel:
         place = _over_depth(self).forces.solve(force, extrapolate=False)[0]
         return self._dent(force, float(place))
 
-    def pressed_to(self, depth: float) -> TabulatedDent:
-        """The dent of a press to `depth` [m]; raises ConfigurationError like `pressed`."""
+    def at_depth(self, depth: float) -> TabulatedDent:
+        """The dent of a press to `depth` [m]; raises ConfigurationError like `at_force`."""
         if not 0.0 < depth <= self.depths[-1]:
             raise ConfigurationError(
                 f"depth must be above 0 and at most {self.depths[-1]:.3g} m, where the layer is "
@@ -88,7 +88,7 @@ class Kernel:
         place = float((depth / self.depths[-1]) ** (1.0 / _SPACING))
         return self._dent(float(_over_depth(self).forces(place)), place)
 
-    def stretched(self, factor: float) -> "Kernel":
+    def stretched(self, factor: float) -> "PressTable":
         """These presses with all heights times `factor`, which keeps volumes and forces."""
         scaled = {
             name: factor * getattr(self, name) for name in ("depths", "energies", "thickness")
@@ -121,7 +121,7 @@ class _OverDepth(NamedTuple):
 
 
 @lru_cache(maxsize=64)
-def _over_depth(kernel: Kernel) -> _OverDepth:
+def _over_depth(kernel: PressTable) -> _OverDepth:
     places = (kernel.depths / kernel.depths[-1]) ** (1.0 / _SPACING)
     # On the axis u is odd, w and the stress are even; at the last knot all end level.
     fields = np.concatenate([kernel.moved, kernel.stressed[..., None]], axis=-1)
@@ -138,7 +138,7 @@ def _over_depth(kernel: Kernel) -> _OverDepth:
     )
 
 
-def solved(stack: Stack, layer: int, indenter: Indenter) -> Kernel:
+def solved(stack: Stack, layer: int, indenter: Indenter) -> PressTable:
     """Press deeper and deeper, as far as there is an equilibrium or to 0.6 of the thickness.
 
     Args:
@@ -149,7 +149,7 @@ def solved(stack: Stack, layer: int, indenter: Indenter) -> Kernel:
     Raises SolidError where not even shallow presses are carried.
     """
     thickness = stack.levels[-1]
-    press = Press(stack, indenter, finest=_CELL * indenter.rims[1])
+    press = AxisymmetricPress(stack, indenter, finest=_CELL * indenter.rims[1])
     found: list[Indentation] = []
     for part in (np.append(_FIRST, np.arange(1, _DEPTHS + 1)) / _DEPTHS) ** _SPACING:
         try:
@@ -168,7 +168,7 @@ def solved(stack: Stack, layer: int, indenter: Indenter) -> Kernel:
     end = min(len(knots), int(np.flatnonzero(felt.any(axis=0))[-1]) + 2)
     moved, stressed = moved[:, :end], stressed[:, :end, :, 0]
     moved[:, -1] = stressed[:, -1] = 0.0
-    return Kernel(
+    return PressTable(
         depths=_from_none([one.depth for one in found]),
         forces=_from_none([one.force for one in found]),
         contact_radii=_from_none([one.contact_radius for one in found], indenter.rims[0]),
@@ -182,7 +182,7 @@ def solved(stack: Stack, layer: int, indenter: Indenter) -> Kernel:
     )
 
 
-def combined(kernels: list[Kernel], weights: Array) -> Kernel:
+def combined(kernels: list[PressTable], weights: Array) -> PressTable:
     """The weighted sum of kernels of one thickness, to depths that all reach."""
     deep = min(len(kernel.depths) for kernel in kernels)
     farthest = max(kernels, key=lambda kernel: float(kernel.knots[-1]))
@@ -197,8 +197,10 @@ def combined(kernels: list[Kernel], weights: Array) -> Kernel:
         return np.tensordot(weights, np.stack(arrays), axes=1)
 
     same = {"thickness": farthest.thickness, "knots": farthest.knots}
-    parts = {field.name: summed(field.name) for field in fields(Kernel) if field.name not in same}
-    return Kernel(**same, **parts)
+    parts = {
+        field.name: summed(field.name) for field in fields(PressTable) if field.name not in same
+    }
+    return PressTable(**same, **parts)
 
 
 def _at_knots(values: Array, knots: Array, wanted: Array) -> Array:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.kinematics import Gradients, Points
 from eitskin.geometry.design.outline import Rectangle
-from eitskin.simulator.mechanics.penalty_contact import Contact
+from eitskin.simulator.mechanics.penalty_contact import PenaltyContact
 from eitskin.simulator.mechanics.quadratic_field import QuadraticField
 from eitskin.simulator.scene.touch import Touch
 
@@ -156,11 +156,11 @@ class DentedStack:
         return x, sides, solved
 
 
-def touched(contact: Contact, x: Array) -> tuple[float, float]:
+def touched(contact: PenaltyContact, x: Array) -> tuple[float, float]:
     """Deformed area of a face in contact [m2] and largest pressure on it [Pa]."""
     u = x[contact.numbers[:, :-1]].reshape(len(contact.numbers), -1, 3)
     F = np.eye(3) + np.einsum("fai,fqaJ->fqiJ", u, contact.slopes)
     area_ratio = np.linalg.norm(np.cross(F[..., 0], F[..., 1]), axis=-1)
-    q = contact.pressed(x)
+    q = contact.nominal_pressure(x)
     area = np.sum((q > 0.0) * contact.weights * area_ratio)
     return float(area), float((q / area_ratio).max())

@@ -20,7 +20,7 @@ _ROUND = 0.1  # largest difference of height round the axis, of the radius
 
 
 @dataclass(frozen=True, slots=True)
-class Scanned:
+class ScannedIndenter:
     """The lower side of the convex hull of a closed surface, such as a scanned fingertip.
 
     The axis is upright through the lowest point, z up. Presses are those of bodies of revolution:

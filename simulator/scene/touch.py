@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 from eitskin.errors import ConfigurationError
 from eitskin.simulator.scene.indenters import Cylinder, Profile, Sphere
-from eitskin.simulator.scene.scanned_indenter import Scanned
+from eitskin.simulator.scene.scanned_indenter import ScannedIndenter
 
 DEFAULT_FORCE = 10.0
 
@@ -27,7 +27,7 @@ class Touch:
     x: float
     y: float
     force: float = DEFAULT_FORCE
-    indenter: Cylinder | Sphere | Profile | Scanned = field(default_factory=Cylinder)
+    indenter: Cylinder | Sphere | Profile | ScannedIndenter = field(default_factory=Cylinder)
     depth: float | None = None
     held: float | None = None
     released: float = 0.0

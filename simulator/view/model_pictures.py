@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.geometry.meshing.mesh import Mesh
-from eitskin.geometry.meshing.mesh_of import CellKind, natural_cells
+from eitskin.geometry.meshing.mesh_design import CellKind, natural_cells
 from eitskin.protocol import Protocol
 from eitskin.simulator.electrical.forward_model import ForwardModel
 from eitskin.simulator.view import shapes

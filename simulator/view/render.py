@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError
 from eitskin.extras import require
-from eitskin.files import whole_file
+from eitskin.files import atomic_file
 
 Array = NDArray[np.float64]
 Draw: TypeAlias = Callable[[Any], None]
@@ -131,7 +131,7 @@ def render(panels: Sequence[Panel], path: str | Path, columns: int = 1) -> None:
     width = _WIDTH[columns] // columns
     rows = [panels[i : i + columns] for i in range(0, len(panels), columns)]
     heights = [max(panel.height(width) for panel in row) for row in rows]
-    with whole_file(path) as temporary:
+    with atomic_file(path) as temporary:
         plotter = pv.Plotter(
             off_screen=True,
             shape=(len(rows), columns),

@@ -13,7 +13,7 @@ from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.kinematics import Deformation
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.geometry.meshing.mesh import Mesh
-from eitskin.geometry.meshing.mesh_of import mesh_of, natural_cells
+from eitskin.geometry.meshing.mesh_design import mesh_design, natural_cells
 from eitskin.protocol import Protocol
 from eitskin.simulator.electrical.forward_model import AreaRatio, ForwardModel
 from eitskin.simulator.scene.scene import Scene
@@ -179,7 +179,7 @@ def _grading(sim: Simulator) -> Grading:
 
 
 def _mesh(sim: Simulator) -> Mesh:
-    return mesh_of(sim.design, _grading(sim))
+    return mesh_design(sim.design, _grading(sim))
 
 
 def _model(sim: Simulator) -> ForwardModel:

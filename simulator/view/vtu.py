@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError
 from eitskin.extras import require
-from eitskin.files import whole_file
+from eitskin.files import atomic_file
 from eitskin.geometry.deformation.kinematics import Deformation
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.meshing.mesh import Mesh
-from eitskin.geometry.meshing.mesh_of import natural_cells
+from eitskin.geometry.meshing.mesh_design import natural_cells
 from eitskin.simulator.electrical.fields import Fields, fields_in
 from eitskin.simulator.electrical.resolution import Discretisation, discretisation
-from eitskin.simulator.layer.deformed_layer import Setting
+from eitskin.simulator.layer.deformed_layer import DeformedLayer
 from eitskin.simulator.scene.scene import Scene
 from eitskin.simulator.simulator import Simulator
 from eitskin.simulator.view import shapes
@@ -82,7 +82,7 @@ def scene_grids(
     """
     require("pyvista", "view")
     pairs = _pairs(sim, drives)
-    setting, mesh = sim.setting(scene), sim.model.mesh
+    setting, mesh = sim.deformed_layer(scene), sim.model.mesh
     deformation, fields = setting.deformation, fields_in(sim.model, setting)
     body = shapes.volume(dataclasses.replace(mesh, points=_placed(deformation, mesh.points)))
     body.point_data.update(_point_fields(sim, deformation, fields, pairs))
@@ -95,7 +95,7 @@ def scene_grids(
 def write_grids(grids: Mapping[str, Any], folder: str | Path) -> None:
     """Write grids as binary files of VTK; raises ConfigurationError where that fails."""
     for name, grid in grids.items():
-        with whole_file(Path(folder) / name) as temporary:
+        with atomic_file(Path(folder) / name) as temporary:
             grid.save(temporary, binary=True)
 
 
@@ -142,7 +142,7 @@ def _point_fields(
 
 
 def _cell_fields(
-    sim: Simulator, setting: Setting, fields: Fields, drives: Sequence[Drive]
+    sim: Simulator, setting: DeformedLayer, fields: Fields, drives: Sequence[Drive]
 ) -> Arrays:
     """Moved into the deformed body by Piola's transformation, see `view.current_density`."""
     mesh = sim.model.mesh

@@ -35,7 +35,7 @@ from eitskin.geometry import Bend, Hinge, Rectangle, SensorDesign
 from eitskin.geometry.deformation.fixtures import FreeArc
 from eitskin.provenance import Provenance
 from eitskin.simulator import ForwardModel
-from eitskin.simulator.mechanics.axisymmetric_press import Press
+from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
 from eitskin.simulator.mechanics.load_stepping import SolidError
 
 import closed_forms
@@ -262,14 +262,14 @@ def test_linear_triangles_lock_and_mixed_elements_do_not() -> None:
 
 
 def test_a_press_says_how_far_it_went_and_why_no_farther(monkeypatch) -> None:
-    to_depth = Press.to_depth
+    to_depth = AxisymmetricPress.to_depth
 
     def shallow(self, depth):
         if depth > 0.004:
             raise SolidError("the solid carries 40.0% of the load only")
         return to_depth(self, depth)
 
-    monkeypatch.setattr(Press, "to_depth", shallow)
+    monkeypatch.setattr(AxisymmetricPress, "to_depth", shallow)
     (case,) = stability_solids.presses(quick=True)
     row = judge(case)
     assert row.outcome == "refused"

@@ -198,7 +198,7 @@ def full_disk(monkeypatch):
 
     def fill(files):
         left = [files]
-        real = durable.whole_file
+        real = durable.atomic_file
 
         def counted(path, *arguments):
             left[0] -= 1
@@ -206,7 +206,7 @@ def full_disk(monkeypatch):
                 raise PartialError(f"cannot write {path}: no space left on the device; make room")
             return real(path, *arguments)
 
-        monkeypatch.setattr(durable, "whole_file", counted)
+        monkeypatch.setattr(durable, "atomic_file", counted)
 
     return fill
 

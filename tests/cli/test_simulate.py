@@ -14,7 +14,7 @@ from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend, SensorDesign
 from eitskin.geometry.deformation.fixtures import Fixture, FreeArc, Hinge
 from eitskin.simulator import Cylinder, Mechanics, Protocol, Scene, Simulator, Sphere
-from eitskin.simulator.mechanics import press_store as kernel_store
+from eitskin.simulator.mechanics import press_store
 from eitskin.simulator.mechanics import press_table as kernels
 from eitskin.simulator.mechanics.layer_stack import Piezoresistivity
 from eitskin.simulator.mechanics.materials import NeoHookean
@@ -135,19 +135,19 @@ def test_a_touch_by_itself_has_no_neighbour_and_the_closed_form_tells_nothing(sc
 
 
 def test_it_is_said_when_presses_have_to_be_solved(scene, tmp_path, monkeypatch) -> None:
-    table = kernel_store.kernel(SensorDesign.reference(), Mechanics(), Cylinder())
+    table = press_store.press_table(SensorDesign.reference(), Mechanics(), Cylinder())
     monkeypatch.setattr(kernels, "solved", lambda *_: table)
     monkeypatch.setenv("EITSKIN_CACHE", str(tmp_path / "store"))
     for options, said in ((("--touch-model", "closed form"), False), ((), True), ((), False)):
-        kernel_store.kernel.cache_clear()
+        press_store.press_table.cache_clear()
         assert ("solving the presses of 1 indenter that is new" in run(scene, *options).stderr) is (
             said
         )
     for path in (tmp_path / "store").iterdir():
         path.unlink()
-    kernel_store.kernel.cache_clear()
+    press_store.press_table.cache_clear()
     assert run(scene, "--quiet").stderr == ""
-    kernel_store.kernel.cache_clear()
+    press_store.press_table.cache_clear()
 
 
 # Mechanics and fixture from files

@@ -8,9 +8,9 @@ import pytest
 from eitskin.datasets import Recipe, State
 from eitskin.datasets.generation.shard_simulation import simulate_shard
 from eitskin.datasets.recipe.episode import (
+    EpisodeTouch,
     Held,
     Keyframe,
-    Press,
     RandomEpisodes,
     ScriptedEpisode,
     Timeline,
@@ -22,7 +22,7 @@ from eitskin.simulator import Instrument, Scene, Simulator
 from eitskin.simulator.mechanics.viscoelasticity import REFERENCE, held
 
 OUTLINE = Rectangle(0.150, 0.060)
-HERE, THERE = Press(0.05, 0.02), Press(0.1, 0.04, 8.0)
+HERE, THERE = EpisodeTouch(0.05, 0.02), EpisodeTouch(0.1, 0.04, 8.0)
 QUIET = Instrument(snr_db=0.0)
 SCANNED = Instrument(snr_db=0.0, measurement_time=0.0106)
 RNG = np.random.default_rng(0)
@@ -210,9 +210,12 @@ def test_skew_of_a_moving_bend_is_near_to_solving_every_moment():
 
 def test_a_press_creeps_from_frame_to_frame_and_its_dent_fades():
     told = script(
-        Keyframe(0.0), Keyframe(0.5, 0.0, (Press(0.0525, 0.03),)), Keyframe(3.0), Keyframe(5.0),
+        Keyframe(0.0),
+        Keyframe(0.5, 0.0, (EpisodeTouch(0.0525, 0.03),)),
+        Keyframe(3.0),
+        Keyframe(5.0),
         period=0.25,
-    )  # fmt: skip
+    )
     data = simulate_shard(recipe(told, instrument=QUIET, sensor=SMALL), 0)
     change = np.abs(data.impedance - data.touch_reference)
     signal = change[:, change.max(axis=0).argmax()]

@@ -16,8 +16,8 @@ from eitskin.datasets.recipe.specimen import WIDEST, Specimens, truncated_normal
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Electrode, Hinge, Layer, SensorDesign
 from eitskin.simulator import Cylinder, Mechanics
-from eitskin.simulator.mechanics import press_store as kernel_store
-from eitskin.simulator.mechanics.press_table import Kernel
+from eitskin.simulator.mechanics import press_store
+from eitskin.simulator.mechanics.press_table import PressTable
 
 DESIGN = SensorDesign.reference()
 SPREAD = Specimens(
@@ -195,14 +195,14 @@ def test_specimens_share_what_is_solved(monkeypatch, tmp_path):
     assert unsolved(untouched) == set()
 
 
-def law(stack, _indenter) -> Kernel:
+def law(stack, _indenter) -> PressTable:
     """Presses whose dents grow with thickness t in mm as polynomials of log t, and knots with t."""
     t = 1e3 * stack.sheets[1].thickness
     depths = 1e-3 * t * np.linspace(0.0, 0.6, 6)
     knots = 1e-3 * t * np.linspace(0.0, 12.0, 200)
     shape = (knots / knots[-1] - 1.0) ** 4 * (1.0 + 2.0 * np.log(t) ** 2)
     moved = depths[:, None, None, None] * shape[:, None, None] * np.ones((1, 1, 6, 2))
-    return Kernel(
+    return PressTable(
         depths=depths,
         forces=np.linspace(0.0, 40.0, 6) * (1.0 + np.log(t)),
         contact_radii=np.full(6, 0.0075),
@@ -218,19 +218,19 @@ def law(stack, _indenter) -> Kernel:
 
 @pytest.mark.parametrize("factor", [0.93, 1.04])
 def test_presses_between_thicknesses_are_interpolated(monkeypatch, factor):
-    monkeypatch.setattr(kernel_store, "_stored", law)
+    monkeypatch.setattr(press_store, "_stored", law)
     design = dataclasses.replace(
         DESIGN, thickness=0.005 * factor, encapsulated_thickness=0.012 * factor
     )
     shared = Mechanics(solved_thickness=0.005)
-    found = kernel_store.kernel.__wrapped__(design, shared, Cylinder())
+    found = press_store.press_table.__wrapped__(design, shared, Cylinder())
     exact = law(Mechanics().stack(design), None)
     for name in ("depths", "forces", "contact_radii", "thinnings", "energies", "thickness"):
         assert getattr(found, name) == pytest.approx(getattr(exact, name), rel=1e-9), name
     # Knots go with the thickness: between those tables the dents differ by more than their law.
     upward = np.array([np.interp(found.knots, exact.knots, row) for row in exact.moved[..., 0, 1]])
     assert found.moved[..., 0, 1] == pytest.approx(upward, abs=0.01 * upward.max())
-    nominal = kernel_store.kernel.__wrapped__(DESIGN, shared, Cylinder())
+    nominal = press_store.press_table.__wrapped__(DESIGN, shared, Cylinder())
     assert np.array_equal(nominal.moved, law(Mechanics().stack(DESIGN), None).moved)
 
 
@@ -240,18 +240,18 @@ def test_stretched_presses_keep_volumes_and_forces():
     assert np.array_equal(high.moved[..., 0], table.moved[..., 0])
     assert high.moved[..., 1] == pytest.approx(1.5 * table.moved[..., 1])
     assert high.thickness == 1.5 * table.thickness
-    dent, stretched = table.pressed(20.0), high.pressed(20.0)
+    dent, stretched = table.at_force(20.0), high.at_force(20.0)
     assert stretched.depth == pytest.approx(1.5 * dent.depth)
     assert stretched.share == pytest.approx(dent.share)
 
 
 def test_forces_must_be_within_reach_of_every_specimen(monkeypatch):
     """Here a table reaches 104 N at the nominal 5 mm, and less on thinner sensors."""
-    monkeypatch.setattr(kernel_store, "_stored", law)
-    kernel_store.kernel.cache_clear()
+    monkeypatch.setattr(press_store, "_stored", law)
+    press_store.press_table.cache_clear()
     group = SceneGroup("touch", count=20, force=(100.0, 103.0))
     one = Recipe("force", scenes=(group,))
     prepare(one)
     with pytest.raises(ConfigurationError, match="force must be above 0 and at most"):
         prepare(dataclasses.replace(one, specimens=Specimens(20, thickness=0.04)))
-    kernel_store.kernel.cache_clear()
+    press_store.press_table.cache_clear()

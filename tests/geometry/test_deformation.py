@@ -11,8 +11,8 @@ from eitskin.geometry import Bend, Hinge, SensorDesign
 from eitskin.geometry.deformation.fixtures import FreeArc
 from eitskin.geometry.deformation.kinematics import Composed, Displaced, area_ratio, pulled_back
 from eitskin.geometry.deformation.twist import Roll, Twist
-from eitskin.simulator.layer.closed_dent import ClosedDent
-from eitskin.simulator.layer.dents import Dents, Placed
+from eitskin.simulator.layer.dents import Dents, PlacedDent
+from eitskin.simulator.mechanics.closed_form_dent import ClosedFormDent
 from eitskin.simulator.scene.indenters import Cylinder, Sphere
 
 DESIGN = SensorDesign.reference()
@@ -39,8 +39,8 @@ def derivative(deformation, x: NDArray[np.float64], step: float = 1e-7) -> NDArr
     return np.stack(columns, axis=-1)
 
 
-def dented(x: float, y: float, force: float) -> Placed:
-    return Placed(x, y, ClosedDent.of(Cylinder(), force))
+def dented(x: float, y: float, force: float) -> PlacedDent:
+    return PlacedDent(x, y, ClosedFormDent.of(Cylinder(), force))
 
 
 DENTS = Dents((dented(0.050, 0.020, 10.0), dented(0.090, 0.041, 7.0)))
@@ -140,7 +140,7 @@ def test_a_dent_keeps_volume(force) -> None:
 
 def test_dent_passes_through_the_published_fits() -> None:
     for force, amplitude, width in ((5.0, 0.21, 0.0120), (10.0, 0.48, 0.0112)):
-        dent = ClosedDent.of(Cylinder(), force)
+        dent = ClosedFormDent.of(Cylinder(), force)
         assert (dent.amplitude, dent.width) == pytest.approx((amplitude, width), rel=1e-12)
         w = dent.motion(np.array([0.0, width]), np.ones((2, 1)))[:, 1, 0]
         assert w == pytest.approx([-amplitude, 0.0], abs=1e-15)
@@ -212,13 +212,13 @@ def test_pull_back_and_area_ratio_agree_with_their_definitions() -> None:
 @pytest.mark.parametrize("force", [0.0, -1.0, 13.0, float("nan")])
 def test_forces_outside_the_fit_are_refused(force) -> None:
     with pytest.raises(ConfigurationError, match="force must be above 0"):
-        ClosedDent.of(Cylinder(), force)
+        ClosedFormDent.of(Cylinder(), force)
 
 
 @pytest.mark.parametrize("indenter", [Cylinder(0.02), Sphere(0.0075)])
 def test_indenters_outside_the_fit_are_refused(indenter) -> None:
     with pytest.raises(ConfigurationError, match="fitted for a cylinder"):
-        ClosedDent.of(indenter, 5.0)
+        ClosedFormDent.of(indenter, 5.0)
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from eitskin.cli.main import app
 from eitskin.datasets import Dataset, Recipe, State, open_dataset, read_recording, save_dataset
 from eitskin.errors import DeviceError, EitskinError, PartialError
 from eitskin.extras import require, require_all
-from eitskin.files import whole_folder
+from eitskin.files import atomic_folder
 from eitskin.geometry import SensorDesign, structured_mesh
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.hardware import open_board
@@ -174,7 +174,7 @@ def no_permission(_):
 
 
 def no_room(folder):
-    with whole_folder(folder / "a", PartialError, "make room, or choose another place"):
+    with atomic_folder(folder / "a", PartialError, "make room, or choose another place"):
         raise OSError(errno.ENOSPC, "No space left on device")
 
 

@@ -3,13 +3,13 @@
 import pytest
 
 from eitskin.errors import ConfigurationError
-from eitskin.files import whole_file, whole_folder
+from eitskin.files import atomic_file, atomic_folder
 
 
 def test_a_block_that_raises_leaves_the_old_file_and_nothing_else(tmp_path) -> None:
     path = tmp_path / "a.txt"
     path.write_text("old")
-    with pytest.raises(UnicodeEncodeError), whole_file(path) as temporary:
+    with pytest.raises(UnicodeEncodeError), atomic_file(path) as temporary:
         temporary.write_text("half \udcff", encoding="utf-8")
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
@@ -17,7 +17,7 @@ def test_a_block_that_raises_leaves_the_old_file_and_nothing_else(tmp_path) -> N
 
 def test_the_file_takes_its_name_only_at_the_end(tmp_path) -> None:
     path = tmp_path / "a.png"
-    with whole_file(path) as temporary:
+    with atomic_file(path) as temporary:
         temporary.write_text("new")
         assert temporary.suffix == ".png"
         assert not path.exists()
@@ -28,13 +28,13 @@ def test_the_file_takes_its_name_only_at_the_end(tmp_path) -> None:
 def test_a_folder_that_is_not_there_is_said(tmp_path) -> None:
     with (
         pytest.raises(ConfigurationError, match="No such file or directory; name a file"),
-        whole_file(tmp_path / "none" / "a.txt"),
+        atomic_file(tmp_path / "none" / "a.txt"),
     ):
         pass
 
 
 def filled(path, *names) -> None:
-    with whole_folder(path) as folder:
+    with atomic_folder(path) as folder:
         for name in names:
             (folder / name).write_text(name)
 
@@ -42,7 +42,7 @@ def filled(path, *names) -> None:
 def test_a_folder_is_replaced_whole_or_not_at_all(tmp_path) -> None:
     path = tmp_path / "above" / "some"
     filled(path, "a", "b")
-    with pytest.raises(UnicodeEncodeError), whole_folder(path) as folder:
+    with pytest.raises(UnicodeEncodeError), atomic_folder(path) as folder:
         (folder / "c").write_text("half \udcff", encoding="utf-8")
     assert sorted(file.name for file in path.iterdir()) == ["a", "b"]
     filled(path, "c")

@@ -8,7 +8,7 @@ from typing import Any
 
 from eitskin.errors import ConfigurationError, PartialError
 from eitskin.extras import require
-from eitskin.files import whole_file
+from eitskin.files import atomic_file
 from eitskin.training.evaluation.evaluate import Evaluation
 from eitskin.training.evaluation.report import SSIM_DEFINITION
 from eitskin.training.evaluation.report_bend import bend_angles, bend_sequence
@@ -74,7 +74,7 @@ def write_report(evaluation: Evaluation, folder: str | Path, made_with: Mapping[
             if isinstance(drawn, Absent):
                 left_out[name] = drawn.why
                 continue
-            with whole_file(folder / name, PartialError, _REMEDY) as path:
+            with atomic_file(folder / name, PartialError, _REMEDY) as path:
                 drawn.figure.savefig(path)
             captions[name] = drawn.caption
     document = {
@@ -93,7 +93,7 @@ def write_report(evaluation: Evaluation, folder: str | Path, made_with: Mapping[
 
 
 def _write(path: Path, text: str) -> None:
-    with whole_file(path, PartialError, _REMEDY) as temporary:
+    with atomic_file(path, PartialError, _REMEDY) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from eitskin.datasets.store.folder import make_folder
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.extras import require
-from eitskin.files import whole_file
+from eitskin.files import atomic_file
 from eitskin.training.export import onnx_joint, onnx_paper
 from eitskin.training.export.onnx_graph import OPSET, ExportedGraph, Port
 from eitskin.training.joint.method import JointMethod
@@ -83,7 +83,7 @@ def export_onnx(
     files = {f"{graph.name}.onnx": graph.model for graph in graphs}
     make_folder(Path(folder))
     for name, content in (files | {DOCUMENT: text.encode()}).items():
-        with whole_file(Path(folder) / name) as temporary:
+        with atomic_file(Path(folder) / name) as temporary:
             temporary.write_bytes(content)
     return document
 

@@ -34,7 +34,7 @@ def sensitivity_at(
         ConfigurationError: for a bend that the hinge or the sensor does not allow.
     """
     simulator = Simulator(layout.design, resolution, hinge, layout.protocol)
-    setting, model = simulator.setting(Scene(Bend(angle_deg))), simulator.model
+    setting, model = simulator.deformed_layer(Scene(Bend(angle_deg))), simulator.model
     electrical = (setting.conductivity, setting.area_ratio)
     sensitivity = model.sensitivity(
         layout.protocol, electrical[0], layout.pixels, electrical[1], along=setting.conductivity

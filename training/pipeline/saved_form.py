@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError, DataError, PartialError
 from eitskin.extras import require
-from eitskin.files import whole_folder
+from eitskin.files import atomic_folder
 
 FORMAT = "eitskin-pipeline"
 FORMAT_VERSION = 1
@@ -89,7 +89,7 @@ def write_pipeline(path: str | Path, saved: SavedPipeline) -> Path:
     files = _files(saved)
     sums = "".join(f"{_sha256(data)}  {name}\n" for name, data in files.items())
     files[SUMS] = sums.encode()
-    with whole_folder(path, PartialError, "make room, or choose another place") as folder:
+    with atomic_folder(path, PartialError, "make room, or choose another place") as folder:
         for name, data in files.items():
             (folder / name).write_bytes(data)
     return path

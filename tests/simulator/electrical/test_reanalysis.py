@@ -107,9 +107,9 @@ def test_without_tolerance_scenes_are_solved_as_one_by_one(sim, bend) -> None:
 def test_meshes_of_any_kind_fall_into_strips(cells) -> None:
     sim = Simulator(SensorDesign.reference(), COARSE)
     model = ForwardModel(sim.design, COARSE, cells=cells, solver="block Cholesky")
-    solved = Reanalysis(model, sim.setting(Scene()), EXACT)
+    solved = Reanalysis(model, sim.deformed_layer(Scene()), EXACT)
     for scene in scenes(Bend(0.0))[3:6]:
-        setting = sim.setting(scene)
+        setting = sim.deformed_layer(scene)
         plain = model.impedance(setting.conductivity, setting.area_ratio)
         assert solved.impedance(setting) == pytest.approx(plain, rel=1e-11, abs=1e-10)
 
@@ -188,14 +188,14 @@ def test_one_bend_is_factorised_once_and_touches_cost_their_strips() -> None:
     base = Scene(bend=BEND)
     sim.measure_all([*some, *some, base])
     assert sim.model.factorisations == 1
-    solved = Reanalysis(sim.model, sim.setting(base))
+    solved = Reanalysis(sim.model, sim.deformed_layer(base))
     strips = len(sim.model.solver.strips)
     assert (solved.strips, solved.resolved) == (2 * strips, 0)
-    solved.impedance(sim.setting(Scene(bend=BEND, touches=(Touch(0.02, 0.03, 6.0),))))
+    solved.impedance(sim.deformed_layer(Scene(bend=BEND, touches=(Touch(0.02, 0.03, 6.0),))))
     assert 0 < solved.strips - 2 * strips < 0.6 * strips
     assert 0 < solved.resolved < 0.4 * len(sim.model.assembly.space.numbers)
     before = solved.strips, solved.resolved
-    assert solved.impedance(sim.setting(base)) == pytest.approx(solved.base, abs=1e-9)
+    assert solved.impedance(sim.deformed_layer(base)) == pytest.approx(solved.base, abs=1e-9)
     assert (solved.strips, solved.resolved) == before
 
 
@@ -233,7 +233,7 @@ def test_other_solvers_and_complex_contacts_are_refused_but_simulated() -> None:
     )
     sim = Simulator(dataclasses.replace(design, electrodes=electrodes), COARSE)
     with pytest.raises(ConfigurationError, match="real contact impedances"):
-        Reanalysis(sim.model, sim.setting(Scene()))
+        Reanalysis(sim.model, sim.deformed_layer(Scene()))
     some = scenes()[:4]
     plain = [sim.measure(scene).impedance for scene in some]
     assert np.array_equal(sim.measure_all(some), plain)

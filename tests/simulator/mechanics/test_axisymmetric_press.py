@@ -8,11 +8,11 @@ import pytest
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import SensorDesign
-from eitskin.simulator.mechanics.axisymmetric_press import Press
+from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
 from eitskin.simulator.mechanics.layer_stack import Mechanics, Sheet, Stack
 from eitskin.simulator.mechanics.load_stepping import SolidError
 from eitskin.simulator.mechanics.materials import NeoHookean, Ogden
-from eitskin.simulator.mechanics.penalty_contact import Contact
+from eitskin.simulator.mechanics.penalty_contact import PenaltyContact
 from eitskin.simulator.scene.indenters import Cylinder, Profile, Sphere, entry
 
 import closed_forms
@@ -35,7 +35,9 @@ def test_a_flat_punch_on_a_bonded_layer_is_hayess(ratio, published) -> None:
     assert closed_forms.bonded_punch(ratio) == pytest.approx(published, rel=5e-4)
     h = 0.01
     punch = Cylinder(ratio * h, edge=0.02, rough=False)
-    found = Press(layer(h), punch, finest=punch.radius / 100).to_depth(1e-4 * min(1.0, ratio) * h)
+    found = AxisymmetricPress(layer(h), punch, finest=punch.radius / 100).to_depth(
+        1e-4 * min(1.0, ratio) * h
+    )
     # The rim is round, so the punch is as wide as what it touches. The contact's spring gives a
     # little, most where the layer is stiffest.
     a = found.contact_radius
@@ -45,7 +47,7 @@ def test_a_flat_punch_on_a_bonded_layer_is_hayess(ratio, published) -> None:
 
 def test_a_small_press_of_a_sphere_is_hertzs() -> None:
     R = 0.01
-    press = Press(
+    press = AxisymmetricPress(
         layer(0.1), Sphere(R, rough=False), finest=R / 200, band=(0.0, 0.08 * R), reach=0.1
     )
     found = press.to_force(4e-4)
@@ -58,7 +60,10 @@ def test_a_small_press_of_a_sphere_is_hertzs() -> None:
 
 def test_doubling_all_moduli_doubles_the_force() -> None:
     soft, hard = layer(0.01, Ogden(MU, 3.0)), layer(0.01, Ogden(2 * MU, 3.0))
-    forces = [Press(s, Cylinder(0.005), finest=2e-3).to_depth(4e-4).force for s in (soft, hard)]
+    forces = [
+        AxisymmetricPress(s, Cylinder(0.005), finest=2e-3).to_depth(4e-4).force
+        for s in (soft, hard)
+    ]
     assert forces[1] == pytest.approx(2 * forces[0], rel=1e-6)
 
 
@@ -75,7 +80,7 @@ INDENTERS = {
 @cache
 def deeper_and_deeper(name):
     """The reference under an indenter at 2 mm, and what was found on the way there."""
-    press = Press(REFERENCE, INDENTERS[name], finest=6e-4)
+    press = AxisymmetricPress(REFERENCE, INDENTERS[name], finest=6e-4)
     return press, [press.to_depth(d) for d in np.linspace(4e-4, 2e-3, 5)]
 
 
@@ -129,13 +134,15 @@ def test_stiffness_is_the_slope_of_the_forces(pressed) -> None:
 
 
 def test_forces_and_depths_are_each_others_inverse() -> None:
-    by_force = Press(REFERENCE, Cylinder(), finest=6e-4).to_force(3.0)
-    by_depth = Press(REFERENCE, Cylinder(), finest=6e-4).to_depth(by_force.depth)
+    by_force = AxisymmetricPress(REFERENCE, Cylinder(), finest=6e-4).to_force(3.0)
+    by_depth = AxisymmetricPress(REFERENCE, Cylinder(), finest=6e-4).to_depth(by_force.depth)
     assert by_depth.force == pytest.approx(3.0, rel=0.02)
 
 
 def test_finer_cells_change_little() -> None:
-    coarse, fine = (Press(REFERENCE, Cylinder(), finest=f).to_depth(0.0004) for f in (5e-4, 3e-4))
+    coarse, fine = (
+        AxisymmetricPress(REFERENCE, Cylinder(), finest=f).to_depth(0.0004) for f in (5e-4, 3e-4)
+    )
     assert coarse.force == pytest.approx(fine.force, rel=0.01)
     assert coarse.thinning(1) == pytest.approx(fine.thinning(1), rel=0.01)
 
@@ -177,7 +184,7 @@ def test_a_profile_of_a_sphere_presses_like_the_sphere() -> None:
     r = np.linspace(0.0, 0.0065, 40)
     profile = Profile(tuple(r), tuple(0.0075 - np.sqrt(0.0075**2 - r**2)))
     forces = [
-        Press(REFERENCE, shape, finest=6e-4, band=(0.0, 0.005)).to_depth(0.0005).force
+        AxisymmetricPress(REFERENCE, shape, finest=6e-4, band=(0.0, 0.005)).to_depth(0.0005).force
         for shape in (Sphere(0.0075), profile)
     ]
     assert forces[1] == pytest.approx(forces[0], rel=0.01)
@@ -198,8 +205,11 @@ def test_a_profile_of_a_sphere_presses_like_the_sphere() -> None:
         (lambda: Profile((0.0, 0.001, 0.002), (0.0, 0.001, 0.0015)), "convex"),
         (lambda: Stack(()), "at least one layer"),
         (lambda: Sheet(0.0, NeoHookean(1.0)), "thickness"),
-        (lambda: Press(REFERENCE, Cylinder()).to_force(0.0), "positive force in N"),
-        (lambda: Press(REFERENCE, Cylinder()).to_depth(float("inf")), "positive depth in m"),
+        (lambda: AxisymmetricPress(REFERENCE, Cylinder()).to_force(0.0), "positive force in N"),
+        (
+            lambda: AxisymmetricPress(REFERENCE, Cylinder()).to_depth(float("inf")),
+            "positive depth in m",
+        ),
     ],
 )
 def test_what_cannot_be_pressed_is_refused(make, says) -> None:
@@ -208,14 +218,14 @@ def test_what_cannot_be_pressed_is_refused(make, says) -> None:
 
 
 def test_a_press_through_the_base_says_how_far_it_got() -> None:
-    press = Press(layer(0.002), Cylinder(0.004), finest=2e-3)
+    press = AxisymmetricPress(layer(0.002), Cylinder(0.004), finest=2e-3)
     with pytest.raises(SolidError, match="m deep of") as error:
         press.to_depth(0.00208)
     assert 0.0 < error.value.reached < 1.0
 
 
 def test_a_flat_contact_starts_where_the_indenter_is_flat() -> None:
-    press = Press(REFERENCE, Cylinder(edge=0.2), finest=6e-4)
-    assert isinstance(press.contact, Contact)
+    press = AxisymmetricPress(REFERENCE, Cylinder(edge=0.2), finest=6e-4)
+    assert isinstance(press.contact, PenaltyContact)
     found = press.to_depth(1e-5)
     assert found.contact_radius == pytest.approx(0.8 * 0.0075, rel=0.1)

@@ -23,7 +23,7 @@ from clamped_stack import COARSE, plain
 def bent():
     """The reference sensor at 20 degrees."""
     stack = ClampedStack(SensorDesign.reference(), grading=COARSE, inside=0.016)
-    (found,) = stack.bent([20.0])
+    (found,) = stack.equilibria([20.0])
     return found
 
 
@@ -109,7 +109,7 @@ def test_small_bends_of_a_slender_beam_store_what_beam_theory_says(offset) -> No
     for span in (0.060, 0.120):
         grading = Grading(finest=3e-3, coarsest=0.010, growth=0.3)
         hinge = Hinge(span, offset)
-        (found,) = ClampedStack(design, hinge, stack, grading, inside=0.010).bent([angle])
+        (found,) = ClampedStack(design, hinge, stack, grading, inside=0.010).equilibria([angle])
         theta = math.radians(angle)
         assert found.moment == pytest.approx(2.0 * found.energy / theta, rel=2e-3)
         compliance.append(theta / found.moment)
@@ -124,7 +124,7 @@ def test_a_wide_plate_bends_in_plane_strain_by_rivlins_flexure() -> None:
     unstretched = span * (1.0 - 0.5 * theta / math.tan(0.5 * theta)) / theta
     hinge = Hinge(span, unstretched)
     grading = Grading(finest=4e-3, coarsest=0.015, growth=0.4)
-    (found,) = ClampedStack(design, hinge, stack, grading, inside=0.004).bent([60.0])
+    (found,) = ClampedStack(design, hinge, stack, grading, inside=0.004).equilibria([60.0])
     X = points(400, (0.036, 0.050, 0.0), (0.044, 0.070, 0.004))
     F = found.gradient(X)
     C = F.swapaxes(1, 2) @ F
@@ -140,7 +140,7 @@ def test_energy_is_the_work_of_the_moments() -> None:
     """By Simpson's rule over the angle."""
     design, stack = plain(0.100, 0.020, 0.010)
     clamped = ClampedStack(design, Hinge(0.040), stack, COARSE, inside=0.010)
-    found = list(clamped.bent([10.0, 20.0, 30.0, 40.0]))
+    found = list(clamped.equilibria([10.0, 20.0, 30.0, 40.0]))
     moments = np.array([0.0, *(b.moment for b in found)])
     work = moments @ np.array([1, 4, 2, 4, 1]) / 3 * math.radians(10.0)
     assert found[-1].energy == pytest.approx(work, rel=1e-3)
@@ -182,5 +182,5 @@ def test_a_bend_too_far_says_how_far_it_got() -> None:
         design, Hinge(0.012, 0.0), stack, Grading(6e-3, 0.012, 0.5), inside=0.004
     )
     with pytest.raises(SolidError, match=r"was bent to \d+\.\d deg of 300 deg") as refusal:
-        list(clamped.bent([20.0, 300.0]))
+        list(clamped.equilibria([20.0, 300.0]))
     assert 0.0 < refusal.value.reached < 1.0

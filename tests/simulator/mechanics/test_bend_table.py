@@ -28,7 +28,7 @@ def table(stack):
 
 @pytest.mark.parametrize("angle", [-15.0, 5.0, 25.0])
 def test_bends_between_the_solved_ones(stack, table, angle) -> None:
-    (direct,) = stack.bent([angle])
+    (direct,) = stack.equilibria([angle])
     between = table.at(angle)
     assert between.positions(X) == pytest.approx(direct.positions(X), abs=5e-6)
     size = np.abs(direct.gradient(X) - np.eye(3)).max()

@@ -10,8 +10,8 @@ from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import Cylinder, Mechanics, Touch
 from eitskin.simulator.linalg.nested_dissection import Elimination, dissected
-from eitskin.simulator.mechanics.axisymmetric_press import Press
-from eitskin.simulator.mechanics.initial_guess import Alone
+from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
+from eitskin.simulator.mechanics.initial_guess import UnboundedPress
 from eitskin.simulator.mechanics.load_stepping import SolidError
 from eitskin.simulator.mechanics.materials import NeoHookean
 from eitskin.simulator.mechanics.press_3d import PressedStack
@@ -30,14 +30,14 @@ def stack(*touches, grading=COARSE, reach=REACH, design=DESIGN):
 
 
 def solved(*touches, **how):
-    (found,) = stack(*touches, **how).pressed()
+    (found,) = stack(*touches, **how).equilibria()
     return found
 
 
 @pytest.fixture(scope="module")
 def alone():
     """In the middle of the sensor, at growing parts of 1 N."""
-    return list(stack(Touch(0.040, 0.035, 1.0, PUNCH)).pressed((0.5, 0.75, 1.0)))
+    return list(stack(Touch(0.040, 0.035, 1.0, PUNCH)).equilibria((0.5, 0.75, 1.0)))
 
 
 def points(n=4000, low=(0.020, 0.015, 0.0), high=(0.060, 0.055, 0.005)):
@@ -45,7 +45,7 @@ def points(n=4000, low=(0.020, 0.015, 0.0), high=(0.060, 0.055, 0.005)):
 
 
 def test_far_from_edges_a_press_is_a_body_of_revolution(alone) -> None:
-    press = Press(MATERIAL.stack(DESIGN), PUNCH)
+    press = AxisymmetricPress(MATERIAL.stack(DESIGN), PUNCH)
     for force, found in zip((0.5, 0.75, 1.0), alone, strict=True):
         round_ = press.to_force(force)
         assert found.depths[0] == pytest.approx(round_.depth, rel=0.04)
@@ -117,7 +117,7 @@ def test_half_of_a_symmetric_press_is_like_all_of_it() -> None:
     assert [window.mirrored for window in half.windows] == [True, True]
     whole = stack(Touch(0.010 + 1e-6, 0.010, 0.5, PUNCH), **how)
     assert [window.mirrored for window in whole.windows] == [False, True]
-    (one,), (other,) = whole.pressed(), half.pressed()
+    (one,), (other,) = whole.equilibria(), half.equilibria()
     assert one.depths == pytest.approx(other.depths, rel=1e-3)
     assert one.energy == pytest.approx(other.energy, rel=1e-3)
     X = points(300, (0.0, 0.0, 0.0), (0.020, 0.020, 0.005))
@@ -152,7 +152,7 @@ def test_unequal_touches_each_carry_their_own_force() -> None:
     light, heavy = Touch(0.032, 0.035, 0.3, PUNCH), Touch(0.048, 0.035, 0.6, PUNCH)
     pair = stack(light, heavy, grading=COARSER, reach=0.008)
     assert [window.mirrored for window in pair.windows] == [False, True]
-    (found,) = pair.pressed()
+    (found,) = pair.equilibria()
     assert found.forces == pytest.approx([0.3, 0.6], rel=1e-9)
     assert found.base_force == pytest.approx(0.9, rel=1e-6)
     assert len(found.depths) == len(found.thinnings) == 2
@@ -168,7 +168,7 @@ def test_what_cannot_be_pressed_is_refused(alone) -> None:
     with pytest.raises(ConfigurationError, match="leave both out"):
         stack(Touch(0.040, 0.035, depth=1e-3))
     with pytest.raises(ConfigurationError, match="fractions"):
-        list(stack(Touch(0.040, 0.035, 1.0, PUNCH)).pressed((0.0,)))
+        list(stack(Touch(0.040, 0.035, 1.0, PUNCH)).equilibria((0.0,)))
     with pytest.raises(ConfigurationError, match="outside the pressed sensor"):
         alone[-1].positions(np.array([0.040, 0.035, 0.006]))
     disc = Disc(0.050)
@@ -182,8 +182,8 @@ def test_a_press_too_hard_says_how_much_is_carried(monkeypatch) -> None:
             raise SolidError("it would crease")
         return on(stack, touch, force)
 
-    on = Alone.on
-    monkeypatch.setattr(Alone, "on", least)
+    on = UnboundedPress.on
+    monkeypatch.setattr(UnboundedPress, "on", least)
     with pytest.raises(SolidError, match=r"carries \d+% of these presses only") as refusal:
         solved(Touch(0.040, 0.035, 0.6, PUNCH), grading=COARSER, reach=0.009)
     assert 0.48 < refusal.value.reached <= 0.5

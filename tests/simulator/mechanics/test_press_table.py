@@ -7,13 +7,13 @@ import pytest
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import SensorDesign
-from eitskin.simulator.layer.dents import Dents, Placed
-from eitskin.simulator.mechanics import press_store as kernel_store
+from eitskin.simulator.layer.dents import Dents, PlacedDent
+from eitskin.simulator.mechanics import press_store
 from eitskin.simulator.mechanics import press_table as kernels
-from eitskin.simulator.mechanics.axisymmetric_press import Press
+from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.mechanics.materials import NeoHookean
-from eitskin.simulator.mechanics.press_table import Kernel
+from eitskin.simulator.mechanics.press_table import PressTable
 from eitskin.simulator.scene.indenters import Cylinder
 
 DESIGN = SensorDesign.reference()
@@ -21,8 +21,8 @@ REFERENCE = Mechanics()
 
 
 @pytest.fixture(scope="module")
-def table() -> Kernel:
-    return kernel_store.kernel(DESIGN, REFERENCE, Cylinder())
+def table() -> PressTable:
+    return press_store.press_table(DESIGN, REFERENCE, Cylinder())
 
 
 def disc(dent, n=40):
@@ -32,9 +32,9 @@ def disc(dent, n=40):
 
 
 def test_between_tabulated_depths_dents_are_those_of_a_press(table) -> None:
-    press = Press(REFERENCE.stack(DESIGN), Cylinder(), finest=0.0075 / 20)
+    press = AxisymmetricPress(REFERENCE.stack(DESIGN), Cylinder(), finest=0.0075 / 20)
     for depth in (2e-4, 9e-4, 2.2e-3):
-        assert_alike(table.pressed_to(depth), press.to_depth(depth))
+        assert_alike(table.at_depth(depth), press.to_depth(depth))
 
 
 def moved(dent, r, z):
@@ -55,13 +55,13 @@ def assert_alike(dent, pressed) -> None:
 
 def test_force_and_depth_are_each_others_inverse(table) -> None:
     for force in (0.05, 1.0, 10.0, 30.0):
-        dent = table.pressed(force)
-        assert table.pressed_to(dent.depth).force == pytest.approx(force, rel=1e-9)
+        dent = table.at_force(force)
+        assert table.at_depth(dent.depth).force == pytest.approx(force, rel=1e-9)
 
 
 def test_small_forces_press_in_proportion(table) -> None:
     """But for the round rim, which touches more and more."""
-    small, twice = table.pressed(0.05), table.pressed(0.1)
+    small, twice = table.at_force(0.05), table.at_force(0.1)
     assert twice.depth == pytest.approx(2 * small.depth, rel=0.05)
     assert twice.thinning == pytest.approx(2 * small.thinning, rel=0.05)
     strains = [moved(dent, *disc(small))[2:] for dent in (small, twice)]
@@ -70,7 +70,7 @@ def test_small_forces_press_in_proportion(table) -> None:
 
 @pytest.mark.parametrize("force", [0.1, 5.0, 10.0, 20.0])
 def test_a_dent_keeps_volume(table, force) -> None:
-    dent = table.pressed(force)
+    dent = table.at_force(force)
     r, z = disc(dent)
     u, _, shear, stretch, radial, tilt = moved(dent, r, z)
     J = (1 + u / r) * ((1 + radial) * (1 + stretch) - shear * tilt)
@@ -79,7 +79,7 @@ def test_a_dent_keeps_volume(table, force) -> None:
 
 
 def test_strains_are_derivatives_of_displacements(table) -> None:
-    dent, step = table.pressed(7.0), 1e-7
+    dent, step = table.at_force(7.0), 1e-7
     r, z = disc(dent)
     _, _, shear, stretch, radial, tilt = moved(dent, r, z)
     along = moved(dent, r + step, z)[:2] - moved(dent, r - step, z)[:2]
@@ -89,7 +89,9 @@ def test_strains_are_derivatives_of_displacements(table) -> None:
 
 
 def test_points_above_each_other_are_as_points_by_themselves(table) -> None:
-    dents = Dents((Placed(0.05, 0.02, table.pressed(9.0)), Placed(0.08, 0.03, table.pressed(4.0))))
+    dents = Dents(
+        (PlacedDent(0.05, 0.02, table.at_force(9.0)), PlacedDent(0.08, 0.03, table.at_force(4.0)))
+    )
     places = np.random.default_rng(2).uniform((0.03, 0.01), (0.12, 0.05), (30, 2))
     columns = np.empty((30, 4, 3))
     columns[..., :2], columns[..., 2] = places[:, None], (0.0, 0.001, 0.0032, 0.005)
@@ -100,7 +102,7 @@ def test_points_above_each_other_are_as_points_by_themselves(table) -> None:
 
 
 def test_a_dent_is_regular_on_its_axis_and_ends(table) -> None:
-    dents = Dents((Placed(0.05, 0.02, table.pressed(10.0)),))
+    dents = Dents((PlacedDent(0.05, 0.02, table.at_force(10.0)),))
     axis, beside = dents.gradient(np.array([[0.05, 0.02, 0.002], [0.05 + 1e-7, 0.02, 0.002]]))
     assert axis == pytest.approx(beside, abs=1e-4)
     reach = dents.presses[0].dent.reach
@@ -114,7 +116,7 @@ def test_the_layer_carries_its_share(table) -> None:
     """A stack relaxes by shares that differences of moduli give as well."""
     step, depth = 0.05, 0.0015
     around = [
-        Press(
+        AxisymmetricPress(
             dataclasses.replace(REFERENCE, gel=NeoHookean(20e3 * k)).stack(DESIGN),
             Cylinder(),
             finest=8e-4,
@@ -124,11 +126,11 @@ def test_the_layer_carries_its_share(table) -> None:
         for k in (1 - step, 1 + step)
     ]
     share = np.log(around[1] / around[0]) / np.log((1 + step) / (1 - step))
-    assert table.pressed_to(depth).share == pytest.approx(share, abs=0.01)
+    assert table.at_depth(depth).share == pytest.approx(share, abs=0.01)
 
 
 def test_pressure_falls_from_the_axis_to_nothing(table) -> None:
-    dent = table.pressed(10.0)
+    dent = table.at_force(10.0)
     under, far = dent.mean_stress(np.array([0.0, 0.03]), np.full((2, 1), 0.0025))[:, 0]
     mean = -10.0 / (np.pi * dent.contact_radius**2)
     assert 2.0 * mean < under < 0.3 * mean
@@ -145,9 +147,9 @@ def test_kernels_between_stiffness_ratios_are_interpolated(table, monkeypatch) -
         ratio = stack.sheets[0].law.shear_modulus / stack.sheets[1].law.shear_modulus
         return dataclasses.replace(table, forces=table.forces * ratio**0.6)
 
-    monkeypatch.setattr(kernel_store, "_stored", scaled)
+    monkeypatch.setattr(press_store, "_stored", scaled)
     mechanics = Mechanics(gel=NeoHookean(13e3))
-    found = kernel_store.kernel.__wrapped__(DESIGN, mechanics, Cylinder())
+    found = press_store.press_table.__wrapped__(DESIGN, mechanics, Cylinder())
     assert found.forces == pytest.approx(table.forces * (28 / 13) ** 0.6, rel=2e-4)
     assert found.moved == pytest.approx(table.moved, abs=1e-12)
 
@@ -155,10 +157,10 @@ def test_kernels_between_stiffness_ratios_are_interpolated(table, monkeypatch) -
 def test_kernels_scale_with_lengths_and_moduli(table) -> None:
     big = dataclasses.replace(DESIGN, thickness=2 * DESIGN.thickness, encapsulated_thickness=0.024)
     hard = Mechanics(gel=NeoHookean(60e3), encapsulation=NeoHookean(84e3))
-    found = kernel_store.kernel(big, hard, Cylinder(0.015))
+    found = press_store.press_table(big, hard, Cylinder(0.015))
     assert found.forces == pytest.approx(12 * table.forces, rel=1e-12)
     assert found.knots == pytest.approx(2 * table.knots, rel=1e-12)
-    dent, twice = table.pressed(5.0), found.pressed(60.0)
+    dent, twice = table.at_force(5.0), found.at_force(60.0)
     assert twice.depth == pytest.approx(2 * dent.depth, rel=1e-9)
     assert twice.peak_pressure == pytest.approx(3 * dent.peak_pressure, rel=1e-9)
 
@@ -166,9 +168,9 @@ def test_kernels_scale_with_lengths_and_moduli(table) -> None:
 @pytest.mark.parametrize("force", [0.0, -1.0, 1e3, float("nan")])
 def test_forces_beyond_the_table_are_refused(table, force) -> None:
     with pytest.raises(ConfigurationError, match="force must be above 0 and at most"):
-        table.pressed(force)
+        table.at_force(force)
     with pytest.raises(ConfigurationError, match="depth must be above 0 and at most"):
-        table.pressed_to(force)
+        table.at_depth(force)
 
 
 # Where they are kept
@@ -185,19 +187,19 @@ def solves(table, monkeypatch, tmp_path):
 
     monkeypatch.setattr(kernels, "solved", solved)
     monkeypatch.setenv("EITSKIN_CACHE", str(tmp_path / "store"))
-    kernel_store.kernel.cache_clear()
+    press_store.press_table.cache_clear()
     yield counted
-    kernel_store.kernel.cache_clear()
+    press_store.press_table.cache_clear()
 
 
-def fresh(indenter=None, mechanics=REFERENCE) -> Kernel:
-    return kernel_store.kernel.__wrapped__(DESIGN, mechanics, indenter or Cylinder())
+def fresh(indenter=None, mechanics=REFERENCE) -> PressTable:
+    return press_store.press_table.__wrapped__(DESIGN, mechanics, indenter or Cylinder())
 
 
 def test_presses_are_solved_once_and_read_afterwards(solves, table) -> None:
     first, second = fresh(), fresh()
     assert len(solves) == 1
-    for field in dataclasses.fields(Kernel):
+    for field in dataclasses.fields(PressTable):
         assert np.array_equal(getattr(first, field.name), getattr(second, field.name))
         assert getattr(first, field.name) == pytest.approx(getattr(table, field.name))
 
@@ -244,9 +246,9 @@ def test_a_store_that_cannot_be_written_costs_time_only(solves, tmp_path, monkey
 def test_they_are_kept_where_the_system_keeps_such_things(
     platform, variables, expected, monkeypatch
 ) -> None:
-    monkeypatch.setattr(kernel_store.sys, "platform", platform)
+    monkeypatch.setattr(press_store.sys, "platform", platform)
     for name in ("EITSKIN_CACHE", "XDG_CACHE_HOME", "LOCALAPPDATA"):
         monkeypatch.delenv(name, raising=False)
     for name, value in variables.items():
         monkeypatch.setenv(name, value)
-    assert kernel_store.folder().as_posix() == expected
+    assert press_store.folder().as_posix() == expected

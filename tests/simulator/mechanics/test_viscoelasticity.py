@@ -11,7 +11,7 @@ from scipy.integrate import quad
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import SensorDesign
-from eitskin.simulator.mechanics.axisymmetric_press import Press
+from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
 from eitskin.simulator.mechanics.layer_shares import layer_shares
 from eitskin.simulator.mechanics.layer_stack import Mechanics, Sheet, Stack
 from eitskin.simulator.mechanics.materials import NeoHookean
@@ -222,7 +222,9 @@ def shares_under_a_ball():
 
 def ball(factors):
     sheets = [Sheet(0.003, NeoHookean(mu)) for mu in MODULI * factors]
-    return Press(Stack(tuple(sheets)), Sphere(0.004, rough=False), finest=0.001, reach=0.012)
+    return AxisymmetricPress(
+        Stack(tuple(sheets)), Sphere(0.004, rough=False), finest=0.001, reach=0.012
+    )
 
 
 def test_shares_are_what_moduli_do_to_the_force():
@@ -242,7 +244,7 @@ def test_the_long_time_force_is_that_of_relaxed_moduli():
 
 
 def test_the_reference_has_the_shares_of_the_reference_stack():
-    press = Press(Mechanics().stack(SensorDesign.reference()), Cylinder(), finest=0.001)
+    press = AxisymmetricPress(Mechanics().stack(SensorDesign.reference()), Cylinder(), finest=0.001)
     below, gel, above = layer_shares(press, 0.0014)
     assert gel == pytest.approx(0.43, abs=0.01)
     whole = mixed([ECOFLEX, GEL, ECOFLEX], [below, gel, above])

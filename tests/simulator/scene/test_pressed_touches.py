@@ -11,10 +11,10 @@ from eitskin.geometry import Bend, Disc, Rectangle, SensorDesign, Surface
 from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.simulator import Cylinder, Mechanics, Profile, Scene, Simulator, Sphere, Touch
 from eitskin.simulator.layer import pressed_touches as presses
-from eitskin.simulator.layer.pressed_touches import pressed
+from eitskin.simulator.layer.pressed_touches import pressed_touches
 from eitskin.simulator.mechanics.layer_stack import Piezoresistivity
 from eitskin.simulator.mechanics.viscoelasticity import Prony
-from eitskin.simulator.scene.scanned_indenter import Scanned
+from eitskin.simulator.scene.scanned_indenter import ScannedIndenter
 
 DESIGN = SensorDesign.reference()
 WIDE = SensorDesign(Rectangle(0.55, 0.46), 0.005, uniform(Rectangle(0.55, 0.46), 4))
@@ -27,7 +27,7 @@ def sim() -> Simulator:
 
 
 def one(touch, mechanics=None):
-    (found,) = pressed((touch,), DESIGN, mechanics or Mechanics())
+    (found,) = pressed_touches((touch,), DESIGN, mechanics or Mechanics())
     return found
 
 
@@ -54,7 +54,7 @@ def test_a_press_to_the_depth_of_a_force_is_that_press(sim) -> None:
 def test_presses_near_the_edge_or_each_other_say_so() -> None:
     assert "5.0 mm from the edge" in one(Touch(0.005, Y, 5.0)).caution
     near = (Touch(X, Y, 5.0), Touch(X + 0.016, Y, 5.0))
-    for found in pressed(near, DESIGN, Mechanics()):
+    for found in pressed_touches(near, DESIGN, Mechanics()):
         assert found.neighbour_distance == pytest.approx(0.016)
         assert "16.0 mm from another" in found.caution
 
@@ -73,7 +73,7 @@ def test_errors_of_the_signal_are_those_found_at_such_distances(y, error) -> Non
     }
     for apart, expected in together.items():
         pair = (Touch(X, y, 5.0), Touch(X + apart, y, 5.0))
-        assert [found.signal_error for found in pressed(pair, DESIGN, Mechanics())] == [
+        assert [found.signal_error for found in pressed_touches(pair, DESIGN, Mechanics())] == [
             expected
         ] * 2
 
@@ -237,7 +237,7 @@ def ball(tmp_path) -> Path:
 
 
 def test_a_scanned_ball_is_a_sphere(ball) -> None:
-    scanned, sphere = Scanned(ball, scale=1e-3), Sphere(0.0075)
+    scanned, sphere = ScannedIndenter(ball, scale=1e-3), Sphere(0.0075)
     r = np.linspace(0.0, 0.0065, 30)
     assert scanned.profile(r)[0] == pytest.approx(sphere.profile(r)[0], abs=4e-5)
     assert scanned.rims[1] == pytest.approx(0.0075, rel=0.01)
@@ -251,7 +251,7 @@ def test_scene_files_name_meshes(ball) -> None:
         "[[touches]]\nx = 0.05\ny = 0.02\nindenter = { file = 'ball.stl', scale = 1e-3 }\n"
     )
     (touch,) = Scene.from_toml(path).touches
-    assert touch.indenter == Scanned(ball, 1e-3)
+    assert touch.indenter == ScannedIndenter(ball, 1e-3)
 
 
 def test_bodies_that_are_not_round_are_refused(tmp_path) -> None:
@@ -261,7 +261,7 @@ def test_bodies_that_are_not_round_are_refused(tmp_path) -> None:
         trimesh.transformations.rotation_matrix(math.pi / 2, [0, 1, 0])
     ).export(path)
     with pytest.raises(ConfigurationError, match="round about an upright axis"):
-        Scanned(path, 1e-3)
+        ScannedIndenter(path, 1e-3)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from eitskin.geometry import SensorDesign
 from eitskin.geometry.design.electrode import Electrode
 from eitskin.geometry.design.outline import Disc, Rectangle
 from eitskin.geometry.meshing.grading import Grading
-from eitskin.geometry.meshing.mesh_of import mesh_of
+from eitskin.geometry.meshing.mesh_design import mesh_design
 from eitskin.simulator import ForwardModel, Protocol
 from eitskin.simulator.view import shapes
 from eitskin.simulator.view.model_pictures import draw_drive, draw_mesh, model_for_pictures
@@ -61,7 +61,7 @@ def test_lines_of_current_spread_over_the_electrode_they_begin_on(bar) -> None:
 def test_shapes_have_the_volume_and_the_electrodes_of_the_mesh(bar, kind) -> None:
     if kind == "tetrahedra":
         pytest.importorskip("pytetwild")
-    mesh = mesh_of(bar, COARSE, kind)
+    mesh = mesh_design(bar, COARSE, kind)
     assert shapes.volume(mesh).volume == pytest.approx(0.040 * 0.010 * 0.005, rel=1e-5)
     assert shapes.plate(mesh, 1).area == pytest.approx(0.010 * 0.005, rel=1e-6)
     _, normal = shapes.contact(mesh, 1)
@@ -97,7 +97,7 @@ def test_a_design_with_electrodes_of_every_kind_is_drawn(tmp_path) -> None:
         Electrode(0.020, 0.040, 0.010, on="inside", z=0.002),
     )
     design = SensorDesign(Disc(0.030), 0.004, electrodes)
-    draw_mesh(mesh_of(design, Grading(2e-3, 8e-3, 1.0)), tmp_path / "mesh.png")
+    draw_mesh(mesh_design(design, Grading(2e-3, 8e-3, 1.0)), tmp_path / "mesh.png")
     pixels = colours(tmp_path / "mesh.png")
     assert coloured(pixels, (160, 90, 20), (230, 150, 80)) > 2000  # electrodes
     assert (pixels.min(axis=2) < 250).mean() > 0.2
@@ -139,7 +139,7 @@ def test_the_model_for_pictures_is_right_to_a_few_percent(kind) -> None:
 def test_electrodes_are_seen_from_in_front() -> None:
     from eitskin.simulator.view.model_pictures import _in_front
 
-    mesh = mesh_of(SensorDesign.reference(), COARSE)
+    mesh = mesh_design(SensorDesign.reference(), COARSE)
     for electrode in range(8):
         _, normal = shapes.contact(mesh, electrode)
         eye = _in_front(mesh, electrode)

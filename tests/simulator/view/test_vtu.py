@@ -76,7 +76,7 @@ def test_points_and_cells_are_those_of_the_deformed_mesh(sim, written) -> None:
 
 def test_fields_are_those_of_the_model(sim, written) -> None:
     body, electrodes = written
-    mesh, setting = sim.model.mesh, sim.setting(BENT)
+    mesh, setting = sim.model.mesh, sim.deformed_layer(BENT)
     deformation = setting.deformation
     fields = setting.conductivity, setting.area_ratio
     assert np.array_equal(body["displacement_m"], body.points - mesh.points)
@@ -165,7 +165,7 @@ def test_a_bar_has_ohms_law_in_every_cell(bar) -> None:
 
 
 def test_fields_of_all_electrodes_are_those_of_each(sim) -> None:
-    setting = sim.setting(Scene())
+    setting = sim.deformed_layer(Scene())
     fields = fields_in(sim.model, setting)
     assert fields.electrode_potentials == pytest.approx(sim.model.impedance(), rel=1e-9, abs=1e-9)
     density = sim.model.current_density((3, 6))

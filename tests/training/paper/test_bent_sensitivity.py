@@ -19,7 +19,7 @@ LAYOUT = Layout(SensorDesign.reference(), PROTOCOL, 40e3, np.ones(3))
 def test_agrees_with_central_differences_at_any_angle(angle_deg):
     """The relative change of every measurement, for a gel that conducts a little more somewhere."""
     simulator = Simulator(LAYOUT.design, COARSE, protocol=PROTOCOL)
-    setting = simulator.setting(Scene(Bend(angle_deg)))
+    setting = simulator.deformed_layer(Scene(Bend(angle_deg)))
 
     def change(x, y):
         return np.sin(20.0 * x) + np.cos(40.0 * y)

@@ -23,7 +23,7 @@ def natural_cells(design: SensorDesign) -> CellKind:
     return "hexahedra" if isinstance(design.outline, Rectangle) else "prisms"
 
 
-def mesh_of(
+def mesh_design(
     design: SensorDesign,
     grading: Grading,
     cells: CellKind | None = None,

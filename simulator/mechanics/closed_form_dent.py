@@ -18,7 +18,7 @@ _REACH = 6.0  # in units of the kernel's width b; beyond it the thickness is unc
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ClosedDent:
+class ClosedFormDent:
     """Axisymmetric, isochoric deformation of a layer whose thickness changes by w(r).
 
         w = h/h0 - 1 = -A (1 - r^2/b^2) exp(-r^2/b^2)
@@ -37,7 +37,7 @@ class ClosedDent:
     swept: CubicHermiteSpline
 
     @classmethod
-    def of(cls, indenter: Indenter, force: float) -> "ClosedDent":
+    def of(cls, indenter: Indenter, force: float) -> "ClosedFormDent":
         """The dent of a press with `force` [N].
 
         Raises ConfigurationError for what the formula was not fitted to.
@@ -56,7 +56,7 @@ class ClosedDent:
 
     @classmethod
     @lru_cache(maxsize=4096)
-    def _of_force(cls, force: float) -> "ClosedDent":
+    def _of_force(cls, force: float) -> "ClosedFormDent":
         """The reference stack under the 15 mm cylinder.
 
         A = 0.036 F + 0.0012 F^2 and b = 12.8 mm - 0.16 mm F (F in N) pass through the fits at

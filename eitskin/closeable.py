@@ -4,7 +4,7 @@ from types import TracebackType
 from typing import Self
 
 
-class Closing:
+class Closeable:
     """Gives `close` the two methods that make it part of a `with` statement."""
 
     def close(self) -> None:

@@ -1,0 +1,1 @@
+../../eitskin/closeable.py

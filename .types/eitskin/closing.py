@@ -1,1 +1,0 @@
-../../eitskin/closing.py
