@@ -1,11 +1,12 @@
-"""The `eitskin` command: assembles the commands and turns errors into exit codes."""
+"""Command line `eitskin`: its commands, and the exit codes of its errors."""
 
 import sys
-from typing import Any
+from typing import Annotated, Any
 
 import typer
 from typer.core import TyperGroup
 
+from eitskin import __version__
 from eitskin.cli.commands import (
     bench,
     board,
@@ -28,10 +29,9 @@ EXIT_USAGE = 2
 
 
 class Commands(TyperGroup):
-    """All commands: one that Ctrl-C ends says so, before typer turns it into exit code 130."""
+    """Command group with a message for Ctrl-C, which Typer turns into exit code 130."""
 
     def invoke(self, ctx: Any) -> Any:
-        """Run the command that was given."""
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt:
@@ -42,11 +42,29 @@ class Commands(TyperGroup):
 app = typer.Typer(
     name="eitskin",
     cls=Commands,
-    help="Simulate electrical-impedance robot skin, make training sets, train on them, go live.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
 )
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"eitskin {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    version: Annotated[  # noqa: ARG001  acts by its callback
+        bool,
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Print the version and exit."
+        ),
+    ] = False,
+) -> None:
+    """Simulate electrical-impedance robot skin, make training sets, train on them, go live."""
+
+
 app.command("simulate")(simulate.command)
 app.command("mesh")(mesh.command)
 app.command("generate")(generate.command)

@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from eitskin.benchmarks.studies.recipes_plot import plot_episodes, plot_statistics
 from eitskin.datasets.generation.shard_simulation import prepare, simulate
 from eitskin.datasets.recipe.frame_sampling import Sample, sample
-from eitskin.datasets.recipe.recipe import Recipe, shipped_names
+from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.recipe.scene_group import SceneGroup
+from eitskin.datasets.recipe.shipped_recipes import shipped_names
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.state import State
 from eitskin.provenance import Provenance

@@ -2,22 +2,23 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import typer
 from rich import box
 from rich.markup import escape
 from rich.table import Table
 
 from eitskin.cli.options import Frames, Json, Output, Quiet, Seed, Verbose
-from eitskin.datasets.generation.verification import Damage, verify
-from eitskin.datasets.store.dataset import Dataset
-from eitskin.datasets.store.folder import open_dataset
-from eitskin.datasets.store.state import State
 from eitskin.errors import DataError
 
-app = typer.Typer(help="Look at a dataset, or look for damage in it.", no_args_is_help=True)
+if TYPE_CHECKING:
+    import numpy as np
+
+    from eitskin.datasets.generation.verification import Damage
+    from eitskin.datasets.store.dataset import Dataset
+
+app = typer.Typer(help="Show or verify a dataset.", no_args_is_help=True)
 
 Folder = Annotated[Path, typer.Argument(help="The dataset's folder.")]
 EXIT_DAMAGED = DataError.exit_code
@@ -32,7 +33,9 @@ def info(
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Say what a dataset holds: frames, channels, states, angles, touches, origin."""
+    """Show the contents of a dataset: frames, channels, states, angles, touches, origin."""
+    from eitskin.datasets.store.folder import open_dataset
+
     output = Output(as_json, quiet, verbose)
     data = open_dataset(dataset)
     files = [dataset] if dataset.is_file() else list(dataset.glob("shard-*.h5"))
@@ -55,7 +58,9 @@ def check(
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Look through every file for damage and list all of it; exit code 3 where there is some."""
+    """Check every file of a dataset and list all damage; exit code 3 where there is any."""
+    from eitskin.datasets.generation.verification import verify
+
     output = Output(as_json, quiet, verbose)
     with output.progress() as bar:
         task = bar.add_task("shards", total=None, rate="")
@@ -77,7 +82,7 @@ def check(
         raise typer.Exit(EXIT_DAMAGED)
 
 
-def _damage_table(damage: tuple[Damage, ...]) -> Table:
+def _damage_table(damage: "tuple[Damage, ...]") -> Table:
     table = Table("file", "what is wrong", box=box.SIMPLE)
     table.columns[0].no_wrap = True
     for each in damage:
@@ -85,10 +90,21 @@ def _damage_table(damage: tuple[Damage, ...]) -> Table:
     return table
 
 
-def _summary(data: Dataset) -> dict[str, Any]:
-    """What is in the frames; None for what is unknown."""
+def frames_by_state(data: "Dataset") -> dict[str, int]:
+    """Number of frames in each state, and of frames whose state is unknown."""
+    import numpy as np
+
+    from eitskin.datasets.store.state import State
+
     counts = {state.name.lower(): int(np.sum(data.state == state)) for state in State}
-    counts["unknown"] = len(data) - sum(counts.values())
+    return counts | {"unknown": len(data) - sum(counts.values())}
+
+
+def _summary(data: "Dataset") -> dict[str, Any]:
+    """Contents of the frames as plain data; None for what is unknown."""
+    import numpy as np
+
+    counts = frames_by_state(data)
     touches = np.bincount(data.touch_count, minlength=1)
     return {
         "frames": len(data),
@@ -111,7 +127,9 @@ def _summary(data: Dataset) -> dict[str, Any]:
 
 
 def _range(values: "np.ndarray[Any, Any]") -> dict[str, float] | None:
-    """Least and greatest of the known values."""
+    """Least and greatest known value; None where none is known."""
+    import numpy as np
+
     known = values[np.isfinite(values)]
     if not known.size:
         return None

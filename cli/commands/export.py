@@ -26,11 +26,8 @@ from eitskin.cli.options import (
     SensorFile,
     Verbose,
 )
-from eitskin.cli.unsolved_presses import announce
-from eitskin.datasets.store.folder import make_folder
+from eitskin.cli.unsolved_presses import announce_unsolved
 from eitskin.errors import ConfigurationError
-from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.simulator.scene.scene import Scene
 
 if TYPE_CHECKING:
     from eitskin.hardware.boards.replay_board import ReplayBoard
@@ -144,6 +141,9 @@ def export_vtu(
     verbose: Verbose = False,
 ) -> None:
     """Write the deformed sensor of a scene, its fields and its electrodes, for ParaView."""
+    from eitskin.datasets.store.folder import make_folder
+    from eitskin.geometry.design.sensor import SensorDesign
+    from eitskin.simulator.scene.scene import Scene
     from eitskin.simulator.view.vtu import field_resolution, scene_grids, write_grids
 
     output = Output(as_json, quiet, verbose)
@@ -153,7 +153,7 @@ def export_vtu(
     resolution = field_resolution(design, cell)
     sim = simulator(design, resolution, fixture, protocol, mechanics, touch_model)
     if touch_model == "tabulated":
-        announce(design, sim.mechanics, (touch.indenter for touch in what.touches), output)
+        announce_unsolved(design, sim.mechanics, (touch.indenter for touch in what.touches), output)
     start = time.perf_counter()
     grids = scene_grids(sim, what, None if drive is None else [drive])
     make_folder(out)

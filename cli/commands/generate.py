@@ -4,17 +4,17 @@ import dataclasses
 import shlex
 import time
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from eitskin.cli.options import Json, Output, Quiet, Verbose
-from eitskin.datasets.generation.cost_estimate import Estimate, estimate
-from eitskin.datasets.generation.generate import generate
-from eitskin.datasets.generation.shard_simulation import unsolved
-from eitskin.datasets.recipe.recipe import Recipe, shipped_names, with_seed
+from eitskin.datasets.recipe.shipped_recipes import shipped_names
 from eitskin.errors import ConfigurationError
-from eitskin.simulator.mechanics.press_store import folder
+
+if TYPE_CHECKING:
+    from eitskin.datasets.generation.cost_estimate import Estimate
+    from eitskin.datasets.recipe.recipe import Recipe
 
 
 def command(
@@ -46,10 +46,13 @@ def command(
     verbose: Verbose = False,
 ) -> None:
     """Generate a dataset from a recipe; it can be interrupted and resumed."""
+    from eitskin.datasets.generation.cost_estimate import estimate
+    from eitskin.datasets.recipe.recipe import with_seed
+
     output = Output(as_json, quiet, verbose)
     chosen = with_seed(_read(recipe), seed)
     if dry_run:
-        _announce(chosen, output)
+        _announce_unsolved(chosen, output)
         found = estimate(chosen, out, workers)
         output.result(dataclasses.asdict(found), _as_text(found, chosen, workers, out))
         return
@@ -67,7 +70,7 @@ def command(
 
 
 def make_dataset(
-    recipe: Recipe,
+    recipe: "Recipe",
     out: Path,
     workers: int,
     resume: bool,
@@ -75,10 +78,12 @@ def make_dataset(
     scheduler: str | None = None,
     shard: int | None = None,
 ) -> tuple[dict[str, Any], str]:
-    """Generate with a progress bar; what was made, as data and as a sentence."""
+    """Generate with a progress bar; the result as plain data and as a sentence."""
+    from eitskin.datasets.generation.generate import generate
+
     by = f"the cluster of {scheduler}" if scheduler else f"{workers} workers"
     output.detail(f"{recipe.frames} frames in {recipe.shards} shards, {by}")
-    _announce(recipe, output)
+    _announce_unsolved(recipe, output)
     start = time.perf_counter()
     with output.progress() as bar:
         task = bar.add_task(recipe.name, total=recipe.frames, rate="")
@@ -117,8 +122,11 @@ def make_dataset(
     )
 
 
-def _announce(recipe: Recipe, output: Output) -> None:
-    """Say that presses have to be solved before anything else."""
+def _announce_unsolved(recipe: "Recipe", output: Output) -> None:
+    """Note how many tables of presses have to be solved first."""
+    from eitskin.datasets.generation.shard_simulation import unsolved
+    from eitskin.simulator.mechanics.press_store import folder
+
     missing = len(unsolved(recipe))
     if missing:
         output.note(
@@ -127,7 +135,7 @@ def _announce(recipe: Recipe, output: Output) -> None:
         )
 
 
-def _as_text(found: Estimate, recipe: Recipe, workers: int, out: Path) -> str:
+def _as_text(found: "Estimate", recipe: "Recipe", workers: int, out: Path) -> str:
     if found.megabytes > found.megabytes_free:
         raise ConfigurationError(
             f"the disk of {out} has no room: '{recipe.name}' will take about "
@@ -154,8 +162,10 @@ def _duration(seconds: float) -> str:
     return f"{seconds / 3600:.1f} h"
 
 
-def _read(recipe: str) -> Recipe:
-    """A recipe by path, or, where it is no path, by the name of a shipped one."""
+def _read(recipe: str) -> "Recipe":
+    """Recipe from a file, or the shipped recipe of that name."""
+    from eitskin.datasets.recipe.recipe import Recipe
+
     if recipe.endswith(".toml") or Path(recipe).is_file():
         return Recipe.from_toml(recipe)
     if "/" in recipe:

@@ -3,13 +3,10 @@
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
 
+from eitskin.cli.commands.dataset import frames_by_state
 from eitskin.cli.options import Json, Output, Quiet, Seed, Verbose
-from eitskin.datasets.recordings import RecordingNames, parse_protocol, read_recording
-from eitskin.datasets.store.folder import save_dataset
-from eitskin.datasets.store.state import State
 
 
 def command(
@@ -34,7 +31,10 @@ def command(
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Import measured voltages and labels, so that everything downstream works on them."""
+    """Import measured voltages and labels, as a dataset for training and evaluation."""
+    from eitskin.datasets.recordings import RecordingNames, parse_protocol, read_recording
+    from eitskin.datasets.store.folder import save_dataset
+
     output = Output(as_json, quiet, verbose)
     data = read_recording(
         file,
@@ -44,8 +44,7 @@ def command(
     )
     output.detail(f"nothing is random in an import, seed {seed} is not used")
     save_dataset(data, out)
-    counts = {state.name.lower(): int(np.sum(data.state == state)) for state in State}
-    counts["unknown"] = len(data) - sum(counts.values())
+    counts = frames_by_state(data)
     shown = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
     output.result(
         {

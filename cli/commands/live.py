@@ -10,20 +10,19 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import typer
-from numpy.typing import NDArray
 from rich.console import Group, RenderableType
 from rich.live import Live
 from rich.text import Text
 
 from eitskin.cli.commands.live_recording import FrameRecording, MessageRecording, Recording
-from eitskin.cli.live_view import draw, losses, plain
 from eitskin.cli.options import Json, Model, Output, Quiet, Seed, Verbose, ended_by_signals
 from eitskin.errors import PartialError
-from eitskin.geometry.design.sensor import SensorDesign
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from eitskin.cli.page.live_page import Page
     from eitskin.frame import Frame
     from eitskin.hardware.boards.connection import Connection
@@ -96,6 +95,7 @@ def command(
             session.expected = layout.reference
         if page:
             from eitskin.cli.page.live_page import Page
+            from eitskin.geometry.design.sensor import SensorDesign
 
             design = SensorDesign.reference() if layout is None else layout.design
             session.page = stack.enter_context(closing(Page(session.connection, design, page_port)))
@@ -139,7 +139,7 @@ class LiveSession:
     output: Output
     recordings: Sequence[Recording] = ()
     page: "Page | None" = None
-    expected: NDArray[np.float64] | None = None
+    expected: "NDArray[np.float64] | None" = None
     clock: Callable[[], float] = time.monotonic
     processed: int = 0
     latencies: deque[float] = field(default_factory=lambda: deque(maxlen=10_000))
@@ -177,6 +177,8 @@ class LiveSession:
             self.page.publish(reading)
         self.record(reading)
         if self.output.as_json:
+            from eitskin.cli.live_view import plain
+
             counts = self.connection.board.counts
             typer.echo(json.dumps(plain(reading, counts), allow_nan=False))
 
@@ -227,7 +229,9 @@ class LiveSession:
         )
 
     def view(self) -> RenderableType:
-        """The newest reading, drawn."""
+        """Panel of the newest reading and notes."""
+        from eitskin.cli.live_view import draw
+
         notes = [Text(note, style="yellow") for note in self.notes]
         if self.newest is None:
             waiting = self.connection.problem or "waiting for the first frame"
@@ -235,7 +239,11 @@ class LiveSession:
         return Group(*notes, draw(self.newest, self.connection.board.counts, self.silence()))
 
     def sum_up(self) -> None:
-        """Say how it went."""
+        """Note totals of the session: frames, losses, latency."""
+        import numpy as np
+
+        from eitskin.cli.live_view import losses
+
         unusable = self.newest.unusable if self.newest is not None else 0
         text = f"{self.processed} frames processed, "
         text += losses(self.connection.board.counts, unusable)

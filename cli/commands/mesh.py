@@ -4,21 +4,19 @@ import dataclasses
 import re
 import time
 from pathlib import Path
-from typing import Annotated, Any, cast, get_args
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
-import numpy as np
 import typer
 from rich.table import Table
 
-from eitskin.cli.options import Json, Output, Quiet, Verbose
+from eitskin.cli.options import Json, Output, Quiet, Verbose, one_of
 from eitskin.errors import ConfigurationError
-from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.geometry.meshing.mesh import Mesh
-from eitskin.geometry.meshing.mesh_design import CellKind, mesh_design, natural_cells
-from eitskin.geometry.meshing.quality import quality
-from eitskin.protocol import Protocol
-from eitskin.simulator.electrical.resolution import Resolution, discretisation
-from eitskin.simulator.view.render import require_picture
+
+if TYPE_CHECKING:
+    from eitskin.geometry.design.sensor import SensorDesign
+    from eitskin.geometry.meshing.mesh import Mesh
+    from eitskin.geometry.meshing.mesh_design import CellKind
+    from eitskin.simulator.electrical.resolution import Resolution
 
 
 def command(
@@ -39,17 +37,22 @@ def command(
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Mesh a sensor: how many cells, how well shaped, and what it looks like."""
+    """Mesh a sensor: number of cells, their quality, and a picture."""
+    from eitskin.geometry.design.sensor import SensorDesign
+    from eitskin.geometry.meshing.mesh_design import CellKind, mesh_design, natural_cells
+    from eitskin.simulator.electrical.resolution import discretisation
+    from eitskin.simulator.view.render import require_picture
+
     output = Output(json, quiet, verbose)
     design = SensorDesign.from_toml(sensor) if sensor else SensorDesign.reference()
-    kind = _cells(cells) or natural_cells(design)
+    kind = cast("CellKind", one_of("--cells", cells, CellKind)) if cells else natural_cells(design)
     pair = None if drive is None else _pair(drive, len(design.electrodes))
     if pair is not None and view is None:
         raise ConfigurationError("--drive says what to draw; name the picture with --view")
     if view is not None:
         require_picture(view)
     start = time.perf_counter()
-    _, grading = discretisation(cast(Resolution, resolution), design, kind)
+    _, grading = discretisation(cast("Resolution", resolution), design, kind)
     mesh = mesh_design(design, grading, kind)
     data = _numbers(design, mesh, kind, time.perf_counter() - start)
     output.result(data, _as_table(data))
@@ -58,15 +61,9 @@ def command(
         output.note(f"picture: {view}")
 
 
-def _cells(text: str | None) -> CellKind | None:
-    if text is not None and text not in get_args(CellKind):
-        raise ConfigurationError(
-            f"--cells must be one of {', '.join(get_args(CellKind))}, got '{text}'"
-        )
-    return cast(CellKind | None, text)
-
-
 def _pair(text: str, electrodes: int) -> tuple[int, int]:
+    from eitskin.protocol import Protocol
+
     found = re.fullmatch(r"\s*(\d{1,6})\s*,\s*(\d{1,6})\s*", text)
     if found is None:
         raise ConfigurationError(
@@ -77,8 +74,14 @@ def _pair(text: str, electrodes: int) -> tuple[int, int]:
     return plus, minus
 
 
-def _numbers(design: SensorDesign, mesh: Mesh, kind: CellKind, seconds: float) -> dict[str, Any]:
-    """What is shown, all of it plain numbers and text."""
+def _numbers(
+    design: "SensorDesign", mesh: "Mesh", kind: "CellKind", seconds: float
+) -> dict[str, Any]:
+    """Numbers of the mesh as plain data."""
+    import numpy as np
+
+    from eitskin.geometry.meshing.quality import quality
+
     asked = np.array([patch.area for patch in design.patches()])
     found = np.bincount(mesh.contacts.electrode, mesh.contacts.areas, len(asked))
     return {
@@ -113,7 +116,11 @@ def _as_table(data: dict[str, Any]) -> Table:
 
 
 def _draw(
-    design: SensorDesign, mesh: Mesh, kind: CellKind, drive: tuple[int, int] | None, path: Path
+    design: "SensorDesign",
+    mesh: "Mesh",
+    kind: "CellKind",
+    drive: tuple[int, int] | None,
+    path: Path,
 ) -> None:
     from eitskin.simulator.view.model_pictures import draw_drive, draw_mesh, model_for_pictures
 

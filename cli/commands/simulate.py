@@ -5,9 +5,8 @@ import math
 import re
 import time
 from pathlib import Path
-from typing import Annotated, cast
+from typing import TYPE_CHECKING, Annotated, cast
 
-import numpy as np
 import typer
 from rich.console import Group
 from rich.table import Table
@@ -26,21 +25,18 @@ from eitskin.cli.options import (
     Verbose,
     one_of,
 )
-from eitskin.cli.unsolved_presses import announce
-from eitskin.config import read_toml
+from eitskin.cli.unsolved_presses import announce_unsolved
 from eitskin.errors import ConfigurationError
-from eitskin.frame import Frame
-from eitskin.geometry.deformation.fixtures import Fixture
-from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.protocol import Protocol
-from eitskin.simulator.electrical.resolution import Discretisation, Resolution
-from eitskin.simulator.instrument.instrument import Instrument
-from eitskin.simulator.layer.pressed_touches import PressedTouch, TouchModel
-from eitskin.simulator.mechanics.layer_stack import Mechanics
-from eitskin.simulator.scene.scene import Scene
-from eitskin.simulator.simulator import Simulator
-from eitskin.simulator.view.render import require_picture
-from eitskin.simulator.view.scene_pictures import Colour, draw
+
+if TYPE_CHECKING:
+    from eitskin.frame import Frame
+    from eitskin.geometry.design.sensor import SensorDesign
+    from eitskin.simulator.electrical.resolution import Discretisation, Resolution
+    from eitskin.simulator.instrument.instrument import Instrument
+    from eitskin.simulator.layer.pressed_touches import PressedTouch
+    from eitskin.simulator.scene.scene import Scene
+    from eitskin.simulator.simulator import Simulator
+    from eitskin.simulator.view.scene_pictures import Colour
 
 
 def command(
@@ -73,17 +69,24 @@ def command(
     """Simulate one scene: its impedances, their change from the flat, untouched sensor, and the
     depth and pressure of its touches.
     """
+    import numpy as np
+
+    from eitskin.geometry.design.sensor import SensorDesign
+    from eitskin.simulator.electrical.resolution import Resolution
+    from eitskin.simulator.scene.scene import Scene
+    from eitskin.simulator.view.scene_pictures import draw
+
     output = Output(json, quiet, verbose)
     what = Scene.from_toml(scene)
     design = SensorDesign.from_toml(sensor) if sensor else SensorDesign.reference()
     board = _instrument(noise, instrument)
     colours, pair = _colours(view, colour, drive, len(design.electrodes))
-    detail = cast(Resolution, one_of("--resolution", resolution, Resolution))
+    detail = cast("Resolution", one_of("--resolution", resolution, Resolution))
     sim = simulator(design, detail, fixture, protocol, mechanics, touch_model)
     sim.require_possible(what)  # before its presses are solved, which takes minutes
     flat = sim.measure(Scene())
     if touch_model == "tabulated":
-        announce(design, sim.mechanics, (touch.indenter for touch in what.touches), output)
+        announce_unsolved(design, sim.mechanics, (touch.indenter for touch in what.touches), output)
     start = time.perf_counter()
     frame = sim.measure(what, board, np.random.default_rng(seed))
     seconds = time.perf_counter() - start
@@ -98,29 +101,38 @@ def command(
 
 
 def simulator(
-    design: SensorDesign,
-    resolution: Resolution | Discretisation,
+    design: "SensorDesign",
+    resolution: "Resolution | Discretisation",
     fixture: Path | None,
     protocol: str,
     mechanics: Path | None,
     touch_model: str,
-) -> Simulator:
-    """The simulator that the options of a command ask for.
+) -> "Simulator":
+    """Simulator configured by a command's options.
 
     Raises ConfigurationError for options or files that do not fit.
     """
+    from eitskin.config import read_toml
+    from eitskin.geometry.deformation.fixtures import Fixture
+    from eitskin.protocol import Protocol
+    from eitskin.simulator.layer.pressed_touches import TouchModel
+    from eitskin.simulator.mechanics.layer_stack import Mechanics
+    from eitskin.simulator.simulator import Simulator
+
     return Simulator(
         design,
         resolution,
         read_toml(cast("type[Fixture]", Fixture), fixture) if fixture else None,
         Protocol.named(protocol, len(design.electrodes)),
         read_toml(Mechanics, mechanics) if mechanics else None,
-        cast(TouchModel, one_of("--touch-model", touch_model, TouchModel)),
+        cast("TouchModel", one_of("--touch-model", touch_model, TouchModel)),
     )
 
 
-def _instrument(noise: float | None, name: str | None) -> Instrument | None:
-    """White noise, a board, a board with other noise, or none."""
+def _instrument(noise: float | None, name: str | None) -> "Instrument | None":
+    """Instrument model: white noise, a named board, that board with other noise, or none."""
+    from eitskin.simulator.instrument.instrument import Instrument
+
     if name is None:
         return None if noise is None else Instrument(noise)
     board = Instrument.named(name)
@@ -129,14 +141,17 @@ def _instrument(noise: float | None, name: str | None) -> Instrument | None:
 
 def _colours(
     view: Path | None, colour: str | None, drive: str | None, electrodes: int
-) -> tuple[Colour, tuple[int, int] | None]:
-    """What a picture shows; checked, with the file, before anything is computed."""
+) -> "tuple[Colour, tuple[int, int] | None]":
+    """Colour scale and drive of the picture, checked with its file before any computation."""
+    from eitskin.simulator.view.render import require_picture
+    from eitskin.simulator.view.scene_pictures import Colour
+
     if view is not None:
         require_picture(view)
     for option, given in (("--colour", colour), ("--drive", drive)):
         if given is not None and view is None:
             raise ConfigurationError(f"{option} says what to draw; name the picture with --view")
-    what = cast(Colour, one_of("--colour", colour or "conductance", Colour))
+    what = cast("Colour", one_of("--colour", colour or "conductance", Colour))
     if drive is None:
         return what, None
     if what != "current":
@@ -151,7 +166,7 @@ def _colours(
     return what, pair
 
 
-def _title(name: str, scene: Scene) -> str:
+def _title(name: str, scene: "Scene") -> str:
     """The name of a scene and what happens in it."""
     parts = [f"bent by {scene.bend.angle_deg:g} deg"] if scene.bend.angle_deg else []
     parts += [f"rolled by {scene.roll.angle_deg:g} deg"] if scene.roll else []
@@ -161,8 +176,10 @@ def _title(name: str, scene: Scene) -> str:
     return f"{name}: {', '.join(parts) or 'flat, untouched'}"
 
 
-def _relative_change(frame: Frame, flat: Frame) -> list[float | None]:
-    """Change from the flat frame, of the real part; None where that is zero but for rounding."""
+def _relative_change(frame: "Frame", flat: "Frame") -> list[float | None]:
+    """Relative change of resistance from the flat frame; None where that is zero but rounding."""
+    import numpy as np
+
     before = flat.impedance.real
     rounding = 1e-9 * np.abs(before).max()
     return [
@@ -171,7 +188,7 @@ def _relative_change(frame: Frame, flat: Frame) -> list[float | None]:
     ]
 
 
-def _as_data(frame: Frame, flat: Frame, seconds: float) -> dict[str, object]:
+def _as_data(frame: "Frame", flat: "Frame", seconds: float) -> dict[str, object]:
     return {
         "measurements": list(frame.protocol.labels),
         "independent": frame.protocol.rank,
@@ -184,7 +201,7 @@ def _as_data(frame: Frame, flat: Frame, seconds: float) -> dict[str, object]:
     }
 
 
-def _as_table(frame: Frame, flat: Frame) -> Table:
+def _as_table(frame: "Frame", flat: "Frame") -> Table:
     table = Table("measurement", "R, ohm", "X, ohm", "change, ohm", "change, %")
     for column in table.columns[1:]:
         column.justify = "right"
@@ -201,7 +218,7 @@ def _as_table(frame: Frame, flat: Frame) -> Table:
     return table
 
 
-def _touch_data(press: PressedTouch) -> dict[str, object]:
+def _touch_data(press: "PressedTouch") -> dict[str, object]:
     return {
         "x_m": press.touch.x,
         "y_m": press.touch.y,
@@ -221,7 +238,7 @@ def _touch_data(press: PressedTouch) -> dict[str, object]:
     }
 
 
-def _touch_table(presses: tuple[PressedTouch, ...]) -> Table:
+def _touch_table(presses: "tuple[PressedTouch, ...]") -> Table:
     table = Table("touch\nat, mm", "force\nN", "depth\nmm", "contact\nmm2", "mean\nkPa")
     for title in ("peak\nkPa", "gel thinner\nby, %", "to edge\nmm"):
         table.add_column(title)
@@ -241,7 +258,7 @@ def _touch_table(presses: tuple[PressedTouch, ...]) -> Table:
     return table
 
 
-def _cautions(presses: tuple[PressedTouch, ...]) -> list[str]:
+def _cautions(presses: "tuple[PressedTouch, ...]") -> list[str]:
     return [
         f"caution: touch at {1e3 * press.touch.x:.1f}, {1e3 * press.touch.y:.1f} mm: "
         f"{press.caution}"

@@ -11,6 +11,7 @@ from typing import Any
 from eitskin.config import from_dict, to_toml
 from eitskin.datasets.recipe.episode import Episodes
 from eitskin.datasets.recipe.scene_group import SceneGroup
+from eitskin.datasets.recipe.shipped_recipes import SHIPPED, shipped_names
 from eitskin.datasets.recipe.specimen import Specimens
 from eitskin.datasets.store.schema import LIMITS
 from eitskin.errors import ConfigurationError
@@ -24,8 +25,6 @@ from eitskin.simulator.instrument.instrument import Instrument
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 
 MOST_REFERENCE_FRAMES = 1000
-
-SHIPPED = Path(__file__).parent / "shipped"
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,11 +208,6 @@ def _shard_ranges(recipe: Recipe) -> tuple[range, ...]:
         ranges += [range(first, min(first + length, end)) for first in range(start, end, length)]
         start = end
     return tuple(ranges)
-
-
-def shipped_names() -> tuple[str, ...]:
-    """Names of the recipes that come with eitskin."""
-    return tuple(sorted(path.stem for path in SHIPPED.glob("*.toml")))
 
 
 def _with_sensor(data: Mapping[str, Any], folder: Path) -> Mapping[str, Any]:
