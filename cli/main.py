@@ -8,7 +8,6 @@ from typer.core import TyperGroup
 
 from eitskin import __version__
 from eitskin.cli.commands import (
-    bench,
     board,
     calibrate,
     check,
@@ -22,6 +21,7 @@ from eitskin.cli.commands import (
     simulate,
     train,
 )
+from eitskin.cli.commands.bench import group as bench
 from eitskin.cli.demo import command as demo
 from eitskin.errors import EitskinError
 
@@ -55,7 +55,7 @@ def _print_version(wanted: bool) -> None:
 
 @app.callback()
 def options(
-    version: Annotated[  # noqa: ARG001  acts by its callback
+    version: Annotated[
         bool,
         typer.Option(
             "--version", callback=_print_version, is_eager=True, help="Print the version and exit."

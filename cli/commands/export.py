@@ -10,7 +10,7 @@ import typer
 from rich import box
 from rich.table import Table
 
-from eitskin.cli.commands.simulate import simulator
+from eitskin.cli.commands.simulator_options import announce_unsolved, simulator
 from eitskin.cli.options import (
     FixtureFile,
     Frames,
@@ -26,7 +26,6 @@ from eitskin.cli.options import (
     SensorFile,
     Verbose,
 )
-from eitskin.cli.unsolved_presses import announce_unsolved
 from eitskin.errors import ConfigurationError
 
 if TYPE_CHECKING:

@@ -11,6 +11,7 @@ import typer
 from rich.console import Group
 from rich.table import Table
 
+from eitskin.cli.commands.simulator_options import announce_unsolved, simulator
 from eitskin.cli.options import (
     FixtureFile,
     Json,
@@ -25,17 +26,14 @@ from eitskin.cli.options import (
     Verbose,
     one_of,
 )
-from eitskin.cli.unsolved_presses import announce_unsolved
 from eitskin.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from eitskin.frame import Frame
-    from eitskin.geometry.design.sensor import SensorDesign
-    from eitskin.simulator.electrical.resolution import Discretisation, Resolution
+    from eitskin.simulator.electrical.resolution import Resolution
     from eitskin.simulator.instrument.instrument import Instrument
     from eitskin.simulator.layer.pressed_touches import PressedTouch
     from eitskin.simulator.scene.scene import Scene
-    from eitskin.simulator.simulator import Simulator
     from eitskin.simulator.view.scene_pictures import Colour
 
 
@@ -98,35 +96,6 @@ def command(
     if view is not None:
         draw(sim, [(_title(scene.stem, what), what)], view, colours, pair)
         output.note(f"picture: {view}")
-
-
-def simulator(
-    design: "SensorDesign",
-    resolution: "Resolution | Discretisation",
-    fixture: Path | None,
-    protocol: str,
-    mechanics: Path | None,
-    touch_model: str,
-) -> "Simulator":
-    """Simulator configured by a command's options.
-
-    Raises ConfigurationError for options or files that do not fit.
-    """
-    from eitskin.config import read_toml
-    from eitskin.geometry.deformation.fixtures import Fixture
-    from eitskin.protocol import Protocol
-    from eitskin.simulator.layer.pressed_touches import TouchModel
-    from eitskin.simulator.mechanics.layer_stack import Mechanics
-    from eitskin.simulator.simulator import Simulator
-
-    return Simulator(
-        design,
-        resolution,
-        read_toml(cast("type[Fixture]", Fixture), fixture) if fixture else None,
-        Protocol.named(protocol, len(design.electrodes)),
-        read_toml(Mechanics, mechanics) if mechanics else None,
-        cast("TouchModel", one_of("--touch-model", touch_model, TouchModel)),
-    )
 
 
 def _instrument(noise: float | None, name: str | None) -> "Instrument | None":

@@ -1,0 +1,1 @@
+"""The commands `eitskin bench ...`, one module each."""

@@ -1,0 +1,64 @@
+"""Simulator of a command's options, and the note of presses that it has to solve first."""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, cast
+
+from eitskin.cli.options import Output, one_of
+
+if TYPE_CHECKING:
+    from eitskin.geometry.deformation.fixtures import Fixture
+    from eitskin.geometry.design.sensor import SensorDesign
+    from eitskin.simulator.electrical.resolution import Discretisation, Resolution
+    from eitskin.simulator.layer.pressed_touches import TouchModel
+    from eitskin.simulator.mechanics.layer_stack import Mechanics
+    from eitskin.simulator.scene.indenters import Indenter
+    from eitskin.simulator.simulator import Simulator
+
+
+def simulator(
+    design: "SensorDesign",
+    resolution: "Resolution | Discretisation",
+    fixture: Path | None,
+    protocol: str,
+    mechanics: Path | None,
+    touch_model: str,
+) -> "Simulator":
+    """Simulator configured by a command's options.
+
+    Raises ConfigurationError for options or files that do not fit.
+    """
+    from eitskin.config import read_toml
+    from eitskin.geometry.deformation.fixtures import Fixture
+    from eitskin.protocol import Protocol
+    from eitskin.simulator.layer.pressed_touches import TouchModel
+    from eitskin.simulator.mechanics.layer_stack import Mechanics
+    from eitskin.simulator.simulator import Simulator
+
+    return Simulator(
+        design,
+        resolution,
+        read_toml(cast("type[Fixture]", Fixture), fixture) if fixture else None,
+        Protocol.named(protocol, len(design.electrodes)),
+        read_toml(Mechanics, mechanics) if mechanics else None,
+        cast("TouchModel", one_of("--touch-model", touch_model, TouchModel)),
+    )
+
+
+def announce_unsolved(
+    design: "SensorDesign",
+    mechanics: "Mechanics",
+    indenters: "Iterable[Indenter]",
+    output: Output,
+) -> None:
+    """Note how many indenters have no solved press on this sensor yet."""
+    from eitskin.simulator.mechanics.press_store import folder, is_stored
+
+    missing = sum(not is_stored(design, mechanics, each) for each in dict.fromkeys(indenters))
+    if missing:
+        several = missing > 1
+        output.note(
+            f"solving the presses of {missing} indenter{'s' * several} that "
+            f"{'are' if several else 'is'} new to this sensor, once: from ten seconds to a few "
+            f"minutes each; kept in {folder()}"
+        )
