@@ -94,7 +94,7 @@ def test_episodes_are_not_cut():
 
 def test_recipe_of_episodes_survives_writing(tmp_path):
     script = ScriptedEpisode(
-        (Keyframe(0.0), Keyframe(3.0, 20.0, (Press(0.05, 0.03),)), Keyframe(5.0))
+        (Keyframe(0.0), Keyframe(3.0, 20.0, (EpisodeTouch(0.05, 0.03),)), Keyframe(5.0))
     )
     recipe = dataclasses.replace(
         MIXED,
@@ -153,7 +153,9 @@ def test_all_contradictions_are_listed_at_once():
             ),
             episodes=(
                 ScriptedEpisode((Keyframe(1.0), Keyframe(2.0))),
-                ScriptedEpisode((Keyframe(0.0, touches=(Press(0.2, 0.0, -1.0),)), Keyframe(2.0))),
+                ScriptedEpisode(
+                    (Keyframe(0.0, touches=(EpisodeTouch(0.2, 0.0, -1.0),)), Keyframe(2.0))
+                ),
                 ScriptedEpisode((Keyframe(0.0), Keyframe(1.0, 400.0)), count=0, period=-1.0),
                 RandomEpisodes(1, 0, angle_deg=(9.0, 3.0), hold_s=(0.0, 1.0), touches=(5, 5)),
                 RandomEpisodes(1, 1, angle_deg=(0.0, 300.0), period=0.2),
