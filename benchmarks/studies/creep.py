@@ -11,24 +11,26 @@ run times.
 import time
 
 import numpy as np
+from numpy.typing import NDArray
 
+from eitskin.benchmarks.studies.press_history import ForceHistory, Memory
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.provenance import Provenance
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress, Indentation
-from eitskin.simulator.mechanics.layer_shares import layer_shares
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.mechanics.materials import NeoHookean
-from eitskin.simulator.mechanics.press_history import ForceHistory, Memory
 from eitskin.simulator.mechanics.viscoelasticity import (
     ECOFLEX,
     GEL,
     REFERENCE,
     Prony,
-    held,
-    held_at_depth,
-    mixed,
+    elastic_force,
+    elastic_force_at_depth,
+    mixture,
 )
 from eitskin.simulator.scene.indenters import Cylinder
+
+Array = NDArray[np.float64]
 
 FORCES = (2.0, 5.0, 10.0)
 GEL_LAYER = 1
@@ -59,9 +61,22 @@ def shares() -> None:
     for force in FORCES:
         indented = press()
         parts = layer_shares(indented, indented.to_force(force).depth)
-        both = mixed((ECOFLEX, GEL, ECOFLEX), parts)
+        both = mixture((ECOFLEX, GEL, ECOFLEX), parts)
         row = " | ".join(f"{part:.3f}" for part in parts)
         print(f"| {force:g} N | {row} | {float(both.relaxation(np.inf)):.4f} |")
+
+
+def layer_shares(press: AxisymmetricPress, depth: float, step: float = 0.02) -> Array:
+    """Share of the force at a depth [m] due to the shear modulus of each layer, (layers,).
+
+    By F = dU/dd, (mu_k / F) dF/dmu_k is the part of the work of going deeper that layer k stores,
+    here from presses to (1 -+ step) depth, with an error of order step^2. Energies of volume
+    changes and of the contact, which do not relax, are left out; the shares add up to 1.
+    """
+    below, above = (press.to_depth(k * depth).energies for k in (1.0 - step, 1.0 + step))
+    rise = above - below
+    shares: Array = rise / rise.sum()
+    return shares
 
 
 def relaxed_stack() -> None:
@@ -83,7 +98,7 @@ def over_time() -> None:
     print(f"\n## {force:g} N, held\n\n| held for | elastic force | depth | gel thinner by ", end="")
     print("| force at a held depth |\n|---|---|---|---|---|")
     for seconds in (0.0, 1.0, 10.0, 60.0, 1e5):
-        elastic = held(REFERENCE, force, seconds)
+        elastic = elastic_force(REFERENCE, force, seconds)
         relaxed = force * float(REFERENCE.relaxation(seconds))
         print(
             f"| {seconds:g} s | {elastic:.2f} N | {described(press().to_force(elastic))} "
@@ -94,10 +109,10 @@ def over_time() -> None:
     )
     print("| gel thinner by | after as long at its depth |\n|---|---|---|---|---|")
     for seconds in (1.0, 10.0, 60.0, 300.0):
-        elastic = held(REFERENCE, force, HELD, released=seconds)
+        elastic = elastic_force(REFERENCE, force, HELD, released=seconds)
         print(
             f"| {seconds:g} s | {elastic:.4f} N | {described(press().to_force(elastic), 3)} "
-            f"| {held_at_depth(REFERENCE, force, HELD, released=seconds):.4f} N |"
+            f"| {elastic_force_at_depth(REFERENCE, force, HELD, released=seconds):.4f} N |"
         )
 
 

@@ -11,7 +11,7 @@ from eitskin.datasets.recipe.touch_sampling import draw_places, place_problems, 
 from eitskin.datasets.store.schema import LIMITS, MAX_TOUCHES
 from eitskin.geometry.deformation.fixtures import Bend
 from eitskin.geometry.design.outline import PlaneOutline
-from eitskin.simulator.mechanics.viscoelasticity import Prony, held
+from eitskin.simulator.mechanics.viscoelasticity import Prony, elastic_force
 from eitskin.simulator.scene.scene import Scene
 from eitskin.simulator.scene.touch import Touch
 
@@ -65,7 +65,7 @@ class Timeline:
         if memory:
             for each in self.presses:
                 lasted, released = each.end - each.start, max(time - each.end, _JUST)
-                if each.end <= time and held(memory, 1.0, lasted, released) > _FORGOTTEN:
+                if each.end <= time and elastic_force(memory, 1.0, lasted, released) > _FORGOTTEN:
                     touches.append(_touch(each, lasted, released))
         bend = Bend(float(np.interp(time, self.times, self.angles_deg)))
         return Scene(bend, tuple(touches))

@@ -16,7 +16,7 @@ from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.recipe.specimen import Specimen, draw_specimen
 from eitskin.datasets.store.state import State
 from eitskin.simulator.mechanics.layer_stack import Mechanics
-from eitskin.simulator.mechanics.viscoelasticity import Prony, mixed
+from eitskin.simulator.mechanics.viscoelasticity import Prony, mixture
 from eitskin.simulator.scene.scene import Scene
 
 Integers = NDArray[np.int64]
@@ -201,7 +201,7 @@ def _episodes(recipe: Recipe) -> _Episodes:
 def _memory(mechanics: Mechanics) -> Prony:
     """By which a press is forgotten; how it creeps is for the simulator to say."""
     materials = (mechanics.gel_relaxation, mechanics.encapsulation_relaxation)
-    return mixed(materials, (_GEL_SHARE, 1.0 - _GEL_SHARE))
+    return mixture(materials, (_GEL_SHARE, 1.0 - _GEL_SHARE))
 
 
 @lru_cache(maxsize=256)

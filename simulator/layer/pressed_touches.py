@@ -205,15 +205,15 @@ def _dent(
     first = table.at_force(touch.force) if touch.depth is None else table.at_depth(touch.depth)
     if touch.held is None:
         return first, first.force
-    prony = relaxation.mixed(
+    prony = relaxation.mixture(
         (mechanics.gel_relaxation, mechanics.encapsulation_relaxation),
         (first.share, 1.0 - first.share),
     )
     if touch.depth is None:
-        elastic = relaxation.held(prony, touch.force, touch.held, touch.released)
+        elastic = relaxation.elastic_force(prony, touch.force, touch.held, touch.released)
         acting = touch.force
     else:
-        elastic = relaxation.held_at_depth(prony, first.force, touch.held, touch.released)
+        elastic = relaxation.elastic_force_at_depth(prony, first.force, touch.held, touch.released)
         acting = first.force * float(prony.relaxation(touch.held))
     dent = table.at_force(elastic) if elastic > 0.0 else None
     return dent, 0.0 if touch.released else acting

@@ -87,12 +87,12 @@ GEL = Prony((0.10, 0.10, 0.05), (0.5, 10.0, 200.0))
 ECOFLEX = Prony((0.05, 0.05), (1.0, 30.0))
 
 
-def mixed(materials: Sequence[Prony], shares: ArrayLike) -> Prony:
+def mixture(materials: Sequence[Prony], shares: ArrayLike) -> Prony:
     """The relaxation of a body of several materials, sum_k s_k G_k(t).
 
     Args:
         materials: those of the parts.
-        shares: s_k = (mu_k / F) dF/dmu_k at fixed depth, adding up to 1 (`layer_shares`).
+        shares: s_k = (mu_k / F) dF/dmu_k at fixed depth, adding up to 1.
 
     The elastic force is F(mu_1, mu_2, ...), homogeneous of degree one. Were the body linear, its
     transformed relaxation would be F(mu_1 s G_1, ...) exactly (correspondence principle), of
@@ -115,10 +115,10 @@ def mixed(materials: Sequence[Prony], shares: ArrayLike) -> Prony:
 
 # The reference stack under the 15 mm cylinder: the gel's share is 0.436 at 2 N, 0.433 at 5 N and
 # 0.414 at 10 N (`python -m eitskin.benchmarks.studies.creep`).
-REFERENCE = mixed((GEL, ECOFLEX), (0.43, 0.57))
+REFERENCE = mixture((GEL, ECOFLEX), (0.43, 0.57))
 
 
-def held(prony: Prony, force: float, seconds: float, released: float = 0.0) -> float:
+def elastic_force(prony: Prony, force: float, seconds: float, released: float = 0.0) -> float:
     """The elastic force [N] of a force [N] applied at once, held, then perhaps taken off.
 
     Args:
@@ -133,7 +133,9 @@ def held(prony: Prony, force: float, seconds: float, released: float = 0.0) -> f
     return force * (crept if released > 0.0 else 1.0 + crept)
 
 
-def held_at_depth(prony: Prony, force: float, seconds: float, released: float = 0.0) -> float:
+def elastic_force_at_depth(
+    prony: Prony, force: float, seconds: float, released: float = 0.0
+) -> float:
     """The elastic force [N] of a depth reached at once, held, then perhaps left to itself.
 
     Args:

@@ -19,7 +19,7 @@ from eitskin.datasets.recipe.frame_sampling import Stream, generator, sample, sp
 from eitskin.datasets.recipe.specimen import Specimens
 from eitskin.geometry import Bend, Electrode, Rectangle, SensorDesign
 from eitskin.simulator import Instrument, Scene, Simulator
-from eitskin.simulator.mechanics.viscoelasticity import REFERENCE, held
+from eitskin.simulator.mechanics.viscoelasticity import REFERENCE, elastic_force
 
 OUTLINE = Rectangle(0.150, 0.060)
 HERE, THERE = EpisodeTouch(0.05, 0.02), EpisodeTouch(0.1, 0.04, 8.0)
@@ -89,8 +89,8 @@ def test_presses_creep_while_held_linger_afterwards_and_are_forgotten():
     (left,) = line.scene(3.0, REFERENCE).touches
     assert (left.held, left.released > 0.0) == (2.0, True)
     forgotten = next(t for t in np.arange(3.0, 400.0) if not line.scene(t, REFERENCE).touches)
-    assert held(REFERENCE, 1.0, 2.0, forgotten - 3.0) <= 1e-3
-    assert held(REFERENCE, 1.0, 2.0, forgotten - 4.0) > 1e-3
+    assert elastic_force(REFERENCE, 1.0, 2.0, forgotten - 3.0) <= 1e-3
+    assert elastic_force(REFERENCE, 1.0, 2.0, forgotten - 4.0) > 1e-3
 
 
 def test_without_relaxation_nothing_creeps_or_lingers():

@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
+from eitskin.benchmarks.studies.press_history import DepthHistory, ForceHistory, Memory
 from eitskin.errors import ConfigurationError
-from eitskin.simulator.mechanics.press_history import DepthHistory, ForceHistory, Memory
-from eitskin.simulator.mechanics.viscoelasticity import ECOFLEX, GEL, Prony, held
+from eitskin.simulator.mechanics.viscoelasticity import ECOFLEX, GEL, Prony, elastic_force
 
 steady = settings(max_examples=60, derandomize=True, deadline=None, database=None)
 SPREAD = Prony((0.2, 0.1, 0.3, 0.05), (1e-4, 0.3, 5.0, 1e4))
@@ -73,8 +73,12 @@ def test_a_press_and_its_release():
     history = ForceHistory(np.array([2.0, 32.0, 32.0]), np.array([10.0, 10.0, 0.0]))
     t = np.array([[1.9, 2.0, 31.0], [32.0, 33.0, 332.0]])
     expected = [
-        [0.0, 10.0, held(GEL, 10.0, 29.0)],
-        [held(GEL, 10.0, 30.0) - 10.0, held(GEL, 10.0, 30.0, 1.0), held(GEL, 10.0, 30.0, 300.0)],
+        [0.0, 10.0, elastic_force(GEL, 10.0, 29.0)],
+        [
+            elastic_force(GEL, 10.0, 30.0) - 10.0,
+            elastic_force(GEL, 10.0, 30.0, 1.0),
+            elastic_force(GEL, 10.0, 30.0, 300.0),
+        ],
     ]
     assert np.allclose(history.elastic_force(GEL, t), expected, rtol=1e-13, atol=1e-14)
     assert history.elastic_force(GEL, 33.0).shape == ()
