@@ -169,7 +169,7 @@ def test_static_presses_compute_no_relaxation(sim, monkeypatch) -> None:
     def unwanted(*_):
         raise AssertionError("a press without a time computed its relaxation")
 
-    for name in ("mixed", "held", "held_at_depth"):
+    for name in ("mixture", "elastic_force", "elastic_force_at_depth"):
         monkeypatch.setattr(f"eitskin.simulator.mechanics.viscoelasticity.{name}", unwanted)
     sim.measure(Scene(touches=(Touch(X, Y, 4.5),)))
     with pytest.raises(AssertionError):
