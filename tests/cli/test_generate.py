@@ -52,6 +52,7 @@ def as_data(*given):
     return json.loads(run(*given, "--json", "--quiet").stdout)
 
 
+@pytest.mark.slow
 def test_a_recipe_by_its_path(recipe, tmp_path):
     found = as_data("generate", recipe, "--out", tmp_path / "set", "--workers", 1)
     assert (found["frames"], found["made"], found["complete"]) == (24, 24, True)
@@ -110,6 +111,7 @@ def wait_for_a_shard(process, out):
             break
 
 
+@pytest.mark.slow
 def test_interrupted_it_says_how_to_go_on(recipe, tmp_path):
     """As Ctrl-C in a terminal: exit code 130, and a line to copy that finishes the set."""
     recipe.write_text(RECIPE.format(count=20000))
@@ -131,6 +133,7 @@ def test_interrupted_it_says_how_to_go_on(recipe, tmp_path):
     assert "Traceback" not in said
 
 
+@pytest.mark.slow
 def test_killed_at_once_it_leaves_what_a_resumed_run_completes(recipe, tmp_path, monkeypatch):
     recipe.write_text(RECIPE.format(count=80))
     in_this_process(monkeypatch)  # but for the one that is killed
@@ -151,6 +154,7 @@ def test_killed_at_once_it_leaves_what_a_resumed_run_completes(recipe, tmp_path,
     assert found == whole
 
 
+@pytest.mark.slow
 def test_a_write_that_fails_in_a_worker_is_a_partial_error(recipe, tmp_path, monkeypatch):
     (tmp_path / "failing").mkdir()
     (tmp_path / "failing" / "sitecustomize.py").write_text(

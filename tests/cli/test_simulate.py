@@ -134,6 +134,7 @@ def test_a_touch_by_itself_has_no_neighbour_and_the_closed_form_tells_nothing(sc
     assert closed["impedance_real_ohm"] == frame.impedance.real.tolist()
 
 
+@pytest.mark.slow
 def test_it_is_said_when_presses_have_to_be_solved(scene, tmp_path, monkeypatch) -> None:
     table = press_store.press_table(SensorDesign.reference(), Mechanics(), Cylinder())
     monkeypatch.setattr(kernels, "solved", lambda *_: table)
@@ -153,6 +154,7 @@ def test_it_is_said_when_presses_have_to_be_solved(scene, tmp_path, monkeypatch)
 # Mechanics and fixture from files
 
 
+@pytest.mark.slow
 def test_mechanics_and_fixture_come_from_files(scene, tmp_path) -> None:
     mechanics = written(
         tmp_path / "mechanics.toml",
@@ -193,6 +195,7 @@ def test_files_that_are_no_fixture_or_mechanics_are_refused(scene, tmp_path) -> 
 # Pictures
 
 
+@pytest.mark.slow
 def test_a_picture_is_drawn_of_what_is_asked_for(scene, tmp_path) -> None:
     path = tmp_path / "scene.png"
     ran = run(scene, "--view", str(path), "--colour", "strain")

@@ -45,6 +45,7 @@ def read(folder):
     return json.loads((folder / "report.json").read_text())
 
 
+@pytest.mark.slow
 def test_training_writes_a_report_with_curves_and_reconstructions(trained, dataset):
     report = read(trained / "report")
     assert report["report"]["frames"] == 12
@@ -62,6 +63,7 @@ def test_training_writes_a_report_with_curves_and_reconstructions(trained, datas
     assert report["provenance"]["seed of these frames"] == str(dataset.seed)
 
 
+@pytest.mark.slow
 def test_a_saved_pipeline_gives_the_same_report(trained, tmp_path, capsys):
     evaluate.command(trained / "some.eitmodel", trained / "data", out=tmp_path / "again")
     said = capsys.readouterr()
@@ -75,6 +77,7 @@ def test_a_saved_pipeline_gives_the_same_report(trained, tmp_path, capsys):
     assert {"machine", "versions", "date"} <= again["provenance"].keys()
 
 
+@pytest.mark.slow
 def test_a_place_for_no_report_is_refused_before_the_work(trained, tmp_path):
     data, model = trained / "data", trained / "some.eitmodel"
     with pytest.raises(ConfigurationError, match="holds other things and no report"):

@@ -53,6 +53,7 @@ def local_cluster():
         yield made
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_a_worker_of_a_cluster_killed_while_writing_changes_no_byte(
     whole, local_cluster, tmp_path, monkeypatch
@@ -64,6 +65,7 @@ def test_a_worker_of_a_cluster_killed_while_writing_changes_no_byte(
     assert contents(folder) == whole
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_what_workers_raise_reaches_the_caller(local_cluster, tmp_path, monkeypatch):
     def move(done, _total):

@@ -20,6 +20,7 @@ RECIPE = Recipe(
 Usage = namedtuple("Usage", "total used free")
 
 
+@pytest.mark.slow
 def test_size_is_that_of_the_files(tmp_path):
     found = estimate(RECIPE, tmp_path / "set", workers=1)
     assert (found.frames, found.shards) == (120, 3)

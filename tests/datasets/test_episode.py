@@ -187,6 +187,7 @@ def test_skew_is_exact_where_signals_are_linear_in_time(monkeypatch):
     assert data.bend_angle_deg == pytest.approx(-20.0 + 7.0 * np.arange(10))
 
 
+@pytest.mark.slow
 def test_skew_of_a_moving_bend_is_near_to_solving_every_moment():
     """At 30 deg/s, of what each measurement says where every moment is a scene of its own."""
     fast = script(Keyframe(0.0, -20.0), Keyframe(7 / 3, 50.0), period=0.297)

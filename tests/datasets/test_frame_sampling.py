@@ -210,6 +210,7 @@ def test_groups_are_solved_once_per_specimen_and_untouched_once_per_angle(monkey
     assert sum(not scene.touches for scene in flat) == len(bends) < 6
 
 
+@pytest.mark.slow
 def test_a_shard_may_begin_in_the_middle_of_a_block():
     """But for the 1e-2 of a touch's signal that the engine may leave where touches share a bend."""
     short = dataclasses.replace(GROUPED, frames_per_shard=6)

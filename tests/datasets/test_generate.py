@@ -50,14 +50,22 @@ def contents(folder):
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """The recipe made by two workers without interruption."""
+    """The recipe made in this process without interruption."""
     folder = tmp_path_factory.mktemp("datasets") / "whole"
+    with pytest.MonkeyPatch.context() as patch:
+        in_this_process(patch)
+        generate(RECIPE, folder)
+    return folder
+
+
+@pytest.mark.slow
+def test_two_workers_make_the_same_bytes_and_report_every_shard(whole, tmp_path):
     reports = []
-    generate(RECIPE, folder, workers=2, progress=lambda *report: reports.append(report))
+    generate(RECIPE, tmp_path / "set", 2, lambda *report: reports.append(report))
     assert reports[0] == (0, 14)
     assert sorted(reports) == reports
     assert reports[-1] == (14, 14)
-    return folder
+    assert contents(tmp_path / "set") == contents(whole)
 
 
 def test_dataset_holds_what_the_recipe_says(whole):
@@ -108,6 +116,7 @@ def test_values_are_those_of_the_simulator_with_noise_of_the_right_size(whole):
     assert abs(together[0, 1]) < 0.2
 
 
+@pytest.mark.slow
 def test_interrupted_with_one_worker_and_resumed_gives_the_same_bytes(whole, tmp_path, monkeypatch):
     folder = tmp_path / "resumed"
 
@@ -131,6 +140,7 @@ def test_interrupted_with_one_worker_and_resumed_gives_the_same_bytes(whole, tmp
     assert {name: (folder / name).stat().st_mtime_ns for name in finished} == before
 
 
+@pytest.mark.slow
 def test_worker_killed_while_writing_costs_its_shard_once_more(whole, tmp_path, monkeypatch):
     monkeypatch.setattr(processes, "_make_shard", killed_in_pool)
     folder = tmp_path / "set"
@@ -166,6 +176,7 @@ def test_workers_that_die_twice_leave_a_resumable_part(tmp_path, monkeypatch):
     assert not (tmp_path / "set" / "manifest.json").exists()
 
 
+@pytest.mark.slow
 def test_failure_in_a_worker_reaches_the_caller(tmp_path):
     folder = tmp_path / "set"
 
@@ -264,6 +275,7 @@ angle_deg = [1, 9]
 """
 
 
+@pytest.mark.slow
 def test_interrupts_in_a_row_end_it_once_and_leave_it_resumable(tmp_path) -> None:
     """As Ctrl-C pressed twice in a terminal, which signals the workers too."""
     script, out = tmp_path / "make.py", tmp_path / "set"

@@ -91,6 +91,7 @@ def test_bytes_do_not_depend_on_when_python_lets_go_of_objects(monkeypatch):
     assert len(kept) > 13
 
 
+@pytest.mark.slow
 def test_threads_do_not_disturb_each_other():
     with ThreadPoolExecutor(8) as pool:
         assert len(set(pool.map(lambda _number: shard_bytes(make(600)), range(32)))) == 1

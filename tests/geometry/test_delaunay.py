@@ -120,6 +120,7 @@ def test_points_are_numbered_along_x_and_the_same_each_time():
     assert np.array_equal(triangles, same)
 
 
+@pytest.mark.slow
 def test_coarse_triangles_have_angles_of_28_degrees():
     for outline in (SLAB, BENT, NOTCHED, Disc(0.05)):
         points, triangles = coarse_triangulation(outline, np.array([0.01, 0.0101]), 1e-3)
@@ -140,6 +141,7 @@ def test_any_star_shaped_polygon_is_filled():
         assert covered == pytest.approx(polygon_area(outline.vertices), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_too_many_points_are_refused():
     with pytest.raises(ConfigurationError, match=r"more than 500000 points.*larger finest"):
         triangulated(SLAB, np.array([0.05]), 1e-5, lambda x: np.full(len(x), 1e-5))

@@ -69,6 +69,7 @@ def test_cells_are_fine_at_the_electrode_edges(slab):
     assert np.median(edges / GRADING.size(distance)) < 1.2
 
 
+@pytest.mark.slow
 def test_a_disc_has_its_rim_on_the_circle():
     disc = Disc(0.05)
     design = SensorDesign(disc, 0.01, uniform(disc, 4, width=0.02))
@@ -81,6 +82,7 @@ def test_a_disc_has_its_rim_on_the_circle():
     assert covered(mesh, 4) == pytest.approx(np.full(4, 2e-4), rel=0.02)
 
 
+@pytest.mark.slow
 def test_outlines_that_are_not_convex_with_every_kind_of_electrode():
     electrodes = (
         Electrode(0.015, 0.015, 0.015, on="top", shape="round"),
@@ -95,6 +97,7 @@ def test_outlines_that_are_not_convex_with_every_kind_of_electrode():
     assert covered(mesh, 4) == pytest.approx(expected, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_surfaces_from_files(tmp_path, monkeypatch):
     trimesh = pytest.importorskip("trimesh")
     box = trimesh.creation.box((0.05, 0.04, 0.01))

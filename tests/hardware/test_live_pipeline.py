@@ -91,6 +91,7 @@ def said(estimate):
     )
 
 
+@pytest.mark.slow
 def test_live_estimates_are_those_of_the_same_frames_offline(board, pipeline):
     pipeline.reset()
     readings = list(itertools.islice(run_live(board, pipeline, newest=False), FRAMES - 1))

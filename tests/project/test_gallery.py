@@ -22,12 +22,14 @@ def run(monkeypatch):
     return run
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
 def test_the_script_runs_and_its_numbers_hold(script, run, capsys):
     run(script)
     assert capsys.readouterr().out.strip(), "it says what it found"
 
 
+@pytest.mark.slow
 def test_a_picture_is_drawn_into_the_folder_that_is_given(run, tmp_path):
     run(GALLERY / "presses.py", tmp_path / "pictures")
     picture = tmp_path / "pictures" / "presses.png"

@@ -47,6 +47,7 @@ def rmse(pipeline, sensor, angles=(-15.0, 10.0, 25.0, 40.0)):
     return float(np.sqrt(np.mean((np.array([e.bend_angle_deg for e in rest]) - angles) ** 2)))
 
 
+@pytest.mark.slow
 def test_a_sensor_of_another_gain_is_calibrated(saved, sensor, tmp_path):
     pipeline = Pipeline.load(saved)
     before = rmse(pipeline, sensor)
@@ -59,6 +60,7 @@ def test_a_sensor_of_another_gain_is_calibrated(saved, sensor, tmp_path):
     assert rmse(again, sensor) == pytest.approx(rmse(pipeline, sensor), abs=1e-6)
 
 
+@pytest.mark.slow
 def test_known_bends_are_relative_to_the_mean_of_the_flat_frames(saved, sensor):
     layout = Pipeline.load(saved).layout
     taken = frames(sensor, ANGLES)
@@ -71,6 +73,7 @@ def test_known_bends_are_relative_to_the_mean_of_the_flat_frames(saved, sensor):
     np.testing.assert_allclose(known.age, 0.3 * np.arange(2, 7))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("angles", "error", "message"),
     [
@@ -88,6 +91,7 @@ def test_angles_that_cannot_be_are_refused(saved, sensor, angles, error, message
     assert pipeline.method is method
 
 
+@pytest.mark.slow
 def test_another_sensor_is_refused(saved, sensor):
     strange = [
         Frame(50.0 * frame.impedance, sensor.protocol) for frame in frames(sensor, (0.0, 10.0))
@@ -115,6 +119,7 @@ def bends(sensor, folder, angles=ANGLES[2:]):
     return folder
 
 
+@pytest.mark.slow
 def test_the_command_calibrates_from_labelled_frames(saved, sensor, tmp_path):
     folder, out = bends(sensor, tmp_path / "bends"), tmp_path / "mine.eitmodel"
     done = run(saved, "--dataset", folder, "--out", out, "--json")
@@ -125,6 +130,7 @@ def test_the_command_calibrates_from_labelled_frames(saved, sensor, tmp_path):
     assert rmse(Pipeline.load(out), sensor) < 0.5
 
 
+@pytest.mark.slow
 def test_the_command_asks_for_each_angle_of_a_board(saved, tmp_path):
     """The virtual board's sensor is flat all the time: asked for, but not bent."""
     out = tmp_path / "mine.eitmodel"
@@ -139,6 +145,7 @@ def test_the_command_asks_for_each_angle_of_a_board(saved, tmp_path):
     assert not out.exists()
 
 
+@pytest.mark.slow
 def test_the_command_calibrates_by_a_board(saved, sensor, tmp_path):
     folder, out = bends(sensor, tmp_path / "bends", ANGLES[1:]), tmp_path / "mine.eitmodel"
     done = run(saved, "--board", f"replay:{folder}", "--no-prompt", "--frames", 1, "--out", out)
@@ -146,6 +153,7 @@ def test_the_command_calibrates_by_a_board(saved, sensor, tmp_path):
     assert rmse(Pipeline.load(out), sensor) < 0.5
 
 
+@pytest.mark.slow
 def test_another_sensor_is_refused_before_anything_is_asked(saved, tmp_path):
     design = tmp_path / "six.toml"
     design.write_text(
@@ -157,6 +165,7 @@ def test_another_sensor_is_refused_before_anything_is_asked(saved, tmp_path):
     assert not done.output
 
 
+@pytest.mark.slow
 def test_angles_in_another_order_are_refused(saved, sensor):
     pipeline = Pipeline.load(saved)
     method = pipeline.method
@@ -166,6 +175,7 @@ def test_angles_in_another_order_are_refused(saved, sensor):
     assert not pipeline.calibration
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("scale", "residual", "fits"),
     [(1.0, 7.0, True), (1.0, 8.0, False), (np.pi / 180, 0.9, True), (np.pi / 180, 1.1, False)],
@@ -178,6 +188,7 @@ def test_the_residual_is_judged_by_the_size_of_the_angles(scale, residual, fits,
         Calibration((10.0,), (1.0,), (1.0,), residual).require_fit(known)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -192,6 +203,7 @@ def test_the_command_says_what_it_needs(saved, tmp_path, arguments, message):
     assert message in str(done.exception)
 
 
+@pytest.mark.slow
 def test_a_dataset_without_bends_is_named(saved, sensor, tmp_path):
     folder = bends(sensor, tmp_path / "bends")
     done = run(saved, "--dataset", folder, "--specimen", 1, "--out", tmp_path / "m.eitmodel")

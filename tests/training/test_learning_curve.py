@@ -52,6 +52,7 @@ def test_mean_loss_weighs_samples_and_not_pieces():
     assert found == pytest.approx(np.mean(np.arange(300.0) ** 2), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_losses_fall_to_those_of_the_trained_network():
     network = line()
     history = fit(network, samples(INPUTS[:10], TARGETS[:10]))

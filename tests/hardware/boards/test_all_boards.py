@@ -209,6 +209,7 @@ def test_real_speed_waits_as_the_recording_did(recording):
 # ---- the command ----
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ended_by", [signal.SIGINT, signal.SIGTERM])
 def test_eitskin_board_serves_one_host_after_the_other_until_interrupted(ended_by, tmp_path):
     script = "import typer; from eitskin.cli.commands.board import command; typer.run(command)"

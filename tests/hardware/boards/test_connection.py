@@ -201,6 +201,7 @@ def test_a_link_does_not_replace_a_file(tmp_path):
     assert (tmp_path / "notes").read_text() == "kept"
 
 
+@pytest.mark.slow
 def test_unplugging_and_replugging_leaves_nothing_behind():
     def state():
         return len(list(Path("/dev/fd").iterdir())), threading.active_count()

@@ -145,6 +145,7 @@ def test_real_period_is_28_pairs_of_10_6_ms():
     assert firmware().info.period == pytest.approx(0.2968)
 
 
+@pytest.mark.slow
 def test_a_paced_board_skips_frames_that_nobody_reads():
     measured, full = firmware(), threading.Event()
     skip = measured.skip

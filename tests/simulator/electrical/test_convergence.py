@@ -127,9 +127,9 @@ RATES = [
     ("hexahedra", (1, 1), (8, 16)),
     ("hexahedra", (2, 2, 2), (4, 8)),
     ("prisms", (1, 1), (8, 16)),
-    ("prisms", (2, 2, 2), (6, 12)),
+    pytest.param("prisms", (2, 2, 2), (6, 12), marks=pytest.mark.slow),
     ("tetrahedra", (1,), (12, 16)),
-    ("tetrahedra", (2,), (14, 16)),
+    pytest.param("tetrahedra", (2,), (14, 16), marks=pytest.mark.slow),
 ]
 
 
@@ -155,7 +155,8 @@ def reference(contact) -> SensorDesign:
 
 @pytest.mark.parametrize("cells", ["hexahedra", "prisms"])
 @pytest.mark.parametrize(
-    ("resolution", "close"), [("fast", 1.7e-2), ("standard", 1e-3), ("fine", 1e-5)]
+    ("resolution", "close"),
+    [("fast", 1.7e-2), ("standard", 1e-3), pytest.param("fine", 1e-5, marks=pytest.mark.slow)],
 )
 def test_flat_reference_sensor_matches_the_hp_solution(resolution, close, cells) -> None:
     R = PAIRS.measure(ForwardModel(reference(1e-4), resolution, cells=cells).impedance())

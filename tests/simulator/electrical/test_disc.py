@@ -50,6 +50,7 @@ def test_two_opposite_electrodes_on_a_disc(z, exact) -> None:
     assert opposite(model.impedance()) * THICKNESS == pytest.approx(exact, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_any_electrodes_on_a_disc() -> None:
     """All transfer impedances of seven unequal electrodes with unequal contacts."""
     rng = np.random.default_rng(4)

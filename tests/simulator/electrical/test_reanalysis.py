@@ -96,6 +96,7 @@ def test_values_outside_the_changed_strips_are_not_looked_at() -> None:
 # Whole scenes
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bend", [Bend(0.0), BEND])
 def test_without_tolerance_scenes_are_solved_as_one_by_one(sim, bend) -> None:
     found = sim.measure_all(scenes(bend), EXACT)
@@ -103,6 +104,7 @@ def test_without_tolerance_scenes_are_solved_as_one_by_one(sim, bend) -> None:
     assert np.abs(found / plain - 1.0).max() < 1e-12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cells", ["prisms", "hexahedra"])
 def test_meshes_of_any_kind_fall_into_strips(cells) -> None:
     sim = Simulator(SensorDesign.reference(), COARSE)
@@ -128,6 +130,7 @@ def test_electrodes_of_any_contact_impedance(z) -> None:
     assert (error < 0.02 * np.linalg.norm(plain - flat, axis=1)).all()
 
 
+@pytest.mark.slow
 def test_tolerances_leave_less_than_a_percent_of_the_signal(sim) -> None:
     exact = signals(sim, scenes(), EXACT)
     size = np.linalg.norm(exact, axis=1)
@@ -226,6 +229,7 @@ def test_each_solution_can_be_stopped(sim) -> None:
 # What it is not for
 
 
+@pytest.mark.slow
 def test_other_solvers_and_complex_contacts_are_refused_but_simulated() -> None:
     design = SensorDesign.reference()
     electrodes = tuple(

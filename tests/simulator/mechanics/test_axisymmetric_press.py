@@ -29,7 +29,14 @@ def layer(thickness, law=None) -> Stack:
 
 
 @pytest.mark.parametrize(
-    ("ratio", "published"), [(0.2, 1.281), (0.4, 1.684), (0.6, 2.213), (1.0, 3.619), (2.0, 9.15)]
+    ("ratio", "published"),
+    [
+        pytest.param(0.2, 1.281, marks=pytest.mark.slow),
+        pytest.param(0.4, 1.684, marks=pytest.mark.slow),
+        pytest.param(0.6, 2.213, marks=pytest.mark.slow),
+        (1.0, 3.619),
+        pytest.param(2.0, 9.15, marks=pytest.mark.slow),
+    ],
 )
 def test_a_flat_punch_on_a_bonded_layer_is_hayess(ratio, published) -> None:
     assert closed_forms.bonded_punch(ratio) == pytest.approx(published, rel=5e-4)
@@ -45,6 +52,7 @@ def test_a_flat_punch_on_a_bonded_layer_is_hayess(ratio, published) -> None:
     assert factor == pytest.approx(closed_forms.bonded_punch(a / h), rel=6e-3)
 
 
+@pytest.mark.slow
 def test_a_small_press_of_a_sphere_is_hertzs() -> None:
     R = 0.01
     press = AxisymmetricPress(
@@ -89,12 +97,14 @@ def pressed(request):
     return deeper_and_deeper(request.param)
 
 
+@pytest.mark.slow
 def test_every_layer_keeps_its_volume(pressed) -> None:
     _, found = pressed
     assert found[-1].volume_ratios == pytest.approx([1.0, 1.0, 1.0], abs=1e-5)
     assert 0.02 < found[-1].thinning(1) < 0.5
 
 
+@pytest.mark.slow
 def test_pressure_carries_the_force(pressed) -> None:
     _, (*_, last) = pressed
     r, p = last.radii, last.pressure
@@ -105,6 +115,7 @@ def test_pressure_carries_the_force(pressed) -> None:
     )
 
 
+@pytest.mark.slow
 def test_the_base_carries_the_force(pressed) -> None:
     press, (*_, last) = pressed
     base = np.flatnonzero(press.solid.nodes[:, 1] < 1e-12)
@@ -112,6 +123,7 @@ def test_the_base_carries_the_force(pressed) -> None:
     assert reaction == pytest.approx(last.force, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_the_work_of_the_force_is_the_energy_stored(pressed) -> None:
     press, found = pressed
     depths = np.array([0.0, *(one.depth for one in found)])
@@ -121,6 +133,7 @@ def test_the_work_of_the_force_is_the_energy_stored(pressed) -> None:
     assert stored == pytest.approx(work, rel=0.03)
 
 
+@pytest.mark.slow
 def test_stiffness_is_the_slope_of_the_forces(pressed) -> None:
     press, _ = pressed
     contact, x = press.contact, press.unknowns
@@ -133,12 +146,14 @@ def test_stiffness_is_the_slope_of_the_forces(pressed) -> None:
     assert K @ step == pytest.approx(slope, abs=2e-3 * np.abs(slope).max())
 
 
+@pytest.mark.slow
 def test_forces_and_depths_are_each_others_inverse() -> None:
     by_force = AxisymmetricPress(REFERENCE, Cylinder(), finest=6e-4).to_force(3.0)
     by_depth = AxisymmetricPress(REFERENCE, Cylinder(), finest=6e-4).to_depth(by_force.depth)
     assert by_depth.force == pytest.approx(3.0, rel=0.02)
 
 
+@pytest.mark.slow
 def test_finer_cells_change_little() -> None:
     coarse, fine = (
         AxisymmetricPress(REFERENCE, Cylinder(), finest=f).to_depth(0.0004) for f in (5e-4, 3e-4)
@@ -147,6 +162,7 @@ def test_finer_cells_change_little() -> None:
     assert coarse.thinning(1) == pytest.approx(fine.thinning(1), rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_press_far_beyond_what_is_published_turns_no_cell_inside_out() -> None:
     press = copy.copy(deeper_and_deeper("rough cylinder")[0])
     for depth in (0.003, 0.006, 0.007):
@@ -180,6 +196,7 @@ def test_a_sphere_is_round() -> None:
     assert g == pytest.approx(0.0075 - np.hypot(r, 0.0075 - height))
 
 
+@pytest.mark.slow
 def test_a_profile_of_a_sphere_presses_like_the_sphere() -> None:
     r = np.linspace(0.0, 0.0065, 40)
     profile = Profile(tuple(r), tuple(0.0075 - np.sqrt(0.0075**2 - r**2)))
@@ -217,6 +234,7 @@ def test_what_cannot_be_pressed_is_refused(make, says) -> None:
         make()
 
 
+@pytest.mark.slow
 def test_a_press_through_the_base_says_how_far_it_got() -> None:
     press = AxisymmetricPress(layer(0.002), Cylinder(0.004), finest=2e-3)
     with pytest.raises(SolidError, match="m deep of") as error:

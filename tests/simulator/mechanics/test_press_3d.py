@@ -44,6 +44,7 @@ def points(n=4000, low=(0.020, 0.015, 0.0), high=(0.060, 0.055, 0.005)):
     return np.random.default_rng(5).uniform(low, high, (n, 3))
 
 
+@pytest.mark.slow
 def test_far_from_edges_a_press_is_a_body_of_revolution(alone) -> None:
     press = AxisymmetricPress(MATERIAL.stack(DESIGN), PUNCH)
     for force, found in zip((0.5, 0.75, 1.0), alone, strict=True):
@@ -68,12 +69,14 @@ def test_far_from_edges_a_press_is_a_body_of_revolution(alone) -> None:
             assert np.linalg.norm(moved - expected) < 0.12 * np.linalg.norm(expected)
 
 
+@pytest.mark.slow
 def test_the_base_carries_the_force(alone) -> None:
     for fraction, found in zip((0.5, 0.75, 1.0), alone, strict=True):
         assert found.forces == pytest.approx([fraction], rel=1e-9)
         assert found.base_force == pytest.approx(fraction, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_energy_is_the_work_of_the_force(alone) -> None:
     """By Simpson's rule over the force: dU = d(F d) - d dF."""
     depths = [found.depths[0] for found in alone]
@@ -82,6 +85,7 @@ def test_energy_is_the_work_of_the_force(alone) -> None:
     assert alone[2].energy - alone[0].energy == pytest.approx(work, rel=5e-3)
 
 
+@pytest.mark.slow
 def test_the_gel_keeps_its_volume(alone) -> None:
     assert alone[-1].volume_ratio == pytest.approx(1.0, abs=1e-4)
     J = np.linalg.det(alone[-1].gradient(points()))
@@ -89,6 +93,7 @@ def test_the_gel_keeps_its_volume(alone) -> None:
     assert np.sqrt(np.mean((J - 1.0) ** 2)) < 0.03
 
 
+@pytest.mark.slow
 def test_gradient_is_the_derivative_of_positions(alone) -> None:
     X = points(500)
     steps = 1e-8 * np.eye(3)
@@ -98,6 +103,7 @@ def test_gradient_is_the_derivative_of_positions(alone) -> None:
     assert np.quantile(error, 0.97) < 1e-6
 
 
+@pytest.mark.slow
 def test_what_lies_beyond_the_window_does_not_move(alone) -> None:
     X = np.array([[0.001, 0.035, 0.005], [0.079, 0.001, 0.0]])
     assert np.array_equal(alone[-1].positions(X), X)
@@ -106,8 +112,11 @@ def test_what_lies_beyond_the_window_does_not_move(alone) -> None:
     step = np.array([1e-9, 0.0, 0.0])
     across = alone[-1].positions(edge + step) - alone[-1].positions(edge - step)
     assert across == pytest.approx(2.0 * step, abs=1e-10)
+    with pytest.raises(ConfigurationError, match="outside the pressed sensor"):
+        alone[-1].positions(np.array([0.040, 0.035, 0.006]))
 
 
+@pytest.mark.slow
 def test_half_of_a_symmetric_press_is_like_all_of_it() -> None:
     """A micrometre beside the middle nothing mirrors itself."""
     outline = Rectangle(0.020, 0.020)
@@ -124,6 +133,7 @@ def test_half_of_a_symmetric_press_is_like_all_of_it() -> None:
     assert one.positions(X) == pytest.approx(other.positions(X), abs=5e-6)
 
 
+@pytest.mark.slow
 def test_touches_near_opposite_corners_are_mirror_images() -> None:
     near, far = (
         solved(Touch(x, y, 0.4, PUNCH), grading=COARSER, reach=0.008)
@@ -136,6 +146,7 @@ def test_touches_near_opposite_corners_are_mirror_images() -> None:
     assert turned[0] + turned[1] * there == pytest.approx(near.positions(X), abs=1e-9)
 
 
+@pytest.mark.slow
 def test_presses_far_apart_add_up() -> None:
     touches = (Touch(0.025, 0.035, 0.5, PUNCH), Touch(0.055, 0.035, 0.5, PUNCH))
     one = solved(Touch(0.040, 0.035, 0.5, PUNCH), grading=COARSER)
@@ -148,6 +159,7 @@ def test_presses_far_apart_add_up() -> None:
     assert both.energy == pytest.approx(2.0 * one.energy, rel=0.02)
 
 
+@pytest.mark.slow
 def test_unequal_touches_each_carry_their_own_force() -> None:
     light, heavy = Touch(0.032, 0.035, 0.3, PUNCH), Touch(0.048, 0.035, 0.6, PUNCH)
     pair = stack(light, heavy, grading=COARSER, reach=0.008)
@@ -158,7 +170,7 @@ def test_unequal_touches_each_carry_their_own_force() -> None:
     assert len(found.depths) == len(found.thinnings) == 2
 
 
-def test_what_cannot_be_pressed_is_refused(alone) -> None:
+def test_what_cannot_be_pressed_is_refused() -> None:
     with pytest.raises(ConfigurationError, match="must lie on the sensor"):
         stack(Touch(0.081, 0.035))
     with pytest.raises(ConfigurationError, match="must not overlap"):
@@ -169,8 +181,6 @@ def test_what_cannot_be_pressed_is_refused(alone) -> None:
         stack(Touch(0.040, 0.035, depth=1e-3))
     with pytest.raises(ConfigurationError, match="fractions"):
         list(stack(Touch(0.040, 0.035, 1.0, PUNCH)).equilibria((0.0,)))
-    with pytest.raises(ConfigurationError, match="outside the pressed sensor"):
-        alone[-1].positions(np.array([0.040, 0.035, 0.006]))
     disc = Disc(0.050)
     with pytest.raises(ConfigurationError, match="rectangular"):
         PressedStack(SensorDesign(disc, 0.005, uniform(disc, 4)), (Touch(0.025, 0.025),))

@@ -31,6 +31,7 @@ def disc(dent, n=40):
     return r.ravel(), z.ravel()
 
 
+@pytest.mark.slow
 def test_between_tabulated_depths_dents_are_those_of_a_press(table) -> None:
     press = AxisymmetricPress(REFERENCE.stack(DESIGN), Cylinder(), finest=0.0075 / 20)
     for depth in (2e-4, 9e-4, 2.2e-3):
@@ -112,6 +113,7 @@ def test_a_dent_is_regular_on_its_axis_and_ends(table) -> None:
     assert inside == pytest.approx(np.eye(3), abs=2e-4)
 
 
+@pytest.mark.slow
 def test_the_layer_carries_its_share(table) -> None:
     """A stack relaxes by shares that differences of moduli give as well."""
     step, depth = 0.05, 0.0015

@@ -236,6 +236,7 @@ def ball(tmp_path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_scanned_ball_is_a_sphere(ball) -> None:
     scanned, sphere = ScannedIndenter(ball, scale=1e-3), Sphere(0.0075)
     r = np.linspace(0.0, 0.0065, 30)

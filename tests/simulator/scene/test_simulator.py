@@ -91,6 +91,7 @@ def test_a_free_arc_bends_the_sensor_into_a_ring(flat) -> None:
     assert np.abs(R / flat - 1).max() < 0.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("angle", [30.0, 180.0, -300.0])
 @pytest.mark.parametrize("faces", ["ends", "top and bottom"])
 def test_a_block_on_a_free_arc_is_an_annular_sector(angle, faces) -> None:

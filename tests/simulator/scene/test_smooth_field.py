@@ -50,6 +50,7 @@ def test_distances_are_from_the_nearest_side() -> None:
     assert BOX.distance(0.054, 0.033) == pytest.approx(0.005)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("place", [(0.075, 0.030), (0.023, 0.021), (0.085, 0.015)])
 def test_interpolated_images_change_signals_by_less_than_the_model_is_good_for(place) -> None:
     sim = Simulator(SensorDesign.reference(), resolution="fast")

@@ -57,6 +57,7 @@ def test_lines_of_current_spread_over_the_electrode_they_begin_on(bar) -> None:
             assert quarters.min() > 0.5 * quarters.mean()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["hexahedra", "prisms", "tetrahedra"])
 def test_shapes_have_the_volume_and_the_electrodes_of_the_mesh(bar, kind) -> None:
     if kind == "tetrahedra":
@@ -90,6 +91,7 @@ def test_all_points_are_seen_between_title_and_colour_scale() -> None:
         assert ((points - camera.position) @ -panel.direction).min() > 0.0
 
 
+@pytest.mark.slow
 def test_a_design_with_electrodes_of_every_kind_is_drawn(tmp_path) -> None:
     electrodes = (
         Electrode(0.060, 0.030),
@@ -104,6 +106,7 @@ def test_a_design_with_electrodes_of_every_kind_is_drawn(tmp_path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["mesh.png"]
 
 
+@pytest.mark.slow
 def test_potential_and_current_of_a_drive_pair_are_drawn(bar, tmp_path) -> None:
     model = ForwardModel(bar, ((1, 1), COARSE))
     draw_drive(model, (0, 1), tmp_path / "drive.png")
@@ -126,6 +129,7 @@ def test_electrodes_that_do_not_exist_are_refused(bar, tmp_path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["hexahedra", "prisms"])
 def test_the_model_for_pictures_is_right_to_a_few_percent(kind) -> None:
     design = SensorDesign.reference()

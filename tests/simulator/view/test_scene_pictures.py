@@ -81,6 +81,7 @@ def test_the_current_in_a_stretched_and_turned_block_is_uniform(bar) -> None:
     assert found == pytest.approx(np.tile([c / area, 0.0, s / area], (len(found), 1)), abs=1e-3)
 
 
+@pytest.mark.slow
 def test_the_current_in_a_bent_bar_falls_with_the_radius(bar) -> None:
     arc, angle = FreeArc(LENGTH), 60.0
     sim = Simulator(bar, "fast", arc)
@@ -208,6 +209,7 @@ def bent_and_pressed() -> Scene:
     return Scene(Bend(40.0), (Touch(0.05, 0.02), Touch(0.12, 0.055, 5.0)), twist=Twist(15.0))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few_cells")
 @pytest.mark.parametrize("colour", ["conductance", "strain", "current"])
 def test_a_bent_pressed_sensor_is_drawn_whole(sim, bent_and_pressed, colour, tmp_path) -> None:
@@ -222,6 +224,7 @@ def test_a_bent_pressed_sensor_is_drawn_whole(sim, bent_and_pressed, colour, tmp
     assert [p.name for p in tmp_path.iterdir()] == ["scene.png"]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few_cells")
 def test_a_press_is_red_where_it_is_and_nowhere_else(sim, tmp_path) -> None:
     scenes = [Scene(), Scene(touches=(Touch(0.05, 0.02),))]
@@ -235,6 +238,7 @@ def test_a_press_is_red_where_it_is_and_nowhere_else(sim, tmp_path) -> None:
     assert np.nonzero(lower)[1].mean() == pytest.approx(418, abs=40)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few_cells")
 def test_a_flat_sensor_is_drawn_in_every_colour(bar, tmp_path) -> None:
     flat = Simulator(bar, "fast", Hinge(span=0.02))

@@ -151,6 +151,7 @@ def bar() -> Simulator:
     return Simulator(design, field_resolution(design, 0.004), protocol=Protocol.pairwise(2))
 
 
+@pytest.mark.slow
 def test_a_bar_has_ohms_law_in_every_cell(bar) -> None:
     body, electrodes = scene_grids(bar, Scene()).values()
     j = 1.0 / (WIDTH * THICKNESS)
@@ -228,6 +229,7 @@ def export(*words):
     return ran.stdout
 
 
+@pytest.mark.slow
 def test_the_command_writes_a_scene(tmp_path) -> None:
     scene, out = tmp_path / "scene.toml", tmp_path / "out"
     scene.write_text("[bend]\nangle_deg = 20.0\n")

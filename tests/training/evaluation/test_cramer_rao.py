@@ -247,6 +247,7 @@ def test_an_angle_or_a_drift_that_is_unknown_costs(derivatives):
     assert free.angle_deg < drifting.angle_deg
 
 
+@pytest.mark.slow
 def test_each_bound_is_read_from_its_place_in_the_covariance(sim):
     touches = (Touch(0.040, 0.020, 8.0), Touch(0.110, 0.040, 4.0))
     found = scene_derivatives(sim, Scene(touches=touches))
@@ -278,6 +279,7 @@ def test_white_noise_of_the_instrument(sim, derivatives):
     assert np.sqrt(np.mean(relative**2)) == pytest.approx(1.0, abs=4.0 / np.sqrt(2 * 300 * 28))
 
 
+@pytest.mark.slow
 def test_touches_keep_their_order(sim):
     """Each alone is bounded by less than beside the other, and they are not mixed up."""
     touches = (Touch(0.075, 0.015, 5.0), Touch(0.105, 0.030, 10.0))
@@ -291,6 +293,7 @@ def test_touches_keep_their_order(sim):
     assert 3.0 * together.distance[0] < together.distance[1]
 
 
+@pytest.mark.slow
 def test_mirror_images_are_known_alike(sim, derivatives):
     """In the middle lines of the sensor, the bent one too."""
     bound = derivatives.bound(1e-3)

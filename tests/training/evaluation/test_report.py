@@ -217,6 +217,7 @@ def picture_size(path):
     return int.from_bytes(data[16:20]), int.from_bytes(data[20:24])
 
 
+@pytest.mark.slow
 def test_folder_holds_what_there_is_to_show_and_says_what_not(evaluation, tmp_path):
     folder = write_report(evaluation, tmp_path / "a" / "report", {"machine": "an abacus"})
     document = json.loads((folder / "report.json").read_text())
@@ -236,6 +237,7 @@ def test_folder_holds_what_there_is_to_show_and_says_what_not(evaluation, tmp_pa
     assert 'name = "by hand"' in text
 
 
+@pytest.mark.slow
 def test_episodes_and_several_touches_near_30_deg_have_pictures(tmp_path):
     told, order = perceived(), np.tile(np.arange(len(FRAMES)), 4)
     says = dataclasses.replace(

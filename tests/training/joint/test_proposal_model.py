@@ -74,6 +74,7 @@ def test_same_seed_makes_the_same_frames():
 # Learned
 
 
+@pytest.mark.slow
 def test_touches_are_proposed_near_where_they_are(trained):
     """Most single touches to within 10 mm, in frames never seen."""
     inputs, places = frames(600)
@@ -92,6 +93,7 @@ def test_touches_are_proposed_near_where_they_are(trained):
     assert np.mean(quiet) > 0.8
 
 
+@pytest.mark.slow
 def test_training_tells_its_losses_and_progress(trained):
     _, history, said = trained
     assert len(history.training) == 5
@@ -99,6 +101,7 @@ def test_training_tells_its_losses_and_progress(trained):
     assert said == [("proposals", i, 5) for i in range(1, 6)]
 
 
+@pytest.mark.slow
 def test_arrays_make_them_again(trained):
     proposals = trained[0]
     again = Proposals.from_arrays(proposals.arrays())

@@ -174,6 +174,7 @@ def trained():
     torch.set_num_threads(before)
 
 
+@pytest.mark.slow
 def test_smooth_response_is_learned_from_few_frames(trained):
     """At places, forces, angles and features never seen."""
     rng = np.random.default_rng(2)
@@ -188,6 +189,7 @@ def test_smooth_response_is_learned_from_few_frames(trained):
     assert np.sqrt(np.sum(errors) / np.sum(sizes)) < 0.12
 
 
+@pytest.mark.slow
 def test_strengths_of_specimens_do_not_blur_it(trained):
     """Had it one response for all specimens, it would end at a loss above 0.02.
 

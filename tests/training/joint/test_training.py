@@ -97,6 +97,7 @@ def trained():
     return method, said
 
 
+@pytest.mark.slow
 def test_what_is_learned_is_the_sensor(trained):
     method, said = trained
     np.testing.assert_allclose(method.noise, NOISE, rtol=0.2)
@@ -114,6 +115,7 @@ def test_what_is_learned_is_the_sensor(trained):
     assert all(done <= total for _, done, total in said)
 
 
+@pytest.mark.slow
 def test_learned_method_perceives_frames_never_seen(trained):
     unseen = dataset(150, 24, seed=1)
     said = trained[0].perceive(Observed.of(unseen))
@@ -128,6 +130,7 @@ def test_learned_method_perceives_frames_never_seen(trained):
     assert np.median(away) < 0.005
 
 
+@pytest.mark.slow
 def test_learned_method_is_copied_by_its_arrays(trained):
     frames = Observed.of(dataset(12, 24, seed=2))
     again = JointMethod.from_arrays(trained[0].arrays(), LAYOUT)

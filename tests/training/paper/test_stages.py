@@ -113,6 +113,7 @@ def states(presses):
     return signal + rng.normal(size=dV.shape) * dV.std() * 0.05, state
 
 
+@pytest.mark.slow
 def test_classifier_learns_and_generalises(states, embedding):
     dV, state = states
     stage = Classifier.fit(dV[:240], state[:240], embedding, SHAPE, BRIEF)
@@ -184,6 +185,7 @@ def test_constant_learning_rate_is_the_one_asked_for(states, embedding):
     assert np.max(np.abs(moved[0] - moved[1])) == pytest.approx(1e-3 - 1e-5, rel=0.01)
 
 
+@pytest.mark.slow
 def test_postprocessor_sharpens(presses, reconstruction):
     dV, maps, centres = presses
     stage = PostProcessor.fit(dV[:240], maps[:240], reconstruction, BRIEF)

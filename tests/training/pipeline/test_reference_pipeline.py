@@ -85,6 +85,7 @@ def test_a_contact_that_changes_is_no_touch(session, simulator):
     assert any("electrode 2" in problem for problem in said.problems)
 
 
+@pytest.mark.slow
 def test_it_runs_without_torch():
     """Which takes seconds to load: a live session would lose its first frames."""
     code = (

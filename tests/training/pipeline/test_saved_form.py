@@ -234,6 +234,7 @@ def test_the_pipeline_that_comes_along_is_read_wherever_one_is():
     assert read_pipeline("reference.eitmodel").kind == "perception"
 
 
+@pytest.mark.slow
 def test_commands_train_and_evaluate(dataset, tmp_path, capsys):
     data, out = tmp_path / "data", tmp_path / "some.eitmodel"
     save_dataset(dataset, data)
