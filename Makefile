@@ -9,7 +9,7 @@ WORKERS := --numprocesses 2 --dist loadfile --no-loadscope-reorder
 # Hundreds of processes start in the tests; what one has compiled the others need not.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test quick coverage mutations lint docs gallery bench bench-long clean
+.PHONY: demo test quick coverage mutations lint docs gallery bench bench-long figures clean
 
 demo: $(VENV)/installed
 	$(BIN)/eitskin demo --out build/demo --data $(DATA)
@@ -56,12 +56,15 @@ gallery: $(VENV)/installed
 	for script in $(filter-out %/style.py, $(wildcard docs/gallery/*.py)); do \
 		$(BIN)/python $$script docs/gallery || exit 1; done
 
-# What README and docs quote, measured again into build/bench and compared, for an hour or two.
-# What was measured before with the same version and seed is kept; see docs/benchmarks.md.
-# bench-long does also what takes more than ten minutes by itself.
+# Everything that README and docs quote, measured again into build/bench, for an hour or two.
+# Results of the same version and seed are kept; see docs/benchmarks.md.
+# bench-long also runs the benchmarks that take more than ten minutes each.
 bench bench-long: $(VENV)/installed
-	$(BIN)/eitskin bench all --data $(DATA) $(if $(filter bench-long,$@),--long) $(ARGS); measured=$$?; \
-		$(BIN)/eitskin bench quoted && exit $$measured
+	$(BIN)/eitskin bench all --data $(DATA) $(if $(filter bench-long,$@),--long) $(ARGS)
+
+# Figures of README and docs, from benchmarks/published; RESULTS=build/bench puts new ones above.
+figures: $(VENV)/installed
+	$(BIN)/python -m eitskin.benchmarks.studies.render $(RESULTS)
 
 # torch comes first and alone: its CPU build is then found by everything that asks for torch.
 $(VENV)/installed: pyproject.toml constraints.txt

@@ -1,8 +1,7 @@
-"""`eitskin bench all` and `eitskin bench quoted`: all benchmarks, and what pages quote of them."""
+"""Command `eitskin bench all`: all benchmarks, one after the other."""
 
-from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich import box
@@ -18,7 +17,7 @@ if TYPE_CHECKING:
 
 Out = Annotated[Path, typer.Option(help="Folder of all results; each benchmark has one in it.")]
 _OUT = Path("build/bench")
-_COLOURS = {"measured": "green", "equal": "green", "failed": "bold red", "off": "bold red"}
+_COLOURS = {"measured": "green", "failed": "bold red"}
 
 
 def run_all(
@@ -85,39 +84,6 @@ def _chosen(only: list[str] | None, long: bool) -> "list[Benchmark]":
         if name not in names:
             raise ConfigurationError(f"no benchmark {name!r}; there are: {', '.join(names)}")
     return [each for each in ALL if (each.name in only if only else long or not each.long)]
-
-
-def quoted(
-    out: Out = _OUT,
-    *,
-    as_json: Json = False,
-    quiet: Quiet = False,
-    verbose: Verbose = False,
-) -> None:
-    """Numbers and pictures that README and docs quote, compared with the results in the folder.
-
-    Lists what is off, with --verbose all; exit code 1 where something is.
-    """
-    from eitskin.benchmarks.quote_check import compare
-
-    output = Output(as_json, quiet, verbose)
-    found = list(compare(out))
-    table = Table("page", "says", "measured", "within", "figure", box=box.SIMPLE, pad_edge=False)
-    for one in found:
-        if verbose or one.verdict in {"off", "no such figure"}:
-            place = f"{one.document}:{one.line}" if one.line else one.document
-            measured = "" if one.measured is None else f"{one.measured:.6g}"
-            verdict = _coloured(one.verdict)
-            table.add_row(place, one.written, f"{measured} {verdict}", one.spread, escape(one.key))
-    counts = Counter(one.verdict for one in found)
-    rows: list[dict[str, Any]] = [one.as_data() for one in found]
-    output.result({"counts": dict(counts), "quotes": rows}, table)
-    output.show(", ".join(f"{count} {verdict}" for verdict, count in counts.most_common()))
-    missing = Counter(one.results for one in found if one.verdict == "not measured")
-    for name, count in missing.items():
-        output.note(f"not measured: {count} of {name}; eitskin bench all --only {name}")
-    if counts["off"] or counts["no such figure"]:
-        raise typer.Exit(1)
 
 
 def _coloured(word: str) -> str:
