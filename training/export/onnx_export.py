@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from eitskin.errors import ConfigurationError, DataError
 from eitskin.extras import require
 from eitskin.files import atomic_file
 from eitskin.training.export import onnx_joint, onnx_paper
-from eitskin.training.export.onnx_graph import OPSET, ExportedGraph, Port
+from eitskin.training.export.onnx_graph import OPSET, ExportedGraph
 from eitskin.training.joint.method import JointMethod
 from eitskin.training.paper.method import PaperMethod
 from eitskin.training.pipeline.pipeline import Pipeline
@@ -27,8 +27,12 @@ TOLERANCE = 1e-5  # of an output, relative to the largest; networks are in singl
 
 
 def graphs_of(pipeline: Pipeline) -> tuple[list[ExportedGraph], tuple[str, ...]]:
-    """What of a pipeline is a graph, and in words what is not."""
-    method, layout, golden = pipeline.method, pipeline.layout, pipeline.examples
+    """The graphs of a pipeline, and in words the steps that are not in them.
+
+    Raises DataError without frames to check with, and ConfigurationError for a method that has no
+    graphs.
+    """
+    method, golden = pipeline.method, pipeline.examples
     frames = golden[np.flatnonzero(np.isfinite(golden.static + golden.dynamic).all(axis=1))]
     if not len(frames):
         raise DataError(
@@ -36,12 +40,14 @@ def graphs_of(pipeline: Pipeline) -> tuple[list[ExportedGraph], tuple[str, ...]]
             "checked; train it again on frames whose channels are good"
         )
     if isinstance(method, PaperMethod):
-        graphs = [onnx_paper.paper_graph(method, layout, frames)]
-        return graphs, onnx_paper.NOT_IN_GRAPH
+        return [onnx_paper.paper_graph(method, frames)], onnx_paper.NOT_IN_GRAPH
     if isinstance(method, JointMethod):
-        graphs = [each(method, layout, frames) for each in onnx_joint.GRAPHS]
-        return graphs, onnx_joint.NOT_IN_GRAPH
-    raise ConfigurationError(f"the method '{method.KIND}' cannot be exported")
+        graphs = (onnx_joint.proposals_graph, onnx_joint.response_graph)
+        return [graph(method, frames) for graph in graphs], onnx_joint.NOT_IN_GRAPH
+    raise ConfigurationError(
+        f"expected a pipeline of the paper's or the joint method, got the method '{method.KIND}', "
+        "which has no graphs"
+    )
 
 
 def export_onnx(
@@ -123,26 +129,21 @@ def checked(graph: ExportedGraph, tolerance: float = TOLERANCE) -> dict[str, flo
 def _entry(
     graph: ExportedGraph, differences: Mapping[str, float], tolerance: float
 ) -> dict[str, Any]:
-    """One graph, as JSON takes it."""
-    sizes = {name: float(np.max(np.abs(values))) for name, values in graph.expected.items()}
+    """Description of one graph, as JSON takes it."""
     outputs = [
-        entry
+        asdict(spec)
         | {
-            "largest_difference": differences[entry["name"]],
-            "allowed_difference": tolerance * sizes[entry["name"]],
+            "largest_difference": differences[spec.name],
+            "allowed_difference": tolerance * float(np.max(np.abs(graph.expected[spec.name]))),
         }
-        for entry in _ports(graph.outputs)
+        for spec in graph.outputs
     ]
     return {
         "file": f"{graph.name}.onnx",
         "sha256": hashlib.sha256(graph.model).hexdigest(),
         "bytes": len(graph.model),
         "what": graph.what,
-        "inputs": _ports(graph.inputs),
+        "inputs": [asdict(spec) for spec in graph.inputs],
         "outputs": outputs,
         "checked_with": len(next(iter(graph.expected.values()))),
     }
-
-
-def _ports(ports: Sequence[Port]) -> list[dict[str, Any]]:
-    return [asdict(port) for port in ports]

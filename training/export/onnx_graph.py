@@ -1,31 +1,36 @@
-"""ONNX graphs, built node by node: no exporter that would bring a compiler along is needed."""
+"""ONNX graphs as expressions: values with operators, each of which adds a node.
 
-from collections.abc import Mapping
+`torch.onnx` would take onnxscript, seconds a graph and as many lines for the stages around the
+networks (docs/interoperability.md).
+"""
+
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from eitskin.extras import require
 
 if TYPE_CHECKING:
-    from torch import Tensor, nn
+    from torch import nn
 
 OPSET = 17
 IR_VERSION = 8  # the file format that came with this opset
-N = "n"  # name of the axis along which frames are stacked
+BATCH = "n"  # name of the axis along which frames are stacked
+TYPES = {"float64": "double", "float32": "float", "int64": "int64"}  # of numpy and of ONNX
 
 
 @dataclass(frozen=True, slots=True)
-class Port:
-    """An input or output of a graph.
+class TensorSpec:
+    """Name, shape, type and unit of an input or output of a graph.
 
     Attributes:
         name: in the graph.
-        shape: sizes; names stand for sizes that are free.
+        shape: sizes of the axes; a name stands for a free size.
         dtype: "double", "float" or "int64".
-        unit: of its values, and what their axes are.
+        unit: unit of the values, and the meaning of the axes.
     """
 
     name: str
@@ -34,170 +39,196 @@ class Port:
     unit: str
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ExportedGraph:
-    """A graph and what the pipeline itself makes of some inputs.
+def _operator(name: str) -> "Callable[[Value, Value | ArrayLike], Value]":
+    """Method that applies an ONNX operator to two values."""
+    return lambda left, right: left.op(name, right)
 
-    Attributes:
-        name: of its file, without ending.
-        what: it computes, in a sentence.
-        inputs, outputs: in their order.
-        model: the file's bytes.
-        feeds: values of the inputs.
-        expected: values of the outputs, by the pipeline.
-    """
 
+@dataclass(frozen=True, slots=True)
+class Value:
+    """A tensor inside a graph; operators take further values, numbers and arrays."""
+
+    graph: "Graph"
     name: str
-    what: str
-    inputs: tuple[Port, ...]
-    outputs: tuple[Port, ...]
-    model: bytes
-    feeds: Mapping[str, NDArray[Any]]
-    expected: Mapping[str, NDArray[Any]]
+
+    def op(self, operator: str, *others: "Value | ArrayLike", **attributes: Any) -> "Value":
+        """Output of an ONNX operator whose first input is this value."""
+        return self.graph.node(operator, self, *others, **attributes)
+
+    __add__ = _operator("Add")
+    __sub__ = _operator("Sub")
+    __mul__ = _operator("Mul")
+    __truediv__ = _operator("Div")
+    __matmul__ = _operator("MatMul")
+
+    def cast(self, dtype: str) -> "Value":
+        """The value as "double" or "float"."""
+        return self.op("Cast", to=getattr(require("onnx", "onnx").TensorProto, dtype.upper()))
+
+    def sum(self, axis: int) -> "Value":
+        """Sum along an axis, which disappears."""
+        return self.op("ReduceSum", [axis], keepdims=0)
+
+    def dense(self, weight: NDArray[Any], bias: NDArray[Any]) -> "Value":
+        """weight value + bias in single precision, (n, inputs) to (n, outputs)."""
+        return self.op("Gemm", weight.astype(np.float32), bias.astype(np.float32), transB=1)
+
+    def silu(self) -> "Value":
+        """x times the logistic function of x."""
+        return self * self.op("Sigmoid")
 
 
-class GraphBuilder:
-    """A graph that grows; every method gives the name of the value that it has added.
-
-    Attributes:
-        inputs: as declared so far.
-        outputs: likewise.
-    """
+class Graph:
+    """Nodes and constants of an ONNX graph under construction."""
 
     def __init__(self) -> None:
         """Raises ImportError, naming the extra, where onnx is missing."""
         self._onnx = require("onnx", "onnx")
         self._nodes: list[Any] = []
         self._constants: list[Any] = []
-        self.inputs: list[Port] = []
-        self.outputs: list[Port] = []
 
-    def input(self, port: Port) -> str:
-        """Declare an input."""
-        self.inputs.append(port)
-        return port.name
+    def node(self, operator: str, *inputs: Value | ArrayLike, **attributes: Any) -> Value:
+        """Output of an ONNX operator; numbers and arrays become constants of the graph."""
+        names = [v.name if isinstance(v, Value) else self._constant(v) for v in inputs]
+        value = Value(self, f"v{len(self._nodes)}")
+        self._nodes.append(self._onnx.helper.make_node(operator, names, [value.name], **attributes))
+        return value
 
-    def output(self, port: Port, value: str) -> None:
-        """Declare that `value` is an output."""
-        self._nodes.append(self._onnx.helper.make_node("Identity", [value], [port.name]))
-        self.outputs.append(port)
-
-    def constant(self, values: Any, dtype: Any = np.float64) -> str:
-        """An array that the graph holds."""
+    def _constant(self, values: ArrayLike) -> str:
         name = f"c{len(self._constants)}"
-        array = np.ascontiguousarray(values, dtype=dtype).reshape(np.shape(values))
+        array = np.array(values, order="C")
         self._constants.append(self._onnx.numpy_helper.from_array(array, name))
         return name
 
-    def add(self, operator: str, *inputs: str, **attributes: Any) -> str:
-        """A node with one output."""
-        name = f"v{len(self._nodes)}"
-        self._nodes.append(self._onnx.helper.make_node(operator, inputs, [name], **attributes))
-        return name
-
-    def integers(self, *values: int) -> str:
-        """Axes, sizes or indices."""
-        return self.constant(np.array(values), np.int64)
-
-    def reshaped(self, value: str, *shape: int) -> str:
-        """`value` in another shape; one size may be -1."""
-        return self.add("Reshape", value, self.integers(*shape))
-
-    def cast(self, value: str, dtype: str) -> str:
-        """`value` as "double" or "float"."""
-        return self.add("Cast", value, to=getattr(self._onnx.TensorProto, dtype.upper()))
-
-    def relative_difference(self, impedance: str, reference: str) -> str:
-        """Re((V - r) / r) (n, C) of pairs of real and imaginary parts (n, C, 2)."""
-        axis = self.integers(2)
-        difference = self.add("Sub", impedance, reference)
-        along = self.add("ReduceSum", self.add("Mul", difference, reference), axis, keepdims=0)
-        square = self.add("ReduceSum", self.add("Mul", reference, reference), axis, keepdims=0)
-        return self.add("Div", along, square)
-
-    def dense(self, value: str, weight: NDArray[Any], bias: NDArray[Any]) -> str:
-        """weight value + bias in single precision, (n, inputs) to (n, outputs)."""
-        names = (self.constant(array, np.float32) for array in (weight, bias))
-        return self.add("Gemm", value, *names, transB=1)
-
-    def silu(self, value: str) -> str:
-        """x times the logistic function of x."""
-        return self.add("Mul", value, self.add("Sigmoid", value))
-
-    def layers(self, module: "nn.Module", value: str) -> str:
-        """A network of torch, layer by layer, in evaluation mode.
-
-        Raises TypeError for a layer that is not known here.
-        """
-        from torch import nn
-
-        match module:
-            case nn.Sequential():
-                for layer in module:
-                    value = self.layers(layer, value)
-            case nn.Conv2d() | nn.ConvTranspose2d():
-                value = self._convolution(module, value)
-            case nn.BatchNorm2d():
-                value = self._normalised(module, value)
-            case nn.Linear():
-                value = self.dense(value, _array(module.weight), _array(module.bias))
-            case nn.MaxPool2d():
-                size = [int(module.kernel_size)] * 2  # type: ignore[arg-type]
-                value = self.add("MaxPool", value, kernel_shape=size, strides=size)
-            case nn.ReLU():
-                value = self.add("Relu", value)
-            case nn.Flatten():
-                value = self.add("Flatten", value)
-            case _:
-                raise TypeError(f"no ONNX operator is known here for {type(module).__name__}")
-        return value
-
-    def _normalised(self, layer: "nn.BatchNorm2d", value: str) -> str:
-        arrays = (layer.weight, layer.bias, layer.running_mean, layer.running_var)
-        names = [self.constant(_array(array), np.float32) for array in arrays]
-        return self.add("BatchNormalization", value, *names, epsilon=layer.eps)
-
-    def _convolution(self, layer: "nn.Conv2d | nn.ConvTranspose2d", value: str) -> str:
-        from torch import nn
-
-        arrays = [layer.weight] if layer.bias is None else [layer.weight, layer.bias]
-        names = [self.constant(_array(array), np.float32) for array in arrays]
-        up, down = (int(size) for size in layer.padding)
-        attributes: dict[str, Any] = {
-            "strides": list(layer.stride),
-            "dilations": list(layer.dilation),
-            "pads": [up, down, up, down],
-        }
-        if isinstance(layer, nn.ConvTranspose2d):
-            attributes["output_padding"] = list(layer.output_padding)
-            return self.add("ConvTranspose", value, *names, **attributes)
-        return self.add("Conv", value, *names, **attributes)
-
-    def model(self, name: str, text: str) -> bytes:
-        """The finished graph, checked, as the bytes of its file."""
+    def model(
+        self,
+        name: str,
+        what: str,
+        inputs: Sequence[TensorSpec],
+        outputs: Mapping[TensorSpec, Value],
+    ) -> bytes:
+        """Bytes of the checked ONNX file."""
         helper, types = self._onnx.helper, self._onnx.TensorProto
-        inputs, outputs = (
+        for spec, value in outputs.items():
+            self._nodes.append(helper.make_node("Identity", [value.name], [spec.name]))
+        ports = (
             [
-                helper.make_tensor_value_info(
-                    port.name, getattr(types, port.dtype.upper()), list(port.shape)
-                )
-                for port in ports
+                helper.make_tensor_value_info(s.name, getattr(types, s.dtype.upper()), s.shape)
+                for s in specs
             ]
-            for ports in (self.inputs, self.outputs)
+            for specs in (inputs, outputs)
         )
-        graph = helper.make_graph(self._nodes, name, inputs, outputs, self._constants)
         model = helper.make_model(
-            graph,
+            helper.make_graph(self._nodes, name, *ports, self._constants),
             opset_imports=[helper.make_opsetid("", OPSET)],
             ir_version=IR_VERSION,
             producer_name="eitskin",
-            doc_string=text,
+            doc_string=what,
         )
         self._onnx.checker.check_model(model, full_check=True)
         return bytes(model.SerializeToString())
 
 
-def _array(tensor: "Tensor | None") -> NDArray[Any]:
-    """Trained values; every layer here has them."""
-    array: NDArray[Any] = tensor.detach().numpy()  # type: ignore[union-attr]
-    return array
+@dataclass(frozen=True, slots=True, eq=False)
+class ExportedGraph:
+    """An ONNX graph, some inputs, and the outputs of the pipeline itself for these inputs.
+
+    Attributes:
+        name: file name without its ending.
+        what: one sentence on what the graph computes.
+        inputs, outputs: in their order.
+        model: bytes of the file.
+        feeds: values of the inputs.
+        expected: values of the outputs, computed by the pipeline.
+    """
+
+    name: str
+    what: str
+    inputs: tuple[TensorSpec, ...]
+    outputs: tuple[TensorSpec, ...]
+    model: bytes
+    feeds: Mapping[str, NDArray[Any]]
+    expected: Mapping[str, NDArray[Any]]
+
+    @classmethod
+    def of(
+        cls,
+        name: str,
+        what: str,
+        build: Callable[..., Sequence[Value]],
+        feeds: Mapping[str, NDArray[Any]],
+        expected: Mapping[str, NDArray[Any]],
+        units: Mapping[str, str],
+    ) -> "ExportedGraph":
+        """Export of the expressions that `build` makes.
+
+        Args:
+            name: file name without its ending.
+            what: one sentence on what the graph computes.
+            build: takes the inputs and gives the outputs, as values of a graph.
+            feeds: inputs (n, ...) by name, in the order in which `build` takes them.
+            expected: outputs (n, ...) by name, in the order in which `build` gives them.
+            units: units of inputs and outputs.
+        """
+        inputs, outputs = (
+            tuple(
+                TensorSpec(key, (BATCH, *array.shape[1:]), TYPES[array.dtype.name], units[key])
+                for key, array in arrays.items()
+            )
+            for arrays in (feeds, expected)
+        )
+        graph = Graph()
+        values = build(*(Value(graph, spec.name) for spec in inputs))
+        built = dict(zip(outputs, values, strict=True))
+        model = graph.model(f"eitskin_{name}", what, inputs, built)
+        return cls(name, what, inputs, outputs, model, feeds, expected)
+
+
+def relative_difference(impedance: Value, reference: Value) -> Value:
+    """Re((V - r) / r) (n, C) of pairs of real and imaginary parts (n, C, 2)."""
+    return ((impedance - reference) * reference).sum(2) / (reference * reference).sum(2)
+
+
+def network(module: "nn.Module", value: Value) -> Value:
+    """Output of a torch network in evaluation mode, layer by layer.
+
+    Raises TypeError for a layer without a translation.
+    """
+    from torch import nn
+
+    match module:
+        case nn.Sequential():
+            for layer in module:
+                value = network(layer, value)
+        case nn.Conv2d():
+            value = value.op("Conv", *_arrays(module, "weight", "bias"), **_steps(module))
+        case nn.ConvTranspose2d():
+            steps = {"output_padding": module.output_padding, **_steps(module)}
+            value = value.op("ConvTranspose", *_arrays(module, "weight", "bias"), **steps)
+        case nn.BatchNorm2d():
+            arrays = _arrays(module, "weight", "bias", "running_mean", "running_var")
+            value = value.op("BatchNormalization", *arrays, epsilon=module.eps)
+        case nn.Linear():
+            value = value.dense(*_arrays(module, "weight", "bias"))
+        case nn.MaxPool2d():
+            size = [module.kernel_size] * 2
+            value = value.op("MaxPool", kernel_shape=size, strides=size)
+        case nn.ReLU():
+            value = value.op("Relu")
+        case nn.Flatten():
+            value = value.op("Flatten")
+        case _:
+            raise TypeError(f"expected a layer with an ONNX operator, got {type(module).__name__}")
+    return value
+
+
+def _steps(layer: "nn.Conv2d | nn.ConvTranspose2d") -> dict[str, Any]:
+    """Strides, dilations and paddings at the beginning and end of both axes."""
+    pads = (*layer.padding, *layer.padding)
+    return {"strides": layer.stride, "dilations": layer.dilation, "pads": pads}
+
+
+def _arrays(layer: "nn.Module", *names: str) -> list[NDArray[Any]]:
+    """Trained tensors of a layer, without those that the layer was made without."""
+    tensors = (getattr(layer, name) for name in names)
+    return [tensor.detach().numpy() for tensor in tensors if tensor is not None]

@@ -1,14 +1,19 @@
-"""The paper's method as one ONNX graph: from a frame and its two references to what it shows."""
+"""The paper's method as one ONNX graph, from a frame and its two references to the estimates."""
+
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.datasets.store.state import State
-from eitskin.training.export.onnx_graph import ExportedGraph, GraphBuilder, N, Port
-from eitskin.training.method.input_spec import Layout
+from eitskin.training.export.onnx_graph import (
+    ExportedGraph,
+    Value,
+    network,
+    relative_difference,
+)
 from eitskin.training.method.observations import Observed
 from eitskin.training.paper.method import PaperMethod
-from eitskin.training.paper.postprocessor import PostProcessor
 
 WHAT = (
     "The whole of the paper's method for n frames without bad channels: state, bend angle and "
@@ -19,115 +24,85 @@ NOT_IN_GRAPH = (
     "bad channels, which are filled in before by a conditional mean (MissingChannels.fill)",
     "places of touches, which are regions of touch_map above 0.4 (find_touches)",
 )
-PHASE = np.exp(0.1j)  # of what the graph is checked with; a phase that V and ref share cancels
+IMPEDANCE = "ohm; frames, measurements in the order of the table, real and imaginary part"
+FRAME_UNITS = dict.fromkeys(("impedance", "static_reference", "dynamic_reference"), IMPEDANCE)
+AXES = "rows along y, columns along x"
+UNITS = {
+    **FRAME_UNITS,
+    "probabilities": "of idle, touch, bend",
+    "state": "0 idle, 1 touch, 2 bend",
+    "bend_angle_deg": "degree",
+    "touch_map": f"probability, 0 to 1; {AXES}",
+    "static_picture": f"relative change; {AXES}",
+    "dynamic_picture": f"relative change; {AXES}",
+}
+PHASE = np.exp(0.1j)  # of the impedances that check the graph; it cancels in relative differences
 
 
-def paper_graph(method: PaperMethod, layout: Layout, frames: Observed) -> ExportedGraph:
-    """The graph of `PaperMethod.perceive`, and of the pictures it is made of."""
-    graph, (rows, columns) = GraphBuilder(), method.reconstruction.shape
-    impedance, flat, free = declared_frames(graph, layout)
-    static = graph.relative_difference(impedance, flat)
-    dynamic = graph.relative_difference(impedance, free)
-    probabilities = _classified(graph, method, static)
-    state = graph.add("ArgMax", probabilities, axis=1, keepdims=0)
-    touched = graph.add("Equal", state, graph.constant(State.TOUCH, np.int64))
-    angle = _angle(graph, method, static, dynamic, touched)
-    pictures = [_picture(graph, method, difference) for difference in (static, dynamic)]
-    map_ = _touch_map(graph, method.postprocessor, pictures[1], touched, (rows, columns))
-    map_shape, axes = (N, rows, columns), "rows along y, columns along x"
-    for port, value in (
-        (Port("probabilities", (N, 3), "double", "of idle, touch, bend"), probabilities),
-        (Port("state", (N,), "int64", "0 idle, 1 touch, 2 bend"), state),
-        (Port("bend_angle_deg", (N,), "double", "degree"), angle),
-        (Port("touch_map", map_shape, "float", f"probability, 0 to 1; {axes}"), map_),
-        (Port("static_picture", map_shape, "double", f"relative change; {axes}"), pictures[0]),
-        (Port("dynamic_picture", map_shape, "double", f"relative change; {axes}"), pictures[1]),
-    ):
-        graph.output(port, value)
+def paper_graph(method: PaperMethod, frames: Observed) -> ExportedGraph:
+    """`PaperMethod.perceive` without centroids, and the reconstructions; checked on `frames`."""
+
+    def build(impedance: Value, static_reference: Value, dynamic_reference: Value) -> list[Value]:
+        static = relative_difference(impedance, static_reference)
+        dynamic = relative_difference(impedance, dynamic_reference)
+        probabilities = _probabilities(method, static)
+        state = probabilities.op("ArgMax", axis=1, keepdims=0)
+        touched = state.op("Equal", np.int64(State.TOUCH))
+        angle = _angle(method, static, dynamic, touched)
+        pictures = [_picture(method, difference) for difference in (static, dynamic)]
+        return [probabilities, state, angle, _touch_map(method, pictures[1], touched), *pictures]
+
     said = method.perceive(frames)
-    static_picture, dynamic_picture = (
-        method.reconstruction.apply(each) for each in (frames.static, frames.dynamic)
-    )
-    return ExportedGraph(
-        "paper",
-        WHAT,
-        tuple(graph.inputs),
-        tuple(graph.outputs),
-        graph.model("eitskin_paper", WHAT),
-        frames_as_inputs(frames),
-        {
-            "probabilities": said.probabilities,
-            "state": said.state,
-            "bend_angle_deg": said.bend_angle_deg,
-            "touch_map": said.touch_map,
-            "static_picture": static_picture,
-            "dynamic_picture": dynamic_picture,
-        },
-    )
-
-
-def declared_frames(graph: GraphBuilder, layout: Layout) -> list[str]:
-    """Inputs impedance, static_reference and dynamic_reference."""
-    shape = (N, len(layout.protocol), 2)
-    unit = "ohm; frames, measurements in the order of the table, real and imaginary part"
-    names = ("impedance", "static_reference", "dynamic_reference")
-    return [graph.input(Port(name, shape, "double", unit)) for name in names]
+    reconstruct = method.reconstruction.apply
+    expected: dict[str, NDArray[Any]] = {
+        "probabilities": said.probabilities,
+        "state": said.state.astype(np.int64),
+        "bend_angle_deg": said.bend_angle_deg,
+        "touch_map": said.touch_map,
+        "static_picture": reconstruct(frames.static),
+        "dynamic_picture": reconstruct(frames.dynamic),
+    }
+    return ExportedGraph.of("paper", WHAT, build, frames_as_inputs(frames), expected, UNITS)
 
 
 def frames_as_inputs(frames: Observed) -> dict[str, NDArray[np.float64]]:
-    """Impedances and references of which `frames` are the relative differences."""
+    """Impedances and references (n, C, 2) [ohm] whose relative differences are `frames`."""
     flat = frames.flat * PHASE
     impedance = flat * (1.0 + frames.static)
-    values = {
-        "impedance": impedance,
-        "static_reference": flat,
-        "dynamic_reference": impedance / (1.0 + frames.dynamic),
-    }
-    return {name: np.stack([z.real, z.imag], axis=-1) for name, z in values.items()}
+    dynamic = impedance / (1.0 + frames.dynamic)
+    parts = (np.stack([z.real, z.imag], axis=-1) for z in (impedance, flat, dynamic))
+    return dict(zip(FRAME_UNITS, parts, strict=True))
 
 
-def _classified(graph: GraphBuilder, method: PaperMethod, static: str) -> str:
+def _probabilities(method: PaperMethod, static: Value) -> Value:
     stage = method.classifier
     maps, pixels, channels = stage.embedding.shape
-    embedding = graph.constant(stage.embedding.reshape(maps * pixels, channels).T)
-    value = graph.reshaped(graph.add("MatMul", static, embedding), -1, maps, *stage.shape)
-    value = graph.cast(value, "float")
-    if stage.compress:
-        value = graph.add("Asinh", value)
-    logits = graph.layers(stage.network.layers, value)
-    return graph.add("Softmax", graph.cast(logits, "double"), axis=1)
+    embedded = static @ stage.embedding.reshape(maps * pixels, channels).T
+    value = embedded.op("Reshape", [-1, maps, *stage.shape]).cast("float")
+    value = value.op("Asinh") if stage.compress else value
+    return network(stage.network.layers, value).cast("double").op("Softmax", axis=1)
 
 
-def _angle(
-    graph: GraphBuilder, method: PaperMethod, static: str, dynamic: str, touched: str
-) -> str:
-    stage, one = method.bend_angle, graph.constant(1.0)
-    ratio = graph.add("Div", graph.add("Add", static, one), graph.add("Add", dynamic, one))
-    column = graph.add("Unsqueeze", touched, graph.integers(1))
-    difference = graph.add("Where", column, graph.add("Sub", ratio, one), static)
-    square = graph.add("Mul", difference, difference)
-    features = graph.add("Concat", difference, square, axis=1)
-    chosen = graph.add("Gather", features, graph.constant(stage.features, np.int64), axis=1)
-    angle = graph.add("MatMul", chosen, graph.constant(stage.coefficients))
-    return graph.add("Add", angle, graph.constant(stage.intercept))
+def _angle(method: PaperMethod, static: Value, dynamic: Value, touched: Value) -> Value:
+    """The angle of a touched frame is that of its dynamic reference."""
+    stage = method.bend_angle
+    reference = (static + 1.0) / (dynamic + 1.0) - 1.0
+    difference = touched.op("Unsqueeze", [1]).op("Where", reference, static)
+    features = difference.op("Concat", difference * difference, axis=1)
+    return features.op("Gather", stage.features, axis=1) @ stage.coefficients + stage.intercept
 
 
-def _picture(graph: GraphBuilder, method: PaperMethod, difference: str) -> str:
-    pixels = graph.add("MatMul", difference, graph.constant(method.reconstruction.matrix.T))
-    return graph.reshaped(pixels, -1, *method.reconstruction.shape)
+def _picture(method: PaperMethod, difference: Value) -> Value:
+    stage = method.reconstruction
+    return (difference @ stage.matrix.T).op("Reshape", [-1, *stage.shape])
 
 
-def _touch_map(
-    graph: GraphBuilder, stage: PostProcessor, picture: str, touched: str, shape: tuple[int, int]
-) -> str:
+def _touch_map(method: PaperMethod, picture: Value, touched: Value) -> Value:
     """Zero where a frame is not touched."""
-    scaled = graph.add("Div", picture, graph.constant(stage.scale))
-    maps = graph.cast(graph.reshaped(scaled, -1, 1, *shape), "float")
-    count = graph.add("Shape", maps, start=0, end=1)
-    size = graph.add("Concat", count, graph.integers(2, *shape), axis=0)
-    place = graph.constant(stage.network.place.numpy(), np.float32)
-    value = graph.add("Concat", maps, graph.add("Expand", place, size), axis=1)
-    logits = graph.reshaped(graph.layers(stage.network.layers, value), -1, *shape)
-    column = graph.add("Unsqueeze", touched, graph.integers(1, 2))
-    nothing = graph.constant(0.0, np.float32)
-    return graph.add("Where", column, graph.add("Sigmoid", logits), nothing)
+    stage, shape = method.postprocessor, method.reconstruction.shape
+    maps = (picture / stage.scale).op("Reshape", [-1, 1, *shape]).cast("float")
+    size = maps.op("Shape", start=0, end=1).op("Concat", [2, *shape], axis=0)
+    place = maps.graph.node("Expand", stage.network.place.numpy(), size)
+    logits = network(stage.network.layers, maps.op("Concat", place, axis=1))
+    values = logits.op("Reshape", [-1, *shape]).op("Sigmoid")
+    return touched.op("Unsqueeze", [1, 2]).op("Where", values, np.float32(0.0))

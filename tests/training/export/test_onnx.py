@@ -19,7 +19,7 @@ from eitskin.geometry import SensorDesign
 from eitskin.simulator import Protocol
 from eitskin.training import Pipeline, TrainingSettings
 from eitskin.training.export.onnx_export import DOCUMENT, checked, export_onnx, graphs_of, run_graph
-from eitskin.training.export.onnx_graph import OPSET, GraphBuilder, Port
+from eitskin.training.export.onnx_graph import OPSET, Graph, Value, network
 from eitskin.training.export.onnx_paper import frames_as_inputs
 from eitskin.training.method.input_spec import Layout
 from eitskin.training.method.networks import StateNetwork, TouchMapNetwork, seeded
@@ -35,16 +35,16 @@ from eitskin.training.paper.reconstruction import Reconstruction
 FRAMES, CHANNELS, SHAPE = 40, 28, (32, 80)
 
 
-def stirred(network):
+def stirred(module):
     """A network whose batch statistics are not those it begins with, in evaluation mode."""
     torch.manual_seed(1)
-    for layer in network.modules():
+    for layer in module.modules():
         if isinstance(layer, nn.BatchNorm2d):
             layer.running_mean.normal_(0.0, 0.3)
             layer.running_var.uniform_(0.5, 2.0)
             layer.weight.data.uniform_(0.5, 1.5)
             layer.bias.data.normal_(0.0, 0.3)
-    return network.eval()
+    return module.eval()
 
 
 def observed(rng):
@@ -131,8 +131,8 @@ def test_one_frame_gives_what_it_gives_among_others(paper) -> None:
 
 def test_a_classifier_of_one_map_that_does_not_compress_is_exported_too(paper) -> None:
     stage = paper.method.classifier
-    network = stirred(seeded(lambda: StateNetwork(SHAPE, 1), 5))
-    plain = Classifier(network, stage.embedding[:1] / 200.0, SHAPE, compress=False)
+    one_map = stirred(seeded(lambda: StateNetwork(SHAPE, 1), 5))
+    plain = Classifier(one_map, stage.embedding[:1] / 200.0, SHAPE, compress=False)
     method = dataclasses.replace(paper.method, classifier=plain)
     (graph,), _ = graphs_of(dataclasses.replace(paper, method=method))
     assert checked(graph)["probabilities"] < 1e-6
@@ -193,9 +193,8 @@ def test_golden_frames_with_bad_channels_are_left_out_and_some_must_be_whole(pap
 
 
 def test_a_layer_without_an_operator_is_refused() -> None:
-    builder = GraphBuilder()
     with pytest.raises(TypeError, match="GELU"):
-        builder.layers(nn.Sequential(nn.GELU()), builder.input(Port("x", (1,), "float", "1")))
+        network(nn.Sequential(nn.GELU()), Value(Graph(), "x"))
 
 
 @pytest.mark.parametrize("module", ["onnx", "onnxruntime"])
