@@ -74,14 +74,14 @@ def episode_table(rows: Sequence[dict[str, Any]]) -> Table:
 
 
 def _row(scene: Scene, readings: Sequence["Reading"]) -> dict[str, Any]:
-    from eitskin.training.evaluation import metrics
+    from eitskin.training.evaluation import matching, metrics
 
     estimates = [reading.estimate for reading in readings if reading.estimate is not None]
     names = [str(getattr(e.state, "name", e.state)).lower() for e in estimates]
     truth = "touch" if scene.touches else "bend" if scene.bend.angle_deg else "idle"
     true = [(touch.x, touch.y) for touch in scene.touches]
     found = [(float(x), float(y)) for x, y, _ in estimates[-1].touches]
-    errors = metrics.localisation([(np.array(true).reshape(-1, 2), found)]).errors if true else []
+    errors = matching.localisation([(np.array(true).reshape(-1, 2), found)]).errors if true else []
     angles = [float(e.bend_angle_deg) for e in estimates]
     latencies = [1e3 * float(reading.latency) for reading in readings]
     return {

@@ -16,8 +16,8 @@ from eitskin.benchmarks.paper.plot import plot_time, plot_touches
 from eitskin.benchmarks.paper.run import COLUMNS, OURS, OWN, Comparison
 from eitskin.benchmarks.paper.scores import Figures
 from eitskin.benchmarks.results import Results, write_results
-from eitskin.training.evaluation.metrics import GATE
-from eitskin.training.evaluation.report import SSIM_DEFINITION
+from eitskin.training.evaluation.matching import GATE
+from eitskin.training.evaluation.scores import SSIM_DEFINITION
 
 HEADINGS = ("experiment", "paper", *COLUMNS, "to reach", "bound", "ours / bound")
 BOUND = "Cramer-Rao bound"

@@ -12,13 +12,13 @@ from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.state import State
 from eitskin.frame import Frame
 from eitskin.training.evaluation.evaluate import Evaluation
+from eitskin.training.evaluation.matching import match_distances
 from eitskin.training.evaluation.metrics import (
     determination,
-    match_distances,
     percentiles,
     root_mean_square,
 )
-from eitskin.training.evaluation.report import TouchScore
+from eitskin.training.evaluation.scores import TouchScore
 from eitskin.training.pipeline.pipeline import Estimate, Pipeline
 
 Array = NDArray[np.float64]

@@ -19,7 +19,7 @@ from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.folder import open_dataset
 from eitskin.errors import ConfigurationError
 from eitskin.provenance import Provenance
-from eitskin.training.evaluation import metrics
+from eitskin.training.evaluation import matching, metrics
 from eitskin.training.joint.method import JointMethod
 from eitskin.training.joint.proposal_model import network_inputs
 from eitskin.training.joint.touch_discs import disc_map
@@ -113,7 +113,7 @@ def measured(places: Places, data: Dataset) -> tuple[float, float, float, float,
         seconds.append(time.process_time() - start)
         true = np.stack([data.touch_x[i], data.touch_y[i]], axis=1)
         pairs.append((true[np.isfinite(true[:, 0])], found))
-    score = metrics.localisation(pairs)
+    score = matching.localisation(pairs)
     p50, p99 = metrics.percentiles(seconds)
     error = 1e3 * float(np.mean(score.errors)) if score.errors else float("nan")
     share = 100.0 / score.true

@@ -181,12 +181,12 @@ def _moments(readings: Sequence[Reading], scenes: Sequence[Scene]) -> list[Momen
 
 
 def _moment(name: str, readings: Sequence[Reading], scenes: Sequence[Scene]) -> Moment:
-    from eitskin.training.evaluation import metrics
+    from eitskin.training.evaluation import matching
 
     true = np.array([(touch.x, touch.y) for touch in _acting(scenes[0])])
     estimates = [reading.estimate for reading in readings if reading.estimate is not None]
     found = [np.array(e.touches)[:, :2] if e.touches else np.empty((0, 2)) for e in estimates]
-    score = metrics.localisation([(true, places) for places in found])
+    score = matching.localisation([(true, places) for places in found])
     wrong = [e.bend_angle_deg - scenes[0].bend.angle_deg for e in estimates]
     expected = len(true) * len(readings)
     return Moment(

@@ -30,7 +30,7 @@ def command(
     from eitskin.datasets.store.folder import open_dataset
     from eitskin.errors import ConfigurationError
     from eitskin.training.evaluation.evaluate import Evaluation
-    from eitskin.training.evaluation.report_folder import require_report_folder
+    from eitskin.training.evaluation.report.folder import require_report_folder
     from eitskin.training.pipeline.pipeline import Pipeline
     from eitskin.training.pipeline.saved_form import read_pipeline
     from eitskin.training.positions.recorded_touches import RecordedTouches
@@ -62,7 +62,7 @@ def command(
 def save_report(evaluation: "Evaluation", folder: Path, output: Output) -> None:
     """Write the report folder, with this machine, its versions and the date in it."""
     from eitskin.provenance import Provenance
-    from eitskin.training.evaluation.report_folder import write_report
+    from eitskin.training.evaluation.report.folder import write_report
 
     made = Provenance.now(evaluation.pipeline.settings.seed)
     versions = ", ".join(f"{name} {made.packages[name]}" for name in ("eitskin", "numpy", "scipy"))
@@ -76,8 +76,8 @@ def save_report(evaluation: "Evaluation", folder: Path, output: Output) -> None:
 
 def paper_table(report: "Report") -> Table:
     """The figures of the paper beside those of `report`."""
-    from eitskin.training.evaluation.report import SSIM_DEFINITION
-    from eitskin.training.evaluation.report_table import HEADINGS, table_rows
+    from eitskin.training.evaluation.report.table import HEADINGS, table_rows
+    from eitskin.training.evaluation.scores import SSIM_DEFINITION
 
     table = Table(*HEADINGS, title=f"{report.frames} frames", caption=SSIM_DEFINITION)
     for row in table_rows(report):

@@ -85,7 +85,7 @@ def command(
 def _require_reportable(data: "Dataset", report: Path) -> None:
     """Refuse, before the work, a report that could not be written at its end."""
     from eitskin.errors import ConfigurationError
-    from eitskin.training.evaluation.report_folder import require_report_folder
+    from eitskin.training.evaluation.report.folder import require_report_folder
 
     if data.design is None:
         raise ConfigurationError(

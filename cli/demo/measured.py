@@ -11,7 +11,7 @@ from eitskin.cli.demo.parts import Part, drawn_picture, drawn_pictures
 from eitskin.cli.demo.pictures import latencies, tracked_angle
 from eitskin.cli.episode import run_episode
 from eitskin.datasets.store.dataset import Dataset
-from eitskin.training.evaluation.report_drawing import style
+from eitskin.training.evaluation.report.drawing import style
 
 if TYPE_CHECKING:
     from eitskin.training.evaluation.evaluate import Report
@@ -37,7 +37,7 @@ def report_of(part: Part) -> "Report":
 
 def training(pipeline: "Pipeline") -> Part:
     """How long it took, on what, and how the losses fell."""
-    from eitskin.training.evaluation.report_curves import loss_curves
+    from eitskin.training.evaluation.report.curves import loss_curves
 
     histories = {
         name: dataclasses.asdict(history) for name, history in pipeline.method.histories.items()
@@ -56,7 +56,7 @@ def training(pipeline: "Pipeline") -> Part:
 def evaluated(pipeline: "Pipeline", data: Dataset) -> Part:
     """The figures of `evaluate`, and the pictures of its report that these frames have."""
     from eitskin.training.evaluation.evaluate import Evaluation
-    from eitskin.training.evaluation.report_folder import PICTURES as DRAWN
+    from eitskin.training.evaluation.report.folder import PICTURES as DRAWN
 
     evaluation = Evaluation.of(pipeline, data)
     with style():

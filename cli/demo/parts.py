@@ -13,7 +13,7 @@ import msgspec
 from eitskin.errors import PartialError
 from eitskin.extras import require
 from eitskin.files import atomic_file
-from eitskin.training.evaluation.report_drawing import EXTRA, Absent, Drawn
+from eitskin.training.evaluation.report.drawing import EXTRA, CaptionedFigure, NoFigure
 
 PNG, SVG = "image/png", "image/svg+xml"
 REMEDY = "make room or give write permission, then give the same command again to go on from here"
@@ -108,7 +108,7 @@ def _read(path: Path) -> Kept | None:
         return None
 
 
-def drawn_picture(drawn: Drawn, alt: str) -> Picture:
+def drawn_picture(drawn: CaptionedFigure, alt: str) -> Picture:
     """A matplotlib figure as SVG, which is sharp on paper."""
     width = float(drawn.figure.get_figwidth())
     return Picture(alt, drawn.caption, SVG, _svg(drawn.figure), width)
@@ -122,10 +122,12 @@ def _svg(figure: Any) -> bytes:
     return file.getvalue()
 
 
-def drawn_pictures(drawn: Mapping[str, tuple[Drawn | Absent, str]]) -> dict[str, Picture]:
+def drawn_pictures(
+    drawn: Mapping[str, tuple[CaptionedFigure | NoFigure, str]],
+) -> dict[str, Picture]:
     """The figures with their alternative texts as SVG; those that are absent are left out."""
     return {
         name: drawn_picture(figure, alt)
         for name, (figure, alt) in drawn.items()
-        if isinstance(figure, Drawn)
+        if isinstance(figure, CaptionedFigure)
     }

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.state import State
 from eitskin.extras import require
-from eitskin.training.evaluation.report_drawing import (
+from eitskin.training.evaluation.report.drawing import (
     BLUE,
     DARK,
     EXTRA,
@@ -17,7 +17,7 @@ from eitskin.training.evaluation.report_drawing import (
     GREY,
     ORANGE,
     PALE,
-    Drawn,
+    CaptionedFigure,
     draw_sensor,
     new_figure,
 )
@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 
 def changed_resistances(
     titles: Sequence[str], changes: Sequence[Array], labels: Sequence[str]
-) -> Drawn:
+) -> CaptionedFigure:
     """What scenes do to every resistance: changes (measurements,) [%] of each."""
     figure = new_figure(9.0, 3.8)
     axes = figure.subplots()
@@ -47,14 +47,14 @@ def changed_resistances(
     axes.set(xlabel="pair of electrodes", ylabel="change of resistance [%]")
     axes.grid(visible=False, axis="x")
     figure.legend(loc="outside upper center", ncols=3)
-    return Drawn(
+    return CaptionedFigure(
         figure,
         "Change of the resistance of every pair of electrodes from that of the flat, untouched "
         "sensor in the three scenes, without noise.",
     )
 
 
-def states_and_angles(sets: Mapping[str, Dataset]) -> Drawn:
+def states_and_angles(sets: Mapping[str, Dataset]) -> CaptionedFigure:
     """How many frames of each state every set has, and at which bend angles."""
     figure = new_figure(9.0, 3.6)
     counts, angles = figure.subplots(1, 2, width_ratios=[1, 1.25])
@@ -72,7 +72,7 @@ def states_and_angles(sets: Mapping[str, Dataset]) -> Drawn:
     if angles.get_legend_handles_labels()[0]:
         angles.legend(loc="upper right")
     bent = ", ".join(f"{name} {len(row)}" for name, row in zip(sets, rows, strict=True))
-    return Drawn(
+    return CaptionedFigure(
         figure,
         "Left: frames of each state; a sensor that is touched counts as touch whether it is flat "
         f"or bent. Right: bend angles of the frames that are bent, touched or not ({bent}), in "
@@ -103,7 +103,7 @@ def _moved(data: Dataset) -> NDArray[np.bool_]:
     return bent
 
 
-def touched_places(sets: Mapping[str, Dataset]) -> Drawn:
+def touched_places(sets: Mapping[str, Dataset]) -> CaptionedFigure:
     """Where each set is touched, over the sensor."""
     shown = {name: data for name, data in sets.items() if data.touch_count.any()}
     figure = new_figure(9.0, 2.0 * ((len(shown) + 1) // 2) + 0.5)
@@ -132,14 +132,14 @@ def touched_places(sets: Mapping[str, Dataset]) -> Drawn:
         place = panels[-1] if len(shown) % 2 else figure
         where = "center" if len(shown) % 2 else "outside upper center"
         place.legend(handles.values(), handles.keys(), loc=where, markerscale=2.5)
-    return Drawn(
+    return CaptionedFigure(
         figure,
         f"Places of the touches: {', '.join(told)}. Grey: the sensor's outline and electrodes. "
         "Places that are touched several times lie on each other.",
     )
 
 
-def raw_frames(data: Dataset, name: str) -> Drawn:
+def raw_frames(data: Dataset, name: str) -> CaptionedFigure:
     """Some frames as they are measured: change of every resistance from the flat sensor's."""
     figure = new_figure(9.0, 5.2)
     panels = figure.subplots(3, 1, sharex=True)
@@ -155,7 +155,7 @@ def raw_frames(data: Dataset, name: str) -> Drawn:
     panels[-1].set_xticks(range(change.shape[1]), labels, rotation=90, fontsize=8)
     panels[-1].set_xlabel("pair of electrodes")
     flat = np.abs(data.reference[0])
-    return Drawn(
+    return CaptionedFigure(
         figure,
         f"The first {RAW} frames of each state in {name}, touches on the flat sensor, noise "
         "included: change of every resistance from that of the flat, untouched sensor, which is "
@@ -163,7 +163,7 @@ def raw_frames(data: Dataset, name: str) -> Drawn:
     )
 
 
-def tracked_angle(rows: Sequence[Mapping[str, Any]]) -> Drawn:
+def tracked_angle(rows: Sequence[Mapping[str, Any]]) -> CaptionedFigure:
     """True and estimated angle of every frame of the live episode, and the states it was given."""
     figure = new_figure(9.0, 4.4)
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=[2.2, 1])
@@ -189,7 +189,7 @@ def tracked_angle(rows: Sequence[Mapping[str, Any]]) -> Drawn:
     below.set(xlabel="frame", ylabel="error [deg]")
     figure.legend(*above.get_legend_handles_labels(), loc="outside upper center", ncols=3)
     rmse = float(np.sqrt(np.mean((said - true) ** 2)))
-    return Drawn(
+    return CaptionedFigure(
         figure,
         f"Bend angle in {len(true)} frames of a virtual board, each through the serial link and "
         f"the pipeline: RMSE {rmse:.2f} deg. Every step of the episode lasts {sizes[0]} frames.",
@@ -200,7 +200,7 @@ def _first_touched(rows: Sequence[Mapping[str, Any]]) -> Mapping[str, Any] | Non
     return next((row for row in rows if row["true_state"] == "touch"), None)
 
 
-def latencies(times: "Mapping[str, Times]") -> Drawn:
+def latencies(times: "Mapping[str, Times]") -> CaptionedFigure:
     """Histogram of the whole time per frame, and the stages of the pipeline trained here."""
     figure = new_figure(9.0, 3.8)
     whole, stages = figure.subplots(1, 2, width_ratios=[1.2, 1])
@@ -219,7 +219,7 @@ def latencies(times: "Mapping[str, Times]") -> Drawn:
     whole.set_xticks([], minor=True)
     whole.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0))
     _stages(stages, next(iter(times.values())).stages)
-    return Drawn(
+    return CaptionedFigure(
         figure,
         f"Left: time of Pipeline.process for each of {len(every) // len(times)} frames in a row on "
         "one thread; full line p50, dotted p99; frames beyond the axis are counted in its "
@@ -238,7 +238,7 @@ def _stages(axes: Any, stages: Mapping[str, Array]) -> None:
     axes.grid(visible=False, axis="y")
 
 
-def found_presses(true: Array, found: Array, name: str) -> Drawn:
+def found_presses(true: Array, found: Array, name: str) -> CaptionedFigure:
     """Places of real presses (n, 2) [m] and those found (n, 2) [m]."""
     segments = require("matplotlib.collections", EXTRA).LineCollection
     figure = new_figure(5.6, 5.2)
@@ -250,7 +250,7 @@ def found_presses(true: Array, found: Array, name: str) -> Drawn:
     axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal")
     figure.legend(loc="outside upper center", ncols=2)
     error = 1e3 * np.linalg.norm(found - true, axis=1)
-    return Drawn(
+    return CaptionedFigure(
         figure,
         f"{name}: the last {len(true)} presses of a robot on a real, round hydrogel skin, which "
         f"nothing was learned from; to scale. Mean error {error.mean():.1f} mm, largest "
@@ -258,7 +258,7 @@ def found_presses(true: Array, found: Array, name: str) -> Drawn:
     )
 
 
-def two_sensors(own: Array, measured: Array, labels: Sequence[str], name: str) -> Drawn:
+def two_sensors(own: Array, measured: Array, labels: Sequence[str], name: str) -> CaptionedFigure:
     """Magnitudes (measurements,) [ohm] of the sensor trained with and of a recorded frame."""
     figure = new_figure(9.0, 3.4)
     axes = figure.subplots()
@@ -269,7 +269,7 @@ def two_sensors(own: Array, measured: Array, labels: Sequence[str], name: str) -
     axes.set_xticks(at, labels, rotation=90, fontsize=8)
     figure.legend(loc="outside upper center", ncols=2)
     ratio = float(np.median(measured / own))
-    return Drawn(
+    return CaptionedFigure(
         figure,
         f"Every value of a frame of another, real board beside those of the flat sensor that the "
         f"pipeline was trained for: {ratio:.3g} times as large in the median.",

@@ -16,7 +16,7 @@ from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.folder import save_dataset
 from eitskin.errors import DataError, FrameError, PartialError
 from eitskin.protocol import Protocol
-from eitskin.training.evaluation.report_drawing import style
+from eitskin.training.evaluation.report.drawing import style
 
 if TYPE_CHECKING:
     from eitskin.training.pipeline.pipeline import Pipeline

@@ -9,8 +9,8 @@ from eitskin.cli.demo.html import figure, figures, filled, paragraph, section, t
 from eitskin.cli.demo.measured import report_of
 from eitskin.cli.demo.parts import Kept, Part
 from eitskin.cli.episode import COLUMNS, episode_cells
-from eitskin.training.evaluation.report import SSIM_DEFINITION
-from eitskin.training.evaluation.report_table import table_rows
+from eitskin.training.evaluation.report.table import table_rows
+from eitskin.training.evaluation.scores import SSIM_DEFINITION
 
 Parts = Mapping[str, Kept]
 Document = Mapping[str, Any]

@@ -14,7 +14,7 @@ from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.simulator.scene.scene import Scene
 from eitskin.simulator.scene.touch import Touch
 from eitskin.simulator.simulator import Simulator
-from eitskin.training.evaluation.report_drawing import style
+from eitskin.training.evaluation.report.drawing import style
 
 DRIVE = (0, 4)
 SCENES = (

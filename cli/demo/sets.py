@@ -10,7 +10,7 @@ from eitskin.cli.demo.pictures import raw_frames, states_and_angles, touched_pla
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.state import State
-from eitskin.training.evaluation.report_drawing import style
+from eitskin.training.evaluation.report.drawing import style
 
 
 def sets(data: Mapping[str, Dataset], recipes: Mapping[str, Recipe]) -> Part:

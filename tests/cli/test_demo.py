@@ -38,7 +38,7 @@ from eitskin.datasets.generation import process_pool as processes
 from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.errors import ConfigurationError, DataError, PartialError
 from eitskin.training import Report
-from eitskin.training.evaluation.report_table import table_rows
+from eitskin.training.evaluation.report.table import table_rows
 from eitskin.training.method.observations import fingerprint
 
 from shards_here import make_shards

@@ -13,7 +13,8 @@ from eitskin.errors import DataError
 from eitskin.frame import Frame
 from eitskin.protocol import Protocol
 from eitskin.training.evaluation import metrics
-from eitskin.training.evaluation.report import (
+from eitskin.training.evaluation.matching import Matches
+from eitskin.training.evaluation.scores import (
     BendScore,
     ForceScore,
     LatencyScore,
@@ -22,7 +23,6 @@ from eitskin.training.evaluation.report import (
     TouchScore,
     UntouchedScore,
 )
-from eitskin.training.evaluation.report_matches import Matches
 from eitskin.training.method.observations import Observed
 from eitskin.training.method.predictions import Perceived
 from eitskin.training.paper.method import PaperMethod
@@ -88,7 +88,7 @@ class Evaluation:
             _touch_scores(dataset, matches, similarity),
             _untouched_score(dataset, matches),
             _force_score(matches),
-            metrics.calibration(matches.error, matches.deviation),
+            metrics.consistency(matches.error, matches.deviation),
             _latency(pipeline, dataset),
         )
         return cls(pipeline, dataset, perceived, matches, similarity, report)
@@ -185,7 +185,7 @@ def _bend_score(dataset: Dataset, perceived: Perceived) -> BendScore:
         float(error[bent].mean()) if bent.any() else None,
         metrics.root_mean_square(error[touched]) if touched.any() else None,
         float(error[touched].mean()) if touched.any() else None,
-        metrics.calibration(error, perceived.bend_deviation_deg),
+        metrics.consistency(error, perceived.bend_deviation_deg),
     )
 
 

@@ -1,83 +1,22 @@
-"""How good an estimate is: localisation, picture similarity, bend angle, state, latency."""
+"""Metrics of estimates: SSIM, RMSE, R2, confusion matrix, consistency of standard errors."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import linear_sum_assignment
 
 from eitskin.extras import require
 
-GATE = 0.015  # m; half of the 30 mm that the test touches are apart, so that no two can claim one
 STATES = ("idle", "touch", "bend")
-
-Places = NDArray[np.float64]
-Rows = NDArray[np.intp]
-
-
-@dataclass(frozen=True, slots=True)
-class Localisation:
-    """How well touches were found.
-
-    Attributes:
-        errors: distances of matched touches [m].
-        missed: true touches that nothing was matched to.
-        false: found touches that match no true one.
-    """
-
-    errors: tuple[float, ...]
-    missed: int
-    false: int
-
-    @property
-    def true(self) -> int:
-        """How many touches there were."""
-        return len(self.errors) + self.missed
-
-
-def localisation(frames: Iterable[tuple[ArrayLike, ArrayLike]], gate: float = GATE) -> Localisation:
-    """Match the found places of each frame to its true places; both (touches, 2) [m].
-
-    The Hungarian method makes as many pairs closer than `gate` as there can be and, among those,
-    the pairs of the smallest total distance.
-    """
-    errors: list[float] = []
-    missed = false = 0
-    for true, found in frames:
-        distances = match_distances(true, found, gate)
-        errors += distances
-        missed += len(_places(true)) - len(distances)
-        false += len(_places(found)) - len(distances)
-    return Localisation(tuple(errors), missed, false)
-
-
-def match_distances(true: ArrayLike, found: ArrayLike, gate: float = GATE) -> list[float]:
-    """Distances [m] of the matched pairs of one frame; see `localisation`."""
-    rows, columns = match(true, found, gate)
-    return [float(d) for d in np.linalg.norm(_places(true)[rows] - _places(found)[columns], axis=1)]
-
-
-def match(true: ArrayLike, found: ArrayLike, gate: float = GATE) -> tuple[Rows, Rows]:
-    """Rows of `true` and of `found` that belong together in one frame; see `localisation`."""
-    a, b = _places(true), _places(found)
-    distance = np.linalg.norm(a[:, None] - b[None], axis=2)
-    # A pair beyond the gate costs more than any number of pairs within it can save.
-    cost = np.where(distance <= gate, distance, gate * (1 + len(a) + len(b)))
-    rows, columns = linear_sum_assignment(cost)
-    near = distance[rows, columns] <= gate
-    return rows[near], columns[near]
-
-
-def _places(values: ArrayLike) -> Places:
-    return np.asarray(values, dtype=float).reshape(-1, 2)
 
 
 def similarity(picture: ArrayLike, truth: ArrayLike) -> float:
-    """SSIM between a picture scaled to its own maximum and the true contact map.
+    """Structural similarity (SSIM) of a picture, scaled to its maximum, and the true contact map.
 
-    scikit-image's structural_similarity with data_range 1 and its 7 x 7 window; the truth is drawn
-    as discs of the indenter's radius, 0 to 1. Values below zero are no touch and count as zero.
+    scikit-image's structural_similarity with data_range 1 and its 7 x 7 window. Both are
+    (rows, columns); the truth is drawn as discs of the indenter's radius, 0 to 1. Values of the
+    picture below zero are no touch and count as zero.
     """
     skimage_metrics = require("skimage.metrics", "training")
     shown = np.maximum(np.asarray(picture, dtype=float), 0.0)
@@ -94,13 +33,13 @@ def root_mean_square(errors: ArrayLike) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class Calibration:
-    """Whether errors are as large as their stated standard errors say.
+class Consistency:
+    """Agreement of errors with their stated standard errors.
 
     Attributes:
-        count: of errors that come with a standard error.
-        rms_ratio: root mean square of error / standard error; 1 where they are stated truly, more
-            where an estimate is surer than it should be.
+        count: number of errors that come with a standard error.
+        rms_ratio: root mean square of error / standard error; 1 for standard errors that are
+            right, more for those that are too small.
         within_one: share of errors within one standard error; of normal errors 0.683 in one
             dimension, and 0.632 (round) to 0.683 (long and thin) of distances in two.
     """
@@ -110,22 +49,22 @@ class Calibration:
     within_one: float
 
 
-def calibration(errors: ArrayLike, deviations: ArrayLike) -> Calibration | None:
-    """Compare errors with their standard errors; None where none of these is stated.
+def consistency(errors: ArrayLike, deviations: ArrayLike) -> Consistency | None:
+    """Consistency of errors (n,) with standard errors (n,); None where none of these is stated.
 
-    An error of place is a distance, and its standard error sqrt(var x + var y), which the distance
-    has as its root mean square.
+    An error of position is a distance, and its standard error is sqrt(var x + var y), the root
+    mean square of that distance.
     """
     error, deviation = (np.asarray(values, dtype=float) for values in (errors, deviations))
     stated = np.isfinite(error) & np.isfinite(deviation) & (deviation > 0)
     if not stated.any():
         return None
     ratio = np.abs(error[stated]) / deviation[stated]
-    return Calibration(len(ratio), root_mean_square(ratio), float(np.mean(ratio <= 1)))
+    return Consistency(len(ratio), root_mean_square(ratio), float(np.mean(ratio <= 1)))
 
 
 def determination(true: ArrayLike, estimated: ArrayLike) -> float | None:
-    """R2, the share of the variance of `true` that is explained; None where nothing varies."""
+    """Coefficient of determination R2; None where `true` does not vary."""
     truth = np.asarray(true, dtype=float)
     variance = float(np.sum((truth - truth.mean()) ** 2))
     error = float(np.sum((truth - np.asarray(estimated, dtype=float)) ** 2))
@@ -133,7 +72,7 @@ def determination(true: ArrayLike, estimated: ArrayLike) -> float | None:
 
 
 def confusion(true: ArrayLike, estimated: ArrayLike) -> NDArray[np.int64]:
-    """Counts (3, 3): rows the true state, columns the estimated one, in the order of `STATES`."""
+    """Confusion matrix (3, 3): rows the true state, columns the estimated one, as in `STATES`."""
     counts = np.zeros((len(STATES), len(STATES)), np.int64)
     np.add.at(counts, (np.asarray(true, dtype=int), np.asarray(estimated, dtype=int)), 1)
     return counts

@@ -14,11 +14,11 @@ from eitskin.errors import ConfigurationError, DataError, PartialError
 from eitskin.geometry import Disc, Electrode, SensorDesign
 from eitskin.simulator import Protocol
 from eitskin.training import FoundTouches, Perceived, Pipeline, TrainingSettings
-from eitskin.training.evaluation import report_folder
 from eitskin.training.evaluation.evaluate import Evaluation
-from eitskin.training.evaluation.report_drawing import draw_sensor, new_figure
-from eitskin.training.evaluation.report_folder import PICTURES, require_report_folder, write_report
-from eitskin.training.evaluation.report_table import table_rows
+from eitskin.training.evaluation.report import folder as report_folder
+from eitskin.training.evaluation.report.drawing import draw_sensor, new_figure
+from eitskin.training.evaluation.report.folder import PICTURES, require_report_folder, write_report
+from eitskin.training.evaluation.report.table import table_rows
 from eitskin.training.method.input_spec import Layout
 from eitskin.training.method.observations import Observed
 from eitskin.training.method.predictions import NO_TOUCHES

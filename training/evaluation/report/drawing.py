@@ -40,7 +40,7 @@ _STYLE = {
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Drawn:
+class CaptionedFigure:
     """A matplotlib figure, and what it shows in words."""
 
     figure: Any
@@ -48,7 +48,7 @@ class Drawn:
 
 
 @dataclass(frozen=True, slots=True)
-class Absent:
+class NoFigure:
     """Why there is nothing to draw."""
 
     why: str

@@ -10,17 +10,17 @@ from eitskin.errors import ConfigurationError, PartialError
 from eitskin.extras import require
 from eitskin.files import atomic_file
 from eitskin.training.evaluation.evaluate import Evaluation
-from eitskin.training.evaluation.report import SSIM_DEFINITION
-from eitskin.training.evaluation.report_bend import bend_angles, bend_sequence
-from eitskin.training.evaluation.report_curves import confusion_matrix, histories, training_curves
-from eitskin.training.evaluation.report_drawing import EXTRA, Absent, Drawn, style
-from eitskin.training.evaluation.report_maps import touch_maps_by_angle, touch_maps_by_count
-from eitskin.training.evaluation.report_places import error_vectors, localisation_errors
-from eitskin.training.evaluation.report_table import HEADINGS, table_rows
+from eitskin.training.evaluation.report.bend import bend_angles, bend_sequence
+from eitskin.training.evaluation.report.curves import confusion_matrix, histories, training_curves
+from eitskin.training.evaluation.report.drawing import EXTRA, CaptionedFigure, NoFigure, style
+from eitskin.training.evaluation.report.maps import touch_maps_by_angle, touch_maps_by_count
+from eitskin.training.evaluation.report.positions import error_vectors, localisation_errors
+from eitskin.training.evaluation.report.table import HEADINGS, table_rows
+from eitskin.training.evaluation.scores import SSIM_DEFINITION
 from eitskin.training.method.observations import fingerprint
 
 DOCUMENT, TEXT = "report.json", "report.md"
-PICTURES: Mapping[str, Callable[[Evaluation], Drawn | Absent]] = {
+PICTURES: Mapping[str, Callable[[Evaluation], CaptionedFigure | NoFigure]] = {
     "training_curves.png": training_curves,
     "confusion.png": confusion_matrix,
     "bend_angle.png": bend_angles,
@@ -71,7 +71,7 @@ def write_report(evaluation: Evaluation, folder: str | Path, made_with: Mapping[
     with style():
         for name, draw in PICTURES.items():
             drawn = draw(evaluation)
-            if isinstance(drawn, Absent):
+            if isinstance(drawn, NoFigure):
                 left_out[name] = drawn.why
                 continue
             with atomic_file(folder / name, PartialError, _REMEDY) as path:

@@ -3,7 +3,7 @@
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from eitskin.training.evaluation.metrics import Calibration
+from eitskin.training.evaluation.metrics import Consistency
 
 SSIM_DEFINITION = (
     "SSIM: scikit-image's structural_similarity with its 7 x 7 window and data_range 1, between a "
@@ -45,7 +45,7 @@ class BendScore:
     bias_deg: float | None
     touched_rmse_deg: float | None
     touched_bias_deg: float | None
-    calibration: Calibration | None
+    calibration: Consistency | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +128,7 @@ class Report:
     touches: dict[str, TouchScore]
     untouched: UntouchedScore | None
     force: ForceScore | None
-    place_calibration: Calibration | None
+    place_calibration: Consistency | None
     latency: LatencyScore
 
     def as_dict(self) -> dict[str, Any]:

@@ -8,8 +8,14 @@ from numpy.typing import NDArray
 
 from eitskin.extras import require
 from eitskin.training.evaluation.evaluate import Evaluation, contact_maps, reconstructions
-from eitskin.training.evaluation.report import SSIM_DEFINITION
-from eitskin.training.evaluation.report_drawing import DARK, EXTRA, Absent, Drawn, new_figure
+from eitskin.training.evaluation.report.drawing import (
+    DARK,
+    EXTRA,
+    CaptionedFigure,
+    NoFigure,
+    new_figure,
+)
+from eitskin.training.evaluation.scores import SSIM_DEFINITION
 
 ANGLES_DEG = (-10.0, 0.0, 10.0, 20.0, 30.0, 40.0, 50.0)  # as in the paper, a single touch
 SEVERAL_DEG = 30.0  # and one to four touches
@@ -32,7 +38,7 @@ class _Row:
     label: str
 
 
-def touch_maps_by_angle(evaluation: Evaluation) -> Drawn | Absent:
+def touch_maps_by_angle(evaluation: Evaluation) -> CaptionedFigure | NoFigure:
     """One touch at the angles of the paper, as far as there are frames near them."""
     rows: list[_Row] = []
     for wanted in ANGLES_DEG:
@@ -40,11 +46,11 @@ def touch_maps_by_angle(evaluation: Evaluation) -> Drawn | Absent:
         if frame is not None and all(row.frame != frame for row in rows):
             rows.append(_Row(frame, _degrees(evaluation, frame)))
     if not rows:
-        return Absent("no frame has exactly one touch of known place and radius at a known angle")
+        return NoFigure("no frame has exactly one touch of known place and radius at a known angle")
     return _drawn(evaluation, rows, "One touch at several bend angles")
 
 
-def touch_maps_by_count(evaluation: Evaluation) -> Drawn | Absent:
+def touch_maps_by_count(evaluation: Evaluation) -> CaptionedFigure | NoFigure:
     """One to four touches on the sensor bent by 30 deg."""
     rows: list[_Row] = []
     for count in range(1, evaluation.dataset.touch_x.shape[1] + 1):
@@ -52,7 +58,7 @@ def touch_maps_by_count(evaluation: Evaluation) -> Drawn | Absent:
         if frame is not None:
             rows.append(_Row(frame, f"{count} at\n{_degrees(evaluation, frame)}"))
     if not rows:
-        return Absent(
+        return NoFigure(
             f"no touched frame of known places and radii is within {NEAR_DEG:g} deg of "
             f"{SEVERAL_DEG:g} deg"
         )
@@ -74,7 +80,7 @@ def _nearest(evaluation: Evaluation, count: int, angle_deg: float) -> int | None
     return nearest if away[nearest] <= NEAR_DEG else None
 
 
-def _drawn(evaluation: Evaluation, rows: list[_Row], title: str) -> Drawn:
+def _drawn(evaluation: Evaluation, rows: list[_Row], title: str) -> CaptionedFigure:
     """The pictures of the frames of `rows`, a column for each kind."""
     frames = evaluation.dataset.select([row.frame for row in rows])
     post_processed = evaluation.perceived.touch_map[[row.frame for row in rows]]
@@ -106,7 +112,7 @@ def _drawn(evaluation: Evaluation, rows: list[_Row], title: str) -> Drawn:
         if "static" in names
         else " The method reconstructs no pictures from either reference."
     )
-    return Drawn(
+    return CaptionedFigure(
         figure,
         f"{title}: the frame nearest to each angle, not a chosen one. Circles: the true touches; "
         f"crosses: those found.{scaled} {SSIM_DEFINITION}",

@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 from eitskin.datasets.store.state import State
 from eitskin.training.evaluation.evaluate import Evaluation
 from eitskin.training.evaluation.metrics import root_mean_square
-from eitskin.training.evaluation.report_drawing import (
+from eitskin.training.evaluation.report.drawing import (
     BLUE,
     DARK,
     GREY,
     ORANGE,
-    Absent,
-    Drawn,
+    CaptionedFigure,
+    NoFigure,
     new_figure,
 )
 
@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 
-def bend_angles(evaluation: Evaluation) -> Drawn | Absent:
+def bend_angles(evaluation: Evaluation) -> CaptionedFigure | NoFigure:
     """Estimated over true angle, and the histogram of the errors."""
     data = evaluation.dataset
     true = data.bend_angle_deg.astype(float)
@@ -37,7 +37,7 @@ def bend_angles(evaluation: Evaluation) -> Drawn | Absent:
     groups = {name: group for name, group in groups.items() if group[0].any()}
     every = np.concatenate([true[mask] for mask, _ in groups.values()] or [np.zeros(1)])
     if np.ptp(every) < LEAST_MOVED:
-        return Absent("no bent or touched frames of several known angles")
+        return NoFigure("no bent or touched frames of several known angles")
     errors = {name: (estimated - true)[mask] for name, (mask, _) in groups.items()}
     figure = new_figure(10.0, 4.6)
     scatter, histogram = figure.subplots(1, 2)
@@ -53,7 +53,7 @@ def bend_angles(evaluation: Evaluation) -> Drawn | Absent:
     for handle in legend.legend_handles[1:]:
         handle.set(alpha=1.0, sizes=[22])
     _histogram(histogram, errors, {name: colour for name, (_, colour) in groups.items()})
-    return Drawn(
+    return CaptionedFigure(
         figure,
         "Bend angle of every frame by itself, and the distribution of its errors with their root "
         "mean square and bias; errors beyond the axis are counted in the outermost bins.",
@@ -75,11 +75,11 @@ def _histogram(axes: Any, errors: dict[str, Array], colours: dict[str, str]) -> 
     axes.set(xlabel="error of the bend angle [deg]", ylabel="share of the frames [%]")
 
 
-def bend_sequence(evaluation: Evaluation) -> Drawn | Absent:
+def bend_sequence(evaluation: Evaluation) -> CaptionedFigure | NoFigure:
     """The angle over time in the longest episode in which the sensor moves."""
     frames = _longest_sequence(evaluation)
     if frames is None:
-        return Absent(
+        return NoFigure(
             f"no episode of at least {SHORTEST_SEQUENCE} frames moves by more than "
             f"{LEAST_MOVED:g} deg; a dataset from a recipe with episodes, as paper_bending, has one"
         )
@@ -103,7 +103,7 @@ def bend_sequence(evaluation: Evaluation) -> Drawn | Absent:
     below.set(xlabel="time [s]", ylabel="error [deg]")
     figure.legend(*above.get_legend_handles_labels(), loc="outside upper center", ncols=3)
     band = " Grey: twice its stated standard error." if np.isfinite(deviation).all() else ""
-    return Drawn(
+    return CaptionedFigure(
         figure,
         f"Bend angle in one episode of {len(frames)} frames, each estimated by itself, and its "
         f"error: RMSE {root_mean_square(estimated - true):.2f} deg.{band}",

@@ -8,13 +8,13 @@ import numpy as np
 from eitskin.extras import require
 from eitskin.training.evaluation.evaluate import Evaluation
 from eitskin.training.evaluation.metrics import STATES
-from eitskin.training.evaluation.report_drawing import (
+from eitskin.training.evaluation.report.drawing import (
     BLUE,
     DARK,
     EXTRA,
     ORANGE,
-    Absent,
-    Drawn,
+    CaptionedFigure,
+    NoFigure,
     new_figure,
 )
 from eitskin.training.method.learning_curve import History
@@ -27,16 +27,18 @@ def histories(pipeline: Pipeline) -> Mapping[str, History]:
     return {name: history for name, history in kept.items() if history.training}
 
 
-def training_curves(evaluation: Evaluation) -> Drawn | Absent:
+def training_curves(evaluation: Evaluation) -> CaptionedFigure | NoFigure:
     """Loss per epoch of every network of the pipeline that was evaluated."""
     return loss_curves(evaluation.pipeline)
 
 
-def loss_curves(pipeline: Pipeline) -> Drawn | Absent:
+def loss_curves(pipeline: Pipeline) -> CaptionedFigure | NoFigure:
     """Loss per epoch of every network."""
     networks = histories(pipeline)
     if not networks:
-        return Absent("this pipeline has no networks, or was trained without keeping their losses")
+        return NoFigure(
+            "this pipeline has no networks, or was trained without keeping their losses"
+        )
     figure = new_figure(4.8 * len(networks), 3.6)
     panels = figure.subplots(1, len(networks), squeeze=False)[0]
     for axes, (name, history) in zip(panels, networks.items(), strict=True):
@@ -56,7 +58,7 @@ def loss_curves(pipeline: Pipeline) -> Drawn | Absent:
     )
     if not all(history.validation for history in networks.values()):
         caption += " A network without a curve of the validation part was trained without one."
-    return Drawn(figure, caption)
+    return CaptionedFigure(figure, caption)
 
 
 def _plain_numbers(axis: Any) -> None:
@@ -73,12 +75,12 @@ def _curve(axes: Any, losses: tuple[float, ...], label: str, colour: str) -> Non
         axes.plot(epochs, losses, color=colour, label=label, marker="o", markersize=3)
 
 
-def confusion_matrix(evaluation: Evaluation) -> Drawn | Absent:
+def confusion_matrix(evaluation: Evaluation) -> CaptionedFigure | NoFigure:
     """Shares of the estimated states in the frames of every true state."""
     counts = np.array(evaluation.report.states.confusion)
     totals = counts.sum(axis=1, keepdims=True)
     if not totals.any():
-        return Absent("the state of no frame is known")
+        return NoFigure("the state of no frame is known")
     shares = counts / np.maximum(totals, 1)
     figure = new_figure(4.2, 3.9)
     axes = figure.subplots()
@@ -93,7 +95,7 @@ def confusion_matrix(evaluation: Evaluation) -> Drawn | Absent:
     axes.tick_params(length=0)
     axes.grid(visible=False)
     axes.spines[:].set_visible(False)
-    return Drawn(
+    return CaptionedFigure(
         figure,
         f"Confusion matrix of the state over {int(totals.sum())} frames: shares of each row and, "
         "below, counts. A bent sensor that is touched counts as touch.",

@@ -2,8 +2,8 @@
 
 from collections.abc import Iterator
 
-from eitskin.training.evaluation.metrics import Calibration
-from eitskin.training.evaluation.report import Report, TouchScore
+from eitskin.training.evaluation.metrics import Consistency
+from eitskin.training.evaluation.scores import Report, TouchScore
 
 Row = tuple[str, str, str]
 
@@ -46,8 +46,8 @@ def _touch_rows(report: Report) -> Iterator[Row]:
     if untouched := report.untouched:
         shown = f"in {untouched.touched:.2%} of {untouched.frames} frames"
         yield "touches where there are none", "-", shown
-    if calibration := report.place_calibration:
-        yield "place error / standard error", "-", _calibration(calibration)
+    if found := report.place_calibration:
+        yield "place error / standard error", "-", _consistency(found)
     if force := report.force:
         shown = f"{force.mean_error_n:.2f} N off (bias {force.bias_n:+.2f})"
         yield "force of a touch", "-", shown
@@ -68,7 +68,7 @@ def _bend_rows(report: Report) -> Iterator[Row]:
     yield "bend angle, RMSE", "0.90 deg", _angle(bend.rmse_deg, bend.bias_deg)
     yield "  while touched", "-", _angle(bend.touched_rmse_deg, bend.touched_bias_deg)
     if bend.calibration:
-        yield "angle error / standard error", "-", _calibration(bend.calibration)
+        yield "angle error / standard error", "-", _consistency(bend.calibration)
 
 
 def _errors(score: TouchScore) -> str:
@@ -87,7 +87,7 @@ def _angle(rmse: float | None, bias: float | None) -> str:
     return "-" if rmse is None else f"{rmse:.2f} deg (bias {bias:+.2f})"
 
 
-def _calibration(found: Calibration) -> str:
+def _consistency(found: Consistency) -> str:
     return f"rms {found.rms_ratio:.2f}, {found.within_one:.0%} within one"
 
 

@@ -5,15 +5,15 @@ from numpy.typing import NDArray
 
 from eitskin.extras import require
 from eitskin.training.evaluation.evaluate import Evaluation
-from eitskin.training.evaluation.metrics import GATE
-from eitskin.training.evaluation.report_drawing import (
+from eitskin.training.evaluation.matching import GATE
+from eitskin.training.evaluation.report.drawing import (
     BLUE,
     DARK,
     EXTRA,
     GREEN,
     ORANGE,
-    Absent,
-    Drawn,
+    CaptionedFigure,
+    NoFigure,
     draw_sensor,
     new_figure,
 )
@@ -24,12 +24,12 @@ SAME_PLACE = 1e-4  # m
 Array = NDArray[np.float64]
 
 
-def error_vectors(evaluation: Evaluation) -> Drawn | Absent:
+def error_vectors(evaluation: Evaluation) -> CaptionedFigure | NoFigure:
     """From the place of every single touch to where it was found."""
     data, matches = evaluation.dataset, evaluation.matches
     single = np.flatnonzero(data.touch_count == 1)[:MOST_VECTORS]
     if not single.size:
-        return Absent("no frame has exactly one touch of known place")
+        return NoFigure("no frame has exactly one touch of known place")
     mine = np.isin(matches.frame, single)
     true, found = 1e3 * matches.true[mine], 1e3 * matches.found[mine]
     missed = np.setdiff1d(single, matches.frame[mine])
@@ -49,7 +49,7 @@ def error_vectors(evaluation: Evaluation) -> Drawn | Absent:
         axes.scatter(*lost.T, label="missed at least once", zorder=2, **ring)
     axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal")
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
-    return Drawn(
+    return CaptionedFigure(
         figure,
         f"{len(single)} single touches at {len(np.unique(np.round(places, 1), axis=0))} places, to "
         f"scale: a line leads from the true place to the one found; {missed.size} were missed. "
@@ -65,11 +65,11 @@ def _places(evaluation: Evaluation, frames: NDArray[np.int64]) -> Array:
     return places
 
 
-def localisation_errors(evaluation: Evaluation) -> Drawn | Absent:
+def localisation_errors(evaluation: Evaluation) -> CaptionedFigure | NoFigure:
     """Histogram of the distances of all matched touches."""
     error = 1e3 * evaluation.matches.error
     if not len(error):
-        return Absent("no touch was matched to a true one")
+        return NoFigure("no touch was matched to a true one")
     upper = max(float(np.percentile(error, 99.5)) * 1.05, 1e-3)
     figure = new_figure(7.2, 4.2)
     axes = figure.subplots()
@@ -85,7 +85,7 @@ def localisation_errors(evaluation: Evaluation) -> Drawn | Absent:
     axes.set(xlabel="distance between true and found place [mm]", ylabel="share of touches [%]")
     axes.set_xlim(0, upper)
     axes.legend()
-    return Drawn(
+    return CaptionedFigure(
         figure,
         f"Localisation errors of {len(error)} touches that were found, in frames with one to four. "
         f"A touch counts as found within {1e3 * GATE:g} mm; the largest errors are counted in the "
