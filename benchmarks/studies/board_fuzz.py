@@ -14,8 +14,9 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -26,10 +27,8 @@ from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.hardware.boards.board import Board
 from eitskin.hardware.boards.connection import Connection
 from eitskin.hardware.opening import open_board
-from eitskin.hardware.virtual.board_faults import Replug
-from eitskin.hardware.virtual.faults import FAULTS
-from eitskin.hardware.virtual.sensor_faults import SENSOR_FAULTS
-from eitskin.hardware.virtual.wire_faults import Damage
+from eitskin.hardware.virtual.fault import Fault, Hook
+from eitskin.hardware.virtual.faults import DAMAGE_FAULTS, FAULTS, SENSOR_FAULTS
 from eitskin.provenance import Provenance
 from eitskin.simulator.scene.scene import Scene
 from eitskin.simulator.simulator import Simulator
@@ -111,8 +110,7 @@ def _struck_frames(board: Board, name: str, rng: random.Random) -> list[Frame]:
 
     frames = Connection(board, wait=wait).frames()
     before = list(itertools.islice(frames, rng.randrange(1, 20)))
-    kind = FAULTS[name]
-    indices = 2400 if issubclass(kind, Damage) else 28 if name in SENSOR_FAULTS else 3
+    indices = 2400 if name in DAMAGE_FAULTS else 28 if name in SENSOR_FAULTS else 3
     fault = f"{name}:{rng.randrange(indices)}"
     stage.inject(f"{fault}, replug" if name in MEETING else fault)
     return before + list(itertools.islice(frames, FRAMES))
@@ -171,26 +169,27 @@ def replug(rounds: int, sensor: Simulator) -> Cable:
                 found.before = _holdings()
             session = next(frames).session
             waiting.clear()
-            cable = TimedReplug()
-            stage.inject([cable])
+            pulled: list[float] = []
+            stage.inject([timed_replug(pulled)])
             while next(frames).session == session:
                 pass
             if round_ >= 0:
-                found.back.append(time.perf_counter() - cable.pulled)
-                found.noticed.append(waiting[0] - cable.pulled)
+                found.back.append(time.perf_counter() - pulled[0])
+                found.noticed.append(waiting[0] - pulled[0])
         found.after = _holdings()
     return found
 
 
-class TimedReplug(Replug):
-    """A replug that knows when it happened, `pulled` [s]."""
+def timed_replug(pulled: list[float]) -> Fault:
+    """A replug that appends the time at which the cable is pulled to `pulled` [s]."""
+    kind = FAULTS["replug"]
 
-    pulled = 0.0
+    def packet(whole: bytes, fault: Fault) -> Any:
+        if fault.since == 0:
+            pulled.append(time.perf_counter())
+        return kind.effects[Hook.PACKET](whole, fault)
 
-    def sent(self, now: int, packet: bytes, period: float) -> bytes:
-        if self.strikes(now):
-            self.pulled = time.perf_counter()
-        return super().sent(now, packet, period)
+    return Fault("replug", replace(kind, effects={Hook.PACKET: packet}), kind.frame)
 
 
 def _holdings() -> tuple[int, int, float]:

@@ -27,7 +27,7 @@ from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.hardware.boards.board import Board
 from eitskin.hardware.opening import open_board
 from eitskin.hardware.protocol.packets import Decoder
-from eitskin.hardware.virtual.fault import Fault
+from eitskin.hardware.virtual.fault import Fault, FaultKind, Hook
 from eitskin.hardware.virtual.scene_script import Script, Step
 from eitskin.hardware.virtual.virtual_board import virtual_terminal
 from eitskin.provenance import Provenance
@@ -67,24 +67,21 @@ BOARDS: dict[str, dict[str, Any]] = {
 STAGES = ("line and codec", "pipeline")
 
 
-class Clocked(Fault):
-    """No fault: notes when each frame is handed to the line, `times` by its number [s]."""
+def frame_clock(times: "MutableSequence[float]") -> Fault:
+    """A fault without effect that notes when each frame goes to the line, by its number [s]."""
 
-    times: "MutableSequence[float]"
+    def packet(whole: bytes, fault: Fault) -> bytes:
+        times[(fault.frame + fault.since) % len(times)] = time.perf_counter()
+        return whole
 
-    def sent(self, now: int, packet: bytes, period: float) -> bytes:  # noqa: ARG002
-        """The packet as it is."""
-        self.times[now % len(self.times)] = time.perf_counter()
-        return packet
+    return Fault("frame clock", FaultKind("Frames are timed.", {Hook.PACKET: packet}), 0)
 
 
 def serve(path: "Pipe", times: "MutableSequence[float]", options: dict[str, Any]) -> None:
     """Serve a virtual board in a process of its own, as a real board is none of the host's."""
     with contextlib.suppress(KeyboardInterrupt):
         terminal = virtual_terminal(**options)
-        clocked = Clocked()
-        clocked.times = times
-        terminal.firmware.stage.inject([clocked])
+        terminal.firmware.stage.inject([frame_clock(times)])
         path.send(terminal.path)
         terminal.serve()
 

@@ -81,7 +81,7 @@ def _meanings() -> dict[str, str]:
     """What each fault does, in its own words."""
     from eitskin.hardware.virtual.faults import FAULTS
 
-    return {name: " ".join((kind.__doc__ or "").split()) for name, kind in FAULTS.items()}
+    return {name: kind.meaning for name, kind in FAULTS.items()}
 
 
 def _fault_table() -> Table:

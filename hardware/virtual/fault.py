@@ -1,9 +1,40 @@
-"""One thing that goes wrong with a virtual board: what a fault can reach, and when it strikes."""
+"""A fault of the virtual board: when it acts, and what it changes."""
 
-from dataclasses import dataclass
+import random
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from enum import Enum, auto
+from typing import Any
 
-from eitskin.hardware.protocol.messages import FrameData, Info
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.hardware.protocol.messages import Info
 from eitskin.protocol import Protocol
+
+
+class Hook(Enum):
+    """Points at which the board consults its faults; each comment names the value that passes."""
+
+    IMPEDANCE = auto()  # (measurements,) complex64 [ohm], of one frame
+    STATUS = auto()  # (measurements,) bits of `Status`, of one frame
+    PACKET = auto()  # bytes of one frame; the effect may raise Unplugged
+    DELAY = auto()  # float: extra time until the next frame [s]
+    REPLY = auto()  # bytes that answer one request
+    LINE = auto()  # bytes of anything that the board sends
+    INFO = auto()  # Info: the identity that the board gives
+    REBOOTS = auto()  # bool: the board starts anew instead of measuring the frame
+    FIRST_NUMBER = auto()  # int: number of the first frame after a start
+    STREAMS = auto()  # bool: frames are sent unasked after a start
+    STAYS_OUT = auto()  # bool: the cable, once pulled, is not put back
+    PORT_HELD = auto()  # bool: another program has the port open
+
+
+AT_START = (Hook.FIRST_NUMBER, Hook.STREAMS)
+"""Consulted at every start of the board, also before the first frame of a fault."""
+
+Effect = Callable[[Any, "Fault"], Any]
+"""Takes the value that passes a hook, and the fault; gives the value that goes on."""
 
 
 class Unplugged(Exception):  # noqa: N818
@@ -11,84 +42,98 @@ class Unplugged(Exception):  # noqa: N818
 
     Attributes:
         sent: bytes that still came through.
-        back_after: when it is put back, and the board starts anew [s]; None for not by itself.
+        back_after: time until the cable is put back and the board starts anew [s]; None where the
+            cable stays out.
     """
 
     def __init__(self, sent: bytes = b"", back_after: float | None = None) -> None:
-        """Pull it after these bytes."""
+        """Pull the cable after the bytes `sent`."""
         super().__init__()
         self.sent, self.back_after = sent, back_after
 
 
-@dataclass
-class Fault:
-    """One fault; the base has no effect.
-
-    Time is counted in frames since the board was made, `now`, which a restart does not set back.
+@dataclass(frozen=True, slots=True)
+class FaultKind:
+    """One row of the table of faults.
 
     Attributes:
-        frame: the frame that it strikes first; where it strikes answers, the request.
-        index: which channel, electrode, byte or bit it strikes, or how hard.
+        meaning: one sentence, for `eitskin board --list-faults`.
+        effects: what is changed at which hook, from the fault's first frame on.
+        unit: of the index; empty where the index has no effect.
+        default: amount that index 0 stands for.
+        frame: the first frame, or request, where none is given.
+        stays: frames until the fault is removed, by its amount; None until it is cleared.
     """
 
+    meaning: str
+    effects: Mapping[Hook, Effect]
+    unit: str = ""
+    default: int = 0
     frame: int = 5
+    stays: Callable[[int], int] | None = None
+
+
+@dataclass(slots=True)
+class Fault:
+    """One fault of a virtual board.
+
+    Frames are counted since the board was made; a restart does not set the count back. A fault of
+    replies counts requests instead.
+
+    Attributes:
+        name: as in "name@frame:index".
+        kind: row of the table.
+        frame: the first frame with the fault.
+        index: which bit, byte, channel or electrode, or how many; see `FaultKind.unit`.
+        rng: generator seeded by the index.
+        memory: values that an effect keeps for later frames.
+        since: frames since the first, at the hook that is being consulted.
+        info, protocol: identity and measurement table of the faultless board.
+    """
+
+    name: str
+    kind: FaultKind
+    frame: int
     index: int = 0
+    rng: random.Random = field(init=False)
+    memory: dict[str, Any] = field(init=False, default_factory=dict)
+    since: int = field(init=False, default=0)
+    info: Info = field(init=False)
+    protocol: Protocol = field(init=False)
 
     def __post_init__(self) -> None:
-        """Prepare what the fault remembers; nothing, here."""
+        """Seed the generator."""
+        self.rng = random.Random(self.index)  # noqa: S311
 
-    def strikes(self, now: int) -> bool:
-        """Whether this is the one frame that it strikes."""
-        return now == self.frame
+    def __str__(self) -> str:
+        """Name and index, as "name:index"."""
+        return f"{self.name}:{self.index}" if self.index else self.name
 
-    def lasts(self, now: int) -> bool:
-        """Whether it has begun, for what then stays."""
-        return now >= self.frame
+    @property
+    def amount(self) -> int:
+        """The index; the kind's default for 0."""
+        return self.index or self.kind.default
 
-    def over(self, now: int) -> bool:  # noqa: ARG002
-        """Whether it has struck and will not again, for what strikes once."""
-        return False
+    @property
+    def channel(self) -> int:
+        """Number of the measurement `index`, modulo their count."""
+        return self.index % len(self.protocol)
 
-    def measured(self, now: int, data: FrameData, protocol: Protocol, info: Info) -> FrameData:  # noqa: ARG002
-        """What becomes of the measured values."""
-        return data
+    @property
+    def pairs(self) -> NDArray[np.bool_]:
+        """Measurements that electrode `index` (modulo their count) takes part in, (n,)."""
+        electrode = self.index % self.protocol.n_electrodes
+        involved: NDArray[np.bool_] = (np.array(self.protocol.table) == electrode).any(axis=1)
+        return involved
 
-    def sent(self, now: int, packet: bytes, period: float) -> bytes:  # noqa: ARG002
-        """What becomes of the bytes of a frame; may raise `Unplugged`."""
-        return packet
+    def change(self, hook: Hook, value: Any, now: int, info: Info, protocol: Protocol) -> Any:
+        """The value that goes on from `hook` in frame `now`; the arguments are the board's."""
+        effect = self.kind.effects.get(hook)
+        if effect is None or (now < self.frame and hook not in AT_START):
+            return value
+        self.since, self.info, self.protocol = now - self.frame, info, protocol
+        return effect(value, self)
 
-    def answered(self, request: int, reply: bytes) -> bytes:  # noqa: ARG002
-        """What becomes of the answer to request number `request`, counted from 0."""
-        return reply
-
-    def line(self, now: int, data: bytes) -> bytes:  # noqa: ARG002
-        """What becomes of all bytes on the line."""
-        return data
-
-    def introduced(self, now: int, info: Info) -> Info:  # noqa: ARG002
-        """What the board says it is."""
-        return info
-
-    def delay(self, now: int, period: float) -> float:  # noqa: ARG002
-        """By how much the frame after this one is late [s]."""
-        return 0.0
-
-    def reboots(self, now: int) -> bool:  # noqa: ARG002
-        """Whether the board starts anew instead of measuring this frame."""
-        return False
-
-    def first_number(self) -> int:
-        """The number of the first frame after a start."""
-        return 0
-
-    def streams_at_once(self) -> bool:
-        """Whether the board sends frames without having been asked."""
-        return False
-
-    def stays_out(self, now: int) -> bool:  # noqa: ARG002
-        """Whether the cable is out for good."""
-        return False
-
-    def holds_port(self, now: int) -> bool:  # noqa: ARG002
-        """Whether another program has the port open."""
-        return False
+    def over(self, now: int) -> bool:
+        """Whether the fault is to be removed before frame `now`."""
+        return self.kind.stays is not None and now - self.frame >= self.kind.stays(self.amount)

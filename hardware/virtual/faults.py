@@ -2,33 +2,44 @@
 
 A fault is written `name@frame:index`, such as `bit_flip@5:12`. From that frame on it stays where
 that is the nature of the fault (a channel that is NaN), else it strikes once (a lost frame). Faults
-of answers count requests instead of frames: `no_reply@0:2` leaves the first two unanswered.
+of replies count requests instead of frames: `no_reply@0:2` leaves the first two unanswered.
+
+To add a fault, add a row to one of the three tables at the end of this file.
 """
 
 import difflib
 import re
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError
-from eitskin.hardware.virtual.board_faults import BOARD_FAULTS
-from eitskin.hardware.virtual.fault import Fault, Unplugged
-from eitskin.hardware.virtual.sensor_faults import SENSOR_FAULTS
-from eitskin.hardware.virtual.wire_faults import WIRE_FAULTS
+from eitskin.frame import Status
+from eitskin.hardware.protocol.messages import Ack, Reply, Type, pack
+from eitskin.hardware.protocol.packets import MAX_PACKET, Decoder, encode
+from eitskin.hardware.virtual.fault import Effect, Fault, FaultKind, Hook, Unplugged
 
-__all__ = ["FAULTS", "Fault", "Unplugged", "fault_name", "read_faults"]
+Array = NDArray[Any]
+"""Impedances [ohm], or status bits, of one frame, (measurements,)."""
 
-FAULTS: dict[str, type[Fault]] = {**WIRE_FAULTS, **BOARD_FAULTS, **SENSOR_FAULTS}
-_NAMES = {kind: name for name, kind in FAULTS.items()}
+NAN = complex(np.nan, np.nan)
+TEXT = b"\r\nRzMag: 612.034000 Ohm , RzPhase: -0.120000\r\n"
+OTHER_VERSION = 2
+STRAY_CAPACITANCE = 100e-12  # F, measured at an open lead
+SHORT = 2.0  # ohm, leads of a shorted pair
+CLIPPED_TO = 0.7  # of the impedance, where a sine is cut off
+LOST_PER_FRAME = 0.05  # growth of a failing contact's pairs in one frame
+GAIN_STEP = 1.02
+WRONG_RTIA = 5.0  # the next resistor of the AD5940, 1 kohm where 200 ohm are meant
+DRIFT_PER_FRAME = 1e-4
 
 
 def read_faults(text: str) -> tuple[Fault, ...]:
     """The faults in "name@frame:index,..."; raises ConfigurationError where one cannot be."""
     return tuple(_read_fault(part.strip()) for part in text.split(",") if part.strip())
-
-
-def fault_name(fault: Fault) -> str:
-    """`fault` as it is written, without its frame; the class's name for one of none here."""
-    name = _NAMES.get(type(fault), type(fault).__name__)
-    return f"{name}:{fault.index}" if fault.index else name
 
 
 def _read_fault(text: str) -> Fault:
@@ -40,5 +51,336 @@ def _read_fault(text: str) -> Fault:
             f"expected a fault as name@frame:index with a name among {', '.join(FAULTS)}, got "
             f"{text!r}{hint}"
         )
-    given = {"frame": match[2], "index": match[3]}
-    return FAULTS[match[1]](**{name: int(value) for name, value in given.items() if value})
+    kind = FAULTS[match[1]]
+    return Fault(match[1], kind, int(match[2] or kind.frame), int(match[3] or 0))
+
+
+# ---- on the line ----
+
+
+def _put(packet: bytes, f: Fault, count: int, new: bytes = b"") -> bytes:
+    """The packet with `new` for `count` bytes, from byte `index` (modulo its length) on."""
+    start = f.index % len(packet)
+    return packet[:start] + new + packet[start + count :]
+
+
+def _bit_flip(packet: bytes, f: Fault) -> bytes:
+    wrong = bytearray(packet)
+    wrong[f.index // 8 % len(packet)] ^= 1 << f.index % 8
+    return bytes(wrong)
+
+
+def _merged(packet: bytes, f: Fault) -> bytes:
+    if f.memory.pop("without end", False):
+        return packet.lstrip(b"\0")
+    if not packet or f.since:
+        return packet
+    f.memory["without end"] = True
+    return packet.rstrip(b"\0")
+
+
+def _reordered(packet: bytes, f: Fault) -> bytes:
+    if not packet or f.since:
+        return packet + bytes(f.memory.pop("held", b""))
+    f.memory["held"] = packet
+    return b""
+
+
+def _held_back(data: bytes, f: Fault) -> bytes:
+    """Nothing while the fault acts, then all at once."""
+    held = bytes(f.memory.pop("held", b"")) + data
+    if f.since >= f.amount:
+        return held
+    f.memory["held"] = held
+    return b""
+
+
+def _wrong_baud(data: bytes, f: Fault) -> bytes:
+    return f.rng.randbytes(len(data) + f.rng.randrange(len(data) // 2 + 1))
+
+
+# ---- of the board ----
+
+
+def _negative_ack(reply: bytes, f: Fault) -> bytes:
+    packets = list(Decoder().feed(reply))
+    if f.since >= f.amount or [packet.type for packet in packets] != [Type.ACK]:
+        return reply
+    request, type_ = packets[0].payload[:2], packets[0].payload[2]
+    refusal = Ack(int.from_bytes(request, "little"), type_, Reply.BUSY)
+    return encode(pack(refusal, packets[0].seq))
+
+
+def _wrong_version(data: bytes, _: Fault) -> bytes:
+    return b"".join(encode(packet, OTHER_VERSION) for packet in Decoder().feed(data))
+
+
+def _pull(sent: bytes) -> NoReturn:
+    raise Unplugged(sent)
+
+
+def _replug(packet: bytes, f: Fault) -> bytes:
+    if f.since == 0:
+        raise Unplugged(back_after=f.amount * f.info.period)
+    return packet
+
+
+# ---- in the values ----
+
+
+def _with(array: Array, where: Any, value: Any) -> Array:
+    """A copy with `value` at some channels."""
+    changed = array.copy()
+    changed[where] = value
+    return changed
+
+
+def _stray_impedance(frequency: float) -> complex:
+    """Impedance [ohm] of an open lead at `frequency` [Hz]."""
+    return 1.0 / (2j * np.pi * frequency * STRAY_CAPACITANCE)
+
+
+def _shorted(z: Array, f: Fault) -> Array:
+    """Both electrodes measure as the better of the two, their own pair as nearly nothing."""
+    table = f.protocol.table
+    one, other = table[f.channel][:2]
+    number = {frozenset(row[:2]): i for i, row in enumerate(table)}
+    for third in set(range(f.protocol.n_electrodes)) - {one, other}:
+        both = [number.get(frozenset((end, third))) for end in (one, other)]
+        rows = [row for row in both if row is not None]
+        z = _with(z, rows, min(z[rows], key=abs, default=0.0))
+    return _with(z, f.channel, SHORT)
+
+
+def _swapped(z: Array, f: Fault) -> Array:
+    """Each row measures what the row with the swapped electrodes should."""
+    table, n = f.protocol.table, f.protocol.n_electrodes
+    one, other = f.index % n, (f.index + 1) % n
+    swapped = {one: other, other: one}
+
+    def pairs(row: Sequence[int]) -> tuple[frozenset[int], frozenset[int]]:
+        return frozenset(row[:2]), frozenset(row[2:])
+
+    number = {pairs(row): i for i, row in enumerate(table)}
+    exchanged = [pairs([swapped.get(e, e) for e in row]) for row in table]
+    return z[[number.get(pair, i) for i, pair in enumerate(exchanged)]]
+
+
+# ---- the table ----
+
+
+def _two_frames(_: int) -> int:
+    """The first frame and the one after, which some faults of one frame have a part in."""
+    return 2
+
+
+def _damage(meaning: str, damaged: Effect, unit: str = "") -> FaultKind:
+    """Row of a fault that changes the packet of one frame, where there is one."""
+
+    def effect(packet: bytes, f: Fault) -> bytes:
+        return damaged(packet, f) if packet and f.since == 0 else packet
+
+    return FaultKind(meaning, {Hook.PACKET: effect}, unit, stays=_two_frames)
+
+
+def _reply(meaning: str, effect: Effect) -> FaultKind:
+    """Row of a fault that changes the answers to `index` requests, one for 0."""
+    return FaultKind(meaning, {Hook.REPLY: effect}, "requests", default=1, frame=0)
+
+
+def _values(meaning: str, effect: Effect, unit: str = "") -> FaultKind:
+    """Row of a fault that changes impedances."""
+    return FaultKind(meaning, {Hook.IMPEDANCE: effect}, unit)
+
+
+DAMAGE_FAULTS = {
+    "bit_flip": _damage("Bit `index` of the packet is turned over.", _bit_flip, "bit"),
+    "dropped_byte": _damage(
+        "Byte `index` of the packet is missing.", lambda packet, f: _put(packet, f, 1), "byte"
+    ),
+    "inserted_byte": _damage(
+        "A byte too many comes before byte `index`.",
+        lambda packet, f: _put(packet, f, 0, b"\x55"),
+        "byte",
+    ),
+    "burst": _damage(
+        "16 bytes from byte `index` on are noise.",
+        lambda packet, f: _put(packet, f, 16, f.rng.randbytes(16)),
+        "byte",
+    ),
+    "truncated": _damage(
+        "The packet ends at byte `index`, at its middle for 0.",
+        lambda packet, f: packet[: f.index % len(packet) or len(packet) // 2],
+        "byte",
+    ),
+    "merged": FaultKind(
+        "The zero that ends the packet is missing, and the one that begins the next.",
+        {Hook.PACKET: _merged},
+        stays=_two_frames,
+    ),
+    "duplicated": _damage("The packet is sent twice.", lambda packet, _: packet + packet),
+    "lost_frame": _damage("The frame is measured and never sent.", lambda *_: b""),
+    "reordered": FaultKind(
+        "The frame comes after the one that follows it.",
+        {Hook.PACKET: _reordered},
+        stays=_two_frames,
+    ),
+    "garbage": _damage(
+        "100 bytes of noise come before the packet.",
+        lambda packet, f: f.rng.randbytes(100) + packet,
+        "seed",
+    ),
+    "text": _damage("A line of text comes before the packet.", lambda packet, _: TEXT + packet),
+    "oversized": _damage(
+        "Twice as many bytes as a packet may have come before it.",
+        lambda packet, _: b"\0" + b"\xaa" * 2 * MAX_PACKET + packet,
+    ),
+}
+WIRE_FAULTS = DAMAGE_FAULTS | {
+    "back_pressure": FaultKind(
+        "From the frame on the line takes nothing for `index` frames, two for 0; then all at once.",
+        {Hook.PACKET: _held_back},
+        "frames",
+        default=2,
+        stays=lambda frames: frames + 1,
+    ),
+    "stall": FaultKind(
+        "After the frame nothing comes for `index` periods, five for 0.",
+        {Hook.DELAY: lambda delay, f: delay + f.amount * f.info.period},
+        "periods",
+        default=5,
+        stays=lambda _: 1,
+    ),
+    "jitter": FaultKind(
+        "From the frame on each is late by up to one period, at random; `index` is the seed.",
+        {Hook.DELAY: lambda delay, f: delay + f.rng.random() * f.info.period},
+        "seed",
+    ),
+    "wrong_baud": FaultKind(
+        "From the frame on the line runs at another speed: every byte is another, and some are "
+        "two.",
+        {Hook.LINE: _wrong_baud},
+        "seed",
+    ),
+}
+BOARD_FAULTS = {
+    "no_reply": _reply(
+        "A request is not answered.", lambda reply, f: b"" if f.since < f.amount else reply
+    ),
+    "late_reply": _reply("An answer comes only with that to the request after it.", _held_back),
+    "negative_ack": _reply(
+        "A request that is answered by an ACK is refused as if the board were busy.", _negative_ack
+    ),
+    "wrong_version": FaultKind(
+        "From the frame on every packet claims another version of the protocol.",
+        {Hook.LINE: _wrong_version},
+    ),
+    "wrong_count": FaultKind(
+        "INFO announces one measurement less than the table has.",
+        {Hook.INFO: lambda info, _: replace(info, n_measurements=info.n_measurements - 1)},
+    ),
+    "wrong_table": FaultKind(
+        "INFO announces another table than the board then sends.",
+        {Hook.INFO: lambda info, _: replace(info, table_crc32=info.table_crc32 ^ 1)},
+    ),
+    "already_streaming": FaultKind(
+        "The board sends frames from its start on, without having been asked.",
+        {Hook.STREAMS: lambda *_: True},
+    ),
+    "reboot": FaultKind(
+        "The board starts anew instead of measuring the frame.",
+        {Hook.REBOOTS: lambda already, f: already or f.since == 0},
+        stays=_two_frames,
+    ),
+    "counter_wrap": FaultKind(
+        "The board starts anew, with a frame number that wraps after `index` frames, three for 0.",
+        {
+            Hook.REBOOTS: lambda already, f: already or f.since == 0,
+            Hook.FIRST_NUMBER: lambda number, f: max(number, 2**32 - f.amount),
+        },
+        "frames",
+        default=3,
+        stays=_two_frames,
+    ),
+    "unplug": FaultKind(
+        "The cable is pulled before the frame is sent, and stays so until this is cleared.",
+        {Hook.PACKET: lambda *_: _pull(b""), Hook.STAYS_OUT: lambda out, f: out or f.since > 0},
+    ),
+    "unplug_mid_frame": FaultKind(
+        "The cable is pulled in the middle of the frame, and stays so until this is cleared.",
+        {
+            Hook.PACKET: lambda packet, _: _pull(packet[: len(packet) // 2]),
+            Hook.STAYS_OUT: lambda out, f: out or f.since > 0,
+        },
+    ),
+    "replug": FaultKind(
+        "The cable is pulled and put back `index` periods later, one for 0; the board starts anew.",
+        {Hook.PACKET: _replug},
+        "periods",
+        default=1,
+        stays=_two_frames,
+    ),
+    "port_in_use": FaultKind(
+        "Another program has the port open, from the frame on.",
+        {Hook.PORT_HELD: lambda *_: True},
+        frame=0,
+    ),
+}
+SENSOR_FAULTS = {
+    "nan_channel": _values(
+        "Channel `index` is NaN.", lambda z, f: _with(z, f.channel, NAN), "channel"
+    ),
+    "inf_channel": _values(
+        "Channel `index` is infinite.", lambda z, f: _with(z, f.channel, np.inf), "channel"
+    ),
+    "frozen_frame": _values(
+        "All channels stay as they are, to the last bit.", lambda z, f: f.memory.setdefault("z", z)
+    ),
+    "stuck_channel": _values(
+        "Channel `index` stays as it is, to the last bit.",
+        lambda z, f: _with(z, f.channel, f.memory.setdefault("z", z[f.channel])),
+        "channel",
+    ),
+    "clipping": FaultKind(
+        "Channel `index` is cut off by the converter, and marked so.",
+        {
+            Hook.IMPEDANCE: lambda z, f: _with(z, f.channel, z[f.channel] * CLIPPED_TO),
+            Hook.STATUS: lambda bits, f: _with(bits, f.channel, bits[f.channel] | Status.CLIPPED),
+        },
+        "channel",
+    ),
+    "open_electrode": FaultKind(
+        "Electrode `index` has lost contact: its pairs see its stray capacitance, and are marked.",
+        {
+            Hook.IMPEDANCE: lambda z, f: _with(z, f.pairs, _stray_impedance(f.info.frequency)),
+            Hook.STATUS: lambda bits, f: _with(bits, f.pairs, bits[f.pairs] | Status.OPEN),
+        },
+        "electrode",
+    ),
+    "shorted_pair": _values(
+        "The electrodes of channel `index` touch each other; they and all others see that.",
+        _shorted,
+        "channel",
+    ),
+    "swapped_electrodes": _values(
+        "The wires of electrodes `index` and the next are swapped.", _swapped, "electrode"
+    ),
+    "contact_loss": _values(
+        "Electrode `index` loses contact slowly: its resistance grows frame by frame.",
+        lambda z, f: _with(z, f.pairs, z[f.pairs] * (1.0 + LOST_PER_FRAME * f.since)),
+        "electrode",
+    ),
+    "wrong_rtia": _values(
+        "The board measures with another resistor than it reckons with.",
+        lambda z, _: z / WRONG_RTIA,
+    ),
+    "phase_360": _values(
+        "Every phase is off by 360 degrees, which changes no impedance but by rounding.",
+        lambda z, _: np.abs(z) * np.exp(1j * (np.angle(z) + np.float32(2.0 * np.pi))),
+    ),
+    "gain_step": _values("All channels grow by two per cent at once.", lambda z, _: z * GAIN_STEP),
+    "drift_ramp": _values(
+        "All channels grow steadily.", lambda z, f: z * (1.0 + DRIFT_PER_FRAME * f.since)
+    ),
+}
+FAULTS: dict[str, FaultKind] = WIRE_FAULTS | BOARD_FAULTS | SENSOR_FAULTS

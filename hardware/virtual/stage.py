@@ -7,9 +7,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.hardware.virtual.board_faults import AnswerFault
-from eitskin.hardware.virtual.fault import Fault
-from eitskin.hardware.virtual.faults import fault_name, read_faults
+from eitskin.hardware.virtual.fault import Fault, Hook
+from eitskin.hardware.virtual.faults import read_faults
 from eitskin.hardware.virtual.scene_script import SceneSource, Script, Step
 from eitskin.simulator.scene.scene import Scene
 
@@ -110,7 +109,7 @@ class Stage:
             self._cleared, self._faults = False, ()
         while self._injected:
             fault = self._injected.popleft()
-            fault.frame = self.requests if isinstance(fault, AnswerFault) else self.frames
+            fault.frame = self.requests if Hook.REPLY in fault.kind.effects else self.frames
             self._faults += (fault,)
         if any(fault.over(self.frames) for fault in self._faults):
             self._faults = tuple(f for f in self._faults if not f.over(self.frames))
@@ -120,7 +119,7 @@ class Stage:
     def faults(self) -> tuple[str, ...]:
         """The faults that are still to strike or to last."""
         begun = () if self._cleared else self._faults
-        return tuple(fault_name(fault) for fault in (*begun, *self._injected))
+        return tuple(map(str, (*begun, *self._injected)))
 
     def inject(self, faults: str | Sequence[Fault]) -> None:
         """Have faults strike next, "name:index,..."; raises ConfigurationError for others."""

@@ -6,7 +6,7 @@ The host opens it as it opens a real one, so both share every byte of the host's
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, cast, get_args
+from typing import Any, TypeVar, cast, get_args
 
 import numpy as np
 
@@ -32,7 +32,8 @@ from eitskin.hardware.protocol.messages import (
     unpack,
 )
 from eitskin.hardware.protocol.packets import Decoder, Packet, encode
-from eitskin.hardware.virtual.faults import Fault, read_faults
+from eitskin.hardware.virtual.fault import Fault, Hook
+from eitskin.hardware.virtual.faults import read_faults
 from eitskin.hardware.virtual.pseudo_terminal import Pace, PseudoTerminal
 from eitskin.hardware.virtual.scene_script import (
     Measure,
@@ -53,6 +54,7 @@ from eitskin.simulator.simulator import Simulator
 
 SPEEDS = ("real", "max")
 LONGEST_PERIOD = 3600.0
+T = TypeVar("T")
 
 
 class VirtualFirmware:
@@ -104,12 +106,12 @@ class VirtualFirmware:
     @property
     def holds_port(self) -> bool:
         """Whether another program has the port open."""
-        return any(fault.holds_port(self.stage.frames) for fault in self.stage.active)
+        return self._changed(Hook.PORT_HELD, False)
 
     @property
     def plugged_in(self) -> bool:
         """Whether the cable may be put back."""
-        return not any(fault.stays_out(self.stage.frames) for fault in self.stage.active)
+        return not self._changed(Hook.STAYS_OUT, False)
 
     def boots_from(self, count: int) -> None:
         """Have the boot count go on from `count`, modulo 2**32."""
@@ -119,7 +121,7 @@ class VirtualFirmware:
         """Start afresh, and say so."""
         self.info = dataclasses.replace(self.info, boot_count=(self.info.boot_count + 1) % 2**32)
         self._start()
-        return self._send(self._introduction()) + self._send(
+        return self._send(self._changed(Hook.INFO, self.info)) + self._send(
             Event(0, 0, f"boot {self.info.boot_count}")
         )
 
@@ -130,7 +132,7 @@ class VirtualFirmware:
     def frame(self) -> bytes:
         """Measure the next frame and send it; raises `Unplugged` where a fault says so."""
         now, faults = self.stage.frames, self.stage.active
-        if any(fault.reboots(now) for fault in faults):
+        if self._changed(Hook.REBOOTS, False, now, faults):
             self.stage.frames += 1
             return self.boot()
         impedance, status = self._measure(self.stage.measured(now), now)
@@ -139,19 +141,16 @@ class VirtualFirmware:
             number=self._number,
             time=(now - self._started) * self.info.period + self._late,
             duration=len(self._protocol) * MEASUREMENT_TIME,
-            impedance=impedance.astype(np.complex64),
-            status=status,
+            impedance=self._changed(Hook.IMPEDANCE, impedance.astype(np.complex64), now, faults),
+            status=self._changed(Hook.STATUS, status, now, faults),
         )
-        for fault in faults:
-            data = fault.measured(now, data, self._protocol, self.info)
         packet = encode(pack(data, self._seq))
         self._seq += 1
         self.skip()
-        self.delay = sum(fault.delay(now, self.info.period) for fault in faults)
+        self.delay = self._changed(Hook.DELAY, 0.0, now, faults)
         self._late += self.delay
-        for fault in faults:
-            packet = fault.sent(now, packet, self.info.period)
-        return self._line(packet, now)
+        packet = self._changed(Hook.PACKET, packet, now, faults)
+        return self._changed(Hook.LINE, packet, now)
 
     def skip(self) -> None:
         """Let a frame pass that the host is too slow for."""
@@ -162,19 +161,16 @@ class VirtualFirmware:
             self.streaming = self._left > 0
 
     def _start(self) -> None:
-        faults = self.stage.active
         self._decoder = Decoder()
         self._seq = self._left = 0
-        self._number = max((fault.first_number() for fault in faults), default=0)
+        self._number = self._changed(Hook.FIRST_NUMBER, 0)
         self._started, self._late, self.delay = self.stage.frames, 0.0, 0.0
-        self.streaming = any(fault.streams_at_once() for fault in faults)
+        self.streaming = self._changed(Hook.STREAMS, False)
 
     def _reply(self, packet: Packet) -> bytes:
-        reply = self._answer(packet)
-        for fault in self.stage.active:
-            reply = fault.answered(self.stage.requests, reply)
+        reply = self._changed(Hook.REPLY, self._answer(packet), self.stage.requests)
         self.stage.requests += 1
-        return self._line(reply, self.stage.frames)
+        return self._changed(Hook.LINE, reply)
 
     def _answer(self, packet: Packet) -> bytes:
         try:
@@ -183,7 +179,7 @@ class VirtualFirmware:
             return self._acknowledge(packet, Reply.MALFORMED)
         match message:
             case Hello():
-                return self._packed(self._introduction())
+                return self._packed(self._changed(Hook.INFO, self.info))
             case GetTable():
                 return self._packed(self._table)
             case Start(frames):
@@ -196,12 +192,6 @@ class VirtualFirmware:
                 return self._acknowledge(packet, Reply.UNKNOWN_TYPE)
         return self._acknowledge(packet, Reply.DONE)
 
-    def _introduction(self) -> Info:
-        info = self.info
-        for fault in self.stage.active:
-            info = fault.introduced(self.stage.frames, info)
-        return info
-
     def _acknowledge(self, packet: Packet, status: Reply) -> bytes:
         return self._packed(Ack(packet.seq, packet.type, status))
 
@@ -211,12 +201,16 @@ class VirtualFirmware:
         return sent
 
     def _send(self, message: Message) -> bytes:
-        return self._line(self._packed(message), self.stage.frames)
+        return self._changed(Hook.LINE, self._packed(message))
 
-    def _line(self, data: bytes, now: int) -> bytes:
-        for fault in self.stage.active:
-            data = fault.line(now, data)
-        return data
+    def _changed(
+        self, hook: Hook, value: T, now: int | None = None, faults: Sequence[Fault] | None = None
+    ) -> T:
+        """The value that goes on from `hook`; the newest frame and faults when omitted."""
+        now = self.stage.frames if now is None else now
+        for fault in self.stage.active if faults is None else faults:
+            value = fault.change(hook, value, now, self.info, self._protocol)
+        return value
 
 
 def virtual_terminal(

@@ -12,10 +12,8 @@ from eitskin.errors import DeviceError
 from eitskin.hardware import SerialBoard
 from eitskin.hardware.protocol.messages import Ack, Event, FrameData, Type, pack
 from eitskin.hardware.protocol.packets import Packet, encode
-from eitskin.hardware.virtual.faults import FAULTS
-from eitskin.hardware.virtual.sensor_faults import NanChannel
+from eitskin.hardware.virtual.faults import FAULTS, read_faults
 from eitskin.hardware.virtual.virtual_board import virtual_terminal
-from eitskin.hardware.virtual.wire_faults import BitFlip, DroppedByte, LostFrame
 from eitskin.simulator import Status
 
 from loopback import FLAT, PROTOCOL, FakeSimulator, Loopback, connected, firmware, take, virtual
@@ -23,9 +21,9 @@ from loopback import FLAT, PROTOCOL, FakeSimulator, Loopback, connected, firmwar
 # ---- what goes wrong on the wire ----
 
 
-@pytest.mark.parametrize("fault", [BitFlip(3, 500), DroppedByte(3, 100), LostFrame(3)])
+@pytest.mark.parametrize("fault", ["bit_flip@3:500", "dropped_byte@3:100", "lost_frame@3"])
 def test_a_damaged_frame_is_lost_and_counted(fault):
-    board, _ = connected(firmware([fault]))
+    board, _ = connected(firmware(read_faults(fault)))
     assert [frame.number for frame in take(board, 6)] == [0, 1, 2, 4, 5, 6]
     assert board.lost == 1
 
@@ -49,7 +47,7 @@ def test_frame_numbers_may_wrap():
 
 
 def test_a_value_that_is_not_finite_is_marked_and_the_frame_kept():
-    board, _ = connected(firmware([NanChannel(1, 4)]))
+    board, _ = connected(firmware(read_faults("nan_channel@1:4")))
     good, bad = take(board, 2)
     assert not good.status.any()
     assert np.flatnonzero(bad.status).tolist() == [4]

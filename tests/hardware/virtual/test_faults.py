@@ -8,7 +8,7 @@ import pytest
 from eitskin.errors import ConfigurationError, DeviceError
 from eitskin.hardware import Connection, SerialBoard, open_board
 from eitskin.hardware.protocol.packets import Decoder
-from eitskin.hardware.virtual.faults import FAULTS, fault_name, read_faults
+from eitskin.hardware.virtual.faults import FAULTS, read_faults
 from eitskin.hardware.virtual.virtual_board import virtual_terminal
 from eitskin.simulator import Status
 
@@ -253,9 +253,10 @@ def test_every_fault_of_the_list_has_a_name_and_is_read_back():
     assert len(FAULTS) == 42
     for name, kind in FAULTS.items():
         (fault,) = read_faults(f"{name}@17:3")
-        assert (type(fault), fault.frame, fault.index) == (kind, 17, 3)
-        assert fault_name(fault) == f"{name}:3"
-        assert kind.__doc__
+        assert (fault.kind, fault.frame, fault.index) == (kind, 17, 3)
+        assert str(fault) == f"{name}:3"
+        assert kind.meaning
+        assert kind.unit or "`index`" not in kind.meaning
 
 
 @pytest.mark.parametrize("text", ["gremlins", "bit_flip@x", "bit_flip@1:2:3", "bit_flip@-1"])
