@@ -188,7 +188,7 @@ def floor(count: int = PER_BEND) -> Floor:
     )
     w, c = (
         float(np.mean([x for x in xs if x]))
-        for xs in zip(*((len(s.unknowns), s.carried) for s in solver.strips), strict=True)
+        for xs in zip(*((len(s.unknowns), s.coupled) for s in solver.block_rows), strict=True)
     )
     per_strip = w**3 / 3 + w * c**2 + w**2 * c
     q, entries = assembly._reference.shape[0] * 6, assembly._reference.shape[2]

@@ -21,7 +21,7 @@ from eitskin.simulator.electrical.cem_system import System, zero_sums
 from eitskin.simulator.electrical.forward_model import ForwardModel
 from eitskin.simulator.layer.deformed_layer import DeformedLayer
 from eitskin.simulator.linalg.block_cholesky import BlockCholesky
-from eitskin.simulator.linalg.two_sided_elimination import BothEnds
+from eitskin.simulator.linalg.two_sided_elimination import TwoSidedElimination
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -83,11 +83,11 @@ class Reanalysis:
         contact = assembly.contact(model.contact_impedance, self._ratio)
         system = model.places.system(stiffness.values, contact)
         self._lifted = system.lifted
-        self._ends = BothEnds(solver, system.values, system.coupling)
+        self._elimination = TwoSidedElimination(solver, system.values, system.coupling)
         model.factorisations += 1
-        self.strips, self.resolved = 2 * len(solver.strips), 0
+        self.strips, self.resolved = 2 * len(solver.block_rows), 0
         strip = np.empty(assembly.unknowns, dtype=np.int64)
-        for number, each in enumerate(solver.strips):
+        for number, each in enumerate(solver.block_rows):
             strip[each.unknowns] = number
         of_element = strip[assembly.space.numbers]
         self._first, self._last = of_element.min(axis=1), of_element.max(axis=1)
@@ -96,7 +96,7 @@ class Reanalysis:
     def _linearise(self, system: System, stiffness: Stiffness) -> None:
         """Keep Z and its derivatives by the conductivity and by the areas of electrodes."""
         model, assembly = self._model, self._model.assembly
-        per_potential = self._ends.factors.solve(system.coupling)
+        per_potential = self._elimination.factors.solve(system.coupling)
         T = system.coupling.T @ per_potential
         U = np.linalg.solve(system.admittance - 0.5 * (T + T.T), zero_sums(np.eye(len(T))))
         w = per_potential @ U
@@ -179,7 +179,7 @@ class Reanalysis:
         contact = model.assembly.contact(model.contact_impedance, ratio)
         system = model.places.system(stiffness, contact, self._lifted)
         self.strips += last - first + 1
-        T = self._ends.congruence(system.values, system.coupling, first, last)
+        T = self._elimination.congruence(system.values, system.coupling, first, last)
         Z: Array = np.real(system.impedance(T))
         return Z
 

@@ -1,1 +1,6 @@
-"""Direct solvers for symmetric systems: factorise once, solve for many right-hand sides."""
+"""Direct solvers for sparse symmetric systems: one factorisation, many right-hand sides.
+
+`sparse_solvers` chooses between block Cholesky and sparse LU for the forward model;
+`two_sided_elimination` caches the Schur complements that reanalysis reuses; `nested_dissection`
+serves the three-dimensional press.
+"""

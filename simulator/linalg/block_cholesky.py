@@ -1,4 +1,4 @@
-"""Block tridiagonal elimination along a body: dense blocks, one per strip of unknowns."""
+"""Block tridiagonal Cholesky factorisation: dense blocks, one per strip of unknowns."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -14,17 +14,21 @@ Numbers = NDArray[np.inexact]
 Indices = NDArray[np.int64]
 
 
-def levels(numbers: Indices, first: Indices) -> Indices:
-    """Strip of each unknown, (unknowns,): its distance in elements from those of `first`.
+def level_structure(numbers: Indices, first: Indices) -> Indices:
+    """Strip of each unknown, (unknowns,): level of a breadth-first search from elements `first`.
 
-    `numbers` are the unknowns of each element, (elements, functions). An element then touches two
-    neighbouring strips at most, on any mesh.
+    Args:
+        numbers: unknowns of each element, (elements, functions).
+        first: elements of level 0.
+
+    An element then has unknowns of two consecutive strips at most, on any mesh (level structure,
+    George and Liu 1981). Raises ConfigurationError for a mesh that is not connected.
     """
     elements, functions = numbers.shape
     unknowns = int(numbers.max()) + 1
-    places = (np.repeat(np.arange(elements), functions), numbers.ravel())
-    touches = coo_array((np.ones(numbers.size, dtype=np.int8), places), (elements, unknowns))
-    by_element, by_unknown = touches.tocsr(), touches.T.tocsr()
+    incidence = (np.repeat(np.arange(elements), functions), numbers.ravel())
+    shares = coo_array((np.ones(numbers.size, dtype=np.int8), incidence), (elements, unknowns))
+    by_element, by_unknown = shares.tocsr(), shares.T.tocsr()
     level = np.full(unknowns, -1)
     reached = np.zeros(elements, dtype=bool)
     front, number = first, 0
@@ -33,155 +37,170 @@ def levels(numbers: Indices, first: Indices) -> Indices:
         new = np.unique(by_element[front].indices)
         new = new[level[new] < 0]
         level[new] = number
-        near = np.unique(by_unknown[new].indices)
-        front = near[~reached[near]]
+        adjacent = np.unique(by_unknown[new].indices)
+        front = adjacent[~reached[adjacent]]
         number += 1
     if level.min() < 0:
         raise ConfigurationError(
-            "the body falls into parts that do not touch; a sensor is one connected body"
+            "expected a sensor of one connected body, got parts that do not touch; join them in "
+            "the design"
         )
     return level
 
 
 class BlockCholesky:
-    """Block tridiagonal Cholesky, for long bodies: dense blocks, one per strip of unknowns.
+    """Block tridiagonal Cholesky factorisation for long, thin bodies.
 
-    An element touches two neighbouring strips at most. Within a strip the unknowns that touch
-    the next one come last, so the block below them is all that is carried on. Complex symmetric
-    matrices with a positive definite real part go through the same elimination with LU blocks:
-    no pivoting between blocks is needed (Higham 1998).
+    The unknowns are grouped into strips, and an element has unknowns of two consecutive strips at
+    most. Within a strip the unknowns coupled to the next strip come last, so that the sub-diagonal
+    block has columns for these alone. Complex symmetric matrices with a positive definite real
+    part are eliminated in the same order with LU factors of the diagonal blocks; pivoting between
+    blocks is not needed (Higham 1998).
+
+    Attributes:
+        block_rows: one for each strip, in the order of elimination.
     """
 
     name = "block Cholesky"
 
     def __init__(self, rows: Indices, columns: Indices, strip: Indices) -> None:
-        """Prepare for values at (rows, columns), with the strip number of each unknown, (n,)."""
+        """Prepare for entries at (rows, columns), with the strip of each unknown, (n,)."""
         crossing = strip[rows] != strip[columns]
         if np.any(np.abs(strip[rows] - strip[columns]) > 1):
-            raise ValueError("a matrix value joins strips that are not neighbours")
+            raise ValueError("a matrix entry couples strips that are not consecutive")
         lower_end = np.where(strip[rows] < strip[columns], rows, columns)[crossing]
-        carried = np.zeros(len(strip), dtype=bool)
-        carried[lower_end] = True
-        self._order = np.lexsort((carried, strip))
+        coupled = np.zeros(len(strip), dtype=bool)
+        coupled[lower_end] = True
+        self._order = np.lexsort((coupled, strip))
         rank = np.empty_like(self._order)
         rank[self._order] = np.arange(len(strip))
         low, high = np.minimum(rank[rows], rank[columns]), np.maximum(rank[rows], rank[columns])
 
-        sizes, kept = np.bincount(strip), np.bincount(strip[carried], minlength=strip.max() + 1)
+        sizes, couplings = (
+            np.bincount(strip),
+            np.bincount(strip[coupled], minlength=strip.max() + 1),
+        )
         starts = np.concatenate([[0], np.cumsum(sizes)])
-        below = np.append(sizes[1:], 0)
-        # Places within a strip, column by column: its own block, then the block below its carried
-        # unknowns.
+        next_sizes = np.append(sizes[1:], 0)
+        # Positions within a block row, column by column: its diagonal block, then the sub-diagonal
+        # block, which has the coupled unknowns as columns.
         column_strip, row_strip = strip[self._order[low]], strip[self._order[high]]
         column, row = low - starts[column_strip], high - starts[row_strip]
         size = sizes[column_strip]
-        own = column * size + row
-        first = size - kept[column_strip]
-        joining = size**2 + (column - first) * below[column_strip] + row
-        within = np.where(row_strip == column_strip, own, joining)
-        extents = sizes**2 + below * kept
+        diagonal = column * size + row
+        first = size - couplings[column_strip]
+        sub_diagonal = size**2 + (column - first) * next_sizes[column_strip] + row
+        within = np.where(row_strip == column_strip, diagonal, sub_diagonal)
+        extents = sizes**2 + next_sizes * couplings
         block_starts = np.concatenate([[0], np.cumsum(extents)])
-        place = block_starts[column_strip] + within
-        # Values of equal place, brought together, are added up in one pass over all strips.
-        self._gather = np.argsort(place, kind="stable")
-        sorted_place = place[self._gather]
-        self._runs = np.flatnonzero(np.diff(sorted_place, prepend=-1))
-        filled = sorted_place[self._runs]
+        position = block_starts[column_strip] + within
+        # Entries of equal position are brought together, and added up in one pass over all strips.
+        self._gather = np.argsort(position, kind="stable")
+        sorted_positions = position[self._gather]
+        self._runs = np.flatnonzero(np.diff(sorted_positions, prepend=-1))
+        filled = sorted_positions[self._runs]
         bounds = np.searchsorted(filled, block_starts)
-        self.strips = [
-            Strip(
+        self.block_rows = [
+            BlockRow(
                 unknowns=self._order[starts[i] : starts[i + 1]],
-                values=slice(bounds[i], bounds[i + 1]),
-                places=filled[bounds[i] : bounds[i + 1]] - block_starts[i],
-                carried=int(kept[i]),
-                below=int(below[i]),
+                entries=slice(bounds[i], bounds[i + 1]),
+                positions=filled[bounds[i] : bounds[i + 1]] - block_starts[i],
+                coupled=int(couplings[i]),
+                next_size=int(next_sizes[i]),
             )
             for i in range(len(sizes))
         ]
 
-    def sums(self, values: Numbers, first: int = 0, last: int | None = None) -> Numbers:
-        """The values of strips `first` to `last`, those of equal place added up."""
-        strips = self.strips[first : None if last is None else last + 1]
-        runs = self._runs[strips[0].values.start : strips[-1].values.stop]
-        end = np.append(self._runs, len(self._gather))[strips[-1].values.stop]
-        added: Numbers = np.add.reduceat(values[self._gather[runs[0] : end]], runs - runs[0])
-        return added
+    def assembled(self, values: Numbers, first: int = 0, last: int | None = None) -> Numbers:
+        """Entries of block rows `first` to `last`, values of equal position added up."""
+        chosen = self.block_rows[first : None if last is None else last + 1]
+        runs = self._runs[chosen[0].entries.start : chosen[-1].entries.stop]
+        end = np.append(self._runs, len(self._gather))[chosen[-1].entries.stop]
+        entries: Numbers = np.add.reduceat(values[self._gather[runs[0] : end]], runs - runs[0])
+        return entries
 
     def factorise(self, values: Numbers) -> "BlockFactors | ComplexBlockFactors":
         """Factorise the matrix with these values."""
-        sums = self.sums(values)
-        if np.iscomplexobj(sums):
-            return ComplexBlockFactors(self.strips, sums)
-        return BlockFactors(self.strips, list(self._sweep(sums)))
+        entries = self.assembled(values)
+        if np.iscomplexobj(entries):
+            return ComplexBlockFactors(self.block_rows, entries)
+        return BlockFactors(self.block_rows, list(self._factors(entries)))
 
     def congruence(self, values: Numbers, B: Numbers) -> Numbers:
-        """B^T A^-1 B, (k, k): each strip's factor serves once and is forgotten."""
-        sums = self.sums(values)
-        if np.iscomplexobj(sums):
-            product: Numbers = B.T @ ComplexBlockFactors(self.strips, sums).solve(B)
+        """B^T A^-1 B, (k, k); each factor is used once and not kept."""
+        entries = self.assembled(values)
+        if np.iscomplexobj(entries):
+            product: Numbers = B.T @ ComplexBlockFactors(self.block_rows, entries).solve(B)
             return product
         total: Numbers = np.zeros((B.shape[1], B.shape[1]))
         half: Numbers = np.zeros((0, B.shape[1]))
-        joined: Numbers = np.zeros((0, 0))
-        for strip, (factor, joining) in zip(self.strips, self._sweep(sums), strict=True):
-            half = _forward(strip, factor, joined, half, B)
+        before: Numbers = np.zeros((0, 0))
+        for block_row, (factor, below) in zip(self.block_rows, self._factors(entries), strict=True):
+            half = _forward_substitution(block_row, factor, before, half, B)
             total = total + half.T @ half
-            joined = joining
+            before = below
         return total
 
-    def _sweep(self, sums: Numbers) -> Iterator[tuple[Numbers, Numbers]]:
-        """From end to end, each strip's Cholesky factor and the block joined to the next."""
-        joined: Numbers | None = None
-        for strip in self.strips:
-            own, joining = strip.blocks(sums)
-            if joined is not None:
-                own = blas.dsyrk(-1.0, joined, 1.0, own, lower=1, overwrite_c=1)
-            factor = cholesky(own)
-            joined = strip.joined(factor, joining)
-            yield factor, joined
+    def _factors(self, entries: Numbers) -> Iterator[tuple[Numbers, Numbers]]:
+        """Diagonal and sub-diagonal block of L for each block row, first to last."""
+        before: Numbers | None = None
+        for block_row in self.block_rows:
+            diagonal, sub_diagonal = block_row.blocks(entries)
+            if before is not None:
+                diagonal = blas.dsyrk(-1.0, before, 1.0, diagonal, lower=1, overwrite_c=1)
+            factor = cholesky(diagonal)
+            before = block_row.sub_diagonal_factor(factor, sub_diagonal)
+            yield factor, before
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Strip:
-    """One strip of unknowns and where its matrix values go.
+class BlockRow:
+    """The unknowns of one strip, with the positions of its diagonal and sub-diagonal block.
 
     Attributes:
-        unknowns: their numbers, those carried to the next strip last.
-        values: of the added-up values, those of this strip.
-        places: where these go in the strip's own block and the block below, both by column.
-        carried: how many unknowns touch the next strip.
-        below: size of the next strip.
+        unknowns: of the strip; those coupled to the next strip come last.
+        entries: the strip's part of `BlockCholesky.assembled`.
+        positions: of these entries in diagonal and sub-diagonal block, both by column.
+        coupled: number of unknowns coupled to the next strip.
+        next_size: number of unknowns of the next strip; 0 for the last one.
     """
 
     unknowns: Indices
-    values: slice
-    places: Indices
-    carried: int
-    below: int
+    entries: slice
+    positions: Indices
+    coupled: int
+    next_size: int
 
-    def blocks(self, sums: Numbers, start: int = 0) -> tuple[Numbers, Numbers]:
-        """The strip's own block, its lower triangle filled, and the block below it.
+    def blocks(self, entries: Numbers, start: int = 0) -> tuple[Numbers, Numbers]:
+        """Diagonal block, lower triangle filled, and sub-diagonal block (next_size, coupled).
 
-        Of added-up values from number `start` on.
+        Args:
+            entries: assembled ones, of any block rows that include this one.
+            start: number of the first of them among all entries.
         """
         size = len(self.unknowns)
-        flat = np.zeros(size**2 + self.below * self.carried, dtype=sums.dtype)
-        flat[self.places] = sums[self.values.start - start : self.values.stop - start]
-        joining = flat[size**2 :].reshape(self.carried if self.below else 0, self.below)
-        return flat[: size**2].reshape(size, size).T, joining.T
+        flat = np.zeros(size**2 + self.next_size * self.coupled, dtype=entries.dtype)
+        flat[self.positions] = entries[self.entries.start - start : self.entries.stop - start]
+        below = flat[size**2 :].reshape(self.coupled if self.next_size else 0, self.next_size)
+        return flat[: size**2].reshape(size, size).T, below.T
 
-    def joined(self, factor: Numbers, joining: Numbers) -> Numbers:
-        """The block below, times the inverse of the carried corner of the factor, transposed."""
-        if not self.below:
-            return joining
-        inner = len(factor) - self.carried
+    def sub_diagonal_factor(self, factor: Numbers, sub_diagonal: Numbers) -> Numbers:
+        """Sub-diagonal block of L, A' L^-T, from that of A and the diagonal block of L.
+
+        Only the corner of L that belongs to the coupled unknowns takes part.
+        """
+        if not self.next_size:
+            return sub_diagonal
+        inner = len(factor) - self.coupled
         corner = np.asfortranarray(factor[inner:, inner:])
-        found: Numbers = blas.dtrsm(1.0, corner, joining, side=1, lower=1, trans_a=1, overwrite_b=1)
+        found: Numbers = blas.dtrsm(
+            1.0, corner, sub_diagonal, side=1, lower=1, trans_a=1, overwrite_b=1
+        )
         return found
 
 
 def cholesky(block: Numbers) -> Numbers:
-    """The lower factor of a block, in its lower triangle; raises ConfigurationError."""
+    """Cholesky factor of a block, in its lower triangle; raises ConfigurationError."""
     factor: Numbers
     factor, info = lapack.dpotrf(block, lower=1, clean=0, overwrite_a=1)
     if info:
@@ -193,82 +212,86 @@ def cholesky(block: Numbers) -> Numbers:
     return factor
 
 
-def _forward(
-    strip: Strip, factor: Numbers, joined: Numbers, before: Numbers, B: Numbers
+def _forward_substitution(
+    block_row: BlockRow, factor: Numbers, before: Numbers, half: Numbers, B: Numbers
 ) -> Numbers:
-    """The strip's rows of L^-1 B, from those of the strip before."""
-    right = B[strip.unknowns]
-    if joined.size:
-        right = right - joined @ before[len(before) - joined.shape[1] :]
-    half: Numbers = blas.dtrsm(1.0, factor, right, lower=1)
-    return half
+    """Rows of L^-1 B for one strip, from those of the strip before and L's block between them."""
+    right = B[block_row.unknowns]
+    if before.size:
+        right = right - before @ half[len(half) - before.shape[1] :]
+    own: Numbers = blas.dtrsm(1.0, factor, right, lower=1)
+    return own
 
 
 class BlockFactors:
-    """The block Cholesky factors of one matrix."""
+    """Block Cholesky factors of one matrix."""
 
-    def __init__(self, strips: list[Strip], blocks: list[tuple[Numbers, Numbers]]) -> None:
-        """Keep each strip's factor and joined block."""
-        self._strips, self._blocks = strips, blocks
+    def __init__(self, block_rows: list[BlockRow], blocks: list[tuple[Numbers, Numbers]]) -> None:
+        """Keep the diagonal and sub-diagonal block of L for each block row."""
+        self._block_rows, self._blocks = block_rows, blocks
 
     def solve(self, B: Numbers) -> Numbers:
-        """A^-1 B, (n, k)."""
+        """A^-1 B, (n, k), by forward and backward substitution."""
         halves: list[Numbers] = []
         half: Numbers = np.zeros((0, B.shape[1]))
-        joined: Numbers = np.zeros((0, 0))
-        for strip, (factor, joining) in zip(self._strips, self._blocks, strict=True):
-            half = _forward(strip, factor, joined, half, B)
+        before: Numbers = np.zeros((0, 0))
+        for block_row, (factor, below) in zip(self._block_rows, self._blocks, strict=True):
+            half = _forward_substitution(block_row, factor, before, half, B)
             halves.append(half)
-            joined = joining
+            before = below
         solution = np.empty_like(B)
         after: Numbers | None = None
-        for strip, (factor, joining), right in zip(
-            reversed(self._strips), reversed(self._blocks), reversed(halves), strict=True
+        for block_row, (factor, below), right in zip(
+            reversed(self._block_rows), reversed(self._blocks), reversed(halves), strict=True
         ):
             if after is not None:
-                ends = slice(len(right) - joining.shape[1], None)
-                right[ends] = right[ends] - joining.T @ after
+                coupled = slice(len(right) - below.shape[1], None)
+                right[coupled] = right[coupled] - below.T @ after
             after = blas.dtrsm(1.0, factor, right, lower=1, trans_a=1)
-            solution[strip.unknowns] = after
+            solution[block_row.unknowns] = after
         return solution
 
 
 class ComplexBlockFactors:
-    """The block LU factors of one complex symmetric matrix."""
+    """Block LU factors of one complex symmetric matrix."""
 
-    def __init__(self, strips: list[Strip], sums: Numbers) -> None:
-        """Eliminate strip by strip; S are the pivots, J the blocks below them."""
-        self._strips = strips
+    def __init__(self, block_rows: list[BlockRow], entries: Numbers) -> None:
+        """Eliminate strip by strip: LU factors of the Schur complements S, and the blocks J below.
+
+        J couples a strip's last unknowns to the next strip, whose diagonal block becomes
+        S' = A' - J S^-1 J^T.
+        """
+        self._block_rows = block_rows
         self._blocks: list[tuple[Numbers, Numbers, Numbers]] = []
-        carried: Numbers | None = None
-        for strip in strips:
-            own, J = strip.blocks(sums)
-            own = np.tril(own) + np.tril(own, -1).T
-            if carried is not None:
-                own = own - carried
-            lu, pivots, _ = lapack.zgetrf(own)
-            below = np.zeros((len(own), J.shape[0]), dtype=complex)
+        update: Numbers | None = None
+        for block_row in block_rows:
+            diagonal, J = block_row.blocks(entries)
+            S = np.tril(diagonal) + np.tril(diagonal, -1).T
+            if update is not None:
+                S = S - update
+            lu, pivots, _ = lapack.zgetrf(S)
+            J_transposed = np.zeros((len(S), J.shape[0]), dtype=complex)
             if J.size:
-                below[len(own) - J.shape[1] :] = J.T
-            S_below = lapack.zgetrs(lu, pivots, below)[0] if J.size else below
-            carried = J @ S_below[len(own) - J.shape[1] :] if J.size else None
+                J_transposed[len(S) - J.shape[1] :] = J.T
+            solved = lapack.zgetrs(lu, pivots, J_transposed)[0] if J.size else J_transposed
+            update = J @ solved[len(S) - J.shape[1] :] if J.size else None
             self._blocks.append((lu, pivots, J))
 
     def solve(self, B: Numbers) -> Numbers:
-        """A^-1 B, (n, k)."""
+        """A^-1 B, (n, k), by forward and backward substitution."""
         solution = np.array(B, dtype=complex)
-        for (strip, (lu, pivots, J)), after in zip(
-            zip(self._strips, self._blocks, strict=True), self._strips[1:], strict=False
+        for (block_row, (lu, pivots, J)), after in zip(
+            zip(self._block_rows, self._blocks, strict=True), self._block_rows[1:], strict=False
         ):
-            half = lapack.zgetrs(lu, pivots, solution[strip.unknowns])[0]
+            half = lapack.zgetrs(lu, pivots, solution[block_row.unknowns])[0]
             solution[after.unknowns] -= J @ half[len(half) - J.shape[1] :]
-        later: Strip | None = None
-        for strip, (lu, pivots, J) in zip(
-            reversed(self._strips), reversed(self._blocks), strict=True
+        later: BlockRow | None = None
+        for block_row, (lu, pivots, J) in zip(
+            reversed(self._block_rows), reversed(self._blocks), strict=True
         ):
+            unknowns = block_row.unknowns
             if later is not None:
-                ends = strip.unknowns[len(strip.unknowns) - J.shape[1] :]
-                solution[ends] -= J.T @ solution[later.unknowns]
-            solution[strip.unknowns] = lapack.zgetrs(lu, pivots, solution[strip.unknowns])[0]
-            later = strip
+                solution[unknowns[len(unknowns) - J.shape[1] :]] -= J.T @ solution[later.unknowns]
+            solution[unknowns] = lapack.zgetrs(lu, pivots, solution[unknowns])[0]
+            later = block_row
         return solution

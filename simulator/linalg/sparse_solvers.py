@@ -1,9 +1,9 @@
-"""Symmetric solvers: factorise once, solve many.
+"""Solvers for the forward model: sparse LU, and the choice between sparse LU and block Cholesky.
 
-A solver is made from the places of the matrix values. `factorise(values)` gives a factorisation,
-which answers `solve(B) = A^-1 B`; `congruence(values, B) = B^T A^-1 B`, all that impedances need,
-keeps no factors and is cheaper. Matrices are real and positive definite, or complex and symmetric
-with a positive definite real part, as complex contact impedances make them.
+A solver is made from the positions of the matrix entries. `factorise(values)` gives a
+factorisation with `solve(B) = A^-1 B`; `congruence(values, B) = B^T A^-1 B`, all that impedances
+need, keeps no factors and is cheaper. Matrices are real and positive definite, or complex and
+symmetric with a positive definite real part, as with complex contact impedances.
 """
 
 from typing import Literal, Protocol
@@ -14,7 +14,7 @@ from scipy.sparse import csc_array
 from scipy.sparse.linalg import splu
 
 from eitskin.errors import ConfigurationError
-from eitskin.simulator.linalg.block_cholesky import BlockCholesky, levels
+from eitskin.simulator.linalg.block_cholesky import BlockCholesky, level_structure
 
 Numbers = NDArray[np.inexact]
 Indices = NDArray[np.int64]
@@ -30,7 +30,7 @@ class Factorisation(Protocol):
 
 
 class Solver(Protocol):
-    """Factorises matrices whose lower-triangle values stand at fixed places."""
+    """Solver for matrices whose lower triangle has a fixed sparsity pattern."""
 
     @property
     def name(self) -> str:
@@ -38,16 +38,17 @@ class Solver(Protocol):
         ...
 
     def factorise(self, values: Numbers) -> Factorisation:
-        """Factorise the matrix with these values; values of equal place add up."""
+        """Factorise the matrix with these values; values of equal position add up."""
         ...
 
     def congruence(self, values: Numbers, B: Numbers) -> Numbers:
-        """B^T A^-1 B, (k, k), of the matrix with these values."""
+        """B^T A^-1 B, (k, k), for the matrix A with these values."""
         ...
 
 
-# Cubes of the block sizes per matrix value at which dense blocks and sparse LU take as long: below
-# 5.7e3 blocks were faster, above 7.6e3 slower, on hexahedra and prisms of 3,000 to 37,000 unknowns.
+# Sum of the cubed block sizes per matrix entry at which dense blocks and sparse LU take equally
+# long: below 5.7e3 blocks were faster, above 7.6e3 slower, on meshes of hexahedra and prisms with
+# 3,000 to 37,000 unknowns.
 _BLOCK_WORK = 7e3
 
 
@@ -58,16 +59,16 @@ def choose_solver(
     numbers: Indices,
     first: Indices,
 ) -> Solver:
-    """The solver called `name`, or the one that suits the shape.
+    """The solver called `name`, or the one that suits the shape of the body.
 
-    Long thin bodies have short fronts: dense blocks then beat a sparse factorisation. Compact
-    ones with many unknowns go to sparse LU.
+    Long, thin bodies have small diagonal blocks: block Cholesky then beats a sparse factorisation.
+    Compact bodies with many unknowns go to sparse LU. Raises ConfigurationError for another name.
 
     Args:
         name: "block Cholesky", "sparse LU" or None.
-        rows, columns: places of the matrix values.
+        rows, columns: positions of the matrix values.
         numbers: unknowns of each element, (elements, functions).
-        first: elements at one end of the body, where the first block begins.
+        first: elements at one end of the body, where the first strip begins.
     """
     n = int(numbers.max()) + 1
     if name not in (None, "block Cholesky", "sparse LU"):
@@ -76,7 +77,7 @@ def choose_solver(
         )
     if name == "sparse LU":
         return SparseDirect(rows, columns, n)
-    level = levels(numbers, first)
+    level = level_structure(numbers, first)
     work = float((np.bincount(level).astype(float) ** 3).sum())
     if name is None and work > _BLOCK_WORK * len(rows):
         return SparseDirect(rows, columns, n)
@@ -84,12 +85,12 @@ def choose_solver(
 
 
 class SparseDirect:
-    """Sparse LU of any mesh (SuperLU), ordered once by minimum degree."""
+    """Sparse LU factorisation (SuperLU) for any mesh, ordered once by minimum degree."""
 
     name = "sparse LU"
 
     def __init__(self, rows: Indices, columns: Indices, n: int) -> None:
-        """Prepare for values at (rows >= columns) of an n x n matrix."""
+        """Prepare for entries at (rows >= columns) of an n x n matrix."""
         self._n = n
         self._off = rows != columns
         self._rows = np.concatenate([rows, columns[self._off]])
@@ -97,17 +98,17 @@ class SparseDirect:
         self._order: Indices | None = None
 
     def factorise(self, values: Numbers) -> "SparseFactors":
-        """Factorise the matrix with these values; the first time also finds the order."""
-        every = np.concatenate([values, values[self._off]])
+        """Factorise the matrix with these values; the first call also finds the order."""
+        both = np.concatenate([values, values[self._off]])
         shape = (self._n, self._n)
         if self._order is None:
-            whole = csc_array((every, (self._rows, self._columns)), shape=shape)
+            whole = csc_array((both, (self._rows, self._columns)), shape=shape)
             found = SparseFactors(whole, np.arange(self._n), "MMD_AT_PLUS_A")
             self._order = found.order
             rank = np.argsort(self._order)
             self._rows, self._columns = rank[self._rows], rank[self._columns]
             return found
-        whole = csc_array((every, (self._rows, self._columns)), shape=shape)
+        whole = csc_array((both, (self._rows, self._columns)), shape=shape)
         return SparseFactors(whole, self._order, "NATURAL")
 
     def congruence(self, values: Numbers, B: Numbers) -> Numbers:
@@ -117,17 +118,17 @@ class SparseDirect:
 
 
 class SparseFactors:
-    """The sparse LU factors of one matrix, whose unknowns stand in `order`."""
+    """Sparse LU factors of one matrix, its unknowns permuted to `order`."""
 
     def __init__(self, matrix: csc_array, order: Indices, ordering: str) -> None:
-        """Factorise with diagonal pivots, which keeps the matrix symmetric."""
+        """Factorise with diagonal pivots, which keep the permutation symmetric."""
         options = {"SymmetricMode": True}
         self._lu = splu(matrix, permc_spec=ordering, diag_pivot_thresh=0.0, options=options)
         self._order = order
 
     @property
     def order(self) -> Indices:
-        """The order of elimination."""
+        """Unknowns in the order of their elimination, (n,)."""
         return np.argsort(self._lu.perm_c)
 
     def solve(self, B: Numbers) -> Numbers:

@@ -1,8 +1,9 @@
-"""Block elimination from both ends of a body: what changes in between is eliminated anew.
+"""Two-sided block elimination with cached Schur complements.
 
-With the strips before some strip eliminated from the left, and those after it from the right, each
-side is one dense block added to the strip (its Schur complement), one load, and one share of
-B^T A^-1 B. Kept for every strip, they turn a change of a few strips into an elimination of these.
+With the strips before some strip eliminated from the left, and those after that strip from the
+right, each side contributes one dense block (its Schur complement), one right-hand side, and one
+term of B^T A^-1 B. Cached for every strip, these contributions turn a change of a few strips into
+an elimination of these strips alone.
 """
 
 from dataclasses import dataclass
@@ -11,110 +12,115 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import blas
 
-from eitskin.simulator.linalg.block_cholesky import BlockCholesky, BlockFactors, Strip, cholesky
+from eitskin.simulator.linalg.block_cholesky import BlockCholesky, BlockFactors, BlockRow, cholesky
 
 Numbers = NDArray[np.inexact]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Side:
-    """All strips on one side of a strip, eliminated.
+    """Contribution of all strips on one side of a strip, eliminated.
 
     Attributes:
-        block: taken off the strip's own block, lower triangle; of its carried unknowns where the
-            side is the right one.
-        load: taken off its rows of B.
-        share: B^T A^-1 B of the side.
+        complement: subtracted from the strip's diagonal block, lower triangle; for the right side
+            from the coupled unknowns' part.
+        right: subtracted from the strip's rows of B.
+        congruence: the side's term of B^T A^-1 B.
     """
 
-    block: Numbers
-    load: Numbers
-    share: Numbers
+    complement: Numbers
+    right: Numbers
+    congruence: Numbers
 
 
-class BothEnds:
-    """A positive definite matrix and columns B, eliminated from both ends.
+class TwoSidedElimination:
+    """A positive definite matrix and columns B, eliminated from the left and from the right.
 
     Attributes:
-        factors: of the matrix.
+        factors: of the matrix, from the left.
     """
 
     def __init__(self, solver: BlockCholesky, values: Numbers, B: Numbers) -> None:
-        """Eliminate the matrix with these values, once each way."""
+        """Eliminate the matrix with these values once in each direction."""
         self._solver = solver
-        sums, count = solver.sums(values), B.shape[1]
+        entries, count = solver.assembled(values), B.shape[1]
         none = _Side(np.zeros((0, 0)), np.zeros((0, count)), np.zeros((count, count)))
         self._left, self._right = [none], [none]
         blocks = []
-        for strip in solver.strips:
+        for block_row in solver.block_rows:
             side = self._left[-1]
-            own, joining = strip.blocks(sums)
-            factor, half = _eliminated(own, B[strip.unknowns], side, slice(None))
-            joined = strip.joined(factor, joining)
-            blocks.append((factor, joined))
-            load = joined @ half[len(half) - strip.carried :]
-            self._left.append(_Side(_square(joined), load, side.share + half.T @ half))
-        self.factors = BlockFactors(solver.strips, blocks)
-        for before, strip in zip(
-            reversed(solver.strips[:-1]), reversed(solver.strips), strict=False
+            diagonal, sub_diagonal = block_row.blocks(entries)
+            factor, half = _eliminate(diagonal, B[block_row.unknowns], side, slice(None))
+            below = block_row.sub_diagonal_factor(factor, sub_diagonal)
+            blocks.append((factor, below))
+            self._left.append(_next_side(block_row, below, half, side.congruence + half.T @ half))
+        self.factors = BlockFactors(solver.block_rows, blocks)
+        for before, block_row in zip(
+            reversed(solver.block_rows[:-1]), reversed(solver.block_rows), strict=False
         ):
             side = self._right[-1]
-            own, _ = strip.blocks(sums)
-            factor, half = _eliminated(own, B[strip.unknowns], side, _ends(strip))
-            across = blas.dtrsm(1.0, factor, before.blocks(sums)[1], lower=1)
+            diagonal, _ = block_row.blocks(entries)
+            factor, half = _eliminate(diagonal, B[block_row.unknowns], side, _coupled(block_row))
+            above = blas.dtrsm(1.0, factor, before.blocks(entries)[1], lower=1)
             self._right.append(
-                _Side(_square(across.T), across.T @ half, side.share + half.T @ half)
+                _Side(_product(above.T), above.T @ half, side.congruence + half.T @ half)
             )
         self._right.reverse()
 
     def congruence(self, values: Numbers, B: Numbers, first: int, last: int) -> Numbers:
         """B^T A^-1 B, (k, k), where only strips `first` to `last` have changed.
 
-        Values and rows of B of other strips are not looked at.
+        Values and rows of B that belong to other strips are not read.
         """
-        sums = self._solver.sums(values, first, last)
-        start = self._solver.strips[first].values.start
+        entries = self._solver.assembled(values, first, last)
+        start = self._solver.block_rows[first].entries.start
         side = self._left[first]
         for number in range(first, last + 1):
-            strip = self._solver.strips[number]
-            own, joining = strip.blocks(sums, start)
-            right = B[strip.unknowns]
+            block_row = self._solver.block_rows[number]
+            diagonal, sub_diagonal = block_row.blocks(entries, start)
+            right = B[block_row.unknowns]
             if number == last:
-                side = _with(side, self._right[last], own, right, _ends(strip))
-            factor, half = _eliminated(own, right, side, slice(None))
-            share = side.share + half.T @ half
+                other = self._right[last]
+                _subtract(other, diagonal, right, _coupled(block_row))
+                side = _Side(side.complement, side.right, side.congruence + other.congruence)
+            factor, half = _eliminate(diagonal, right, side, slice(None))
+            total = side.congruence + half.T @ half
             if number < last:
-                joined = strip.joined(factor, joining)
-                side = _Side(_square(joined), joined @ half[len(half) - strip.carried :], share)
-        return share
+                below = block_row.sub_diagonal_factor(factor, sub_diagonal)
+                side = _next_side(block_row, below, half, total)
+        return total
 
 
-def _eliminated(own: Numbers, right: Numbers, side: _Side, where: slice) -> tuple[Numbers, Numbers]:
-    """The factor of a strip's block without a side, and its rows of L^-1 B."""
-    if side.block.size:
-        own[where, where] = own[where, where] - side.block
-        right[where] = right[where] - side.load
-    factor = cholesky(own)
+def _eliminate(
+    diagonal: Numbers, right: Numbers, side: _Side, part: slice
+) -> tuple[Numbers, Numbers]:
+    """Factor of a strip's Schur complement, and the strip's rows of L^-1 B."""
+    _subtract(side, diagonal, right, part)
+    factor = cholesky(diagonal)
     half: Numbers = blas.dtrsm(1.0, factor, right, lower=1)
     return factor, half
 
 
-def _with(side: _Side, other: _Side, own: Numbers, right: Numbers, where: slice) -> _Side:
-    """One side after the other is taken off the strip."""
-    if other.block.size:
-        own[where, where] = own[where, where] - other.block
-        right[where] = right[where] - other.load
-    return _Side(side.block, side.load, side.share + other.share)
+def _subtract(side: _Side, diagonal: Numbers, right: Numbers, part: slice) -> None:
+    """Subtract a side from a `part` of a strip's diagonal block and rows of B, in place."""
+    if side.complement.size:
+        diagonal[part, part] = diagonal[part, part] - side.complement
+        right[part] = right[part] - side.right
 
 
-def _ends(strip: Strip) -> slice:
-    """The strip's unknowns that touch the next strip."""
-    return slice(len(strip.unknowns) - strip.carried, None)
+def _next_side(block_row: BlockRow, below: Numbers, half: Numbers, congruence: Numbers) -> _Side:
+    """Left side of the next strip, from a strip's sub-diagonal block of L and rows of L^-1 B."""
+    return _Side(_product(below), below @ half[len(half) - block_row.coupled :], congruence)
 
 
-def _square(joined: Numbers) -> Numbers:
-    """J J^T, its lower triangle."""
-    if not joined.size:
+def _coupled(block_row: BlockRow) -> slice:
+    """Numbers within a strip of the unknowns coupled to the next strip."""
+    return slice(len(block_row.unknowns) - block_row.coupled, None)
+
+
+def _product(J: Numbers) -> Numbers:
+    """J J^T, lower triangle."""
+    if not J.size:
         return np.zeros((0, 0))
-    square: Numbers = blas.dsyrk(1.0, joined, lower=1)
-    return square
+    product: Numbers = blas.dsyrk(1.0, J, lower=1)
+    return product

@@ -10,7 +10,7 @@ from eitskin.geometry import Electrode, Rectangle, SensorDesign
 from eitskin.geometry.design.regular_layouts import grid
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import ForwardModel, Protocol
-from eitskin.simulator.linalg.block_cholesky import levels
+from eitskin.simulator.linalg.block_cholesky import level_structure
 
 REFERENCE = SensorDesign.reference()
 PAIRS = Protocol.pairwise(8)
@@ -160,4 +160,4 @@ def test_what_is_grounded_takes_part_in_a_constant_potential(on, order) -> None:
 def test_a_body_in_two_parts_is_refused() -> None:
     """Two elements that share no unknown: from the first, nothing reaches the second."""
     with pytest.raises(ConfigurationError, match="parts that do not touch"):
-        levels(np.array([[0, 1], [2, 3]]), np.array([0]))
+        level_structure(np.array([[0, 1], [2, 3]]), np.array([0]))

@@ -21,7 +21,7 @@ from eitskin.simulator import (
 )
 from eitskin.simulator.electrical.reanalysis import Reanalysis
 from eitskin.simulator.linalg.block_cholesky import BlockCholesky
-from eitskin.simulator.linalg.two_sided_elimination import BothEnds
+from eitskin.simulator.linalg.two_sided_elimination import TwoSidedElimination
 from eitskin.simulator.mechanics.layer_stack import Piezoresistivity
 
 COARSE = ((2, 2, 1), Grading(2e-3, 8e-3, 3.0))
@@ -72,7 +72,7 @@ def random_tridiagonal(seed=0):
 @pytest.mark.parametrize(("first", "last"), [(0, 6), (0, 0), (6, 6), (2, 4), (0, 3), (4, 6)])
 def test_strips_between_the_ends_are_eliminated_as_in_the_whole(first, last) -> None:
     A, rows, columns, strip, B = random_tridiagonal()
-    ends = BothEnds(BlockCholesky(rows, columns, strip), A[rows, columns], B)
+    ends = TwoSidedElimination(BlockCholesky(rows, columns, strip), A[rows, columns], B)
     rng = np.random.default_rng(1)
     inside = (strip >= first) & (strip <= last)
     changed = A + np.diag(rng.uniform(1.0, 5.0, len(A)) * inside)
@@ -84,7 +84,7 @@ def test_strips_between_the_ends_are_eliminated_as_in_the_whole(first, last) -> 
 
 def test_values_outside_the_changed_strips_are_not_looked_at() -> None:
     A, rows, columns, strip, B = random_tridiagonal()
-    ends = BothEnds(BlockCholesky(rows, columns, strip), A[rows, columns], B)
+    ends = TwoSidedElimination(BlockCholesky(rows, columns, strip), A[rows, columns], B)
     values, rest = A[rows, columns].copy(), B.copy()
     right = ends.congruence(values, rest, 2, 4)
     values[np.minimum(strip[rows], strip[columns]) < 2] = np.nan
@@ -168,7 +168,7 @@ def test_what_is_left_out_is_of_second_order(sim) -> None:
         exact = sim.model.impedance(changed.conductivity, changed.area_ratio)
         errors.append(np.abs(solved.impedance(changed) - exact).max())
         changes.append(np.abs(exact - solved.base).max())
-    assert solved.strips == 2 * len(sim.model.solver.strips)
+    assert solved.strips == 2 * len(sim.model.solver.block_rows)
     # Not quite 4, since the first order is integrated by the coarse rule.
     assert errors[1] / errors[0] == pytest.approx(4.0, rel=0.15)
     assert errors[1] < 0.05 * changes[1]
@@ -192,7 +192,7 @@ def test_one_bend_is_factorised_once_and_touches_cost_their_strips() -> None:
     sim.measure_all([*some, *some, base])
     assert sim.model.factorisations == 1
     solved = Reanalysis(sim.model, sim.deformed_layer(base))
-    strips = len(sim.model.solver.strips)
+    strips = len(sim.model.solver.block_rows)
     assert (solved.strips, solved.resolved) == (2 * strips, 0)
     solved.impedance(sim.deformed_layer(Scene(bend=BEND, touches=(Touch(0.02, 0.03, 6.0),))))
     assert 0 < solved.strips - 2 * strips < 0.6 * strips
