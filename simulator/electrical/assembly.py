@@ -1,15 +1,16 @@
-"""The discrete complete electrode model: matrices that are linear in the conductivity tensor.
+"""Complete electrode model: assembly of matrices that are linear in the conductivity tensor.
 
 The weak form (Somersalo, Cheney and Isaacson 1992), for potential u and electrode potentials U:
 
     int sigma grad u . grad v  +  sum_l 1/z_l int_{E_l} (u - U_l) (v - V_l)  =  sum_l I_l V_l
 
-Written out with finite elements, A = stiffness + contact, and for the electrodes
+Discretised by finite elements, A = stiffness + electrode terms, and
 A u = B U,  I = D U - B^T u.
 
-Elements are affine images of one reference element, so an element's matrix is one fixed matrix
-times the tensor pulled back to that reference: a new scene costs one dense product. Unknowns
-inside an element meet no other element and are eliminated there (static condensation, Guyan 1965).
+Elements are affine images of one reference element, so an element matrix is one fixed matrix times
+the tensor pulled back to the reference element: a new scene costs one dense product. Unknowns
+inside an element are coupled to no other element and are eliminated in the element (static
+condensation, Guyan 1965).
 """
 
 from collections.abc import Iterator
@@ -33,11 +34,11 @@ TENSOR_COLUMNS = np.array([0, 1, 2, 1, 2, 2])
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stiffness:
-    """The stiffness of one scene, its inner unknowns eliminated.
+    """Stiffness matrix of one scene after static condensation.
 
     Attributes:
-        values: one per entry of `Assembly.rows` before the contact entries.
-        inner: what gives an element's inner unknowns from its others, (elements, inner, outer).
+        values: one per entry of `Assembly.rows` before those of the electrodes.
+        inner: matrices from an element's outer to its inner unknowns, (elements, inner, outer).
     """
 
     values: Array
@@ -45,11 +46,11 @@ class Stiffness:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Contact:
-    """The electrode terms of one scene, complex where a contact impedance is.
+class ElectrodeTerms:
+    """Electrode terms of one scene, complex where a contact impedance is complex.
 
     Attributes:
-        values: of 1/z phi_i phi_j, one per entry of `Assembly.rows` after the stiffness entries.
+        values: int 1/z phi_i phi_j, one per entry of `Assembly.rows` after those of the stiffness.
         coupling: B, int_{E_l} phi_i / z_l, (unknowns, electrodes) [S].
         admittance: diagonal of D, int_{E_l} 1 / z_l, (electrodes,) [S].
     """
@@ -60,27 +61,29 @@ class Contact:
 
 
 class Assembly:
-    """Maps conductivity tensors and contact impedances to matrix values on one mesh.
+    """Matrix values on one mesh, from conductivity tensors and contact impedances.
+
+    A piece is the part of a cell face that an electrode covers.
 
     Attributes:
         space: the finite element functions.
-        unknowns: number of potential unknowns, those inside elements left out.
-        rows, columns: of each value in the lower triangle of A; values of equal place add up.
-        contact_entries: how many of them, the last ones, are the electrodes'.
-        contacts: where the electrodes touch.
+        unknowns: number of potential unknowns after static condensation.
+        rows, columns: of each value in the lower triangle of A; values of equal position add up.
+        contact_entries: number of values of electrode terms, which come last.
+        contacts: contact surfaces of the electrodes.
         points: quadrature points of the cells, (cells, q, 3) [m].
-        facet_points, facet_normals: of the electrodes' pieces, (pieces, q, 3) [m], (pieces, 1, 3).
-        facet_coarse_points: few points of theirs, (pieces, s, 3) [m].
-        facet_interpolation: from values there to those at `facet_points`, (q, s).
-        facet_electrode: the electrode that each piece belongs to, (pieces,).
-        facet_owners: the element that each piece bounds, (pieces,).
+        facet_points, facet_normals: of the pieces, (pieces, q, 3) [m], (pieces, 1, 3).
+        facet_coarse_points: points of a coarser quadrature, (pieces, s, 3) [m].
+        facet_interpolation: from values at the coarse points to values at `facet_points`, (q, s).
+        facet_electrode: electrode of each piece, (pieces,).
+        facet_owners: element whose boundary each piece is part of, (pieces,).
         facet_numbers: unknowns of that element, (pieces, functions).
-        facet_shape: values of their functions, (pieces, functions, q).
-        facet_weights: area that each point stands for, (pieces, q) [m2].
+        facet_shape: values of the element's functions, (pieces, functions, q).
+        facet_weights: quadrature weights, (pieces, q) [m2].
     """
 
     def __init__(self, mesh: Mesh, order: tuple[int, ...]) -> None:
-        """Prepare elements of polynomial `order` (see ExtrudedElement; one number for tets)."""
+        """Prepare elements of polynomial `order`: one number for tetrahedra."""
         self.space = FunctionSpace(mesh, order)
         self.unknowns = self.space.unknowns
         self.points = self.space.rule.points
@@ -106,17 +109,17 @@ class Assembly:
         self._element_rows, self._element_columns = self._lower(space.numbers)
 
     def _interpolation(self) -> Iterator[tuple[Array, slice]]:
-        """From values at a cell's coarse points to those at its quadrature points, (q, s)."""
+        """Matrices (q, s) from values at coarse points to quadrature points, cell by cell."""
         rule, coarse, element = self.space.rule, self.space.coarse, self.space.element
         q, few = (len(each.weights) // element.cells for each in (rule, coarse))
         for cell in range(element.cells):
             within = slice(cell * q, (cell + 1) * q)
-            given = element.linear(coarse.X[:, cell * few : (cell + 1) * few])
-            values = np.linalg.solve(given, element.linear(rule.X[:, within])).T
+            known = element.linear(coarse.X[:, cell * few : (cell + 1) * few])
+            values = np.linalg.solve(known, element.linear(rule.X[:, within])).T
             yield np.asarray(values, dtype=np.float64), within
 
     def _products(self, rule: Rule) -> Array:
-        """int S_ab d_a phi_i d_b phi_j for the six entries of a symmetric S, (q, 6, entries).
+        """Weighted S_ab d_a phi_i d_b phi_j for six unit tensors S, (q, 6, entries).
 
         Entries are the lower triangle of the outer functions, then the rows of the inner ones.
         """
@@ -167,25 +170,27 @@ class Assembly:
         self._facet_rows, self._facet_columns = self._lower(self.facet_numbers)
 
     def _lower(self, unknowns: Indices) -> tuple[Indices, Indices]:
-        """Row >= column of every pair of an element's unknowns, flattened."""
+        """Rows and columns, row >= column, for every pair of an element's unknowns, flattened."""
         i, j = self._pairs
         first, second = unknowns[:, i].ravel(), unknowns[:, j].ravel()
         return np.maximum(first, second), np.minimum(first, second)
 
     def stiffness(self, conductivity: Array) -> Stiffness:
-        """Stiffness for conductivities (cells, q or 1, 1 or 6) [S/m], as in `matrices`."""
+        """Condensed stiffness for conductivities [S/m] as in `matrices`."""
         return self.condensed(self.matrices(conductivity))
 
     def matrices(
         self, conductivity: Array, elements: Indices | None = None, coarse: bool = False
     ) -> Array:
-        """Entries of the elements' matrices, (elements, entries), for those that are given or all.
+        """Entries of element matrices, (elements, entries) [S].
 
         Args:
-            conductivity: of their cells, (cells, q or 1, 1 or 6) [S/m]. One value per cell or per
-                quadrature point; a scalar, or the entries xx, yy, zz, xy, xz, yz of a tensor.
-            elements: their numbers.
-            coarse: the points are those of the coarse rule, between which it is linear.
+            conductivity: of the elements' cells, (cells, q or 1, 1 or 6) [S/m]. One value per cell
+                or per quadrature point; a scalar, or the entries xx, yy, zz, xy, xz, yz of a
+                tensor.
+            elements: numbers of the elements; all when omitted.
+            coarse: whether the conductivity is given at the points of the coarse rule, and linear
+                between these points.
         """
         reference = self._reference if conductivity.shape[1] > 1 else self._cell_reference
         if coarse:
@@ -193,8 +198,8 @@ class Assembly:
         to_reference = self._to_reference if elements is None else self._to_reference[elements]
         count = len(to_reference)
         if conductivity.shape[2] == 1:
-            unit = to_reference[:, :3].sum(axis=1)  # what the unit tensor becomes
-            if not unit[:, 3:].any():  # on boxes it stays diagonal
+            unit = to_reference[:, :3].sum(axis=1)  # the unit tensor, pulled back
+            if not unit[:, 3:].any():  # diagonal, as on boxes
                 unit, reference = unit[:, :3], reference[:, :3]
             entries = conductivity.reshape(count, -1, 1) * unit[:, None]
         else:
@@ -203,7 +208,7 @@ class Assembly:
         return found
 
     def condensed(self, matrices: Array) -> Stiffness:
-        """Matrices (elements, entries) with the inner unknowns eliminated."""
+        """Static condensation of element matrices (elements, entries)."""
         (i, j), inner, outer = self._pairs, self.space.element.inner, self.space.numbers.shape[1]
         own, joining, within = np.split(matrices, [len(i), len(i) + inner * outer], axis=1)
         if not inner:
@@ -215,23 +220,30 @@ class Assembly:
         own = own + (joining.swapaxes(1, 2) @ solved)[:, i, j]
         return Stiffness(own.ravel(), solved)
 
-    def contact(self, impedance: Numbers, area_ratio: Array | float = 1.0) -> Contact:
-        """Electrode terms for z per electrode [ohm m2] and the deformed over the flat area.
+    def electrode_terms(
+        self, impedance: Numbers, area_ratio: Array | float = 1.0
+    ) -> ElectrodeTerms:
+        """Electrode terms for contact impedances z and ratios of deformed to flat area.
 
-        z_ref = z / area_ratio: the current through a contact grows with its area.
+        On the flat body z becomes z / area_ratio: the current through a contact grows with the
+        contact's area.
+
+        Args:
+            impedance: z of each electrode, (electrodes,) [ohm m2].
+            area_ratio: at `facet_points`, (pieces, q).
         """
         conductance = self.facet_weights * area_ratio / impedance[self.facet_electrode][:, None]
         L = self.electrodes
         loads = np.matmul(self.facet_shape, conductance[:, :, None])[..., 0]
-        places = self.facet_numbers * L + self.facet_electrode[:, None]
-        return Contact(
+        positions = self.facet_numbers * L + self.facet_electrode[:, None]
+        return ElectrodeTerms(
             values=np.matmul(self._facet_products, conductance[:, :, None]).ravel(),
-            coupling=sums(places, loads, self.unknowns * L).reshape(self.unknowns, L),
-            admittance=sums(self.facet_electrode, conductance.sum(axis=1), L),
+            coupling=scatter_sum(positions, loads, self.unknowns * L).reshape(self.unknowns, L),
+            admittance=scatter_sum(self.facet_electrode, conductance.sum(axis=1), L),
         )
 
     def cell_gram(self, potentials: Numbers) -> Numbers:
-        """int_cell grad u_k . grad u_l, (cells, k, k), of potentials (elements, functions, k)."""
+        """Integrals int_cell grad u_k . grad u_l, (cells, k, k), for u (elements, functions, k)."""
         gradients = self.cell_gradients(potentials)
         weights = self.cell_weights
         gram: Numbers = np.einsum("cq,cqbk,cqbl->ckl", weights, gradients, gradients, optimize=True)
@@ -239,7 +251,7 @@ class Assembly:
 
     @property
     def cell_weights(self) -> Array:
-        """Volume that each quadrature point stands for, (cells, q) [m3]."""
+        """Quadrature weights of the cells, (cells, q) [m3]."""
         return self._weights(self.space.rule)
 
     def _weights(self, rule: Rule) -> Array:
@@ -247,13 +259,14 @@ class Assembly:
         return weights.reshape(rule.points.shape[:2])
 
     def cell_gradients(self, potentials: Numbers) -> Numbers:
-        """grad u_k at the quadrature points, (cells, q, 3, k), of (elements, functions, k)."""
+        """Gradients at the quadrature points, (cells, q, 3, k), for u (elements, functions, k)."""
         return self._gradients(potentials, self.space.rule)
 
     def energies(self, potentials: Array) -> Array:
-        """What potentials u_k make of a tensor at the coarse rule's points, (cells, s, 6, k, k).
+        """Energy products of potentials u at the coarse rule's points, (cells, s, 6, k, k).
 
-        Times the entries of a symmetric tensor S, summed over points: int grad u_k . S grad u_l.
+        Multiplied by the entries of a symmetric tensor S and summed over the points, the products
+        give int grad u_k . S grad u_l.
         """
         g = np.moveaxis(self._gradients(potentials, self.space.coarse), 2, 0)
         one, other = g[TENSOR_ROWS], g[TENSOR_COLUMNS]
@@ -270,16 +283,16 @@ class Assembly:
         return shaped
 
 
-def sums(places: Indices, values: Numbers, size: int) -> Numbers:
-    """Add up the values that belong to each place, (size,)."""
-    where, what = places.ravel(), values.ravel()
-    if np.iscomplexobj(what):
-        return sums(where, what.real, size) + 1j * sums(where, what.imag, size)
-    return np.asarray(np.bincount(where, what, size), dtype=np.float64)
+def scatter_sum(positions: Indices, values: Numbers, size: int) -> Numbers:
+    """Vector (size,) of the values added up by their positions."""
+    where, flat = positions.ravel(), values.ravel()
+    if np.iscomplexobj(flat):
+        return scatter_sum(where, flat.real, size) + 1j * scatter_sum(where, flat.imag, size)
+    return np.asarray(np.bincount(where, flat, size), dtype=np.float64)
 
 
 def _tensor_map(A: Array) -> Array:
-    """Six entries of symmetric S to those of A S A^T, (cells, from, to), for A (cells, 3, 3)."""
+    """Matrices from six entries of symmetric S to six of A S A^T, (cells, from, to)."""
     a, b = TENSOR_ROWS, TENSOR_COLUMNS
     first = A[:, a][:, :, a] * A[:, b][:, :, b]
     second = A[:, a][:, :, b] * A[:, b][:, :, a]
@@ -288,7 +301,7 @@ def _tensor_map(A: Array) -> Array:
 
 
 def _linear(X: Array) -> Array:
-    """Functions that are linear along each axis at reference points X (2, s): as many, (s, s)."""
+    """Functions linear along each axis, as many as reference points X (2, s), at X, (s, s)."""
     x, y = X
     functions = [np.ones_like(x), x, y, x * y]
     return np.stack(functions[: 3 if X.shape[1] == 3 else 4])

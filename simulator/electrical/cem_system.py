@@ -1,21 +1,22 @@
-"""The linear system of one scene, written so that no contact impedance makes it cancel.
+"""Linear system of the complete electrode model, free of cancellation for any contact impedance.
 
-With u = w + E U, where column l of E is a function that is one on electrode l and none or zero,
-the weak form of `assembly` becomes
+With u = w + E U, where column l of E is zero or a lifting function that is one on electrode l and
+zero on the others, the weak form of `assembly` becomes
 
-    A w = B U,   I = D U - B^T w,   A = K + contact
+    A w = B U,   I = D U - B^T w,   A = K + electrode terms
 
-in two ways per electrode:
+with a stiffness matrix K, in one of two forms per electrode:
 
     E_l = 0:                B_l = int phi / z_l,    D_ll = int 1 / z_l
     E_l = 1 on electrode l: B_l = -K E_l,           D_lm = E_l^T K E_m
 
-In the first, D grows like 1/z while I = D U - B^T w does not; in the second it does not depend on z
-at all, but is too large once 1/z is small. The one with the smaller D_ll is taken: both ends,
-shunt electrodes (z -> 0) and buried ones (z -> infinity), keep all their digits.
+In the first form D grows like 1/z while I = D U - B^T w does not; in the second form D does not
+depend on z, but is too large once 1/z is small. The form with the smaller D_ll is taken: both
+limits, shunt electrodes (z -> 0) and insulated ones (z -> infinity), keep all their digits.
 
-One unknown is grounded through a conductance of the stiffness's own size. Currents that add up to
-zero send none there, so potentials only shift by a constant, and A stays regular for large z.
+One unknown is grounded through a conductance as large as the stiffness's own entry. No current
+flows to ground when the electrode currents sum to zero, so potentials only shift by a constant,
+and A stays regular for large z.
 """
 
 from dataclasses import dataclass
@@ -23,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.simulator.electrical.assembly import Assembly, Contact, sums
+from eitskin.simulator.electrical.assembly import Assembly, ElectrodeTerms, scatter_sum
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.inexact]
@@ -31,14 +32,14 @@ Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class System:
-    """A w = B U, I = D U - B^T w, u = w + E U.
+class CemSystem:
+    """Linear system A w = B U, I = D U - B^T w with potentials u = w + E U.
 
     Attributes:
-        values: of the lower triangle of A, at `Places.rows` and `columns`.
+        values: of the lower triangle of A, at `SystemPattern.rows` and `columns`.
         coupling: B, (unknowns, electrodes) [S].
         admittance: D, (electrodes, electrodes) [S].
-        lift: E, (unknowns, electrodes).
+        lift: lifting functions E, (unknowns, electrodes).
     """
 
     values: Numbers
@@ -48,15 +49,15 @@ class System:
 
     @property
     def lifted(self) -> NDArray[np.bool_]:
-        """Electrodes whose potential is lifted off, (electrodes,)."""
+        """Electrodes in the second form, with a lifting function, (electrodes,)."""
         return np.asarray(self.lift.any(axis=0))
 
     def impedance(self, T: Numbers) -> Numbers:
-        """Z [ohm], zero row and column sums, from T = B^T A^-1 B.
+        """Impedance matrix Z [ohm] with zero row and column sums, from T = B^T A^-1 B.
 
-        U = (D - T)^-1 I. Written as D^-1 + D^-1 T (D - T)^-1, a buried electrode's own share
-        stands apart from the body's, which keeps its digits. Taking off the means leaves the
-        currents that add up to zero.
+        U = (D - T)^-1 I. Written as D^-1 + D^-1 T (D - T)^-1, the contact impedance of an insulated
+        electrode is separate from the body's share, which keeps its digits. Subtracting the means
+        restricts Z to currents that sum to zero.
         """
         T = 0.5 * (T + T.T)
         own = np.linalg.inv(self.admittance)
@@ -65,20 +66,20 @@ class System:
         return symmetric
 
 
-class Places:
-    """Where the system's values stand, and what of it does not depend on the scene.
+class SystemPattern:
+    """Sparsity pattern, grounded unknown and lifting functions: all that scenes share.
 
     Attributes:
-        rows, columns: of each value in the lower triangle of A; values of equal place add up.
+        rows, columns: of each value in the lower triangle of A; values of equal position add up.
     """
 
     def __init__(self, assembly: Assembly) -> None:
-        """Find the grounded unknown and the functions that are one on electrodes."""
+        """Choose the grounded unknown and the lifting functions."""
         self._ground = _ground(assembly)
         self.rows: Indices = np.append(assembly.rows, self._ground)
         self.columns: Indices = np.append(assembly.columns, self._ground)
         self._lift, self._liftable = _lift(assembly)
-        # Entries of K that meet a lifted unknown, either way round: K E needs no others.
+        # Entries of K in columns of lifted unknowns, both triangles: K E needs no others.
         count = len(assembly.rows) - assembly.contact_entries
         rows, columns = assembly.rows[:count], assembly.columns[:count]
         off = rows != columns
@@ -91,18 +92,21 @@ class Places:
         self._grounded = np.flatnonzero((rows == self._ground) & (columns == self._ground))
 
     def system(
-        self, stiffness: Array, contact: Contact, lifted: NDArray[np.bool_] | None = None
-    ) -> System:
-        """The system for stiffness values and electrode terms, each electrode in its own form.
+        self, stiffness: Array, contact: ElectrodeTerms, lifted: NDArray[np.bool_] | None = None
+    ) -> CemSystem:
+        """System for stiffness values and electrode terms, each electrode in its own form.
 
-        Which electrodes have their potential lifted off is chosen here unless it is given.
+        Args:
+            stiffness: values of K, as of `Stiffness`.
+            contact: electrode terms.
+            lifted: electrodes in the second form; those with the smaller D_ll when omitted.
         """
         ground = stiffness[self._grounded].sum()
         values = np.append(stiffness, ground)
         E = self._lift
         KE = np.stack(
             [
-                sums(self._to, values[self._entry] * E[self._source, electrode], len(E))
+                scatter_sum(self._to, values[self._entry] * E[self._source, electrode], len(E))
                 for electrode in range(E.shape[1])
             ],
             axis=1,
@@ -113,7 +117,7 @@ class Places:
         admittance = np.where(np.outer(lifted, lifted), energy, 0.0) + np.diag(
             np.where(lifted, 0.0, contact.admittance)
         )
-        return System(
+        return CemSystem(
             values=np.concatenate([stiffness, contact.values, [ground]]),
             coupling=np.where(lifted, -KE, contact.coupling),
             admittance=admittance,
@@ -122,17 +126,17 @@ class Places:
 
 
 def zero_sums(Z: Numbers) -> Numbers:
-    """Z less the means of its rows and columns."""
+    """Z with the means of its rows and columns subtracted."""
     Z = Z - Z.mean(axis=0)
     centred: Numbers = Z - Z.mean(axis=1)[:, None]
     return centred
 
 
 def _ground(assembly: Assembly) -> int:
-    """The unknown that is grounded: where electrode 0 touches most."""
+    """Unknown to be grounded: the one with the largest load on electrode 0."""
     own = np.flatnonzero(assembly.facet_electrode == 0)
     loads = np.einsum("fiq,fq->fi", assembly.facet_shape[own], assembly.facet_weights[own])
-    # A function that a constant potential has no share of would ground nothing.
+    # Grounding a function whose coefficient in a constant potential is zero would fix nothing.
     constant = assembly.space.element.indicator(-np.inf, np.inf)[: loads.shape[1]]
     loads = np.where(constant != 0.0, loads, -np.inf)
     piece, function = np.unravel_index(loads.argmax(), loads.shape)
@@ -140,7 +144,7 @@ def _ground(assembly: Assembly) -> int:
 
 
 def _lift(assembly: Assembly) -> tuple[Array, NDArray[np.bool_]]:
-    """E (unknowns, electrodes), and the electrodes whose column is one on them, zero on others."""
+    """Lifting functions E (unknowns, electrodes), and the electrodes that have an exact one."""
     E = np.zeros((assembly.unknowns, assembly.electrodes))
     outer = assembly.facet_numbers.shape[1]
     touching = np.abs(assembly.facet_shape).max(axis=2) > 1e-12

@@ -1,4 +1,4 @@
-"""Reference elements: shape functions on one column of an extrusion, or on one tetrahedron."""
+"""Reference elements: shape functions on a column of an extruded mesh, or on a tetrahedron."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ Base = Literal["quadrilateral", "triangle"]
 
 
 class Element(Protocol):
-    """Shape functions and an exact quadrature rule on one reference element.
+    """Shape functions phi_i and exact quadrature on one reference element.
 
     Inner functions, the last ones, meet neither other elements nor electrodes.
     """
@@ -42,16 +42,16 @@ class Element(Protocol):
     def indicator(self, low: float, high: float) -> Array:
         """Coefficients, (functions,), of a function that is one from height `low` to `high` [m].
 
-        It falls to zero at the next heights of points, where there are any.
+        The function falls to zero at the next heights with mesh points, where there are any.
         """
         ...
 
     def values(self, X: Array) -> Array:
-        """phi_i, (functions, ...), at X (3, ...)."""
+        """Values phi_i, (functions, ...), at reference points X (3, ...)."""
         ...
 
     def gradients(self, X: Array) -> Array:
-        """d phi_i / dX, (functions, 3, ...), at X (3, ...)."""
+        """Gradients d phi_i / dX, (functions, 3, ...), at reference points X (3, ...)."""
         ...
 
     def rule(self) -> tuple[Array, Array]:
@@ -59,16 +59,16 @@ class Element(Protocol):
         ...
 
     def coarse_rule(self) -> tuple[Array, Array]:
-        """Few points (3, s) and weights (s,), cell by cell, for what varies little within cells."""
+        """Points (3, s) and weights (s,), cell by cell, for fields almost linear within cells."""
         ...
 
     def linear(self, X: Array) -> Array:
-        """As many functions as each cell has coarse points, linear along each axis, (s, ...)."""
+        """Functions linear along each axis, one per coarse point of a cell, at X, (s, ...)."""
         ...
 
 
 def plane_element(base: Base, order: int) -> skfem.Element:
-    """The element of polynomial `order` on the unit square or triangle."""
+    """Element of polynomial `order` on the unit square or triangle; raises ConfigurationError."""
     if base == "triangle":
         known = {
             1: skfem.ElementTriP1,
@@ -77,14 +77,17 @@ def plane_element(base: Base, order: int) -> skfem.Element:
             4: skfem.ElementTriP4,
         }
         if order not in known:
-            raise ConfigurationError(f"prisms have orders 1 to 4 in the plane, got {order}")
+            raise ConfigurationError(
+                f"expected an order from 1 to 4 in the plane for prisms, got {order}; take one of "
+                "these"
+            )
         return known[order]()
     square = {1: skfem.ElementQuad1, 2: skfem.ElementQuad2}
     return square[order]() if order in square else skfem.ElementQuadP(order)
 
 
 def _coefficients_of_one(element: skfem.Element, base: Base) -> Array:
-    """Coefficients of the function that is one: all ones, or ones at the corners."""
+    """Coefficients of the constant function one: all ones, or ones at the corners."""
     shape = skfem.refdom.RefTri if base == "triangle" else skfem.refdom.RefQuad
     X, _ = skfem.quadrature.get_quadrature(shape, 2 * element.maxdeg)
     values = np.stack([element.lbasis(X, i)[0] for i in range(len(element.doflocs))])
@@ -94,18 +97,19 @@ def _coefficients_of_one(element: skfem.Element, base: Base) -> Array:
 
 @dataclass(frozen=True)
 class ExtrudedElement:
-    """A column of cells over the unit square or triangle: plane functions times upright ones.
+    """Tensor-product element: a column of cells over the unit square or triangle.
 
-    The layer is thin, so most of a potential is the same at all heights. The upright functions
-    are hierarchical - constant, linear (hats on the inner and upper heights), then polynomial
-    bubbles within each cell - and each degree has its own order in the plane: `order` (3, 2, 1)
-    takes cubics for the constant part, quadratics for the linear part and linears for the
-    quadratic part. X holds two reference coordinates in the plane and the height itself [m].
+    Each function is a function of the plane times one of the height, an upright function. The layer
+    is thin, so most of a potential is the same at all heights. The upright functions are
+    hierarchical - constant, linear (hats on the inner and upper heights), then polynomial bubbles
+    within each cell - and each degree has its own order in the plane: with `order` (3, 2, 1) the
+    constant part is cubic in the plane, the linear part quadratic and the quadratic part linear.
+    Reference points X hold two reference coordinates in the plane and the height itself [m].
 
     Attributes:
-        base: of the cells.
-        order: in the plane, of the constant, linear, quadratic ... upright functions.
-        heights: of the layers of points [m].
+        base: shape of the cells in the plane.
+        order: in the plane, for the constant, linear, quadratic ... upright functions.
+        heights: of the mesh points, rising [m].
         condensed: whether functions that vanish on all upright faces count as inner.
     """
 
@@ -116,7 +120,7 @@ class ExtrudedElement:
 
     @property
     def cells(self) -> int:
-        """Cells in a column."""
+        """Number of cells in a column."""
         return len(self.heights) - 1
 
     @property
@@ -126,12 +130,12 @@ class ExtrudedElement:
 
     @cached_property
     def planes(self) -> tuple[skfem.Element, ...]:
-        """The plane element of each upright degree."""
+        """Plane element of each upright degree."""
         return tuple(plane_element(self.base, order) for order in self.order)
 
     @cached_property
     def functions(self) -> Indices:
-        """(upright degree, plane function, upright function of that degree), (functions, 3)."""
+        """Upright degree, plane function and upright function of each function, (functions, 3)."""
         outer: list[tuple[int, int, int]] = []
         inner: list[tuple[int, int, int]] = []
         for degree, plane in enumerate(self.planes):
@@ -144,7 +148,7 @@ class ExtrudedElement:
 
     @cached_property
     def inner(self) -> int:
-        """How many functions, the last ones, vanish on all upright faces."""
+        """Number of functions, the last ones, that vanish on all upright faces."""
         if not self.condensed:
             return 0
         return sum(p.interior_dofs * self.modes(d) for d, p in enumerate(self.planes))
@@ -160,7 +164,7 @@ class ExtrudedElement:
         wanted = ((h > low - same) & (h < high + same)).astype(float)
         if len(self.order) == 1:
             wanted[:] = 1.0
-        # The constant gives the value at the lowest height, hats what others have beyond it.
+        # The constant gives the value at the lowest height, hats the differences from that value.
         upright = {(0, 0): wanted[0]}
         upright |= {(1, m): wanted[m + 1] - wanted[0] for m in range(self.cells)}
         flat = [_coefficients_of_one(plane, self.base) for plane in self.planes]
@@ -168,11 +172,11 @@ class ExtrudedElement:
         return np.array(factors)
 
     def values(self, X: Array) -> Array:
-        """phi_i, (functions, ...), at X (3, ...)."""
+        """Values phi_i, (functions, ...), at reference points X (3, ...)."""
         return np.stack([flat[0] * up[0] for flat, up in self._factors(X)])
 
     def gradients(self, X: Array) -> Array:
-        """d phi_i / dX, (functions, 3, ...), at X (3, ...)."""
+        """Gradients d phi_i / dX, (functions, 3, ...), at reference points X (3, ...)."""
         return np.stack(
             [
                 np.stack([flat[1][0] * up[0], flat[1][1] * up[0], flat[0] * up[1]])
@@ -181,11 +185,15 @@ class ExtrudedElement:
         )
 
     def column_gradients(self, coefficients: Numbers, X: Array, heights: Array) -> Numbers:
-        """d/dX of sums of functions, at all `heights` (q,) above points X (2, n, p) of the plane.
+        """Gradients of k functions at all heights above points of the plane, (n, 3, p, q, k).
 
-        Coefficients (n, functions, k) give (n, 3, p, q, k). The plane functions are evaluated
-        once for all heights and the upright ones once for all points, so that this takes much
-        less than `gradients` at the n p q points.
+        The plane functions are evaluated once for all heights and the upright functions once for
+        all points, which costs much less than `gradients` at the n p q points.
+
+        Args:
+            coefficients: of the k functions, (n, functions, k).
+            X: points of the plane, (2, n, p).
+            heights: (q,) [m].
         """
         n, points, q, k = len(coefficients), X.shape[2], len(heights), coefficients.shape[2]
         total = np.zeros((n, 3, points, q, k), dtype=coefficients.dtype)
@@ -194,7 +202,7 @@ class ExtrudedElement:
             values = np.stack([value for value, _ in flat], axis=-1)
             slopes = np.stack([slope for _, slope in flat], axis=-1)
             upright = self._upright(heights, degree)
-            # All of one degree: plane function by plane function, upwards.
+            # Functions of one degree stand plane function by plane function, upwards.
             mine = coefficients[:, self.functions[:, 0] == degree]
             parts = mine.reshape(n, len(flat), len(upright), k)
             level, rise = (
@@ -214,13 +222,13 @@ class ExtrudedElement:
         return self._gauss(2, 2)
 
     def linear(self, X: Array) -> Array:
-        """1, x, y and, on squares, x y; and these times the height."""
+        """Functions 1, x, y and, on squares, x y; and their products with the height."""
         one, (x, y, z) = np.ones_like(X[0]), X
         flat = [one, x, y] if self.base == "triangle" else [one, x, y, x * y]
         return np.stack([*flat, *(part * z / self.heights[-1] for part in flat)])
 
     def _gauss(self, degree: int, heights: int) -> tuple[Array, Array]:
-        """Points and weights for polynomials of `degree` in the plane, at `heights` heights."""
+        """Gauss points and weights for `degree` in the plane and `heights` heights per cell."""
         shape = skfem.refdom.RefTri if self.base == "triangle" else skfem.refdom.RefQuad
         plane, plane_weights = skfem.quadrature.get_quadrature(shape, degree)
         nodes, weights = legendre.leggauss(heights)
@@ -233,6 +241,7 @@ class ExtrudedElement:
         return np.concatenate(points, axis=1), np.concatenate(shares)
 
     def _factors(self, X: Array) -> Iterator[tuple[tuple[Array, Array], tuple[Array, Array]]]:
+        """Plane and upright factor of each function, both as value and derivatives."""
         plane = {
             (degree, i): element.lbasis(X[:2], i)
             for degree, element in enumerate(self.planes)
@@ -263,7 +272,7 @@ class ExtrudedElement:
 
 @dataclass(frozen=True)
 class TetrahedralElement:
-    """Linear or quadratic functions on the unit tetrahedron."""
+    """Linear or quadratic Lagrange element on the unit tetrahedron."""
 
     order: int
     inner: int = 0
@@ -271,7 +280,9 @@ class TetrahedralElement:
 
     def __post_init__(self) -> None:
         if self.order not in (1, 2):
-            raise ConfigurationError(f"tetrahedra have order 1 or 2, got {self.order}")
+            raise ConfigurationError(
+                f"expected order 1 or 2 for tetrahedra, got {self.order}; name one of these"
+            )
 
     @property
     def face_degree(self) -> int:
@@ -284,28 +295,28 @@ class TetrahedralElement:
         return {1: skfem.ElementTetP1, 2: skfem.ElementTetP2}[self.order]()
 
     def indicator(self, low: float, high: float) -> Array:  # noqa: ARG002
-        """Coefficients, (functions,), of the function that is one, at any height."""
+        """Coefficients, (functions,), of the constant function one, whatever the heights."""
         return np.ones(len(self.element.doflocs))
 
     def values(self, X: Array) -> Array:
-        """phi_i, (functions, ...), at X (3, ...)."""
+        """Values phi_i, (functions, ...), at reference points X (3, ...)."""
         return np.stack([self.element.lbasis(X, i)[0] for i in range(len(self.element.doflocs))])
 
     def gradients(self, X: Array) -> Array:
-        """d phi_i / dX, (functions, 3, ...), at X (3, ...)."""
+        """Gradients d phi_i / dX, (functions, 3, ...), at reference points X (3, ...)."""
         count = len(self.element.doflocs)
         return np.stack([np.stack(self.element.lbasis(X, i)[1]) for i in range(count)])
 
     def rule(self) -> tuple[Array, Array]:
-        """Points (3, q) and weights (q,)."""
+        """Points (3, q) and weights (q,), exact for products of two functions."""
         points, weights = skfem.quadrature.get_quadrature(skfem.refdom.RefTet, 2 * self.order)
         return points, weights
 
     def coarse_rule(self) -> tuple[Array, Array]:
-        """Points (3, s) and weights (s,)."""
+        """Points (3, s) and weights (s,), exact for quadratic functions."""
         points, weights = skfem.quadrature.get_quadrature(skfem.refdom.RefTet, 2)
         return points, weights
 
     def linear(self, X: Array) -> Array:
-        """1, x, y and z."""
+        """Functions 1, x, y and z."""
         return np.stack([np.ones_like(X[0]), *X])

@@ -1,4 +1,4 @@
-"""The forward model: from a conductivity to the impedances between electrodes."""
+"""Forward model: impedances between electrodes from a conductivity, and the adjoint Jacobians."""
 
 from collections.abc import Callable, Sequence
 from functools import cached_property
@@ -13,7 +13,7 @@ from eitskin.geometry.meshing.mesh import Mesh
 from eitskin.geometry.meshing.mesh_design import CellKind, mesh_design, natural_cells
 from eitskin.protocol import Protocol
 from eitskin.simulator.electrical.assembly import TENSOR_COLUMNS, TENSOR_ROWS, Assembly, Stiffness
-from eitskin.simulator.electrical.cem_system import Places, System, zero_sums
+from eitskin.simulator.electrical.cem_system import CemSystem, SystemPattern, zero_sums
 from eitskin.simulator.electrical.resolution import Discretisation, Resolution, discretisation
 from eitskin.simulator.electrical.sensitivity import Tensors, pixel_gram
 from eitskin.simulator.linalg.sparse_solvers import Solver, SolverName, choose_solver
@@ -26,19 +26,19 @@ AreaRatio: TypeAlias = Callable[[Array, Array], Array]
 
 
 class ForwardModel:
-    """The complete electrode model of one design on one mesh.
+    """Complete electrode model of one design on one mesh.
 
     div(sigma grad u) = 0; u + z sigma du/dn = U_l on electrode l; no flux elsewhere (Somersalo,
-    Cheney and Isaacson 1992). Solved on the undeformed mesh: a deformed sensor comes as the
-    pulled-back tensor J F^-1 sigma F^-T and the area ratio of its electrodes.
+    Cheney and Isaacson 1992). The equations are solved on the undeformed mesh: a deformed sensor is
+    given by the pulled-back tensor J F^-1 sigma F^-T and the area ratio of the electrodes.
 
     Attributes:
         design: the sensor.
         mesh: of the undeformed layer.
-        assembly: of the matrices on it.
-        places: of their values.
-        solver: how the matrix is factorised; `solver.name` says it in words.
-        factorisations: how many matrices have been factorised so far.
+        assembly: of the matrices on the mesh.
+        pattern: of the linear system, shared by all scenes.
+        solver: of the linear system; `solver.name` names the factorisation.
+        factorisations: number of matrices factorised so far.
     """
 
     def __init__(
@@ -54,10 +54,14 @@ class ForwardModel:
         Args:
             design: the sensor.
             resolution: a name, or element order and grading.
-            breaks: further x at which a mesh of hexahedra has faces [m].
+            breaks: further positions along x with faces of a mesh of hexahedra [m].
             cells: kind of mesh; hexahedra for rectangles, prisms for other outlines and
                 tetrahedra for surfaces when omitted.
-            solver: "block Cholesky" or "sparse LU"; chosen by the shape when omitted.
+            solver: "block Cholesky" or "sparse LU"; chosen by the shape of the body when omitted.
+
+        Raises:
+            ConfigurationError: for an unknown resolution, cells that do not suit the outline, or
+                an unknown solver.
         """
         cells = cells or natural_cells(design)
         order, grading = discretisation(resolution, design, cells)
@@ -65,24 +69,24 @@ class ForwardModel:
         self.mesh: Mesh = mesh_design(design, grading, cells, breaks)
         self.factorisations = 0
         self.assembly = Assembly(self.mesh, order)
-        self.places = Places(self.assembly)
+        self.pattern = SystemPattern(self.assembly)
         self.solver: Solver = choose_solver(
             solver,
-            self.places.rows,
-            self.places.columns,
+            self.pattern.rows,
+            self.pattern.columns,
             self.assembly.space.numbers,
-            self._first(),
+            self._end_elements(),
         )
 
-    def _first(self) -> NDArray[np.int64]:
-        """The elements at the body's lower end in x."""
+    def _end_elements(self) -> NDArray[np.int64]:
+        """Elements at the body's end of smallest x."""
         x = self.mesh.points[self.mesh.cells, 0].min(axis=1)
         touching = np.flatnonzero(x <= x.min() + 1e-9 * np.ptp(self.mesh.points[:, 0]))
         return np.unique(touching // self.assembly.space.element.cells)
 
     @property
     def unknowns(self) -> int:
-        """Number of potential unknowns that are solved for."""
+        """Number of potential unknowns, after static condensation."""
         return self.assembly.unknowns
 
     def impedance(
@@ -90,14 +94,14 @@ class ForwardModel:
     ) -> Numbers:
         """Electrode impedance matrix Z [ohm], (electrodes, electrodes).
 
-        Z maps injected currents, which add up to zero, to electrode potentials of zero mean: its
-        rows and columns sum to zero. It is complex where a contact impedance is.
+        Z maps injected currents that sum to zero to electrode potentials of zero mean: rows and
+        columns of Z sum to zero. Z is complex where a contact impedance is complex.
 
         Args:
             conductivity: [S/m] a scalar, (cells,), (cells, 3, 3), or f(x) with x (..., 3) [m]
                 giving (...) or (..., 3, 3); the design's own when omitted.
-            area_ratio: f(x, normal), both (..., 3), giving deformed over flat area of the
-                electrodes, (...); one when omitted.
+            area_ratio: f(x, normal), both (..., 3), giving the ratio of deformed to flat area of
+                the electrodes, (...); one when omitted.
 
         Raises:
             ConfigurationError: for a conductivity of another shape, or not positive.
@@ -116,18 +120,18 @@ class ForwardModel:
         """Adjoint Jacobian d measurement / d conductivity [ohm per S/m], (measurements, cells).
 
         d V_m / d sigma_c = - int_c grad u_drive . S grad u_sense (Geselowitz 1971), exact for the
-        discrete model; S is one, or the tensors that the conductivity is changed along.
+        discrete model. S is the identity, or the field of tensors `along` for a change of the
+        conductivity by a multiple of S.
 
         Args:
             protocol: the measurements.
-            conductivity: at which the derivative is taken, as in `impedance`.
-            pixels: (rows along y, columns along x): differentiate with respect to the
-                conductivity of columns over this grid on the outline's bounding box instead of
-                cells; the result is (measurements, rows * columns), row by row, x and y
-                increasing.
+            conductivity: where the derivative is taken, as in `impedance`.
+            pixels: (rows along y, columns along x) of a grid on the outline's bounding box;
+                derivatives by the conductivity of pixel columns instead of cells, (measurements,
+                rows * columns), row by row, x and y increasing.
             area_ratio: as in `impedance`.
-            along: symmetric S(x), (..., 3, 3), for pixels; with the conductivity itself the result
-                is per relative change [ohm].
+            along: symmetric S(x), (..., 3, 3), for pixels; with the conductivity itself as S the
+                result is per relative change [ohm].
 
         Raises:
             ConfigurationError: for `along` without pixels.
@@ -138,7 +142,7 @@ class ForwardModel:
         elif along is None:
             gram = self.assembly.cell_gram(u)
         else:
-            raise ConfigurationError("a sensitivity along tensors is one of pixels; give pixels")
+            raise ConfigurationError("expected pixels beside along, got cells; give pixels")
         drive, sense = protocol.patterns()
         J: Numbers = -np.einsum("em,cef,fm->mc", drive, gram, sense, optimize=True)
         return J
@@ -146,7 +150,7 @@ class ForwardModel:
     def contact_sensitivity(
         self, protocol: Protocol, conductivity: Conductivity | None = None
     ) -> Numbers:
-        """d measurement / d contact impedance [ohm per ohm m2], (measurements, electrodes).
+        """Adjoint Jacobian d measurement / d contact impedance [1/m2], (measurements, electrodes).
 
         d V_m / d z_l = int_{E_l} j_drive j_sense with the current densities
         j = (U_l - u) / z_l (Vilhunen et al. 2002), exact for the discrete model.
@@ -163,10 +167,10 @@ class ForwardModel:
         return J
 
     def contact_drops(self, w: Numbers, U: Numbers, lift: Array) -> Numbers:
-        """U - u on the electrodes' pieces, (pieces, q, k), of a solution u = w + lift U."""
+        """Potential drop U - u across the contacts, (pieces, q, k), for u = w + lift U."""
         assembly = self.assembly
         on = np.einsum("fiq,fie->fqe", assembly.facet_shape, w[assembly.facet_numbers])
-        # u - U_l is w itself where the electrode's own potential is lifted off.
+        # u - U_l is w itself on electrodes with a lifting function.
         own = U * (1.0 - lift.max(axis=0))[:, None]
         drops: Numbers = own[assembly.facet_electrode][:, None] - on
         return drops
@@ -174,30 +178,31 @@ class ForwardModel:
     def potentials(
         self, conductivity: Conductivity | None = None, area_ratio: AreaRatio | None = None
     ) -> Numbers:
-        """Potential at the mesh's points per unit current into each electrode [V/A].
+        """Potentials at the mesh's points per unit current into each electrode [V/A].
 
-        Shape (points, electrodes); the current leaves through all electrodes alike, so that
-        differences of columns are the potentials of drive pairs. They count from the mean of the
-        electrodes' own potentials, as those of `impedance` do.
+        Shape (points, electrodes). The current leaves through all electrodes in equal parts, so
+        that the difference of two columns is the potential of a drive pair. Potentials are relative
+        to the mean of the electrode potentials, as in `impedance`.
         """
         u, U = self.element_potentials(conductivity, area_ratio)
-        counted: Numbers = self.at_points(u) - U.mean(axis=0)
-        return counted
+        relative: Numbers = self.at_points(u) - U.mean(axis=0)
+        return relative
 
     def element_potentials(
         self, conductivity: Conductivity | None = None, area_ratio: AreaRatio | None = None
     ) -> tuple[Numbers, Numbers]:
-        """Potentials in the elements and of the electrodes, per unit current into each [V/A].
+        """Potentials in the elements and of the electrodes, per unit electrode current [V/A].
 
-        Coefficients of the elements' functions (elements, functions, electrodes), and (electrodes,
-        electrodes), of the first by a current into the second; it leaves through all alike. Both
-        count from the grounded place, where gradients keep all digits for any contact impedance.
+        Returns coefficients of the shape functions, (elements, functions, electrodes), and
+        potentials of the first electrode per current into the second, (electrodes, electrodes);
+        the currents leave through all electrodes in equal parts. Potentials are relative to the
+        grounded unknown, so that gradients keep all digits for any contact impedance.
         """
         stiffness, system, w, U = self._solve(conductivity, area_ratio)
         return self.assembly.space.in_elements(w + system.lift @ U, stiffness.inner), U
 
     def at_points(self, u: Numbers) -> Numbers:
-        """Functions of the elements (elements, functions, k) at the mesh's points, (points, k)."""
+        """Values at the mesh's points, (points, k), from coefficients (elements, functions, k)."""
         space, cells = self.assembly.space, self.mesh.cells
         elements = np.arange(len(cells)) // space.element.cells
         X = space.reference(elements, self.mesh.points[cells])
@@ -212,7 +217,12 @@ class ForwardModel:
         conductivity: Conductivity | None = None,
         area_ratio: AreaRatio | None = None,
     ) -> Numbers:
-        """Mean current density in each cell per unit current [A/m2 per A], (cells, 3)."""
+        """Mean current density in each cell per unit drive current [1/m2], (cells, 3).
+
+        Args:
+            drive: electrodes where the current enters and leaves.
+            conductivity, area_ratio: as in `impedance`.
+        """
         plus, minus = drive
         u, _ = self.element_potentials(conductivity, area_ratio)
         assembly = self.assembly
@@ -225,9 +235,9 @@ class ForwardModel:
 
     @cached_property
     def _own_conductivity(self) -> Conductivity:
-        """The design's conductivity: one number, or of each cell's layer.
+        """Conductivity of the design [S/m]: one number, or the conductivity of each cell's layer.
 
-        Tetrahedra do not keep to the layers, so theirs is a function of place.
+        Tetrahedra cross the layers: on their meshes the conductivity is a function of position.
         """
         if not self.design.layers:
             return self.design.conductivity
@@ -237,29 +247,29 @@ class ForwardModel:
 
     @property
     def contact_impedance(self) -> Numbers:
-        """Of each electrode [ohm m2], (electrodes,); complex where any is."""
+        """Contact impedances [ohm m2], (electrodes,); complex where any electrode's is."""
         z = np.array([e.contact_impedance for e in self.design.electrodes])
         return z if np.any(np.imag(z)) else np.real(z)
 
     def _system(
         self, conductivity: Conductivity | None, area_ratio: AreaRatio | None
-    ) -> tuple[Stiffness, System]:
-        """Stiffness and system of one scene; counts as a factorisation."""
+    ) -> tuple[Stiffness, CemSystem]:
+        """Stiffness and linear system of one scene; counts as a factorisation."""
         assembly = self.assembly
         ratio = (
             1.0 if area_ratio is None else area_ratio(assembly.facet_points, assembly.facet_normals)
         )
-        contact = assembly.contact(self.contact_impedance, ratio)
+        contact = assembly.electrode_terms(self.contact_impedance, ratio)
         stiffness = assembly.stiffness(self._conductivity(conductivity))
         self.factorisations += 1
-        return stiffness, self.places.system(stiffness.values, contact)
+        return stiffness, self.pattern.system(stiffness.values, contact)
 
     def _solve(
         self, conductivity: Conductivity | None, area_ratio: AreaRatio | None = None
-    ) -> tuple[Stiffness, System, Numbers, Numbers]:
+    ) -> tuple[Stiffness, CemSystem, Numbers, Numbers]:
         """Stiffness, system, w (unknowns, electrodes) and U, per unit electrode current [V/A].
 
-        The currents leave through all electrodes alike.
+        The currents leave through all electrodes in equal parts.
         """
         stiffness, system = self._system(conductivity, area_ratio)
         per_potential = self.solver.factorise(system.values).solve(system.coupling)
@@ -268,7 +278,7 @@ class ForwardModel:
         return stiffness, system, per_potential @ U, U
 
     def _conductivity(self, conductivity: Conductivity | None) -> Array:
-        """The conductivity as `Assembly.stiffness` takes it, (cells, q or 1, 1 or 6)."""
+        """Conductivity in the form of `Assembly.stiffness`, (cells, q or 1, 1 or 6) [S/m]."""
         if conductivity is None:
             conductivity = self._own_conductivity
         if callable(conductivity):
@@ -279,7 +289,7 @@ class ForwardModel:
 
 
 def _field_entries(conductivity: Field, points: Array) -> Array:
-    """Scalars or entries xx, yy, zz, xy, xz, yz of a field at points (..., 3), (..., 1 or 6)."""
+    """Scalars, or entries xx, yy, zz, xy, xz, yz, of a field at points (..., 3), (..., 1 or 6)."""
     value = np.asarray(conductivity(points), dtype=np.float64)
     shape = points.shape[:-1]
     return _entries(value, shape, f"from f(x) of x with shape {points.shape} of", shape)
@@ -305,7 +315,7 @@ def _entries(value: Array, shape: tuple[int, ...], what: str, asked: tuple[int, 
 
 
 def _symmetric(entries: Array) -> Array:
-    """Tensors (..., 3, 3) of the entries (..., 1 or 6)."""
+    """Tensors (..., 3, 3) from entries (..., 1 or 6)."""
     if entries.shape[-1] == 1:
         return entries[..., None] * np.eye(3)
     tensors = np.empty((*entries.shape[:-1], 3, 3))
@@ -321,7 +331,7 @@ def _positive_definite(given: Array, entries: Array) -> bool:
     xx, yy, zz, xy, xz, yz = np.moveaxis(entries, -1, 0)
     second = xx * yy - xy**2
     third = second * zz - xx * yz**2 - yy * xz**2 + 2.0 * xy * xz * yz
-    # NaN fails every comparison, so it is refused too.
+    # NaN fails every comparison and is refused, too.
     positive = all(bool(np.all(m > 0.0) and np.all(np.isfinite(m))) for m in (xx, second, third))
     return positive and all(
         bool(np.allclose(given[..., a, b], given[..., b, a], rtol=1e-9, atol=0.0))

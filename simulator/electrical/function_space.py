@@ -1,4 +1,4 @@
-"""Finite element functions on a mesh: which unknown stands for which function of which element."""
+"""Finite element space on a mesh: numbering of unknowns, element maps, quadrature points."""
 
 from typing import NamedTuple
 
@@ -16,12 +16,12 @@ Indices = NDArray[np.int64]
 
 
 class Rule(NamedTuple):
-    """Quadrature in all cells; c cells in an element, q points in each.
+    """Quadrature rule in all cells, with c cells in an element and q points in each cell.
 
     Attributes:
         X: reference points, cell by cell, (3, c q).
-        weights: their reference weights, (c q,).
-        points: their images, (cells, q, 3) [m].
+        weights: on the reference element, (c q,).
+        points: images of the reference points, (cells, q, 3) [m].
     """
 
     X: Array
@@ -32,17 +32,17 @@ class Rule(NamedTuple):
 class FunctionSpace:
     """Continuous functions on a mesh, with affine maps from one reference element.
 
-    An element is a column of cells of an extrusion, or one tetrahedron.
+    An element is a column of cells of an extruded mesh, or one tetrahedron.
 
     Attributes:
-        element: the functions on the reference element.
-        unknowns: number of unknowns; functions inside elements are not counted.
+        element: shape functions on the reference element.
+        unknowns: number of unknowns, without those of inner functions.
         numbers: unknown of each outer function, (elements, outer functions).
         origins: images of X = 0, (elements, 3) [m].
         inverses: dX/dx, (elements, 3, 3).
         jacobians: |det dx/dX|, (elements,).
-        rule: for integrals of products of two functions.
-        coarse: for what varies little within cells.
+        rule: quadrature, exact for products of two functions.
+        coarse: quadrature with few points, for fields almost linear within cells.
     """
 
     def __init__(self, mesh: Mesh, order: tuple[int, ...]) -> None:
@@ -56,7 +56,10 @@ class FunctionSpace:
 
     def _tetrahedra(self, mesh: Mesh, order: tuple[int, ...]) -> None:
         if len(order) != 1:
-            raise ConfigurationError(f"tetrahedra take one order, (1,) or (2,), got {order}")
+            raise ConfigurationError(
+                f"expected one order for tetrahedra, (1,) or (2,), got {order}; tetrahedra have no "
+                "separate order along the height"
+            )
         element = TetrahedralElement(order[0])
         grid = skfem.MeshTet(
             np.ascontiguousarray(mesh.points.T), np.ascontiguousarray(mesh.cells.T)
@@ -106,6 +109,7 @@ class FunctionSpace:
         self._map(np.pad(corners[:, 0], ((0, 0), (0, 1))), columns)
 
     def _map(self, origins: Array, edges: Array) -> None:
+        """Set the affine maps x = origin + X edges of all elements."""
         self.origins: Array = origins
         self._edges: Array = edges
         self.inverses: Array = np.asarray(np.linalg.inv(edges.swapaxes(1, 2)), dtype=np.float64)
@@ -117,15 +121,15 @@ class FunctionSpace:
         return Rule(X, weights, points.reshape(len(points) * self.element.cells, -1, 3))
 
     def reference(self, elements: Indices, points: Array) -> Array:
-        """X, (3, n, ...), of `points` (n, ..., 3) [m] in `elements` (n,)."""
+        """Reference points X, (3, n, ...), of `points` (n, ..., 3) [m] in `elements` (n,)."""
         moved = points - np.expand_dims(self.origins[elements], tuple(range(1, points.ndim - 1)))
         X: Array = np.einsum("nab,n...b->an...", self.inverses[elements], moved)
         return X
 
     def in_elements(self, potentials: Numbers, inner: Array) -> Numbers:
-        """Potentials (unknowns, k) element by element, (elements, functions, k).
+        """Coefficients element by element, (elements, functions, k), from unknowns (unknowns, k).
 
-        `inner` gives an element's inner unknowns from its others, (elements, inner, outer).
+        `inner` are the matrices of `Stiffness.inner` from outer to inner unknowns.
         """
         outer = potentials[self.numbers]
         return np.concatenate([outer, inner @ outer], axis=1)
@@ -133,20 +137,20 @@ class FunctionSpace:
     def column_gradients(
         self, potentials: Numbers, elements: Indices, plane: Array, heights: Array
     ) -> Numbers:
-        """grad u_k, (n, 3, p, q, k), at q `heights` (q,) above p places in each of n columns.
+        """Gradients of u_k at q heights above p points in each of n columns, (n, 3, p, q, k).
 
         Args:
-            potentials: element by element, (elements, functions, k).
-            elements: the columns (n,).
-            plane: x and y of their places, (n, p, 2) [m].
-            heights: above each of the places [m].
+            potentials: coefficients of u_k element by element, (elements, functions, k).
+            elements: numbers of the columns, (n,).
+            plane: x and y of the points in each column, (n, p, 2) [m].
+            heights: the same above every point, (q,) [m].
         """
         element, inverses = self.element, self.inverses[elements]
         if not isinstance(element, ExtrudedElement):
-            raise TypeError(f"heights above places need columns of cells, got {element}")
+            raise TypeError(f"expected a mesh of columns of cells, got {element}")
         moved = plane - self.origins[elements, None, :2]
         X = np.einsum("nab,npb->anp", inverses[:, :2, :2], moved)
         slopes = element.column_gradients(potentials[elements], X, heights)
-        # One product for all places of a column.
+        # One product for all points of a column.
         gradients: Numbers = inverses.swapaxes(1, 2) @ slopes.reshape(len(elements), 3, -1)
         return gradients.reshape(slopes.shape)

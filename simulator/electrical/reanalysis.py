@@ -1,13 +1,15 @@
-"""Scenes near one that is solved: what a touch changes much is solved anew, the rest is linear.
+"""Reanalysis: scenes near a solved scene, by partial elimination and a first-order correction.
 
-A touch deforms all of an incompressible layer, but only close by is the change of the pulled-back
-conductivity large. Strips of the body where it is are eliminated anew between the Schur complements
-of the others (reanalysis of modified structures, Kirsch 2008). Everywhere else the change delta is
-small, and the impedance follows to first order from the potentials u of the scene that is solved:
+A touch deforms all of an incompressible layer, but the pulled-back conductivity changes much only
+close to the touch. Strips of unknowns there are eliminated anew between the cached Schur
+complements of the other strips (reanalysis of modified structures, Kirsch 2008). Everywhere else
+the change delta is small, and the impedance follows to first order from the potentials u of the
+solved scene:
 
     Z_kl = Z'_kl - int grad u_k . delta grad u_l - int_electrodes (u_k - U_k) (u_l - U_l) d(1/z)
 
-The second order is left out; it goes with the square of the largest change that is taken so.
+Z' is the impedance with the re-eliminated strips. The neglected second-order term grows with the
+square of the largest change treated to first order.
 """
 
 from dataclasses import dataclass
@@ -17,7 +19,7 @@ from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError
 from eitskin.simulator.electrical.assembly import Stiffness
-from eitskin.simulator.electrical.cem_system import System, zero_sums
+from eitskin.simulator.electrical.cem_system import CemSystem, zero_sums
 from eitskin.simulator.electrical.forward_model import ForwardModel
 from eitskin.simulator.layer.deformed_layer import DeformedLayer
 from eitskin.simulator.linalg.block_cholesky import BlockCholesky
@@ -29,11 +31,12 @@ Flags = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True)
 class Tolerance:
-    """Relative changes of the conductivity up to which it is taken more simply.
+    """Relative changes of the conductivity below which reanalysis approximates.
 
     Attributes:
-        linear: changes below it, in strips where all are, are taken to first order; 0 for none.
-        coarse: changes below it are taken at few points of each cell; 0 for none.
+        linear: bound of changes treated to first order, in strips with all changes below the
+            bound; 0 for no strips.
+        coarse: bound of changes evaluated at the coarse points of each cell only; 0 for no cells.
     """
 
     linear: float = 0.007
@@ -42,8 +45,8 @@ class Tolerance:
     def __post_init__(self) -> None:
         if not 0.0 <= self.linear <= self.coarse < 1.0:
             raise ConfigurationError(
-                "tolerances must rise from 0 <= linear <= coarse < 1, got "
-                f"linear = {self.linear}, coarse = {self.coarse}"
+                "expected tolerances 0 <= linear <= coarse < 1, got "
+                f"linear = {self.linear}, coarse = {self.coarse}; lower linear, or raise coarse"
             )
 
 
@@ -51,25 +54,28 @@ EXACT = Tolerance(0.0, 0.0)
 
 
 class Reanalysis:
-    """A forward model with one conductivity, solved, and what is near it.
+    """Forward model solved for one scene, for the impedances of scenes near by.
 
     Attributes:
-        strips: how many strips have been eliminated so far.
-        resolved: how many elements had their conductivity taken at all quadrature points so far.
+        base: electrode impedance matrix of the solved scene [ohm], (electrodes, electrodes).
+        strips: number of strips eliminated so far.
+        resolved: number of elements with the conductivity evaluated at all quadrature points so
+            far.
     """
 
     def __init__(
         self, model: ForwardModel, layer: DeformedLayer, tolerance: Tolerance | None = None
     ) -> None:
-        """Solve `model` with its layer in `layer`.
+        """Solve `model` of the deformed `layer`.
 
-        Raises ConfigurationError for models that are not solved strip by strip with real numbers.
+        Raises ConfigurationError for models without block Cholesky or with complex contact
+        impedances.
         """
         solver = model.solver
         if not is_possible(model) or not isinstance(solver, BlockCholesky):
             raise ConfigurationError(
-                "only models with block Cholesky and real contact impedances are solved anew in "
-                "parts; use ForwardModel.impedance"
+                f"expected block Cholesky and real contact impedances, got {solver.name} and "
+                f"{model.contact_impedance.dtype} impedances; use ForwardModel.impedance"
             )
         self._model, self._tolerance = model, tolerance or Tolerance()
         assembly = model.assembly
@@ -80,8 +86,8 @@ class Reanalysis:
         self._largest = self._coarse[..., :3].max(axis=(1, 2))
         self._ratio = layer.area_ratio(assembly.facet_points, assembly.facet_normals)
         self._coarse_ratio = layer.area_ratio(assembly.facet_coarse_points, assembly.facet_normals)
-        contact = assembly.contact(model.contact_impedance, self._ratio)
-        system = model.places.system(stiffness.values, contact)
+        contact = assembly.electrode_terms(model.contact_impedance, self._ratio)
+        system = model.pattern.system(stiffness.values, contact)
         self._lifted = system.lifted
         self._elimination = TwoSidedElimination(solver, system.values, system.coupling)
         model.factorisations += 1
@@ -93,8 +99,8 @@ class Reanalysis:
         self._first, self._last = of_element.min(axis=1), of_element.max(axis=1)
         self._linearise(system, stiffness)
 
-    def _linearise(self, system: System, stiffness: Stiffness) -> None:
-        """Keep Z and its derivatives by the conductivity and by the areas of electrodes."""
+    def _linearise(self, system: CemSystem, stiffness: Stiffness) -> None:
+        """Keep Z, and the derivatives of Z by the conductivity and by the electrode areas."""
         model, assembly = self._model, self._model.assembly
         per_potential = self._elimination.factors.solve(system.coupling)
         T = system.coupling.T @ per_potential
@@ -111,9 +117,10 @@ class Reanalysis:
         self._by_facet = assembly.facet_interpolation.T @ (per_area[..., None] * drops)
 
     def impedance(self, layer: DeformedLayer) -> Array:
-        """Electrode impedance matrix [ohm], (electrodes, electrodes), of the layer in `layer`.
+        """Electrode impedance matrix [ohm], (electrodes, electrodes), of the deformed `layer`.
 
-        The layer is asked for few points of each cell, and for more where it has changed much.
+        The layer is evaluated at the coarse points of each cell, and at all quadrature points
+        where the conductivity has changed much.
         """
         assembly, cells = self._model.assembly, self._model.assembly.space.element.cells
         change = layer.entries(assembly.space.coarse.points) - self._coarse
@@ -145,7 +152,7 @@ class Reanalysis:
     def _stiffness(
         self, layer: DeformedLayer, change: Array, resolved: Flags, even: Flags
     ) -> Array:
-        """Values of the condensed elements, those of `resolved` and `even` ones new."""
+        """Condensed stiffness values, recomputed in `resolved` and `even` elements."""
         assembly = self._model.assembly
         cells = np.arange(len(change)).reshape(len(resolved), -1)
         values, new = self._values.copy(), []
@@ -163,7 +170,7 @@ class Reanalysis:
         return values.ravel()
 
     def _new_ratio(self, layer: DeformedLayer, wider: Array, resolved: Flags, anew: Flags) -> Array:
-        """Area ratios (pieces, q), new on the pieces `anew`, at all points on those `resolved`."""
+        """Area ratios (pieces, q), recomputed on pieces `anew`, at all points where `resolved`."""
         assembly, ratio = self._model.assembly, self._ratio
         if not anew.any():
             return ratio
@@ -174,10 +181,10 @@ class Reanalysis:
         return ratio
 
     def _solved(self, stiffness: Array, ratio: Array, first: int, last: int) -> Array:
-        """Z with values that are new in strips `first` to `last`."""
+        """Impedance Z [ohm] with strips `first` to `last` eliminated anew."""
         model = self._model
-        contact = model.assembly.contact(model.contact_impedance, ratio)
-        system = model.places.system(stiffness, contact, self._lifted)
+        contact = model.assembly.electrode_terms(model.contact_impedance, ratio)
+        system = model.pattern.system(stiffness, contact, self._lifted)
         self.strips += last - first + 1
         T = self._elimination.congruence(system.values, system.coupling, first, last)
         Z: Array = np.real(system.impedance(T))
@@ -185,5 +192,5 @@ class Reanalysis:
 
 
 def is_possible(model: ForwardModel) -> bool:
-    """Whether scenes of a model can be solved anew in parts."""
+    """Whether reanalysis applies: block Cholesky and real contact impedances."""
     return isinstance(model.solver, BlockCholesky) and np.isrealobj(model.contact_impedance)

@@ -1,4 +1,4 @@
-"""Named resolutions: element orders and cell sizes that suit any design."""
+"""Named resolutions: polynomial orders and cell sizes for any design."""
 
 import math
 from typing import Literal, TypeAlias, get_args
@@ -11,16 +11,16 @@ from eitskin.geometry.meshing.mesh_design import CellKind
 Resolution = Literal["fast", "standard", "fine"]
 Discretisation: TypeAlias = tuple[tuple[int, ...], Grading]
 
-# Orders in the plane of the constant, linear, quadratic ... part upwards; finest cells relative to
-# the smallest electrode, coarsest relative to the body's shorter side, and growth. Presses tilt and
-# shear the layer, which couples the parts: they need nearly the same order. What each costs and how
-# wrong it is: `eitskin bench accuracy`.
+# Orders in the plane for the constant, linear, quadratic ... part along the height; finest cell
+# relative to the smallest electrode, coarsest cell relative to the body's shorter side, and growth.
+# Presses tilt and shear the layer, which couples the parts, so that all parts need nearly the same
+# order. `eitskin bench accuracy` measures cost and error of each resolution.
 _COLUMNS: dict[str, tuple[tuple[int, ...], float, float, float]] = {
     "fast": ((3, 2, 1), 0.2, 0.1, 4.0),
     "standard": ((3, 2, 2), 0.04, 0.11, 2.2),
     "fine": ((5, 4, 3), 4e-3, 0.13, 2.0),
 }
-# Triangles are refined around electrode edges only, not along whole lines, so they can be finer.
+# Triangles are refined around electrode edges only, not along whole lines, and can be finer.
 _PRISMS: dict[str, tuple[tuple[int, ...], float, float, float]] = {
     "fast": ((2, 2, 1), 0.2, 0.12, 1.2),
     "standard": ((3, 2, 2), 0.04, 0.13, 1.2),
@@ -37,7 +37,10 @@ _NAMED = {"hexahedra": _COLUMNS, "prisms": _PRISMS, "tetrahedra": _TETRAHEDRA}
 def discretisation(
     resolution: Resolution | Discretisation, design: SensorDesign, cells: CellKind
 ) -> Discretisation:
-    """Order and grading of a named resolution for a design; others are given back as they are."""
+    """Order and grading of a named resolution for a design; a discretisation stays as it is.
+
+    Raises ConfigurationError for an unknown name.
+    """
     if not isinstance(resolution, str):
         return resolution
     if resolution not in get_args(Resolution):

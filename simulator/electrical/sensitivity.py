@@ -1,4 +1,4 @@
-"""Energy products of potentials over pixels, for Jacobians on a regular grid."""
+"""Energy products of potentials over pixels, for adjoint Jacobians on a regular grid."""
 
 from collections.abc import Callable
 
@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 Numbers = NDArray[np.inexact]
 Tensors = Callable[[Array], Array]
 
-_STRIPS = 4  # of overlaps along x that are integrated at once
+_OVERLAPS = 4  # along x, integrated at once
 
 
 def pixel_gram(
@@ -25,13 +25,22 @@ def pixel_gram(
     pixels: tuple[int, int],
     along: Tensors | None = None,
 ) -> Numbers:
-    """int over each pixel column of grad u_k . S grad u_l, (rows * columns, k, k).
+    """Integrals of grad u_k . S grad u_l over pixel columns, (rows * columns, k, k).
 
-    S is a field of symmetric tensors, `along` of places, or one everywhere where omitted.
+    Pixels divide the outline's bounding box, and a pixel column has the height of the body. On
+    boxes, every overlap of a cell and a pixel is integrated by itself, exactly; on other cells a
+    pixel owns the quadrature points within it, which is exact for a conductivity that is a function
+    of position constant in each pixel.
 
-    Pixels divide the outline's bounding box. On boxes, every overlap of a cell and a pixel is
-    integrated by itself, exactly; on other cells a pixel owns the quadrature points within it,
-    which is exact for a conductivity given by pixels as a function of place.
+    Args:
+        assembly: of the mesh.
+        mesh: of the flat body.
+        potentials: u_k element by element, (elements, functions, k).
+        outline: of the sensor.
+        pixels: number of rows along y and of columns along x.
+        along: field S(x) of symmetric tensors, (..., 3) [m] to (..., 3, 3); identity when omitted.
+
+    Raises ConfigurationError for numbers of pixels that are not positive.
     """
     rows, columns = pixels
     if rows < 1 or columns < 1:
@@ -61,7 +70,7 @@ def _boxes_gram(
     y_edges: Array,
     along: Tensors | None,
 ) -> Numbers:
-    """The integrals on boxes, by a Gauss rule on every overlap that is exact for the elements."""
+    """Integrals on boxes, by a Gauss rule on every overlap that is exact for the elements."""
     x, y, z = (np.unique(mesh.points[:, axis]) for axis in range(3))
     order = assembly.space.element.face_degree + 1
     x_nodes, x_weights, x_cell, x_pixel = _overlaps(x, x_edges, order)
@@ -69,19 +78,19 @@ def _boxes_gram(
     z_nodes, z_weights = (part.ravel() for part in _overlaps(z, z[[0, -1]], order)[:2])
     count, columns = potentials.shape[-1], len(x_edges) - 1
     total = np.zeros((columns * (len(y_edges) - 1), count, count), dtype=potentials.dtype)
-    # A few overlaps along x at a time keep memory flat.
-    for start in range(0, len(x_nodes), _STRIPS):
-        part = slice(start, start + _STRIPS)
-        plane = _products(x_nodes[part], y_nodes)
-        # Boxes of a structured mesh go upwards first, columns along y next.
+    # A few overlaps along x at a time bound the memory.
+    for start in range(0, len(x_nodes), _OVERLAPS):
+        part = slice(start, start + _OVERLAPS)
+        plane = _pairs(x_nodes[part], y_nodes)
+        # Boxes of a structured mesh are numbered upwards first, then along y.
         elements = (x_cell[part, None] * (len(y) - 1) + y_cell).ravel()
         gradients = assembly.space.column_gradients(potentials, elements, plane, z_nodes)
         fluxes = gradients
         if along is not None:
-            places = np.empty((*gradients.shape[:1], *gradients.shape[2:4], 3))
-            places[..., :2], places[..., 2] = plane[:, :, None], z_nodes
-            fluxes = np.moveaxis(along(places) @ np.moveaxis(gradients, 1, 3), 3, 1)
-        weights = _products(x_weights[part], y_weights).prod(axis=-1)[..., None] * z_weights
+            points = np.empty((*gradients.shape[:1], *gradients.shape[2:4], 3))
+            points[..., :2], points[..., 2] = plane[:, :, None], z_nodes
+            fluxes = np.moveaxis(along(points) @ np.moveaxis(gradients, 1, 3), 3, 1)
+        weights = _pairs(x_weights[part], y_weights).prod(axis=-1)[..., None] * z_weights
         fluxes = weights[:, None, ..., None] * fluxes
         flat = (len(plane), -1, count)
         products = gradients.reshape(flat).swapaxes(1, 2) @ fluxes.reshape(flat)
@@ -89,7 +98,7 @@ def _boxes_gram(
     return total
 
 
-def _products(x: Array, y: Array) -> Array:
+def _pairs(x: Array, y: Array) -> Array:
     """Pairs of x (a, o) and y (b, o) on overlaps, overlap by overlap, (a b, o o, 2)."""
     shape = (len(x), len(y), x.shape[1], y.shape[1])
     pairs = (np.broadcast_to(c, shape) for c in (x[:, None, :, None], y[:, None]))
@@ -99,7 +108,7 @@ def _products(x: Array, y: Array) -> Array:
 def _overlaps(
     faces: Array, pixel_edges: Array, order: int
 ) -> tuple[Array, Array, NDArray[np.int64], NDArray[np.int64]]:
-    """Gauss points and weights (n, order) on n overlaps of cells and pixels, both their numbers."""
+    """Gauss points and weights (n, order) on n overlaps, and the cell and pixel of each overlap."""
     edges = np.unique(np.concatenate([faces, pixel_edges]).round(12))
     start, size = edges[:-1, None], np.diff(edges)[:, None]
     nodes, weights = np.polynomial.legendre.leggauss(order)

@@ -50,7 +50,7 @@ def test_the_whole_system_solved_densely_gives_the_same_impedances(order, layers
     grading = Grading(finest=5e-3, coarsest=1e-2, growth=1.0, layers=layers)
     model = ForwardModel(design, (order, grading))
     K, assembly = whole_matrices(model, lambda x: 1 + 4 * x[..., 1])
-    contact = assembly.contact(np.full(3, z))
+    contact = assembly.electrode_terms(np.full(3, z))
     A, n = K.astype(type(z)), len(K)
     rows, columns = (p[-assembly.contact_entries :] for p in (assembly.rows, assembly.columns))
     np.add.at(A, (rows, columns), contact.values)
@@ -87,7 +87,7 @@ def test_both_forms_of_an_electrode_agree_where_both_hold(z, monkeypatch) -> Non
     """Lifted or not, an electrode is the same; far from z = 1 one of the two loses digits."""
     model = ForwardModel(with_contacts(z), ((2, 2), COARSE))
     free = PAIRS.measure(model.impedance())
-    monkeypatch.setattr(model.places, "_liftable", np.zeros(8, dtype=bool))
+    monkeypatch.setattr(model.pattern, "_liftable", np.zeros(8, dtype=bool))
     plain = PAIRS.measure(model.impedance())
     lost = 1e-16 / z / 1e-9 + 1e-10  # what the plain form loses
     assert plain == pytest.approx(free, rel=max(lost, 1e-10))
