@@ -4,6 +4,8 @@ results.json says what a run found, as figures by name, and what it was measured
 holds its rows. All benchmarks write through here, each file whole.
 """
 
+import csv
+import io
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -12,7 +14,6 @@ from typing import Any
 
 import msgspec
 
-from eitskin.benchmarks.tables import write_table
 from eitskin.datasets.store.folder import make_folder
 from eitskin.errors import DataError
 from eitskin.files import atomic_file
@@ -79,6 +80,20 @@ def write_results(
     with atomic_file(folder / RESULTS) as temporary:
         temporary.write_bytes(msgspec.json.format(msgspec.json.encode(data), indent=1) + b"\n")
     return paths
+
+
+def write_table(path: Path, rows: Sequence[dict[str, Any]], comment: str) -> None:
+    """Write rows with a header, after a line that begins with # and says how they were measured.
+
+    Raises ConfigurationError where the file cannot be written; what was there is kept.
+    """
+    text = io.StringIO()
+    text.write(f"# {comment}\n")
+    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    with atomic_file(path) as temporary:
+        temporary.write_text(text.getvalue(), encoding="utf-8")
 
 
 def read_results(path: Path) -> Results:

@@ -1,8 +1,8 @@
-"""All benchmarks, one after the other: `eitskin bench all`.
+"""Suite of all benchmarks, run one after the other: `eitskin bench all`.
 
-Some are commands of `eitskin bench` that write their results themselves. The others leave a report
-in Markdown, most by printing it, `python -m eitskin.benchmarks.studies.NAME`: its tables become
-results.
+Most commands of `eitskin bench` write their results themselves. The studies of a checkout, `python
+-m eitskin.benchmarks.studies.NAME`, print a report in Markdown, whose tables become results. An
+installed wheel has no studies: they are left out there, with the reason.
 """
 
 import subprocess
@@ -11,6 +11,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 
 from eitskin.benchmarks.markdown_tables import figures
@@ -70,7 +71,18 @@ class Benchmark:
         )
         return [*what, *seeds, *given]
 
+    @property
+    def study(self) -> bool:
+        """Whether it is a module of `eitskin.benchmarks.studies`."""
+        return not self.command
 
+
+def has_studies() -> bool:
+    """Whether studies are there: in a checkout, not in an installed wheel."""
+    return find_spec("eitskin.benchmarks.studies") is not None
+
+
+WHY_NOT = "studies are not in the wheel; run this in a checkout of the repository"
 LONG = 10.0
 """Minutes beyond which a benchmark is left out, unless long ones are asked for."""
 OUT, OWN = ("--out", "{out}"), ("--out", "{own}")
@@ -154,7 +166,9 @@ def run_all(
             "data": str(data and data.absolute()),
         }
         needs = each.needs.format_map(places)
-        if quick and each.quick is None:
+        if each.study and not has_studies():
+            yield Done(each.name, "left out", WHY_NOT)
+        elif quick and each.quick is None:
             yield Done(each.name, "left out", "there is no quick run of it")
         elif not fresh and _is_there(folder / RESULTS, seed if each.seeded else None, quick):
             yield Done(each.name, "kept", "the same version and seed")

@@ -9,8 +9,7 @@ from typing import Any
 from eitskin.benchmarks.accuracy.plot import plot
 from eitskin.benchmarks.accuracy.run import Accuracy, Result
 from eitskin.benchmarks.accuracy.targets import TARGET_RATIO, TARGETS
-from eitskin.benchmarks.results import Results, write_results
-from eitskin.benchmarks.tables import write_table
+from eitskin.benchmarks.results import Results, write_results, write_table
 
 NAME = "accuracy"
 

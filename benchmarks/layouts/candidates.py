@@ -84,13 +84,6 @@ def sweeps() -> dict[str, tuple[Layout, ...]]:
     }
 
 
-def one_sided() -> Layout:
-    """Eight electrodes along one long side, which say little of the other."""
-    pitch = SIZE[0] / 8
-    row = [Electrode(pitch * (i + 0.5), 0.0) for i in range(8)]
-    return with_electrodes("8 along one side", row)
-
-
 def _around(count: int, width: float = 0.005, contact_impedance: float = 1e-3) -> list[Electrode]:
     """Evenly spaced on the rim, one in the middle of the lower side, as with the paper's."""
     outline = Rectangle(*SIZE)

@@ -19,7 +19,7 @@ from eitskin.benchmarks.layouts.run import (
     Comparison,
     Figures,
 )
-from eitskin.benchmarks.tables import write_table
+from eitskin.benchmarks.results import write_table
 from eitskin.files import atomic_file
 
 HEADINGS = (

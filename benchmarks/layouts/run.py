@@ -8,12 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from eitskin.benchmarks.layouts import free as layouts_free
-from eitskin.benchmarks.layouts import trained as layouts_trained
 from eitskin.benchmarks.layouts.bound import Sampling, SheetBound
 from eitskin.benchmarks.layouts.candidates import (
     SIZE,
     Layout,
-    one_sided,
     paper,
     sweeps,
     with_electrodes,
@@ -30,19 +28,18 @@ from eitskin.benchmarks.layouts.search import (
     search,
 )
 from eitskin.benchmarks.layouts.store import Judge, Watch, judging
-from eitskin.benchmarks.layouts.trained import Learned, Lesson, learn_all
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.hardware.protocol.messages import MAX_CHANNELS
 from eitskin.provenance import Provenance
 
-SEED = 0  # of the search without symmetry, and of the pipelines; nothing else is random
+SEED = 0  # of the search without symmetry, and of pipelines; nothing else is random
 SEARCH, FREE = "search", "free"  # sweeps
 MIRRORED, TURNED, FREED = "best with both mirrors", "best with a half turn", "best of all"
 NAMES = (*sweeps(), SEARCH, FREE)
 SAMPLING, FINE = Sampling(0.0075), Sampling(0.0075, resolution="standard")
-_QUICK = Sampling(0.0225)
+QUICK_SAMPLING = Sampling(0.0225)
 FREE_WIDTHS = (0.002, 0.008)  # of the electrodes of the best layouts, beside 5 mm [m]
 
 
@@ -166,15 +163,6 @@ class Comparison:
         }
 
 
-@dataclass(frozen=True, slots=True)
-class Training:
-    """What pipelines reach that were trained for some layouts, and what with."""
-
-    learned: tuple[Learned, ...]
-    provenance: Provenance
-    quick: bool
-
-
 def run(
     folder: Path,
     *,
@@ -198,7 +186,7 @@ def run(
         raise ConfigurationError(
             f"expected sweeps out of {', '.join(NAMES)}, got {', '.join(unknown)}"
         )
-    sampling = _QUICK if quick else SAMPLING
+    sampling = QUICK_SAMPLING if quick else SAMPLING
     with judging(folder, workers, watch) as judge:
         asked = [
             (name, layout)
@@ -218,35 +206,12 @@ def run(
     return Comparison(tuple(judged), Provenance.now(SEED), quick)
 
 
-def train(
-    folder: Path, *, quick: bool = False, workers: int = 1, watch: Watch = lambda _: None
-) -> Training:
-    """Train and test pipelines for chosen layouts, keeping in `folder` what is finished.
-
-    They are the paper's, what the searches found, six and 16 on the rim, and a poor one; of a quick
-    run the paper's and the poor one.
-
-    Raises PartialError where files cannot be written or a process died; run again to go on.
-    """
-    with judging(folder / "parts", workers, watch) as judge:
-        layouts = [paper(), one_sided()]
-        if not quick:
-            counts = sweeps()["count"]
-            names: dict[tuple[float, ...], list[str]] = {}  # both searches may find the same
-            for name, found in _best(judge, folder / "parts", quick).items():
-                names.setdefault(tuple(found.arcs), []).append(name)
-            best = [at_arcs(" and ".join(each), arcs) for arcs, each in names.items()]
-            layouts = [layouts[0], *best, counts[0], counts[-1], layouts[1]]
-        bounds = judge([(layout, _QUICK if quick else SAMPLING) for layout in layouts])
-    lesson = layouts_trained.QUICK if quick else Lesson(seed=SEED)
-    learned = learn_all(
-        list(zip(layouts, bounds, strict=True)),
-        folder / "trained",
-        lesson=lesson,
-        workers=workers,
-        watch=watch,
-    )
-    return Training(tuple(learned), Provenance.now(SEED), quick)
+def best_found(judge: Judge, folder: Path, quick: bool) -> dict[str, Candidate]:
+    """What the searches find with both mirrors and without any symmetry, by name."""
+    mirrored, _ = search(judge, QUICK if quick else Plan())
+    plan = layouts_free.QUICK if quick else FreePlan(seed=SEED)
+    ring = solved_ring(folder, plan.pitch, plan.sampling)
+    return {MIRRORED: mirrored, FREED: free_search(judge, ring, plan, [mirrored.arcs])}
 
 
 def _searched(judge: Judge, quick: bool) -> Iterator[Judged]:
@@ -265,7 +230,7 @@ def _searched(judge: Judge, quick: bool) -> Iterator[Judged]:
 
 def _freed(judge: Judge, folder: Path, quick: bool) -> Iterator[Judged]:
     """The best of all beside the best with mirrors and the paper's, and both in other widths."""
-    best = _best(judge, folder, quick)
+    best = best_found(judge, folder, quick)
     layouts = [paper(), *(at_arcs(name, found.arcs) for name, found in best.items())]
     layouts += [
         at_arcs(f"{name}, {1e3 * width:g} mm wide", found.arcs, width)
@@ -273,15 +238,7 @@ def _freed(judge: Judge, folder: Path, quick: bool) -> Iterator[Judged]:
         for width in (() if quick else FREE_WIDTHS)
         if possible(found.arcs, width)
     ]
-    yield from _twice(FREE, layouts, _QUICK if quick else SAMPLING, judge, quick)
-
-
-def _best(judge: Judge, folder: Path, quick: bool) -> dict[str, Candidate]:
-    """What the searches find with both mirrors and without any symmetry, by name."""
-    mirrored, _ = search(judge, QUICK if quick else Plan())
-    plan = layouts_free.QUICK if quick else FreePlan(seed=SEED)
-    ring = solved_ring(folder, plan.pitch, plan.sampling)
-    return {MIRRORED: mirrored, FREED: free_search(judge, ring, plan, [mirrored.arcs])}
+    yield from _twice(FREE, layouts, QUICK_SAMPLING if quick else SAMPLING, judge, quick)
 
 
 def _twice(

@@ -21,9 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
+from eitskin.benchmarks.results import write_table
 from eitskin.benchmarks.studies.cramer_rao_plot import draw_map
 from eitskin.benchmarks.studies.signals import FORCES, POSITIONS
-from eitskin.benchmarks.tables import write_table
 from eitskin.datasets.recipe.touch_sampling import draw_places
 from eitskin.geometry.deformation.fixtures import Bend
 from eitskin.geometry.design.outline import Rectangle

@@ -14,11 +14,11 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+from eitskin.benchmarks.results import write_table
 from eitskin.benchmarks.studies.crash_damage import damage
 from eitskin.benchmarks.studies.crash_disks import full_disks, injected, read_only
 from eitskin.benchmarks.studies.crash_kills import cluster, kill_and_resume, same_bytes
 from eitskin.benchmarks.studies.crash_runs import RECIPE, Row, contents, finish, start
-from eitskin.benchmarks.tables import write_table
 from eitskin.provenance import Provenance
 
 TRIALS = ("bytes", "damage", "disks", "kills")

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eitskin.benchmarks.tables import write_table
+from eitskin.benchmarks.results import write_table
 from eitskin.datasets.recipe.frame_sampling import sample, specimen
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.store.state import State

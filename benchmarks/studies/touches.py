@@ -20,8 +20,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from eitskin.benchmarks.results import write_table
 from eitskin.benchmarks.studies.bends import signal
-from eitskin.benchmarks.tables import write_table
 from eitskin.geometry.deformation.kinematics import Deformation
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.meshing.grading import Grading

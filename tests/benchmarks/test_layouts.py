@@ -18,9 +18,6 @@ from eitskin.benchmarks.layouts import (
 from eitskin.benchmarks.layouts import (
     store as layouts_store,
 )
-from eitskin.benchmarks.layouts import (
-    trained_report as layouts_trained_report,
-)
 from eitskin.benchmarks.layouts.bound import Sampling, SheetBound, own_mirrors
 from eitskin.benchmarks.layouts.candidates import PAPER, Layout, paper, sweeps, with_electrodes
 from eitskin.benchmarks.layouts.free import FreePlan, exchanged, free_search, images
@@ -28,7 +25,8 @@ from eitskin.benchmarks.layouts.report import markdown, table
 from eitskin.benchmarks.layouts.ring import Ring, ring_layout, solved_ring
 from eitskin.benchmarks.layouts.run import Comparison, Figures, Judged
 from eitskin.benchmarks.layouts.search import Plan, at_arcs, score, search
-from eitskin.benchmarks.layouts.trained import Learned
+from eitskin.benchmarks.studies import layouts_trained, layouts_trained_report
+from eitskin.benchmarks.studies.layouts_trained import Learned
 from eitskin.cli.main import app
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Electrode, Rectangle, SensorDesign
@@ -188,7 +186,8 @@ def test_figures():
 
 
 def test_command_writes_table_and_maps(tmp_path, monkeypatch):
-    monkeypatch.setattr(layouts_run, "_QUICK", FEWEST)
+    for module in (layouts_run, layouts_trained):
+        monkeypatch.setattr(module, "QUICK_SAMPLING", FEWEST)
     judged = []
 
     def quickly(layout: Layout, sampling: Sampling) -> SheetBound:
@@ -199,7 +198,7 @@ def test_command_writes_table_and_maps(tmp_path, monkeypatch):
 
     monkeypatch.setattr(layouts_store, "sheet_bound", quickly)
     monkeypatch.setattr(layouts_run, "solved_ring", lambda *_: likely_ring())
-    monkeypatch.setattr(layouts_run, "learn_all", lambda layouts, *_, **__: learned(layouts))
+    monkeypatch.setattr(layouts_trained, "learn_all", lambda layouts, *_, **__: learned(layouts))
     arguments = [
         "bench",
         "layouts",

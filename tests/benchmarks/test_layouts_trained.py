@@ -7,11 +7,23 @@ import numpy as np
 import pytest
 from layouts_fakes import flat_bound
 
-from eitskin.benchmarks.layouts import trained as layouts_trained
-from eitskin.benchmarks.layouts.candidates import one_sided, paper
-from eitskin.benchmarks.layouts.run import Training
-from eitskin.benchmarks.layouts.trained import QUICK, Learned, Lesson, learn_all, scored
-from eitskin.benchmarks.layouts.trained_report import markdown, rank_correlation, sentences, table
+from eitskin.benchmarks.layouts.candidates import paper
+from eitskin.benchmarks.studies import layouts_trained
+from eitskin.benchmarks.studies.layouts_trained import (
+    QUICK,
+    Learned,
+    Lesson,
+    Training,
+    learn_all,
+    one_sided,
+    scored,
+)
+from eitskin.benchmarks.studies.layouts_trained_report import (
+    markdown,
+    rank_correlation,
+    sentences,
+    table,
+)
 from eitskin.datasets.recipe.frame_sampling import sample, specimen
 from eitskin.provenance import Provenance
 

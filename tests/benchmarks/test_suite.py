@@ -1,5 +1,6 @@
 """`eitskin bench all`: what runs, what is kept, and what becomes of failures."""
 
+import importlib.util
 import json
 import signal
 from pathlib import Path
@@ -183,3 +184,28 @@ def test_every_benchmark_is_a_command_or_a_module_that_takes_its_options():
         given = {*each.options, *(each.quick or ()), *(("--seed",) if each.seeded else ())}
         for option in given:
             assert not option.startswith("--") or f'"{option}"' in source, (each.name, option)
+
+
+def test_studies_are_left_out_of_an_installed_wheel(tmp_path, monkeypatch):
+    monkeypatch.setattr(suite, "find_spec", lambda _: None)
+    start = Started(tmp_path)
+    assert outcomes(tmp_path, start) == {
+        "prints": "left out",
+        "writes": "measured",
+        "own": "measured",
+    }
+    (done, *_) = run_all(
+        THREE, tmp_path, 0, quick=False, fresh=True, data=None, start=Started(tmp_path)
+    )
+    assert done.why == suite.WHY_NOT
+    layouts = ["bench", "layouts", "--trained", "--out", str(tmp_path)]
+    refused = CliRunner().invoke(app, layouts)
+    assert isinstance(refused.exception, ConfigurationError)
+    assert "in a checkout" in str(refused.exception)
+
+
+def test_each_study_of_the_suite_is_a_module():
+    assert suite.has_studies()
+    for each in ALL:
+        if each.study:
+            assert importlib.util.find_spec(f"eitskin.benchmarks.studies.{each.name}"), each.name

@@ -9,10 +9,12 @@ from rich.console import Group
 from rich.table import Table
 
 from eitskin.cli.options import TRAINING, Json, Output, Quiet, Verbose
+from eitskin.errors import ConfigurationError
 from eitskin.extras import require_all
 
 if TYPE_CHECKING:
-    from eitskin.benchmarks.layouts.run import Comparison, Training
+    from eitskin.benchmarks.layouts.run import Comparison
+    from eitskin.benchmarks.studies.layouts_trained import Training
 
 
 def command(
@@ -43,12 +45,16 @@ def command(
     Cramer-Rao bounds over the sheet. Finished layouts are kept in the folder; a run that was
     stopped goes on from them.
     """
-    from eitskin.benchmarks.layouts import trained_report as training
+    from eitskin.benchmarks import suite
     from eitskin.benchmarks.layouts.report import LEGEND, as_data, sentences, write
-    from eitskin.benchmarks.layouts.run import NAMES, run, train
+    from eitskin.benchmarks.layouts.run import NAMES, run
     from eitskin.datasets.store.folder import make_folder
 
     output = Output(as_json, quiet, verbose)
+    if trained and not suite.has_studies():
+        raise ConfigurationError(
+            f"--trained needs the studies of a checkout, got an installed package: {suite.WHY_NOT}"
+        )
     require_all(training=TRAINING if trained else "", bench="matplotlib")
     make_folder(out)
     with output.progress() as bar:
@@ -58,16 +64,21 @@ def command(
             bar.update(task, advance=1, rate=name)
 
         found = run(out / "parts", names=sweep or NAMES, quick=quick, workers=workers, watch=show)
-        learned = train(out, quick=quick, workers=workers, watch=show) if trained else None
-    paths, data = write(found, out), as_data(found)
+        if trained:
+            from eitskin.benchmarks.studies import layouts_trained_report as report
+            from eitskin.benchmarks.studies.layouts_trained import train
+
+            learned = train(out, quick=quick, workers=workers, watch=show)
+    paths, data, lines = write(found, out), as_data(found), [*sentences(found)]
     shown = [_as_table(found)]
-    if learned is not None:
-        paths += training.write(learned, out)
-        data["trained"] = training.as_data(learned)
+    if trained:
+        paths += report.write(learned, out)
+        data["trained"] = report.as_data(learned)
+        lines += report.sentences(learned)
         shown.append(_trained_table(learned))
     output.result(data | {"files": [str(path) for path in paths]}, Group(*shown))
     output.show(LEGEND)
-    for line in (*sentences(found), *(training.sentences(learned) if learned else ())):
+    for line in lines:
         output.show(line)
     output.note("written: " + ", ".join(str(path) for path in paths))
 
@@ -85,7 +96,7 @@ def _as_table(found: "Comparison") -> Table:
 
 
 def _trained_table(learned: "Training") -> Table:
-    from eitskin.benchmarks.layouts.trained_report import HEADINGS, table
+    from eitskin.benchmarks.studies.layouts_trained_report import HEADINGS, table
 
     drawn = Table(*HEADINGS, title="trained", box=box.SIMPLE, pad_edge=False, padding=0)
     for column in drawn.columns[1:]:

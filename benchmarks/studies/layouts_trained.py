@@ -8,7 +8,7 @@ with, which the bounds know nothing of: they are those of one sensor whose every
 import dataclasses
 import hashlib
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import as_completed
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,15 +17,19 @@ import msgspec
 import numpy as np
 
 from eitskin.benchmarks.layouts.bound import FORCE, Sampling, SheetBound
-from eitskin.benchmarks.layouts.candidates import Layout
-from eitskin.benchmarks.layouts.store import working
+from eitskin.benchmarks.layouts.candidates import SIZE, Layout, paper, sweeps, with_electrodes
+from eitskin.benchmarks.layouts.run import QUICK_SAMPLING, SAMPLING, SEED, best_found
+from eitskin.benchmarks.layouts.search import at_arcs
+from eitskin.benchmarks.layouts.store import Watch, judging, working
 from eitskin.datasets.generation.generate import generate
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.durable import write_file
 from eitskin.datasets.store.folder import open_dataset
+from eitskin.geometry.design.electrode import Electrode
 from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.provenance import Provenance
 from eitskin.simulator.instrument.instrument import Instrument
 from eitskin.training.evaluation.evaluate import Evaluation
 from eitskin.training.method.settings import JointSettings, NetworkSettings, TrainingSettings
@@ -37,8 +41,6 @@ _FORCES = (5.0, 12.0)  # trained with [N]
 _MARGIN = Sampling().margin  # as the bounds have it [m]
 _PLACE = 0.0004  # of electrodes at most: where a layout has them near corners, more cannot be [m]
 _TEST_SEEDS = 1000  # added to the seed of training for other scenes, sensors and noise
-
-Watch = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,6 +147,53 @@ class Learned:
     angle_deg: float | None
     frames: int
     seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class Training:
+    """What pipelines reach that were trained for some layouts, and what with."""
+
+    learned: tuple[Learned, ...]
+    provenance: Provenance
+    quick: bool
+
+
+def one_sided() -> Layout:
+    """Eight electrodes along one long side, which say little of the other."""
+    pitch = SIZE[0] / 8
+    row = [Electrode(pitch * (i + 0.5), 0.0) for i in range(8)]
+    return with_electrodes("8 along one side", row)
+
+
+def train(
+    folder: Path, *, quick: bool = False, workers: int = 1, watch: Watch = lambda _: None
+) -> Training:
+    """Train and test pipelines for chosen layouts, keeping in `folder` what is finished.
+
+    They are the paper's, what the searches found, six and 16 on the rim, and a poor one; of a quick
+    run the paper's and the poor one.
+
+    Raises PartialError where files cannot be written or a process died; run again to go on.
+    """
+    with judging(folder / "parts", workers, watch) as judge:
+        layouts = [paper(), one_sided()]
+        if not quick:
+            counts = sweeps()["count"]
+            names: dict[tuple[float, ...], list[str]] = {}  # both searches may find the same
+            for name, found in best_found(judge, folder / "parts", quick).items():
+                names.setdefault(tuple(found.arcs), []).append(name)
+            best = [at_arcs(" and ".join(each), arcs) for arcs, each in names.items()]
+            layouts = [layouts[0], *best, counts[0], counts[-1], layouts[1]]
+        bounds = judge([(layout, QUICK_SAMPLING if quick else SAMPLING) for layout in layouts])
+    lesson = QUICK if quick else Lesson(seed=SEED)
+    learned = learn_all(
+        list(zip(layouts, bounds, strict=True)),
+        folder / "trained",
+        lesson=lesson,
+        workers=workers,
+        watch=watch,
+    )
+    return Training(tuple(learned), Provenance.now(SEED), quick)
 
 
 def learn_all(

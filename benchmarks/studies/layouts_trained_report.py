@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.benchmarks.layouts.run import Training
-from eitskin.benchmarks.tables import write_table
+from eitskin.benchmarks.results import write_table
+from eitskin.benchmarks.studies.layouts_trained import Training
 from eitskin.extras import require
 from eitskin.files import atomic_file
 
