@@ -26,9 +26,9 @@ from eitskin.frame import Frame
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.hardware.boards.board import Board
 from eitskin.hardware.boards.connection import Connection
-from eitskin.hardware.opening import open_board
 from eitskin.hardware.virtual.fault import Fault, Hook
 from eitskin.hardware.virtual.faults import DAMAGE_FAULTS, FAULTS, SENSOR_FAULTS
+from eitskin.hardware.virtual.virtual_board import VirtualBoard, open_virtual
 from eitskin.provenance import Provenance
 from eitskin.simulator.scene.scene import Scene
 from eitskin.simulator.simulator import Simulator
@@ -82,7 +82,7 @@ def strike(name: str, rounds: int, seed: int, sensor: Simulator) -> Struck:
     for _ in range(rounds):
         found.rounds += 1
         try:
-            with open_board("virtual:", simulator=sensor, period=PERIOD, snr_db=75.0) as board:
+            with open_virtual(simulator=sensor, period=PERIOD, snr_db=75.0) as board:
                 frames = _struck_frames(board, name, rng)
                 _judge(frames, flat, name, found)
                 _count(board, found)
@@ -95,10 +95,9 @@ def strike(name: str, rounds: int, seed: int, sensor: Simulator) -> Struck:
     return found
 
 
-def _struck_frames(board: Board, name: str, rng: random.Random) -> list[Frame]:
+def _struck_frames(board: VirtualBoard, name: str, rng: random.Random) -> list[Frame]:
     """The frames of a board in which the fault strikes after some of them."""
     stage = board.stage
-    assert stage is not None  # noqa: S101
     away = 0
 
     def wait(seconds: float) -> None:
@@ -154,9 +153,8 @@ class Cable:
 def replug(rounds: int, sensor: Simulator) -> Cable:
     """Pull and put back the cable of a board of 30 frames per second."""
     found = Cable()
-    with open_board("virtual:", simulator=sensor, period=1 / 30) as board:
+    with open_virtual(simulator=sensor, period=1 / 30) as board:
         stage = board.stage
-        assert stage is not None  # noqa: S101
         waiting: list[float] = []
 
         def wait(seconds: float) -> None:

@@ -25,9 +25,8 @@ from eitskin.datasets.store.state import State
 from eitskin.extras import require
 from eitskin.frame import Frame
 from eitskin.geometry.deformation.fixtures import Bend
-from eitskin.hardware.boards.board import Board
 from eitskin.hardware.live import Reading, run_live
-from eitskin.hardware.opening import open_board
+from eitskin.hardware.virtual.virtual_board import VirtualBoard, open_virtual
 from eitskin.provenance import Provenance
 from eitskin.simulator.scene.scene import Scene
 from eitskin.simulator.simulator import Simulator
@@ -121,8 +120,7 @@ def run(seed: int, speed: str = "real") -> tuple[Run, Run]:
         made.design, resolution="standard", fixture=made.hinge, mechanics=made.mechanics
     )
     pipeline = Pipeline.load("reference.eitmodel")
-    with open_board(
-        "virtual:",
+    with open_virtual(
         simulator=simulator,
         instrument="ad5940",
         speed=speed,
@@ -143,10 +141,9 @@ def unseen(seed: int) -> Recipe:
     )
 
 
-def play(board: Board, pipeline: "Pipeline", recipe: Recipe) -> Run:
+def play(board: VirtualBoard, pipeline: "Pipeline", recipe: Recipe) -> Run:
     """Play the episode from its first frame on."""
     stage = board.stage
-    assert stage is not None  # noqa: S101
     count = recipe.frames
     pipeline.reset()
     stage.play(lambda number: sample(recipe, min(number, count - 1)).scene)
@@ -155,10 +152,9 @@ def play(board: Board, pipeline: "Pipeline", recipe: Recipe) -> Run:
     return Run(tuple(readings), tuple(scenes), tuple(_moments(readings, scenes)))
 
 
-def known_angles(board: Board) -> tuple[list[Frame], list[float]]:
+def known_angles(board: VirtualBoard) -> tuple[list[Frame], list[float]]:
     """Frames of the untouched sensor at known angles, for a calibration."""
     stage = board.stage
-    assert stage is not None  # noqa: S101
     stage.play(lambda n: Scene(Bend(ANGLES_DEG[min(n // PER_ANGLE, len(ANGLES_DEG) - 1)])))
     frames = list(itertools.islice(board.frames(), PER_ANGLE * len(ANGLES_DEG)))
     known = [stage.truth(frame.number) or Scene() for frame in frames]

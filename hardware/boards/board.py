@@ -5,14 +5,11 @@ import typing
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import Any, Self
 
 from eitskin.frame import Frame
 from eitskin.hardware.protocol.messages import Info
 from eitskin.protocol import Protocol
-
-if TYPE_CHECKING:
-    from eitskin.hardware.virtual.stage import Stage
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,8 +60,8 @@ class Board(typing.Protocol):
         """What has come through so far."""
 
     @property
-    def stage(self) -> "Stage | None":
-        """What happens to a virtual board; None where nobody can say."""
+    def stage(self) -> Any:
+        """Scene and faults of a virtual board, a `Stage`; None for every other board."""
 
     @property
     def lost(self) -> int:

@@ -8,7 +8,7 @@ import logging
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -39,9 +39,6 @@ from eitskin.hardware.protocol.messages import (
 from eitskin.hardware.protocol.packets import Decoder, Drop, encode
 from eitskin.protocol import Protocol
 
-if TYPE_CHECKING:
-    from eitskin.hardware.virtual.stage import Stage
-
 REPLY_WITHIN = 0.5  # s
 TRIES = 3
 
@@ -56,17 +53,17 @@ class SerialBoard(Closeable):
         uri: what it was opened as.
         info: who it is; replaced when it has restarted.
         protocol: what it measures.
-        stage: what happens to it, for a virtual board; None for a real one.
+        stage: None for a real board; scene and faults of a `VirtualBoard`.
         events: the last lines of text that its firmware sent.
     """
+
+    stage: Any = None
 
     def __init__(
         self,
         connect: Callable[[], Port],
         uri: str,
         clock: Callable[[], float] = time.monotonic,
-        and_close: Callable[[], None] = lambda: None,
-        stage: "Stage | None" = None,
     ) -> None:
         """Ask the board who it is and what it measures.
 
@@ -75,14 +72,12 @@ class SerialBoard(Closeable):
                 by `reconnect`.
             uri: to name it in messages.
             clock: seconds, to know how long it has been silent.
-            and_close: called once when the board is closed.
-            stage: what happens to it, for a virtual board.
 
         Raises DeviceError where it does not answer as expected.
         """
-        self.uri, self.stage = uri, stage
+        self.uri = uri
         self.events: deque[Event] = deque(maxlen=20)
-        self._clock, self._and_close = clock, and_close
+        self._clock = clock
         self._decoder = Decoder()
         self._inbox: deque[Message] = deque()
         self._malformed = ""
@@ -90,11 +85,7 @@ class SerialBoard(Closeable):
         self._expected: int | None = None
         self._restarted = self._resuming = False
         self._frames = self._lost = self._skipped = self._reconnections = 0
-        try:
-            self._port = HeldPort(connect, uri)
-        except BaseException:
-            and_close()
-            raise
+        self._port = HeldPort(connect, uri)
         try:
             self.info = self._meet()
             self.protocol = self._read_protocol()
@@ -169,7 +160,6 @@ class SerialBoard(Closeable):
             pass  # it is gone, and so needs no stopping
         finally:
             self._port.close()
-            self._and_close()
 
     def _meet(self) -> Info:
         self._read_at = self._clock()

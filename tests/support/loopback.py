@@ -7,9 +7,9 @@ import numpy as np
 
 from eitskin.hardware import SerialBoard, open_board
 from eitskin.hardware.protocol.packets import Decoder
-from eitskin.hardware.virtual.scene_script import noise_free
+from eitskin.hardware.virtual.simulated_sensor import noise_free
 from eitskin.hardware.virtual.stage import Stage
-from eitskin.hardware.virtual.virtual_board import VirtualFirmware
+from eitskin.hardware.virtual.virtual_firmware import VirtualFirmware
 from eitskin.simulator import Frame, Protocol
 
 PROTOCOL = Protocol.pairwise(8)

@@ -13,7 +13,7 @@ from eitskin.hardware import Script, Step, open_board
 from eitskin.hardware.protocol.messages import Ack, Type, pack, unpack
 from eitskin.hardware.protocol.packets import Decoder, Packet, encode
 from eitskin.hardware.virtual.pseudo_terminal import Pace, PseudoTerminal
-from eitskin.hardware.virtual.scene_script import SimulatedSensor
+from eitskin.hardware.virtual.simulated_sensor import SimulatedSensor
 from eitskin.hardware.virtual.stage import Stage
 from eitskin.hardware.virtual.virtual_board import virtual_terminal
 from eitskin.simulator import Instrument, Protocol, Scene, Simulator, Status, Touch

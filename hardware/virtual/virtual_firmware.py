@@ -1,0 +1,189 @@
+"""Firmware of the virtual board: requests and frames as bytes, with its faults."""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import TypeVar
+
+import numpy as np
+
+from eitskin.hardware.protocol.messages import (
+    Ack,
+    Calibrate,
+    Event,
+    FrameData,
+    GetTable,
+    Hello,
+    Info,
+    Message,
+    MessageError,
+    Reply,
+    Start,
+    Stop,
+    Table,
+    pack,
+    unpack,
+)
+from eitskin.hardware.protocol.packets import Decoder, Packet, encode
+from eitskin.hardware.virtual.fault import Fault, Hook
+from eitskin.hardware.virtual.simulated_sensor import Measure, noise_free
+from eitskin.hardware.virtual.stage import Stage
+from eitskin.protocol import Protocol
+from eitskin.simulator.instrument.ad5940 import MEASUREMENT_TIME
+
+T = TypeVar("T")
+
+
+class VirtualFirmware:
+    """The firmware: bytes in, bytes out. It knows no port and no clock; whoever serves it does.
+
+    Attributes:
+        info: who the board says it is.
+        streaming: whether frames are due.
+        delay: by how much the frame after the newest is late [s].
+        stage: what happens to the board.
+    """
+
+    def __init__(
+        self,
+        stage: Stage,
+        protocol: Protocol,
+        measure: Measure = noise_free,
+        period: float | None = None,
+    ) -> None:
+        """Build a board that has not booted yet.
+
+        Args:
+            stage: the scene that it measures, and what goes wrong with it.
+            protocol: its measurement table.
+            measure: what it reads of noise-free impedances, by frames since it was built.
+            period: from frame to frame [s]; 10.6 ms for each measurement when omitted.
+        """
+        self.stage = stage
+        self.streaming, self.delay = False, 0.0
+        self._protocol, self._measure = protocol, measure
+        self._decoder = Decoder()
+        self._seq = self._left = self._number = self._started = 0
+        self._late = 0.0
+        self._table = Table.of(protocol)
+        self.info = Info(
+            firmware="eitskin-virtual",
+            uid=b"eitskin-0000",
+            boot_count=0,
+            n_electrodes=protocol.n_electrodes,
+            n_measurements=len(protocol),
+            table_crc32=self._table.crc32,
+            frequency=40e3,
+            amplitude=0.607,
+            rtia=200.0,
+            rcal=200.0,
+            period=len(protocol) * MEASUREMENT_TIME if period is None else period,
+        )
+
+    @property
+    def holds_port(self) -> bool:
+        """Whether another program has the port open."""
+        return self._changed(Hook.PORT_HELD, False)
+
+    @property
+    def plugged_in(self) -> bool:
+        """Whether the cable may be put back."""
+        return not self._changed(Hook.STAYS_OUT, False)
+
+    def boots_from(self, count: int) -> None:
+        """Have the boot count go on from `count`, modulo 2**32."""
+        self.info = dataclasses.replace(self.info, boot_count=count % 2**32)
+
+    def boot(self) -> bytes:
+        """Start afresh, and say so."""
+        self.info = dataclasses.replace(self.info, boot_count=(self.info.boot_count + 1) % 2**32)
+        self._start()
+        return self._send(self._changed(Hook.INFO, self.info)) + self._send(
+            Event(0, 0, f"boot {self.info.boot_count}")
+        )
+
+    def receive(self, data: bytes) -> bytes:
+        """Take bytes from the host and answer them."""
+        return b"".join(self._reply(packet) for packet in self._decoder.feed(data))
+
+    def frame(self) -> bytes:
+        """Measure the next frame and send it; raises `Unplugged` where a fault says so."""
+        now, faults = self.stage.frames, self.stage.active
+        if self._changed(Hook.REBOOTS, False, now, faults):
+            self.stage.frames += 1
+            return self.boot()
+        impedance, status = self._measure(self.stage.measured(now), now)
+        self.stage.sent_as(self._number)
+        data = FrameData(
+            number=self._number,
+            time=(now - self._started) * self.info.period + self._late,
+            duration=len(self._protocol) * MEASUREMENT_TIME,
+            impedance=self._changed(Hook.IMPEDANCE, impedance.astype(np.complex64), now, faults),
+            status=self._changed(Hook.STATUS, status, now, faults),
+        )
+        packet = encode(pack(data, self._seq))
+        self._seq += 1
+        self.skip()
+        self.delay = self._changed(Hook.DELAY, 0.0, now, faults)
+        self._late += self.delay
+        packet = self._changed(Hook.PACKET, packet, now, faults)
+        return self._changed(Hook.LINE, packet, now)
+
+    def skip(self) -> None:
+        """Let a frame pass that the host is too slow for."""
+        self.stage.frames += 1
+        self._number = (self._number + 1) % 2**32
+        if self._left:
+            self._left -= 1
+            self.streaming = self._left > 0
+
+    def _start(self) -> None:
+        self._decoder = Decoder()
+        self._seq = self._left = 0
+        self._number = self._changed(Hook.FIRST_NUMBER, 0)
+        self._started, self._late, self.delay = self.stage.frames, 0.0, 0.0
+        self.streaming = self._changed(Hook.STREAMS, False)
+
+    def _reply(self, packet: Packet) -> bytes:
+        reply = self._changed(Hook.REPLY, self._answer(packet), self.stage.requests)
+        self.stage.requests += 1
+        return self._changed(Hook.LINE, reply)
+
+    def _answer(self, packet: Packet) -> bytes:
+        try:
+            message = unpack(packet)
+        except MessageError:
+            return self._acknowledge(packet, Reply.MALFORMED)
+        match message:
+            case Hello():
+                return self._packed(self._changed(Hook.INFO, self.info))
+            case GetTable():
+                return self._packed(self._table)
+            case Start(frames):
+                self._left, self.streaming = frames, True
+            case Stop():
+                self.streaming = False
+            case Calibrate():
+                pass  # its resistor is exact
+            case _:
+                return self._acknowledge(packet, Reply.UNKNOWN_TYPE)
+        return self._acknowledge(packet, Reply.DONE)
+
+    def _acknowledge(self, packet: Packet, status: Reply) -> bytes:
+        return self._packed(Ack(packet.seq, packet.type, status))
+
+    def _packed(self, message: Message) -> bytes:
+        sent = encode(pack(message, self._seq))
+        self._seq += 1
+        return sent
+
+    def _send(self, message: Message) -> bytes:
+        return self._changed(Hook.LINE, self._packed(message))
+
+    def _changed(
+        self, hook: Hook, value: T, now: int | None = None, faults: Sequence[Fault] | None = None
+    ) -> T:
+        """The value that goes on from `hook`; the newest frame and faults when omitted."""
+        now = self.stage.frames if now is None else now
+        for fault in self.stage.active if faults is None else faults:
+            value = fault.change(hook, value, now, self.info, self._protocol)
+        return value
