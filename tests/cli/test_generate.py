@@ -61,6 +61,7 @@ def test_a_recipe_by_its_path(recipe, tmp_path):
     assert (again["frames"], again["made"]) == (24, 0)
 
 
+@pytest.mark.slow
 def test_one_shard_says_what_is_missing(recipe, tmp_path):
     ran = run("generate", recipe, "--out", tmp_path / "set", "--shard", 2)
     assert "8 frames" in ran.stdout

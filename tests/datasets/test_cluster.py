@@ -34,9 +34,11 @@ def contents(folder):
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """What a worker process makes."""
+    """The set made in this process, file by file."""
     folder = tmp_path_factory.mktemp("cluster") / "whole"
-    generate(RECIPE, folder, workers=1)
+    with pytest.MonkeyPatch.context() as patch:
+        in_this_process(patch)
+        generate(RECIPE, folder)
     return contents(folder)
 
 

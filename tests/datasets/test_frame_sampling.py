@@ -178,6 +178,7 @@ def test_angles_are_spread_evenly_with_or_without_blocks():
         assert 49.0 < angles.max() <= 50.0
 
 
+@pytest.mark.slow
 def test_forces_and_numbers_of_touches_are_spread_evenly():
     group = dataclasses.replace(TOUCHED, count=2000)
     drawn = all_samples(Recipe("forces", scenes=(group,), seed=9))

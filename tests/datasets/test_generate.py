@@ -91,6 +91,7 @@ def test_dataset_holds_what_the_recipe_says(whole):
         assert np.allclose(data.touch_force[index, : len(touches)], [t.force for t in touches])
 
 
+@pytest.mark.slow
 def test_values_are_those_of_the_simulator_with_noise_of_the_right_size(whole):
     data = open_dataset(whole)
     noise, reference_noise = [], []

@@ -169,6 +169,7 @@ def test_spreads_that_make_impossible_sensors_are_refused(spread, message):
         )
 
 
+@pytest.mark.slow
 def test_the_widest_spread_that_is_accepted_makes_only_possible_sensors():
     """Electrodes 5 mm wide at x = 22.5 mm are 20 mm from the corner: three times 6.66 mm."""
     for each in made(Specimens(200, thickness=0.05, electrode_place=0.00666)):

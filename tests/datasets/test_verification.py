@@ -97,6 +97,7 @@ def test_wrong_number_of_frames(folder):
     assert "must hold 11 frames, got 10" in problems(folder)["shard-000004.h5"]
 
 
+@pytest.mark.slow
 def test_every_flip_and_cut_at_random_places_is_found(tmp_path):
     folder = tmp_path / "set"
     save_dataset(make(20), folder, frames_per_shard=10)

@@ -183,6 +183,7 @@ def test_mid_layer_arc_closes_the_hinge_triangle() -> None:
         assert length == pytest.approx(bend.stretch * 0.040, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_impossible_angles_name_the_last_possible_one() -> None:
     with pytest.raises(ConfigurationError, match=r"last possible angle in this direction is -\d+"):
         HINGE.flexure(DESIGN, Bend(-85.0))

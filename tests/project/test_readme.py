@@ -47,6 +47,7 @@ def folder(tmp_path_factory) -> Path:
     return place
 
 
+@pytest.mark.slow
 def test_the_saved_pipeline_says_on_a_board_what_it_says_offline(folder) -> None:
     model = folder / "build" / "demo" / "demo.eitmodel"
     script = Script((Step(Scene(), 3), Step(Scene(bend=Bend(40.0)), 3)))
@@ -66,6 +67,7 @@ def test_the_saved_pipeline_says_on_a_board_what_it_says_offline(folder) -> None
     assert angles[3:] == pytest.approx([40.0] * 3, abs=10.0)
 
 
+@pytest.mark.slow
 def test_the_example_in_the_readme_runs(folder, monkeypatch, capsys) -> None:
     (example,) = re.findall(r"```python\n(.*?)```", README.read_text(), re.DOTALL)
     monkeypatch.chdir(folder)

@@ -33,6 +33,7 @@ STEPS = {
 }
 
 
+@pytest.mark.slow
 def test_the_wheel_holds_every_module_of_the_tree(tmp_path) -> None:
     build = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(tmp_path)]
     done = subprocess.run([*build, str(ROOT)], capture_output=True, text=True, check=False)

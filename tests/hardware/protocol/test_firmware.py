@@ -197,6 +197,7 @@ def fuzzer():
         return build("firmware_fuzz.c", "-O1")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_no_bytes_break_it_and_only_whole_requests_are_answered(seed):
     stream = noisy_stream(random.Random(seed), 4000)

@@ -51,6 +51,7 @@ def decoded_in_c(stream):
     return decoded
 
 
+@pytest.mark.slow
 @given(packets)
 def test_both_codecs_write_the_same_bytes(packet):
     assert encoded_in_c(packet) == encode(packet)

@@ -81,6 +81,7 @@ def exact_eigenvalue(n, ratio, radius) -> float:
     )
 
 
+@pytest.mark.slow
 def test_contacts_on_an_arc_have_their_true_area() -> None:
     """z / A, two thousand times what the body adds, can be taken off."""
     z = 1e3

@@ -174,6 +174,7 @@ def test_what_is_left_out_is_of_second_order(sim) -> None:
     assert errors[1] < 0.05 * changes[1]
 
 
+@pytest.mark.slow
 def test_piezoresistive_and_layered_gels_are_reanalysed_too() -> None:
     mechanics = Mechanics(piezoresistivity=Piezoresistivity(volume=0.5, pressure=2e-6))
     sim = Simulator(SensorDesign.reference(), COARSE, mechanics=mechanics)

@@ -66,6 +66,7 @@ def test_a_small_press_of_a_sphere_is_hertzs() -> None:
     assert found.pressure.max() == pytest.approx(peak, rel=0.03)
 
 
+@pytest.mark.slow
 def test_doubling_all_moduli_doubles_the_force() -> None:
     soft, hard = layer(0.01, Ogden(MU, 3.0)), layer(0.01, Ogden(2 * MU, 3.0))
     forces = [

@@ -343,6 +343,7 @@ def test_moments_of_the_closed_form_of_bending(curvature) -> None:
     assert moment / (curvature / 3) == pytest.approx(MOMENTS[curvature], rel=7e-4)
 
 
+@pytest.mark.slow
 def test_blocks_bent_until_they_wrinkle_are_refused() -> None:
     """Biot: a free face is unstable once shortened to 0.544, here where c t = 1.54."""
     with pytest.raises(SolidError, match="unstable") as error:

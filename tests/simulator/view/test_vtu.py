@@ -118,6 +118,7 @@ def test_every_name_ends_in_its_unit(written) -> None:
             assert name == "electrode" or name.endswith(UNITS), name
 
 
+@pytest.mark.slow
 def test_the_gel_is_as_thin_under_a_touch_as_the_press_says() -> None:
     design = SensorDesign.reference()
     sim = Simulator(design, field_resolution(design, CELL))
@@ -206,6 +207,7 @@ def test_the_missing_extra_is_named(sim, monkeypatch) -> None:
         scene_grids(sim, Scene())
 
 
+@pytest.mark.slow
 def test_other_cells_are_written_too(tmp_path) -> None:
     """A disc, of prisms."""
     (tmp_path / "disc.toml").write_text(

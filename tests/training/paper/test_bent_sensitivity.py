@@ -41,6 +41,7 @@ def test_agrees_with_central_differences_at_any_angle(angle_deg):
     assert J @ change(*np.meshgrid(x, y)).ravel() == pytest.approx(expected, rel=5e-3)
 
 
+@pytest.mark.slow
 def test_bending_changes_what_is_felt_and_where():
     flat, bent = (sensitivity_at(LAYOUT, angle, resolution=COARSE) for angle in (0.0, 40.0))
     assert 0.02 < np.linalg.norm(bent - flat) / np.linalg.norm(flat) < 0.5
