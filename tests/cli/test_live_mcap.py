@@ -83,7 +83,7 @@ def test_a_full_disk_ends_the_file_and_not_the_session(run, tmp_path, monkeypatc
     result = run(FakePipeline(), *BOARD, "--frames", "6", *kept)
     assert isinstance(result.exception, PartialError)
     assert "No space left" in str(result.exception)
-    assert "run.mcap.unfinished; make room" in str(result.exception)
+    assert "run.mcap.unfinished" in str(result.exception)
     assert result.stderr.count("recording stopped: could not write") == 1
     assert "6 frames processed" in result.stderr
     assert len(open_dataset(folder)) == 6
@@ -149,7 +149,7 @@ def test_a_file_that_is_there_is_not_replaced_and_nothing_else_is_made(run, tmp_
     path.write_text("a recording")
     result = run(FakePipeline(), *BOARD, "--mcap", str(path), "--record", str(tmp_path / "r"))
     assert isinstance(result.exception, ConfigurationError)
-    assert "run.mcap exists and is not replaced" in str(result.exception)
+    assert "run.mcap exists" in str(result.exception)
     assert list(tmp_path.iterdir()) == [path]
     assert path.read_text() == "a recording"
 

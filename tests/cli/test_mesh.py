@@ -44,10 +44,10 @@ def test_a_design_file_is_meshed_by_what_suits_it(tmp_path) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--cells", "cubes"), "--cells must be one of hexahedra, prisms, tetrahedra"),
-        (("--resolution", "best"), "resolution must be one of fast, standard, fine"),
+        (("--cells", "cubes"), r"--cells.*hexahedra, prisms, tetrahedra"),
+        (("--resolution", "best"), r"resolution.*fast, standard, fine"),
         (("--drive", "0,4"), "name the picture with --view"),
-        (("--drive", "0-4", "--view", "x.png"), "two electrodes counted from 0, as 0,4"),
+        (("--drive", "0-4", "--view", "x.png"), "0,4"),
         (("--drive", "0,8", "--view", "x.png"), "each from 0 to 7"),
         (("--drive", "3,3", "--view", "x.png"), "two different electrodes"),
         (("--view", "/nowhere/at/all.png", "--resolution", "fast"), "cannot write"),

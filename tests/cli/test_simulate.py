@@ -61,7 +61,7 @@ def test_an_instrument_measures_and_its_noise_may_be_another(tmp_path) -> None:
     assert one["status"] == [0] * 28
     with pytest.raises(ConfigurationError, match="'ad5940', got 'ad'"):
         simulate(flat, "--instrument", "ad")
-    with pytest.raises(ConfigurationError, match="snr_db must be from 60 to 90"):
+    with pytest.raises(ConfigurationError, match=r"snr_db.*60 to 90"):
         simulate(flat, "--noise", "10")
 
 
@@ -141,9 +141,7 @@ def test_it_is_said_when_presses_have_to_be_solved(scene, tmp_path, monkeypatch)
     monkeypatch.setenv("EITSKIN_CACHE", str(tmp_path / "store"))
     for options, said in ((("--touch-model", "closed form"), False), ((), True), ((), False)):
         press_store.press_table.cache_clear()
-        assert ("solving the presses of 1 indenter that is new" in run(scene, *options).stderr) is (
-            said
-        )
+        assert ("1 indenter" in run(scene, *options).stderr) is (said)
     for path in (tmp_path / "store").iterdir():
         path.unlink()
     press_store.press_table.cache_clear()
@@ -182,9 +180,9 @@ def test_mechanics_and_fixture_come_from_files(scene, tmp_path) -> None:
 
 def test_files_that_are_no_fixture_or_mechanics_are_refused(scene, tmp_path) -> None:
     wrong = str(written(tmp_path / "wrong.toml", "spam = 0.05\n"))
-    with pytest.raises(ConfigurationError, match=r"wrong.toml: .*Hinge.*did you mean 'span'"):
+    with pytest.raises(ConfigurationError, match=r"wrong.toml.*Hinge.*'span'"):
         simulate(scene, "--fixture", wrong)
-    with pytest.raises(ConfigurationError, match=r"wrong.toml: unknown key 'spam'"):
+    with pytest.raises(ConfigurationError, match=r"wrong.toml.*'spam'"):
         simulate(scene, "--mechanics", wrong)
     with pytest.raises(ConfigurationError, match="cannot read"):
         simulate(scene, "--fixture", str(tmp_path / "none.toml"))
@@ -208,23 +206,23 @@ def test_a_picture_is_drawn_of_what_is_asked_for(scene, tmp_path) -> None:
     [
         (("--colour", "strain"), "name the picture with --view"),
         (("--drive", "0-4"), "name the picture with --view"),
-        (("--view", "a.png", "--colour", "red"), "conductance, strain, current, got 'red'"),
-        (("--view", "a.png", "--drive", "0-4"), "--drive is for --colour current"),
+        (("--view", "a.png", "--colour", "red"), r"conductance, strain, current.*'red'"),
+        (("--view", "a.png", "--drive", "0-4"), r"--drive.*--colour current"),
         (
             ("--view", "a.png", "--colour", "current", "--drive", "0-8"),
-            "--drive takes two different electrodes from 0 to 7",
+            r"--drive.*0 to 7",
         ),
         (("--view", "a.png", "--colour", "current", "--drive", "4"), "as 0-4, got '4'"),
         (("--view", "a.png", "--colour", "current", "--drive", "4,4"), "two different"),
-        (("--view", "a.gif"), "pictures are PNG files"),
-        (("--view", "no/such/a.png"), "there is no folder"),
-        (("--touch-model", "exact"), "tabulated, closed form, got 'exact'"),
-        (("--resolution", "finest"), "fast, standard, fine, got 'finest'"),
+        (("--view", "a.gif"), "PNG"),
+        (("--view", "no/such/a.png"), "folder"),
+        (("--touch-model", "exact"), r"tabulated, closed form.*'exact'"),
+        (("--resolution", "finest"), r"fast, standard, fine.*'finest'"),
     ],
 )
 def test_options_that_make_no_sense_are_refused(scene, monkeypatch, options, message) -> None:
     monkeypatch.chdir(scene.parent)
-    with pytest.raises(ConfigurationError, match=re.escape(message)):
+    with pytest.raises(ConfigurationError, match=message):
         run(scene, *options)
     assert [path.name for path in scene.parent.iterdir()] == ["scene.toml"]
 

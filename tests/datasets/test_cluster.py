@@ -87,14 +87,14 @@ def test_a_cluster_without_workers_says_how_to_start_one(tmp_path, monkeypatch):
     monkeypatch.setattr(cluster, "WORKERS_SECONDS", 0.2)
     with (
         distributed.LocalCluster(n_workers=0, dashboard_address=None) as empty,
-        pytest.raises(ConfigurationError, match=r"no workers; start some with 'dask worker tcp:"),
+        pytest.raises(ConfigurationError, match="dask worker tcp:"),
     ):
         generate(RECIPE, tmp_path / "set", scheduler=empty.scheduler_address)
 
 
 @pytest.mark.parametrize("address", ["rubbish", "tcp://127.0.0.1", "tcp://127.0.0.1:1", "8786"])
 def test_an_address_where_nothing_answers_leaves_no_folder(tmp_path, address):
-    with pytest.raises(ConfigurationError, match="start one with 'dask scheduler'"):
+    with pytest.raises(ConfigurationError, match="dask scheduler"):
         generate(RECIPE, tmp_path / "set", scheduler=address)
     assert not (tmp_path / "set").exists()
 
@@ -152,10 +152,10 @@ def test_half_written_files_of_others_are_left_alone(tmp_path, monkeypatch):
 def test_options_that_contradict_are_refused(tmp_path, monkeypatch):
     in_this_process(monkeypatch)
     for shard in (-1, 3):
-        with pytest.raises(ConfigurationError, match=f"shards 0 to 2, got shard {shard}"):
+        with pytest.raises(ConfigurationError, match=r"0 to 2.*shard "):
             generate(RECIPE, tmp_path / "set", shard=shard)
     with pytest.raises(ConfigurationError, match="got both"):
         generate(RECIPE, tmp_path / "set", shard=0, scheduler="tcp://127.0.0.1:1")
     generate(RECIPE, tmp_path / "set", shard=0)
-    with pytest.raises(ConfigurationError, match="another recipe or seed"):
+    with pytest.raises(ConfigurationError, match="recipe or seed"):
         generate(with_seed(RECIPE, 4), tmp_path / "set", shard=1)

@@ -37,8 +37,6 @@ def test_size_is_that_of_the_files(tmp_path):
 def test_a_disk_without_room_is_refused_before_anything_is_made(tmp_path, monkeypatch):
     needed = least_bytes(RECIPE, 120)
     monkeypatch.setattr(shutil, "disk_usage", lambda _folder: Usage(10**9, 10**9, needed - 1))
-    with pytest.raises(
-        ConfigurationError, match=r"no room: expected at least 0\.013 MB, got 0\.013 MB; make room"
-    ):
+    with pytest.raises(ConfigurationError, match=r"at least 0\.013 MB, got 0\.013 MB"):
         generate(RECIPE, tmp_path / "set")
     assert list(tmp_path.iterdir()) == []

@@ -70,7 +70,7 @@ def test_parts_that_do_not_belong_together_are_refused():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"time": np.zeros(3)}, r"time must have shape \(40,\)"),
+        ({"time": np.zeros(3)}, r"time.*\(40,\)"),
         ({"protocol": Protocol.pairwise(4)}, "6 measurements, .* 28 channels"),
         ({"source": "guessed"}, "source must be"),
     ],

@@ -170,7 +170,7 @@ def test_workers_that_die_twice_leave_a_resumable_part(tmp_path, monkeypatch):
         return list(shards)
 
     monkeypatch.setattr(processes, "make_shards", die)
-    with pytest.raises(PartialError, match=r"4 of 4 shards are missing .*--resume") as caught:
+    with pytest.raises(PartialError, match=r"4 of 4.*--resume") as caught:
         generate(RECIPE, tmp_path / "set")
     assert caught.value.exit_code == 5
     assert tries == [[0, 1, 2, 3]] * 2
@@ -202,12 +202,12 @@ def test_finished_dataset_is_not_made_again(whole, monkeypatch):
 def test_occupied_folders_are_refused(whole, tmp_path):
     with pytest.raises(ConfigurationError, match="--resume"):
         generate(RECIPE, whole)
-    with pytest.raises(ConfigurationError, match="another recipe or seed"):
+    with pytest.raises(ConfigurationError, match="recipe or seed"):
         generate(with_seed(RECIPE, 12), whole, resume=True)
     (tmp_path / "letter.txt").write_text("mine")
     with pytest.raises(ConfigurationError, match=r"no recipe\.toml"):
         generate(RECIPE, tmp_path, resume=True)
-    with pytest.raises(ConfigurationError, match="workers must be at least 1"):
+    with pytest.raises(ConfigurationError, match=r"workers.*at least 1"):
         generate(RECIPE, tmp_path / "new", workers=0)
 
 

@@ -111,18 +111,18 @@ def test_openeit_lines_among_others(tmp_path):
 @pytest.mark.parametrize(
     ("name", "text", "message"),
     [
-        ("a.csv", "v0,v1\n", "a header and at least one row"),
-        ("a.csv", "v0,v1\n1\n", "row 2: expected 2 cells, got 1"),
+        ("a.csv", "v0,v1\n", r"header.*row"),
+        ("a.csv", "v0,v1\n1\n", r"row 2.*2 cells.*1"),
         ("a.csv", "v0,v1\n1,x\n", "columns v0 and on"),
-        ("a.csv", "v0,v1\n1,nan\n", "impedance must be finite, but frame 0"),
-        ("a.csv", "v0,state\n1,sleep\n", r"'state' must be .* with \['sleep'\]"),
-        ("a.csv", "v0,force\n1,much\n", "'force' must hold numbers"),
-        ("a.csv", "v0,x\n1,0.1\n", "both touch_x and touch_y"),
-        ("a.txt", "nothing here\n", "no line that begins with 'magnitudes :'"),
+        ("a.csv", "v0,v1\n1,nan\n", r"impedance.*finite.*frame 0"),
+        ("a.csv", "v0,state\n1,sleep\n", r"'state'.*\['sleep'\]"),
+        ("a.csv", "v0,force\n1,much\n", "'force'"),
+        ("a.csv", "v0,x\n1,0.1\n", r"touch_x.*touch_y"),
+        ("a.txt", "nothing here\n", "'magnitudes :'"),
         ("a.txt", "magnitudes : 1, 2\nmagnitudes : 1\n", "line 2: expected 2 values"),
         ("a.txt", "magnitudes : 1, oops\n", "line 1"),
         ("a.mat", "MATLAB? no\n", "not a MATLAB file"),
-        ("a.npz", "numpy? no\n", "not an .npz file"),
+        ("a.npz", "numpy? no\n", r"\.npz"),
     ],
 )
 def test_broken_files_are_refused(tmp_path, name, text, message):
@@ -141,32 +141,32 @@ def test_missing_names_list_what_is_there(tmp_path):
     for names in (None, RecordingNames("dwon")):
         with pytest.raises(ConfigurationError, match="holds down, up"):
             read_recording(tmp_path / "a.npz", names)
-    with pytest.raises(ConfigurationError, match="cannot find the positions"):
+    with pytest.raises(ConfigurationError, match="positions"):
         read_recording(tmp_path / "a.npz", RecordingNames("down", "up", "places"))
 
 
 def test_tables_that_do_not_belong_together_are_refused(tmp_path):
     np.savez(tmp_path / "a.npz", v=PRESSED, r=UNTOUCHED[:2], p=PLACES[:2], t=np.arange(2))
-    with pytest.raises(DataError, match="must have the shape of the values"):
+    with pytest.raises(DataError, match="shape"):
         read_recording(tmp_path / "a.npz", RecordingNames("v", "r"))
-    with pytest.raises(DataError, match="'t' must have one value for each of 3 frames"):
+    with pytest.raises(DataError, match=r"'t'.*3 frames"):
         read_recording(tmp_path / "a.npz", RecordingNames("v"))
     np.savez(tmp_path / "a.npz", v=PRESSED, p=PLACES[:2])
-    with pytest.raises(DataError, match="x and y for each of 3 frames"):
+    with pytest.raises(DataError, match=r"x and y.*3 frames"):
         read_recording(tmp_path / "a.npz", RecordingNames("v", positions="p"))
 
 
 def test_positions_in_millimetres_are_refused_with_the_numbers(tmp_path):
     path = write(tmp_path, "a.csv", "v0,v1,x,y\n1,2,15,30\n1,2,135,\n")
-    with pytest.raises(DataError, match="in metres, up to 10 m, got 15 to 135; divide"):
+    with pytest.raises(DataError, match=r"metres.*10 m.*15 to 135"):
         read_recording(path)
     np.savez(tmp_path / "a.npz", v=PRESSED, p=1e3 * PLACES)
-    with pytest.raises(DataError, match="positions must be in metres"):
+    with pytest.raises(DataError, match=r"positions.*metres"):
         read_recording(tmp_path / "a.npz", RecordingNames("v", positions="p"))
 
 
 def test_other_files_are_refused(tmp_path):
-    with pytest.raises(ConfigurationError, match=r"expected \.csv, \.mat, \.npz, \.txt"):
+    with pytest.raises(ConfigurationError, match=r"\.csv, \.mat, \.npz, \.txt"):
         read_recording(tmp_path / "a.xls")
     for ending in (".csv", ".mat", ".npz", ".txt"):
         with pytest.raises(DataError, match="no file"):
@@ -182,7 +182,7 @@ def test_protocols_by_name():
 
 def test_protocol_of_another_size_is_refused(tmp_path):
     path = write(tmp_path, "a.csv", "v0,v1\n1,2\n")
-    with pytest.raises(DataError, match="28 measurements, but the frames have 2 channels"):
+    with pytest.raises(DataError, match=r"28.*2 channels"):
         read_recording(path, protocol=Protocol.pairwise(8))
 
 

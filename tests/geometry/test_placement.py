@@ -194,24 +194,24 @@ def test_edges_run_around_what_lies_within_a_face(ball):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"width": 5.0e3}, "electrode width must be between 1 um and 10 m"),
-        ({"width": 0.0}, "electrode width must be a positive number of m"),
-        ({"height": -1.0}, "electrode height must be a positive"),
-        ({"x": float("nan")}, "electrode place must be finite"),
-        ({"z": float("inf"), "on": "inside"}, "electrode place must be finite"),
-        ({"on": "rim"}, "electrode on must be one of 'side', 'top', .* got 'rim'"),
-        ({"shape": "oval"}, "electrode shape must be one of 'rectangle', 'round', got 'oval'"),
-        ({"shape": "round"}, "on the side is a rectangle"),
-        ({"z": 0.001}, "give its height, or leave out z"),
-        ({"on": "top", "z": 0.001}, "the height of an electrode on the top is known"),
-        ({"on": "inside"}, 'on = "inside" needs the height z'),
-        ({"on": "surface"}, 'on = "surface" needs the height z'),
-        ({"contact_impedance": 0.0}, "finite with a positive real part"),
-        ({"contact_impedance": -1e-3}, "finite with a positive real part"),
-        ({"contact_impedance": 1e-3j}, "finite with a positive real part"),
-        ({"contact_impedance": complex(1e-3, math.inf)}, "finite with a positive real part"),
-        ({"contact_impedance": float("nan")}, "finite with a positive real part"),
-        ({"contact_impedance": 1e-11}, "between 1e-10 and 1e[+]06 ohm m2 in magnitude, got 1e-11"),
+        ({"width": 5.0e3}, r"electrode width.*1 um and 10 m"),
+        ({"width": 0.0}, r"electrode width.*positive"),
+        ({"height": -1.0}, r"electrode height.*positive"),
+        ({"x": float("nan")}, r"electrode place.*finite"),
+        ({"z": float("inf"), "on": "inside"}, r"electrode place.*finite"),
+        ({"on": "rim"}, r"electrode on.*'side', 'top', .*'rim'"),
+        ({"shape": "oval"}, r"electrode shape.*'rectangle', 'round'.*'oval'"),
+        ({"shape": "round"}, r"side.*rectangle"),
+        ({"z": 0.001}, r"height.*leave out z"),
+        ({"on": "top", "z": 0.001}, r"height.*top"),
+        ({"on": "inside"}, r'"inside".*height z'),
+        ({"on": "surface"}, r'"surface".*height z'),
+        ({"contact_impedance": 0.0}, "positive real part"),
+        ({"contact_impedance": -1e-3}, "positive real part"),
+        ({"contact_impedance": 1e-3j}, "positive real part"),
+        ({"contact_impedance": complex(1e-3, math.inf)}, "positive real part"),
+        ({"contact_impedance": float("nan")}, "positive real part"),
+        ({"contact_impedance": 1e-11}, r"1e-10 and 1e[+]06.*1e-11"),
         ({"contact_impedance": 1 + 2e6j}, "in magnitude, got 2e[+]06"),
     ],
 )
@@ -226,16 +226,16 @@ FAR = Electrode(0.1, 0.025)
 @pytest.mark.parametrize(
     ("outline", "electrode", "message"),
     [
-        (SLAB, Electrode(0.02, 0.01), r"electrode 0: \(0.02, 0.01\) m is 0.01 m off the outline"),
-        (SLAB, Electrode(0.02, 0.0, 0.4), "width of 0.4 m must be less than .* perimeter of 0.3 m"),
+        (SLAB, Electrode(0.02, 0.01), r"electrode 0.*\(0.02, 0.01\) m .*0.01 m"),
+        (SLAB, Electrode(0.02, 0.0, 0.4), r"0.4 m .*0.3 m"),
         (SLAB, Electrode(0.02, 0.0, height=0.005), "from z = -0.0005 to 0.0045 m, beyond .* 0.004"),
         (SLAB, Electrode(0.02, 0.0, height=0.002, z=0.0035), "from z = 0.0025 to 0.0045 m, beyond"),
-        (SLAB, Electrode(0.02, 0.01, z=0.004, on="inside"), "above 0 and below 0.004 m, got 0.004"),
-        (SLAB, Electrode(0.02, 0.01, z=0.0, on="inside"), 'say on = "top" or "bottom"'),
-        (SLAB, Electrode(0.001, 0.01, on="top"), r"reaches 0.0015 m beyond the outline"),
-        (SLAB, Electrode(0.3, 0.01, on="bottom"), r"reaches 0.2025 m beyond the outline"),
-        (FORK, Electrode(0.0035, 0.03, 0.0065, on="top"), "reaches .* m beyond the outline"),
-        (SLAB, Electrode(0.0, 0.0, z=0.0, on="surface"), 'got on = "surface" with a Rectangle'),
+        (SLAB, Electrode(0.02, 0.01, z=0.004, on="inside"), r"above 0 .*below 0.004 m.*0.004"),
+        (SLAB, Electrode(0.02, 0.01, z=0.0, on="inside"), 'on = "top" or "bottom"'),
+        (SLAB, Electrode(0.001, 0.01, on="top"), "0.0015 m beyond"),
+        (SLAB, Electrode(0.3, 0.01, on="bottom"), "0.2025 m beyond"),
+        (FORK, Electrode(0.0035, 0.03, 0.0065, on="top"), "m beyond"),
+        (SLAB, Electrode(0.0, 0.0, z=0.0, on="surface"), r'"surface".*Rectangle'),
     ],
 )
 def test_electrodes_off_their_body_are_refused(outline, electrode, message):
@@ -247,9 +247,9 @@ def test_electrodes_off_their_body_are_refused(outline, electrode, message):
     ("electrode", "message"),
     [
         (Electrode(0.06, 0.0, z=0.0, on="surface"), r"0.01 m off the surface.*\(0.05, "),
-        (Electrode(0.05, 0.0, 0.096, z=0.0, on="surface"), "only .*% of its pad lies on the surf"),
-        (Electrode(0.05, 0.0), 'got on = "side" with a Surface'),
-        (Electrode(0.05, 0.0, on="top"), 'got on = "top" with a Surface'),
+        (Electrode(0.05, 0.0, 0.096, z=0.0, on="surface"), "% of its pad"),
+        (Electrode(0.05, 0.0), r'"side".*Surface'),
+        (Electrode(0.05, 0.0, on="top"), r'"top".*Surface'),
     ],
 )
 def test_electrodes_off_a_surface_are_refused(ball, electrode, message):
@@ -259,9 +259,7 @@ def test_electrodes_off_a_surface_are_refused(ball, electrode, message):
 
 def test_thickness_must_be_the_height_of_a_surface(ball):
     pads = [Electrode(x, 0.0, z=0.0, on="surface") for x in (-0.05, 0.05)]
-    with pytest.raises(
-        ConfigurationError, match=r"height of the surface, 0\.1000?0*1?5?.* got 0.09"
-    ):
+    with pytest.raises(ConfigurationError, match=r"height.*0\.1000?0*1?5?.*0.09"):
         SensorDesign(ball, 0.09, tuple(pads), encapsulated_thickness=0.1)
 
 
@@ -272,19 +270,19 @@ def part(x, z, height=0.001):
 @pytest.mark.parametrize(
     ("electrodes", "message"),
     [
-        ((Electrode(0.02, 0.0), Electrode(0.022, 0.0)), "0 and 1 overlap by 3 mm along the outl"),
-        ((FAR, Electrode(0.022, 0.0), Electrode(0.02, 0.0)), "1 and 2 overlap by 3 mm along"),
-        ((Electrode(0.001, 0.0), Electrode(0.0, 0.002)), "0 and 1 overlap by 2 mm along"),
-        ((part(0.02, 0.001), part(0.021, 0.0018)), "overlap by 0.2 mm along the outline"),
+        ((Electrode(0.02, 0.0), Electrode(0.022, 0.0)), r"0 and 1 .*3 mm"),
+        ((FAR, Electrode(0.022, 0.0), Electrode(0.02, 0.0)), r"1 and 2 .*3 mm"),
+        ((Electrode(0.001, 0.0), Electrode(0.0, 0.002)), r"0 and 1 .*2 mm"),
+        ((part(0.02, 0.001), part(0.021, 0.0018)), r"overlap.*0.2 mm"),
         (
             (Electrode(0.02, 0.02, on="top"), Electrode(0.023, 0.021, on="top")),
-            "overlap by 2 mm in their plane",
+            r"overlap.*2 mm",
         ),
         (
             [Electrode(x, 0.02, z=0.001, on="inside") for x in (0.02, 0.024)],
-            "overlap by 1 mm in their plane",
+            r"overlap.*1 mm",
         ),
-        ((Electrode(0.02, 0.0),), "number of electrodes must be from 2 to 1024, got 1"),
+        ((Electrode(0.02, 0.0),), r"electrodes.*2 to 1024.*1"),
         ((), "from 2 to 1024, got 0"),
     ],
 )
@@ -318,7 +316,7 @@ def test_pads_on_a_surface_are_kept_apart(ball, angle, fits):
     if fits:
         on_ball(ball, *pads)
         return
-    with pytest.raises(ConfigurationError, match="electrodes 0 and 1 overlap by"):
+    with pytest.raises(ConfigurationError, match="0 and 1 overlap"):
         on_ball(ball, *pads)
 
 

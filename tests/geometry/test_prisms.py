@@ -116,5 +116,5 @@ def test_surfaces_are_refused(tmp_path):
         Electrode(-0.025, 0, 0.004, on="surface", z=0),
     )
     design = SensorDesign(Surface(file), 0.01, ends)
-    with pytest.raises(ConfigurationError, match=r"prisms need a plane outline.*tetrahedra"):
+    with pytest.raises(ConfigurationError, match=r"plane.*tetrahedra"):
         triangulated_mesh(design, GRADING)

@@ -70,13 +70,13 @@ def test_a_grid_leaves_out_the_pads_that_do_not_fit(outline):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda o: uniform(o, 1), "count of a uniform layout must be from 2 to 1024, got 1"),
-        (lambda o: uniform(o, 8, start=float("nan")), "start must be a finite"),
-        (lambda o: uniform(o, 8, width=-1.0), "electrode width must be a positive"),
-        (lambda o: grid(o, 0, 3, 0.001), "rows of a grid must be from 1 to 1024, got 0"),
-        (lambda o: grid(o, 100, 11, 0.001), "grid of 100 rows must be from 1 to 10, got 11"),
-        (lambda o: grid(o, 2, 3, 0.04), "room for pads of 0.03 m, got a size of 0.04 m"),
-        (lambda _: grid(Disc(0.01), 1, 1, 0.019), "no pad of the grid fits"),
+        (lambda o: uniform(o, 1), r"count.*2 to 1024.*1"),
+        (lambda o: uniform(o, 8, start=float("nan")), r"start.*finite"),
+        (lambda o: uniform(o, 8, width=-1.0), r"electrode width.*positive"),
+        (lambda o: grid(o, 0, 3, 0.001), r"rows.*1 to 1024.*0"),
+        (lambda o: grid(o, 100, 11, 0.001), r"100 rows.*1 to 10.*11"),
+        (lambda o: grid(o, 2, 3, 0.04), r"0.03 m.*0.04 m"),
+        (lambda _: grid(Disc(0.01), 1, 1, 0.019), "no pad"),
     ],
 )
 def test_layouts_that_cannot_be_are_refused(make, message):
@@ -89,5 +89,5 @@ def test_layouts_want_a_plane_outline(tmp_path, layout):
     import trimesh
 
     trimesh.creation.box(extents=[0.1, 0.1, 0.1]).export(tmp_path / "box.stl")
-    with pytest.raises(ConfigurationError, match="list the electrodes of a surface"):
+    with pytest.raises(ConfigurationError, match="surface"):
         layout(Surface(tmp_path / "box.stl"))

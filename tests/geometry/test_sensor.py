@@ -50,12 +50,12 @@ def test_layers_of_a_surface_start_at_its_lowest_point(tmp_path) -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"layers": (Layer(0.002, 1.0), Layer(0.002, 1.0))}, "add up .* of 0.005 m, got 0.004 m"),
-        ({"layers": (Layer(0.005, 1.0),), "conductivity": 2.0}, "either one conductivity or lay"),
-        ({"conductivity": 0.0}, "conductivity must be a positive number of S/m"),
-        ({"thickness": 0.013}, "encapsulated_thickness must be at least"),
-        ({"thickness": 5.0}, "encapsulated_thickness must be at least"),
-        ({"encapsulated_thickness": 12.0}, "must be between 1 um and 10 m, got 12 m"),
+        ({"layers": (Layer(0.002, 1.0), Layer(0.002, 1.0))}, r"0.005 m.*0.004 m"),
+        ({"layers": (Layer(0.005, 1.0),), "conductivity": 2.0}, "conductivity or lay"),
+        ({"conductivity": 0.0}, r"conductivity.*positive.*S/m"),
+        ({"thickness": 0.013}, r"encapsulated_thickness.*least"),
+        ({"thickness": 5.0}, r"encapsulated_thickness.*least"),
+        ({"encapsulated_thickness": 12.0}, r"1 um and 10 m.*12 m"),
     ],
 )
 def test_materials_that_contradict_each_other_are_refused(changes, message) -> None:
@@ -65,13 +65,13 @@ def test_materials_that_contradict_each_other_are_refused(changes, message) -> N
 
 @pytest.mark.parametrize("make", [lambda: Layer(0.0, 1.0), lambda: Layer(0.001, -1.0)])
 def test_layers_that_cannot_be_are_refused(make) -> None:
-    with pytest.raises(ConfigurationError, match=r"layer .* must be a positive number"):
+    with pytest.raises(ConfigurationError, match=r"layer .*positive"):
         make()
 
 
 @pytest.mark.parametrize("thickness", [0.0, -1.0, float("nan"), float("inf")])
 def test_nonsense_sizes_are_refused(thickness) -> None:
-    with pytest.raises(ConfigurationError, match="thickness must be a positive number"):
+    with pytest.raises(ConfigurationError, match=r"thickness.*positive"):
         dataclasses.replace(SensorDesign.reference(), thickness=thickness)
 
 
@@ -184,22 +184,22 @@ def test_examples_of_the_page_are_designs(tmp_path, number) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("thickness = 0.005", "missing required field `outline`"),
+        ("thickness = 0.005", "`outline`"),
         ("thicknes = 0.005", "did you mean 'thickness'"),
-        ("thickness = 'thin'", "Expected `float`, got `str`"),
+        ("thickness = 'thin'", "`float`, got `str`"),
         ("thickness = ", "not valid TOML"),
-        ("outline = { radus = 1 }", r"outline: .*Disc \(radius\).* did you mean 'radius'"),
-        ("electrodes = { count = 8 }", "missing required field `outline`, which the layout"),
+        ("outline = { radus = 1 }", r"outline.*Disc \(radius\).*'radius'"),
+        ("electrodes = { count = 8 }", r"`outline`.*layout"),
         ("outline = { radius = 0.1 }\nelectrodes = { cuont = 8 }", "did you mean 'count'"),
         ("outline = { radius = 0.1 }\nelectrodes = { count = 8, rows = 2 }", r"uniform \(count, "),
         (
             "outline = { radius = 0.1 }\nelectrodes = { count = 1 }",
-            "electrodes: the count of a uniform layout",
+            r"electrodes: .*count",
         ),
-        ("electrodes = [{ x = 0, y = 0, width = -1 }]", r"electrodes\[0\]: electrode width must"),
+        ("electrodes = [{ x = 0, y = 0, width = -1 }]", r"electrodes\[0\].*width"),
         (
             "electrodes = [{ x = 0, y = 0, on = 'up' }]",
-            r"electrodes\[0\].on: expected 'side' or 'top'",
+            r"electrodes\[0\].on.*'side' or 'top'",
         ),
     ],
 )

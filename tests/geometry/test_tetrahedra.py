@@ -116,7 +116,7 @@ def test_surfaces_from_files(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("grading", [Grading(1e-5, 5e-3, 1.0), Grading(1e-3, 1e-3, 0.5)])
 def test_what_would_take_hours_is_refused(grading):
-    with pytest.raises(ConfigurationError, match=r"would take too long.*larger sizes"):
+    with pytest.raises(ConfigurationError, match="larger sizes"):
         tetrahedral_mesh(SensorDesign.reference(), grading)
 
 

@@ -221,7 +221,7 @@ def test_a_killed_writer_leaves_its_folder_and_no_file_under_the_name(tmp_path) 
     killed = McapWriter(path)
     killed.write(Reading(a_frame(), None, UNKNOWN, UNKNOWN))
     assert [each.name for each in tmp_path.iterdir()] == ["run.mcap.unfinished"]
-    with pytest.raises(ConfigurationError, match="unfinished exists and is not replaced"):
+    with pytest.raises(ConfigurationError, match="unfinished exists"):
         McapWriter(path)
     killed.discard()
     assert not list(tmp_path.iterdir())
@@ -231,7 +231,7 @@ def test_nothing_is_replaced_and_the_ending_is_checked(tmp_path) -> None:
     (tmp_path / "run.mcap").write_text("a recording")
     with pytest.raises(ConfigurationError, match=r"run\.mcap exists"):
         McapWriter(tmp_path / "run.mcap")
-    with pytest.raises(ConfigurationError, match=r"must end in \.mcap"):
+    with pytest.raises(ConfigurationError, match=r"\.mcap"):
         McapWriter(tmp_path / "run.bag")
     (tmp_path / "file").write_text("")
     with pytest.raises(ConfigurationError, match="cannot write"):

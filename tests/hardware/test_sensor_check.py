@@ -157,7 +157,7 @@ def test_noise_on_every_channel_is_the_boards():
 def test_nothing_connected_is_one_finding():
     (finding,) = check(np.full(28, -39.8e3j)).findings
     assert (finding.what, finding.electrodes) == (What.OPEN, tuple(range(8)))
-    assert "plug between sensor and board" in finding.message
+    assert "plug" in finding.message
 
 
 def test_one_open_channel_is_no_electrode():
@@ -314,8 +314,8 @@ def run(*arguments):
 def test_the_command_finds_nothing_on_a_healthy_board():
     result = run("--board", "virtual:?speed=max", "--frames", "8")
     assert result.exit_code == 0
-    assert "healthy: nothing was found in 8 frames" in result.stdout
-    assert "keep the sensor flat and untouched" in result.stderr
+    assert "8 frames" in result.stdout
+    assert "flat" in result.stderr
 
 
 @pytest.mark.parametrize(
@@ -347,7 +347,7 @@ def test_the_command_names_the_faults_of_a_virtual_board(faults, expected, monke
 
 
 def test_a_board_of_another_protocol_is_refused():
-    with pytest.raises(FrameError, match=r"28 measurements .* the board measures 6"):
+    with pytest.raises(FrameError, match=r"28 measurements .*6"):
         _require_same(PROTOCOL, Protocol.pairwise(4))
 
 
@@ -358,4 +358,4 @@ def test_the_command_lists_ports(monkeypatch):
     assert [each["uri"] for each in listed] == ["serial:/dev/ttyS0", "serial:?usb=20%205A"]
     assert "0483:0001" in run("--list").stdout
     monkeypatch.setattr(port, "serial_ports", lambda: ())
-    assert "no serial port was found here" in run("--list").stdout
+    assert "no serial port" in run("--list").stdout

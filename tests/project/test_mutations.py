@@ -23,5 +23,5 @@ def test_each_can_be_applied_and_tested(mutation):
 
 def test_text_that_is_gone_is_an_error():
     lost = Mutation("lost", "eitskin/protocol.py", "what was never there", "", ())
-    with pytest.raises(ValueError, match=r"lost: expected 'what was never there' once .* 0 times"):
+    with pytest.raises(ValueError, match=r"lost.*'what was never there'.* 0 times"):
         lost.applied()

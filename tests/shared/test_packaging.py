@@ -80,7 +80,7 @@ def test_every_name_of_the_simulator_is_there_once_it_is_asked_for() -> None:
     for name in set(simulator.__all__) - {"EXACT"}:
         assert getattr(simulator, name).__name__ == name
     assert isinstance(simulator.EXACT, simulator.Tolerance)
-    with pytest.raises(AttributeError, match=r"'eitskin\.simulator' has no attribute 'Forward'"):
+    with pytest.raises(AttributeError, match=r"'eitskin\.simulator'.*'Forward'"):
         simulator.Forward  # noqa: B018
 
 

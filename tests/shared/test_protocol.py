@@ -28,7 +28,7 @@ def test_measure_is_sense_pattern_times_matrix_times_drive_pattern() -> None:
 @pytest.mark.parametrize(
     ("table", "message"),
     [
-        ((), "at least one measurement"),
+        ((), "one measurement"),
         (((0, 1, 0, 8),), "each from 0 to 7"),
         (((0, 0, 1, 2),), "two different electrodes"),
         (((0, 1, 2),), "expected"),
@@ -108,14 +108,14 @@ HEADER = "drive_plus,drive_minus,sense_plus,sense_minus\n"
     [
         ("", "an empty file"),
         ("a,b,c,d\n0,1,2,3\n", "expected the header"),
-        (HEADER, "after the header, got none"),
-        (HEADER + "0,1,2,3\n0,1,2.0,4\n", "line 3: electrodes are whole numbers, got 0,1,2.0,4"),
-        (HEADER + "0,1,2,x\n", "line 2: electrodes are whole numbers"),
-        (HEADER + "0,1,2\n", "line 2: expected 4 electrodes separated by commas, got 3"),
-        (HEADER + "\n0,1,2,8\n", "line 3: .* each from 0 to 7"),
-        (HEADER + "0,1,-1,3\n", "line 2: .* each from 0 to 7"),
-        (HEADER + "0,0,2,3\n", "line 2: .* two different electrodes"),
-        (HEADER + "0,1,2,3\n4,5,6,7\n0,1,2,3\n", "line 4: .* is in line 2 already"),
+        (HEADER, "none"),
+        (HEADER + "0,1,2,3\n0,1,2.0,4\n", r"line 3: .*0,1,2.0,4"),
+        (HEADER + "0,1,2,x\n", r"line 2: .*whole numbers"),
+        (HEADER + "0,1,2\n", r"line 2: .*4 electrodes.*3"),
+        (HEADER + "\n0,1,2,8\n", r"line 3: .*0 to 7"),
+        (HEADER + "0,1,-1,3\n", r"line 2: .*0 to 7"),
+        (HEADER + "0,0,2,3\n", r"line 2: .*different"),
+        (HEADER + "0,1,2,3\n4,5,6,7\n0,1,2,3\n", r"line 4: .*line 2"),
         (HEADER + '0,1,2,"3\n', "cannot read"),
         (HEADER + "0,1,2,\udcff\n", "cannot read"),
     ],
@@ -128,7 +128,7 @@ def test_what_is_wrong_with_a_file_is_said_with_its_line(tmp_path, text, message
 
 
 def test_missing_files_and_folders_are_said(tmp_path) -> None:
-    with pytest.raises(ConfigurationError, match="cannot read the protocol"):
+    with pytest.raises(ConfigurationError, match="protocol"):
         Protocol.from_file(tmp_path / "none.csv", 8)
     with pytest.raises(ConfigurationError, match="cannot write"):
         Protocol.pairwise(8).to_file(tmp_path / "none" / "protocol.csv")
@@ -137,11 +137,11 @@ def test_missing_files_and_folders_are_said(tmp_path) -> None:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Protocol.opposite(7), "only in even numbers, got 7"),
+        (lambda: Protocol.opposite(7), r"even.*7"),
         (lambda: Protocol.skip(8, 7), "can skip 0 to 6"),
         (lambda: Protocol.skip(8, -1), "can skip 0 to 6"),
         (lambda: Protocol.adjacent(3), "shares an electrode"),
-        (lambda: Protocol.named("adjacnet", 8), "pairwise, adjacent, opposite, skip:N, or a CSV"),
+        (lambda: Protocol.named("adjacnet", 8), r"pairwise, adjacent, opposite, skip:N, .*CSV"),
     ],
 )
 def test_protocols_that_cannot_be_are_refused(make, message) -> None:

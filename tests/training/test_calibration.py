@@ -77,9 +77,9 @@ def test_known_bends_are_relative_to_the_mean_of_the_flat_frames(saved, sensor):
 @pytest.mark.parametrize(
     ("angles", "error", "message"),
     [
-        ((0.0, 10.0), ConfigurationError, "one angle for each frame, got 2 angles and 3 frames"),
-        ((5.0, 10.0, 20.0), ConfigurationError, "at least one frame of the flat sensor"),
-        ((0.0, 0.0, 0.0), ConfigurationError, "one of the bent sensor, got 3 and 0"),
+        ((0.0, 10.0), ConfigurationError, r"2 angles.*3 frames"),
+        ((5.0, 10.0, 20.0), ConfigurationError, "flat"),
+        ((0.0, 0.0, 0.0), ConfigurationError, r"bent.*3 and 0"),
         ((0.0, float("nan"), 1.0), DataError, "finite angles"),
     ],
 )
@@ -96,7 +96,7 @@ def test_another_sensor_is_refused(saved, sensor):
     strange = [
         Frame(50.0 * frame.impedance, sensor.protocol) for frame in frames(sensor, (0.0, 10.0))
     ]
-    with pytest.raises(FrameError, match="times those of the sensor"):
+    with pytest.raises(FrameError, match="times those"):
         Pipeline.load(saved).calibrate(strange, (0.0, 10.0))
 
 
@@ -138,10 +138,10 @@ def test_the_command_asks_for_each_angle_of_a_board(saved, tmp_path):
     done = run(
         saved, "--board", board, "--angles", "10,20", "--frames", 2, "--out", out, input="\n\n\n"
     )
-    assert "lay it flat, untouched, and press Enter" in done.output
-    assert "bend it by 20 deg, untouched, and press Enter" in done.output
+    assert "flat" in done.output
+    assert "20 deg" in done.output
     assert isinstance(done.exception, DataError)
-    assert "for angles of 10 to 20 deg; check" in str(done.exception)
+    assert "10 to 20 deg" in str(done.exception)
     assert not out.exists()
 
 
@@ -169,7 +169,7 @@ def test_another_sensor_is_refused_before_anything_is_asked(saved, tmp_path):
 def test_angles_in_another_order_are_refused(saved, sensor):
     pipeline = Pipeline.load(saved)
     method = pipeline.method
-    with pytest.raises(DataError, match=r"do not fit their angles: .* deg off, .* for angles of"):
+    with pytest.raises(DataError, match=r"do not fit.* for angles of"):
         pipeline.calibrate(frames(sensor, ANGLES), (0.0, 0.0, *ANGLES[:1:-1]))
     assert pipeline.method is method
     assert not pipeline.calibration
@@ -192,8 +192,8 @@ def test_the_residual_is_judged_by_the_size_of_the_angles(scale, residual, fits,
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ((), "either --board or --dataset"),
-        (("--board", "virtual:", "--dataset", "x"), "either --board or --dataset"),
+        ((), r"--board.*--dataset"),
+        (("--board", "virtual:", "--dataset", "x"), r"--board.*--dataset"),
         (("--board", "virtual:", "--angles", "ten"), "apart by commas"),
     ],
 )
@@ -208,4 +208,4 @@ def test_a_dataset_without_bends_is_named(saved, sensor, tmp_path):
     folder = bends(sensor, tmp_path / "bends")
     done = run(saved, "--dataset", folder, "--specimen", 1, "--out", tmp_path / "m.eitmodel")
     assert isinstance(done.exception, DataError)
-    assert "untouched frames of specimen 1" in str(done.exception)
+    assert "specimen 1" in str(done.exception)

@@ -1,6 +1,7 @@
 """The live page: what it may be asked, and by whom."""
 
 import json
+import re
 
 import pytest
 
@@ -94,16 +95,16 @@ def test_a_scene_is_set(page, connection) -> None:
         (b"{", "expected JSON"),
         (b'{"bend_deg": NaN}', "expected JSON"),
         (b"[" * 4000, "expected JSON"),
-        ([1], "expected a JSON object, got list"),
-        ({"bend": 3}, "did you mean|unknown key 'bend'"),
+        ([1], r"JSON object.*list"),
+        ({"bend": 3}, "did you mean|'bend'"),
         ({"bend_deg": "3"}, "bend_deg"),
-        ({"bend_deg": 61}, "bend_deg must be from -30 to 60 deg, got 61"),
-        ({"touches": [{"x": 0.2, "y": 0.03, "force": 5}]}, "touches are on the sensor"),
-        ({"touches": [{"x": 0.1, "y": 0.03, "force": 99}]}, "force must be from 1 to 12 N, got 99"),
+        ({"bend_deg": 61}, r"bend_deg.*-30 to 60.*61"),
+        ({"touches": [{"x": 0.2, "y": 0.03, "force": 5}]}, "sensor"),
+        ({"touches": [{"x": 0.1, "y": 0.03, "force": 99}]}, r"force.*1 to 12.*99"),
         ({"touches": [{"x": 0.1, "y": 0.03}]}, "missing required field `force`"),
         (
             {"touches": [{"x": 0.01 + 0.03 * i, "y": 0.03, "force": 5} for i in range(5)]},
-            "at most 4 touches at once, got 5",
+            r"4 touches.*5",
         ),
         (
             {"touches": [{"x": x, "y": 0.03, "force": 5} for x in (0.05, 0.051)]},
@@ -116,7 +117,7 @@ def test_what_cannot_be_a_scene_is_refused_in_words(refusing, unchanged, data, m
     stage = unchanged.board.stage
     status, answer = post(refusing, "/scene", data)
     assert status == 400
-    assert any(part in answer["error"] for part in message.split("|")), answer
+    assert re.search(message, answer["error"])
     assert stage.scene == Scene()
 
 

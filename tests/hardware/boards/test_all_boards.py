@@ -132,18 +132,18 @@ def test_a_uri_that_cannot_be_says_what_to_write(uri, complaint, monkeypatch):
 
 
 def test_an_option_that_no_board_has_is_refused_before_anything_opens():
-    with pytest.raises(ConfigurationError, match="replay: has no option 'sped'; it has speed"):
+    with pytest.raises(ConfigurationError, match=r"'sped'.*speed"):
         open_board("replay:nowhere", sped="max")
 
 
 def test_a_missing_port_is_named(tmp_path):
-    with pytest.raises(DeviceError, match="there is none of this name; check the cable"):
+    with pytest.raises(DeviceError, match="cable"):
         open_board(f"serial:{tmp_path}/ttyACM0")
 
 
 def test_a_file_is_no_port(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(DeviceError, match="check that it is a serial port"):
+    with pytest.raises(DeviceError, match="serial port"):
         open_board(f"serial:{tmp_path}/file")
 
 
@@ -151,7 +151,7 @@ def test_a_port_in_use_is_refused_and_reopens_when_free():
     with virtual_terminal(speed="max", simulator=FakeSimulator()) as terminal:
         uri = f"serial:{terminal.path}"
         with open_board(uri) as first:
-            with pytest.raises(DeviceError, match="another program uses it"):
+            with pytest.raises(DeviceError, match="another program"):
                 open_board(uri)
             before = take(first, 3)
         with open_board(uri) as second:
@@ -184,7 +184,7 @@ def test_a_recording_keeps_its_status_and_session(recording):
 def test_a_recording_without_protocol_cannot_be_replayed(tmp_path):
     path = tmp_path / "shard-00000.h5"
     write_shard(path, Dataset.from_arrays(np.ones((4, 28), np.complex64)), 0)
-    with pytest.raises(DataError, match=r"does not say which electrodes.*--protocol"):
+    with pytest.raises(DataError, match="--protocol"):
         open_board(f"replay:{path}")
 
 

@@ -47,17 +47,17 @@ def test_a_port_is_found_by_its_serial_number():
 
 
 def test_an_unknown_serial_number_names_the_ports_that_are_there():
-    with pytest.raises(DeviceError, match="no port has the USB serial number '7'") as told:
+    with pytest.raises(DeviceError, match="serial number '7'") as told:
         find_port("7", Bus(BUILT_IN, BOARD))
     assert "/dev/ttyS0 (no USB)" in str(told.value)
     assert "/dev/ttyACM0 (EIT board, ST, 0483:5740, 205A3D)" in str(told.value)
-    with pytest.raises(DeviceError, match="No serial port was found here"):
+    with pytest.raises(DeviceError, match="No serial port"):
         find_port("7", Bus())
 
 
 def test_devices_of_one_serial_number_must_be_told_apart_by_path():
     twin = dataclasses.replace(BOARD, device="/dev/ttyACM1")
-    with pytest.raises(DeviceError, match=r"2 ports have .*/dev/ttyACM0.*/dev/ttyACM1"):
+    with pytest.raises(DeviceError, match=r"2 ports .*/dev/ttyACM0.*/dev/ttyACM1"):
         find_port("205A3D", Bus(BOARD, twin))
 
 
@@ -80,7 +80,7 @@ def test_the_only_usb_port_needs_no_name():
     ("ports", "said"), [((BUILT_IN,), "there is none"), ((BOARD, OTHER), "there are 2")]
 )
 def test_without_exactly_one_usb_port_it_must_be_named(ports, said):
-    with pytest.raises(ConfigurationError, match="needs a port, such as serial:") as told:
+    with pytest.raises(ConfigurationError, match="such as serial:") as told:
         only_usb_port("serial", Bus(*ports))
     assert said in str(told.value)
     assert all(each.device in str(told.value) for each in ports)
@@ -116,7 +116,7 @@ def test_a_port_that_vanishes_while_it_is_opened_is_a_device_error(monkeypatch):
         raise termios.error(5, "Input/output error")
 
     monkeypatch.setattr("serial.Serial", vanish)
-    with pytest.raises(DeviceError, match="cannot open the port"):
+    with pytest.raises(DeviceError, match="cannot open"):
         open_port("/dev/ttyACM0", "serial:/dev/ttyACM0")
 
 
@@ -130,7 +130,7 @@ def test_a_port_without_serial_number_is_its_path():
 
 @pytest.mark.parametrize("scheme", ["serial:?", "text:?protocol=pairwise:8&"])
 def test_a_uri_names_a_port_by_serial_number(scheme):
-    with pytest.raises(DeviceError, match="no port has the USB serial number 'A 1'"):
+    with pytest.raises(DeviceError, match="serial number 'A 1'"):
         open_board(f"{scheme}usb=A%201")
 
 
@@ -158,7 +158,7 @@ def test_what_pyserial_lists_is_taken_over(monkeypatch):
     ]  # fmt: skip
     monkeypatch.setattr(serial.tools.list_ports, "comports", lambda: found)
     assert port.serial_ports() == (BOARD, PortInfo("/dev/ttyUSB0"))
-    with pytest.raises(DeviceError, match=r"check the cable.*/dev/ttyACM0 \(EIT board"):
+    with pytest.raises(DeviceError, match=r"cable.*/dev/ttyACM0 \(EIT board"):
         port.open_port("/dev/nowhere-at-all", "serial:/dev/nowhere-at-all")
 
 

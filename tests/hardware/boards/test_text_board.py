@@ -162,7 +162,7 @@ def test_with_marks_the_newest_overtakes_the_others():
 
 def test_a_silent_board_is_stale():
     board = board_on(Printer([]))
-    with pytest.raises(DeviceError, match=r"stale.* 10\.0 s; no measurement came.*baud"):
+    with pytest.raises(DeviceError, match=r"stale.*10\.0 s.*baud"):
         next(board.frames())
 
 
@@ -179,13 +179,13 @@ def test_silence_after_frames_is_stale_within_a_second():
 
 def test_another_number_of_lines_is_told():
     board = board_on(Printer(stream(range(99), skip={(n, 5) for n in range(99)})))
-    with pytest.raises(DeviceError, match="had 5, 5, 5 lines where 6 were expected"):
+    with pytest.raises(DeviceError, match=r"5, 5, 5 lines .*6"):
         next(board.frames())
 
 
 def test_lines_without_a_pause_are_told():
     events = [(0.01 * k, printed([1])[0].encode()) for k in range(1200)]
-    with pytest.raises(DeviceError, match=r"lines come, but no pause; .* mark= or pause="):
+    with pytest.raises(DeviceError, match=r"mark=.*pause="):
         next(board_on(Printer(events)).frames())
 
 
@@ -220,9 +220,9 @@ def test_a_port_that_goes_away_is_one_error_and_closing_lets_go():
         next(board.frames())
     assert port.closed
     board.close()
-    with pytest.raises(DeviceError, match="closed; open it again"):
+    with pytest.raises(DeviceError, match="closed"):
         next(board.frames())
-    with pytest.raises(DeviceError, match="closed; open it again"):
+    with pytest.raises(DeviceError, match="closed"):
         board.reconnect()
 
 

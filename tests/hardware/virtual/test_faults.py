@@ -118,7 +118,7 @@ def test_a_reboot_is_a_new_session_whose_numbers_may_wrap(text, first):
 
 
 def test_a_port_in_use_is_refused_until_it_is_free():
-    with pytest.raises(DeviceError, match="another program uses it"):
+    with pytest.raises(DeviceError, match="another program"):
         virtual(faults="port_in_use")
     with virtual() as board:
         frames = Connection(board, wait=lambda _: tries.append(board.stage.clear())).frames()
@@ -142,7 +142,7 @@ def test_a_port_that_a_host_has_is_taken_when_the_host_lets_go():
             for _ in range(200):
                 open_board(uri).close()
 
-        with pytest.raises(DeviceError, match="another program uses it"):
+        with pytest.raises(DeviceError, match="another program"):
             connect_often()
 
 
@@ -261,7 +261,7 @@ def test_every_fault_of_the_list_has_a_name_and_is_read_back():
 
 @pytest.mark.parametrize("text", ["gremlins", "bit_flip@x", "bit_flip@1:2:3", "bit_flip@-1"])
 def test_what_is_no_fault_is_refused_with_the_names(text):
-    with pytest.raises(ConfigurationError, match="name among bit_flip"):
+    with pytest.raises(ConfigurationError, match="among bit_flip"):
         read_faults(text)
 
 

@@ -52,9 +52,9 @@ def test_scripts_and_single_scenes_are_read_from_toml(tmp_path):
     step = Step(Scene(bend=Bend(20.0)), 2)
     assert Script.from_toml(tmp_path / "script.toml") == Script((step,), repeat=False)
     assert Script.from_toml(tmp_path / "scene.toml")(5) == step.scene
-    with pytest.raises(ConfigurationError, match="at least one step"):
+    with pytest.raises(ConfigurationError, match="one step"):
         Script(())
-    with pytest.raises(ConfigurationError, match="at least one frame"):
+    with pytest.raises(ConfigurationError, match="one frame"):
         Step(Scene(), 0)
 
 
@@ -109,7 +109,7 @@ def test_the_virtual_board_measures_what_the_simulator_does():
 
 @pytest.mark.parametrize("period", [float("nan"), -1.0, 0.0, 1e9])
 def test_a_period_that_cannot_be_is_refused(period):
-    with pytest.raises(ConfigurationError, match="period must be from 1e-06 to 3600 s"):
+    with pytest.raises(ConfigurationError, match=r"period.*1e-06 to 3600 s"):
         virtual_terminal(simulator=FakeSimulator(), period=period)
 
 
@@ -199,7 +199,7 @@ def test_a_board_of_another_sensor_measures_its_pairs(tmp_path):
 
 
 def test_a_board_has_a_sensor_or_a_simulator():
-    with pytest.raises(ConfigurationError, match="give one of the two"):
+    with pytest.raises(ConfigurationError, match="one of the two"):
         virtual_terminal(simulator=FakeSimulator(), sensor=SensorDesign.reference())
 
 

@@ -100,7 +100,7 @@ def test_mixed_contacts_add_up_in_a_block() -> None:
 
 @pytest.mark.parametrize("z", [0.0, -1e-3, float("nan"), float("inf"), 1e9, -1e-3 + 1e-3j])
 def test_contacts_that_cannot_be_are_refused(z) -> None:
-    with pytest.raises(ConfigurationError, match="contact_impedance must be"):
+    with pytest.raises(ConfigurationError, match="contact_impedance"):
         between(0.03, 0.035, z)
 
 

@@ -211,7 +211,7 @@ def test_measurements_that_share_a_drive_pair_share_its_capacitance_and_current(
 def test_terms_that_need_the_drive_pairs_impedance_ask_for_it():
     neighbours = Protocol.adjacent(8)
     for term in ({"floor": 1e-6}, {"quantisation": True}, {"clipping": True}):
-        with pytest.raises(ConfigurationError, match="drives 0-1, whose own impedance"):
+        with pytest.raises(ConfigurationError, match="drives 0-1"):
             started(only(**term), protocol=neighbours)
     Z = np.full(len(neighbours), 50.0)
     assert np.isfinite(read(Instrument(), Z, protocol=neighbours)[0]).all()
@@ -304,22 +304,22 @@ def test_the_benchmark_finds_what_is_left_of_a_term_in_a_signal():
 @pytest.mark.parametrize(
     ("terms", "message"),
     [
-        ({"snr_db": 59.9}, "snr_db must be from 60 to 90 dB, or 0 for none, got 59.9"),
+        ({"snr_db": 59.9}, r"snr_db.*60 to 90 dB.*59.9"),
         ({"snr_db": 91.0}, "snr_db"),
         ({"snr_db": np.inf}, "snr_db"),
         ({"snr_db": np.nan}, "snr_db"),
-        ({"floor": 1.9}, "floor must be from 0 to 0.001 V, got 1.9"),
+        ({"floor": 1.9}, r"floor.*0 to 0.001 V.*1.9"),
         ({"floor": -1e-6}, "floor"),
         ({"drift": 0.2}, "drift"),
         ({"drift": -0.1}, "drift"),
         ({"gel_drift": 1.0}, "gel_drift"),
-        ({"gain": 0.013}, "gain must be from 0 to 0.0125"),
-        ({"phase_deg": 0.31}, "phase_deg must be from 0 to 0.3 deg"),
+        ({"gain": 0.013}, r"gain.*0 to 0.0125"),
+        ({"phase_deg": 0.31}, r"phase_deg.*0 to 0.3 deg"),
         ({"reciprocity": 0.4}, "reciprocity"),
         ({"reciprocity": np.nan}, "reciprocity"),
-        ({"excitation": 0.5}, "excitation must be one of 0, 0.607, 0.121, 0.075, 0.015, got 0.5"),
-        ({"pga_range": 1.0}, "pga_range must be one of"),
-        ({"rtia": 0.0}, "rtia must be one of 200"),
+        ({"excitation": 0.5}, r"excitation.*0, 0.607, 0.121, 0.075, 0.015, got 0.5"),
+        ({"pga_range": 1.0}, "pga_range"),
+        ({"rtia": 0.0}, r"rtia.*200"),
         ({"stray_capacitance": (100e-12, 40e-12)}, "stray_capacitance"),
         ({"stray_capacitance": (-1e-12, 40e-12)}, "stray_capacitance"),
         ({"stray_capacitance": (40.0, 100.0)}, "up to 1e-09 F"),
@@ -345,7 +345,7 @@ def test_times_that_no_session_has_are_refused(time):
 def test_frames_that_do_not_fit_are_refused():
     session, rng = started(ALL), np.random.default_rng(0)
     for shape, times in (((28,), 1), ((2, 27), 2), ((2, 28), 3)):
-        with pytest.raises(FrameError, match=r"expected impedances of shape \(frames, 28\)"):
+        with pytest.raises(FrameError, match=r"\(frames, 28\)"):
             session.measure(np.ones(shape, complex), np.zeros(times), rng)
     with pytest.raises(FrameError, match="finite"):
         session.measure(np.full((1, 28), np.nan + 0j), np.zeros(1), rng)

@@ -214,14 +214,14 @@ def test_a_profile_of_a_sphere_presses_like_the_sphere() -> None:
 @pytest.mark.parametrize(
     ("make", "says"),
     [
-        (lambda: Cylinder(-1.0), "indenter radius must be a positive number of m, got -1"),
-        (lambda: Sphere(7.5), "between 1 um and 0.5 m, got 7.5 m; lengths are in metres"),
+        (lambda: Cylinder(-1.0), r"indenter radius.*positive.*-1"),
+        (lambda: Sphere(7.5), r"1 um and 0.5 m.*7.5 m.*metres"),
         (lambda: Cylinder(edge=0.0), "0 < edge <= 1"),
         (lambda: Sphere(float("nan")), "positive number"),
         (lambda: Profile((0.0, 0.001), (0.0,)), "as many heights"),
         (lambda: Profile((0.001, 0.002), (0.0, 0.001)), "starts with radius 0"),
         (lambda: Profile((0.0, 0.001, 0.002), (0.0, 0.001, 0.0015)), "convex"),
-        (lambda: Stack(()), "at least one layer"),
+        (lambda: Stack(()), "one layer"),
         (lambda: Sheet(0.0, NeoHookean(1.0)), "thickness"),
         (lambda: AxisymmetricPress(REFERENCE, Cylinder()).to_force(0.0), "positive force in N"),
         (

@@ -163,7 +163,7 @@ def test_the_bend_signal_is_near_that_of_the_kinematic_model(bent) -> None:
 
 def test_what_cannot_be_bent_is_refused(bent) -> None:
     reference = SensorDesign.reference()
-    with pytest.raises(ConfigurationError, match="beside the bent sensor"):
+    with pytest.raises(ConfigurationError, match="beside"):
         bent.positions(np.array([0.075, 0.030, 0.010]))
     with pytest.raises(ConfigurationError, match="span"):
         ClampedStack(reference, Hinge(span=0.155))
@@ -181,6 +181,6 @@ def test_a_bend_too_far_says_how_far_it_got() -> None:
     clamped = ClampedStack(
         design, Hinge(0.012, 0.0), stack, Grading(6e-3, 0.012, 0.5), inside=0.004
     )
-    with pytest.raises(SolidError, match=r"was bent to \d+\.\d deg of 300 deg") as refusal:
+    with pytest.raises(SolidError, match=r"\d+\.\d deg of 300 deg") as refusal:
         list(clamped.equilibria([20.0, 300.0]))
     assert 0.0 < refusal.value.reached < 1.0

@@ -112,7 +112,7 @@ def test_what_lies_beyond_the_window_does_not_move(alone) -> None:
     step = np.array([1e-9, 0.0, 0.0])
     across = alone[-1].positions(edge + step) - alone[-1].positions(edge - step)
     assert across == pytest.approx(2.0 * step, abs=1e-10)
-    with pytest.raises(ConfigurationError, match="outside the pressed sensor"):
+    with pytest.raises(ConfigurationError, match="outside"):
         alone[-1].positions(np.array([0.040, 0.035, 0.006]))
 
 
@@ -171,7 +171,7 @@ def test_unequal_touches_each_carry_their_own_force() -> None:
 
 
 def test_what_cannot_be_pressed_is_refused() -> None:
-    with pytest.raises(ConfigurationError, match="must lie on the sensor"):
+    with pytest.raises(ConfigurationError, match="on the sensor"):
         stack(Touch(0.081, 0.035))
     with pytest.raises(ConfigurationError, match="must not overlap"):
         stack(Touch(0.040, 0.035, 1.0, PUNCH), Touch(0.046, 0.035, 1.0, PUNCH))
@@ -194,7 +194,7 @@ def test_a_press_too_hard_says_how_much_is_carried(monkeypatch) -> None:
 
     on = UnboundedPress.on
     monkeypatch.setattr(UnboundedPress, "on", least)
-    with pytest.raises(SolidError, match=r"carries \d+% of these presses only") as refusal:
+    with pytest.raises(SolidError, match=r"carries \d+%") as refusal:
         solved(Touch(0.040, 0.035, 0.6, PUNCH), grading=COARSER, reach=0.009)
     assert 0.48 < refusal.value.reached <= 0.5
 

@@ -169,9 +169,9 @@ def test_kernels_scale_with_lengths_and_moduli(table) -> None:
 
 @pytest.mark.parametrize("force", [0.0, -1.0, 1e3, float("nan")])
 def test_forces_beyond_the_table_are_refused(table, force) -> None:
-    with pytest.raises(ConfigurationError, match="force must be above 0 and at most"):
+    with pytest.raises(ConfigurationError, match=r"force.*above 0"):
         table.at_force(force)
-    with pytest.raises(ConfigurationError, match="depth must be above 0 and at most"):
+    with pytest.raises(ConfigurationError, match=r"depth.*above 0"):
         table.at_depth(force)
 
 

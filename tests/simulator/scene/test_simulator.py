@@ -192,11 +192,11 @@ def test_noise_has_the_stated_deviation_and_follows_its_seed(sim) -> None:
 
 
 def test_impossible_scenes_are_refused(sim) -> None:
-    with pytest.raises(ConfigurationError, match="are the units metres"):
+    with pytest.raises(ConfigurationError, match="metres"):
         sim.measure(Scene(touches=(Touch(50.0, 20.0),)))
     with pytest.raises(ConfigurationError, match="last possible angle"):
         sim.measure(Scene(bend=Bend(-90.0)))
-    with pytest.raises(ConfigurationError, match="where the layer is pressed to"):
+    with pytest.raises(ConfigurationError, match="pressed to"):
         sim.measure(Scene(touches=(Touch(0.05, 0.02, 100.0),)))
 
 
@@ -204,7 +204,7 @@ def test_a_touch_lies_on_the_outline_not_only_in_its_bounding_box() -> None:
     disc = Disc(0.04)
     round_sensor = Simulator(SensorDesign(disc, 0.005, uniform(disc, 4)), resolution="fast")
     assert np.isfinite(round_sensor.measure(Scene(touches=(Touch(0.02, 0.04),))).impedance).all()
-    with pytest.raises(ConfigurationError, match=r"lie on the disc of 0.08 x 0.08 m, got \(0.005,"):
+    with pytest.raises(ConfigurationError, match=r"0.08 x 0.08 m.*\(0.005,"):
         round_sensor.measure(Scene(touches=(Touch(0.005, 0.005),)))
 
 

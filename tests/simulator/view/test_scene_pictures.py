@@ -253,9 +253,9 @@ def test_pictures_that_cannot_be_drawn_are_refused(sim, tmp_path, monkeypatch) -
         draw(sim, scenes, tmp_path / "a.png", "red")
     with pytest.raises(ConfigurationError, match="0 to 7"):
         draw(sim, scenes, tmp_path / "a.png", "current", (0, 8))
-    with pytest.raises(ConfigurationError, match=r"name one like a\.png"):
+    with pytest.raises(ConfigurationError, match=r"a\.png"):
         draw(sim, scenes, tmp_path / "a.gif")
-    with pytest.raises(ConfigurationError, match="there is no folder"):
+    with pytest.raises(ConfigurationError, match="folder"):
         draw(sim, scenes, tmp_path / "none" / "a.png")
     monkeypatch.setitem(sys.modules, "pyvista", None)
     with pytest.raises(ImportError, match=r"pip install 'eitskin\[view\]'"):

@@ -182,7 +182,7 @@ def test_one_drive_can_be_chosen(sim) -> None:
     names = scene_grids(sim, Scene(), [(6, 1)])[BODY].point_data.keys()
     assert [n for n in names if n.startswith("potential")] == ["potential_6_1_V_per_A"]
     for wrong in ((0, 8), (-1, 0), (3, 3)):
-        with pytest.raises(ConfigurationError, match="two different electrodes from 0 to 7"):
+        with pytest.raises(ConfigurationError, match="0 to 7"):
             scene_grids(sim, Scene(), [wrong])
 
 
@@ -192,7 +192,7 @@ def test_cells_are_as_small_as_asked() -> None:
     assert fine.coarsest == pytest.approx(0.150 / 60)
     assert field_resolution(design, 1.0e-3)[1].coarsest == 1.0e-3
     for wrong in (0.0, -1.0, 2.5, float("nan")):
-        with pytest.raises(ConfigurationError, match="are the units metres"):
+        with pytest.raises(ConfigurationError, match="metres"):
             field_resolution(design, wrong)
 
 

@@ -39,9 +39,9 @@ def test_what_is_given_stays_as_it_was(covariance):
 
 
 def test_what_is_no_covariance_is_refused(covariance):
-    with pytest.raises(np.linalg.LinAlgError, match="minor 3 of the covariance"):
+    with pytest.raises(np.linalg.LinAlgError, match="minor 3"):
         lapack.whitening(np.diag([1.0, 1.0, -1.0]))
-    with pytest.raises(np.linalg.LinAlgError, match="minor 1 of the matrix"):
+    with pytest.raises(np.linalg.LinAlgError, match="minor 1"):
         lapack.solved(-covariance, np.ones(7))
 
 

@@ -141,8 +141,8 @@ def test_learned_method_is_copied_by_its_arrays(trained):
 
 def test_too_little_to_learn_from_is_told():
     data = dataset()
-    with pytest.raises(DataError, match="at least 100 frames of each kind"):
+    with pytest.raises(DataError, match="at least 100 frames"):
         fit_joint(data.select(slice(60)), LAYOUT, JointSettings())
     blind = replace(data, touch_force=np.full_like(data.touch_force, np.nan))
-    with pytest.raises(DataError, match="0 touched frames with known places, forces"):
+    with pytest.raises(DataError, match="0 touched frames"):
         fit_joint(blind, LAYOUT, JointSettings())

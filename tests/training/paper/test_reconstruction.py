@@ -90,5 +90,5 @@ def test_noise_free_training_sets_are_still_regularised(jacobian):
 def test_refusals(jacobian):
     with pytest.raises(ConfigurationError, match="128 columns, got 120"):
         Reconstruction.fit(jacobian[:, :120], snr=20.0, shape=SHAPE)
-    with pytest.raises(ConfigurationError, match="snr must be positive"):
+    with pytest.raises(ConfigurationError, match=r"snr.*positive"):
         Reconstruction.fit(jacobian, snr=-1.0, shape=SHAPE)

@@ -120,7 +120,7 @@ def test_sums_are_what_sha256sum_reads(folder):
 def test_changed_or_missing_files_are_refused(folder, name):
     data = (folder / name).read_bytes()
     (folder / name).write_bytes(data[:-3] + bytes([data[-3] ^ 1]) + data[-2:])
-    with pytest.raises(DataError, match=r"is not the file that was saved"):
+    with pytest.raises(DataError, match="not the file"):
         Pipeline.load(folder)
     (folder / name).unlink()
     with pytest.raises(DataError, match="not a whole pipeline"):
@@ -131,13 +131,13 @@ def test_missing_sums_or_folder_are_refused(folder):
     (folder / SUMS).unlink()
     with pytest.raises(DataError, match="not a whole pipeline"):
         Pipeline.load(folder)
-    with pytest.raises(DataError, match="there is no pipeline"):
+    with pytest.raises(DataError, match="no pipeline"):
         Pipeline.load(folder.parent / "other.eitmodel")
 
 
 def test_newer_versions_and_other_formats_are_refused(folder):
     edit(folder, format_version=2)
-    with pytest.raises(DataError, match="version 2, this eitskin reads up to 1"):
+    with pytest.raises(DataError, match=r"version 2.*up to 1"):
         Pipeline.load(folder)
     edit(folder, format_version=1, format="else")
     with pytest.raises(DataError, match="got 'else'"):
@@ -157,11 +157,11 @@ def test_incomplete_documents_are_refused(folder, missing):
 def test_documents_that_are_no_json_are_refused(folder):
     (folder / "pipeline.json").write_text("[]")
     reseal(folder)
-    with pytest.raises(DataError, match="no pipeline that can be read"):
+    with pytest.raises(DataError, match="no pipeline"):
         Pipeline.load(folder)
     (folder / "pipeline.json").write_bytes(b"\xff{")
     reseal(folder)
-    with pytest.raises(DataError, match="no pipeline that can be read"):
+    with pytest.raises(DataError, match="no pipeline"):
         Pipeline.load(folder)
 
 
@@ -180,7 +180,7 @@ def test_pipeline_that_computes_something_else_is_refused(folder, name):
     weights[name] = weights[name] * 1.5
     save_file(weights, folder / "weights.safetensors")
     reseal(folder)
-    with pytest.raises(DataError, match="does not compute here what it computed"):
+    with pytest.raises(DataError, match="does not compute"):
         Pipeline.load(folder)
 
 
@@ -219,12 +219,12 @@ def test_failed_save_leaves_the_old_pipeline(pipeline, folder, monkeypatch):
 
     def fill_the_disk(path, data):
         if len(written) == 2:
-            raise OSError(28, "No space left on device")
+            raise OSError(28, "No space left")
         write(path, data)
         written.append(path)
 
     monkeypatch.setattr(Path, "write_bytes", fill_the_disk)
-    with pytest.raises(PartialError, match="No space left on device"):
+    with pytest.raises(PartialError, match="No space left"):
         pipeline.save(folder)
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
     assert [path.name for path in folder.parent.iterdir()] == ["some.eitmodel"]
@@ -246,7 +246,7 @@ def test_commands_train_and_evaluate(dataset, tmp_path, capsys):
     said = capsys.readouterr()
     report = json.loads(said.out)
     assert report["frames"] == 12
-    assert "only the 12 frames never seen count" in said.err
+    assert "12 frames" in said.err
     kept = trained["metrics"]
     assert (report["states"], report["bend"]) == (kept["states"], kept["bend"])
     evaluate.command(out, data)
@@ -290,21 +290,21 @@ def test_recorded_touches_are_saved_in_the_same_format(tmp_path):
     assert loaded.evaluate(recording) == learned.evaluate(recording)
     assert loaded.metrics["frames"] == 8
     assert read_pipeline(folder).kind == RecordedTouches.KIND
-    with pytest.raises(DataError, match="holds a 'touch position' pipeline"):
+    with pytest.raises(DataError, match="'touch position'"):
         Pipeline.load(folder)
     weights = load_file(folder / "weights.safetensors")
     weights["centre"] += 0.01
     save_file(weights, folder / "weights.safetensors")
     reseal(folder)
-    with pytest.raises(DataError, match="does not compute here"):
+    with pytest.raises(DataError, match="does not compute"):
         RecordedTouches.load(folder)
 
 
 def test_a_place_that_may_not_be_written_to_is_refused_before_the_work(tmp_path, monkeypatch):
     require_place(tmp_path / "new" / "deep.eitmodel")
     (tmp_path / "file").write_text("no folder")
-    with pytest.raises(ConfigurationError, match="file may not be written to"):
+    with pytest.raises(ConfigurationError, match="may not be written"):
         require_place(tmp_path / "file" / "a.eitmodel")
     monkeypatch.setattr(os, "access", lambda *_: False)
-    with pytest.raises(ConfigurationError, match="may not be written to"):
+    with pytest.raises(ConfigurationError, match="may not be written"):
         require_place(tmp_path / "a.eitmodel")
