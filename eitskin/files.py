@@ -1,4 +1,8 @@
-"""Files and folders that appear whole under their name or not at all, whatever happens."""
+"""Atomic files and folders: complete under their name, or absent, whatever happens.
+
+`atomic_file` and `atomic_folder` are for any output; `write_file`, `remove_file` and
+`remove_leftovers` are for work of many files that can be stopped and resumed.
+"""
 
 import os
 import shutil
@@ -7,25 +11,29 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from eitskin.errors import ConfigurationError, EitskinError
+from eitskin.errors import ConfigurationError, EitskinError, PartialError
 
 TEMPORARY = ".writing-"
 _REMEDY = "name a file in a folder that exists and can be written to"
+_RESUME = (
+    "files finished before it are intact; make room or give write permission, then continue with "
+    "--resume, or choose another folder"
+)
 
 
 @contextmanager
 def atomic_file(
     path: str | Path, failure: type[EitskinError] = ConfigurationError, remedy: str = _REMEDY
 ) -> Iterator[Path]:
-    """Give a temporary file beside `path` to write to; it takes the name when the block ends.
+    """Context manager of a temporary file beside `path`, which is renamed to `path` at the end.
 
-    Where the block raises, or the machine fails, what stood at `path` before is left as it was.
-    The temporary file has the ending of `path`, from which writers of pictures tell the format.
+    Where the block raises, or the machine fails, an older file at `path` is left as it was. The
+    temporary file has the suffix of `path`, from which writers of pictures tell the format.
 
     Args:
         path: of the file.
-        failure: the error to raise where it cannot be written.
-        remedy: what to do then, the end of that error's message.
+        failure: class of the error that is raised where the file cannot be written.
+        remedy: end of that error's message.
     """
     path = Path(path)
     try:
@@ -48,7 +56,7 @@ def atomic_file(
 def atomic_folder(
     path: str | Path, failure: type[EitskinError] = ConfigurationError, remedy: str = _REMEDY
 ) -> Iterator[Path]:
-    """Give a temporary folder beside `path` to fill; it takes the name when the block ends.
+    """Context manager of a temporary folder beside `path`, which is renamed to `path` at the end.
 
     Arguments and guarantees are those of `atomic_file`. A folder that stood at `path` is replaced;
     missing parent folders are made.
@@ -69,8 +77,31 @@ def atomic_folder(
         raise failure(f"cannot write {path}: {error.strerror or error}; {remedy}") from error
 
 
+def write_file(path: Path, content: bytes) -> None:
+    """Write one file of resumable work, atomically.
+
+    Raises PartialError, and leaves nothing of the new file, where it cannot be written.
+    """
+    with atomic_file(path, PartialError, _RESUME) as temporary:
+        temporary.write_bytes(content)
+
+
+def remove_file(path: Path) -> None:
+    """Remove one file of resumable work, if it exists; raises PartialError where that fails."""
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        raise PartialError(f"cannot remove {path}: {error.strerror}; {_RESUME}") from error
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Remove temporary files that killed writers left in `folder`."""
+    for leftover in folder.glob(TEMPORARY + "*"):
+        remove_file(leftover)
+
+
 def _put_in_place(temporary: Path, path: Path) -> None:
-    """Rename the folder `temporary` to `path`; one that lies there steps aside first."""
+    """Rename the folder `temporary` to `path`; an older folder at `path` is moved away first."""
     with tempfile.TemporaryDirectory(
         prefix=f".{path.name}.old.", dir=path.parent, ignore_cleanup_errors=True
     ) as aside:
@@ -79,7 +110,7 @@ def _put_in_place(temporary: Path, path: Path) -> None:
             path.rename(old)
         try:
             temporary.rename(path)
-        except BaseException:  # Ctrl-C too must not let the old one be removed with its place
+        except BaseException:  # not even Ctrl-C may let the old folder be removed
             if old.exists() and not path.exists():
                 old.rename(path)
             raise
@@ -87,9 +118,9 @@ def _put_in_place(temporary: Path, path: Path) -> None:
 
 
 def _sync(path: Path) -> None:
-    """Bring a file, or the names in a folder, to the disk.
+    """Flush a file, or the names in a folder, to the disk (fsync).
 
-    Without it a power cut can leave an empty file, or undo the rename of a synced one.
+    Without the flush a power cut can leave an empty file, or undo the rename of a synced one.
     """
     if os.name == "nt" and path.is_dir():  # Windows has no such call for folders
         return

@@ -27,7 +27,7 @@ from eitskin.benchmarks.layouts.bound import (
     touch_derivatives,
 )
 from eitskin.benchmarks.layouts.candidates import SIZE, Layout, with_electrodes
-from eitskin.datasets.store.durable import write_file
+from eitskin.files import write_file
 from eitskin.geometry.design.electrode import Electrode
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.simulator.instrument.instrument import Instrument

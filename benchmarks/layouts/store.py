@@ -23,9 +23,9 @@ import numpy as np
 
 from eitskin.benchmarks.layouts.bound import FORCE, Sampling, SheetBound, sheet_bound
 from eitskin.benchmarks.layouts.candidates import Layout
-from eitskin.datasets.store.durable import remove_leftovers, write_file
 from eitskin.datasets.store.folder import make_folder
 from eitskin.errors import PartialError
+from eitskin.files import remove_leftovers, write_file
 
 _VERSION = 1  # of what a file means; raised when the calculation changes
 

@@ -25,8 +25,8 @@ from eitskin.datasets.generation.generate import generate
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.datasets.store.dataset import Dataset
-from eitskin.datasets.store.durable import write_file
 from eitskin.datasets.store.folder import open_dataset
+from eitskin.files import write_file
 from eitskin.geometry.design.electrode import Electrode
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.provenance import Provenance

@@ -16,9 +16,9 @@ from eitskin.cli.episode import FRAMES
 from eitskin.cli.options import Output
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.store.dataset import Dataset
-from eitskin.datasets.store.durable import remove_leftovers
 from eitskin.datasets.store.folder import make_folder, open_dataset
 from eitskin.errors import DataError
+from eitskin.files import remove_leftovers
 
 if TYPE_CHECKING:
     from eitskin.training.pipeline.pipeline import Pipeline

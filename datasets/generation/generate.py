@@ -10,7 +10,6 @@ from eitskin.datasets.generation import cluster
 from eitskin.datasets.generation import process_pool as processes
 from eitskin.datasets.generation.shard_simulation import prepare
 from eitskin.datasets.recipe.recipe import Recipe
-from eitskin.datasets.store.durable import remove_file, remove_leftovers, write_file
 from eitskin.datasets.store.folder import (
     MANIFEST,
     Manifest,
@@ -22,7 +21,7 @@ from eitskin.datasets.store.folder import (
 )
 from eitskin.datasets.store.shard import read_shard, shard_name
 from eitskin.errors import ConfigurationError, DataError, PartialError
-from eitskin.files import TEMPORARY
+from eitskin.files import TEMPORARY, remove_file, remove_leftovers, write_file
 
 RECIPE = "recipe.toml"
 # Less than any frame takes: noise does not compress, and each channel is stored twice.

@@ -7,10 +7,10 @@ from pathlib import Path
 import msgspec
 
 from eitskin.datasets.store.dataset import Dataset
-from eitskin.datasets.store.durable import write_file
 from eitskin.datasets.store.schema import FORMAT, FORMAT_VERSION
 from eitskin.datasets.store.shard import read_shard, shard_name, write_shard
 from eitskin.errors import ConfigurationError, DataError, PartialError
+from eitskin.files import write_file
 
 MANIFEST = "manifest.json"
 

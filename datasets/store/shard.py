@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from eitskin.config import parse_toml
 from eitskin.datasets.store.dataset import Dataset
-from eitskin.datasets.store.durable import write_file
 from eitskin.datasets.store.schema import (
     FIELDS,
     FORMAT,
@@ -27,6 +26,7 @@ from eitskin.datasets.store.schema import (
 )
 from eitskin.datasets.store.state import UNKNOWN_STATE, State
 from eitskin.errors import DataError
+from eitskin.files import write_file
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.protocol import Protocol
 

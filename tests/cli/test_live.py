@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from eitskin import files as files_module
 from eitskin.cli import live_view
 from eitskin.cli.commands import live as cli
 from eitskin.cli.commands.live_recording import FrameRecording
 from eitskin.cli.options import Output
 from eitskin.datasets import ShardWriter, open_dataset
-from eitskin.datasets.store import durable
 from eitskin.errors import ConfigurationError, DeviceError, PartialError
 from eitskin.hardware import Connection, Counts, Reading, open_board
 from eitskin.simulator import Status
@@ -198,7 +198,7 @@ def full_disk(monkeypatch):
 
     def fill(files):
         left = [files]
-        real = durable.atomic_file
+        real = files_module.atomic_file
 
         def counted(path, *arguments):
             left[0] -= 1
@@ -206,7 +206,7 @@ def full_disk(monkeypatch):
                 raise PartialError(f"cannot write {path}: no space left on the device; make room")
             return real(path, *arguments)
 
-        monkeypatch.setattr(durable, "atomic_file", counted)
+        monkeypatch.setattr(files_module, "atomic_file", counted)
 
     return fill
 

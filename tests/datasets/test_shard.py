@@ -17,7 +17,6 @@ from eitskin.datasets import (
     save_dataset,
     write_shard,
 )
-from eitskin.datasets.store.durable import remove_file
 from eitskin.datasets.store.schema import FIELDS, FORMAT_VERSION
 from eitskin.datasets.store.shard import shard_bytes
 from eitskin.errors import DataError, PartialError
@@ -368,13 +367,6 @@ def test_write_that_the_system_cuts_short_leaves_nothing(tmp_path):
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, old)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_what_cannot_be_removed_is_a_clear_error(tmp_path):
-    remove_file(tmp_path / "absent")
-    (tmp_path / "folder").mkdir()
-    with pytest.raises(PartialError, match=r"folder: .*--resume"):
-        remove_file(tmp_path / "folder")
 
 
 def test_absent_folder_is_a_clear_error(tmp_path):

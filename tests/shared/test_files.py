@@ -2,8 +2,15 @@
 
 import pytest
 
-from eitskin.errors import ConfigurationError
-from eitskin.files import atomic_file, atomic_folder
+from eitskin.errors import ConfigurationError, PartialError
+from eitskin.files import (
+    TEMPORARY,
+    atomic_file,
+    atomic_folder,
+    remove_file,
+    remove_leftovers,
+    write_file,
+)
 
 
 def test_a_block_that_raises_leaves_the_old_file_and_nothing_else(tmp_path) -> None:
@@ -75,3 +82,17 @@ def test_a_folder_that_cannot_take_the_name_leaves_what_was_there(
         filled(path, "b")
     assert [file.name for file in path.iterdir()] == ["a"]
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_what_cannot_be_removed_is_a_clear_error(tmp_path):
+    remove_file(tmp_path / "absent")
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(PartialError, match=r"folder: .*--resume"):
+        remove_file(tmp_path / "folder")
+
+
+def test_leftovers_of_killed_writers_are_removed_and_nothing_else(tmp_path) -> None:
+    write_file(tmp_path / "a.json", b"{}")
+    (tmp_path / f"{TEMPORARY}x.json").write_text("half")
+    remove_leftovers(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.json"]
