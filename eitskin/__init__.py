@@ -1,8 +1,8 @@
-"""A simulator of electrical-impedance robot skin, and the perception pipeline trained on it.
+"""Simulator of electrical-impedance robot skin, and the perception pipeline trained on it.
 
-Here lives what all rooms share: errors, checked configuration, whole files, optional extras, and
-the two types that every room speaks: `Frame` and `Protocol`. Data passes through the rooms in
-turn: geometry -> simulator -> datasets -> training -> hardware -> cli.
+The modules here are shared by all rooms: errors, checked configuration, atomic files, optional
+extras, and the two types that every room uses, `Frame` and `Protocol`. Data passes through the
+rooms in one direction: geometry -> simulator -> datasets -> training -> hardware -> cli.
 """
 
 from eitskin.lazy import lazy_exports

@@ -1,4 +1,7 @@
-"""Sizes and numbers that can be: longer lengths are most likely in another unit."""
+"""Bounds of user input: lengths, counts and positive numbers.
+
+A length beyond the bounds was most likely given in another unit.
+"""
 
 import math
 

@@ -1,14 +1,14 @@
-"""What must be closed when a `with` statement ends."""
+"""Context manager protocol of everything with `close`."""
 
 from types import TracebackType
 from typing import Self
 
 
 class Closeable:
-    """Gives `close` the two methods that make it part of a `with` statement."""
+    """Base class that makes an object with `close` a context manager."""
 
     def close(self) -> None:
-        """Let go of what is held; a second time does nothing."""
+        """Release files, ports and threads; a second call does nothing."""
         raise NotImplementedError
 
     def __enter__(self) -> Self:
@@ -20,5 +20,5 @@ class Closeable:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Close it, whatever happened."""
+        """Close the object, with or without an error in the block."""
         self.close()

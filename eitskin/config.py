@@ -1,9 +1,9 @@
-"""Frozen dataclasses from TOML, strictly, and back.
+"""Checked configuration: frozen dataclasses from TOML and back.
 
-The types of a dataclass say what its file may hold: other dataclasses are tables, a union of
-dataclasses is the one whose keys are there, `complex` is a number or [real, imaginary], `Path` is
-relative to the file. Everything else is checked by msgspec. Keys that nothing takes are errors
-that name the nearest one that is known; numbers must be finite.
+The type annotations of a dataclass define its file: a nested dataclass is a table, a union of
+dataclasses is resolved by its keys, `complex` is a number or [real, imaginary], `Path` is relative
+to the file. msgspec checks everything else. An unknown key is an error that names the nearest
+known key; numbers must be finite.
 """
 
 import dataclasses
@@ -30,30 +30,30 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
-    """Where plain data stands: for messages, and for paths that are relative to their file.
+class Location:
+    """Location of plain data in its source, for error messages and relative paths.
 
     Attributes:
-        source: name of the file, or of whatever else the data is from.
-        folder: that relative paths start from; None where no files may be named, because the data
-            is not from a file of the user's.
-        key: dotted keys down to the data; empty at the top.
+        source: name of the file or of another source.
+        folder: start of relative paths; None where the source is no file of the user's, and may
+            name no files.
+        key: dotted keys from the top of the source to the data; empty at the top.
     """
 
     source: str
     folder: Path | None = None
     key: str = ""
 
-    def under(self, key: str) -> "Place":
-        """The place of the value of `key`."""
+    def under(self, key: str) -> "Location":
+        """Location of the value of `key`."""
         return dataclasses.replace(self, key=f"{self.key}.{key}" if self.key else key)
 
-    def item(self, number: int) -> "Place":
-        """The place of item `number` of a list."""
+    def item(self, number: int) -> "Location":
+        """Location of item `number` of a list."""
         return dataclasses.replace(self, key=f"{self.key}[{number}]")
 
     def error(self, message: object) -> ConfigurationError:
-        """An error that names this place."""
+        """ConfigurationError whose message starts with this location."""
         where = f"{self.source}: {self.key}" if self.key else self.source
         return ConfigurationError(f"{where}: {message}")
 
@@ -77,8 +77,10 @@ def parse_toml(kind: type[T], text: str, where: str = "TOML text", folder: Path 
     Args:
         kind: the dataclass.
         text: TOML.
-        where: names the source in messages.
-        folder: that relative paths start from; without it the text may name no files.
+        where: name of the source in error messages.
+        folder: start of relative paths; without it the text may name no files.
+
+    Raises ConfigurationError where the text is not TOML or does not fit.
     """
     try:
         data = tomllib.loads(text)
@@ -88,117 +90,117 @@ def parse_toml(kind: type[T], text: str, where: str = "TOML text", folder: Path 
 
 
 def from_dict(kind: type[T], data: Mapping[str, Any], where: str, folder: Path | None = None) -> T:
-    """Build `kind`, a dataclass or a union of them, from plain `data`, checked like TOML."""
-    made: T = read(kind, data, Place(where, folder))
+    """Build `kind`, a dataclass or a union of dataclasses, from plain `data`, checked like TOML."""
+    made: T = read(kind, data, Location(where, folder))
     return made
 
 
-def build(make: Callable[..., T], data: Any, place: Place) -> T:
+def build(make: Callable[..., T], data: Any, location: Location) -> T:
     """Call `make`, a dataclass or a function, with the keyword arguments that `data` holds.
 
-    A dataclass may have a classmethod `spelled_out(data, place)` that returns the data with
-    abbreviations written out; what it builds itself it puts in place of the plain data.
+    A dataclass may have a classmethod `expanded(data, location)` that replaces abbreviations in
+    the data by what they stand for, as plain data or as dataclasses.
 
-    Raises ConfigurationError for keys that are unknown or missing, values of another type, and
-    everything that `make` refuses.
+    Raises ConfigurationError for unknown and missing keys, values of a wrong type, and every
+    ValueError of `make`.
     """
     if not isinstance(data, Mapping):
-        raise place.error(f"expected a table ({_keys(make)}), got `{type(data).__name__}`")
-    spelled_out = getattr(make, "spelled_out", None)
-    if spelled_out is not None:
-        data = spelled_out(data, place)
+        raise location.error(f"expected a table ({_keys(make)}), got `{type(data).__name__}`")
+    expanded = getattr(make, "expanded", None)
+    if expanded is not None:
+        data = expanded(data, location)
     known = _parameters(make)
     for key in data:
         if key not in known:
             hint = _nearest(key, known) or f"; known: {', '.join(known)}"
-            raise place.error(f"unknown key '{key}'{hint}")
+            raise location.error(f"unknown key '{key}'{hint}")
     arguments = {
-        key: read(known[key].annotation, value, place.under(key)) for key, value in data.items()
+        key: read(known[key].annotation, value, location.under(key)) for key, value in data.items()
     }
     for name in _required(make):
         if name not in data:
-            raise place.error(f"missing required field `{name}`")
+            raise location.error(f"missing required field `{name}`")
     try:
         return make(**arguments)
     except ValueError as error:
-        raise place.error(error) from error
+        raise location.error(error) from error
 
 
-def choose(makers: Iterable[Callable[..., T]], data: Any, place: Place) -> Callable[..., T]:
-    """The first of `makers` that takes every key of `data` and needs none beyond them."""
+def choose(makers: Iterable[Callable[..., T]], data: Any, location: Location) -> Callable[..., T]:
+    """First of `makers` that accepts every key of `data` and requires no other key."""
     makers = tuple(makers)
     listed = " or ".join(f"{_name(make)} ({_keys(make)})" for make in makers)
     if not isinstance(data, Mapping):
-        raise place.error(f"expected a table, {listed}, got `{type(data).__name__}`")
+        raise location.error(f"expected a table, {listed}, got `{type(data).__name__}`")
     for make in makers:
         if set(_required(make)) <= data.keys() <= _parameters(make).keys():
             return make
     known = list(itertools.chain.from_iterable(_parameters(make) for make in makers))
     hints = "".join(_nearest(key, known) for key in data if key not in known)
     given = ", ".join(data) if data else "no keys"
-    raise place.error(f"expected the keys of one of {listed}, got {given}{hints}")
+    raise location.error(f"expected the keys of one of {listed}, got {given}{hints}")
 
 
-def read(kind: Any, data: Any, place: Place) -> Any:
-    """What the type `kind` says, from plain `data`; what is built already is passed on."""
+def read(kind: Any, data: Any, location: Location) -> Any:
+    """Value of the type `kind` from plain `data`; a dataclass instance is returned unchanged."""
     origin, arguments = typing.get_origin(kind), typing.get_args(kind)
     if origin in (typing.Union, types.UnionType):
-        return _read_union(kind, data, place)
+        return _read_union(kind, data, location)
     if origin in (tuple, list) and arguments[1:] in ((), (...,)):
         if not isinstance(data, list | tuple):
-            hint = f"; tables of a list are headed [[{place.key}]]" * isinstance(data, Mapping)
-            raise place.error(f"Expected `array`, got `{type(data).__name__}`{hint}")
-        return origin(read(arguments[0], item, place.item(i)) for i, item in enumerate(data))
+            hint = f"; tables of a list are headed [[{location.key}]]" * isinstance(data, Mapping)
+            raise location.error(f"Expected `array`, got `{type(data).__name__}`{hint}")
+        return origin(read(arguments[0], item, location.item(i)) for i, item in enumerate(data))
     if _is_dataclass(kind):
-        return data if isinstance(data, kind) else build(kind, data, place)
+        return data if isinstance(data, kind) else build(kind, data, location)
     if kind is complex:
-        return _complex(data, place)
+        return _complex(data, location)
     if kind is Path:
-        return _path(data, place)
-    return _plain(kind, data, place)
+        return _path(data, location)
+    return _plain(kind, data, location)
 
 
-def _read_union(kind: Any, data: Any, place: Place) -> Any:
+def _read_union(kind: Any, data: Any, location: Location) -> Any:
     members = tuple(member for member in typing.get_args(kind) if member is not types.NoneType)
     if data is None and types.NoneType in typing.get_args(kind):
         return None
     if len(members) == 1:
-        return read(members[0], data, place)
+        return read(members[0], data, location)
     if all(map(_is_dataclass, members)):
         known = isinstance(data, members)
-        return data if known else build(choose(members, data, place), data, place)
-    return _plain(kind, data, place)
+        return data if known else build(choose(members, data, location), data, location)
+    return _plain(kind, data, location)
 
 
 def _is_dataclass(kind: Any) -> TypeGuard[type]:
     return isinstance(kind, type) and dataclasses.is_dataclass(kind)
 
 
-def _plain(kind: Any, data: Any, place: Place) -> Any:
-    """A value that msgspec checks; numbers in it must be finite."""
+def _plain(kind: Any, data: Any, location: Location) -> Any:
+    """Value checked by msgspec; its numbers must be finite."""
     if typing.get_origin(kind) is typing.Literal and data not in typing.get_args(kind):
         known = " or ".join(f"'{choice}'" for choice in typing.get_args(kind))
-        raise place.error(f"expected {known}, got {data!r}")
+        raise location.error(f"expected {known}, got {data!r}")
     try:
         value = msgspec.convert(data, kind)
     except msgspec.ValidationError as error:
-        raise place.error(error) from error
+        raise location.error(error) from error
     for number in value if isinstance(value, tuple | list) else (value,):
         if isinstance(number, float) and not math.isfinite(number):
-            raise place.error(f"expected a finite number, got {number}")
+            raise location.error(f"expected a finite number, got {number}")
     return value
 
 
-def _complex(data: Any, place: Place) -> Any:
+def _complex(data: Any, location: Location) -> Any:
     if isinstance(data, list):
-        return complex(*_plain(tuple[float, float], data, place))
-    return _plain(float, data, place)
+        return complex(*_plain(tuple[float, float], data, location))
+    return _plain(float, data, location)
 
 
-def _path(data: Any, place: Place) -> Path:
-    if place.folder is None:
-        raise place.error("names a file, which is possible only in a TOML file of its own")
-    return place.folder / str(_plain(str, data, place))
+def _path(data: Any, location: Location) -> Path:
+    if location.folder is None:
+        raise location.error("names a file, which is possible only in a TOML file of its own")
+    return location.folder / str(_plain(str, data, location))
 
 
 def _parameters(make: Callable[..., Any]) -> Mapping[str, inspect.Parameter]:
@@ -211,7 +213,7 @@ def _required(make: Callable[..., Any]) -> list[str]:
 
 
 def _keys(make: Callable[..., Any]) -> str:
-    """The keys that `make` takes, for people; those that it can do without in brackets."""
+    """Keys that `make` accepts, as text; optional ones in brackets."""
     required = _required(make)
     return ", ".join(name if name in required else f"[{name}]" for name in _parameters(make))
 
@@ -226,7 +228,7 @@ def _nearest(key: str, known: Iterable[str]) -> str:
 
 
 def to_dict(value: Any) -> Any:
-    """A dataclass as plain data, as TOML and JSON take it; fields that are None are left out."""
+    """Convert a dataclass to plain data for TOML and JSON; fields that are None are left out."""
     if dataclasses.is_dataclass(value):
         items = ((field.name, getattr(value, field.name)) for field in dataclasses.fields(value))
         return {name: to_dict(item) for name, item in items if item is not None}
@@ -242,7 +244,7 @@ def to_dict(value: Any) -> Any:
 
 
 def to_toml(value: object) -> str:
-    """Write a dataclass as TOML: plain values first, then one table per dataclass within it.
+    """Convert a dataclass to TOML text: plain values first, then one table per nested dataclass.
 
     Equal dataclasses give equal text. Fields that are None are left out.
     """
@@ -259,7 +261,7 @@ def to_toml(value: object) -> str:
 
 
 def write_toml(value: object, path: str | Path) -> str:
-    """Write a dataclass to the TOML file `path`, whole or not at all, and return the text.
+    """Write a dataclass to the TOML file `path` atomically, and return the text.
 
     Raises ConfigurationError where the file cannot be written.
     """
@@ -274,7 +276,7 @@ def _lines(table: Mapping[str, Any]) -> list[str]:
 
 
 def _inline(value: object) -> str:
-    """One value; JSON's strings are TOML's too, but for DEL, which TOML wants escaped."""
+    """Value on one line; JSON strings are TOML strings, except for DEL, which TOML escapes."""
     if isinstance(value, dict):
         return "{ " + ", ".join(_lines(value)) + " }"
     if isinstance(value, list):

@@ -1,31 +1,31 @@
-"""The errors that eitskin raises, drawn once.
+"""Exception classes and exit codes of eitskin.
 
     EitskinError
-    +-- ConfigurationError   a design, scene, recipe or option that cannot be; exit code 2
-    +-- DataError            a dataset, recording or saved pipeline that cannot be used; exit code 3
-    |   +-- FrameError       a frame that this pipeline cannot use
+    +-- ConfigurationError   an invalid design, scene, recipe or option; exit code 2
+    +-- DataError            an unusable dataset, recording or saved pipeline; exit code 3
+    |   +-- FrameError       a frame of another protocol, shape or frequency
     |       +-- UnusableFrameError   of the right sensor, but too damaged; the next may be good
     +-- DeviceError          a board that is absent, silent or speaks otherwise; exit code 4
     +-- PartialError         work that stopped part-way and can be resumed; exit code 5
 
-Every message says what was expected, what came, and what to do.
+Every message says what was expected, what was given, and the remedy.
 """
 
 
 class EitskinError(Exception):
-    """Base of everything that eitskin raises on purpose."""
+    """Base class of all errors that eitskin raises on purpose."""
 
     exit_code = 1
 
 
 class ConfigurationError(EitskinError, ValueError):
-    """A design, scene, recipe or option that cannot be."""
+    """An invalid design, scene, recipe or option."""
 
     exit_code = 2
 
 
 class DataError(EitskinError, ValueError):
-    """A dataset, recording or saved pipeline that cannot be used."""
+    """An unusable dataset, recording or saved pipeline."""
 
     exit_code = 3
 
@@ -45,6 +45,6 @@ class DeviceError(EitskinError, OSError):
 
 
 class PartialError(EitskinError):
-    """Work that stopped part-way; what is finished is kept and the work can be resumed."""
+    """Work that stopped part-way; finished files are kept and the work can be resumed."""
 
     exit_code = 5

@@ -1,4 +1,4 @@
-"""Packages that not every scene needs, loaded where they are used."""
+"""Optional packages ("extras"), imported where they are used."""
 
 import importlib
 import importlib.util
@@ -6,7 +6,7 @@ from types import ModuleType
 
 
 def require(module: str, extra: str) -> ModuleType:
-    """Import `module`; where it is missing, say which extra of eitskin brings it."""
+    """Import `module`; raises ImportError naming the extra of eitskin that installs it."""
     try:
         return importlib.import_module(module)
     except ModuleNotFoundError as error:
@@ -19,15 +19,13 @@ def require(module: str, extra: str) -> ModuleType:
 
 
 def require_all(**extras: str) -> None:
-    """Say at once, before long work, which of the packages that it will need are missing.
-
-    Nothing is imported, which would take seconds.
+    """Check before long work that all packages it needs are installed, without importing them.
 
     Args:
-        extras: the names of packages of each extra, with spaces between.
+        extras: for each extra, the names of packages, separated by spaces.
 
     Raises:
-        ImportError: names what is missing, and the extras that bring it.
+        ImportError: names the missing packages and the extras that install them.
     """
     missing = {
         name: extra

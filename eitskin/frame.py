@@ -1,4 +1,4 @@
-"""One frame: all measurements of a protocol, once. What simulators and boards both give."""
+"""Frame of measurements, the common output of simulators and boards."""
 
 from dataclasses import dataclass, field
 from enum import IntFlag
@@ -11,7 +11,7 @@ from eitskin.protocol import Protocol
 
 
 class Status(IntFlag):
-    """What a board says of one measurement; 0 is good."""
+    """Status bits of one measurement; 0 is good."""
 
     CLIPPED = 1
     FIFO_OVERFLOW = 2
@@ -24,14 +24,14 @@ class Status(IntFlag):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """One frame of a simulated, virtual, recorded or real sensor.
+    """All measurements of a protocol, each taken once, by a simulated or real sensor.
 
     Attributes:
         impedance: complex, one value per measurement of `protocol`, in its order [ohm].
-        protocol: which electrodes each value was driven and sensed at.
+        protocol: drive and sense electrodes of each value.
         time: since the session began [s].
-        number: counts the frames of a session; a gap says that frames were lost.
-        session: changes when a board has restarted; references of another session are void.
+        number: of the frame in its session; a gap means lost frames.
+        session: changes when a board has restarted; references of another session are not valid.
         frequency: of the excitation [Hz].
         status: `Status` bits, (measurements,) uint8; zeros where nothing is wrong.
     """

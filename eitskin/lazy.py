@@ -1,4 +1,4 @@
-"""Public names of a package, each loaded when it is first asked for (PEP 562)."""
+"""Lazy public names of a package: each is imported on first access (PEP 562)."""
 
 import ast
 import sys
@@ -10,11 +10,11 @@ from pathlib import Path
 def lazy_exports(
     package: str, file: str
 ) -> tuple[list[str], Callable[[str], object], Callable[[], list[str]]]:
-    """`__all__`, `__getattr__` and `__dir__` of a package whose names stand in its stub.
+    """`__all__`, `__getattr__` and `__dir__` of a package, from its stub `__init__.pyi`.
 
-    `__init__.pyi` beside `file` says once, for type checkers and for this, which names there are
-    and which module defines each: `from eitskin.geometry.design.sensor import Layer as Layer`.
-    Importing the package loads none of these modules.
+    The stub beside `file` lists the public names and their modules once, for type checkers and for
+    this function: `from eitskin.geometry.design.sensor import Layer as Layer`. Importing the
+    package imports none of these modules.
 
     Args:
         package: its `__name__`.

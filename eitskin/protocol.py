@@ -1,4 +1,4 @@
-"""Which electrodes are driven and which are sensed, measurement by measurement."""
+"""Measurement protocol: drive and sense electrodes of each measurement."""
 
 import csv
 import re
@@ -21,11 +21,11 @@ HEADER = ("drive_plus", "drive_minus", "sense_plus", "sense_minus")
 
 @dataclass(frozen=True, slots=True)
 class Protocol:
-    """A table of measurements, each (drive+, drive-, sense+, sense-).
+    """Table of measurements, each (drive+, drive-, sense+, sense-).
 
     Attributes:
         table: electrode numbers, one row per measurement.
-        n_electrodes: how many electrodes the sensor has.
+        n_electrodes: number of electrodes of the sensor.
     """
 
     table: tuple[Row, ...]
@@ -40,7 +40,7 @@ class Protocol:
 
     @classmethod
     def pairwise(cls, n_electrodes: int) -> "Protocol":
-        """Every pair once, driven and sensed at the same pair: (0,1), (0,2) ... in order."""
+        """Two-terminal measurements of all pairs of electrodes: (0,1), (0,2) ... in order."""
         pairs = combinations(range(n_electrodes), 2)
         return cls(tuple((i, j, i, j) for i, j in pairs), n_electrodes)
 
@@ -48,14 +48,14 @@ class Protocol:
     def skip(
         cls, n_electrodes: int, skip: int, sense_skip: int | None = None, shared: bool = False
     ) -> "Protocol":
-        """Pairs that leave `skip` electrodes between them, around the rim: (i, i + skip + 1).
+        """Skip protocol: pairs (i, i + skip + 1) around the rim.
 
         Every drive pair is combined with every sense pair.
 
         Args:
-            n_electrodes: how many electrodes the sensor has.
+            n_electrodes: number of electrodes of the sensor.
             skip: electrodes left out between drive+ and drive-.
-            sense_skip: the same of the sense pairs; as for the drive pairs when omitted.
+            sense_skip: electrodes left out between sense+ and sense-; `skip` when omitted.
             shared: keep sense pairs that share an electrode with the drive pair, whose voltages
                 contain that electrode's contact impedance.
         """
@@ -71,15 +71,15 @@ class Protocol:
 
     @classmethod
     def adjacent(cls, n_electrodes: int, shared: bool = False) -> "Protocol":
-        """Drive and sense neighbours (Barber and Brown 1984): n (n - 3) measurements.
+        """Adjacent protocol, neighbours drive and sense (Barber and Brown 1984): n (n - 3) rows.
 
-        By reciprocity n (n - 3) / 2 of them are independent.
+        By reciprocity n (n - 3) / 2 of the measurements are independent.
         """
         return cls.skip(n_electrodes, 0, shared=shared)
 
     @classmethod
     def opposite(cls, n_electrodes: int, shared: bool = False) -> "Protocol":
-        """Drive electrodes that face each other, sense neighbours: n / 2 (n - 4) measurements."""
+        """Opposite protocol: facing electrodes drive, neighbours sense; n / 2 (n - 4) rows."""
         if n_electrodes % 2:
             raise ConfigurationError(
                 f"electrodes face each other only in even numbers, got {n_electrodes}; use "
@@ -91,9 +91,9 @@ class Protocol:
     def from_file(cls, path: str | Path, n_electrodes: int) -> "Protocol":
         """Read a CSV table with the header drive_plus,drive_minus,sense_plus,sense_minus.
 
-        Electrodes are counted from 0. Raises ConfigurationError, naming the line, for anything
-        else: no integers, another number of columns, electrodes that do not exist, a measurement
-        that is there twice.
+        Electrodes are counted from 0. Raises ConfigurationError, naming the line, for values that
+        are no integers, a wrong number of columns, electrodes that do not exist, and repeated
+        measurements.
         """
         try:
             with Path(path).open(encoding="utf-8-sig", newline="") as file:
@@ -122,14 +122,14 @@ class Protocol:
         return cls(tuple(table), n_electrodes)
 
     def to_file(self, path: str | Path) -> None:
-        """Write the table as `from_file` reads it."""
+        """Write the table as a CSV file for `from_file`, atomically."""
         with atomic_file(path) as temporary:
             rows = (HEADER, *self.table)
             temporary.write_text("".join(_text(row) + "\n" for row in rows), encoding="utf-8")
 
     @classmethod
     def named(cls, text: str, n_electrodes: int) -> "Protocol":
-        """The protocol that `pairwise`, `adjacent`, `opposite`, `skip:2` or a file's path names."""
+        """Protocol of a name (`pairwise`, `adjacent`, `opposite`, `skip:2`), or from a CSV file."""
         simple = {"pairwise": cls.pairwise, "adjacent": cls.adjacent, "opposite": cls.opposite}
         if text in simple:
             return simple[text](n_electrodes)
@@ -144,7 +144,7 @@ class Protocol:
 
     @classmethod
     def from_rows(cls, rows: Iterable[Iterable[int]], n_electrodes: int) -> "Protocol":
-        """A protocol from any iterable of rows of four integers."""
+        """Protocol from any iterable of rows of four integers."""
         return cls(tuple(tuple(int(e) for e in row) for row in rows), n_electrodes)  # type: ignore[misc]
 
     def __len__(self) -> int:
@@ -153,17 +153,17 @@ class Protocol:
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """Short names, '0-1' where drive and sense pair are the same, else '0-1/2-3'."""
+        """Labels of the measurements, '0-1' for equal drive and sense pairs, else '0-1/2-3'."""
         return tuple(
             f"{a}-{b}" if (a, b) == (c, d) else f"{a}-{b}/{c}-{d}" for a, b, c, d in self.table
         )
 
     @property
     def rank(self) -> int:
-        """How many measurements are independent of each other, by linearity and reciprocity.
+        """Number of independent measurements, by linearity and reciprocity.
 
-        Each is a linear functional of the symmetric impedance matrix: their span's dimension. At
-        most n (n - 1) / 2, what there is to know of the matrix.
+        Each measurement is a linear functional of the symmetric impedance matrix; the rank is the
+        dimension of their span, at most the n (n - 1) / 2 unknowns of the matrix.
         """
         drive, sense = self.patterns()
         products = np.einsum("im,jm->mij", drive, sense)
@@ -182,7 +182,10 @@ class Protocol:
         return drive, sense
 
     def measure(self, impedance: ArrayLike) -> NDArray[np.inexact]:
-        """Transfer impedances [ohm], (..., measurements), of matrices (..., n_el, n_el) [ohm]."""
+        """Transfer impedances [ohm], (..., measurements), of matrices (..., n_el, n_el) [ohm].
+
+        Raises ConfigurationError for a matrix of another number of electrodes.
+        """
         Z = np.asarray(impedance)
         if Z.shape[-2:] != (self.n_electrodes, self.n_electrodes):
             raise ConfigurationError(
@@ -195,7 +198,7 @@ class Protocol:
 
 
 def _ring_pairs(n_electrodes: int, skip: int) -> list[tuple[int, int]]:
-    """Every pair (i, i + skip + 1) around the rim once; opposite ones would come twice."""
+    """All different pairs (i, i + skip + 1) around the rim; opposite pairs would come twice."""
     if not 0 <= skip <= n_electrodes - 2:
         raise ConfigurationError(
             f"a pair among {n_electrodes} electrodes can skip 0 to {max(n_electrodes - 2, 0)} of "
@@ -207,7 +210,7 @@ def _ring_pairs(n_electrodes: int, skip: int) -> list[tuple[int, int]]:
 
 
 def _row(cells: list[str], n_electrodes: int, where: str) -> Row:
-    """One line of a protocol file."""
+    """Measurement from the cells of one line of a protocol file."""
     if len(cells) != len(HEADER):
         raise ConfigurationError(
             f"{where}: expected {len(HEADER)} electrodes separated by commas, got {len(cells)}"

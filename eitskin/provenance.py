@@ -1,4 +1,4 @@
-"""What a measurement was made with: without it a time says nothing."""
+"""Provenance of a measurement: machine, versions, seed and date."""
 
 import platform
 from dataclasses import dataclass
@@ -11,13 +11,13 @@ PACKAGES = ("eitskin", "numpy", "scipy", "scikit-fem", "pyeit")
 
 @dataclass(frozen=True, slots=True)
 class Provenance:
-    """Where, when and with what something was measured.
+    """Machine, versions, seed and date of a measurement.
 
     Attributes:
         machine: model of the processor.
         python: version of the interpreter.
-        packages: version of each package that takes part; "not installed" where one is absent.
-        seed: of everything random.
+        packages: version of each package involved; "not installed" where one is absent.
+        seed: of all random numbers.
         date: of the measurement, ISO 8601, UTC.
     """
 
@@ -29,7 +29,7 @@ class Provenance:
 
     @classmethod
     def now(cls, seed: int) -> "Provenance":
-        """This machine, now."""
+        """Provenance of a measurement on this machine, now."""
         return cls(
             machine=_processor(),
             python=platform.python_version(),
@@ -39,7 +39,7 @@ class Provenance:
         )
 
     def __str__(self) -> str:
-        """One line."""
+        """All fields on one line."""
         packages = ", ".join(f"{name} {version}" for name, version in self.packages.items())
         return (
             f"{self.machine}, one core; Python {self.python}, {packages}; seed {self.seed}; "
@@ -48,7 +48,7 @@ class Provenance:
 
 
 def _processor() -> str:
-    """Model of the processor, from the kernel where it says so."""
+    """Model of the processor, from /proc/cpuinfo where it exists."""
     listing = Path("/proc/cpuinfo")
     if listing.is_file():
         for line in listing.read_text(encoding="utf-8").splitlines():

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from eitskin.bounds import MOST_ELECTRODES, require_count, require_length, require_positive
-from eitskin.config import Place, build, choose, read, read_toml, to_toml, write_toml
+from eitskin.config import Location, build, choose, read, read_toml, to_toml, write_toml
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.electrode import Electrode
 from eitskin.geometry.design.outline import Outline, Rectangle
@@ -80,15 +80,15 @@ class SensorDesign:
         return read_toml(cls, path)
 
     @classmethod
-    def spelled_out(cls, data: Mapping[str, Any], place: Place) -> Mapping[str, Any]:
+    def expanded(cls, data: Mapping[str, Any], location: Location) -> Mapping[str, Any]:
         """Plain data of a design whose `electrodes` may be one table: a layout, by its keys."""
         table = data.get("electrodes")
         if not isinstance(table, Mapping):
             return data
         if "outline" not in data:
-            raise place.error("missing required field `outline`, which the layout goes around")
-        where = place.under("electrodes")
-        outline = read(Outline, data["outline"], place.under("outline"))
+            raise location.error("missing required field `outline`, which the layout goes around")
+        where = location.under("electrodes")
+        outline = read(Outline, data["outline"], location.under("outline"))
         layout = choose([partial(make, outline) for make in (uniform, grid)], table, where)
         return {**data, "outline": outline, "electrodes": build(layout, table, where)}
 

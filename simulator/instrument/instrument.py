@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
-from eitskin.config import Place
+from eitskin.config import Location
 from eitskin.errors import ConfigurationError
 from eitskin.protocol import Protocol
 from eitskin.simulator.instrument import ad5940
@@ -122,14 +122,14 @@ class Instrument:
         return cls.ad5940()
 
     @classmethod
-    def spelled_out(cls, data: Mapping[str, Any], place: Place) -> Mapping[str, Any]:
+    def expanded(cls, data: Mapping[str, Any], location: Location) -> Mapping[str, Any]:
         """`data` with the terms of the board that it names."""
         if "board" not in data:
             return data
         try:
             board = cls.named(data["board"])
         except ConfigurationError as error:
-            raise place.under("board").error(error) from error
+            raise location.under("board").error(error) from error
         terms = {name: getattr(board, name) for name in cls.__slots__}
         return terms | {name: value for name, value in data.items() if name != "board"}
 

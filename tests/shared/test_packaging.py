@@ -1,4 +1,4 @@
-"""What is installed: every module of the tree, and nothing heavy where it is not needed."""
+"""Packaging: the wheel has every module, and imports load no heavy package needlessly."""
 
 import subprocess
 import sys
@@ -10,7 +10,8 @@ import pytest
 from eitskin import simulator
 
 ROOT = Path(__file__).resolve().parents[2]
-FOLDERS = ("geometry", "simulator", "datasets", "training", "hardware", "cli", "benchmarks")
+ROOMS = ("geometry", "simulator", "datasets", "training", "hardware", "cli", "benchmarks")
+FOLDERS = ("eitskin", *ROOMS)
 HEAVY = (
     "torch",
     "pyvista",
@@ -26,6 +27,8 @@ HEAVY = (
 )
 # Each after those above it.
 STEPS = {
+    "eitskin": "import eitskin",
+    "rooms": "import eitskin." + ", eitskin.".join(ROOMS),
     "frames": "import eitskin.simulator; from eitskin.simulator import Frame, Protocol",
     "simulator": "from eitskin.geometry import *; from eitskin.simulator import *",
     "scenes": "Simulator(SensorDesign.reference(), 'fast').measure_all([Scene()])",
@@ -41,15 +44,27 @@ def test_the_wheel_holds_every_module_of_the_tree(tmp_path) -> None:
     (wheel,) = tmp_path.glob("*.whl")
     held = set(zipfile.ZipFile(wheel).namelist())
     assert "eitskin/training/reference.eitmodel/weights.safetensors" in held
-    wanted = {
-        f"eitskin/{path.relative_to(ROOT).as_posix()}"
+    patterns = ("*.py", "*.pyi", "py.typed", "*.toml", "firmware/*.[ch]", "*.css", "web/*")
+    files = {
+        path.relative_to(ROOT).as_posix()
         for folder in FOLDERS
-        for pattern in ("*.py", "py.typed", "*/*.toml", "firmware/*.[ch]", "*.css", "web/*")
-        for path in (ROOT / folder).glob(pattern)
+        for pattern in patterns
+        for path in (ROOT / folder).rglob(pattern)
     }
-    assert len(wanted) > 30
-    assert wanted <= held, sorted(wanted - held)
-    assert not [name for name in held if name.startswith(FOLDERS)]
+    wanted = {f"eitskin/{name.removeprefix('eitskin/')}" for name in files}
+    studies = {name for name in wanted if name.startswith("eitskin/benchmarks/studies/")}
+    assert len(wanted) > 200
+    assert studies
+    assert wanted - studies <= held, sorted(wanted - studies - held)
+    assert not studies & held
+    assert not [name for name in held if name.startswith(ROOMS)]
+
+
+def test_type_checkers_see_every_module() -> None:
+    """`.types/eitskin` links to every file of the shared package and to every room."""
+    links = {path.name: path.resolve() for path in (ROOT / ".types" / "eitskin").iterdir()}
+    shared = {path.name: path for path in (ROOT / "eitskin").iterdir() if path.is_file()}
+    assert links == shared | {room: ROOT / room for room in ROOMS}
 
 
 @pytest.fixture(scope="module")
@@ -60,6 +75,17 @@ def loaded() -> dict[str, set[str]]:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     lines = done.stdout.splitlines()
     return {step: set(line.split()) for step, line in zip(STEPS, lines, strict=True)}
+
+
+def test_eitskin_and_its_rooms_load_nothing_until_a_name_is_asked_for(loaded) -> None:
+    assert loaded["rooms"] & {*HEAVY, "numpy", "scipy", "skfem", "msgspec", "typer"} == set()
+    assert {name for name in loaded["eitskin"] if name.startswith("eitskin.")} == {"eitskin.lazy"}
+
+
+def test_the_package_is_the_command_line() -> None:
+    command = [sys.executable, "-m", "eitskin", "--help"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert "simulate" in done.stdout
 
 
 def test_the_simulator_loads_no_heavy_package(loaded) -> None:

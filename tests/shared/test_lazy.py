@@ -1,0 +1,69 @@
+"""Lazy public names: what a stub lists is there, and is imported on first access only."""
+
+import importlib
+import sys
+
+import pytest
+
+STUB = """
+from lazy_package.first import One as One
+from lazy_package.first import Two as Two
+from lazy_package.second import Three as Three
+from lazy_package.second import Absent as Absent
+"""
+
+
+@pytest.fixture
+def package(tmp_path, monkeypatch):
+    """A package of two modules; its stub names one thing that the second does not define."""
+    folder = tmp_path / "lazy_package"
+    folder.mkdir()
+    (folder / "__init__.py").write_text(
+        "from eitskin.lazy import lazy_exports\n"
+        "__all__, __getattr__, __dir__ = lazy_exports(__name__, __file__)\n"
+    )
+    (folder / "__init__.pyi").write_text(STUB)
+    (folder / "first.py").write_text("class One: ...\nclass Two: ...\n")
+    (folder / "second.py").write_text("Three = object()\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    yield importlib.import_module("lazy_package")
+    for name in [name for name in sys.modules if name.partition(".")[0] == "lazy_package"]:
+        del sys.modules[name]
+
+
+def test_the_names_are_those_of_the_stub(package) -> None:
+    assert package.__all__ == ["Absent", "One", "Three", "Two"]
+    assert set(package.__all__) < set(dir(package))
+
+
+def test_a_module_is_imported_when_one_of_its_names_is_asked_for(package) -> None:
+    assert "lazy_package.first" not in sys.modules
+    assert package.One.__module__ == "lazy_package.first"
+    assert "lazy_package.first" in sys.modules
+    assert "lazy_package.second" not in sys.modules
+
+
+def test_a_name_is_looked_up_once(package, monkeypatch) -> None:
+    assert "Three" not in vars(package)
+    found = package.Three
+    assert vars(package)["Three"] is found
+    monkeypatch.delitem(vars(package), "__getattr__")
+    assert package.Three is found
+
+
+def test_a_name_that_is_not_in_the_stub_is_missing(package) -> None:
+    with pytest.raises(AttributeError, match="'lazy_package' has no attribute 'Four'"):
+        package.Four  # noqa: B018
+    assert not hasattr(package, "Four")
+
+
+def test_a_stub_that_names_something_absent_is_an_error_of_its_module(package) -> None:
+    with pytest.raises(AttributeError, match=r"'lazy_package\.second' has no attribute 'Absent'"):
+        package.Absent  # noqa: B018
+
+
+def test_star_imports_give_every_name(package) -> None:
+    vars(package)["__all__"].remove("Absent")
+    names: dict[str, object] = {}
+    exec("from lazy_package import *", names)  # noqa: S102
+    assert {"One", "Two", "Three"} <= names.keys()
