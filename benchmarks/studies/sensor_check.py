@@ -20,7 +20,7 @@ from eitskin.benchmarks.studies.signals import POSITIONS
 from eitskin.datasets.recipe.frame_sampling import specimen
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.frame import Frame, Status
-from eitskin.hardware.diagnosis.finding import What
+from eitskin.hardware.diagnosis.finding import FindingKind
 from eitskin.hardware.diagnosis.sensor_check import SensorCheck, check_sensor
 from eitskin.protocol import Protocol
 from eitskin.provenance import Provenance
@@ -60,7 +60,7 @@ class Case:
     """
 
     name: str
-    what: What
+    what: FindingKind
     truth: Complex
     electrodes: tuple[int, ...] = ()
     channels: tuple[int, ...] = ()
@@ -76,7 +76,9 @@ class Case:
         """Whether it is the only one."""
         return self.named(check) and len(check.findings) == 1
 
-    def _is(self, what: What, electrodes: tuple[int, ...], channels: tuple[int, ...]) -> bool:
+    def _is(
+        self, what: FindingKind, electrodes: tuple[int, ...], channels: tuple[int, ...]
+    ) -> bool:
         same = what == self.what and electrodes == self.electrodes
         return same and (not self.channels or channels == self.channels)
 
@@ -112,41 +114,43 @@ def cases(flat: Complex, pressed: Complex, rng: np.random.Generator) -> Iterator
         a, b = pair
         turned = {a: b, b: a}
         order = [PAIRS.index(tuple(sorted(turned.get(e, e) for e in each))) for each in PAIRS]
-        yield Case("swapped electrodes", What.SWAPPED, still[:, order], pair)
+        yield Case("swapped electrodes", FindingKind.SWAPPED, still[:, order], pair)
         joined = np.repeat(shorted(flat, pair)[None], FRAMES, axis=0)
-        yield Case("shorted pair", What.SHORT, joined, pair)
+        yield Case("shorted pair", FindingKind.SHORT, joined, pair)
         yield from _at_channel(still, k, rng)
     for factor in (0.2, 5.0, 50.0):
-        yield Case("wrong RTIA or RCAL", What.FACTOR, still, factor=factor)
-    yield Case("phase off by 30 deg", What.PHASE, still * np.exp(1j * np.deg2rad(30.0)))
-    yield Case("frozen", What.FROZEN, still, after="frozen")
+        yield Case("wrong RTIA or RCAL", FindingKind.FACTOR, still, factor=factor)
+    yield Case("phase off by 30 deg", FindingKind.PHASE, still * np.exp(1j * np.deg2rad(30.0)))
+    yield Case("frozen", FindingKind.FROZEN, still, after="frozen")
     for each in pressed:
         moved = still.copy()
         moved[FRAMES // 2 :] *= each
-        yield Case(f"touched with {FORCE:g} N half-way", What.MOVED, moved)
+        yield Case(f"touched with {FORCE:g} N half-way", FindingKind.MOVED, moved)
 
 
 def _at_electrode(still: Complex, e: int) -> Iterator[Case]:
     opened, status = still.copy(), np.zeros(still.shape, np.uint8)
     opened[:, touching(e)] = STRAY
-    yield Case("open electrode, not marked", What.OPEN, opened, (e,))
+    yield Case("open electrode, not marked", FindingKind.OPEN, opened, (e,))
     status[:, touching(e)] = Status.OPEN
-    yield Case("open electrode, marked", What.OPEN, opened, (e,), status=status)
+    yield Case("open electrode, marked", FindingKind.OPEN, opened, (e,), status=status)
     for ohm in SERIES:
         worse = still + ohm * touching(e)
-        yield Case(f"bad contact, {ohm:g} ohm", What.BAD_CONTACT, worse, (e,))
+        yield Case(f"bad contact, {ohm:g} ohm", FindingKind.BAD_CONTACT, worse, (e,))
 
 
 def _at_channel(still: Complex, k: int, rng: np.random.Generator) -> Iterator[Case]:
     one = np.arange(len(PAIRS)) == k
     status = np.zeros(still.shape, np.uint8)
     status[:, k] = Status.CLIPPED
-    yield Case("stuck channel", What.STUCK, still, channels=(k,), after="stuck")
-    yield Case("channel not finite", What.NOT_FINITE, still, channels=(k,), after="not finite")
-    yield Case("clipped channel", What.CLIPPED, still * (1 - 0.3 * one), (), (k,), status)
+    yield Case("stuck channel", FindingKind.STUCK, still, channels=(k,), after="stuck")
+    yield Case(
+        "channel not finite", FindingKind.NOT_FINITE, still, channels=(k,), after="not finite"
+    )
+    yield Case("clipped channel", FindingKind.CLIPPED, still * (1 - 0.3 * one), (), (k,), status)
     noisy = still * (1 + 0.01 * one * rng.standard_normal(still.shape))
-    yield Case("noisy channel, 1 %", What.NOISY, noisy, channels=(k,))
-    yield Case("channel off by 10 %", What.MISFIT, still * (1 + 0.1 * one), channels=(k,))
+    yield Case("noisy channel, 1 %", FindingKind.NOISY, noisy, channels=(k,))
+    yield Case("channel off by 10 %", FindingKind.MISFIT, still * (1 + 0.1 * one), channels=(k,))
 
 
 def measured(case: Case, rng: np.random.Generator, full_scale: float) -> list[Frame]:
@@ -189,7 +193,7 @@ def main() -> None:
     for number in range(given.specimens):
         sim = Simulator(specimen(recipe, given.first + number).design, recipe.resolution)
         own = sim.measure(Scene()).impedance
-        still = Case("healthy", What.MISFIT, np.repeat(own[None], FRAMES, axis=0))
+        still = Case("healthy", FindingKind.MISFIT, np.repeat(own[None], FRAMES, axis=0))
         tried = [still, *(cases(own, pressed, rng) if number < given.faulty else ())]
         for case in tried:
             frames = measured(case, rng, nominal.full_scale)

@@ -217,12 +217,12 @@ class LiveSession:
 
     def silence(self) -> str:
         """Why the newest reading is old; empty while it is not."""
-        from eitskin.hardware.boards.board import silence_after
+        from eitskin.hardware.boards.board import longest_silence
 
         period = self.connection.board.info.period
         age = self.clock() - self.newest_at
         # A machine that is busy for a moment is no silence.
-        if age < silence_after(period, SHORTEST_SILENCE):
+        if age < longest_silence(period, SHORTEST_SILENCE):
             return ""
         return f"nothing for {age:.0f} s" + f"; {self.connection.problem}" * bool(
             self.connection.problem

@@ -130,9 +130,9 @@ class Page(Closeable):
 
     def _stale_after(self) -> float:
         """How old the newest reading may be [s]; a board of text learns its period as it goes."""
-        from eitskin.hardware.boards.board import silence_after
+        from eitskin.hardware.boards.board import longest_silence
 
-        return silence_after(self._connection.board.info.period, SHORTEST)
+        return longest_silence(self._connection.board.info.period, SHORTEST)
 
     def _age(self) -> float | None:
         """Of the newest reading [s]; None where there is none."""

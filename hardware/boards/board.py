@@ -35,7 +35,7 @@ SILENT_PERIODS = 3
 SHORTEST_SILENCE = 0.5  # s; a host that is busy for a moment is no silent board
 
 
-def silence_after(period: float, least: float = SHORTEST_SILENCE) -> float:
+def longest_silence(period: float, least: float = SHORTEST_SILENCE) -> float:
     """How long no frame may come from a board with that period [s]; NaN or 0 is unknown."""
     return max(SILENT_PERIODS * period, least) if period > 0.0 else math.inf
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from eitskin.errors import DeviceError
 from eitskin.frame import Frame
 from eitskin.hardware.boards.board import Board
-from eitskin.hardware.boards.held_port import UnrecoverableError
+from eitskin.hardware.boards.reopenable_port import UnrecoverableError
 
 FIRST_PAUSE = 0.1  # s, before the first try
 LONGEST_PAUSE = 5.0  # s; the pause doubles until then

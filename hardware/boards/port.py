@@ -26,7 +26,7 @@ _POLL = 0.05  # s, how long one read waits at most
 _SEND_WITHIN = 0.5  # s
 
 
-class Port(typing.Protocol):
+class SerialPort(typing.Protocol):
     """What is used of a pyserial port."""
 
     @property
@@ -46,11 +46,11 @@ class Port(typing.Protocol):
         """Let go of the port."""
 
 
-def open_port(path: str, uri: str, baud: int = BAUD) -> Port:
+def open_port(path: str, uri: str, baud: int = BAUD) -> SerialPort:
     """A pyserial port, 8N1 without flow control, locked for this process."""
     serial = require("serial", "hardware")
     try:
-        port: Port = serial.Serial(
+        port: SerialPort = serial.Serial(
             path, baud, timeout=_POLL, write_timeout=_SEND_WITHIN, exclusive=True
         )
     except _UNOPENED as error:
@@ -165,8 +165,8 @@ def connector(
     baud: int = BAUD,
     usb: str = "",
     ports: Ports = serial_ports,
-    opened: Callable[[str, str, int], Port] = open_port,
-) -> Callable[[], Port]:
+    opened: Callable[[str, str, int], SerialPort] = open_port,
+) -> Callable[[], SerialPort]:
     """What opens a port, and opens it again after it has gone, at another path if need be.
 
     Args:
@@ -185,7 +185,7 @@ def connector(
         path = path or only_usb_port(uri.partition(":")[0], ports)
     known = usb or usb_serial_of(path, ports)
 
-    def connect() -> Port:
+    def connect() -> SerialPort:
         place = path
         if usb:
             place = find_port(usb, ports)

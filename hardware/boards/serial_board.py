@@ -15,11 +15,17 @@ import numpy as np
 from eitskin.closeable import Closeable
 from eitskin.errors import ConfigurationError, DeviceError
 from eitskin.frame import Frame, Status
-from eitskin.hardware.boards.board import Counts, silence_after
-from eitskin.hardware.boards.held_port import BACKLOG, CHUNK, HeldPort, UnrecoverableError
-from eitskin.hardware.boards.port import Port
+from eitskin.hardware.boards.board import Counts, longest_silence
+from eitskin.hardware.boards.port import SerialPort
+from eitskin.hardware.boards.reopenable_port import (
+    BACKLOG,
+    CHUNK,
+    ReopenablePort,
+    UnrecoverableError,
+)
 from eitskin.hardware.protocol.messages import (
     Ack,
+    AckStatus,
     Calibrate,
     Event,
     FrameData,
@@ -28,7 +34,6 @@ from eitskin.hardware.protocol.messages import (
     Info,
     Message,
     MessageError,
-    Reply,
     Request,
     Start,
     Stop,
@@ -36,7 +41,7 @@ from eitskin.hardware.protocol.messages import (
     pack,
     unpack,
 )
-from eitskin.hardware.protocol.packets import Decoder, Drop, encode
+from eitskin.hardware.protocol.packets import Decoder, PacketDrop, encode
 from eitskin.protocol import Protocol
 
 REPLY_WITHIN = 0.5  # s
@@ -61,7 +66,7 @@ class SerialBoard(Closeable):
 
     def __init__(
         self,
-        connect: Callable[[], Port],
+        connect: Callable[[], SerialPort],
         uri: str,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -85,7 +90,7 @@ class SerialBoard(Closeable):
         self._expected: int | None = None
         self._restarted = self._resuming = False
         self._frames = self._lost = self._skipped = self._reconnections = 0
-        self._port = HeldPort(connect, uri)
+        self._port = ReopenablePort(connect, uri)
         try:
             self.info = self._meet()
             self.protocol = self._read_protocol()
@@ -209,14 +214,14 @@ class SerialBoard(Closeable):
                 self._start()
         raise DeviceError(
             f"{self.uri}: the stream is stale, no frame came for {self._patience:.3f} s, with one "
-            f"due every {self.info.period:.3f} s{self._hearsay()}; check power and cable, then "
-            "connect again"
+            f"due every {self.info.period:.3f} s{self._received_instead()}; check power and cable, "
+            "then connect again"
         )
 
     @property
     def _patience(self) -> float:
         """How long no frame may come [s]."""
-        return silence_after(self.info.period)
+        return longest_silence(self.info.period)
 
     def _discard_old(self) -> None:
         """Throw away what waits in a port that nobody has read for long.
@@ -257,7 +262,7 @@ class SerialBoard(Closeable):
         gap = 0 if self._expected is None else (data.number - self._expected) % 2**32
         if gap >= 2**31:  # behind, not ahead: numbers wrap
             if not self._resuming:
-                self._decoder.drops[Drop.STALE] += 1
+                self._decoder.drops[PacketDrop.STALE] += 1
                 return None
             gap = 0  # it counts anew, though it says that it did not start anew
         self._resuming = False
@@ -302,26 +307,26 @@ class SerialBoard(Closeable):
                 self._note(message)
         raise DeviceError(
             f"{self.uri}: expected an answer to {type(request).__name__.upper()} within "
-            f"{REPLY_WITHIN:g} s, none came in {TRIES} tries{self._hearsay()}; check that this is "
-            "the EIT board, its power and its cable"
+            f"{REPLY_WITHIN:g} s, none came in {TRIES} tries{self._received_instead()}; check "
+            "that this is the EIT board, its power and its cable"
         )
 
     def _require_done(self, request: Request, ack: Ack) -> None:
-        if ack.status != Reply.DONE:
-            known = ack.status in Reply.__members__.values()
-            reason = Reply(ack.status).name.lower() if known else f"status {ack.status}"
+        if ack.status != AckStatus.DONE:
+            known = ack.status in AckStatus.__members__.values()
+            reason = AckStatus(ack.status).name.lower() if known else f"status {ack.status}"
             raise DeviceError(
                 f"{self.uri}: the board refused {type(request).__name__.upper()}: "
-                f"{reason.replace('_', ' ')}{self._hearsay()}; check that its firmware fits this "
-                "eitskin"
+                f"{reason.replace('_', ' ')}{self._received_instead()}; check that its firmware "
+                "fits this eitskin"
             )
 
-    def _hearsay(self) -> str:
+    def _received_instead(self) -> str:
         """What came instead of what was expected."""
         if self.events and self.events[-1].level > 0:
             return f" (its firmware says: {self.events[-1].text})"
         drops = self._decoder.drops
-        if drops[Drop.VERSION]:
+        if drops[PacketDrop.VERSION]:
             return " (it speaks another version of the protocol: update eitskin or the firmware)"
         if self._malformed:
             return f" (it sent {self._malformed})"
@@ -354,5 +359,5 @@ class SerialBoard(Closeable):
                 self._drop_malformed(str(error))
 
     def _drop_malformed(self, what: str) -> None:
-        self._decoder.drops[Drop.MALFORMED] += 1
+        self._decoder.drops[PacketDrop.MALFORMED] += 1
         self._malformed = what

@@ -17,10 +17,10 @@ from eitskin.closeable import Closeable
 from eitskin.datasets.recordings import parse_protocol
 from eitskin.errors import ConfigurationError, DeviceError
 from eitskin.frame import Frame, Status
-from eitskin.hardware.boards.board import Counts, silence_after
-from eitskin.hardware.boards.held_port import BACKLOG, CHUNK, HeldPort
-from eitskin.hardware.boards.port import Port, connector
-from eitskin.hardware.boards.text_frames import FrameFinder, Lines
+from eitskin.hardware.boards.board import Counts, longest_silence
+from eitskin.hardware.boards.port import SerialPort, connector
+from eitskin.hardware.boards.reopenable_port import BACKLOG, CHUNK, ReopenablePort
+from eitskin.hardware.boards.text_frames import FrameFinder, FrameLines
 from eitskin.hardware.boards.text_lines import LineDecoder
 from eitskin.hardware.protocol.messages import Info, Table
 from eitskin.protocol import Protocol
@@ -49,7 +49,7 @@ class TextBoard(Closeable):
 
     def __init__(
         self,
-        connect: Callable[[], Port],
+        connect: Callable[[], SerialPort],
         uri: str,
         protocol: Protocol,
         mark: str = "",
@@ -73,10 +73,10 @@ class TextBoard(Closeable):
         self._clock, self._frequency = clock, frequency
         self._decoder = LineDecoder(mark)
         self._finder = FrameFinder(len(protocol), bool(mark.strip()), pause)
-        self._found: deque[Lines] = deque()
+        self._found: deque[FrameLines] = deque()
         self._frames = self._skipped = self._reconnections = self._session = 0
         self._begun = math.nan
-        self._port = HeldPort(connect, uri)
+        self._port = ReopenablePort(connect, uri)
 
     @property
     def info(self) -> Info:
@@ -157,9 +157,9 @@ class TextBoard(Closeable):
         """Whether the port is full: lines from within two frames may then follow each other."""
         return self._port.waiting() >= CHUNK - 1
 
-    def _next(self) -> Lines:
+    def _next(self) -> FrameLines:
         period = self._finder.period
-        patience = min(silence_after(period, SHORTEST), FIRST_WITHIN)
+        patience = min(longest_silence(period, SHORTEST), FIRST_WITHIN)
         deadline = self._clock() + patience
         # Look before giving up: this process may have slept past the deadline itself.
         while not self._found:
@@ -167,11 +167,11 @@ class TextBoard(Closeable):
             if not self._found and self._clock() >= deadline:
                 raise DeviceError(
                     f"{self.uri}: the stream is stale, no frame came within {patience:.1f} s; "
-                    f"{self._finder.hearsay()}{self._damage()}"
+                    f"{self._finder.received_instead()}{self._damage()}"
                 )
         return self._found.popleft()
 
-    def _overtaken_by(self, lines: Lines) -> Lines:
+    def _overtaken_by(self, lines: FrameLines) -> FrameLines:
         """The newest frame among those that have arrived by now, `lines` if there is none."""
         # A board that never pauses is not followed for ever.
         for _ in range(BACKLOG // CHUNK):
@@ -192,7 +192,7 @@ class TextBoard(Closeable):
         data = self._port.read()
         self._found.extend(self._finder.feed(self._clock(), self._decoder.feed(data)))
 
-    def _frame(self, lines: Lines) -> Frame:
+    def _frame(self, lines: FrameLines) -> Frame:
         # In single precision, as packets are and recordings keep it; what it cannot hold is inf.
         with np.errstate(over="ignore"):
             impedance = np.array([line.impedance for line in lines.measurements], np.complex64)

@@ -21,7 +21,7 @@ class FrameDrop(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Lines:
+class FrameLines:
     """The lines of one frame.
 
     Attributes:
@@ -75,7 +75,7 @@ class FrameFinder:
         self._whole = False
         self._began = self._last = math.nan
 
-    def feed(self, now: float, lines: Sequence[Line]) -> list[Lines]:
+    def feed(self, now: float, lines: Sequence[Line]) -> list[FrameLines]:
         """The frames that are known to have ended by `now` [s], when `lines` had come."""
         ended = []
         if not self._marked and self._count and now - self._latest > self._longest:
@@ -87,7 +87,7 @@ class FrameFinder:
                 self._take(now, line)
         return [frame for frame in ended if frame is not None]
 
-    def hearsay(self) -> str:
+    def received_instead(self) -> str:
         """What came instead of a frame."""
         if self._counts:
             found = ", ".join(map(str, self._counts))
@@ -124,7 +124,7 @@ class FrameFinder:
             others = sum(self._distances) - max(self._distances)
             self._usual = others / max(self._size - 1, 1)
 
-    def _end(self) -> Lines | None:
+    def _end(self) -> FrameLines | None:
         """The frame that has ended, if it is whole; the next begins."""
         group, count, whole = tuple(self._group), self._count, self._whole
         self._group, self._count, self._whole = [], 0, True
@@ -144,4 +144,4 @@ class FrameFinder:
         self._last = self._began
         self._counts.clear()
         self._number += 1
-        return Lines(self._number - 1, self._began, group)
+        return FrameLines(self._number - 1, self._began, group)

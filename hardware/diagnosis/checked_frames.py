@@ -78,14 +78,14 @@ class CheckedFrames:
         """Channels without a current, (measurements,)."""
         times = self.ratio / max(self._scale, np.finfo(float).tiny)
         large = (times > INSULATED) | ((times > OPEN) & self._capacitive)
-        return np.asarray(self._said_open | (self.usable & large))
+        return np.asarray(self._reported_open | (self.usable & large))
 
     @cached_property
     def _capacitive(self) -> Bools:
         return np.asarray(np.angle(self.value, deg=True) < CAPACITIVE_DEG)
 
     @cached_property
-    def _said_open(self) -> Bools:
+    def _reported_open(self) -> Bools:
         return self.flagged(Status.OPEN) | self.flagged(Status.LOW_CURRENT)
 
     @cached_property
@@ -95,7 +95,7 @@ class CheckedFrames:
         Whether the scale or the contacts are wrong, the lowest fifth tells: it stays good with four
         of eight electrodes open. Where all are, they see a capacitance, whatever they expected.
         """
-        judged = self.finite.any(axis=0) & ~self._said_open
+        judged = self.finite.any(axis=0) & ~self._reported_open
         if not judged.any():
             return 1.0
         low = float(np.quantile(self.ratio[judged], 0.2, method="lower"))
@@ -155,7 +155,7 @@ def checked_frames(frames: tuple[Frame, ...], expected: Array) -> CheckedFrames:
     )
 
 
-def blamed(wrong: Bools, protocol: Protocol) -> tuple[list[int], list[int]]:
+def electrodes_at_fault(wrong: Bools, protocol: Protocol) -> tuple[list[int], list[int]]:
     """Electrodes all of whose channels are wrong, and the wrong channels that these leave."""
     table, left = np.array(protocol.table), wrong.copy()
     electrodes = []

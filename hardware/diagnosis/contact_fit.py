@@ -16,14 +16,14 @@ from eitskin.protocol import Protocol
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-ERROR = 0.004
+MODEL_ERROR = 0.004
 """Of a value, rms, where the model holds: electrode places and paths of the board, 0.3 % each."""
-LARGEST = 6.0
-"""Mean square of the misfit in units of ERROR; nearly all healthy sensors stay below 3.5, swapped
+LARGEST_CHI2 = 6.0
+"""Largest reduced chi-square of a good fit; nearly all healthy sensors stay below 3.5, swapped
 wires begin at 9."""
 MOST_SWAPS = 3
-_RELUCTANCE = 1e-6  # against series resistances that no channel tells apart
-_SPARE = 4  # measurements that there must be beyond the unknowns
+_REGULARISATION = 1e-6  # against series resistances that no channel tells apart
+_SPARE_MEASUREMENTS = 4  # measurements that there must be beyond the unknowns
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,7 +43,7 @@ class ContactFit:
     @property
     def good(self) -> bool:
         """Whether what is left may be that of a healthy sensor."""
-        return bool(self.misfit**2 <= LARGEST * ERROR**2)
+        return bool(self.misfit**2 <= LARGEST_CHI2 * MODEL_ERROR**2)
 
 
 def fit_contacts(
@@ -58,12 +58,12 @@ def fit_contacts(
         protocol: that senses where it drives.
     """
     columns = _columns(expected, protocol)
-    if used.sum() < _unknowns(columns, used) + _SPARE:
+    if used.sum() < _unknowns(columns, used) + _SPARE_MEASUREMENTS:
         return None
-    return _fits(values[None], used[None], columns)[0]
+    return _least_squares(values[None], used[None], columns)[0]
 
 
-def mended_wiring(
+def corrected_wiring(
     values: Array, expected: Array, used: Bools, protocol: Protocol
 ) -> tuple[tuple[tuple[int, int], ...], int | None, ContactFit]:
     """The fewest exchanges of two electrodes, or the one channel left out, that make a good fit.
@@ -73,25 +73,25 @@ def mended_wiring(
     arguments are `fit_contacts`'s.
     """
     columns = _columns(expected, protocol)
-    given = _fits(values[None], used[None], columns)[0]
+    given = _least_squares(values[None], used[None], columns)[0]
     if given.good:
         return (), None, given
     one_less = used & ~np.eye(len(used), dtype=bool)[used]
-    alone = _fits(np.repeat(values[None], len(one_less), axis=0), one_less, columns)
-    best = min(range(len(alone)), key=lambda k: alone[k].misfit)
+    without_one = _least_squares(np.repeat(values[None], len(one_less), axis=0), one_less, columns)
+    best = min(range(len(without_one)), key=lambda k: without_one[k].misfit)
     pairs = tuple(itertools.combinations(range(protocol.n_electrodes), 2))
     orders = np.array([_exchanged(protocol, pair) for pair in pairs])
     order, swaps = np.arange(len(values)), []
     for _ in range(MOST_SWAPS):
         tried = order[orders]
-        fits = _fits(values[tried], used[tried], columns)
+        fits = _least_squares(values[tried], used[tried], columns)
         k = min(range(len(pairs)), key=lambda k: fits[k].misfit)
         order = tried[k]
         swaps.append(pairs[k])
-        if fits[k].good and not (len(swaps) == 1 and alone[best].misfit < fits[k].misfit):
+        if fits[k].good and not (len(swaps) == 1 and without_one[best].misfit < fits[k].misfit):
             return tuple(swaps), None, fits[k]
-        if alone[best].good:
-            return (), int(np.flatnonzero(used)[best]), alone[best]
+        if without_one[best].good:
+            return (), int(np.flatnonzero(used)[best]), without_one[best]
     return (), None, given
 
 
@@ -108,7 +108,7 @@ def _unknowns(columns: Array, used: Bools) -> int:
     return int((columns[used] != 0.0).any(axis=0).sum())
 
 
-def _fits(values: Array, used: Bools, columns: Array) -> list[ContactFit]:
+def _least_squares(values: Array, used: Bools, columns: Array) -> list[ContactFit]:
     """One fit for each row of values and channels, (fits, measurements)."""
     expected, typical = columns[:, 0], float(np.median(columns[:, 0]))
     kept = np.where(used, values, np.nan)
@@ -118,7 +118,7 @@ def _fits(values: Array, used: Bools, columns: Array) -> list[ContactFit]:
     products = (columns[:, :, None] * columns[:, None, :]).reshape(len(expected), -1)
     size = columns.shape[1]
     normal = (weights @ products).reshape(-1, size, size)
-    normal += _RELUCTANCE * np.diag(np.arange(size) > 0) * normal[:, :1, :1]
+    normal += _REGULARISATION * np.diag(np.arange(size) > 0) * normal[:, :1, :1]
     found = np.linalg.solve(normal, ((weights * values) @ columns)[:, :, None])[:, :, 0]
     square = (weights * (values - found @ columns.T) ** 2).sum(axis=1)
     freedom = used.sum(axis=1) - _unknowns(columns, np.asarray(used.any(axis=0)))

@@ -6,10 +6,10 @@ from enum import StrEnum
 
 import numpy as np
 
-from eitskin.hardware.diagnosis.checked_frames import Bools, CheckedFrames, blamed
+from eitskin.hardware.diagnosis.checked_frames import Bools, CheckedFrames, electrodes_at_fault
 
 
-class What(StrEnum):
+class FindingKind(StrEnum):
     """The kinds of finding."""
 
     NOT_FINITE = "not finite"
@@ -39,33 +39,35 @@ class Finding:
         message: what it is, and what to do.
     """
 
-    what: What
+    what: FindingKind
     electrodes: tuple[int, ...]
     channels: tuple[int, ...]
     message: str
 
 
-def located(
-    what: What, wrong: Bools, seen: CheckedFrames, said: str, remedy: str
+def findings_by_electrode(
+    what: FindingKind, wrong: Bools, checked: CheckedFrames, said: str, remedy: str
 ) -> Iterator[Finding]:
     """Findings of channels at fault, by electrode where it has no other channels."""
     if wrong.all():
-        yield Finding(what, (), indices(wrong), f"every channel {said}: {remedy}")
+        yield Finding(what, (), channel_numbers(wrong), f"every channel {said}: {remedy}")
         return
-    electrodes, channels = blamed(wrong, seen.protocol)
+    electrodes, channels = electrodes_at_fault(wrong, checked.protocol)
     for e in electrodes:
-        at = seen.with_electrode(e)
-        yield Finding(what, (e,), indices(at), f"every pair of electrode {e} {said}: {remedy}")
+        at = checked.with_electrode(e)
+        yield Finding(
+            what, (e,), channel_numbers(at), f"every pair of electrode {e} {said}: {remedy}"
+        )
     for k in channels:
-        yield Finding(what, (), (k,), f"channel {seen.protocol.labels[k]} {said}: {remedy}")
+        yield Finding(what, (), (k,), f"channel {checked.protocol.labels[k]} {said}: {remedy}")
 
 
-def names(wrong: Bools, seen: CheckedFrames) -> str:
+def channel_names(wrong: Bools, checked: CheckedFrames) -> str:
     """The channels that are wrong, in words."""
-    labels = [seen.protocol.labels[k] for k in np.flatnonzero(wrong)]
+    labels = [checked.protocol.labels[k] for k in np.flatnonzero(wrong)]
     return "every channel" if wrong.all() else f"channel {', '.join(labels)}"
 
 
-def indices(channels: Bools) -> tuple[int, ...]:
+def channel_numbers(channels: Bools) -> tuple[int, ...]:
     """The numbers of channels."""
     return tuple(np.flatnonzero(channels).tolist())

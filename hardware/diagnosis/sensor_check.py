@@ -13,10 +13,21 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from eitskin.frame import Frame, Status
-from eitskin.hardware.diagnosis.checked_frames import Bools, CheckedFrames, blamed, checked_frames
-from eitskin.hardware.diagnosis.contact_fit import fit_contacts, mended_wiring
-from eitskin.hardware.diagnosis.finding import Finding, What, indices, located, names
-from eitskin.hardware.diagnosis.unsteady import frozen, unsteady
+from eitskin.hardware.diagnosis.checked_frames import (
+    Bools,
+    CheckedFrames,
+    checked_frames,
+    electrodes_at_fault,
+)
+from eitskin.hardware.diagnosis.contact_fit import corrected_wiring, fit_contacts
+from eitskin.hardware.diagnosis.finding import (
+    Finding,
+    FindingKind,
+    channel_names,
+    channel_numbers,
+    findings_by_electrode,
+)
+from eitskin.hardware.diagnosis.variation import frozen, unsteady
 
 # Each lies beyond what healthy sensors show;
 # `eitskin.benchmarks.studies.sensor_check` measures by how far.
@@ -53,114 +64,120 @@ def check_sensor(frames: Sequence[Frame], expected: ArrayLike) -> SensorCheck:
         FrameError: for no frames, or frames of several protocols.
         ConfigurationError: for expected values of another shape, or that are not positive.
     """
-    seen = checked_frames(tuple(frames), np.asarray(expected, dtype=np.float64))
-    opened = seen.opened
-    rest = seen.usable & ~opened
-    findings = [*_flags(seen), *frozen(seen)]
+    checked = checked_frames(tuple(frames), np.asarray(expected, dtype=np.float64))
+    opened = checked.opened
+    rest = checked.usable & ~opened
+    findings = [*_flags(checked), *frozen(checked)]
     if opened.all():
-        findings.append(_open(range(seen.protocol.n_electrodes), opened))
+        findings.append(_open(range(checked.protocol.n_electrodes), opened))
         return SensorCheck(tuple(findings))
-    electrodes, channels = blamed(opened, seen.protocol)
-    findings += [_open((e,), seen.with_electrode(e)) for e in electrodes]
-    findings += [_open_channel(k, seen) for k in channels]
+    electrodes, channels = electrodes_at_fault(opened, checked.protocol)
+    findings += [_open((e,), checked.with_electrode(e)) for e in electrodes]
+    findings += [_open_channel(k, checked) for k in channels]
     if rest.any():
-        changing = list(unsteady(seen, rest & ~seen.shorted))
+        changing = list(unsteady(checked, rest & ~checked.shorted))
         steady = _without(changing, rest)
-        findings += [*changing, *_wrong_values(seen, steady)]
+        findings += [*changing, *_wrong_values(checked, steady)]
     return SensorCheck(tuple(findings))
 
 
-def _flags(seen: CheckedFrames) -> Iterator[Finding]:
+def _flags(checked: CheckedFrames) -> Iterator[Finding]:
     """What the values and the board say by themselves."""
-    if (wrong := ~seen.finite.all(axis=0) & ~seen.opened).any():
+    if (wrong := ~checked.finite.all(axis=0) & ~checked.opened).any():
         remedy = "the board divides by a current of zero: check these wires, then the firmware"
-        yield from located(What.NOT_FINITE, wrong, seen, "gives values that are no numbers", remedy)
-    if (wrong := seen.flagged(Status.CLIPPED) & ~seen.shorted).any():
+        yield from findings_by_electrode(
+            FindingKind.NOT_FINITE, wrong, checked, "gives values that are no numbers", remedy
+        )
+    if (wrong := checked.flagged(Status.CLIPPED) & ~checked.shorted).any():
         remedy = "lower the excitation, or RTIA, in the firmware"
-        yield from located(What.CLIPPED, wrong, seen, "is clipped", remedy)
+        yield from findings_by_electrode(FindingKind.CLIPPED, wrong, checked, "is clipped", remedy)
     told = {
         Status.UNCALIBRATED: "is not calibrated: calibrate the board",
         Status.DFT_TIMEOUT: "timed out: restart the board",
         Status.FIFO_OVERFLOW: "overran the board's memory: restart the board",
     }
     for bit, said in told.items():
-        if (wrong := seen.flagged(bit)).any():
-            text = f"the board says that {names(wrong, seen)} {said}"
-            yield Finding(What.BOARD, (), indices(wrong), text)
+        if (wrong := checked.flagged(bit)).any():
+            text = f"the board says that {channel_names(wrong, checked)} {said}"
+            yield Finding(FindingKind.BOARD, (), channel_numbers(wrong), text)
 
 
-def _wrong_values(seen: CheckedFrames, rest: Bools) -> Iterator[Finding]:
+def _wrong_values(checked: CheckedFrames, rest: Bools) -> Iterator[Finding]:
     """Values that are steady and not those of this design."""
-    shorted = rest & seen.shorted
+    shorted = rest & checked.shorted
     for k in np.flatnonzero(shorted):
-        a, b, *_ = seen.protocol.table[k]
+        a, b, *_ = checked.protocol.table[k]
         text = (
             f"electrodes {a} and {b} are shorted: look for wires that touch, or a bridge of gel "
             f"or solder between plugs {a} and {b}"
         )
-        yield Finding(What.SHORT, (min(a, b), max(a, b)), (int(k),), text)
+        yield Finding(FindingKind.SHORT, (min(a, b), max(a, b)), (int(k),), text)
     if (rest := rest & ~shorted).any():
-        yield from _wrong_phase(seen, rest)
+        yield from _wrong_phase(checked, rest)
         # A short changes what all other pairs should be.
-        own = not shorted.any() and seen.senses_where_it_drives.all()
-        fit = fit_contacts(*seen.magnitudes(rest)) if own else None
-        scale = fit.scale if fit and fit.good else float(np.median(seen.ratio[rest]))
+        own = not shorted.any() and checked.senses_where_it_drives.all()
+        fit = fit_contacts(*checked.magnitudes(rest)) if own else None
+        scale = fit.scale if fit and fit.good else float(np.median(checked.ratio[rest]))
         if not 1.0 / FACTOR <= scale <= FACTOR:
             text = (
                 f"all values are {scale:.2g} times what this design gives: check RTIA and RCAL in "
                 "the firmware, and that this is the sensor that the model is for"
             )
-            yield Finding(What.FACTOR, (), indices(rest), text)
+            yield Finding(FindingKind.FACTOR, (), channel_numbers(rest), text)
         else:
             scale = 1.0
         if fit and scale > 0.0:
-            yield from _wrong_contacts(seen.divided_by(scale), rest)
+            yield from _wrong_contacts(checked.divided_by(scale), rest)
 
 
-def _wrong_contacts(seen: CheckedFrames, rest: Bools) -> Iterator[Finding]:
+def _wrong_contacts(checked: CheckedFrames, rest: Bools) -> Iterator[Finding]:
     """What the resistances in series say; first of the wires that had to be put right for it."""
-    swaps, odd, fit = mended_wiring(*seen.magnitudes(rest))
+    swaps, odd, fit = corrected_wiring(*checked.magnitudes(rest))
     for a, b in swaps:
-        through = (seen.with_electrode(a) != seen.with_electrode(b)) & rest
+        through = (checked.with_electrode(a) != checked.with_electrode(b)) & rest
         text = f"electrodes {a} and {b} are swapped: exchange plugs {a} and {b}"
-        yield Finding(What.SWAPPED, (a, b), indices(through), text)
+        yield Finding(FindingKind.SWAPPED, (a, b), channel_numbers(through), text)
     if odd is not None:
-        name = seen.protocol.labels[odd]
+        name = checked.protocol.labels[odd]
         text = f"channel {name} does not fit the others: check its multiplexer path"
-        yield Finding(What.MISFIT, (), (odd,), text)
+        yield Finding(FindingKind.MISFIT, (), (odd,), text)
     if not fit.good:
         text = (
             f"the values are those of another sensor or wiring, off by {100 * fit.misfit:.1f} % "
             "after contacts are allowed for: lay it flat and untouched, compare the order of the "
             "plugs with the model's"
         )
-        yield Finding(What.MISFIT, (), indices(rest), text)
+        yield Finding(FindingKind.MISFIT, (), channel_numbers(rest), text)
         return
-    for e in np.flatnonzero(fit.series > BAD_CONTACT * np.median(seen.expected)).tolist():
+    for e in np.flatnonzero(fit.series > BAD_CONTACT * np.median(checked.expected)).tolist():
         text = (
             f"electrode {e} has a bad contact, {fit.series[e]:.0f} ohm more than usual in series: "
             f"clean it and wet it, press its wire into the gel, check plug {e}"
         )
-        yield Finding(What.BAD_CONTACT, (e,), indices(seen.with_electrode(e) & rest), text)
+        yield Finding(
+            FindingKind.BAD_CONTACT, (e,), channel_numbers(checked.with_electrode(e) & rest), text
+        )
 
 
-def _wrong_phase(seen: CheckedFrames, rest: Bools) -> Iterator[Finding]:
+def _wrong_phase(checked: CheckedFrames, rest: Bools) -> Iterator[Finding]:
     """Phases that no gel has; only where the sign of a value is known."""
-    if not (rest := rest & seen.senses_where_it_drives).any():
+    if not (rest := rest & checked.senses_where_it_drives).any():
         return
-    turned = seen.value / np.maximum(np.abs(seen.value), np.finfo(float).tiny)
+    turned = checked.value / np.maximum(np.abs(checked.value), np.finfo(float).tiny)
     common = np.median(turned.real[rest]) + 1j * np.median(turned.imag[rest])
     if abs(angle := float(np.angle(common, deg=True))) > PHASE_DEG:
         text = (
             f"all phases are off by {angle:.0f} deg: calibrate the board against RCAL; near 180 "
             "deg its two sense leads are exchanged"
         )
-        yield Finding(What.PHASE, (), indices(rest), text)
+        yield Finding(FindingKind.PHASE, (), channel_numbers(rest), text)
         turned = turned / common
     wrong = rest & (np.abs(np.angle(turned, deg=True)) > PHASE_DEG)
     if wrong.any():
         remedy = "a contact without gel acts as a capacitor: wet it, check its wire"
-        yield from located(What.PHASE, wrong, seen, "has a wrong phase", remedy)
+        yield from findings_by_electrode(
+            FindingKind.PHASE, wrong, checked, "has a wrong phase", remedy
+        )
 
 
 def _without(changing: Sequence[Finding], rest: Bools) -> Bools:
@@ -178,9 +195,9 @@ def _open(electrodes: Sequence[int], channels: Bools) -> Finding:
     else:
         (e,) = electrodes
         text = f"electrode {e} is open: press its wire into the gel, check plug {e}"
-    return Finding(What.OPEN, tuple(electrodes), indices(channels), text)
+    return Finding(FindingKind.OPEN, tuple(electrodes), channel_numbers(channels), text)
 
 
-def _open_channel(k: int, seen: CheckedFrames) -> Finding:
-    text = f"channel {seen.protocol.labels[k]} is open though its electrodes are not: check its "
-    return Finding(What.OPEN, (), (k,), text + "multiplexer path")
+def _open_channel(k: int, checked: CheckedFrames) -> Finding:
+    text = f"channel {checked.protocol.labels[k]} is open though its electrodes are not: check its "
+    return Finding(FindingKind.OPEN, (), (k,), text + "multiplexer path")

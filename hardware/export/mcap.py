@@ -10,7 +10,7 @@ from eitskin.closeable import Closeable
 from eitskin.errors import ConfigurationError, PartialError
 from eitskin.files import atomic_file
 from eitskin.frame import Frame
-from eitskin.hardware.export.ros_messages import TOPICS, Messages
+from eitskin.hardware.export.ros_messages import TOPICS, RosMessages
 from eitskin.hardware.live import Reading
 
 SUFFIX = ".mcap"
@@ -69,7 +69,7 @@ class McapWriter(Closeable):
         """
         self.path = Path(path)
         self.messages = 0
-        self._messages, self._stamps = Messages(), Stamps(now)
+        self._messages, self._stamps = RosMessages(), Stamps(now)
         from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
         from rosbags.rosbag2.errors import WriterError
 

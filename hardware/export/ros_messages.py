@@ -29,7 +29,7 @@ _FLOAT32 = 7  # sensor_msgs/PointField
 _OK, _WARN, _ERROR = 0, 1, 2  # diagnostic_msgs/DiagnosticStatus
 
 
-class Messages:
+class RosMessages:
     """Makes messages of readings, and the bytes (CDR) that stand for them in a bag.
 
     Attributes:

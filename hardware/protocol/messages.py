@@ -28,7 +28,7 @@ _BYTES_PER_CHANNEL = 9  # re f32, im f32, status u8
 MAX_CHANNELS = (MAX_PAYLOAD - _FRAME.size) // _BYTES_PER_CHANNEL
 
 
-class Type(IntEnum):
+class MessageType(IntEnum):
     """Message types: below 0x80 from the host, from 0x80 on from the board."""
 
     HELLO = 0x01
@@ -43,7 +43,7 @@ class Type(IntEnum):
     TABLE = 0x85
 
 
-class Reply(IntEnum):
+class AckStatus(IntEnum):
     """Status of an ACK."""
 
     DONE = 0
@@ -119,7 +119,7 @@ class Ack:
 
     request: int
     type: int
-    status: int = Reply.DONE
+    status: int = AckStatus.DONE
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -189,7 +189,7 @@ def pack(message: Message, seq: int) -> Packet:
 def unpack(packet: Packet) -> Message:
     """The message that `packet` carries; raises MessageError where it carries none."""
     try:
-        name = Type(packet.type)
+        name = MessageType(packet.type)
     except ValueError:
         raise MessageError(
             f"expected a message type from 0x01 to 0x05 or 0x81 to 0x85, got {packet.type:#04x}"
@@ -294,27 +294,27 @@ def _require(message: str, name: str, good: bool, expected: str, got: object) ->
         raise MessageError(f"{message}: {name} must be {expected}, got {got!r}")
 
 
-_PACK: dict[type, tuple[Type, Callable[..., bytes]]] = {
-    Hello: (Type.HELLO, lambda _: b""),
-    Start: (Type.START, lambda start: _START.pack(start.frames)),
-    Stop: (Type.STOP, lambda _: b""),
-    GetTable: (Type.GET_TABLE, lambda _: b""),
-    Calibrate: (Type.CALIBRATE, lambda _: b""),
-    Info: (Type.INFO, _pack_info),
-    Ack: (Type.ACK, lambda ack: _ACK.pack(ack.request, ack.type, ack.status)),
-    FrameData: (Type.FRAME, _pack_frame),
-    Event: (Type.EVENT, _pack_event),
-    Table: (Type.TABLE, _pack_table),
+_PACK: dict[type, tuple[MessageType, Callable[..., bytes]]] = {
+    Hello: (MessageType.HELLO, lambda _: b""),
+    Start: (MessageType.START, lambda start: _START.pack(start.frames)),
+    Stop: (MessageType.STOP, lambda _: b""),
+    GetTable: (MessageType.GET_TABLE, lambda _: b""),
+    Calibrate: (MessageType.CALIBRATE, lambda _: b""),
+    Info: (MessageType.INFO, _pack_info),
+    Ack: (MessageType.ACK, lambda ack: _ACK.pack(ack.request, ack.type, ack.status)),
+    FrameData: (MessageType.FRAME, _pack_frame),
+    Event: (MessageType.EVENT, _pack_event),
+    Table: (MessageType.TABLE, _pack_table),
 }
-_UNPACK: dict[Type, Callable[[bytes], Message]] = {
-    Type.HELLO: _empty(Hello),
-    Type.START: lambda payload: Start(*_START.unpack(payload)),
-    Type.STOP: _empty(Stop),
-    Type.GET_TABLE: _empty(GetTable),
-    Type.CALIBRATE: _empty(Calibrate),
-    Type.INFO: _unpack_info,
-    Type.ACK: lambda payload: Ack(*_ACK.unpack(payload)),
-    Type.FRAME: _unpack_frame,
-    Type.EVENT: _unpack_event,
-    Type.TABLE: _unpack_table,
+_UNPACK: dict[MessageType, Callable[[bytes], Message]] = {
+    MessageType.HELLO: _empty(Hello),
+    MessageType.START: lambda payload: Start(*_START.unpack(payload)),
+    MessageType.STOP: _empty(Stop),
+    MessageType.GET_TABLE: _empty(GetTable),
+    MessageType.CALIBRATE: _empty(Calibrate),
+    MessageType.INFO: _unpack_info,
+    MessageType.ACK: lambda payload: Ack(*_ACK.unpack(payload)),
+    MessageType.FRAME: _unpack_frame,
+    MessageType.EVENT: _unpack_event,
+    MessageType.TABLE: _unpack_table,
 }

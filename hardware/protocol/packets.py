@@ -28,7 +28,7 @@ MAX_PAYLOAD = _MAX_STUFFED - (_MAX_STUFFED + 254) // 255 - _HEADER.size - _CRC.s
 """Longest payload that fits into a packet [bytes]."""
 
 
-class Drop(StrEnum):
+class PacketDrop(StrEnum):
     """Why bytes were thrown away."""
 
     TOO_LONG = "too long"
@@ -76,7 +76,7 @@ class Decoder:
 
     def __init__(self) -> None:
         """Start between two packets."""
-        self.drops: Counter[Drop] = Counter()
+        self.drops: Counter[PacketDrop] = Counter()
         self._cobs = require("cobs.cobs", "hardware")
         self._partial = bytearray()
         self._skipping = False
@@ -105,7 +105,7 @@ class Decoder:
         if self._skipping:
             return
         if len(self._partial) + len(part) > _MAX_STUFFED:
-            self.drops[Drop.TOO_LONG] += 1
+            self.drops[PacketDrop.TOO_LONG] += 1
             self._partial.clear()
             self._skipping = True
         else:
@@ -119,22 +119,22 @@ class Decoder:
         if not stuffed:
             return None
         found = self._open(stuffed)
-        if isinstance(found, Drop):
+        if isinstance(found, PacketDrop):
             self.drops[found] += 1
             return None
         return found
 
-    def _open(self, stuffed: bytes) -> Packet | Drop:
+    def _open(self, stuffed: bytes) -> Packet | PacketDrop:
         try:
             body: bytes = self._cobs.decode(stuffed)
         except self._cobs.DecodeError:
-            return Drop.STUFFING
+            return PacketDrop.STUFFING
         if len(body) < _HEADER.size + _CRC.size:
-            return Drop.TOO_SHORT
+            return PacketDrop.TOO_SHORT
         content, checksum = body[: -_CRC.size], body[-_CRC.size :]
         if _CRC.pack(zlib.crc32(content)) != checksum:
-            return Drop.CHECKSUM
+            return PacketDrop.CHECKSUM
         version, type_, seq = _HEADER.unpack_from(content)
         if version != VERSION:
-            return Drop.VERSION
+            return PacketDrop.VERSION
         return Packet(type_, seq, content[_HEADER.size :])

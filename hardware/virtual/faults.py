@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError
 from eitskin.frame import Status
-from eitskin.hardware.protocol.messages import Ack, Reply, Type, pack
+from eitskin.hardware.protocol.messages import Ack, AckStatus, MessageType, pack
 from eitskin.hardware.protocol.packets import MAX_PACKET, Decoder, encode
 from eitskin.hardware.virtual.fault import Effect, Fault, FaultKind, Hook, Unplugged
 
@@ -104,10 +104,10 @@ def _wrong_baud(data: bytes, f: Fault) -> bytes:
 
 def _negative_ack(reply: bytes, f: Fault) -> bytes:
     packets = list(Decoder().feed(reply))
-    if f.since >= f.amount or [packet.type for packet in packets] != [Type.ACK]:
+    if f.since >= f.amount or [packet.type for packet in packets] != [MessageType.ACK]:
         return reply
     request, type_ = packets[0].payload[:2], packets[0].payload[2]
-    refusal = Ack(int.from_bytes(request, "little"), type_, Reply.BUSY)
+    refusal = Ack(int.from_bytes(request, "little"), type_, AckStatus.BUSY)
     return encode(pack(refusal, packets[0].seq))
 
 

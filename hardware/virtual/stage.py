@@ -88,7 +88,7 @@ class Stage:
         self._newest, impedance = self._source(now)
         return impedance
 
-    def sent_as(self, number: int) -> None:
+    def record_truth(self, number: int) -> None:
         """Remember the newest scene as that of the frame with this number."""
         self._truth[number] = self._newest
         self._truth.move_to_end(number)

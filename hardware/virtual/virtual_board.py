@@ -11,7 +11,7 @@ import numpy as np
 
 from eitskin.errors import ConfigurationError, DeviceError
 from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.hardware.boards.port import Port, open_port
+from eitskin.hardware.boards.port import SerialPort, open_port
 from eitskin.hardware.boards.serial_board import SerialBoard
 from eitskin.hardware.virtual.fault import Fault
 from eitskin.hardware.virtual.faults import read_faults
@@ -106,7 +106,7 @@ class VirtualBoard(SerialBoard):
         Raises DeviceError where the board does not answer as expected, as its faults may have it.
         """
 
-        def connect() -> Port:
+        def connect() -> SerialPort:
             if not terminal.path:
                 raise DeviceError(f"{uri}: the virtual board is unplugged; clear its faults")
             return open_port(terminal.path, uri)

@@ -8,6 +8,7 @@ import numpy as np
 
 from eitskin.hardware.protocol.messages import (
     Ack,
+    AckStatus,
     Calibrate,
     Event,
     FrameData,
@@ -16,7 +17,6 @@ from eitskin.hardware.protocol.messages import (
     Info,
     Message,
     MessageError,
-    Reply,
     Start,
     Stop,
     Table,
@@ -112,7 +112,7 @@ class VirtualFirmware:
             self.stage.frames += 1
             return self.boot()
         impedance, status = self._measure(self.stage.measured(now), now)
-        self.stage.sent_as(self._number)
+        self.stage.record_truth(self._number)
         data = FrameData(
             number=self._number,
             time=(now - self._started) * self.info.period + self._late,
@@ -152,7 +152,7 @@ class VirtualFirmware:
         try:
             message = unpack(packet)
         except MessageError:
-            return self._acknowledge(packet, Reply.MALFORMED)
+            return self._acknowledge(packet, AckStatus.MALFORMED)
         match message:
             case Hello():
                 return self._packed(self._changed(Hook.INFO, self.info))
@@ -165,10 +165,10 @@ class VirtualFirmware:
             case Calibrate():
                 pass  # its resistor is exact
             case _:
-                return self._acknowledge(packet, Reply.UNKNOWN_TYPE)
-        return self._acknowledge(packet, Reply.DONE)
+                return self._acknowledge(packet, AckStatus.UNKNOWN_TYPE)
+        return self._acknowledge(packet, AckStatus.DONE)
 
-    def _acknowledge(self, packet: Packet, status: Reply) -> bytes:
+    def _acknowledge(self, packet: Packet, status: AckStatus) -> bytes:
         return self._packed(Ack(packet.seq, packet.type, status))
 
     def _packed(self, message: Message) -> bytes:

@@ -16,7 +16,7 @@ from eitskin.datasets.recipe.frame_sampling import specimen
 from eitskin.errors import ConfigurationError, FrameError
 from eitskin.hardware.boards import port
 from eitskin.hardware.boards.port import PortInfo
-from eitskin.hardware.diagnosis.finding import What
+from eitskin.hardware.diagnosis.finding import FindingKind
 from eitskin.hardware.diagnosis.sensor_check import check_sensor
 from eitskin.hardware.virtual import virtual_board as virtual
 from eitskin.simulator import Frame, Instrument, Protocol, Scene, Simulator, Status
@@ -80,7 +80,7 @@ def test_neither_noisy_nor_quiet_boards_are_accused(snr_db):
 def test_a_few_frames_are_enough_for_what_one_frame_shows():
     one = flat(0) + 400.0 * at(6)
     assert check(flat(0), count=1).healthy
-    assert found(check(one, count=1)) == [(What.BAD_CONTACT, (6,))]
+    assert found(check(one, count=1)) == [(FindingKind.BAD_CONTACT, (6,))]
 
 
 def test_a_plug_turned_round_cannot_be_seen():
@@ -118,7 +118,7 @@ def test_the_ohms_are_those_of_the_right_scale():
         for each in frames(flat() + 300.0 * at(5))
     ]
     factor, contact = check_sensor(given, expected()).findings
-    assert (factor.what, contact.electrodes) == (What.FACTOR, (5,))
+    assert (factor.what, contact.electrodes) == (FindingKind.FACTOR, (5,))
     assert "5 times" in factor.message
     assert float(contact.message.split(", ")[1].split()[0]) == pytest.approx(300.0, abs=25.0)
 
@@ -126,7 +126,7 @@ def test_the_ohms_are_those_of_the_right_scale():
 def test_a_loose_contact_is_named():
     worse = flat() * (1.0 + 0.05 * np.arange(FRAMES)[:, None] * at(4))
     result = check(worse)
-    assert (What.MOVED, (4,)) in found(result)
+    assert (FindingKind.MOVED, (4,)) in found(result)
     assert {electrodes for _, electrodes in found(result)} == {(4,)}
 
 
@@ -134,29 +134,29 @@ def test_a_touch_during_the_check_is_seen():
     touched = np.repeat(flat()[None], FRAMES, axis=0)
     touched[6:] *= 1.0 + 0.002 * np.sin(np.arange(28))
     (finding,) = check(touched).findings
-    assert (finding.what, finding.electrodes) == (What.MOVED, ())
+    assert (finding.what, finding.electrodes) == (FindingKind.MOVED, ())
     assert "untouched" in finding.message
 
 
 def test_a_step_of_the_gain_is_seen():
     steps = np.where(np.arange(FRAMES) < 9, 1.0, 1.02)[:, None]
-    assert [what for what, _ in found(check(flat() * steps))] == [What.MOVED]
+    assert [what for what, _ in found(check(flat() * steps))] == [FindingKind.MOVED]
 
 
 def test_a_bent_sensor_does_not_pass_for_a_flat_one():
     bent = flat() * (1.0 + 0.05 * np.cos(2.0 * np.arange(28)))
-    assert [what for what, _ in found(check(bent))] == [What.MISFIT]
+    assert [what for what, _ in found(check(bent))] == [FindingKind.MISFIT]
 
 
 def test_noise_on_every_channel_is_the_boards():
     noise = np.random.default_rng(0).standard_normal((FRAMES, 28))
     (finding,) = check(flat() * (1.0 + 0.02 * noise)).findings
-    assert (finding.what, len(finding.channels)) == (What.NOISY, 28)
+    assert (finding.what, len(finding.channels)) == (FindingKind.NOISY, 28)
 
 
 def test_nothing_connected_is_one_finding():
     (finding,) = check(np.full(28, -39.8e3j)).findings
-    assert (finding.what, finding.electrodes) == (What.OPEN, tuple(range(8)))
+    assert (finding.what, finding.electrodes) == (FindingKind.OPEN, tuple(range(8)))
     assert "plug" in finding.message
 
 
@@ -164,14 +164,14 @@ def test_one_open_channel_is_no_electrode():
     one = flat().copy()
     one[9] = -39.8e3j
     (finding,) = check(one).findings
-    assert (finding.what, finding.electrodes, finding.channels) == (What.OPEN, (), (9,))
+    assert (finding.what, finding.electrodes, finding.channels) == (FindingKind.OPEN, (), (9,))
 
 
 def test_exchanged_sense_leads_turn_every_phase():
     (finding,) = check_sensor(
         [dataclasses.replace(f, impedance=-f.impedance) for f in frames(flat())], expected()
     ).findings
-    assert finding.what == What.PHASE
+    assert finding.what == FindingKind.PHASE
     assert "180 deg" in finding.message
 
 
@@ -187,14 +187,14 @@ def test_what_the_board_says_is_passed_on(bit, said):
     status = np.full(28, bit, np.uint8)
     marked = [dataclasses.replace(each, status=status) for each in frames(flat())]
     (finding,) = check_sensor(marked, expected()).findings
-    assert finding.what == What.BOARD
+    assert finding.what == FindingKind.BOARD
     assert said in finding.message
 
 
 def test_an_electrode_whose_pairs_are_no_numbers_is_named():
     given = [np.where(at(2), complex(np.inf, 0), each.impedance) for each in frames(flat())]
     result = check_sensor([Frame(z, PROTOCOL) for z in given], expected())
-    assert found(result) == [(What.NOT_FINITE, (2,))]
+    assert found(result) == [(FindingKind.NOT_FINITE, (2,))]
 
 
 def test_an_open_electrode_that_gives_no_numbers_is_one_finding():
@@ -206,17 +206,17 @@ def test_an_open_electrode_that_gives_no_numbers_is_one_finding():
         )
         for each in frames(flat())
     ]
-    assert found(check_sensor(marked, expected())) == [(What.OPEN, (2,))]
+    assert found(check_sensor(marked, expected())) == [(FindingKind.OPEN, (2,))]
 
 
 def test_values_that_are_all_no_numbers_are_one_finding():
     result = check_sensor([Frame(np.full(28, np.nan), PROTOCOL)] * 8, expected())
-    assert found(result) == [(What.NOT_FINITE, ())]
+    assert found(result) == [(FindingKind.NOT_FINITE, ())]
 
 
 def test_values_that_are_all_zero_are_not_taken_for_a_sensor():
     result = check_sensor([Frame(np.zeros(28), PROTOCOL)] * 8, expected())
-    assert {what for what, _ in found(result)} == {What.FROZEN, What.FACTOR}
+    assert {what for what, _ in found(result)} == {FindingKind.FROZEN, FindingKind.FACTOR}
 
 
 # ---- several faults ----
@@ -243,25 +243,25 @@ def test_several_faults_are_named_together():
     ill = exchanged(flat(3), 0, 3) + 300.0 * at(5)
     ill[at(6)] = -39.8e3j
     assert set(found(check(ill))) == {
-        (What.OPEN, (6,)),
-        (What.SWAPPED, (0, 3)),
-        (What.BAD_CONTACT, (5,)),
+        (FindingKind.OPEN, (6,)),
+        (FindingKind.SWAPPED, (0, 3)),
+        (FindingKind.BAD_CONTACT, (5,)),
     }
 
 
 def test_two_exchanges_are_named_together():
     ill = exchanged(exchanged(flat(4), 0, 1), 5, 7)
-    assert set(found(check(ill))) == {(What.SWAPPED, (0, 1)), (What.SWAPPED, (5, 7))}
+    assert set(found(check(ill))) == {(FindingKind.SWAPPED, (0, 1)), (FindingKind.SWAPPED, (5, 7))}
 
 
 def test_half_of_the_electrodes_may_be_open():
     ill = flat(5).copy()
     for e in (0, 2, 3, 7):
         ill[at(e)] = -39.8e3j
-    assert found(check(ill)) == [(What.OPEN, (e,)) for e in (0, 2, 3, 7)]
+    assert found(check(ill)) == [(FindingKind.OPEN, (e,)) for e in (0, 2, 3, 7)]
     # Six channels are too few for contacts, whatever they show.
     ill[PAIRS.index((1, 4))] *= 1.4
-    assert found(check(ill)) == [(What.OPEN, (e,)) for e in (0, 2, 3, 7)]
+    assert found(check(ill)) == [(FindingKind.OPEN, (e,)) for e in (0, 2, 3, 7)]
 
 
 # ---- other protocols, and what cannot be ----
@@ -275,11 +275,11 @@ def test_of_other_protocols_only_what_can_be_said():
     assert check_sensor([Frame(z, protocol) for z in measured], values).healthy
     measured[:, 4] = measured[0, 4]
     (finding,) = check_sensor([Frame(z, protocol) for z in measured], values).findings
-    assert (finding.what, finding.channels) == (What.STUCK, (4,))
+    assert (finding.what, finding.channels) == (FindingKind.STUCK, (4,))
     (finding,) = check_sensor([Frame(6.0 * z, protocol) for z in measured[:1]], values).findings
-    assert finding.what == What.FACTOR
+    assert finding.what == FindingKind.FACTOR
     measured[:, 9] *= 0.01  # no short, as it is not driven where it is sensed
-    assert What.SHORT not in {
+    assert FindingKind.SHORT not in {
         each.what for each in check_sensor([Frame(z, protocol) for z in measured], values).findings
     }
 

@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from eitskin import hardware
-from eitskin.hardware.protocol.messages import Ack, Info, Start, Type, pack, unpack
+from eitskin.hardware.protocol.messages import Ack, Info, MessageType, Start, pack, unpack
 from eitskin.hardware.protocol.packets import Decoder, encode
 from eitskin.hardware.virtual.pseudo_terminal import Pace, PseudoTerminal
 
@@ -286,7 +286,7 @@ def ask(board, request, seq=1):
 
 
 def frames(board, count):
-    assert ask(board, Start(count)) == [Ack(1, Type.START)]
+    assert ask(board, Start(count)) == [Ack(1, MessageType.START)]
     taken = [message for _ in range(count) for message in messages(board.frame())]
     assert not board.streaming
     return taken

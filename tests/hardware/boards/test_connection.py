@@ -10,7 +10,7 @@ from eitskin.errors import ConfigurationError, DeviceError
 from eitskin.geometry import Bend
 from eitskin.hardware import Connection, Script, Step, open_board
 from eitskin.hardware.boards.connection import FIRST_PAUSE, LONGEST_PAUSE
-from eitskin.hardware.boards.held_port import HeldPort, UnrecoverableError
+from eitskin.hardware.boards.reopenable_port import ReopenablePort, UnrecoverableError
 from eitskin.hardware.virtual.virtual_board import virtual_terminal
 from eitskin.simulator import Scene
 
@@ -246,7 +246,7 @@ def test_closing_while_it_connects_leaves_no_port_open():
             held.close()
         return port
 
-    held = HeldPort(connect, "serial:x")
+    held = ReopenablePort(connect, "serial:x")
     with pytest.raises(UnrecoverableError, match="is closed"):
         held.reopen()
     assert [port.closed for port in ports] == [True, True]
@@ -334,7 +334,7 @@ def test_only_the_newest_scenes_are_remembered():
     board = firmware()
     for _ in range(5000):
         board.stage.measured(0)
-        board.stage.sent_as(board.stage.frames)
+        board.stage.record_truth(board.stage.frames)
         board.stage.frames += 1
     assert len(board.stage._truth) == 4096
     assert board.stage.truth(4999) is not None

@@ -10,7 +10,7 @@ import serial
 
 from eitskin.errors import DeviceError
 from eitskin.hardware import SerialBoard
-from eitskin.hardware.protocol.messages import Ack, Event, FrameData, Type, pack
+from eitskin.hardware.protocol.messages import Ack, Event, FrameData, MessageType, pack
 from eitskin.hardware.protocol.packets import Packet, encode
 from eitskin.hardware.virtual.faults import FAULTS, read_faults
 from eitskin.hardware.virtual.virtual_board import virtual_terminal
@@ -152,7 +152,7 @@ def test_frames_that_lay_unread_for_long_are_not_given_out_as_new():
 
 def test_frames_from_before_the_start_are_never_given_out():
     board, port = connected(firmware())
-    port.firmware.receive(encode(Packet(Type.START, 1, bytes(4))))
+    port.firmware.receive(encode(Packet(MessageType.START, 1, bytes(4))))
     port.waiting += b"".join(port.firmware.frame() for _ in range(5))
     assert take(board, 1)[0].number == 5
 
@@ -163,7 +163,7 @@ def test_frames_from_before_the_start_are_never_given_out():
 @pytest.mark.parametrize("deaf", [1, 2])
 def test_a_request_is_repeated_under_the_same_number(deaf):
     _, port = connected(firmware(), deaf=deaf)
-    hellos = [packet.seq for packet in port.heard if packet.type == Type.HELLO]
+    hellos = [packet.seq for packet in port.heard if packet.type == MessageType.HELLO]
     assert hellos == hellos[:1] * (deaf + 1)
 
 
@@ -173,13 +173,13 @@ def test_no_answer_in_three_tries_is_an_error():
     with pytest.raises(DeviceError, match=r"HELLO.*0\.5 s.*3"):
         SerialBoard(lambda: port, "serial:x", clock=port.clock)
     assert 1.5 <= port.now < 1.8
-    assert [packet.type for packet in port.heard].count(Type.HELLO) == 3
+    assert [packet.type for packet in port.heard].count(MessageType.HELLO) == 3
     assert port.closed
 
 
 def test_a_streaming_board_that_never_answers_is_an_error_too():
     port = Loopback(firmware())
-    port.firmware.receive(encode(Packet(Type.START, 1, bytes(4))))
+    port.firmware.receive(encode(Packet(MessageType.START, 1, bytes(4))))
     port.deaf = 99
     with pytest.raises(DeviceError, match="none came"):
         SerialBoard(lambda: port, "serial:x", clock=port.clock)
@@ -188,7 +188,7 @@ def test_a_streaming_board_that_never_answers_is_an_error_too():
 def test_a_board_already_streaming_connects():
     streaming = firmware()
     port = Loopback(streaming)
-    streaming.receive(encode(Packet(Type.START, 1, bytes(4))))
+    streaming.receive(encode(Packet(MessageType.START, 1, bytes(4))))
     board = SerialBoard(lambda: port, "serial:x", clock=port.clock)
     assert len(take(board, 3)) == 3
     assert board.lost == 0
@@ -204,11 +204,11 @@ def answering(response):
 @pytest.mark.parametrize(
     ("response", "complaint"),
     [
-        (encode(Packet(Type.INFO, 0), version=2), "another version of the protocol"),
-        (encode(Packet(Type.INFO, 0, b"hello")), "it sent INFO of 5 bytes"),
+        (encode(Packet(MessageType.INFO, 0), version=2), "another version of the protocol"),
+        (encode(Packet(MessageType.INFO, 0, b"hello")), "it sent INFO of 5 bytes"),
         (b"\0RzMag: 600.0 Ohm\0", "bad stuffing.*baud rate"),
-        (encode(pack(Ack(1, Type.HELLO, 3), 0)), "refused HELLO: busy"),
-        (encode(pack(Ack(1, Type.HELLO, 77), 0)), "refused HELLO: status 77"),
+        (encode(pack(Ack(1, MessageType.HELLO, 3), 0)), "refused HELLO: busy"),
+        (encode(pack(Ack(1, MessageType.HELLO, 77), 0)), "refused HELLO: status 77"),
     ],
 )
 def test_a_board_that_speaks_otherwise_is_told_apart(response, complaint):
@@ -238,13 +238,13 @@ def test_a_frame_of_another_length_is_dropped():
 def test_calibration_is_acknowledged():
     board, port = connected(firmware())
     board.calibrate()
-    assert port.heard[-1].type == Type.CALIBRATE
+    assert port.heard[-1].type == MessageType.CALIBRATE
 
 
 def test_the_answer_to_an_earlier_request_is_no_answer_to_this_one():
     board, port = connected(firmware())
     port.deaf = 99
-    port.waiting += encode(pack(Ack(1, Type.CALIBRATE, 4), 0))
+    port.waiting += encode(pack(Ack(1, MessageType.CALIBRATE, 4), 0))
     with pytest.raises(DeviceError, match="CALIBRATE"):
         board.calibrate()
 

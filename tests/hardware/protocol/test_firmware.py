@@ -10,16 +10,16 @@ from eitskin.errors import DeviceError
 from eitskin.hardware import open_board
 from eitskin.hardware.protocol.messages import (
     Ack,
+    AckStatus,
     Event,
     FrameData,
     GetTable,
     Hello,
     Info,
-    Reply,
+    MessageType,
     Start,
     Stop,
     Table,
-    Type,
     pack,
     unpack,
 )
@@ -89,14 +89,14 @@ def test_start_counts_frames():
 
 def test_requests_may_be_repeated():
     board = booted()
-    assert ask(board, Start(2), 4) == ask(board, Start(2), 4) == [Ack(4, Type.START)]
+    assert ask(board, Start(2), 4) == ask(board, Start(2), 4) == [Ack(4, MessageType.START)]
     board.frame()
-    assert ask(board, Start(2), 4) == [Ack(4, Type.START)]
+    assert ask(board, Start(2), 4) == [Ack(4, MessageType.START)]
     numbers = []
     while board.streaming:
         numbers += [message.number for message in messages(board.frame())]
     assert numbers == [1, 2]
-    assert ask(board, Stop(), 5) == ask(board, Stop(), 5) == [Ack(5, Type.STOP)]
+    assert ask(board, Stop(), 5) == ask(board, Stop(), 5) == [Ack(5, MessageType.STOP)]
 
 
 def test_stop_ends_the_frame_that_is_being_measured():
@@ -104,7 +104,7 @@ def test_stop_ends_the_frame_that_is_being_measured():
     board.receive(encode(pack(Start(0), 1)))
     board.frame()
     board.poll(20)
-    assert ask(board, Stop(), 2) == [Ack(2, Type.STOP)]
+    assert ask(board, Stop(), 2) == [Ack(2, MessageType.STOP)]
     assert messages(board.poll(1000)) == []
     (frame,) = frames(board, 1)
     assert frame.number == 1
@@ -112,28 +112,28 @@ def test_stop_ends_the_frame_that_is_being_measured():
     assert not board.afe.complaints
 
 
-@pytest.mark.parametrize("type_", [0x00, 0x06, 0x7F, Type.FRAME, 0xFF])
+@pytest.mark.parametrize("type_", [0x00, 0x06, 0x7F, MessageType.FRAME, 0xFF])
 def test_an_unknown_request_is_told_so(type_):
     sent = booted().receive(encode(Packet(type_, 300, b"x" * 1000)))
-    assert messages(sent) == [Ack(300, type_, Reply.UNKNOWN_TYPE)]
+    assert messages(sent) == [Ack(300, type_, AckStatus.UNKNOWN_TYPE)]
 
 
 @pytest.mark.parametrize(
     ("type_", "payload"),
     [
-        (Type.HELLO, b"x"),
-        (Type.START, b""),
-        (Type.START, b"123"),
-        (Type.START, b"12345"),
-        (Type.STOP, b"x"),
-        (Type.GET_TABLE, b"1234"),
-        (Type.CALIBRATE, b"\0"),
+        (MessageType.HELLO, b"x"),
+        (MessageType.START, b""),
+        (MessageType.START, b"123"),
+        (MessageType.START, b"12345"),
+        (MessageType.STOP, b"x"),
+        (MessageType.GET_TABLE, b"1234"),
+        (MessageType.CALIBRATE, b"\0"),
     ],
 )
 def test_a_malformed_request_is_told_so_and_changes_nothing(type_, payload):
     board = booted()
     sent = board.receive(encode(Packet(type_, 7, payload)))
-    assert messages(sent) == [Ack(7, type_, Reply.MALFORMED)]
+    assert messages(sent) == [Ack(7, type_, AckStatus.MALFORMED)]
     assert not board.streaming
 
 
@@ -179,11 +179,11 @@ def noisy_stream(rng, pieces):
 def expected_answer(packet):
     good = {0x01: 0, 0x02: 4, 0x03: 0, 0x04: 0, 0x05: 0}
     if packet.type not in good:
-        return Ack(packet.seq, packet.type, Reply.UNKNOWN_TYPE)
+        return Ack(packet.seq, packet.type, AckStatus.UNKNOWN_TYPE)
     if len(packet.payload) != good[packet.type]:
-        return Ack(packet.seq, packet.type, Reply.MALFORMED)
-    if packet.type in {Type.HELLO, Type.GET_TABLE}:
-        return Info if packet.type == Type.HELLO else Table
+        return Ack(packet.seq, packet.type, AckStatus.MALFORMED)
+    if packet.type in {MessageType.HELLO, MessageType.GET_TABLE}:
+        return Info if packet.type == MessageType.HELLO else Table
     return Ack(packet.seq, packet.type)
 
 

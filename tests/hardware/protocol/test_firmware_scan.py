@@ -6,16 +6,16 @@ import pytest
 from eitskin.geometry import SensorDesign
 from eitskin.hardware.protocol.messages import (
     Ack,
+    AckStatus,
     Calibrate,
     Event,
     FrameData,
     GetTable,
     Info,
-    Reply,
+    MessageType,
     Start,
     Stop,
     Table,
-    Type,
     pack,
 )
 from eitskin.hardware.protocol.packets import encode
@@ -129,7 +129,7 @@ def test_a_drift_is_taken_out_by_calibrating_again():
     board.afe.rtia_factor = 1.05
     (off,) = frames(board, 1)
     assert np.allclose(off.impedance, FLAT / 1.05, rtol=1e-4)
-    assert ask(board, Calibrate()) == [Ack(1, Type.CALIBRATE)]
+    assert ask(board, Calibrate()) == [Ack(1, MessageType.CALIBRATE)]
     (good,) = frames(board, 1)
     assert (np.abs(good.impedance - FLAT) <= 1.1 * quantisation(FLAT)).all()
 
@@ -142,7 +142,7 @@ def test_calibrating_while_it_streams_waits_for_the_frame_to_end(period_us):
     board.poll(20)
     board.afe.rtia_factor = 1.05
     (ack,) = ask(board, Calibrate(), 9)
-    assert ack == Ack(9, Type.CALIBRATE)
+    assert ack == Ack(9, MessageType.CALIBRATE)
     torn, good = (messages(board.frame())[-1] for _ in range(2))
     assert torn.impedance[-1] == pytest.approx(FLAT[-1] / 1.05, rel=1e-4)
     assert (np.abs(good.impedance - FLAT) <= 1.1 * quantisation(FLAT)).all()
@@ -254,9 +254,9 @@ def test_a_part_that_is_not_there_is_said_and_start_refused():
     info, event = messages(board.boot())
     assert isinstance(info, Info)
     assert event == ABSENCE
-    assert ask(board, Start(1)) == [ABSENCE, Ack(1, Type.START, Reply.FAILED)]
-    assert ask(board, Calibrate()) == [Ack(1, Type.CALIBRATE, Reply.FAILED)]
-    assert ask(board, Stop()) == [Ack(1, Type.STOP)]
+    assert ask(board, Start(1)) == [ABSENCE, Ack(1, MessageType.START, AckStatus.FAILED)]
+    assert ask(board, Calibrate()) == [Ack(1, MessageType.CALIBRATE, AckStatus.FAILED)]
+    assert ask(board, Stop()) == [Ack(1, MessageType.STOP)]
     assert not board.streaming
 
 
@@ -268,7 +268,7 @@ def test_a_part_that_goes_away_ends_the_stream():
     while board.streaming:
         sent += board.frame()
     assert [type(message) for message in messages(sent)] == [FrameData, Event, Event]
-    assert ask(board, Start(1)) == [ABSENCE, Ack(1, Type.START, Reply.FAILED)]
+    assert ask(board, Start(1)) == [ABSENCE, Ack(1, MessageType.START, AckStatus.FAILED)]
 
 
 def test_a_part_that_comes_back_is_found_and_calibrated():
@@ -278,7 +278,7 @@ def test_a_part_that_comes_back_is_found_and_calibrated():
     while board.streaming:
         board.frame()
     board.poll(50)
-    assert ask(board, Start(1)) == [ABSENCE, Ack(1, Type.START, Reply.FAILED)]
+    assert ask(board, Start(1)) == [ABSENCE, Ack(1, MessageType.START, AckStatus.FAILED)]
     before = board.afe.now
     board.afe.present, board.afe.rtia_factor = True, 1.1
     board.poll(50)

@@ -22,14 +22,21 @@ from eitskin.hardware.protocol.messages import (
     Hello,
     Info,
     MessageError,
+    MessageType,
     Start,
     Stop,
     Table,
-    Type,
     pack,
     unpack,
 )
-from eitskin.hardware.protocol.packets import MAX_PACKET, MAX_PAYLOAD, Decoder, Drop, Packet, encode
+from eitskin.hardware.protocol.packets import (
+    MAX_PACKET,
+    MAX_PAYLOAD,
+    Decoder,
+    Packet,
+    PacketDrop,
+    encode,
+)
 from eitskin.simulator import Protocol
 
 packets = st.builds(
@@ -113,17 +120,17 @@ def test_buffer_is_bounded_and_the_decoder_recovers():
         assert list(decoder.feed(b"x" * 1000)) == []
         assert decoder.buffered <= MAX_PACKET
     assert [packet.type for packet in decoder.feed(encode(pack(Hello(), 0)) * 2)] == [1, 1]
-    assert decoder.drops == {Drop.TOO_LONG: 1}
+    assert decoder.drops == {PacketDrop.TOO_LONG: 1}
 
 
 @pytest.mark.parametrize(
     ("bytes_", "reason"),
     [
-        (b"\0\x05ab\0", Drop.STUFFING),
-        (b"\0" + cobs.encode(b"1234567") + b"\0", Drop.TOO_SHORT),
-        (b"\0" + cobs.encode(b"12345678") + b"\0", Drop.CHECKSUM),
-        (b"\0" + b"y" * MAX_PACKET + b"\0", Drop.TOO_LONG),
-        (encode(Packet(1, 1), version=2), Drop.VERSION),
+        (b"\0\x05ab\0", PacketDrop.STUFFING),
+        (b"\0" + cobs.encode(b"1234567") + b"\0", PacketDrop.TOO_SHORT),
+        (b"\0" + cobs.encode(b"12345678") + b"\0", PacketDrop.CHECKSUM),
+        (b"\0" + b"y" * MAX_PACKET + b"\0", PacketDrop.TOO_LONG),
+        (encode(Packet(1, 1), version=2), PacketDrop.VERSION),
     ],
 )
 def test_every_drop_is_counted_by_its_reason(bytes_, reason):
@@ -233,16 +240,24 @@ def test_frames_survive_the_wire_bit_for_bit(number, time, duration, n, data):
     ("type_", "payload", "complaint"),
     [
         (0x42, b"", "message type"),
-        (Type.HELLO, b"x", "length must be 0, got 1"),
-        (Type.START, b"123", "START of 3 bytes"),
-        (Type.ACK, b"12345", "ACK of 5 bytes"),
-        (Type.TABLE, b"12345", "multiple of 4, got 5"),
-        (Type.TABLE, b"", "multiple of 4, got 0"),
-        (Type.EVENT, b"1", "EVENT of 1 bytes"),
-        (Type.FRAME, pack(frame_data(), 0).payload[:-1], "length must be 272 for n = 28, got 271"),
-        (Type.FRAME, pack(frame_data(n=0), 0).payload, "at least 1, got 0"),
-        (Type.INFO, b"EITX" + pack(INFO, 0).payload[4:], "magic must be b'EITS', got b'EITX'"),
-        (Type.INFO, pack(INFO, 0).payload[:-4] + bytes(4), "period_us must be at least 1"),
+        (MessageType.HELLO, b"x", "length must be 0, got 1"),
+        (MessageType.START, b"123", "START of 3 bytes"),
+        (MessageType.ACK, b"12345", "ACK of 5 bytes"),
+        (MessageType.TABLE, b"12345", "multiple of 4, got 5"),
+        (MessageType.TABLE, b"", "multiple of 4, got 0"),
+        (MessageType.EVENT, b"1", "EVENT of 1 bytes"),
+        (
+            MessageType.FRAME,
+            pack(frame_data(), 0).payload[:-1],
+            "length must be 272 for n = 28, got 271",
+        ),
+        (MessageType.FRAME, pack(frame_data(n=0), 0).payload, "at least 1, got 0"),
+        (
+            MessageType.INFO,
+            b"EITX" + pack(INFO, 0).payload[4:],
+            "magic must be b'EITS', got b'EITX'",
+        ),
+        (MessageType.INFO, pack(INFO, 0).payload[:-4] + bytes(4), "period_us must be at least 1"),
     ],
 )
 def test_whole_packets_that_are_no_message_are_refused(type_, payload, complaint):

@@ -10,7 +10,7 @@ from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend, Rectangle, SensorDesign
 from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.hardware import Script, Step, open_board
-from eitskin.hardware.protocol.messages import Ack, Type, pack, unpack
+from eitskin.hardware.protocol.messages import Ack, MessageType, pack, unpack
 from eitskin.hardware.protocol.packets import Decoder, Packet, encode
 from eitskin.hardware.virtual.pseudo_terminal import Pace, PseudoTerminal
 from eitskin.hardware.virtual.simulated_sensor import SimulatedSensor
@@ -179,8 +179,8 @@ def answers(board_firmware, *packets):
 
 def test_firmware_says_no_to_what_it_does_not_know():
     assert answers(firmware(), Packet(0x42, 7)) == [Ack(7, 0x42, 2)]
-    assert answers(firmware(), Packet(Type.START, 8, b"x")) == [Ack(8, Type.START, 2)]
-    assert answers(firmware(), pack(Ack(1, 1), 9)) == [Ack(9, Type.ACK, 1)]
+    assert answers(firmware(), Packet(MessageType.START, 8, b"x")) == [Ack(8, MessageType.START, 2)]
+    assert answers(firmware(), pack(Ack(1, 1), 9)) == [Ack(9, MessageType.ACK, 1)]
 
 
 def test_firmware_ignores_garbage():
@@ -205,7 +205,7 @@ def test_a_board_has_a_sensor_or_a_simulator():
 
 def test_start_with_a_count_ends_after_it():
     board = firmware()
-    board.receive(encode(Packet(Type.START, 1, b"\x03\0\0\0")))
+    board.receive(encode(Packet(MessageType.START, 1, b"\x03\0\0\0")))
     for _ in range(3):
         assert board.streaming
         board.frame()

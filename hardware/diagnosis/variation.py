@@ -4,8 +4,19 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from eitskin.hardware.diagnosis.checked_frames import SHORT, Array, Bools, CheckedFrames, blamed
-from eitskin.hardware.diagnosis.finding import Finding, What, indices, located
+from eitskin.hardware.diagnosis.checked_frames import (
+    SHORT,
+    Array,
+    Bools,
+    CheckedFrames,
+    electrodes_at_fault,
+)
+from eitskin.hardware.diagnosis.finding import (
+    Finding,
+    FindingKind,
+    channel_numbers,
+    findings_by_electrode,
+)
 
 MOVED, TOUCHED = 0.003, 0.0003
 """Of a value, from one quarter of the check to another: of all in common, and beside that, rms."""
@@ -18,48 +29,50 @@ NOISY_BOARD = 0.005
 FEWEST_FOR_NOISE = 8
 
 
-def frozen(seen: CheckedFrames) -> Iterator[Finding]:
+def frozen(checked: CheckedFrames) -> Iterator[Finding]:
     """Values that repeat to the last bit, which no measurement does."""
-    same = np.diff(np.where(seen.finite, seen.impedance, 0.0), axis=0) == 0
-    if len(same) < 2 or not seen.usable.any():
+    same = np.diff(np.where(checked.finite, checked.impedance, 0.0), axis=0) == 0
+    if len(same) < 2 or not checked.usable.any():
         return
-    same[:, ~seen.usable] = True
+    same[:, ~checked.usable] = True
     repeats = int(same.all(axis=1).sum())
     if repeats >= 2:
         text = (
             f"{repeats} of {len(same) + 1} frames repeat the one before: the board sends old "
             "values; restart it"
         )
-        yield Finding(What.FROZEN, (), tuple(range(len(seen.expected))), text)
+        yield Finding(FindingKind.FROZEN, (), tuple(range(len(checked.expected))), text)
         return
-    if (stuck := same.all(axis=0) & seen.usable & ~seen.opened & ~seen.shorted).any():
+    if (stuck := same.all(axis=0) & checked.usable & ~checked.opened & ~checked.shorted).any():
         remedy = "its value never changes, not even by noise: check its multiplexer path"
-        yield from located(What.STUCK, stuck, seen, "is stuck", remedy)
+        yield from findings_by_electrode(FindingKind.STUCK, stuck, checked, "is stuck", remedy)
 
 
-def unsteady(seen: CheckedFrames, rest: Bools) -> Iterator[Finding]:
+def unsteady(checked: CheckedFrames, rest: Bools) -> Iterator[Finding]:
     """Noise and movement."""
-    if len(seen.impedance) < FEWEST_FOR_NOISE or not rest.any():
+    if len(checked.impedance) < FEWEST_FOR_NOISE or not rest.any():
         return
-    value, noise = np.abs(seen.value), seen.noise
-    relative = noise / np.maximum(value, SHORT * seen.expected)
+    value, noise = np.abs(checked.value), checked.noise
+    relative = noise / np.maximum(value, SHORT * checked.expected)
     usual = float(np.median(noise[rest]))
     if (whole := float(np.median(relative[rest]))) > NOISY_BOARD:
         text = (
             f"all values scatter by {100 * whole:.1f} % from frame to frame: check ground, shield "
             "and supply of the board, and that nothing moves"
         )
-        yield Finding(What.NOISY, (), indices(rest), text)
+        yield Finding(FindingKind.NOISY, (), channel_numbers(rest), text)
     elif (noisy := rest & (noise > NOISY * usual) & (relative > NOISE)).any():
-        yield from located(What.NOISY, noisy, seen, "is noisy", "a loose wire or plug does this")
+        yield from findings_by_electrode(
+            FindingKind.NOISY, noisy, checked, "is noisy", "a loose wire or plug does this"
+        )
         rest = rest & ~noisy
-    yield from _moved(seen, rest, np.maximum(relative, np.median(relative[rest])))
+    yield from _moved(checked, rest, np.maximum(relative, np.median(relative[rest])))
 
 
-def _moved(seen: CheckedFrames, rest: Bools, noise: Array) -> Iterator[Finding]:
+def _moved(checked: CheckedFrames, rest: Bools, noise: Array) -> Iterator[Finding]:
     """Changes beyond the noise, relative, from quarter to quarter of the check."""
-    value = np.where(seen.value == 0.0, 1.0, seen.value)
-    values = (np.where(seen.finite, seen.impedance, value) / value)[:, rest]
+    value = np.where(checked.value == 0.0, 1.0, checked.value)
+    values = (np.where(checked.finite, checked.impedance, value) / value)[:, rest]
     means = np.array([quarter.mean(axis=0) for quarter in np.array_split(values.real, 4)])
     changes = (means[:, None] - means[None]).reshape(16, -1)
     common = np.median(changes, axis=1)
@@ -72,12 +85,12 @@ def _moved(seen: CheckedFrames, rest: Bools, noise: Array) -> Iterator[Finding]:
     largest = np.abs(changes).max(axis=0)
     moved = np.zeros_like(rest)
     moved[rest] = largest > np.maximum(MOVED, UNLIKELY * chance)
-    electrodes, others = blamed(moved, seen.protocol)
+    electrodes, others = electrodes_at_fault(moved, checked.protocol)
     text = f"values changed by up to {100 * float(largest.max()):.2g} % during the check: "
     if len(electrodes) == 1 and not others:
         (e,) = electrodes
         text += f"the contact of electrode {e} is loose, press its wire into the gel, check plug "
-        yield Finding(What.MOVED, (e,), indices(moved), f"{text}{e}")
+        yield Finding(FindingKind.MOVED, (e,), channel_numbers(moved), f"{text}{e}")
         return
     text += "lay the sensor flat, leave it untouched, let it settle, and check again"
-    yield Finding(What.MOVED, (), indices(moved), text)
+    yield Finding(FindingKind.MOVED, (), channel_numbers(moved), text)

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import TypeVar
 
 from eitskin.errors import DeviceError
-from eitskin.hardware.boards.port import GONE, Port
+from eitskin.hardware.boards.port import GONE, SerialPort
 
 CHUNK = 4096  # bytes, what a terminal's input queue holds
 BACKLOG = 2**17  # bytes; Linux keeps 64 KiB behind that queue, other systems less
@@ -17,7 +17,7 @@ class UnrecoverableError(DeviceError):
     """Connecting again does not help."""
 
 
-class HeldPort:
+class ReopenablePort:
     """A port that is open, went away, or is closed for good.
 
     All methods raise DeviceError where it went away, UnrecoverableError once it is closed.
@@ -27,7 +27,7 @@ class HeldPort:
         closed: whether it was closed for good.
     """
 
-    def __init__(self, connect: Callable[[], Port], uri: str) -> None:
+    def __init__(self, connect: Callable[[], SerialPort], uri: str) -> None:
         """Open it.
 
         Args:
@@ -75,7 +75,7 @@ class HeldPort:
             with contextlib.suppress(*GONE):
                 self._port.close()
 
-    def _use(self, use: Callable[[Port], Result]) -> Result:
+    def _use(self, use: Callable[[SerialPort], Result]) -> Result:
         self._require_open()
         try:
             return use(self._port)
