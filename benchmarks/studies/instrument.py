@@ -16,7 +16,7 @@ from eitskin.benchmarks.studies.signals import POSITIONS
 from eitskin.geometry.deformation.fixtures import Bend
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.provenance import Provenance
-from eitskin.simulator.instrument.ad5940 import MEASUREMENT_TIME, current, pga_range
+from eitskin.simulator.instrument.ad5940 import MEASUREMENT_TIME, drive_current, pga_range
 from eitskin.simulator.instrument.instrument import Instrument
 from eitskin.simulator.scene.scene import Scene
 from eitskin.simulator.scene.touch import Touch
@@ -114,7 +114,7 @@ def main() -> None:
     scenes = [Scene(touches=(Touch(x, y, 10.0),)) for x, y in POSITIONS]
     pressed = sim.measure_all(scenes)
     strongest = 100.0 * np.abs(pressed.real / flat.real - 1.0).max(axis=1)
-    through = current(flat, flat, BOARD.rtia)
+    through = drive_current(flat, flat, BOARD.rtia)
     print(Provenance.now(SEED), "\n")
     print(f"- values [ohm]: {np.abs(flat).min():.0f} to {np.abs(flat).max():.0f}")
     milliamperes = 1e3 * np.abs(through)

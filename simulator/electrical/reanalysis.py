@@ -66,7 +66,7 @@ class Reanalysis:
     def __init__(
         self, model: ForwardModel, layer: DeformedLayer, tolerance: Tolerance | None = None
     ) -> None:
-        """Solve `model` of the deformed `layer`.
+        """Solve `model` for the deformed `layer`.
 
         Raises ConfigurationError for models without block Cholesky or with complex contact
         impedances.

@@ -1,1 +1,5 @@
-"""What a board adds to noise-free frames: the AD5940's signal chain and its drift."""
+"""Instrument model: noise, drift and errors that a board adds to noise-free frames.
+
+An `Instrument` states the error terms of a board; a `Session` draws what stays the same from one
+calibration to the next and measures frames; `ad5940` is the chip's signal chain.
+"""

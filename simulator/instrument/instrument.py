@@ -1,4 +1,4 @@
-"""What a board adds to noise-free frames: the AD5940's signal chain, term by term."""
+"""Instrument: error terms of a board, each of which can be switched off."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -21,13 +21,13 @@ Integers = NDArray[np.int64]
 
 GAIN_LIMIT = 0.0125
 PHASE_LIMIT_DEG = 0.3
-# Beyond these a number is a slip, such as per cent for a fraction.
+# Ranges that exclude slips, such as per cent in place of a fraction.
 RANGES = {
     "floor": (0.0, 1e-3, "V"),
     "drift": (0.0, 0.1, "of the impedance in 4 h"),
     "gel_drift": (0.0, 0.5, "of the impedance in 4 h"),
-    "gain": (0.0, GAIN_LIMIT, "of the impedance, which is as far as a gain may be off"),
-    "phase_deg": (0.0, PHASE_LIMIT_DEG, "deg, which is as far as a phase may be off"),
+    "gain": (0.0, GAIN_LIMIT, "of the impedance, the data sheet's limit of a gain error"),
+    "phase_deg": (0.0, PHASE_LIMIT_DEG, "deg, the data sheet's limit of a phase error"),
     "reciprocity": (0.0, 0.1, "of the impedance"),
     "measurement_time": (0.0, 1.0, "s"),
 }
@@ -42,39 +42,41 @@ CHOICES = {
 
 @dataclass(frozen=True, slots=True)
 class Instrument:
-    """A board that measures. Each term is switched off by 0 or False, and draws for itself.
+    """Error terms of a board; 0 or False switches a term off, and each has its own random stream.
 
-    What a calibration against RCAL takes out is not here: the terms are what is left after it.
-    In TOML, `board = "ad5940"` sets every term to what `ad5940` says, but for those named beside.
+    The terms are the errors that remain after a calibration against the reference resistor RCAL.
+    In TOML, `board = "ad5940"` sets every term to its value in `Instrument.ad5940`, except for
+    terms given beside it. "sd" is a standard deviation.
 
     Attributes:
-        snr_db: how far white noise, per quadrature, lies below full scale [dB], 60 to 90.
-            Published EIT boards have 63 to 80.
-        floor: white noise of the front end, per quadrature of the voltage [V]; 1.9 uV by the data
-            sheet. Through the current of the excitation it becomes ohms.
+        snr_db: full scale over the sd of the white noise per quadrature [dB], 60 to 90. Published
+            EIT boards have 63 to 80.
+        floor: sd of the front end's white noise, per quadrature of the voltage [V]; 1.9 uV by the
+            data sheet. Divided by the excitation current, this noise becomes ohms.
         drift: sd of the relative drift of the electronics after 4 h, a random walk from the
-            session's start that all measurements share, since one front end makes them; 0.2 % is
+            session's start, shared by all measurements, which have one front end; 0.2 % is
             published.
-        gel_drift: the same of the gel, which dries or warms as a whole. It is the sensor's, and
-            no board's default.
-        gain: sd of the relative gain error of a session, cut off at 1.25 % (data sheet).
-        phase_deg: sd of the phase error of a session [deg], cut off at 0.3 (data sheet).
-        reciprocity: sd of the relative difference of two measurements that reciprocity makes
-            equal, published as 0.4 %. Its cause is that each path through the multiplexers has an
-            error of its own, which RCAL does not lie behind; so each measurement has, for a
-            session, a relative error of this over sqrt 2. A protocol that senses where it drives
-            has no two such measurements, but the same paths.
-        quantisation: the transforms of voltage and current are rounded to 18 bits.
-        clipping: sines are cut off before the transform, the current at 3 mA, both at the range
-            of the ADC; the status is CLIPPED.
-        excitation: amplitude [V], 0.607, 0.121, 0.075 or 0.015; with 0 the largest of them that
-            the measurement does not clip.
-        pga_range: of the ADC [V], 0.9, 0.6, 0.3 or 0.133; with 0 the smallest that takes the sine.
-        rtia: resistor that turns the current into a voltage [ohm], one of the chip's. With 200
-            the full 3 mA are 0.6 V; a sensor of more ohms, whose currents are smaller, may use
-            more of the range with a larger one.
-        stray_capacitance: from and to [F]; each drive pair draws its own, uniform, per session.
-            40 to 100 pF are left by cables and multiplexers (data sheet, estimate).
+        gel_drift: sd of the relative drift of the gel after 4 h, as the gel dries or warms as a
+            whole. The drift belongs to the sensor, so that no board has a default for it.
+        gain: sd of the relative gain error of a session, truncated at 1.25 % (data sheet).
+        phase_deg: sd of the phase error of a session [deg], truncated at 0.3 (data sheet).
+        reciprocity: sd of the relative difference between two measurements that are equal by
+            reciprocity, published as 0.4 %. The difference comes from an error of each path through
+            the multiplexers, which a calibration against RCAL does not see; so each measurement
+            has, for a session, a relative error of `reciprocity` / sqrt 2. The paths have errors,
+            too, in a protocol without reciprocal measurements.
+        quantisation: whether the transforms of voltage and current are rounded to 18 bits.
+        clipping: whether sines are clipped before the transform, the current at 3 mA, voltage and
+            current at the range of the ADC; the status is CLIPPED.
+        excitation: amplitude [V], 0.607, 0.121, 0.075 or 0.015; 0 for the largest that does not
+            clip the measurement.
+        pga_range: full scale of the ADC [V], 0.9, 0.6, 0.3 or 0.133; 0 for the smallest that holds
+            the sine.
+        rtia: feedback resistor of the transimpedance amplifier [ohm], one of the chip's. With 200
+            ohm the full 3 mA are 0.6 V; a sensor of higher impedance, with smaller currents, uses
+            more of the range with a larger resistor.
+        stray_capacitance: lowest and highest [F]; each drive pair draws its own, uniform, per
+            session. Cables and multiplexers leave 40 to 100 pF (data sheet, estimate).
         measurement_time: from one measurement of a frame to the next [s]; 10.6 ms computed.
     """
 
@@ -94,14 +96,14 @@ class Instrument:
     measurement_time: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check the numbers, and say everything that is wrong with them."""
+        """Check the terms; the ConfigurationError lists everything that is wrong."""
         problems = list(self._problems())
         if problems:
             raise ConfigurationError("no such instrument: " + "; ".join(problems))
 
     @classmethod
     def ad5940(cls) -> "Instrument":
-        """Every term of the AD5940's chain, at the values that the attributes name."""
+        """Instrument with every term of the AD5940's signal chain, at the values named above."""
         return cls(
             floor=1.9e-6,
             drift=0.002,
@@ -116,14 +118,14 @@ class Instrument:
 
     @classmethod
     def named(cls, name: str) -> "Instrument":
-        """The board of this name, "ad5940"."""
+        """Instrument of a board, "ad5940"; raises ConfigurationError for another name."""
         if name != "ad5940":
             raise ConfigurationError(f"expected an instrument's name, 'ad5940', got {name!r}")
         return cls.ad5940()
 
     @classmethod
     def expanded(cls, data: Mapping[str, Any], location: Location) -> Mapping[str, Any]:
-        """`data` with the terms of the board that it names."""
+        """TOML table `data` with the name under `board` replaced by the terms of that board."""
         if "board" not in data:
             return data
         try:
@@ -134,33 +136,33 @@ class Instrument:
         return terms | {name: value for name, value in data.items() if name != "board"}
 
     def deviation(self, full_scale: float) -> float:
-        """Of the white noise per quadrature [ohm] for a full scale [ohm]."""
+        """Standard deviation of the white noise per quadrature [ohm] for a full scale [ohm]."""
         return float(full_scale * 10.0 ** (-self.snr_db / 20.0)) if self.snr_db else 0.0
 
     def offsets(self, protocol: Protocol) -> Array:
-        """When each measurement is taken after its frame's start [s], (measurements,)."""
+        """Time of each measurement since its frame's start [s], (measurements,)."""
         return self.measurement_time * np.arange(len(protocol), dtype=np.float64)
 
     def session(self, protocol: Protocol, full_scale: float, rng: np.random.Generator) -> Session:
-        """One session of one board, from one calibration to the next.
+        """Session of one board, from one calibration to the next.
 
         Args:
-            protocol: what is measured.
+            protocol: drive and sense pairs.
             full_scale: largest resistance of the flat, untouched sensor [ohm].
-            rng: decides over what stays the same for the session, and over its drift.
+            rng: random generator of the session's constant errors, and of the drifts' seeds.
 
         Raises:
             ConfigurationError: where a term depends on the impedance of a drive pair that no
-                measurement of the protocol shows.
+                measurement of the protocol senses.
         """
-        # One stream per term, in a fixed order: none changes what another draws.
+        # One random stream per term, in a fixed order: no term changes the draws of another.
         gain, phase, paths, stray, electronics, gel = rng.spawn(6)
         low, high = self.stray_capacitance
         driven = np.arange(len(protocol))
         if high or self.floor or self.quantisation or self.clipping:
-            driven = _driven(protocol)
-        error = 1.0 + _cut_normal(gain, self.gain, GAIN_LIMIT)
-        turn = np.deg2rad(_cut_normal(phase, self.phase_deg, PHASE_LIMIT_DEG))
+            driven = _drive_measurements(protocol)
+        error = 1.0 + _truncated_normal(gain, self.gain, GAIN_LIMIT)
+        turn = np.deg2rad(_truncated_normal(phase, self.phase_deg, PHASE_LIMIT_DEG))
         mismatch = self.reciprocity / np.sqrt(2.0) * paths.standard_normal(len(protocol))
         return Session(
             driven=driven,
@@ -200,8 +202,8 @@ class Instrument:
             )
 
 
-def _cut_normal(rng: np.random.Generator, deviation: float, limit: float) -> float:
-    """One draw of a normal distribution cut off at -+`limit`."""
+def _truncated_normal(rng: np.random.Generator, deviation: float, limit: float) -> float:
+    """One draw of a normal distribution truncated at -+`limit`, by inversion."""
     if not deviation:
         return 0.0
     tail = ndtr(-limit / deviation)
@@ -210,8 +212,8 @@ def _cut_normal(rng: np.random.Generator, deviation: float, limit: float) -> flo
 
 
 @lru_cache(maxsize=64)
-def _driven(protocol: Protocol) -> Integers:
-    """For each measurement the one that shows its drive pair's own impedance, (measurements,)."""
+def _drive_measurements(protocol: Protocol) -> Integers:
+    """Number of the measurement that senses each measurement's drive pair, (measurements,)."""
     own = {row[:2]: number for number, row in enumerate(protocol.table) if row[:2] == row[2:]}
     found = []
     for each, row in enumerate(protocol.table):
@@ -219,9 +221,9 @@ def _driven(protocol: Protocol) -> Integers:
         if number is None:
             raise ConfigurationError(
                 f"measurement {protocol.labels[each]} drives {row[0]}-{row[1]}, whose own "
-                "impedance decides over the current, and no measurement of the protocol shows it; "
-                "add ones that sense where they drive, or switch off floor, quantisation, "
-                "clipping and stray_capacitance"
+                "impedance decides over the current, and no measurement of the protocol senses "
+                "this pair; add measurements that sense their drive pair, or switch off floor, "
+                "quantisation, clipping and stray_capacitance"
             )
         found.append(number)
     return np.array(found)

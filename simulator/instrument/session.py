@@ -1,4 +1,4 @@
-"""One session of a board, from one calibration to the next."""
+"""Measurement session of one board, from one calibration to the next."""
 
 from dataclasses import dataclass
 
@@ -12,22 +12,22 @@ from eitskin.simulator.instrument.drift import RandomWalk
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-LONGEST = 365 * 86400.0
-"""Of a session [s]."""
+LONGEST_SESSION = 365 * 86400.0
+"""Longest duration of a session [s]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Session:
-    """What stays the same of an `Instrument` for one session; `measure` adds the rest.
+    """Errors of an `Instrument` that are constant in a session; `measure` adds noise and drift.
 
     Attributes:
-        driven: the measurement that shows the drive pair of each measurement, (measurements,).
-        capacitance: across the drive pairs, (measurements,) [F].
-        factor: gain, phase and errors of the paths together, (measurements,) complex.
-        drift: of the electronics, the logarithm of a factor.
-        gel_drift: the same of the gel.
-        deviation: of the white noise per quadrature [ohm].
-        front_end: that drives and converts.
+        driven: number of the measurement of each measurement's drive pair, (measurements,).
+        capacitance: stray, across the drive pairs, (measurements,) [F].
+        factor: gain, phase and path errors together, (measurements,) complex.
+        drift: of the electronics, as the logarithm of a factor.
+        gel_drift: of the gel, as the logarithm of a factor.
+        deviation: standard deviation of the white noise per quadrature [ohm].
+        front_end: signal chain from excitation to ADC.
     """
 
     driven: NDArray[np.int64]
@@ -41,15 +41,15 @@ class Session:
     def measure(
         self, impedance: Complex, times: Array, rng: np.random.Generator
     ) -> tuple[Complex, NDArray[np.uint8]]:
-        """What the board says of frames: impedances [ohm] and `Status` bits.
+        """Measured impedances [ohm] and `Status` bits, both (frames, measurements).
 
-        Both are (frames, measurements). Frames of one session may be measured together or one by
-        one, in any order: the drift depends on their times alone.
+        Frames of one session may be measured together or one by one, in any order: the drift
+        depends on the times alone.
 
         Args:
             impedance: noise-free, (frames, measurements) complex [ohm].
-            times: of the frames after the session's start, (frames,) [s].
-            rng: of what differs from frame to frame.
+            times: of the frames since the session's start, (frames,) [s].
+            rng: random generator of the noise.
 
         Raises:
             FrameError: where the shapes do not fit, or an impedance is not finite.
@@ -60,7 +60,7 @@ class Session:
         if self.gel_drift.deviation:
             Z = Z * np.exp(self.gel_drift(times))[:, None]
         if self.capacitance.any():
-            Z = ad5940.shunted(Z, Z[:, self.driven], self.capacitance)
+            Z = ad5940.with_stray_capacitance(Z, Z[:, self.driven], self.capacitance)
         driven = Z[:, self.driven]
         Z = Z * self.factor
         if self.drift.deviation:
@@ -78,10 +78,12 @@ class Session:
                 f"frame, got {Z.shape} and {times.shape}"
             )
         if not np.isfinite(Z).all():
-            raise FrameError("expected finite impedances; an instrument adds to a solution")
-        if not ((times >= 0.0) & (times <= LONGEST)).all():
+            raise FrameError(
+                "expected finite impedances, got NaN or infinity; leave these frames out"
+            )
+        if not ((times >= 0.0) & (times <= LONGEST_SESSION)).all():
             raise ConfigurationError(
-                f"times of a session are from 0 to {LONGEST:g} s after its start, got "
-                f"{times.min():g} to {times.max():g} s"
+                f"expected times from 0 to {LONGEST_SESSION:g} s after the session's start, got "
+                f"{times.min():g} to {times.max():g} s; start another session"
             )
         return Z, times

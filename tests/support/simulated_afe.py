@@ -12,7 +12,7 @@ from eitskin.simulator.instrument.ad5940 import (
     PGA_RANGES,
     TIA_LIMIT,
     TRANSIMPEDANCES,
-    clipped,
+    clipped_fundamental,
     quantised,
 )
 
@@ -176,7 +176,7 @@ class SimulatedAfe:
         if self.comparators:
             self._flags |= ADCMAXERR if 32768 + peak > self[0x20B0] else 0
             self._flags |= ADCMINERR if 32768 - peak < self[0x20A8] else 0
-        shown = clipped(np.array(self._phasor), np.array(self._limit(full_range)))
+        shown = clipped_fundamental(np.array(self._phasor), np.array(self._limit(full_range)))
         codes = quantised(shown, np.array(full_range)) / (full_range / CODES)
         for address, code in ((0x2078, codes.real), (0x207C, -codes.imag)):
             self._registers[address] = round(np.clip(code, -CODES, CODES - 1)) & 0x3FFFF

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.protocol import Protocol
-from eitskin.simulator.instrument.drift import HOURS
+from eitskin.simulator.instrument.drift import DRIFT_TIME
 from eitskin.training.joint.bend_curve import BendCurve, BendCurves
 from eitskin.training.joint.bend_estimate import (
     BEYOND_DEG,
@@ -215,7 +215,7 @@ class JointMethod:
 
         `frames` is the sum of one over the numbers of frames that were averaged.
         """
-        drift = self.drift**2 * max(age, 0.0) / HOURS
+        drift = self.drift**2 * max(age, 0.0) / DRIFT_TIME
         covariance = np.full((len(self.noise), len(self.noise)), drift)
         np.einsum("ii->i", covariance)[:] += self.noise**2 * frames
         return covariance
@@ -243,7 +243,7 @@ class JointMethod:
         prior = self.curves.of(p)
         count, channels = known.change.shape
         together = np.eye(count) + 1.0 / known.flat_frames  # all share the flat frames' noise
-        walk = np.minimum(known.age[:, None], known.age) / HOURS * self.drift**2
+        walk = np.minimum(known.age[:, None], known.age) / DRIFT_TIME * self.drift**2
         noise = np.asarray(np.kron(together, np.diag(self.noise**2)), dtype=float)
         noise = noise + np.kron(walk, np.ones((channels, channels)))
         curve = prior.conditioned(known.angle_deg, known.change, noise)

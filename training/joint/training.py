@@ -12,7 +12,7 @@ from eitskin.datasets.store.state import State
 from eitskin.errors import DataError
 from eitskin.extras import require
 from eitskin.geometry.design.surface import Surface
-from eitskin.simulator.instrument.drift import HOURS
+from eitskin.simulator.instrument.drift import DRIFT_TIME
 from eitskin.training.joint.bend_curve import BendCurves
 from eitskin.training.joint.method import JointMethod
 from eitskin.training.joint.objective import Habits
@@ -181,7 +181,7 @@ def _curves(
     flat = np.abs(data.reference[specimen]).astype(float)
     change = _log(values, flat)
     own_noise = 1.0 if data.source == "simulated" else 2.0  # theirs are compared with no noise
-    covariance = np.diag(own_noise * noise**2) + drift**2 * UNKNOWN_AGE / HOURS
+    covariance = np.diag(own_noise * noise**2) + drift**2 * UNKNOWN_AGE / DRIFT_TIME
     count = int(specimen.max()) + 1
     return BendCurves.fit(
         np.tile(data.bend_angle_deg[rows].astype(float), len(images)),

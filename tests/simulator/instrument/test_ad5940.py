@@ -9,8 +9,8 @@ from eitskin.simulator import Instrument, Protocol, Status
 from eitskin.simulator.instrument.ad5940 import (
     CODES,
     PGA_RANGES,
-    clipped,
-    current,
+    clipped_fundamental,
+    drive_current,
     pga_range,
     quantised,
 )
@@ -63,9 +63,9 @@ def test_a_sine_that_is_cut_off_loses_fundamental_as_its_transform_says():
     for size in (0.5, 1.0, 1.001, 1.3, 2.0, 10.0, 1e4):
         wave = np.clip(size * np.cos(phase + 0.7), -1.0, 1.0)
         fundamental = 2 * np.mean(wave * np.exp(-1j * phase))
-        found = clipped(np.array([size * np.exp(0.7j)]), np.array([1.0]))[0]
+        found = clipped_fundamental(np.array([size * np.exp(0.7j)]), np.array([1.0]))[0]
         assert found == pytest.approx(fundamental, rel=1e-5)
-    assert clipped(np.array([1.0 + 0j]), np.array([1.0]))[0] == 1.0
+    assert clipped_fundamental(np.array([1.0 + 0j]), np.array([1.0]))[0] == 1.0
 
 
 def test_clipping_begins_where_the_current_passes_3_mA():
@@ -107,7 +107,7 @@ def test_the_current_is_clipped_by_the_range_where_rtia_makes_much_of_it():
 )
 def test_auto_ranging_takes_the_largest_excitation_that_fits(impedance, excitation):
     Z = np.array([[complex(impedance)]])
-    assert np.abs(current(Z, Z, 200.0)) == pytest.approx(excitation / impedance, rel=1e-12)
+    assert np.abs(drive_current(Z, Z, 200.0)) == pytest.approx(excitation / impedance, rel=1e-12)
     clips = impedance < 5.0
     assert read_one(only(clipping=True), impedance)[1] == (Status.CLIPPED if clips else 0)
 
@@ -115,12 +115,12 @@ def test_auto_ranging_takes_the_largest_excitation_that_fits(impedance, excitati
 @pytest.mark.parametrize(("impedance", "excitation"), [(674.5, 0.607), (674.4, 0.121)])
 def test_auto_ranging_heeds_what_rtia_makes_of_the_current(impedance, excitation):
     Z = np.array([[complex(impedance)]])  # 0.9 V through 1 kohm are 0.9 mA
-    assert np.abs(current(Z, Z, 1000.0)) == pytest.approx(excitation / impedance, rel=1e-12)
+    assert np.abs(drive_current(Z, Z, 1000.0)) == pytest.approx(excitation / impedance, rel=1e-12)
 
 
 def test_auto_ranging_heeds_a_sense_pair_that_sees_more_than_the_drive_pair():
     drive, transfer = np.array([[300.0 + 0j]]), np.array([[900.0 + 0j]])
-    assert current(transfer, drive, 200.0) == pytest.approx(0.121 / 300.0)
+    assert drive_current(transfer, drive, 200.0) == pytest.approx(0.121 / 300.0)
 
 
 @pytest.mark.parametrize(("pga", "excitation"), [(0.9, 0.607), (0.6, 0.121), (0.133, 0.121)])

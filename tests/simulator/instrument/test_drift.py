@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from eitskin.simulator.instrument.drift import HOURS, RandomWalk
+from eitskin.simulator.instrument.drift import DRIFT_TIME, RandomWalk
 
 
 def test_a_walk_has_its_deviation_after_4_h_and_grows_as_the_root_of_time():
-    times = HOURS * np.array([1 / 64, 1 / 16, 1 / 4, 1.0])
+    times = DRIFT_TIME * np.array([1 / 64, 1 / 16, 1 / 4, 1.0])
     walks = np.array([RandomWalk(0.002, seed)(times) for seed in range(4000)])
     # Four standard errors of a standard deviation of 4,000 values are 4.5 %.
-    np.testing.assert_allclose(walks.std(axis=0), 0.002 * np.sqrt(times / HOURS), rtol=0.045)
+    np.testing.assert_allclose(walks.std(axis=0), 0.002 * np.sqrt(times / DRIFT_TIME), rtol=0.045)
     steps = np.diff(walks, axis=1)
     assert np.abs(np.corrcoef(steps.T) - np.eye(3)).max() < 0.064
 
