@@ -123,7 +123,6 @@ ALL = (
     Benchmark("ablation", 2, ("{out}/paper/seed-1/unseen-touch",), needs="{out}/paper/seed-1"),
     Benchmark("layouts", 90, OWN, (*OWN, "--quick"), command=True, report="layouts.md"),
     Benchmark("touches", 180, (*OWN[:1], "{own}/touches.csv", "--plot", "{own}/touches.png")),
-    Benchmark("crashes", 60, (*OWN[:1], "{own}/crashes.csv"), seeded=True),
 )
 
 

@@ -13,6 +13,11 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("EITSKIN_CACHE", str(Path(__file__).parents[1] / ".pytest_cache" / "kernels"))
 
 
+def pytest_addoption(parser):
+    """How often `tests/datasets/test_crashes.py` kills and starves a run; 200 for the long run."""
+    parser.addoption("--crashes", type=int, default=2, help="trials of each kind of crash")
+
+
 def pytest_collection_modifyitems(items):
     """Files with slow tests first, so that no worker is left alone with one of them at the end."""
     slow = {item.path for item in items if item.get_closest_marker("slow")}

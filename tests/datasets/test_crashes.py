@@ -1,0 +1,258 @@
+"""Real runs of `eitskin generate` that are killed, and disks that are full, read-only or failing.
+
+Small by default; `pytest tests/datasets/test_crashes.py --crashes 200 --timeout 0` is the long run
+(Linux; mounting small disks takes root).
+"""
+
+import errno
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from eitskin.datasets import Recipe, generate
+from eitskin.datasets.recipe.scene_group import SceneGroup
+from eitskin.datasets.store.schema import FIELDS
+from eitskin.datasets.store.shard import read_shard
+from eitskin.errors import DataError
+
+pytestmark = pytest.mark.slow
+
+# Cheap shards: a killed run is to have many of them, finished and not.
+RECIPE = Recipe(
+    "crashes",
+    seed=7,
+    frames_per_shard=4,
+    scenes=(SceneGroup("idle", count=24), SceneGroup("bend", count=24, angle_deg=(-20.0, 50.0))),
+)
+# Shards of the usual length: small ones are mostly HDF5's own, unused space.
+LONG_SHARD = Recipe("damage", seed=7, frames_per_shard=256, scenes=(SceneGroup("idle", count=256),))
+# Runs in every process that Python starts with it on its path, workers too.
+FAILING_SYNC = """
+import os
+_left, _code, _sync = int(os.environ["FAIL_AFTER"]), int(os.environ["FAIL_WITH"]), os.fsync
+
+def fsync(handle):
+    global _left
+    _left -= 1
+    if _left < 0:
+        raise OSError(_code, os.strerror(_code))
+    _sync(handle)
+
+os.fsync = fsync
+"""
+
+
+@pytest.fixture(scope="module")
+def recipe(tmp_path_factory):
+    path = tmp_path_factory.mktemp("recipe") / "recipe.toml"
+    path.write_text(RECIPE.to_toml())
+    return path
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory, recipe):
+    """Files of a set that nothing happened to."""
+    folder = tmp_path_factory.mktemp("whole") / "set"
+    assert finish(start(recipe, folder))[0] == 0
+    return contents(folder)
+
+
+@pytest.fixture
+def crashes(request):
+    """Number of trials."""
+    return request.config.getoption("--crashes")
+
+
+def start(recipe, out, *options, environment=None):
+    """A run of the command in a process of its own."""
+    command = "from eitskin.cli.main import run; run()"
+    options = ("--workers", "1", *options)
+    return subprocess.Popen(
+        [sys.executable, "-c", command, "generate", recipe, "--out", out, "--quiet", *options],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, **(environment or {})},
+    )
+
+
+def finish(run):
+    """Exit code and standard error."""
+    _, said = run.communicate(timeout=300)
+    return run.returncode, said
+
+
+def contents(folder):
+    """Every file by name, without what killed writers left half-written."""
+    return {path.name: path.read_bytes() for path in folder.glob("[!.]*")}
+
+
+def shards(folder):
+    return {path.name for path in folder.glob("shard-*.h5")}
+
+
+def intact(folder, whole):
+    """Whether each shard in the folder is, byte for byte, that of the whole set."""
+    return all((folder / name).read_bytes() == whole[name] for name in shards(folder))
+
+
+def assert_clean_error(run, out, whole):
+    """The run ended with one of our errors and left nothing but whole shards."""
+    code, said = finish(run)
+    assert code in (2, 5)
+    assert "Traceback" not in said
+    assert "eitskin: " in said
+    assert "manifest.json" not in contents(out)
+    assert intact(out, whole)
+    assert not list(out.glob(".writing-*"))
+
+
+def assert_resumes(recipe, out, whole):
+    assert finish(start(recipe, out, "--resume"))[0] == 0
+    assert contents(out) == whole
+
+
+# Kills
+
+
+def workers_of(run):
+    """Process numbers of the workers that a run has started, as Linux tells them."""
+    try:
+        children = Path(f"/proc/{run.pid}/task/{run.pid}/children").read_text().split()
+        lines = {int(child): Path(f"/proc/{child}/cmdline").read_bytes() for child in children}
+    except FileNotFoundError:  # one has ended meanwhile
+        return []
+    return [child for child, line in lines.items() if b"multiprocessing.spawn" in line]
+
+
+def kill(run, out, rng):
+    """Kill a run or one of its workers at a random moment; whether it was still running."""
+    wanted = rng.integers(min(len(shards(out)), RECIPE.shards - 1), RECIPE.shards)
+    while run.poll() is None and (len(shards(out)) < wanted or not workers_of(run)):
+        time.sleep(0.001)
+    time.sleep(rng.uniform(0.0, 0.3))  # a few shards' time
+    victims = [run.pid] if rng.random() < 0.7 else workers_of(run)
+    if run.poll() is not None or not victims:
+        return False
+    try:
+        os.kill(victims[-1], signal.SIGKILL)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="finds workers by /proc")
+def test_kills_at_random_moments_cost_no_finished_shard(recipe, whole, tmp_path, crashes):
+    rng = np.random.default_rng(0)
+    killed, sets, out = 0, 0, tmp_path / "set-0"
+    while killed < crashes:
+        before = shards(out)
+        run = start(recipe, out, "--resume", "--workers", str(rng.integers(1, 3)))
+        killed += kill(run, out, rng)
+        code, _ = finish(run)
+        assert before <= shards(out)
+        assert intact(out, whole)
+        if code == 0:
+            assert contents(out) == whole
+            sets += 1
+            out = tmp_path / f"set-{sets}"
+    assert_resumes(recipe, out, whole)
+
+
+# Disks
+
+
+@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EIO], ids=["full", "broken"])
+def test_a_disk_that_fails_is_a_clean_error(recipe, whole, tmp_path, crashes, code):
+    rng = np.random.default_rng(code)
+    (tmp_path / "sitecustomize.py").write_text(FAILING_SYNC)
+    path = os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])
+    for trial in range(crashes // 2):
+        out = tmp_path / f"set-{trial}"
+        failing = {"FAIL_AFTER": str(rng.integers(2, 10)), "FAIL_WITH": str(code)}
+        run = start(recipe, out, environment={**failing, "PYTHONPATH": path})
+        assert_clean_error(run, out, whole)
+        assert_resumes(recipe, out, whole)
+
+
+@contextmanager
+def small_disk(place, size):
+    """A disk of `size` bytes, and a function that mounts it anew with another option."""
+
+    def mount(*options):
+        done = subprocess.run(["mount", *options, place], check=False, capture_output=True)
+        return done.returncode == 0
+
+    place.mkdir()
+    if not mount("-t", "tmpfs", "-o", f"size={size}", "tmpfs"):
+        pytest.skip("mounting is not permitted here")
+    try:
+        yield lambda option: mount("-o", f"remount,{option}")
+    finally:
+        subprocess.run(["umount", place], check=True)
+
+
+def test_a_full_disk_is_a_clean_error_and_more_room_is_enough(recipe, whole, tmp_path, crashes):
+    """From too small for anything up to nearly enough."""
+    size = sum(map(len, whole.values()))
+    for number, share in enumerate(np.linspace(0.05, 0.95, min(crashes, 20) + 1)[1::2]):
+        room = round(size * share / 4096) * 4096
+        with small_disk(tmp_path / f"disk-{number}", room) as remount:
+            out = tmp_path / f"disk-{number}" / "set"
+            assert_clean_error(start(recipe, out), out, whole)
+            assert remount("size=64m")
+            assert_resumes(recipe, out, whole)
+
+
+def test_a_folder_that_turns_read_only_keeps_its_shards(recipe, whole, tmp_path):
+    with small_disk(tmp_path / "disk", 1 << 26) as remount:
+        out = tmp_path / "disk" / "set"
+        finish(start(recipe, out, "--shard", "3"))
+        assert remount("ro")
+        kept = shards(out)
+        assert_clean_error(start(recipe, out, "--resume"), out, whole)
+        assert shards(out) == kept != set()
+        assert remount("rw")
+        assert_resumes(recipe, out, whole)
+
+
+# Damage
+
+
+def test_a_shard_without_manifest_is_refused_or_reads_as_written(tmp_path, crashes):
+    """A flipped bit is noticed by a checksum, or lies where nothing reads; a cut always."""
+    generate(LONG_SHARD, tmp_path / "set", workers=1)
+    (path,) = (tmp_path / "set").glob("shard-*.h5")
+    sound, content = read_shard(path), path.read_bytes()
+    rng = np.random.default_rng(1)
+    refused = 0
+    for _ in range(5 * crashes):
+        place = int(rng.integers(len(content)))
+        flipped = bytearray(content)
+        flipped[place] ^= 1 << int(rng.integers(8))
+        path.write_bytes(flipped)
+        try:
+            data = read_shard(path)
+        except DataError:
+            refused += 1
+        else:
+            assert all(
+                np.array_equal(
+                    getattr(data, field.name),
+                    getattr(sound, field.name),
+                    equal_nan=field.dtype.kind in "fc",
+                )
+                for field in FIELDS
+            )
+            assert (data.protocol, data.recipe) == (sound.protocol, sound.recipe)
+        path.write_bytes(content[:place])
+        with pytest.raises(DataError):
+            read_shard(path)
+    assert refused
