@@ -12,6 +12,9 @@ from eitskin.training.method.predictions import (
 from eitskin.training.method.predictions import (
     Perceived as Perceived,
 )
+from eitskin.training.method.predictions import (
+    Predictions as Predictions,
+)
 from eitskin.training.method.settings import (
     NetworkSettings as NetworkSettings,
 )

@@ -22,12 +22,12 @@ from eitskin.provenance import Provenance
 from eitskin.training.evaluation import matching, metrics
 from eitskin.training.joint.method import JointMethod
 from eitskin.training.joint.proposal_model import network_inputs
-from eitskin.training.joint.touch_discs import disc_map
-from eitskin.training.method.observations import Observed
+from eitskin.training.joint.touch_map import disc_map
+from eitskin.training.method.observations import Observations
 from eitskin.training.pipeline.pipeline import Pipeline
 
 Array = NDArray[np.float64]
-Places = Callable[[Observed], Array]
+Places = Callable[[Observations], Array]
 """Places (k, 2) [m] of the touches in one frame."""
 
 
@@ -65,10 +65,10 @@ def variants(method: JointMethod) -> Iterator[tuple[str, Places]]:
         method.features, directions=np.zeros_like(method.features.directions)
     )
     certain = dataclasses.replace(
-        method.response, hidden_output=np.zeros_like(method.response.hidden_output)
+        method.response, latent_output=np.zeros_like(method.response.latent_output)
     )
     bend = dataclasses.replace(
-        method.curves, covariance=1e-12 * np.eye(len(method.curves.covariance))
+        method.bend_prior, covariance=1e-12 * np.eye(len(method.bend_prior.covariance))
     )
     yield "all of it", fitted(method)
     yield (
@@ -81,7 +81,7 @@ def variants(method: JointMethod) -> Iterator[tuple[str, Places]]:
         "no hidden differences of specimens",
         fitted(dataclasses.replace(method, response=certain)),
     )
-    yield "bend curve taken for certain", fitted(dataclasses.replace(method, curves=bend))
+    yield "bend curve taken for certain", fitted(dataclasses.replace(method, bend_prior=bend))
 
 
 def fitted(method: JointMethod) -> Places:
@@ -92,21 +92,21 @@ def fitted(method: JointMethod) -> Places:
 def proposed(method: JointMethod) -> Places:
     """What its network proposes, as it is."""
 
-    def places(frame: Observed) -> Array:
+    def places(frame: Observations) -> Array:
         change = np.log1p(frame.dynamic[0])
         features = method.features.apply(frame.flat[0])
         inputs = network_inputs(change, np.sqrt(2.0) * method.noise, 0.0, features)
-        return method.proposals.places(inputs, method.habits.separation)
+        return method.proposals.places(inputs, method.touch_prior.separation)
 
     return places
 
 
 def measured(places: Places, data: Dataset) -> tuple[float, float, float, float, float]:
     """Mean error [mm], found and false [%], median and p99 of the time per frame [ms]."""
-    observed = Observed.of(data)
+    observations = Observations.of(data)
     pairs, seconds = [], []
     for i in range(len(data)):
-        frame = observed[i : i + 1]
+        frame = observations[i : i + 1]
         places(frame)  # what is kept for a specimen and an angle is made here
         start = time.process_time()
         found = places(frame)
@@ -122,11 +122,11 @@ def measured(places: Places, data: Dataset) -> tuple[float, float, float, float,
 
 def stages(method: JointMethod, data: Dataset) -> dict[str, list[float]]:
     """Seconds of each stage, frame by frame."""
-    observed = Observed.of(data)
+    observations = Observations.of(data)
     seconds: dict[str, list[float]] = {"proposals": [], "map of touches": [], "whole frame": []}
     propose, whole = proposed(method), method.perceive
     for i in range(len(data)):
-        frame = observed[i : i + 1]
+        frame = observations[i : i + 1]
         whole(frame)
         for name, run in (("proposals", propose), ("whole frame", whole)):
             start = time.process_time()

@@ -14,7 +14,7 @@ from eitskin.errors import ConfigurationError
 if TYPE_CHECKING:
     from eitskin.frame import Frame
     from eitskin.training.method.calibration import Calibration
-    from eitskin.training.method.input_spec import Layout
+    from eitskin.training.method.input_spec import InputSpec
 
 Angles = Annotated[
     str, typer.Option(help="Known angles in degrees, apart by commas; flat comes first anyway.")
@@ -91,7 +91,7 @@ def _angles(text: str) -> list[float]:
 
 def _from_board(
     uri: str,
-    layout: "Layout",
+    layout: "InputSpec",
     angles: Sequence[float],
     frames: int,
     no_prompt: bool,

@@ -39,14 +39,15 @@ def training(pipeline: "Pipeline") -> Part:
     """How long it took, on what, and how the losses fell."""
     from eitskin.training.evaluation.report.curves import loss_curves
 
-    histories = {
-        name: dataclasses.asdict(history) for name, history in pipeline.method.histories.items()
+    learning_curves = {
+        name: dataclasses.asdict(history)
+        for name, history in pipeline.method.learning_curves.items()
     }
     numbers = {
         "frames": pipeline.trained_on["frames"],
         "seconds": pipeline.metrics["training"]["seconds"],
-        "epochs": {name: len(each["training"]) for name, each in histories.items()},
-        "losses": histories,
+        "epochs": {name: len(each["training"]) for name, each in learning_curves.items()},
+        "losses": learning_curves,
     }
     with style():
         drawn = {"losses": (loss_curves(pipeline), "Loss over the epochs of each network")}

@@ -25,11 +25,11 @@ from eitskin.datasets.recipe.frame_sampling import sample, specimen
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend, SensorDesign
 from eitskin.simulator import Protocol, Scene, Simulator, Touch
-from eitskin.training import FoundTouches, Perceived, Pipeline, TrainingSettings
+from eitskin.training import FoundTouches, Pipeline, Predictions, TrainingSettings
 from eitskin.training.evaluation.cramer_rao import scene_derivatives
 from eitskin.training.method.calibration import Calibration
-from eitskin.training.method.input_spec import Layout
-from eitskin.training.method.observations import Observed
+from eitskin.training.method.input_spec import InputSpec
+from eitskin.training.method.observations import Observations
 
 FLAT = np.linspace(400.0, 820.0, 28)
 NOISE, SIGNAL = 1e-4, 1e-2  # of a frame and of a touch, relative
@@ -100,8 +100,8 @@ class Known:
     place: float  # m, along x
     angle_deg: float
 
-    def perceive(self, observed):
-        return Perceived.joined([self._one(row) for row in observed.static])
+    def perceive(self, observations):
+        return Predictions.joined([self._one(row) for row in observations.static])
 
     def _one(self, static):
         frames = [(each, row) for each in SETS for row in range(len(each))]
@@ -109,7 +109,7 @@ class Known:
         data, row = frames[int(np.abs(values - static).sum(axis=1).argmin())]
         places = np.stack([data.touch_x[row], data.touch_y[row]], axis=1)
         places = places[np.isfinite(places[:, 0])] + [self.place, 0.0]
-        return Perceived(
+        return Predictions(
             np.eye(3)[[data.state[row]]],
             np.array([data.bend_angle_deg[row] + self.angle_deg]),
             np.full(1, np.nan),
@@ -126,9 +126,9 @@ class Known:
 
 
 def pipeline(place, angle_deg):
-    layout = Layout(SensorDesign.reference(), Protocol.pairwise(8), 40e3, FLAT)
+    layout = InputSpec(SensorDesign.reference(), Protocol.pairwise(8), 40e3, FLAT)
     said = {"frames": 7, "source": "simulated", "sha256": ""}
-    examples = Observed.of(dataset([(0, 0)], 77))
+    examples = Observations.of(dataset([(0, 0)], 77))
     return Pipeline(layout, Known(place, angle_deg), NOISE, TrainingSettings(), said, examples)
 
 

@@ -4,14 +4,22 @@ import numpy as np
 
 from eitskin.geometry import SensorDesign
 from eitskin.simulator import Protocol
-from eitskin.training.joint.bend_curve import MEAN_POWERS, OWN_POWERS, SCALE, BendCurve, BendCurves
-from eitskin.training.joint.objective import Habits
-from eitskin.training.joint.touch_response import Ranges, TouchResponse
+from eitskin.training.joint.bend_curve import (
+    MEAN_POWERS,
+    RANDOM_POWERS,
+    SCALE,
+    BendCurve,
+    BendCurvePrior,
+)
+from eitskin.training.joint.prior import TouchPrior
+from eitskin.training.joint.touch_response import InputRanges, TouchResponse
 
 NOISE = 2e-4  # of log V, one frame
 SIZE = (0.150, 0.060)
-RANGES = Ranges(SIZE, (4.0, 12.0), (-20.0, 50.0))
-HABITS = Habits(0.030, (8.0, 2.6), np.array([0.008, 0.008, 1.2]), np.array([0.142, 0.052, 15.6]))
+RANGES = InputRanges(SIZE, (4.0, 12.0), (-20.0, 50.0))
+TOUCH_PRIOR = TouchPrior(
+    0.030, (8.0, 2.6), np.array([0.008, 0.008, 1.2]), np.array([0.142, 0.052, 15.6])
+)
 PROTOCOL = Protocol.pairwise(8)
 _ELECTRODES = np.array([[e.x, e.y] for e in SensorDesign.reference().electrodes])
 _PAIRS = np.array([row[:2] for row in PROTOCOL.table])
@@ -41,18 +49,20 @@ def bend_mean():
 
 def own_covariance(size=5e-4):
     """Of what specimens have of their own: every channel and power by itself."""
-    return size**2 * np.eye(OWN_POWERS * 28)
+    return size**2 * np.eye(RANDOM_POWERS * 28)
 
 
 def curve(size=5e-4):
     """The bend curve of a specimen that nobody has calibrated."""
-    return BendCurve(bend_mean(), np.zeros((OWN_POWERS, 28)), own_covariance(size), (-20.0, 50.0))
+    return BendCurve(
+        bend_mean(), np.zeros((RANDOM_POWERS, 28)), own_covariance(size), (-20.0, 50.0)
+    )
 
 
 def curves(features=0):
     """Of all specimens, whatever their features."""
     mean = np.concatenate([bend_mean()[None], np.zeros((features, MEAN_POWERS, 28))])
-    return BendCurves(mean, own_covariance(), (-20.0, 50.0))
+    return BendCurvePrior(mean, own_covariance(), (-20.0, 50.0))
 
 
 def response(mismatch=0.0, features=0, unseen=0, hidden=160, seed=0):
@@ -63,7 +73,7 @@ def response(mismatch=0.0, features=0, unseen=0, hidden=160, seed=0):
     rng = np.random.default_rng(seed)
     weights = (rng.standard_normal((hidden, 4)) * [4.0, 2.0, 0.2, 0.2], np.eye(hidden))
     biases = (3.0 * rng.standard_normal(hidden), np.zeros(hidden))
-    touches = rng.uniform(HABITS.low, HABITS.high, (2000, 3))
+    touches = rng.uniform(TOUCH_PRIOR.low, TOUCH_PRIOR.high, (2000, 3))
     angle = rng.uniform(-30.0, 60.0, 2000)
     inner = RANGES.inputs(touches, angle)
     for weight, bias in zip(weights, biases, strict=True):
@@ -81,5 +91,5 @@ def response(mismatch=0.0, features=0, unseen=0, hidden=160, seed=0):
 
 def places(step=0.006):
     """A grid (n, 2) [m] over where touches lie."""
-    axes = [np.arange(HABITS.low[i], HABITS.high[i] + 1e-9, step) for i in (0, 1)]
+    axes = [np.arange(TOUCH_PRIOR.low[i], TOUCH_PRIOR.high[i] + 1e-9, step) for i in (0, 1)]
     return np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)

@@ -6,9 +6,10 @@ import torch
 
 from eitskin.errors import ConfigurationError
 from eitskin.training import NetworkSettings
-from eitskin.training.method.learning_curve import History
-from eitskin.training.method.networks import Samples, mean_loss, train, weights_of
+from eitskin.training.method.learning_curve import LearningCurve
+from eitskin.training.method.network_training import Samples, mean_loss, train
 from eitskin.training.paper.classifier import Classifier
+from eitskin.training.paper.networks import weights_of
 from eitskin.training.paper.postprocessor import PostProcessor
 from eitskin.training.paper.reconstruction import Reconstruction
 
@@ -81,9 +82,9 @@ def test_divergence_is_refused():
 
 
 def test_history_survives_as_arrays():
-    history = History((0.5, 0.25), (0.75,))
-    assert History.from_arrays(history.arrays()) == history
-    assert History.from_arrays({}) == History()
+    history = LearningCurve((0.5, 0.25), (0.75,))
+    assert LearningCurve.from_arrays(history.arrays()) == history
+    assert LearningCurve.from_arrays({}) == LearningCurve()
 
 
 def test_stages_keep_their_history_beside_their_weights():

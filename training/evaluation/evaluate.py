@@ -23,8 +23,8 @@ from eitskin.training.evaluation.scores import (
     TouchScore,
     UntouchedScore,
 )
-from eitskin.training.method.observations import Observed
-from eitskin.training.method.predictions import Perceived
+from eitskin.training.method.observations import Observations
+from eitskin.training.method.predictions import Predictions
 from eitskin.training.paper.method import PaperMethod
 from eitskin.training.pipeline.pipeline import Pipeline
 
@@ -54,7 +54,7 @@ class Evaluation:
 
     pipeline: Pipeline
     dataset: Dataset
-    perceived: Perceived
+    perceived: Predictions
     matches: Matches
     similarity: dict[str, Array]
     report: Report
@@ -126,19 +126,19 @@ def reconstructions(pipeline: Pipeline, dataset: Dataset) -> dict[str, NDArray[n
     """
     if not isinstance(pipeline.method, PaperMethod):
         return {}
-    static, dynamic = pipeline.method.pictures(Observed.of(dataset))
+    static, dynamic = pipeline.method.pictures(Observations.of(dataset))
     return {"static": -static, "dynamic": -dynamic}
 
 
-def _perceive(pipeline: Pipeline, dataset: Dataset) -> Perceived:
+def _perceive(pipeline: Pipeline, dataset: Dataset) -> Predictions:
     """In pieces: the maps inside a network take memory."""
     starts = range(0, len(dataset), PIECE)
-    return Perceived.joined(
+    return Predictions.joined(
         [pipeline.perceive(dataset.select(slice(start, start + PIECE))) for start in starts]
     )
 
 
-def _similarities(pipeline: Pipeline, dataset: Dataset, perceived: Perceived) -> dict[str, Array]:
+def _similarities(pipeline: Pipeline, dataset: Dataset, perceived: Predictions) -> dict[str, Array]:
     """SSIM of every picture, in pieces; a touch lowers the conductivity."""
     placed = np.isfinite(dataset.touch_x)
     drawable = placed.any(axis=1) & (np.isfinite(dataset.touch_radius) | ~placed).all(axis=1)
@@ -157,7 +157,7 @@ def _similarities(pipeline: Pipeline, dataset: Dataset, perceived: Perceived) ->
     return values
 
 
-def _state_score(dataset: Dataset, perceived: Perceived) -> StateScore:
+def _state_score(dataset: Dataset, perceived: Predictions) -> StateScore:
     known = np.isin(dataset.state, list(State))
     counts = metrics.confusion(dataset.state[known], perceived.state[known])
     bent = (dataset.state == State.TOUCH) & _bent(dataset)
@@ -174,7 +174,7 @@ def _state_score(dataset: Dataset, perceived: Perceived) -> StateScore:
     )
 
 
-def _bend_score(dataset: Dataset, perceived: Perceived) -> BendScore:
+def _bend_score(dataset: Dataset, perceived: Predictions) -> BendScore:
     known = np.isfinite(dataset.bend_angle_deg)
     bent, touched = (known & (dataset.state == state) for state in (State.BEND, State.TOUCH))
     true, estimated = dataset.bend_angle_deg.astype(float), perceived.bend_angle_deg

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import linear_sum_assignment
 
 from eitskin.datasets.store.dataset import Dataset
-from eitskin.training.method.predictions import Perceived
+from eitskin.training.method.predictions import Predictions
 
 GATE = 0.015  # m; half of the 30 mm that the test touches are apart, so that no two can claim one
 
@@ -97,7 +97,7 @@ class Matches:
     false: NDArray[np.int64]
 
     @classmethod
-    def of(cls, dataset: Dataset, perceived: Perceived) -> "Matches":
+    def of(cls, dataset: Dataset, perceived: Predictions) -> "Matches":
         """Matches of the touches of every frame."""
         false = np.zeros(len(dataset), np.int64)
         rows: list[Array] = [np.zeros((0, 8))]

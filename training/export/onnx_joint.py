@@ -7,7 +7,7 @@ from eitskin.training.export.onnx_graph import ExportedGraph, Value, relative_di
 from eitskin.training.export.onnx_paper import AXES, FRAME_UNITS, frames_as_inputs
 from eitskin.training.joint.method import JointMethod
 from eitskin.training.joint.proposal_model import network_inputs
-from eitskin.training.method.observations import Observed
+from eitskin.training.method.observations import Observations
 
 Array = NDArray[np.float64]
 
@@ -41,8 +41,8 @@ CHECKED = 96  # touches that check the response, over position, force, angle and
 ANGLE_SCALE = 30.0  # deg, which both networks take as one
 
 
-def proposals_graph(method: JointMethod, frames: Observed) -> ExportedGraph:
-    """`network_inputs` and `Proposals.map`; checked on `frames` at angles over the whole range."""
+def proposals_graph(method: JointMethod, frames: Observations) -> ExportedGraph:
+    """`network_inputs` and `ProposalNetwork.map`; checked on `frames` over the range of angles."""
     stage = method.proposals
 
     def build(
@@ -59,7 +59,7 @@ def proposals_graph(method: JointMethod, frames: Observed) -> ExportedGraph:
         shape = (len(stage.rows), len(stage.columns))
         return [logits.op("Sigmoid").op("Reshape", [-1, *shape])]
 
-    angles = np.linspace(*method.curves.angle_deg, len(frames))
+    angles = np.linspace(*method.bend_prior.angle_deg, len(frames))
     noise, features = np.sqrt(2.0) * method.noise, method.features.apply(frames.flat)
     inputs = network_inputs(np.log1p(frames.dynamic), noise, angles, features)
     cells = np.array([stage.map(each) for each in inputs], dtype=np.float32)
@@ -67,7 +67,7 @@ def proposals_graph(method: JointMethod, frames: Observed) -> ExportedGraph:
     return ExportedGraph.of("proposals", PROPOSALS, build, feeds, {"cells": cells}, PROPOSAL_UNITS)
 
 
-def response_graph(method: JointMethod, frames: Observed) -> ExportedGraph:
+def response_graph(method: JointMethod, frames: Observations) -> ExportedGraph:
     """`SpecimenResponse` of one touch; checked on the specimens of `frames`."""
     stage = method.response
     terms, channels, hidden = stage.output.shape
@@ -106,7 +106,7 @@ def _features(method: JointMethod, flat: Value) -> Value:
     return (logs - logs.op("ReduceMean", axes=[1], keepdims=1)) @ method.features.directions.T
 
 
-def _touches_to_check(method: JointMethod, frames: Observed) -> dict[str, Array]:
+def _touches_to_check(method: JointMethod, frames: Observations) -> dict[str, Array]:
     """Touches over the learned positions, forces and angles, on the specimens of the frames."""
     ranges = method.response.ranges
     chosen = np.linspace(0, len(method.places) - 1, CHECKED).astype(int)

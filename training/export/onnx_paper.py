@@ -12,7 +12,7 @@ from eitskin.training.export.onnx_graph import (
     network,
     relative_difference,
 )
-from eitskin.training.method.observations import Observed
+from eitskin.training.method.observations import Observations
 from eitskin.training.paper.method import PaperMethod
 
 WHAT = (
@@ -39,7 +39,7 @@ UNITS = {
 PHASE = np.exp(0.1j)  # of the impedances that check the graph; it cancels in relative differences
 
 
-def paper_graph(method: PaperMethod, frames: Observed) -> ExportedGraph:
+def paper_graph(method: PaperMethod, frames: Observations) -> ExportedGraph:
     """`PaperMethod.perceive` without centroids, and the reconstructions; checked on `frames`."""
 
     def build(impedance: Value, static_reference: Value, dynamic_reference: Value) -> list[Value]:
@@ -65,7 +65,7 @@ def paper_graph(method: PaperMethod, frames: Observed) -> ExportedGraph:
     return ExportedGraph.of("paper", WHAT, build, frames_as_inputs(frames), expected, UNITS)
 
 
-def frames_as_inputs(frames: Observed) -> dict[str, NDArray[np.float64]]:
+def frames_as_inputs(frames: Observations) -> dict[str, NDArray[np.float64]]:
     """Impedances and references (n, C, 2) [ohm] whose relative differences are `frames`."""
     flat = frames.flat * PHASE
     impedance = flat * (1.0 + frames.static)

@@ -1,4 +1,9 @@
-"""What bending does to log V: a curve through zero, of which every specimen has its own."""
+"""Bend curves: change of log V with the angle, a linear mixed model over specimens.
+
+Every specimen has its own curve. `BendCurvePrior` is the distribution of curves over all
+specimens of a design, given their features; `BendCurve` that of one specimen, before or after a
+calibration.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -10,120 +15,122 @@ from scipy.linalg import cho_factor, cho_solve
 
 Array = NDArray[np.float64]
 
-MEAN_POWERS = 5  # of the angle, in the curve of the middle specimen
-OWN_POWERS = 3  # of the angle, in what a specimen has of its own
-SCALE = 50.0  # deg, the unit of the angle in those powers
-ROUNDS = 15  # of expectation and maximisation
+MEAN_POWERS = 5  # of the angle, in the mean curve (fixed effects)
+RANDOM_POWERS = 3  # of the angle, in a specimen's departure from the mean (random effects)
+SCALE = 50.0  # deg, the unit of the angle in both polynomials
+EM_ITERATIONS = 15
 
-# u^1 u^2 ... of the value, and of the slope u^0 2u^1 ... over the unit of the angle
+# Exponents and factors of the value (u^1, u^2, ...) and of the slope (u^0, 2 u^1, ... over SCALE)
 _EXPONENTS = np.arange(1.0, MEAN_POWERS + 1) - [[0.0], [1.0]]
 _FACTORS = np.array([np.ones(MEAN_POWERS), np.arange(1, MEAN_POWERS + 1) / SCALE])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BendCurve:
-    """log V(angle) - log V(0) of specimens: what is known of the curve, and how well.
+    """Normal distribution of one specimen's curve B = log V(angle) - log V(0).
 
         B(u) = sum_k u^k b_k + sum_j u^j w_j,   u = angle / 50 deg,   w ~ N(0, covariance)
 
     Attributes:
         mean: b_k (MEAN_POWERS, C).
-        own: expected w (OWN_POWERS, C); zero before a calibration.
-        covariance: of w (OWN_POWERS C, OWN_POWERS C).
-        angle_deg: smallest and largest angle that it was learned from [deg].
+        effects: mean of w, the specimen's random effects (RANDOM_POWERS, C); zero before a
+            calibration.
+        covariance: of w (RANDOM_POWERS C, RANDOM_POWERS C).
+        angle_deg: smallest and largest angle that the curve was learned from [deg].
     """
 
     mean: Array
-    own: Array
+    effects: Array
     covariance: Array
     angle_deg: tuple[float, float]
-    _whole: Array = field(init=False, repr=False)  # b_k + w_k (MEAN_POWERS, C)
-    _blocks: Array = field(init=False, repr=False)  # covariances of w_j, w_k (OWN_POWERS^2, C^2)
+    _coefficients: Array = field(init=False, repr=False)  # b_k + w_k (MEAN_POWERS, C)
+    _blocks: Array = field(init=False, repr=False)  # covariances of w_j, w_k (RANDOM_POWERS^2, C^2)
 
     def __post_init__(self) -> None:
-        """Arrange what every frame needs."""
-        whole, channels = self.mean.copy(), self.mean.shape[1]
-        whole[:OWN_POWERS] += self.own
-        powers = self.covariance.reshape(OWN_POWERS, channels, OWN_POWERS, channels)
-        blocks = powers.transpose(0, 2, 1, 3).reshape(OWN_POWERS**2, channels**2)
-        object.__setattr__(self, "_whole", whole)
+        """Arrange coefficients and covariances for evaluation."""
+        coefficients, channels = self.mean.copy(), self.mean.shape[1]
+        coefficients[:RANDOM_POWERS] += self.effects
+        powers = self.covariance.reshape(RANDOM_POWERS, channels, RANDOM_POWERS, channels)
+        blocks = powers.transpose(0, 2, 1, 3).reshape(RANDOM_POWERS**2, channels**2)
+        object.__setattr__(self, "_coefficients", coefficients)
         object.__setattr__(self, "_blocks", blocks)
 
     def arrays(self) -> dict[str, Array]:
-        """What `from_arrays` needs to make this again."""
+        """Arrays from which `from_arrays` restores the curve, by name."""
         ends = np.array(self.angle_deg)
         return {
             "mean": self.mean,
-            "own": self.own,
+            "own": self.effects,
             "covariance": self.covariance,
             "angle_deg": ends,
         }
 
     @classmethod
     def from_arrays(cls, arrays: dict[str, NDArray[np.generic]]) -> "BendCurve":
-        """The curve that `arrays` came from."""
+        """Restore the curve that `arrays` came from."""
         values = {name: array.astype(float) for name, array in arrays.items()}
         low, high = values["angle_deg"].tolist()
         return cls(values["mean"], values["own"], values["covariance"], (low, high))
 
     def value(self, angle_deg: ArrayLike) -> Array:
-        """(..., C) at angles (...) [deg]."""
+        """Expected change of log V (..., C) at angles (...) [deg]."""
         u = np.asarray(angle_deg, dtype=float)[..., None] / SCALE
-        value: Array = _powers(u, MEAN_POWERS) @ self._whole
+        value: Array = _powers(u, MEAN_POWERS) @ self._coefficients
         return value
 
     def grid(self, count: int) -> tuple[Array, Array]:
-        """Angles (count,) [deg] over what was learned from, and the values there (count, C)."""
+        """Angles (count,) [deg] over the range learned from, and values there (count, C)."""
         angles, powers = _grid(*self.angle_deg, count)
-        return angles, powers @ self._whole
+        return angles, powers @ self._coefficients
 
     def slope(self, angle_deg: float) -> Array:
-        """Its derivative (C,) [1/deg]."""
-        _, slope = self.tangent(angle_deg)
+        """Derivative by the angle (C,) [1/deg]."""
+        _, slope = self.value_and_slope(angle_deg)
         return slope
 
-    def tangent(self, angle_deg: float) -> tuple[Array, Array]:
-        """Value, and slope [1/deg], at one angle, (C,) each."""
-        value, slope = (_FACTORS * (angle_deg / SCALE) ** _EXPONENTS) @ self._whole
+    def value_and_slope(self, angle_deg: float) -> tuple[Array, Array]:
+        """Value (C,) and derivative (C,) [1/deg] at one angle [deg]."""
+        value, slope = (_FACTORS * (angle_deg / SCALE) ** _EXPONENTS) @ self._coefficients
         return value, slope
 
     def uncertainty(self, angle_deg: float, reference_deg: float = 0.0) -> Array:
-        """Covariance (C, C) of B(angle) - B(reference), from not knowing w."""
+        """Covariance (C, C) of B(angle) - B(reference) that w contributes."""
         u, reference, channels = angle_deg / SCALE, reference_deg / SCALE, self.mean.shape[1]
-        weights = np.array([u**k - reference**k for k in range(1, OWN_POWERS + 1)])
+        weights = np.array([u**k - reference**k for k in range(1, RANDOM_POWERS + 1)])
         covariance: Array = (weights[:, None] * weights).reshape(-1) @ self._blocks
         return covariance.reshape(channels, channels)
 
     def conditioned(self, angle_deg: Array, change: Array, noise: Array) -> "BendCurve":
-        """The curve given changes of log V (n, C) at known angles (n,), by Bayes' rule.
+        """Posterior of the curve given changes of log V at known angles, by Bayes' rule.
 
         Args:
             angle_deg: (n,) [deg].
             change: of log V from the flat sensor (n, C); NaN where a measurement is bad.
-            noise: covariance (n C, n C) of all changes together, or (C, C) of each alone.
+            noise: covariance (n C, n C) of all changes jointly, or (C, C) of independent ones.
         """
         count, channels = change.shape
         if noise.shape == (channels, channels):
             noise = np.asarray(np.kron(np.eye(count), noise), dtype=float)
-        weights = np.kron(_powers(angle_deg[:, None] / SCALE, OWN_POWERS), np.eye(channels))
+        weights = np.kron(_powers(angle_deg[:, None] / SCALE, RANDOM_POWERS), np.eye(channels))
         residual = (change - self.value(angle_deg)).ravel()
         good = np.isfinite(residual)
         weights, residual = weights[good], residual[good]
         system = weights @ self.covariance @ weights.T + noise[np.ix_(good, good)]
         gain = cho_solve(cho_factor(system), weights @ self.covariance).T
-        own = self.own + (gain @ residual).reshape(self.own.shape)
+        effects = self.effects + (gain @ residual).reshape(self.effects.shape)
         covariance = self.covariance - gain @ weights @ self.covariance
-        return BendCurve(self.mean, own, 0.5 * (covariance + covariance.T), self.angle_deg)
+        return BendCurve(self.mean, effects, 0.5 * (covariance + covariance.T), self.angle_deg)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BendCurves:
-    """Curves of all specimens of a design: the middle one, and how others depart from it.
+class BendCurvePrior:
+    """Distribution of the curves of all specimens of a design, given their features.
 
     Attributes:
-        mean: (1 + P, MEAN_POWERS, C): of the middle specimen, then for each feature.
-        covariance: of what features do not tell (OWN_POWERS C, OWN_POWERS C).
-        angle_deg: smallest and largest angle learned from; zero is between them [deg].
+        mean: coefficients of the middle specimen, then their derivative by each feature
+            (1 + P, MEAN_POWERS, C).
+        covariance: of the random effects (RANDOM_POWERS C, RANDOM_POWERS C).
+        angle_deg: smallest and largest angle learned from; zero lies between them [deg].
     """
 
     mean: Array
@@ -138,11 +145,11 @@ class BendCurves:
         features: Array,
         specimen: NDArray[np.int64],
         noise: Array,
-    ) -> "BendCurves":
+    ) -> "BendCurvePrior":
         """Learn from n untouched frames.
 
-        The mean by least squares, linear in the features; the covariance of the rest by
-        expectation maximisation of the linear mixed model (Laird and Ware 1982).
+        The mean is linear in the features and fitted by least squares; the covariance of the random
+        effects by expectation maximisation of the linear mixed model (Laird and Ware 1982).
 
         Args:
             angle_deg: (n,) [deg].
@@ -156,34 +163,34 @@ class BendCurves:
         columns = (share[:, :, None] * powers[:, None, :]).reshape(len(change), -1)
         mean = np.asarray(np.linalg.lstsq(columns, change, rcond=1e-10)[0], dtype=float)
         residual = change - columns @ mean
-        own = powers[:, :OWN_POWERS]
-        covariance = _mixed_model(own, residual, specimen, noise)
+        random = powers[:, :RANDOM_POWERS]
+        covariance = _mixed_model(random, residual, specimen, noise)
         shape = (share.shape[1], MEAN_POWERS, change.shape[1])
         ends = (min(0.0, float(angle_deg.min())), max(0.0, float(angle_deg.max())))
         return cls(mean.reshape(shape), covariance, ends)
 
     def of(self, features: ArrayLike) -> BendCurve:
-        """The curve of a specimen of these features (P,), before any calibration."""
+        """Prior of the curve of a specimen with features (P,)."""
         p = np.concatenate([[1.0], np.asarray(features, dtype=float)])
         mean = np.tensordot(p, self.mean, axes=1)
-        own = np.zeros((OWN_POWERS, mean.shape[1]))
-        return BendCurve(mean, own, self.covariance, self.angle_deg)
+        effects = np.zeros((RANDOM_POWERS, mean.shape[1]))
+        return BendCurve(mean, effects, self.covariance, self.angle_deg)
 
     def arrays(self) -> dict[str, Array]:
-        """What `from_arrays` needs to make this again."""
+        """Arrays from which `from_arrays` restores the distribution, by name."""
         ends = np.array(self.angle_deg)
         return {"mean": self.mean, "covariance": self.covariance, "angle_deg": ends}
 
     @classmethod
-    def from_arrays(cls, arrays: dict[str, NDArray[np.generic]]) -> "BendCurves":
-        """The curves that `arrays` came from."""
+    def from_arrays(cls, arrays: dict[str, NDArray[np.generic]]) -> "BendCurvePrior":
+        """Restore the distribution that `arrays` came from."""
         values = {name: array.astype(float) for name, array in arrays.items()}
         low, high = values["angle_deg"].tolist()
         return cls(values["mean"], values["covariance"], (low, high))
 
 
 def _powers(u: Array, count: int) -> Array:
-    """u, u^2 ... (..., count) of u (..., 1)."""
+    """Powers u, u^2, ... (..., count) of u (..., 1)."""
     powers: Array = u ** np.arange(1, count + 1)
     return powers
 
@@ -198,10 +205,11 @@ def _grid(low: float, high: float, count: int) -> tuple[Array, Array]:
 def _mixed_model(
     powers: Array, residual: Array, specimen: NDArray[np.int64], noise: Array
 ) -> Array:
-    """Covariance of the specimens' own coefficients, by expectation maximisation.
+    """Covariance of the random effects, by expectation maximisation.
 
-    The residuals of specimen s are its powers times w_s and noise. Expectation: the mean and
-    covariance of w_s given them. Maximisation: the mean over s of w_s w_s^T and that covariance.
+    The residuals of specimen s are powers of the angle times w_s, plus noise. Expectation step:
+    mean and covariance of w_s given the residuals. Maximisation step: average over s of
+    w_s w_s^T plus that covariance.
     """
     precision = np.linalg.inv(noise)
     terms = []
@@ -210,7 +218,7 @@ def _mixed_model(
         terms.append((X.T @ X, (X.T @ residual[rows] @ precision).ravel()))
     size = powers.shape[1] * residual.shape[1]
     covariance = np.eye(size) * float(np.mean(residual**2))
-    for _ in range(ROUNDS):
+    for _ in range(EM_ITERATIONS):
         inverse = np.linalg.inv(covariance)
         total = np.zeros_like(covariance)
         for gram, evidence in terms:
@@ -218,12 +226,12 @@ def _mixed_model(
             expected = posterior @ evidence
             total += posterior + np.outer(expected, expected)
         covariance = total / len(terms)
-        # A direction in which no specimen departs must not make the next inverse fail.
+        # Keeps the covariance invertible in directions in which no specimen departs.
         covariance += 1e-9 * np.trace(covariance) / size * np.eye(size)
     return covariance
 
 
 def _groups(labels: NDArray[np.int64]) -> Sequence[NDArray[np.intp]]:
-    """Rows of each label."""
+    """Row numbers of each label."""
     order = np.argsort(labels, kind="stable")
     return np.split(order, np.flatnonzero(np.diff(labels[order])) + 1)

@@ -1,4 +1,4 @@
-"""Measurements at fault: a wire or a contact that changed looks like a touch, nearly."""
+"""Detection of faulty measurements and electrode contacts, whose changes resemble touches."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -8,25 +8,30 @@ from numpy.typing import NDArray
 
 from eitskin.protocol import Protocol
 from eitskin.training.joint.lapack import orthonormal
-from eitskin.training.joint.objective import Fitted, TouchProblem, excess, refined
+from eitskin.training.joint.objective import (
+    MapEstimate,
+    TouchObjective,
+    levenberg_marquardt,
+    misfit_sigma,
+)
 
 Array = NDArray[np.float64]
 
-EVIDENCE = 25.0  # by which one fault must lower the misfit, as a touch must
-FITTING = 3.0  # standard deviations that the misfit may be above its expectation with the fault
-AMISS = 3.0  # the same, above which a fault is looked for although all touches stay
-PLAUSIBLE = 0.5  # share of a touch's gain that a fault must promise to be tried in its place
-SPARED = 2.0  # misfit that one fault may leave more than the touches it replaces
-STEPS, SETTLED = 6, 0.1  # of Gauss-Newton without the measurements at fault
+FAULT_THRESHOLD = 25.0  # least decrease of the misfit by a fault, the same as by a touch
+ACCEPTED_SIGMA = 3.0  # highest misfit with the fault, in standard deviations above expectation
+SUSPICIOUS_SIGMA = 3.0  # misfit from which a fault beside all touches is considered
+LEAST_SHARE = 0.5  # of a touch's gain that a fault must promise to be tried instead
+ALLOWANCE = 2.0  # misfit by which a fault may fit worse than the touches it replaces
+STEPS, TOLERANCE = 6, 0.1  # of Levenberg-Marquardt without the faulty measurements
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Fault:
-    """One thing that may be wrong.
+class ChannelFault:
+    """One possible fault.
 
     Attributes:
         name: in words.
-        members: the measurements that it changes.
+        members: numbers of the measurements that it changes.
     """
 
     name: str
@@ -35,32 +40,38 @@ class Fault:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PossibleFaults:
-    """All that may be wrong with one sensor, one at a time.
+    """All single faults of one sensor, and their signatures.
 
     Attributes:
         faults: n of them.
-        changes: of log V, in any unit (C, n).
+        changes: of log V by each fault, in any unit (C, n).
     """
 
-    faults: tuple[Fault, ...]
+    faults: tuple[ChannelFault, ...]
     changes: Array
 
 
 def possible_faults(protocol: Protocol, flat: Array) -> PossibleFaults:
-    """Of a single measurement, and of a single contact, for a sensor of these magnitudes [ohm].
+    """Faults of every measurement and every contact of a sensor.
 
     A contact that changes is a resistance in series with every measurement whose current and
     voltage both pass through its electrode.
+
+    Args:
+        protocol: of the measurements.
+        flat: magnitudes of the flat, untouched sensor (C,) [ohm].
     """
     faults = [
-        Fault(f"measurement {label} does not fit the others", (i,))
+        ChannelFault(f"measurement {label} does not fit the others", (i,))
         for i, label in enumerate(protocol.labels)
     ]
     table = np.array(protocol.table)[:, :, None] == np.arange(protocol.n_electrodes)
     through = table[:, :2].any(axis=1) & table[:, 2:4].any(axis=1)
     shared = np.flatnonzero(through.sum(axis=0) > 1)
     faults += [
-        Fault(f"the contact of electrode {i} has changed", tuple(np.flatnonzero(row).tolist()))
+        ChannelFault(
+            f"the contact of electrode {i} has changed", tuple(np.flatnonzero(row).tolist())
+        )
         for i, row in zip(shared.tolist(), through[:, shared].T, strict=True)
     ]
     share = np.nan_to_num(np.nanmedian(flat) / flat)[:, None]
@@ -69,97 +80,115 @@ def possible_faults(protocol: Protocol, flat: Array) -> PossibleFaults:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Mended:
-    """A frame without the measurements at fault.
+class FaultFit:
+    """MAP estimate of a frame without the measurements of one fault.
 
     Attributes:
-        fault: what is at fault.
-        problem: the frame without its measurements.
-        found: what explains that.
+        fault: whose measurements are left out.
+        objective: without those measurements.
+        found: its MAP estimate.
     """
 
-    fault: Fault
-    problem: TouchProblem
-    found: Fitted
+    fault: ChannelFault
+    objective: TouchObjective
+    found: MapEstimate
 
 
-def mended(
-    problem: TouchProblem, untouched: Fitted, found: Fitted, gains: Array, possible: PossibleFaults
-) -> Mended | None:
-    """The frame explained by one fault and fewer touches, where that explains it as well.
+def fit_with_fault(
+    objective: TouchObjective,
+    untouched: MapEstimate,
+    found: MapEstimate,
+    gains: Array,
+    possible: PossibleFaults,
+) -> FaultFit | None:
+    """Explain the frame by one fault and fewer touches; None where that fits worse.
 
     Args:
-        problem: the frame.
-        untouched: its fit without touches.
-        found: its best fit.
+        objective: of the frame.
+        untouched: its estimate without touches.
+        found: its best estimate.
         gains: of the touches found, to second order (k,).
-        possible: faults.
+        possible: faults that are considered.
     """
-    touches = len(found.point.touches)
-    for fitted in _suspects(problem, untouched, found, gains, possible):
-        quadratic = fitted.quadratic
-        fault, gain = likeliest(
-            quadratic.residual, quadratic.jacobian, fitted.whitening @ possible.changes, possible
+    touches = len(found.unknowns.touches)
+    for alternative in _alternatives(objective, untouched, found, gains, possible):
+        quadratic = alternative.quadratic
+        fault, gain = most_likely_fault(
+            quadratic.residual,
+            quadratic.jacobian,
+            alternative.whitening @ possible.changes,
+            possible,
         )
-        # A touch has three unknowns and a fault one: it may leave a little more.
-        spared = 3 * (touches - len(fitted.point.touches)) + SPARED
-        if gain < EVIDENCE:
+        # A touch has three unknowns, a fault one: the fault may fit a little worse.
+        allowance = 3 * (touches - len(alternative.unknowns.touches)) + ALLOWANCE
+        if gain < FAULT_THRESHOLD:
             continue
-        rest = fitted.misfit - gain
-        if rest > found.misfit + spared or excess(rest, fitted.freedom - 1) > FITTING:
+        rest = alternative.misfit - gain
+        sigma = misfit_sigma(rest, alternative.degrees_of_freedom - 1)
+        if rest > found.misfit + allowance or sigma > ACCEPTED_SIGMA:
             continue
-        fewer = problem.lacking(fault.members)
-        if len(fewer.good) < len(problem.change) // 2:
+        fewer = objective.without_measurements(fault.members)
+        if len(fewer.good) < len(objective.change) // 2:
             continue
-        again = refined(fewer, fewer.tangent(fitted.point), STEPS, SETTLED)
-        if again.excess < FITTING:
-            return Mended(fault, fewer, again)
+        again = levenberg_marquardt(fewer, fewer.linearised(alternative.unknowns), STEPS, TOLERANCE)
+        if again.misfit_sigma < ACCEPTED_SIGMA:
+            return FaultFit(fault, fewer, again)
     return None
 
 
-def _suspects(
-    problem: TouchProblem, untouched: Fitted, found: Fitted, gains: Array, possible: PossibleFaults
-) -> Iterator[Fitted]:
-    """Fits beside which a fault may stand, the simplest first.
+def _alternatives(
+    objective: TouchObjective,
+    untouched: MapEstimate,
+    found: MapEstimate,
+    gains: Array,
+    possible: PossibleFaults,
+) -> Iterator[MapEstimate]:
+    """Estimates to which a fault may be added, the simplest first.
 
-    That without touches, then without one of the touches, then with all of them where these do not
-    explain the frame.
+    No touch; one touch less; all touches, where their misfit is suspicious.
     """
-    touches = len(found.point.touches)
-    if touches or untouched.excess > AMISS:
+    touches = len(found.unknowns.touches)
+    if touches or untouched.misfit_sigma > SUSPICIOUS_SIGMA:
         yield untouched
     if touches > 1:
         directions = found.whitening @ possible.changes
         for i in np.argsort(gains)[:2].tolist():
-            if _feigned(found, i, directions, possible) > PLAUSIBLE * gains[i]:
-                others = problem.tangent(found.point.without(i))
-                yield refined(problem, others, STEPS, SETTLED)
-    if touches and found.excess > AMISS:
+            if _gain_instead(found, i, directions, possible) > LEAST_SHARE * gains[i]:
+                others = objective.linearised(found.unknowns.without_touch(i))
+                yield levenberg_marquardt(objective, others, STEPS, TOLERANCE)
+    if touches and found.misfit_sigma > SUSPICIOUS_SIGMA:
         yield found
 
 
-def _feigned(found: Fitted, touch: int, directions: Array, possible: PossibleFaults) -> float:
-    """How much of what one touch explains a fault would, all else staying as it is."""
+def _gain_instead(
+    found: MapEstimate, touch: int, directions: Array, possible: PossibleFaults
+) -> float:
+    """Decrease of the misfit by a fault in place of one touch, the other touches unchanged."""
     quadratic = found.quadratic
     others = np.delete(quadratic.jacobian, slice(1 + 3 * touch, 4 + 3 * touch), axis=1)
-    left = quadratic.residual + found.whitening @ found.at.changes[touch]
-    return likeliest(left, others, directions, possible)[1]
+    residual = quadratic.residual + found.whitening @ found.at.changes[touch]
+    return most_likely_fault(residual, others, directions, possible)[1]
 
 
-def likeliest(
-    residual: Array, known: Array, directions: Array, possible: PossibleFaults
-) -> tuple[Fault, float]:
-    """The fault that explains most of a residual (C,), and by how much it lowers the misfit.
+def most_likely_fault(
+    residual: Array, jacobian: Array, directions: Array, possible: PossibleFaults
+) -> tuple[ChannelFault, float]:
+    """The fault that explains most of a residual, and its decrease of the misfit.
 
-    Beside the other unknowns, of Jacobian `known` (C, n), a direction u gains
-    (u^T P r)^2 / (u^T P u), with P the projection that takes theirs off; all are whitened, and
-    `directions` are (C, faults).
+    With P the projection orthogonal to the Jacobian's columns, a fault of signature u lowers the
+    misfit of a residual r by (u^T P r)^2 / (u^T P u).
+
+    Args:
+        residual: whitened (C,).
+        jacobian: of the other unknowns, whitened (C, n).
+        directions: signatures of the faults, whitened (C, faults).
+        possible: the faults.
     """
-    basis = orthonormal(known)
+    basis = orthonormal(jacobian)
     free = directions - basis @ (basis.T @ directions)
     size = np.einsum("cn,cn->n", free, free)
     gain = (residual @ free) ** 2 / np.maximum(size, 1e-9)
-    # The unknowns could do as well.
+    # The other unknowns explain such a fault as well.
     gain[size < 1e-3 * np.einsum("cn,cn->n", directions, directions)] = 0.0
     best = int(gain.argmax())
     return possible.faults[best], float(gain[best])

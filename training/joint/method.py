@@ -1,4 +1,4 @@
-"""Bend and touches found together, by fitting a learned model of the sensor to the voltages."""
+"""The joint method: bend and touches of a frame as the MAP estimate of a learned sensor model."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -10,65 +10,65 @@ from numpy.typing import NDArray
 
 from eitskin.protocol import Protocol
 from eitskin.simulator.instrument.drift import DRIFT_TIME
-from eitskin.training.joint.bend_curve import BendCurve, BendCurves
-from eitskin.training.joint.bend_estimate import (
-    BEYOND_DEG,
+from eitskin.training.joint.angle_estimate import (
     AngleEstimate,
-    angle_error,
-    checked_angle,
+    angle_standard_error,
     estimate_angle,
 )
-from eitskin.training.joint.channel_faults import PossibleFaults, possible_faults
-from eitskin.training.joint.model_selection import THRESHOLD, Explanation, explain
-from eitskin.training.joint.objective import STILL_DEG, Habits, TouchProblem, excess, skew
-from eitskin.training.joint.proposal_model import Proposals, network_inputs
+from eitskin.training.joint.bend_curve import BendCurve, BendCurvePrior
+from eitskin.training.joint.channel_faults import possible_faults
+from eitskin.training.joint.model_selection import TOUCH_THRESHOLD, FrameFit, fit_frame
+from eitskin.training.joint.objective import STILL_DEG, TouchObjective, misfit_sigma, scan_skew
+from eitskin.training.joint.prior import MOST_TOUCHES, TouchPrior
+from eitskin.training.joint.proposal_model import ProposalNetwork, network_inputs
 from eitskin.training.joint.specimen_features import SpecimenFeatures
-from eitskin.training.joint.touch_discs import disc_map
+from eitskin.training.joint.specimen_model import CandidateRows, SpecimenModel
+from eitskin.training.joint.touch_map import disc_map
 from eitskin.training.joint.touch_response import TouchResponse
-from eitskin.training.joint.touch_search import Candidates
 from eitskin.training.method.calibration import Calibration, KnownBends
-from eitskin.training.method.input_spec import Layout
-from eitskin.training.method.learning_curve import History
-from eitskin.training.method.observations import UNKNOWN_AGE, Observed
-from eitskin.training.method.predictions import FoundTouches, Perceived
+from eitskin.training.method.input_spec import InputSpec
+from eitskin.training.method.learning_curve import LearningCurve
+from eitskin.training.method.observations import UNKNOWN_AGE, Observations
+from eitskin.training.method.predictions import FoundTouches, Predictions
 
 Array = NDArray[np.float64]
 Arrays = dict[str, NDArray[np.generic]]
 
-HISTORIES = ("response", "proposals")  # networks, by the names of their parts
-REJECTED = THRESHOLD - 2.0  # most evidence that a touch which was not kept may leave
-STEP_DEG = 10.0  # of the angles for which candidates are kept
+NETWORKS = ("response", "proposals")  # parts whose learning curves are kept
+REJECTED = TOUCH_THRESHOLD - 2.0  # highest evidence that a rejected touch may leave
 SAME_SPECIMEN = 0.008  # spread of log ratios of two sessions of a sensor; paths err by 0.4 %
-UNEXPLAINED = 6.0  # standard deviations of the misfit above its expectation that are told
+REPORTED_SIGMA = 6.0  # misfit above its expectation from which it is reported
 
 
-class _Part(Interface):
+class _Stored(Interface):
+    """A part that is saved as arrays."""
+
     def arrays(self) -> Mapping[str, NDArray[np.floating]]: ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointMethod:
-    """A learned model of sensors of one design, and its fit to frames.
+    """A learned model of the sensors of one design, and its fit to frames.
 
-    log V = log V_flat + bend curve + responses of the touches + common drift + noise. Everything
-    but the noise is learned (`joint_training`); what differs between specimens and does not show in
-    their flat resistances has a learned covariance, which the fit weighs against the noise.
+    log V = log V_flat + bend curve + sum of touch responses + common drift + noise. Every term is
+    learned (`joint/training.py`). Differences between specimens that their flat resistances do not
+    show have a learned covariance, which the fit weighs against the noise.
 
     Attributes:
         features: of a specimen, from its flat resistances.
         response: to touches.
-        curves: of bending.
-        proposals: of places, from which the fit starts.
-        habits: of touches.
+        bend_prior: distribution of the bend curves.
+        proposals: network whose positions the fit starts from.
+        touch_prior: of positions, forces and distances.
         noise: standard deviation of log V in one frame (C,).
         drift: standard deviation after four hours of the factor common to all measurements.
-        places: that are tried for touches (n, 2) [m].
+        places: positions that are tried for touches (n, 2) [m].
         radius: of the indenters [m].
         size: length and width of the sensor [m].
-        shape: of touch maps.
+        shape: rows and columns of touch maps.
         protocol: of the measurements.
-        histories: how the losses of its networks fell while they were trained.
-        calibrated: the curve of one specimen, where one was calibrated.
+        learning_curves: losses of the networks during training, by the names in `NETWORKS`.
+        calibrated: bend curve of the calibrated specimen, if any.
         calibrated_flat: magnitudes of that specimen, flat and untouched (C,) [ohm].
     """
 
@@ -77,9 +77,9 @@ class JointMethod:
 
     features: SpecimenFeatures
     response: TouchResponse
-    curves: BendCurves
-    proposals: Proposals
-    habits: Habits
+    bend_prior: BendCurvePrior
+    proposals: ProposalNetwork
+    touch_prior: TouchPrior
     noise: Array
     drift: float
     places: Array
@@ -87,25 +87,28 @@ class JointMethod:
     size: tuple[float, float]
     shape: tuple[int, int]
     protocol: Protocol
-    histories: Mapping[str, History] = field(default_factory=dict)
+    learning_curves: Mapping[str, LearningCurve] = field(default_factory=dict)
     calibrated: BendCurve | None = None
     calibrated_flat: Array | None = None
-    _specimens: "dict[bytes, _Specimen]" = field(default_factory=dict, init=False, repr=False)
-    _tried: dict[int, Array] = field(default_factory=dict, init=False, repr=False)
+    _specimens: dict[bytes, SpecimenModel] = field(default_factory=dict, init=False, repr=False)
+    _rows: CandidateRows = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """What all specimens share of touches at the places tried, by steps of the angle."""
-        low, high = self.curves.angle_deg
-        steps = range(_step(low - BEYOND_DEG), _step(high + BEYOND_DEG) + 1)
-        force = np.full(len(self.places), self.response.ranges.middle_force)
-        touches = np.column_stack([self.places, force])
-        self._tried.update({step: self.response.hidden(touches, step * STEP_DEG) for step in steps})
+        """Evaluate the response network at the candidate positions."""
+        rows = CandidateRows(self.response, self.places, self.bend_prior.angle_deg)
+        object.__setattr__(self, "_rows", rows)
 
-    def perceive(self, observed: Observed) -> Perceived:
-        """What n frames show, one after the other."""
-        return Perceived.joined([self._perceive(observed[i : i + 1]) for i in range(len(observed))])
+    def perceive(self, observations: Observations) -> Predictions:
+        """Predictions for n frames, each independent of the others."""
+        frames = (observations[i : i + 1] for i in range(len(observations)))
+        return Predictions.joined([self._perceive(frame) for frame in frames])
 
-    def _perceive(self, frame: Observed) -> Perceived:
+    def _perceive(self, frame: Observations) -> Predictions:
+        """Predictions for one frame.
+
+        The angle of the dynamic reference comes first, then touches and motion since that
+        reference; the angle of an untouched frame is estimated from the static reference.
+        """
         specimen = self._specimen(frame.flat[0])
         static, dynamic = _log1p(frame.static[0]), _log1p(frame.dynamic[0])
         static_share, dynamic_share = 1.0 / frame.static_frames[0], 1.0 / frame.dynamic_frames[0]
@@ -116,17 +119,17 @@ class JointMethod:
         reference_deg = reference.angle_deg
         proposed = self.proposals.places(
             network_inputs(dynamic, np.sqrt(2.0) * self.noise, reference_deg, specimen.features),
-            self.habits.separation,
+            self.touch_prior.separation,
         )
-        problem = TouchProblem.of(
+        objective = TouchObjective.of(
             dynamic,
             self._noise(1.0 / frame.frames[0] + dynamic_share, frame.dynamic_age[0]),
             reference_deg,
             specimen.response,
             specimen.curve,
-            self.habits,
+            self.touch_prior,
         )
-        found = explain(problem, specimen.candidates(reference_deg), proposed, specimen.faults)
+        found = fit_frame(objective, specimen.candidates(reference_deg), proposed, specimen.faults)
         for fault in found.faults:
             static[list(fault.members)] = np.nan
         if len(found.touches):
@@ -136,43 +139,47 @@ class JointMethod:
             noise = self._noise(1.0 / frame.frames[0] + static_share, frame.age[0])
             moved = found.angle_deg - reference_deg
             if abs(moved) > STILL_DEG:
-                noise = noise + skew(specimen.curve.slope(found.angle_deg), moved)
+                noise = noise + scan_skew(specimen.curve.slope(found.angle_deg), moved)
             bend = specimen.angle(static, noise)
-        return self._said(found, bend, specimen.doubts)
+        return self._prediction(found, bend, specimen.problems)
 
-    def _said(self, found: Explanation, bend: AngleEstimate, doubts: tuple[str, ...]) -> Perceived:
+    def _prediction(
+        self, found: FrameFit, bend: AngleEstimate, problems: tuple[str, ...]
+    ) -> Predictions:
+        """One frame's predictions from its fit."""
         angle_deg, deviation_deg = bend.angle_deg, bend.deviation_deg
         spread = np.sqrt(np.trace(found.covariance[:, :2, :2], axis1=1, axis2=2))
         map_ = disc_map(
             found.touches[:, :2], spread / np.sqrt(2.0), self.radius, self.size, self.shape
         )
-        strength = 1.0 - 0.5 * np.exp(-np.maximum(found.gains - THRESHOLD, 0.0) / (2 * THRESHOLD))
-        return Perceived(
+        surplus = np.maximum(found.gains - TOUCH_THRESHOLD, 0.0)
+        strength = 1.0 - 0.5 * np.exp(-surplus / (2 * TOUCH_THRESHOLD))
+        return Predictions(
             self._probabilities(found, angle_deg, deviation_deg)[None],
             np.array([angle_deg]),
             np.array([deviation_deg]),
             map_[None],
             (FoundTouches.of(found.touches[:, :2], strength, found.touches[:, 2], spread),),
-            (doubts + self._doubts(found, bend),),
+            (problems + _fit_problems(found, bend),),
         )
 
-    def _probabilities(self, found: Explanation, angle_deg: float, deviation_deg: float) -> Array:
-        """Of idle, touch and bend (3,).
+    def _probabilities(self, found: FrameFit, angle_deg: float, deviation_deg: float) -> Array:
+        """Probabilities of idle, touch and bend (3,).
 
-        Touched by the gain of the first touch. Else flat, or bent by an angle that could be any of
-        those learned: by Bayes' rule for one normal measurement.
+        Touch follows from the evidence of the first touch. Flat or bent by an angle uniform over
+        those learned follows from Bayes' rule for one normal measurement.
         """
-        # Evidence of a touch that was not kept is none for this state.
+        # A rejected touch must not make touch the most probable state.
         evidence = found.evidence if len(found.touches) else min(found.evidence, REJECTED)
-        touched = 1.0 / (1.0 + np.exp(-np.clip(0.5 * (evidence - THRESHOLD), -30, 30)))
-        low, high = self.curves.angle_deg
+        touched = 1.0 / (1.0 + np.exp(-np.clip(0.5 * (evidence - TOUCH_THRESHOLD), -30, 30)))
+        low, high = self.bend_prior.angle_deg
         bent = deviation_deg * np.sqrt(2 * np.pi) / (high - low)
         bent *= np.exp(np.minimum(0.5 * (angle_deg / deviation_deg) ** 2, 700.0))
         flat = 1.0 / (1.0 + bent)
         return np.array([(1 - touched) * flat, touched, (1 - touched) * (1 - flat)])
 
-    def _other_specimen(self, flat: Array) -> tuple[str, ...]:
-        """Whether a sensor is not the one that was calibrated."""
+    def _calibration_problems(self, flat: Array) -> tuple[str, ...]:
+        """Warning for a sensor that is not the calibrated one; empty otherwise."""
         if self.calibrated_flat is None:
             return ()
         logs = np.log(flat / self.calibrated_flat)
@@ -185,62 +192,45 @@ class JointMethod:
             "the pipeline that was not calibrated",
         )
 
-    def _doubts(self, found: Explanation, bend: AngleEstimate) -> tuple[str, ...]:
-        said = tuple(
-            f"{fault.name} and was left out: look at its contact and wire" for fault in found.faults
-        )
-        said += tuple(
-            f"{fault.name} since the session began and was left out of the angle: begin a new "
-            "session with the flat sensor"
-            for fault in bend.faults
-        )
-        if bend.excess > UNEXPLAINED:
-            said += (
-                f"no angle explains this frame ({bend.excess:.0f} standard deviations off): do not "
-                "rely on it, and begin a new session with the flat sensor",
-            )
-        return said + self._unexplained(found)
-
-    def _unexplained(self, found: Explanation) -> tuple[str, ...]:
-        if excess(found.misfit, found.freedom) < UNEXPLAINED:
-            return ()
-        return (
-            f"no bend and up to four touches explain this frame (misfit {found.misfit:.0f}, "
-            f"expected about {found.freedom}): touches of another kind, a bad contact, or a "
-            "reference that is out of date; do not rely on its touches",
-        )
-
     def _noise(self, frames: float, age: float) -> Array:
-        """Covariance (C, C) of a difference of means of frames, `age` seconds apart.
+        """Covariance (C, C) of the difference of two means of frames.
 
-        `frames` is the sum of one over the numbers of frames that were averaged.
+        Args:
+            frames: sum of the reciprocal numbers of frames in both means.
+            age: time between the means [s].
         """
         drift = self.drift**2 * max(age, 0.0) / DRIFT_TIME
         covariance = np.full((len(self.noise), len(self.noise)), drift)
         np.einsum("ii->i", covariance)[:] += self.noise**2 * frames
         return covariance
 
-    def _specimen(self, flat: Array) -> "_Specimen":
+    def _specimen(self, flat: Array) -> SpecimenModel:
+        """The model of the specimen with these flat magnitudes (C,) [ohm]; the latest are kept."""
         key = flat.tobytes()
         if key not in self._specimens:
             if len(self._specimens) > 64:
                 self._specimens.clear()
             p = self.features.apply(flat)
-            curve = self.calibrated or self.curves.of(p)
-            self._specimens[key] = _Specimen(
-                self, p, curve, self._other_specimen(flat), possible_faults(self.protocol, flat)
+            curve = self.calibrated or self.bend_prior.of(p)
+            self._specimens[key] = SpecimenModel(
+                p,
+                self.response.of(p),
+                curve,
+                possible_faults(self.protocol, flat),
+                self._calibration_problems(flat),
+                self._rows,
             )
         return self._specimens[key]
 
     def adapted(self, known: KnownBends) -> "tuple[JointMethod, Calibration]":
-        """The method for one sensor: its bend curve given known angles, by Bayes' rule.
+        """The method calibrated to one sensor: its bend curve given known angles, by Bayes' rule.
 
-        What is fitted is the sensor's own part of the curve, whose prior was learned from the
-        specimens trained with: what differing hinges, layers and contacts do, without naming them.
-        Errors of the known angles themselves are taken to be none.
+        The posterior is that of the sensor's random effects, whose prior was learned from the
+        training specimens; hinge, layers and contacts act on it together. The known angles are
+        taken to be exact.
         """
         p = self.features.apply(known.flat)
-        prior = self.curves.of(p)
+        prior = self.bend_prior.of(p)
         count, channels = known.change.shape
         together = np.eye(count) + 1.0 / known.flat_frames  # all share the flat frames' noise
         walk = np.minimum(known.age[:, None], known.age) / DRIFT_TIME * self.drift**2
@@ -253,54 +243,55 @@ class JointMethod:
             estimate_angle(curve, change, self._noise(share, age))[0] - angle
             for change, age, angle in zip(known.change, known.age, known.angle_deg, strict=True)
         ]
-        low, high = self.curves.angle_deg
+        low, high = self.bend_prior.angle_deg
         angles = tuple(float(angle) for angle in np.linspace(low, high, 8))
+        noise = self._noise(share, UNKNOWN_AGE)
         errors = [
-            tuple(angle_error(each, angle, self._noise(share, UNKNOWN_AGE)) for angle in angles)
+            tuple(angle_standard_error(each, angle, noise) for angle in angles)
             for each in (prior, curve)
         ]
         rms = float(np.sqrt(np.mean(np.square(residuals))))
         return adapted, Calibration(angles, errors[0], errors[1], rms)
 
-    def outputs(self, observed: Observed) -> Arrays:
-        """What it makes of n frames, for checking copies."""
-        said = self.perceive(observed)
+    def outputs(self, observations: Observations) -> Arrays:
+        """Arrays of predictions for n frames, by which a saved copy is checked."""
+        predictions = self.perceive(observations)
         return {
-            "probabilities": said.probabilities,
-            "bend_angle_deg": said.bend_angle_deg,
-            "touch_map": said.touch_map,
+            "probabilities": predictions.probabilities,
+            "bend_angle_deg": predictions.bend_angle_deg,
+            "touch_map": predictions.touch_map,
         }
 
     def arrays(self) -> Arrays:
-        """What `from_arrays` needs to make it again."""
-        habits = self.habits
+        """Arrays from which `from_arrays` restores the method, by name."""
+        prior = self.touch_prior
         own: Arrays = {
             "noise": self.noise,
-            "scalars": np.array([self.drift, self.radius, habits.separation, *habits.force]),
-            "bounds": np.array([habits.low, habits.high]),
+            "scalars": np.array([self.drift, self.radius, prior.separation, *prior.force]),
+            "bounds": np.array([prior.low, prior.high]),
             "places": self.places,
         }
-        parts: dict[str, _Part] = {
+        parts: dict[str, _Stored] = {
             "features": self.features,
             "response": self.response,
-            "curves": self.curves,
+            "curves": self.bend_prior,
             "proposals": self.proposals,
         }
         if self.calibrated is not None:
             parts["calibrated"] = self.calibrated
         if self.calibrated_flat is not None:
             own["calibrated_flat"] = self.calibrated_flat
-        for name, history in self.histories.items():
-            own |= {f"{name}.{key}": array for key, array in history.arrays().items()}
+        for name, curve in self.learning_curves.items():
+            own |= {f"{name}.{key}": array for key, array in curve.arrays().items()}
         for name, part in parts.items():
             own |= {f"{name}.{key}": array for key, array in part.arrays().items()}
         return own
 
     @classmethod
     def from_arrays(
-        cls, arrays: Mapping[str, NDArray[np.generic]], layout: Layout
+        cls, arrays: Mapping[str, NDArray[np.generic]], spec: InputSpec
     ) -> "JointMethod":
-        """The method that `arrays` came from; raises KeyError where they lack some."""
+        """Restore the method that `arrays` came from; raises KeyError where some are missing."""
 
         def part(name: str) -> dict[str, NDArray[np.generic]]:
             mine = (key for key in arrays if key.startswith(f"{name}."))
@@ -314,65 +305,48 @@ class JointMethod:
                 features["middle"].astype(float), features["directions"].astype(float)
             ),
             TouchResponse.from_arrays(part("response")),
-            BendCurves.from_arrays(part("curves")),
-            Proposals.from_arrays(part("proposals")),
-            Habits(separation, (force[0], force[1]), low, high),
+            BendCurvePrior.from_arrays(part("curves")),
+            ProposalNetwork.from_arrays(part("proposals")),
+            TouchPrior(separation, (force[0], force[1]), low, high),
             arrays["noise"].astype(float),
             drift,
             arrays["places"].astype(float),
             radius,
-            layout.outline,
-            layout.pixels,
-            layout.protocol,
-            {name: History.from_arrays(part(name)) for name in HISTORIES},
+            spec.outline,
+            spec.pixels,
+            spec.protocol,
+            {name: LearningCurve.from_arrays(part(name)) for name in NETWORKS},
             BendCurve.from_arrays(calibrated) if calibrated else None,
             arrays["calibrated_flat"].astype(float) if calibrated else None,
         )
 
 
 def _log1p(difference: Array) -> Array:
-    """log(V / ref) of dV; NaN for a measurement that is bad or has no logarithm."""
+    """log(V / ref) from dV (C,); NaN for a measurement that is bad or has no logarithm."""
     with np.errstate(divide="ignore", invalid="ignore"):
         change = np.log1p(difference)
     return np.where(np.isfinite(change), change, np.nan)
 
 
-class _Specimen:
-    """The model of one specimen, and candidates at the angles that were asked for."""
-
-    def __init__(
-        self,
-        method: JointMethod,
-        features: Array,
-        curve: BendCurve,
-        doubts: tuple[str, ...],
-        faults: PossibleFaults,
-    ) -> None:
-        self.features, self.curve = features, curve
-        self.response = method.response.of(features)
-        self.doubts = doubts
-        self.faults = faults
-        self._places, self._tried = method.places, method._tried
-        self._last: tuple[bytes, AngleEstimate] | None = None
-        self._candidates: dict[int, Candidates] = {}
-
-    def angle(self, change: Array, noise: Array) -> AngleEstimate:
-        """Of an untouched frame; that of the last one is kept, for references that are frozen."""
-        key = change.tobytes() + noise.tobytes()
-        if self._last is None or self._last[0] != key:
-            self._last = (key, checked_angle(self.curve, change, noise, self.faults))
-        return self._last[1]
-
-    def candidates(self, angle_deg: float) -> Candidates:
-        """At the nearest angle that is kept."""
-        step = _step(angle_deg)
-        if step not in self._candidates:
-            force = self.response.response.ranges.middle_force
-            change = self._tried[step] @ self.response.output.T
-            self._candidates[step] = Candidates(self._places, force, change)
-        return self._candidates[step]
-
-
-def _step(angle_deg: float) -> int:
-    """Of the angles for which candidates are kept, the number of the nearest."""
-    return round(angle_deg / STEP_DEG)
+def _fit_problems(found: FrameFit, bend: AngleEstimate) -> tuple[str, ...]:
+    """Warnings about faulty measurements and poor fits, in words."""
+    problems = [
+        f"{fault.name} and was left out: look at its contact and wire" for fault in found.faults
+    ]
+    problems += [
+        f"{fault.name} since the session began and was left out of the angle: begin a new "
+        "session with the flat sensor"
+        for fault in bend.faults
+    ]
+    if bend.misfit_sigma > REPORTED_SIGMA:
+        problems.append(
+            f"no angle explains this frame ({bend.misfit_sigma:.0f} standard deviations off): do "
+            "not rely on it, and begin a new session with the flat sensor"
+        )
+    if misfit_sigma(found.misfit, found.degrees_of_freedom) >= REPORTED_SIGMA:
+        problems.append(
+            f"no bend and up to {MOST_TOUCHES} touches explain this frame (misfit "
+            f"{found.misfit:.0f}, expected about {found.degrees_of_freedom}): touches of another "
+            "kind, a bad contact, or a reference that is out of date; do not rely on its touches"
+        )
+    return tuple(problems)

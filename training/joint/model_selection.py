@@ -1,8 +1,8 @@
-"""A frame explained by a bend and some touches.
+"""Model selection: the number of touches, their MAP estimate, and faulty measurements of one frame.
 
-A network proposes where touches are, Gauss-Newton fits angle, places and forces together; further
-touches are looked for in what is left, and every touch must lower the misfit by more than chance
-would.
+A network proposes positions and Levenberg-Marquardt fits angle, positions and forces together. As
+in matching pursuit, further touches are sought in the residual; each must lower the misfit by more
+than chance would.
 """
 
 import math
@@ -12,47 +12,50 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.training.joint import lapack
-from eitskin.training.joint.channel_faults import Fault, PossibleFaults, mended
+from eitskin.training.joint.channel_faults import ChannelFault, PossibleFaults, fit_with_fault
 from eitskin.training.joint.objective import (
-    ANGLE_UNIT,
-    TOUCH_UNITS,
-    Fitted,
-    Point,
-    TouchProblem,
-    refined,
+    MapEstimate,
+    TouchObjective,
+    Unknowns,
+    levenberg_marquardt,
 )
-from eitskin.training.joint.touch_search import Candidates, best_pairs, most_promising, with_forces
+from eitskin.training.joint.prior import ANGLE_UNIT, MOST_TOUCHES, TOUCH_UNITS
+from eitskin.training.joint.touch_search import (
+    TouchCandidates,
+    initial_touches,
+    pair_starts,
+    single_starts,
+)
 
 Array = NDArray[np.float64]
 
-MOST_TOUCHES = 4
-GRID = 15  # angles that the bend is tried at to start with
-THRESHOLD = 25.0
-"""By which a touch must lower the misfit. The gain of one that is not there is the largest of some
-fifty chi-square variables of three degrees of freedom, above this once in a thousand frames."""
+ANGLE_GRID = 15  # angles among which the initial one is chosen
+TOUCH_THRESHOLD = 25.0
+"""Least decrease of the misfit by a touch. The decrease by a touch that is not there is the largest
+of some fifty chi-square variables of three degrees of freedom, above this once in 1000 frames."""
 
-ROUGH, FINE = (4, 0.5), (8, 0.03)  # Gauss-Newton: steps at most, gain that ends it
-PROMISING = 0.5  # times the threshold: least gain, to first order, of a place to start from
-DOUBTFUL = 3.0  # times the threshold: gains, to second order, below which a touch is tried without
-LUCKY, UNLIKELY = 2.0, 2.0  # standard deviations of the misfit below and above its expectation
-SECOND_LOOKS = 2  # fits with other pairs that are tried where the misfit is unlikely
-MOST_FAULTS = 2  # that are looked for in a frame
+COARSE, FINE = (4, 0.5), (8, 0.03)  # Levenberg-Marquardt: most steps, tolerance of the misfit
+START_THRESHOLD = 0.5  # times the threshold: least gain, to first order, of a start
+PRUNING_LIMIT = 3.0  # times the threshold: gain, to second order, below which a touch is questioned
+CHI2_LOW_SIGMA, CHI2_HIGH_SIGMA = 2.0, 2.0  # the misfit's usual range about its expectation
+PAIR_TRIALS = 2  # fits that split one touch into two where the misfit is unusually high
+MOST_FAULTS = 2  # in one frame
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Explanation:
-    """What explains a frame best.
+class FrameFit:
+    """Selected model of one frame and the estimates of its unknowns.
 
     Attributes:
-        angle_deg: [deg].
-        angle_deviation_deg: standard error [deg], of its change since the reference.
+        angle_deg: of the bend [deg].
+        angle_deviation_deg: standard error of its change since the reference [deg].
         touches: x [m], y [m] and force [N] of each (k, 3).
-        covariance: of each touch's three (k, 3, 3).
-        evidence: by how much the first touch lowered the misfit, also where it was not kept.
-        gains: how much the misfit would rise without each touch, to second order (k,).
-        misfit: sum of the squared residuals, in units of their standard deviations.
-        freedom: number of residuals less number of unknowns.
-        faults: why measurements were left out.
+        covariance: of each touch's x, y and force (k, 3, 3).
+        evidence: decrease of the misfit by the first touch, even where that was rejected.
+        gains: rise of the misfit without each touch, to second order (k,).
+        misfit: sum of squares of the whitened residual and of the prior's terms.
+        degrees_of_freedom: number of residuals minus number of unknowns.
+        faults: whose measurements were left out.
     """
 
     angle_deg: float
@@ -62,141 +65,149 @@ class Explanation:
     evidence: float
     gains: Array
     misfit: float
-    freedom: int
-    faults: tuple[Fault, ...]
+    degrees_of_freedom: int
+    faults: tuple[ChannelFault, ...]
 
 
-def explain(
-    problem: TouchProblem,
-    candidates: Candidates,
+def fit_frame(
+    objective: TouchObjective,
+    candidates: TouchCandidates,
     proposed: Array | None = None,
     possible: PossibleFaults | None = None,
-) -> Explanation:
-    """The bend and the touches that explain a frame.
+) -> FrameFit:
+    """Select the number of touches and estimate bend and touches of one frame.
 
     Args:
-        problem: the frame.
-        candidates: that are tried for further touches.
-        proposed: places (k, 2) [m] from which the fit starts.
-        possible: faults of measurements; none are looked for where these are not given.
+        objective: of the frame.
+        candidates: positions that are tried for further touches.
+        proposed: positions (k, 2) [m] from which the fit starts.
+        possible: faults that are considered; none by default.
     """
-    untouched, found, evidence = _fit(problem, candidates, proposed)
-    told: list[Fault] = []
-    while possible and len(told) < MOST_FAULTS:
-        better = mended(problem, untouched, found, _gains(found), possible)
+    untouched, found, evidence = _fit(objective, candidates, proposed)
+    faults: list[ChannelFault] = []
+    while possible and len(faults) < MOST_FAULTS:
+        better = fit_with_fault(objective, untouched, found, _gains(found), possible)
         if better is None:
             break
-        told.append(better.fault)
-        problem, found = better.problem, better.found
-        untouched = refined(problem, problem.tangent(untouched.point), *FINE)
-        evidence = _gain(problem, untouched, found)
-    return _explanation(found, evidence, tuple(told))
+        faults.append(better.fault)
+        objective, found = better.objective, better.found
+        untouched = levenberg_marquardt(objective, objective.linearised(untouched.unknowns), *FINE)
+        evidence = _gain(objective, untouched, found)
+    return _frame_fit(found, evidence, tuple(faults))
 
 
 def _fit(
-    problem: TouchProblem, candidates: Candidates, proposed: Array | None
-) -> tuple[Fitted, Fitted, float]:
-    """The fit without touches, the best one, and the evidence of any touch."""
-    nothing = Point(np.zeros((0, 3)), _still_or_moved(problem))
-    untouched = refined(problem, problem.tangent(nothing), *FINE)
+    objective: TouchObjective, candidates: TouchCandidates, proposed: Array | None
+) -> tuple[MapEstimate, MapEstimate, float]:
+    """The estimate without touches, the best one, and the evidence of any touch."""
+    nothing = Unknowns(np.zeros((0, 3)), _initial_angle(objective))
+    untouched = levenberg_marquardt(objective, objective.linearised(nothing), *FINE)
     found, evidence = untouched, 0.0
     if proposed is not None and len(proposed):
-        start = with_forces(problem, proposed, untouched.at)
-        started = refined(problem, problem.tangent(start), *ROUGH)
-        evidence = _gain(problem, untouched, started)
-        if evidence > THRESHOLD:
+        start = initial_touches(objective, proposed, untouched.at)
+        started = levenberg_marquardt(objective, objective.linearised(start), *COARSE)
+        evidence = _gain(objective, untouched, started)
+        if evidence > TOUCH_THRESHOLD:
             found = started
-    while len(found.point.touches) < MOST_TOUCHES and _leaves_room(found):
-        starts = most_promising(problem, found, candidates, PROMISING * THRESHOLD)
+    while len(found.unknowns.touches) < MOST_TOUCHES and _may_gain(found):
+        starts = single_starts(objective, found, candidates, START_THRESHOLD * TOUCH_THRESHOLD)
         if not starts:
             break
-        trials = [refined(problem, problem.tangent(start), *ROUGH) for start in starts]
+        trials = [
+            levenberg_marquardt(objective, objective.linearised(start), *COARSE) for start in starts
+        ]
         more = min(trials, key=lambda trial: trial.misfit)
-        gain = _gain(problem, found, more)
+        gain = _gain(objective, found, more)
         evidence = max(evidence, gain)
-        if gain < THRESHOLD:
+        if gain < TOUCH_THRESHOLD:
             break
         found = more
-    found = _pruned(problem, found)
-    if found.excess > UNLIKELY and len(found.point.touches) < MOST_TOUCHES:
-        found = _reconsidered(problem, found, candidates)
+    found = _pruned(objective, found)
+    if found.misfit_sigma > CHI2_HIGH_SIGMA and len(found.unknowns.touches) < MOST_TOUCHES:
+        found = _split(objective, found, candidates)
     return untouched, found, evidence
 
 
-def _still_or_moved(problem: TouchProblem) -> float:
-    """The angle from which the fit starts: where the bend alone explains most [deg]."""
-    angles, values = problem.curve.grid(GRID)
-    left = problem.change + problem.bent - np.concatenate([values, problem.bent[None]])
-    weights = 1.0 / np.diagonal(problem.noise)[problem.good]
-    best = int((left[:, problem.good] ** 2 @ weights).argmin())
-    return float(angles[best]) if best < GRID else problem.reference_deg
+def _initial_angle(objective: TouchObjective) -> float:
+    """The angle [deg], of a grid and the reference's, at which the bend alone fits best."""
+    angles, values = objective.curve.grid(ANGLE_GRID)
+    bend = objective.reference_bend
+    residual = objective.change + bend - np.concatenate([values, bend[None]])
+    weights = 1.0 / np.diagonal(objective.noise)[objective.good]
+    best = int((residual[:, objective.good] ** 2 @ weights).argmin())
+    return float(angles[best]) if best < ANGLE_GRID else objective.reference_deg
 
 
-def _gain(problem: TouchProblem, before: Fitted, after: Fitted) -> float:
-    """By how much the misfit fell, in the later metric."""
-    return problem.misfit(before.at, after.whitening) - after.misfit
+def _gain(objective: TouchObjective, before: MapEstimate, after: MapEstimate) -> float:
+    """Decrease of the misfit from one estimate to another, in the metric of the latter."""
+    return objective.misfit(before.at, after.whitening) - after.misfit
 
 
-def _leaves_room(found: Fitted) -> bool:
-    """Whether a further touch could gain enough without leaving less than noise does."""
-    freedom = max(found.freedom - 3, 1)
-    least = max(freedom - LUCKY * math.sqrt(2.0 * freedom), 0.0)
-    return found.misfit - least > THRESHOLD
+def _may_gain(found: MapEstimate) -> bool:
+    """Whether a further touch could gain enough and leave a misfit that noise could cause."""
+    degrees_of_freedom = max(found.degrees_of_freedom - 3, 1)
+    lowest = max(degrees_of_freedom - CHI2_LOW_SIGMA * math.sqrt(2.0 * degrees_of_freedom), 0.0)
+    return found.misfit - lowest > TOUCH_THRESHOLD
 
 
-def _pruned(problem: TouchProblem, found: Fitted) -> Fitted:
-    """Converged, and without touches that the others explain after all."""
-    while len(found.point.touches):
-        found = refined(problem, found.at, *FINE)
+def _pruned(objective: TouchObjective, found: MapEstimate) -> MapEstimate:
+    """The converged estimate without touches that the others make superfluous."""
+    while len(found.unknowns.touches):
+        found = levenberg_marquardt(objective, found.at, *FINE)
         gains = _gains(found)
         weakest = int(gains.argmin())
-        if gains[weakest] > DOUBTFUL * THRESHOLD:
+        if gains[weakest] > PRUNING_LIMIT * TOUCH_THRESHOLD:
             break
-        fewer = refined(problem, problem.tangent(found.point.without(weakest)), *FINE)
-        if _gain(problem, fewer, found) > THRESHOLD:
+        fewer = levenberg_marquardt(
+            objective, objective.linearised(found.unknowns.without_touch(weakest)), *FINE
+        )
+        if _gain(objective, fewer, found) > TOUCH_THRESHOLD:
             break
         found = fewer
     return found
 
 
-def _reconsidered(problem: TouchProblem, found: Fitted, candidates: Candidates) -> Fitted:
-    """A better fit, if there is one, with one touch taken back and two put in its place.
+def _split(
+    objective: TouchObjective, found: MapEstimate, candidates: TouchCandidates
+) -> MapEstimate:
+    """The better of the estimate and those in which two touches replace one.
 
-    One touch after another finds the middle of two; pairs cannot be found so.
+    The greedy search finds the middle of two touches instead of the pair.
     """
-    left_out = [found.point.without(i) for i in range(len(found.point.touches))]
-    if len(found.point.touches) <= MOST_TOUCHES - 2:
-        left_out.append(found.point)
-    pairs = best_pairs(problem, left_out, found, candidates)
+    left_out = [found.unknowns.without_touch(i) for i in range(len(found.unknowns.touches))]
+    if len(found.unknowns.touches) <= MOST_TOUCHES - 2:
+        left_out.append(found.unknowns)
+    pairs = pair_starts(objective, left_out, found, candidates)
     best = found
-    for _, start in sorted(pairs, key=lambda pair: pair[0])[:SECOND_LOOKS]:
-        trial = refined(problem, problem.tangent(start), *FINE)
-        more = len(trial.point.touches) - len(best.point.touches)
-        if _gain(problem, best, trial) > THRESHOLD * more:
+    for _, start in sorted(pairs, key=lambda pair: pair[0])[:PAIR_TRIALS]:
+        trial = levenberg_marquardt(objective, objective.linearised(start), *FINE)
+        more = len(trial.unknowns.touches) - len(best.unknowns.touches)
+        if _gain(objective, best, trial) > TOUCH_THRESHOLD * more:
             best = trial
-    return best if best is found else _pruned(problem, best)
+    return best if best is found else _pruned(objective, best)
 
 
-def _gains(found: Fitted) -> Array:
-    """How much the misfit would rise, to second order, were each touch's force zero."""
+def _gains(found: MapEstimate) -> Array:
+    """Rise of the misfit, to second order, were each touch's force zero (k,)."""
     variance = np.diagonal(lapack.inverse(found.quadratic.hessian))
-    gains: Array = (found.point.touches[:, 2] / TOUCH_UNITS[2]) ** 2 / variance[3::3]
+    gains: Array = (found.unknowns.touches[:, 2] / TOUCH_UNITS[2]) ** 2 / variance[3::3]
     return gains
 
 
-def _explanation(found: Fitted, evidence: float, faults: tuple[Fault, ...]) -> Explanation:
-    touches = found.point.touches
+def _frame_fit(found: MapEstimate, evidence: float, faults: tuple[ChannelFault, ...]) -> FrameFit:
+    """The estimate in physical units, with its covariances."""
+    touches = found.unknowns.touches
     covariance = lapack.inverse(found.quadratic.hessian)
     own = [slice(1 + 3 * i, 4 + 3 * i) for i in range(len(touches))]
     blocks = np.array([covariance[s, s] for s in own]).reshape(-1, 3, 3)
-    return Explanation(
-        found.point.angle_deg,
+    return FrameFit(
+        found.unknowns.angle_deg,
         ANGLE_UNIT * math.sqrt(covariance[0, 0]),
         touches,
         blocks * (TOUCH_UNITS[:, None] * TOUCH_UNITS),
         evidence,
         _gains(found),
         found.misfit,
-        found.freedom,
+        found.degrees_of_freedom,
         faults,
     )

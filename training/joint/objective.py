@@ -1,123 +1,72 @@
-"""The least-squares problem of one frame: what is left of it by a bend and some touches."""
+"""MAP objective of one frame: squared whitened residuals plus the prior, and its minimisation.
+
+The unknowns are a bend angle and the positions and forces of some touches:
+
+    misfit = |W (change - bend curve - touch responses)|^2 + prior,   W^T W = covariance^-1
+"""
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from itertools import combinations
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.training.joint import lapack
 from eitskin.training.joint.bend_curve import BendCurve
+from eitskin.training.joint.prior import ANGLE_UNIT, TOUCH_UNITS, TouchPrior
 from eitskin.training.joint.touch_response import SpecimenResponse
 
 Array = NDArray[np.float64]
 
-FEARED_MOTION = 15.0  # deg, standard deviation of the angle since the reference was taken
-BEYOND_DEG = 5.0  # how far outside of the angles learned from an angle may lie
-ANGLE_UNIT = 5.0  # deg, in which steps of the angle are counted
-TOUCH_UNITS = np.array([0.010, 0.010, 2.0])  # m, m, N: the same of touches
-STILL_DEG = 0.01  # motion up to which the bend curve's uncertainty does not matter
+BEYOND_DEG = 5.0  # by which an angle may lie outside of those the bend curve was learned from
+STILL_DEG = 0.01  # motion below which the uncertainty of the bend curve is negligible
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Habits:
-    """What touches are like, as far as the training set shows.
-
-    Attributes:
-        separation: smallest distance of two touches at once [m].
-        force: mean and standard deviation [N].
-        low, high: corners of the rectangle that they lie in, x and y, and bounds of the force (3,).
-        mean: of x, y [m] and force [N], (3,), as those say.
-        stiffness: one over their variances, in unit steps (3,).
-    """
-
-    separation: float
-    force: tuple[float, float]
-    low: Array
-    high: Array
-    mean: Array = field(init=False)
-    stiffness: Array = field(init=False)
-
-    def __post_init__(self) -> None:
-        """Places are spread evenly; a normal distribution as wide keeps them determined."""
-        mean = 0.5 * (self.low + self.high)
-        deviation = (self.high - self.low) / math.sqrt(12.0)
-        mean[2], deviation[2] = self.force
-        object.__setattr__(self, "mean", mean)
-        object.__setattr__(self, "stiffness", (TOUCH_UNITS / deviation) ** 2)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Quadratic:
-    """The misfit about a point, in unit steps of the unknowns: angle, then x, y, F of each touch.
-
-    Attributes:
-        misfit: sum of squares of whitened residuals and of departures from what is usual.
-        gradient: minus half of the misfit's (n,).
-        hessian: Gauss-Newton's half (n, n).
-        residual: whitened (C,).
-        jacobian: of what is said, whitened (C, n).
-    """
-
-    misfit: float
-    gradient: Array
-    hessian: Array
-    residual: Array
-    jacobian: Array
-
-    def step(self, damping: float) -> Array:
-        """To the least of it, with Levenberg's damping (n,)."""
-        damped = self.hessian.copy()
-        diagonal = damped.reshape(-1)[:: len(damped) + 1]
-        diagonal += damping * (1.0 + diagonal)
-        return lapack.solved(damped, self.gradient)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Point:
+class Unknowns:
     """Values of the unknowns.
 
     Attributes:
         touches: x [m], y [m] and force [N] of each (k, 3).
-        angle_deg: [deg].
+        angle_deg: of the bend [deg].
     """
 
     touches: Array
     angle_deg: float
 
-    def without(self, number: int) -> "Point":
-        """The same less one touch."""
-        return Point(np.delete(self.touches, number, axis=0), self.angle_deg)
+    def without_touch(self, number: int) -> "Unknowns":
+        """The same values less one touch."""
+        return Unknowns(np.delete(self.touches, number, axis=0), self.angle_deg)
 
-    def beside(self, touches: Array) -> "Point":
-        """The same with further touches (n, 3)."""
-        return Point(np.concatenate([self.touches, touches]), self.angle_deg)
+    def with_touches(self, touches: Array) -> "Unknowns":
+        """The same values and further touches (n, 3)."""
+        return Unknowns(np.concatenate([self.touches, touches]), self.angle_deg)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Tangent:
-    """What the model leaves of a frame at a point and near it, in no metric yet.
+class Linearisation:
+    """Residual and Jacobian of the model at some unknowns, not whitened.
 
     Attributes:
-        point: where.
-        rows: what is left of the change, then derivatives of what is said by unit steps of the
+        unknowns: where the model is linearised.
+        rows: the residual, then the derivative of the model by a unit step of each of the n
             unknowns (1 + n, C).
-        changes: by each touch (k, C).
-        hidden: of the touches, as their response's uncertainty needs it (k, hidden + 1).
+        changes: of log V by each touch (k, C).
+        hidden: rows of the response network's last layer, from which its uncertainty follows
+            (k, hidden + 1).
     """
 
-    point: Point
+    unknowns: Unknowns
     rows: Array
     changes: Array
     hidden: Array
 
     @property
-    def left(self) -> Array:
-        """Of the change (C,)."""
-        left: Array = self.rows[0]
-        return left
+    def residual(self) -> Array:
+        """Measured minus modelled change of log V (C,)."""
+        residual: Array = self.rows[0]
+        return residual
 
     @property
     def bend_slope(self) -> Array:
@@ -127,28 +76,54 @@ class Tangent:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TouchProblem:
-    """One frame beside its reference, and the specimen's model.
+class QuadraticModel:
+    """Gauss-Newton model of the misfit in unit steps: the angle, then x, y, force of each touch.
+
+    Attributes:
+        misfit: sum of squares of the whitened residual and of the prior's terms.
+        gradient: minus half the gradient of the misfit (n,).
+        hessian: half the Gauss-Newton Hessian (n, n).
+        residual: whitened (C,).
+        jacobian: of the model, whitened (C, n).
+    """
+
+    misfit: float
+    gradient: Array
+    hessian: Array
+    residual: Array
+    jacobian: Array
+
+    def step(self, damping: float) -> Array:
+        """Levenberg-Marquardt step (n,) to the minimum."""
+        damped = self.hessian.copy()
+        diagonal = damped.reshape(-1)[:: len(damped) + 1]
+        diagonal += damping * (1.0 + diagonal)
+        return lapack.solved(damped, self.gradient)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TouchObjective:
+    """Objective of one frame against its reference, for one specimen.
 
     Attributes:
         change: of log V since the reference (C,); zero where a measurement is left out.
         good: numbers of the measurements that are not left out.
         noise: covariance of the change (C, C).
-        reference_deg: angle at which the reference was taken [deg].
-        bent: of the curve there (C,).
+        reference_deg: bend angle at which the reference was taken [deg].
+        reference_bend: value of the bend curve at that angle (C,).
         response: of the specimen to touches.
-        curve: of its bending.
-        habits: of touches.
+        curve: of the specimen's bending.
+        prior: of touches.
     """
 
     change: Array
     good: NDArray[np.intp]
     noise: Array
     reference_deg: float
-    bent: Array
+    reference_bend: Array
     response: SpecimenResponse
     curve: BendCurve
-    habits: Habits
+    prior: TouchPrior
 
     @classmethod
     def of(
@@ -158,9 +133,9 @@ class TouchProblem:
         reference_deg: float,
         response: SpecimenResponse,
         curve: BendCurve,
-        habits: Habits,
-    ) -> "TouchProblem":
-        """Of a change (C,) that is NaN where a measurement is bad."""
+        prior: TouchPrior,
+    ) -> "TouchObjective":
+        """The objective of a change (C,) that is NaN where a measurement is bad."""
         good = np.isfinite(change)
         return cls(
             np.where(good, change, 0.0),
@@ -170,48 +145,52 @@ class TouchProblem:
             curve.value(reference_deg),
             response,
             curve,
-            habits,
+            prior,
         )
 
-    def lacking(self, measurements: Sequence[int]) -> "TouchProblem":
-        """The same without some measurements."""
+    def without_measurements(self, measurements: Sequence[int]) -> "TouchObjective":
+        """The objective with some measurements left out."""
         change = self.change.copy()
         change[list(measurements)] = 0.0
         return replace(self, change=change, good=np.setdiff1d(self.good, measurements))
 
-    def left_by(self, point: Point) -> Array:
-        """What bend and touches leave of the change (C,)."""
-        left: Array = self.change - self.curve.value(point.angle_deg) + self.bent
-        if len(point.touches):
-            left -= self.response(point.touches, point.angle_deg).sum(axis=0)
-        return left
+    def residual(self, unknowns: Unknowns) -> Array:
+        """Measured minus modelled change of log V (C,)."""
+        bend = self.curve.value(unknowns.angle_deg)
+        residual: Array = self.change - bend + self.reference_bend
+        if len(unknowns.touches):
+            residual -= self.response(unknowns.touches, unknowns.angle_deg).sum(axis=0)
+        return residual
 
-    def tangent(self, point: Point) -> Tangent:
-        """What bend and touches leave of the change, there and near it."""
-        touches, angle = point.touches, point.angle_deg
+    def linearised(self, unknowns: Unknowns) -> Linearisation:
+        """Residual and Jacobian at these unknowns."""
+        touches, angle = unknowns.touches, unknowns.angle_deg
         rows = np.empty((2 + touches.size, len(self.change)))
-        value, slope = self.curve.tangent(angle)
-        np.subtract(self.change + self.bent, value, out=rows[0])
+        value, slope = self.curve.value_and_slope(angle)
+        np.subtract(self.change + self.reference_bend, value, out=rows[0])
         np.multiply(slope, ANGLE_UNIT, out=rows[1])
         if not len(touches):
-            return Tangent(point, rows, touches, touches)
-        said, hidden = self.response.tangent(touches, angle)
-        changes = said[:, 0]
+            return Linearisation(unknowns, rows, touches, touches)
+        modelled, hidden = self.response.with_derivatives(touches, angle)
+        changes = modelled[:, 0]
         rows[0] -= np.add.reduce(changes)
-        np.multiply(said[:, 1:], TOUCH_UNITS[:, None], out=rows[2:].reshape(len(touches), 3, -1))
-        return Tangent(point, rows, changes, hidden)
+        np.multiply(
+            modelled[:, 1:], TOUCH_UNITS[:, None], out=rows[2:].reshape(len(touches), 3, -1)
+        )
+        return Linearisation(unknowns, rows, changes, hidden)
 
-    def whitening(self, at: Tangent) -> Array:
-        """L^-1 (good, C) of the residuals' covariance L L^T; columns left out are zero.
+    def whitening(self, at: Linearisation) -> Array:
+        """L^-1 (good, C) of the residual's covariance L L^T; zero columns where left out.
 
-        The covariance is that of noise, of the bend curve since the reference, and of the response.
+        The covariance is the sum of those of the noise, of the bend curve's change since the
+        reference, and of the touch response.
         """
-        good, covariance, point = self.good, self.noise, at.point
-        moved = point.angle_deg - self.reference_deg
+        good, covariance, unknowns = self.good, self.noise, at.unknowns
+        moved = unknowns.angle_deg - self.reference_deg
         if abs(moved) > STILL_DEG:
-            covariance = covariance + self.curve.uncertainty(point.angle_deg, self.reference_deg)
-            covariance += skew(at.bend_slope, moved)
-        if len(point.touches):
+            covariance = covariance + self.curve.uncertainty(unknowns.angle_deg, self.reference_deg)
+            covariance += scan_skew(at.bend_slope, moved)
+        if len(unknowns.touches):
             covariance = covariance + self.response.uncertainty(at.changes, at.hidden)
         if len(good) == len(covariance):
             return lapack.whitening(covariance)
@@ -219,88 +198,46 @@ class TouchProblem:
         whitening[:, good] = lapack.whitening(covariance[good[:, None], good])
         return whitening
 
-    def misfit(self, at: Tangent, whitening: Array) -> float:
-        """Sum of squares at a point, in the metric of `whitening`."""
+    def misfit(self, at: Linearisation, whitening: Array) -> float:
+        """Value of the objective, in the metric of `whitening`."""
         return self.quadratic(at, whitening).misfit
 
-    def quadratic(self, at: Tangent, whitening: Array) -> Quadratic:
-        """Misfit, gradient and Hessian at a point, in the metric of `whitening`."""
+    def quadratic(self, at: Linearisation, whitening: Array) -> QuadraticModel:
+        """Misfit, gradient and Hessian, in the metric of `whitening`."""
         white = at.rows @ whitening.T
-        # Of residual and Jacobian with themselves: misfit, gradient and Hessian are blocks of it.
+        # Inner products of residual and Jacobian: misfit, gradient and Hessian are its blocks.
         products = white @ white.T
-        self._add_prior(at.point, products)
+        unknowns = at.unknowns
+        self.prior.add_to(products, unknowns.touches, self.reference_deg - unknowns.angle_deg)
         misfit, gradient, hessian = float(products[0, 0]), products[0, 1:], products[1:, 1:]
-        return Quadratic(misfit, gradient, hessian, white[0], white[1:].T)
+        return QuadraticModel(misfit, gradient, hessian, white[0], white[1:].T)
 
-    def stepped(self, point: Point, step: Array) -> Point:
-        """`point` moved by unit steps, and kept within what is possible."""
+    def stepped(self, unknowns: Unknowns, step: Array) -> Unknowns:
+        """Unknowns after a step (n,) in unit steps, clipped to their bounds."""
         low, high = self.curve.angle_deg
         angle = min(
-            max(point.angle_deg + ANGLE_UNIT * float(step[0]), low - BEYOND_DEG), high + BEYOND_DEG
+            max(unknowns.angle_deg + ANGLE_UNIT * float(step[0]), low - BEYOND_DEG),
+            high + BEYOND_DEG,
         )
-        moved = point.touches + step[1:].reshape(-1, 3) * TOUCH_UNITS
-        kept = np.minimum(np.maximum(moved, self.habits.low), self.habits.high)
-        return Point(kept, angle)
-
-    def _add_prior(self, point: Point, products: Array) -> None:
-        """Add what is usual of motion, touches and their distances to `quadratic`'s products."""
-        touches, diagonal = point.touches, products.reshape(-1)[:: len(products) + 1]
-        turn = ANGLE_UNIT / FEARED_MOTION
-        moved = (self.reference_deg - point.angle_deg) / FEARED_MOTION
-        diagonal[0] += moved**2
-        diagonal[1] += turn**2
-        products[0, 1] += turn * moved
-        if not len(touches):
-            return
-        away = (self.habits.mean - touches) / TOUCH_UNITS
-        pull = away * self.habits.stiffness
-        products[0, 2:] += pull.reshape(-1)
-        diagonal[0] += away.reshape(-1) @ pull.reshape(-1)
-        diagonal[2:].reshape(-1, 3)[:] += self.habits.stiffness
-        if len(touches) > 1:
-            diagonal[0] += self._repulsion(touches, products[0, 1:], products[1:, 1:])
-
-    def _repulsion(self, touches: Array, gradient: Array, hessian: Array) -> float:
-        """Touches nearer than any seen push each other apart; adds to gradient and Hessian."""
-        softness, value = 0.1 * self.habits.separation, 0.0
-        places = touches[:, :2].tolist()
-        for (i, (xi, yi)), (j, (xj, yj)) in combinations(enumerate(places), 2):
-            distance = math.hypot(xi - xj, yi - yj)
-            lacking = (self.habits.separation - distance) / softness
-            if lacking <= 0.0:
-                continue
-            # Two at one place part along x.
-            towards = (
-                ((xi - xj) / distance, (yi - yj) / distance) if distance > 1e-9 else (1.0, 0.0)
-            )
-            direction = np.array(towards) * TOUCH_UNITS[0] / softness
-            a, b = slice(1 + 3 * i, 3 + 3 * i), slice(1 + 3 * j, 3 + 3 * j)
-            gradient[a] += lacking * direction
-            gradient[b] -= lacking * direction
-            square = np.outer(direction, direction)
-            hessian[a, a] += square
-            hessian[b, b] += square
-            hessian[a, b] -= square
-            hessian[b, a] -= square
-            value += lacking**2
-        return value
+        moved = unknowns.touches + step[1:].reshape(-1, 3) * TOUCH_UNITS
+        clipped = np.minimum(np.maximum(moved, self.prior.low), self.prior.high)
+        return Unknowns(clipped, angle)
 
 
-def excess(misfit: float, freedom: int) -> float:
-    """A misfit above its expectation, in standard deviations: a chi-square of so much freedom."""
-    return (misfit - freedom) / math.sqrt(2.0 * max(freedom, 1))
+def misfit_sigma(misfit: float, degrees_of_freedom: int) -> float:
+    """Misfit above its expectation, in standard deviations of the chi-square distribution."""
+    return (misfit - degrees_of_freedom) / math.sqrt(2.0 * max(degrees_of_freedom, 1))
 
 
-def skew(slope: Array, moved_deg: float) -> Array:
-    """Covariance (C, C) from measuring one after the other while the sensor moves.
+def scan_skew(slope: Array, moved_deg: float) -> Array:
+    """Covariance (C, C) of measuring channels one after the other while the sensor bends.
 
-    A frame takes as long as its C measurements, one after the other, and the first and the last
-    of a moving sensor see different angles. How fast it moves is not known; that it moved by so
-    much since the last frame says how fast it may.
+    The first and the last of a frame's C measurements see different angles. The speed is unknown;
+    the motion since the previous frame bounds it.
 
     Args:
-        slope: of log V with the angle (C,) [1/deg].
-        moved_deg: since the reference [deg].
+        slope: derivative of log V by the angle (C,) [1/deg].
+        moved_deg: motion since the reference [deg].
     """
     late = moved_deg * slope * (np.arange(len(slope)) / len(slope) - 0.5)
     covariance: Array = late[:, None] * late
@@ -308,52 +245,61 @@ def skew(slope: Array, moved_deg: float) -> Array:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Fitted:
-    """A point of least misfit, and the metric in which it is."""
+class MapEstimate:
+    """MAP estimate of the unknowns for a given number of touches.
 
-    at: Tangent
-    quadratic: Quadratic
+    Attributes:
+        at: the model linearised at the estimate.
+        quadratic: the objective about the estimate; its inverse Hessian is the covariance, in unit
+            steps.
+        whitening: metric of the residual in which the estimate was sought (good, C).
+    """
+
+    at: Linearisation
+    quadratic: QuadraticModel
     whitening: Array
 
     @property
-    def point(self) -> Point:
-        """Where."""
-        return self.at.point
+    def unknowns(self) -> Unknowns:
+        """The estimate."""
+        return self.at.unknowns
 
     @property
     def misfit(self) -> float:
-        """Sum of squares."""
+        """Value of the objective."""
         return self.quadratic.misfit
 
     @property
-    def freedom(self) -> int:
-        """Number of residuals less number of unknowns, at least one."""
+    def degrees_of_freedom(self) -> int:
+        """Number of residuals minus number of unknowns, at least one."""
         return max(len(self.quadratic.residual) - len(self.quadratic.gradient), 1)
 
     @property
-    def excess(self) -> float:
-        """The misfit above its expectation, in standard deviations."""
-        return excess(self.misfit, self.freedom)
+    def misfit_sigma(self) -> float:
+        """Misfit above its expectation, in standard deviations."""
+        return misfit_sigma(self.misfit, self.degrees_of_freedom)
 
 
-def refined(problem: TouchProblem, start: Tangent, steps: int, settled: float) -> Fitted:
-    """Gauss-Newton with Levenberg's damping from a point, in the metric that belongs to it.
+def levenberg_marquardt(
+    objective: TouchObjective, start: Linearisation, steps: int, tolerance: float
+) -> MapEstimate:
+    """Minimise the objective from `start`, in the metric that belongs to the start.
 
-    It ends after so many steps, or when one gains less than `settled` of the misfit.
+    Iterations end after `steps`, or with one that gains less than `tolerance` of misfit.
     """
-    whitening = problem.whitening(start)
-    at, now, damping = start, problem.quadratic(start, whitening), 1e-3
+    whitening = objective.whitening(start)
+    at, now, damping = start, objective.quadratic(start, whitening), 1e-3
     for _ in range(steps):
-        moved = problem.tangent(problem.stepped(at.point, now.step(damping)))
-        trial = problem.quadratic(moved, whitening)
+        moved = objective.linearised(objective.stepped(at.unknowns, now.step(damping)))
+        trial = objective.quadratic(moved, whitening)
         if trial.misfit < now.misfit:
             gain = now.misfit - trial.misfit
             at, now = moved, trial
             damping *= 0.2
-            if gain < settled:
+            if gain < tolerance:
                 break
         else:
             damping *= 10.0
             if damping > 1e3:
                 break
-    return Fitted(at, now, whitening)
+    return MapEstimate(at, now, whitening)

@@ -1,4 +1,7 @@
-"""How proposals are trained: on frames made up from the learned model. Imports torch at its top."""
+"""Training of the proposal network on synthetic frames. Imports torch at its top.
+
+The frames are drawn from the learned touch response, bend curves and touch prior.
+"""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -8,67 +11,69 @@ import torch  # noqa: TID253  see above
 from numpy.typing import NDArray
 from torch import Tensor, nn  # noqa: TID253  see above
 
-from eitskin.training.joint.bend_curve import BendCurves
-from eitskin.training.joint.objective import Habits
-from eitskin.training.joint.proposal_model import MOST, WIDTH, Proposals, network_inputs
+from eitskin.training.joint.bend_curve import BendCurvePrior
+from eitskin.training.joint.prior import MOST_TOUCHES, TouchPrior
+from eitskin.training.joint.proposal_model import WIDTH, ProposalNetwork, network_inputs
 from eitskin.training.joint.touch_response import TouchResponse
-from eitskin.training.method.learning_curve import History
-from eitskin.training.method.networks import seeded
+from eitskin.training.method.learning_curve import LearningCurve
+from eitskin.training.method.network_training import seeded
 from eitskin.training.method.settings import NetworkSettings, Progress
 
 Array = NDArray[np.float64]
 
 PITCH = 0.005  # m, between cells
 HIDDEN = (512, 512, 512)
-PER_EPOCH = 100  # steps, each on frames that were never seen before
-STRENGTHS = 0.15  # standard deviation of the logarithm of how strongly specimens feel
+STEPS_PER_EPOCH = 100  # each on new frames
+LOG_SENSITIVITY_STD = 0.15  # of the specimens' sensitivity to touches
 MOVED_DEG = 4.0  # standard deviation of the bend since the reference, in half of the frames
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Model:
-    """What frames are made up from; see `JointMethod`."""
+class SyntheticFrames:
+    """Generative model of training frames; attributes as in `JointMethod`."""
 
     response: TouchResponse
-    curves: BendCurves
-    habits: Habits
+    bend_prior: BendCurvePrior
+    touch_prior: TouchPrior
     noise: Array
 
     def frames(self, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
-        """Inputs of the network (count, inputs), and the places of touches (count, MOST, 2)."""
+        """Draw network inputs (count, inputs) and touch positions (count, MOST_TOUCHES, 2) [m]."""
         known = len(self.response.output) - 1
-        features = rng.standard_normal((count, known + len(self.response.hidden_output)))
-        low, high = self.curves.angle_deg
+        features = rng.standard_normal((count, known + len(self.response.latent_output)))
+        low, high = self.bend_prior.angle_deg
         angle = np.where(rng.uniform(size=count) < 0.25, 0.0, rng.uniform(low, high, count))
         touches = self._touches(count, rng)
         change = self._touched(touches, angle, features, rng)
         averaged = 1.0 / 2.0 ** rng.integers(0, 6, count)  # 1 to 32 frames in the reference
         change += rng.standard_normal(change.shape) * self.noise * np.sqrt(1 + averaged)[:, None]
         moved = rng.standard_normal(count) * MOVED_DEG * (rng.uniform(size=count) < 0.5)
-        curve = self.curves.of(np.zeros(known))
+        curve = self.bend_prior.of(np.zeros(known))
         change += curve.value(angle + moved) - curve.value(angle)
         inputs = network_inputs(change, np.sqrt(2.0) * self.noise, angle, features[:, :known])
         return inputs, touches[..., :2]
 
     def _touches(self, count: int, rng: np.random.Generator) -> Array:
-        """Up to MOST touches a frame that keep their distance, NaN where absent."""
-        low, high = self.habits.low, self.habits.high
-        touches = rng.uniform(low, high, (count, MOST, 3))
-        mean, deviation = self.habits.force
+        """Draw x [m], y [m] and force [N] of touches (count, MOST_TOUCHES, 3), NaN where absent."""
+        low, high = self.touch_prior.low, self.touch_prior.high
+        touches = rng.uniform(low, high, (count, MOST_TOUCHES, 3))
+        mean, deviation = self.touch_prior.force
         touches[..., 2] = np.clip(
-            rng.uniform(-1.73, 1.73, (count, MOST)) * deviation + mean, low[2], high[2]
+            rng.uniform(-1.73, 1.73, (count, MOST_TOUCHES)) * deviation + mean, low[2], high[2]
         )
-        touches[np.arange(MOST) >= rng.integers(0, MOST + 1, count)[:, None]] = np.nan
-        for i in range(MOST):
+        touches[np.arange(MOST_TOUCHES) >= rng.integers(0, MOST_TOUCHES + 1, count)[:, None]] = (
+            np.nan
+        )
+        for i in range(MOST_TOUCHES):
             for j in range(i):
                 apart = np.hypot(*(touches[:, i, :2] - touches[:, j, :2]).T)
-                touches[apart < self.habits.separation, i] = np.nan
+                touches[apart < self.touch_prior.separation, i] = np.nan
         return touches
 
     def _touched(
         self, touches: Array, angle: Array, features: Array, rng: np.random.Generator
     ) -> Array:
-        """Changes (count, C) by the touches, on specimens that each feel in their own way."""
+        """Change of log V (count, C) by the touches, on specimens that differ."""
         response = self.response
         hidden = torch.as_tensor(
             np.nan_to_num(response.ranges.inputs(touches, angle[:, None])), dtype=torch.float32
@@ -82,20 +87,20 @@ class Model:
         factors = np.nan_to_num(touches[..., 2]) / response.ranges.middle_force * response.scale
         summed = (hidden * torch.as_tensor(factors[..., None], dtype=torch.float32)).sum(dim=1)
         share = np.concatenate([np.ones((len(touches), 1)), features], axis=1)
-        output = np.concatenate([response.output, response.hidden_output])
+        output = np.concatenate([response.output, response.latent_output])
         output_ = torch.as_tensor(output, dtype=torch.float32)
         terms = torch.einsum("nh,pch->npc", summed, output_)
         share_ = torch.as_tensor(share, dtype=torch.float32)
         change: Array = torch.einsum("npc,np->nc", terms, share_).numpy().astype(float)
         own = 1.0 + response.mismatch * rng.standard_normal(change.shape)
-        return change * own * np.exp(STRENGTHS * rng.standard_normal((len(touches), 1)))
+        return change * own * np.exp(LOG_SENSITIVITY_STD * rng.standard_normal((len(touches), 1)))
 
 
 def fit_proposals(
-    model: Model, settings: NetworkSettings, seed: int, progress: Progress
-) -> tuple[Proposals, History]:
-    """Train with binary cross-entropy per cell and Adam, on frames made up anew in every step."""
-    low, high = model.habits.low, model.habits.high
+    model: SyntheticFrames, settings: NetworkSettings, seed: int, progress: Progress
+) -> tuple[ProposalNetwork, LearningCurve]:
+    """Train with binary cross-entropy per cell and Adam, on new frames in every step."""
+    low, high = model.touch_prior.low, model.touch_prior.high
     columns, rows = (
         np.linspace(low[i], high[i], round((high[i] - low[i]) / PITCH) + 1) for i in (0, 1)
     )
@@ -103,14 +108,14 @@ def fit_proposals(
     inputs, _ = model.frames(2, rng)
     sizes = [inputs.shape[1], *HIDDEN, len(columns) * len(rows)]
     network = seeded(lambda: _layers(sizes), seed)
-    steps = settings.epochs * PER_EPOCH
+    steps = settings.epochs * STEPS_PER_EPOCH
     optimiser = torch.optim.Adam(network.parameters(), settings.learning_rate)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, settings.learning_rate, steps)
     cells = [torch.as_tensor(axis, dtype=torch.float32) for axis in np.meshgrid(columns, rows)]
     losses = []
     for epoch in range(settings.epochs):
         total = 0.0
-        for _ in range(PER_EPOCH):
+        for _ in range(STEPS_PER_EPOCH):
             inputs, places = model.frames(settings.batch, rng)
             logits = network(torch.as_tensor(inputs, dtype=torch.float32))
             target = _bumps(torch.as_tensor(places, dtype=torch.float32), cells)
@@ -119,20 +124,21 @@ def fit_proposals(
             loss.backward()  # type: ignore[no-untyped-call]
             optimiser.step()
             schedule.step()
-            total += loss.item() / PER_EPOCH
+            total += loss.item() / STEPS_PER_EPOCH
         losses.append(total)
         progress("proposals", epoch + 1, settings.epochs)
     layers = [layer for layer in network if isinstance(layer, nn.Linear)]
-    proposals = Proposals(
+    proposals = ProposalNetwork(
         tuple(layer.weight.detach().numpy().astype(float) for layer in layers),
         tuple(layer.bias.detach().numpy().astype(float) for layer in layers),
         columns,
         rows,
     )
-    return proposals, History(tuple(losses))
+    return proposals, LearningCurve(tuple(losses))
 
 
 def _layers(sizes: list[int]) -> nn.Sequential:
+    """Linear layers with SiLU between."""
     layers: list[nn.Module] = []
     for inputs, outputs in pairwise(sizes):
         layers += [nn.Linear(inputs, outputs), nn.SiLU()]
@@ -140,7 +146,7 @@ def _layers(sizes: list[int]) -> nn.Sequential:
 
 
 def _bumps(places: Tensor, cells: list[Tensor]) -> Tensor:
-    """The largest bump over each cell (n, cells); none for places that are NaN."""
+    """Target map (n, cells): the highest of the touches' bumps; none where a place is NaN."""
     x, y = (axis.reshape(1, 1, -1) for axis in cells)
     square = (x - places[..., 0:1]) ** 2 + (y - places[..., 1:2]) ** 2
     return torch.nan_to_num(torch.exp(-0.5 * square / WIDTH**2)).amax(dim=1)

@@ -1,6 +1,6 @@
-"""How a touch response is trained. Imports torch at its top; import it where it is needed.
+"""Training of the touch response. Imports torch at its top; import it where it is needed.
 
-Everything that is trained here is evaluated by `TouchResponse` without torch.
+`TouchResponse` evaluates the trained network without torch.
 """
 
 from dataclasses import dataclass
@@ -11,29 +11,29 @@ import torch  # noqa: TID253  see above
 from numpy.typing import NDArray
 from torch import Tensor, nn  # noqa: TID253  see above
 
-from eitskin.training.joint.touch_response import Ranges, TouchResponse
-from eitskin.training.method.learning_curve import History
-from eitskin.training.method.networks import seeded, train
+from eitskin.training.joint.touch_response import InputRanges, TouchResponse
+from eitskin.training.method.learning_curve import LearningCurve
+from eitskin.training.method.network_training import seeded, train
 from eitskin.training.method.settings import NetworkSettings, Progress
 
 Array = NDArray[np.float64]
 
 HIDDEN = 96
 LAYERS = 3
-SPREAD = 0.15  # of the strengths with which touches act on different specimens
-UNSEEN = 2  # ways in which specimens differ that only their touches show
-TRUST = 0.05  # relative error of a frame's change that is of no more concern than its noise
+LOG_STRENGTH_STD = 0.15  # prior of the specimens' log strength
+LATENT = 2  # latent variables q of a specimen
+RELATIVE_ERROR = 0.05  # of the model, which weights frames together with their noise
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TouchFrames:
-    """n touched frames to learn from.
+    """Training set of n touched frames.
 
     Attributes:
         touches: x [m], y [m] and force [N] of up to k touches, NaN where absent (n, k, 3).
-        angle_deg: (n,) [deg].
-        features: of their specimens (n, P).
-        specimen: number of the specimen, from 0 on (n,); mirror images keep it.
+        angle_deg: of the bend (n,) [deg].
+        features: of the specimens (n, P).
+        specimen: number of the specimen, from 0 on (n,); mirror images share it.
         change: of log V (n, C).
     """
 
@@ -55,30 +55,30 @@ class TouchFrames:
 
 
 class ResponseNetwork(nn.Module):
-    """The network of `TouchResponse`, and strength and q of each specimen that it learns from.
+    """The network of `TouchResponse`, with strength and latent q of every training specimen.
 
-    How strongly a specimen feels does not show in its flat resistances; let free, strengths do
-    not blur the shape of the response. Their geometric mean is held at one.
+    The strength with which touches act on a specimen does not show in its flat resistances; as free
+    parameters, strengths do not blur the shape of the response. Their geometric mean is one.
     """
 
     def __init__(self, frames: TouchFrames) -> None:
-        """Make it for the touches, channels, features and specimens of these frames."""
+        """Size the network for the touches, channels, features and specimens of `frames`."""
         super().__init__()
         sizes = [4] + [HIDDEN] * LAYERS
         self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in pairwise(sizes))
         self.touches, self.channels = frames.touches.shape[1], frames.change.shape[1]
         self.features = frames.features.shape[1]
-        terms = 1 + self.features + UNSEEN
+        terms = 1 + self.features + LATENT
         self.output = nn.Linear(HIDDEN + 1, self.channels * terms, bias=False)
-        with torch.no_grad():  # begin near a response that is the same for all specimens
+        with torch.no_grad():  # start near a response that all specimens share
             self.output.weight[self.channels :] *= 0.1
         specimens = int(frames.specimen.max()) + 1
         self.log_strength = nn.Parameter(torch.zeros(specimens))
-        # Zeros would stay zeros: the gradient of each factor is the other.
-        self.unseen = nn.Parameter(0.3 * torch.randn(specimens, UNSEEN))
+        # Zeros would stay zeros: the gradient by each factor is the other factor.
+        self.latent = nn.Parameter(0.3 * torch.randn(specimens, LATENT))
 
     def forward(self, packed: Tensor) -> Tensor:
-        """Changes (n, C), in units of `scale`, of frames packed as `_packed` does."""
+        """Changes of log V (n, C), in units of `scale`, of frames packed by `_packed`."""
         sizes = [4 * self.touches, self.touches, self.features, 1]
         inputs, factors, features, specimen = torch.split(packed, sizes, dim=1)
         hidden = inputs.reshape(len(packed), self.touches, 4)
@@ -89,7 +89,7 @@ class ResponseNetwork(nn.Module):
         summed = (hidden * factors[..., None]).sum(dim=1)
         terms = self.output(summed).reshape(len(packed), -1, self.channels)
         number = specimen[:, 0].long()
-        share = torch.cat([torch.ones_like(specimen), features, self.unseen[number]], dim=1)
+        share = torch.cat([torch.ones_like(specimen), features, self.latent[number]], dim=1)
         strength = torch.exp(self.log_strength - self.log_strength.mean())
         change: Tensor = torch.einsum("npc,np->nc", terms, share)
         return change * strength[number][:, None]
@@ -97,24 +97,33 @@ class ResponseNetwork(nn.Module):
 
 def fit_response(
     frames: TouchFrames,
-    ranges: Ranges,
+    ranges: InputRanges,
     noise: float,
     settings: NetworkSettings,
     seed: int,
     progress: Progress,
-) -> tuple[TouchResponse, History]:
-    """Learn a response from frames whose changes have noise of this rms; mismatch is still zero."""
+) -> tuple[TouchResponse, LearningCurve]:
+    """Learn a response by weighted least squares; its mismatch is left zero.
+
+    Args:
+        frames: training set.
+        ranges: of the inputs.
+        noise: rms noise of the frames' changes.
+        settings: of the training.
+        seed: of initial weights and order.
+        progress: told of every epoch.
+    """
     scale = float(np.sqrt(np.mean(frames.change**2)))
     network = seeded(lambda: ResponseNetwork(frames), seed)
     inputs, change = _packed(frames, ranges), _tensor(frames.change / scale)
-    # Strong touches may be a few percent off, weak ones by their noise: both count alike.
-    variance = (noise / scale) ** 2 + TRUST**2 * change.square().mean(dim=1, keepdim=True)
+    # Weights: noise dominates the error of weak touches, model error that of strong ones.
+    variance = (noise / scale) ** 2 + RELATIVE_ERROR**2 * change.square().mean(dim=1, keepdim=True)
     weighted = torch.cat([change, variance.mean() / variance], dim=1)
 
-    def loss(said: Tensor, target: Tensor) -> Tensor:
-        error = ((said - target[:, :-1]).square() * target[:, -1:]).mean()
-        departures = (network.log_strength / SPREAD).square().mean()
-        return error + 1e-3 * (departures + network.unseen.square().mean())
+    def loss(modelled: Tensor, target: Tensor) -> Tensor:
+        error = ((modelled - target[:, :-1]).square() * target[:, -1:]).mean()
+        departures = (network.log_strength / LOG_STRENGTH_STD).square().mean()
+        return error + 1e-3 * (departures + network.latent.square().mean())
 
     history = train(
         network,
@@ -128,12 +137,12 @@ def fit_response(
     return _response(network, np.unique(frames.specimen), scale, ranges), history
 
 
-def _packed(frames: TouchFrames, ranges: Ranges) -> Tensor:
-    """One row per frame: inputs and factors of each touch, features, number of the specimen."""
+def _packed(frames: TouchFrames, ranges: InputRanges) -> Tensor:
+    """Rows (n, columns): inputs and factors of each touch, features, number of the specimen."""
     inputs = ranges.inputs(frames.touches, frames.angle_deg[:, None])
     columns = [
         np.nan_to_num(inputs).reshape(len(inputs), -1),
-        np.nan_to_num(frames.touches[..., 2] / ranges.middle_force),  # of no touch, nothing
+        np.nan_to_num(frames.touches[..., 2] / ranges.middle_force),  # zero where absent
         frames.features,
         frames.specimen[:, None],
     ]
@@ -145,27 +154,27 @@ def _tensor(values: Array) -> Tensor:
 
 
 def _response(
-    network: ResponseNetwork, specimens: NDArray[np.int64], scale: float, ranges: Ranges
+    network: ResponseNetwork, specimens: NDArray[np.int64], scale: float, ranges: InputRanges
 ) -> TouchResponse:
-    """The trained response; q is brought to mean zero and variance one over the specimens."""
+    """The trained response, with q shifted and scaled to zero mean and unit variance."""
 
     def plain(tensor: Tensor) -> Array:
         array: Array = tensor.detach().numpy().astype(float)
         return array
 
     output = plain(network.output.weight).reshape(-1, network.channels, HIDDEN + 1)
-    known, unseen = output[: 1 + network.features], output[1 + network.features :]
-    q = plain(network.unseen)[specimens]
-    known[0] += np.tensordot(q.mean(axis=0), unseen, axes=1)
-    # One specimen says nothing of how others differ.
-    variance = np.cov(q.T) if len(q) > UNSEEN else np.zeros((UNSEEN, UNSEEN))
-    spread = np.linalg.cholesky(variance + 1e-12 * np.eye(UNSEEN))
+    known, latent = output[: 1 + network.features], output[1 + network.features :]
+    q = plain(network.latent)[specimens]
+    known[0] += np.tensordot(q.mean(axis=0), latent, axes=1)
+    # Too few specimens give no covariance.
+    variance = np.cov(q.T) if len(q) > LATENT else np.zeros((LATENT, LATENT))
+    spread = np.linalg.cholesky(variance + 1e-12 * np.eye(LATENT))
     layers = [layer for layer in network.layers if isinstance(layer, nn.Linear)]
     return TouchResponse(
         tuple(plain(layer.weight) for layer in layers),
         tuple(plain(layer.bias) for layer in layers),
         known,
-        np.tensordot(spread.T, unseen, axes=1),
+        np.tensordot(spread.T, latent, axes=1),
         scale,
         ranges,
         mismatch=0.0,

@@ -1,4 +1,4 @@
-"""What a flat, untouched sensor's resistances say of how it differs from others of its design."""
+"""Specimen features: principal components of the flat resistances over specimens of a design."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,13 +17,14 @@ COUNT = 8  # most features; each costs weights that the specimens must determine
 class SpecimenFeatures:
     """Linear features of the logarithms of the flat resistances, without their common factor.
 
-    A common factor is conductivity, thickness or the board's gain, which leave relative changes
-    alone. What remains is contacts and places of the electrodes, and the errors of paths.
+    The common factor holds conductivity, thickness and the board's gain, none of which alters
+    relative changes. The features describe contacts and positions of the electrodes and the errors
+    of signal paths.
 
     Attributes:
-        middle: logarithms of the flat magnitudes of the middle sensor, their mean taken off (C,).
-        directions: principal directions of the specimens' departures from it, each divided by
-            the standard deviation along it, so that features have variance one (P, C).
+        middle: mean logarithms of the flat magnitudes, less their common factor (C,).
+        directions: principal directions of the specimens' departures, each divided by the standard
+            deviation along it, so that features have unit variance (P, C).
     """
 
     middle: Array
@@ -33,9 +34,12 @@ class SpecimenFeatures:
     def fit(
         cls, flat: ArrayLike, mirrors: Sequence[Mirror], count: int = COUNT
     ) -> "SpecimenFeatures":
-        """Learn from flat magnitudes of S specimens (S, C) [ohm] and their mirror images.
+        """Principal component analysis of specimens and their mirror images.
 
-        There are at most `count`, and at most one for five specimens.
+        Args:
+            flat: magnitudes of S specimens, flat and untouched (S, C) [ohm].
+            mirrors: symmetries of the sensor.
+            count: most features; there is at most one for five specimens.
         """
         logs = _without_common(np.log(np.asarray(flat, dtype=float)))
         images = np.concatenate([logs[:, mirror.order] for mirror in mirrors])
@@ -46,15 +50,16 @@ class SpecimenFeatures:
         return cls(middle, directions[:kept] / deviations[:kept, None])
 
     def apply(self, flat: ArrayLike) -> Array:
-        """Features (..., P) of flat magnitudes (..., C) [ohm]; bad channels (NaN) say nothing."""
+        """Features (..., P) of flat magnitudes (..., C) [ohm]; bad channels (NaN) are ignored."""
         departure = _without_common(np.log(np.asarray(flat, dtype=float)) - self.middle)
         return np.where(np.isfinite(departure), departure, 0.0) @ self.directions.T
 
     def arrays(self) -> dict[str, Array]:
-        """What `from_arrays` needs to make this again."""
+        """Attributes by name."""
         return {"middle": self.middle, "directions": self.directions}
 
 
 def _without_common(logs: Array) -> Array:
+    """Logarithms (..., C) minus their mean over the channels."""
     departure: Array = logs - np.nanmean(logs, axis=-1, keepdims=True)
     return departure

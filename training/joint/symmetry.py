@@ -1,4 +1,4 @@
-"""Mirrors under which a sensor is itself: what is known of one half is known of the other."""
+"""Mirror symmetries of a sensor and its protocol, by which every frame counts up to four times."""
 
 import dataclasses
 from dataclasses import dataclass
@@ -12,16 +12,16 @@ from eitskin.protocol import Protocol
 
 Array = NDArray[np.float64]
 
-_GRID = 37  # places in x and in y at which an outline is compared with its image
+_GRID = 37  # points along x and along y at which an outline is compared with its image
 _TOLERANCE = 1e-6  # m, between an electrode and the mirror image of another
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mirror:
-    """One of them, or none at all.
+    """One mirror symmetry, or the identity.
 
     Attributes:
-        flips: whether x and whether y run backwards in the mirror.
+        flips: whether x and whether y are reversed.
         order: the mirrored sensor's measurement i has the magnitude of the sensor's order[i], (m,).
         size: length and width of the sensor [m].
     """
@@ -31,15 +31,15 @@ class Mirror:
     size: tuple[float, float]
 
     def places(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """Where places lie in the mirror [m]."""
+        """Mirror images of positions x and y (...) [m]."""
         (length, width), (flip_x, flip_y) = self.size, self.flips
         return (length - x if flip_x else x), (width - y if flip_y else y)
 
 
 def mirrors(design: SensorDesign, protocol: Protocol) -> tuple[Mirror, ...]:
-    """All mirrors of a sensor and its protocol, the trivial one first.
+    """All mirror symmetries of a sensor and its protocol, the identity first.
 
-    The hinge sits in the middle and bends about y, so it has both mirrors that a sensor can have.
+    The hinge lies in the middle and bends about y, so it breaks none of the sensor's symmetries.
     """
     length, width = design.outline.length, design.outline.width
     places = np.array([[e.x, e.y] for e in design.electrodes])
@@ -60,13 +60,13 @@ def mirrors(design: SensorDesign, protocol: Protocol) -> tuple[Mirror, ...]:
 
 
 def _alike(design: SensorDesign, a: int, b: int) -> bool:
-    """Whether two electrodes differ in nothing but their place."""
+    """Whether two electrodes differ in nothing but their position."""
     one, other = (dataclasses.replace(design.electrodes[i], x=0.0, y=0.0) for i in (a, b))
     return one == other
 
 
 def _same_outline(design: SensorDesign, flips: tuple[bool, bool]) -> bool:
-    """Whether the outline covers its own image, tried on a grid."""
+    """Whether the outline equals its mirror image, on a grid of points."""
     if isinstance(design.outline, Surface):
         return not any(flips)
     length, width = design.outline.length, design.outline.width
@@ -78,14 +78,18 @@ def _same_outline(design: SensorDesign, flips: tuple[bool, bool]) -> bool:
 
 
 def _order(protocol: Protocol, partner: NDArray[np.intp]) -> NDArray[np.int64] | None:
-    """Which measurement is the image of each; polarities change the sign, not the magnitude."""
-    numbers = {_polar(row): i for i, row in enumerate(protocol.table)}
-    images = [_polar(tuple(int(partner[e]) for e in row)) for row in protocol.table]
+    """Number of each measurement's mirror image (m,); None where the protocol lacks one.
+
+    Reversed polarities change the sign of a measurement, not its magnitude.
+    """
+    numbers = {_unsigned(row): i for i, row in enumerate(protocol.table)}
+    images = [_unsigned(tuple(int(partner[e]) for e in row)) for row in protocol.table]
     if not all(image in numbers for image in images):
         return None
     return np.array([numbers[image] for image in images], dtype=np.int64)
 
 
-def _polar(row: tuple[int, ...]) -> tuple[int, ...]:
+def _unsigned(row: tuple[int, ...]) -> tuple[int, ...]:
+    """A row of the table with both pairs of electrodes sorted."""
     a, b, c, d = row
     return min(a, b), max(a, b), min(c, d), max(c, d)

@@ -1,4 +1,4 @@
-"""Where a fit may start: places that would explain what is left of a frame, to first order."""
+"""Initial values of the fit: greedy search of touches in the residual, to first order."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,23 +7,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.training.joint import lapack
-from eitskin.training.joint.objective import FEARED_MOTION, Fitted, Point, Tangent, TouchProblem
+from eitskin.training.joint.objective import Linearisation, MapEstimate, TouchObjective, Unknowns
+from eitskin.training.joint.prior import ANGLE_PRIOR_STD_DEG
 
 Array = NDArray[np.float64]
 
-CLOSEST = 0.7  # times the least separation seen: how near to a touch another is looked for
-RIVAL = 0.4  # share of the best promise from which on a second place is tried as well
-PAIR_STRIDE = 3  # every how many-th candidate may be of a pair
+LEAST_DISTANCE = 0.7  # times the prior's separation: least distance of a candidate from a touch
+RIVAL = 0.4  # share of the highest gain from which a second position is tried as well
+PAIR_STRIDE = 3  # every how many-th candidate may be one of a pair
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Candidates:
-    """Places that are tried for a further touch, and what a touch of middle force does there.
+class TouchCandidates:
+    """Positions that are tried for a further touch, and the effect of a touch there.
 
     Attributes:
         places: (n, 2) [m].
-        force: that of all of them [N].
-        change: of log V (n, C), at one angle.
+        force: of every candidate [N].
+        change: of log V by each (n, C), at one angle.
     """
 
     places: Array
@@ -31,90 +32,97 @@ class Candidates:
     change: Array
 
 
-def with_forces(problem: TouchProblem, places: Array, untouched: Tangent) -> Point:
-    """Touches at these places (k, 2) [m], with forces that suit together to first order."""
-    mean, deviation = problem.habits.force
-    angle_deg = untouched.point.angle_deg
+def initial_touches(objective: TouchObjective, places: Array, untouched: Linearisation) -> Unknowns:
+    """Touches at `places` (k, 2) [m] with the forces of a linear ridge regression."""
+    mean, deviation = objective.prior.force
+    angle_deg = untouched.unknowns.angle_deg
     touches = np.empty((len(places), 3))
     touches[:, :2], touches[:, 2] = places, mean
-    whitening = problem.whitening(untouched)
-    shapes = problem.response(touches, angle_deg) @ whitening.T
+    whitening = objective.whitening(untouched)
+    shapes = objective.response(touches, angle_deg) @ whitening.T
     ridge = (mean / deviation) ** 2
-    wanted = shapes @ (whitening @ untouched.left) + ridge
-    share = lapack.solved(shapes @ shapes.T + ridge * np.eye(len(places)), wanted)
-    touches[:, 2] = np.clip(share * mean, problem.habits.low[2], problem.habits.high[2])
-    return Point(touches, angle_deg)
+    projections = shapes @ (whitening @ untouched.residual) + ridge
+    share = lapack.solved(shapes @ shapes.T + ridge * np.eye(len(places)), projections)
+    touches[:, 2] = np.clip(share * mean, objective.prior.low[2], objective.prior.high[2])
+    return Unknowns(touches, angle_deg)
 
 
-def most_promising(
-    problem: TouchProblem, found: Fitted, candidates: Candidates, least_gain: float
-) -> list[Point]:
-    """Points with one more touch where it would gain most, if that is at least `least_gain`.
+def single_starts(
+    objective: TouchObjective, found: MapEstimate, candidates: TouchCandidates, least_gain: float
+) -> list[Unknowns]:
+    """Unknowns with one more touch where the misfit falls most, by at least `least_gain`.
 
-    The first touch may lie nearly as well elsewhere, such as across the middle of the sensor:
-    then there are two.
+    The first touch may fit nearly as well elsewhere, such as across the middle of the sensor: then
+    there are two starts.
     """
-    point = found.point
-    whitening = problem.whitening(found.at)
-    left = whitening @ found.at.left
+    unknowns = found.unknowns
+    whitening = objective.whitening(found.at)
+    residual = whitening @ found.at.residual
     shapes = candidates.change @ whitening.T
-    # What a change of the angle explains is no evidence of a touch.
-    bend = whitening @ found.at.bend_slope * FEARED_MOTION
+    # Directions that a change of the angle explains are no evidence of a touch.
+    bend = whitening @ found.at.bend_slope * ANGLE_PRIOR_STD_DEG
     bend /= np.sqrt(1.0 + bend @ bend)
     shapes = shapes - np.outer(shapes @ bend, bend)
     sizes = np.sum(shapes**2, axis=1)
-    strength = shapes @ left / sizes
-    gain = np.where((strength > 0) & _free(problem, candidates.places, point), 1.0, 0.0)
+    strength = shapes @ residual / sizes
+    allowed = (strength > 0) & _is_apart(objective, candidates.places, unknowns)
+    gain = np.where(allowed, 1.0, 0.0)
     gain *= strength**2 * sizes
-    starts: list[Point] = []
+    starts: list[Unknowns] = []
     highest = float(gain.max())
-    for _ in range(1 if len(point.touches) else 2):
+    for _ in range(1 if len(unknowns.touches) else 2):
         best = int(gain.argmax())
         if gain[best] < max(least_gain, RIVAL * highest):
             break
         force = strength[best] * candidates.force
-        force = np.clip(force, problem.habits.low[2], problem.habits.high[2])
-        starts.append(point.beside(np.array([[*candidates.places[best], force]])))
+        force = np.clip(force, objective.prior.low[2], objective.prior.high[2])
+        starts.append(unknowns.with_touches(np.array([[*candidates.places[best], force]])))
         away = np.hypot(*(candidates.places - candidates.places[best]).T)
-        gain[away < 0.5 * problem.habits.separation] = 0.0
+        gain[away < 0.5 * objective.prior.separation] = 0.0
     return starts
 
 
-def best_pairs(
-    problem: TouchProblem, others: Sequence[Point], found: Fitted, candidates: Candidates
-) -> list[tuple[float, Point]]:
-    """For each of `others`, promised misfit of, and point with, the two candidates that suit best.
+def pair_starts(
+    objective: TouchObjective,
+    others: Sequence[Unknowns],
+    found: MapEstimate,
+    candidates: TouchCandidates,
+) -> list[tuple[float, Unknowns]]:
+    """For each of `others`, the best pair of further touches and the misfit that remains.
 
-    Two shapes with Gram matrix G and projections p explain p^T G^-1 p of a residual.
+    Two shapes with Gram matrix G and projections p of the residual lower the misfit by p^T G^-1 p.
+
+    Returns:
+        misfit to first order, and unknowns with the pair.
     """
-    places = candidates.places[::PAIR_STRIDE]
+    prior, places = objective.prior, candidates.places[::PAIR_STRIDE]
     shapes = candidates.change[::PAIR_STRIDE] @ found.whitening.T
     gram = shapes @ shapes.T
     size = np.diagonal(gram)
     sizes = size[:, None] * size
     determinant = np.maximum(sizes - gram**2, 1e-9 * sizes)
-    low, high = problem.habits.low[2] / candidates.force, problem.habits.high[2] / candidates.force
-    apart = np.hypot(*(places[:, None] - places).T) > problem.habits.separation
+    low, high = prior.low[2] / candidates.force, prior.high[2] / candidates.force
+    apart = np.hypot(*(places[:, None] - places).T) > prior.separation
     pairs = []
-    for point in others:
-        left = found.whitening @ problem.left_by(point)
-        p = shapes @ left
+    for unknowns in others:
+        residual = found.whitening @ objective.residual(unknowns)
+        p = shapes @ residual
         first = (p[:, None] * size - gram * p) / determinant
         allowed = apart & (first > low) & (first < high)
         gain = first * p[:, None]
-        free = _free(problem, places, point)
+        free = _is_apart(objective, places, unknowns)
         gain = np.where(allowed & allowed.T & free[:, None] & free, gain + gain.T, 0.0)
         a, b = np.unravel_index(int(gain.argmax()), gain.shape)
         forces = candidates.force * np.array([first[a, b], first[b, a]])
         pair = np.column_stack([places[[a, b]], forces])
-        pairs.append((float(left @ left - gain[a, b]), point.beside(pair)))
+        pairs.append((float(residual @ residual - gain[a, b]), unknowns.with_touches(pair)))
     return pairs
 
 
-def _free(problem: TouchProblem, places: Array, point: Point) -> NDArray[np.bool_]:
-    """Which places (n, 2) are far enough from the touches of `point`."""
-    if not len(point.touches):
+def _is_apart(objective: TouchObjective, places: Array, unknowns: Unknowns) -> NDArray[np.bool_]:
+    """Whether each of `places` (n, 2) is far enough from the present touches (n,)."""
+    if not len(unknowns.touches):
         return np.ones(len(places), bool)
-    away = np.linalg.norm(places[:, None] - point.touches[:, :2], axis=2)
-    free: NDArray[np.bool_] = (away > CLOSEST * problem.habits.separation).all(axis=1)
-    return free
+    away = np.linalg.norm(places[:, None] - unknowns.touches[:, :2], axis=2)
+    apart: NDArray[np.bool_] = (away > LEAST_DISTANCE * objective.prior.separation).all(axis=1)
+    return apart

@@ -1,4 +1,4 @@
-"""Learning the joint method's model of the sensor from a dataset."""
+"""Training of the joint method: its model of the sensor, learned from a dataset."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -13,14 +13,14 @@ from eitskin.errors import DataError
 from eitskin.extras import require
 from eitskin.geometry.design.surface import Surface
 from eitskin.simulator.instrument.drift import DRIFT_TIME
-from eitskin.training.joint.bend_curve import BendCurves
+from eitskin.training.joint.bend_curve import BendCurvePrior
 from eitskin.training.joint.method import JointMethod
-from eitskin.training.joint.objective import Habits
+from eitskin.training.joint.prior import TouchPrior
 from eitskin.training.joint.specimen_features import SpecimenFeatures
 from eitskin.training.joint.symmetry import Mirror, mirrors
-from eitskin.training.joint.touch_response import Ranges, TouchResponse
-from eitskin.training.method.input_spec import Layout
-from eitskin.training.method.learning_curve import History
+from eitskin.training.joint.touch_response import InputRanges, TouchResponse
+from eitskin.training.method.input_spec import InputSpec
+from eitskin.training.method.learning_curve import LearningCurve
 from eitskin.training.method.observations import UNKNOWN_AGE
 from eitskin.training.method.settings import JointSettings, Progress, silent
 
@@ -29,38 +29,38 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-PITCH = 0.004  # m, between places that are tried for touches
-UNSEEN = 8  # every how many-th specimen is kept to measure the mismatch with
+PITCH = 0.004  # m, between positions that are tried for touches
+HOLD_OUT = 8  # every how many-th specimen is held out to estimate the mismatch
 
 
 def fit_joint(
     dataset: Dataset,
-    layout: Layout,
+    spec: InputSpec,
     settings: JointSettings,
     seed: int = 0,
     progress: Progress = silent,
 ) -> JointMethod:
-    """Learn from all frames of `dataset`.
+    """Learn features, response, bend curves, priors and proposals from all frames of a dataset.
 
-    Raises DataError where it holds too little: touches of known place and force, untouched frames
-    at known angles, and idle frames.
+    Raises DataError where it holds too few touches of known position and force, untouched frames at
+    known angles, or idle frames.
     """
     require("torch", "training")
-    from eitskin.training.joint.proposal_training import Model, fit_proposals
+    from eitskin.training.joint.proposal_training import SyntheticFrames, fit_proposals
 
     data = _usable(dataset)
-    images = mirrors(layout.design, layout.protocol)
+    images = mirrors(spec.design, spec.protocol)
     features = SpecimenFeatures.fit(np.abs(data.reference[np.unique(data.specimen)]), images)
     noise = _noise(data, images)
-    habits, ranges = _habits(data, layout), _ranges(data, layout)
+    touch_prior, ranges = _touch_prior(data, spec), _ranges(data, spec)
     progress("bend curve", 0, 1)
     curves = _curves(data, features, images, noise, settings.drift)
     progress("bend curve", 1, 1)
-    response, response_history = _response(
+    response, response_curve = _response(
         data, features, images, ranges, noise, settings, seed, progress
     )
-    proposals, proposals_history = fit_proposals(
-        Model(response, curves, habits, noise), settings.proposals, seed, progress
+    proposals, proposals_curve = fit_proposals(
+        SyntheticFrames(response, curves, touch_prior, noise), settings.proposals, seed, progress
     )
     radius = float(np.nanmedian(data.touch_radius))
     return JointMethod(
@@ -68,22 +68,22 @@ def fit_joint(
         response,
         curves,
         proposals,
-        habits,
+        touch_prior,
         noise,
         settings.drift,
-        _places(layout, habits),
+        _places(spec, touch_prior),
         radius,
-        layout.outline,
-        layout.pixels,
-        layout.protocol,
-        {"response": response_history, "proposals": proposals_history},
+        spec.outline,
+        spec.pixels,
+        spec.protocol,
+        {"response": response_curve, "proposals": proposals_curve},
     )
 
 
 def _usable(dataset: Dataset) -> Dataset:
-    """Frames without bad measurements, and of time series only where there are few others.
+    """Frames without bad measurements; frames of time series only where there are few others.
 
-    In time series gels creep: forces then say less about dents.
+    Gels creep in time series, which loosens the relation of force and indentation.
     """
     good = (dataset.status == 0).all(axis=1) & np.isfinite(dataset.bend_angle_deg)
     data = dataset.select(good)
@@ -91,9 +91,9 @@ def _usable(dataset: Dataset) -> Dataset:
     single = length[number] == 1
     data = data.select(single) if single.mean() > 0.5 else data
     found = {
-        "touched frames with known places, forces and radii": int(_placed(data).sum()),
+        "touched frames with known places, forces and radii": int(_is_touched(data).sum()),
         "bent frames": int(np.sum(data.bend_angle_deg != 0)),
-        "untouched frames with a reference": int(_quiet(data).sum()),
+        "untouched frames with a reference": int(_is_untouched(data).sum()),
     }
     if min(found.values()) < 100:
         said = ", ".join(f"{count} {what}" for what, count in found.items())
@@ -104,23 +104,25 @@ def _usable(dataset: Dataset) -> Dataset:
     return data
 
 
-def _placed(data: Dataset) -> NDArray[np.bool_]:
+def _is_touched(data: Dataset) -> NDArray[np.bool_]:
+    """Whether each frame (n,) has touches of known force and radius and a reference."""
     count = data.touch_count
     known = [np.isfinite(v).sum(axis=1) == count for v in (data.touch_force, data.touch_radius)]
     referenced = np.isfinite(data.touch_reference).all(axis=1)
-    placed: NDArray[np.bool_] = (count > 0) & known[0] & known[1] & referenced
-    return placed
+    touched: NDArray[np.bool_] = (count > 0) & known[0] & known[1] & referenced
+    return touched
 
 
-def _quiet(data: Dataset) -> NDArray[np.bool_]:
+def _is_untouched(data: Dataset) -> NDArray[np.bool_]:
+    """Whether each frame (n,) is untouched and has a reference at the same bend."""
     referenced = np.isfinite(data.touch_reference).all(axis=1)
-    quiet: NDArray[np.bool_] = (data.state != State.TOUCH) & referenced
-    return quiet
+    untouched: NDArray[np.bool_] = (data.state != State.TOUCH) & referenced
+    return untouched
 
 
 def _noise(data: Dataset, images: Sequence[Mirror]) -> Array:
-    """Standard deviation of log V in one frame (C,); mirror images have the same."""
-    quiet = _quiet(data)
+    """Standard deviation of log V in one frame (C,), averaged over mirror images."""
+    quiet = _is_untouched(data)
     change = _log(data.impedance[quiet], data.touch_reference[quiet])
     variance = np.mean(change**2, axis=0) / (1.0 + 1.0 / data.reference_frames)
     floor = 1e-12  # noise-free training sets
@@ -128,37 +130,18 @@ def _noise(data: Dataset, images: Sequence[Mirror]) -> Array:
     return noise
 
 
-def _habits(data: Dataset, layout: Layout) -> Habits:
-    x, y, force = (
-        values[_placed(data)] for values in (data.touch_x, data.touch_y, data.touch_force)
-    )
-    length, width = layout.outline
-    low = [max(0.0, np.nanmin(x) - 0.003), max(0.0, np.nanmin(y) - 0.003), 0.3 * np.nanmin(force)]
-    high = [
-        min(length, np.nanmax(x) + 0.003),
-        min(width, np.nanmax(y) + 0.003),
-        1.3 * np.nanmax(force),
-    ]
-    apart = [
-        np.hypot(x[:, i] - x[:, j], y[:, i] - y[:, j]) for i in range(x.shape[1]) for j in range(i)
-    ]
-    distances = np.concatenate(apart)
-    distances = distances[np.isfinite(distances)]
-    separation = (
-        float(distances.min()) if len(distances) else 2 * float(np.nanmax(data.touch_radius))
-    )
-    mean = float(np.nanmean(force))
-    # Specimens feel the same force more or less strongly, by a tenth or two.
-    deviation = float(np.hypot(np.nanstd(force), 0.15 * mean))
-    return Habits(
-        separation, (mean, deviation), np.array(low, dtype=float), np.array(high, dtype=float)
-    )
+def _touch_prior(data: Dataset, spec: InputSpec) -> TouchPrior:
+    """Prior of touches, from the touched frames."""
+    columns = (data.touch_x, data.touch_y, data.touch_force)
+    x, y, force = (values[_is_touched(data)] for values in columns)
+    return TouchPrior.fit(x, y, force, spec.outline, float(np.nanmax(data.touch_radius)))
 
 
-def _ranges(data: Dataset, layout: Layout) -> Ranges:
+def _ranges(data: Dataset, spec: InputSpec) -> InputRanges:
+    """Ranges of force and angle that the dataset covers."""
     force, angle = data.touch_force, data.bend_angle_deg
-    return Ranges(
-        layout.outline,
+    return InputRanges(
+        spec.outline,
         (float(np.nanmin(force)), float(np.nanmax(force))),
         (float(angle.min()), float(angle.max())),
     )
@@ -170,20 +153,22 @@ def _curves(
     images: Sequence[Mirror],
     noise: Array,
     drift: float,
-) -> BendCurves:
-    """From bent frames, and the references of touches on the bent sensor."""
+) -> BendCurvePrior:
+    """Bend curves, from bent frames and the references of touches on the bent sensor."""
     bent = data.bend_angle_deg != 0
     untouched = bent & (data.state != State.TOUCH)
-    referenced = bent & _placed(data)
+    referenced = bent & _is_touched(data)
     rows = np.concatenate([np.flatnonzero(untouched), np.flatnonzero(referenced)])
     values = np.concatenate([data.impedance[untouched], data.touch_reference[referenced]])
     specimen = data.specimen[rows].astype(np.int64)
     flat = np.abs(data.reference[specimen]).astype(float)
     change = _log(values, flat)
-    own_noise = 1.0 if data.source == "simulated" else 2.0  # theirs are compared with no noise
+    own_noise = (
+        1.0 if data.source == "simulated" else 2.0
+    )  # references of simulated sets are free of noise
     covariance = np.diag(own_noise * noise**2) + drift**2 * UNKNOWN_AGE / DRIFT_TIME
     count = int(specimen.max()) + 1
-    return BendCurves.fit(
+    return BendCurvePrior.fit(
         np.tile(data.bend_angle_deg[rows].astype(float), len(images)),
         np.concatenate([change[:, m.order] for m in images]),
         np.concatenate([features.apply(flat[:, m.order]) for m in images]),
@@ -196,15 +181,16 @@ def _response(
     data: Dataset,
     features: SpecimenFeatures,
     images: Sequence[Mirror],
-    ranges: Ranges,
+    ranges: InputRanges,
     noise: Array,
     settings: JointSettings,
     seed: int,
     progress: Progress,
-) -> "tuple[TouchResponse, History]":
+) -> "tuple[TouchResponse, LearningCurve]":
+    """Touch response, from touched frames and their mirror images."""
     from eitskin.training.joint.response_training import TouchFrames, fit_response
 
-    touched = data.select(_placed(data))
+    touched = data.select(_is_touched(data))
     _, specimen = np.unique(touched.specimen, return_inverse=True)
     flat = np.abs(touched.reference[touched.specimen]).astype(float)
     change = _log(touched.impedance, touched.touch_reference)
@@ -223,38 +209,41 @@ def _response(
     frames = TouchFrames(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
     variance = (1.0 + 1.0 / data.reference_frames) * noise**2
     rms = float(np.sqrt(np.mean(variance)))
-    unseen = frames.specimen % UNSEEN == UNSEEN - 1
-    kept = frames[~unseen] if unseen.any() else frames
-    response, history = fit_response(kept, ranges, rms, settings.response, seed, progress)
-    checked = frames[unseen] if unseen.any() else frames
-    return replace(response, mismatch=_mismatch(response, checked, variance)), history
+    held_out = frames.specimen % HOLD_OUT == HOLD_OUT - 1
+    kept = frames[~held_out] if held_out.any() else frames
+    response, curve = fit_response(kept, ranges, rms, settings.response, seed, progress)
+    checked = frames[held_out] if held_out.any() else frames
+    return replace(response, mismatch=_mismatch(response, checked, variance)), curve
 
 
 def _mismatch(response: TouchResponse, frames: "TouchFrames", variance: Array) -> float:
-    """Error of the response over its size, where both are summed over all channels."""
-    excess = size = 0.0
+    """Relative rms error of the response on `frames`, over all channels.
+
+    The strength of each frame and its q are fitted, because the fit estimates forces and allows for
+    q.
+    """
+    squares = size = 0.0
     for i in range(min(len(frames.change), 2000)):
         touches = frames.touches[i][np.isfinite(frames.touches[i][:, 0])]
         said = response.of(frames.features[i])(touches, float(frames.angle_deg[i]))
-        # A common strength is no error of place, the fit has the forces for it; q it allows for.
         specimen = response.of(frames.features[i])
-        shapes = specimen.unseen(touches, float(frames.angle_deg[i]))
+        shapes = specimen.latent_changes(touches, float(frames.angle_deg[i]))
         columns = np.concatenate([said.sum(axis=0)[None], shapes])
         metric = np.diag(np.append(0.0, np.ones(len(shapes)))) * np.mean(variance)
         fitted = np.linalg.solve(columns @ columns.T + metric, columns @ frames.change[i])
-        excess += float(np.sum((frames.change[i] - fitted @ columns) ** 2 - variance))
+        squares += float(np.sum((frames.change[i] - fitted @ columns) ** 2 - variance))
         size += float(np.sum((fitted[0] * said) ** 2))
-    return float(np.sqrt(max(excess / size, 1e-6)))
+    return float(np.sqrt(max(squares / size, 1e-6)))
 
 
-def _places(layout: Layout, habits: Habits) -> Array:
-    """A grid over where touches were seen, on the sensor (n, 2) [m]."""
+def _places(spec: InputSpec, touch_prior: TouchPrior) -> Array:
+    """Grid of candidate positions on the sensor, within the prior's bounds (n, 2) [m]."""
     axes = [
         np.linspace(low, high, max(2, round((high - low) / PITCH) + 1))
-        for low, high in zip(habits.low[:2], habits.high[:2], strict=True)
+        for low, high in zip(touch_prior.low[:2], touch_prior.high[:2], strict=True)
     ]
     places = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
-    outline = layout.design.outline
+    outline = spec.design.outline
     return places if isinstance(outline, Surface) else places[outline.contains(places)]
 
 

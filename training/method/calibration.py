@@ -1,4 +1,4 @@
-"""Adapting a trained pipeline to one sensor, from untouched frames at known angles."""
+"""Calibration of a trained pipeline to one sensor, from untouched frames at known angles."""
 
 import warnings
 from collections.abc import Sequence
@@ -10,13 +10,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.frame import Frame
-from eitskin.training.method.input_spec import Layout
+from eitskin.training.method.input_spec import InputSpec
 
 Array = NDArray[np.float64]
 
-FLAT_DEG = 0.05  # up to which a sensor counts as flat
-LARGEST_RESIDUAL = 0.25  # of the root mean square of the known angles, ...
-LEAST_ALLOWED_DEG = 1.0  # ... and this where those are small [deg]
+FLAT_DEG = 0.05  # angle up to which a sensor counts as flat
+LARGEST_RESIDUAL = 0.25  # relative to the root mean square of the known angles
+LEAST_ALLOWED_DEG = 1.0  # residual that is allowed however small the angles
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,10 +25,10 @@ class KnownBends:
 
     Attributes:
         flat: mean magnitudes of the flat frames (C,) [ohm]; NaN where a measurement is bad.
-        flat_frames: how many they were.
-        angle_deg: of the n bent frames (n,) [deg].
+        flat_frames: number of flat frames.
+        angle_deg: known angles of the n bent frames (n,) [deg].
         change: of log V from the flat sensor (n, C); NaN where a measurement is bad.
-        age: since the first flat frame (n,) [s].
+        age: time since the first flat frame (n,) [s].
     """
 
     flat: Array
@@ -38,8 +38,13 @@ class KnownBends:
     age: Array
 
     @classmethod
-    def of(cls, frames: Sequence[Frame], angles_deg: ArrayLike, layout: Layout) -> "KnownBends":
+    def of(cls, frames: Sequence[Frame], angles_deg: ArrayLike, spec: InputSpec) -> "KnownBends":
         """Sort frames into flat and bent ones.
+
+        Args:
+            frames: untouched frames of one session.
+            angles_deg: one for each frame [deg].
+            spec: of the pipeline.
 
         Raises:
             ConfigurationError: without a flat frame, a bent one, or an angle for each.
@@ -60,11 +65,11 @@ class KnownBends:
                 "calibration needs at least one frame of the flat sensor (0 deg) and one of the "
                 f"bent sensor, got {int(flat.sum())} and {int((~flat).sum())}"
             )
-        values = np.log(np.abs([layout.voltages(frame)[0] for frame in frames]))
-        with warnings.catch_warnings():  # a measurement that is bad in every flat frame stays NaN
+        values = np.log(np.abs([spec.voltages(frame)[0] for frame in frames]))
+        with warnings.catch_warnings():  # a measurement bad in every flat frame stays NaN
             warnings.simplefilter("ignore", RuntimeWarning)
             reference = np.nanmean(values[flat], axis=0)
-        layout.require_same_sensor(np.exp(reference).astype(np.complex128))
+        spec.require_same_sensor(np.exp(reference).astype(np.complex128))
         time = np.array([frame.time for frame in frames])
         return cls(
             np.exp(reference),
@@ -77,14 +82,14 @@ class KnownBends:
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """What a calibration did.
+    """Result of a calibration: errors of the angle before and after.
 
     Attributes:
-        angles_deg: at which errors are stated [deg].
-        error_before_deg: standard error of the angle of a frame there, before [deg].
-        error_after_deg: the same with the calibrated pipeline [deg].
-        residual_deg: root mean square of estimated less known angles of the calibration frames
-            themselves, after [deg].
+        angles_deg: angles at which standard errors are stated [deg].
+        error_before_deg: standard error of one frame's angle before calibration [deg].
+        error_after_deg: standard error of one frame's angle after calibration [deg].
+        residual_deg: root mean square of estimated minus known angles of the calibration frames,
+            after calibration [deg].
     """
 
     angles_deg: tuple[float, ...]
@@ -93,10 +98,11 @@ class Calibration:
     residual_deg: float
 
     def require_fit(self, known: KnownBends) -> None:
-        """Refuse angles that the frames cannot have been taken at; raises DataError.
+        """Refuse known angles that contradict the frames; raises DataError.
 
         With the shipped pipeline and a simulated sensor, at -20 to 50 deg, the residual is 0.2 deg;
-        with angles of the other sign 12 deg, in another order 21 deg, where it stayed flat 28 deg.
+        with angles of the other sign 12 deg, in another order 21 deg, with a sensor that
+        stayed flat 28 deg.
         """
         size = float(np.sqrt(np.mean(known.angle_deg**2)))
         allowed = max(LEAST_ALLOWED_DEG, LARGEST_RESIDUAL * size)
@@ -110,6 +116,6 @@ class Calibration:
             )
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain data, as JSON takes it."""
+        """Plain data for JSON."""
         values = {name: getattr(self, name) for name in self.__slots__}
         return {name: list(v) if isinstance(v, tuple) else v for name, v in values.items()}

@@ -1,4 +1,4 @@
-"""What a pipeline was trained for, and the refusal of frames of anything else."""
+"""Input specification of a pipeline: sensor, protocol and units; refusal of other frames."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -14,24 +14,22 @@ from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.protocol import Protocol
 
 FREQUENCY_TOLERANCE = 0.01  # relative
-LARGEST_SCALE = (
-    5.0  # of values over those trained with; gels scatter by less, boards' units by more
-)
+LARGEST_SCALE = 5.0  # factor common to all values; gels scatter by less, wrong units by more
 LARGEST_SPREAD = 0.10  # of log ratios; contacts that scatter by 50 % give 0.07, wrong wiring 0.15
 PIXELS = 2560  # of a map; on the reference sensor 32 x 80 squares of 1.875 mm
 FEWEST_CHANNELS = 0.5  # share of a frame that must be usable
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Layout:
+class InputSpec:
     """Sensor, measurements and units that a pipeline was trained for.
 
     Attributes:
         design: the nominal sensor.
         protocol: the table of measurements.
         frequency: of the excitation [Hz].
-        reference: magnitudes of the flat, untouched sensor, the median of the specimens trained
-            with, (measurements,) [ohm].
+        reference: magnitudes of the flat, untouched sensor (measurements,) [ohm]; median over the
+            specimens trained with.
     """
 
     design: SensorDesign
@@ -40,7 +38,7 @@ class Layout:
     reference: NDArray[np.float64]
 
     def document(self) -> dict[str, Any]:
-        """All but `reference` as JSON takes it."""
+        """Plain data for JSON, without `reference`."""
         return {
             "design": to_dict(self.design),
             "protocol": asdict(self.protocol),
@@ -49,8 +47,8 @@ class Layout:
         }
 
     @classmethod
-    def from_document(cls, document: Mapping[str, Any], reference: NDArray[Any]) -> "Layout":
-        """The layout that `document` came from; raises ConfigurationError where it does not fit."""
+    def from_document(cls, document: Mapping[str, Any], reference: NDArray[Any]) -> "InputSpec":
+        """Restore the specification; raises ConfigurationError where `document` is not valid."""
         design = from_dict(SensorDesign, document["design"], "layout.design")
         protocol = from_dict(Protocol, document["protocol"], "layout.protocol")
         return cls(design, protocol, float(document["frequency"]), reference.astype(float))
@@ -62,17 +60,18 @@ class Layout:
 
     @property
     def pixels(self) -> tuple[int, int]:
-        """Rows and columns of maps: about `PIXELS` square ones, multiples of eight for networks."""
+        """Rows and columns of maps: about `PIXELS` squares, multiples of eight for the networks."""
         length, width = self.outline
         side = (length * width / PIXELS) ** 0.5
         rows, columns = (8 * max(1, round(extent / side / 8)) for extent in (width, length))
         return rows, columns
 
     def voltages(self, frame: Frame) -> tuple[NDArray[np.complex128], tuple[str, ...]]:
-        """The frame's values, NaN where a channel is bad, and what is bad about it in words.
+        """Values of a frame (measurements,) [ohm], NaN where bad, and its problems in words.
 
-        Raises FrameError for a frame of another table, electrode count or frequency, or one
-        without enough good channels.
+        Raises:
+            FrameError: for a frame of another table, electrode count or frequency.
+            UnusableFrameError: for a frame with too few good channels.
         """
         self.require_same_measurements(frame.protocol, frame.frequency)
         good = np.isfinite(frame.impedance) & (frame.status == 0) & (frame.impedance != 0)
@@ -90,7 +89,7 @@ class Layout:
         return np.where(good, frame.impedance, np.nan), problems
 
     def require_same_measurements(self, protocol: Protocol, frequency: float) -> None:
-        """Refuse measurements other than those trained with; raises FrameError."""
+        """Refuse a protocol or frequency [Hz] other than the trained one; raises FrameError."""
         if protocol.n_electrodes != self.protocol.n_electrodes:
             raise FrameError(
                 f"this pipeline was trained for {self.protocol.n_electrodes} electrodes, the "
@@ -109,12 +108,12 @@ class Layout:
             )
 
     def require_same_sensor(self, voltages: NDArray[np.complex128]) -> None:
-        """Refuse a first frame (measurements,) [ohm] that no sensor of this layout gives.
+        """Refuse a first frame (measurements,) [ohm] of another sensor; raises FrameError.
 
-        One factor common to all channels, the median, is the gel's conductivity or the board's
-        gain; it may be up to `LARGEST_SCALE`. What remains of the log ratios to the trained
-        reference is contacts and geometry; its root mean square may be `LARGEST_SPREAD`. (A
-        median of it would not do: two swapped electrodes leave most channels as they were.)
+        The median of the log ratios to the trained reference is a common factor, the gel's
+        conductivity or the board's gain; `LARGEST_SCALE` limits it. The remainder is due to
+        contacts and geometry; `LARGEST_SPREAD` limits its root mean square. (A median would
+        overlook two swapped electrodes, which leave most channels unchanged.)
         """
         known = np.flatnonzero(np.isfinite(voltages))
         logs = np.log(np.abs(voltages[known] / self.reference[known]))

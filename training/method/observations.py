@@ -1,33 +1,50 @@
-"""What a method is told of frames: their relative differences to both references."""
+"""Input of a perception method: relative differences of frames to both references."""
 
 import hashlib
 from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.state import State
 from eitskin.errors import DataError
-from eitskin.training.method.references import relative_difference
 
 Array = NDArray[np.float64]
 
 UNKNOWN_AGE = 5.0
-"""Of the static references of a dataset, which does not say when they were taken [s]."""
+"""Assumed age of a dataset's static references, which carry no time [s]."""
+
+
+def relative_difference(impedance: ArrayLike, reference: ArrayLike) -> NDArray[np.float64]:
+    """Real part of dV = (V - ref) / ref per channel, dimensionless.
+
+    The sensor is resistive: bends and touches change the magnitude, whose relative change is the
+    real part to first order; the imaginary part holds noise and phase error only. A phase or gain
+    common to V and ref cancels. NaN where V or ref is NaN.
+
+    Args:
+        impedance: V (..., measurements) [ohm].
+        reference: ref (..., measurements) [ohm].
+    """
+    V, ref = np.asarray(impedance), np.asarray(reference)
+    with np.errstate(invalid="ignore"):  # complex NaN marks a bad channel
+        difference: NDArray[np.float64] = np.real((V - ref) / ref).astype(float)
+    return difference
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Observed:
+class Observations:
     """n frames of C measurements beside their references; NaN where a measurement is bad.
 
     Attributes:
-        static: dV from the flat untouched sensor (n, C), dimensionless.
-        dynamic: dV from the untouched sensor at the same bend, or what a session takes for it.
-        flat: magnitudes of the flat untouched sensor (n, C) [ohm].
-        frames: how many frames of a held touch were averaged for each (n,).
-        static_frames, dynamic_frames: how many frames were averaged for the references (n,).
-        age, dynamic_age: since the static and the dynamic reference were last renewed (n,) [s].
+        static: dV from the flat, untouched sensor (n, C), dimensionless.
+        dynamic: dV from the untouched sensor at the same bend (n, C), or from a session's estimate
+            of that reference.
+        flat: magnitudes of the flat, untouched sensor (n, C) [ohm].
+        frames: number of frames of a held touch averaged into each (n,).
+        static_frames, dynamic_frames: number of frames averaged into the references (n,).
+        age, dynamic_age: time since the static, the dynamic reference was renewed (n,) [s].
     """
 
     static: Array
@@ -40,10 +57,11 @@ class Observed:
     dynamic_age: Array
 
     @classmethod
-    def of(cls, dataset: Dataset) -> "Observed":
-        """All frames, each by itself; the static reference stands in where no other is known.
+    def of(cls, dataset: Dataset) -> "Observations":
+        """All frames of a dataset, each independent of the others.
 
-        Static references of simulated sets are free of noise.
+        The static reference replaces an unknown dynamic one. Static references of simulated
+        datasets are free of noise.
         """
         flat = dataset.reference[dataset.specimen]
         known = np.isfinite(dataset.touch_reference).all(axis=1, keepdims=True)
@@ -64,20 +82,22 @@ class Observed:
         """Number of frames."""
         return len(self.static)
 
-    def __getitem__(self, rows: slice | NDArray[np.generic]) -> "Observed":
+    def __getitem__(self, rows: slice | NDArray[np.generic]) -> "Observations":
         """The frames of `rows` (slice, integers or mask)."""
-        return Observed(*(getattr(self, field.name)[rows] for field in fields(self)))
+        return Observations(*(getattr(self, field.name)[rows] for field in fields(self)))
 
     def arrays(self) -> dict[str, Array]:
-        """By name."""
+        """Attributes by name."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
 
-def noise_of(dataset: Dataset, observed: Observed) -> float:
-    """Rms of the difference of two frames of an untouched sensor at one bend.
+def frame_noise(dataset: Dataset, observations: Observations) -> float:
+    """Rms relative difference of two frames of an untouched sensor at one bend.
 
-    Idle and bent frames against their own dynamic reference are all noise; where that is unknown,
-    idle frames against the flat sensor. Raises DataError where there are none of these.
+    Idle and bent frames differ from their own dynamic reference by noise alone; where that is
+    unknown, idle frames differ so from the flat sensor.
+
+    Raises DataError where the dataset has no such frames.
     """
     known = np.isfinite(dataset.touch_reference).all(axis=1)
     idle = dataset.state == State.IDLE
@@ -87,9 +107,9 @@ def noise_of(dataset: Dataset, observed: Observed) -> float:
             "a pipeline learns the noise from idle frames, and this dataset has none; record or "
             "generate some"
         )
-    return float(np.sqrt(np.nanmean(observed.dynamic[quiet] ** 2)))
+    return float(np.sqrt(np.nanmean(observations.dynamic[quiet] ** 2)))
 
 
 def fingerprint(dataset: Dataset) -> str:
-    """SHA-256 of all frames in their order: whether two datasets are the same."""
+    """SHA-256 of all frames in their order, by which a pipeline knows its own training set."""
     return hashlib.sha256(np.ascontiguousarray(dataset.impedance).tobytes()).hexdigest()

@@ -1,4 +1,4 @@
-"""What a pipeline's method says of frames, whichever method it is."""
+"""Output of a perception method: state, bend angle, touches and touch map of n frames."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,10 +15,10 @@ class FoundTouches:
 
     Attributes:
         place: x and y in coordinates of the flat sensor (k, 2) [m].
-        strength: how sure or how strong, 0 to 1, (k,).
-        force: (k,) [N]; NaN where the method does not say.
-        deviation: standard error of the place, sqrt(var x + var y), (k,) [m]; NaN where the
-            method does not say.
+        strength: confidence or relative strength, 0 to 1, (k,).
+        force: (k,) [N]; NaN where the method does not estimate it.
+        deviation: standard error of the position, sqrt(var x + var y), (k,) [m]; NaN where the
+            method does not estimate it.
     """
 
     place: Array
@@ -34,7 +34,7 @@ class FoundTouches:
         force: ArrayLike | None = None,
         deviation: ArrayLike | None = None,
     ) -> "FoundTouches":
-        """Touches in any order; what is left out is not known."""
+        """Sort touches by strength; force and deviation are NaN where not given."""
         size = np.asarray(strength, dtype=float).reshape(-1)
         order = np.argsort(-size, kind="stable")
 
@@ -51,7 +51,7 @@ class FoundTouches:
         )
 
     def __len__(self) -> int:
-        """How many."""
+        """Number of touches."""
         return len(self.strength)
 
     @property
@@ -65,16 +65,17 @@ NO_TOUCHES = FoundTouches.of((), ())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Perceived:
-    """What a method says of n frames.
+class Predictions:
+    """Predictions of a method for n frames.
 
     Attributes:
-        probabilities: of `State` (n, 3).
+        probabilities: of the three states, in the order of `State` (n, 3).
         bend_angle_deg: (n,) [deg].
-        bend_deviation_deg: its standard error (n,) [deg]; NaN where the method does not say.
+        bend_deviation_deg: standard error of the angle (n,) [deg]; NaN where the method does not
+            estimate it.
         touch_map: (n, rows, columns), 0 to 1; zero in frames that are not touched.
         touches: of each frame.
-        problems: of each frame, in words; what makes its estimate doubtful.
+        problems: of each frame, reasons to doubt its predictions, in words.
     """
 
     probabilities: Array
@@ -85,8 +86,8 @@ class Perceived:
     problems: tuple[tuple[str, ...], ...]
 
     @classmethod
-    def joined(cls, parts: "Sequence[Perceived]") -> "Perceived":
-        """The frames of all parts, in their order."""
+    def joined(cls, parts: "Sequence[Predictions]") -> "Predictions":
+        """Concatenate the frames of all parts, in their order."""
         return cls(
             np.concatenate([part.probabilities for part in parts]),
             np.concatenate([part.bend_angle_deg for part in parts]),
@@ -101,3 +102,7 @@ class Perceived:
         """The most probable `State` of each frame (n,)."""
         state: NDArray[np.int64] = self.probabilities.argmax(axis=1)
         return state
+
+
+Perceived = Predictions
+"""Name of `Predictions` in version 0.1."""

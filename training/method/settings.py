@@ -1,4 +1,4 @@
-"""What a training run is told: hyper-parameters of the networks, and the seed."""
+"""Settings of a training run: method, hyper-parameters of the networks, seed."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -8,23 +8,23 @@ from eitskin.errors import ConfigurationError
 METHODS = ("joint", "paper")
 
 Progress = Callable[[str, int, int], None]
-"""Called with the name of a stage, how much of it is done and how much there is."""
+"""Callback with the name of a stage, the steps done and their total number."""
 
 
 def silent(stage: str, done: int, total: int) -> None:
-    """A progress callback that says nothing."""
+    """Progress callback that does nothing."""
 
 
 @dataclass(frozen=True, slots=True)
 class NetworkSettings:
-    """How one network is trained, with Adam.
+    """Hyper-parameters of one network, trained with Adam.
 
     Attributes:
-        learning_rate: the highest one where `one_cycle`.
+        learning_rate: constant, or the highest of the one-cycle schedule.
         epochs: passes over the training frames.
         batch: frames per step.
-        one_cycle: warm up to the learning rate and anneal to nothing, instead of keeping it.
-        noise: rms of fresh noise on dV in every step, in units of the noise of the frames.
+        one_cycle: warm up to the learning rate and anneal to zero.
+        noise: rms noise added to dV in every step, relative to the noise of the frames.
     """
 
     learning_rate: float
@@ -43,14 +43,14 @@ class NetworkSettings:
 
 @dataclass(frozen=True, slots=True)
 class JointSettings:
-    """How the joint method learns its model of the sensor.
+    """Settings of the joint method's training.
 
     Attributes:
-        response: training of the network that says what touches do.
-        proposals: training of the network whose places the fit starts from; an epoch is a hundred
-            steps, on frames made up from the learned model.
-        drift: standard deviation after four hours of the factor that all measurements of a session
-            share: the gel dries and warms by a percent or two, the electronics drift by 0.2 %.
+        response: of the network of the touch response.
+        proposals: of the network that proposes positions; an epoch is a hundred steps on synthetic
+            frames.
+        drift: standard deviation after four hours of the factor common to all measurements: the gel
+            dries and warms by a percent or two, the electronics drift by 0.2 %.
     """
 
     response: NetworkSettings = NetworkSettings(6e-3, epochs=60, batch=512)
@@ -65,16 +65,16 @@ class JointSettings:
 
 @dataclass(frozen=True, slots=True)
 class TrainingSettings:
-    """How a pipeline is trained.
+    """Settings of a pipeline's training.
 
     Attributes:
         method: "joint", which fits a learned model of the sensor to each frame, or "paper", the
             stages of the paper.
         joint: of the joint method.
-        classifier: of the three states.
-        postprocessor: of the touch map.
-        bend_free_map: whether the classifier also sees a map that bending leaves dark.
-        compressed_maps: whether it sees asinh of maps, instead of standardised ones.
+        classifier: of the paper's classifier of states.
+        postprocessor: of the paper's touch map network.
+        bend_free_map: whether the classifier also sees a map that is insensitive to bending.
+        compressed_maps: whether the classifier sees asinh of maps instead of standardised maps.
         bend_squares: whether the regression of the angle may also select squares of dV.
         seed: of the split, the initial weights, the order of frames and added noise.
     """
@@ -97,9 +97,9 @@ class TrainingSettings:
 
     @property
     def fractions(self) -> tuple[float, float, float]:
-        """Training, validation and test part of a dataset: the paper's 60/20/20.
+        """Shares of a dataset for training, validation and testing.
 
-        The joint method learns from four fifths, and validates on a part of those.
+        The paper's method uses the paper's 60/20/20, the joint method 80/10/10.
         """
         return (0.8, 0.1, 0.1) if self.method == "joint" else (0.6, 0.2, 0.2)
 
@@ -107,9 +107,9 @@ class TrainingSettings:
     def preset(cls, name: str, seed: int = 0) -> "TrainingSettings":
         """Settings by name: "joint", "quick" or "paper".
 
-        "paper" is the paper in every stage; `PaperMethod` lists what that leaves open. "quick" has
-        the same stages, trained faster, a classifier that also sees a map which bending leaves
-        dark, both compressed, and an angle that may be curved in dV.
+        "paper" follows the paper in every stage; `PaperMethod` lists its open choices. "quick" has
+        the same stages, trained faster: the classifier also sees a map insensitive to bending, both
+        compressed, and the angle may be quadratic in dV.
         """
         if name == "joint":
             return cls(method="joint", seed=seed)
@@ -127,7 +127,7 @@ class TrainingSettings:
         raise ConfigurationError(f"preset must be 'joint', 'quick' or 'paper', got '{name}'")
 
     def with_epochs(self, epochs: int) -> "TrainingSettings":
-        """The same with another number of passes for all networks."""
+        """Settings with another number of epochs for all networks but the proposals."""
         return replace(
             self,
             joint=replace(self.joint, response=replace(self.joint.response, epochs=epochs)),

@@ -7,11 +7,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from eitskin.datasets.store.state import State
 from eitskin.extras import require
-from eitskin.training.method.learning_curve import History
+from eitskin.training.method.learning_curve import LearningCurve
 from eitskin.training.method.settings import NetworkSettings, Progress, silent
 
 if TYPE_CHECKING:
-    from eitskin.training.method.networks import StateNetwork
+    from eitskin.training.paper.networks import StateNetwork
 
 
 class Classifier:
@@ -36,14 +36,14 @@ class Classifier:
         embedding: NDArray[np.float64],
         shape: tuple[int, int],
         compress: bool,
-        history: History | None = None,
+        history: LearningCurve | None = None,
     ) -> None:
         """Wrap a trained network."""
         self.network = network
         self.embedding = embedding
         self.shape = shape
         self.compress = compress
-        self.history = history or History()
+        self.history = history or LearningCurve()
 
     @classmethod
     def fit(
@@ -77,13 +77,8 @@ class Classifier:
         require("torch", "training")
         import torch
 
-        from eitskin.training.method.networks import (
-            Samples,
-            StateNetwork,
-            noisy_maps,
-            seeded,
-            train,
-        )
+        from eitskin.training.method.network_training import Samples, seeded, train
+        from eitskin.training.paper.networks import StateNetwork, noisy_maps
 
         states = np.asarray(state, dtype=np.int64)
         scaled = _scaled(
@@ -117,7 +112,7 @@ class Classifier:
 
     def apply(self, difference: ArrayLike) -> NDArray[np.float64]:
         """Probabilities (n, 3) of idle, touch and bend for dV (n, measurements)."""
-        from eitskin.training.method.networks import evaluate
+        from eitskin.training.paper.networks import evaluate
 
         dV = np.asarray(difference, dtype=float)
         maps = np.stack([dV @ layer.T for layer in self.embedding], axis=1)
@@ -130,7 +125,7 @@ class Classifier:
 
     def arrays(self) -> dict[str, NDArray[np.generic]]:
         """What `from_arrays` needs to make this stage again."""
-        from eitskin.training.method.networks import weights_of
+        from eitskin.training.paper.networks import weights_of
 
         return {
             "embedding": self.embedding,
@@ -145,12 +140,12 @@ class Classifier:
     ) -> "Classifier":
         """The stage that `arrays` came from, for maps of `shape`."""
         require("torch", "training")
-        from eitskin.training.method.networks import StateNetwork, with_weights
+        from eitskin.training.paper.networks import StateNetwork, with_weights
 
         embedding = arrays["embedding"].astype(float)
         network = with_weights(StateNetwork(shape, len(embedding)), arrays)
         compress = bool(arrays["compress"])
-        return cls(network, embedding, shape, compress, History.from_arrays(arrays))
+        return cls(network, embedding, shape, compress, LearningCurve.from_arrays(arrays))
 
 
 def _scaled(

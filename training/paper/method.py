@@ -13,10 +13,10 @@ from eitskin.datasets.store.state import UNKNOWN_STATE, State
 from eitskin.datasets.store.touch_map import touch_maps
 from eitskin.errors import DataError
 from eitskin.training.method.calibration import Calibration, KnownBends
-from eitskin.training.method.input_spec import Layout
-from eitskin.training.method.learning_curve import History
-from eitskin.training.method.observations import Observed, noise_of
-from eitskin.training.method.predictions import FoundTouches, Perceived
+from eitskin.training.method.input_spec import InputSpec
+from eitskin.training.method.learning_curve import LearningCurve
+from eitskin.training.method.observations import Observations, frame_noise
+from eitskin.training.method.predictions import FoundTouches, Predictions
 from eitskin.training.method.settings import Progress, TrainingSettings, silent
 from eitskin.training.paper.bend_angle import BendAngle
 from eitskin.training.paper.bend_subspace import bend_free
@@ -70,7 +70,7 @@ class PaperMethod:
     def fit(
         cls,
         dataset: Dataset,
-        layout: Layout,
+        layout: InputSpec,
         settings: TrainingSettings,
         progress: Progress = silent,
         validation: Dataset | None = None,
@@ -85,17 +85,17 @@ class PaperMethod:
             raise DataError(
                 f"training needs idle, touch and bend frames, got {found}; add the missing ones"
             )
-        observed = Observed.of(dataset)
-        noise = noise_of(dataset, observed)
-        missing_static = MissingChannels.fit(observed.static, noise)
-        missing_dynamic = MissingChannels.fit(observed.dynamic, noise)
+        observations = Observations.of(dataset)
+        noise = frame_noise(dataset, observations)
+        missing_static = MissingChannels.fit(observations.static, noise)
+        missing_dynamic = MissingChannels.fit(observations.dynamic, noise)
 
-        def filled(data: Dataset, observed: Observed) -> Lessons:
-            static = missing_static.fill(observed.static)
-            return Lessons(data, static, missing_dynamic.fill(observed.dynamic))
+        def filled(data: Dataset, observations: Observations) -> Lessons:
+            static = missing_static.fill(observations.static)
+            return Lessons(data, static, missing_dynamic.fill(observations.dynamic))
 
-        train = filled(dataset, observed)
-        unseen = None if validation is None else filled(validation, Observed.of(validation))
+        train = filled(dataset, observations)
+        unseen = None if validation is None else filled(validation, Observations.of(validation))
         touched = dataset.state == State.TOUCH
         snr = signal_to_noise(train.dynamic[touched], noise)
         reconstruction = Reconstruction.fit(sensitivity_at(layout), snr, layout.pixels)
@@ -111,21 +111,21 @@ class PaperMethod:
             layout.outline,
         )
 
-    def perceive(self, observed: Observed) -> Perceived:
+    def perceive(self, observations: Observations) -> Predictions:
         """What n frames show.
 
         A touch disturbs the channels that tell the angle by more than a degree of bend does, so
         the angle of a touched frame is that of its dynamic reference, the sensor as the touch
         found it: V/ref_bend over V/ref_touch is ref_touch/ref_bend.
         """
-        from eitskin.training.method.networks import single_thread
+        from eitskin.training.paper.networks import single_thread
 
         with single_thread():  # more only wait for each other
-            return self._perceive(observed)
+            return self._perceive(observations)
 
-    def _perceive(self, observed: Observed) -> Perceived:
-        flat = self.missing_static.fill(observed.static)
-        free = self.missing_dynamic.fill(observed.dynamic)
+    def _perceive(self, observations: Observations) -> Predictions:
+        flat = self.missing_static.fill(observations.static)
+        free = self.missing_dynamic.fill(observations.dynamic)
         probabilities = self.classifier.apply(flat)
         touched = probabilities.argmax(axis=1) == State.TOUCH
         untouched_dV = np.where(touched[:, None], (1 + flat) / (1 + free) - 1, flat)
@@ -133,7 +133,7 @@ class PaperMethod:
         if touched.any():
             maps[touched] = self.postprocessor.apply(self.reconstruction.apply(free[touched]))
         found = (find_touches(touch_map, self.outline) for touch_map in maps)
-        return Perceived(
+        return Predictions(
             probabilities,
             self.bend_angle.apply(untouched_dV),
             np.full(len(flat), np.nan),
@@ -143,7 +143,7 @@ class PaperMethod:
         )
 
     @property
-    def histories(self) -> Mapping[str, History]:
+    def learning_curves(self) -> Mapping[str, LearningCurve]:
         """How the losses of its networks fell."""
         return {
             "state classifier": self.classifier.history,
@@ -166,16 +166,18 @@ class PaperMethod:
         adapted = dataclasses.replace(self, bend_angle=self.bend_angle.times(factor))
         return adapted, Calibration(angles, (before,) * count, (after,) * count, after)
 
-    def pictures(self, observed: Observed) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    def pictures(
+        self, observations: Observations
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Reconstructions of n frames from the static and from the dynamic reference."""
-        static = self.reconstruction.apply(self.missing_static.fill(observed.static))
-        dynamic = self.reconstruction.apply(self.missing_dynamic.fill(observed.dynamic))
+        static = self.reconstruction.apply(self.missing_static.fill(observations.static))
+        dynamic = self.reconstruction.apply(self.missing_dynamic.fill(observations.dynamic))
         return static.astype(np.float32), dynamic.astype(np.float32)
 
-    def outputs(self, observed: Observed) -> Arrays:
+    def outputs(self, observations: Observations) -> Arrays:
         """What every stage makes of n frames, whatever the others say; for checking copies."""
-        static = self.missing_static.fill(observed.static)
-        dynamic = self.reconstruction.apply(self.missing_dynamic.fill(observed.dynamic))
+        static = self.missing_static.fill(observations.static)
+        dynamic = self.reconstruction.apply(self.missing_dynamic.fill(observations.dynamic))
         return {
             "picture": dynamic,
             "probabilities": self.classifier.apply(static),
@@ -203,7 +205,7 @@ class PaperMethod:
 
     @classmethod
     def from_arrays(
-        cls, arrays: Mapping[str, NDArray[np.generic]], layout: Layout
+        cls, arrays: Mapping[str, NDArray[np.generic]], layout: InputSpec
     ) -> "PaperMethod":
         """The stages that `arrays` came from; raises KeyError or DataError where they lack some."""
 

@@ -6,12 +6,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from eitskin.extras import require
-from eitskin.training.method.learning_curve import History
+from eitskin.training.method.learning_curve import LearningCurve
 from eitskin.training.method.settings import NetworkSettings, Progress, silent
 from eitskin.training.paper.reconstruction import Reconstruction
 
 if TYPE_CHECKING:
-    from eitskin.training.method.networks import TouchMapNetwork
+    from eitskin.training.paper.networks import TouchMapNetwork
 
 
 class PostProcessor:
@@ -24,12 +24,12 @@ class PostProcessor:
     """
 
     def __init__(
-        self, network: "TouchMapNetwork", scale: float, history: History | None = None
+        self, network: "TouchMapNetwork", scale: float, history: LearningCurve | None = None
     ) -> None:
         """Wrap a trained network."""
         self.network = network
         self.scale = scale
-        self.history = history or History()
+        self.history = history or LearningCurve()
 
     @classmethod
     def fit(
@@ -58,13 +58,8 @@ class PostProcessor:
         require("torch", "training")
         import torch
 
-        from eitskin.training.method.networks import (
-            Samples,
-            TouchMapNetwork,
-            noisy_maps,
-            seeded,
-            train,
-        )
+        from eitskin.training.method.network_training import Samples, seeded, train
+        from eitskin.training.paper.networks import TouchMapNetwork, noisy_maps
 
         scale = float(np.std(reconstruction.apply(difference))) or 1.0
         network = seeded(lambda: TouchMapNetwork(reconstruction.shape), seed)
@@ -92,7 +87,7 @@ class PostProcessor:
 
     def apply(self, maps: ArrayLike) -> NDArray[np.float32]:
         """Touch maps, 0 to 1, of reconstructions, both (n, rows, columns)."""
-        from eitskin.training.method.networks import evaluate
+        from eitskin.training.paper.networks import evaluate
 
         logits = evaluate(self.network, np.asarray(maps)[:, None] / self.scale)[:, 0]
         touch_map: NDArray[np.float32] = (0.5 * (1 + np.tanh(0.5 * logits))).astype(np.float32)
@@ -100,7 +95,7 @@ class PostProcessor:
 
     def arrays(self) -> dict[str, NDArray[np.generic]]:
         """What `from_arrays` needs to make this stage again."""
-        from eitskin.training.method.networks import weights_of
+        from eitskin.training.paper.networks import weights_of
 
         return {
             "scale": np.array(self.scale),
@@ -114,7 +109,7 @@ class PostProcessor:
     ) -> "PostProcessor":
         """The stage that `arrays` came from, for maps of `shape`."""
         require("torch", "training")
-        from eitskin.training.method.networks import TouchMapNetwork, with_weights
+        from eitskin.training.paper.networks import TouchMapNetwork, with_weights
 
         network = with_weights(TouchMapNetwork(shape), arrays)
-        return cls(network, float(arrays["scale"].astype(float)), History.from_arrays(arrays))
+        return cls(network, float(arrays["scale"].astype(float)), LearningCurve.from_arrays(arrays))

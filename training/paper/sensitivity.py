@@ -7,12 +7,12 @@ from eitskin.geometry.deformation.fixtures import Bend, Hinge
 from eitskin.simulator.electrical.resolution import Discretisation, Resolution
 from eitskin.simulator.scene.scene import Scene
 from eitskin.simulator.simulator import Simulator
-from eitskin.training.method.input_spec import Layout
+from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.paper.reconstruction import relative_jacobian
 
 
 def sensitivity_at(
-    layout: Layout,
+    layout: InputSpec,
     angle_deg: float = 0.0,
     hinge: Hinge | None = None,
     resolution: Resolution | Discretisation = "fast",

@@ -1,7 +1,7 @@
 """The methods by which a pipeline perceives, behind one interface."""
 
 from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import Any
 
 from numpy.typing import NDArray
 
@@ -9,55 +9,17 @@ from eitskin.datasets.store.dataset import Dataset
 from eitskin.errors import DataError
 from eitskin.training.joint.method import JointMethod
 from eitskin.training.joint.training import fit_joint
-from eitskin.training.method.calibration import Calibration, KnownBends
-from eitskin.training.method.input_spec import Layout
-from eitskin.training.method.learning_curve import History
-from eitskin.training.method.observations import Observed
-from eitskin.training.method.predictions import Perceived
+from eitskin.training.method.input_spec import InputSpec
+from eitskin.training.method.interface import Method
 from eitskin.training.method.settings import Progress, TrainingSettings
 from eitskin.training.paper.method import PaperMethod
 
 Arrays = Mapping[str, NDArray[Any]]
 
 
-class Method(Protocol):
-    """Says what frames show, each by itself, and remembers nothing."""
-
-    @property
-    def KIND(self) -> str:  # noqa: N802  a constant of the class
-        """Name of the method in settings and saved pipelines."""
-        ...
-
-    @property
-    def AVERAGES(self) -> bool:  # noqa: N802  a constant of the class
-        """Whether it may be given means of frames of a held touch."""
-        ...
-
-    @property
-    def histories(self) -> Mapping[str, History]:
-        """How the losses of its networks fell while they were trained, by their names."""
-        ...
-
-    def perceive(self, observed: Observed) -> Perceived:
-        """What n frames show."""
-        ...
-
-    def adapted(self, known: KnownBends) -> "tuple[Method, Calibration]":
-        """The method for one sensor, of which some angles are known."""
-        ...
-
-    def outputs(self, observed: Observed) -> Arrays:
-        """What every part makes of n frames, for checking copies."""
-        ...
-
-    def arrays(self) -> Arrays:
-        """What `method_from_arrays` needs to make it again."""
-        ...
-
-
 def fit_method(
     dataset: Dataset,
-    layout: Layout,
+    layout: InputSpec,
     settings: TrainingSettings,
     progress: Progress,
     validation: Dataset | None = None,
@@ -71,7 +33,7 @@ def fit_method(
     return PaperMethod.fit(dataset, layout, settings, progress, validation)
 
 
-def method_from_arrays(kind: str, arrays: Arrays, layout: Layout) -> Method:
+def method_from_arrays(kind: str, arrays: Arrays, layout: InputSpec) -> Method:
     """The method that `arrays` came from; raises DataError for one that is not known."""
     if kind == JointMethod.KIND:
         return JointMethod.from_arrays(arrays, layout)

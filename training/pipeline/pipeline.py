@@ -14,18 +14,19 @@ from eitskin.datasets.store.state import State
 from eitskin.errors import DataError
 from eitskin.frame import Frame
 from eitskin.training.method.calibration import Calibration, KnownBends
-from eitskin.training.method.input_spec import Layout
-from eitskin.training.method.observations import Observed, fingerprint, noise_of
-from eitskin.training.method.predictions import FoundTouches, Perceived
-from eitskin.training.method.references import (
-    References,
-    RunningMean,
-    Voltages,
+from eitskin.training.method.input_spec import InputSpec
+from eitskin.training.method.interface import Method
+from eitskin.training.method.observations import (
+    Observations,
+    fingerprint,
+    frame_noise,
     relative_difference,
 )
+from eitskin.training.method.predictions import FoundTouches, Predictions
 from eitskin.training.method.settings import Progress, TrainingSettings, silent
-from eitskin.training.pipeline.methods import Method, fit_method, method_from_arrays
+from eitskin.training.pipeline.methods import fit_method, method_from_arrays
 from eitskin.training.pipeline.model_card import perception_card
+from eitskin.training.pipeline.references import References, RunningMean, Voltages
 from eitskin.training.pipeline.saved_form import (
     SavedPipeline,
     read_pipeline,
@@ -88,12 +89,12 @@ class Pipeline:
         calibration: what adapting it to one sensor did, as `Calibration` says; empty before.
     """
 
-    layout: Layout
+    layout: InputSpec
     method: Method
     noise: float
     settings: TrainingSettings
     trained_on: Mapping[str, Any]
-    examples: Observed
+    examples: Observations
     metrics: dict[str, Any] = field(default_factory=dict)
     calibration: dict[str, Any] = field(default_factory=dict)
     _references: References = field(init=False, repr=False)
@@ -135,18 +136,18 @@ class Pipeline:
         train, validation = dataset.select(seen), dataset.select(unseen)
         specimens = np.unique(train.specimen)
         reference = np.median(np.abs(dataset.reference[specimens]), axis=0).astype(float)
-        layout = Layout(dataset.design, dataset.protocol, dataset.frequency, reference)
-        observed = Observed.of(train)
+        layout = InputSpec(dataset.design, dataset.protocol, dataset.frequency, reference)
+        observations = Observations.of(train)
         chosen = np.concatenate(
             [np.flatnonzero(train.state == state)[:GOLDEN_PER_STATE] for state in State]
         )
         return cls(
             layout,
             fit_method(train, layout, settings, progress, validation),
-            noise_of(train, observed),
+            frame_noise(train, observations),
             settings,
             {"sha256": fingerprint(dataset), "frames": len(train), "source": dataset.source},
-            observed[chosen],
+            observations[chosen],
         )
 
     def held_out(self, dataset: Dataset) -> NDArray[np.int64]:
@@ -218,13 +219,13 @@ class Pipeline:
             time=frame.time,
         )
 
-    def perceive(self, dataset: Dataset) -> Perceived:
+    def perceive(self, dataset: Dataset) -> Predictions:
         """What each frame of a dataset shows, by itself.
 
         Each is compared with its specimen's flat reference and its own `touch_reference`, which is
         what the dynamic reference of a session would hold; this session's are left alone.
         """
-        return self.method.perceive(Observed.of(dataset))
+        return self.method.perceive(Observations.of(dataset))
 
     def _held_touch(self, voltages: Voltages) -> tuple[Voltages, int]:
         """The mean of the frames since a touch is held unchanged, and their number; else the frame.
@@ -238,7 +239,7 @@ class Pipeline:
         self._held.restart(voltages)
         return voltages, 1
 
-    def _observed(self, voltages: Voltages, count: int, frame: Frame) -> Observed:
+    def _observed(self, voltages: Voltages, count: int, frame: Frame) -> Observations:
         """A frame of the session, or the mean of some, beside the references."""
         references = self._references
         rows = {
@@ -251,7 +252,7 @@ class Pipeline:
             "age": frame.time - self._begun,
             "dynamic_age": frame.time - self._renewed,
         }
-        return Observed(**{name: np.asarray(value)[None] for name, value in rows.items()})
+        return Observations(**{name: np.asarray(value)[None] for name, value in rows.items()})
 
     def _notice_session(self, frame: Frame) -> None:
         """Begin again with a new session; notice that no frames came for long."""
@@ -308,15 +309,15 @@ class Pipeline:
         require_kind(saved, KIND, path)
         try:
             document, weights = saved.document, saved.weights
-            layout = Layout.from_document(document["layout"], weights["layout.reference"])
-            inputs = {name: saved.golden[f"input.{name}"] for name in Observed.__slots__}
+            layout = InputSpec.from_document(document["layout"], weights["layout.reference"])
+            inputs = {name: saved.golden[f"input.{name}"] for name in Observations.__slots__}
             pipeline = cls(
                 layout,
                 method_from_arrays(document["method"], weights, layout),
                 float(document["noise"]),
                 from_dict(TrainingSettings, document["settings"], "settings"),
                 dict(document["trained_on"]),
-                Observed(**inputs),
+                Observations(**inputs),
                 dict(document["metrics"]),
                 dict(document.get("calibration", {})),
             )

@@ -1,4 +1,4 @@
-"""Touch positions of a recording without geometry: its touches, their split, and saving them."""
+"""Touch positions learned from a recording without geometry: training, scoring and saving."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -18,20 +18,20 @@ from eitskin.training.pipeline.saved_form import (
     require_kind,
     write_pipeline,
 )
-from eitskin.training.positions.touch_position import TouchPosition
+from eitskin.training.positions.position_regressor import PositionRegressor
 
-TRAINING_SHARE = 0.8  # the first part in time; neighbours in time are too alike to test on
+TRAINING_SHARE = 0.8  # the first part in time; neighbours in time are too similar to test on
 GOLDEN = 5
 
 
 @dataclass(frozen=True, slots=True)
 class PositionScore:
-    """Places against the truth.
+    """Errors of estimated positions.
 
     Attributes:
-        frames: how many.
-        mean_error_mm, median_error_mm: of the distance.
-        guess_error_mm: mean distance when the middle of the training places is said every time.
+        frames: number of frames.
+        mean_error_mm, median_error_mm: mean and median distance from the true position [mm].
+        guess_error_mm: mean distance of the mean training position from the true one [mm].
     """
 
     frames: int
@@ -40,7 +40,7 @@ class PositionScore:
     guess_error_mm: float
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain data, as JSON takes it."""
+        """Plain data for JSON."""
         return asdict(self)
 
 
@@ -49,15 +49,15 @@ class RecordedTouches:
     """Touch positions learned from a recording of one sensor.
 
     Attributes:
-        position: from ratios to places.
-        examples: ratios that a saved one is checked with (k, channels).
-        trained_on: fingerprint of the recording and what part of it was used.
-        metrics: how good it was found to be; whoever evaluates it writes them here.
+        position: regressor from ratios |V / ref| to positions.
+        examples: ratios by which a saved copy is checked (k, channels).
+        trained_on: fingerprint of the recording and number of frames trained with.
+        metrics: results of an evaluation, written by the evaluating code.
     """
 
     KIND: ClassVar[str] = "touch position"
 
-    position: TouchPosition
+    position: PositionRegressor
     examples: NDArray[np.float64]
     trained_on: Mapping[str, Any]
     metrics: dict[str, Any] = field(default_factory=dict)
@@ -66,13 +66,13 @@ class RecordedTouches:
     def fit(cls, dataset: Dataset) -> "RecordedTouches":
         """Learn from the first 80 % in time of the frames that have exactly one touch.
 
-        Raises DataError where there are too few.
+        Raises DataError for fewer than 20 such frames.
         """
         touches = _touches(dataset)
         train = touches[: round(TRAINING_SHARE * len(touches))]
         ratios = _ratios(dataset, train)
         return cls(
-            TouchPosition.fit(ratios, _places(dataset, train)),
+            PositionRegressor.fit(ratios, _places(dataset, train)),
             ratios[:GOLDEN],
             {
                 "sha256": fingerprint(dataset),
@@ -82,23 +82,25 @@ class RecordedTouches:
         )
 
     def held_out(self, dataset: Dataset) -> NDArray[np.int64]:
-        """Frames (n,) that training never saw: the last of its own recording, all of another."""
+        """Frames (n,) not trained with: the last of the own recording, all of another."""
         touches = _touches(dataset)
         own = fingerprint(dataset) == self.trained_on["sha256"]
         return touches[self.trained_on["frames"] :] if own else touches
 
     def found(self, dataset: Dataset) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """True and found places of the held-out frames of `dataset` (k, 2) [m].
+        """True and estimated positions in the held-out frames of `dataset`, (k, 2) [m] each.
 
-        Raises DataError where there are none.
+        Raises DataError where no frame is held out.
         """
         frames = self.held_out(dataset)
         if len(frames) == 0:
-            raise DataError("there is no frame with exactly one touch to evaluate on")
+            raise DataError(
+                "expected frames with exactly one touch to evaluate on, got none; record more"
+            )
         return _places(dataset, frames), self.position.apply(_ratios(dataset, frames))
 
     def evaluate(self, dataset: Dataset) -> PositionScore:
-        """Distances of the held-out frames of `dataset`; raises DataError where there are none."""
+        """Score on the held-out frames of `dataset`; raises DataError where there are none."""
         truth, found = self.found(dataset)
         error = np.linalg.norm(found - truth, axis=1)
         guess = np.linalg.norm(self.position.centre - truth, axis=1)
@@ -110,7 +112,7 @@ class RecordedTouches:
         )
 
     def save(self, path: str | Path) -> Path:
-        """Write it as the folder NAME.eitmodel; what is there is replaced."""
+        """Write the folder NAME.eitmodel, replacing an existing one; returns its path."""
         document = {
             "channels": self.examples.shape[1],
             "units": {"ratio": "1", "place": "m"},
@@ -128,11 +130,11 @@ class RecordedTouches:
 
     @classmethod
     def load(cls, path: str | Path) -> "RecordedTouches":
-        """Read what `save` wrote, checked in the same way as a pipeline; raises DataError."""
+        """Read a saved folder; raises DataError where it is damaged or computes otherwise."""
         saved = read_pipeline(path)
         require_kind(saved, cls.KIND, path)
         try:
-            position = TouchPosition.from_arrays(dict(saved.weights))
+            position = PositionRegressor.from_arrays(dict(saved.weights))
             document, examples = saved.document, saved.golden["input.ratio"]
             loaded = cls(position, examples, document["trained_on"], dict(document["metrics"]))
             saved.require_golden({"place": position.apply(examples)})
@@ -144,20 +146,20 @@ class RecordedTouches:
 
 
 def _touches(dataset: Dataset) -> NDArray[np.int64]:
-    """Frames with exactly one touch, in the order of time."""
+    """Numbers of the frames with exactly one touch, in the order of time (n,)."""
     one = np.flatnonzero(dataset.touch_count == 1)
     order = np.lexsort((one, dataset.time[one], dataset.episode[one]))
     return one[order]
 
 
 def _places(dataset: Dataset, frames: NDArray[np.int64]) -> NDArray[np.float64]:
-    """x and y of the one touch of each of `frames` (k, 2) [m]."""
+    """Positions (k, 2) [m] of the one touch in each of `frames`."""
     x, y = (np.nansum(values[frames], axis=1) for values in (dataset.touch_x, dataset.touch_y))
     return np.stack([x, y], axis=1).astype(float)
 
 
 def _ratios(dataset: Dataset, frames: NDArray[np.int64]) -> NDArray[np.float64]:
-    """|V / ref| of `frames`; the flat reference where the untouched sensor was not recorded."""
+    """|V / ref| (k, C) of `frames`; ref is flat where the untouched sensor was not recorded."""
     free = dataset.touch_reference[frames]
     known = np.isfinite(free).all(axis=1, keepdims=True)
     reference = np.where(known, free, dataset.reference[dataset.specimen[frames]])

@@ -13,14 +13,14 @@ from eitskin.datasets import Dataset, State, touch_maps
 from eitskin.errors import ConfigurationError, DataError, PartialError
 from eitskin.geometry import Disc, Electrode, SensorDesign
 from eitskin.simulator import Protocol
-from eitskin.training import FoundTouches, Perceived, Pipeline, TrainingSettings
+from eitskin.training import FoundTouches, Pipeline, Predictions, TrainingSettings
 from eitskin.training.evaluation.evaluate import Evaluation
 from eitskin.training.evaluation.report import folder as report_folder
 from eitskin.training.evaluation.report.drawing import draw_sensor, new_figure
 from eitskin.training.evaluation.report.folder import PICTURES, require_report_folder, write_report
 from eitskin.training.evaluation.report.table import table_rows
-from eitskin.training.method.input_spec import Layout
-from eitskin.training.method.observations import Observed
+from eitskin.training.method.input_spec import InputSpec
+from eitskin.training.method.observations import Observations
 from eitskin.training.method.predictions import NO_TOUCHES
 
 FLAT = np.linspace(400.0, 820.0, 28)
@@ -33,16 +33,16 @@ class Told:
 
     KIND: ClassVar[str] = "told"
     AVERAGES: ClassVar[bool] = False
-    histories: ClassVar[dict] = {}
-    says: Perceived
+    learning_curves: ClassVar[dict] = {}
+    says: Predictions
 
-    def perceive(self, observed):
-        if len(observed) == len(self.says.touches):
+    def perceive(self, observations):
+        if len(observations) == len(self.says.touches):
             return self.says
         return dataclasses.replace(
             self.says,
             **{
-                field.name: getattr(self.says, field.name)[: len(observed)]
+                field.name: getattr(self.says, field.name)[: len(observations)]
                 for field in dataclasses.fields(self.says)
             },
         )
@@ -68,7 +68,7 @@ def discs(places):
 
 
 def perceived():
-    return Perceived(
+    return Predictions(
         np.eye(3)[SAID],
         np.array([frame[3] for frame in FRAMES]),
         np.array([frame[4] for frame in FRAMES]),
@@ -114,12 +114,12 @@ def frames(**changes):
 def pipeline(says):
     data = frames()
     return Pipeline(
-        Layout(data.design, data.protocol, data.frequency, FLAT),
+        InputSpec(data.design, data.protocol, data.frequency, FLAT),
         Told(says),
         1e-4,
         TrainingSettings(seed=5),
         {"sha256": "0" * 64, "frames": 3, "source": "simulated"},
-        Observed.of(data.select([0])),
+        Observations.of(data.select([0])),
     )
 
 

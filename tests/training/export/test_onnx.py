@@ -21,14 +21,14 @@ from eitskin.training import Pipeline, TrainingSettings
 from eitskin.training.export.onnx_export import DOCUMENT, checked, export_onnx, graphs_of, run_graph
 from eitskin.training.export.onnx_graph import OPSET, Graph, Value, network
 from eitskin.training.export.onnx_paper import frames_as_inputs
-from eitskin.training.method.input_spec import Layout
-from eitskin.training.method.networks import StateNetwork, TouchMapNetwork, seeded
-from eitskin.training.method.observations import Observed
-from eitskin.training.method.references import relative_difference
+from eitskin.training.method.input_spec import InputSpec
+from eitskin.training.method.network_training import seeded
+from eitskin.training.method.observations import Observations, relative_difference
 from eitskin.training.paper.bend_angle import BendAngle
 from eitskin.training.paper.classifier import Classifier
 from eitskin.training.paper.method import PaperMethod
 from eitskin.training.paper.missing_channels import MissingChannels
+from eitskin.training.paper.networks import StateNetwork, TouchMapNetwork
 from eitskin.training.paper.postprocessor import PostProcessor
 from eitskin.training.paper.reconstruction import Reconstruction
 
@@ -47,18 +47,18 @@ def stirred(module):
     return module.eval()
 
 
-def observed(rng):
+def observations(rng):
     dV = 0.02 * rng.standard_normal((2, FRAMES, CHANNELS))
     flat = rng.uniform(300, 800, (FRAMES, CHANNELS))
     ones = np.ones(FRAMES)
-    return Observed(dV[0], dV[1], flat, ones, ones, ones, ones, ones)
+    return Observations(dV[0], dV[1], flat, ones, ones, ones, ones, ones)
 
 
 @pytest.fixture(scope="module")
 def paper() -> Pipeline:
     """The paper's stages with weights that were drawn, which take no time to train."""
     rng = np.random.default_rng(3)
-    frames = observed(rng)
+    frames = observations(rng)
     reconstruction = Reconstruction(
         rng.standard_normal((SHAPE[0] * SHAPE[1], CHANNELS)), SHAPE, 0.1
     )
@@ -79,7 +79,7 @@ def paper() -> Pipeline:
         MissingChannels(np.eye(CHANNELS)),
         (0.150, 0.060),
     )
-    layout = Layout(SensorDesign.reference(), Protocol.pairwise(8), 40e3, frames.flat[0])
+    layout = InputSpec(SensorDesign.reference(), Protocol.pairwise(8), 40e3, frames.flat[0])
     return Pipeline(layout, method, 1e-3, TrainingSettings(), {"source": "drawn"}, frames)
 
 

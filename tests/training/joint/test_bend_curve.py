@@ -4,8 +4,14 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
-from eitskin.training.joint.bend_curve import MEAN_POWERS, OWN_POWERS, SCALE, BendCurve, BendCurves
-from eitskin.training.joint.bend_estimate import angle_error, estimate_angle
+from eitskin.training.joint.angle_estimate import angle_standard_error, estimate_angle
+from eitskin.training.joint.bend_curve import (
+    MEAN_POWERS,
+    RANDOM_POWERS,
+    SCALE,
+    BendCurve,
+    BendCurvePrior,
+)
 
 CHANNELS = 6
 NOISE = 2e-4**2 * np.eye(CHANNELS)
@@ -24,8 +30,8 @@ def mean_curve():
 
 def own_covariance(rng, size=1.5e-3):
     """Of a few ways in which specimens differ."""
-    ways = rng.standard_normal((5, OWN_POWERS * CHANNELS)) * size
-    return ways.T @ ways / 5 + (0.1 * size) ** 2 * np.eye(OWN_POWERS * CHANNELS)
+    ways = rng.standard_normal((5, RANDOM_POWERS * CHANNELS)) * size
+    return ways.T @ ways / 5 + (0.1 * size) ** 2 * np.eye(RANDOM_POWERS * CHANNELS)
 
 
 @pytest.fixture
@@ -35,7 +41,7 @@ def rng():
 
 @pytest.fixture
 def curve(rng):
-    own = np.zeros((OWN_POWERS, CHANNELS))
+    own = np.zeros((RANDOM_POWERS, CHANNELS))
     return BendCurve(mean_curve(), own, own_covariance(rng), RANGE)
 
 
@@ -43,7 +49,7 @@ def curve(rng):
 
 
 def test_curve_begins_at_zero_and_slope_is_its_derivative(curve, rng):
-    own = 1e-3 * rng.standard_normal(curve.own.shape)
+    own = 1e-3 * rng.standard_normal(curve.effects.shape)
     curve = BendCurve(curve.mean, own, curve.covariance, RANGE)
     np.testing.assert_array_equal(curve.value(0.0), 0.0)
     for angle in (-20.0, 0.0, 33.0):
@@ -53,10 +59,10 @@ def test_curve_begins_at_zero_and_slope_is_its_derivative(curve, rng):
 
 
 def test_uncertainty_is_the_covariance_of_curves_drawn(curve, rng):
-    drawn = rng.multivariate_normal(np.zeros(OWN_POWERS * CHANNELS), curve.covariance, 20_000)
-    own = drawn.reshape(-1, OWN_POWERS, CHANNELS)
+    drawn = rng.multivariate_normal(np.zeros(RANDOM_POWERS * CHANNELS), curve.covariance, 20_000)
+    own = drawn.reshape(-1, RANDOM_POWERS, CHANNELS)
     for angle, reference in ((40.0, 0.0), (40.0, 30.0), (-20.0, 20.0)):
-        weights = powers(angle, OWN_POWERS) - powers(reference, OWN_POWERS)
+        weights = powers(angle, RANDOM_POWERS) - powers(reference, RANDOM_POWERS)
         sample = np.cov(np.tensordot(weights, own, axes=(0, 1)).T)
         said = curve.uncertainty(angle, reference)
         np.testing.assert_allclose(said, sample, atol=0.05 * np.diag(sample).max())
@@ -66,18 +72,18 @@ def test_uncertainty_is_the_covariance_of_curves_drawn(curve, rng):
 
 def test_curve_is_that_of_the_plain_formula(curve, rng):
     """However its arrays are arranged for speed."""
-    own = 1e-3 * rng.standard_normal(curve.own.shape)
+    own = 1e-3 * rng.standard_normal(curve.effects.shape)
     curve = BendCurve(curve.mean, own, curve.covariance, RANGE)
     angles, values = curve.grid(8)
     np.testing.assert_allclose(angles, np.linspace(*RANGE, 8))
     for angle, on_grid in zip(angles, values, strict=True):
-        expected = powers(angle, MEAN_POWERS) @ curve.mean + powers(angle, OWN_POWERS) @ own
-        value, slope = curve.tangent(angle)
+        expected = powers(angle, MEAN_POWERS) @ curve.mean + powers(angle, RANDOM_POWERS) @ own
+        value, slope = curve.value_and_slope(angle)
         np.testing.assert_allclose(value, expected, rtol=1e-12)
         np.testing.assert_allclose(curve.value(angle), expected, rtol=1e-12)
         np.testing.assert_allclose(on_grid, expected, rtol=1e-12)
         np.testing.assert_array_equal(slope, curve.slope(angle))
-        weights = powers(angle, OWN_POWERS) - powers(12.0, OWN_POWERS)
+        weights = powers(angle, RANDOM_POWERS) - powers(12.0, RANDOM_POWERS)
         spread = np.kron(weights, np.eye(CHANNELS))
         np.testing.assert_allclose(
             curve.uncertainty(angle, 12.0), spread @ curve.covariance @ spread.T, atol=1e-18
@@ -93,12 +99,12 @@ def posterior(curve, angles, change, noise):
     evidence = np.zeros(len(precision))
     for angle, row in zip(angles, change, strict=True):
         good = np.isfinite(row)
-        H = np.kron(powers(angle, OWN_POWERS)[None], np.eye(CHANNELS))[good]
+        H = np.kron(powers(angle, RANDOM_POWERS)[None], np.eye(CHANNELS))[good]
         weight = H.T @ np.linalg.inv(noise[np.ix_(good, good)])
         precision = precision + weight @ H
         evidence = evidence + weight @ (row - curve.value(angle))[good]
     covariance = np.linalg.inv(precision)
-    return curve.own.ravel() + covariance @ evidence, covariance
+    return curve.effects.ravel() + covariance @ evidence, covariance
 
 
 def test_conditioned_is_bayes_rule(curve, rng):
@@ -110,16 +116,16 @@ def test_conditioned_is_bayes_rule(curve, rng):
     mean, covariance = posterior(curve, angles, change, noise)
     said = curve.conditioned(angles, change, noise)
     size = np.sqrt(np.diag(covariance))
-    np.testing.assert_allclose((said.own.ravel() - mean) / size, 0.0, atol=1e-6)
+    np.testing.assert_allclose((said.effects.ravel() - mean) / size, 0.0, atol=1e-6)
     np.testing.assert_allclose(
         said.covariance / np.outer(size, size), covariance / np.outer(size, size), atol=1e-6
     )
     together = curve.conditioned(angles, change, np.kron(np.eye(3), noise))
-    np.testing.assert_allclose(together.own, said.own, rtol=1e-9)
+    np.testing.assert_allclose(together.effects, said.effects, rtol=1e-9)
     turns = curve
     for i in range(3):
         turns = turns.conditioned(angles[i : i + 1], change[i : i + 1], noise)
-    np.testing.assert_allclose((turns.own - said.own).ravel() / size, 0.0, atol=1e-6)
+    np.testing.assert_allclose((turns.effects - said.effects).ravel() / size, 0.0, atol=1e-6)
 
 
 def test_every_known_angle_makes_the_curve_surer(curve, rng):
@@ -140,7 +146,7 @@ def test_every_known_angle_makes_the_curve_surer(curve, rng):
 
 def test_calibrated_curve_finds_the_specimen(curve, rng):
     """Angles between those known: errors fall by several times, as the standard errors say."""
-    own = rng.multivariate_normal(np.zeros(18), curve.covariance).reshape(OWN_POWERS, CHANNELS)
+    own = rng.multivariate_normal(np.zeros(18), curve.covariance).reshape(RANDOM_POWERS, CHANNELS)
     true = BendCurve(curve.mean, own, 0.0 * curve.covariance, RANGE)
     known = np.linspace(-20.0, 50.0, 8)
     noisy = true.value(known) + 2e-4 * rng.standard_normal((8, CHANNELS))
@@ -172,7 +178,7 @@ def test_angle_is_where_the_likelihood_is_greatest(curve, rng):
     """Fisher's scoring holds the covariance; letting it go moves the maximum by little."""
     for angle in (-18.0, -3.0, 4.0, 30.0, 48.0):
         own = rng.multivariate_normal(np.zeros(18), curve.covariance).reshape(3, CHANNELS)
-        change = curve.value(angle) + powers(angle, OWN_POWERS) @ own
+        change = curve.value(angle) + powers(angle, RANDOM_POWERS) @ own
         change += 2e-4 * rng.standard_normal(CHANNELS)
         change[2] = np.nan
         found, error = estimate_angle(curve, change, NOISE)
@@ -202,14 +208,14 @@ def test_stated_error_is_that_of_many_frames(curve, rng):
     for angle in (-15.0, 10.0, 40.0):
         own = rng.multivariate_normal(np.zeros(18), curve.covariance, 300)
         change = curve.value(angle) + np.tensordot(
-            own.reshape(-1, OWN_POWERS, CHANNELS), powers(angle, OWN_POWERS), axes=(1, 0)
+            own.reshape(-1, RANDOM_POWERS, CHANNELS), powers(angle, RANDOM_POWERS), axes=(1, 0)
         )
         change += 2e-4 * rng.standard_normal(change.shape)
         change[::2, 4] = np.nan
         said = np.array([estimate_angle(curve, frame, NOISE) for frame in change])
         z = (said[:, 0] - angle) / said[:, 1]
         assert np.sqrt(np.mean(z**2)) == pytest.approx(1.0, abs=0.15)
-        whole = angle_error(curve, angle, NOISE)
+        whole = angle_standard_error(curve, angle, NOISE)
         assert whole == pytest.approx(np.median(said[1::2, 1]), rel=0.15)
 
 
@@ -219,7 +225,7 @@ def test_common_drift_is_projected_out(curve):
     drifting = NOISE + 0.2**2
     assert estimate_angle(curve, frame, drifting)[0] == pytest.approx(20.0, abs=0.2)
     assert abs(estimate_angle(curve, frame, NOISE)[0] - 20.0) > 5.0
-    assert angle_error(curve, 20.0, drifting) > angle_error(curve, 20.0, NOISE)
+    assert angle_standard_error(curve, 20.0, drifting) > angle_standard_error(curve, 20.0, NOISE)
 
 
 # Learning from many specimens
@@ -234,7 +240,7 @@ def made_up(rng, count, frames, covariance, features=None):
     mean = powers(angle, MEAN_POWERS) @ mean_curve()
     if features is not None:
         mean = mean + np.einsum("np,pkc,nk->nc", p[specimen], features, powers(angle, MEAN_POWERS))
-    departure = np.einsum("nk,nkc->nc", powers(angle, OWN_POWERS), own[specimen])
+    departure = np.einsum("nk,nkc->nc", powers(angle, RANDOM_POWERS), own[specimen])
     noise = rng.multivariate_normal(np.zeros(CHANNELS), NOISE, len(angle))
     order = rng.permutation(len(angle))  # specimens' frames need not follow each other
     return angle[order], (mean + departure + noise)[order], p[specimen][order], specimen[order]
@@ -243,7 +249,7 @@ def made_up(rng, count, frames, covariance, features=None):
 def test_mixed_model_finds_covariance_and_mean(rng):
     """Of what 400 specimens have of their own, from six frames each."""
     true = own_covariance(rng)
-    curves = BendCurves.fit(*made_up(rng, 400, 6, true), NOISE)
+    curves = BendCurvePrior.fit(*made_up(rng, 400, 6, true), NOISE)
     scatter = np.sqrt(2.0 / 400)
     size = np.sqrt(np.outer(np.diag(true), np.diag(true)))
     at = {angle: curves.of(()).uncertainty(angle) for angle in (-20.0, 25.0, 50.0)}
@@ -262,8 +268,8 @@ def test_features_shift_the_mean_and_are_not_counted_as_unknown(rng):
     true = own_covariance(rng, 3e-4)
     effect = 3e-3 * rng.standard_normal((2, MEAN_POWERS, CHANNELS))
     data = made_up(rng, 200, 8, true, effect)
-    curves = BendCurves.fit(*data, NOISE)
-    blind = BendCurves.fit(data[0], data[1], data[2][:, :0], data[3], NOISE)
+    curves = BendCurvePrior.fit(*data, NOISE)
+    blind = BendCurvePrior.fit(data[0], data[1], data[2][:, :0], data[3], NOISE)
     assert np.trace(blind.covariance) > 5 * np.trace(curves.covariance)
     one = curves.of([1.0, -0.5]).value(40.0)
     expected = powers(40.0, MEAN_POWERS) @ (mean_curve() + effect[0] - 0.5 * effect[1])
@@ -272,7 +278,7 @@ def test_features_shift_the_mean_and_are_not_counted_as_unknown(rng):
 
 
 def test_specimens_that_do_not_differ_have_no_covariance(rng):
-    curves = BendCurves.fit(*made_up(rng, 60, 6, np.zeros((18, 18))), NOISE)
+    curves = BendCurvePrior.fit(*made_up(rng, 60, 6, np.zeros((18, 18))), NOISE)
     assert np.sqrt(np.diag(curves.of(()).uncertainty(50.0))).max() < 2e-4
     assert np.isfinite(estimate_angle(curves.of(()), curves.of(()).value(30.0), NOISE)).all()
 
@@ -281,7 +287,7 @@ def test_flat_is_among_the_angles_learned(rng):
     """From bends of one sign, the flat sensor is still found flat."""
     angle, change, features, specimen = made_up(rng, 30, 10, own_covariance(rng))
     bent = angle > 5.0
-    curves = BendCurves.fit(angle[bent], change[bent], features[bent], specimen[bent], NOISE)
+    curves = BendCurvePrior.fit(angle[bent], change[bent], features[bent], specimen[bent], NOISE)
     assert curves.angle_deg == (0.0, angle[bent].max())
     found, _ = estimate_angle(curves.of(()), curves.of(()).value(-0.5), NOISE)
     assert found == pytest.approx(-0.5, abs=0.01)
@@ -289,8 +295,8 @@ def test_flat_is_among_the_angles_learned(rng):
 
 def test_arrays_make_them_again(rng, curve):
     effect = 3e-3 * rng.standard_normal((2, MEAN_POWERS, CHANNELS))
-    curves = BendCurves.fit(*made_up(rng, 20, 6, own_covariance(rng), effect), NOISE)
-    again = BendCurves.from_arrays(curves.arrays())
+    curves = BendCurvePrior.fit(*made_up(rng, 20, 6, own_covariance(rng), effect), NOISE)
+    again = BendCurvePrior.from_arrays(curves.arrays())
     np.testing.assert_array_equal(
         again.of([0.3, 2.0]).value(31.0), curves.of([0.3, 2.0]).value(31.0)
     )

@@ -8,26 +8,26 @@ import pytest
 from eitskin.datasets import State
 from eitskin.geometry import SensorDesign
 from eitskin.training.joint.method import JointMethod
-from eitskin.training.joint.proposal_model import Proposals
+from eitskin.training.joint.proposal_model import ProposalNetwork
 from eitskin.training.joint.specimen_features import SpecimenFeatures
 from eitskin.training.joint.symmetry import mirrors
 from eitskin.training.method.calibration import KnownBends
-from eitskin.training.method.input_spec import Layout
-from eitskin.training.method.observations import Observed
+from eitskin.training.method.input_spec import InputSpec
+from eitskin.training.method.observations import Observations
 
 from smooth_sensor import (
     FLAT,
-    HABITS,
     NOISE,
     PROTOCOL,
     SIZE,
+    TOUCH_PRIOR,
     curves,
     places,
     powers,
     response,
 )
 
-LAYOUT = Layout(SensorDesign.reference(), PROTOCOL, 40e3, FLAT)
+LAYOUT = InputSpec(SensorDesign.reference(), PROTOCOL, 40e3, FLAT)
 TOUCH = (0.045, 0.021, 8.0)
 ELECTRODE = [i for i, row in enumerate(PROTOCOL.table) if 3 in row[:2]]
 
@@ -35,7 +35,7 @@ ELECTRODE = [i for i, row in enumerate(PROTOCOL.table) if 3 in row[:2]]
 def silent_proposals():
     """Of a network that never proposes anything: the search alone finds the touches."""
     columns, rows = np.array([0.05, 0.10]), np.array([0.02, 0.04])
-    return Proposals((np.zeros((4, 30)),), (np.full(4, -9.0),), columns, rows)
+    return ProposalNetwork((np.zeros((4, 30)),), (np.full(4, -9.0),), columns, rows)
 
 
 @pytest.fixture(scope="module")
@@ -47,9 +47,9 @@ def method():
     return JointMethod(
         features=features,
         response=response(mismatch=0.03, features=1),
-        curves=curves(features=1),
+        bend_prior=curves(features=1),
         proposals=silent_proposals(),
-        habits=HABITS,
+        touch_prior=TOUCH_PRIOR,
         noise=np.full(28, NOISE),
         drift=0.02,
         places=places(),
@@ -64,7 +64,7 @@ def observed(method, touches=(), angle_deg=0.0, rng=None, flat=FLAT, wrong=None,
     """One frame of a specimen that has nothing of its own; `wrong` is added to its log V."""
     touches = np.array(touches, dtype=float).reshape(-1, 3)
     one = method.response.of(method.features.apply(flat))
-    bent = method.curves.of([0.0]).value(angle_deg)
+    bent = method.bend_prior.of([0.0]).value(angle_deg)
     frame = bent + one(touches, angle_deg).sum(axis=0)
     if rng is not None:
         frame = frame + NOISE * rng.standard_normal(28)
@@ -80,9 +80,9 @@ def observed(method, touches=(), angle_deg=0.0, rng=None, flat=FLAT, wrong=None,
         "dynamic_age": 0.0,
     }
     given = {
-        field.name: np.asarray(values.get(field.name, 1.0))[None] for field in fields(Observed)
+        field.name: np.asarray(values.get(field.name, 1.0))[None] for field in fields(Observations)
     }
-    return Observed(**given)
+    return Observations(**given)
 
 
 def broken(good, bad):
@@ -239,7 +239,7 @@ def test_contact_that_changed_is_told_and_is_no_touch(method, ohm):
 @pytest.mark.parametrize("kind", ["noise", "gain", "clipped", "swapped", "huge"])
 def test_nonsense_is_told_and_never_without_numbers(method, kind):
     rng = np.random.default_rng(6)
-    V = FLAT * np.exp(method.curves.of([0.0]).value(20.0))
+    V = FLAT * np.exp(method.bend_prior.of([0.0]).value(20.0))
     nonsense = {
         "noise": V * np.exp(0.01 * rng.standard_normal(28)),
         "gain": V * 1.1,
@@ -268,14 +268,17 @@ def sample(method):
         observed(method, [TOUCH], 20.0, rng),
         broken(observed(method, [TOUCH], 0.0, rng), [3]),
     ]
-    return Observed(
-        *(np.concatenate([getattr(f, field.name) for f in frames]) for field in fields(Observed))
+    return Observations(
+        *(
+            np.concatenate([getattr(f, field.name) for f in frames])
+            for field in fields(Observations)
+        )
     )
 
 
 def calibrated(method, angles=(-15.0, 10.0, 30.0, 45.0), offset=1e-3):
     """For a sensor whose channels each bend a little more than the middle one's."""
-    change = method.curves.of([0.0]).value(angles) + offset * powers(angles, 1)
+    change = method.bend_prior.of([0.0]).value(angles) + offset * powers(angles, 1)
     known = KnownBends(FLAT, 4, np.array(angles), change, np.zeros(len(angles)))
     return method.adapted(known)
 
@@ -324,12 +327,12 @@ def test_calibration_makes_angles_right_and_surer(method):
 def test_drift_during_calibration_is_not_taken_for_the_curve(method):
     """Frames of one angle, all half a percent up after four hours: the curve hardly moves."""
     angles = np.full(6, 30.0)
-    change = method.curves.of([0.0]).value(angles) + 5e-3
+    change = method.bend_prior.of([0.0]).value(angles) + 5e-3
     bend = {}
     for name, age in (("fresh", 0.0), ("old", 4 * 3600.0)):
         known = KnownBends(FLAT, 4, angles, change, np.full(6, age))
         curve = method.adapted(known)[0].calibrated
-        bend[name] = np.abs(curve.own).max()
+        bend[name] = np.abs(curve.effects).max()
     assert bend["old"] < 0.3 * bend["fresh"]
 
 

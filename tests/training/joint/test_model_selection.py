@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from eitskin.training.joint.channel_faults import possible_faults
-from eitskin.training.joint.model_selection import THRESHOLD, explain
-from eitskin.training.joint.objective import ANGLE_UNIT, TOUCH_UNITS, Point, TouchProblem, refined
-from eitskin.training.joint.touch_search import Candidates
+from eitskin.training.joint.model_selection import TOUCH_THRESHOLD, fit_frame
+from eitskin.training.joint.objective import TouchObjective, Unknowns, levenberg_marquardt
+from eitskin.training.joint.prior import ANGLE_UNIT, TOUCH_UNITS
+from eitskin.training.joint.touch_search import TouchCandidates
 
-from smooth_sensor import FLAT, HABITS, NOISE, PROTOCOL, RANGES, curve, places, response
+from smooth_sensor import FLAT, NOISE, PROTOCOL, RANGES, TOUCH_PRIOR, curve, places, response
 
 RESPONSE = response()
 CURVE = curve()
@@ -24,34 +25,34 @@ TWO_FRAMES = 2.0 * NOISE**2 * np.eye(28)  # covariance of the difference of two
 
 def candidates(angle_deg=0.0):
     touches = np.column_stack([places(), np.full(len(places()), RANGES.middle_force)])
-    return Candidates(places(), RANGES.middle_force, ONE(touches, angle_deg))
+    return TouchCandidates(places(), RANGES.middle_force, ONE(touches, angle_deg))
 
 
-def excess(found):
+def misfit_sigma(found):
     """The misfit above its expectation, in standard deviations."""
-    return (found.misfit - found.freedom) / np.sqrt(2.0 * found.freedom)
+    return (found.misfit - found.degrees_of_freedom) / np.sqrt(2.0 * found.degrees_of_freedom)
 
 
 def frame(touches=(), angle_deg=0.0, reference_deg=0.0, rng=None, mismatch=0.0):
-    """The problem of a frame made from the model itself."""
+    """The objective of a frame made from the model itself."""
     touches = np.array(touches, dtype=float).reshape(-1, 3)
     change = CURVE.value(angle_deg) - CURVE.value(reference_deg)
     change = change + ONE(touches, angle_deg).sum(axis=0)
     if rng is not None:
         change = change + rng.multivariate_normal(np.zeros(28), TWO_FRAMES)
     told = replace(RESPONSE, mismatch=mismatch).of(())
-    return TouchProblem.of(change, TWO_FRAMES, reference_deg, told, CURVE, HABITS)
+    return TouchObjective.of(change, TWO_FRAMES, reference_deg, told, CURVE, TOUCH_PRIOR)
 
 
-def changed(problem, change):
-    """The same problem of another change."""
-    return TouchProblem.of(
-        change, problem.noise, problem.reference_deg, problem.response, CURVE, HABITS
+def changed(objective, change):
+    """The same objective of another change."""
+    return TouchObjective.of(
+        change, objective.noise, objective.reference_deg, objective.response, CURVE, TOUCH_PRIOR
     )
 
 
-def explained(problem, proposed=None):
-    return explain(problem, candidates(problem.reference_deg), proposed, FAULTS)
+def explained(objective, proposed=None):
+    return fit_frame(objective, candidates(objective.reference_deg), proposed, FAULTS)
 
 
 def matched(found, true):
@@ -70,7 +71,7 @@ TOUCHES = {
 }
 
 
-# The problem
+# The objective
 
 
 @pytest.mark.parametrize("kind", ["far apart", "too near", "one", "untouched"])
@@ -85,17 +86,19 @@ def test_gradient_is_that_of_finite_differences(kind):
         "one": TOUCHES[1],
         "untouched": [],
     }[kind]
-    problem = replace(frame(TOUCHES[3], 20.0, 12.0, np.random.default_rng(0)), response=STIFF)
-    point = Point(np.array(touches, dtype=float).reshape(-1, 3), 17.0)
-    at = problem.tangent(point)
-    whitening = problem.whitening(at)
-    quadratic = problem.quadratic(at, whitening)
-    assert quadratic.misfit == pytest.approx(problem.misfit(at, whitening), rel=1e-12)
-    np.testing.assert_allclose(at.left, problem.left_by(point), rtol=1e-12, atol=1e-16)
+    objective = replace(frame(TOUCHES[3], 20.0, 12.0, np.random.default_rng(0)), response=STIFF)
+    unknowns = Unknowns(np.array(touches, dtype=float).reshape(-1, 3), 17.0)
+    at = objective.linearised(unknowns)
+    whitening = objective.whitening(at)
+    quadratic = objective.quadratic(at, whitening)
+    assert quadratic.misfit == pytest.approx(objective.misfit(at, whitening), rel=1e-12)
+    np.testing.assert_allclose(at.residual, objective.residual(unknowns), rtol=1e-12, atol=1e-16)
     for i in range(len(quadratic.gradient)):
         step = 1e-4 * np.eye(len(quadratic.gradient))[i]
         up, down = (
-            problem.misfit(problem.tangent(problem.stepped(point, sign * step)), whitening)
+            objective.misfit(
+                objective.linearised(objective.stepped(unknowns, sign * step)), whitening
+            )
             for sign in (1, -1)
         )
         expected = -0.5 * (up - down) / 2e-4
@@ -105,16 +108,16 @@ def test_gradient_is_that_of_finite_differences(kind):
 
 def test_hessian_is_that_of_finite_differences_where_nothing_is_left():
     """Gauss-Newton's matrix leaves out curvature times residuals: at the truth there are none."""
-    point = Point(np.array(TOUCHES[2]), 20.0)
-    said = STIFF(point.touches, 20.0).sum(axis=0)
-    problem = replace(changed(frame((), 20.0, 20.0), said), response=STIFF)
-    whitening = problem.whitening(problem.tangent(point))
-    quadratic = problem.quadratic(problem.tangent(point), whitening)
+    unknowns = Unknowns(np.array(TOUCHES[2]), 20.0)
+    said = STIFF(unknowns.touches, 20.0).sum(axis=0)
+    objective = replace(changed(frame((), 20.0, 20.0), said), response=STIFF)
+    whitening = objective.whitening(objective.linearised(unknowns))
+    quadratic = objective.quadratic(objective.linearised(unknowns), whitening)
     for i in range(7):
         step = 1e-4 * np.eye(7)[i]
         up, down = (
-            problem.quadratic(
-                problem.tangent(problem.stepped(point, sign * step)), whitening
+            objective.quadratic(
+                objective.linearised(objective.stepped(unknowns, sign * step)), whitening
             ).gradient
             for sign in (1, -1)
         )
@@ -127,34 +130,36 @@ def test_hessian_is_that_of_finite_differences_where_nothing_is_left():
 
 
 def test_steps_stay_within_what_is_possible():
-    problem = frame()
-    point = Point(np.array([[0.075, 0.030, 8.0]]), 0.0)
+    objective = frame()
+    unknowns = Unknowns(np.array([[0.075, 0.030, 8.0]]), 0.0)
     for sign in (1.0, -1.0):
-        far = problem.stepped(point, sign * np.full(4, 1e3))
-        np.testing.assert_array_equal(far.touches[0], HABITS.high if sign > 0 else HABITS.low)
+        far = objective.stepped(unknowns, sign * np.full(4, 1e3))
+        np.testing.assert_array_equal(
+            far.touches[0], TOUCH_PRIOR.high if sign > 0 else TOUCH_PRIOR.low
+        )
         assert far.angle_deg == (55.0 if sign > 0 else -25.0)
-    one = problem.stepped(point, np.ones(4))
-    np.testing.assert_allclose(one.touches[0], point.touches[0] + TOUCH_UNITS)
+    one = objective.stepped(unknowns, np.ones(4))
+    np.testing.assert_allclose(one.touches[0], unknowns.touches[0] + TOUCH_UNITS)
     assert one.angle_deg == ANGLE_UNIT
 
 
 def test_two_touches_at_one_place_can_be_told_apart():
     """On one corner, as steps that are cut short leave them, they part: nothing is singular."""
-    problem = frame(TOUCHES[2])
-    corner = np.array([HABITS.low, HABITS.low])
-    found = refined(problem, problem.tangent(Point(corner, 0.0)), 30, 1e-6)
+    objective = frame(TOUCHES[2])
+    corner = np.array([TOUCH_PRIOR.low, TOUCH_PRIOR.low])
+    found = levenberg_marquardt(objective, objective.linearised(Unknowns(corner, 0.0)), 30, 1e-6)
     assert np.linalg.eigvalsh(found.quadratic.hessian).min() > 0
-    apart = np.linalg.norm(found.point.touches[0, :2] - found.point.touches[1, :2])
-    assert apart > 0.5 * HABITS.separation
+    apart = np.linalg.norm(found.unknowns.touches[0, :2] - found.unknowns.touches[1, :2])
+    assert apart > 0.5 * TOUCH_PRIOR.separation
 
 
 def test_residuals_are_whitened_with_noise_bend_and_mismatch():
     """Over many frames of specimens that differ, they have variance one and are uncorrelated."""
     rng = np.random.default_rng(4)
     touches, angle, reference, mismatch = np.array(TOUCHES[2]), 40.0, 10.0, 0.1
-    problem = frame(touches, angle, reference, mismatch=mismatch)
-    point = Point(touches, angle)
-    whitening = problem.whitening(problem.tangent(point))
+    objective = frame(touches, angle, reference, mismatch=mismatch)
+    unknowns = Unknowns(touches, angle)
+    whitening = objective.whitening(objective.linearised(unknowns))
     unsure = CURVE.uncertainty(angle, reference)
     size = np.sqrt(np.sum(ONE(touches, angle) ** 2, axis=0))
     wrong = rng.multivariate_normal(np.zeros(28), TWO_FRAMES + unsure, 4000)
@@ -163,7 +168,7 @@ def test_residuals_are_whitened_with_noise_bend_and_mismatch():
     wrong = wrong + rng.standard_normal((4000, 1)) * late
     wrong = wrong + mismatch * size * rng.standard_normal((4000, 28))
     left = np.array(
-        [whitening @ changed(problem, problem.change + w).left_by(point) for w in wrong]
+        [whitening @ changed(objective, objective.change + w).residual(unknowns) for w in wrong]
     )
     np.testing.assert_allclose(np.cov(left.T), np.eye(28), atol=0.12)
 
@@ -174,8 +179,8 @@ def test_a_frame_that_is_scanned_while_the_sensor_moves_is_no_touch():
     scanned = np.array([CURVE.value(angle)[i] for i, angle in enumerate(angles)])
     still = frame([], 30.0, 18.0)
     moving = changed(still, scanned - CURVE.value(18.0))
-    assert len(explain(moving, candidates(18.0)).touches) == 0
-    assert explain(moving, candidates(18.0)).angle_deg == pytest.approx(30.0, abs=2.0)
+    assert len(fit_frame(moving, candidates(18.0)).touches) == 0
+    assert fit_frame(moving, candidates(18.0)).angle_deg == pytest.approx(30.0, abs=2.0)
 
 
 # Recovery
@@ -198,7 +203,7 @@ def test_touches_are_recovered_without_noise(count, angle_deg):
 def test_bend_since_the_reference_is_no_touch():
     found = explained(frame((), 25.0, 10.0, np.random.default_rng(1)))
     assert len(found.touches) == 0
-    assert found.evidence < THRESHOLD
+    assert found.evidence < TOUCH_THRESHOLD
     assert found.angle_deg == pytest.approx(25.0, abs=3 * found.angle_deviation_deg)
     assert found.angle_deviation_deg < 1.0
 
@@ -216,14 +221,14 @@ def test_touch_and_bend_since_the_reference_are_found_together(angle_deg, refere
 
 def test_proposals_are_where_the_fit_starts_and_wrong_ones_are_given_up():
     rng = np.random.default_rng(3)
-    problem = frame(TOUCHES[2], 0.0, 0.0, rng)
-    alone = explained(problem)
+    objective = frame(TOUCHES[2], 0.0, 0.0, rng)
+    alone = explained(objective)
     for proposed in (
         [[0.032, 0.038], [0.105, 0.022]],
         [[0.130, 0.045]],
         [[0.075, 0.030], [0.02, 0.01], [0.14, 0.05]],
     ):
-        said = explained(problem, np.array(proposed))
+        said = explained(objective, np.array(proposed))
         assert len(said.touches) == 2
         order = matched(said.touches, alone.touches)
         np.testing.assert_allclose(said.touches[order, :2], alone.touches[:, :2], atol=5e-4)
@@ -254,16 +259,16 @@ def test_errors_are_as_large_as_stated():
 def test_misfit_is_its_degrees_of_freedom():
     rng = np.random.default_rng(6)
     found = [explained(frame(TOUCHES[2], 5.0, 5.0, rng)) for _ in range(30)]
-    assert {one.freedom for one in found} == {28 - 7}
-    excess = np.mean([one.misfit - one.freedom for one in found])
-    assert abs(excess) < 4 * np.sqrt(2 * 21 / 30) + 3  # the priors add a little
+    assert {one.degrees_of_freedom for one in found} == {28 - 7}
+    misfit_sigma = np.mean([one.misfit - one.degrees_of_freedom for one in found])
+    assert abs(misfit_sigma) < 4 * np.sqrt(2 * 21 / 30) + 3  # the priors add a little
 
 
 def faint(share):
     """A sensor that feels touches so much less, and its candidates."""
     weak = replace(RESPONSE, scale=RESPONSE.scale * share).of(())
     touches = np.column_stack([places(), np.full(len(places()), RANGES.middle_force)])
-    return weak, Candidates(places(), RANGES.middle_force, weak(touches, 0.0))
+    return weak, TouchCandidates(places(), RANGES.middle_force, weak(touches, 0.0))
 
 
 @pytest.mark.parametrize("share", [1.0, 0.05])
@@ -273,8 +278,8 @@ def test_noise_alone_is_no_touch(share):
     weak, tried = faint(share)
     alarms = 0
     for angle in np.tile([0.0, 20.0], 100):
-        problem = replace(frame((), angle, angle, rng), response=weak)
-        alarms += len(explain(problem, tried, None, FAULTS).touches) > 0
+        objective = replace(frame((), angle, angle, rng), response=weak)
+        alarms += len(fit_frame(objective, tried, None, FAULTS).touches) > 0
     assert alarms < 2
 
 
@@ -283,9 +288,9 @@ def test_weak_touch_is_found_from_the_threshold_on():
     weak, tried = faint(0.05)
     whole = weak(np.array(TOUCHES[1]), 0.0)[0]
     for share, count in ((0.2, 0), (1.5, 1)):
-        said = explain(replace(changed(frame(), share * whole), response=weak), tried)
+        said = fit_frame(replace(changed(frame(), share * whole), response=weak), tried)
         assert len(said.touches) == count
-        assert (said.evidence > THRESHOLD) == (count > 0)
+        assert (said.evidence > TOUCH_THRESHOLD) == (count > 0)
 
 
 # Bad measurements
@@ -294,15 +299,15 @@ def test_weak_touch_is_found_from_the_threshold_on():
 @pytest.mark.parametrize("bad", [[3], [0, 5, 12, 20, 27], list(range(7))])
 def test_bad_channels_are_left_out(bad):
     """One, five, and all of electrode 0: as if there had never been such measurements."""
-    problem = frame(TOUCHES[1], 12.0, 12.0, np.random.default_rng(8))
-    change = problem.change.copy()
+    objective = frame(TOUCHES[1], 12.0, 12.0, np.random.default_rng(8))
+    change = objective.change.copy()
     change[bad] = np.nan
-    missing = explained(changed(problem, change))
+    missing = explained(changed(objective, change))
     assert len(missing.touches) == 1
     off = missing.touches[0] - TOUCHES[1][0]
     assert off @ np.linalg.solve(missing.covariance[0], off) < 16.0
-    assert missing.freedom == 28 - len(bad) - 4
-    whole = explained(problem)
+    assert missing.degrees_of_freedom == 28 - len(bad) - 4
+    whole = explained(objective)
     assert np.trace(missing.covariance[0]) > np.trace(whole.covariance[0])
 
 
@@ -310,10 +315,10 @@ def test_bad_channels_are_left_out(bad):
 def test_one_wrong_channel_is_told_and_is_no_touch(count, size):
     rng = np.random.default_rng(9)
     for channel in (0, 9, 17):
-        problem = frame(TOUCHES.get(count, ()), 0.0, 0.0, rng)
-        change = problem.change.copy()
+        objective = frame(TOUCHES.get(count, ()), 0.0, 0.0, rng)
+        change = objective.change.copy()
         change[channel] += size
-        found = explained(changed(problem, change))
+        found = explained(changed(objective, change))
         assert [fault.members for fault in found.faults] == [(channel,)]
         assert PROTOCOL.labels[channel] in found.faults[0].name
         assert len(found.touches) == count
@@ -324,11 +329,11 @@ def test_wrong_channel_beside_a_touch_is_never_silent(size):
     """It is named, or the frame counts as one that nothing explains."""
     rng = np.random.default_rng(9)
     for channel in (0, 9, 17):
-        problem = frame(TOUCHES[1], 0.0, 0.0, rng)
-        change = problem.change.copy()
+        objective = frame(TOUCHES[1], 0.0, 0.0, rng)
+        change = objective.change.copy()
         change[channel] += size
-        found = explained(changed(problem, change))
-        assert found.faults or excess(found) > 6.0
+        found = explained(changed(objective, change))
+        assert found.faults or misfit_sigma(found) > 6.0
 
 
 @pytest.mark.parametrize(("count", "share"), [(0, 0.001), (0, 0.01), (1, 0.002)])
@@ -337,9 +342,9 @@ def test_contact_that_changed_is_told_and_is_no_touch(share, count):
     rng = np.random.default_rng(11)
     for electrode in (0, 3, 5):
         through = np.array([electrode in row[:2] for row in PROTOCOL.table])
-        problem = frame(TOUCHES.get(count, ()), 0.0, 0.0, rng)
+        objective = frame(TOUCHES.get(count, ()), 0.0, 0.0, rng)
         found = explained(
-            changed(problem, problem.change + share * np.median(FLAT) / FLAT * through)
+            changed(objective, objective.change + share * np.median(FLAT) / FLAT * through)
         )
         assert len(found.touches) == count
         (fault,) = found.faults
@@ -358,9 +363,9 @@ def test_touches_near_electrodes_are_no_faults():
 def test_frame_that_nothing_explains_has_a_misfit_that_tells():
     rng = np.random.default_rng(10)
     for size in (0.003, 0.01, 0.05):
-        problem = changed(frame(), size * rng.standard_normal(28))
-        found = explained(problem)
-        assert excess(found) > 6.0
+        objective = changed(frame(), size * rng.standard_normal(28))
+        found = explained(objective)
+        assert misfit_sigma(found) > 6.0
         assert np.isfinite(found.covariance).all()
         assert (np.diagonal(found.covariance, axis1=1, axis2=2) > 0).all()
 
@@ -371,4 +376,4 @@ def test_any_common_factor_is_survived():
         found = explained(changed(frame(TOUCHES[1]), frame(TOUCHES[1]).change + factor))
         assert np.isfinite(found.angle_deg)
         assert np.isfinite(found.covariance).all()
-        assert excess(found) > 6.0
+        assert misfit_sigma(found) > 6.0

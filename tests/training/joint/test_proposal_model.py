@@ -5,13 +5,16 @@ import pytest
 import torch
 
 from eitskin.training.joint import proposal_training as proposal_network
-from eitskin.training.joint.proposal_model import MOST, Proposals, network_inputs
-from eitskin.training.joint.proposal_training import Model, fit_proposals
+from eitskin.training.joint.prior import MOST_TOUCHES
+from eitskin.training.joint.proposal_model import ProposalNetwork, network_inputs
+from eitskin.training.joint.proposal_training import SyntheticFrames, fit_proposals
 from eitskin.training.method.settings import NetworkSettings
 
-from smooth_sensor import HABITS, NOISE, curves, response
+from smooth_sensor import NOISE, TOUCH_PRIOR, curves, response
 
-MODEL = Model(response(mismatch=0.05, features=1), curves(features=1), HABITS, np.full(28, NOISE))
+MODEL = SyntheticFrames(
+    response(mismatch=0.05, features=1), curves(features=1), TOUCH_PRIOR, np.full(28, NOISE)
+)
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +38,7 @@ def frames(count, seed=1):
 # Frames made up
 
 
-def test_frames_are_as_habits_say():
+def test_frames_are_follow_the_touch_prior():
     _, places = frames(4000)
     there = np.isfinite(places[..., 0])
     counts = there.sum(axis=1)
@@ -43,27 +46,29 @@ def test_frames_are_as_habits_say():
     assert 0.12 < np.mean(counts == 0) < 0.3
     for axis in range(2):
         values = places[..., axis][there]
-        assert HABITS.low[axis] <= values.min() < HABITS.low[axis] + 0.002
-        assert HABITS.high[axis] - 0.002 < values.max() <= HABITS.high[axis]
-    for i in range(MOST):
+        assert TOUCH_PRIOR.low[axis] <= values.min() < TOUCH_PRIOR.low[axis] + 0.002
+        assert TOUCH_PRIOR.high[axis] - 0.002 < values.max() <= TOUCH_PRIOR.high[axis]
+    for i in range(MOST_TOUCHES):
         for j in range(i):
             apart = np.hypot(*(places[:, i] - places[:, j]).T)
-            assert np.nanmin(apart) >= HABITS.separation
+            assert np.nanmin(apart) >= TOUCH_PRIOR.separation
 
 
 def test_made_up_changes_are_those_of_the_response():
     """Of one touch, on average over specimens and noise, what `TouchResponse` says."""
     rng = np.random.default_rng(2)
-    touches = np.full((2000, MOST, 3), np.nan)
+    touches = np.full((2000, MOST_TOUCHES, 3), np.nan)
     touches[:, 0] = [0.05, 0.02, 9.0]
     angle, features = np.full(2000, 20.0), np.zeros((2000, 1))
     change = MODEL._touched(touches, angle, features, rng)
     expected = MODEL.response.of([0.0])(touches[0, :1], 20.0)[0]
     strong = expected > 0.3 * expected.max()
-    mean = change.mean(axis=0) / np.exp(0.5 * proposal_network.STRENGTHS**2)
+    mean = change.mean(axis=0) / np.exp(0.5 * proposal_network.LOG_SENSITIVITY_STD**2)
     np.testing.assert_allclose(mean[strong], expected[strong], rtol=0.02)
     spread = np.std(change / expected, axis=0)[strong]
-    np.testing.assert_allclose(spread, np.hypot(proposal_network.STRENGTHS, 0.05), rtol=0.1)
+    np.testing.assert_allclose(
+        spread, np.hypot(proposal_network.LOG_SENSITIVITY_STD, 0.05), rtol=0.1
+    )
 
 
 def test_same_seed_makes_the_same_frames():
@@ -81,7 +86,7 @@ def test_touches_are_proposed_near_where_they_are(trained):
     count = np.isfinite(places[..., 0]).sum(axis=1)
     near, quiet = [], []
     for i in np.flatnonzero(count <= 1):
-        proposed = trained[0].places(inputs[i], HABITS.separation)
+        proposed = trained[0].places(inputs[i], TOUCH_PRIOR.separation)
         if count[i] == 0:
             quiet.append(len(proposed) == 0)
             continue
@@ -104,7 +109,7 @@ def test_training_tells_its_losses_and_progress(trained):
 @pytest.mark.slow
 def test_arrays_make_them_again(trained):
     proposals = trained[0]
-    again = Proposals.from_arrays(proposals.arrays())
+    again = ProposalNetwork.from_arrays(proposals.arrays())
     for inputs in frames(5)[0]:
         np.testing.assert_array_equal(again.map(inputs), proposals.map(inputs))
         assert proposals.map(inputs).shape == (len(proposals.rows), len(proposals.columns))
@@ -114,7 +119,7 @@ def test_arrays_make_them_again(trained):
 
 
 def picture(*touches):
-    """Proposals that say one map whatever the inputs are: bumps of these x, y and values."""
+    """ProposalNetwork that say one map whatever the inputs are: bumps of these x, y and values."""
     columns, rows = np.linspace(0.01, 0.14, 27), np.linspace(0.01, 0.05, 9)
     x, y = np.meshgrid(columns, rows)
     values = np.full(x.shape, 1e-3)
@@ -122,7 +127,7 @@ def picture(*touches):
         bump = value * np.exp(-0.5 * ((x - px) ** 2 + (y - py) ** 2) / 0.004**2)
         values = np.maximum(values, bump)
     logits = np.log(values / (1.0 - values)).ravel()
-    return Proposals((np.zeros((len(logits), 3)),), (logits,), columns, rows)
+    return ProposalNetwork((np.zeros((len(logits), 3)),), (logits,), columns, rows)
 
 
 def test_places_are_the_peaks_likeliest_first():
@@ -139,7 +144,7 @@ def test_one_peak_is_one_place_and_there_are_four_at_most():
     near = picture((0.050, 0.030, 0.9), (0.056, 0.030, 0.8)).places(np.zeros(3), 0.030)
     assert len(near) == 1
     many = [(0.02 + 0.022 * i, 0.03, 0.5) for i in range(6)]
-    assert len(picture(*many).places(np.zeros(3), 0.030)) == MOST
+    assert len(picture(*many).places(np.zeros(3), 0.030)) == MOST_TOUCHES
 
 
 def test_inputs_take_what_is_not_finite_for_no_change():

@@ -17,7 +17,7 @@ from eitskin.training.joint.response_training import (
 from eitskin.training.joint.touch_response import TouchResponse
 from eitskin.training.method.settings import NetworkSettings, silent
 
-from smooth_sensor import HABITS, RANGES, response, touch_change
+from smooth_sensor import RANGES, TOUCH_PRIOR, response, touch_change
 
 STEPS = np.array([1e-6, 1e-6, 1e-4])  # m, m, N
 
@@ -29,12 +29,12 @@ def learned():
 
 @pytest.fixture
 def touches():
-    return np.random.default_rng(1).uniform(HABITS.low, HABITS.high, (6, 3))
+    return np.random.default_rng(1).uniform(TOUCH_PRIOR.low, TOUCH_PRIOR.high, (6, 3))
 
 
 def test_derivatives_are_those_of_finite_differences(learned, touches):
     one = learned.of([0.5, -1.0])
-    said, _ = one.tangent(touches, 20.0)
+    said, _ = one.with_derivatives(touches, 20.0)
     values, slopes = said[:, 0], said[:, 1:]
     np.testing.assert_allclose(values, one(touches, 20.0), rtol=1e-10)
     assert slopes.shape == (6, 3, 28)
@@ -71,7 +71,7 @@ def test_response_is_that_of_the_plain_formula(learned, touches, layers):
     expected = np.array(list(plain(deep, p, touches, 33.0)))
     size = np.abs(expected).max()
     np.testing.assert_allclose(one(touches, 33.0), expected, rtol=0, atol=1e-12 * size)
-    said, hidden = one.tangent(touches, 33.0)
+    said, hidden = one.with_derivatives(touches, 33.0)
     np.testing.assert_allclose(said[:, 0], expected, rtol=0, atol=1e-12 * size)
     np.testing.assert_allclose(hidden @ one.output.T, expected, rtol=0, atol=1e-12 * size)
 
@@ -102,7 +102,7 @@ def test_linear_in_features(learned, touches):
 
 
 def uncertainty(one, touches, angle_deg):
-    said, hidden = one.tangent(touches, angle_deg)
+    said, hidden = one.with_derivatives(touches, angle_deg)
     return one.uncertainty(said[:, 0], hidden)
 
 
@@ -112,9 +112,9 @@ def test_uncertainty_is_the_covariance_of_what_is_not_known(learned, touches):
     three, angle = touches[:3], 10.0
     told = replace(learned, mismatch=0.03)
     one = told.of([0.5, 0.0])
-    shapes, each = one.unseen(three, angle), one(three, angle)
+    shapes, each = one.latent_changes(three, angle), one(three, angle)
     assert shapes.shape == (2, 28)
-    alone = [one.unseen(three[i : i + 1], angle) for i in range(3)]
+    alone = [one.latent_changes(three[i : i + 1], angle) for i in range(3)]
     np.testing.assert_allclose(np.sum(alone, axis=0), shapes)
     drawn = rng.standard_normal((20_000, 2)) @ shapes
     for change in each:
@@ -148,7 +148,7 @@ STRENGTHS = np.exp(np.array([0.2, -0.2, 0.1, 0.0, -0.1, 0.15, -0.15, 0.0]))
 def frames(count, seed):
     """Of one and two touches, of eight specimens of one feature that differ in strength."""
     rng = np.random.default_rng(seed)
-    touches = rng.uniform(HABITS.low, HABITS.high, (count, 2, 3))
+    touches = rng.uniform(TOUCH_PRIOR.low, TOUCH_PRIOR.high, (count, 2, 3))
     touches[rng.uniform(size=count) < 0.5, 1] = np.nan
     angle = rng.uniform(-20.0, 50.0, count)
     specimen = rng.integers(0, len(STRENGTHS), count)
@@ -179,7 +179,7 @@ def test_smooth_response_is_learned_from_few_frames(trained):
     """At places, forces, angles and features never seen."""
     rng = np.random.default_rng(2)
     errors, sizes = [], []
-    for touch in rng.uniform(HABITS.low, HABITS.high, (200, 3)):
+    for touch in rng.uniform(TOUCH_PRIOR.low, TOUCH_PRIOR.high, (200, 3)):
         angle, feature = rng.uniform(-20.0, 50.0), rng.uniform(-1.5, 1.5)
         said = trained[0].of([feature])(touch[None], angle)[0]
         true = touch_change(touch[None], angle)[0]
@@ -216,7 +216,7 @@ def test_network_says_what_it_was_trained_to_say(features):
     data = frames(40, 4)
     data = replace(data, features=data.features[:, :features])
     network = ResponseNetwork(data)
-    network.unseen.data[:] = torch.tensor([0.3, -0.5])  # the same for all: then it is none
+    network.latent.data[:] = torch.tensor([0.3, -0.5])  # the same for all: then it is none
     with torch.inference_mode():
         said = network(_packed(data, RANGES)).numpy() * 0.5
     plain = _response(network, np.unique(data.specimen), 0.5, RANGES)

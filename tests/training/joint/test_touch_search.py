@@ -5,17 +5,18 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from eitskin.training.joint.channel_faults import likeliest, possible_faults
-from eitskin.training.joint.objective import ANGLE_UNIT, TOUCH_UNITS, Point, TouchProblem, refined
+from eitskin.training.joint.channel_faults import most_likely_fault, possible_faults
+from eitskin.training.joint.objective import TouchObjective, Unknowns, levenberg_marquardt
+from eitskin.training.joint.prior import ANGLE_UNIT, TOUCH_UNITS
 from eitskin.training.joint.touch_search import (
-    CLOSEST,
+    LEAST_DISTANCE,
     PAIR_STRIDE,
-    Candidates,
-    best_pairs,
-    with_forces,
+    TouchCandidates,
+    initial_touches,
+    pair_starts,
 )
 
-from smooth_sensor import FLAT, HABITS, NOISE, PROTOCOL, RANGES, curve, places, response
+from smooth_sensor import FLAT, NOISE, PROTOCOL, RANGES, TOUCH_PRIOR, curve, places, response
 
 ONE, CURVE = response(mismatch=0.05).of(()), curve()
 TWO = np.array([[0.055, 0.030, 7.0], [0.100, 0.020, 9.0]])
@@ -23,38 +24,38 @@ BAD = [4, 11]
 
 
 @pytest.fixture(scope="module")
-def problem():
+def objective():
     """A frame of two touches that the sensor was bent for, with two bad channels."""
     noise = 2.0 * NOISE**2 * np.eye(28) + 1e-8
     change = CURVE.value(14.0) - CURVE.value(10.0) + ONE(TWO, 14.0).sum(axis=0)
     change = change + NOISE * np.random.default_rng(0).standard_normal(28)
     change[BAD] = np.nan
-    return TouchProblem.of(change, noise, 10.0, ONE, CURVE, HABITS)
+    return TouchObjective.of(change, noise, 10.0, ONE, CURVE, TOUCH_PRIOR)
 
 
 @pytest.fixture(scope="module")
 def candidates():
     force = RANGES.middle_force
     touches = np.column_stack([places(), np.full(len(places()), force)])
-    return Candidates(places(), force, ONE(touches, 10.0))
+    return TouchCandidates(places(), force, ONE(touches, 10.0))
 
 
-def plain_covariance(problem, touches, angle_deg):
+def plain_covariance(objective, touches, angle_deg):
     """Of noise, bend, scan and response, each by its own formula."""
     late = CURVE.slope(angle_deg) * (np.arange(28) / 28 - 0.5) * (angle_deg - 10.0)
-    covariance = problem.noise + CURVE.uncertainty(angle_deg, 10.0) + np.outer(late, late)
-    own = ONE.unseen(touches, angle_deg)
+    covariance = objective.noise + CURVE.uncertainty(angle_deg, 10.0) + np.outer(late, late)
+    own = ONE.latent_changes(touches, angle_deg)
     size = 0.05**2 * np.sum(ONE(touches, angle_deg) ** 2, axis=0)
     return covariance + own.T @ own + np.diag(size)
 
 
-def test_quadratic_is_that_of_the_plain_formula(problem):
+def test_quadratic_is_that_of_the_plain_formula(objective):
     touches, angle = TWO + np.array([0.002, -0.003, 1.0]), 17.0
-    at = problem.tangent(Point(touches, angle))
+    at = objective.linearised(Unknowns(touches, angle))
     good = np.setdiff1d(np.arange(28), BAD)
-    covariance = plain_covariance(problem, touches, angle)[np.ix_(good, good)]
+    covariance = plain_covariance(objective, touches, angle)[np.ix_(good, good)]
     expected = np.linalg.inv(np.linalg.cholesky(covariance))
-    whitening = problem.whitening(at)
+    whitening = objective.whitening(at)
     np.testing.assert_allclose(whitening[:, good], expected, rtol=1e-7, atol=1e-7)
     assert not whitening[:, BAD].any()
     J = [ANGLE_UNIT * CURVE.slope(angle)]
@@ -64,12 +65,15 @@ def test_quadratic_is_that_of_the_plain_formula(problem):
             up, down = (ONE((touch + sign * step)[None], angle)[0] for sign in (1, -1))
             J.append((up - down) / 2e-5)
     J = expected @ np.array(J)[:, good].T
-    r = expected @ problem.left_by(at.point)[good]
-    mean, size = 0.5 * (HABITS.low + HABITS.high), (HABITS.high - HABITS.low) / np.sqrt(12.0)
-    mean[2], size[2] = HABITS.force
+    r = expected @ objective.residual(at.unknowns)[good]
+    mean, size = (
+        0.5 * (TOUCH_PRIOR.low + TOUCH_PRIOR.high),
+        (TOUCH_PRIOR.high - TOUCH_PRIOR.low) / np.sqrt(12.0),
+    )
+    mean[2], size[2] = TOUCH_PRIOR.force
     off = np.append((angle - 10.0) / 15.0, (touches - mean) / size)
     scale = np.append(ANGLE_UNIT / 15.0, np.tile(TOUCH_UNITS / size, 2))
-    said = problem.quadratic(at, whitening)
+    said = objective.quadratic(at, whitening)
     assert said.misfit == pytest.approx(r @ r + off @ off, rel=1e-9)
     gradient, hessian = J.T @ r - scale * off, J.T @ J + np.diag(scale**2)
     np.testing.assert_allclose(said.gradient, gradient, atol=1e-6 * np.abs(gradient).max())
@@ -78,23 +82,23 @@ def test_quadratic_is_that_of_the_plain_formula(problem):
     np.testing.assert_allclose(said.step(0.1), np.linalg.solve(damped, gradient), rtol=1e-5)
 
 
-def test_best_pairs_are_those_of_a_loop_over_all(problem, candidates):
-    start = Point(np.array([[0.075, 0.025, 12.0]]), 12.0)
-    found = refined(problem, problem.tangent(start), 8, 0.03)
-    rest = [found.point.without(0), Point(np.array([[0.012, 0.048, 3.0]]), 14.0)]
-    said = best_pairs(problem, rest, found, candidates)
+def test_best_pairs_are_those_of_a_loop_over_all(objective, candidates):
+    start = Unknowns(np.array([[0.075, 0.025, 12.0]]), 12.0)
+    found = levenberg_marquardt(objective, objective.linearised(start), 8, 0.03)
+    rest = [found.unknowns.without_touch(0), Unknowns(np.array([[0.012, 0.048, 3.0]]), 14.0)]
+    said = pair_starts(objective, rest, found, candidates)
     tried = candidates.places[::PAIR_STRIDE]
     shapes = found.whitening @ candidates.change[::PAIR_STRIDE].T
-    for point, (promise, pair) in zip(rest, said, strict=True):
-        left, best = found.whitening @ problem.left_by(point), (np.inf, None)
-        taken = point.touches[:, :2]
+    for unknowns, (promise, pair) in zip(rest, said, strict=True):
+        left, best = found.whitening @ objective.residual(unknowns), (np.inf, None)
+        taken = unknowns.touches[:, :2]
         for i, j in combinations(range(len(tried)), 2):
-            near = np.linalg.norm(taken - tried[[i, j], None], axis=-1) <= CLOSEST * 0.030
-            if near.any() or np.linalg.norm(tried[i] - tried[j]) <= HABITS.separation:
+            near = np.linalg.norm(taken - tried[[i, j], None], axis=-1) <= LEAST_DISTANCE * 0.030
+            if near.any() or np.linalg.norm(tried[i] - tried[j]) <= TOUCH_PRIOR.separation:
                 continue
             share = np.linalg.lstsq(shapes[:, [i, j]], left, rcond=None)[0]
             forces = share * candidates.force
-            if np.any(forces <= HABITS.low[2]) or np.any(forces >= HABITS.high[2]):
+            if np.any(forces <= TOUCH_PRIOR.low[2]) or np.any(forces >= TOUCH_PRIOR.high[2]):
                 continue
             misfit = np.sum((left - shapes[:, [i, j]] @ share) ** 2)
             best = min(best, (misfit, (i, j), tuple(forces)))
@@ -103,15 +107,17 @@ def test_best_pairs_are_those_of_a_loop_over_all(problem, candidates):
         np.testing.assert_allclose(pair.touches[-2:, 2], best[2], rtol=1e-6)
 
 
-def test_forces_are_the_least_squares_with_their_prior(problem):
-    untouched = problem.tangent(Point(np.zeros((0, 3)), 13.0))
-    said = with_forces(problem, TWO[:, :2], untouched).touches
-    whitening = problem.whitening(untouched)
-    mean, deviation = HABITS.force
+def test_forces_are_the_least_squares_with_their_prior(objective):
+    untouched = objective.linearised(Unknowns(np.zeros((0, 3)), 13.0))
+    said = initial_touches(objective, TWO[:, :2], untouched).touches
+    whitening = objective.whitening(untouched)
+    mean, deviation = TOUCH_PRIOR.force
     unit = np.column_stack([TWO[:, :2], np.full(2, mean)])
     shapes = whitening @ ONE(unit, 13.0).T / mean
     A = np.vstack([shapes, np.eye(2) / deviation])
-    b = np.concatenate([whitening @ problem.left_by(untouched.point), np.full(2, mean / deviation)])
+    b = np.concatenate(
+        [whitening @ objective.residual(untouched.unknowns), np.full(2, mean / deviation)]
+    )
     np.testing.assert_allclose(said[:, 2], np.linalg.lstsq(A, b, rcond=None)[0], rtol=1e-8)
 
 
@@ -142,6 +148,6 @@ def test_likeliest_fault_is_that_of_a_fit_of_each():
             for A in (known, both)
         )
         gains.append(without - beside)
-    fault, gain = likeliest(residual, known, possible.changes, possible)
+    fault, gain = most_likely_fault(residual, known, possible.changes, possible)
     assert fault is possible.faults[int(np.argmax(gains))]
     assert gain == pytest.approx(max(gains), rel=1e-9)

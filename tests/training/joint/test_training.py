@@ -20,21 +20,21 @@ from eitskin.training.joint import (
 )
 from eitskin.training.joint.method import JointMethod
 from eitskin.training.joint.training import fit_joint
-from eitskin.training.method.input_spec import Layout
-from eitskin.training.method.observations import Observed
+from eitskin.training.method.input_spec import InputSpec
+from eitskin.training.method.observations import Observations
 from eitskin.training.method.settings import JointSettings, NetworkSettings
 
 from smooth_sensor import (
     FLAT,
-    HABITS,
     NOISE,
     PROTOCOL,
+    TOUCH_PRIOR,
     bend_mean,
     powers,
     touch_change,
 )
 
-LAYOUT = Layout(SensorDesign.reference(), PROTOCOL, 40e3, FLAT)
+LAYOUT = InputSpec(SensorDesign.reference(), PROTOCOL, 40e3, FLAT)
 
 
 def dataset(count=900, specimens=24, seed=0):
@@ -47,7 +47,7 @@ def dataset(count=900, specimens=24, seed=0):
     state = np.where((state == State.IDLE) & (np.arange(count) % 2 == 0), State.TOUCH, state)
     bent = (state == State.BEND) | ((state == State.TOUCH) & (rng.uniform(size=count) < 0.5))
     angle = np.where(bent, rng.uniform(-20.0, 50.0, count), 0.0)
-    touches = rng.uniform(HABITS.low, HABITS.high, (count, 2, 3))
+    touches = rng.uniform(TOUCH_PRIOR.low, TOUCH_PRIOR.high, (count, 2, 3))
     touches[..., 2] = rng.uniform(4.0, 12.0, (count, 2))
     apart = np.hypot(*(touches[:, 0, :2] - touches[:, 1, :2]).T)
     touches[(apart < 0.030) | (rng.uniform(size=count) < 0.5), 1] = np.nan
@@ -86,7 +86,7 @@ def trained():
         patch.setattr(response_network, "HIDDEN", 48)
         patch.setattr(response_network, "LAYERS", 2)
         patch.setattr(proposal_network, "HIDDEN", (96, 96))
-        patch.setattr(proposal_network, "PER_EPOCH", 40)
+        patch.setattr(proposal_network, "STEPS_PER_EPOCH", 40)
         patch.setattr(joint_training, "PITCH", 0.008)
         settings = JointSettings(
             response=NetworkSettings(1e-2, epochs=18, batch=48),
@@ -101,15 +101,15 @@ def trained():
 def test_what_is_learned_is_the_sensor(trained):
     method, said = trained
     np.testing.assert_allclose(method.noise, NOISE, rtol=0.2)
-    assert method.habits.separation == pytest.approx(0.030, abs=0.001)
-    assert method.habits.force[0] == pytest.approx(8.0, abs=0.3)
+    assert method.touch_prior.separation == pytest.approx(0.030, abs=0.001)
+    assert method.touch_prior.force[0] == pytest.approx(8.0, abs=0.3)
     assert method.radius == pytest.approx(0.0075)
     assert method.response.ranges.angle_deg[0] < -18.0
     assert 0.01 < method.response.mismatch < 0.4
     angles = np.array([-15.0, 20.0, 45.0])
-    bend = method.curves.of(np.zeros(len(method.features.directions))).value(angles)
+    bend = method.bend_prior.of(np.zeros(len(method.features.directions))).value(angles)
     np.testing.assert_allclose(bend, powers(angles, 5) @ bend_mean(), atol=5e-4)
-    spread = np.sqrt(np.diag(method.curves.of(np.zeros(4)).uncertainty(50.0)))
+    spread = np.sqrt(np.diag(method.bend_prior.of(np.zeros(4)).uncertainty(50.0)))
     assert 3e-4 < np.median(spread) < 8e-4
     assert {stage for stage, *_ in said} == {"bend curve", "touch response", "proposals"}
     assert all(done <= total for _, done, total in said)
@@ -118,7 +118,7 @@ def test_what_is_learned_is_the_sensor(trained):
 @pytest.mark.slow
 def test_learned_method_perceives_frames_never_seen(trained):
     unseen = dataset(150, 24, seed=1)
-    said = trained[0].perceive(Observed.of(unseen))
+    said = trained[0].perceive(Observations.of(unseen))
     assert np.mean(said.state == unseen.state) > 0.9
     free = unseen.state != State.TOUCH
     assert np.sqrt(np.mean((said.bend_angle_deg - unseen.bend_angle_deg)[free] ** 2)) < 1.5
@@ -132,7 +132,7 @@ def test_learned_method_perceives_frames_never_seen(trained):
 
 @pytest.mark.slow
 def test_learned_method_is_copied_by_its_arrays(trained):
-    frames = Observed.of(dataset(12, 24, seed=2))
+    frames = Observations.of(dataset(12, 24, seed=2))
     again = JointMethod.from_arrays(trained[0].arrays(), LAYOUT)
     expected = trained[0].outputs(frames)
     for name, array in again.outputs(frames).items():

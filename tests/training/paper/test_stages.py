@@ -1,27 +1,21 @@
-"""Stages that are learned: state, touch map, touches, touch position."""
+"""Stages that are learned: state, touch map, touches."""
 
-import os
 from contextlib import suppress
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
-from eitskin.datasets import RecordingNames, read_recording
 from eitskin.errors import ConfigurationError, DataError
-from eitskin.training import RecordedTouches
-from eitskin.training.method.networks import single_thread, weights_of
 from eitskin.training.method.settings import NetworkSettings, TrainingSettings
 from eitskin.training.paper.bend_subspace import bend_free
 from eitskin.training.paper.classifier import Classifier
 from eitskin.training.paper.missing_channels import MissingChannels
+from eitskin.training.paper.networks import single_thread, weights_of
 from eitskin.training.paper.postprocessor import PostProcessor
 from eitskin.training.paper.reconstruction import Reconstruction
 from eitskin.training.paper.touch_regions import find_touches
-from eitskin.training.positions.touch_position import TouchPosition
 
-DATA = Path(os.environ.get("EITSKIN_DATA", Path(__file__).parents[4] / "shared" / "data"))
 SHAPE = (8, 16)
 OUTLINE = (0.16, 0.08)
 X, Y = np.meshgrid((np.arange(16) + 0.5) * 0.01, (np.arange(8) + 0.5) * 0.01)
@@ -256,67 +250,3 @@ def test_faint_and_tiny_regions_are_no_touches():
     touch_map[10:14, 20:24] = 0.2
     touch_map[20, 60:63] = 1.0
     assert find_touches(touch_map, (0.150, 0.060)) == ()
-
-
-# Touch position without geometry
-
-
-def recorded(count=150, seed=0):
-    """Ratios of a toy skin of eight channels, each feeling presses near its own place."""
-    rng = np.random.default_rng(seed)
-    places = rng.uniform(-0.05, 0.05, size=(count, 2))
-    angles = np.arange(8) * np.pi / 4
-    own = 0.05 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    distance = np.linalg.norm(places[:, None] - own, axis=2)
-    strength = rng.uniform(0.5, 2.0, size=(count, 1))
-    change = 0.02 * strength * np.exp(-((distance / 0.04) ** 2))
-    return 1 + change + rng.normal(size=change.shape) * 1e-5, places
-
-
-def test_touch_position_is_learned_whatever_the_strength():
-    stage = TouchPosition.fit(*recorded())
-    ratio, places = recorded(50, seed=1)
-    assert np.mean(np.linalg.norm(stage.apply(ratio) - places, axis=1)) < 0.002
-    harder = stage.apply(ratio**3)  # three times the press, in log ratios
-    np.testing.assert_allclose(harder, stage.apply(ratio), atol=1e-9)
-
-
-def test_touch_position_is_scikit_learns_prediction():
-    from sklearn.gaussian_process import GaussianProcessRegressor
-    from sklearn.gaussian_process.kernels import Matern
-
-    ratio, places = recorded()
-    stage = TouchPosition.fit(ratio, places)
-    kernel = stage.variance * Matern(stage.length, nu=2.5)
-    process = GaussianProcessRegressor(kernel, optimizer=None)
-    process.X_train_, process.alpha_ = stage.directions, stage.weights
-    process._y_train_mean, process._y_train_std = 0.0, 1.0
-    process.kernel_ = kernel
-    logs = np.log(ratio) / stage.channel_scale
-    directions = logs / np.linalg.norm(logs, axis=1, keepdims=True)
-    np.testing.assert_allclose(
-        process.predict(directions) + stage.centre, stage.apply(ratio), atol=1e-9
-    )
-
-
-def test_touch_position_edges():
-    ratio, places = recorded()
-    stage = TouchPosition.fit(ratio, places)
-    ratio[0, 0], ratio[1] = np.nan, 1.0
-    assert np.isfinite(stage.apply(ratio)).all()
-    with pytest.raises(DataError, match="8 channels, got 7"):
-        stage.apply(ratio[:, :7])
-    with pytest.raises(DataError, match="at least 20"):
-        TouchPosition.fit(ratio[:5], places[:5])
-
-
-def test_measured_hydrogel_skin():
-    """500 presses of a real skin: better than extremely randomised trees' 4.5 mm."""
-    if not (DATA / "ohmc8.mat").is_file():
-        pytest.skip(f"no ohmc8.mat in {DATA}; set EITSKIN_DATA to the folder that holds it")
-    names = RecordingNames("responsedowns", "responseups", "positions")
-    recording = read_recording(DATA / "ohmc8.mat", names)
-    score = RecordedTouches.fit(recording).evaluate(recording)
-    assert score.frames == 100
-    assert score.mean_error_mm < 3.0
-    assert score.guess_error_mm > 40.0

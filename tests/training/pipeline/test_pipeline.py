@@ -13,7 +13,7 @@ from eitskin.errors import DataError, FrameError
 from eitskin.simulator import Frame, Protocol, Status
 from eitskin.training import Pipeline, RecordedTouches, evaluate
 from eitskin.training.method.input_spec import LARGEST_SCALE
-from eitskin.training.method.observations import Observed
+from eitskin.training.method.observations import Observations
 from eitskin.training.pipeline.pipeline import LONGEST_GAP
 
 from linear_sensor import SETTINGS, linear_sensor, trained_pipeline
@@ -132,7 +132,7 @@ def test_stages_alone_say_what_the_session_says(pipeline, session, sensor):
     references = pipeline._references
     static, dynamic = (np.real(V / ref - 1)[None] for ref in (references.bend, references.touch))
     flat, one = np.abs(references.bend)[None], np.ones(1)
-    alone = pipeline.method.perceive(Observed(static, dynamic, flat, one, one, one, one, one))
+    alone = pipeline.method.perceive(Observations(static, dynamic, flat, one, one, one, one, one))
     said = pipeline.process(Frame(V, sensor.protocol, 9.0, 9))
     np.testing.assert_allclose(said.touch_map, alone.touch_map[0], atol=1e-6)
     assert said.bend_angle_deg == pytest.approx(alone.bend_angle_deg[0])

@@ -17,13 +17,13 @@ from eitskin.training.evaluation.report.drawing import (
     NoFigure,
     new_figure,
 )
-from eitskin.training.method.learning_curve import History
+from eitskin.training.method.learning_curve import LearningCurve
 from eitskin.training.pipeline.pipeline import Pipeline
 
 
-def histories(pipeline: Pipeline) -> Mapping[str, History]:
+def learning_curves(pipeline: Pipeline) -> Mapping[str, LearningCurve]:
     """How the loss of each network fell in training, by its name; empty where none was kept."""
-    kept = pipeline.method.histories
+    kept = pipeline.method.learning_curves
     return {name: history for name, history in kept.items() if history.training}
 
 
@@ -34,7 +34,7 @@ def training_curves(evaluation: Evaluation) -> CaptionedFigure | NoFigure:
 
 def loss_curves(pipeline: Pipeline) -> CaptionedFigure | NoFigure:
     """Loss per epoch of every network."""
-    networks = histories(pipeline)
+    networks = learning_curves(pipeline)
     if not networks:
         return NoFigure(
             "this pipeline has no networks, or was trained without keeping their losses"

@@ -11,7 +11,11 @@ from eitskin.extras import require
 from eitskin.files import atomic_file
 from eitskin.training.evaluation.evaluate import Evaluation
 from eitskin.training.evaluation.report.bend import bend_angles, bend_sequence
-from eitskin.training.evaluation.report.curves import confusion_matrix, histories, training_curves
+from eitskin.training.evaluation.report.curves import (
+    confusion_matrix,
+    learning_curves,
+    training_curves,
+)
 from eitskin.training.evaluation.report.drawing import EXTRA, CaptionedFigure, NoFigure, style
 from eitskin.training.evaluation.report.maps import touch_maps_by_angle, touch_maps_by_count
 from eitskin.training.evaluation.report.positions import error_vectors, localisation_errors
@@ -81,7 +85,9 @@ def write_report(evaluation: Evaluation, folder: str | Path, made_with: Mapping[
         "provenance": {**provenance(evaluation), **made_with},
         "report": evaluation.report.as_dict(),
         "definitions": {"ssim": SSIM_DEFINITION},
-        "losses": {name: asdict(each) for name, each in histories(evaluation.pipeline).items()},
+        "losses": {
+            name: asdict(each) for name, each in learning_curves(evaluation.pipeline).items()
+        },
         "pictures": captions,
         "left_out": left_out,
     }

@@ -1,12 +1,10 @@
-"""The two networks, how they are trained and run. The only module that imports torch at its top.
+"""Networks of the paper's method: state classifier and post-processor. Imports torch at its top.
 
-The stages import it inside the functions that need it, so that torch stays optional.
+The stages import this module inside the functions that need it, so that torch stays optional.
 """
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
-from math import isfinite
 from typing import Any, TypeVar
 
 import numpy as np
@@ -14,16 +12,11 @@ import torch  # noqa: TID253  see above
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor, nn  # noqa: TID253  see above
 
-from eitskin.errors import ConfigurationError, DataError
-from eitskin.training.method.learning_curve import History
-from eitskin.training.method.settings import NetworkSettings
+from eitskin.errors import DataError
+from eitskin.training.method.network_training import EVALUATED_AT_ONCE
 
 Network = TypeVar("Network", bound=nn.Module)
-Batch = Callable[[Tensor, torch.Generator], tuple[Tensor, Tensor]]
 Maps = Callable[[Tensor, torch.Generator], Tensor]
-Loss = Callable[[Tensor, Tensor], Tensor]
-
-EVALUATED_AT_ONCE = 256  # maps; bounds the memory that a large dataset takes
 
 
 class StateNetwork(nn.Module):
@@ -94,13 +87,6 @@ def _dilated(width: int, dilation: int) -> nn.Module:
     return nn.Sequential(convolution, nn.BatchNorm2d(width), nn.ReLU())
 
 
-def seeded(make: Callable[[], Network], seed: int) -> Network:
-    """The network that `make` gives, its weights drawn from `seed`; torch's own seed is kept."""
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
-        return make()
-
-
 def noisy_maps(
     difference: ArrayLike, embedding: ArrayLike, shape: tuple[int, int], noise: float
 ) -> Maps:
@@ -122,94 +108,6 @@ def noisy_maps(
         return torch.einsum("nm,kpm->nkp", rows, layers).reshape(len(rows), -1, *shape)
 
     return maps
-
-
-@dataclass(frozen=True, slots=True)
-class Samples:
-    """`count` samples, of which `batch` gives inputs and targets of the indices it is handed."""
-
-    batch: Batch
-    count: int
-
-
-def train(
-    network: nn.Module,
-    batch: Batch,
-    loss: Loss,
-    count: int,
-    settings: NetworkSettings,
-    seed: int,
-    progress: Callable[[int, int], None],
-    validation: Samples | None = None,
-) -> History:
-    """Adam on `count` samples; `batch` gives inputs and targets of the indices it is handed.
-
-    Returns the mean loss of every epoch; that of `validation` is only looked at, so the weights
-    are the same without it. Raises ConfigurationError where the loss is no longer a number.
-    """
-    generator = torch.Generator().manual_seed(seed)
-    optimiser = torch.optim.Adam(network.parameters(), lr=settings.learning_rate)
-    steps = settings.epochs * -(-count // settings.batch)
-    # Only where asked for: making the schedule already lowers the learning rate.
-    anneal = (
-        torch.optim.lr_scheduler.OneCycleLR(optimiser, settings.learning_rate, steps)
-        if settings.one_cycle
-        else None
-    )
-    fitted, unseen = [], []
-    for epoch in range(settings.epochs):
-        network.train()
-        total = 0.0
-        for chosen in torch.split(torch.randperm(count, generator=generator), settings.batch):
-            inputs, targets = batch(chosen, generator)
-            optimiser.zero_grad(set_to_none=True)
-            value = loss(network(inputs), targets)
-            value.backward()  # type: ignore[no-untyped-call]
-            optimiser.step()
-            if anneal:
-                anneal.step()
-            total += value.item() * len(chosen)
-        network.eval()
-        fitted.append(_finite(total / count, epoch, settings))
-        if validation is not None:
-            unseen.append(_finite(mean_loss(network, validation, loss), epoch, settings))
-        progress(epoch + 1, settings.epochs)
-    return History(tuple(fitted), tuple(unseen))
-
-
-def mean_loss(network: nn.Module, samples: Samples, loss: Loss) -> float:
-    """Mean loss per sample of a network in evaluation mode."""
-    generator = torch.Generator()
-    total = 0.0
-    with torch.inference_mode():
-        for chosen in torch.split(torch.arange(samples.count), EVALUATED_AT_ONCE):
-            inputs, targets = samples.batch(chosen, generator)
-            total += loss(network(inputs), targets).item() * len(chosen)
-    return total / samples.count
-
-
-def _finite(value: float, epoch: int, settings: NetworkSettings) -> float:
-    if not isfinite(value):
-        raise ConfigurationError(
-            f"training diverged in epoch {epoch + 1}: the loss is {value}; lower learning_rate, "
-            f"which is {settings.learning_rate:g}, and look for values in the frames that are not "
-            "finite"
-        )
-    return value
-
-
-@contextmanager
-def single_thread() -> Iterator[None]:
-    """One torch thread inside, what the program had set afterwards."""
-    before = torch.get_num_threads()
-    if before == 1:
-        yield
-        return
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 def evaluate(network: nn.Module, maps: ArrayLike) -> NDArray[np.float64]:
@@ -241,3 +139,17 @@ def with_weights(network: Network, arrays: Mapping[str, NDArray[Any]]) -> Networ
             f"the saved {type(network).__name__} has other shapes than this version's: {error}"
         ) from error
     return network.eval()
+
+
+@contextmanager
+def single_thread() -> Iterator[None]:
+    """One torch thread inside, what the program had set afterwards."""
+    before = torch.get_num_threads()
+    if before == 1:
+        yield
+        return
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)

@@ -5,22 +5,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from eitskin.training.method.observations import relative_difference
+
 Voltages = NDArray[np.complex128]
 
 LONGEST_MEAN = 32  # frames; longer would lag behind a drift too slow to be seen as a departure
-
-
-def relative_difference(impedance: ArrayLike, reference: ArrayLike) -> NDArray[np.float64]:
-    """dV = (V - ref) / ref per channel, its real part, dimensionless.
-
-    The sensor is resistive: bends and touches change the magnitude, whose relative change is the
-    real part to first order, while the imaginary part holds noise and phase error only. A phase
-    or gain that is the same in V and ref cancels. NaN where either is.
-    """
-    V, ref = np.asarray(impedance), np.asarray(reference)
-    with np.errstate(invalid="ignore"):  # complex NaN is data here: a channel that is bad
-        difference: NDArray[np.float64] = np.real((V - ref) / ref).astype(float)
-    return difference
 
 
 @dataclass

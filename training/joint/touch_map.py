@@ -1,4 +1,4 @@
-"""A touch map of touches found one by one: where indenters are, blurred by what is not known."""
+"""Touch map of located touches: discs of the indenter's radius, blurred by standard errors."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,12 +18,12 @@ def disc_map(
 ) -> NDArray[np.float32]:
     """Probability of each pixel's centre to lie under an indenter (rows, columns), 0 to 1.
 
-    A centre at the distance d from the place lies under the disc with the probability
-    Phi((radius - d) / s), where s is the standard error of the place along one axis. That is exact
-    for a straight edge, and s is small beside the radius wherever the map is of use.
+    A centre at distance d from a touch lies under its disc with probability Phi((radius - d) / s),
+    where s is the standard error of the position along one axis. That is exact for a straight edge,
+    and s is small beside the radius wherever the map is of use.
 
     Args:
-        places: (k, 2) [m].
+        places: positions of the touches (k, 2) [m].
         deviations: standard errors along one axis (k,) [m].
         radius: of the indenters [m].
         size: length and width of the sensor [m].

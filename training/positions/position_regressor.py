@@ -1,4 +1,4 @@
-"""One touch on a sensor of unknown geometry: from relative differences to a place."""
+"""Gaussian-process regression of one touch's position on a sensor of unknown geometry."""
 
 import warnings
 from dataclasses import dataclass
@@ -9,25 +9,26 @@ from numpy.typing import ArrayLike, NDArray
 from eitskin.errors import DataError
 from eitskin.extras import require
 
-FEWEST = 20  # touches to train with
+FEWEST = 20  # training touches
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TouchPosition:
+class PositionRegressor:
     """Gaussian-process regression from a frame and its reference to (x, y).
 
     The features are log |V / ref| per channel, divided by the channel's root mean square over the
-    training touches and then by their own norm: to first order a press changes all channels
-    in proportion to its strength, so the direction of the vector says where and its length how
-    hard. The covariance is a Matern 5/2 function of the distance of two directions, plus noise.
+    training touches and then by the norm of the vector: to first order a touch changes all channels
+    in proportion to its strength, so the direction of the vector depends on position alone. The
+    covariance is a Matern 5/2 function of the distance of two directions, plus white noise
+    (Rasmussen and Williams 2006, section 4.2).
 
     Attributes:
         channel_scale: root mean square of the log ratios (C,).
-        directions: of the training touches (k, C).
-        weights: (k, 2) [m].
-        centre: of the training places (2,) [m].
-        length: of the covariance, in units of the directions.
-        variance: of the covariance, its value at distance zero.
+        directions: unit feature vectors of the training touches (k, C).
+        weights: of the training touches in a prediction (k, 2) [m].
+        centre: mean of the training positions (2,) [m].
+        length: length scale of the covariance, dimensionless.
+        variance: covariance at distance zero.
     """
 
     channel_scale: NDArray[np.float64]
@@ -38,8 +39,15 @@ class TouchPosition:
     variance: float
 
     @classmethod
-    def fit(cls, ratio: ArrayLike, places: ArrayLike) -> "TouchPosition":
-        """Fit to |V / ref| (k, C) and places (k, 2) [m]; the marginal likelihood sets the rest."""
+    def fit(cls, ratio: ArrayLike, places: ArrayLike) -> "PositionRegressor":
+        """Fit by maximum marginal likelihood.
+
+        Args:
+            ratio: |V / ref| of the training touches (k, C).
+            places: their positions (k, 2) [m].
+
+        Raises DataError for fewer than `FEWEST` touches.
+        """
         require("sklearn", "training")
         from sklearn.exceptions import ConvergenceWarning
         from sklearn.gaussian_process import GaussianProcessRegressor
@@ -57,8 +65,7 @@ class TouchPosition:
         centre, extent = xy.mean(axis=0), float(xy.std())
         kernel = ConstantKernel(1.0) * Matern(1.0, nu=2.5) + WhiteKernel(1e-2, (1e-6, 1e1))
         with warnings.catch_warnings():
-            # A parameter at its bound: no noise, which is good, or nothing to learn, which shows
-            # in every score.
+            # A parameter at its bound means no noise, or no signal, which every score shows.
             warnings.simplefilter("ignore", ConvergenceWarning)
             process = GaussianProcessRegressor(kernel).fit(directions, (xy - centre) / extent)
         signal = process.kernel_.k1
@@ -72,7 +79,10 @@ class TouchPosition:
         )
 
     def apply(self, ratio: ArrayLike) -> NDArray[np.float64]:
-        """Places (n, 2) [m] of one touch in each frame, from |V / ref| (n, C)."""
+        """Positions (n, 2) [m] of one touch in each frame, from |V / ref| (n, C).
+
+        Raises DataError for another number of channels.
+        """
         logs = log_ratio(ratio)
         if logs.shape[-1] != len(self.channel_scale):
             raise DataError(
@@ -88,7 +98,7 @@ class TouchPosition:
         return places
 
     def arrays(self) -> dict[str, NDArray[np.generic]]:
-        """What `from_arrays` needs to make this stage again."""
+        """Arrays from which `from_arrays` restores the regressor, by name."""
         return {
             "channel_scale": self.channel_scale,
             "directions": self.directions,
@@ -99,21 +109,22 @@ class TouchPosition:
         }
 
     @classmethod
-    def from_arrays(cls, arrays: dict[str, NDArray[np.generic]]) -> "TouchPosition":
-        """The stage that `arrays` came from."""
+    def from_arrays(cls, arrays: dict[str, NDArray[np.generic]]) -> "PositionRegressor":
+        """Restore the regressor that `arrays` came from."""
         values = {name: array.astype(float) for name, array in arrays.items()}
         length, variance = float(values.pop("length")), float(values.pop("variance"))
         return cls(**values, length=length, variance=variance)
 
 
 def log_ratio(ratio: ArrayLike) -> NDArray[np.float64]:
-    """log |V / ref| of ratios (n, C); zero, no signal, where a channel gave nothing usable."""
+    """log |V / ref| of ratios (n, C); zero where a channel is bad."""
     size = np.abs(np.asarray(ratio))
     usable = np.isfinite(size) & (size > 0)
     return np.log(np.where(usable, size, 1.0))
 
 
 def _directions(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Vectors (n, C) divided by their norms."""
     norm = np.linalg.norm(vectors, axis=1, keepdims=True)
     directions: NDArray[np.float64] = vectors / np.where(norm > 0, norm, 1.0)
     return directions

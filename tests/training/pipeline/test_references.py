@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from eitskin.training.method.references import LONGEST_MEAN, References, relative_difference
+from eitskin.training.method.observations import relative_difference
+from eitskin.training.pipeline.references import LONGEST_MEAN, References
 
 NOISE = 3e-4  # of the difference of two frames
 FLAT = np.linspace(400.0, 820.0, 28) * np.exp(-0.02j)

@@ -1,0 +1,149 @@
+"""Prior of touches and of the bend angle, as terms of the least-squares objective.
+
+Training estimates a `TouchPrior` from the touches of its dataset (`TouchPrior.fit`); a saved
+pipeline keeps it in the arrays `bounds` and `scalars`. The constants below hold for every pipeline.
+"""
+
+import math
+from dataclasses import dataclass, field
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.floating]
+
+MOST_TOUCHES = 4  # in one frame
+ANGLE_PRIOR_STD_DEG = 15.0  # standard deviation of the motion since the reference was taken
+ANGLE_UNIT = 5.0  # deg, the unit step of the angle
+TOUCH_UNITS = np.array([0.010, 0.010, 2.0])  # m, m, N, the unit steps of x, y and force
+MARGIN = 0.003  # m, by which touches may lie outside of the positions trained with
+FORCE_MARGINS = (0.3, 1.3)  # times the smallest and the largest force trained with
+SENSITIVITY_STD = 0.15  # relative; specimens respond more or less strongly to the same force
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TouchPrior:
+    """Prior distribution of position, force and mutual distance of touches.
+
+    Positions are uniform within bounds; a normal distribution of the same variance keeps them
+    determined. Forces are normal within bounds. Touches closer than `separation` repel each other.
+
+    Attributes:
+        separation: smallest distance of two simultaneous touches [m].
+        force: mean and standard deviation [N].
+        low, high: bounds of x, y [m] and force [N], (3,).
+        mean: of x, y [m] and force [N], (3,); follows from the above.
+        stiffness: inverse variances, in unit steps (3,); follows from the above.
+    """
+
+    separation: float
+    force: tuple[float, float]
+    low: Array
+    high: Array
+    mean: Array = field(init=False)
+    stiffness: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Derive mean and stiffness."""
+        mean = 0.5 * (self.low + self.high)
+        deviation = (self.high - self.low) / math.sqrt(12.0)
+        mean[2], deviation[2] = self.force
+        object.__setattr__(self, "mean", mean)
+        object.__setattr__(self, "stiffness", (TOUCH_UNITS / deviation) ** 2)
+
+    @classmethod
+    def fit(
+        cls,
+        x: Floats,
+        y: Floats,
+        force: Floats,
+        outline: tuple[float, float],
+        largest_radius: float,
+    ) -> "TouchPrior":
+        """Estimate the prior from the touches of n frames.
+
+        Args:
+            x: (n, k) [m]; NaN where absent, as are y and force.
+            y: (n, k) [m].
+            force: (n, k) [N].
+            outline: length and width of the sensor [m].
+            largest_radius: of the indenters [m]; touches keep its double apart where no frame has
+                two touches.
+        """
+        length, width = outline
+        low = [
+            max(0.0, np.nanmin(x) - MARGIN),
+            max(0.0, np.nanmin(y) - MARGIN),
+            FORCE_MARGINS[0] * np.nanmin(force),
+        ]
+        high = [
+            min(length, np.nanmax(x) + MARGIN),
+            min(width, np.nanmax(y) + MARGIN),
+            FORCE_MARGINS[1] * np.nanmax(force),
+        ]
+        distances = np.concatenate(
+            [
+                np.hypot(x[:, i] - x[:, j], y[:, i] - y[:, j])
+                for i in range(x.shape[1])
+                for j in range(i)
+            ]
+        )
+        distances = distances[np.isfinite(distances)]
+        separation = float(distances.min()) if len(distances) else 2 * largest_radius
+        mean = float(np.nanmean(force))
+        deviation = float(np.hypot(np.nanstd(force), SENSITIVITY_STD * mean))
+        return cls(
+            separation, (mean, deviation), np.array(low, dtype=float), np.array(high, dtype=float)
+        )
+
+    def add_to(self, products: Array, touches: Array, motion_deg: float) -> None:
+        """Add the negative log prior to the normal equations.
+
+        Args:
+            products: symmetric matrix (1 + n, 1 + n) of misfit, gradient and Hessian in unit steps
+                of the n unknowns, as `TouchObjective.quadratic` arranges them; changed in place.
+            touches: x [m], y [m] and force [N] of each (k, 3).
+            motion_deg: bend angle of the reference minus that of the frame [deg].
+        """
+        diagonal = products.reshape(-1)[:: len(products) + 1]
+        turn = ANGLE_UNIT / ANGLE_PRIOR_STD_DEG
+        moved = motion_deg / ANGLE_PRIOR_STD_DEG
+        diagonal[0] += moved**2
+        diagonal[1] += turn**2
+        products[0, 1] += turn * moved
+        if not len(touches):
+            return
+        departure = (self.mean - touches) / TOUCH_UNITS
+        pull = departure * self.stiffness
+        products[0, 2:] += pull.reshape(-1)
+        diagonal[0] += departure.reshape(-1) @ pull.reshape(-1)
+        diagonal[2:].reshape(-1, 3)[:] += self.stiffness
+        if len(touches) > 1:
+            diagonal[0] += self._repulsion(touches, products[0, 1:], products[1:, 1:])
+
+    def _repulsion(self, touches: Array, gradient: Array, hessian: Array) -> float:
+        """Penalty of touches closer than `separation`; adds to gradient and Hessian in place."""
+        softness, penalty = 0.1 * self.separation, 0.0
+        places = touches[:, :2].tolist()
+        for (i, (xi, yi)), (j, (xj, yj)) in combinations(enumerate(places), 2):
+            distance = math.hypot(xi - xj, yi - yj)
+            lacking = (self.separation - distance) / softness
+            if lacking <= 0.0:
+                continue
+            # Two touches at one position part along x.
+            towards = (
+                ((xi - xj) / distance, (yi - yj) / distance) if distance > 1e-9 else (1.0, 0.0)
+            )
+            direction = np.array(towards) * TOUCH_UNITS[0] / softness
+            a, b = slice(1 + 3 * i, 3 + 3 * i), slice(1 + 3 * j, 3 + 3 * j)
+            gradient[a] += lacking * direction
+            gradient[b] -= lacking * direction
+            square = np.outer(direction, direction)
+            hessian[a, a] += square
+            hessian[b, b] += square
+            hessian[a, b] -= square
+            hessian[b, a] -= square
+            penalty += lacking**2
+        return penalty

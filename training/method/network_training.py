@@ -1,0 +1,118 @@
+"""Training loop of the networks. Imports torch at its top.
+
+Stages import this module inside the functions that need it, so that torch stays optional.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import isfinite
+from typing import TypeVar
+
+import torch  # noqa: TID253  see above
+from torch import Tensor, nn  # noqa: TID253  see above
+
+from eitskin.errors import ConfigurationError
+from eitskin.training.method.learning_curve import LearningCurve
+from eitskin.training.method.settings import NetworkSettings
+
+Network = TypeVar("Network", bound=nn.Module)
+Batch = Callable[[Tensor, torch.Generator], tuple[Tensor, Tensor]]
+Loss = Callable[[Tensor, Tensor], Tensor]
+
+EVALUATED_AT_ONCE = 256  # samples; bounds the memory that a large dataset takes
+
+
+def seeded(make: Callable[[], Network], seed: int) -> Network:
+    """Network that `make` returns, with weights drawn from `seed`; torch's seed is kept."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        return make()
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """Samples for validation.
+
+    Attributes:
+        batch: inputs and targets of given indices.
+        count: number of samples.
+    """
+
+    batch: Batch
+    count: int
+
+
+def train(
+    network: nn.Module,
+    batch: Batch,
+    loss: Loss,
+    count: int,
+    settings: NetworkSettings,
+    seed: int,
+    progress: Callable[[int, int], None],
+    validation: Samples | None = None,
+) -> LearningCurve:
+    """Train with Adam and return the mean losses of every epoch.
+
+    Args:
+        network: trained in place.
+        batch: inputs and targets of given indices.
+        loss: of outputs and targets.
+        count: number of samples.
+        settings: of the training.
+        seed: of the order of samples and of added noise.
+        progress: told of every epoch.
+        validation: samples whose loss is recorded; the weights do not depend on them.
+
+    Raises ConfigurationError where the loss is no longer finite.
+    """
+    generator = torch.Generator().manual_seed(seed)
+    optimiser = torch.optim.Adam(network.parameters(), lr=settings.learning_rate)
+    steps = settings.epochs * -(-count // settings.batch)
+    # Only where asked for: creating the schedule already lowers the learning rate.
+    anneal = (
+        torch.optim.lr_scheduler.OneCycleLR(optimiser, settings.learning_rate, steps)
+        if settings.one_cycle
+        else None
+    )
+    fitted, unseen = [], []
+    for epoch in range(settings.epochs):
+        network.train()
+        total = 0.0
+        for chosen in torch.split(torch.randperm(count, generator=generator), settings.batch):
+            inputs, targets = batch(chosen, generator)
+            optimiser.zero_grad(set_to_none=True)
+            value = loss(network(inputs), targets)
+            value.backward()  # type: ignore[no-untyped-call]
+            optimiser.step()
+            if anneal:
+                anneal.step()
+            total += value.item() * len(chosen)
+        network.eval()
+        fitted.append(_finite(total / count, epoch, settings))
+        if validation is not None:
+            unseen.append(_finite(mean_loss(network, validation, loss), epoch, settings))
+        progress(epoch + 1, settings.epochs)
+    return LearningCurve(tuple(fitted), tuple(unseen))
+
+
+def mean_loss(network: nn.Module, samples: Samples, loss: Loss) -> float:
+    """Mean loss per sample of a network in evaluation mode."""
+    generator = torch.Generator()
+    total = 0.0
+    with torch.inference_mode():
+        for chosen in torch.split(torch.arange(samples.count), EVALUATED_AT_ONCE):
+            inputs, targets = samples.batch(chosen, generator)
+            total += loss(network(inputs), targets).item() * len(chosen)
+    return total / samples.count
+
+
+def _finite(value: float, epoch: int, settings: NetworkSettings) -> float:
+    """The loss; raises ConfigurationError where it is not finite."""
+    if not isfinite(value):
+        raise ConfigurationError(
+            f"training diverged in epoch {epoch + 1}: the loss is {value}; lower learning_rate, "
+            f"which is {settings.learning_rate:g}, and look for values in the frames that are not "
+            "finite"
+        )
+    return value
