@@ -42,12 +42,12 @@ def atomic_file(
         temporary = Path(name)
         try:
             yield temporary
-            _sync(temporary)
+            sync(temporary)
             temporary.chmod(0o644)  # mkstemp's 0600 would keep others from reading the file
             temporary.replace(path)
         finally:
             temporary.unlink(missing_ok=True)
-        _sync(path.parent)
+        sync(path.parent)
     except OSError as error:
         raise failure(f"cannot write {path}: {error.strerror or error}; {remedy}") from error
 
@@ -68,7 +68,7 @@ def atomic_folder(
         try:
             yield temporary
             for file in temporary.iterdir():
-                _sync(file)
+                sync(file)
             temporary.chmod(0o755)  # mkdtemp's 0700 would keep others out
             _put_in_place(temporary, path)
         finally:
@@ -114,10 +114,10 @@ def _put_in_place(temporary: Path, path: Path) -> None:
             if old.exists() and not path.exists():
                 old.rename(path)
             raise
-        _sync(path.parent)
+        sync(path.parent)
 
 
-def _sync(path: Path) -> None:
+def sync(path: Path) -> None:
     """Flush a file, or the names in a folder, to the disk (fsync).
 
     Without the flush a power cut can leave an empty file, or undo the rename of a synced one.

@@ -54,7 +54,7 @@ def command(
 
     layout = Pipeline.load(model).layout
     with open_board(board, **seeded(board, seed)) as opened:
-        _require_same(layout.protocol, opened.protocol)
+        require_same_protocol(layout.protocol, opened.protocol)
         if calibrate:
             opened.calibrate()
         output.note(f"measuring {frames} frames; keep the sensor flat and untouched")
@@ -65,7 +65,8 @@ def command(
         raise typer.Exit(EXIT_UNHEALTHY)
 
 
-def _require_same(expected: "Protocol", measured: "Protocol") -> None:
+def require_same_protocol(expected: "Protocol", measured: "Protocol") -> None:
+    """Raise FrameError where a board measures by another protocol than the given one."""
     if measured.table != expected.table:
         raise FrameError(
             f"this pipeline was trained for a table of {len(expected)} measurements starting with "

@@ -66,7 +66,7 @@ class Page(Closeable):
         self._changed = threading.Condition()
         self._events = Newest()
         hello = b"retry: 1000\n" + event("sensor", self._view.sensor())
-        self._server = Server(
+        self.server = Server(
             port,
             self._events,
             hello,
@@ -74,10 +74,10 @@ class Page(Closeable):
             getattr(board, "stage", None) is not None,
             patience or Patience(),
         )
-        self.url = f"http://{HOST}:{self._server.server_port}/"
+        self.url = f"http://{HOST}:{self.server.server_port}/"
         self._thread = threading.Thread(target=self._tell, name="page", daemon=True)
         self._thread.start()
-        self._server.start()
+        self.server.start()
 
     def publish(self, reading: "Reading") -> None:
         """Have the page show this reading next; takes no time, whoever watches."""
@@ -97,7 +97,7 @@ class Page(Closeable):
             self._closed = True
             self._changed.notify()
         self._events.close()
-        self._server.close()
+        self.server.close()
         self._thread.join()
 
     def _tell(self) -> None:
@@ -106,7 +106,7 @@ class Page(Closeable):
         while self._wait(told):
             snapshot = self._take()
             told = self._clock()
-            if not self._server.watching:
+            if not self.server.watching:
                 continue
             try:
                 self._events.put(self._message(snapshot))
@@ -125,10 +125,10 @@ class Page(Closeable):
     def _patience(self) -> float:
         """How long no reading may come before the page is told [s]."""
         age = self._age()
-        left = self._stale_after() - age if age is not None else 0.0
+        left = self.stale_after() - age if age is not None else 0.0
         return min(left, HEARTBEAT) if left > 0.0 else HEARTBEAT
 
-    def _stale_after(self) -> float:
+    def stale_after(self) -> float:
         """How old the newest reading may be [s]; a board of text learns its period as it goes."""
         from eitskin.hardware.boards.board import longest_silence
 
@@ -151,7 +151,7 @@ class Page(Closeable):
         health = {
             "sent": round(self._clock(), 4),
             "age": None if age is None else round(age, 3),
-            "stale": age is None or age >= self._stale_after(),
+            "stale": age is None or age >= self.stale_after(),
             "connection": self._connection.problem,
         }
         if snapshot is None:

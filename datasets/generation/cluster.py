@@ -42,7 +42,7 @@ def make_shards(
         # Not pure: results are files, which the scheduler cannot know to be there.
         futures = [
             client.submit(
-                _make_shard, recipe, folder.resolve(), shard, package_versions(), pure=False
+                cluster_task, recipe, folder.resolve(), shard, package_versions(), pure=False
             )
             for shard in shards
         ]
@@ -98,7 +98,7 @@ def _connected(address: str) -> Iterator[Any]:
 _one_at_a_time = threading.Lock()
 
 
-def _make_shard(recipe: Recipe, folder: Path, shard: int, versions: Mapping[str, str]) -> int:
+def cluster_task(recipe: Recipe, folder: Path, shard: int, versions: Mapping[str, str]) -> int:
     """Simulate and write `shard`; only its number goes back."""
     found = package_versions()
     if found != versions:

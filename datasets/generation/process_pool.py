@@ -36,14 +36,14 @@ def make_shards(
     lost = set(shards)
     with (
         _one_interrupt(stop),
-        _one_thread_per_process(),
+        one_thread_per_process(),
         ProcessPoolExecutor(
             min(workers, len(shards)), context, initializer=_start_worker, initargs=(stop,)
         ) as pool,
     ):
         try:
             with _interrupts_held_back():  # workers start here, and keep them blocked
-                futures = [pool.submit(_make_shard, recipe, folder, shard) for shard in shards]
+                futures = [pool.submit(pool_task, recipe, folder, shard) for shard in shards]
             for future in as_completed(futures):
                 if isinstance(future.exception(), BrokenProcessPool):
                     continue
@@ -92,7 +92,7 @@ def _interrupts_held_back() -> Iterator[None]:
 
 
 @contextmanager
-def _one_thread_per_process() -> Iterator[None]:
+def one_thread_per_process() -> Iterator[None]:
     """Let processes that are started now use one BLAS thread each.
 
     More would fight over the cores, and sums would depend on how many there are.
@@ -132,7 +132,7 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
-def _make_shard(recipe: Recipe, folder: Path, shard: int) -> int:
+def pool_task(recipe: Recipe, folder: Path, shard: int) -> int:
     """Simulate and write `shard`; only its number goes back."""
     data = simulate_shard(recipe, shard, before_solve=_check_stop)
     write_shard(folder / shard_name(shard), data, recipe.shard_range(shard).start)

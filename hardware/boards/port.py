@@ -54,11 +54,11 @@ def open_port(path: str, uri: str, baud: int = BAUD) -> SerialPort:
             path, baud, timeout=_POLL, write_timeout=_SEND_WITHIN, exclusive=True
         )
     except _UNOPENED as error:
-        raise DeviceError(f"{uri}: cannot open the port: {_remedy(error)}") from error
+        raise DeviceError(f"{uri}: cannot open the port: {remedy(error)}") from error
     return port
 
 
-def _remedy(error: Exception) -> str:
+def remedy(error: Exception) -> str:
     """What went wrong on opening a port and what to do."""
     number = getattr(error, "errno", None)
     if number == errno.ENOENT:

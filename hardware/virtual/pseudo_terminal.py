@@ -104,7 +104,7 @@ class PseudoTerminal(Closeable, Generic[FirmwareType]):
 
         Raises ConfigurationError where there are no pseudo-terminals, or the link cannot be made.
         """
-        self.firmware, self._pace = firmware, pace
+        self.firmware, self.pace = firmware, pace
         self._link = None if link is None else Path(link)
         self._ends: tuple[int, ...] = ()
         self._stopped = False
@@ -197,7 +197,7 @@ class PseudoTerminal(Closeable, Generic[FirmwareType]):
             selector.register(self._wake_read, selectors.EVENT_READ)
             selector.register(self._board_end, selectors.EVENT_READ)
             self._outgoing += self.firmware.boot()
-            self._pace.restart()
+            self.pace.restart()
             while not self._stopped:
                 self._lock(self.firmware.holds_port)
                 self._measure()
@@ -236,17 +236,17 @@ class PseudoTerminal(Closeable, Generic[FirmwareType]):
 
     def _measure(self) -> None:
         """Send a frame if one is due; skip it, as a board must, where the last is still unread."""
-        if not self.firmware.streaming or self._pace.remaining() > 0:
+        if not self.firmware.streaming or self.pace.remaining() > 0:
             return
         late = 0.0
         if not self._outgoing:
             self._outgoing += self.firmware.frame()
             late = self.firmware.delay
-        elif self._pace.period:
+        elif self.pace.period:
             self.firmware.skip()
         else:
             return
-        self._pace.advance(late)
+        self.pace.advance(late)
 
     def _exchange(self, selector: selectors.BaseSelector) -> None:
         """Wait until there is something to do, and pass bytes both ways."""
@@ -268,15 +268,15 @@ class PseudoTerminal(Closeable, Generic[FirmwareType]):
         """How long nothing needs doing unless bytes come or go [s]; None for ever."""
         if not self.firmware.streaming:
             return None
-        if self._outgoing and not self._pace.period:
+        if self._outgoing and not self.pace.period:
             return None
-        return self._pace.remaining()
+        return self.pace.remaining()
 
     def _answer(self) -> None:
         was_streaming = self.firmware.streaming
         self._outgoing += self.firmware.receive(os.read(self._board_end, _CHUNK))
         if self.firmware.streaming and not was_streaming:
-            self._pace.restart()
+            self.pace.restart()
 
 
 def _point(link: Path, target: str) -> None:

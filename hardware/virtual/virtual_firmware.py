@@ -62,7 +62,7 @@ class VirtualFirmware:
         self.streaming, self.delay = False, 0.0
         self._protocol, self._measure = protocol, measure
         self._decoder = Decoder()
-        self._seq = self._left = self._number = self._started = 0
+        self._seq = self._left = self.number = self._started = 0
         self._late = 0.0
         self._table = Table.of(protocol)
         self.info = Info(
@@ -112,9 +112,9 @@ class VirtualFirmware:
             self.stage.frames += 1
             return self.boot()
         impedance, status = self._measure(self.stage.measured(now), now)
-        self.stage.record_truth(self._number)
+        self.stage.record_truth(self.number)
         data = FrameData(
-            number=self._number,
+            number=self.number,
             time=(now - self._started) * self.info.period + self._late,
             duration=len(self._protocol) * MEASUREMENT_TIME,
             impedance=self._changed(Hook.IMPEDANCE, impedance.astype(np.complex64), now, faults),
@@ -131,7 +131,7 @@ class VirtualFirmware:
     def skip(self) -> None:
         """Let a frame pass that the host is too slow for."""
         self.stage.frames += 1
-        self._number = (self._number + 1) % 2**32
+        self.number = (self.number + 1) % 2**32
         if self._left:
             self._left -= 1
             self.streaming = self._left > 0
@@ -139,7 +139,7 @@ class VirtualFirmware:
     def _start(self) -> None:
         self._decoder = Decoder()
         self._seq = self._left = 0
-        self._number = self._changed(Hook.FIRST_NUMBER, 0)
+        self.number = self._changed(Hook.FIRST_NUMBER, 0)
         self._started, self._late, self.delay = self.stage.frames, 0.0, 0.0
         self.streaming = self._changed(Hook.STREAMS, False)
 

@@ -105,7 +105,7 @@ class Assembly:
         )
         by_cell = self._reference.reshape(space.element.cells, -1, *self._reference.shape[1:])
         self._cell_reference = by_cell.sum(axis=1)
-        self._to_reference = _tensor_map(space.inverses) * space.jacobians[:, None, None]
+        self._to_reference = tensor_map(space.inverses) * space.jacobians[:, None, None]
         self._element_rows, self._element_columns = self._lower(space.numbers)
 
     def _interpolation(self) -> Iterator[tuple[Array, slice]]:
@@ -291,7 +291,7 @@ def scatter_sum(positions: Indices, values: Numbers, size: int) -> Numbers:
     return np.asarray(np.bincount(where, flat, size), dtype=np.float64)
 
 
-def _tensor_map(A: Array) -> Array:
+def tensor_map(A: Array) -> Array:
     """Matrices from six entries of symmetric S to six of A S A^T, (cells, from, to)."""
     a, b = TENSOR_ROWS, TENSOR_COLUMNS
     first = A[:, a][:, :, a] * A[:, b][:, :, b]

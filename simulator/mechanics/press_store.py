@@ -41,7 +41,7 @@ def press_table(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) 
     Raises ConfigurationError where not even shallow presses are carried.
     """
     thickness = design.thickness
-    found = [(_stored(stack, indenter), weight) for stack, weight in _needed(design, mechanics)]
+    found = [(stored(stack, indenter), weight) for stack, weight in _needed(design, mechanics)]
     if len(found) == 1:
         return found[0][0]
     return kernels.combined(
@@ -128,7 +128,7 @@ def _with_ratio(stack: Stack, place: int) -> Stack:
     return dataclasses.replace(stack, sheets=(silicone, gel, silicone))
 
 
-def _stored(stack: Stack, indenter: Indenter) -> PressTable:
+def stored(stack: Stack, indenter: Indenter) -> PressTable:
     """The kernel of the middle sheet from the disk, or solved now and put there."""
     length, modulus = _scales(stack)
     path = _path(stack, indenter)

@@ -95,7 +95,7 @@ def _cells_at(mesh: Mesh, electrode: int) -> Panel:
         f"cells at electrode {electrode}",
         _around(mesh, electrode),
         lambda plotter: shapes.add_cells(plotter, mesh, 1.2),
-        direction=_in_front(mesh, electrode),
+        direction=in_front(mesh, electrode),
     )
 
 
@@ -149,7 +149,7 @@ def _lines(mesh: Mesh, density: Array, drive: tuple[int, int]) -> Panel:
 
 def _density_at(mesh: Mesh, density: Array, electrode: int) -> Panel:
     """Current density around an electrode, largest at its edges."""
-    around, eye = _around(mesh, electrode), _in_front(mesh, electrode)
+    around, eye = _around(mesh, electrode), in_front(mesh, electrode)
 
     def draw(plotter: Any) -> None:
         cells = shapes.volume(mesh)
@@ -180,7 +180,7 @@ def _around(mesh: Mesh, electrode: int) -> Array:
     return np.stack(np.meshgrid(*bounds.T), axis=-1).reshape(-1, 3)
 
 
-def _in_front(mesh: Mesh, electrode: int) -> Array:
+def in_front(mesh: Mesh, electrode: int) -> Array:
     """Direction to an eye in front of an electrode, but never straight above or below it."""
     _, normal = shapes.contact(mesh, electrode)
     right = np.cross([0.0, 0.0, 1.0], normal)

@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 Colour = Literal["conductance", "strain", "current"]
 
 # Cells along the longer side of what is drawn: finer than a dent where they are cheap.
-_CELLS = {"hexahedra": 200, "prisms": 80, "tetrahedra": 30}
+CELLS = {"hexahedra": 200, "prisms": 80, "tetrahedra": 30}
 _ORDER: dict[str, tuple[int, ...]] = {"hexahedra": (1, 1), "prisms": (1, 1), "tetrahedra": (1,)}
 _PALEST = 0.01  # least reach of the colours, so that rounding does not look like a deformation
 _ROUND = (1.0, 1.2, 1.6, 2.0, 2.4, 3.2, 4.0, 5.0, 6.0, 8.0, 10.0)
@@ -159,7 +159,7 @@ def _shown(
     drive: tuple[int, int] | None,
 ) -> _Shown:
     deformation = sim.deformation(scene)
-    body, indenters = _moved(flat, deformation), _indenters(sim, scene)
+    body, indenters = _moved(flat, deformation), indenter_surfaces(sim, scene)
     if model is not None:
         pair = drive or most_changed(sim, scene)
         fields = sim.conductivity(scene), sim.area_ratio(scene)
@@ -173,7 +173,7 @@ def _shown(
 
 def _grading(sim: Simulator) -> Grading:
     outline, kind = sim.design.outline, natural_cells(sim.design)
-    size = max(outline.length, outline.width) / _CELLS[kind]
+    size = max(outline.length, outline.width) / CELLS[kind]
     layers = 1 if kind == "tetrahedra" else max(3, round(sim.design.thickness / (4.0 * size)))
     return Grading(size, size, 1.0, layers)
 
@@ -194,7 +194,7 @@ def _moved(mesh: Mesh, deformation: Deformation | None) -> Mesh:
     return dataclasses.replace(mesh, points=deformation.positions(mesh.points), contacts=contacts)
 
 
-def _indenters(sim: Simulator, scene: Scene) -> list[Any]:
+def indenter_surfaces(sim: Simulator, scene: Scene) -> list[Any]:
     """The indenters that press, where the model of touches knows how deep; turned by the bend."""
     if not scene.touches or sim.touch_model == "closed form":
         return []
@@ -222,7 +222,7 @@ def _scale(colour: Colour, values: Sequence[Array]) -> dict[str, Any]:
         # Its colours hardly follow the dents, so these need the light.
         return {**colours, **MATT, "scalar_bar_args": bar}
     palest = _PALEST * (100.0 if colour == "conductance" else 1.0)
-    reach = _round_number(max(float(np.abs(everything).max()), palest))
+    reach = round_number(max(float(np.abs(everything).max()), palest))
     if colour == "strain":
         bar = colour_scale("largest principal strain, logarithmic [-]", fmt="%.3g")
         return {"cmap": "YlGnBu", "clim": (0.0, reach), **TRUE, "scalar_bar_args": bar}
@@ -230,7 +230,7 @@ def _scale(colour: Colour, values: Sequence[Array]) -> dict[str, Any]:
     return {"cmap": "RdBu", "clim": (-reach, reach), **TRUE, "scalar_bar_args": bar}
 
 
-def _round_number(value: float) -> float:
+def round_number(value: float) -> float:
     """The next number above whose halves and quarters are short."""
     power = 10.0 ** math.floor(math.log10(value))
     return power * next(step for step in _ROUND if value <= step * power * (1.0 + 1e-9))
@@ -248,7 +248,7 @@ def _painter(flat: Mesh, shown: _Shown, scale: dict[str, Any], bar: bool) -> Any
             **scale,
         )
         shapes.add_net(
-            plotter, surface, flat, _round_number(np.ptp(flat.points, axis=0).max() / _NET)
+            plotter, surface, flat, round_number(np.ptp(flat.points, axis=0).max() / _NET)
         )
         shapes.add_electrodes(plotter, shown.body, shown.drive)
         shapes.add_numbers(plotter, shown.body, range(len(shown.body.electrode_facets)))

@@ -60,7 +60,7 @@ def local_cluster():
 def test_a_worker_of_a_cluster_killed_while_writing_changes_no_byte(
     whole, local_cluster, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(cluster, "_make_shard", killed_in_cluster)
+    monkeypatch.setattr(cluster, "cluster_task", killed_in_cluster)
     folder = tmp_path / "set"
     generate(RECIPE, folder, scheduler=local_cluster.scheduler_address)
     assert was_killed(folder)

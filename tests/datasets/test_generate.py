@@ -143,7 +143,7 @@ def test_interrupted_with_one_worker_and_resumed_gives_the_same_bytes(whole, tmp
 
 @pytest.mark.slow
 def test_worker_killed_while_writing_costs_its_shard_once_more(whole, tmp_path, monkeypatch):
-    monkeypatch.setattr(processes, "_make_shard", killed_in_pool)
+    monkeypatch.setattr(processes, "pool_task", killed_in_pool)
     folder = tmp_path / "set"
     generate(RECIPE, folder, workers=1)
     assert was_killed(folder)
@@ -214,7 +214,7 @@ def test_occupied_folders_are_refused(whole, tmp_path):
 def test_environment_is_as_before(monkeypatch):
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
     monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
-    with processes._one_thread_per_process():
+    with processes.one_thread_per_process():
         assert os.environ["OMP_NUM_THREADS"] == os.environ["OPENBLAS_NUM_THREADS"] == "1"
     assert os.environ["OMP_NUM_THREADS"] == "7"
     assert "OPENBLAS_NUM_THREADS" not in os.environ

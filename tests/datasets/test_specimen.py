@@ -219,7 +219,7 @@ def law(stack, _indenter) -> PressTable:
 
 @pytest.mark.parametrize("factor", [0.93, 1.04])
 def test_presses_between_thicknesses_are_interpolated(monkeypatch, factor):
-    monkeypatch.setattr(press_store, "_stored", law)
+    monkeypatch.setattr(press_store, "stored", law)
     design = dataclasses.replace(
         DESIGN, thickness=0.005 * factor, encapsulated_thickness=0.012 * factor
     )
@@ -248,7 +248,7 @@ def test_stretched_presses_keep_volumes_and_forces():
 
 def test_forces_must_be_within_reach_of_every_specimen(monkeypatch):
     """Here a table reaches 104 N at the nominal 5 mm, and less on thinner sensors."""
-    monkeypatch.setattr(press_store, "_stored", law)
+    monkeypatch.setattr(press_store, "stored", law)
     press_store.press_table.cache_clear()
     group = SceneGroup("touch", count=20, force=(100.0, 103.0))
     one = Recipe("force", scenes=(group,))

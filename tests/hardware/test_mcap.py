@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rosbags.rosbag2 import Reader
+from rosbags.rosbag2 import Reader, Writer
 from rosbags.typesys import Stores, get_typestore
 from typer.testing import CliRunner
 
@@ -244,7 +244,7 @@ def test_a_full_disk_says_where_the_rest_lies(tmp_path, monkeypatch) -> None:
     def full(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(writer._bag, "write", full)
+    monkeypatch.setattr(Writer, "write", full)
     with pytest.raises(PartialError, match=r"No space left.*run\.mcap\.unfinished"):
         writer.write(Reading(a_frame(), None, UNKNOWN, UNKNOWN))
     writer.discard()

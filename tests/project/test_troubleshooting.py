@@ -23,10 +23,10 @@ from eitskin.files import atomic_folder
 from eitskin.geometry import SensorDesign, structured_mesh
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.hardware import open_board
-from eitskin.hardware.boards.port import _remedy
+from eitskin.hardware.boards.port import remedy
 from eitskin.simulator import Frame, Protocol, Scene
 from eitskin.training import Pipeline
-from eitskin.training.evaluation.evaluate import _require_on_sheet
+from eitskin.training.evaluation.evaluate import require_on_sheet
 from eitskin.training.method.calibration import Calibration, KnownBends
 from eitskin.training.pipeline.saved_form import SHIPPED, SUMS, read_pipeline
 
@@ -169,7 +169,7 @@ def in_millimetres(folder):
 
 def no_permission(_):
     # Whoever runs the tests may have every right, so the system's own words are given.
-    said = _remedy(PermissionError(errno.EACCES, "Permission denied"))
+    said = remedy(PermissionError(errno.EACCES, "Permission denied"))
     raise DeviceError(f"serial:X: cannot open the port: {said}")
 
 
@@ -218,7 +218,7 @@ PROVOKED = {
     "... has format version": model(newer_model),
     "this pipeline was trained": another_sensor,
     "positions must be": in_millimetres,
-    "touches of the": lambda _: _require_on_sheet(touched_at(135.0), (0.15, 0.06)),
+    "touches of the": lambda _: require_on_sheet(touched_at(135.0), (0.15, 0.06)),
     "the frames do not fit": calibrates_without_bending,
     "...: cannot open the port: there is none": lambda _: open_board("serial:/dev/none-such"),
     "...: cannot open the port: ...; check": plain_file,
@@ -247,7 +247,7 @@ def test_a_command_that_is_interrupted_says_so(tmp_path, monkeypatch):
     def interrupt(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("eitskin.cli.commands.simulate.Scene.from_toml", interrupt)
+    monkeypatch.setattr("eitskin.simulator.scene.scene.Scene.from_toml", interrupt)
     ran = CliRunner().invoke(app, ["simulate", str(tmp_path / "scene.toml")])
     assert ran.exit_code == 130
     assert ran.stderr == "eitskin: interrupted\n"

@@ -11,13 +11,13 @@ from eitskin.datasets.generation import cluster, process_pool
 def killed_in_pool(recipe, folder: Path, shard: int) -> int:
     """Stands in for the task of a process pool; the first to come is killed while it writes."""
     _be_killed_once(folder)
-    return process_pool._make_shard(recipe, folder, shard)
+    return process_pool.pool_task(recipe, folder, shard)
 
 
 def killed_in_cluster(recipe, folder: Path, shard: int, versions) -> int:
     """Stands in for the task of a dask worker; the first to come is killed while it writes."""
     _be_killed_once(folder)
-    return cluster._make_shard(recipe, folder, shard, versions)
+    return cluster.cluster_task(recipe, folder, shard, versions)
 
 
 def was_killed(folder: Path) -> bool:
@@ -31,7 +31,7 @@ def _be_killed_once(folder: Path) -> None:
         _mark(folder).touch(exist_ok=False)
     except FileExistsError:
         return
-    eitskin.files._sync = lambda _: os.kill(os.getpid(), signal.SIGKILL)
+    eitskin.files.sync = lambda _: os.kill(os.getpid(), signal.SIGKILL)
 
 
 def _mark(folder: Path) -> Path:

@@ -77,7 +77,7 @@ class Evaluation:
                 f"the pipeline was trained for {len(pipeline.layout.protocol)} measurements, the "
                 "dataset has others; evaluate on a dataset of the same sensor"
             )
-        _require_on_sheet(dataset, pipeline.layout.outline)
+        require_on_sheet(dataset, pipeline.layout.outline)
         perceived = _perceive(pipeline, dataset)
         matches = Matches.of(dataset, perceived)
         similarity = _similarities(pipeline, dataset, perceived)
@@ -94,7 +94,7 @@ class Evaluation:
         return cls(pipeline, dataset, perceived, matches, similarity, report)
 
 
-def _require_on_sheet(dataset: Dataset, outline: tuple[float, float]) -> None:
+def require_on_sheet(dataset: Dataset, outline: tuple[float, float]) -> None:
     """Refuse touches more than a sheet's length beside it: in millimetres, or of another sensor."""
     for name, places in (("x", dataset.touch_x), ("y", dataset.touch_y)):
         known = places[np.isfinite(places)]

@@ -44,7 +44,7 @@ class SyntheticFrames:
         low, high = self.bend_prior.angle_deg
         angle = np.where(rng.uniform(size=count) < 0.25, 0.0, rng.uniform(low, high, count))
         touches = self._touches(count, rng)
-        change = self._touched(touches, angle, features, rng)
+        change = self.touch_changes(touches, angle, features, rng)
         averaged = 1.0 / 2.0 ** rng.integers(0, 6, count)  # 1 to 32 frames in the reference
         change += rng.standard_normal(change.shape) * self.noise * np.sqrt(1 + averaged)[:, None]
         moved = rng.standard_normal(count) * MOVED_DEG * (rng.uniform(size=count) < 0.5)
@@ -70,7 +70,7 @@ class SyntheticFrames:
                 touches[apart < self.touch_prior.separation, i] = np.nan
         return touches
 
-    def _touched(
+    def touch_changes(
         self, touches: Array, angle: Array, features: Array, rng: np.random.Generator
     ) -> Array:
         """Change of log V (count, C) by the touches, on specimens that differ."""

@@ -78,7 +78,7 @@ class ResponseNetwork(nn.Module):
         self.latent = nn.Parameter(0.3 * torch.randn(specimens, LATENT))
 
     def forward(self, packed: Tensor) -> Tensor:
-        """Changes of log V (n, C), in units of `scale`, of frames packed by `_packed`."""
+        """Changes of log V (n, C), in units of `scale`, of frames packed by `packed_inputs`."""
         sizes = [4 * self.touches, self.touches, self.features, 1]
         inputs, factors, features, specimen = torch.split(packed, sizes, dim=1)
         hidden = inputs.reshape(len(packed), self.touches, 4)
@@ -115,7 +115,7 @@ def fit_response(
     """
     scale = float(np.sqrt(np.mean(frames.change**2)))
     network = seeded(lambda: ResponseNetwork(frames), seed)
-    inputs, change = _packed(frames, ranges), _tensor(frames.change / scale)
+    inputs, change = packed_inputs(frames, ranges), _tensor(frames.change / scale)
     # Weights: noise dominates the error of weak touches, model error that of strong ones.
     variance = (noise / scale) ** 2 + RELATIVE_ERROR**2 * change.square().mean(dim=1, keepdim=True)
     weighted = torch.cat([change, variance.mean() / variance], dim=1)
@@ -134,10 +134,10 @@ def fit_response(
         seed,
         lambda done, total: progress("touch response", done, total),
     )
-    return _response(network, np.unique(frames.specimen), scale, ranges), history
+    return folded_response(network, np.unique(frames.specimen), scale, ranges), history
 
 
-def _packed(frames: TouchFrames, ranges: InputRanges) -> Tensor:
+def packed_inputs(frames: TouchFrames, ranges: InputRanges) -> Tensor:
     """Rows (n, columns): inputs and factors of each touch, features, number of the specimen."""
     inputs = ranges.inputs(frames.touches, frames.angle_deg[:, None])
     columns = [
@@ -153,7 +153,7 @@ def _tensor(values: Array) -> Tensor:
     return torch.as_tensor(np.ascontiguousarray(values, dtype=np.float32))
 
 
-def _response(
+def folded_response(
     network: ResponseNetwork, specimens: NDArray[np.int64], scale: float, ranges: InputRanges
 ) -> TouchResponse:
     """The trained response, with q shifted and scaled to zero mean and unit variance."""

@@ -97,7 +97,7 @@ class Pipeline:
     examples: Observations
     metrics: dict[str, Any] = field(default_factory=dict)
     calibration: dict[str, Any] = field(default_factory=dict)
-    _references: References = field(init=False, repr=False)
+    references: References = field(init=False, repr=False)
     _last: Frame | None = field(init=False, repr=False, default=None)
     _outdated: bool = field(init=False, repr=False, default=False)
     _held: RunningMean = field(init=False, repr=False)
@@ -107,7 +107,7 @@ class Pipeline:
 
     def __post_init__(self) -> None:
         """Begin without references."""
-        self._references = References(self.noise)
+        self.references = References(self.noise)
         self._held = RunningMean(self.noise, longest=LONGEST_HELD)
 
     @classmethod
@@ -175,7 +175,7 @@ class Pipeline:
 
     def reset(self) -> None:
         """Forget the session; the next frame must be of the flat, untouched sensor."""
-        self._references.drop()
+        self.references.drop()
         self._held = RunningMean(self.noise, longest=LONGEST_HELD)
         self._last, self._outdated, self._touched = None, False, False
 
@@ -191,7 +191,7 @@ class Pipeline:
         """
         voltages, problems = self.layout.voltages(frame)
         self._notice_session(frame)
-        references = self._references
+        references = self.references
         first = references.empty
         if first:
             self.layout.require_same_sensor(voltages)
@@ -241,7 +241,7 @@ class Pipeline:
 
     def _observed(self, voltages: Voltages, count: int, frame: Frame) -> Observations:
         """A frame of the session, or the mean of some, beside the references."""
-        references = self._references
+        references = self.references
         rows = {
             "static": relative_difference(voltages, references.bend),
             "dynamic": relative_difference(voltages, references.touch),
@@ -266,7 +266,7 @@ class Pipeline:
 
     def _reference_problems(self, state: State) -> tuple[str, ...]:
         problems = []
-        for i in np.flatnonzero(~np.isfinite(self._references.bend)):
+        for i in np.flatnonzero(~np.isfinite(self.references.bend)):
             label = self.layout.protocol.labels[i]
             problems.append(f"channel {label} is left out: it was bad when the session began")
         if self._outdated and state is State.TOUCH:

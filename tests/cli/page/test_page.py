@@ -138,7 +138,7 @@ def test_a_browser_that_reads_nothing_is_dropped_and_delays_nobody(connection) -
         stalled.sendall(f"GET /events HTTP/1.0\r\nHost: 127.0.0.1:{port_of(page)}\r\n\r\n".encode())
         stream = Stream(page)
         stream.until("sensor")
-        served = page._server
+        served = page.server
         noisy = FakeEstimate(touch_map=np.random.default_rng(0).random((32, 80)))
         number = most = 0
         # Ends by the tests' limit of time, where the stalled one is never admitted or dropped.
@@ -193,7 +193,7 @@ def test_only_so_many_browsers_may_watch(page) -> None:
     assert ask(page, "GET", "/events")[0] == 503
     for stream in streams:
         stream.close()
-    while page._server.watching:
+    while page.server.watching:
         page.publish(reading(1))
     again = Stream(page)
     assert again.answer.status == 200
@@ -233,7 +233,7 @@ def test_a_port_in_use_is_named(page, connection) -> None:
 
 def test_only_this_machine_is_served(page) -> None:
     assert page.url.startswith("http://127.0.0.1:")
-    assert page._server.server_address[0] == "127.0.0.1"
+    assert page.server.server_address[0] == "127.0.0.1"
 
 
 def test_every_asset_is_shipped_served_and_of_this_page_alone(page) -> None:
@@ -261,4 +261,4 @@ def test_a_board_of_unknown_period_is_shown_and_not_called_silent(connection):
     connection.board.info = Info(period=float("nan"))
     with Page(connection, DESIGN) as made, closing(Stream(made)) as stream:
         assert stream.until("sensor")["period"] is None
-        assert made._stale_after() == np.inf
+        assert made.stale_after() == np.inf

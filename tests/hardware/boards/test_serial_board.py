@@ -41,7 +41,7 @@ def test_late_and_repeated_frames_are_dropped():
 
 def test_frame_numbers_may_wrap():
     board, port = connected(firmware())
-    port.firmware._number = 2**32 - 2
+    port.firmware.number = 2**32 - 2
     assert [frame.number for frame in take(board, 4)] == [2**32 - 2, 2**32 - 1, 0, 1]
     assert board.lost == 0
 

@@ -1,15 +1,17 @@
 """Lines of text: what is understood of them, and how they are frames."""
 
 import cmath
+import contextlib
 import itertools
 import math
+import tracemalloc
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from eitskin.hardware.boards.text_frames import FrameDrop, FrameFinder
-from eitskin.hardware.boards.text_lines import LONGEST, LineDecoder, LineDrop, Mark, Measurement
+from eitskin.hardware.boards.text_lines import LineDecoder, LineDrop, Mark, Measurement
 
 from printed_lines import LINE, PAUSE, PERIOD, printed
 
@@ -69,11 +71,22 @@ def test_what_is_no_measurement_is_dropped_and_counted():
     assert decoder.drops == {LineDrop.UNKNOWN: 5}
 
 
+@contextlib.contextmanager
+def little_memory():
+    """Little of what is allocated meanwhile is kept."""
+    tracemalloc.start()
+    try:
+        yield
+        assert tracemalloc.get_traced_memory()[0] < 50_000
+    finally:
+        tracemalloc.stop()
+
+
 def test_a_line_without_end_does_not_fill_the_memory():
     decoder = LineDecoder()
-    for _ in range(100):
-        assert decoder.feed(b"x" * 10_000) == []
-    assert len(decoder._begun) <= LONGEST
+    with little_memory():
+        for _ in range(100):
+            assert decoder.feed(b"x" * 10_000) == []
     assert len(decoder.feed(b"\n" + printed([1])[0].encode())) == 1
     assert decoder.drops == {LineDrop.TOO_LONG: 1}
 
@@ -193,6 +206,6 @@ def test_marks_need_no_pause():
 
 def test_an_endless_frame_does_not_fill_the_memory():
     finder = FrameFinder(6, marked=True)
-    for _ in range(1000):
-        finder.feed(0.0, [Measurement(1 + 0j)] * 10)
-    assert len(finder._group) == 6
+    with little_memory():
+        for _ in range(1000):
+            finder.feed(0.0, [Measurement(1 + 0j)] * 10)

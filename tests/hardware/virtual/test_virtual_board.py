@@ -137,7 +137,7 @@ def test_a_paced_board_sends_no_frame_before_it_is_due():
 
 def test_a_virtual_board_is_paced_as_its_info_says():
     terminal = virtual_terminal(simulator=FakeSimulator())
-    assert terminal._pace.period == terminal.firmware.info.period == pytest.approx(0.2968)
+    assert terminal.pace.period == terminal.firmware.info.period == pytest.approx(0.2968)
     terminal.close()
 
 
@@ -152,7 +152,7 @@ def test_a_paced_board_skips_frames_that_nobody_reads():
 
     def counted_skip():
         skip()
-        if measured._number > 1500:
+        if measured.number > 1500:
             full.set()
 
     measured.skip = counted_skip

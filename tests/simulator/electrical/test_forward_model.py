@@ -10,7 +10,7 @@ from eitskin.geometry import Electrode, Rectangle, SensorDesign
 from eitskin.geometry.deformation.kinematics import area_ratio, pulled_back
 from eitskin.geometry.meshing.hexahedra import Grading
 from eitskin.simulator import ForwardModel, Protocol
-from eitskin.simulator.electrical.assembly import TENSOR_COLUMNS, TENSOR_ROWS, _tensor_map
+from eitskin.simulator.electrical.assembly import TENSOR_COLUMNS, TENSOR_ROWS, tensor_map
 
 from alternatives import plain_impedance
 
@@ -214,6 +214,6 @@ def test_tensors_are_pulled_back_to_skewed_cells_too() -> None:
     A, S = rng.standard_normal((2, 5, 3, 3))
     S = S + S.swapaxes(1, 2)
     entries = S[:, TENSOR_ROWS, TENSOR_COLUMNS]
-    mapped = np.einsum("ck,ckl->cl", entries, _tensor_map(A))
+    mapped = np.einsum("ck,ckl->cl", entries, tensor_map(A))
     expected = (A @ S @ A.swapaxes(1, 2))[:, TENSOR_ROWS, TENSOR_COLUMNS]
     assert mapped == pytest.approx(expected, rel=1e-12)

@@ -149,7 +149,7 @@ def test_kernels_between_stiffness_ratios_are_interpolated(table, monkeypatch) -
         ratio = stack.sheets[0].law.shear_modulus / stack.sheets[1].law.shear_modulus
         return dataclasses.replace(table, forces=table.forces * ratio**0.6)
 
-    monkeypatch.setattr(press_store, "_stored", scaled)
+    monkeypatch.setattr(press_store, "stored", scaled)
     mechanics = Mechanics(gel=NeoHookean(13e3))
     found = press_store.press_table.__wrapped__(DESIGN, mechanics, Cylinder())
     assert found.forces == pytest.approx(table.forces * (28 / 13) ** 0.6, rel=2e-4)

@@ -141,12 +141,12 @@ def test_the_model_for_pictures_is_right_to_a_few_percent(kind) -> None:
 
 
 def test_electrodes_are_seen_from_in_front() -> None:
-    from eitskin.simulator.view.model_pictures import _in_front
+    from eitskin.simulator.view.model_pictures import in_front
 
     mesh = mesh_design(SensorDesign.reference(), COARSE)
     for electrode in range(8):
         _, normal = shapes.contact(mesh, electrode)
-        eye = _in_front(mesh, electrode)
+        eye = in_front(mesh, electrode)
         assert normal @ eye > 0.5
         assert np.linalg.norm(eye) == pytest.approx(1.0)
     assert DIRECTION @ [0.0, 0.0, 1.0] > 0.0

@@ -18,13 +18,13 @@ from eitskin.simulator import Cylinder, ForwardModel, Protocol, Scene, Simulator
 from eitskin.simulator.view import scene_pictures as view
 from eitskin.simulator.view import shapes
 from eitskin.simulator.view.scene_pictures import (
-    _indenters,
-    _round_number,
     conductance_change,
     current_density,
     draw,
+    indenter_surfaces,
     largest_strain,
     most_changed,
+    round_number,
 )
 
 LENGTH, WIDTH, THICKNESS = 0.040, 0.010, 0.005
@@ -169,12 +169,12 @@ def test_an_indenter_has_its_shape_and_stands_upright_on_what_it_presses(indente
 def test_indenters_are_where_they_press_and_not_where_they_were_taken_off(sim) -> None:
     press, released = Touch(0.05, 0.02, 6.0), Touch(0.12, 0.03, held=10.0, released=1.0)
     scene = Scene(touches=(press, released))
-    (body,) = _indenters(sim, scene)
+    (body,) = indenter_surfaces(sim, scene)
     lowest = body.points[:, 2].min()
     assert lowest == pytest.approx(0.0085 - sim.presses(scene)[0].depth, rel=1e-5)
     assert body.points[:, :2].mean(axis=0) == pytest.approx([0.05, 0.02], abs=2e-4)
     bent = Scene(Bend(40.0), (press,), twist=Twist(20.0))
-    (moved,) = _indenters(sim, bent)
+    (moved,) = indenter_surfaces(sim, bent)
     tip = np.array([0.05, 0.02, lowest])
     place = sim.deformation(Scene(Bend(40.0), twist=Twist(20.0))).positions(tip)
     # Moved as a rigid body: distances from the tip stay.
@@ -182,20 +182,20 @@ def test_indenters_are_where_they_press_and_not_where_they_were_taken_off(sim) -
     after = np.linalg.norm(moved.points - place, axis=1)
     assert np.sort(after) == pytest.approx(np.sort(before), abs=1e-7)
     closed = Simulator(SensorDesign.reference(), "fast", touch_model="closed form")
-    assert _indenters(closed, Scene(touches=(press,))) == []
+    assert indenter_surfaces(closed, Scene(touches=(press,))) == []
 
 
 @pytest.mark.parametrize(
     ("value", "found"), [(45.7, 50.0), (0.31, 0.32), (1.0, 1.0), (9.1, 10.0), (0.1, 0.1)]
 )
 def test_colour_scales_end_at_round_numbers(value, found) -> None:
-    assert _round_number(value) == pytest.approx(found)
+    assert round_number(value) == pytest.approx(found)
 
 
 @pytest.fixture
 def few_cells(monkeypatch) -> None:
     """Coarser pictures, drawn sooner."""
-    monkeypatch.setitem(view._CELLS, "hexahedra", 75)
+    monkeypatch.setitem(view.CELLS, "hexahedra", 75)
 
 
 def picture(path) -> np.ndarray:

@@ -60,7 +60,7 @@ def test_made_up_changes_are_those_of_the_response():
     touches = np.full((2000, MOST_TOUCHES, 3), np.nan)
     touches[:, 0] = [0.05, 0.02, 9.0]
     angle, features = np.full(2000, 20.0), np.zeros((2000, 1))
-    change = MODEL._touched(touches, angle, features, rng)
+    change = MODEL.touch_changes(touches, angle, features, rng)
     expected = MODEL.response.of([0.0])(touches[0, :1], 20.0)[0]
     strong = expected > 0.3 * expected.max()
     mean = change.mean(axis=0) / np.exp(0.5 * proposal_network.LOG_SENSITIVITY_STD**2)

@@ -10,9 +10,9 @@ from eitskin.training.joint import response_training as response_network
 from eitskin.training.joint.response_training import (
     ResponseNetwork,
     TouchFrames,
-    _packed,
-    _response,
     fit_response,
+    folded_response,
+    packed_inputs,
 )
 from eitskin.training.joint.touch_response import TouchResponse
 from eitskin.training.method.settings import NetworkSettings, silent
@@ -218,8 +218,8 @@ def test_network_says_what_it_was_trained_to_say(features):
     network = ResponseNetwork(data)
     network.latent.data[:] = torch.tensor([0.3, -0.5])  # the same for all: then it is none
     with torch.inference_mode():
-        said = network(_packed(data, RANGES)).numpy() * 0.5
-    plain = _response(network, np.unique(data.specimen), 0.5, RANGES)
+        said = network(packed_inputs(data, RANGES)).numpy() * 0.5
+    plain = folded_response(network, np.unique(data.specimen), 0.5, RANGES)
     for i in range(40):
         touches = data.touches[i][np.isfinite(data.touches[i][:, 0])]
         alone = plain.of(data.features[i])(touches, float(data.angle_deg[i])).sum(axis=0)

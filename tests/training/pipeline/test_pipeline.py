@@ -115,12 +115,12 @@ def test_session_of_bends_and_touches(session):
 def test_touch_freezes_the_dynamic_reference_and_release_frees_it(pipeline, session):
     session()
     session(20.0)
-    before = pipeline._references.touch.copy()
+    before = pipeline.references.touch.copy()
     for _ in range(3):
         assert session(20.0, (0.05, 0.03)).state is State.TOUCH
-    np.testing.assert_array_equal(pipeline._references.touch, before)
+    np.testing.assert_array_equal(pipeline.references.touch, before)
     session(-10.0)
-    assert not np.allclose(pipeline._references.touch, before, rtol=1e-4)
+    assert not np.allclose(pipeline.references.touch, before, rtol=1e-4)
     moved = session(-10.0, (0.11, 0.02))
     assert np.hypot(moved.touches[0][0] - 0.11, moved.touches[0][1] - 0.02) < 0.006
 
@@ -129,7 +129,7 @@ def test_stages_alone_say_what_the_session_says(pipeline, session, sensor):
     session()
     session(20.0)
     V = sensor.impedance(20.0, (0.05, 0.03))
-    references = pipeline._references
+    references = pipeline.references
     static, dynamic = (np.real(V / ref - 1)[None] for ref in (references.bend, references.touch))
     flat, one = np.abs(references.bend)[None], np.ones(1)
     alone = pipeline.method.perceive(Observations(static, dynamic, flat, one, one, one, one, one))
@@ -209,12 +209,12 @@ def test_channel_that_was_bad_at_the_beginning_stays_out(session, sensor):
 
 def test_frame_of_mostly_bad_channels_is_refused_and_changes_nothing(pipeline, session):
     session()
-    before = pipeline._references.bend.copy()
+    before = pipeline.references.bend.copy()
     status = np.full(28, Status.OPEN, np.uint8)
     status[:13] = 0
     with pytest.raises(FrameError, match="13 of 28"):
         session(status=status)
-    np.testing.assert_array_equal(pipeline._references.bend, before)
+    np.testing.assert_array_equal(pipeline.references.bend, before)
 
 
 # Refusals

@@ -65,7 +65,7 @@ def test_still_noise_does_not_restart_the_mean():
     references = References(NOISE)
     for frame in frames(FLAT, 2000):
         references.follow(frame)
-    assert references._latest.count == LONGEST_MEAN
+    assert references.touch_frames == LONGEST_MEAN
 
 
 def test_static_reference_is_the_opening_stillness_only():
