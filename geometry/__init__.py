@@ -1,4 +1,8 @@
-"""Shapes: what a sensor is, how it is meshed and how it deforms. Knows no physics."""
+"""Geometry of a sensor, without physics: `design`, `meshing` and `deformation`.
+
+A `SensorDesign` says outline, thickness and electrodes; `meshing` turns a design into a `Mesh`;
+`deformation` maps points of the flat sensor to the bent one, with the deformation gradient.
+"""
 
 from eitskin.lazy import lazy_exports
 

@@ -1,4 +1,4 @@
-"""Fixtures that bend a sensor about y, and how far they can."""
+"""Bending fixtures: flexure of a sensor about y, and its limits."""
 
 import math
 from collections.abc import Callable
@@ -13,7 +13,7 @@ from eitskin.geometry.design.sensor import SensorDesign
 
 @dataclass(frozen=True, slots=True)
 class Bend:
-    """How far the sensor is bent.
+    """Bend of the sensor about y.
 
     Attributes:
         angle_deg: between the two ends; positive is convex on the touched side.
@@ -22,14 +22,14 @@ class Bend:
     angle_deg: float
 
     def __post_init__(self) -> None:
-        """Check the number; whether the angle can be reached depends on fixture and sensor."""
+        """Check the number; the largest possible angle depends on fixture and sensor."""
         if not math.isfinite(self.angle_deg):
             raise ConfigurationError(f"angle_deg must be a finite number, got {self.angle_deg}")
 
 
 @dataclass(frozen=True, slots=True)
 class Hinge:
-    """Two plates that clamp the sensor's ends and turn about one axis under its middle.
+    """Hinge of two plates that clamp the sensor's ends and turn about one axis under its middle.
 
     The ends turn rigidly by +-theta/2 about the axis at distance d below mid-layer; their
     distance sets the stretch of the arc between them. For constant curvature over the span s,
@@ -39,12 +39,13 @@ class Hinge:
     Attributes:
         span: free length between the clamps, centred on the sensor [m].
         offset: d, of the hinge axis below the mid-plane of the conductive layer [m].
-        give: how far the bend reaches into each clamp, as soft layers between stiff plates do [m].
+        give: length by which the bend reaches into each clamp; soft layers give between stiff
+            plates [m].
         transition: flat length over which the curvature rises, at each end of the bend [m].
         contraction: of the width, 0 as a plate to 1 as a beam; see Flexure.
 
-    As they stand, a plate between rigid ends. `give=0.002, contraction=0.8` fits the 3D model of
-    the reference stack best (`python -m eitskin.benchmarks.studies.bends`).
+    The defaults are those of a plate between rigid ends. `give=0.002, contraction=0.8` fits the 3D
+    model of the reference stack best (`python -m eitskin.benchmarks.studies.bends`).
     """
 
     span: float = 0.040
@@ -55,7 +56,7 @@ class Hinge:
 
     @property
     def bent_length(self) -> float:
-        """Flat length that bends [m]."""
+        """Length of the bent part of the flat sensor [m]."""
         return self.span + 2.0 * self.give
 
     def __post_init__(self) -> None:
@@ -68,7 +69,10 @@ class Hinge:
         _check_profile("hinge", self.bent_length, self.transition, self.contraction)
 
     def flexure(self, design: SensorDesign, bend: Bend) -> Flexure:
-        """The deformation; ConfigurationError, naming the last possible angle, past it."""
+        """Flexure of the bent sensor.
+
+        Raises ConfigurationError, naming the last possible angle, for an angle out of reach.
+        """
         return _within_limits(self, self._flexure, design, bend)
 
     def _flexure(self, design: SensorDesign, theta: float) -> Flexure:
@@ -80,7 +84,7 @@ class Hinge:
         straight, more = (
             float(f.centre_line(np.array(clamp))[0]) for f in (unstretched, stretched)
         )
-        # The centre line's length along x is linear in the stretch; it must end at the clamp.
+        # The extent of the centre line along x is linear in the stretch; its end is the clamp's.
         wanted = clamp * math.cos(half) + self.offset * math.sin(half)
         stretch = 1.0 + (wanted - straight) / (more - straight)
         made = Flexure(centre, length, theta, stretch, self.transition, self.contraction)
@@ -93,14 +97,14 @@ class Hinge:
 
 @dataclass(frozen=True, slots=True)
 class FreeArc:
-    """No fixture: the sensor is bent by moments alone into an arc over some of its length.
+    """Pure bending without a fixture: moments bend a part of the sensor's length into an arc.
 
     Without forces at the ends, lambda_0^2 = sqrt(1 + (c h)^2) for a stack of thickness h, as for
     a uniform neo-Hookean block (Rivlin 1949).
 
     Attributes:
         length: flat length of the arc, centred on the sensor [m].
-        transition, contraction: as of a Hinge.
+        transition, contraction: as in `Hinge`.
     """
 
     length: float
@@ -116,11 +120,14 @@ class FreeArc:
 
     @property
     def bent_length(self) -> float:
-        """Flat length that bends [m]."""
+        """Length of the bent part of the flat sensor [m]."""
         return self.length
 
     def flexure(self, design: SensorDesign, bend: Bend) -> Flexure:
-        """The deformation; ConfigurationError, naming the last possible angle, past it."""
+        """Flexure of the bent sensor.
+
+        Raises ConfigurationError, naming the last possible angle, for an angle out of reach.
+        """
         return _within_limits(self, self._flexure, design, bend)
 
     def _flexure(self, design: SensorDesign, theta: float) -> Flexure:
@@ -157,7 +164,7 @@ def _within_limits(
     design: SensorDesign,
     bend: Bend,
 ) -> Flexure:
-    """The flexure, where every fibre of the stack keeps its length positive and no ends cross."""
+    """Flexure of a possible bend; raises ConfigurationError where fibres vanish or ends cross."""
     length = design.outline.length
     if fixture.bent_length > length:
         raise ConfigurationError(
@@ -189,7 +196,7 @@ def _within_limits(
 
 
 def _possible(flexure: Flexure, design: SensorDesign) -> bool:
-    """Whether the stack keeps all fibres, and its inner face stays on its side of the middle."""
+    """Whether all fibres keep a positive length and the inner face does not cross the middle."""
     half = 0.5 * design.encapsulated_thickness
     inner = -math.copysign(half, flexure.angle)
     X = np.linspace(0.0, 0.5 * design.outline.length, 400)[1:]
@@ -198,6 +205,6 @@ def _possible(flexure: Flexure, design: SensorDesign) -> bool:
         return False
     try:
         x = flexure.positions(face)[:, 0] - flexure.centre[0]
-    except ConfigurationError:  # where curvature rises, fibres may be shorter than in the middle
+    except ConfigurationError:  # fibres may be shortest where the curvature rises
         return False
     return bool(x.min() > -1e-9)

@@ -1,4 +1,4 @@
-"""Bending of a layer about y: any profile of curvature, exactly isochoric, F in closed form."""
+"""Isochoric flexure of a layer about y, of any curvature profile, with F in closed form."""
 
 import math
 from dataclasses import dataclass
@@ -21,10 +21,10 @@ _NODES = 200
 
 @dataclass(frozen=True)
 class Flexure:
-    """A layer whose mid-plane follows a curve of curvature c(X) and stretch lambda_0(X).
+    """Flexure whose mid-plane is a curve of curvature c(X) and stretch lambda_0(X).
 
     With X along the flat layer and Z the flat height above mid-layer, fibres stay on normals of
-    the curve, at the depth that keeps every volume:
+    the curve, at the depth that preserves volume:
 
         lambda^2 = lambda_0^2 + 2 c Z / mu,   depth = (lambda - lambda_0) / c,
         F = (lambda t + depth' n) e_X + mu e_y e_y + n e_Z / (lambda mu) + (Y mu') e_y e_X
@@ -40,8 +40,8 @@ class Flexure:
         angle: between the two ends, positive convex upwards [rad].
         stretch: lambda_0 in the middle of the span.
         transition: flat length over which the curvature rises, at each end of the span [m].
-        contraction: beta in mu = lambda_0^(-beta / 2): 0 a plate that keeps its width, 1 a beam
-            that contracts alike in width and thickness.
+        contraction: beta in mu = lambda_0^(-beta / 2): 0 for a plate of constant width, 1 for a
+            beam that contracts equally in width and thickness.
         rise: of mid-layer in the middle of the span [m].
     """
 
@@ -55,11 +55,11 @@ class Flexure:
 
     @property
     def curvature(self) -> float:
-        """c in the middle of the span, turning per flat length [1/m]."""
+        """Curvature c in the middle of the span: rotation per flat length [1/m]."""
         return self.angle / (self.span - self.transition)
 
     def positions(self, points: Points) -> Points:
-        """Deformed places [m], (..., 3), of flat points [m], (..., 3)."""
+        """Deformed positions [m], (..., 3), of flat points [m], (..., 3)."""
         X, Y, Z = np.moveaxis(points - self.centre, -1, 0)
         along, down = self.centre_line(X)
         turn = self.curvature * self._profile(X)[2]
@@ -87,7 +87,7 @@ class Flexure:
         return F
 
     def centre_line(self, X: Array) -> tuple[Array, Array]:
-        """Mid-layer's place along x and below its highest point at flat X from the middle [m]."""
+        """Position of mid-layer along x, and depth below its highest point, at flat X [m]."""
         half = 0.5 * self.span
         along, down = self._curve(np.minimum(np.abs(X), half)).T
         beyond = np.maximum(np.abs(X) - half, 0.0)
@@ -96,7 +96,7 @@ class Flexure:
 
     @cached_property
     def _curve(self) -> "CubicHermiteSpline":
-        """Integrals of lambda_0 cos(turn) and lambda_0 sin(turn) from the middle to the end."""
+        """Integrals of lambda_0 cos(turn) and lambda_0 sin(turn) from the middle to the end [m]."""
         from scipy.interpolate import CubicHermiteSpline  # takes half a second
 
         X = np.linspace(0.0, 0.5 * self.span, _NODES + 1)
@@ -114,7 +114,7 @@ class Flexure:
         return np.stack([stretch * np.cos(turn), stretch * np.sin(turn)], axis=-1)
 
     def _profile(self, X: Array) -> tuple[Array, Array, Array]:
-        """w(X) of curvature and stretch, its slope [1/m], and its integral from the middle [m]."""
+        """Profile w(X) of curvature and stretch, its slope [1/m], and its integral over X [m]."""
         half, ramp = 0.5 * self.span, self.transition
         if not ramp:
             inside = np.abs(X) <= half
@@ -125,7 +125,7 @@ class Flexure:
         return a**2 * (3.0 - 2.0 * a), -sign * 6.0 * a * (1.0 - a) / ramp, sign * area
 
     def _lateral(self, X: Array) -> tuple[Array, Array]:
-        """mu and its slope [1/m]."""
+        """Lateral stretch mu and its slope along X [1/m]."""
         if not self.contraction:
             return np.ones_like(X), np.zeros_like(X)
         a = np.clip(1.0 - 2.0 * np.abs(X) / self.span, 0.0, 1.0)
@@ -135,7 +135,7 @@ class Flexure:
         return base**power, power * base ** (power - 1.0) * slope
 
     def _depth(self, X: Array, Z: Array) -> tuple[Array, Array, Array]:
-        """lambda, depth [m] and the slope of depth along X."""
+        """Stretch lambda of the fibres, their depth [m], and the slope of the depth along X."""
         w, w_slope, _ = self._profile(X)
         mu, mu_slope = self._lateral(X)
         c, c_slope = self.curvature * w, self.curvature * w_slope

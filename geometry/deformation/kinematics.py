@@ -1,4 +1,4 @@
-"""How points of the flat sensor move: what every deformation offers, and composition."""
+"""Kinematics: deformation map, composition, pull-back of conductivity, area ratio."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,10 +14,10 @@ Gradients = NDArray[np.float64]
 
 
 class Deformation(Protocol):
-    """A map from points of the flat sensor to their deformed places."""
+    """Map from points of the flat sensor to their deformed positions."""
 
     def positions(self, points: Points) -> Points:
-        """Deformed places [m], (..., 3), of flat points [m], (..., 3)."""
+        """Deformed positions [m], (..., 3), of flat points [m], (..., 3)."""
         ...
 
     def gradient(self, points: Points) -> Gradients:
@@ -26,7 +26,7 @@ class Deformation(Protocol):
 
 
 def mapped(deformation: Deformation, points: Points) -> tuple[Points, Gradients]:
-    """Positions and gradients, at once where the deformation has a way to do so."""
+    """Positions and deformation gradients; in one pass where the deformation has a `mapped`."""
     at_once = getattr(deformation, "mapped", None)
     if at_once is None:
         return deformation.positions(points), deformation.gradient(points)
@@ -36,26 +36,26 @@ def mapped(deformation: Deformation, points: Points) -> tuple[Points, Gradients]
 
 @dataclass(frozen=True, slots=True)
 class Composed:
-    """One deformation after another; F = F_second(x_first) F_first."""
+    """Composition of two deformations; F = F_second(x_first) F_first."""
 
     first: Deformation
     second: Deformation
 
     def positions(self, points: Points) -> Points:
-        """Deformed places [m], (..., 3)."""
+        """Deformed positions [m], (..., 3)."""
         return self.second.positions(self.first.positions(points))
 
     def gradient(self, points: Points) -> Gradients:
         """Deformation gradient, (..., 3, 3), by the chain rule."""
         places, inner = mapped(self.first, points)
-        # With the points innermost this takes a fifth of the time of many small products.
+        # With the points innermost the product takes a fifth of the time of many small products.
         F = np.einsum("ik...,kj...->ij...", _entries(self.second.gradient(places)), _entries(inner))
         return np.moveaxis(F, (0, 1), (-2, -1))
 
 
 @dataclass(frozen=True, slots=True)
 class Displaced:
-    """Any displacement given as a function of the flat points.
+    """Deformation by a displacement field, given as a function of the flat points.
 
     Attributes:
         displacement: u(x) [m], (..., 3), of flat points (..., 3) [m].
@@ -68,7 +68,7 @@ class Displaced:
     step: float = 1e-6
 
     def positions(self, points: Points) -> Points:
-        """Deformed places [m], (..., 3)."""
+        """Deformed positions [m], (..., 3)."""
         return points + self.displacement(points)
 
     def gradient(self, points: Points) -> Gradients:
@@ -93,18 +93,18 @@ class Displaced:
 
 
 def pulled_back(gradients: Gradients) -> Gradients:
-    """J F^-1 F^-T, (..., 3, 3): unit conductivity of the deformed body, seen in the flat one.
+    """Pull-back J F^-1 F^-T of a unit conductivity to the flat body, (..., 3, 3).
 
-    Written as adj(C) / J with C = F^T F, which needs no inverse. Source: Kohn et al. 2008
+    Computed as adj(C) / J with C = F^T F, without an inverse. Source: Kohn et al. 2008
     (change of variables in the conductivity equation).
 
-    Raises ConfigurationError where the body is inside out.
+    Raises ConfigurationError where det F is not positive.
     """
     return pulled_back_entries(gradients)[..., [[0, 3, 4], [3, 1, 5], [4, 5, 2]]]
 
 
 def pulled_back_entries(gradients: Gradients) -> NDArray[np.float64]:
-    """Its entries xx, yy, zz, xy, xz and yz, (..., 6)."""
+    """Entries xx, yy, zz, xy, xz and yz of `pulled_back`, (..., 6)."""
     F, n = _entries(gradients), _cofactors(gradients)
     J = F[0, 0] * n[0, 0] + F[1, 0] * n[1, 0] + F[2, 0] * n[2, 0]
     if not np.all(J > 0.0):
@@ -115,13 +115,13 @@ def pulled_back_entries(gradients: Gradients) -> NDArray[np.float64]:
         )
     # The columns of the cofactors are the rows of J F^-1; their Gram matrix is adj(C).
     S = np.empty((*J.shape, 6))
-    for place, (i, j) in enumerate(((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))):
-        S[..., place] = (n[0, i] * n[0, j] + n[1, i] * n[1, j] + n[2, i] * n[2, j]) / J
+    for entry, (i, j) in enumerate(((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))):
+        S[..., entry] = (n[0, i] * n[0, j] + n[1, i] * n[1, j] + n[2, i] * n[2, j]) / J
     return S
 
 
 def area_ratio(gradients: Gradients, normals: NDArray[np.float64]) -> NDArray[np.float64]:
-    """|J F^-T N|, (...): deformed over flat area of a surface with unit normals N (..., 3).
+    """Area ratio |J F^-T N|, deformed over flat, of a surface with unit normals N (..., 3), (...).
 
     Source: Nanson's formula.
     """

@@ -1,4 +1,4 @@
-"""Twist about x and rolling about x: how a sensor turns or curls across its width."""
+"""Twist and roll of a sensor about its long axis x."""
 
 import math
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from eitskin.geometry.design.sensor import SensorDesign
 
 @dataclass(frozen=True, slots=True)
 class Twist:
-    """One end turned against the other about the sensor's long axis.
+    """Twist: rotation of one end against the other about the sensor's long axis.
 
     Attributes:
         angle_deg: of the end at large x against the end at x = 0, right-handed about x.
@@ -26,7 +26,7 @@ class Twist:
             raise ConfigurationError(f"twist angle_deg must be finite, got {self.angle_deg}")
 
     def deformation(self, design: SensorDesign) -> "Twisted":
-        """The twist of a design, its middle at rest."""
+        """Deformation of a twisted design, its middle at rest."""
         outline = design.outline
         centre = (0.5 * outline.length, 0.5 * outline.width, 0.5 * design.thickness)
         return Twisted(centre, math.radians(self.angle_deg) / outline.length)
@@ -34,13 +34,13 @@ class Twist:
 
 @dataclass(frozen=True, slots=True)
 class Twisted:
-    """Every cross-section turned rigidly about x in proportion to its place.
+    """Torsion without warping: each cross-section turns rigidly about x, in proportion to X.
 
     x' = R(tau X) x and F = R + tau e_x x (R x) e_X: shear only, det F = 1 (Saint-Venant's torsion
     without warping).
 
     Attributes:
-        centre: a point of the axis, where the turning is zero [m].
+        centre: point of the axis without rotation [m].
         rate: tau [rad/m].
     """
 
@@ -48,7 +48,7 @@ class Twisted:
     rate: float
 
     def positions(self, points: Points) -> Points:
-        """Deformed places [m], (..., 3), of flat points [m], (..., 3)."""
+        """Deformed positions [m], (..., 3), of flat points [m], (..., 3)."""
         X, Y, Z = np.moveaxis(points - self.centre, -1, 0)
         cos, sin = np.cos(self.rate * X), np.sin(self.rate * X)
         return np.stack([X, cos * Y - sin * Z, sin * Y + cos * Z], axis=-1) + self.centre
@@ -68,7 +68,7 @@ class Twisted:
 
 @dataclass(frozen=True, slots=True)
 class Roll:
-    """The sensor curled across its width into an arc about x, free of forces.
+    """Roll: pure bending of the whole width into an arc about x.
 
     Attributes:
         angle_deg: between the two long edges; positive is convex on the touched side.
@@ -84,7 +84,7 @@ class Roll:
             )
 
     def deformation(self, design: SensorDesign) -> "Rolled":
-        """The roll of a design: Rivlin's flexure of the whole width."""
+        """Deformation of a rolled design: Rivlin's flexure (1949) of the whole width."""
         outline, theta = design.outline, math.radians(self.angle_deg)
         centre = (0.5 * outline.width, 0.5 * outline.length, 0.5 * design.thickness)
         c = theta / outline.width
@@ -94,12 +94,12 @@ class Roll:
 
 @dataclass(frozen=True, slots=True)
 class Rolled:
-    """A flexure with the roles of x and y exchanged."""
+    """Flexure with x and y exchanged."""
 
     flexure: Flexure
 
     def positions(self, points: Points) -> Points:
-        """Deformed places [m], (..., 3), of flat points [m], (..., 3)."""
+        """Deformed positions [m], (..., 3), of flat points [m], (..., 3)."""
         moved: Points = self.flexure.positions(points[..., [1, 0, 2]])[..., [1, 0, 2]]
         return moved
 

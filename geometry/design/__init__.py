@@ -1,1 +1,6 @@
-"""What a sensor is: its outline, thickness and electrodes, and the areas that these contact."""
+"""Design of a sensor: outline, thickness, electrodes and their contact areas.
+
+`outline` and `surface` hold the shapes of the body, `electrode` and `regular_layouts` the
+electrodes, `sensor` the design of both. `placement` puts electrodes on the body, as strips
+(`side_contacts`) or pads (`flat_contacts`); `patches` cuts their contact areas out of a mesh.
+"""

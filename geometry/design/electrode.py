@@ -1,4 +1,4 @@
-"""One electrode: where it is, how large, and how well it conducts to the body."""
+"""Electrode of a sensor: position, size, shape and contact impedance."""
 
 import cmath
 import math
@@ -22,7 +22,7 @@ _ROUND_SIDES = 32
 
 @dataclass(frozen=True, slots=True)
 class Electrode:
-    """A contact area and its impedance.
+    """Contact area of given position, size and contact impedance.
 
     Attributes:
         x, y: centre [m]; on the outline for an electrode on the side.
@@ -32,10 +32,11 @@ class Electrode:
         height: extent across the width [m]: along z on the side, the full thickness when
             omitted; along y on top, bottom and inside, the width when omitted.
         z: height of the centre [m]. On the side the middle when omitted; needed inside, where it
-            is the height of the sheet, and on a surface, where the centre is the nearest place
+            is the height of the sheet, and on a surface, where the centre is the nearest point
             of the surface to (x, y, z).
-        on: which face carries it; "inside" is a thin sheet within the layer, as of wire mesh, with
-            one potential on both faces and its area counted once; "surface" goes with a `Surface`.
+        on: face that carries the electrode; "inside" is a thin sheet within the layer, as of wire
+            mesh, with one potential on both faces and its area counted once; "surface" belongs to
+            a `Surface`.
         shape: "round" makes an ellipse of width and height, as a polygon of the same area.
     """
 
@@ -49,13 +50,13 @@ class Electrode:
     shape: Shape = "rectangle"
 
     def __post_init__(self) -> None:
-        """Check what needs no outline."""
+        """Check everything that does not depend on the outline."""
         require_length("electrode width", self.width)
         if self.height is not None:
             require_length("electrode height", self.height)
-        place = (self.x, self.y, self.z or 0.0)
-        if not all(math.isfinite(value) for value in place):
-            raise ConfigurationError(f"electrode place must be finite, in m, got {place}")
+        position = (self.x, self.y, self.z or 0.0)
+        if not all(math.isfinite(value) for value in position):
+            raise ConfigurationError(f"electrode position must be finite, in m, got {position}")
         for name, kind in (("on", On), ("shape", Shape)):
             if getattr(self, name) not in get_args(kind):
                 known = ", ".join(f"'{choice}'" for choice in get_args(kind))
@@ -66,7 +67,7 @@ class Electrode:
         self._check_impedance()
 
     def footprint(self) -> Array:
-        """Corners (k, 2) [m] about the centre, counter-clockwise, across width and height."""
+        """Corners (k, 2) [m] relative to the centre, counter-clockwise, along width and height."""
         extent = np.array([self.width, self.height or self.width])
         if self.shape == "rectangle":
             unit = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
@@ -80,7 +81,7 @@ class Electrode:
         return corners
 
     def _check_combination(self) -> None:
-        """Refuse what says nothing about an electrode at that place."""
+        """Raise ConfigurationError for attributes that contradict the face."""
         if self.on == "side" and self.shape == "round":
             raise ConfigurationError("an electrode on the side is a rectangle; leave out shape")
         if self.on == "side" and self.z is not None and self.height is None:

@@ -1,4 +1,4 @@
-"""Flat electrodes: on top, at the bottom, inside the layer, and on surfaces."""
+"""Flat electrode contacts: on top, at the bottom, inside the layer, and on surfaces."""
 
 import math
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from eitskin.geometry.design.surface import Surface
 
 Array = NDArray[np.float64]
 
-_SAME = 1e-9  # what counts as one place, relative to the size of the body
+_SAME = 1e-9  # distance of points that count as one, relative to the size of the body
 _LEVEL = 0.9  # of a normal's z, above which a surface counts as level
 _COVERED = 0.9  # share of a pad that must lie on the surface
 _X, _UP = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
@@ -22,13 +22,13 @@ _X, _UP = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pad:
-    """A flat contact: a convex polygon, or what lies over and under it on a surface.
+    """Flat contact: a convex polygon, or its projection onto a surface.
 
     Attributes:
         on: as in `Electrode`.
         corners: counter-clockwise seen from outside, (k, 3) [m].
         normal: outward unit vector, (3,).
-        depth: how far from its plane the boundary of the body may be touched [m].
+        depth: largest distance of the contacted boundary from the plane of the pad [m].
         area: of the contact [m2].
     """
 
@@ -46,17 +46,17 @@ class Pad:
 
     @property
     def reach(self) -> float:
-        """No point of the pad is farther from its centre [m]."""
+        """Radius about the centre that contains the pad [m]."""
         return float(np.linalg.norm(self.corners - self.centre, axis=1).max())
 
     def patch(self) -> Patch:
-        """A sheet inside the body, or a prism over its boundary."""
+        """Contact patch: a sheet inside the body, or a prism that cuts its boundary."""
         if self.on == "inside":
             return Patch((), self.area, self.corners)
         return Patch((_prism(self.corners, self.normal, self.depth),), self.area)
 
     def edges(self, spacing: float) -> Array:
-        """Points along its rim, (k, 3) [m]."""
+        """Points along the rim of the pad, (k, 3) [m], at most `spacing` [m] apart."""
         step = np.roll(self.corners, -1, axis=0) - self.corners
         lines = []
         for start, along in zip(self.corners, step, strict=True):
@@ -66,7 +66,10 @@ class Pad:
 
 
 def on_plane(electrode: Electrode, outline: PlaneOutline, thickness: float) -> Pad:
-    """The pad of an electrode on top, at the bottom or inside; raises ConfigurationError."""
+    """Pad of an electrode on top, at the bottom or inside.
+
+    Raises ConfigurationError where the pad reaches beyond the outline or out of the layer.
+    """
     footprint = electrode.footprint()
     plane = np.add(footprint, (electrode.x, electrode.y))
     excess = beyond(outline, plane)
@@ -90,14 +93,14 @@ def on_plane(electrode: Electrode, outline: PlaneOutline, thickness: float) -> P
 
 
 def on_surface(electrode: Electrode, surface: Surface) -> Pad:
-    """The pad of an electrode on a surface; raises ConfigurationError where it is off it."""
+    """Pad of an electrode on a surface; raises ConfigurationError where the pad lies off it."""
     given = np.array([electrode.x, electrode.y, electrode.z or 0.0])
     centre, normal = surface.nearest(given)
     footprint = electrode.footprint()
     off = float(np.linalg.norm(centre - given))
     if off > np.abs(footprint).max(axis=0).min():
         raise ConfigurationError(
-            f"its centre is {off:g} m off the surface; the nearest place on it is "
+            f"its centre is {off:g} m off the surface; the nearest point on it is "
             f"({centre[0]:.6g}, {centre[1]:.6g}, {centre[2]:.6g}) m"
         )
     points, faces = surface.triangles()
@@ -117,7 +120,7 @@ def on_surface(electrode: Electrode, surface: Surface) -> Pad:
 
 
 def beyond(outline: PlaneOutline, corners: Array) -> float:
-    """How far a convex polygon (k, 2) [m] reaches beyond an outline [m]; 0 where it does not."""
+    """Distance by which a convex polygon (k, 2) [m] reaches beyond an outline [m]; 0 inside."""
     _, depth = outline.nearest(corners)
     excess = -float(depth.min())
     if not isinstance(outline, Disc):
@@ -138,20 +141,23 @@ def beyond(outline: PlaneOutline, corners: Array) -> float:
 
 
 def half_planes(corners: Array) -> Array:
-    """(k, 3): the counter-clockwise convex polygon is {x: planes[:, :2] @ x <= planes[:, 2]}."""
+    """Half-planes (k, 3) of a counter-clockwise convex polygon (k, 2) [m].
+
+    The polygon is {x: planes[:, :2] @ x <= planes[:, 2]}.
+    """
     step = np.roll(corners, -1, axis=0) - corners
     outward = np.column_stack([step[:, 1], -step[:, 0]]) / np.hypot(*step.T)[:, None]
     return np.column_stack([outward, (outward * corners).sum(axis=1)])
 
 
 def _prism(corners: Array, normal: Array, depth: float) -> Region:
-    """Over and under a plane convex polygon (k, 3), up to `depth` from it."""
+    """Prism over and under a plane convex polygon (k, 3) [m], up to `depth` [m] from it."""
     along = np.roll(corners, -1, axis=0) - corners
     outward = np.cross(along, normal)
     outward = np.concatenate([outward, [normal, -normal]])
     outward /= np.linalg.norm(outward, axis=1)[:, None]
-    places = np.concatenate([corners, [corners[0] + depth * normal, corners[0] - depth * normal]])
-    return Region(np.column_stack([outward, (outward * places).sum(axis=1)]), normal)
+    points = np.concatenate([corners, [corners[0] + depth * normal, corners[0] - depth * normal]])
+    return Region(np.column_stack([outward, (outward * points).sum(axis=1)]), normal)
 
 
 def _within(triangles: Array, region: Region) -> Array:
@@ -164,10 +170,10 @@ def _within(triangles: Array, region: Region) -> Array:
 
 
 def tangents(normal: Array) -> Array:
-    """Directions of width and height in the plane with this normal, (2, 3).
+    """Unit vectors of width and height in the plane with this normal, (2, 3).
 
-    The width is horizontal, as the outline is on the side of a layer; where the surface is level
-    it is along x, as on top.
+    The width is horizontal, as on the side of a layer; on a level surface it is along x, as on
+    top of a layer.
     """
     width = np.cross(_UP, normal) if abs(normal[2]) < _LEVEL else _X - normal[0] * normal
     width /= np.linalg.norm(width)
@@ -175,6 +181,6 @@ def tangents(normal: Array) -> Array:
 
 
 def _area(corners: Array) -> float:
-    """Of a polygon (k, 2) [m2]."""
+    """Area of a polygon (k, 2) [m2], by the shoelace formula."""
     x, y = corners.T
     return 0.5 * float((x * np.roll(y, -1) - np.roll(x, -1) * y).sum())

@@ -1,4 +1,11 @@
-"""The plane shapes that a conductive layer may have, and how places on their rim are named."""
+"""Plane outlines of a conductive layer: rectangle, disc, polygon.
+
+A position on the rim is told by its arc length, counter-clockwise.
+
+An outline of straight sides is a frozen dataclass that derives from `_Sided`, gives `vertices`,
+`length` and `width`, and joins the union `PlaneOutline`; TOML files tell outlines apart by their
+keys. A curved outline derives from `_Plane` and needs a branch wherever `Disc` has one.
+"""
 
 import math
 from dataclasses import dataclass
@@ -13,35 +20,35 @@ from eitskin.geometry.design.surface import Surface
 
 Array = NDArray[np.float64]
 
-_ON = 1e-6  # how far from the outline a place on it may be, relative to the outline's size
-_SAME = 1e-9  # what counts as one place, relative to the outline's size
+_ON = 1e-6  # largest distance from the rim of a position on it, relative to the outline's size
+_SAME = 1e-9  # distance of points that count as one, relative to the outline's size
 
 
 class _Plane:
-    """What all plane outlines can answer from the nearest place on the rim."""
+    """Base class of plane outlines, on the nearest point of the rim."""
 
     __slots__ = ()
 
     def at(self, s: ArrayLike) -> Array:
-        """Places (..., 2) [m] at arc lengths `s` (...) [m], counter-clockwise."""
+        """Points (..., 2) [m] of the rim at arc lengths `s` (...) [m], counter-clockwise."""
         raise NotImplementedError
 
     def nearest(self, points: Array) -> tuple[Array, Array]:
-        """Of points (..., 2) [m]: arc length of the nearest place on the rim, and depth [m].
+        """Arc length of the nearest point of the rim, and depth [m], of points (..., 2) [m].
 
         The depth is the distance to the rim, negative outside; both have the shape (...).
         """
         raise NotImplementedError
 
     def contains(self, points: Array, margin: float = 0.0) -> NDArray[np.bool_]:
-        """Which of the points (..., 2) [m] are inside, at least `margin` [m] from the rim."""
+        """Whether points (..., 2) [m] are inside, at least `margin` [m] from the rim, (...)."""
         _, depth = self.nearest(np.asarray(points, dtype=float))
         return depth >= margin - _SAME * self._size()
 
     def locate(self, x: float, y: float) -> float:
-        """Arc length [m] of the place (x, y) [m] on the rim.
+        """Arc length [m] of the position (x, y) [m] on the rim.
 
-        Raises ConfigurationError, naming the nearest place, for one that is not on it.
+        Raises ConfigurationError, naming the nearest point, for a position off the rim.
         """
         return _located(self, x, y)
 
@@ -56,20 +63,20 @@ def _located(outline: _Plane, x: float, y: float) -> float:
     if not abs(depth) <= _ON * outline._size():
         near_x, near_y = outline.at(s)
         raise ConfigurationError(
-            f"({x:g}, {y:g}) m is {abs(depth):g} m off the outline; the nearest place on it is "
+            f"({x:g}, {y:g}) m is {abs(depth):g} m off the outline; the nearest point on it is "
             f"({near_x:.9g}, {near_y:.9g}) m"
         )
     return float(s)
 
 
 class _Sided(_Plane):
-    """An outline of straight sides; arc length runs counter-clockwise from its first vertex."""
+    """Outline of straight sides; arc length runs counter-clockwise from the first vertex."""
 
     __slots__ = ()
 
     @property
     def vertices(self) -> Array:
-        """Corners in turn, counter-clockwise, (k, 2) [m]."""
+        """Corners in order, counter-clockwise, (k, 2) [m]."""
         raise NotImplementedError
 
     @property
@@ -110,7 +117,7 @@ class _Sided(_Plane):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Sides:
-    """Sides of an outline: vertices (k + 1, 2), the last the first; steps, lengths, arc lengths."""
+    """Sides of an outline: closed vertices (k + 1, 2), edge vectors, lengths, arc lengths [m]."""
 
     closed: Array
     step: Array
@@ -130,7 +137,7 @@ def _sides(outline: _Sided) -> _Sides:
 
 @dataclass(frozen=True, slots=True)
 class Rectangle(_Sided):
-    """Outline with a corner at the origin: length along x, width along y [m].
+    """Rectangular outline with a corner at the origin: length along x, width along y [m].
 
     Arc length runs counter-clockwise from the origin.
     """
@@ -144,23 +151,23 @@ class Rectangle(_Sided):
 
     @property
     def vertices(self) -> Array:
-        """Corners in turn, counter-clockwise, (4, 2) [m]."""
+        """Corners in order, counter-clockwise, (4, 2) [m]."""
         x, y = self.length, self.width
         return np.array([[0.0, 0.0], [x, 0.0], [x, y], [0.0, y]])
 
 
 @dataclass(frozen=True, slots=True)
 class Polygon(_Sided):
-    """Outline through points (x, y) [m] in turn, at least three; the last joins the first.
+    """Polygonal outline through at least three points (x, y) [m]; the last joins the first.
 
-    The least x and the least y must be 0. Points that run clockwise are put in the other order,
-    the first one staying the first: arc length runs counter-clockwise from it.
+    The least x and the least y must be 0. Clockwise points are reversed, the first point staying
+    the first: arc length runs counter-clockwise from there.
     """
 
     points: tuple[tuple[float, float], ...]
 
     def __post_init__(self) -> None:
-        """Check that the points make one simple outline."""
+        """Check that the points make one simple polygon."""
         require_count("the number of outline.points", len(self.points), 3, MOST_POINTS)
         if any(len(point) != 2 for point in self.points):
             raise ConfigurationError("outline.points must be pairs (x, y), in m")
@@ -200,9 +207,9 @@ class Polygon(_Sided):
 
 @dataclass(frozen=True, slots=True)
 class Disc(_Plane):
-    """Outline of a circle about (radius, radius) [m].
+    """Circular outline about (radius, radius) [m].
 
-    Arc length runs counter-clockwise from angle 0, the place (2 radius, radius).
+    Arc length runs counter-clockwise from angle 0, the point (2 radius, radius).
     """
 
     radius: float
@@ -222,7 +229,7 @@ class Disc(_Plane):
 
     @property
     def corners(self) -> Array:
-        """None: (0,)."""
+        """Arc lengths of corners: none, (0,)."""
         return np.empty(0)
 
     @property
@@ -248,7 +255,7 @@ Outline = PlaneOutline | Surface
 
 
 def _require_simple(points: Array, same: float) -> None:
-    """Raise ConfigurationError where sides through `points` (k, 2) touch other than in turn."""
+    """Raise ConfigurationError where the polygon through `points` (k, 2) meets itself."""
     count = len(points)
     step = np.roll(points, -1, axis=0) - points
     short = np.flatnonzero(np.hypot(*step.T) <= same)
@@ -256,8 +263,7 @@ def _require_simple(points: Array, same: float) -> None:
         i, j = int(short[0]), int((short[0] + 1) % count)
         close = "; leave out the last, the outline closes by itself" if j == 0 else ""
         raise ConfigurationError(
-            f"outline.points {i} and {j} are the same place, so the side between them has no "
-            f"length{close}"
+            f"outline.points {i} and {j} are the same point, so the side between them has no length{close}"
         )
     squared = (step**2).sum(axis=1)
     numbers = np.arange(count)
@@ -275,7 +281,7 @@ def _require_simple(points: Array, same: float) -> None:
         if wrong.size:
             raise ConfigurationError(
                 f"the outline touches or crosses itself: its side from point {i} meets the one "
-                f"from point {wrong[0]}; give the points in turn around the outline, each once"
+                f"from point {wrong[0]}; give the points in order around the outline, each once"
             )
 
 

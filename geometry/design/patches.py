@@ -1,4 +1,4 @@
-"""Where electrodes touch a body: convex regions of its boundary, cut out of a mesh exactly."""
+"""Contact areas of electrodes: convex regions of the boundary, cut exactly out of a mesh."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ FACES = {
     4: np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]),
 }
 
-# Places nearer than this to a plane, relative to the body's size, count as on it.
+# Points nearer than this to a plane, relative to the body's size, count as on the plane.
 _SNAP = 1e-9
 
 # Chords of an arc of 0.7 rad and a boundary within a mesher's envelope stay within this.
@@ -30,11 +30,12 @@ _AREA_TOLERANCE = 0.02
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Region:
-    """A convex part of space that cuts a part out of a body's boundary.
+    """Convex polyhedron that cuts a part out of the boundary of a body.
 
     Attributes:
         planes: (m, 4); the set {x: planes[:, :3] @ x <= planes[:, 3]}, rows of unit normals [m].
-        normal: (3,) unit vector; boundary whose outward unit normal n has n . normal > 0.5 counts.
+        normal: (3,) unit vector; only boundary faces of outward unit normal n with n . normal > 0.5
+            are cut.
     """
 
     planes: Array
@@ -43,13 +44,13 @@ class Region:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Patch:
-    """The contact area of one electrode.
+    """Contact area of one electrode.
 
     Attributes:
         regions: convex sets that do not overlap; their union cuts the electrode out of the
             boundary. Empty for a sheet.
         area: of the electrode [m2].
-        sheet: (k, 3) corners in turn of a plane convex polygon inside the body [m]; None for
+        sheet: (k, 3) corners in order of a plane convex polygon inside the body [m]; None for
             an electrode on the boundary.
     """
 
@@ -60,16 +61,16 @@ class Patch:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Contacts:
-    """The pieces of cell faces that electrodes touch, cut exactly at the electrodes' rims.
+    """Pieces of cell faces in contact with electrodes, cut exactly at the electrodes' rims.
 
     Attributes:
         electrode: the electrode of each piece, (n,).
-        cell: the cell that it bounds, (n,).
+        cell: the cell that the piece bounds, (n,).
         corners: counter-clockwise seen from outside, (n, 3, 3) triangles or (n, 4, 3)
             parallelograms [m].
-        areas: that each piece stands for, (n,) [m2]. On flat faces its own; the chords of a curved
-            face are a little short, and are scaled so that an electrode has its true area.
-        facets: per electrode the faces that it touches, (k, 3) or (k, 4) point numbers.
+        areas: of the pieces, (n,) [m2], scaled so that each electrode has its true area: the
+            chords of a curved face are a little short.
+        facets: per electrode the cell faces in contact, (k, 3) or (k, 4) point numbers.
     """
 
     electrode: Numbers
@@ -81,7 +82,7 @@ class Contacts:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Pieces:
-    """Convex polygons (n, k, 3), some corners repeated; the cell of each, its face or -1."""
+    """Convex polygons (n, k, 3), last corners repeated; cell and face of each, -1 for no face."""
 
     polygons: Array
     cells: Numbers
@@ -89,10 +90,10 @@ class _Pieces:
 
 
 def electrode_contacts(points: Array, cells: Numbers, patches: Sequence[Patch]) -> Contacts:
-    """Cut the boundary faces by the patches, exactly (Sutherland & Hodgman 1974).
+    """Clip the boundary faces to the patches (Sutherland & Hodgman 1974).
 
-    A sheet is cut by the cells that it passes; where it lies between two cells it belongs to
-    the one below. A sheet touches no boundary faces, so its `facets` are empty.
+    A sheet is cut by the cells that it passes; a sheet between two cells belongs to the lower
+    one. A sheet is in contact with no boundary faces, so its `facets` are empty.
 
     Args:
         points: (n, 3) [m].
@@ -128,7 +129,7 @@ def electrode_contacts(points: Array, cells: Numbers, patches: Sequence[Patch]) 
 
 
 def boundary_faces(cells: Numbers) -> tuple[Numbers, Numbers]:
-    """Faces that bound one cell only.
+    """Boundary faces: faces of one cell only.
 
     Args:
         cells: (m, 8 | 6 | 4) in VTK's order.
@@ -154,7 +155,7 @@ def boundary_faces(cells: Numbers) -> tuple[Numbers, Numbers]:
 def on_boundary(
     corners: Array, normals: Array, owners: Numbers, region: Region, snap: float
 ) -> _Pieces:
-    """The parts of the boundary faces within one region."""
+    """Parts of the boundary faces within one region."""
     near = np.flatnonzero(normals @ region.normal > 0.5)
     for plane in region.planes:
         near = near[(corners[near] @ plane[:3]).min(axis=1) <= plane[3] + snap]
@@ -166,7 +167,7 @@ def on_boundary(
 
 
 def _in_cells(points: Array, cells: Numbers, sheet: Array, snap: float) -> _Pieces:
-    """The parts of a sheet within each cell."""
+    """Parts of a sheet within each cell."""
     normal = area_vectors(sheet[None])[0]
     normal /= np.linalg.norm(normal)
     height = (points - sheet[0]) @ normal
@@ -189,7 +190,7 @@ def _in_cells(points: Array, cells: Numbers, sheet: Array, snap: float) -> _Piec
 
 
 def _clipped(polygons: Array, planes: Array, snap: float) -> tuple[Numbers, Array]:
-    """Cut each polygon (n, k, 3) by its own plane (n, 4); which ones are left, and what of them."""
+    """Clip each polygon (n, k, 3) by its own plane (n, 4): numbers and shapes of the remaining."""
     distance = np.einsum("nki,ni->nk", polygons, planes[:, :3]) - planes[:, 3:]
     distance[np.abs(distance) <= snap] = 0.0
     if not (distance > 0.0).any():
@@ -199,7 +200,7 @@ def _clipped(polygons: Array, planes: Array, snap: float) -> tuple[Numbers, Arra
     share = np.where(crossing, distance / np.where(crossing, distance - following, 1.0), 0.0)
     cuts = polygons + share[..., None] * (np.roll(polygons, -1, axis=1) - polygons)
     n, k = distance.shape
-    # In turn around the polygon: each corner if it is inside, the cut after it if there is one.
+    # In order around the polygon: each corner inside the plane, then the cut after the corner.
     slots = np.stack([polygons, cuts], axis=2).reshape(n, 2 * k, 3)
     used = np.stack([distance <= 0.0, crossing], axis=2).reshape(n, 2 * k)
     left = np.flatnonzero(used.any(axis=1))
@@ -210,14 +211,14 @@ def _clipped(polygons: Array, planes: Array, snap: float) -> tuple[Numbers, Arra
 
 
 def area_vectors(polygons: Array) -> Array:
-    """Area times unit normal, (n, 3), of plane polygons (n, k, 3)."""
+    """Area times unit normal, (n, 3) [m2], of plane polygons (n, k, 3) [m]."""
     spokes = polygons[:, 1:] - polygons[:, :1]
     vectors: Array = 0.5 * np.cross(spokes[:, :-1], spokes[:, 1:]).sum(axis=1)
     return vectors
 
 
 def _joined(parts: Sequence[_Pieces]) -> _Pieces:
-    """All pieces in one, repeating last corners up to the greatest number of corners."""
+    """Concatenated pieces; last corners are repeated up to the greatest number of corners."""
     width = max(part.polygons.shape[1] for part in parts)
     repeat = [np.minimum(np.arange(width), part.polygons.shape[1] - 1) for part in parts]
     return _Pieces(
@@ -236,7 +237,10 @@ def _check_area(number: int, covered: float, area: float) -> None:
 
 
 def _shapes(polygons: Array) -> tuple[Numbers, Array]:
-    """Parallelograms (n, 4, 3) if all are, else triangles (t, 3, 3); which polygon each is of."""
+    """Polygons as parallelograms (n, 4, 3) if all are, else as triangles (t, 3, 3).
+
+    Returns the polygon of each shape, and the shapes.
+    """
     sides = np.roll(polygons, -1, axis=1) - polygons
     length = np.linalg.norm(sides, axis=2)
     size = length.max(axis=1, keepdims=True)
@@ -257,6 +261,6 @@ def _shapes(polygons: Array) -> tuple[Numbers, Array]:
 
 
 def _facets(faces: Numbers, touched: Numbers) -> Numbers:
-    """The faces touched, each once; without the repeated corners if all are triangles."""
+    """Unique faces in contact; without the repeated corners if all are triangles."""
     found = faces[np.unique(touched[touched >= 0])]
     return found[:, :3] if (found[:, -1] == found[:, -2]).all() else found

@@ -1,4 +1,4 @@
-"""Where the electrodes of a design are, and that no two of them meet."""
+"""Placement of electrodes on a body, and the check that no two overlap."""
 
 from collections.abc import Sequence
 
@@ -21,7 +21,10 @@ _SAME = 1e-9  # electrodes that overlap by less touch only [m]
 def placed(
     electrodes: Sequence[Electrode], outline: Outline, thickness: float
 ) -> list[ContactArea]:
-    """Put electrodes on a body; raises ConfigurationError for the first one that is off it."""
+    """Contact areas of electrodes on a body.
+
+    Raises ConfigurationError, naming the electrode, for the first one that is off the body.
+    """
     contacts = []
     for number, electrode in enumerate(electrodes):
         try:
@@ -34,8 +37,8 @@ def placed(
 def require_apart(contacts: Sequence[ContactArea]) -> None:
     """Raise ConfigurationError, naming both, for the first two contacts that overlap.
 
-    Strips are compared in the unrolled side, pads in their common plane; pads on a surface as if
-    it were flat between them.
+    Strips are compared in the unrolled side, pads in their common plane; a surface is taken as
+    flat between two pads.
     """
     centres = np.array([contact.centre for contact in contacts])
     reach = np.array([contact.reach for contact in contacts])
@@ -65,7 +68,7 @@ def _placed(electrode: Electrode, outline: Outline, thickness: float) -> Contact
 
 
 def _overlap(first: ContactArea, second: ContactArea) -> float:
-    """How far two contacts overlap [m]; not above 0 where they do not."""
+    """Overlap of two contacts [m]; not above 0 where they are apart."""
     if isinstance(first, Strip) and isinstance(second, Strip):
         return _strips_overlap(first, second)
     if isinstance(first, Pad) and isinstance(second, Pad) and first.on == second.on:
@@ -83,7 +86,7 @@ def _strips_overlap(first: Strip, second: Strip) -> float:
 
 
 def _pads_overlap(first: Pad, second: Pad) -> float:
-    """The least shift in the plane of the first that parts two pads (separating axes)."""
+    """Smallest shift in the first pad's plane that parts two pads (separating axes) [m]."""
     apart = second.centre - first.centre
     if first.normal @ second.normal < 0.5 or abs(apart @ first.normal) > (
         _SAME if first.on == "inside" else first.depth + second.depth

@@ -1,4 +1,4 @@
-"""Electrodes in regular places: any number around the side, or rows and columns of pads."""
+"""Regular electrode layouts: uniform around the side, or a grid of pads."""
 
 from typing import Literal
 
@@ -11,7 +11,7 @@ from eitskin.geometry.design.flat_contacts import beyond
 from eitskin.geometry.design.outline import Outline, PlaneOutline
 from eitskin.geometry.design.surface import Surface
 
-_DIGITS = 12  # of places in metres, so that they are the round numbers that they stand for
+_DIGITS = 12  # of positions in m, so that round numbers stay round
 
 
 def uniform(
@@ -23,7 +23,7 @@ def uniform(
     height: float | None = None,
     z: float | None = None,
 ) -> tuple[Electrode, ...]:
-    """Electrodes at equal arc lengths around the side, counter-clockwise.
+    """Electrodes at equal distances of arc length around the side, counter-clockwise.
 
     Args:
         outline: of the layer.
@@ -34,7 +34,7 @@ def uniform(
         height: of each, the full thickness when omitted [m].
         z: height of their centres, the middle when omitted [m].
 
-    Raises ConfigurationError for fewer than two, a surface, and what no electrode can be.
+    Raises ConfigurationError for fewer than two electrodes, a surface, and invalid sizes.
     """
     outline = _plane(outline)
     require_count("the count of a uniform layout", count, 2, MOST_ELECTRODES)
@@ -60,8 +60,8 @@ def grid(
 ) -> tuple[Electrode, ...]:
     """Pads in the middles of rows x columns equal fields of the outline's bounding box.
 
-    They are numbered along x first, then along y. Those that would reach beyond the outline, as
-    in the corners of a disc's box, are left out.
+    Pads are numbered along x first, then along y. Pads that would reach beyond the outline, as in
+    the corners of a disc's box, are left out.
 
     Args:
         outline: of the layer.
@@ -73,7 +73,7 @@ def grid(
         z: height of the sheets, for those inside [m].
         shape: of each.
 
-    Raises ConfigurationError for pads that overlap or none that fits, and for a surface.
+    Raises ConfigurationError where pads overlap or none fits, and for a surface.
     """
     outline = _plane(outline)
     require_count("the rows of a grid", rows, 1, MOST_ELECTRODES)

@@ -1,4 +1,4 @@
-"""What a sensor is: outline, thickness, electrodes, materials."""
+"""Design of a sensor: outline, thickness, electrodes, conductivity."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -21,14 +21,14 @@ from eitskin.geometry.design.surface import Surface
 
 Array = NDArray[np.float64]
 
-_SAME = 1e-9  # how far thicknesses that should agree may be apart, relative
-_SAME_HEIGHT = 1e-6  # the same for the height of a surface, which files give in few digits
+_SAME = 1e-9  # relative difference of thicknesses that count as equal
+_SAME_HEIGHT = 1e-6  # likewise for the height of a surface, which files give in few digits
 _POINTS_PER_EDGE = 8
 
 
 @dataclass(frozen=True, slots=True)
 class Layer:
-    """A conductive sheet of a layered sensor: thickness [m], conductivity [S/m]."""
+    """Conductive sheet of a layered sensor: thickness [m], conductivity [S/m]."""
 
     thickness: float
     conductivity: float
@@ -40,13 +40,13 @@ class Layer:
 
 @dataclass(frozen=True, slots=True)
 class SensorDesign:
-    """A conductive body with electrodes, flat or of any shape, inside a soft encapsulation.
+    """Conductive body with electrodes, flat or of any shape, inside a soft encapsulation.
 
     Attributes:
         outline: of the body. The bounding box of a plane outline starts at the origin, and the
-            body stands on it from z = 0 to `thickness`; a surface is where its file says.
+            body extends from z = 0 to `thickness`; a surface keeps the coordinates of its file.
         thickness: of the conductive body, along z [m].
-        electrodes: in the order in which they are numbered.
+        electrodes: in the order of their numbers.
         conductivity: of the body [S/m].
         layers: sheets from the bottom upwards, instead of one conductivity; their thicknesses add
             up to `thickness`.
@@ -61,7 +61,7 @@ class SensorDesign:
     encapsulated_thickness: float = 0.012
 
     def __post_init__(self) -> None:
-        """Check that everything fits together and that no electrodes overlap."""
+        """Check that sizes, layers and electrodes agree, and that no electrodes overlap."""
         self._check_thickness()
         require_positive("conductivity", self.conductivity, "S/m")
         self._check_layers()
@@ -70,18 +70,18 @@ class SensorDesign:
 
     @classmethod
     def reference(cls) -> "SensorDesign":
-        """The sensor of the paper: 150 x 60 x 5 mm, eight 5 mm electrodes, counter-clockwise."""
+        """Reference sensor of the paper: 150 x 60 x 5 mm, eight 5 mm electrodes."""
         outline = Rectangle(0.150, 0.060)
         return cls(outline, thickness=0.005, electrodes=uniform(outline, 8, start=0.0225))
 
     @classmethod
     def from_toml(cls, path: str | Path) -> "SensorDesign":
-        """Read a design; raises ConfigurationError for anything that does not fit."""
+        """Read a design from a TOML file; raises ConfigurationError where the file is invalid."""
         return read_toml(cls, path)
 
     @classmethod
     def expanded(cls, data: Mapping[str, Any], location: Location) -> Mapping[str, Any]:
-        """Plain data of a design whose `electrodes` may be one table: a layout, by its keys."""
+        """Plain data of a design, its layout (`electrodes` as one table) replaced by electrodes."""
         table = data.get("electrodes")
         if not isinstance(table, Mapping):
             return data
@@ -93,14 +93,14 @@ class SensorDesign:
         return {**data, "outline": outline, "electrodes": build(layout, table, where)}
 
     def to_toml(self, path: str | Path | None = None) -> str:
-        """The design as TOML, written to `path` where one is given; `from_toml` reads it back.
+        """TOML text of the design, for `from_toml`; also written to `path` where one is given.
 
-        Raises ConfigurationError where the file cannot be written; what was there is kept.
+        Raises ConfigurationError where the file cannot be written; an older file is kept.
         """
         return to_toml(self) if path is None else write_toml(self, path)
 
     def patches(self) -> tuple[Patch, ...]:
-        """Where the body's boundary, or a sheet inside it, is touched by each electrode."""
+        """Contact area of each electrode, on the boundary of the body or inside it."""
         contacts = placed(self.electrodes, self.outline, self.thickness)
         return tuple(contact.patch() for contact in contacts)
 
@@ -110,7 +110,7 @@ class SensorDesign:
         Edges of the body are left out: the potential continues mirrored across them.
 
         Args:
-            spacing: most distance between points of one edge; an eighth of the smallest
+            spacing: largest distance between points of one edge; an eighth of the smallest
                 electrode's extent when omitted [m].
         """
         extents = [e.width for e in self.electrodes]
@@ -122,7 +122,7 @@ class SensorDesign:
     def conductivity_at(self, points: ArrayLike) -> Array:
         """Conductivity (...) [S/m] at points (..., 3) [m].
 
-        A place between two layers belongs to the upper one, one outside the body to the nearest.
+        A point between two layers belongs to the upper one, an outer point to the nearest layer.
         """
         z = np.asarray(points, dtype=float)[..., 2]
         if not self.layers:

@@ -1,4 +1,4 @@
-"""Electrodes on the side of a layer."""
+"""Contacts of electrodes on the side of a layer."""
 
 import math
 from dataclasses import dataclass
@@ -13,20 +13,20 @@ from eitskin.geometry.design.patches import Patch, Region
 
 Array = NDArray[np.float64]
 
-_SAME = 1e-9  # what counts as one place, relative to the size of the layer
+_SAME = 1e-9  # distance of points that count as one, relative to the size of the layer
 _WIDEST_ARC = 0.5  # of one region [rad]
-_DEEPEST = 0.1  # how far from its side a region reaches, relative to the perimeter
+_DEEPEST = 0.1  # largest depth of a region behind its side, relative to the perimeter
 _UP = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True, slots=True)
 class Strip:
-    """A contact on the side of a layer: an interval of arc length times one of height.
+    """Contact on the side of a layer: an interval of arc length times one of height.
 
     Attributes:
         outline: of the layer.
         thickness: of the layer [m].
-        start, end: arc lengths; past zero or the perimeter the strip goes on around [m].
+        start, end: arc lengths, not limited to one turn around the outline [m].
         low, high: heights [m].
     """
 
@@ -45,16 +45,16 @@ class Strip:
 
     @property
     def reach(self) -> float:
-        """No point of the strip is farther from its centre [m]."""
+        """Radius about the centre that contains the strip [m]."""
         return 0.5 * math.hypot(self.end - self.start, self.high - self.low)
 
     def patch(self) -> Patch:
-        """A region for every side that it touches; arcs in pieces of at most 0.5 rad."""
+        """Contact patch: a region for every side of the outline, or every 0.5 rad of an arc."""
         area = (self.end - self.start) * (self.high - self.low)
         return Patch(tuple(self._region(a, b) for a, b in self._pieces()), area)
 
     def edges(self, spacing: float) -> Array:
-        """Points along its rim, where that is not the rim of the layer, (k, 3) [m]."""
+        """Points along the rim of the strip, except on the rim of the layer, (k, 3) [m]."""
         rows = _divided(self.low, self.high, spacing)
         around = np.concatenate([_divided(a, b, spacing) for a, b in self._pieces()])
         lines = [(np.full_like(rows, s), rows) for s in (self.start, self.end)]
@@ -66,7 +66,7 @@ class Strip:
         return np.column_stack([self.outline.at(s), z])
 
     def _pieces(self) -> list[tuple[float, float]]:
-        """Intervals of arc length that have one normal, or nearly."""
+        """Intervals of arc length of constant or nearly constant normal."""
         if isinstance(self.outline, Disc):
             count = math.ceil((self.end - self.start) / (_WIDEST_ARC * self.outline.radius))
             breaks = np.linspace(self.start, self.end, count + 1)
@@ -96,7 +96,7 @@ class Strip:
 
 
 def on_side(electrode: Electrode, outline: PlaneOutline, thickness: float) -> Strip:
-    """The strip of an electrode; raises ConfigurationError where it does not fit the side."""
+    """Strip of an electrode; raises ConfigurationError where the strip does not fit the side."""
     centre = outline.locate(electrode.x, electrode.y)
     if electrode.width > outline.perimeter * (1.0 - _SAME):
         raise ConfigurationError(
@@ -117,14 +117,14 @@ def on_side(electrode: Electrode, outline: PlaneOutline, thickness: float) -> St
 
 
 def _divided(start: float, end: float, spacing: float) -> Array:
-    """Both ends, and places between that are at most `spacing` apart."""
+    """Evenly spaced numbers from `start` to `end`, at most `spacing` apart."""
     return np.linspace(start, end, max(2, math.ceil((end - start) / spacing - 1e-9) + 1))
 
 
 def _depth(outline: PlaneOutline, a: Array, b: Array) -> float:
-    """How far a region on the side from `a` to `b` (2,) may reach without meeting another [m].
+    """Depth of a region behind the side from `a` to `b` (2,) that meets no other region [m].
 
-    Half the way to the nearest side that lies over or under it and looks the same way.
+    The depth is half the distance to the nearest side with overlapping extent and equal direction.
     """
     corners = outline.at(outline.corners)
     start, step = corners - a, np.roll(corners, -1, axis=0) - corners

@@ -1,4 +1,4 @@
-"""Bodies of any shape: closed triangle surfaces from files."""
+"""Closed triangle surfaces from files, for bodies of any shape."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -18,10 +18,10 @@ Faces = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class Surface:
-    """A body inside the closed triangle surface of a file (STL, OBJ, PLY, OFF ...).
+    """Body inside the closed triangle surface of a file (STL, OBJ, PLY, OFF ...).
 
-    Places keep the file's coordinates, times `scale`. A surface within the outer one bounds a
-    cavity where its faces look the other way.
+    Points keep the coordinates of the file, times `scale`. An inner surface whose faces are
+    oriented inwards bounds a cavity.
 
     Attributes:
         file: path of the surface; made absolute.
@@ -32,7 +32,7 @@ class Surface:
     scale: float = 1.0
 
     def __post_init__(self) -> None:
-        """Load the surface; raises ConfigurationError where it bounds no body."""
+        """Load the surface; raises ConfigurationError where the surface bounds no body."""
         object.__setattr__(self, "file", Path(self.file).absolute())
         require_positive("outline.scale", self.scale, "m per unit of the file")
         for name in ("length", "width", "height"):
@@ -69,7 +69,7 @@ class Surface:
         return points * self.scale, faces
 
     def nearest(self, point: Array) -> tuple[Array, Array]:
-        """The place (3,) [m] on the surface nearest to `point` (3,) [m], and its normal (3,)."""
+        """Nearest point (3,) [m] of the surface to `point` (3,) [m], and the normal (3,) there."""
         points, faces = self.triangles()
         corners = points[faces]
         closest = require("trimesh", "mesh").triangles.closest_point(
@@ -87,11 +87,11 @@ class Surface:
 
 @lru_cache(maxsize=8)
 def _load(path: Path, changed: int) -> tuple[Array, Faces]:  # noqa: ARG001
-    """Points and faces of a file that was last `changed` then, checked."""
+    """Checked points and faces of a file; `changed` is its time of modification."""
     trimesh = require("trimesh", "mesh")
     try:
         mesh = trimesh.load_mesh(path)
-    except Exception as error:  # whatever the reader of that format stumbles over
+    except Exception as error:  # readers of the formats raise errors of any class
         raise ConfigurationError(
             f"cannot read {path} as a surface: {error}; expected a triangle surface such as STL, "
             "OBJ, PLY or OFF"
@@ -103,7 +103,7 @@ def _load(path: Path, changed: int) -> tuple[Array, Faces]:  # noqa: ARG001
 
 
 def _require_closed(name: str, mesh: Any, faces: Faces) -> None:
-    """Raise ConfigurationError unless the trimesh `mesh` bounds one body from outside."""
+    """Raise ConfigurationError unless the trimesh `mesh` is the boundary of one body."""
     if not len(faces):
         raise ConfigurationError(
             f"{name} holds no triangles; expected the closed surface of a body"

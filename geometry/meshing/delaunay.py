@@ -1,4 +1,4 @@
-"""Graded triangulations of plane outlines: Delaunay refinement, then subdivision."""
+"""Graded triangulation of plane outlines: Delaunay refinement, then subdivision."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,33 +20,33 @@ Flags = NDArray[np.bool_]
 # smallest angle.
 _COARSE = 16.0
 _WORST_RATIO = 0.5 / np.sin(np.radians(28.0))
-_CHORDS = 24  # a circle has at least so many
+_CHORDS = 24  # fewest chords of a circle
 _MOST_ROUNDS = 300
 _MOST_POINTS = 500_000
-_SAME = 1e-9  # what counts as one place or length, relative
+_SAME = 1e-9  # relative distance of points and lengths that count as equal
 
 
 def triangulated(
     outline: PlaneOutline, fixed: Array, coarsest: float, size: Callable[[Array], Array]
 ) -> tuple[Array, Numbers]:
-    """Triangulate an outline with no edge longer than `size`.
+    """Graded triangulation of an outline with no edge longer than `size`.
 
     A coarse Delaunay triangulation with angles of at least 28 degrees is subdivided where it is
     too coarse, by halving edges, the longest of a triangle first ("red-green-blue"; angles stay
     above 14 degrees, and nearly always above 25). The same input gives the same triangles.
 
     Args:
-        outline: what to fill. On a disc all points of the rim are on the circle.
-        fixed: arc lengths where the rim must have a point, besides the corners, (k,) [m].
+        outline: of the layer. On a disc all points of the rim are on the circle.
+        fixed: arc lengths of required points of the rim, besides the corners, (k,) [m].
         coarsest: the largest size [m].
-        size: longest edges (n,) [m] wanted at places (n, 2) [m].
+        size: largest edge lengths (n,) [m] at points (n, 2) [m].
 
     Returns:
         points: (n, 2), by rising x [m].
         triangles: (m, 3) point numbers, counter-clockwise.
 
-    Raises ConfigurationError where more than half a million points were needed, or where electrode
-    ends and corners allow no triangulation.
+    Raises ConfigurationError for more than half a million points, and where electrode ends and
+    corners allow no triangulation.
     """
     points, triangles = coarse_triangulation(outline, fixed, coarsest)
     mesh = skfem.MeshTri(np.ascontiguousarray(points.T), np.ascontiguousarray(triangles.T))
@@ -59,7 +59,7 @@ def triangulated(
             triangles = mesh.t.T.astype(np.int64)
             triangles[clockwise] = triangles[clockwise][:, ::-1]
             return numbered_along_x(mesh.p.T, triangles)
-        # Each takes at least one new edge midpoint, shared with one other.
+        # Each large triangle adds at least one edge midpoint, shared with one other triangle.
         _require_few(mesh.p.shape[1] + len(large) // 2)
         mesh = mesh.refined(large)
         if isinstance(outline, Disc):
@@ -71,18 +71,18 @@ def triangulated(
 def coarse_triangulation(
     outline: PlaneOutline, fixed: Array, coarsest: float
 ) -> tuple[Array, Numbers]:
-    """The coarse triangulation of `triangulated`, with points where it must have some.
+    """Delaunay refinement of an outline, the coarse start of `triangulated`.
 
-    Circumcentres of triangles that are too large or too thin go into a Delaunay triangulation;
-    chords of the rim that a point would come too close to are halved instead (Ruppert 1995). Next
-    to corners below 60 degrees they are split at distances that are powers of two, and triangles
+    Circumcentres of too large or too thin triangles are inserted into a Delaunay triangulation;
+    chords of the rim that such a point encroaches upon are halved instead (Ruppert 1995). Next to
+    corners below 60 degrees chords are split at distances that are powers of two, and triangles
     across such a corner keep their angles (Miller, Pav & Walkington 2003).
     """
     longest = max(coarsest, max(outline.length, outline.width) / _COARSE)
     rim, inner = _Rim.of(outline, fixed), np.empty((0, 2))
     for _ in range(_MOST_ROUNDS):
         rim = rim.clear_of(inner, longest)
-        points = np.concatenate([rim.places, inner])
+        points = np.concatenate([rim.positions, inner])
         triangles = _inside(outline, points)
         corners = points[triangles]
         centres, radii = _circumcircles(corners)
@@ -103,12 +103,12 @@ def coarse_triangulation(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Rim:
-    """The points of the rim by rising arc length, and which corners are acute.
+    """Points of the rim by rising arc length, and acute corners.
 
     Attributes:
-        outline: on which the points are.
+        outline: of the layer.
         arc: lengths within one turn, (n,) [m].
-        acute: which corners are below 60 degrees, seen from inside or outside, (c,).
+        acute: whether each corner is below 60 degrees, seen from inside or outside, (c,).
     """
 
     outline: PlaneOutline
@@ -133,19 +133,19 @@ class _Rim:
         return cls(outline, arc[apart], acute)
 
     @property
-    def places(self) -> Array:
-        """(n, 2) [m]."""
+    def positions(self) -> Array:
+        """Positions of the points, (n, 2) [m]."""
         return self.outline.at(self.arc)
 
     def clear_of(self, inner: Array, longest: float) -> "_Rim":
         """Halve chords until none is too long or has a point within its diametral circle.
 
-        Then all chords are edges of the Delaunay triangulation.
+        All chords are then edges of the Delaunay triangulation.
         """
         rim = self
         while True:
             middle, radius = rim._circles()
-            nearest, _ = cKDTree(np.concatenate([rim.places, inner])).query(middle)
+            nearest, _ = cKDTree(np.concatenate([rim.positions, inner])).query(middle)
             close = nearest < radius * (1.0 - 1e-6)
             wrong = close | (2.0 * radius > longest)
             if not wrong.any():
@@ -154,7 +154,7 @@ class _Rim:
             _require_few(len(rim.arc))
 
     def split_by(self, centres: Array) -> tuple["_Rim", Array]:
-        """Split the chords that `centres` (k, 2) are too close to; return the other centres."""
+        """Split the chords that `centres` (k, 2) encroach upon; return the other centres too."""
         middle, radius = self._circles()
         struck = cKDTree(centres).query_ball_point(middle, radius)
         split = np.array([len(numbers) > 0 for numbers in struck])
@@ -179,8 +179,8 @@ class _Rim:
         return across
 
     def _circles(self) -> tuple[Array, Array]:
-        """Centres (n, 2) and radii (n,) of the circles that have the chords as diameters [m]."""
-        start = self.places
+        """Centres (n, 2) and radii (n,) of the diametral circles of the chords [m]."""
+        start = self.positions
         end = np.roll(start, -1, axis=0)
         return 0.5 * (start + end), 0.5 * np.linalg.norm(end - start, axis=1)
 
@@ -200,7 +200,7 @@ class _Rim:
 
 
 def _cut_evenly(marks: Array, whole: float) -> Array:
-    """Arc lengths on a circle that include the `marks` (k,), close enough for a polygon."""
+    """Arc lengths on a circle that include the `marks` (k,), in steps of at most a chord."""
     gaps = np.diff(marks, append=marks[0] + whole)
     counts = np.ceil(gaps * _CHORDS / whole - _SAME).astype(int)
     parts = [m + g * np.arange(n) / n for m, g, n in zip(marks, gaps, counts, strict=True) if n]
@@ -208,7 +208,7 @@ def _cut_evenly(marks: Array, whole: float) -> Array:
 
 
 def _inside(outline: PlaneOutline, points: Array) -> Numbers:
-    """The Delaunay triangles (m, 3) of points (n, 2) within the outline, counter-clockwise."""
+    """Delaunay triangles (m, 3) of points (n, 2) within the outline, counter-clockwise."""
     triangles = Delaunay(points / np.ptp(points)).simplices.astype(np.int64)
     corners = points[triangles]
     doubled = _doubled_areas(corners)
@@ -220,7 +220,7 @@ def _inside(outline: PlaneOutline, points: Array) -> Numbers:
 
 
 def _circumcircles(corners: Array) -> tuple[Array, Array]:
-    """Centres (m, 2) and radii (m,) [m] of the circles through triangles (m, 3, 2)."""
+    """Circumcentres (m, 2) and circumradii (m,) [m] of triangles (m, 3, 2)."""
     u, v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     uu, vv = (u**2).sum(axis=1), (v**2).sum(axis=1)
     away = np.column_stack([v[:, 1] * uu - u[:, 1] * vv, u[:, 0] * vv - v[:, 0] * uu])
@@ -242,7 +242,7 @@ def _edges(corners: Array) -> Array:
 
 
 def _far_apart(triangles: Numbers, centres: Array, radii: Array) -> Numbers:
-    """Which circumcentres can be inserted at once, larger circles before smaller ones."""
+    """Circumcentres that can be inserted at once, larger circles before smaller ones."""
     rank = np.empty(len(radii), dtype=np.int64)
     rank[np.argsort(-radii, kind="stable")] = np.arange(len(radii))
     best = np.full(triangles.max() + 1, len(rank))
@@ -257,7 +257,7 @@ def _far_apart(triangles: Numbers, centres: Array, radii: Array) -> Numbers:
 
 
 def numbered_along_x(points: Array, cells: Numbers) -> tuple[Array, Numbers]:
-    """The same mesh with its points (n, d) by rising x, then y; matrices get a narrow band."""
+    """Mesh renumbered with its points (n, d) by rising x, then y, for narrow matrices."""
     order = np.lexsort(points.T[::-1])
     number = np.empty_like(order)
     number[order] = np.arange(len(order))

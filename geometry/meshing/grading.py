@@ -1,4 +1,4 @@
-"""Cell sizes, and lines graded by them."""
+"""Graded cell sizes, and grid lines that follow them."""
 
 import itertools
 import math
@@ -52,9 +52,9 @@ class Grading:
 
 
 def require_possible(points: float, grading: Grading) -> None:
-    """Refuse a grid of so many points, before there are any, that its matrix would fill the memory.
+    """Raise ConfigurationError for a number of points whose matrix would fill the memory.
 
-    A linear hexahedron has 64 places in the matrix, each of two whole numbers and a value.
+    A linear hexahedron has 64 entries in the matrix, each of two integers and a value.
     """
     if points > _MOST_POINTS:
         raise ConfigurationError(
@@ -68,19 +68,19 @@ def require_possible(points: float, grading: Grading) -> None:
 def graded_lines(
     extent: float, edges: Iterable[float], breaks: Iterable[float], grading: Grading
 ) -> Lines:
-    """Lines from 0 to `extent`, through all edges and breaks, fine near the edges [m]."""
+    """Grid lines from 0 to `extent`, through all edges and breaks, graded to the edges [m]."""
     near = np.array(sorted(edges))
     fixed = np.unique(np.clip([0.0, extent, *near, *breaks], 0.0, extent).round(12))
     attractors = near if len(near) else np.array([-np.inf])
     pieces = [fixed[:1]]
     for start, end in itertools.pairwise(fixed):
-        # Samples close enough to follow the size: even ones, and geometric ones from both ends.
+        # Samples that resolve the size: even ones, and geometric ones from both ends.
         steps = np.geomspace(min(1e-2 * grading.finest, end - start), end - start, 400)
         even = np.linspace(start, end, 401)
         fine = np.unique(np.clip(np.concatenate([even, start + steps, end - steps]), start, end))
         middle = 0.5 * (fine[:-1] + fine[1:])
         size = grading.size(np.abs(middle[:, None] - attractors).min(axis=1))
-        # Cumulative number of cells; lines go where it crosses equal steps.
+        # Grid lines are at equal steps of the cumulative number of cells.
         count = np.concatenate([[0.0], np.cumsum(np.diff(fine) / size)])
         require_possible(count[-1], grading)
         cells = max(1, int(np.ceil(count[-1] - 1e-9)))
@@ -103,7 +103,7 @@ def _edge_heights(electrode: Electrode, thickness: float) -> tuple[float, ...]:
 
 
 def layer_heights(design: SensorDesign, grading: Grading) -> Lines:
-    """Heights of the layers of points: through sheets and electrode edges, fine near these [m].
+    """Heights of the layers of points, through sheets and graded to electrode edges [m].
 
     Where electrodes span the full thickness, every sheet has `grading.layers` equal cells.
     """

@@ -1,4 +1,4 @@
-"""Structured hexahedra, graded to the electrode edges."""
+"""Structured mesh of hexahedra, graded to the electrode edges."""
 
 from collections.abc import Sequence
 
@@ -24,7 +24,9 @@ def structured_mesh(design: SensorDesign, grading: Grading, breaks: Sequence[flo
     Args:
         design: the sensor; its outline must be a Rectangle.
         grading: cell sizes.
-        breaks: further x at which the mesh must have a face, as where a deformation jumps [m].
+        breaks: further x at which the mesh must have a face, as where F jumps [m].
+
+    Raises ConfigurationError for another outline, and for too many points.
     """
     if not isinstance(design.outline, Rectangle):
         raise ConfigurationError(

@@ -1,4 +1,4 @@
-"""From a design to its mesh, by the kind of cells."""
+"""Mesh of a design, by the kind of cells."""
 
 from collections.abc import Sequence
 from typing import Literal, get_args
@@ -17,7 +17,10 @@ CellKind = Literal["hexahedra", "prisms", "tetrahedra"]
 
 
 def natural_cells(design: SensorDesign) -> CellKind:
-    """Hexahedra for rectangles, prisms for other plane outlines, tetrahedra for surfaces."""
+    """Default kind of cells of a design.
+
+    Hexahedra for rectangles, prisms for other plane outlines, tetrahedra for surfaces.
+    """
     if isinstance(design.outline, Surface):
         return "tetrahedra"
     return "hexahedra" if isinstance(design.outline, Rectangle) else "prisms"
@@ -29,13 +32,13 @@ def mesh_design(
     cells: CellKind | None = None,
     breaks: Sequence[float] = (),
 ) -> Mesh:
-    """Mesh a design.
+    """Mesh a design and check the quality of the cells.
 
     Args:
         design: the sensor.
         grading: cell sizes.
-        cells: kind of cells; what suits the outline when omitted.
-        breaks: further x at which hexahedra have faces [m]; other cells pay them no heed.
+        cells: kind of cells; `natural_cells(design)` when omitted.
+        breaks: further x at which hexahedra have faces [m]; other cells ignore them.
 
     Raises:
         ConfigurationError: where the cells cannot fill the outline, or some are misshapen.

@@ -1,4 +1,4 @@
-"""Prisms: any plane outline triangulated, refined at the electrode edges, and extruded."""
+"""Mesh of triangular prisms: a plane outline triangulated and extruded."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,8 +27,7 @@ def triangulated_mesh(design: SensorDesign, grading: Grading) -> Mesh:
         design: the sensor; its outline must be plane.
         grading: longest edges of the triangles, and layers.
 
-    Raises ConfigurationError for a surface, and where the triangles needed more than half a
-    million points.
+    Raises ConfigurationError for a surface, and for more than half a million points in the plane.
     """
     outline = design.outline
     if isinstance(outline, Surface):
@@ -41,8 +40,8 @@ def triangulated_mesh(design: SensorDesign, grading: Grading) -> Mesh:
     rims = [c.edges(np.inf if _full(c) else grading.finest) for c in contacts]
     edges = cKDTree(np.unique(np.concatenate(rims)[:, :2].round(12), axis=0))
 
-    def size(places: Array) -> Array:
-        distance, _ = edges.query(places)
+    def size(points: Array) -> Array:
+        distance, _ = edges.query(points)
         return grading.size(distance)
 
     plane, triangles = triangulated(outline, ends, grading.coarsest, size)
@@ -55,5 +54,5 @@ def triangulated_mesh(design: SensorDesign, grading: Grading) -> Mesh:
 
 
 def _full(contact: ContactArea) -> bool:
-    """Whether an electrode covers the full thickness: from above, only its ends are edges."""
+    """Whether a contact covers the full thickness, so that only its ends are edges in the plane."""
     return isinstance(contact, Strip) and contact.high - contact.low >= contact.thickness

@@ -1,4 +1,4 @@
-"""How well shaped the cells of a mesh are, and a gate that bad ones do not pass."""
+"""Quality of the cells of a mesh, and a check that refuses bad cells."""
 
 import itertools
 from dataclasses import dataclass
@@ -21,16 +21,16 @@ _CORNERS = {
 }
 # Scales that make the ideal cell's value 1: cube, upright equilateral prism, regular tetrahedron.
 _IDEAL = {8: 1.0, 6: 2.0 / np.sqrt(3.0), 4: np.sqrt(2.0)}
-# Cells below this cost a linear solver about as many digits as it has zeros.
+# A scaled Jacobian of 10^-k costs a linear solver about k digits.
 _LEAST_SCALED_JACOBIAN = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
 class Quality:
-    """Size of a mesh and its worst shapes.
+    """Size of a mesh and quality of its worst cells.
 
     Attributes:
-        cells, points: how many there are.
+        cells, points: numbers of cells and points.
         volume: of all cells [m3].
         scaled_jacobian: least over all cells and corners of the determinant of the three unit
             edge vectors; 1 for cubes, equilateral prisms and regular tetrahedra, not above 0 for
@@ -54,7 +54,7 @@ class Quality:
 
 
 def quality(mesh: Mesh) -> Quality:
-    """Measure a mesh.
+    """Size and quality of a mesh.
 
     Formulas: Stimpson et al., The Verdict Geometric Quality Library, SAND2007-1751, as in VTK;
     for hexahedra without its extra value at the centre.

@@ -1,4 +1,4 @@
-"""Points of a mesh put back on the surface that they approximate."""
+"""Projection of the boundary points of a mesh onto the surface that they approximate."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,29 +15,29 @@ Array = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 
 _SHARP = np.cos(np.radians(30.0))  # of the angle between normals, or directions of edges
-_POOR = 0.05  # scaled Jacobian below which no cell may come by being moved
+_POOR = 0.05  # scaled Jacobian below which no moved cell may fall
 
 
 def snapped(points: Array, cells: Numbers, surface: "TriangleSurface", reach: float) -> Array:
-    """Move points of a mesh's boundary to the nearest place of a surface.
+    """Mesh points with those of the boundary projected onto a surface.
 
-    First to the nearest place of a face within `reach`, then of a sharp edge, then to a corner;
-    each time, points of cells that this would flatten stay.
+    Points move to the nearest face within `reach`, then to the nearest sharp edge, then to the
+    nearest corner; points of cells that a move would flatten stay.
 
     Args:
         points: (n, 3) [m].
         cells: (m, 4) tetrahedra.
-        surface: on which the boundary should be.
-        reach: farthest distance to move by [m].
+        surface: target of the boundary.
+        reach: largest distance of a move [m].
 
     Returns:
         points: (n, 3) [m].
     """
     boundary = np.unique(boundary_faces(cells)[0])
     least = np.minimum(scaled_jacobians(points, cells), _POOR)
-    for goal in surface.goals(points[boundary], reach):
+    for target in surface.targets(points[boundary], reach):
         moved = points.copy()
-        moved[boundary] = goal
+        moved[boundary] = target
         while (poor := scaled_jacobians(moved, cells) < least).any():
             moved[cells[poor]] = points[cells[poor]]
         points = moved
@@ -46,12 +46,12 @@ def snapped(points: Array, cells: Numbers, surface: "TriangleSurface", reach: fl
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TriangleSurface:
-    """A closed surface with what is sharp on it.
+    """Closed triangle surface with its sharp edges and corners.
 
     Attributes:
         points: (n, 3) [m].
         faces: (k, 3), counter-clockwise seen from outside.
-        edges: sharp ones, where normals differ by more than 30 degrees, (e, 2) point numbers.
+        edges: sharp edges, where normals differ by more than 30 degrees, (e, 2) point numbers.
         corners: points where sharp edges end, fork or turn by more than 30 degrees, (c,).
     """
 
@@ -68,15 +68,15 @@ class TriangleSurface:
         corners = points[faces]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         normals /= np.maximum(np.linalg.norm(normals, axis=1), np.finfo(float).tiny)[:, None]
-        # The two faces of edge i are on places 2 i and 2 i + 1 of the sides, sorted by edge.
+        # The two faces of edge i are numbers 2 i and 2 i + 1 of the sides, sorted by edge.
         pairs = normals[np.argsort(edge_of.ravel(), kind="stable") // 3].reshape(-1, 2, 3)
         edges = edges[(pairs[:, 0] * pairs[:, 1]).sum(axis=1) < _SHARP]
         return cls(points, faces, edges, _corners(points, edges))
 
-    def goals(self, places: Array, reach: float) -> Iterator[Array]:
-        """Where places (n, 3) [m] go: to faces within reach, also to edges, also to corners."""
+    def targets(self, points: Array, reach: float) -> Iterator[Array]:
+        """Targets of points (n, 3) [m]: on faces within reach, then on edges, then on corners."""
         closest_on_face = require("trimesh", "mesh").triangles.closest_point
-        goal = places.copy()
+        target = points.copy()
         shapes = (
             (self.points[self.faces], closest_on_face),
             (
@@ -87,36 +87,36 @@ class TriangleSurface:
         for corners, closest in shapes:
             middle = corners.mean(axis=1)
             radius = np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1) + reach
-            near = cKDTree(places).query_ball_point(middle, radius)
+            near = cKDTree(points).query_ball_point(middle, radius)
             shape = np.repeat(np.arange(len(corners)), [len(n) for n in near])
-            place = np.array([number for numbers in near for number in numbers], dtype=np.int64)
-            _send(goal, places, place, closest(corners[shape], places[place]), reach)
-            yield goal.copy()
+            number = np.array([number for numbers in near for number in numbers], dtype=np.int64)
+            _move(target, points, number, closest(corners[shape], points[number]), reach)
+            yield target.copy()
         if len(self.corners):
-            _, corner = cKDTree(self.points[self.corners]).query(places)
-            number = np.arange(len(places))
-            _send(goal, places, number, self.points[self.corners[corner]], reach)
-            yield goal
+            _, corner = cKDTree(self.points[self.corners]).query(points)
+            number = np.arange(len(points))
+            _move(target, points, number, self.points[self.corners[corner]], reach)
+            yield target
 
 
-def _send(goals: Array, places: Array, place: Numbers, goal: Array, reach: float) -> None:
-    """Send each place to the nearest of its goals that is within reach."""
-    distance = np.linalg.norm(goal - places[place], axis=1)
+def _move(targets: Array, points: Array, number: Numbers, target: Array, reach: float) -> None:
+    """Set the target of each point to the nearest of its candidates within reach."""
+    distance = np.linalg.norm(target - points[number], axis=1)
     within = np.flatnonzero(distance <= reach)
     farthest_first = within[np.argsort(-distance[within], kind="stable")]
-    goals[place[farthest_first]] = goal[farthest_first]
+    targets[number[farthest_first]] = target[farthest_first]
 
 
-def _closest_on_segment(segments: Array, places: Array) -> Array:
-    """Nearest place (n, 3) of each segment (n, 2, 3) to each place (n, 3)."""
+def _closest_on_segment(segments: Array, points: Array) -> Array:
+    """Nearest point (n, 3) of each segment (n, 2, 3) to each point (n, 3)."""
     step = segments[:, 1] - segments[:, 0]
-    share = ((places - segments[:, 0]) * step).sum(axis=1) / (step**2).sum(axis=1)
+    share = ((points - segments[:, 0]) * step).sum(axis=1) / (step**2).sum(axis=1)
     closest: Array = segments[:, 0] + np.clip(share, 0.0, 1.0)[:, None] * step
     return closest
 
 
 def _corners(points: Array, edges: Numbers) -> Numbers:
-    """Points where sharp edges (e, 2) do not simply go on."""
+    """Points where sharp edges (e, 2) end, fork or turn."""
     ends, other = edges.ravel(), edges[:, ::-1].ravel()
     away = points[other] - points[ends]
     away /= np.linalg.norm(away, axis=1)[:, None]

@@ -1,4 +1,4 @@
-"""Tetrahedra for bodies of any shape, by fTetWild."""
+"""Mesh of tetrahedra for bodies of any shape, by fTetWild."""
 
 import contextlib
 from tempfile import TemporaryDirectory
@@ -24,7 +24,7 @@ Numbers = NDArray[np.int64]
 
 _CHORDS = 60  # of a circle, before points of its rim are put on it
 _SPACING = 2.0  # of points along electrode edges, relative to the finest size
-_AT_EDGES = 0.7  # what to ask for along electrode edges, where fTetWild gives 1.4 times as much
+_AT_EDGES = 0.7  # of the size along electrode edges, where fTetWild gives 1.4 times as much
 # fTetWild samples the surface at distances of its envelope, so that a small one takes long: the
 # reference slab 4 s at 2e-3 of the diagonal, 100 s at 1e-4.
 _WIDEST_ENVELOPE, _SLIMMEST_ENVELOPE = 2e-3, 1e-4
@@ -46,7 +46,7 @@ def tetrahedral_mesh(design: SensorDesign, grading: Grading) -> Mesh:
         grading: edge lengths; `layers` is not used.
 
     Raises:
-        ConfigurationError: where sizes are so small that it would take many minutes, or where no
+        ConfigurationError: where meshing at such small sizes would take many minutes, or where no
             mesh of the body was found.
         ImportError: where pytetwild is missing.
     """
@@ -94,7 +94,7 @@ def _surface(outline: Outline, thickness: float) -> tuple[Array, Numbers]:
 
 
 def _sizing(design: SensorDesign, grading: Grading, points: Array) -> tuple[Array, Numbers, Array]:
-    """Edge lengths [m] on tetrahedra around the body: places, corners, and lengths at places."""
+    """Sizing field on tetrahedra around the body: points, corners, and edge lengths there [m]."""
     edges = design.edges(_SPACING * grading.finest)
     low, high = points.min(axis=0), points.max(axis=0)
     margin = 0.1 * float((high - low).max())
@@ -104,7 +104,7 @@ def _sizing(design: SensorDesign, grading: Grading, points: Array) -> tuple[Arra
         np.linspace(a - margin, b + margin, n) for a, b, n in zip(low, high, counts, strict=True)
     ]
     lattice = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 3)
-    # A little disorder spares the tetrahedra without volume that a lattice gives.
+    # Random offsets avoid the tetrahedra without volume of a regular lattice.
     lattice += 1e-3 * step * np.random.default_rng(0).uniform(-1.0, 1.0, lattice.shape)
     tree = cKDTree(edges)
     far = tree.query(lattice)[0] > _SPACING * grading.finest
@@ -117,7 +117,7 @@ def _sizing(design: SensorDesign, grading: Grading, points: Array) -> tuple[Arra
 
 
 def _on_circle(disc: Disc, points: Array, cells: Numbers) -> Array:
-    """Points with those of the wall, which are on chords, moved outwards onto the circle."""
+    """Points (n, 3) with those of the wall moved from chords onto the circle."""
     boundary = np.unique(boundary_faces(cells)[0])
     _, depth = disc.nearest(points[boundary, :2])
     rim = boundary[depth < 1.001 * disc.radius * (1.0 - np.cos(np.pi / _CHORDS))]
@@ -148,7 +148,7 @@ def _require_feasible(design: SensorDesign, grading: Grading, envelope: float) -
 
 
 def _oriented(points: Array, cells: Numbers) -> Numbers:
-    """Cells turned to positive volume; raises ConfigurationError if there are none."""
+    """Cells oriented to positive volume; raises ConfigurationError if there are none."""
     if not len(cells):
         raise ConfigurationError(
             "fTetWild found no tetrahedra inside the body; choose smaller sizes, or repair the "

@@ -69,7 +69,7 @@ class Dents:
     box: Box | None = None
 
     def positions(self, points: Points) -> Points:
-        """Deformed places [m], (..., 3), of flat points [m], (..., 3)."""
+        """Deformed positions [m], (..., 3), of flat points [m], (..., 3)."""
         return self.mapped(points)[0]
 
     def gradient(self, points: Points) -> Gradients:

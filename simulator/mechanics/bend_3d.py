@@ -50,7 +50,7 @@ class BentStack:
     moment: float
 
     def positions(self, points: Points) -> Points:
-        """Deformed places [m], (..., 3), of flat points [m], (..., 3)."""
+        """Deformed positions [m], (..., 3), of flat points [m], (..., 3)."""
         place, sides, solved = self._quarter(points)
         turned = _turned(place, self._half_angle, self.offset)
         moved = np.where(solved[..., None], place + self.displacement(place), turned)

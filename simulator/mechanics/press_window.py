@@ -128,7 +128,7 @@ class DentedStack:
         return self.forces / self.contact_areas
 
     def positions(self, points: Points) -> Points:
-        """Deformed places [m], (..., 3), of flat points [m], (..., 3)."""
+        """Deformed positions [m], (..., 3), of flat points [m], (..., 3)."""
         place, sides, solved = self._solved(points)
         moved = sides * self.displacement(place)
         return points + np.where(solved[..., None], moved, 0.0)

@@ -75,14 +75,14 @@ def test_what_is_sharp_on_prisms():
     ],
 )
 def test_places_go_to_the_sharpest_feature_within_reach(place, goal):
-    *_, found = SURFACE.goals(np.array([place, (0.1, 0.1, 0.5)]), 0.08)
+    *_, found = SURFACE.targets(np.array([place, (0.1, 0.1, 0.5)]), 0.08)
     assert found[0] == pytest.approx(goal, abs=1e-12)
 
 
 @pytest.mark.parametrize(("height", "goal"), [(0.01, 0.0), (0.04, 0.05)])
 def test_the_nearest_of_several_edges_is_taken(height, goal):
     plate = TriangleSurface.of(BOX * [1, 1, 0.05], BOX_FACES)
-    *_, found = plate.goals(np.array([(1.3, 0.02, height), (1.0, 1.0, height)]), 0.08)
+    *_, found = plate.targets(np.array([(1.3, 0.02, height), (1.0, 1.0, height)]), 0.08)
     assert found == pytest.approx(np.array([(1.3, 0.0, goal), (1.0, 1.0, goal)]), abs=1e-12)
 
 
@@ -105,7 +105,7 @@ def test_points_go_to_a_face_where_its_edge_would_flatten_a_cell(depth, goal):
     points = np.array([[1.0, 0.06, 0.97], [0.8, 0.0, 0.6], [1.2, 0.0, 0.6], [1.0, depth, 0.3]])
     cells = np.array([[0, 2, 1, 3]])
     assert volumes(points, cells)[0] > 0
-    *_, goals = SURFACE.goals(points, 0.08)
+    *_, goals = SURFACE.targets(points, 0.08)
     assert goals[0] == pytest.approx([1.0, 0.0, 1.0])
     assert snapped(points, cells, SURFACE, 0.08)[0] == pytest.approx(goal)
 
