@@ -263,7 +263,8 @@ def _require_simple(points: Array, same: float) -> None:
         i, j = int(short[0]), int((short[0] + 1) % count)
         close = "; leave out the last, the outline closes by itself" if j == 0 else ""
         raise ConfigurationError(
-            f"outline.points {i} and {j} are the same point, so the side between them has no length{close}"
+            f"outline.points {i} and {j} are the same point, so the side between them has no "
+            f"length{close}"
         )
     squared = (step**2).sum(axis=1)
     numbers = np.arange(count)
