@@ -1,4 +1,9 @@
-"""Perception: from frames to state, bend angle and touches; training, saving and measuring it."""
+"""Perception: training, calibrating, applying and evaluating pipelines.
+
+A dataset trains a method (`joint` or `paper`, both behind `method`); `pipeline` turns the frames of
+a session into estimates with it, `evaluation` scores these, `export` writes ONNX graphs.
+`positions` learns touch positions alone, from recordings without geometry.
+"""
 
 from eitskin.lazy import lazy_exports
 

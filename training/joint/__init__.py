@@ -1,1 +1,5 @@
-"""The joint method: bend and touches estimated together by fitting a learned sensor model."""
+"""The joint method: bend and touches as the MAP estimate of a learned sensor model.
+
+Learned by `training`: features, touch response, bend curves, priors, proposal network. A frame
+passes `method`, `proposal_model`, `model_selection`, `objective`, and `touch_map`.
+"""
