@@ -7,7 +7,7 @@ import torch
 from eitskin.errors import ConfigurationError
 from eitskin.training import NetworkSettings
 from eitskin.training.method.learning_curve import LearningCurve
-from eitskin.training.method.network_training import Samples, mean_loss, train
+from eitskin.training.method.network_training import Samples, mean_loss, train_network
 from eitskin.training.paper.classifier import Classifier
 from eitskin.training.paper.networks import weights_of
 from eitskin.training.paper.postprocessor import PostProcessor
@@ -42,7 +42,9 @@ def fit(network, validation=None, rate=0.1, epochs=12):
     settings = NetworkSettings(rate, epochs=epochs, batch=16, one_cycle=False)
     given = samples(INPUTS, TARGETS)
     loss = torch.nn.functional.mse_loss
-    return train(network, given.batch, loss, given.count, settings, 0, lambda *_: None, validation)
+    return train_network(
+        network, given.batch, loss, given.count, settings, 0, lambda *_: None, validation
+    )
 
 
 def test_mean_loss_weighs_samples_and_not_pieces():

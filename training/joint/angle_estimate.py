@@ -51,7 +51,7 @@ def angle_standard_error(curve: BendCurve, angle_deg: float, noise: Array) -> fl
     """
     slope = curve.slope(angle_deg)
     covariance = noise + curve.uncertainty(angle_deg)
-    information = float(slope @ lapack.solved(covariance, slope))
+    information = float(slope @ lapack.solve(covariance, slope))
     return 1.0 / math.sqrt(information)
 
 
@@ -112,7 +112,7 @@ def estimate_angle(curve: BendCurve, change: Array, noise: Array) -> tuple[float
     for _ in range(STEPS):
         value, slope = curve.value_and_slope(angle)
         slope, residual = slope[good], (change - value)[good]
-        weighted = lapack.solved(N + _submatrix(curve.uncertainty(angle), good), slope)
+        weighted = lapack.solve(N + _submatrix(curve.uncertainty(angle), good), slope)
         information = float(weighted @ slope)
         step = float(weighted @ residual) / information
         angle = min(max(angle + step, low - BEYOND_DEG), high + BEYOND_DEG)

@@ -25,7 +25,7 @@ def whitening(covariance: Array) -> Array:
     return inverse
 
 
-def solved(matrix: Array, right: Array) -> Array:
+def solve(matrix: Array, right: Array) -> Array:
     """Solution x of A x = b for a positive definite A (n, n) and b (n,) or (n, m).
 
     Raises LinAlgError where the matrix is not positive definite.

@@ -98,7 +98,7 @@ class QuadraticModel:
         damped = self.hessian.copy()
         diagonal = damped.reshape(-1)[:: len(damped) + 1]
         diagonal += damping * (1.0 + diagonal)
-        return lapack.solved(damped, self.gradient)
+        return lapack.solve(damped, self.gradient)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,7 +16,7 @@ from eitskin.training.joint.prior import MOST_TOUCHES, TouchPrior
 from eitskin.training.joint.proposal_model import WIDTH, ProposalNetwork, network_inputs
 from eitskin.training.joint.touch_response import TouchResponse
 from eitskin.training.method.learning_curve import LearningCurve
-from eitskin.training.method.network_training import seeded
+from eitskin.training.method.network_training import seeded_network
 from eitskin.training.method.settings import NetworkSettings, Progress
 
 Array = NDArray[np.float64]
@@ -107,7 +107,7 @@ def fit_proposals(
     rng = np.random.default_rng(seed)
     inputs, _ = model.frames(2, rng)
     sizes = [inputs.shape[1], *HIDDEN, len(columns) * len(rows)]
-    network = seeded(lambda: _layers(sizes), seed)
+    network = seeded_network(lambda: _layers(sizes), seed)
     steps = settings.epochs * STEPS_PER_EPOCH
     optimiser = torch.optim.Adam(network.parameters(), settings.learning_rate)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, settings.learning_rate, steps)

@@ -13,7 +13,7 @@ from torch import Tensor, nn  # noqa: TID253  see above
 
 from eitskin.training.joint.touch_response import InputRanges, TouchResponse
 from eitskin.training.method.learning_curve import LearningCurve
-from eitskin.training.method.network_training import seeded, train
+from eitskin.training.method.network_training import seeded_network, train_network
 from eitskin.training.method.settings import NetworkSettings, Progress
 
 Array = NDArray[np.float64]
@@ -114,7 +114,7 @@ def fit_response(
         progress: told of every epoch.
     """
     scale = float(np.sqrt(np.mean(frames.change**2)))
-    network = seeded(lambda: ResponseNetwork(frames), seed)
+    network = seeded_network(lambda: ResponseNetwork(frames), seed)
     inputs, change = packed_inputs(frames, ranges), _tensor(frames.change / scale)
     # Weights: noise dominates the error of weak touches, model error that of strong ones.
     variance = (noise / scale) ** 2 + RELATIVE_ERROR**2 * change.square().mean(dim=1, keepdim=True)
@@ -125,7 +125,7 @@ def fit_response(
         departures = (network.log_strength / LOG_STRENGTH_STD).square().mean()
         return error + 1e-3 * (departures + network.latent.square().mean())
 
-    history = train(
+    history = train_network(
         network,
         lambda chosen, _: (inputs[chosen], weighted[chosen]),
         loss,

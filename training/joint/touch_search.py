@@ -42,7 +42,7 @@ def initial_touches(objective: TouchObjective, places: Array, untouched: Lineari
     shapes = objective.response(touches, angle_deg) @ whitening.T
     ridge = (mean / deviation) ** 2
     projections = shapes @ (whitening @ untouched.residual) + ridge
-    share = lapack.solved(shapes @ shapes.T + ridge * np.eye(len(places)), projections)
+    share = lapack.solve(shapes @ shapes.T + ridge * np.eye(len(places)), projections)
     touches[:, 2] = np.clip(share * mean, objective.prior.low[2], objective.prior.high[2])
     return Unknowns(touches, angle_deg)
 

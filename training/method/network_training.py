@@ -22,7 +22,7 @@ Loss = Callable[[Tensor, Tensor], Tensor]
 EVALUATED_AT_ONCE = 256  # samples; bounds the memory that a large dataset takes
 
 
-def seeded(make: Callable[[], Network], seed: int) -> Network:
+def seeded_network(make: Callable[[], Network], seed: int) -> Network:
     """Network that `make` returns, with weights drawn from `seed`; torch's seed is kept."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
@@ -42,7 +42,7 @@ class Samples:
     count: int
 
 
-def train(
+def train_network(
     network: nn.Module,
     batch: Batch,
     loss: Loss,

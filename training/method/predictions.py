@@ -61,9 +61,6 @@ class FoundTouches:
         return tuple((x, y, strength) for (x, y), strength in rows)
 
 
-NO_TOUCHES = FoundTouches.of((), ())
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Predictions:
     """Predictions of a method for n frames.

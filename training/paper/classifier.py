@@ -77,7 +77,7 @@ class Classifier:
         require("torch", "training")
         import torch
 
-        from eitskin.training.method.network_training import Samples, seeded, train
+        from eitskin.training.method.network_training import Samples, seeded_network, train_network
         from eitskin.training.paper.networks import StateNetwork, noisy_maps
 
         states = np.asarray(state, dtype=np.int64)
@@ -87,7 +87,7 @@ class Classifier:
             states == State.IDLE if compress else None,
         )
         scale = torch.asinh if compress else torch.nn.Identity()
-        network = seeded(lambda: StateNetwork(shape, len(scaled)), seed)
+        network = seeded_network(lambda: StateNetwork(shape, len(scaled)), seed)
 
         def samples(dV: ArrayLike, truth: ArrayLike, rms: float) -> Samples:
             maps = noisy_maps(dV, scaled, shape, rms)
@@ -98,7 +98,7 @@ class Classifier:
             )
 
         fitted = samples(difference, states, settings.noise * noise)
-        history = train(
+        history = train_network(
             network,
             fitted.batch,
             torch.nn.functional.cross_entropy,
@@ -112,13 +112,13 @@ class Classifier:
 
     def apply(self, difference: ArrayLike) -> NDArray[np.float64]:
         """Probabilities (n, 3) of idle, touch and bend for dV (n, measurements)."""
-        from eitskin.training.paper.networks import evaluate
+        from eitskin.training.paper.networks import logits_of
 
         dV = np.asarray(difference, dtype=float)
         maps = np.stack([dV @ layer.T for layer in self.embedding], axis=1)
         if self.compress:
             maps = np.arcsinh(maps)
-        logits = evaluate(self.network, maps.reshape(len(dV), -1, *self.shape))
+        logits = logits_of(self.network, maps.reshape(len(dV), -1, *self.shape))
         odds = np.exp(logits - logits.max(axis=1, keepdims=True))
         probabilities: NDArray[np.float64] = odds / odds.sum(axis=1, keepdims=True)
         return probabilities

@@ -110,7 +110,7 @@ def noisy_maps(
     return maps
 
 
-def evaluate(network: nn.Module, maps: ArrayLike) -> NDArray[np.float64]:
+def logits_of(network: nn.Module, maps: ArrayLike) -> NDArray[np.float64]:
     """Logits of `network` for maps (n, maps, rows, columns), in pieces."""
     inputs = torch.as_tensor(np.asarray(maps, dtype=np.float32))
     with torch.inference_mode():

@@ -58,11 +58,11 @@ class PostProcessor:
         require("torch", "training")
         import torch
 
-        from eitskin.training.method.network_training import Samples, seeded, train
+        from eitskin.training.method.network_training import Samples, seeded_network, train_network
         from eitskin.training.paper.networks import TouchMapNetwork, noisy_maps
 
         scale = float(np.std(reconstruction.apply(difference))) or 1.0
-        network = seeded(lambda: TouchMapNetwork(reconstruction.shape), seed)
+        network = seeded_network(lambda: TouchMapNetwork(reconstruction.shape), seed)
         layer = reconstruction.matrix[None] / scale
 
         def samples(dV: ArrayLike, truth: ArrayLike, rms: float) -> Samples:
@@ -73,7 +73,7 @@ class PostProcessor:
             )
 
         fitted = samples(difference, touch_map, settings.noise * noise)
-        history = train(
+        history = train_network(
             network,
             fitted.batch,
             torch.nn.functional.binary_cross_entropy_with_logits,
@@ -87,9 +87,9 @@ class PostProcessor:
 
     def apply(self, maps: ArrayLike) -> NDArray[np.float32]:
         """Touch maps, 0 to 1, of reconstructions, both (n, rows, columns)."""
-        from eitskin.training.paper.networks import evaluate
+        from eitskin.training.paper.networks import logits_of
 
-        logits = evaluate(self.network, np.asarray(maps)[:, None] / self.scale)[:, 0]
+        logits = logits_of(self.network, np.asarray(maps)[:, None] / self.scale)[:, 0]
         touch_map: NDArray[np.float32] = (0.5 * (1 + np.tanh(0.5 * logits))).astype(np.float32)
         return touch_map
 

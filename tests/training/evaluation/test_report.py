@@ -21,7 +21,6 @@ from eitskin.training.evaluation.report.folder import PICTURES, require_report_f
 from eitskin.training.evaluation.report.table import table_rows
 from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.observations import Observations
-from eitskin.training.method.predictions import NO_TOUCHES
 
 FLAT = np.linspace(400.0, 820.0, 28)
 NAN = float("nan")
@@ -81,7 +80,7 @@ def perceived():
                 1e-3 * np.array(deviations),
             )
             if places
-            else NO_TOUCHES
+            else FoundTouches.of((), ())
             for *_, places, forces, deviations in FRAMES
         ),
         ((),) * len(FRAMES),

@@ -22,7 +22,7 @@ from eitskin.training.export.onnx_export import DOCUMENT, checked, export_onnx, 
 from eitskin.training.export.onnx_graph import OPSET, Graph, Value, network
 from eitskin.training.export.onnx_paper import frames_as_inputs
 from eitskin.training.method.input_spec import InputSpec
-from eitskin.training.method.network_training import seeded
+from eitskin.training.method.network_training import seeded_network
 from eitskin.training.method.observations import Observations, relative_difference
 from eitskin.training.paper.bend_angle import BendAngle
 from eitskin.training.paper.classifier import Classifier
@@ -63,8 +63,8 @@ def paper() -> Pipeline:
         rng.standard_normal((SHAPE[0] * SHAPE[1], CHANNELS)), SHAPE, 0.1
     )
     with torch.random.fork_rng(devices=[]):
-        state = stirred(seeded(lambda: StateNetwork(SHAPE, 2), 0))
-        maps = stirred(seeded(lambda: TouchMapNetwork(SHAPE), 0))
+        state = stirred(seeded_network(lambda: StateNetwork(SHAPE, 2), 0))
+        maps = stirred(seeded_network(lambda: TouchMapNetwork(SHAPE), 0))
     state.layers[-1].weight.data *= 30.0  # so that frames differ in their state, and maps vary
     maps.layers[-1].weight.data *= 20.0
     embedding = 200.0 * rng.standard_normal((2, SHAPE[0] * SHAPE[1], CHANNELS))
@@ -131,7 +131,7 @@ def test_one_frame_gives_what_it_gives_among_others(paper) -> None:
 
 def test_a_classifier_of_one_map_that_does_not_compress_is_exported_too(paper) -> None:
     stage = paper.method.classifier
-    one_map = stirred(seeded(lambda: StateNetwork(SHAPE, 1), 5))
+    one_map = stirred(seeded_network(lambda: StateNetwork(SHAPE, 1), 5))
     plain = Classifier(one_map, stage.embedding[:1] / 200.0, SHAPE, compress=False)
     method = dataclasses.replace(paper.method, classifier=plain)
     (graph,), _ = graphs_of(dataclasses.replace(paper, method=method))

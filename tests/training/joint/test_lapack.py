@@ -22,7 +22,7 @@ def test_whitening_is_the_inverse_of_the_cholesky_factor(covariance):
 def test_solved_and_inverse(covariance):
     right = np.random.default_rng(1).standard_normal((7, 3))
     for b in (right, right[:, 0]):
-        np.testing.assert_allclose(lapack.solved(covariance, b), np.linalg.solve(covariance, b))
+        np.testing.assert_allclose(lapack.solve(covariance, b), np.linalg.solve(covariance, b))
     np.testing.assert_allclose(lapack.inverse(covariance), np.linalg.inv(covariance), rtol=1e-8)
 
 
@@ -32,7 +32,7 @@ def test_what_is_given_stays_as_it_was(covariance):
     for matrix in (covariance, part):
         lapack.whitening(matrix)
         lapack.inverse(matrix)
-        lapack.solved(matrix, np.ones(len(matrix)))
+        lapack.solve(matrix, np.ones(len(matrix)))
         lapack.orthonormal(matrix)
     np.testing.assert_array_equal(covariance, before)
     np.testing.assert_allclose(lapack.inverse(part), np.linalg.inv(part), rtol=1e-8)
@@ -42,7 +42,7 @@ def test_what_is_no_covariance_is_refused(covariance):
     with pytest.raises(np.linalg.LinAlgError, match="minor 3"):
         lapack.whitening(np.diag([1.0, 1.0, -1.0]))
     with pytest.raises(np.linalg.LinAlgError, match="minor 1"):
-        lapack.solved(-covariance, np.ones(7))
+        lapack.solve(-covariance, np.ones(7))
 
 
 @pytest.mark.parametrize("shape", [(9, 4), (4, 4), (3, 5)])
