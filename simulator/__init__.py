@@ -1,4 +1,9 @@
-"""Physics: from a sensor, bent and pressed, to the impedances at its electrodes."""
+"""Physics: impedances between the electrodes of a bent, pressed sensor.
+
+A `scene` says what happens, `mechanics` solves presses and bends, `layer` pulls the deformed
+conductivity back to the flat mesh, `electrical` solves the complete electrode model with `linalg`,
+`instrument` adds the errors of a board; `simulator` joins these steps and `view` draws them.
+"""
 
 from eitskin.lazy import lazy_exports
 

@@ -1,4 +1,4 @@
-"""From a scene to the frame that its sensor would give."""
+"""Simulator: frames of one sensor, from scenes."""
 
 import dataclasses
 from collections.abc import Callable, Sequence
@@ -28,9 +28,9 @@ from eitskin.simulator.scene.scene import Scene
 Array = NDArray[np.float64]
 Field: TypeAlias = Callable[[Array], Array]
 
-# Touched scenes of one bend from which on it pays to solve that once and for all: it costs as much
-# as two.
-_WORTH = 3
+# Smallest number of touched scenes of one bend for which reanalysis pays: its preparation takes as
+# long as two scenes.
+_FEWEST_REANALYSED = 3
 
 
 class Simulator:
@@ -38,10 +38,10 @@ class Simulator:
 
     Attributes:
         design: the sensor.
-        fixture: what bends it.
-        protocol: which pairs are measured.
-        mechanics: what it is made of.
-        touch_model: how presses are found.
+        fixture: that bends the sensor.
+        protocol: drive and sense pairs of the measurements.
+        mechanics: materials of gel and encapsulation.
+        touch_model: "tabulated" or "closed form", the model of presses.
         model: the forward model; `model.factorisations` counts the work done.
     """
 
@@ -59,11 +59,16 @@ class Simulator:
         Args:
             design: the sensor.
             resolution: "fast", "standard" or "fine", or element order and grading.
-            fixture: the default hinge when omitted.
-            protocol: every pair of electrodes when omitted.
+            fixture: that bends the sensor; the default hinge when omitted.
+            protocol: drive and sense pairs; every pair of electrodes, which is drive and sense pair
+                in one, when omitted.
             mechanics: materials of gel and encapsulation; the reference sensor's when omitted.
-            touch_model: "tabulated" interpolates presses solved at finite strain, the first time
-                of each indenter in seconds; "closed form" needs no solver.
+            touch_model: "tabulated" interpolates presses solved at finite strain, which takes
+                seconds at the first use of each indenter; "closed form" needs no solver.
+
+        Raises:
+            ConfigurationError: for an unknown resolution or touch model, or a fixture that does not
+                fit the sensor.
         """
         self.design = design
         self.fixture: Fixture = fixture or Hinge()
@@ -87,8 +92,8 @@ class Simulator:
         return float(np.abs(self.protocol.measure(self.model.impedance())).max())
 
     def deformation(self, scene: Scene) -> Deformation | None:
-        """How the scene deforms the sensor, touch first, then bend; None where it does not."""
-        self.require_possible(scene)
+        """Deformation by the scene, touches first, then roll, bend and twist; None where flat."""
+        self.check_scene(scene)
         parts: list[Deformation] = []
         if scene.touches:
             parts.append(self._dents(scene))
@@ -101,20 +106,20 @@ class Simulator:
         return reduce(Composed, parts) if parts else None
 
     def _flexure(self, bend: Bend) -> Deformation:
-        """The last bend is kept: scenes that share one follow each other."""
+        """Deformation by the bend; cached, since scenes of one bend follow each other."""
         if self._bent is None or self._bent[0] != bend:
             self._bent = (bend, self.fixture.flexure(self.design, bend))
         return self._bent[1]
 
     def presses(self, scene: Scene) -> tuple[PressedTouch, ...]:
-        """Depth, contact and pressure of each touch of a scene, and how far to trust them."""
-        self.require_possible(scene)
+        """Depth, contact radius and pressure of each touch, with error estimates."""
+        self.check_scene(scene)
         return pressed_touches(scene.touches, self.design, self.mechanics)
 
-    def require_possible(self, scene: Scene) -> None:
+    def check_scene(self, scene: Scene) -> None:
         """Raise ConfigurationError for touches off the layer, and for a surface that is not flat.
 
-        What it lets pass may still be refused when it is solved: a force or an angle too large.
+        Forces and angles that are too large are refused later, in the solution.
         """
         outline = self.design.outline
         if isinstance(outline, Surface):
@@ -133,7 +138,7 @@ class Simulator:
                 )
 
     def deformed(self, deformation: Deformation) -> Frame:
-        """The frame of the sensor under any deformation, such as `Displaced` by a function."""
+        """Noise-free frame of the sensor under any deformation, such as `Displaced`."""
         layer = DeformedLayer(self.design, deformation, self.mechanics.piezoresistivity)
         impedance = self.model.impedance(layer.conductivity, layer.area_ratio)
         return Frame(self._measured(impedance), self.protocol)
@@ -144,9 +149,14 @@ class Simulator:
         instrument: Instrument | None = None,
         rng: np.random.Generator | None = None,
     ) -> Frame:
-        """The frame of `scene`, noise-free unless an `instrument` is given.
+        """Frame of `scene`, noise-free unless an `instrument` is given.
 
-        The scene measured last is kept: asked for again, it costs only new noise.
+        The solution of the last scene is cached: measured again, the scene costs only new noise.
+
+        Args:
+            scene: bend, touches and the like at one moment.
+            instrument: adds the errors and the noise of a board, in a session of its own.
+            rng: random generator for the instrument.
 
         Raises:
             ConfigurationError: for a touch off the layer, an angle that cannot be reached, or an
@@ -174,19 +184,19 @@ class Simulator:
     ) -> NDArray[np.complex128]:
         """Noise-free measurements [ohm] of many scenes, (scenes, measurements).
 
-        Scenes that differ in their touches alone share one solution without touches: only what
-        the touches change is solved anew, and where they change little to first order.
+        Scenes that differ only in their touches share the solution without touches, by reanalysis:
+        strong changes of the conductivity are solved anew, weak ones to first order.
 
         Args:
-            scenes: in any order; equal ones are solved once.
-            tolerance: of that; what the default leaves is in docs/speed.md. EXACT solves as
-                `measure` does.
+            scenes: in any order; equal scenes are solved once.
+            tolerance: of the reanalysis; docs/speed.md gives the error of the default. EXACT
+                agrees with `measure` to rounding.
             before_each: called before each solution; may raise to stop.
         """
         found: dict[Scene, NDArray[np.complex128]] = {}
         for base, group in _by_bend(scenes).items():
             touched = [scene for scene in group if scene.touches]
-            if len(touched) < _WORTH or not is_possible(self.model):
+            if len(touched) < _FEWEST_REANALYSED or not is_possible(self.model):
                 for scene in group:
                     before_each()
                     found[scene] = self.measure(scene).impedance
@@ -203,15 +213,19 @@ class Simulator:
         return dents(scene.touches, self.design, self.mechanics, self.touch_model)
 
     def conductivity(self, scene: Scene) -> Field | None:
-        """J F^-1 sigma F^-T at flat places (..., 3) [m], (..., 3, 3) [S/m]; None where all is flat.
+        """Pulled-back conductivity J F^-1 sigma F^-T as a function of flat positions.
 
-        With piezoresistivity, where the mechanics have it.
+        The function takes (..., 3) [m] and gives (..., 3, 3) [S/m], with the piezoresistivity of
+        the gel. None where the scene leaves the sensor flat.
         """
         layer = self.deformed_layer(scene)
         return None if layer.deformation is None else layer.conductivity
 
     def area_ratio(self, scene: Scene) -> AreaRatio | None:
-        """Deformed over flat area at flat places [m] and unit normals; None where all is flat."""
+        """Ratio of deformed to flat area as a function of flat positions [m] and unit normals.
+
+        None where the scene leaves the sensor flat.
+        """
         layer = self.deformed_layer(scene)
         return None if layer.deformation is None else layer.area_ratio
 
@@ -222,7 +236,7 @@ class Simulator:
         return self.model.impedance(layer.conductivity, layer.area_ratio)
 
     def deformed_layer(self, scene: Scene) -> DeformedLayer:
-        """What the scene makes of the layer."""
+        """Deformed layer: pulled-back conductivity and electrode area ratio of the scene."""
         deformation = self.deformation(scene)
         needed = self.mechanics.piezoresistivity.pressure and scene.touches
         stress = self._dents(scene).mean_stress if needed else None
@@ -234,7 +248,7 @@ class Simulator:
 
 
 def _by_bend(scenes: Sequence[Scene]) -> dict[Scene, list[Scene]]:
-    """Different scenes by what they are without touches."""
+    """Different scenes, grouped by the scene without touches."""
     groups: dict[Scene, list[Scene]] = {}
     for scene in dict.fromkeys(scenes):
         groups.setdefault(dataclasses.replace(scene, touches=()), []).append(scene)

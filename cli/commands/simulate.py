@@ -72,7 +72,7 @@ def command(
     from eitskin.geometry.design.sensor import SensorDesign
     from eitskin.simulator.electrical.resolution import Resolution
     from eitskin.simulator.scene.scene import Scene
-    from eitskin.simulator.view.scene_pictures import draw
+    from eitskin.simulator.view.scene_pictures import draw_scenes
 
     output = Output(json, quiet, verbose)
     what = Scene.from_toml(scene)
@@ -81,7 +81,7 @@ def command(
     colours, pair = _colours(view, colour, drive, len(design.electrodes))
     detail = cast("Resolution", one_of("--resolution", resolution, Resolution))
     sim = simulator(design, detail, fixture, protocol, mechanics, touch_model)
-    sim.require_possible(what)  # before its presses are solved, which takes minutes
+    sim.check_scene(what)  # before its presses are solved, which takes minutes
     flat = sim.measure(Scene())
     if touch_model == "tabulated":
         announce_unsolved(design, sim.mechanics, (touch.indenter for touch in what.touches), output)
@@ -94,7 +94,7 @@ def command(
     shown = [_as_table(frame, flat), *([_touch_table(presses)] if presses else [])]
     output.result(data, Group(*shown, *_cautions(presses)))
     if view is not None:
-        draw(sim, [(_title(scene.stem, what), what)], view, colours, pair)
+        draw_scenes(sim, [(_title(scene.stem, what), what)], view, colours, pair)
         output.note(f"picture: {view}")
 
 

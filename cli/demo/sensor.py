@@ -59,13 +59,13 @@ def sensor(design: SensorDesign) -> Part:
 
 def states(design: SensorDesign) -> Part:
     """The sensor in three scenes, and what these do to its resistances."""
-    from eitskin.simulator.view.scene_pictures import draw
+    from eitskin.simulator.view.scene_pictures import draw_scenes
 
     sim = Simulator(design, "fast")
     flat = sim.measure(Scene()).impedance.real
     changes = [100.0 * (sim.measure(scene).impedance.real / flat - 1.0) for _, scene in SCENES]
     titles = [title for title, _ in SCENES]
-    drawing = _rendered(lambda path: draw(sim, SCENES, path))
+    drawing = _rendered(lambda path: draw_scenes(sim, SCENES, path))
     caption = (
         "Three scenes to one scale. Colours: change of the conductance along the sensor, which "
         "falls under a press and where the bend stretches the gel; rings beside a press are gel "

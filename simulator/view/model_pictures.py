@@ -1,4 +1,4 @@
-"""Pictures of a forward model: the sensor, its mesh, a potential, and where the current flows."""
+"""Pictures of a forward model: sensor, mesh, potential and lines of current."""
 
 import math
 from pathlib import Path
@@ -23,7 +23,7 @@ _CONTOURS = 29
 
 
 def model_for_pictures(design: SensorDesign, cells: CellKind | None = None) -> ForwardModel:
-    """A linear model with points dense enough for smooth colours; a few percent wrong."""
+    """Forward model of low order with dense points, for smooth colours; a few per cent off."""
     kind = cells or natural_cells(design)
     shorter = min(design.outline.length, design.outline.width)
     smallest = min(min(e.width, e.height or e.width) for e in design.electrodes)
@@ -41,23 +41,23 @@ def model_for_pictures(design: SensorDesign, cells: CellKind | None = None) -> F
 
 
 def draw_mesh(mesh: Mesh, path: str | Path) -> None:
-    """Draw the sensor with its electrodes numbered, its cells, and those at electrode 0."""
+    """Draw the sensor with numbered electrodes, all cells, and the cells at electrode 0."""
     render([_sensor(mesh), _cells(mesh), _cells_at(mesh, 0)], path)
 
 
 def draw_drive(
     model: ForwardModel, drive: tuple[int, int], path: str | Path, mesh: Mesh | None = None
 ) -> None:
-    """Draw sensor and cells, then potential and current of one drive pair, and its plus electrode.
+    """Draw sensor, cells, potential and current of a drive pair, and the plus electrode enlarged.
 
-    Of a complex potential and current the real part is drawn.
+    The real part is drawn where potential and current are complex.
 
     Args:
-        model: that is solved. Colours vary linearly between its points, so these should be
-            dense: see `model_for_pictures`.
-        drive: the electrodes that a current of 1 A enters and leaves by.
+        model: to be solved. Colours vary linearly between its points, which should be dense: see
+            `model_for_pictures`.
+        drive: electrodes where a current of 1 A enters and leaves.
         path: of the PNG file.
-        mesh: whose cells are drawn; the model's when omitted.
+        mesh: with the cells to draw; the model's when omitted.
 
     Raises ConfigurationError for electrodes that do not exist.
     """
@@ -148,7 +148,7 @@ def _lines(mesh: Mesh, density: Array, drive: tuple[int, int]) -> Panel:
 
 
 def _density_at(mesh: Mesh, density: Array, electrode: int) -> Panel:
-    """Current density around an electrode, largest at its edges."""
+    """Panel of the current density around an electrode, largest at the electrode's edges."""
     around, eye = _around(mesh, electrode), in_front(mesh, electrode)
 
     def draw(plotter: Any) -> None:
@@ -172,8 +172,8 @@ def _density_at(mesh: Mesh, density: Array, electrode: int) -> Panel:
 
 
 def _around(mesh: Mesh, electrode: int) -> Array:
-    """Corners of a box about an electrode, twice its size, within the body's bounds [m]."""
-    corners, _ = shapes.contact(mesh, electrode)
+    """Corners, (8, 3) [m], of a box about an electrode, twice as large, within the body."""
+    corners, _ = shapes.electrode_corners(mesh, electrode)
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     middle, reach = 0.5 * (low + high), 1.1 * float((high - low).max())
     bounds = np.clip([middle - reach, middle + reach], mesh.points.min(axis=0), mesh.points.max(0))
@@ -181,8 +181,8 @@ def _around(mesh: Mesh, electrode: int) -> Array:
 
 
 def in_front(mesh: Mesh, electrode: int) -> Array:
-    """Direction to an eye in front of an electrode, but never straight above or below it."""
-    _, normal = shapes.contact(mesh, electrode)
+    """Direction to the viewer, in front of an electrode, never straight above or below."""
+    _, normal = shapes.electrode_corners(mesh, electrode)
     right = np.cross([0.0, 0.0, 1.0], normal)
     eye: Array = normal + 0.3 * right + [0.0, 0.0, 0.7]
     return DIRECTION.copy() if np.linalg.norm(eye[:2]) < 0.3 else eye / np.linalg.norm(eye)

@@ -1,4 +1,4 @@
-"""Pictures of several panels, rendered without a screen; each fits what it shows."""
+"""Rendering of panels into PNG files, without a screen."""
 
 import os
 from collections.abc import Callable, Sequence
@@ -19,12 +19,12 @@ Draw: TypeAlias = Callable[[Any], None]
 # Bodies are seen from the front, above, and a little to the right.
 DIRECTION = np.array([0.30, -1.0, 0.85]) / np.linalg.norm([0.30, -1.0, 0.85])
 
-# How surfaces answer the light: no face is dark; colours that mean a value stay near their scale.
+# Reflection of light: no face is dark; colours of a scale are hardly shaded.
 MATT = {"ambient": 0.45, "diffuse": 0.6, "specular": 0.0}
 TRUE = {"ambient": 0.75, "diffuse": 0.3, "specular": 0.0}
 
-# Room in pixels: width of a picture, least and most height of what a panel shows, the line of
-# text above it and the colour scale below it.
+# Sizes in pixels: width of a picture, least and largest height of a panel's drawing, title above
+# and colour scale or margin below the drawing.
 _WIDTH = {1: 1200, 2: 1800}
 _LEAST, _MOST = 240, 560
 _TITLE, _LEGEND, _PLAIN = 48, 96, 14
@@ -33,14 +33,14 @@ _MARGIN = 1.1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Panel:
-    """One part of a picture.
+    """Panel of a picture: a drawing with its title and camera.
 
     Attributes:
-        title: above it.
-        points: (n, 3), what the panel has to show whole [m].
-        draw: adds actors to a pyvista plotter.
-        legend: whether `draw` adds a colour scale, which then gets room.
-        direction: unit vector from the body to the eye.
+        title: above the drawing.
+        points: that the camera has to show, (n, 3) [m].
+        draw: function that adds actors to a pyvista plotter.
+        legend: whether `draw` adds a colour scale, for which room is left.
+        direction: unit vector from the body to the viewer.
     """
 
     title: str
@@ -51,23 +51,23 @@ class Panel:
 
     @property
     def axes(self) -> tuple[Array, Array]:
-        """Unit vectors to the right and upwards on the screen."""
+        """Unit vectors to the right and upwards on the screen, (3,) each."""
         right = np.cross([0.0, 0.0, 1.0], self.direction)
         right /= np.linalg.norm(right)
         return right, np.cross(self.direction, right)
 
     @property
     def rim(self) -> int:
-        """Height of title and colour scale, pixels."""
+        """Height of title and colour scale [pixels]."""
         return _TITLE + (_LEGEND if self.legend else _PLAIN)
 
     def height(self, width: int) -> int:
-        """Height that suits a panel of this width, pixels."""
+        """Height of a panel of this width [pixels]."""
         across, up = (np.ptp(self.points @ axis) for axis in self.axes)
         return int(np.clip(width * up / across, _LEAST, _MOST)) + self.rim
 
     def look(self, camera: Any, width: int, height: int) -> None:
-        """Set a parallel camera so that all points are seen between title and colour scale."""
+        """Set a parallel camera that shows all points between title and colour scale."""
         right, up = self.axes
         x, y, depth = (self.points @ axis for axis in (right, up, self.direction))
         per_pixel = _MARGIN * max(np.ptp(x) / width, np.ptp(y) / (height - self.rim))
@@ -82,9 +82,9 @@ class Panel:
 
 
 def colour_scale(title: str, **options: Any) -> dict[str, Any]:
-    """Arguments of a colour scale that stands in the room below a panel.
+    """Arguments of pyvista for a colour scale below a panel.
 
-    Panels need different titles: pyvista draws scales of one title once.
+    Panels need different titles: pyvista draws scales of equal title only once.
     """
     return {
         "title": title + "\n",
@@ -103,14 +103,16 @@ def colour_scale(title: str, **options: Any) -> dict[str, Any]:
 
 
 def require_picture(path: str | Path) -> Any:
-    """Give pyvista, if a picture can be drawn to `path`.
+    """Module pyvista, after a check that a picture can be drawn to `path`.
 
     Raises ImportError, naming the extra, where pyvista is missing, and ConfigurationError where
     the file is no PNG file or its folder does not exist.
     """
     path = Path(path)
     if path.suffix.lower() != ".png":
-        raise ConfigurationError(f"pictures are PNG files: name one like {path.stem}.png")
+        raise ConfigurationError(
+            f"expected a PNG file, got {path.name}; name a file such as {path.stem}.png"
+        )
     if not path.absolute().parent.is_dir():
         raise ConfigurationError(
             f"cannot write {path}: there is no folder {path.parent}; make it, or name another"
@@ -122,7 +124,7 @@ def require_picture(path: str | Path) -> Any:
 
 
 def render(panels: Sequence[Panel], path: str | Path, columns: int = 1) -> None:
-    """Draw the panels, row by row, into the PNG file `path`, whole or not at all.
+    """Draw the panels, row by row, into the PNG file `path`, atomically.
 
     Raises ImportError and ConfigurationError like `require_picture`, and ConfigurationError where
     the file cannot be written.

@@ -1,4 +1,4 @@
-"""Pictures of scenes: the bent, pressed sensor, coloured by what the scene does to it."""
+"""Pictures of scenes: the deformed sensor, coloured by conductance, strain or current."""
 
 import dataclasses
 import math
@@ -24,19 +24,19 @@ from eitskin.simulator.view.render import MATT, TRUE, Panel, colour_scale, rende
 Array = NDArray[np.float64]
 Colour = Literal["conductance", "strain", "current"]
 
-# Cells along the longer side of what is drawn: finer than a dent where they are cheap.
+# Cells along the longer side of the drawn mesh: finer than a dent where cells are cheap.
 CELLS = {"hexahedra": 200, "prisms": 80, "tetrahedra": 30}
 _ORDER: dict[str, tuple[int, ...]] = {"hexahedra": (1, 1), "prisms": (1, 1), "tetrahedra": (1,)}
-_PALEST = 0.01  # least reach of the colours, so that rounding does not look like a deformation
+_SMALLEST_RANGE = 0.01  # of the colours, so that rounding does not look like a deformation
 _ROUND = (1.0, 1.2, 1.6, 2.0, 2.4, 3.2, 4.0, 5.0, 6.0, 8.0, 10.0)
 _NET = 30.0  # lines of the flat body across its longer side
-_ROUNDING = 1e-9  # of the largest measurement: a change of less is none
+_ROUNDING = 1e-9  # of the largest measurement: smaller changes count as zero
 
 
 def conductance_change(sim: Simulator, scene: Scene, points: Array) -> Array:
     """Relative change of the conductance along x at `points` (n, 3) [m] of the flat sensor, (n,).
 
-    The entry xx of J F^-1 sigma F^-T over sigma, less one: what a current along the sensor meets.
+    The entry xx of J F^-1 sigma F^-T, over sigma, minus one: for a current along the sensor.
     """
     conductivity = sim.conductivity(scene)
     if conductivity is None:
@@ -48,8 +48,8 @@ def conductance_change(sim: Simulator, scene: Scene, points: Array) -> Array:
 def largest_strain(deformation: Deformation | None, points: Array) -> Array:
     """Largest principal logarithmic strain at `points` (n, 3) [m] of the flat sensor, (n,).
 
-    ln of the largest principal stretch (Hencky 1928): positive wherever volumes are kept and
-    something deforms, because one fibre at least is stretched.
+    The logarithm of the largest principal stretch (Hencky 1928) is positive wherever an
+    incompressible body deforms, because at least one fibre is stretched.
     """
     if deformation is None:
         return np.zeros(len(points))
@@ -59,25 +59,25 @@ def largest_strain(deformation: Deformation | None, points: Array) -> Array:
     return strain
 
 
-def current_density(
+def deformed_current_density(
     model: ForwardModel,
     deformation: Deformation | None,
     drive: tuple[int, int],
     conductivity: Field | None = None,
     area_ratio: AreaRatio | None = None,
 ) -> Array:
-    """Current density in the deformed body for a current of 1 A, (cells, 3) [A/m2 per A].
+    """Current density in the deformed body per unit drive current, (cells, 3) [1/m2].
 
-    A current passes through the same material faces in the flat and in the deformed body, whose
-    areas differ: j = F j_ref / J (Piola's transformation), with j_ref the mean in each cell of the
-    model and F in its middle.
+    Equal currents pass through a material face of the flat and of the deformed body, with different
+    areas: j = F j_ref / J (Piola transformation), with the mean j_ref in each cell of the model and
+    F at the cell's centre.
 
     Args:
         model: of the flat body.
-        deformation: of the body; None where it is flat.
-        drive: the electrodes that the current enters and leaves by.
+        deformation: of the body; None where the body is flat.
+        drive: electrodes where the current enters and leaves.
         conductivity: f(x), pulled back to the flat body; the design's own when omitted.
-        area_ratio: f(x, normals), deformed over flat area; 1 when omitted.
+        area_ratio: f(x, normals), ratio of deformed to flat area; 1 when omitted.
     """
     flat: Array = np.real(model.current_density(drive, conductivity, area_ratio))
     if deformation is None:
@@ -88,20 +88,20 @@ def current_density(
 
 
 def most_changed(sim: Simulator, scene: Scene) -> tuple[int, int]:
-    """The drive pair of the measurement that `scene` changes most, relative to the flat sensor's.
+    """Drive pair of the measurement with the largest relative change from the flat sensor.
 
-    Where nothing changes, the pair of largest resistance.
+    Without any change, the drive pair of the largest resistance.
     """
     flat, now = (sim.measure(s).impedance.real for s in (Scene(), scene))
     rounding = _ROUNDING * np.abs(flat).max()
-    seen = np.abs(flat) > rounding
-    change = np.where(seen, np.abs(now - flat) / np.where(seen, np.abs(flat), 1.0), 0.0)
+    nonzero = np.abs(flat) > rounding
+    change = np.where(nonzero, np.abs(now - flat) / np.where(nonzero, np.abs(flat), 1.0), 0.0)
     score = change if change.max() > _ROUNDING else np.abs(flat)
     plus, minus, *_ = sim.protocol.table[int(np.argmax(score))]
     return plus, minus
 
 
-def draw(
+def draw_scenes(
     sim: Simulator,
     scenes: Sequence[tuple[str, Scene]],
     path: str | Path,
@@ -110,16 +110,17 @@ def draw(
 ) -> None:
     """Render titled scenes below each other into a PNG at `path`, without a screen.
 
-    The gel stands at its deformed place, all scenes true to one scale, with its electrodes and
-    the indenters that press it; the encapsulation between them is left out.
+    The picture has the deformed gel with its electrodes and the indenters, all scenes at one true
+    scale; the encapsulation between gel and indenter is left out.
 
     Args:
         sim: the sensor.
         scenes: titles and scenes.
         path: of the PNG file.
         colour: "conductance", the change of `conductance_change`; "strain", `largest_strain`; or
-            "current", the magnitude of `current_density`.
-        drive: of the current; for each scene the pair that it changes most when omitted.
+            "current", the magnitude of `deformed_current_density`.
+        drive: electrodes where the current enters and leaves; `most_changed` of each scene when
+            omitted.
 
     Raises ImportError, naming the extra, where pyvista is missing, and ConfigurationError where
     the file cannot be written or the colour or an electrode does not exist.
@@ -130,7 +131,7 @@ def draw(
         Protocol(((*drive, *drive),), len(sim.design.electrodes))
     model = _model(sim) if colour == "current" else None
     flat = model.mesh if model else _mesh(sim)
-    shown = [_shown(sim, scene, flat, colour, model, drive) for _, scene in scenes]
+    shown = [_drawing(sim, scene, flat, colour, model, drive) for _, scene in scenes]
     seen = np.concatenate([part.points for one in shown for part in (one.body, *one.indenters)])
     scale = _scale(colour, [one.values for one in shown])
     panels = []
@@ -141,8 +142,8 @@ def draw(
     render(panels, path)
 
 
-class _Shown(NamedTuple):
-    """One scene as it is drawn: gel, values at its points, indenters, and the drive pair."""
+class _Drawing(NamedTuple):
+    """Drawing of one scene: deformed gel, values at its points, indenters and drive pair."""
 
     body: Mesh
     values: Array
@@ -150,25 +151,25 @@ class _Shown(NamedTuple):
     drive: tuple[int, ...]
 
 
-def _shown(
+def _drawing(
     sim: Simulator,
     scene: Scene,
     flat: Mesh,
     colour: Colour,
     model: ForwardModel | None,
     drive: tuple[int, int] | None,
-) -> _Shown:
+) -> _Drawing:
     deformation = sim.deformation(scene)
     body, indenters = _moved(flat, deformation), indenter_surfaces(sim, scene)
     if model is not None:
         pair = drive or most_changed(sim, scene)
         fields = sim.conductivity(scene), sim.area_ratio(scene)
-        density = current_density(model, deformation, pair, *fields)
+        density = deformed_current_density(model, deformation, pair, *fields)
         values = shapes.at_points(flat, 1e-3 * np.linalg.norm(density, axis=1))  # of 1 mA
-        return _Shown(body, values, indenters, pair)
+        return _Drawing(body, values, indenters, pair)
     if colour == "strain":
-        return _Shown(body, largest_strain(deformation, flat.points), indenters, ())
-    return _Shown(body, 100.0 * conductance_change(sim, scene, flat.points), indenters, ())
+        return _Drawing(body, largest_strain(deformation, flat.points), indenters, ())
+    return _Drawing(body, 100.0 * conductance_change(sim, scene, flat.points), indenters, ())
 
 
 def _grading(sim: Simulator) -> Grading:
@@ -195,7 +196,7 @@ def _moved(mesh: Mesh, deformation: Deformation | None) -> Mesh:
 
 
 def indenter_surfaces(sim: Simulator, scene: Scene) -> list[Any]:
-    """The indenters that press, where the model of touches knows how deep; turned by the bend."""
+    """Indenters in contact, rotated by the bend; none for presses in closed form."""
     if not scene.touches or sim.touch_model == "closed form":
         return []
     bent = sim.deformation(dataclasses.replace(scene, touches=()))
@@ -212,17 +213,17 @@ def indenter_surfaces(sim: Simulator, scene: Scene) -> list[Any]:
 
 
 def _scale(colour: Colour, values: Sequence[Array]) -> dict[str, Any]:
-    """Colours that all scenes share: arguments of pyvista's add_mesh."""
+    """Colour scale of all scenes, as arguments of pyvista's add_mesh."""
     everything = np.concatenate(values)
     if colour == "current":
         low, high = (float(value) for value in np.percentile(everything, [5.0, 99.9]))
         bar = colour_scale("current density for 1 mA [A/m2]", fmt="%.2g")
         clim = (max(low, 1e-3 * high), high)
         colours = {"cmap": "viridis_r", "clim": clim, "log_scale": True}
-        # Its colours hardly follow the dents, so these need the light.
+        # Colours of the current hardly show the dents, which need shading.
         return {**colours, **MATT, "scalar_bar_args": bar}
-    palest = _PALEST * (100.0 if colour == "conductance" else 1.0)
-    reach = round_number(max(float(np.abs(everything).max()), palest))
+    smallest = _SMALLEST_RANGE * (100.0 if colour == "conductance" else 1.0)
+    reach = round_number(max(float(np.abs(everything).max()), smallest))
     if colour == "strain":
         bar = colour_scale("largest principal strain, logarithmic [-]", fmt="%.3g")
         return {"cmap": "YlGnBu", "clim": (0.0, reach), **TRUE, "scalar_bar_args": bar}
@@ -231,12 +232,12 @@ def _scale(colour: Colour, values: Sequence[Array]) -> dict[str, Any]:
 
 
 def round_number(value: float) -> float:
-    """The next number above whose halves and quarters are short."""
+    """Smallest number of at least `value` with short halves and quarters."""
     power = 10.0 ** math.floor(math.log10(value))
     return power * next(step for step in _ROUND if value <= step * power * (1.0 + 1e-9))
 
 
-def _painter(flat: Mesh, shown: _Shown, scale: dict[str, Any], bar: bool) -> Any:
+def _painter(flat: Mesh, shown: _Drawing, scale: dict[str, Any], bar: bool) -> Any:
     def paint(plotter: Any) -> None:
         surface = shapes.surface(shown.body, values=shown.values, flat=flat.points)
         plotter.add_mesh(

@@ -1,4 +1,4 @@
-"""Meshes, electrodes and lines of current as pyvista draws them."""
+"""Meshes, electrodes, indenters and lines of current as pyvista data sets and actors."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -17,14 +17,14 @@ GEL, METAL, EDGE, GLASS = "#dde8f0", "#e08a2e", "#52606d", "#7d8b99"
 PLUS, MINUS = "#c0392b", "#2c5fa8"
 
 _VTK_TYPES = {8: 12, 6: 13, 4: 10}  # hexahedron, wedge, tetrahedron
-_LIFT = 3e-4  # of what lies on a surface, relative to the body's size: else both flicker
-_AWAY = 0.045  # of numbers from their electrodes, likewise
-_RADII, _AZIMUTHS = 49, 73  # of the net that an indenter is drawn as
-_DRAWN = 1.2  # height of what is drawn of an indenter, of its radius
+_LIFT = 3e-4  # of plates and lines off the surface, relative to the diagonal: else both flicker
+_AWAY = 0.045  # of numbers off their electrodes, relative to the diagonal
+_RADII, _AZIMUTHS = 49, 73  # points of an indenter's grid
+_DRAWN = 1.2  # height of the drawn part of an indenter, relative to its radius
 
 
 def volume(mesh: Mesh) -> Any:
-    """The cells of a mesh."""
+    """Unstructured grid of a mesh's cells."""
     pv = require("pyvista", "view")
     corners = mesh.cells.shape[1]
     cells = np.column_stack([np.full(len(mesh.cells), corners), mesh.cells])
@@ -33,7 +33,7 @@ def volume(mesh: Mesh) -> Any:
 
 
 def surface(mesh: Mesh, **point_values: Array) -> Any:
-    """The boundary of a mesh, with named values (points, ...) at its points."""
+    """Boundary surface of a mesh, with named values (points, ...) at its points."""
     cells = volume(mesh)
     for name, values in point_values.items():
         cells[name] = values
@@ -41,19 +41,19 @@ def surface(mesh: Mesh, **point_values: Array) -> Any:
 
 
 def at_points(mesh: Mesh, values: Array) -> Array:
-    """Values of cells (cells,) at the points, (points,): the mean of the cells around each."""
+    """Values (points,) from values of cells (cells,): the mean of the cells around each point."""
     points, corners = mesh.cells.ravel(), mesh.cells.shape[1]
     sums = np.bincount(points, np.repeat(values, corners), len(mesh.points))
     return sums / np.bincount(points, minlength=len(mesh.points))
 
 
 def revolved(indenter: Indenter, tip: Array, turned: Array) -> Any:
-    """The lower part of an indenter as a surface, open above.
+    """Lower part of an indenter as a surface of revolution, open above.
 
     Args:
-        indenter: whose profile turns about its axis.
-        tip: where its lowest point is, (3,) [m].
-        turned: rotation from upright, (3, 3).
+        indenter: with the profile to revolve.
+        tip: position of the lowest point, (3,) [m].
+        turned: rotation from the upright indenter, (3, 3).
     """
     pv = require("pyvista", "view")
     rim = indenter.rims[1]
@@ -74,26 +74,26 @@ def revolved(indenter: Indenter, tip: Array, turned: Array) -> Any:
     return net.clean(tolerance=1e-6)  # joins the ends of every ring
 
 
-def size(mesh: Mesh) -> float:
+def diagonal(mesh: Mesh) -> float:
     """Diagonal of the bounding box [m]."""
     return float(np.linalg.norm(np.ptp(mesh.points, axis=0)))
 
 
-def contact(mesh: Mesh, electrode: int) -> tuple[Array, Array]:
-    """Corners of what an electrode touches, (n, 3 or 4, 3) [m], and its mean outward normal."""
+def electrode_corners(mesh: Mesh, electrode: int) -> tuple[Array, Array]:
+    """Corners of an electrode's pieces, (n, 3 or 4, 3) [m], and mean outward normal, (3,)."""
     corners = mesh.contacts.corners[mesh.contacts.electrode == electrode]
     areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, -1] - corners[:, 0])
     normal = areas.sum(axis=0)
     return corners, normal / max(float(np.linalg.norm(normal)), np.finfo(float).tiny)
 
 
-def plate(mesh: Mesh, electrode: int, lift: float = _LIFT) -> Any:
-    """What an electrode touches, lifted off the body by this part of its size."""
+def electrode_plate(mesh: Mesh, electrode: int, lift: float = _LIFT) -> Any:
+    """Contact surface of an electrode, lifted off the body by a part `lift` of its diagonal."""
     pv = require("pyvista", "view")
-    corners, _ = contact(mesh, electrode)
+    corners, _ = electrode_corners(mesh, electrode)
     areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, -1] - corners[:, 0])
     lengths = np.maximum(np.linalg.norm(areas, axis=1), np.finfo(float).tiny)
-    corners = corners + lift * size(mesh) * (areas / lengths[:, None])[:, None]
+    corners = corners + lift * diagonal(mesh) * (areas / lengths[:, None])[:, None]
     count, sides = corners.shape[:2]
     numbers = np.arange(count * sides).reshape(count, sides)
     faces = np.column_stack([np.full(count, sides), numbers])
@@ -101,15 +101,15 @@ def plate(mesh: Mesh, electrode: int, lift: float = _LIFT) -> Any:
 
 
 def add_cells(plotter: Any, mesh: Mesh, line: float) -> None:
-    """All cells of the surface, with edges `line` pixels wide, and the electrodes."""
+    """Add all cells of the surface, with edges `line` pixels wide, and the electrodes."""
     edges = {"show_edges": True, "edge_color": EDGE, "line_width": line}
     plotter.add_mesh(surface(mesh), color=GEL, **edges, **MATT)
     for electrode in range(len(mesh.electrode_facets)):
-        plotter.add_mesh(plate(mesh, electrode), color=METAL, **edges, **MATT)
+        plotter.add_mesh(electrode_plate(mesh, electrode), color=METAL, **edges, **MATT)
 
 
 def add_body(plotter: Any, mesh: Mesh, opacity: float) -> None:
-    """The body, translucent, and its sharp edges."""
+    """Add the body, translucent, with its sharp edges."""
     body = surface(mesh)
     plotter.add_mesh(body, color=GEL, opacity=opacity, **MATT)
     edges = body.extract_feature_edges(feature_angle=40.0)
@@ -118,9 +118,9 @@ def add_body(plotter: Any, mesh: Mesh, opacity: float) -> None:
 
 
 def add_net(plotter: Any, surface: Any, mesh: Mesh, spacing: float) -> None:
-    """Lines of equal x and y of the flat body, `spacing` [m] apart, on the deformed surface.
+    """Add lines of equal x and y of the flat body, `spacing` [m] apart, on the deformed surface.
 
-    The surface has its points' flat places as `flat`.
+    The surface holds the flat positions of its points as `flat`.
     """
     for axis in (0, 1):
         low, high = surface["flat"][:, axis].min(), surface["flat"][:, axis].max()
@@ -132,19 +132,19 @@ def add_net(plotter: Any, surface: Any, mesh: Mesh, spacing: float) -> None:
 
 
 def add_electrodes(plotter: Any, mesh: Mesh, drive: tuple[int, ...] = ()) -> None:
-    """The electrodes; those of a drive pair in red and blue."""
+    """Add the electrodes, with a drive pair in red and blue."""
     colours = dict(zip(drive, (PLUS, MINUS), strict=False))
     for electrode in range(len(mesh.electrode_facets)):
         colour = colours.get(electrode, METAL)
-        plotter.add_mesh(plate(mesh, electrode), color=colour, **MATT)
+        plotter.add_mesh(electrode_plate(mesh, electrode), color=colour, **MATT)
 
 
 def add_numbers(plotter: Any, mesh: Mesh, electrodes: Sequence[int]) -> None:
-    """Numbers of electrodes, in front of each."""
+    """Add the numbers of electrodes, in front of each."""
     places = []
     for electrode in electrodes:
-        corners, normal = contact(mesh, electrode)
-        places.append(corners.mean(axis=(0, 1)) + _AWAY * size(mesh) * normal)
+        corners, normal = electrode_corners(mesh, electrode)
+        places.append(corners.mean(axis=(0, 1)) + _AWAY * diagonal(mesh) * normal)
     plotter.add_point_labels(
         np.array(places),
         [str(electrode) for electrode in electrodes],
@@ -160,7 +160,7 @@ def add_numbers(plotter: Any, mesh: Mesh, electrodes: Sequence[int]) -> None:
 
 
 def add_indenter(plotter: Any, body: Any) -> None:
-    """An indenter, translucent, and its sharp edges."""
+    """Add an indenter, translucent, with its sharp edges."""
     plotter.add_mesh(body, color=GLASS, opacity=0.25, smooth_shading=True, **MATT)
     edges = body.extract_feature_edges(feature_angle=20.0)
     if edges.n_cells:
@@ -168,26 +168,26 @@ def add_indenter(plotter: Any, body: Any) -> None:
 
 
 def add_rim(plotter: Any, mesh: Mesh, electrode: int, direction: Array) -> None:
-    """The edge of an electrode, for an eye in `direction`."""
-    whole = plate(mesh, electrode, lift=0.0).clean(tolerance=1e-6)
+    """Add the edge of an electrode, for a viewer in `direction`."""
+    whole = electrode_plate(mesh, electrode, lift=0.0).clean(tolerance=1e-6)
     rim = whole.extract_feature_edges(feature_edges=False, manifold_edges=False)
     plotter.add_mesh(towards(direction, rim, mesh), color=PLUS, line_width=3.0)
 
 
 def towards(direction: Array, lines: Any, mesh: Mesh) -> Any:
-    """Lines on the surface, moved towards an eye in `direction`; on the screen they stay."""
-    return lines.translate(5.0 * _LIFT * size(mesh) * direction, inplace=False)
+    """Lines on the surface moved towards a viewer in `direction`, in place on the screen."""
+    return lines.translate(5.0 * _LIFT * diagonal(mesh) * direction, inplace=False)
 
 
 def lines_of_current(mesh: Mesh, density: Array, plus: int, count: int) -> Any:
-    """Lines along the current density (cells, 3) that begin on an electrode, evenly by current."""
+    """Streamlines of the current density (cells, 3) from an electrode, of equal current each."""
     cells = volume(mesh)
     cells.cell_data["density"] = density
     lines = cells.cell_data_to_point_data().streamlines_from_source(
         _seeds(mesh, density, plus, count),
         vectors="density",
         integration_direction="forward",
-        max_length=20.0 * size(mesh),
+        max_length=20.0 * diagonal(mesh),
         max_steps=8000,
         initial_step_length=0.1,
         max_step_length=0.25,
@@ -199,7 +199,7 @@ def lines_of_current(mesh: Mesh, density: Array, plus: int, count: int) -> Any:
 
 
 def _seeds(mesh: Mesh, density: Array, plus: int, count: int) -> Any:
-    """Places just inside an electrode, as many as the current through each piece asks for."""
+    """Seed points just inside an electrode, distributed by the current through each piece."""
     pv = require("pyvista", "view")
     contacts = mesh.contacts
     mine = np.flatnonzero(contacts.electrode == plus)

@@ -1,4 +1,4 @@
-"""A scene's deformed sensor and its fields as VTK files, which ParaView opens."""
+"""VTK files of a scene's deformed sensor and its fields, for ParaView."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -28,11 +28,11 @@ Arrays = dict[str, NDArray[Any]]
 Drive = tuple[int, int]
 
 BODY, ELECTRODES = "body.vtu", "electrodes.vtp"
-_CELLS = 60  # along the longer side: dents show, and impedances are within 2e-4 of converged
+_CELLS = 60  # along the longer side: dents are visible, impedances within 2e-4 of converged
 
 
 def field_resolution(design: SensorDesign, cell: float | None = None) -> Discretisation:
-    """The standard resolution with cells small enough for fields that are shown cell by cell.
+    """Standard resolution with cells small enough for fields drawn cell by cell.
 
     Args:
         design: the sensor.
@@ -54,28 +54,28 @@ def field_resolution(design: SensorDesign, cell: float | None = None) -> Discret
 def scene_grids(
     sim: Simulator, scene: Scene, drives: Sequence[Drive] | None = None
 ) -> dict[str, Any]:
-    """The deformed body and its electrodes with their fields, by the names of their files.
+    """Grids of the deformed body and electrodes with their fields, by file name.
 
-    Everything stands at its deformed place and in SI units, which the names of the fields end in;
-    `1` is dimensionless. Potentials and current densities are for a current of 1 A; potentials
-    count from the mean of the electrodes; where they are complex, their real part.
+    Positions are deformed ones, in SI units; names of fields end in their unit, with `1` for
+    dimensionless ones. Potentials and current densities are for a current of 1 A; potentials are
+    relative to the mean of the electrode potentials; the real part stands for complex values.
 
     body.vtu, at points: `displacement_m`; `largest_strain_1`, logarithmic, see
     `view.largest_strain`; `thinning_1`, see `thinning`; `potential_A_B_V_per_A`. In cells:
     `conductivity_S_per_m`, F K F^T / J of the deformed body, and
-    `pulled_back_conductivity_S_per_m`, K = J F^-1 sigma F^-T of the flat body that is solved, both
+    `pulled_back_conductivity_S_per_m`, K = J F^-1 sigma F^-T of the flat body of the solution, both
     (3, 3) row by row; `current_density_A_B_A_per_m2_per_A`, the mean.
 
-    electrodes.vtp, in the pieces of cell faces that electrodes touch: `electrode`, its number;
+    electrodes.vtp, in the pieces of cell faces that electrodes cover: `electrode`, the number;
     `contact_impedance_ohm_m2`; `potential_A_B_V_per_A` of the electrode.
 
     Args:
         sim: the sensor; see `field_resolution`.
-        scene: what happens to it.
-        drives: electrodes that a current enters and leaves by; those of `sim.protocol` when
+        scene: bend, touches and the like.
+        drives: pairs of electrodes where a current enters and leaves; those of `sim.protocol` when
             omitted.
 
-    Returns grids of pyvista.
+    Returns pyvista grids under "body.vtu" and "electrodes.vtp".
 
     Raises ImportError, naming the extra, where pyvista is missing, and ConfigurationError for
     electrodes that do not exist.
@@ -93,16 +93,16 @@ def scene_grids(
 
 
 def write_grids(grids: Mapping[str, Any], folder: str | Path) -> None:
-    """Write grids as binary files of VTK; raises ConfigurationError where that fails."""
+    """Write grids as binary VTK files; raises ConfigurationError where a file cannot be written."""
     for name, grid in grids.items():
         with atomic_file(Path(folder) / name) as temporary:
             grid.save(temporary, binary=True)
 
 
 def thinning(sim: Simulator, deformation: Deformation | None, points: Array) -> Array:
-    """1 - thickness over flat thickness of the layer at x and y of flat `points` (n, 3) [m], (n,).
+    """Relative loss of thickness at flat `points` (n, 3) [m], (n,).
 
-    The thickness is the distance of the deformed places of what was above each other.
+    The deformed thickness is the distance of lower and upper face at the x and y of a point.
     """
     if deformation is None:
         return np.zeros(len(points))
@@ -144,7 +144,7 @@ def _point_fields(
 def _cell_fields(
     sim: Simulator, setting: DeformedLayer, fields: Fields, drives: Sequence[Drive]
 ) -> Arrays:
-    """Moved into the deformed body by Piola's transformation, see `view.current_density`."""
+    """Fields pushed forward into the deformed body, see `deformed_current_density`."""
     mesh = sim.model.mesh
     middles = mesh.points[mesh.cells].mean(axis=1)
     pulled_back, F = setting.conductivity(middles), np.broadcast_to(np.eye(3), (len(middles), 3, 3))
@@ -164,7 +164,7 @@ def _cell_fields(
 
 
 def _plates(mesh: Mesh, deformation: Deformation | None) -> Any:
-    """The pieces of cell faces that electrodes touch, at their deformed places."""
+    """Pieces of cell faces that electrodes cover, at their deformed positions."""
     pv = require("pyvista", "view")
     corners = _placed(deformation, mesh.contacts.corners)
     count, sides = corners.shape[:2]

@@ -64,8 +64,8 @@ def test_shapes_have_the_volume_and_the_electrodes_of_the_mesh(bar, kind) -> Non
         pytest.importorskip("pytetwild")
     mesh = mesh_design(bar, COARSE, kind)
     assert shapes.volume(mesh).volume == pytest.approx(0.040 * 0.010 * 0.005, rel=1e-5)
-    assert shapes.plate(mesh, 1).area == pytest.approx(0.010 * 0.005, rel=1e-6)
-    _, normal = shapes.contact(mesh, 1)
+    assert shapes.electrode_plate(mesh, 1).area == pytest.approx(0.010 * 0.005, rel=1e-6)
+    _, normal = shapes.electrode_corners(mesh, 1)
     assert normal == pytest.approx([1.0, 0.0, 0.0], abs=1e-6)
 
 
@@ -145,7 +145,7 @@ def test_electrodes_are_seen_from_in_front() -> None:
 
     mesh = mesh_design(SensorDesign.reference(), COARSE)
     for electrode in range(8):
-        _, normal = shapes.contact(mesh, electrode)
+        _, normal = shapes.electrode_corners(mesh, electrode)
         eye = in_front(mesh, electrode)
         assert normal @ eye > 0.5
         assert np.linalg.norm(eye) == pytest.approx(1.0)

@@ -19,8 +19,8 @@ from eitskin.simulator.view import scene_pictures as view
 from eitskin.simulator.view import shapes
 from eitskin.simulator.view.scene_pictures import (
     conductance_change,
-    current_density,
-    draw,
+    deformed_current_density,
+    draw_scenes,
     indenter_surfaces,
     largest_strain,
     most_changed,
@@ -76,7 +76,7 @@ def test_the_current_in_a_stretched_and_turned_block_is_uniform(bar) -> None:
     affine = Displaced(lambda x: x @ (F - np.eye(3)).T)
     model = ForwardModel(bar, ((1, 1), Grading(2e-3, 2e-3, 1.0, 2)))
     tensor = np.broadcast_to(pulled_back(F), (len(model.mesh.cells), 3, 3))
-    found = current_density(model, affine, (0, 1), tensor)
+    found = deformed_current_density(model, affine, (0, 1), tensor)
     area = 0.9 * WIDTH * 0.7 * THICKNESS
     assert found == pytest.approx(np.tile([c / area, 0.0, s / area], (len(found), 1)), abs=1e-3)
 
@@ -88,7 +88,9 @@ def test_the_current_in_a_bent_bar_falls_with_the_radius(bar) -> None:
     scene = Scene(Bend(angle))
     bent = sim.deformation(scene)
     model = ForwardModel(bar, ((1, 1), Grading(1e-3, 1e-3, 1.0, 10)))
-    j = current_density(model, bent, (0, 1), sim.conductivity(scene), sim.area_ratio(scene))
+    j = deformed_current_density(
+        model, bent, (0, 1), sim.conductivity(scene), sim.area_ratio(scene)
+    )
     # The centre of the arc: the ends are `angle` apart, symmetrical about the middle.
     half = math.radians(0.5 * angle)
     inner, outer = (
@@ -114,7 +116,9 @@ def test_all_current_passes_every_section_of_a_bent_pressed_sensor(sim) -> None:
     model = ForwardModel(sim.design, ((1, 1), Grading(2.5e-3, 2.5e-3, 1.0, 2)))
     scene = Scene(Bend(30.0), (Touch(0.100, 0.030),))
     deformation = sim.deformation(scene)
-    j = current_density(model, deformation, (7, 3), sim.conductivity(scene), sim.area_ratio(scene))
+    j = deformed_current_density(
+        model, deformation, (7, 3), sim.conductivity(scene), sim.area_ratio(scene)
+    )
     corners = model.mesh.points[model.mesh.cells]
     F = deformation.gradient(corners.mean(axis=1))
     # The area of the image of a section is J F^-T e_x (Nanson).
@@ -214,7 +218,7 @@ def bent_and_pressed() -> Scene:
 @pytest.mark.parametrize("colour", ["conductance", "strain", "current"])
 def test_a_bent_pressed_sensor_is_drawn_whole(sim, bent_and_pressed, colour, tmp_path) -> None:
     path = tmp_path / "scene.png"
-    draw(sim, [("bent and pressed", bent_and_pressed)], path, colour)
+    draw_scenes(sim, [("bent and pressed", bent_and_pressed)], path, colour)
     pixels = picture(path)
     assert (pixels.min(axis=2) < 250).mean() > 0.15
     rim = np.concatenate([pixels[-3:].reshape(-1, 3), pixels[:, -3:].reshape(-1, 3)])
@@ -228,7 +232,7 @@ def test_a_bent_pressed_sensor_is_drawn_whole(sim, bent_and_pressed, colour, tmp
 @pytest.mark.usefixtures("few_cells")
 def test_a_press_is_red_where_it_is_and_nowhere_else(sim, tmp_path) -> None:
     scenes = [Scene(), Scene(touches=(Touch(0.05, 0.02),))]
-    draw(sim, [(f"{i}", scene) for i, scene in enumerate(scenes)], tmp_path / "two.png")
+    draw_scenes(sim, [(f"{i}", scene) for i, scene in enumerate(scenes)], tmp_path / "two.png")
     pixels = picture(tmp_path / "two.png")
     red = (pixels[..., 0] > 100) & (pixels[..., 1] < 90) & (pixels[..., 2] < 90)
     red &= pixels[..., 0] - pixels[..., 1] > 80  # electrodes are orange
@@ -243,21 +247,21 @@ def test_a_press_is_red_where_it_is_and_nowhere_else(sim, tmp_path) -> None:
 def test_a_flat_sensor_is_drawn_in_every_colour(bar, tmp_path) -> None:
     flat = Simulator(bar, "fast", Hinge(span=0.02))
     for colour in ("conductance", "strain", "current"):
-        draw(flat, [("flat", Scene())], tmp_path / f"{colour}.png", colour)
+        draw_scenes(flat, [("flat", Scene())], tmp_path / f"{colour}.png", colour)
         assert (picture(tmp_path / f"{colour}.png").min(axis=2) < 250).mean() > 0.05
 
 
 def test_pictures_that_cannot_be_drawn_are_refused(sim, tmp_path, monkeypatch) -> None:
     scenes = [("flat", Scene())]
     with pytest.raises(ConfigurationError, match="conductance', 'strain', 'current'"):
-        draw(sim, scenes, tmp_path / "a.png", "red")
+        draw_scenes(sim, scenes, tmp_path / "a.png", "red")
     with pytest.raises(ConfigurationError, match="0 to 7"):
-        draw(sim, scenes, tmp_path / "a.png", "current", (0, 8))
+        draw_scenes(sim, scenes, tmp_path / "a.png", "current", (0, 8))
     with pytest.raises(ConfigurationError, match=r"a\.png"):
-        draw(sim, scenes, tmp_path / "a.gif")
+        draw_scenes(sim, scenes, tmp_path / "a.gif")
     with pytest.raises(ConfigurationError, match="folder"):
-        draw(sim, scenes, tmp_path / "none" / "a.png")
+        draw_scenes(sim, scenes, tmp_path / "none" / "a.png")
     monkeypatch.setitem(sys.modules, "pyvista", None)
     with pytest.raises(ImportError, match=r"pip install 'eitskin\[view\]'"):
-        draw(sim, scenes, tmp_path / "a.png")
+        draw_scenes(sim, scenes, tmp_path / "a.png")
     assert list(tmp_path.iterdir()) == []

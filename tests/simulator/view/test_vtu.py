@@ -19,7 +19,7 @@ from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import Protocol, Scene, Simulator, Touch
 from eitskin.simulator.electrical.fields import fields_in
 from eitskin.simulator.view import shapes
-from eitskin.simulator.view.scene_pictures import current_density, largest_strain
+from eitskin.simulator.view.scene_pictures import deformed_current_density, largest_strain
 from eitskin.simulator.view.vtu import (
     BODY,
     ELECTRODES,
@@ -85,7 +85,7 @@ def test_fields_are_those_of_the_model(sim, written) -> None:
     for plus, minus, *_ in sim.protocol.table:
         said = body[f"potential_{plus}_{minus}_V_per_A"]
         assert close(said, u[:, plus] - u[:, minus], 1e-9)
-    density = current_density(sim.model, deformation, (2, 5), *fields)
+    density = deformed_current_density(sim.model, deformation, (2, 5), *fields)
     said = body["current_density_2_5_A_per_m2_per_A"]
     assert close(said, density, 1e-9)
     middles = mesh.points[mesh.cells].mean(axis=1)
