@@ -13,6 +13,8 @@ from eitskin.hardware import Script, Step, open_board, run_live
 from eitskin.simulator import Scene
 from eitskin.training import NetworkSettings, Pipeline, TrainingSettings
 
+from shards_here import in_this_process
+
 README = Path(__file__).resolve().parents[2] / "README.md"
 RECIPE = """
 name = "small"
@@ -38,7 +40,9 @@ force = [10, 10]
 def folder(tmp_path_factory) -> Path:
     """Where the pipeline lies that a small generated dataset was trained on."""
     place = tmp_path_factory.mktemp("thread")
-    generate(parse_toml(Recipe, RECIPE), place / "small", workers=2)
+    with pytest.MonkeyPatch.context() as patch:
+        in_this_process(patch)
+        generate(parse_toml(Recipe, RECIPE), place / "small")
     brief = NetworkSettings(3e-3, epochs=8, batch=16)
     pipeline = Pipeline.fit(
         open_dataset(place / "small"), TrainingSettings(classifier=brief, postprocessor=brief)
