@@ -43,10 +43,12 @@ lint: $(VENV)/installed
 
 # The reference as HTML that needs no network, in build/docs: every public name, and the modules
 # that pages tell of beside them.
-REFERENCE := geometry geometry.bend geometry.deformation geometry.layouts geometry.twist \
-	simulator simulator.bend_table simulator.clamped simulator.history simulator.materials \
-	simulator.pressed simulator.relaxation simulator.vtu \
-	datasets training training.cramer_rao hardware
+REFERENCE := geometry geometry.deformation.fixtures geometry.deformation.kinematics \
+	geometry.deformation.twist geometry.design.regular_layouts \
+	simulator simulator.mechanics.bend_3d simulator.mechanics.bend_table \
+	simulator.mechanics.materials simulator.mechanics.press_3d \
+	simulator.mechanics.viscoelasticity simulator.view.vtu \
+	datasets training training.evaluation.cramer_rao hardware
 docs: $(VENV)/installed
 	$(BIN)/python -m pdoc --docformat google --output-directory build/docs \
 		$(addprefix eitskin.,$(REFERENCE))

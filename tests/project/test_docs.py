@@ -132,3 +132,10 @@ def test_what_the_physics_names_is_there():
         source = "".join(path.read_text() for path in (ROOT / "tests").rglob(f"{module}.py"))
         assert source, f"docs/physics.md names {module}, and tests hold no {module}.py"
         assert not test or re.search(rf"^ *def {test}\(", source, re.MULTILINE), f"{module}.{test}"
+
+
+def test_what_make_docs_shows_is_there():
+    makefile = (ROOT / "Makefile").read_text().replace("\\\n", " ")
+    (names,) = re.findall(r"^REFERENCE := (.*)$", makefile, re.MULTILINE)
+    for name in names.split():
+        assert importlib.util.find_spec(f"eitskin.{name}"), name
