@@ -1,4 +1,8 @@
-"""Boards: the wire, the host's side of it, virtual boards, recordings, and the live loop."""
+"""Boards, real and virtual: wire protocol, host, firmware, sensor check and live loop.
+
+Data pass `protocol` (bytes to messages), `boards` (messages to frames), `opening` (a board by its
+URI), `live` (frames to estimates), `export` (files); `virtual` simulates what stands behind a port.
+"""
 
 from eitskin.lazy import lazy_exports
 

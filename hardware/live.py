@@ -1,4 +1,4 @@
-"""The live loop: from a board's frames to what the pipeline makes of them."""
+"""Live loop: frames of a board through a pipeline, with latency, rate and damaged frames."""
 
 import time
 import typing
@@ -15,38 +15,38 @@ from eitskin.frame import Frame
 
 
 class Estimate(typing.Protocol):
-    """What a pipeline says of one frame."""
+    """Result of a pipeline for one frame."""
 
     @property
     def state(self) -> State | str:
-        """Idle, touched or bent."""
+        """State: idle, touched or bent."""
 
     @property
     def probabilities(self) -> Sequence[float] | NDArray[np.floating]:
-        """Of the states, in their order, summing to one, (3,)."""
+        """Probabilities of the states, in their order, summing to one, (3,)."""
 
     @property
     def bend_angle_deg(self) -> float:
-        """Bend angle; NaN where it is unknown."""
+        """Bend angle [deg]; NaN where unknown."""
 
     @property
     def touch_map(self) -> NDArray[np.floating]:
-        """Picture of the touches, (32, 80), 0 to 1; rows and columns grow with y and x."""
+        """Touch map, (32, 80), 0 to 1; rows and columns grow with y and x."""
 
     @property
     def touches(self) -> Sequence[tuple[float, float, float]]:
-        """Each touch as x [m], y [m] and strength."""
+        """Touches as (x [m], y [m], strength)."""
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """Why not to trust this estimate; empty when all is well."""
+        """Reasons not to trust the estimate; empty without doubts."""
 
 
 class FramePipeline(typing.Protocol):
-    """Anything that makes an estimate of a frame."""
+    """Pipeline as far as the live loop uses it: one frame in, one estimate out."""
 
     def process(self, frame: Frame) -> Estimate:
-        """The estimate for `frame`."""
+        """Estimate for `frame`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,12 +54,12 @@ class Reading:
     """One turn of the live loop.
 
     Attributes:
-        frame: as the board gave it.
-        estimate: what the pipeline makes of it; None where the frame is too damaged for one.
-        latency: from having the frame to having the estimate [s].
-        rate: frames per second over the last seconds; NaN for the first.
+        frame: frame of the board, unchanged.
+        estimate: result of the pipeline; None for a frame too damaged for one.
+        latency: time from the frame to its estimate [s].
+        rate: mean frame rate over the last 20 frames [Hz]; NaN for the first.
         unusable: frames so far that were too damaged for an estimate.
-        problem: why there is no estimate.
+        problem: reason for a missing estimate; empty otherwise.
     """
 
     frame: Frame
@@ -71,10 +71,10 @@ class Reading:
 
 
 class FrameSource(typing.Protocol):
-    """A `Board`, or a `Connection` to one."""
+    """A `Board` or a `Connection`, as far as the live loop uses them."""
 
     def frames(self, newest: bool = False) -> Iterator[Frame]:
-        """The frames, as they come."""
+        """Frames as they come; with `newest`, older waiting frames are skipped."""
 
 
 def run_live(
@@ -83,21 +83,21 @@ def run_live(
     newest: bool = True,
     clock: Callable[[], float] = time.perf_counter,
 ) -> Iterator[Reading]:
-    """Read, process and hand out, frame by frame.
+    """Estimates of a board's frames, one reading per frame.
 
     Args:
         board: an open board; a `Connection` where it may go away and come back.
         pipeline: makes an estimate of every frame.
-        newest: skip frames that another has overtaken, so that what is shown is never old and no
-            queue grows; the board counts them.
-        clock: seconds, for latency and rate.
+        newest: skip all but the newest waiting frame, so that no queue grows and no reading is
+            old; the board counts the skipped frames.
+        clock: time for latency and rate [s].
 
-    A damaged frame is counted, and handed out with the reason instead of an estimate.
+    A damaged frame is counted, and its reading has the reason instead of an estimate.
 
     Raises:
         DeviceError: where the board falls silent or goes away.
-        FrameError: for a board of another sensor; not once there was an estimate, for then it is
-            the board that has gone wrong, and it may come round.
+        FrameError: for a board of another sensor. After a first estimate the sensor is the right
+            one: later errors count as damaged frames, since the board may recover.
     """
     unusable = 0
     known = False
@@ -117,7 +117,7 @@ def run_live(
 
 
 def _rate(arrivals: deque[float]) -> float:
-    """Frames per second [Hz]; NaN where there is no interval yet."""
+    """Mean frame rate of the arrivals [Hz]; NaN without an interval."""
     if len(arrivals) < 2 or arrivals[-1] <= arrivals[0]:
         return float("nan")
     return (len(arrivals) - 1) / (arrivals[-1] - arrivals[0])

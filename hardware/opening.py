@@ -1,4 +1,4 @@
-"""Opening a board by its URI."""
+"""Opening of a board by its URI."""
 
 import difflib
 from collections.abc import Callable, Mapping
@@ -18,7 +18,7 @@ def open_board(uri: str, **options: Any) -> Board:
         options: the same options, for values that are not text.
 
     Raises:
-        ConfigurationError: for a URI or option that cannot be.
+        ConfigurationError: for an unknown URI or option, or an option out of range.
         DeviceError: where the port is missing, in use, or no board answers as expected.
         DataError: for a recording that cannot be replayed.
     """
@@ -38,7 +38,7 @@ def open_board(uri: str, **options: Any) -> Board:
 
 
 Readers = Mapping[str, Callable[[str], Any] | None]
-"""What reads each option from text; None where text cannot say it."""
+"""Parser of each option's text; None for options that have no text form."""
 
 
 def _require_known(scheme: str, name: str, readers: Readers) -> None:
@@ -47,7 +47,7 @@ def _require_known(scheme: str, name: str, readers: Readers) -> None:
 
 
 def _read_options(scheme: str, query: str, readers: Readers) -> dict[str, Any]:
-    """The options in a URI's query, each read by its reader."""
+    """Options of a URI's query, parsed."""
     options = {}
     for name, text in parse_qsl(query, keep_blank_values=True):
         _require_known(scheme, name, readers)

@@ -1,1 +1,5 @@
-"""Boards that give frames: on a serial port, printing text, or replayed from a recording."""
+"""Sources of frames behind one interface, `board.Board`: serial, text and replay.
+
+Bytes come from a `port`, which a `ReopenablePort` opens again; a board makes frames of them; a
+`Connection` goes on over interruptions.
+"""

@@ -1,4 +1,4 @@
-"""The interface of every board: its frames, its identity, and what has come through."""
+"""Interface of every board: frames, identity, counts."""
 
 import math
 import typing
@@ -14,14 +14,14 @@ from eitskin.protocol import Protocol
 
 @dataclass(frozen=True, slots=True)
 class Counts:
-    """What has come through and what has not.
+    """Counts of frames and of dropped data since a board was opened.
 
     Attributes:
-        frames: given out.
-        lost: missing by their numbers; never made up.
-        skipped: good, but older than the newest when the newest was asked for.
-        dropped: byte strings and messages thrown away, by reason.
-        reconnections: how often it has gone away and come back.
+        frames: frames given out.
+        lost: frames missing by their numbers; never interpolated.
+        skipped: good frames left out because a newer one was waiting.
+        dropped: packets, messages or lines that could not be used, by reason.
+        reconnections: connections after the first.
     """
 
     frames: int = 0
@@ -32,32 +32,32 @@ class Counts:
 
 
 SILENT_PERIODS = 3
-SHORTEST_SILENCE = 0.5  # s; a host that is busy for a moment is no silent board
+SHORTEST_SILENCE = 0.5  # s, a host may be busy for as long
 
 
 def longest_silence(period: float, least: float = SHORTEST_SILENCE) -> float:
-    """How long no frame may come from a board with that period [s]; NaN or 0 is unknown."""
+    """Longest time without a frame at `period` [s]; infinite for an unknown period, NaN or 0."""
     return max(SILENT_PERIODS * period, least) if period > 0.0 else math.inf
 
 
 class Board(typing.Protocol):
-    """A source of frames: a board on a port, a virtual one, or a recording of one."""
+    """Source of frames: a board on a port, a virtual board, or a recording."""
 
     @property
     def uri(self) -> str:
-        """What it was opened as."""
+        """URI that the board was opened by."""
 
     @property
     def info(self) -> Info:
-        """Who it is."""
+        """Identity and settings of the board."""
 
     @property
     def protocol(self) -> Protocol:
-        """What it measures."""
+        """Stimulation and measurement pattern of the frames."""
 
     @property
     def counts(self) -> Counts:
-        """What has come through so far."""
+        """Counts of frames and dropped data so far."""
 
     @property
     def stage(self) -> Any:
@@ -65,25 +65,25 @@ class Board(typing.Protocol):
 
     @property
     def lost(self) -> int:
-        """Frames lost so far."""
+        """Number of frames lost so far."""
 
     def frames(self, newest: bool = False) -> Iterator[Frame]:
-        """The frames, as they come; with `newest`, those that another has overtaken are left out.
+        """Frames as they come; with `newest`, all but the newest waiting frame are skipped.
 
         Raises DeviceError where the board falls silent or goes away.
         """
 
     def calibrate(self) -> None:
-        """Have it measure its calibration resistor again; raises where it cannot."""
+        """Measure the calibration resistor again; raises an error where the board cannot."""
 
     def reconnect(self) -> None:
-        """Connect again, after which `frames` goes on; raises DeviceError where that fails."""
+        """Connect again; `frames` then goes on. Raises DeviceError where that fails."""
 
     def close(self) -> None:
-        """Stop and let go of the port; a second time does nothing."""
+        """Stop the board and close the port; a second call does nothing."""
 
     def __enter__(self) -> Self:
-        """Give the board itself."""
+        """Return the board itself."""
 
     def __exit__(
         self,

@@ -1,4 +1,4 @@
-"""Frames of a board that may go away: it is connected to again and again until it is back."""
+"""Frames of a board over interruptions: reconnection with growing pauses."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -13,25 +13,25 @@ LONGEST_PAUSE = 5.0  # s; the pause doubles until then
 
 
 class Connection:
-    """A board that is kept for as long as it takes.
+    """Board that is reconnected until frames come again.
 
     Attributes:
-        board: that gives the frames.
-        problem: why none come; empty while they do.
-        tell: told of each new problem, and of its end.
+        board: source of the frames.
+        problem: reason why no frames come; empty while frames come.
+        tell: called with each new problem, and with its end.
     """
 
     def __init__(self, board: Board, wait: Callable[[float], None] = time.sleep) -> None:
-        """Keep `board`, which is open; `wait` waits so many seconds."""
+        """Take the open `board`; `wait` sleeps for a number of seconds."""
         self.board, self._wait = board, wait
         self.problem = ""
         self.tell: Callable[[str], None] = lambda _: None
 
     def frames(self, newest: bool = False) -> Iterator[Frame]:
-        """The board's frames, as `Board.frames` gives them, over all interruptions.
+        """Frames of the board, as `Board.frames` gives them, over all interruptions.
 
-        Raises DeviceError where connecting again cannot help: another board answers, or this one
-        was closed.
+        Raises UnrecoverableError, a DeviceError, where connecting again cannot help: another
+        board answers, or this board was closed.
         """
         pause = FIRST_PAUSE
         while True:
@@ -49,10 +49,10 @@ class Connection:
             pause = self._come_back(pause)
 
     def _come_back(self, pause: float) -> float:
-        """Connect again, however long it takes; returns the pause to begin with next time [s]."""
+        """Connect again, however long that takes; returns the first pause of the next time [s]."""
         while True:
             self._wait(pause)
-            # Doubled after success too: a board that goes away at once again is not hammered.
+            # Doubled after success too: a board that goes away again at once is asked rarely.
             pause = min(2.0 * pause, LONGEST_PAUSE)
             try:
                 self.board.reconnect()

@@ -1,4 +1,4 @@
-"""Serial ports: what is used of one, finding and opening one, and what to do where that fails."""
+"""Serial ports: listing, finding by USB serial number, opening, and remedies for failures."""
 
 import errno
 import importlib
@@ -14,40 +14,40 @@ from eitskin.extras import require
 
 BAUD = 921600
 GONE: tuple[type[Exception], ...] = (OSError, TypeError)
-"""What pyserial raises where the port has gone: SerialException (an OSError) from read and write,
+"""Errors of pyserial for a port that has gone: SerialException (an OSError) from read and write,
 OSError from in_waiting, termios.error from reset_input_buffer, TypeError where another thread
-has closed it."""
+has closed the port."""
 if importlib.util.find_spec("termios"):
     GONE += (importlib.import_module("termios").error,)
 
 _UNOPENED: tuple[type[Exception], ...] = (*GONE, ValueError)
 
-_POLL = 0.05  # s, how long one read waits at most
+_POLL = 0.05  # s, longest wait of one read
 _SEND_WITHIN = 0.5  # s
 
 
 class SerialPort(typing.Protocol):
-    """What is used of a pyserial port."""
+    """A pyserial port, as far as boards use it."""
 
     @property
     def in_waiting(self) -> int:
-        """Bytes that can be read at once."""
+        """Number of bytes that can be read at once."""
 
     def read(self, size: int = 1) -> bytes:
-        """At most `size` bytes; fewer, or none, after a short while."""
+        """Up to `size` received bytes; fewer, or none, after a short while."""
 
     def write(self, data: bytes) -> int | None:
         """Send `data`."""
 
     def reset_input_buffer(self) -> None:
-        """Throw away what came and was not read."""
+        """Discard received bytes that were not read."""
 
     def close(self) -> None:
-        """Let go of the port."""
+        """Close the port."""
 
 
 def open_port(path: str, uri: str, baud: int = BAUD) -> SerialPort:
-    """A pyserial port, 8N1 without flow control, locked for this process."""
+    """Open a pyserial port, 8N1 without flow control, locked for this process."""
     serial = require("serial", "hardware")
     try:
         port: SerialPort = serial.Serial(
@@ -59,7 +59,7 @@ def open_port(path: str, uri: str, baud: int = BAUD) -> SerialPort:
 
 
 def remedy(error: Exception) -> str:
-    """What went wrong on opening a port and what to do."""
+    """Cause of a failure to open a port, and its remedy."""
     number = getattr(error, "errno", None)
     if number == errno.ENOENT:
         return f"there is none of this name; check the cable. {ports_here()}"
@@ -72,13 +72,13 @@ def remedy(error: Exception) -> str:
 
 @dataclass(frozen=True, slots=True)
 class PortInfo:
-    """A serial port of this machine, and the USB device behind it.
+    """Serial port of this machine and its USB device.
 
     Attributes:
-        device: its path, or name on Windows.
-        description, manufacturer: as the device says; empty where unknown.
-        vid, pid: USB vendor and product; None for a port that is not of USB.
-        serial_number: of the USB device; empty where it has none.
+        device: path of the port, or its name on Windows.
+        description, manufacturer: texts of the device; empty where unknown.
+        vid, pid: numbers of USB vendor and product; None for a port without USB.
+        serial_number: USB serial number; empty where the device has none.
     """
 
     device: str
@@ -90,19 +90,19 @@ class PortInfo:
 
     @property
     def uri(self) -> str:
-        """What opens it, by serial number where it has one, since its path may change."""
+        """URI of the port, by USB serial number where there is one, since paths change."""
         number = quote(self.serial_number)
         return f"serial:?usb={number}" if number else f"serial:{self.device}"
 
     def __str__(self) -> str:
-        """In words."""
+        """Path, description, manufacturer, USB numbers and serial number."""
         usb = f"{self.vid:04x}:{self.pid or 0:04x}" if self.vid is not None else "no USB"
         told = (self.description, self.manufacturer, usb, self.serial_number)
         return f"{self.device} ({', '.join(filter(None, told))})"
 
 
 def serial_ports() -> tuple[PortInfo, ...]:
-    """The serial ports of this machine, by path."""
+    """Serial ports of this machine, ordered by path."""
     found = require("serial.tools.list_ports", "hardware").comports()
     ports = (
         PortInfo(
@@ -119,13 +119,13 @@ def serial_ports() -> tuple[PortInfo, ...]:
     return tuple(sorted(ports, key=lambda port: port.device))
 
 
-Ports = Callable[[], tuple[PortInfo, ...]]
+PortList = Callable[[], tuple[PortInfo, ...]]
 
 
-def find_port(usb_serial: str, ports: Ports = serial_ports) -> str:
-    """Path of the port whose USB serial number that is, wherever it is now.
+def find_port(usb_serial: str, ports: PortList = serial_ports) -> str:
+    """Path of the port with the USB serial number `usb_serial`.
 
-    Raises DeviceError where there is none, or where several devices have the same number.
+    Raises DeviceError where no device, or more than one, has that number.
     """
     found = [port for port in ports() if port.serial_number == usb_serial]
     if not found:
@@ -141,14 +141,14 @@ def find_port(usb_serial: str, ports: Ports = serial_ports) -> str:
     return found[0].device
 
 
-def usb_serial_of(path: str, ports: Ports = serial_ports) -> str:
-    """USB serial number of the device at `path`, which may be a link; empty where it has none."""
+def usb_serial_of(path: str, ports: PortList = serial_ports) -> str:
+    """USB serial number of the device at `path`, which may be a link; empty without one."""
     here = {Path(port.device): port.serial_number for port in ports()}
     return here.get(Path(path).resolve(), "")
 
 
-def only_usb_port(scheme: str, ports: Ports = serial_ports) -> str:
-    """Path of the one USB serial port of this machine; raises ConfigurationError without one."""
+def only_usb_port(scheme: str, ports: PortList = serial_ports) -> str:
+    """Path of the only USB serial port; raises ConfigurationError for none or several."""
     found = [port for port in ports() if port.vid is not None]
     if len(found) != 1:
         count = f"there are {len(found)}" if found else "there is none"
@@ -164,20 +164,20 @@ def connector(
     uri: str,
     baud: int = BAUD,
     usb: str = "",
-    ports: Ports = serial_ports,
+    ports: PortList = serial_ports,
     opened: Callable[[str, str, int], SerialPort] = open_port,
 ) -> Callable[[], SerialPort]:
-    """What opens a port, and opens it again after it has gone, at another path if need be.
+    """Function that opens a port, also when its device has come back at another path.
 
     Args:
-        path: of the port; empty for the one of `usb`, or the only USB port there is.
-        uri: to name it in messages.
-        baud: of the port.
-        usb: serial number of its USB device, instead of a path.
-        ports: gives the ports of this machine.
-        opened: opens one.
+        path: path of the port; empty for that of `usb`, or for the only USB port.
+        uri: name of the board in messages.
+        baud: baud rate.
+        usb: USB serial number of the device, instead of a path.
+        ports: lists the ports of this machine.
+        opened: opens the port at a path.
 
-    Raises ConfigurationError for both or neither, where the port does not follow from that.
+    Raises ConfigurationError for both path and number, or for neither without exactly one USB port.
     """
     if path and usb:
         raise ConfigurationError(f"{uri}: name the port by path or by usb=, not by both")
@@ -186,20 +186,20 @@ def connector(
     known = usb or usb_serial_of(path, ports)
 
     def connect() -> SerialPort:
-        place = path
+        current = path
         if usb:
-            place = find_port(usb, ports)
+            current = find_port(usb, ports)
         elif known and usb_serial_of(path, ports) != known:
-            # It may have come back at another path; where it has not, the path is what to name.
-            places = [port.device for port in ports() if port.serial_number == known]
-            place = places[0] if len(places) == 1 else path
-        return opened(place, uri, baud)
+            # The device may be back at another path; if not, the error names the path given.
+            paths = [port.device for port in ports() if port.serial_number == known]
+            current = paths[0] if len(paths) == 1 else path
+        return opened(current, uri, baud)
 
     return connect
 
 
-def ports_here(ports: Ports = serial_ports) -> str:
-    """The serial ports of this machine, in words."""
+def ports_here(ports: PortList = serial_ports) -> str:
+    """List of the serial ports of this machine, as a sentence."""
     found = ports()
     listed = "; ".join(map(str, found))
     return f"Ports here: {listed}" if found else "No serial port was found here"

@@ -1,4 +1,4 @@
-"""A port that is held by a board and may go away."""
+"""Serial port that may go away and be opened again."""
 
 import contextlib
 from collections.abc import Callable
@@ -7,40 +7,39 @@ from typing import TypeVar
 from eitskin.errors import DeviceError
 from eitskin.hardware.boards.port import GONE, SerialPort
 
-CHUNK = 4096  # bytes, what a terminal's input queue holds
+CHUNK = 4096  # bytes, size of a terminal's input queue
 BACKLOG = 2**17  # bytes; Linux keeps 64 KiB behind that queue, other systems less
 
 Result = TypeVar("Result")
 
 
 class UnrecoverableError(DeviceError):
-    """Connecting again does not help."""
+    """Failure of a connection that connecting again cannot mend."""
 
 
 class ReopenablePort:
-    """A port that is open, went away, or is closed for good.
+    """Serial port that is open, has gone away, or is closed for good.
 
-    All methods raise DeviceError where it went away, UnrecoverableError once it is closed.
+    All methods raise DeviceError where the port has gone away, UnrecoverableError once closed.
 
     Attributes:
-        uri: to name it in messages.
-        closed: whether it was closed for good.
+        uri: name of the board in messages.
+        closed: whether the port was closed for good.
     """
 
     def __init__(self, connect: Callable[[], SerialPort], uri: str) -> None:
-        """Open it.
+        """Open the port.
 
         Args:
-            connect: gives an open port, which reads what there is after a short while; called again
-                by `reopen`.
-            uri: to name it in messages.
+            connect: opens a port whose reads return after a short while; called again by `reopen`.
+            uri: name of the board in messages.
         """
         self.uri, self.closed = uri, False
         self._connect = connect
         self._port = connect()
 
     def read(self) -> bytes:
-        """What there is, at least one byte if one comes within a short while."""
+        """Bytes received, at least one if one comes within a short while."""
         return self._use(lambda port: port.read(max(1, min(port.in_waiting, CHUNK))))
 
     def write(self, data: bytes) -> None:
@@ -48,15 +47,15 @@ class ReopenablePort:
         self._use(lambda port: port.write(data))
 
     def waiting(self) -> int:
-        """Bytes that can be read at once."""
+        """Number of bytes that can be read at once."""
         return self._use(lambda port: port.in_waiting)
 
     def clear(self) -> None:
-        """Throw away what came and was not read."""
+        """Discard received bytes that were not read."""
         self._use(lambda port: port.reset_input_buffer())
 
     def reopen(self) -> None:
-        """Let go of the port and open it again, wherever it is now."""
+        """Close the port and open it again, at another path if it has moved."""
         self._require_open()
         with contextlib.suppress(*GONE):
             self._port.close()
@@ -69,7 +68,7 @@ class ReopenablePort:
         self._port = port
 
     def close(self) -> None:
-        """Let go of the port for good; a second time does nothing."""
+        """Close the port for good; a second call does nothing."""
         if not self.closed:
             self.closed = True
             with contextlib.suppress(*GONE):

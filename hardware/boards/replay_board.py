@@ -1,4 +1,4 @@
-"""A recording or a training set, replayed as if a board gave its frames."""
+"""Replay of a recording or training set as a board."""
 
 import math
 import time
@@ -19,16 +19,16 @@ SPEEDS = ("real", "max")
 
 
 class ReplayBoard(Closeable):
-    """The frames of a dataset in their order, with the status they were recorded with.
+    """Board that replays a dataset: its frames in order, with their recorded status.
 
-    What its numbers leave out was lost when it was recorded, and is counted; see
+    Frames missing by their numbers were lost during the recording and are counted; see
     `eitskin.hardware.Board`.
 
     Attributes:
-        uri: what it was opened as.
-        info: what the recording says of its board; NaN where it does not.
-        protocol: what was measured.
-        stage: None; nobody can say what happened to a recorded sensor.
+        uri: URI that the board was opened by.
+        info: settings of the recorded board; NaN where the recording has none.
+        protocol: stimulation and measurement pattern.
+        stage: None; only a virtual board has one.
     """
 
     stage = None
@@ -44,15 +44,15 @@ class ReplayBoard(Closeable):
         """Open a recording.
 
         Args:
-            path: a dataset's folder, or one shard of it.
-            uri: to name it in messages.
+            path: folder of a dataset, or one of its shards.
+            uri: name of the board in messages.
             speed: "max", as fast as frames are taken, or "real", by their recorded times.
-            clock: seconds, for "real".
-            wait: waits so many seconds, for "real".
+            clock: time for "real" [s].
+            wait: sleeps for a number of seconds, for "real".
 
         Raises:
             ConfigurationError: for another speed, or no path.
-            DataError: where there is no dataset, or one that does not say what was measured.
+            DataError: for no dataset, or a dataset without its measurement pattern.
         """
         self.uri = uri or f"replay:{path}"
         if not path:
@@ -72,16 +72,16 @@ class ReplayBoard(Closeable):
 
     @property
     def lost(self) -> int:
-        """Frames lost so far, when they were recorded."""
+        """Number of frames so far that were lost during the recording."""
         return self._lost
 
     @property
     def counts(self) -> Counts:
-        """What has come through so far."""
+        """Counts of frames and dropped data so far."""
         return Counts(frames=self._frames, lost=self._lost)
 
     def frames(self, newest: bool = False) -> Iterator[Frame]:  # noqa: ARG002
-        """The recorded frames from the first; none overtakes another, so `newest` is all."""
+        """Recorded frames from the first; `newest` has no effect, since no frame waits."""
         offset = self._clock()
         for index in range(len(self._data)):
             frame = self._data.frame(index)
@@ -93,17 +93,17 @@ class ReplayBoard(Closeable):
             yield frame
 
     def calibrate(self) -> None:
-        """Raises ConfigurationError."""
-        raise ConfigurationError("a recording cannot be calibrated; calibrate the board it is of")
+        """Raise ConfigurationError."""
+        raise ConfigurationError("a recording cannot be calibrated; calibrate the board itself")
 
     def reconnect(self) -> None:
-        """Nothing needs connecting."""
+        """Do nothing: a recording needs no connection."""
 
     def close(self) -> None:
-        """Nothing needs closing, the recording is in memory."""
+        """Do nothing: the recording is in memory."""
 
     def _gap(self, index: int) -> int:
-        """Frames missing before this one; none where it begins a session."""
+        """Number of frames missing before frame `index`; 0 where a session begins."""
         number, episode = self._data.number, self._data.episode
         if index == 0 or episode[index] != episode[index - 1]:
             return 0
@@ -111,7 +111,7 @@ class ReplayBoard(Closeable):
         return gap if gap < 2**31 else 0
 
     def _pause(self, index: int) -> float:
-        """Time from the frame before; one period where another episode begins [s]."""
+        """Time since the frame before [s]; one period where an episode begins."""
         time_, episode = self._data.time, self._data.episode
         if index == 0:
             return 0.0

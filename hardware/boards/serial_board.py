@@ -1,7 +1,7 @@
-"""The host's side of the wire: a board on a serial port.
+"""Board on a serial port: the host's side of the wire protocol.
 
-Nothing is made up here. What is lost is counted, what is damaged is dropped and counted, and a
-board that has fallen silent is an error, never an old frame.
+No frame is made up: lost frames are counted, damaged ones dropped and counted, and a silent board
+is an error.
 """
 
 import logging
@@ -52,14 +52,14 @@ Answer = TypeVar("Answer", bound=Message)
 
 
 class SerialBoard(Closeable):
-    """A board behind a port that is open; see `eitskin.hardware.Board`.
+    """Board on a serial port; see `eitskin.hardware.Board`.
 
     Attributes:
-        uri: what it was opened as.
-        info: who it is; replaced when it has restarted.
-        protocol: what it measures.
+        uri: URI that the board was opened by.
+        info: identity and settings; replaced when the board restarts.
+        protocol: stimulation and measurement pattern.
         stage: None for a real board; scene and faults of a `VirtualBoard`.
-        events: the last lines of text that its firmware sent.
+        events: the last 20 lines of text from the firmware.
     """
 
     stage: Any = None
@@ -70,15 +70,15 @@ class SerialBoard(Closeable):
         uri: str,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Ask the board who it is and what it measures.
+        """Open the port, and ask for the board's identity and measurement table.
 
         Args:
-            connect: gives an open port, which reads what there is after a short while; called again
-                by `reconnect`.
-            uri: to name it in messages.
-            clock: seconds, to know how long it has been silent.
+            connect: opens a port whose reads return after a short while; called again by
+                `reconnect`.
+            uri: name of the board in messages.
+            clock: time that silence is measured by [s].
 
-        Raises DeviceError where it does not answer as expected.
+        Raises DeviceError where the board does not answer as expected.
         """
         self.uri = uri
         self.events: deque[Event] = deque(maxlen=20)
@@ -92,7 +92,7 @@ class SerialBoard(Closeable):
         self._frames = self._lost = self._skipped = self._reconnections = 0
         self._port = ReopenablePort(connect, uri)
         try:
-            self.info = self._meet()
+            self.info = self._handshake()
             self.protocol = self._read_protocol()
         except BaseException:
             self.close()
@@ -100,12 +100,12 @@ class SerialBoard(Closeable):
 
     @property
     def lost(self) -> int:
-        """Frames lost so far, by their numbers."""
+        """Number of frames lost so far, by the gaps in their numbers."""
         return self._lost
 
     @property
     def counts(self) -> Counts:
-        """What has come through so far."""
+        """Counts of frames and dropped data so far."""
         dropped = {reason.value: n for reason, n in sorted(self._decoder.drops.items())}
         return Counts(self._frames, self._lost, self._skipped, dropped, self._reconnections)
 
@@ -113,8 +113,7 @@ class SerialBoard(Closeable):
         """Start the board and give its frames as they come.
 
         Args:
-            newest: give only the newest of the frames that are waiting; the others are counted
-                as skipped.
+            newest: skip all but the newest of the waiting frames, and count them as skipped.
 
         Raises DeviceError where three periods pass without a frame, or the board goes away.
         """
@@ -133,40 +132,39 @@ class SerialBoard(Closeable):
             yield frame
 
     def reconnect(self) -> None:
-        """Let go of the port and connect again, after which `frames` goes on.
+        """Close the port and connect again; `frames` then goes on.
 
-        Frames that the board numbered meanwhile are lost and counted; where it has started anew,
-        nobody knows how many there were.
+        Frames numbered meanwhile are lost and counted; after a restart their number is unknown.
 
         Raises:
-            DeviceError: where it is not there, or does not answer as expected; try again later.
-            UnrecoverableError: where another board answers, or the same with another table.
+            DeviceError: where the board is absent or does not answer as expected; try again later.
+            UnrecoverableError: where another board answers, or this one with another table.
         """
         self._port.reopen()
         self._decoder.restart()
         self._inbox.clear()
-        found = self._meet()
+        found = self._handshake()
         self._require_same(found)
         self._resuming = found.boot_count == self.info.boot_count
         self.info = found
         self._reconnections += 1
 
     def calibrate(self) -> None:
-        """Have the board measure its calibration resistor again before its next frame."""
+        """Measure the calibration resistor again, before the next frame."""
         self._request(Calibrate(), Ack)
 
     def close(self) -> None:
-        """Ask the board to stop and let go of the port; a second time does nothing."""
+        """Stop the board and close the port; a second call does nothing."""
         if self._port.closed:
             return
         try:
             self._send(Stop(), self._seq + 1)
         except DeviceError:
-            pass  # it is gone, and so needs no stopping
+            pass  # a board that has gone needs no stopping
         finally:
             self._port.close()
 
-    def _meet(self) -> Info:
+    def _handshake(self) -> Info:
         self._read_at = self._clock()
         self._port.clear()
         return self._request(Hello(), Info)
@@ -197,7 +195,7 @@ class SerialBoard(Closeable):
             ) from error
 
     def _start(self) -> None:
-        """Start the frames; those that come before the answer are old and are passed over."""
+        """Start the frames; frames before the acknowledgement are old and are passed over."""
         self._request(Start(), Ack)
         self._restarted = False
 
@@ -220,25 +218,25 @@ class SerialBoard(Closeable):
 
     @property
     def _patience(self) -> float:
-        """How long no frame may come [s]."""
+        """Longest time without a frame [s]."""
         return longest_silence(self.info.period)
 
     def _discard_old(self) -> None:
-        """Throw away what waits in a port that nobody has read for long.
+        """Discard the data waiting in a port that was not read for long.
 
-        Its queues are full of the oldest frames then, and so is the board's own, which holds one.
+        The queues then hold the oldest frames, and the board's own queue holds one more.
         """
         if self._clock() - self._read_at > self._patience:
             self._port.clear()
             self._inbox.clear()
             lost = self._lost
             self._next_frame()
-            self._skipped += 1 + self._lost - lost  # they were there, had anyone read them
+            self._skipped += 1 + self._lost - lost  # those frames did come
             self._lost = lost
 
     def _overtaken_by(self, frame: Frame) -> Frame:
-        """The newest frame among those that have arrived by now, `frame` if there is none."""
-        # A board that never pauses is not followed for ever.
+        """Newest of `frame` and the frames that have arrived since."""
+        # Bounded, since a board may never pause.
         for _ in range(BACKLOG // CHUNK):
             while self._inbox and not self._restarted:
                 message = self._inbox.popleft()
@@ -253,18 +251,18 @@ class SerialBoard(Closeable):
         return frame
 
     def _accept(self, data: FrameData) -> Frame | None:
-        """The frame in `data`; None where it is late, or not of this protocol."""
+        """Frame in `data`; None for a late one, or one of another measurement table."""
         if len(data.impedance) != len(self.protocol):
             self._drop_malformed(
                 f"FRAME of {len(data.impedance)} channels, expected {len(self.protocol)}"
             )
             return None
         gap = 0 if self._expected is None else (data.number - self._expected) % 2**32
-        if gap >= 2**31:  # behind, not ahead: numbers wrap
+        if gap >= 2**31:  # the number is behind: numbers wrap
             if not self._resuming:
                 self._decoder.drops[PacketDrop.STALE] += 1
                 return None
-            gap = 0  # it counts anew, though it says that it did not start anew
+            gap = 0  # the board counts anew although its boot count is the same
         self._resuming = False
         self._lost += gap
         self._expected = (data.number + 1) % 2**32
@@ -283,7 +281,7 @@ class SerialBoard(Closeable):
         )
 
     def _note(self, message: Message) -> None:
-        """Take in what came unasked."""
+        """Handle a message that answers no request: an event, or the Info of a restart."""
         if isinstance(message, Event):
             self.events.append(message)
             log.info("%s: %s", self.uri, message.text)
@@ -293,7 +291,7 @@ class SerialBoard(Closeable):
             self._restarted, self._expected = True, None
 
     def _request(self, request: Request, answer: type[Answer]) -> Answer:
-        """Send `request` until it is answered; every try has the same number."""
+        """Answer to `request`, which is repeated under the same number until answered."""
         self._seq = (self._seq + 1) % 2**16
         for _ in range(TRIES):
             self._send(request, self._seq)
@@ -322,7 +320,7 @@ class SerialBoard(Closeable):
             )
 
     def _received_instead(self) -> str:
-        """What came instead of what was expected."""
+        """Hint, in parentheses, at data that came instead of a frame or an answer."""
         if self.events and self.events[-1].level > 0:
             return f" (its firmware says: {self.events[-1].text})"
         drops = self._decoder.drops
@@ -338,10 +336,10 @@ class SerialBoard(Closeable):
         self._port.write(encode(pack(request, seq)))
 
     def _messages(self, seconds: float) -> Iterator[Message]:
-        """What comes within so many seconds; what is not taken stays for the next time."""
+        """Messages received within `seconds`; those not taken stay for the next call."""
         deadline = self._clock() + seconds
         while True:
-            # Look before giving up: this process may have slept past the deadline itself.
+            # Read before giving up: this process itself may have slept past the deadline.
             if not self._inbox:
                 self._receive()
             while self._inbox:
@@ -350,7 +348,7 @@ class SerialBoard(Closeable):
                 return
 
     def _receive(self) -> None:
-        """Read once and decode; waits a short while at most."""
+        """Read the port once and decode; waits a short while at most."""
         self._read_at = self._clock()
         for packet in self._decoder.feed(self._port.read()):
             try:

@@ -1,9 +1,9 @@
-"""A board that prints lines of text: an evaluation board of the AD5940 behind multiplexers.
+"""Board that prints lines of text: an evaluation board of the AD5940 behind multiplexers.
 
-Nothing in such a stream says where a frame begins, nor numbers the lines. A frame begins at a line
-that is agreed on, the mark, or after a pause that is longer than the usual distance of lines. What
-then has not as many lines as the protocol has measurements is lost and counted: no value is ever
-taken for that of another measurement.
+The lines carry no number and no sign of a frame's beginning. A frame begins at an agreed line, the
+mark, or after a pause longer than the usual interval of lines. A frame with more or fewer lines
+than the protocol has measurements is lost and counted: no value is ever taken for that of another
+measurement.
 """
 
 import math
@@ -26,23 +26,23 @@ from eitskin.hardware.protocol.messages import Info, Table
 from eitskin.protocol import Protocol
 
 BAUD = 230400
-"""Believed to be that of the evaluation boards' example programs; no board was there to ask."""
+"""Presumed baud rate of the evaluation boards' example programs; not tried on a board."""
 SHORTEST = 1.0
-"""Silence that is borne from boards of any rate [s]."""
+"""Shortest silence that counts as a stale stream, at any frame rate [s]."""
 FIRST_WITHIN = 10.0
-"""A frame must come within, while its period is not known [s]; two pass before the first."""
+"""Longest silence while the period is unknown [s]; two frames pass before the first is given."""
 
 
 class TextBoard(Closeable):
-    """A board that prints lines; see `eitskin.hardware.Board`.
+    """Board that prints lines; see `eitskin.hardware.Board`.
 
-    It has no numbers, no sessions and no clock: frames are counted and timed as they come, and one
-    that restarts cannot be told from one that paused.
+    Such a board sends no frame numbers, sessions or times: frames are counted and timed as they
+    come, and a restart cannot be told from a pause.
 
     Attributes:
-        uri: what it was opened as.
-        protocol: what is measured, in the order of the lines.
-        stage: None, it is no virtual board.
+        uri: URI that the board was opened by.
+        protocol: stimulation and measurement pattern, in the order of the lines.
+        stage: None; only a virtual board has one.
     """
 
     stage = None
@@ -60,14 +60,15 @@ class TextBoard(Closeable):
         """Open the port.
 
         Args:
-            connect: gives an open port, which reads what there is after a short while; called again
-                by `reconnect`.
-            uri: to name it in messages.
+            connect: opens a port whose reads return after a short while; called again by
+                `reconnect`.
+            uri: name of the board in messages.
             protocol: one measurement for each line.
-            mark: how the line before each frame begins; frames are found by pauses when empty.
-            pause: that ends a frame [s]; three times the usual distance of lines when NaN.
-            frequency: of the excitation where the lines do not say it [Hz].
-            clock: seconds, to tell pauses and silence.
+            mark: beginning of the line before each frame; pauses divide frames when empty.
+            pause: shortest pause between frames [s]; three times the usual interval of lines when
+                NaN.
+            frequency: excitation frequency where the lines do not give it [Hz].
+            clock: time that pauses and silence are measured by [s].
         """
         self.uri, self.protocol = uri, protocol
         self._clock, self._frequency = clock, frequency
@@ -80,7 +81,7 @@ class TextBoard(Closeable):
 
     @property
     def info(self) -> Info:
-        """Who it is, of which it says nothing; what it measures as far as known, else NaN."""
+        """Settings as far as known, else NaN; the board gives no identity."""
         return Info(
             firmware="text lines",
             uid=bytes(12),
@@ -97,22 +98,21 @@ class TextBoard(Closeable):
 
     @property
     def lost(self) -> int:
-        """Frames lost so far: what came between two beginnings and had not all lines."""
+        """Number of frames lost so far, by a wrong number of lines."""
         return self._finder.lost
 
     @property
     def counts(self) -> Counts:
-        """What has come through so far."""
+        """Counts of frames and dropped data so far."""
         dropped = {reason.value: n for reason, n in sorted(self._decoder.drops.items())}
         dropped |= {reason.value: n for reason, n in sorted(self._finder.drops.items())}
         return Counts(self._frames, self.lost, self._skipped, dropped, self._reconnections)
 
     def frames(self, newest: bool = False) -> Iterator[Frame]:
-        """Give the frames as they come, from the next beginning on.
+        """Frames as they come, from the next beginning of a frame on.
 
         Args:
-            newest: give only the newest of the frames that are waiting; the others are counted
-                as skipped.
+            newest: skip all but the newest of the waiting frames, and count them as skipped.
 
         Raises DeviceError where three periods pass without a frame, or the board goes away.
         """
@@ -127,15 +127,15 @@ class TextBoard(Closeable):
             yield self._frame(lines)
 
     def calibrate(self) -> None:
-        """Raises ConfigurationError."""
+        """Raise ConfigurationError."""
         raise ConfigurationError(
             "a board that prints text takes no requests; restart it, and it calibrates itself"
         )
 
     def reconnect(self) -> None:
-        """Let go of the port and open it again, wherever it is now; a new session begins.
+        """Close the port and open it again, at another path if it has moved; begin a new session.
 
-        Raises DeviceError where it is not there; try again later.
+        Raises DeviceError where the port is absent; try again later.
         """
         self._port.reopen()
         self._finder.forget()
@@ -147,21 +147,21 @@ class TextBoard(Closeable):
         self._port.close()
 
     def _restart(self) -> None:
-        """Throw away what waits, and wait for the next beginning of a frame."""
+        """Discard waiting data, up to the next beginning of a frame."""
         self._port.clear()
         self._decoder.restart()
         self._finder.restart()
         self._found.clear()
 
     def _overflows(self) -> bool:
-        """Whether the port is full: lines from within two frames may then follow each other."""
+        """Whether the port's queue is full, so that lines may be missing between two others."""
         return self._port.waiting() >= CHUNK - 1
 
     def _next(self) -> FrameLines:
         period = self._finder.period
         patience = min(longest_silence(period, SHORTEST), FIRST_WITHIN)
         deadline = self._clock() + patience
-        # Look before giving up: this process may have slept past the deadline itself.
+        # Read before giving up: this process itself may have slept past the deadline.
         while not self._found:
             self._receive()
             if not self._found and self._clock() >= deadline:
@@ -172,8 +172,8 @@ class TextBoard(Closeable):
         return self._found.popleft()
 
     def _overtaken_by(self, lines: FrameLines) -> FrameLines:
-        """The newest frame among those that have arrived by now, `lines` if there is none."""
-        # A board that never pauses is not followed for ever.
+        """Newest of `lines` and the frames that have arrived since."""
+        # Bounded, since a board may never pause.
         for _ in range(BACKLOG // CHUNK):
             while self._found:
                 lines = self._found.popleft()
@@ -188,12 +188,12 @@ class TextBoard(Closeable):
         return f" (dropped: {drops}; a wrong baud rate looks like this)" if drops else ""
 
     def _receive(self) -> None:
-        """Read once; waits a short while at most."""
+        """Read the port once; waits a short while at most."""
         data = self._port.read()
         self._found.extend(self._finder.feed(self._clock(), self._decoder.feed(data)))
 
     def _frame(self, lines: FrameLines) -> Frame:
-        # In single precision, as packets are and recordings keep it; what it cannot hold is inf.
+        # Single precision, as in packets and recordings; larger values become infinite.
         with np.errstate(over="ignore"):
             impedance = np.array([line.impedance for line in lines.measurements], np.complex64)
         status = np.where(np.isfinite(impedance), 0, np.uint8(Status.NOT_FINITE))
@@ -221,10 +221,10 @@ def open_text(
     pause: float = math.nan,
     frequency: float = 40e3,
 ) -> TextBoard:
-    """Open the board that prints lines at the serial port `path`, or of the USB device `usb`.
+    """Open a board that prints lines, at the serial port `path` or the USB device `usb`.
 
     Raises:
-        ConfigurationError: where no port or protocol is named, or an option cannot be.
+        ConfigurationError: for no port, no protocol, or an option out of range.
         DeviceError: where the port cannot be opened.
     """
     if not protocol:

@@ -1,4 +1,4 @@
-"""Frames in a stream of lines that does not number them."""
+"""Division of a stream of lines into frames, by marks or pauses."""
 
 import math
 from collections import Counter, deque
@@ -10,11 +10,11 @@ from statistics import median
 from eitskin.hardware.boards.text_lines import Line, Mark, Measurement
 
 PAUSE = 3.0
-"""Usual distances between lines that make a pause."""
+"""Shortest pause, in usual intervals between lines."""
 
 
 class FrameDrop(StrEnum):
-    """Why a measurement was thrown away that came whole."""
+    """Reasons for dropping a whole measurement."""
 
     FIRST = "measurement before the first whole frame"
     INCOMPLETE = "measurement of an incomplete frame"
@@ -22,12 +22,12 @@ class FrameDrop(StrEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameLines:
-    """The lines of one frame.
+    """Lines of one frame.
 
     Attributes:
-        number: counts the frames, the lost ones too.
-        time: when the first came, on the host's clock [s].
-        measurements: as many as the protocol has.
+        number: count of frames, lost ones included.
+        time: arrival of the first line, on the host's clock [s].
+        measurements: one for each measurement of the protocol.
     """
 
     number: int
@@ -36,16 +36,16 @@ class FrameLines:
 
 
 class FrameFinder:
-    """Lines in, frames out: what lies between two marks, or two pauses, if its length is right.
+    """Divider of lines into frames: groups of the right length between marks or pauses.
 
     Attributes:
-        lost: frames that had another length, by the number of their lines, each at least once.
-        drops: measurements thrown away, by reason.
-        frequency: last said, else NaN [Hz].
+        lost: frames lost in groups of another length, at least one for each group.
+        drops: count of dropped measurements, by reason.
+        frequency: excitation frequency in the newest line that had one [Hz]; NaN before.
     """
 
     def __init__(self, size: int, marked: bool, pause: float = math.nan) -> None:
-        """Find frames of `size` lines, `marked` or by a `pause` [s], which NaN leaves open."""
+        """Divide into frames of `size` lines by marks or by a `pause` [s]; NaN finds the pause."""
         self.lost = 0
         self.drops: Counter[FrameDrop] = Counter()
         self.frequency = math.nan
@@ -56,18 +56,18 @@ class FrameFinder:
 
     @property
     def period(self) -> float:
-        """From a frame to the next, as far as known, else NaN [s]."""
+        """Median time from one frame to the next [s]; NaN while unknown."""
         return float(median(self._periods)) if self._periods else math.nan
 
     def forget(self) -> None:
-        """Begin with another stream."""
+        """Begin with another stream: forget intervals and periods."""
         self._usual = math.nan
         self._periods: deque[float] = deque(maxlen=9)
         self._counts.clear()
         self.restart()
 
     def restart(self) -> None:
-        """Wait for the next beginning; what has come since the last is given up."""
+        """Discard the frame that has begun and wait for the next beginning."""
         self._latest = math.nan
         self._distances: deque[float] = deque(maxlen=self._size)
         self._group: list[Measurement] = []
@@ -76,7 +76,7 @@ class FrameFinder:
         self._began = self._last = math.nan
 
     def feed(self, now: float, lines: Sequence[Line]) -> list[FrameLines]:
-        """The frames that are known to have ended by `now` [s], when `lines` had come."""
+        """Frames that have ended by `now` [s], the arrival of `lines`."""
         ended = []
         if not self._marked and self._count and now - self._latest > self._longest:
             ended.append(self._end())
@@ -88,7 +88,7 @@ class FrameFinder:
         return [frame for frame in ended if frame is not None]
 
     def received_instead(self) -> str:
-        """What came instead of a frame."""
+        """Description of the lines that came instead of a frame, with a remedy."""
         if self._counts:
             found = ", ".join(map(str, self._counts))
             return (
@@ -102,7 +102,7 @@ class FrameFinder:
 
     @property
     def _longest(self) -> float:
-        """Distance of lines that is no pause yet [s]; infinite while the usual one is unknown."""
+        """Longest interval between lines of one frame [s]; infinite while unknown."""
         if not math.isnan(self._pause):
             return self._pause
         return math.inf if math.isnan(self._usual) else PAUSE * self._usual
@@ -119,13 +119,13 @@ class FrameFinder:
             self._distances.append(now - self._latest)
         self._latest = now
         if len(self._distances) == self._size:
-            # As many distances as lines of a frame hold one pause, wherever they begin. The mean of
-            # the others stands for them although many lines may come at once, by way of USB.
+            # Any run of as many intervals as a frame has lines holds one pause. The mean of the
+            # others is their usual value, although many lines may come at once, by way of USB.
             others = sum(self._distances) - max(self._distances)
             self._usual = others / max(self._size - 1, 1)
 
     def _end(self) -> FrameLines | None:
-        """The frame that has ended, if it is whole; the next begins."""
+        """Frame that has ended, None for an incomplete one; the next begins."""
         group, count, whole = tuple(self._group), self._count, self._whole
         self._group, self._count, self._whole = [], 0, True
         if not whole:

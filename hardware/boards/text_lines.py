@@ -1,7 +1,7 @@
-"""The lines of text that the example programs of the AD5940's evaluation boards print.
+"""Lines of text printed by the example programs of the AD5940's evaluation boards.
 
 Impedance and body impedance: `Freq:40000.00 RzMag: 612.5 Ohm , RzPhase: -1.25`, magnitude in ohm
-and phase in degrees; "Freq:" comes once for several lines, or with each, or not at all. Two-wire
+and phase in degrees; "Freq:" comes once for several lines, in each line, or not at all. Two-wire
 bioimpedance: `Freq:40000.00 Impedance:(Real,Imaginary) = (612.3,-13.4)`, in ohm. Lines carry no
 checksum: a digit that is damaged into another digit goes unseen.
 """
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 LONGEST = 256
-"""Bytes of a line; the programs print less than half of that."""
+"""Longest line [bytes]; the programs print less than half as many."""
 
 _NUMBER = rb"([+-]?(?:\d{1,64}(?:\.\d{0,32})?(?:e[+-]?\d{1,4})?|nan(?:\([^)\s]*\))?|inf(?:inity)?))"
 _FREQUENCY = rb"(?:freq\s*:\s*" + _NUMBER + rb"\s*(?:\(?hz\)?)?\s*,?\s*)?"
@@ -32,7 +32,7 @@ _FREQUENCY_ALONE = re.compile(_FREQUENCY, re.IGNORECASE)
 
 
 class LineDrop(StrEnum):
-    """Why a line was thrown away."""
+    """Reasons for dropping a line."""
 
     TOO_LONG = "line too long"
     UNKNOWN = "line that is no measurement"
@@ -40,11 +40,11 @@ class LineDrop(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
-    """One line of one measurement.
+    """Line with one measurement.
 
     Attributes:
-        impedance: [ohm]; NaN where the board printed no number, as it does without a current.
-        frequency: [Hz]; NaN where no line said it.
+        impedance: impedance [ohm]; NaN for no finite number, printed by a board without current.
+        frequency: excitation frequency [Hz]; NaN where no line gave it.
     """
 
     impedance: complex
@@ -53,21 +53,21 @@ class Measurement:
 
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """The line that begins a frame."""
+    """Line that begins a frame."""
 
 
 Line = Measurement | Mark
 
 
 class LineDecoder:
-    """Bytes in, lines out. Bytes of any kind, cut anywhere, never raise.
+    """Decoder of a byte stream, in chunks of any size, into lines; no byte raises an error.
 
     Attributes:
-        drops: lines thrown away, by reason; empty lines are none.
+        drops: count of dropped lines, by reason; empty lines do not count.
     """
 
     def __init__(self, mark: str = "") -> None:
-        """Take the lines that begin with `mark` for the beginnings of frames; none when empty."""
+        """Take lines that begin with `mark` as beginnings of frames; no line when empty."""
         self.drops: Counter[LineDrop] = Counter()
         self._mark = b" ".join(mark.encode().split())
         self._frequency = math.nan
@@ -75,13 +75,13 @@ class LineDecoder:
         self._overflown = False
 
     def restart(self) -> None:
-        """Forget the line that has begun, and the frequency."""
+        """Discard the unfinished line, and the frequency."""
         self._begun.clear()
         self._overflown = False
         self._frequency = math.nan
 
     def feed(self, data: bytes) -> list[Line]:
-        """The lines that end in `data`."""
+        """Lines completed by `data`."""
         *ended, begun = re.split(rb"[\r\n]", data)
         lines = []
         for part in ended:
@@ -98,7 +98,7 @@ class LineDecoder:
         del self._begun[LONGEST:]
 
     def _end(self) -> Line | None:
-        """What the line says that has ended; None where it is empty, dropped or only informs."""
+        """Content of the line that has ended; None for one empty, dropped, or without impedance."""
         text, overflown = b" ".join(self._begun.strip(b"\0").split()), self._overflown
         self._begun.clear()
         self._overflown = False
@@ -130,13 +130,13 @@ class LineDecoder:
 
 
 def _number(text: bytes | None) -> float:
-    """NaN for what is no finite number, or too large for one."""
+    """Number in `text`; NaN where it is not finite."""
     value = float(text.partition(b"(")[0]) if text is not None else math.nan
     return value if math.isfinite(value) else math.nan
 
 
 def _from_polar(magnitude: float, phase_deg: float) -> complex:
-    """The phase is the difference of two, so it may be off by a turn; a magnitude is positive."""
+    """Impedance of a magnitude [ohm] and a phase, which may be off by whole turns."""
     if magnitude < 0.0:
         return complex(math.nan, math.nan)
     phase = math.radians(math.remainder(phase_deg, 360.0))

@@ -1,1 +1,5 @@
-"""The sensor check: what is wrong with electrodes, wires and front end."""
+"""Sensor check: faults of electrodes, wires and front end.
+
+Frames of the untouched sensor become statistics per channel (`checked_frames`); variation, values
+and the `contact_fit` become findings, gathered by `sensor_check`.
+"""

@@ -1,1 +1,4 @@
-"""The wire protocol between host and board: packets and messages."""
+"""Wire protocol between host and board.
+
+Bytes become packets with a checksum (`packets`), packets become messages (`messages`), and back.
+"""

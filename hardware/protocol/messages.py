@@ -1,4 +1,4 @@
-"""Messages between host and board: what each says, and its bytes, little-endian.
+"""Messages between host and board, and their little-endian byte form.
 
 `docs/wire-protocol.md` is the written form of this module.
 """
@@ -29,7 +29,7 @@ MAX_CHANNELS = (MAX_PAYLOAD - _FRAME.size) // _BYTES_PER_CHANNEL
 
 
 class MessageType(IntEnum):
-    """Message types: below 0x80 from the host, from 0x80 on from the board."""
+    """Message types: below 0x80 sent by the host, from 0x80 on by the board."""
 
     HELLO = 0x01
     START = 0x02
@@ -54,50 +54,50 @@ class AckStatus(IntEnum):
 
 
 class MessageError(DeviceError):
-    """A packet that came whole and yet is no message of this protocol."""
+    """A whole packet that is no message of this protocol."""
 
 
 @dataclass(frozen=True, slots=True)
 class Hello:
-    """Asks the board who it is; answered by Info."""
+    """Request for the board's identity; answered by Info."""
 
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """Asks for `frames` frames, for ever if 0; said again, it starts the count again."""
+    """Request for `frames` frames, without end for 0; a repetition restarts the count."""
 
     frames: int = 0
 
 
 @dataclass(frozen=True, slots=True)
 class Stop:
-    """Asks for no more frames."""
+    """Request to send no more frames."""
 
 
 @dataclass(frozen=True, slots=True)
 class GetTable:
-    """Asks which electrodes are measured; answered by Table."""
+    """Request for the measurement table; answered by Table."""
 
 
 @dataclass(frozen=True, slots=True)
 class Calibrate:
-    """Asks the board to measure its calibration resistor again."""
+    """Request to measure the calibration resistor again."""
 
 
 @dataclass(frozen=True, slots=True)
 class Info:
-    """Who the board is; the answer to Hello, and said once on boot.
+    """Identity and settings of a board; the answer to Hello, also sent once on boot.
 
     Attributes:
-        firmware: its name and version, at most 16 ASCII characters.
-        uid: of the microcontroller, 12 bytes.
-        boot_count: how often the board has started; another one voids all references.
-        n_electrodes, n_measurements: of its measurement table.
-        table_crc32: CRC-32 of the table as it is sent.
-        frequency: of the excitation [Hz].
-        amplitude: of the excitation [V]; NaN where unknown.
+        firmware: name and version of the firmware, at most 16 ASCII characters.
+        uid: unique number of the microcontroller, 12 bytes.
+        boot_count: number of starts of the board; a new one voids all references.
+        n_electrodes, n_measurements: size of the measurement table.
+        table_crc32: CRC-32 of the packed table.
+        frequency: excitation frequency [Hz].
+        amplitude: excitation amplitude [V]; NaN where unknown.
         rtia, rcal: gain and calibration resistors [ohm]; NaN where unknown.
-        period: from one frame to the next [s], to the microsecond.
+        period: time from one frame to the next [s], to the microsecond.
     """
 
     firmware: str
@@ -115,7 +115,7 @@ class Info:
 
 @dataclass(frozen=True, slots=True)
 class Ack:
-    """The answer to request number `request` of type `type`."""
+    """Acknowledgement of request number `request` of type `type`."""
 
     request: int
     type: int
@@ -124,15 +124,15 @@ class Ack:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameData:
-    """One frame as the board measured it.
+    """One frame as measured by the board.
 
     Attributes:
-        number: counts frames since boot, modulo 2**32.
-        time: when the frame began, since boot [s], to the microsecond.
-        duration: of its measurements [s], to the microsecond.
+        number: count of frames since boot, modulo 2**32.
+        time: start of the frame, since boot [s], to the microsecond.
+        duration: time taken by all measurements [s], to the microsecond.
         impedance: (n,) complex64 [ohm]; may hold NaN and infinity.
-        status: (n,) uint8, bits of `eitskin.simulator.Status`.
-        kind: 0, a measurement of the sensor; others are reserved.
+        status: (n,) uint8, bits of `eitskin.frame.Status`.
+        kind: 0 for a measurement of the sensor; others are reserved.
         flags: reserved, 0.
     """
 
@@ -147,7 +147,7 @@ class FrameData:
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """A line of text from the firmware; level 0 note, 1 warning, 2 error."""
+    """Line of text from the firmware; level 0 note, 1 warning, 2 error."""
 
     level: int
     code: int
@@ -156,13 +156,13 @@ class Event:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Which electrodes are measured: rows of (drive+, drive-, sense+, sense-)."""
+    """Measurement table: rows of electrodes (drive+, drive-, sense+, sense-)."""
 
     rows: tuple[tuple[int, int, int, int], ...]
 
     @classmethod
     def of(cls, protocol: Protocol) -> "Table":
-        """The table of `protocol`; raises ConfigurationError where a board cannot hold it."""
+        """Table of `protocol`; raises ConfigurationError for more rows than one frame holds."""
         if len(protocol) > MAX_CHANNELS:
             raise ConfigurationError(
                 f"one frame on the wire holds at most {MAX_CHANNELS} measurements, the protocol "
@@ -172,7 +172,7 @@ class Table:
 
     @property
     def crc32(self) -> int:
-        """CRC-32 of the table as it is sent."""
+        """CRC-32 of the packed table."""
         return zlib.crc32(_pack_table(self))
 
 
@@ -181,13 +181,13 @@ Message = Request | Info | Ack | FrameData | Event | Table
 
 
 def pack(message: Message, seq: int) -> Packet:
-    """`message` as packet number `seq`, modulo 65536."""
+    """Packet number `seq`, modulo 65536, with `message`."""
     type_, packed = _PACK[type(message)]
     return Packet(type_, seq & 0xFFFF, packed(message))
 
 
 def unpack(packet: Packet) -> Message:
-    """The message that `packet` carries; raises MessageError where it carries none."""
+    """Message in `packet`; raises MessageError for a packet without one."""
     try:
         name = MessageType(packet.type)
     except ValueError:
@@ -266,7 +266,7 @@ def _pack_event(event: Event) -> bytes:
 
 def _unpack_event(payload: bytes) -> Event:
     level, code = _EVENT.unpack_from(payload)
-    # The text is for people: a damaged letter is no reason to lose the rest of it.
+    # The text is for people: a damaged letter is no reason to lose the other letters.
     return Event(level, code, payload[_EVENT.size :].decode("utf-8", errors="replace"))
 
 

@@ -1,9 +1,9 @@
-"""Packets on the wire: framing, checksum, and a decoder that no byte can break.
+"""Packets: framing by byte stuffing, checksum, and a decoder for any stream of bytes.
 
     packet = 00 | COBS(version u8, type u8, seq u16, payload, crc32 u32) | 00
 
 Consistent overhead byte stuffing (Cheshire and Baker, 1999) leaves no zero inside a packet, so a
-zero always ends one, and whatever was damaged costs no more than itself.
+zero always ends a packet, and damage costs no more than the packets that it lies in.
 """
 
 import struct
@@ -29,7 +29,7 @@ MAX_PAYLOAD = _MAX_STUFFED - (_MAX_STUFFED + 254) // 255 - _HEADER.size - _CRC.s
 
 
 class PacketDrop(StrEnum):
-    """Why bytes were thrown away."""
+    """Reasons for dropping received bytes."""
 
     TOO_LONG = "too long"
     STUFFING = "bad stuffing"
@@ -42,11 +42,11 @@ class PacketDrop(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Packet:
-    """What one packet carries.
+    """Content of one packet.
 
     Attributes:
-        type: which message the payload is.
-        seq: number of the request, or of the packet, 0 to 65535.
+        type: message type of the payload.
+        seq: number of the request, or of the packet from the board, 0 to 65535.
         payload: the packed message.
     """
 
@@ -56,7 +56,7 @@ class Packet:
 
 
 def encode(packet: Packet, version: int = VERSION) -> bytes:
-    """The bytes of `packet` on the wire; raises ConfigurationError for a payload too long."""
+    """Bytes of `packet` on the wire; raises ConfigurationError for a payload too long."""
     if len(packet.payload) > MAX_PAYLOAD:
         raise ConfigurationError(
             f"a packet carries at most {MAX_PAYLOAD} bytes, got {len(packet.payload)}; measure "
@@ -68,10 +68,10 @@ def encode(packet: Packet, version: int = VERSION) -> bytes:
 
 
 class Decoder:
-    """Cuts a stream of bytes, however it is chopped, into packets.
+    """Decoder of a byte stream, in chunks of any size, into packets.
 
     Attributes:
-        drops: how often bytes were thrown away, by reason.
+        drops: count of dropped packets, by reason.
     """
 
     def __init__(self) -> None:
@@ -82,17 +82,17 @@ class Decoder:
         self._skipping = False
 
     def restart(self) -> None:
-        """Forget what came of an unfinished packet; what follows is of another stream."""
+        """Discard an unfinished packet; the bytes that follow belong to another stream."""
         self._partial.clear()
         self._skipping = False
 
     @property
     def buffered(self) -> int:
-        """Bytes held of an unfinished packet; never more than `MAX_PACKET`."""
+        """Number of bytes held of an unfinished packet, at most `MAX_PACKET`."""
         return len(self._partial)
 
     def feed(self, data: bytes) -> Iterator[Packet]:
-        """The packets that `data` completes; takes any bytes, drops what is not a packet."""
+        """Packets completed by `data`; bytes that are no packet are dropped and counted."""
         *ended, rest = bytes(data).split(b"\0")
         for part in ended:
             self._extend(part)
@@ -112,7 +112,7 @@ class Decoder:
             self._partial += part
 
     def _finish(self) -> Packet | None:
-        """Take what came since the last zero; None where that is nothing or no packet."""
+        """Packet in the bytes since the last zero; None where those are empty or no packet."""
         stuffed = bytes(self._partial)
         self._partial.clear()
         self._skipping = False

@@ -1,1 +1,5 @@
-"""The virtual board: the firmware's logic on simulated measurements, and its faults."""
+"""Virtual board: simulated measurements and faults behind a pseudo-terminal.
+
+A `Stage` plays scenes, a `SimulatedSensor` measures them, a `VirtualFirmware` answers requests and
+sends frames, changed by the faults of `faults`, and a `PseudoTerminal` serves the bytes.
+"""
