@@ -1,4 +1,4 @@
-"""The frames of a sensor check: what each channel shows, and which electrodes that points to."""
+"""Frames of a sensor check: statistics of each channel, and the electrodes at fault."""
 
 import dataclasses
 from dataclasses import dataclass
@@ -16,24 +16,24 @@ Bools = NDArray[np.bool_]
 Complex = NDArray[np.complex128]
 
 OPEN, INSULATED = 10.0, 40.0
-"""Times the expected value where it is capacitive, and where it is not; stray capacitances of 100
-to 200 pF at 40 kHz are 25 to 50 times, a poor contact of 5 kohm is 10 times."""
+"""Ratio of an open channel to its expected value: with a capacitive phase, and with any phase.
+Stray capacitances of 100 to 200 pF at 40 kHz give 25 to 50, a poor contact of 5 kohm gives 10."""
 CAPACITIVE_DEG = -45.0
 SHORT = 0.1
-"""Share of the expected value."""
+"""Ratio to the expected value below which a channel is shorted."""
 FLAGGED = 0.1
-"""Share of frames in which a status bit may come up unremarked."""
+"""Largest share of frames with a status bit that is no finding."""
 
 
 @dataclass(frozen=True, eq=False)
 class CheckedFrames:
-    """The frames of a check.
+    """Frames of one check.
 
     Attributes:
-        protocol: of all of them.
-        impedance: (frames, measurements) [ohm]; NaN for all that is no number.
+        protocol: stimulation and measurement pattern of all frames.
+        impedance: (frames, measurements) [ohm]; NaN for every value that is not finite.
         status: `Status` bits, (frames, measurements).
-        expected: (measurements,) [ohm].
+        expected: magnitudes of a healthy sensor, (measurements,) [ohm].
     """
 
     protocol: Protocol
@@ -43,20 +43,20 @@ class CheckedFrames:
 
     @cached_property
     def finite(self) -> Bools:
-        """Which values are numbers, (frames, measurements)."""
+        """Whether each value is finite, (frames, measurements)."""
         return np.isfinite(self.impedance)
 
     @cached_property
     def usable(self) -> Bools:
-        """Channels whose values mean something, (measurements,)."""
+        """Channels with finite values that are not clipped, (measurements,)."""
         clipped = self.flagged(Status.CLIPPED) & ~self.shorted
         return np.asarray(self.finite.any(axis=0) & ~clipped)
 
     @cached_property
     def shorted(self) -> Bools:
-        """Channels with nearly no resistance, which clip the current of any board.
+        """Channels with nearly no resistance, (measurements,); their current clips on any board.
 
-        Where a pair is not sensed where it is driven, a small value is no short.
+        A small value is no short where a pair is not sensed where it is driven.
         """
         small = self.finite.any(axis=0) & (self.ratio < SHORT * self._scale)
         return np.asarray(small & self.senses_where_it_drives)
@@ -70,7 +70,7 @@ class CheckedFrames:
 
     @cached_property
     def ratio(self) -> Array:
-        """Magnitudes over the expected ones, (measurements,)."""
+        """Ratios of the magnitudes to the expected ones, (measurements,)."""
         return np.asarray(np.abs(self.value) / self.expected)
 
     @cached_property
@@ -90,10 +90,10 @@ class CheckedFrames:
 
     @cached_property
     def _scale(self) -> float:
-        """Between the values of good channels and the expected ones.
+        """Ratio of good channels to their expected values.
 
-        Whether the scale or the contacts are wrong, the lowest fifth tells: it stays good with four
-        of eight electrodes open. Where all are, they see a capacitance, whatever they expected.
+        The lowest fifth of the ratios tells a wrong scale from bad contacts: it stays good with
+        four of eight electrodes open. With all of them open, every channel is capacitive: 1.
         """
         judged = self.finite.any(axis=0) & ~self._reported_open
         if not judged.any():
@@ -103,10 +103,10 @@ class CheckedFrames:
 
     @cached_property
     def noise(self) -> Array:
-        """White noise per quadrature, from frame to frame, (measurements,) [ohm].
+        """Standard deviation of the white noise per quadrature, (measurements,) [ohm].
 
-        The squares of its second differences are distributed exponentially with mean 12 sigma^2,
-        three quarters of them below 12 sigma^2 ln 4. Steps and ramps do not change that.
+        Squared second differences of white noise follow an exponential distribution of mean
+        12 sigma^2, with three quarters below 12 sigma^2 ln 4; steps and ramps do not change that.
         """
         filled = np.where(self.finite, self.impedance, self.value)
         curved = np.abs(np.diff(filled, n=2, axis=0))
@@ -114,28 +114,28 @@ class CheckedFrames:
 
     @cached_property
     def senses_where_it_drives(self) -> Bools:
-        """Channels with one pair for both, (measurements,)."""
+        """Channels that sense at the pair that they drive, (measurements,)."""
         return np.array([row[:2] == row[2:] for row in self.protocol.table])
 
     def magnitudes(self, used: Bools) -> tuple[Array, Array, Bools, Protocol]:
-        """What a fit of the channels `used` takes."""
+        """Arguments of `fit_contacts` for the channels `used`."""
         return np.abs(self.value), self.expected, used, self.protocol
 
     def divided_by(self, scale: float) -> "CheckedFrames":
-        """The same with other values."""
+        """The same frames with impedances divided by `scale`."""
         return dataclasses.replace(self, impedance=self.impedance / scale)
 
     def flagged(self, bit: Status) -> Bools:
-        """Channels whose status says so, (measurements,)."""
+        """Channels with the status bit in more than a few frames, (measurements,)."""
         return np.asarray((self.status & np.uint8(bit) > 0).mean(axis=0) > FLAGGED)
 
     def with_electrode(self, electrode: int) -> Bools:
-        """Channels that drive or sense at it, (measurements,)."""
+        """Channels that drive or sense at `electrode`, (measurements,)."""
         return np.asarray((np.array(self.protocol.table) == electrode).any(axis=1))
 
 
 def checked_frames(frames: tuple[Frame, ...], expected: Array) -> CheckedFrames:
-    """The frames of one check; raises what `check_sensor` raises."""
+    """Checked frames of one protocol; raises the errors of `check_sensor`."""
     if not frames:
         raise FrameError("a sensor check needs at least one frame, 16 are good; got none")
     protocol = frames[0].protocol
@@ -156,7 +156,7 @@ def checked_frames(frames: tuple[Frame, ...], expected: Array) -> CheckedFrames:
 
 
 def electrodes_at_fault(wrong: Bools, protocol: Protocol) -> tuple[list[int], list[int]]:
-    """Electrodes all of whose channels are wrong, and the wrong channels that these leave."""
+    """Electrodes whose channels are all wrong, and the wrong channels of no such electrode."""
     table, left = np.array(protocol.table), wrong.copy()
     electrodes = []
     for electrode in range(protocol.n_electrodes):

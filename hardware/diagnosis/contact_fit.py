@@ -1,8 +1,8 @@
-"""Resistances in series with the electrodes, from pairwise resistances, by least squares.
+"""Resistances in series with the electrodes, by least squares from pairwise resistances.
 
-R_ij = g E_ij + r_i + r_j, weighted by the size of each value. Series resistances add exactly, by
-Kirchhoff's laws; that all else scales with one g is an approximation, good to the places of the
-electrodes and the paths of the board.
+R_ij = g E_ij + r_i + r_j, each value weighted by its inverse square. Series resistances add
+exactly, by Kirchhoff's laws; the common factor g is an approximation, limited by the electrode
+positions and the paths of the board.
 """
 
 import itertools
@@ -17,23 +17,24 @@ Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 MODEL_ERROR = 0.004
-"""Of a value, rms, where the model holds: electrode places and paths of the board, 0.3 % each."""
+"""Relative model error of a value, rms: electrode positions and board paths, 0.3 % each."""
 LARGEST_CHI2 = 6.0
 """Largest reduced chi-square of a good fit; nearly all healthy sensors stay below 3.5, swapped
 wires begin at 9."""
 MOST_SWAPS = 3
-_REGULARISATION = 1e-6  # against series resistances that no channel tells apart
-_SPARE_MEASUREMENTS = 4  # measurements that there must be beyond the unknowns
+_REGULARISATION = 1e-6  # of series resistances that no channel separates
+_SPARE_MEASUREMENTS = 4  # least number of measurements beyond the unknowns
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContactFit:
-    """What explains the values best.
+    """Least-squares fit of contacts.
 
     Attributes:
-        scale: g, between the layer and the expected one.
-        series: r, (electrodes,) [ohm], beyond what is expected of each.
-        misfit: root mean square of what is left, relative.
+        scale: g, ratio of the layer to the expected one.
+        series: r, resistance in series with each electrode beyond the expected one, (electrodes,)
+            [ohm].
+        misfit: root mean square of the relative residuals.
     """
 
     scale: float
@@ -42,20 +43,20 @@ class ContactFit:
 
     @property
     def good(self) -> bool:
-        """Whether what is left may be that of a healthy sensor."""
+        """Whether the misfit is that of a healthy sensor."""
         return bool(self.misfit**2 <= LARGEST_CHI2 * MODEL_ERROR**2)
 
 
 def fit_contacts(
     values: Array, expected: Array, used: Bools, protocol: Protocol
 ) -> ContactFit | None:
-    """Fit the channels `used`, (measurements,); None where they are too few to tell.
+    """Fit of contacts to the channels `used`; None for too few channels.
 
     Args:
         values: magnitudes, (measurements,) [ohm].
         expected: of a healthy sensor, (measurements,) [ohm].
-        used: channels that take part, (measurements,).
-        protocol: that senses where it drives.
+        used: channels of the fit, (measurements,).
+        protocol: a protocol that senses where it drives.
     """
     columns = _columns(expected, protocol)
     if used.sum() < _unknowns(columns, used) + _SPARE_MEASUREMENTS:
@@ -66,11 +67,11 @@ def fit_contacts(
 def corrected_wiring(
     values: Array, expected: Array, used: Bools, protocol: Protocol
 ) -> tuple[tuple[tuple[int, int], ...], int | None, ContactFit]:
-    """The fewest exchanges of two electrodes, or the one channel left out, that make a good fit.
+    """Fewest exchanges of two electrodes, or the one channel left out, that make a good fit.
 
-    Nothing, where it is good already. Returns the pairs exchanged, the channel left out or None,
-    and the fit, which is not good where neither helps; then nothing is exchanged or left out. The
-    arguments are `fit_contacts`'s.
+    Returns the pairs exchanged, the channel left out or None, and the fit. Nothing is exchanged or
+    left out where the fit is good without, or where neither makes the fit good. The arguments are
+    those of `fit_contacts`.
     """
     columns = _columns(expected, protocol)
     given = _least_squares(values[None], used[None], columns)[0]
@@ -96,7 +97,7 @@ def corrected_wiring(
 
 
 def _columns(expected: Array, protocol: Protocol) -> Array:
-    """What each unknown contributes to each value, (measurements, 1 + electrodes)."""
+    """Design matrix of the unknowns g and r, (measurements, 1 + electrodes)."""
     table = np.array(protocol.table)[:, :2]
     columns = np.zeros((len(expected), 1 + protocol.n_electrodes))
     columns[:, 0] = expected
@@ -109,7 +110,7 @@ def _unknowns(columns: Array, used: Bools) -> int:
 
 
 def _least_squares(values: Array, used: Bools, columns: Array) -> list[ContactFit]:
-    """One fit for each row of values and channels, (fits, measurements)."""
+    """Fits of the rows of `values` and `used`, (fits, measurements), by weighted least squares."""
     expected, typical = columns[:, 0], float(np.median(columns[:, 0]))
     kept = np.where(used, values, np.nan)
     common = np.nanmedian(kept / expected, axis=1, keepdims=True)
@@ -130,7 +131,7 @@ def _least_squares(values: Array, used: Bools, columns: Array) -> list[ContactFi
 
 
 def _exchanged(protocol: Protocol, pair: tuple[int, int]) -> list[int]:
-    """Which measurement stands in for each where two electrodes are exchanged."""
+    """Number of the measurement in place of each, with two electrodes exchanged."""
     a, b = pair
     number = {frozenset(row[:2]): k for k, row in enumerate(protocol.table)}
     turned = {a: b, b: a}

@@ -1,4 +1,4 @@
-"""What a sensor check can find, and how it says where."""
+"""Findings of a sensor check, by electrode or channel."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from eitskin.hardware.diagnosis.checked_frames import Bools, CheckedFrames, elec
 
 
 class FindingKind(StrEnum):
-    """The kinds of finding."""
+    """Kinds of findings."""
 
     NOT_FINITE = "not finite"
     CLIPPED = "clipped"
@@ -30,13 +30,13 @@ class FindingKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that is wrong.
+    """One fault of a sensor.
 
     Attributes:
-        what: its kind.
-        electrodes: that it lies at, as the protocol numbers them; empty where that is unknown.
-        channels: the measurements that show it.
-        message: what it is, and what to do.
+        what: kind of the finding.
+        electrodes: numbers of the electrodes at fault; empty where unknown.
+        channels: numbers of the measurements that show the fault.
+        message: fault and remedy, in words.
     """
 
     what: FindingKind
@@ -48,7 +48,7 @@ class Finding:
 def findings_by_electrode(
     what: FindingKind, wrong: Bools, checked: CheckedFrames, said: str, remedy: str
 ) -> Iterator[Finding]:
-    """Findings of channels at fault, by electrode where it has no other channels."""
+    """Findings of wrong channels, by electrode where all channels of one are wrong."""
     if wrong.all():
         yield Finding(what, (), channel_numbers(wrong), f"every channel {said}: {remedy}")
         return
@@ -63,11 +63,11 @@ def findings_by_electrode(
 
 
 def channel_names(wrong: Bools, checked: CheckedFrames) -> str:
-    """The channels that are wrong, in words."""
+    """Wrong channels, in words."""
     labels = [checked.protocol.labels[k] for k in np.flatnonzero(wrong)]
     return "every channel" if wrong.all() else f"channel {', '.join(labels)}"
 
 
 def channel_numbers(channels: Bools) -> tuple[int, ...]:
-    """The numbers of channels."""
+    """Numbers of the channels in a mask."""
     return tuple(np.flatnonzero(channels).tolist())

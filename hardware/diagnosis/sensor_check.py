@@ -1,9 +1,9 @@
-"""What is wrong with a sensor and its wires, from a few frames of it flat and untouched.
+"""Sensor check: faults of a sensor and its wires in a few frames of it, flat and untouched.
 
-Made for protocols that sense where they drive, every pair once: their values are all of the form
-R_ij = g E_ij + r_i + r_j with E the expected resistances, g what the whole layer shares and r what
-lies in series with each electrode, so that g and r can be told apart and wrong wiring fits no g
-and r at all. Of other protocols, what needs that model is left out.
+Made for protocols that sense where they drive, every pair once. Their values have the form
+R_ij = g E_ij + r_i + r_j with expected resistances E, a factor g common to the layer and
+resistances r in series with the electrodes: g and r are separable, and wrong wiring fits no g and r
+at all. For other protocols the findings that need this model are left out.
 """
 
 from collections.abc import Iterator, Sequence
@@ -29,10 +29,10 @@ from eitskin.hardware.diagnosis.finding import (
 )
 from eitskin.hardware.diagnosis.variation import frozen, unsteady
 
-# Each lies beyond what healthy sensors show;
+# Each limit lies beyond the values of healthy sensors;
 # `eitskin.benchmarks.studies.sensor_check` measures by how far.
 FACTOR = 2.0
-"""Between all values and the expected ones; gels differ by 1.5, resistors of RTIA by 2 or more."""
+"""Ratio of all values to the expected ones; gels differ by 1.5, resistors of RTIA by 2 or more."""
 BAD_CONTACT = 0.12
 """Resistance in series with one electrode, as a share of the median expected resistance."""
 PHASE_DEG = 10.0
@@ -40,29 +40,29 @@ PHASE_DEG = 10.0
 
 @dataclass(frozen=True, slots=True)
 class SensorCheck:
-    """Everything that is wrong; nothing, where the sensor is healthy."""
+    """Findings of a sensor check; none for a healthy sensor."""
 
     findings: tuple[Finding, ...]
 
     @property
     def healthy(self) -> bool:
-        """Whether nothing was found."""
+        """Whether there are no findings."""
         return not self.findings
 
 
 def check_sensor(frames: Sequence[Frame], expected: ArrayLike) -> SensorCheck:
-    """What is wrong with a sensor that lies flat and untouched.
+    """Findings in frames of a sensor that lies flat and untouched.
 
-    Electrodes that are permuted as a symmetry of the sensor permutes them (its plug turned round)
-    give the frames of a healthy one: no check of the untouched sensor can tell.
+    Electrodes permuted by a symmetry of the sensor (its plug turned round) give the frames of a
+    healthy one: no check of the untouched sensor can tell.
 
     Args:
-        frames: of one protocol, in their order; 16 are good, fewer than 8 say nothing of noise.
+        frames: frames of one protocol, in their order; 16 are good, fewer than 8 do not show noise.
         expected: magnitudes of a healthy sensor of this design, (measurements,) [ohm].
 
     Raises:
         FrameError: for no frames, or frames of several protocols.
-        ConfigurationError: for expected values of another shape, or that are not positive.
+        ConfigurationError: for expected values of another shape, or not finite and positive.
     """
     checked = checked_frames(tuple(frames), np.asarray(expected, dtype=np.float64))
     opened = checked.opened
@@ -82,7 +82,7 @@ def check_sensor(frames: Sequence[Frame], expected: ArrayLike) -> SensorCheck:
 
 
 def _flags(checked: CheckedFrames) -> Iterator[Finding]:
-    """What the values and the board say by themselves."""
+    """Findings of values that are not finite and of status bits."""
     if (wrong := ~checked.finite.all(axis=0) & ~checked.opened).any():
         remedy = "the board divides by a current of zero: check these wires, then the firmware"
         yield from findings_by_electrode(
@@ -103,7 +103,7 @@ def _flags(checked: CheckedFrames) -> Iterator[Finding]:
 
 
 def _wrong_values(checked: CheckedFrames, rest: Bools) -> Iterator[Finding]:
-    """Values that are steady and not those of this design."""
+    """Findings of steady values that are not those of this design."""
     shorted = rest & checked.shorted
     for k in np.flatnonzero(shorted):
         a, b, *_ = checked.protocol.table[k]
@@ -131,7 +131,7 @@ def _wrong_values(checked: CheckedFrames, rest: Bools) -> Iterator[Finding]:
 
 
 def _wrong_contacts(checked: CheckedFrames, rest: Bools) -> Iterator[Finding]:
-    """What the resistances in series say; first of the wires that had to be put right for it."""
+    """Findings of swapped wires, odd channels and resistances in series."""
     swaps, odd, fit = corrected_wiring(*checked.magnitudes(rest))
     for a, b in swaps:
         through = (checked.with_electrode(a) != checked.with_electrode(b)) & rest
@@ -160,7 +160,7 @@ def _wrong_contacts(checked: CheckedFrames, rest: Bools) -> Iterator[Finding]:
 
 
 def _wrong_phase(checked: CheckedFrames, rest: Bools) -> Iterator[Finding]:
-    """Phases that no gel has; only where the sign of a value is known."""
+    """Findings of phases that no gel has, where the sign of a value is known."""
     if not (rest := rest & checked.senses_where_it_drives).any():
         return
     turned = checked.value / np.maximum(np.abs(checked.value), np.finfo(float).tiny)
@@ -181,7 +181,7 @@ def _wrong_phase(checked: CheckedFrames, rest: Bools) -> Iterator[Finding]:
 
 
 def _without(changing: Sequence[Finding], rest: Bools) -> Bools:
-    """The channels that do not change, unless most of them do."""
+    """Channels of `rest` without a finding of change, unless most of them have one."""
     steady = rest.copy()
     for each in changing:
         if 2 * len(each.channels) < len(rest):

@@ -1,4 +1,4 @@
-"""What changes from frame to frame that should not, and what does not that should."""
+"""Variation from frame to frame: frozen values, noise, and movement during the check."""
 
 from collections.abc import Iterator
 
@@ -18,19 +18,21 @@ from eitskin.hardware.diagnosis.finding import (
     findings_by_electrode,
 )
 
-MOVED, TOUCHED = 0.003, 0.0003
-"""Of a value, from one quarter of the check to another: of all in common, and beside that, rms."""
-UNLIKELY = 6.0
-"""Mean square of the latter in standard deviations; it is 1 where nothing moves."""
+MOVED = 0.003
+"""Relative change of all values in common between quarters of the check that is a movement."""
+TOUCHED = 0.0003
+"""The same beside the common change, rms over the channels."""
+SIGNIFICANT = 6.0
+"""Reduced chi-square of a change, and its ratio to the standard deviation, beyond noise."""
 NOISY, NOISE = 4.0, 0.001
-"""Times the noise of the other channels, and of its value, before a channel counts as noisy."""
+"""Noise of a noisy channel: in units of the median channel's noise, and relative to its value."""
 NOISY_BOARD = 0.005
-"""Of the value, in the median channel."""
+"""Relative noise of the median channel from which all values are noisy."""
 FEWEST_FOR_NOISE = 8
 
 
 def frozen(checked: CheckedFrames) -> Iterator[Finding]:
-    """Values that repeat to the last bit, which no measurement does."""
+    """Findings of values that repeat to the last bit, which no measurement does."""
     same = np.diff(np.where(checked.finite, checked.impedance, 0.0), axis=0) == 0
     if len(same) < 2 or not checked.usable.any():
         return
@@ -49,7 +51,7 @@ def frozen(checked: CheckedFrames) -> Iterator[Finding]:
 
 
 def unsteady(checked: CheckedFrames, rest: Bools) -> Iterator[Finding]:
-    """Noise and movement."""
+    """Findings of noise and movement among the channels `rest`."""
     if len(checked.impedance) < FEWEST_FOR_NOISE or not rest.any():
         return
     value, noise = np.abs(checked.value), checked.noise
@@ -70,21 +72,21 @@ def unsteady(checked: CheckedFrames, rest: Bools) -> Iterator[Finding]:
 
 
 def _moved(checked: CheckedFrames, rest: Bools, noise: Array) -> Iterator[Finding]:
-    """Changes beyond the noise, relative, from quarter to quarter of the check."""
+    """Findings of relative changes beyond the noise between quarters of the check."""
     value = np.where(checked.value == 0.0, 1.0, checked.value)
     values = (np.where(checked.finite, checked.impedance, value) / value)[:, rest]
     means = np.array([quarter.mean(axis=0) for quarter in np.array_split(values.real, 4)])
     changes = (means[:, None] - means[None]).reshape(16, -1)
     common = np.median(changes, axis=1)
-    chance = np.maximum(noise[rest] * np.sqrt(2 * 4 / len(values)), np.finfo(float).eps)
+    noise_std = np.maximum(noise[rest] * np.sqrt(2 * 4 / len(values)), np.finfo(float).eps)
     beside = changes - common[:, None]
     touched = np.sqrt((beside**2).mean(axis=1)) > TOUCHED
-    touched &= ((beside / chance) ** 2).mean(axis=1) > UNLIKELY
-    if not touched.any() and np.abs(common).max() <= max(MOVED, 3.0 * np.median(chance)):
+    touched &= ((beside / noise_std) ** 2).mean(axis=1) > SIGNIFICANT
+    if not touched.any() and np.abs(common).max() <= max(MOVED, 3.0 * np.median(noise_std)):
         return
     largest = np.abs(changes).max(axis=0)
     moved = np.zeros_like(rest)
-    moved[rest] = largest > np.maximum(MOVED, UNLIKELY * chance)
+    moved[rest] = largest > np.maximum(MOVED, SIGNIFICANT * noise_std)
     electrodes, others = electrodes_at_fault(moved, checked.protocol)
     text = f"values changed by up to {100 * float(largest.max()):.2g} % during the check: "
     if len(electrodes) == 1 and not others:

@@ -1,4 +1,4 @@
-"""Readings as an MCAP file, which Foxglove and rosbag2 open."""
+"""Readings as an MCAP file, for Foxglove and rosbag2."""
 
 import shutil
 from collections.abc import Callable
@@ -14,27 +14,27 @@ from eitskin.hardware.export.ros_messages import TOPICS, RosMessages
 from eitskin.hardware.live import Reading
 
 SUFFIX = ".mcap"
-UNFINISHED = ".unfinished"  # ending of the folder that is written to meanwhile
+UNFINISHED = ".unfinished"  # ending of the folder of an unfinished file
 GAP = 10**9  # ns, between a frame and the session that follows it in a recording
 
 
 class Stamps:
-    """When frames were taken, in nanoseconds that only rise.
+    """Time stamps of frames [ns], strictly increasing.
 
-    Frames know the time since their session began. Live, a session begins when its first frame
-    comes, by the clock of this machine. A recording does not say when: the first session is put at
-    1 s, and each that follows 1 s after the last frame of the one before. A frame whose time does
-    not go on counts as the first of a session.
+    A frame has the time since its session began. A live session begins when its first frame comes,
+    by the clock of this machine. A recording has no date: its first session begins at 1 s, every
+    other one 1 s after the last frame of the session before. A frame whose time does not increase
+    begins a session.
     """
 
     def __init__(self, now: Callable[[], int] | None = None) -> None:
-        """Begin; `now` is the clock of live sessions [ns]."""
+        """Begin without a session; `now` is the clock of live sessions [ns]."""
         self._now = now
         self._session = -1
         self._began, self._first, self._last = 0, 0.0, 0
 
     def of(self, frame: Frame) -> tuple[int, bool]:
-        """The frame's stamp [ns], and whether a session begins with it."""
+        """Stamp of `frame` [ns], and whether the frame begins a session."""
         stamp = self._began + round(1e9 * (frame.time - self._first))
         begins = frame.session != self._session or stamp <= self._last
         if begins:
@@ -45,27 +45,27 @@ class Stamps:
 
 
 class McapWriter(Closeable):
-    """Writes readings to one MCAP file, the topics of `ros_messages.TOPICS`.
+    """Writer of readings to one MCAP file, with the topics of `ros_messages.TOPICS`.
 
-    The file is written in the folder NAME.mcap.unfinished and takes its name when the writer is
-    closed, which it is whenever its `with` block ends, by Ctrl-C too. Where the program was killed
-    that folder stays: what it holds lacks its index and at most the last megabyte.
+    The file grows in the folder NAME.mcap.unfinished and takes its name when the writer is closed,
+    at the latest at the end of its `with` block, also by Ctrl-C. Where the program was killed that
+    folder stays; its file lacks the index and at most the last megabyte.
 
     Attributes:
-        path: of the file.
-        messages: written so far.
+        path: path of the file.
+        messages: number of messages written so far.
     """
 
     def __init__(self, path: str | Path, now: Callable[[], int] | None = None) -> None:
-        """Make the file.
+        """Create the file.
 
         Args:
-            path: of the file, ending in .mcap; not there yet.
+            path: path of a new file, ending in .mcap.
             now: clock of live sessions [ns], such as time.time_ns; see `Stamps`.
 
         Raises:
             ImportError: naming the extra, where rosbags is missing.
-            ConfigurationError: where the file is there already or cannot be made.
+            ConfigurationError: where the file exists or cannot be created.
         """
         self.path = Path(path)
         self.messages = 0
@@ -89,8 +89,8 @@ class McapWriter(Closeable):
     def write(self, reading: Reading) -> None:
         """Append one reading.
 
-        Raises PartialError where it cannot be written; nothing more can be then, and there will be
-        no file under the name.
+        Raises PartialError where the reading cannot be written; the writer is then at its end, and
+        no file takes the name.
         """
         stamp, begins = self._stamps.of(reading.frame)
         said = self._messages.of(reading, stamp)
@@ -101,7 +101,7 @@ class McapWriter(Closeable):
                 data = self._messages.serialised(topic, message)
                 self._bag.write(self._topic(topic), stamp, data)
         except OSError as error:
-            # A chunk that was cut short must stay the last: no index is put behind it.
+            # A truncated chunk must stay the last: no index may follow.
             bag, self._bag = self._bag, None
             with suppress(OSError):
                 bag.abort()
@@ -109,7 +109,7 @@ class McapWriter(Closeable):
         self.messages += len(said)
 
     def close(self) -> None:
-        """Finish the file and give it its name; there is none where nothing was written.
+        """Finish the file and give it its name; without any message no file is left.
 
         Raises PartialError where that fails.
         """
@@ -130,14 +130,14 @@ class McapWriter(Closeable):
         shutil.rmtree(self._folder, ignore_errors=True)
 
     def discard(self) -> None:
-        """Close without leaving a file, nor what is left of one that could not be written."""
+        """Close and remove the unfinished file."""
         bag, self._bag = self._bag, None
         if bag is not None:
             bag.abort()
         shutil.rmtree(self._folder, ignore_errors=True)
 
     def _topic(self, topic: str) -> Any:
-        """Its place in the file; a recording without estimates has no topics of estimates."""
+        """Connection of `topic` in the file, made with its first message."""
         if topic not in self._topics:
             self._topics[topic] = self._bag.add_connection(
                 topic, TOPICS[topic], typestore=self._messages.store
@@ -152,9 +152,9 @@ class McapWriter(Closeable):
 
 
 def require_new(path: Path) -> Path:
-    """The folder that is written to meanwhile; raises ConfigurationError for a name that is taken.
+    """Folder of the unfinished file of `path`; raises ConfigurationError for a name that is taken.
 
-    Neither a file nor what is left of one is ever replaced: a recording cannot be made again.
+    Neither a file nor an unfinished one is ever replaced: a recording cannot be made again.
     """
     if path.suffix != SUFFIX:
         raise ConfigurationError(f"an MCAP file must end in {SUFFIX}, got {path}")

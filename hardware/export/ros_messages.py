@@ -1,4 +1,4 @@
-"""A reading as standard ROS 2 messages: which topics, of which types, in which units."""
+"""Standard ROS 2 messages of a reading: topics, types, units."""
 
 import json
 import math
@@ -13,7 +13,7 @@ from eitskin.frame import Frame, Status
 from eitskin.hardware.live import Estimate, Reading
 
 FRAME_ID = "eitskin"
-"""Of all headers: coordinates of the flat sensor, x along and y across it, z = 0 its face."""
+"""Frame of all headers: the flat sensor, x along, y across, z = 0 at the touched side."""
 
 TOPICS = {
     "/eitskin/sensor": "std_msgs/msg/String",
@@ -30,25 +30,25 @@ _OK, _WARN, _ERROR = 0, 1, 2  # diagnostic_msgs/DiagnosticStatus
 
 
 class RosMessages:
-    """Makes messages of readings, and the bytes (CDR) that stand for them in a bag.
+    """Maker of ROS 2 messages of readings, and of their serialised form (CDR).
 
     Attributes:
-        store: rosbags' definitions of the standard messages; the same in every ROS 2.
+        store: definitions of the standard messages in rosbags; the same in every ROS 2.
     """
 
     def __init__(self) -> None:
-        """Raises ImportError, naming the extra, where rosbags is missing."""
+        """Load the definitions; raises ImportError, naming the extra, where rosbags is missing."""
         require("rosbags", "ros")
         from rosbags.typesys import Stores, get_typestore
 
         self.store: Any = get_typestore(Stores.ROS2_HUMBLE)
 
     def serialised(self, topic: str, message: Any) -> bytes:
-        """The message as it is written to `topic`."""
+        """Bytes of `message` for `topic`."""
         return bytes(self.store.serialize_cdr(message, TOPICS[topic]))
 
     def sensor(self, frame: Frame) -> Any:
-        """/eitskin/sensor: what is measured, and the units of every topic, as JSON."""
+        """Message of /eitskin/sensor: measurement pattern and units of every topic, as JSON."""
         text = {
             "measurements": frame.protocol.labels,
             "protocol": asdict(frame.protocol),
@@ -63,9 +63,10 @@ class RosMessages:
         return self._make("std_msgs/msg/String", data=json.dumps(text))
 
     def of(self, reading: Reading, stamp: int) -> dict[str, Any]:
-        """Messages by topic of one reading at `stamp` [ns]; those of an estimate where it has one.
+        """Messages of one reading at `stamp` [ns], by topic.
 
-        The stamp is that of the frame, not of the estimate, which is ready a little later.
+        A reading without estimate has no topics of estimates. The stamp is the time of the frame,
+        not of the estimate, which is ready a little later.
         """
         frame, estimate = reading.frame, reading.estimate
         header = self._header(stamp)
@@ -143,7 +144,7 @@ class RosMessages:
         )
 
     def _sensor_status(self, reading: Reading) -> Any:
-        """State and doubts; values that are not known are left out."""
+        """Status of the sensor: state and doubts; unknown values are left out."""
         frame, estimate = reading.frame, reading.estimate
         values: dict[str, object] = {
             "session": frame.session,
@@ -173,7 +174,7 @@ class RosMessages:
         return self._status("eitskin: sensor", level, message, known)
 
     def _channel_status(self, frame: Frame) -> Any:
-        """The board's status of each measurement, by its label."""
+        """Status of each measurement, by its label."""
         health = [Status(int(bits)).name or str(bits) if bits else "good" for bits in frame.status]
         bad = sum(each != "good" for each in health)
         return self._status(
@@ -199,7 +200,7 @@ class RosMessages:
 
 
 def touch_rows(estimate: Estimate) -> NDArray[np.float32]:
-    """The k touches as rows of `TOUCH_FIELDS` (k, 6); NaN where the pipeline does not say."""
+    """Touches as rows of `TOUCH_FIELDS`, (touches, 6); NaN where the pipeline gives no value."""
     rows = np.full((len(estimate.touches), len(TOUCH_FIELDS)), np.nan, dtype="<f4")
     found = getattr(estimate, "found", None)
     for row, (x, y, strength) in zip(rows, estimate.touches, strict=True):
@@ -210,5 +211,5 @@ def touch_rows(estimate: Estimate) -> NDArray[np.float32]:
 
 
 def _text(value: object) -> str:
-    """Floats in as many digits as they have, so that nothing is lost."""
+    """Text of a value; floats with all their digits."""
     return repr(value) if isinstance(value, float) else str(value)

@@ -1,4 +1,4 @@
-"""A fault of the virtual board: when it acts, and what it changes."""
+"""Fault of the virtual board: first frame, duration, and effects at the board's hooks."""
 
 import random
 from collections.abc import Callable, Mapping
@@ -34,11 +34,11 @@ AT_START = (Hook.FIRST_NUMBER, Hook.STREAMS)
 """Consulted at every start of the board, also before the first frame of a fault."""
 
 Effect = Callable[[Any, "Fault"], Any]
-"""Takes the value that passes a hook, and the fault; gives the value that goes on."""
+"""Function from the value at a hook, and the fault, to the value that the board uses."""
 
 
 class Unplugged(Exception):  # noqa: N818
-    """The cable has been pulled.
+    """Signal that the cable has been pulled.
 
     Attributes:
         sent: bytes that still came through.
@@ -54,11 +54,11 @@ class Unplugged(Exception):  # noqa: N818
 
 @dataclass(frozen=True, slots=True)
 class FaultKind:
-    """One row of the table of faults.
+    """Kind of fault: one row of the table of faults.
 
     Attributes:
         meaning: one sentence, for `eitskin board --list-faults`.
-        effects: what is changed at which hook, from the fault's first frame on.
+        effects: effect at each hook, from the fault's first frame on.
         unit: of the index; empty where the index has no effect.
         default: amount that index 0 stands for.
         frame: the first frame, or request, where none is given.
@@ -75,7 +75,7 @@ class FaultKind:
 
 @dataclass(slots=True)
 class Fault:
-    """One fault of a virtual board.
+    """Fault of one virtual board.
 
     Frames are counted since the board was made; a restart does not set the count back. A fault of
     replies counts requests instead.
@@ -127,7 +127,7 @@ class Fault:
         return involved
 
     def change(self, hook: Hook, value: Any, now: int, info: Info, protocol: Protocol) -> Any:
-        """The value that goes on from `hook` in frame `now`; the arguments are the board's."""
+        """Value after this fault at `hook` in frame `now`; unchanged before the first frame."""
         effect = self.kind.effects.get(hook)
         if effect is None or (now < self.frame and hook not in AT_START):
             return value

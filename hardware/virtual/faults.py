@@ -1,10 +1,11 @@
-"""All faults of a virtual board by name.
+"""Table of all faults of a virtual board, by name.
 
-A fault is written `name@frame:index`, such as `bit_flip@5:12`. From that frame on it stays where
-that is the nature of the fault (a channel that is NaN), else it strikes once (a lost frame). Faults
-of replies count requests instead of frames: `no_reply@0:2` leaves the first two unanswered.
+A fault is written `name@frame:index`, such as `bit_flip@5:12`. From that frame on it stays (a
+channel that is NaN) or acts once (a lost frame), by its nature. Faults of replies count requests
+instead of frames: `no_reply@0:2` leaves the first two unanswered.
 
-To add a fault, add a row to one of the three tables at the end of this file.
+To add a fault, add a row to one of the tables at the end of this file: `WIRE_FAULTS` for bytes and
+times of frames, `BOARD_FAULTS` for answers, identity and cable, `SENSOR_FAULTS` for values.
 """
 
 import difflib
@@ -38,7 +39,7 @@ DRIFT_PER_FRAME = 1e-4
 
 
 def read_faults(text: str) -> tuple[Fault, ...]:
-    """The faults in "name@frame:index,..."; raises ConfigurationError where one cannot be."""
+    """Faults of a text "name@frame:index,..."; raises ConfigurationError for an unknown one."""
     return tuple(_read_fault(part.strip()) for part in text.split(",") if part.strip())
 
 
@@ -59,7 +60,7 @@ def _read_fault(text: str) -> Fault:
 
 
 def _put(packet: bytes, f: Fault, count: int, new: bytes = b"") -> bytes:
-    """The packet with `new` for `count` bytes, from byte `index` (modulo its length) on."""
+    """Packet with `new` in place of `count` bytes from byte `index` on, modulo its length."""
     start = f.index % len(packet)
     return packet[:start] + new + packet[start + count :]
 
@@ -129,7 +130,7 @@ def _replug(packet: bytes, f: Fault) -> bytes:
 
 
 def _with(array: Array, where: Any, value: Any) -> Array:
-    """A copy with `value` at some channels."""
+    """Copy with `value` at the channels `where`."""
     changed = array.copy()
     changed[where] = value
     return changed

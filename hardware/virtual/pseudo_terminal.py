@@ -1,4 +1,4 @@
-"""Serves a virtual board on a pseudo-terminal, at a real board's pace or as fast as it is read."""
+"""Pseudo-terminal that serves a virtual board, at a real pace or as fast as it is read."""
 
 import contextlib
 import os
@@ -15,11 +15,11 @@ from eitskin.errors import ConfigurationError
 from eitskin.hardware.virtual.fault import Unplugged
 
 _CHUNK = 4096  # bytes
-_BACKLOG = 16384  # bytes; more than this waiting to be sent, and requests wait too
+_BACKLOG = 16384  # bytes waiting to be sent, beyond which requests wait too
 
 
 class Firmware(typing.Protocol):
-    """What is served: bytes in, bytes out."""
+    """Firmware as far as the terminal uses it: bytes in, bytes out."""
 
     @property
     def streaming(self) -> bool:
@@ -27,82 +27,83 @@ class Firmware(typing.Protocol):
 
     @property
     def delay(self) -> float:
-        """By how much the frame after the newest is late [s]."""
+        """Delay of the frame after the newest [s]."""
 
     @property
     def holds_port(self) -> bool:
-        """Whether another program is to have the port open."""
+        """Whether another program has the port open."""
 
     @property
     def plugged_in(self) -> bool:
         """Whether the cable, once pulled, may be put back."""
 
     def boot(self) -> bytes:
-        """Start afresh."""
+        """Boot, and give the bytes sent on boot."""
 
     def receive(self, data: bytes) -> bytes:
-        """Take bytes from the host and answer them."""
+        """Answers to bytes from the host."""
 
     def frame(self) -> bytes:
-        """Measure the next frame and send it; may raise `Unplugged`."""
+        """Bytes of the next frame; may raise `Unplugged`."""
 
     def skip(self) -> None:
-        """Let a frame pass."""
+        """Leave out one frame."""
 
 
 FirmwareType = TypeVar("FirmwareType", bound=Firmware)
 
 
 class Pace:
-    """When the next frame is due.
+    """Pace of frames: time at which the next one is due.
 
     Attributes:
-        period: from frame to frame [s]; 0 is as fast as they are read.
+        period: time from frame to frame [s]; 0 for as fast as they are read.
     """
 
     def __init__(self, period: float, clock: Callable[[], float] = time.monotonic) -> None:
-        """Start one period before the first frame is due."""
+        """Set the first frame due one period from now."""
         self.period = period
         self._clock = clock
         self.restart()
 
     def restart(self) -> None:
-        """Have the next frame due one period from now."""
+        """Set the next frame due one period from now."""
         self._due = self._clock() + self.period
 
     def advance(self, late: float = 0.0) -> None:
-        """Have the next frame due one period after the last, and so much later [s].
+        """Set the next frame due one period and `late` [s] after the last.
 
-        At once, where that has passed.
+        A time that has passed counts as now.
         """
         self._due = max(self._due + self.period, self._clock()) + late
 
     def remaining(self) -> float:
-        """Time until the next frame is due, 0 when it is [s]."""
+        """Time until the next frame is due [s], 0 for one that is due."""
         return max(0.0, self._due - self._clock())
 
 
 class PseudoTerminal(Closeable, Generic[FirmwareType]):
-    """A pseudo-terminal with a board at its other end.
+    """Pseudo-terminal with a board at its other end.
 
-    It keeps the host's end open too, so that hosts can come and go as on a plugged-in cable. When
+    The host's end is kept open too, so that hosts can come and go as on a plugged-in cable. When
     the cable is pulled and put back, the board starts anew behind another terminal, as a USB port
     may come back under another name.
 
     Attributes:
-        firmware: what it serves.
-        path: what a host opens; empty while the cable is pulled.
+        firmware: firmware of the board.
+        pace: pace of its frames.
+        path: path for the host to open; empty while the cable is pulled.
     """
 
     def __init__(self, firmware: FirmwareType, pace: Pace, link: str | Path | None = None) -> None:
-        """Make the terminal, raw, so that every byte passes.
+        """Make a raw terminal, which passes every byte.
 
         Args:
-            firmware: the board.
-            pace: when its frames are due.
-            link: a path that shall lead to the terminal as long as there is one.
+            firmware: firmware of the board.
+            pace: pace of its frames.
+            link: path of a symbolic link to the terminal, kept as long as there is one.
 
-        Raises ConfigurationError where there are no pseudo-terminals, or the link cannot be made.
+        Raises ConfigurationError on systems without pseudo-terminals, or for an impossible link.
         """
         self.firmware, self.pace = firmware, pace
         self._link = None if link is None else Path(link)
@@ -134,7 +135,7 @@ class PseudoTerminal(Closeable, Generic[FirmwareType]):
             self._hang_up()
 
     def wake(self) -> None:
-        """Have the serving thread look at its firmware again."""
+        """Wake the serving thread, to look at its firmware again."""
         with self._closing:
             if not self._stopped:
                 os.write(self._wake_write, b"x")
@@ -157,7 +158,7 @@ class PseudoTerminal(Closeable, Generic[FirmwareType]):
         return self
 
     def _plug_in(self) -> None:
-        """Make a terminal, and have the link lead to it."""
+        """Make a terminal, and point the link to it."""
         try:
             import tty
         except ImportError as error:
@@ -186,7 +187,7 @@ class PseudoTerminal(Closeable, Generic[FirmwareType]):
     def _hang_up(self) -> None:
         link = self._link
         if self._ends and link and link.is_symlink() and link.readlink() == Path(self.path):
-            link.unlink()  # unless another board has taken it over
+            link.unlink()  # unless another board has taken over the link
         for end in self._ends:
             os.close(end)
         self._ends, self.path = (), ""
@@ -204,7 +205,7 @@ class PseudoTerminal(Closeable, Generic[FirmwareType]):
                 self._exchange(selector)
 
     def _flush(self, data: bytes) -> None:
-        """Send what the line still takes before the cable is gone."""
+        """Send the bytes that the line still takes before the cable is gone."""
         with contextlib.suppress(BlockingIOError):
             os.write(self._board_end, bytes(self._outgoing) + data)
 
@@ -222,12 +223,12 @@ class PseudoTerminal(Closeable, Generic[FirmwareType]):
                     os.read(self._wake_read, _CHUNK)
 
     def _lock(self, wanted: bool) -> None:
-        """Hold the port as another program would, or let go of it."""
+        """Lock the port as another program would, or unlock it."""
         if wanted != self._locked:
             import fcntl
 
-            # The lock is of an open file: that of the host's own descriptor is another.
-            # While a host has it there is nothing to hold; once that is gone there is.
+            # A lock belongs to an open file: a host's lock is another than this one. While a host
+            # has the port it cannot be locked here; the next call tries again.
             with contextlib.suppress(BlockingIOError):
                 fcntl.flock(
                     self._host_end, (fcntl.LOCK_EX | fcntl.LOCK_NB) if wanted else fcntl.LOCK_UN
@@ -235,7 +236,7 @@ class PseudoTerminal(Closeable, Generic[FirmwareType]):
                 self._locked = wanted
 
     def _measure(self) -> None:
-        """Send a frame if one is due; skip it, as a board must, where the last is still unread."""
+        """Send a frame if one is due; skip it, as a board must, while the last is unread."""
         if not self.firmware.streaming or self.pace.remaining() > 0:
             return
         late = 0.0
@@ -249,7 +250,7 @@ class PseudoTerminal(Closeable, Generic[FirmwareType]):
         self.pace.advance(late)
 
     def _exchange(self, selector: selectors.BaseSelector) -> None:
-        """Wait until there is something to do, and pass bytes both ways."""
+        """Wait for something to do, and pass bytes both ways."""
         interest = selectors.EVENT_WRITE if self._outgoing else 0
         if len(self._outgoing) < _BACKLOG or not interest:
             interest |= selectors.EVENT_READ
@@ -265,7 +266,7 @@ class PseudoTerminal(Closeable, Generic[FirmwareType]):
                 del self._outgoing[:sent]
 
     def _patience(self) -> float | None:
-        """How long nothing needs doing unless bytes come or go [s]; None for ever."""
+        """Longest wait for bytes [s]; None for without end."""
         if not self.firmware.streaming:
             return None
         if self._outgoing and not self.pace.period:
@@ -280,7 +281,7 @@ class PseudoTerminal(Closeable, Generic[FirmwareType]):
 
 
 def _point(link: Path, target: str) -> None:
-    """Have the symbolic link lead to `target`, in one step; nothing but a link is replaced."""
+    """Point the symbolic link to `target`, in one step; nothing but a link is replaced."""
     if link.exists() and not link.is_symlink():
         raise FileExistsError(f"{link} is no link")
     fresh = link.with_name(f".{link.name}.new")

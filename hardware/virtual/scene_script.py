@@ -1,4 +1,4 @@
-"""What happens to a virtual board's sensor, frame by frame, and what is then measured."""
+"""Scripts of scenes for a virtual board, frame by frame."""
 
 import tomllib
 from collections.abc import Callable
@@ -10,12 +10,12 @@ from eitskin.errors import ConfigurationError
 from eitskin.simulator.scene.scene import Scene
 
 SceneSource = Callable[[int], Scene]
-"""The scene of the frame with a given number."""
+"""Function from frame number to scene."""
 
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """A scene that lasts for a number of frames."""
+    """Scene that lasts for a number of frames."""
 
     scene: Scene
     frames: int = 1
@@ -27,42 +27,42 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class Script:
-    """Scenes that follow each other.
+    """Sequence of scenes; a function from frame number to scene.
 
     Attributes:
-        steps: in the order in which they are played.
-        repeat: from the first again after the last; else the last one stays.
+        steps: steps in the order in which they are played.
+        repeat: begin again after the last step; else the last one stays.
     """
 
     steps: tuple[Step, ...]
     repeat: bool = True
 
     def __post_init__(self) -> None:
-        """Check that there is something to play."""
+        """Require at least one step; raises ConfigurationError for none."""
         if not self.steps:
             raise ConfigurationError("a script needs at least one step, got none")
 
     @classmethod
     def from_toml(cls, path: str | Path) -> "Script":
-        """Read a script ([[steps]] with frames and a scene), or a scene that stays for ever."""
+        """Script of a TOML file: [[steps]] with frames and a scene, or one scene that stays."""
         path = Path(path)
         if path.is_file() and "steps" in _top_keys(path):
             return read_toml(cls, path)
         return cls((Step(Scene.from_toml(path)),))
 
     def __call__(self, number: int) -> Scene:
-        """The scene of frame `number`."""
+        """Scene of frame `number`."""
         total = sum(step.frames for step in self.steps)
-        place = number % total if self.repeat else min(number, total - 1)
+        frame = number % total if self.repeat else min(number, total - 1)
         for step in self.steps:
-            if place < step.frames:
+            if frame < step.frames:
                 break
-            place -= step.frames
+            frame -= step.frames
         return step.scene
 
 
 def _top_keys(path: Path) -> set[str]:
-    """Keys at the top of a TOML file; none where it is not TOML, which reading it will say."""
+    """Keys at the top of a TOML file; none for other files, an error when they are read."""
     try:
         return set(tomllib.loads(path.read_text(encoding="utf-8")))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError):

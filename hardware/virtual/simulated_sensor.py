@@ -17,29 +17,30 @@ from eitskin.simulator.scene.scene import Scene
 Measured = tuple[NDArray[np.complex128], NDArray[np.uint8]]
 """Impedances [ohm] and `Status` bits of one frame, (measurements,) each."""
 Measure = Callable[[NDArray[np.complex128], int], Measured]
-"""What a board reads of noise-free impedances (measurements,) [ohm] in a frame, by its number."""
+"""Measured values of noise-free impedances, (measurements,) [ohm], in a frame, by its number."""
 
 
 class SceneSolver(typing.Protocol):
-    """What is used of a `Simulator`."""
+    """A `Simulator`, as far as a virtual board uses it."""
 
     @property
     def protocol(self) -> Protocol:
-        """What it measures."""
+        """Stimulation and measurement pattern."""
 
     @property
     def full_scale(self) -> float:
         """Largest resistance of the flat, untouched sensor [ohm]."""
 
     def measure(self, scene: Scene) -> Frame:
-        """The noise-free frame of `scene`."""
+        """Noise-free frame of `scene`."""
 
 
 class SimulatedSensor:
-    """What a virtual board measures, in one session; each scene is computed once.
+    """Simulated sensor and instrument in one session; each scene is solved once.
 
     Attributes:
-        protocol: what is measured.
+        protocol: stimulation and measurement pattern.
+        solve: noise-free impedances of a scene, (measurements,) [ohm].
     """
 
     def __init__(
@@ -52,11 +53,11 @@ class SimulatedSensor:
         """Begin the session.
 
         Args:
-            simulator: of the sensor.
-            instrument: that measures every frame; none where the sensor itself is asked for.
-            seed: of the session and of what differs from frame to frame; frame and seed decide
-                over that, whatever was measured before.
-            period: from frame to frame [s], for what drifts; 10.6 ms for each measurement when
+            simulator: simulator of the sensor.
+            instrument: instrument that measures every frame; noise-free when omitted.
+            seed: seed of the session and of every frame's noise, which depends on seed and frame
+                number alone.
+            period: time from frame to frame [s], for drift; 10.6 ms for each measurement when
                 omitted.
         """
         self.protocol = simulator.protocol
@@ -69,11 +70,11 @@ class SimulatedSensor:
         self.solve = lru_cache(maxsize=1024)(lambda scene: simulator.measure(scene).impedance)
 
     def measure(self, impedance: NDArray[np.complex128], now: int) -> Measured:
-        """What the board reads in frame `now`: impedances [ohm] and status, (measurements,) each.
+        """Measured impedances [ohm] and status of frame `now`, (measurements,) each.
 
         Args:
-            impedance: noise-free, (measurements,) [ohm].
-            now: the frame, counted from the session's start.
+            impedance: noise-free impedances, (measurements,) [ohm].
+            now: number of the frame, counted from the session's start.
         """
         if self._session is None:
             return noise_free(impedance, now)
@@ -86,5 +87,5 @@ class SimulatedSensor:
 
 
 def noise_free(impedance: NDArray[np.complex128], now: int) -> Measured:  # noqa: ARG001
-    """The impedances as they are, all good."""
+    """Impedances unchanged, (measurements,) [ohm], and a status without any bit."""
     return impedance, np.zeros(len(impedance), np.uint8)

@@ -1,4 +1,4 @@
-"""What happens to a virtual board while it runs: its scene, and what goes wrong with it."""
+"""Scene and faults of a virtual board, changed while it runs."""
 
 import threading
 from collections import OrderedDict, deque
@@ -13,35 +13,35 @@ from eitskin.hardware.virtual.scene_script import SceneSource, Script, Step
 from eitskin.simulator.scene.scene import Scene
 
 REMEMBERED = 4096
-"""Frames whose scene is still known; what a host has not read by then it will not ask for."""
+"""Number of newest frames whose scene is remembered."""
 
 Solve = Callable[[Scene], NDArray[np.complex128]]
 Solved = tuple[Scene, NDArray[np.complex128]]
-"""A scene and its noise-free impedances, (measurements,) [ohm]."""
+"""Scene and its noise-free impedances, (measurements,) [ohm]."""
 
 
 class Stage:
-    """The scene and the faults of a virtual board; may be changed from any thread.
+    """Scene and faults of a virtual board; may be changed from any thread.
 
-    A new scene is solved by whoever sets it, so that an impossible one is refused there and the
-    board goes on in its pace.
+    A new scene is solved in the thread that sets it, so that an impossible one is refused there and
+    the board keeps its pace.
 
     Attributes:
-        frames: measured so far, since the board was made.
-        requests: answered so far.
-        changed: called when the faults have changed, for whoever waits.
+        frames: number of frames measured since the board was made.
+        requests: number of requests answered since then.
+        changed: called after every change of the faults.
     """
 
     def __init__(
         self, solve: Solve, scenes: SceneSource | None = None, faults: Sequence[Fault] = ()
     ) -> None:
-        """Set the stage.
+        """Begin with a script and faults.
 
         Args:
-            solve: gives the noise-free impedances of a scene, (measurements,) [ohm].
+            solve: noise-free impedances of a scene, (measurements,) [ohm].
             scenes: a `Script`, or any function from frame number to scene; flat and untouched when
-                omitted. Those of a script are solved now.
-            faults: what goes wrong.
+                omitted. The scenes of a script are solved now.
+            faults: faults from the first frame on.
         """
         self.frames = self.requests = 0
         self.changed: Callable[[], None] = lambda: None
@@ -56,24 +56,25 @@ class Stage:
 
     @property
     def scene(self) -> Scene:
-        """The scene of the newest frame; before the first, of the frame to come."""
+        """Scene of the newest frame; of the first frame before that was measured."""
         return self._newest if self.frames else self._source(0)[0]
 
     def set(self, scene: Scene) -> None:
-        """Have this scene from the next frame on; raises ConfigurationError if it cannot be."""
+        """Set the scene from the next frame on; raises ConfigurationError for an impossible one."""
         solved = scene, self._solved(scene)
         self._source = lambda _: solved
 
     def play(self, scenes: SceneSource) -> None:
-        """Follow a script from the next frame on; raises ConfigurationError if it cannot be.
+        """Play scenes from the next frame on; raises ConfigurationError for an impossible one.
 
-        The scenes of any other function are solved when their frames are due, which may be late.
+        The scenes of a `Script` are solved now. Those of any other function are solved when their
+        frames are due, which may delay them.
         """
         first = self.frames
         if not isinstance(scenes, Script):
             self._source = self._lazily(lambda now: scenes(now - first))
             return
-        # Solved here and kept: the board's own thread never waits for a solution.
+        # Solved here, so that the board's own thread never waits for a solution.
         known = {step.scene: self._solved(step.scene) for step in scenes.steps}
 
         def told(now: int) -> Solved:
@@ -89,21 +90,22 @@ class Stage:
         return impedance
 
     def record_truth(self, number: int) -> None:
-        """Remember the newest scene as that of the frame with this number."""
+        """Remember the newest scene as the truth of the frame with this number."""
         self._truth[number] = self._newest
         self._truth.move_to_end(number)
         if len(self._truth) > REMEMBERED:
             self._truth.popitem(last=False)
 
     def truth(self, number: int) -> Scene | None:
-        """The scene that frame `number` was measured of; None for one long gone."""
+        """Scene that frame `number` was measured of; None for one no longer remembered."""
         return self._truth.get(number)
 
     @property
     def active(self) -> tuple[Fault, ...]:
-        """The faults, to be asked frame by frame, by the board's own thread.
+        """Faults for the next frame, for the board's own thread alone.
 
-        What was injected begins now: only that thread knows which frame comes next.
+        Injected faults begin now, since only that thread knows the next frame; faults that are over
+        are removed.
         """
         if self._cleared:
             self._cleared, self._faults = False, ()
@@ -117,17 +119,17 @@ class Stage:
 
     @property
     def faults(self) -> tuple[str, ...]:
-        """The faults that are still to strike or to last."""
+        """Faults that act or are yet to act, as "name:index"."""
         begun = () if self._cleared else self._faults
         return tuple(map(str, (*begun, *self._injected)))
 
     def inject(self, faults: str | Sequence[Fault]) -> None:
-        """Have faults strike next, "name:index,..."; raises ConfigurationError for others."""
+        """Inject faults, "name:index,...", from the next frame on; raises ConfigurationError."""
         self._injected.extend(read_faults(faults) if isinstance(faults, str) else faults)
         self.changed()
 
     def clear(self) -> None:
-        """End what lasts, and what has yet to strike."""
+        """Remove all faults."""
         self._injected.clear()
         self._cleared = True
         self.changed()

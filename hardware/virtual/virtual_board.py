@@ -1,4 +1,4 @@
-"""A virtual board: simulated measurements behind a pseudo-terminal.
+"""Virtual board: simulated measurements behind a pseudo-terminal.
 
 The host opens the terminal as it opens a real board's port, so both share all of the host's code.
 """
@@ -43,24 +43,23 @@ def virtual_terminal(
     period: float | None = None,
     link: str | Path | None = None,
 ) -> PseudoTerminal[VirtualFirmware]:
-    """A virtual board on a pseudo-terminal, not yet served.
+    """Pseudo-terminal of a virtual board, not yet served.
 
     Args:
         speed: "real", paced as the AD5940 is, or "max", as fast as it is read.
-        resolution: of the simulator.
+        resolution: resolution of the simulator: "fast", "standard" or "fine".
         scene: a scene, a `Script`, a function from frame number to scene, or the path of a TOML
             file that holds one of the first two; the flat untouched sensor when omitted.
-        seed: of the instrument.
-        snr_db: the noise's distance below full scale [dB]; infinity for none.
-        instrument: that measures, in one session, or its name; white noise of `snr_db` when
-            omitted.
-        faults: what goes wrong, as text or as `Fault`s.
-        simulator: of the sensor; one of `sensor` when omitted.
+        seed: seed of the instrument.
+        snr_db: full scale over noise [dB]; infinity for no noise.
+        instrument: instrument of one session, or its name; white noise of `snr_db` when omitted.
+        faults: faults as text, "name@frame:index,...", or as `Fault`s.
+        simulator: simulator of the sensor; one of `sensor` when omitted.
         sensor: a design, or the path of its TOML file; the reference sensor when omitted.
-        period: from frame to frame [s]; the AD5940's when omitted.
-        link: a path that leads to the terminal, also after the cable was pulled and put back.
+        period: time from frame to frame [s]; the AD5940's when omitted.
+        link: path of a symbolic link to the terminal, kept over a pulled and replugged cable.
 
-    Raises ConfigurationError for an option that cannot be.
+    Raises ConfigurationError for an option out of range.
     """
     if speed not in SPEEDS:
         raise ConfigurationError(f"speed must be one of {', '.join(SPEEDS)}, got {speed!r}")
@@ -92,10 +91,10 @@ def virtual_terminal(
 
 
 class VirtualBoard(SerialBoard):
-    """A board on a pseudo-terminal in this process; closing it closes the terminal.
+    """Board on a pseudo-terminal in this process; closing the board closes the terminal.
 
     Attributes:
-        stage: its scene and faults, which may be changed while it runs.
+        stage: scene and faults, which may be changed while the board runs.
     """
 
     stage: Stage
@@ -103,7 +102,7 @@ class VirtualBoard(SerialBoard):
     def __init__(self, terminal: PseudoTerminal[VirtualFirmware], uri: str = "virtual:") -> None:
         """Serve `terminal` in a thread and connect to it.
 
-        Raises DeviceError where the board does not answer as expected, as its faults may have it.
+        Raises DeviceError where the board does not answer as expected, because of its faults.
         """
 
         def connect() -> SerialPort:

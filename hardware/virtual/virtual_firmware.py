@@ -34,13 +34,13 @@ T = TypeVar("T")
 
 
 class VirtualFirmware:
-    """The firmware: bytes in, bytes out. It knows no port and no clock; whoever serves it does.
+    """Firmware of a virtual board: bytes in, bytes out, without port or clock.
 
     Attributes:
-        info: who the board says it is.
+        info: identity and settings of the board, before faults.
         streaming: whether frames are due.
-        delay: by how much the frame after the newest is late [s].
-        stage: what happens to the board.
+        delay: delay of the frame after the newest [s].
+        stage: scene and faults of the board.
     """
 
     def __init__(
@@ -53,10 +53,10 @@ class VirtualFirmware:
         """Build a board that has not booted yet.
 
         Args:
-            stage: the scene that it measures, and what goes wrong with it.
-            protocol: its measurement table.
-            measure: what it reads of noise-free impedances, by frames since it was built.
-            period: from frame to frame [s]; 10.6 ms for each measurement when omitted.
+            stage: scene and faults of the board.
+            protocol: stimulation and measurement pattern.
+            measure: measured values of noise-free impedances, by frames since the board was made.
+            period: time from frame to frame [s]; 10.6 ms for each measurement when omitted.
         """
         self.stage = stage
         self.streaming, self.delay = False, 0.0
@@ -86,15 +86,15 @@ class VirtualFirmware:
 
     @property
     def plugged_in(self) -> bool:
-        """Whether the cable may be put back."""
+        """Whether the cable, once pulled, may be put back."""
         return not self._changed(Hook.STAYS_OUT, False)
 
     def boots_from(self, count: int) -> None:
-        """Have the boot count go on from `count`, modulo 2**32."""
+        """Set the boot count to `count`, modulo 2**32."""
         self.info = dataclasses.replace(self.info, boot_count=count % 2**32)
 
     def boot(self) -> bytes:
-        """Start afresh, and say so."""
+        """Boot, and give the bytes sent on boot."""
         self.info = dataclasses.replace(self.info, boot_count=(self.info.boot_count + 1) % 2**32)
         self._start()
         return self._send(self._changed(Hook.INFO, self.info)) + self._send(
@@ -102,11 +102,11 @@ class VirtualFirmware:
         )
 
     def receive(self, data: bytes) -> bytes:
-        """Take bytes from the host and answer them."""
+        """Answers to bytes from the host."""
         return b"".join(self._reply(packet) for packet in self._decoder.feed(data))
 
     def frame(self) -> bytes:
-        """Measure the next frame and send it; raises `Unplugged` where a fault says so."""
+        """Bytes of the next frame; raises `Unplugged` for a fault that pulls the cable."""
         now, faults = self.stage.frames, self.stage.active
         if self._changed(Hook.REBOOTS, False, now, faults):
             self.stage.frames += 1
@@ -129,7 +129,7 @@ class VirtualFirmware:
         return self._changed(Hook.LINE, packet, now)
 
     def skip(self) -> None:
-        """Let a frame pass that the host is too slow for."""
+        """Leave out one frame, for which the host is too slow."""
         self.stage.frames += 1
         self.number = (self.number + 1) % 2**32
         if self._left:
@@ -182,7 +182,7 @@ class VirtualFirmware:
     def _changed(
         self, hook: Hook, value: T, now: int | None = None, faults: Sequence[Fault] | None = None
     ) -> T:
-        """The value that goes on from `hook`; the newest frame and faults when omitted."""
+        """Value after the faults at `hook`; frame and faults are the newest when omitted."""
         now = self.stage.frames if now is None else now
         for fault in self.stage.active if faults is None else faults:
             value = fault.change(hook, value, now, self.info, self._protocol)
