@@ -16,7 +16,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.datasets.recipe.touch_sampling import draw_places
+from eitskin.datasets.recipe.touch_sampling import draw_positions
 from eitskin.extras import require
 from eitskin.geometry.deformation.fixtures import Bend, Hinge
 from eitskin.geometry.design.outline import Rectangle
@@ -100,7 +100,7 @@ def scenes(way: Way, count: int, seed: int) -> list[Scene]:
     for number in range(count):
         if number % way.per_bend == 0:
             bend = Bend(float(rng.uniform(*ANGLES)))
-        places = draw_places(
+        places = draw_positions(
             int(rng.integers(*way.touches, endpoint=True)), outline, 0.01, 0.03, rng
         )
         touches = tuple(Touch(float(x), float(y), float(rng.uniform(*FORCES))) for x, y in places)

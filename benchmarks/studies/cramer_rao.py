@@ -24,7 +24,7 @@ from scipy.interpolate import make_interp_spline
 from eitskin.benchmarks.results import write_table
 from eitskin.benchmarks.studies.cramer_rao_plot import draw_map
 from eitskin.benchmarks.studies.signals import FORCES, POSITIONS
-from eitskin.datasets.recipe.touch_sampling import draw_places
+from eitskin.datasets.recipe.touch_sampling import draw_positions
 from eitskin.geometry.deformation.fixtures import Bend
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
@@ -138,7 +138,7 @@ def several() -> list[Scene]:
     rng = np.random.default_rng(SEED)
     scenes = []
     for amount in np.repeat(np.arange(1, MOST_TOUCHES + 1), SCENES).tolist():
-        places = draw_places(amount, Rectangle(LENGTH, WIDTH), MARGIN, SPACING, rng)
+        places = draw_positions(amount, Rectangle(LENGTH, WIDTH), MARGIN, SPACING, rng)
         bend = Bend(float(rng.uniform(*BENDS)))
         scenes.append(Scene(bend, tuple(Touch(x, y, FORCE) for x, y in places.tolist())))
     return scenes

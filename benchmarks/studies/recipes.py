@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.benchmarks.studies.recipes_plot import plot_episodes, plot_statistics
-from eitskin.datasets.generation.shard_simulation import prepare, simulate
+from eitskin.datasets.generation.shard_simulation import prepare, simulate_frames
 from eitskin.datasets.recipe.frame_sampling import Sample, sample
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.recipe.scene_group import SceneGroup
@@ -49,9 +49,11 @@ class Strength:
     @classmethod
     def of(cls, recipe: Recipe, frames: int) -> "Strength":
         """Those of a recipe, from some of its frames, and as many of its sensors left alone."""
-        data = simulate(recipe, spread(recipe.frames, frames))
+        data = simulate_frames(recipe, spread(recipe.frames, frames))
         flat = (SceneGroup("idle", count=frames),)
-        alone = simulate(dataclasses.replace(recipe, scenes=flat, episodes=()), range(frames))
+        alone = simulate_frames(
+            dataclasses.replace(recipe, scenes=flat, episodes=()), range(frames)
+        )
         bend, touch = changes(data)
         _, noise = changes(alone)
         return cls(
@@ -83,7 +85,7 @@ def main() -> None:
         rows.append((recipe, drawn(recipe), strength))
         print(row(recipe, strength), flush=True)
         if recipe.episodes:
-            episodes.append((name, simulate(recipe, first_episode(recipe))))
+            episodes.append((name, simulate_frames(recipe, first_episode(recipe))))
     plot_statistics(rows, arguments.out / "recipes.png")
     plot_episodes(episodes, arguments.out / "episodes.png")
     print(f"\n{Provenance.now(0)}")

@@ -15,7 +15,7 @@ from eitskin.errors import DataError
 if TYPE_CHECKING:
     import numpy as np
 
-    from eitskin.datasets.generation.verification import Damage
+    from eitskin.datasets.generation.verification import DamagedFile
     from eitskin.datasets.store.dataset import Dataset
 
 app = typer.Typer(help="Show or verify a dataset.", no_args_is_help=True)
@@ -82,7 +82,7 @@ def check(
         raise typer.Exit(EXIT_DAMAGED)
 
 
-def _damage_table(damage: "tuple[Damage, ...]") -> Table:
+def _damage_table(damage: "tuple[DamagedFile, ...]") -> Table:
     table = Table("file", "what is wrong", box=box.SIMPLE)
     table.columns[0].no_wrap = True
     for each in damage:

@@ -13,7 +13,7 @@ from eitskin.datasets.recipe.shipped_recipes import shipped_names
 from eitskin.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from eitskin.datasets.generation.cost_estimate import Estimate
+    from eitskin.datasets.generation.cost_estimate import CostEstimate
     from eitskin.datasets.recipe.recipe import Recipe
 
 
@@ -46,14 +46,14 @@ def command(
     verbose: Verbose = False,
 ) -> None:
     """Generate a dataset from a recipe; it can be interrupted and resumed."""
-    from eitskin.datasets.generation.cost_estimate import estimate
+    from eitskin.datasets.generation.cost_estimate import estimate_cost
     from eitskin.datasets.recipe.recipe import with_seed
 
     output = Output(as_json, quiet, verbose)
     chosen = with_seed(_read(recipe), seed)
     if dry_run:
         _announce_unsolved(chosen, output)
-        found = estimate(chosen, out, workers)
+        found = estimate_cost(chosen, out, workers)
         output.result(dataclasses.asdict(found), _as_text(found, chosen, workers, out))
         return
     try:
@@ -124,10 +124,10 @@ def make_dataset(
 
 def _announce_unsolved(recipe: "Recipe", output: Output) -> None:
     """Note how many tables of presses have to be solved first."""
-    from eitskin.datasets.generation.shard_simulation import unsolved
+    from eitskin.datasets.generation.shard_simulation import missing_press_tables
     from eitskin.simulator.mechanics.press_store import folder
 
-    missing = len(unsolved(recipe))
+    missing = len(missing_press_tables(recipe))
     if missing:
         output.note(
             f"solving {missing} table{'s' * (missing > 1)} of presses that no sensor has needed "
@@ -135,7 +135,7 @@ def _announce_unsolved(recipe: "Recipe", output: Output) -> None:
         )
 
 
-def _as_text(found: "Estimate", recipe: "Recipe", workers: int, out: Path) -> str:
+def _as_text(found: "CostEstimate", recipe: "Recipe", workers: int, out: Path) -> str:
     if found.megabytes > found.megabytes_free:
         raise ConfigurationError(
             f"the disk of {out} has no room: '{recipe.name}' will take about "

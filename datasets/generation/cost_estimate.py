@@ -1,4 +1,4 @@
-"""What a dataset will cost, from a small measured part of it."""
+"""Cost estimate of a dataset: time and size, from a small measured part."""
 
 import itertools
 import os
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from eitskin.datasets.generation.generate import free_bytes
-from eitskin.datasets.generation.shard_simulation import prepare, simulate
+from eitskin.datasets.generation.shard_simulation import prepare, simulate_frames
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.store.shard import shard_bytes
 
@@ -18,16 +18,16 @@ _ENOUGH_SECONDS = 1.0
 
 
 @dataclass(frozen=True, slots=True)
-class Estimate:
-    """The cost of a dataset.
+class CostEstimate:
+    """Estimated cost of a dataset.
 
     Attributes:
-        frames: of the whole set.
-        shards: files.
-        seconds: with the workers that were asked for, as far as this machine has cores for them.
-        megabytes: on the disk.
-        megabytes_free: on the disk now.
-        measured_frames: on how many frames seconds and megabytes are founded.
+        frames: number of frames.
+        shards: number of files.
+        seconds: with the given number of workers, as far as this machine has cores for them.
+        megabytes: size on the disk.
+        megabytes_free: free space on the disk now.
+        measured_frames: number of frames measured for `seconds` and `megabytes`.
     """
 
     frames: int
@@ -39,8 +39,8 @@ class Estimate:
 
 
 @dataclass(frozen=True, slots=True)
-class _Part:
-    """Some frames: how many, the time they took at first and other ones after them, their size."""
+class _Trial:
+    """Measured part of a dataset: number of frames, seconds of two runs, size [bytes]."""
 
     frames: int
     first_seconds: float
@@ -48,45 +48,50 @@ class _Part:
     size: int
 
 
-def estimate(recipe: Recipe, out: str | Path, workers: int = 2) -> Estimate:
-    """Make some frames of `recipe` in memory, and reckon from them; writes nothing.
+def estimate_cost(recipe: Recipe, out: str | Path, workers: int = 2) -> CostEstimate:
+    """Cost of `recipe`, extrapolated from some frames simulated in memory; writes nothing.
 
-    They are taken from all parts of the set: 16, then 64, then four times as many until they take
-    a second. What a process does once (meshes, untouched specimens) counts once, the rest per
-    frame; the second or two in which workers start is left out.
+    The frames come from all parts of the dataset: 16, then 64, then four times as many until a run
+    takes a second. Work done once per process (meshes, untouched specimens) counts once, the rest
+    per frame; the one or two seconds in which workers start are neglected.
 
-    Raises ConfigurationError for forces beyond reach.
+    Args:
+        recipe: of the dataset.
+        out: folder of the dataset, for the free space.
+        workers: number of processes.
+
+    Raises ConfigurationError for forces beyond the reach of the presses.
     """
     prepare(recipe)
     most = max(len(recipe.shard_range(shard)) for shard in range(recipe.shards))
-    parts = [_measure(recipe, min(_FIRST_FRAMES, most))]
-    while parts[-1].frames < most and (len(parts) < 2 or parts[-1].seconds < _ENOUGH_SECONDS):
-        parts.append(_measure(recipe, min(_GROWTH * parts[-1].frames, most)))
-    last = parts[-1]
-    once = max(0.0, parts[0].first_seconds - parts[0].seconds)
+    trials = [_run_trial(recipe, min(_FIRST_FRAMES, most))]
+    while trials[-1].frames < most and (len(trials) < 2 or trials[-1].seconds < _ENOUGH_SECONDS):
+        trials.append(_run_trial(recipe, min(_GROWTH * trials[-1].frames, most)))
+    last = trials[-1]
+    once = max(0.0, trials[0].first_seconds - trials[0].seconds)
     at_once = min(workers, recipe.shards, os.cpu_count() or 1)
-    return Estimate(
+    return CostEstimate(
         frames=recipe.frames,
         shards=recipe.shards,
         seconds=once + recipe.frames * last.seconds / last.frames / at_once,
-        megabytes=_size(recipe, parts) / 1e6,
+        megabytes=_size(recipe, trials) / 1e6,
         megabytes_free=free_bytes(Path(out)) / 1e6,
         measured_frames=last.frames,
     )
 
 
-def _measure(recipe: Recipe, frames: int) -> _Part:
-    """Make `frames`, then as many others, which find prepared what a process prepares once."""
+def _run_trial(recipe: Recipe, frames: int) -> _Trial:
+    """Time of a first run with `frames` frames, and of a second run with as many others."""
     start = time.perf_counter()
-    data = simulate(recipe, _spread(recipe, frames, 0.0))
+    data = simulate_frames(recipe, _frame_numbers(recipe, frames, 0.0))
     between = time.perf_counter()
-    simulate(recipe, _spread(recipe, frames, 0.5))
+    simulate_frames(recipe, _frame_numbers(recipe, frames, 0.5))
     end = time.perf_counter()
-    return _Part(frames, between - start, end - between, len(shard_bytes(data)))
+    return _Trial(frames, between - start, end - between, len(shard_bytes(data)))
 
 
-def _spread(recipe: Recipe, frames: int, shift: float) -> list[int]:
-    """Numbers of `frames` frames: runs, which share bends as in a shard, from the whole set."""
+def _frame_numbers(recipe: Recipe, frames: int, shift: float) -> list[int]:
+    """Numbers of `frames` frames: runs with shared bends, as in a shard, over the whole set."""
     runs = min(_RUNS, frames)
     edges = [frames * run // runs for run in range(runs + 1)]
     numbers: list[int] = []
@@ -97,11 +102,11 @@ def _spread(recipe: Recipe, frames: int, shift: float) -> list[int]:
     return numbers
 
 
-def _size(recipe: Recipe, parts: list[_Part]) -> float:
-    """Bytes of all shards: a share for each file and one for each frame."""
-    last = parts[-1]
-    if len(parts) == 1:
+def _size(recipe: Recipe, trials: list[_Trial]) -> float:
+    """Size of all shards [bytes]: a part for each file and a part for each frame."""
+    last = trials[-1]
+    if len(trials) == 1:
         return recipe.frames * last.size / last.frames
-    per_frame = (last.size - parts[-2].size) / (last.frames - parts[-2].frames)
+    per_frame = (last.size - trials[-2].size) / (last.frames - trials[-2].frames)
     per_file = last.size - last.frames * per_frame
     return recipe.shards * per_file + recipe.frames * per_frame

@@ -29,7 +29,7 @@ Impedance = NDArray[np.complex128]
 Solved = Mapping[tuple[int, Scene], Impedance]
 
 
-def unsolved(recipe: Recipe) -> set[Path]:
+def missing_press_tables(recipe: Recipe) -> set[Path]:
     """The tables of presses that a recipe needs and that have not been solved yet."""
     if not recipe.largest_force:
         return set()
@@ -53,10 +53,10 @@ def simulate_shard(
     recipe: Recipe, shard: int, before_solve: Callable[[], None] = lambda: None
 ) -> Dataset:
     """The frames of `shard`; `before_solve` is called before each solution and may raise."""
-    return simulate(recipe, recipe.shard_range(shard), before_solve)
+    return simulate_frames(recipe, recipe.shard_range(shard), before_solve)
 
 
-def simulate(
+def simulate_frames(
     recipe: Recipe, indices: Iterable[int], before_solve: Callable[[], None] = lambda: None
 ) -> Dataset:
     """Any frames of a recipe, at least one.
@@ -79,7 +79,7 @@ def simulate(
     def measure(each: Sample) -> tuple[Impedance, NDArray[np.uint8]]:
         """The frame, and the mean of those without touches that go with it."""
         count = recipe.reference_frames
-        free = np.broadcast_to(clean(each, untouched), (count, len(offsets)))
+        free = np.broadcast_to(clean(each, without_touches), (count, len(offsets)))
         both = np.concatenate([clean(each, _as_it_is)[None], free])
         rng = generator(recipe, Stream.NOISE, each.index)
         times = np.full(1 + count, each.session_time)
@@ -108,7 +108,7 @@ def simulate(
     )
 
 
-def untouched(scene: Scene) -> Scene:
+def without_touches(scene: Scene) -> Scene:
     """The scene without its touches, and what they have left."""
     return dataclasses.replace(scene, touches=())
 
@@ -157,7 +157,7 @@ def _solve(
     for each in samples:
         # Where a frame ends matters only if it is scanned while that moves.
         scenes = [each.scene, each.after] if skewed and each.after is not None else [each.scene]
-        scenes += [untouched(scene) for scene in scenes]
+        scenes += [without_touches(scene) for scene in scenes]
         wanted.setdefault(each.specimen, {}).update(dict.fromkeys(scenes))
     solved: dict[tuple[int, Scene], Impedance] = {}
     for number, distinct in wanted.items():

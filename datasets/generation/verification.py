@@ -17,7 +17,7 @@ _REPAIR = "copy it again, or delete it and generate with --resume"
 
 
 @dataclass(frozen=True, slots=True)
-class Damage:
+class DamagedFile:
     """One thing that is wrong: the file's name, and what is wrong with it and what to do."""
 
     file: str
@@ -30,7 +30,7 @@ class Verdict:
 
     shards: int
     frames: int
-    damage: tuple[Damage, ...]
+    damage: tuple[DamagedFile, ...]
 
 
 def verify(folder: str | Path, watch: Callable[[int, int], None] | None = None) -> Verdict:
@@ -45,14 +45,14 @@ def verify(folder: str | Path, watch: Callable[[int, int], None] | None = None) 
         watch: called with the number of shards that were looked at and of all.
     """
     folder = Path(folder)
-    damage: list[Damage] = []
+    damage: list[DamagedFile] = []
     readers: dict[str, Callable[[], Dataset]]
     try:
         manifest = read_manifest(folder)
         readers = {each.name: partial(_shard, folder, each, manifest) for each in manifest.shards}
         damage.extend(_around(folder, manifest))
     except DataError as error:
-        damage.append(Damage(MANIFEST, str(error)))
+        damage.append(DamagedFile(MANIFEST, str(error)))
         readers = {path.name: partial(read_shard, path) for path in sorted(folder.glob(SHARDS))}
     frames = 0
     shared: Dataset | None = None
@@ -66,7 +66,7 @@ def verify(folder: str | Path, watch: Callable[[int, int], None] | None = None) 
             Dataset.concatenate((shared, data))
             frames += len(data)
         except DataError as error:
-            damage.append(Damage(name, str(error)))
+            damage.append(DamagedFile(name, str(error)))
     if watch:
         watch(len(readers), len(readers))
     broken = {each.file for each in damage}
@@ -88,17 +88,17 @@ def _shard(folder: Path, entry: ShardEntry, manifest: Manifest) -> Dataset:
     return data
 
 
-def _around(folder: Path, manifest: Manifest) -> Iterator[Damage]:
+def _around(folder: Path, manifest: Manifest) -> Iterator[DamagedFile]:
     """What is wrong with the recipe beside the shards, and shards that nothing names."""
     recipe = folder / RECIPE
     if manifest.source == "simulated" and recipe.is_file():
         found = hashlib.sha256(recipe.read_bytes()).hexdigest()
         if found != manifest.recipe_sha256:
-            yield Damage(
+            yield DamagedFile(
                 RECIPE,
                 f"expected SHA-256 {manifest.recipe_sha256}, got {found}; copy it again",
             )
     known = {entry.name for entry in manifest.shards}
     for path in sorted(folder.glob(SHARDS)):
         if path.name not in known:
-            yield Damage(path.name, f"is not named in {MANIFEST}; move it elsewhere")
+            yield DamagedFile(path.name, f"is not named in {MANIFEST}; move it elsewhere")

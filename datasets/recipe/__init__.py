@@ -1,1 +1,4 @@
-"""What a dataset is drawn from: specimens, scenes, episodes, and the sampling of frames."""
+"""Recipes: description of datasets, and random sampling of specimens, scenes and episodes.
+
+A `recipe` has `specimen`s, `scene_group`s and `episode`s; `frame_sampling` draws frame i from them.
+"""

@@ -1,4 +1,4 @@
-"""Time series: how the bend moves and when presses come and go."""
+"""Episodes: time series of the bend angle and of touches, scripted or random."""
 
 import math
 from collections.abc import Iterator
@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from eitskin.datasets.recipe.touch_sampling import draw_places, place_problems, touch_problems
+from eitskin.datasets.recipe.touch_sampling import draw_positions, position_problems, touch_problems
 from eitskin.datasets.store.schema import LIMITS, MAX_TOUCHES
 from eitskin.geometry.deformation.fixtures import Bend
 from eitskin.geometry.design.outline import PlaneOutline
@@ -16,15 +16,15 @@ from eitskin.simulator.scene.scene import Scene
 from eitskin.simulator.scene.touch import Touch
 
 PERIOD = 0.297
-"""From one frame to the next: 28 measurements of 10.6 ms [s]."""
+"""Time from one frame to the next [s]: 28 measurements of 10.6 ms."""
 
-_FORGOTTEN = 1e-3  # of its force, below which what a press has left behind is let go
-_JUST = 1e-9  # s; a press that ends at this moment is over
+_NEGLIGIBLE = 1e-3  # residual force of a released touch that is dropped, relative to its force
+_INSTANT = 1e-9  # s; a touch that ends at this moment is released
 
 
 @dataclass(frozen=True, slots=True)
 class EpisodeTouch:
-    """Where and how hard the sensor is pressed: place [m] and force [N]."""
+    """Touch of an episode: position x, y [m] and force [N]."""
 
     x: float
     y: float
@@ -32,59 +32,59 @@ class EpisodeTouch:
 
 
 @dataclass(frozen=True, slots=True)
-class Held:
-    """A press from `start` until `end` [s]."""
+class HeldTouch:
+    """A touch held from `start` until `end` [s]."""
 
-    press: EpisodeTouch
+    touch: EpisodeTouch
     start: float
     end: float
 
 
 @dataclass(frozen=True, slots=True)
 class Timeline:
-    """What happens to a sensor in one episode.
+    """Bend angle and touches of one episode as functions of time.
 
     Attributes:
         times: of the knots of the angle, rising [s].
-        angles_deg: at the knots; straight between them, constant beyond.
-        presses: in any order.
+        angles_deg: at the knots; linear between knots, constant beyond.
+        touches: in any order.
     """
 
     times: tuple[float, ...]
     angles_deg: tuple[float, ...]
-    presses: tuple[Held, ...] = ()
+    touches: tuple[HeldTouch, ...] = ()
 
-    def scene(self, time: float, memory: Prony | None = None) -> Scene:
-        """The scene at a time [s]; presses creep and linger by `memory`, where there is one.
+    def scene(self, time: float, relaxation: Prony | None = None) -> Scene:
+        """Scene at a time [s]; touches creep, and recover after release, by `relaxation` if given.
 
-        The presses that act come first. What those that are over have left is dropped when it is
-        less than a thousandth of what they were.
+        Held touches come first. A released touch is dropped when its residual force is below a
+        thousandth of its force.
         """
-        acting = [each for each in self.presses if each.start <= time < each.end]
-        touches = [_touch(each, time - each.start if memory else None) for each in acting]
-        if memory:
-            for each in self.presses:
-                lasted, released = each.end - each.start, max(time - each.end, _JUST)
-                if each.end <= time and elastic_force(memory, 1.0, lasted, released) > _FORGOTTEN:
-                    touches.append(_touch(each, lasted, released))
+        held = [each for each in self.touches if each.start <= time < each.end]
+        touches = [_scene_touch(each, time - each.start if relaxation else None) for each in held]
+        if relaxation:
+            for each in (each for each in self.touches if each.end <= time):
+                lasted, released = each.end - each.start, max(time - each.end, _INSTANT)
+                if elastic_force(relaxation, 1.0, lasted, released) > _NEGLIGIBLE:
+                    touches.append(_scene_touch(each, lasted, released))
         bend = Bend(float(np.interp(time, self.times, self.angles_deg)))
         return Scene(bend, tuple(touches))
 
 
-def _touch(each: Held, lasted: float | None, released: float = 0.0) -> Touch:
-    press = each.press
-    return Touch(press.x, press.y, press.force, held=lasted, released=released)
+def _scene_touch(each: HeldTouch, lasted: float | None, released: float = 0.0) -> Touch:
+    touch = each.touch
+    return Touch(touch.x, touch.y, touch.force, held=lasted, released=released)
 
 
 @dataclass(frozen=True, slots=True)
 class Keyframe:
-    """A moment of a script.
+    """Keyframe of a scripted episode.
 
     Attributes:
-        time: since the script began [s].
-        angle_deg: of the bend; straight to the next keyframe's.
-        touches: that are set on now and stay until the next keyframe, or longer where it has them
-            too.
+        time: since the episode's start [s].
+        angle_deg: of the bend; linear to the next keyframe's.
+        touches: that begin now and are held until the next keyframe, or longer where the next
+            keyframe lists the same touch.
     """
 
     time: float
@@ -94,14 +94,14 @@ class Keyframe:
 
 @dataclass(frozen=True, slots=True)
 class ScriptedEpisode:
-    """An episode that is told in full. It ends with the last keyframe.
+    """Scripted episode: keyframes, of which the last one ends the episode.
 
     Attributes:
         keyframes: rising in time from 0.
-        repeats: how many times they follow each other within an episode.
-        count: how many such episodes, which differ in specimen and noise.
+        repeats: number of passes through the keyframes within an episode.
+        count: number of such episodes, which differ in specimen and noise.
         period: from one frame to the next [s].
-        relaxation: whether presses creep while they are held and linger afterwards.
+        relaxation: whether touches creep while held and recover slowly after release.
     """
 
     keyframes: tuple[Keyframe, ...]
@@ -123,11 +123,11 @@ class ScriptedEpisode:
 
     @property
     def largest_force(self) -> float:
-        """Of any press [N]; 0 without one."""
+        """Largest force of any touch [N]; 0 without touches."""
         return max((p.force for k in self.keyframes for p in k.touches), default=0.0)
 
     def problems(self, outline: PlaneOutline) -> Iterator[str]:
-        """Everything about the episode that contradicts itself or the sensor's `outline`."""
+        """Contradictions within the episode, or with the sensor's `outline`, a sentence each."""
         yield from _count_problems(self.count, self.period)
         times = [keyframe.time for keyframe in self.keyframes]
         if len(times) < 2 or times[0] != 0.0 or any(b <= a for a, b in pairwise(times)):
@@ -138,56 +138,57 @@ class ScriptedEpisode:
         for number, keyframe in enumerate(self.keyframes):
             if len(keyframe.touches) > MAX_TOUCHES:
                 yield f"keyframes[{number}] may have {MAX_TOUCHES} touches, not more"
-            places = tuple((press.x, press.y) for press in keyframe.touches)
-            yield from place_problems(places, outline)
-            if any(not press.force > 0.0 for press in keyframe.touches):
+            positions = tuple((touch.x, touch.y) for touch in keyframe.touches)
+            yield from position_problems(positions, outline)
+            if any(not touch.force > 0.0 for touch in keyframe.touches):
                 yield f"keyframes[{number}] has a force that is not above 0 N"
 
     def draw(self, outline: PlaneOutline, rng: np.random.Generator) -> Timeline:  # noqa: ARG002
-        """What happens; nothing here is left to chance."""
+        """Timeline of the script; draws nothing from `rng`."""
         length = self.keyframes[-1].time
-        told = [
+        script = [
             (turn * length + keyframe.time, keyframe)
             for turn in range(self.repeats)
             for keyframe in self.keyframes[: None if turn == self.repeats - 1 else -1]
         ]
         return Timeline(
-            tuple(time for time, _ in told),
-            tuple(keyframe.angle_deg for _, keyframe in told),
-            tuple(_joined(told)),
+            tuple(time for time, _ in script),
+            tuple(keyframe.angle_deg for _, keyframe in script),
+            tuple(_held_touches(script)),
         )
 
 
-def _joined(told: list[tuple[float, Keyframe]]) -> Iterator[Held]:
-    """The presses of keyframes at their times; one that stays for several is one press."""
+def _held_touches(script: list[tuple[float, Keyframe]]) -> Iterator[HeldTouch]:
+    """Touches of keyframes at given times; a touch of several keyframes in a row is held."""
     begun: dict[EpisodeTouch, float] = {}
-    for time, keyframe in [*told[:-1], (told[-1][0], Keyframe(0.0))]:
-        for press in [press for press in begun if press not in keyframe.touches]:
-            yield Held(press, begun.pop(press), time)
-        for press in keyframe.touches:
-            begun.setdefault(press, time)
+    for time, keyframe in [*script[:-1], (script[-1][0], Keyframe(0.0))]:
+        for touch in [touch for touch in begun if touch not in keyframe.touches]:
+            yield HeldTouch(touch, begun.pop(touch), time)
+        for touch in keyframe.touches:
+            begun.setdefault(touch, time)
 
 
 @dataclass(frozen=True, slots=True)
 class RandomEpisodes:
-    """Episodes of chance; ranges are [lowest, highest], drawn from uniformly.
+    """Random episodes; ranges are [lowest, highest] of uniform distributions.
 
-    The sensor starts flat and untouched. It rests, moves to an angle at a speed, rests again; and
-    independently of that it is left alone, then touched at some places at once.
+    The sensor starts flat and untouched. The bend rests, moves to a random angle at a random speed,
+    and rests again; independently of the bend, pauses without touches alternate with one or more
+    simultaneous touches.
 
     Attributes:
-        count: how many episodes.
-        frames: of each.
-        angle_deg: of the bends.
-        speed_deg_s: of the bend while it moves [deg/s].
-        rest_s: between two moves [s].
-        pause_s: without touches between two presses [s].
-        hold_s: duration of a press [s].
-        touches: how many at once, 1 to 4.
-        force: of each touch [N].
-        margin, spacing: of the touches, as of a group of scenes [m].
+        count: number of episodes.
+        frames: in each episode.
+        angle_deg: range of the bend angle.
+        speed_deg_s: range of the bend's speed while moving [deg/s].
+        rest_s: range of the time between two moves [s].
+        pause_s: range of the time without touches between two holds [s].
+        hold_s: range of the time that touches are held [s].
+        touches: range of the number of simultaneous touches, 1 to 4.
+        force: range of the force of each touch [N].
+        margin, spacing: of the touches, as in `SceneGroup` [m].
         period: from one frame to the next [s].
-        relaxation: whether presses creep while they are held and linger afterwards.
+        relaxation: whether touches creep while held and recover slowly after release.
     """
 
     count: int
@@ -211,11 +212,11 @@ class RandomEpisodes:
 
     @property
     def largest_force(self) -> float:
-        """Of any press [N]."""
+        """Largest force of any touch [N]."""
         return self.force[1]
 
     def problems(self, outline: PlaneOutline) -> Iterator[str]:
-        """Everything about the episodes that contradicts itself or the sensor's `outline`."""
+        """Contradictions within the episodes, or with the sensor's `outline`, a sentence each."""
         yield from _count_problems(self.count, self.period)
         if not 1 <= self.frames <= LIMITS["frame"]:
             yield f"frames must be from 1 to {LIMITS['frame']}, got {self.frames}"
@@ -229,8 +230,8 @@ class RandomEpisodes:
         yield from touch_problems(self.force, self.touches, self.margin, self.spacing, outline)
 
     def draw(self, outline: PlaneOutline, rng: np.random.Generator) -> Timeline:
-        """What happens, of what `rng` gives."""
-        moves, presses = rng.spawn(2)
+        """Random timeline, drawn from `rng`."""
+        moves, touches = rng.spawn(2)
         end = self.frames * self.period
         times, angles = [0.0], [0.0]
         while times[-1] < end:
@@ -238,16 +239,16 @@ class RandomEpisodes:
             lasts = abs(angle - angles[-1]) / moves.uniform(*self.speed_deg_s)
             times += [times[-1] + rest, times[-1] + rest + lasts]
             angles += [angles[-1], angle]
-        return Timeline(tuple(times), tuple(angles), tuple(self._presses(outline, presses)))
+        return Timeline(tuple(times), tuple(angles), tuple(self._touches(outline, touches)))
 
-    def _presses(self, outline: PlaneOutline, rng: np.random.Generator) -> Iterator[Held]:
+    def _touches(self, outline: PlaneOutline, rng: np.random.Generator) -> Iterator[HeldTouch]:
         time = rng.uniform(*self.pause_s)
         while time < self.frames * self.period:
             amount = int(rng.integers(*self.touches, endpoint=True))
-            places = draw_places(amount, outline, self.margin, self.spacing, rng).tolist()
+            positions = draw_positions(amount, outline, self.margin, self.spacing, rng).tolist()
             end = time + rng.uniform(*self.hold_s)
-            for x, y in places:
-                yield Held(EpisodeTouch(x, y, rng.uniform(*self.force)), time, end)
+            for x, y in positions:
+                yield HeldTouch(EpisodeTouch(x, y, rng.uniform(*self.force)), time, end)
             time = end + rng.uniform(*self.pause_s)
 
 

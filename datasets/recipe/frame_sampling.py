@@ -1,7 +1,7 @@
-"""From a recipe and the number of a frame to what that frame shows.
+"""Frame sampling: scene, specimen and time of a frame, from a recipe and the frame's number.
 
-Frame i depends only on (recipe, seed, i): everything random has a generator of its own, so frames
-may be made in any order, anywhere, and come out the same.
+Frame i depends only on (recipe, seed, i): every random quantity has its own generator, so frames
+may be simulated in any order, anywhere, with the same result.
 """
 
 from dataclasses import dataclass
@@ -21,12 +21,12 @@ from eitskin.simulator.scene.scene import Scene
 
 Integers = NDArray[np.int64]
 
-# Of what a press takes, the part that the gel carries: benchmarks/studies/creep.py, at 5 N.
+# Share of the gel in the work of a press: benchmarks/studies/creep.py, at 5 N.
 _GEL_SHARE = 0.43
 
 
 class Stream(IntEnum):
-    """What a random generator is for; no two uses share one."""
+    """Purpose of a random generator; no two purposes share one."""
 
     SCENE = 0
     NOISE = 1
@@ -39,18 +39,18 @@ class Stream(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """What frame `index` shows.
+    """Scene, specimen and time of one frame.
 
     Attributes:
-        index: of the frame.
-        specimen: number of the sensor.
-        state: label.
-        scene: when the frame begins.
-        after: the scene when the next frame of the episode begins; None where nothing moves.
-        episode: number of the episode; a snapshot is one by itself.
-        time: since the episode began [s].
+        index: number of the frame.
+        specimen: number of the specimen.
+        state: label of the frame.
+        scene: at the frame's start.
+        after: scene at the start of the episode's next frame; None without a change.
+        episode: number of the episode; a snapshot is an episode of one frame.
+        time: since the episode's start [s].
         period: until the next frame [s].
-        session_time: since the specimen was first measured [s].
+        session_time: since the first measurement of the specimen [s].
     """
 
     index: int
@@ -65,13 +65,13 @@ class Sample:
 
 
 def generator(recipe: Recipe, stream: Stream, index: int) -> np.random.Generator:
-    """The random generator of `stream` for frame, specimen, block or episode `index`."""
+    """Random generator of `stream` for frame, specimen, block or episode `index`."""
     sequence = np.random.SeedSequence(recipe.seed, spawn_key=(int(stream), index))
     return np.random.default_rng(sequence)
 
 
 def sample(recipe: Recipe, index: int) -> Sample:
-    """What frame `index` of the recipe shows."""
+    """Sample of frame `index` of the recipe."""
     if index < recipe.snapshots:
         return _snapshot(recipe, index)
     return _episode_frame(recipe, index)
@@ -85,7 +85,7 @@ def specimen(recipe: Recipe, number: int) -> Specimen:
 
 
 def _snapshot(recipe: Recipe, index: int) -> Sample:
-    order = _order(recipe)
+    order = _block_order(recipe)
     block = int(np.searchsorted(order.starts, index, side="right")) - 1
     group = recipe.scenes[order.groups[block]]
     number = int(order.numbers[block]) * group.per_bend + index - int(order.starts[block])
@@ -109,13 +109,13 @@ def _snapshot(recipe: Recipe, index: int) -> Sample:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Order:
-    """Blocks of frames that share specimen and bend, in the order of the dataset, (blocks,).
+class _BlockOrder:
+    """Blocks of frames with one specimen and one bend, in the order of the dataset, (blocks,).
 
     Attributes:
-        groups: which group of scenes each is of.
+        groups: number of each block's group of scenes.
         numbers: of the blocks within their groups.
-        starts: number of the first frame.
+        starts: number of each block's first frame.
     """
 
     groups: Integers
@@ -124,59 +124,59 @@ class _Order:
 
 
 @lru_cache(maxsize=4)
-def _order(recipe: Recipe) -> _Order:
-    """For each block its group and its number within the group.
+def _block_order(recipe: Recipe) -> _BlockOrder:
+    """Random order of the blocks of all groups.
 
-    Block j of a group of n gets a random place in ((j, j + 1) / n): all groups run through the
-    whole dataset at their own density, so that any part of it, and so each specimen, has a
-    balanced mix, and no rhythm ties groups to specimens.
+    Block j of a group of n gets a random position in ((j, j + 1) / n): each group is spread over
+    the whole dataset at its own density, so that any part of the dataset, and so each specimen, has
+    a balanced mix, and no regular pattern ties groups to specimens.
     """
     rng = generator(recipe, Stream.ORDER, 0)
     sizes = [group.blocks for group in recipe.scenes]
     groups = np.repeat(np.arange(len(sizes)), sizes)
     numbers = np.concatenate([np.arange(size) for size in sizes])
-    places = (numbers + rng.uniform(size=len(numbers))) / np.repeat(sizes, sizes)
-    order = np.argsort(places, kind="stable")
+    positions = (numbers + rng.uniform(size=len(numbers))) / np.repeat(sizes, sizes)
+    order = np.argsort(positions, kind="stable")
     groups, numbers = groups[order], numbers[order]
     full = np.array([group.per_bend for group in recipe.scenes])[groups]
     frames = np.array([group.frames for group in recipe.scenes])[groups]
     lengths = np.minimum(full, frames - numbers * full)
-    return _Order(groups, numbers, np.cumsum(lengths) - lengths)
+    return _BlockOrder(groups, numbers, np.cumsum(lengths) - lengths)
 
 
 def _episode_frame(recipe: Recipe, index: int) -> Sample:
-    all_episodes = _episodes(recipe)
-    episode = int(np.searchsorted(all_episodes.starts, index, side="right")) - 1
-    kind = recipe.episodes[all_episodes.kinds[episode]]
+    order = _episode_order(recipe)
+    episode = int(np.searchsorted(order.starts, index, side="right")) - 1
+    kind = recipe.episodes[order.kinds[episode]]
     timeline = _timeline(recipe, kind, episode)
-    memory = _memory(recipe.mechanics) if kind.relaxation else None
-    frame = index - int(all_episodes.starts[episode])
+    relaxation = _relaxation(recipe.mechanics) if kind.relaxation else None
+    frame = index - int(order.starts[episode])
     time = frame * kind.period
-    scene, after = (timeline.scene(t, memory) for t in (time, (frame + 1) * kind.period))
+    scene, after = (timeline.scene(t, relaxation) for t in (time, (frame + 1) * kind.period))
     touched = any(not touch.released for touch in scene.touches)
     untouched = State.BEND if scene.bend.angle_deg else State.IDLE
     return Sample(
         index=index,
-        specimen=int(all_episodes.specimens[episode]),
+        specimen=int(order.specimens[episode]),
         state=State.TOUCH if touched else untouched,
         scene=scene,
         after=None if after == scene else after,
         episode=recipe.snapshots + episode,
         time=time,
         period=kind.period,
-        session_time=float(all_episodes.session_starts[episode]) + time,
+        session_time=float(order.session_starts[episode]) + time,
     )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Episodes:
+class _EpisodeOrder:
     """Episodes in the order of the dataset, (episodes,).
 
     Attributes:
-        kinds: which of the recipe's each is of.
-        starts: number of the first frame.
-        specimens: that they are of.
-        session_starts: when they begin in the specimen's session, one after the other [s].
+        kinds: number of each episode's entry in the recipe.
+        starts: number of each episode's first frame.
+        specimens: number of each episode's specimen.
+        session_starts: time of each episode's start in the specimen's session, back to back [s].
     """
 
     kinds: Integers
@@ -186,7 +186,7 @@ class _Episodes:
 
 
 @lru_cache(maxsize=4)
-def _episodes(recipe: Recipe) -> _Episodes:
+def _episode_order(recipe: Recipe) -> _EpisodeOrder:
     kinds = np.repeat(np.arange(len(recipe.episodes)), [each.count for each in recipe.episodes])
     frames = np.array([each.frames for each in recipe.episodes])[kinds]
     lasts = np.array([each.frames * each.period for each in recipe.episodes])[kinds]
@@ -194,12 +194,12 @@ def _episodes(recipe: Recipe) -> _Episodes:
     begun = np.cumsum(lasts) - lasts
     first = np.searchsorted(specimens, specimens)
     starts = recipe.snapshots + np.cumsum(frames) - frames
-    return _Episodes(kinds, starts, specimens, begun - begun[first])
+    return _EpisodeOrder(kinds, starts, specimens, begun - begun[first])
 
 
 @lru_cache(maxsize=16)
-def _memory(mechanics: Mechanics) -> Prony:
-    """By which a press is forgotten; how it creeps is for the simulator to say."""
+def _relaxation(mechanics: Mechanics) -> Prony:
+    """Relaxation of a press in gel and encapsulation, for dropping released touches."""
     materials = (mechanics.gel_relaxation, mechanics.encapsulation_relaxation)
     return mixture(materials, (_GEL_SHARE, 1.0 - _GEL_SHARE))
 

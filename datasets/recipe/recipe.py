@@ -1,4 +1,4 @@
-"""What a dataset is made of: sensor, specimens, scenes, episodes, instrument and seed."""
+"""Recipe of a dataset: sensor, specimens, scenes, episodes, instrument and seed."""
 
 import dataclasses
 import tomllib
@@ -29,23 +29,23 @@ MOST_REFERENCE_FRAMES = 1000
 
 @dataclass(frozen=True, slots=True)
 class Recipe:
-    """Everything that decides over a dataset; equal recipes make equal datasets.
+    """Full description of a dataset; equal recipes make equal datasets.
 
     Attributes:
-        name: short, of the recipe.
-        scenes: groups of scenes, which are interleaved; frames that follow none and lead to none.
-        episodes: time series, which come after the scenes, one kind after the other.
+        name: short name.
+        scenes: groups of scenes, interleaved; each frame is a snapshot without before and after.
+        episodes: time series, after the scenes, one entry after the other.
         seed: of everything random.
-        description: for people.
+        description: in a sentence, for readers.
         resolution: of the simulator, "fast", "standard" or "fine".
-        frames_per_shard: how many frames share a file and a piece of work. Episodes are not cut:
-            a shard has as many as fit, at least one.
-        sensor: the design. In TOML also "reference" or the path of a design file.
+        frames_per_shard: number of frames in a file, which one worker simulates. Episodes are not
+            split: a shard has as many as fit, at least one.
+        sensor: nominal design. In TOML also "reference" or the path of a design file.
         hinge: that bends the sensor.
-        mechanics: what it is made of.
-        instrument: that measures it; a specimen is measured by one, in one session.
-        specimens: how many sensors there are and how they differ.
-        reference_frames: how many frames of the untouched sensor, each with its noise, are averaged
+        mechanics: materials of gel and encapsulation.
+        instrument: errors and noise of the board; each specimen has one board and one session.
+        specimens: number of sensors and standard deviations between them.
+        reference_frames: number of frames of the untouched sensor, each with its noise, averaged
             for a frame's `touch_reference`, as a pipeline does while a sensor is still.
     """
 
@@ -64,7 +64,7 @@ class Recipe:
     reference_frames: int = 1
 
     def __post_init__(self) -> None:
-        """Refuse a recipe that contradicts itself, with everything that is wrong with it."""
+        """Check the recipe; the ConfigurationError lists everything that is wrong."""
         problems = list(self._problems())
         if problems:
             raise ConfigurationError(
@@ -83,7 +83,7 @@ class Recipe:
 
     @classmethod
     def shipped(cls, name: str) -> "Recipe":
-        """One of the recipes that come with eitskin; see `shipped_names`."""
+        """Recipe that comes with eitskin, by name; see `shipped_names`."""
         if name not in shipped_names():
             raise ConfigurationError(
                 f"there is no shipped recipe '{name}'; shipped are {', '.join(shipped_names())}. "
@@ -97,19 +97,18 @@ class Recipe:
 
     @property
     def outline(self) -> PlaneOutline:
-        """Of the sensor; raises ConfigurationError for a surface, which bends and presses lack."""
+        """Plane outline of the sensor; raises ConfigurationError for a surface."""
         outline = self.sensor.outline
         if isinstance(outline, Surface):
             raise ConfigurationError(
                 "sensor: bending and touches need a rectangle, disc or polygon as outline, not a "
-                "surface; "
-                "give the rim of a flat sensor as outline = { points = [...] }"
+                "surface; give the rim of a flat sensor as outline = { points = [...] }"
             )
         return outline
 
     @property
     def snapshots(self) -> int:
-        """Number of frames that belong to no episode; they come first."""
+        """Number of frames of `scenes`, which come before the episodes."""
         return sum(group.frames for group in self.scenes)
 
     @property
@@ -119,13 +118,13 @@ class Recipe:
 
     @property
     def largest_force(self) -> float:
-        """Of any touch [N]; 0 without touches."""
+        """Largest force of any touch [N]; 0 without touches."""
         forces = [group.force[1] for group in self.scenes if group.state == "touch"]
         return max([*forces, *(each.largest_force for each in self.episodes)], default=0.0)
 
     @property
     def shards(self) -> int:
-        """Number of files; they need not be of one length."""
+        """Number of shards, which may differ in length."""
         return len(_shard_ranges(self))
 
     def shard_range(self, shard: int) -> range:
@@ -184,7 +183,7 @@ class Recipe:
 def _bend_problem(
     sensor: SensorDesign, hinge: Hinge, specimens: Specimens, angle_deg: float
 ) -> str:
-    """Why the sensor or an extreme specimen cannot be bent so far; empty where they can."""
+    """Reason why the sensor or an extreme specimen cannot be bent so far; empty without one."""
     try:
         hinge.flexure(sensor, Bend(angle_deg))
         if not list(specimens.problems(sensor, hinge)):
@@ -197,7 +196,7 @@ def _bend_problem(
 
 @lru_cache(maxsize=16)
 def _shard_ranges(recipe: Recipe) -> tuple[range, ...]:
-    """Frames of each shard: first snapshots, then episodes that are not cut."""
+    """Frames of each shard: first snapshots, then whole episodes."""
     pieces = [(recipe.snapshots, recipe.frames_per_shard)]
     for each in recipe.episodes:
         together = max(1, recipe.frames_per_shard // each.frames)
@@ -211,7 +210,7 @@ def _shard_ranges(recipe: Recipe) -> tuple[range, ...]:
 
 
 def _with_sensor(data: Mapping[str, Any], folder: Path) -> Mapping[str, Any]:
-    """`data` with a sensor that is given by name or path put in place."""
+    """TOML table `data` with a sensor given by name or path replaced by the design."""
     given = data.get("sensor")
     if isinstance(given, Mapping) and "file" in given:
         raise ConfigurationError(
@@ -228,5 +227,5 @@ def _with_sensor(data: Mapping[str, Any], folder: Path) -> Mapping[str, Any]:
 
 
 def with_seed(recipe: Recipe, seed: int | None) -> Recipe:
-    """`recipe` with another seed, where one is given."""
+    """Recipe with another seed, where one is given."""
     return recipe if seed is None else dataclasses.replace(recipe, seed=seed)

@@ -1,4 +1,4 @@
-"""One kind of scene in a recipe: how many, how bent, where touched, and drawing them."""
+"""Groups of scenes in a recipe: number, bend angles, touches, and their random draws."""
 
 import math
 from collections.abc import Iterator
@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from eitskin.datasets.recipe.touch_sampling import draw_places, place_problems, touch_problems
+from eitskin.datasets.recipe.touch_sampling import draw_positions, position_problems, touch_problems
 from eitskin.datasets.store.state import State
 from eitskin.geometry.deformation.fixtures import Bend
 from eitskin.geometry.design.outline import PlaneOutline
@@ -19,19 +19,19 @@ _TOUCH_ONLY = ("touches", "force", "margin", "spacing", "positions", "repeats")
 
 @dataclass(frozen=True, slots=True)
 class SceneGroup:
-    """Scenes of one kind; ranges are [lowest, highest], drawn from uniformly.
+    """Group of similar scenes; ranges are [lowest, highest] of uniform distributions.
 
     Attributes:
         state: "idle", "bend" or "touch"; a touched sensor may be bent as well.
-        count: how many frames; follows from `positions` where those are given.
+        count: number of frames; follows from `positions` where those are given.
         angle_deg: range of the bend angle.
-        touches: range of how many touches at once, 1 to 4; one when omitted.
+        touches: range of the number of simultaneous touches, 1 to 4; one when omitted.
         force: range of the force of each touch [N].
         margin: least distance of a touch's centre from the rim [m].
         spacing: least distance between the centres of two touches [m].
-        positions: places (x, y) [m] that are pressed one at a time, instead of random ones.
-        repeats: how many frames for each of `positions`.
-        per_bend: how many frames in a row share one angle, so that it is factorised once.
+        positions: (x, y) [m] of single touches in turn, instead of random positions.
+        repeats: number of frames for each of `positions`.
+        per_bend: number of consecutive frames with one angle, which is factorised once.
     """
 
     state: Literal["idle", "bend", "touch"]
@@ -52,11 +52,11 @@ class SceneGroup:
 
     @property
     def label(self) -> State:
-        """What the frames are labelled with."""
+        """State that labels the frames."""
         return State[self.state.upper()]
 
     def problems(self, outline: PlaneOutline) -> Iterator[str]:
-        """Everything about the group that contradicts itself or the sensor's `outline`."""
+        """Contradictions within the group, or with the sensor's `outline`, a sentence each."""
         for name in ("angle_deg", "touches", "force"):
             low, high = getattr(self, name)
             if not (math.isfinite(low) and math.isfinite(high) and low <= high):
@@ -83,30 +83,30 @@ class SceneGroup:
 
     @property
     def blocks(self) -> int:
-        """Number of rows of frames that share an angle."""
+        """Number of blocks of consecutive frames with one angle."""
         return -(-self.frames // self.per_bend)
 
     def draw_bend(self, rng: np.random.Generator) -> Bend:
-        """How the frames of one block are bent."""
+        """Random bend of one block of frames."""
         return Bend(float(rng.uniform(*self.angle_deg)))
 
     def draw(
         self, number: int, bend: Bend, outline: PlaneOutline, rng: np.random.Generator
     ) -> Scene:
-        """Scene `number` of the group at a bend, of what `rng` gives."""
+        """Scene `number` of the group at a bend, with touches drawn from `rng`."""
         if self.state != "touch":
             return Scene(bend=bend)
         if self.positions:
-            places = np.array([self.positions[number % len(self.positions)]])
+            positions = np.array([self.positions[number % len(self.positions)]])
         else:
             amount = int(rng.integers(self.touches[0], self.touches[1], endpoint=True))
-            places = draw_places(amount, outline, self.margin, self.spacing, rng)
-        forces = rng.uniform(*self.force, size=len(places))
+            positions = draw_positions(amount, outline, self.margin, self.spacing, rng)
+        forces = rng.uniform(*self.force, size=len(positions))
         return Scene(
             bend=bend,
             touches=tuple(
                 Touch(float(x), float(y), float(force))
-                for (x, y), force in zip(places, forces, strict=True)
+                for (x, y), force in zip(positions, forces, strict=True)
             ),
         )
 
@@ -117,4 +117,4 @@ class SceneGroup:
             yield f"repeats must be at least 1, got {self.repeats}"
         if self.touches != (1, 1):
             yield "positions are pressed one at a time; leave out touches"
-        yield from place_problems(self.positions, outline)
+        yield from position_problems(self.positions, outline)

@@ -1,4 +1,4 @@
-"""Sensors of one design that differ as hand-cast ones do."""
+"""Specimens: sensors of one design with random tolerances of hand-made ones."""
 
 import dataclasses
 import itertools
@@ -20,8 +20,8 @@ from eitskin.simulator.mechanics.materials import NeoHookean, Ogden
 
 Array = NDArray[np.float64]
 
-WIDEST = 3.0
-"""Draws further from the middle than so many standard deviations are drawn again."""
+MAX_DEVIATIONS = 3.0
+"""Truncation of all normal draws, in standard deviations."""
 
 _RANGES = {
     "conductivity": (1.0, ""),
@@ -37,21 +37,22 @@ _RANGES = {
 
 @dataclass(frozen=True, slots=True)
 class Specimens:
-    """How many sensors a recipe has and how much they differ from the design.
+    """Number of specimens in a recipe, and standard deviations from the design.
 
-    Standard deviations; nothing differs by more than three of them, and 0 is not at all. Those
-    without a unit are relative, of lognormal factors with median one, so nothing turns negative.
+    All deviations are truncated at three standard deviations; 0 switches a deviation off. Standard
+    deviations without a unit are relative, those of lognormal factors with median one, so that no
+    property turns negative.
 
     Attributes:
-        count: of specimens, which follow each other in the dataset.
+        count: number of specimens, which follow each other in the dataset.
         conductivity: of the layer.
-        thickness: of layer and encapsulation alike.
+        thickness: of layer and encapsulation by one factor.
         gel_modulus: shear modulus of the layer.
-        encapsulation_modulus: that of what surrounds it.
-        contact_impedance: of each electrode by itself.
-        electrode_place: along the rim, of each electrode on the side by itself [m].
+        encapsulation_modulus: shear modulus of the encapsulation.
+        contact_impedance: of each electrode independently.
+        electrode_place: position along the rim, of each side electrode independently [m].
         hinge_span: free length of the hinge [m].
-        hinge_offset: place of the hinge's axis across the layer [m].
+        hinge_offset: position of the hinge's axis across the layer [m].
     """
 
     count: int = 1
@@ -65,28 +66,29 @@ class Specimens:
     hinge_offset: float = 0.0
 
     def problems(self, design: SensorDesign, hinge: Hinge) -> Iterator[str]:
-        """Everything that cannot be, of sensors like `design` on a `hinge`."""
+        """Impossible values for sensors like `design` on a `hinge`, a sentence each."""
         if not 1 <= self.count <= LIMITS["specimen"]:
             yield f"specimens: count must be from 1 to {LIMITS['specimen']}, got {self.count}"
         for name, (limit, unit) in _RANGES.items():
             if not 0.0 <= (value := getattr(self, name)) <= limit:
                 yield f"specimens: {name} must be from 0 to {limit:g}{unit}, got {value}"
-        if not WIDEST * self.hinge_span < hinge.span:
+        if not MAX_DEVIATIONS * self.hinge_span < hinge.span:
             yield (
                 f"specimens: hinge_span must be less than a third of the span of {hinge.span:g} m, "
                 f"got {self.hinge_span}"
             )
-        free = _freedom(design)
-        if WIDEST * self.electrode_place > free:
+        free = _clearance(design)
+        if MAX_DEVIATIONS * self.electrode_place > free:
             yield (
-                f"specimens: electrode_place must be at most {free / WIDEST:.3g} m, three of which "
-                f"bring electrodes to each other or to a corner, got {self.electrode_place}"
+                f"specimens: electrode_place must be at most {free / MAX_DEVIATIONS:.3g} m, three "
+                "of which bring electrodes to each other or to a corner, got "
+                f"{self.electrode_place}"
             )
 
     def extremes(self, design: SensorDesign, hinge: Hinge) -> Iterator[tuple[SensorDesign, Hinge]]:
-        """Sensors and hinges that are as far from the nominal as any can be."""
-        thick = _thicker(design, lognormal(self.thickness, WIDEST))
-        ends = (-WIDEST, WIDEST)
+        """Sensors and hinges with the largest possible deviations from the nominal ones."""
+        thick = _scaled_thickness(design, lognormal(self.thickness, MAX_DEVIATIONS))
+        ends = (-MAX_DEVIATIONS, MAX_DEVIATIONS)
         for one, other in itertools.product(ends, ends):
             span = hinge.span + one * self.hinge_span
             offset = hinge.offset + other * self.hinge_offset
@@ -95,7 +97,7 @@ class Specimens:
 
 @dataclass(frozen=True, slots=True)
 class Specimen:
-    """One sensor, what it is made of, and its fixture."""
+    """One sensor with its hinge and its materials."""
 
     design: SensorDesign
     hinge: Hinge
@@ -103,9 +105,9 @@ class Specimen:
 
 
 def draw_specimen(spread: Specimens, nominal: Specimen, rng: np.random.Generator) -> Specimen:
-    """A sensor that differs from `nominal` by `spread`; itself where that is zero.
+    """Random specimen with deviations `spread` from `nominal`; `nominal` where all are zero.
 
-    Every property has draws of its own, whether or not others are spread.
+    Every property has its own draws, whichever of the deviations are zero.
     """
     design, hinge, mechanics = nominal.design, nominal.hinge, nominal.mechanics
     conductivity, thickness, gel, around, span, offset = truncated_normal(rng, 6).tolist()
@@ -116,15 +118,15 @@ def draw_specimen(spread: Specimens, nominal: Specimen, rng: np.random.Generator
 
     electrodes = tuple(
         dataclasses.replace(
-            _moved(electrode, spread.electrode_place * place, design),
+            _moved_along_rim(electrode, spread.electrode_place * place, design),
             contact_impedance=electrode.contact_impedance * factor("contact_impedance", contact),
         )
         for electrode, contact, place in zip(design.electrodes, contacts, places, strict=True)
     )
     made = dataclasses.replace(design, electrodes=electrodes)
-    made = _conducting(made, factor("conductivity", conductivity))
+    made = _scaled_conductivity(made, factor("conductivity", conductivity))
     if spread.thickness:
-        made = _thicker(made, factor("thickness", thickness))
+        made = _scaled_thickness(made, factor("thickness", thickness))
         mechanics = dataclasses.replace(
             mechanics, solved_thickness=mechanics.solved_thickness or design.thickness
         )
@@ -137,8 +139,8 @@ def draw_specimen(spread: Specimens, nominal: Specimen, rng: np.random.Generator
         ),
         dataclasses.replace(
             mechanics,
-            gel=_stiffer(mechanics.gel, factor("gel_modulus", gel)),
-            encapsulation=_stiffer(
+            gel=_scaled_modulus(mechanics.gel, factor("gel_modulus", gel)),
+            encapsulation=_scaled_modulus(
                 mechanics.encapsulation, factor("encapsulation_modulus", around)
             ),
         ),
@@ -146,7 +148,7 @@ def draw_specimen(spread: Specimens, nominal: Specimen, rng: np.random.Generator
 
 
 def lognormal(deviation: float, normal: float) -> float:
-    """A factor of median one and relative standard deviation `deviation`, from a normal draw.
+    """Lognormal factor of median one and relative sd `deviation`, from a standard normal draw.
 
     With s^2 the variance of its logarithm, (deviation / mean)^2 = exp(s^2) - 1.
     """
@@ -154,46 +156,46 @@ def lognormal(deviation: float, normal: float) -> float:
 
 
 def truncated_normal(rng: np.random.Generator, size: int) -> Array:
-    """Standard normal draws (size,), those beyond `WIDEST` drawn again."""
+    """Standard normal draws (size,), truncated at `MAX_DEVIATIONS` by rejection."""
     drawn = rng.standard_normal(size)
-    while (wide := np.abs(drawn) > WIDEST).any():
+    while (wide := np.abs(drawn) > MAX_DEVIATIONS).any():
         drawn[wide] = rng.standard_normal(int(wide.sum()))
     return drawn
 
 
-def _conducting(design: SensorDesign, factor: float) -> SensorDesign:
-    """`design` with every conductivity times `factor`."""
+def _scaled_conductivity(design: SensorDesign, factor: float) -> SensorDesign:
+    """Design with every conductivity times `factor`."""
     if not design.layers:
         return dataclasses.replace(design, conductivity=factor * design.conductivity)
     layers = (dataclasses.replace(x, conductivity=factor * x.conductivity) for x in design.layers)
     return dataclasses.replace(design, layers=tuple(layers))
 
 
-def _thicker(design: SensorDesign, factor: float) -> SensorDesign:
-    """`design` with every height times `factor`."""
+def _scaled_thickness(design: SensorDesign, factor: float) -> SensorDesign:
+    """Design with every height times `factor`."""
     layers = (dataclasses.replace(x, thickness=factor * x.thickness) for x in design.layers)
     return dataclasses.replace(
         design,
         thickness=factor * design.thickness,
         encapsulated_thickness=factor * design.encapsulated_thickness,
         layers=tuple(layers),
-        electrodes=tuple(_higher(electrode, factor) for electrode in design.electrodes),
+        electrodes=tuple(_scaled_height(electrode, factor) for electrode in design.electrodes),
     )
 
 
-def _higher(electrode: Electrode, factor: float) -> Electrode:
+def _scaled_height(electrode: Electrode, factor: float) -> Electrode:
     z = None if electrode.z is None else factor * electrode.z
     upright = electrode.on == "side" and electrode.height is not None
     height = factor * electrode.height if upright and electrode.height else electrode.height
     return dataclasses.replace(electrode, z=z, height=height)
 
 
-def _stiffer(law: NeoHookean | Ogden, factor: float) -> NeoHookean | Ogden:
+def _scaled_modulus(law: NeoHookean | Ogden, factor: float) -> NeoHookean | Ogden:
     return dataclasses.replace(law, shear_modulus=factor * law.shear_modulus)
 
 
-def _moved(electrode: Electrode, distance: float, design: SensorDesign) -> Electrode:
-    """An electrode on the side `distance` [m] further along the rim, counter-clockwise."""
+def _moved_along_rim(electrode: Electrode, distance: float, design: SensorDesign) -> Electrode:
+    """Side electrode moved `distance` [m] along the rim, counter-clockwise; others stay."""
     outline = design.outline
     if electrode.on != "side" or not distance or isinstance(outline, Surface):
         return electrode
@@ -201,8 +203,8 @@ def _moved(electrode: Electrode, distance: float, design: SensorDesign) -> Elect
     return dataclasses.replace(electrode, x=x, y=y)
 
 
-def _freedom(design: SensorDesign) -> float:
-    """How far each electrode on the side may move and stay apart from others and corners [m]."""
+def _clearance(design: SensorDesign) -> float:
+    """Distance that every side electrode may move without reaching others or corners [m]."""
     outline, electrodes = design.outline, [e for e in design.electrodes if e.on == "side"]
     if isinstance(outline, Surface) or not electrodes:
         return math.inf

@@ -1,4 +1,4 @@
-"""Places that are pressed: drawing them, and what they may be."""
+"""Random touch positions, and checks of their ranges."""
 
 from collections.abc import Iterator, Sequence
 
@@ -15,13 +15,21 @@ _SETS_AT_ONCE = 16
 _TRIES = 1600
 
 
-def draw_places(
+def draw_positions(
     amount: int, outline: PlaneOutline, margin: float, spacing: float, rng: np.random.Generator
 ) -> NDArray[np.float64]:
-    """Draw `amount` places (x, y) [m] that keep their distances, all such sets equally likely.
+    """Random positions (amount, 2) [m], uniform over all sets with the given distances.
 
-    Whole sets are drawn and refused: placing one touch after another would favour the rim.
-    Raises ConfigurationError where none of many sets keeps the distances.
+    Rejection sampling of whole sets: placing one touch after another would favour the rim.
+
+    Args:
+        amount: number of touches.
+        outline: of the sensor.
+        margin: least distance from the rim [m].
+        spacing: least distance between two touches [m].
+        rng: random generator.
+
+    Raises ConfigurationError where no set of many has these distances.
     """
     low = np.array([margin, margin])
     high = np.array([outline.length, outline.width]) - margin
@@ -32,17 +40,19 @@ def draw_places(
         within = outline.contains(sets, margin).all(axis=1)
         good = np.flatnonzero((apart >= spacing).all(axis=1) & within)
         if good.size:
-            places: NDArray[np.float64] = sets[good[0]]
-            return places
+            positions: NDArray[np.float64] = sets[good[0]]
+            return positions
     raise ConfigurationError(
         f"could not place {amount} touches {spacing:g} m apart and {margin:g} m from the rim; ask "
         "for fewer touches, or less spacing or margin"
     )
 
 
-def place_problems(places: Sequence[tuple[float, float]], outline: PlaneOutline) -> Iterator[str]:
-    """Places (x, y) [m] that are not on the sensor."""
-    for x, y in places:
+def position_problems(
+    positions: Sequence[tuple[float, float]], outline: PlaneOutline
+) -> Iterator[str]:
+    """Positions (x, y) [m] off the sensor, a sentence each."""
+    for x, y in positions:
         if not outline.contains(np.array([x, y])):
             yield (
                 f"position ({x:g}, {y:g}) m is off the {outline.length:g} x "
@@ -57,7 +67,7 @@ def touch_problems(
     spacing: float,
     outline: PlaneOutline,
 ) -> Iterator[str]:
-    """Why touches in these ranges cannot be drawn; see `SceneGroup`."""
+    """Reasons why touches in these ranges cannot be drawn, a sentence each; see `SceneGroup`."""
     few, many = touches
     if not 0.0 < force[0] <= force[1]:
         yield f"force must be a rising range above 0 N, got {list(force)}"
@@ -79,7 +89,7 @@ def touch_problems(
 
 def _has_room(amount: int, outline: PlaneOutline, margin: float, spacing: float) -> bool:
     try:
-        draw_places(amount, outline, margin, spacing, np.random.default_rng(0))
+        draw_positions(amount, outline, margin, spacing, np.random.default_rng(0))
     except ConfigurationError:
         return False
     return True

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from eitskin.datasets import Recipe, State, open_dataset, save_dataset, touch_maps
-from eitskin.datasets.generation.shard_simulation import simulate
+from eitskin.datasets.generation.shard_simulation import simulate_frames
 
 from style import GOLD, GREY, RISING, TEAL, circle, colours, figure, save, sensor, wanted
 
@@ -41,7 +41,7 @@ force = [8, 12]
 with tempfile.TemporaryDirectory() as folder:
     (Path(folder) / "small.toml").write_text(RECIPE)
     recipe = Recipe.from_toml(Path(folder) / "small.toml")
-    save_dataset(simulate(recipe, range(recipe.frames)), Path(folder) / "small")
+    save_dataset(simulate_frames(recipe, range(recipe.frames)), Path(folder) / "small")
     data = open_dataset(Path(folder) / "small")
 
 counts = {state.name.lower(): int((data.state == state).sum()) for state in State}
@@ -50,7 +50,7 @@ assert counts == {"idle": 12, "bend": 12, "touch": 24}
 assert data.impedance.shape == (48, 28)
 
 # A frame depends on recipe, seed and number alone, in whatever company it is made.
-again = simulate(recipe, [30, 7])
+again = simulate_frames(recipe, [30, 7])
 assert np.allclose(again.impedance, data.impedance[[30, 7]], rtol=1e-4)
 
 # Whole sensors are dealt out for training and testing, so a test sees sensors that are new.

@@ -6,7 +6,7 @@ from collections import namedtuple
 import pytest
 
 from eitskin.datasets import Recipe, generate
-from eitskin.datasets.generation.cost_estimate import estimate
+from eitskin.datasets.generation.cost_estimate import estimate_cost
 from eitskin.datasets.generation.generate import free_bytes, least_bytes
 from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.errors import ConfigurationError
@@ -22,7 +22,7 @@ Usage = namedtuple("Usage", "total used free")
 
 @pytest.mark.slow
 def test_size_is_that_of_the_files(tmp_path):
-    found = estimate(RECIPE, tmp_path / "set", workers=1)
+    found = estimate_cost(RECIPE, tmp_path / "set", workers=1)
     assert (found.frames, found.shards) == (120, 3)
     assert 16 <= found.measured_frames <= 50
     assert found.seconds > 0

@@ -9,7 +9,7 @@ from eitskin.datasets import Recipe, State
 from eitskin.datasets.generation.shard_simulation import simulate_shard
 from eitskin.datasets.recipe.episode import (
     EpisodeTouch,
-    Held,
+    HeldTouch,
     Keyframe,
     RandomEpisodes,
     ScriptedEpisode,
@@ -61,7 +61,7 @@ def test_angles_are_straight_between_keyframes_and_presses_last_while_they_are_t
         Keyframe(6.0, -20.0),
     ).draw(OUTLINE, RNG)
     assert [told.scene(t).bend.angle_deg for t in (0.0, 1.0, 3.0, 4.5, 5.5)] == [0, 5, 10, -5, -20]
-    assert set(told.presses) == {Held(HERE, 2.0, 5.0), Held(THERE, 4.0, 5.0)}
+    assert set(told.touches) == {HeldTouch(HERE, 2.0, 5.0), HeldTouch(THERE, 4.0, 5.0)}
 
 
 def test_a_repeated_script_goes_on_where_it_ended():
@@ -71,11 +71,11 @@ def test_a_repeated_script_goes_on_where_it_ended():
     assert [line.scene(t).bend.angle_deg for t in (0.5, 1.0, 2.0, 3.0, 5.0, 5.5)] == [
         *(15.0, 30.0, 0.0, 30.0, 30.0, 15.0)
     ]
-    assert [(each.start, each.end) for each in line.presses] == [(1.0, 2.0), (3.0, 4.0), (5.0, 6.0)]
+    assert [(each.start, each.end) for each in line.touches] == [(1.0, 2.0), (3.0, 4.0), (5.0, 6.0)]
 
 
 def test_presses_creep_while_held_linger_afterwards_and_are_forgotten():
-    line = Timeline((0.0,), (0.0,), (Held(HERE, 1.0, 3.0),))
+    line = Timeline((0.0,), (0.0,), (HeldTouch(HERE, 1.0, 3.0),))
     assert line.scene(0.9, REFERENCE) == Scene()
     (touch,) = line.scene(1.0, REFERENCE).touches
     assert (touch.x, touch.y, touch.force, touch.held, touch.released) == (
@@ -94,7 +94,7 @@ def test_presses_creep_while_held_linger_afterwards_and_are_forgotten():
 
 
 def test_without_relaxation_nothing_creeps_or_lingers():
-    line = Timeline((0.0,), (0.0,), (Held(HERE, 1.0, 3.0),))
+    line = Timeline((0.0,), (0.0,), (HeldTouch(HERE, 1.0, 3.0),))
     assert line.scene(1.0) == line.scene(2.9)
     assert line.scene(1.0).touches[0].held is None
     assert line.scene(3.0) == Scene()
@@ -121,12 +121,12 @@ def test_random_episodes_keep_their_ranges():
         assert (turned[::2] == 0.0).all()
         assert (turned[1::2] / lasts[1::2] >= 5.0 - 1e-9).all()
         assert (turned[1::2] / lasts[1::2] <= 30.0 + 1e-9).all()
-        starts = sorted({each.start for each in line.presses})
-        ends = sorted({each.end for each in line.presses})
+        starts = sorted({each.start for each in line.touches})
+        ends = sorted({each.end for each in line.touches})
         assert all(1.0 <= b - a <= 4.0 for a, b in zip(ends[:-1], starts[1:], strict=True))
         assert all(1.0 <= b - a <= 3.0 for a, b in zip(starts, ends, strict=True))
     angles = np.array([angle for line in lines for angle in line.angles_deg[2::2]])
-    forces = np.array([each.press.force for line in lines for each in line.presses])
+    forces = np.array([each.touch.force for line in lines for each in line.touches])
     for values, low, high in ((angles, -20.0, 50.0), (forces, 4.0, 12.0)):
         assert low <= values.min() < low + 0.05 * (high - low)
         assert high - 0.05 * (high - low) < values.max() <= high
@@ -134,9 +134,9 @@ def test_random_episodes_keep_their_ranges():
         assert values.std() == pytest.approx(deviation, rel=4 / np.sqrt(2 * len(values)))
     numbers = np.array(
         [
-            sum(e.start == s for e in line.presses)
+            sum(e.start == s for e in line.touches)
             for line in lines
-            for s in {e.start for e in line.presses}
+            for s in {e.start for e in line.touches}
         ]
     )
     shares = np.bincount(numbers, minlength=4)[1:] / len(numbers)

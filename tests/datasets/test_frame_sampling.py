@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from eitskin.datasets import Recipe, State
-from eitskin.datasets.generation.shard_simulation import simulate_shard, untouched
+from eitskin.datasets.generation.shard_simulation import simulate_shard, without_touches
 from eitskin.datasets.recipe.frame_sampling import Stream, generator, sample
 from eitskin.datasets.recipe.recipe import with_seed
 from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.datasets.recipe.specimen import Specimens
-from eitskin.datasets.recipe.touch_sampling import draw_places
+from eitskin.datasets.recipe.touch_sampling import draw_positions
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend, Disc, Rectangle, SensorDesign
 from eitskin.geometry.design.regular_layouts import uniform
@@ -109,7 +109,7 @@ def test_listed_positions_are_pressed_repeats_times_each(per_bend):
 def test_places_are_spread_evenly():
     rng = np.random.default_rng(0)
     outline = Rectangle(0.150, 0.060)
-    places = np.array([draw_places(1, outline, 0.010, 0.030, rng)[0] for _ in range(2000)])
+    places = np.array([draw_positions(1, outline, 0.010, 0.030, rng)[0] for _ in range(2000)])
     # Uniform over 130 x 40 mm: means in the middle, standard deviations length / sqrt(12).
     assert np.allclose(places.mean(axis=0), [0.075, 0.030], atol=3 * 0.0375 / np.sqrt(2000))
     assert np.allclose(places.std(axis=0), np.array([0.130, 0.040]) / np.sqrt(12), rtol=0.05)
@@ -205,7 +205,7 @@ def test_groups_are_solved_once_per_specimen_and_untouched_once_per_angle(monkey
     assert len(asked) == len({each.specimen for each in drawn})
     flat = [scene for scenes in asked for scene in scenes]
     assert len(flat) == len(set(flat))
-    wanted = {each.scene for each in drawn} | {untouched(each.scene) for each in drawn}
+    wanted = {each.scene for each in drawn} | {without_touches(each.scene) for each in drawn}
     assert set(flat) == wanted - {Scene()}
     bends = {each.scene.bend for each in drawn if each.state == State.TOUCH}
     assert sum(not scene.touches for scene in flat) == len(bends) < 6

@@ -9,10 +9,10 @@ import pytest
 from scipy.stats import norm
 
 from eitskin.datasets import Recipe
-from eitskin.datasets.generation.shard_simulation import prepare, unsolved
+from eitskin.datasets.generation.shard_simulation import missing_press_tables, prepare
 from eitskin.datasets.recipe.frame_sampling import specimen
 from eitskin.datasets.recipe.scene_group import SceneGroup
-from eitskin.datasets.recipe.specimen import WIDEST, Specimens, truncated_normal
+from eitskin.datasets.recipe.specimen import MAX_DEVIATIONS, Specimens, truncated_normal
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Electrode, Hinge, Layer, SensorDesign
 from eitskin.simulator import Cylinder, Mechanics
@@ -78,10 +78,10 @@ RELATIVE = (
 def test_draws_are_normal_up_to_three_standard_deviations():
     drawn = truncated_normal(np.random.default_rng(0), 100_000)
     # A normal distribution cut at -+c has the variance 1 - 2 c phi(c) / (2 Phi(c) - 1).
-    c = WIDEST
+    c = MAX_DEVIATIONS
     variance = 1.0 - 2.0 * c * norm.pdf(c) / (2.0 * norm.cdf(c) - 1.0)
     assert drawn.std() == pytest.approx(math.sqrt(variance), rel=4 / math.sqrt(2 * len(drawn)))
-    assert 2.9 < np.abs(drawn).max() <= WIDEST
+    assert 2.9 < np.abs(drawn).max() <= MAX_DEVIATIONS
 
 
 def test_without_spread_every_specimen_is_nominal():
@@ -103,7 +103,7 @@ def test_spread_has_the_standard_deviation_that_was_asked_for(name):
     # Four standard errors; cutting at three standard deviations takes 1.4 % off.
     assert deviation.std() == pytest.approx(0.986 * asked, rel=4 / math.sqrt(2 * deviation.size))
     assert abs(deviation.mean()) < 4 * asked / math.sqrt(deviation.size)
-    assert np.abs(deviation).max() <= WIDEST * asked * (1 + 1e-9)
+    assert np.abs(deviation).max() <= MAX_DEVIATIONS * asked * (1 + 1e-9)
     if deviation.shape[1] > 1:  # electrodes by themselves
         assert abs(np.corrcoef(deviation[:, 0], deviation[:, 1])[0, 1]) < 0.2
 
@@ -186,14 +186,16 @@ def test_a_short_hinge_is_refused_with_the_span_that_it_may_lose():
 
 def test_specimens_share_what_is_solved(monkeypatch, tmp_path):
     monkeypatch.setenv("EITSKIN_CACHE", str(tmp_path))
-    assert len(unsolved(recipe(Specimens(30)))) == 1
-    assert len(unsolved(recipe(Specimens(30, thickness=0.03)))) == 3
+    assert len(missing_press_tables(recipe(Specimens(30)))) == 1
+    assert len(missing_press_tables(recipe(Specimens(30, thickness=0.03)))) == 3
     # Stiffness ratios of 1.4 times 0.66 to 1.53 lie within one step of half an octave, or two:
     # four tables about each place, from two or three below to three above.
-    assert len(unsolved(recipe(Specimens(30, gel_modulus=0.1)))) in (5, 6, 7)
-    assert len(unsolved(recipe(Specimens(30, gel_modulus=0.1, thickness=0.03)))) <= 3 * 7
+    assert len(missing_press_tables(recipe(Specimens(30, gel_modulus=0.1)))) in (5, 6, 7)
+    assert (
+        len(missing_press_tables(recipe(Specimens(30, gel_modulus=0.1, thickness=0.03)))) <= 3 * 7
+    )
     untouched = Recipe("flat", scenes=(SceneGroup("idle", count=1),), specimens=SPREAD)
-    assert unsolved(untouched) == set()
+    assert missing_press_tables(untouched) == set()
 
 
 def law(stack, _indenter) -> PressTable:
