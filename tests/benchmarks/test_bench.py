@@ -58,6 +58,7 @@ def family(data, name) -> list[dict]:
     return [point for point in data["results"] if point["family"] == name]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["hexahedra, linear", "hexahedra, cubic, sparse LU", "prisms, quadratic"]
 )
@@ -70,6 +71,7 @@ def test_errors_fall_along_a_ladder_and_stay_above_the_references_own(data, name
     assert second["unknowns"] > first["unknowns"]
 
 
+@pytest.mark.slow
 def test_every_point_says_how_it_was_made(data) -> None:
     assert {point["solver"] for point in data["results"]} == {"block Cholesky", "sparse LU"}
     assert {point["cells"] for point in data["results"]} == {"hexahedra", "prisms"}
@@ -79,6 +81,7 @@ def test_every_point_says_how_it_was_made(data) -> None:
     assert data["provenance"]["packages"]["numpy"] == np.__version__
 
 
+@pytest.mark.slow
 def test_bent_and_pressed_scenes_are_compared(data) -> None:
     (check, fast) = data["deformed"]
     assert (check["name"], fast["name"]) == ("second reference", "fast")
@@ -86,6 +89,7 @@ def test_bent_and_pressed_scenes_are_compared(data) -> None:
         assert check["signal_errors"][scene] < error < 0.02
 
 
+@pytest.mark.slow
 def test_the_tables_hold_what_was_found(data, folder) -> None:
     comment, *lines = (folder / "table.csv").read_text().splitlines()
     assert comment.startswith("# ")
@@ -98,6 +102,7 @@ def test_the_tables_hold_what_was_found(data, folder) -> None:
     assert float(deformed[1]["10 N"]) == data["deformed"][1]["signal_errors"]["10 N"]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("data")
 def test_the_plot_is_drawn_in_the_colours_of_its_families(folder) -> None:
     from PIL import Image
@@ -114,6 +119,7 @@ def test_the_plot_is_drawn_in_the_colours_of_its_families(folder) -> None:
         assert (np.abs(pixels - rgb).sum(axis=2) < 10).sum() > 100
 
 
+@pytest.mark.slow
 def test_figures_are_the_points_of_the_table(data, folder) -> None:
     results = read_results(folder / "results.json")
     assert results.quick
@@ -126,6 +132,7 @@ def test_figures_are_the_points_of_the_table(data, folder) -> None:
     assert results.figures["bent and pressed, fast.10 N"] == deformed["10 N"]
 
 
+@pytest.mark.slow
 def test_a_plot_that_fails_leaves_the_old_one(truth, tmp_path, monkeypatch) -> None:
     def broken(_, path):
         path.write_bytes(b"half")
@@ -160,6 +167,7 @@ def found_by_hand(truth: Truth, **changes):
     )
 
 
+@pytest.mark.slow
 def test_missed_targets_are_said(truth) -> None:
     good = {"frame_seconds": 0.005, "signal_error": 0.01}
     assert list(misses(found_by_hand(truth, **good))) == []
@@ -211,6 +219,7 @@ def test_superposed_drives_are_what_the_peer_says_of_each_pair(truth) -> None:
         assert model.frame(background=2.0)(None) == pytest.approx(0.5 * R)
 
 
+@pytest.mark.slow
 def test_the_peer_feels_a_drop_as_we_do_where_electrodes_are_far(truth) -> None:
     pytest.importorskip("pyeit")
     # Point electrodes spoil R itself; what a far drop adds depends on them much less.
@@ -224,6 +233,7 @@ def test_the_peer_feels_a_drop_as_we_do_where_electrodes_are_far(truth) -> None:
         assert (theirs(drop) - theirs(None))[pair] == pytest.approx(expected, rel=0.1)
 
 
+@pytest.mark.slow
 def test_a_duel_is_on_equal_nodes(truth) -> None:
     pytest.importorskip("pyeit")
     for layers, cells in ((1, "tetrahedra"), (0, "triangles")):
@@ -233,6 +243,7 @@ def test_a_duel_is_on_equal_nodes(truth) -> None:
         assert duel.ratio == duel.other.frame_seconds / duel.own.frame_seconds
 
 
+@pytest.mark.slow
 def test_without_the_peer_the_rest_is_measured(monkeypatch, tmp_path) -> None:
     monkeypatch.setattr(peer, "is_installed", lambda: False)
     monkeypatch.setattr(cases, "QUICK", cases.ladder((1, 1), Grading(8e-3, 8e-3, 1.0), 1))

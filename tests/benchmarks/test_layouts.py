@@ -119,6 +119,7 @@ def test_search_leaves_the_mirrors_where_a_half_turn_is_better():
     assert mirrors == [(False, False), (True, True)]
 
 
+@pytest.mark.slow
 def test_a_ring_guesses_what_a_layout_of_its_electrodes_has(tmp_path):
     """All of a ring's electrodes are a layout that conducts no otherwise than the ring."""
     ring = solved_ring(tmp_path, 0.0525, FEWEST)
@@ -185,6 +186,7 @@ def test_figures():
     assert markdown(comparison).count("| 120* |") == 1
 
 
+@pytest.mark.slow
 def test_command_writes_table_and_maps(tmp_path, monkeypatch):
     for module in (layouts_run, layouts_trained):
         monkeypatch.setattr(module, "QUICK_SAMPLING", FEWEST)

@@ -37,6 +37,7 @@ def few():
     return sheet_bound(paper(), FEW)
 
 
+@pytest.mark.slow
 def test_derivatives_agree_with_a_difference_of_fourth_order_of_whole_solutions(sim, derivatives):
     rows = {"x": (0, 0, 1.5e-3), "y": (1, 1, 1.5e-3), "force": (0, 2, 0.3)}
     for name, (place, row, h) in rows.items():
@@ -56,6 +57,7 @@ def test_angle_is_nearly_that_of_the_untouched_sheet(sim, untouched):
     assert change < 0.03 * np.abs(untouched.by_angle).max()
 
 
+@pytest.mark.slow
 def test_a_layout_is_judged_as_each_scene_is(few, sim):
     scene = Scene(touches=(Touch(few.x[1], few.y[1], 10.0),))
     found = scene_derivatives(sim, scene)
@@ -65,6 +67,7 @@ def test_a_layout_is_judged_as_each_scene_is(few, sim):
     assert few.angle_deg[1, 1] == pytest.approx(least.angle_deg, rel=0.02)
 
 
+@pytest.mark.slow
 def test_bounds_fall_with_the_root_of_signal_to_noise():
     """20 dB are a hundredth of the noise's power."""
     worse, better = (sheet_bound(paper(), replace(FEWEST, snr_db=snr)) for snr in (65.0, 85.0))
@@ -73,6 +76,7 @@ def test_bounds_fall_with_the_root_of_signal_to_noise():
     np.testing.assert_allclose(better.spectrum, 10.0 * worse.spectrum, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_more_measurements_never_raise_a_bound(derivatives):
     order = np.random.default_rng(3).permutation(28)
     for found in derivatives:
@@ -91,11 +95,13 @@ def test_more_measurements_never_raise_a_bound(derivatives):
         assert bounds[-1][0] < 0.9 * bounds[0][0]
 
 
+@pytest.mark.slow
 def test_an_unknown_angle_never_lowers_the_bound(few):
     assert np.all(few.place >= few.place_known * (1 - 1e-9))
     assert few.place.max() > few.place_known.max()
 
 
+@pytest.mark.slow
 def test_the_sheet_mirrors_itself_where_the_layout_does(few, monkeypatch):
     """Without being told so: every place is solved by itself."""
     monkeypatch.setattr(layouts_bound, "_MIRRORS", ((False, False),))
@@ -108,6 +114,7 @@ def test_the_sheet_mirrors_itself_where_the_layout_does(few, monkeypatch):
     np.testing.assert_allclose(few.spectrum, whole.spectrum, rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_a_layout_with_one_mirror_is_solved_in_half_of_the_sheet(monkeypatch):
     electrodes = [
         replace(each, y=0.020) if each.y == 0.030 else each
@@ -150,6 +157,7 @@ def test_what_is_said_of_signals():
     assert bound.patterns == 2
 
 
+@pytest.mark.slow
 def test_pads_keep_their_digits():
     """A pad's own resistance is much of what is measured; 2 % of force changes little."""
     design = sweeps()["placement"][2].design

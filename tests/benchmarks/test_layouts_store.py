@@ -29,6 +29,7 @@ def fresh(tmp_path_factory):
         return folder, judge(asked(paper(), paper(20.0)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("workers", [1, 2])
 def test_a_stopped_run_goes_on_to_the_same_bytes(fresh, tmp_path, workers):
     def stop(name):  # noqa: ARG001

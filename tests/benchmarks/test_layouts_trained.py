@@ -59,6 +59,7 @@ def trained(monkeypatch):
     return names
 
 
+@pytest.mark.slow
 def test_what_is_finished_is_not_trained_again(tmp_path, trained):
     layouts = [(paper(), flat_bound(1e-3)), (one_sided(), flat_bound(5e-3))]
     first = learn_all(layouts[:1], tmp_path, lesson=QUICK)

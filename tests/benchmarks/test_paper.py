@@ -152,6 +152,7 @@ def folder(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_figures_are_what_the_pipelines_are_known_to_do(folder):
     printed = json.loads((folder / "printed.json").read_text())
     columns = {paper.OWN: (5.0, 2.0), paper.UNSEEN: (5.0, 2.0), paper.OURS: (1.0, 0.5)}
@@ -173,6 +174,7 @@ def test_figures_are_what_the_pipelines_are_known_to_do(folder):
     assert printed["variants"]["ours"] == printed["figures"][paper.OURS]
 
 
+@pytest.mark.slow
 def test_files_hold_the_table_and_what_it_was_made_with(folder):
     with (folder / "table.csv").open() as lines:
         assert next(lines).startswith("# ")
@@ -198,6 +200,7 @@ def test_files_hold_the_table_and_what_it_was_made_with(folder):
         assert (folder / picture).read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_every_figure_has_a_line_or_is_a_part_of_one(folder):
     """What is measured is shown, but pictures and misses that the table sums up elsewhere."""
     figures = json.loads((folder / "paper.json").read_text())["figures"][paper.OURS][0]
@@ -238,6 +241,7 @@ def test_signal_to_noise_is_per_channel():
     assert 0.9 * SIGNAL / NOISE < found.least < found.median < found.most < 1.1 * SIGNAL / NOISE
 
 
+@pytest.mark.slow
 def test_bounds_are_those_of_the_frames_scenes():
     """By hand: the noise is the instrument's, the reference of the recipe's number of frames."""
     recipe = dict(recipes(0, True))["unseen-touch"]

@@ -33,6 +33,7 @@ def ran(tmp_path, monkeypatch):
     return tmp_path / "speed", json.loads(done.stdout)
 
 
+@pytest.mark.slow
 def test_rates_stand_beside_errors_and_ratios_are_of_one_run(ran):
     folder, printed = ran
     results = read_results(folder / "results.json")
@@ -50,6 +51,7 @@ def test_rates_stand_beside_errors_and_ratios_are_of_one_run(ran):
     assert [rate["name"] for rate in printed["rates"]] == [first, JUMPING.name]
 
 
+@pytest.mark.slow
 def test_files_are_a_table_and_a_plot(ran):
     folder, _ = ran
     assert sorted(path.name for path in folder.iterdir()) == [
@@ -62,11 +64,13 @@ def test_files_are_a_table_and_a_plot(ran):
     assert (folder / "speed.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_without_the_peer_the_rest_is_measured(monkeypatch):
     monkeypatch.setattr(peer, "is_installed", lambda: False)
     assert speed.pyeit(0) is None
 
 
+@pytest.mark.slow
 def test_the_peers_time_is_of_a_scene():
     pytest.importorskip("pyeit")
     found = speed.pyeit(0, count=1)
@@ -96,6 +100,7 @@ def test_scenes_of_a_way_share_bends_as_it_says():
     assert scenes.scenes(WAYS[0], 3, 1) == scenes.scenes(WAYS[0], 3, 1)
 
 
+@pytest.mark.slow
 def test_an_exact_way_is_off_by_its_mesh_alone(monkeypatch):
     """Against itself it has no error; a coarser mesh has."""
     monkeypatch.setattr(scenes, "JUDGED", 2)

@@ -171,6 +171,7 @@ def named(cases, *names):
     return [judge(picked[name]) for name in names]
 
 
+@pytest.mark.slow
 def test_electrical_cases_are_right_and_refusals_refused() -> None:
     rows = [
         *map(judge, stability_electrical.contrasts((1e6,))),
@@ -199,6 +200,7 @@ def test_resistances_outside_bounds_are_measured() -> None:
     assert stability_electrical.outside(R, 0.5 * low, high) == 0.0
 
 
+@pytest.mark.slow
 def test_bends_are_right_to_their_ends_and_the_ends_are_named() -> None:
     rows = named(
         stability_bends.bends(quick=True),
@@ -226,6 +228,7 @@ def test_bounds_hold_the_resistance_and_meet_for_an_arc() -> None:
     assert straight == pytest.approx((500.0, 500.0), rel=1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "fixture",
     [Hinge(transition=0.01, contraction=0.8), FreeArc(0.02, transition=0.005, contraction=1.0)],
@@ -261,6 +264,7 @@ def test_linear_triangles_lock_and_mixed_elements_do_not() -> None:
     assert stiff.iterations == 3
 
 
+@pytest.mark.slow
 def test_a_press_says_how_far_it_went_and_why_no_farther(monkeypatch) -> None:
     to_depth = AxisymmetricPress.to_depth
 
@@ -283,6 +287,7 @@ def test_a_press_says_how_far_it_went_and_why_no_farther(monkeypatch) -> None:
 # Random designs
 
 
+@pytest.mark.slow
 @settings(max_examples=12, derandomize=True, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_any_design_gives_a_frame_or_a_refusal(seed) -> None:
@@ -292,6 +297,7 @@ def test_any_design_gives_a_frame_or_a_refusal(seed) -> None:
     assert bool(row.reason) == (row.outcome == "refused")
 
 
+@pytest.mark.slow
 def test_random_designs_follow_the_seed_and_are_often_possible() -> None:
     first, again = (
         [dataclasses.replace(judge(case), seconds=0.0) for case in random_designs(5, 6)]

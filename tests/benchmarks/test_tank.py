@@ -56,6 +56,7 @@ def test_protocol_measures_what_the_patterns_say(tank) -> None:
     assert tank.driven[0].tolist() == (np.abs(tank.currents[:2]).sum(axis=0) > 0).tolist()
 
 
+@pytest.mark.slow
 def test_conductivity_and_contact_impedance_are_found(tank, derivatives) -> None:
     found = fit(tank, FIRST, start(tank), derivatives, QUICK)
     assert found.values["sheet"] == pytest.approx([SHEET], rel=1e-3)
@@ -64,6 +65,7 @@ def test_conductivity_and_contact_impedance_are_found(tank, derivatives) -> None
     assert found.unknowns == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "key", "close"),
     [
@@ -145,6 +147,7 @@ def test_missing_files_are_named(tank, tmp_path) -> None:
         read_tank(tmp_path)
 
 
+@pytest.mark.slow
 def test_the_real_tank() -> None:
     """With ideal places 8.9 % is left as z -> 0: by the model here and by the integral equation."""
     if not (DATA / "ktc2023_ref.mat").is_file():
