@@ -51,6 +51,7 @@ def test_derivatives_agree_with_a_difference_of_fourth_order_of_whole_solutions(
         assert error < 0.03, name
 
 
+@pytest.mark.slow
 def test_angle_is_nearly_that_of_the_untouched_sheet(sim, untouched):
     pressed = scene_derivatives(sim, Scene(touches=(Touch(*PLACES[0], 10.0),)))
     change = np.abs(pressed.by_angle - untouched.by_angle).max()
@@ -137,6 +138,7 @@ def test_mirrors_of_layouts():
     assert [len(list(own_mirrors(layout.design))) for layout in sweeps()["count"]] == [4] * 5
 
 
+@pytest.mark.slow
 def test_measurements_are_renumbered_in_the_mirror(sim):
     for (along, across), order in own_mirrors(sim.design):
         x, y = 0.040, 0.022

@@ -256,6 +256,7 @@ def test_the_examples_of_the_page_are_read(tmp_path) -> None:
         assert read_toml(Fixture, written(tmp_path / "fixture.toml", text)) == expected
 
 
+@pytest.mark.slow
 def test_the_mistakes_of_the_page_are_answered_as_it_says(tmp_path) -> None:
     section = PAGE.read_text(encoding="utf-8").partition("## What goes wrong")[2]
     rows = re.findall(r"^\| `(.*?)` \| (`.*) \|$", section, re.MULTILINE)

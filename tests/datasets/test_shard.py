@@ -64,6 +64,7 @@ def test_folder_of_several_shards_comes_back_as_one(tmp_path):
     assert_same(open_dataset(tmp_path / "set"), make(50))
 
 
+@pytest.mark.slow
 def test_equal_data_give_equal_bytes(tmp_path):
     contents = set()
     for number in range(20):

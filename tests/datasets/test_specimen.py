@@ -91,6 +91,7 @@ def test_without_spread_every_specimen_is_nominal():
         assert each.mechanics == Mechanics()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NOMINAL)
 def test_spread_has_the_standard_deviation_that_was_asked_for(name):
     values = np.array([each[name] for each in spread_properties()])

@@ -82,6 +82,7 @@ def test_a_splinter_keeps_its_sharp_corner_and_good_angles_elsewhere():
     assert smallest[beyond].min() > 20
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("outline", [SLAB, BENT, Disc(0.05)])
 def test_the_rim_has_points_at_the_ends_wanted(outline):
     ends = np.array([-1e-17, 0.0123, 0.0123001, 0.05, outline.perimeter - 1e-6])
@@ -104,6 +105,7 @@ def test_rims_of_discs_are_on_the_circle():
     assert angles(points, triangles).min() > 20
 
 
+@pytest.mark.slow
 def test_local_refinement_is_cheap():
     counts = [len(sized(SLAB, [0.052, 0.057], finest)[0]) for finest in (1e-3, 1e-4, 1e-5, 1e-6)]
     added = np.diff(counts)

@@ -135,6 +135,7 @@ def test_sizes_that_cannot_be_are_refused(make, message):
         make()
 
 
+@pytest.mark.slow
 @settings(max_examples=50, derandomize=True, deadline=None, database=None)
 @given(st.lists(st.floats(0.3, 1.0), min_size=3, max_size=30), st.floats(0.0, 6.0))
 def test_star_shaped_polygons_are_accepted_with_their_area(radii, turn):

@@ -115,6 +115,7 @@ def on_ball(ball, *pads, **options):
     return SensorDesign(ball, 0.1, pads, encapsulated_thickness=0.1, **options)
 
 
+@pytest.mark.slow
 def test_a_pad_on_a_surface_covers_what_lies_under_it(ball):
     """A disc of radius a over a sphere of radius R covers a cap of 2 pi R (R - sqrt(R2 - a2))."""
     R, a = 0.05, 0.02

@@ -147,6 +147,7 @@ def designs(draw):
     )
 
 
+@pytest.mark.slow
 @settings(max_examples=60, derandomize=True, deadline=None, database=None)
 @given(designs())
 def test_every_design_is_the_same_after_writing_and_reading(design) -> None:

@@ -34,6 +34,7 @@ def covered(mesh, count):
     return np.bincount(mesh.contacts.electrode, pieces, minlength=count)
 
 
+@pytest.mark.slow
 def test_slab_and_electrodes_are_exact(slab):
     assert volumes(slab.points, slab.cells).min() > 0
     assert quality(slab).volume == pytest.approx(0.15 * 0.06 * 0.005, rel=1e-12)
@@ -41,6 +42,7 @@ def test_slab_and_electrodes_are_exact(slab):
     assert slab.heights is None
 
 
+@pytest.mark.slow
 def test_the_rim_is_plane_with_its_corners(slab):
     rim = slab.points[np.unique(boundary_faces(slab.cells)[0])]
     size = np.array([0.15, 0.06, 0.005])
@@ -49,6 +51,7 @@ def test_the_rim_is_plane_with_its_corners(slab):
     assert np.linalg.norm(rim[:, None] - corners, axis=2).min(axis=0).max() < 1e-15
 
 
+@pytest.mark.slow
 def test_shapes_are_good_and_points_along_x(slab):
     found = quality(slab)
     assert found.scaled_jacobian > 0.05
@@ -57,6 +60,7 @@ def test_shapes_are_good_and_points_along_x(slab):
     assert np.array_equal(np.unique(slab.cells), np.arange(len(slab.points)))
 
 
+@pytest.mark.slow
 def test_cells_are_fine_at_the_electrode_edges(slab):
     corners = slab.points[slab.cells]
     pairs = np.array([[i, j] for j in range(4) for i in range(j)])

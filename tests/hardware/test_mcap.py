@@ -84,6 +84,7 @@ def written(path, *readings):
 # What is written
 
 
+@pytest.mark.slow
 def test_frames_come_back_to_the_last_bit(tmp_path) -> None:
     data = make(20)
     frames = [data.frame(i) for i in range(len(data))]

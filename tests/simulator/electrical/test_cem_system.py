@@ -39,6 +39,7 @@ def whole_matrices(model, sigma):
     return K, assembly
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("layers", [1, 2])
 @pytest.mark.parametrize("order", [(2, 1), (2, 2), (3, 2, 1), (3, 3, 3)])
 @pytest.mark.parametrize("z", [1e-3, 1e-3 - 4e-4j])

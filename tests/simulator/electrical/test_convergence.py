@@ -179,6 +179,7 @@ FALLS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "order", "close", "times"), FALLS)
 def test_all_elements_fall_to_the_same_values(converged, kind, order, close, times) -> None:
     """Cells half as large everywhere leave a third of the error, quadratics a fifth and less."""
@@ -190,6 +191,7 @@ def test_all_elements_fall_to_the_same_values(converged, kind, order, close, tim
     assert errors[0] > times * errors[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("order", "close"), [((1, 1), 5e-3), ((2, 2), 6e-4)])
 def test_triangulated_prisms_meet_the_same_values(converged, order, close) -> None:
     h = 2e-4 * order[0]

@@ -41,6 +41,7 @@ def test_integral_equation_meets_the_shunt_limit() -> None:
     assert opposite(Z) == pytest.approx(exact, rel=1e-10)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("z", "exact"), [(1e-4, 1.310523), (1e-2, 1.341904)])
 def test_two_opposite_electrodes_on_a_disc(z, exact) -> None:
     """The verification table says 1.310589 and 1.341943: 5e-5 and 3e-5 more."""

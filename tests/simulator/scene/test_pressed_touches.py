@@ -184,6 +184,7 @@ def signal(mechanics, scene):
     return sim.measure(scene).impedance.real / sim.measure(Scene()).impedance.real - 1
 
 
+@pytest.mark.slow
 def test_piezoresistivity_adds_to_what_geometry_does() -> None:
     scene = Scene(touches=(Touch(X, Y, 5.0),))
     none, some, twice = (

@@ -203,6 +203,7 @@ def test_a_depth_is_refused(sim):
         scene_bound(sim, Scene(touches=(Touch(0.03, 0.03, depth=1e-3),)), 1e-3)
 
 
+@pytest.mark.slow
 def test_derivatives_are_those_of_the_measurements(sim, derivatives):
     """Along a path through all parameters at once, from one side to the other."""
 
@@ -216,6 +217,7 @@ def test_derivatives_are_those_of_the_measurements(sim, derivatives):
     assert derivatives.resistance == pytest.approx(np.exp(at(0.0)))
 
 
+@pytest.mark.slow
 def test_halving_the_steps_changes_little(sim, derivatives):
     steps = Steps()
     halved = Steps(steps.place / 2, steps.force / 2, steps.angle_deg / 2)
@@ -225,6 +227,7 @@ def test_halving_the_steps_changes_little(sim, derivatives):
     assert coarse.angle_deg == pytest.approx(fine.angle_deg, rel=0.001)
 
 
+@pytest.mark.slow
 def test_bounds_scale_with_the_noise_and_the_reference(derivatives):
     once, louder = derivatives.bound(1e-3), derivatives.bound(np.full(28, 3e-3))
     averaged, four = derivatives.bound(1e-3, math.inf), derivatives.bound(1e-3, 4.0)
@@ -237,6 +240,7 @@ def test_bounds_scale_with_the_noise_and_the_reference(derivatives):
     assert np.all(once.distance < once.place)
 
 
+@pytest.mark.slow
 def test_an_angle_or_a_drift_that_is_unknown_costs(derivatives):
     free, known = derivatives.bound(1e-3), derivatives.bound(1e-3, angle_known=True)
     drifting = derivatives.bound(1e-3, factor_known=False)
@@ -270,6 +274,7 @@ def test_a_common_factor_cannot_be_told_from_what_changes_all_values_alike():
         alike.bound(0.03, factor_known=False)
 
 
+@pytest.mark.slow
 def test_white_noise_of_the_instrument(sim, derivatives):
     """Of the logarithms of frames that it measures."""
     noise = derivatives.noise(Instrument(), sim.full_scale)

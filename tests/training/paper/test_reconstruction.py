@@ -60,6 +60,7 @@ def test_dark_pixels_are_not_favoured(jacobian):
     assert np.abs(picture).argmax() == 60
 
 
+@pytest.mark.slow
 def test_relative_jacobian_of_the_whole_sensor(sensor_jacobian):
     """One percent more conductivity everywhere lowers R by up to one percent; contacts share it."""
     assert (sensor_jacobian.sum(axis=1) < -0.6).all()
