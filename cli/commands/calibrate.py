@@ -59,10 +59,10 @@ def command(
     Enter. With a dataset: its untouched frames of one specimen are taken.
     """
     from eitskin.training.pipeline.pipeline import Pipeline
-    from eitskin.training.pipeline.saved_form import require_place
+    from eitskin.training.pipeline.saved_form import require_writable
 
     output = Output(as_json, quiet, verbose)
-    require_place(out)
+    require_writable(out)
     if (board is None) == (dataset is None):
         raise ConfigurationError("give either --board or --dataset, the sensor to calibrate for")
     pipeline = Pipeline.load(model)

@@ -46,11 +46,11 @@ def command(
     the first 80 % in time.
     """
     from eitskin.datasets.store.folder import open_dataset
-    from eitskin.training.pipeline.saved_form import require_place
+    from eitskin.training.pipeline.saved_form import require_writable
 
     output = Output(as_json, quiet, verbose)
     require_all(training=TRAINING)
-    require_place(out)
+    require_writable(out)
     data = open_dataset(dataset)
     if report is not None:
         _require_reportable(data, report)

@@ -126,7 +126,7 @@ def reconstructions(pipeline: Pipeline, dataset: Dataset) -> dict[str, NDArray[n
     """
     if not isinstance(pipeline.method, PaperMethod):
         return {}
-    static, dynamic = pipeline.method.pictures(Observations.of(dataset))
+    static, dynamic = pipeline.method.reconstructions(Observations.of(dataset))
     return {"static": -static, "dynamic": -dynamic}
 
 

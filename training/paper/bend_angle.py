@@ -1,4 +1,4 @@
-"""Bend angle from dV: selected features and a linear regression."""
+"""Bend angle by univariate feature selection and linear regression."""
 
 from dataclasses import dataclass
 
@@ -13,14 +13,15 @@ FOLDS = 5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BendAngle:
-    """Linear regression on the features that go best with the angle.
+    """Linear regression of the bend angle on selected features of dV.
 
-    The features are dV, as in the paper, and where asked its square, channel by channel: over -20
+    The features are dV, as in the paper, and optionally its squares, channel by channel: over -20
     to 50 degrees the layer's stretch is visibly curved in the angle.
 
     Attributes:
-        features: indices of the selected features (k,); from the number of channels on, squares.
-        coefficients: degrees per unit of the feature (k,).
+        features: indices of the k selected features (k,); those from the number of channels on
+            are squares.
+        coefficients: of the features (k,) [deg].
         intercept: [deg].
     """
 
@@ -38,18 +39,21 @@ class BendAngle:
         *,
         squares: bool = True,
     ) -> "BendAngle":
-        """Fit to dV from the static reference (n, measurements) and angles (n,) [deg].
+        """Feature selection and least-squares fit, as in the paper.
 
-        The k features of the largest F-statistic and a linear regression, as in the paper, which
-        does not give k: it has the smallest squared error in five-fold cross-validation. Frames of
-        one group (n,), a specimen, stay in one fold, unless there are fewer groups than folds.
+        The k features of the largest F-statistic are selected (SelectKBest). The paper does not
+        give k: k minimises the mean squared error of five-fold cross-validation. The frames of one
+        group stay in one fold, unless there are fewer groups than folds.
 
         Args:
-            difference: dV.
-            angle_deg: the truth.
-            groups: of the frames.
-            seed: of the folds, where frames are dealt out one by one.
+            difference: dV from the static reference (n, measurements), dimensionless.
+            angle_deg: true bend angles (n,) [deg].
+            groups: group of each frame (n,), its specimen.
+            seed: of the folds, where frames are assigned one by one.
             squares: whether squares of dV may be selected too.
+
+        Raises:
+            DataError: for fewer than two frames per fold.
         """
         require("sklearn", "training")
         from sklearn.linear_model import LinearRegression
@@ -58,7 +62,7 @@ class BendAngle:
         dV, angle, group = (np.asarray(array) for array in (difference, angle_deg, groups))
         if len(dV) < 2 * FOLDS:
             raise DataError(
-                f"fitting the bend angle needs at least {2 * FOLDS} frames with a known angle and "
+                f"expected at least {2 * FOLDS} frames with a known bend angle and "
                 f"no touch, got {len(dV)}; generate more bend frames"
             )
         by_group = len(np.unique(group)) >= FOLDS
@@ -79,11 +83,11 @@ class BendAngle:
         return angle
 
     def times(self, factor: float) -> "BendAngle":
-        """The regression whose angles are `factor` times these."""
+        """The regression with all angles multiplied by `factor`."""
         return BendAngle(self.features, factor * self.coefficients, factor * self.intercept)
 
     def arrays(self) -> dict[str, NDArray[np.generic]]:
-        """What `from_arrays` needs to make this stage again."""
+        """Trained arrays of the stage, as `from_arrays` takes them."""
         return {
             "features": self.features,
             "coefficients": self.coefficients,
@@ -92,7 +96,7 @@ class BendAngle:
 
     @classmethod
     def from_arrays(cls, arrays: dict[str, NDArray[np.generic]]) -> "BendAngle":
-        """The stage that `arrays` came from."""
+        """The stage with the trained `arrays`."""
         return cls(
             arrays["features"].astype(np.int64),
             arrays["coefficients"].astype(float),
@@ -105,7 +109,7 @@ def _features(dV: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _ranked(features: NDArray[np.float64], angle: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Numbers of the features, the one that goes best with the angle first."""
+    """Indices of the features by falling F-statistic (features,)."""
     from sklearn.feature_selection import f_regression
 
     statistic, _ = f_regression(features, angle)
@@ -115,20 +119,20 @@ def _ranked(features: NDArray[np.float64], angle: NDArray[np.float64]) -> NDArra
 def _errors(
     features: NDArray[np.float64],
     angle: NDArray[np.float64],
-    lessons: NDArray[np.int64],
+    training: NDArray[np.int64],
     held_out: NDArray[np.int64],
 ) -> NDArray[np.float64]:
-    """Squared error of the frames held out by the number of features, from one on.
+    """Mean squared error [deg2] of the held-out frames for 1, 2, ... selected features.
 
-    The ranking is that of the lessons alone, and one for all numbers of features; scikit-learn's
-    GridSearchCV finds the same, but makes it anew for each.
+    The ranking uses the training frames only and serves all numbers of features; scikit-learn's
+    GridSearchCV gives the same errors, but ranks anew for each number.
     """
     from sklearn.linear_model import LinearRegression
 
-    ranked = _ranked(features[lessons], angle[lessons])
+    ranked = _ranked(features[training], angle[training])
     errors = []
     for k in range(1, len(ranked) + 1):
         chosen = features[:, np.sort(ranked[:k])]
-        regression = LinearRegression().fit(chosen[lessons], angle[lessons])
+        regression = LinearRegression().fit(chosen[training], angle[training])
         errors.append(np.mean((regression.predict(chosen[held_out]) - angle[held_out]) ** 2))
     return np.array(errors)

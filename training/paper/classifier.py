@@ -1,4 +1,4 @@
-"""Idle, touched or bent: the paper's encoder-decoder network on maps from the flat reference."""
+"""Classifier of idle, touch and bend: the paper's encoder-decoder network."""
 
 from typing import TYPE_CHECKING
 
@@ -15,19 +15,19 @@ if TYPE_CHECKING:
 
 
 class Classifier:
-    """Probabilities of the three states of `eitskin.datasets.State`.
+    """Classifier of the three states of `eitskin.datasets.State` from reconstructed maps.
 
-    The paper does not say how maps are scaled. They are divided by their standard deviation over
-    the training frames, or compressed: a touch may be three times the noise and a bend a hundred
-    times, so the network then sees asinh of the maps in units of their noise, linear for what is
-    small, logarithmic for what is large.
+    The paper does not say how maps are scaled. Here the maps are divided by their standard
+    deviation over the training frames, or compressed: a touch may be three times the noise and a
+    bend a hundred times, so the input is then asinh of the maps in units of their noise, linear
+    for small values and logarithmic for large ones.
 
     Attributes:
         network: trained, in evaluation mode.
-        embedding: linear, from dV to maps in those units, (maps, pixels, measurements).
-        shape: of a map.
-        compress: whether the network sees asinh of the maps.
-        history: how its loss fell.
+        embedding: linear map from dV to scaled maps, (maps, pixels, measurements).
+        shape: rows and columns of a map.
+        compress: whether asinh is taken of the maps.
+        history: losses in training.
     """
 
     def __init__(
@@ -38,7 +38,7 @@ class Classifier:
         compress: bool,
         history: LearningCurve | None = None,
     ) -> None:
-        """Wrap a trained network."""
+        """A classifier around a trained network."""
         self.network = network
         self.embedding = embedding
         self.shape = shape
@@ -60,19 +60,20 @@ class Classifier:
         *,
         compress: bool = True,
     ) -> "Classifier":
-        """Train with sparse categorical cross-entropy and Adam.
+        """Training with cross-entropy and Adam.
 
         Args:
-            difference: dV from the static reference (n, measurements).
-            state: (n,) `State` values.
-            embedding: from dV to maps (maps, pixels, measurements), in any units; not trained.
-            shape: of a map.
+            difference: dV from the static reference (n, measurements), dimensionless.
+            state: `State` values (n,).
+            embedding: linear map from dV to maps (maps, pixels, measurements) in any units; not
+                trained.
+            shape: rows and columns of a map.
             settings: of the training.
-            noise: rms noise that dV already has; `settings.noise` counts in it.
+            noise: rms noise of dV, the unit of `settings.noise`.
             seed: of initial weights, order and added noise.
-            progress: told of every epoch.
-            validation: dV and states of other frames, whose loss is told after every epoch.
-            compress: whether the network sees asinh of the maps.
+            progress: called after every epoch.
+            validation: dV and states of other frames, whose loss is recorded after every epoch.
+            compress: whether asinh is taken of the maps.
         """
         require("torch", "training")
         import torch
@@ -124,7 +125,7 @@ class Classifier:
         return probabilities
 
     def arrays(self) -> dict[str, NDArray[np.generic]]:
-        """What `from_arrays` needs to make this stage again."""
+        """Trained arrays of the stage, as `from_arrays` takes them."""
         from eitskin.training.paper.networks import weights_of
 
         return {
@@ -138,7 +139,7 @@ class Classifier:
     def from_arrays(
         cls, arrays: dict[str, NDArray[np.generic]], shape: tuple[int, int]
     ) -> "Classifier":
-        """The stage that `arrays` came from, for maps of `shape`."""
+        """The stage with the trained `arrays`, for maps of `shape`."""
         require("torch", "training")
         from eitskin.training.paper.networks import StateNetwork, with_weights
 
@@ -153,7 +154,8 @@ def _scaled(
 ) -> NDArray[np.float64]:
     """The embedding with each map divided by its standard deviation over the training frames.
 
-    Where `idle` frames are named it is twice that over them: the noise, and some of its tail.
+    With a mask of `idle` frames, the divisor is twice the standard deviation over the idle frames:
+    the noise, and some of its tail.
     """
     scaled = np.empty_like(embedding)
     for i, layer in enumerate(embedding):

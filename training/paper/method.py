@@ -1,4 +1,4 @@
-"""The stages of the paper in a row: what two differences say, without any memory."""
+"""The paper's method: trained stages, and their estimates for frames one by one."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -19,7 +19,7 @@ from eitskin.training.method.observations import Observations, frame_noise
 from eitskin.training.method.predictions import FoundTouches, Predictions
 from eitskin.training.method.settings import Progress, TrainingSettings, silent
 from eitskin.training.paper.bend_angle import BendAngle
-from eitskin.training.paper.bend_subspace import bend_free
+from eitskin.training.paper.bend_subspace import bend_free_projection
 from eitskin.training.paper.classifier import Classifier
 from eitskin.training.paper.missing_channels import MissingChannels
 from eitskin.training.paper.postprocessor import PostProcessor
@@ -32,9 +32,9 @@ Arrays = dict[str, NDArray[np.generic]]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PaperMethod:
-    """The trained stages.
+    """Trained stages of the paper's method.
 
-    The preset "paper" is sections II and III of the paper. Where these are silent, this was chosen:
+    The preset "paper" follows sections II and III of the paper. Choices that the paper leaves open:
 
     - dV is relative to the reference, channel by channel; the paper's equation has no division.
     - R of NOSER has a floor and lambda follows from signal and noise (`Reconstruction`); the paper
@@ -45,13 +45,16 @@ class PaperMethod:
     - k of SelectKBest comes from cross-validation (`BendAngle`). Idle frames, at 0 degrees, are
       regressed upon beside the bent ones. A touched frame has the angle that its dynamic reference
       had, see `perceive`.
-    - The whole post-processor, its loss and its training; and that touches are connected regions
-      of its map with weighted centroids, where the paper takes one centroid of a whole picture
-      that shows a single touch.
-    - Bad channels are filled in.
+    - The whole post-processor, its loss and its training. Touches are connected components of its
+      map with weighted centroids; the paper takes one centroid of the image of a single touch.
+    - Bad channels are replaced by their conditional mean (`MissingChannels`).
 
     Attributes:
-        missing_static, missing_dynamic: fill in the bad channels of dV from either reference.
+        reconstruction: one-step Gauss-Newton, for either reference.
+        classifier: of the state, from the static reference.
+        bend_angle: regression of the angle, from the static reference.
+        postprocessor: from reconstruction to touch map, with the dynamic reference.
+        missing_static, missing_dynamic: imputation of bad channels of dV from either reference.
         outline: length and width that the maps cover [m].
     """
 
@@ -75,24 +78,26 @@ class PaperMethod:
         progress: Progress = silent,
         validation: Dataset | None = None,
     ) -> "PaperMethod":
-        """Train every stage on all frames of `dataset`, and look at the losses on `validation`.
+        """Training of every stage on all frames of `dataset`.
 
-        Raises DataError where it lacks a state.
+        Losses on `validation` are recorded and change nothing. Raises DataError for a dataset
+        without frames of some state, or without touches of known position.
         """
         counts = {state: int(np.sum(dataset.state == state)) for state in State}
         if not all(counts.values()):
             found = ", ".join(f"{count} {state.name.lower()}" for state, count in counts.items())
             raise DataError(
-                f"training needs idle, touch and bend frames, got {found}; add the missing ones"
+                f"expected idle, touch and bend frames to train on, got {found}; "
+                "add the missing ones"
             )
         observations = Observations.of(dataset)
         noise = frame_noise(dataset, observations)
         missing_static = MissingChannels.fit(observations.static, noise)
         missing_dynamic = MissingChannels.fit(observations.dynamic, noise)
 
-        def filled(data: Dataset, observations: Observations) -> Lessons:
+        def filled(data: Dataset, observations: Observations) -> LabelledFrames:
             static = missing_static.fill(observations.static)
-            return Lessons(data, static, missing_dynamic.fill(observations.dynamic))
+            return LabelledFrames(data, static, missing_dynamic.fill(observations.dynamic))
 
         train = filled(dataset, observations)
         unseen = None if validation is None else filled(validation, Observations.of(validation))
@@ -112,15 +117,15 @@ class PaperMethod:
         )
 
     def perceive(self, observations: Observations) -> Predictions:
-        """What n frames show.
+        """Estimates for n frames.
 
-        A touch disturbs the channels that tell the angle by more than a degree of bend does, so
-        the angle of a touched frame is that of its dynamic reference, the sensor as the touch
-        found it: V/ref_bend over V/ref_touch is ref_touch/ref_bend.
+        A touch changes the channels that determine the angle by more than a degree of bend does,
+        so the angle of a touched frame is that of its dynamic reference, the sensor just before
+        the touch: V/ref_bend over V/ref_touch is ref_touch/ref_bend.
         """
         from eitskin.training.paper.networks import single_thread
 
-        with single_thread():  # more only wait for each other
+        with single_thread():  # networks this small are slower on several
             return self._perceive(observations)
 
     def _perceive(self, observations: Observations) -> Predictions:
@@ -144,38 +149,38 @@ class PaperMethod:
 
     @property
     def learning_curves(self) -> Mapping[str, LearningCurve]:
-        """How the losses of its networks fell."""
+        """Losses of the networks in training, by their names."""
         return {
             "state classifier": self.classifier.history,
             "touch map": self.postprocessor.history,
         }
 
     def adapted(self, known: KnownBends) -> "tuple[PaperMethod, Calibration]":
-        """The method for one sensor: its angles times the factor that fits known ones best.
+        """The method for one sensor: angles times the least-squares factor to the known angles.
 
         The paper has no calibration; a factor is what a regression through zero can learn from a
-        few angles. The errors stated are those of the calibration frames about it.
+        few angles. The stated errors are the root mean squares over the calibration frames.
         """
         flat_dV = np.expm1(self.missing_static.fill(known.change))
-        said = self.bend_angle.apply(flat_dV)
-        factor = float(said @ known.angle_deg) / float(said @ said)
-        before = float(np.sqrt(np.mean((said - known.angle_deg) ** 2)))
-        after = float(np.sqrt(np.mean((factor * said - known.angle_deg) ** 2)))
+        estimated = self.bend_angle.apply(flat_dV)
+        factor = float(estimated @ known.angle_deg) / float(estimated @ estimated)
+        before = float(np.sqrt(np.mean((estimated - known.angle_deg) ** 2)))
+        after = float(np.sqrt(np.mean((factor * estimated - known.angle_deg) ** 2)))
         angles = tuple(float(angle) for angle in known.angle_deg)
         count = len(angles)
         adapted = dataclasses.replace(self, bend_angle=self.bend_angle.times(factor))
         return adapted, Calibration(angles, (before,) * count, (after,) * count, after)
 
-    def pictures(
+    def reconstructions(
         self, observations: Observations
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Reconstructions of n frames from the static and from the dynamic reference."""
+        """Reconstructions (n, rows, columns) with the static and with the dynamic reference."""
         static = self.reconstruction.apply(self.missing_static.fill(observations.static))
         dynamic = self.reconstruction.apply(self.missing_dynamic.fill(observations.dynamic))
         return static.astype(np.float32), dynamic.astype(np.float32)
 
     def outputs(self, observations: Observations) -> Arrays:
-        """What every stage makes of n frames, whatever the others say; for checking copies."""
+        """Outputs of every stage for n frames, each stage by itself; see `Method.outputs`."""
         static = self.missing_static.fill(observations.static)
         dynamic = self.reconstruction.apply(self.missing_dynamic.fill(observations.dynamic))
         return {
@@ -186,7 +191,7 @@ class PaperMethod:
         }
 
     def arrays(self) -> Arrays:
-        """What `from_arrays` needs to make these stages again."""
+        """Trained arrays of all stages, as `from_arrays` takes them."""
         stages = {
             "reconstruction": self.reconstruction.arrays(),
             "classifier": self.classifier.arrays(),
@@ -207,7 +212,7 @@ class PaperMethod:
     def from_arrays(
         cls, arrays: Mapping[str, NDArray[np.generic]], layout: InputSpec
     ) -> "PaperMethod":
-        """The stages that `arrays` came from; raises KeyError or DataError where they lack some."""
+        """The method with the trained `arrays`; raises KeyError for an array that is missing."""
 
         def stage(name: str) -> Arrays:
             mine = (key for key in arrays if key.startswith(f"{name}."))
@@ -226,22 +231,22 @@ class PaperMethod:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Lessons:
-    """n frames to learn from, and their dV from either reference (n, measurements), no gaps."""
+class LabelledFrames:
+    """Frames of a dataset and their dV from either reference (n, measurements), without gaps."""
 
     dataset: Dataset
     static: NDArray[np.float64]
     dynamic: NDArray[np.float64]
 
     def states(self) -> tuple[NDArray[np.float64], NDArray[np.uint8]] | None:
-        """dV from the static reference, and the state, where it is known; None where nowhere."""
+        """dV from the static reference and states of frames of known state; None without any."""
         known = self.dataset.state != UNKNOWN_STATE
         return (self.static[known], self.dataset.state[known]) if known.any() else None
 
     def touches(
         self, outline: tuple[float, float], shape: tuple[int, int]
     ) -> tuple[NDArray[np.float64], NDArray[np.float32]] | None:
-        """dV from the dynamic reference, and the map of its touches, where those are known."""
+        """dV from the dynamic reference and true touch maps of touched frames; None without any."""
         data = self.dataset
         placed = (data.state == State.TOUCH) & (data.touch_count > 0)
         if not placed.any():
@@ -251,17 +256,17 @@ class Lessons:
 
 
 def _fit_classifier(
-    train: Lessons,
-    unseen: Lessons | None,
+    train: LabelledFrames,
+    unseen: LabelledFrames | None,
     reconstruction: Reconstruction,
     settings: TrainingSettings,
     noise: float,
     progress: Progress,
 ) -> Classifier:
-    """On the map of the paper and, unless the settings leave it out, one without the bend.
+    """Classifier on the reconstruction and, with `bend_free_map`, on one without the bend.
 
-    A bend changes dV ten to fifty times more than a light touch on top of it, which the network
-    then has to find in the last percent of its input.
+    A bend changes dV ten to fifty times more than a light touch on top of it; in the plain
+    reconstruction such a touch is the last percent of the input.
     """
     state = train.dataset.state
     known = state != UNKNOWN_STATE
@@ -269,7 +274,7 @@ def _fit_classifier(
     if settings.bend_free_map:
         idle, bend = (train.static[state == s] for s in (State.IDLE, State.BEND))
         idle_noise = float(np.sqrt(np.mean(idle**2)))
-        maps.append(reconstruction.matrix @ bend_free(bend, idle_noise))
+        maps.append(reconstruction.matrix @ bend_free_projection(bend, idle_noise))
     return Classifier.fit(
         train.static[known],
         state[known],
@@ -284,8 +289,8 @@ def _fit_classifier(
     )
 
 
-def _fit_bend_angle(train: Lessons, settings: TrainingSettings) -> BendAngle:
-    """On all frames that no touch disturbs; an idle sensor is flat."""
+def _fit_bend_angle(train: LabelledFrames, settings: TrainingSettings) -> BendAngle:
+    """Regression of the angle on all untouched frames; an idle sensor is flat."""
     data = train.dataset
     idle = data.state == State.IDLE
     angle = np.where(idle, 0.0, data.bend_angle_deg)
@@ -300,8 +305,8 @@ def _fit_bend_angle(train: Lessons, settings: TrainingSettings) -> BendAngle:
 
 
 def _fit_postprocessor(
-    train: Lessons,
-    unseen: Lessons | None,
+    train: LabelledFrames,
+    unseen: LabelledFrames | None,
     outline: tuple[float, float],
     reconstruction: Reconstruction,
     settings: TrainingSettings,
@@ -311,8 +316,8 @@ def _fit_postprocessor(
     placed = train.touches(outline, reconstruction.shape)
     if placed is None:
         raise DataError(
-            "the touch map is learned from touch frames whose places are known, and this dataset "
-            "has none; record or generate some"
+            "expected touch frames with known positions, from which the touch map is learned, got "
+            "none; record or generate some"
         )
     return PostProcessor.fit(
         *placed,

@@ -1,4 +1,4 @@
-"""Channels that a frame lacks, filled in from those that it has."""
+"""Conditional mean of the bad channels of a frame, given its good ones."""
 
 from dataclasses import dataclass
 
@@ -8,27 +8,27 @@ from numpy.typing import ArrayLike, NDArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MissingChannels:
-    """The most probable dV of bad channels, given the good ones.
+    """Imputation of bad channels by their conditional mean under a normal distribution of dV.
 
-    "No signal" would be the simplest guess, and a wrong one: on a bent sensor, channels that
-    stay at zero among others that have all changed look like a touch.
+    Zeros, no signal, would be wrong: on a bent sensor, channels that stay at zero among others
+    that have all changed look like a touch.
 
     Attributes:
-        covariance: of dV, taken as normally distributed around zero, (C, C).
+        covariance: of dV, with mean zero, (C, C), dimensionless.
     """
 
     covariance: NDArray[np.float64]
 
     @classmethod
     def fit(cls, difference: ArrayLike, noise: float) -> "MissingChannels":
-        """Learn from dV (n, C), those without bad channels; `noise` is what they hold, rms."""
+        """Covariance of dV (n, C), rows with bad channels left out; `noise` is its rms noise."""
         dV = np.asarray(difference, dtype=float)
         dV = dV[np.isfinite(dV).all(axis=1)]
         floor = max(noise, 1e-9) ** 2  # keeps the good channels' covariance invertible
         return cls(dV.T @ dV / max(len(dV), 1) + floor * np.eye(dV.shape[1]))
 
     def fill(self, difference: ArrayLike) -> NDArray[np.float64]:
-        """dV (n, C), values that are not finite replaced: E[bad | good] = C_bg C_gg^-1 good."""
+        """dV (n, C) with gaps (not finite) replaced by E[bad | good] = C_bg C_gg^-1 good."""
         dV = np.array(difference, dtype=float)
         gaps = ~np.isfinite(dV)
         for pattern in np.unique(gaps[gaps.any(axis=1)], axis=0):

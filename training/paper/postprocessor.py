@@ -1,4 +1,4 @@
-"""From a blurred reconstruction to the touch map: a light convolutional network."""
+"""Convolutional post-processor, from a blurred reconstruction to the touch map."""
 
 from typing import TYPE_CHECKING
 
@@ -15,18 +15,19 @@ if TYPE_CHECKING:
 
 
 class PostProcessor:
-    """Probability of each pixel to be under an indenter.
+    """Convolutional network for the probability of each pixel to lie under an indenter.
 
     Attributes:
         network: trained, in evaluation mode.
-        scale: maps are divided by this before they reach the network.
-        history: how its loss fell.
+        scale: divisor of the reconstructions before the network, their standard deviation over
+            the training frames.
+        history: losses in training.
     """
 
     def __init__(
         self, network: "TouchMapNetwork", scale: float, history: LearningCurve | None = None
     ) -> None:
-        """Wrap a trained network."""
+        """A post-processor around a trained network."""
         self.network = network
         self.scale = scale
         self.history = history or LearningCurve()
@@ -43,17 +44,18 @@ class PostProcessor:
         progress: Progress = silent,
         validation: tuple[ArrayLike, ArrayLike] | None = None,
     ) -> "PostProcessor":
-        """Train with binary cross-entropy per pixel and Adam.
+        """Training with binary cross-entropy per pixel and Adam.
 
         Args:
-            difference: dV from the dynamic reference (n, measurements).
-            touch_map: the truth (n, rows, columns), 1 under an indenter and 0 elsewhere.
-            reconstruction: makes the maps, a linear layer that is not trained.
+            difference: dV from the dynamic reference (n, measurements), dimensionless.
+            touch_map: true maps (n, rows, columns), 1 under an indenter and 0 elsewhere.
+            reconstruction: linear layer before the network; not trained.
             settings: of the training.
-            noise: rms noise that dV already has; `settings.noise` counts in it.
+            noise: rms noise of dV, the unit of `settings.noise`.
             seed: of initial weights, order and added noise.
-            progress: told of every epoch.
-            validation: dV and touch maps of other frames, whose loss is told after every epoch.
+            progress: called after every epoch.
+            validation: dV and touch maps of other frames, whose loss is recorded after every
+                epoch.
         """
         require("torch", "training")
         import torch
@@ -86,7 +88,7 @@ class PostProcessor:
         return cls(network, scale, history)
 
     def apply(self, maps: ArrayLike) -> NDArray[np.float32]:
-        """Touch maps, 0 to 1, of reconstructions, both (n, rows, columns)."""
+        """Touch maps, 0 to 1, from reconstructions, both (n, rows, columns)."""
         from eitskin.training.paper.networks import logits_of
 
         logits = logits_of(self.network, np.asarray(maps)[:, None] / self.scale)[:, 0]
@@ -94,7 +96,7 @@ class PostProcessor:
         return touch_map
 
     def arrays(self) -> dict[str, NDArray[np.generic]]:
-        """What `from_arrays` needs to make this stage again."""
+        """Trained arrays of the stage, as `from_arrays` takes them."""
         from eitskin.training.paper.networks import weights_of
 
         return {
@@ -107,7 +109,7 @@ class PostProcessor:
     def from_arrays(
         cls, arrays: dict[str, NDArray[np.generic]], shape: tuple[int, int]
     ) -> "PostProcessor":
-        """The stage that `arrays` came from, for maps of `shape`."""
+        """The stage with the trained `arrays`, for maps of `shape`."""
         require("torch", "training")
         from eitskin.training.paper.networks import TouchMapNetwork, with_weights
 

@@ -1,4 +1,4 @@
-"""What a sensor's measurements make of a small change of its gel, flat or bent."""
+"""Relative Jacobian of the nominal sensor, flat or bent, by the adjoint method."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,15 +19,16 @@ def sensitivity_at(
 ) -> NDArray[np.float64]:
     """Relative Jacobian of the nominal sensor at a bend (measurements, pixels), dimensionless.
 
-    The change of each measurement, relative to the untouched sensor at that bend, per relative
-    change of the gel's conductivity in each of the layout's pixels, by the adjoint method. Pixels
-    lie on the flat sensor, row by row, and move with the gel. There a bent gel conducts like the
-    tensor K = J F^-1 sigma F^-T, and dR = - int grad u_drive . K grad u_sense d sigma / sigma.
+    Derivative of each log resistance of the untouched, bent sensor by the log conductivity of the
+    gel in each of the layout's pixels. Pixels lie on the flat sensor, row by row, and move with
+    the gel. In these coordinates a bent gel has the pulled-back conductivity
+    K = J F^-1 sigma F^-T, and dR = - int grad u_drive . K grad u_sense d sigma / sigma (adjoint
+    method, Geselowitz 1971).
 
     Args:
-        layout: names sensor, measurements and pixels.
-        angle_deg: of the bend [deg].
-        hinge: that bends it; the default one when omitted.
+        layout: sensor, measurements and pixels.
+        angle_deg: bend angle [deg].
+        hinge: the fixture; the default hinge when omitted.
         resolution: of the forward model.
 
     Raises:

@@ -1,4 +1,4 @@
-"""The methods by which a pipeline perceives, behind one interface."""
+"""Training of a method by its settings, and its reconstruction from saved arrays."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -24,9 +24,9 @@ def fit_method(
     progress: Progress,
     validation: Dataset | None = None,
 ) -> Method:
-    """Train the method that `settings` names on all frames of `dataset`.
+    """The method that `settings` names, trained on all frames of `dataset`.
 
-    Losses on `validation` are looked at and change nothing.
+    Losses on `validation` are recorded and change nothing.
     """
     if settings.method == JointMethod.KIND:
         return fit_joint(dataset, layout, settings.joint, settings.seed, progress)
@@ -34,7 +34,7 @@ def fit_method(
 
 
 def method_from_arrays(kind: str, arrays: Arrays, layout: InputSpec) -> Method:
-    """The method that `arrays` came from; raises DataError for one that is not known."""
+    """The method with the trained `arrays`; raises DataError for an unknown kind."""
     if kind == JointMethod.KIND:
         return JointMethod.from_arrays(arrays, layout)
     if kind == PaperMethod.KIND:

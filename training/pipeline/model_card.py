@@ -1,4 +1,4 @@
-"""The model card of a saved pipeline: what it is, for people."""
+"""Model card of a saved pipeline: purpose, training data, limits and metrics, in Markdown."""
 
 import json
 from collections.abc import Mapping
@@ -14,20 +14,20 @@ Load it with `eitskin.training.Pipeline.load`; it needs eitskin and no other cod
 pickled objects.
 
 **Made for** a {length:g} x {width:g} mm sensor with {electrodes} electrodes, {measurements}
-measurements a frame at {frequency:g} kHz, values in ohm. It refuses frames of another table or
-frequency, and sensors whose values are far from those it was trained with.
+measurements a frame at {frequency:g} kHz, values in ohm. Frames of another table
+or frequency are refused, and so are sensors whose values are far from those of training.
 
-**Says** whether the skin is idle, touched or bent, the bend angle in degrees, and where it is
-touched, in metres from the corner of the conductive layer.
+**Estimates** the state (idle, touched or bent), the bend angle in degrees, and the positions of
+touches in metres from the corner of the conductive layer.
 
-**Trained on** {frames} {source} frames, seed {seed}, by the {method} method. What they do not hold
-(other indenters, wear) it has not seen.
+**Trained on** {frames} {source} frames, seed {seed}, by the {method} method. Conditions absent from
+these frames (other indenters, wear) are untested.
 
-**Limits.** A session must begin with the sensor flat and untouched. Sensors of one design bend with
-gains that differ by a tenth and more: calibrate for angles. The paper's method gives a touched
-sensor the angle that it had before the touch.
+**Limits.** A session must begin with the sensor flat and untouched. The gain of an uncalibrated
+angle errs by 10 % and more between sensors of one design: calibrate for angles. For a touched
+sensor the paper's method gives the angle before the touch.
 
-## How good it was found to be
+## Metrics
 
 ```json
 {metrics}
@@ -41,13 +41,14 @@ Load it with `eitskin.training.RecordedTouches.load`; it needs eitskin and no ot
 no pickled objects.
 
 **Made for** the one sensor it was recorded from, {channels} channels in the recording's order and
-units. From a frame and a frame of the untouched sensor it says where one touch is, in metres.
+units. From a frame and a frame of the untouched sensor it estimates the position of one touch, in
+metres.
 
 **Trained on** {frames} {source} frames with one touch each.
 
-**Limits.** It says a place for every frame, touched or not, and only one.
+**Limits.** The estimate is one position for every frame, touched or not.
 
-## How good it was found to be
+## Metrics
 
 ```json
 {metrics}

@@ -1,4 +1,4 @@
-"""The perception pipeline: from frames, one after another, to what the skin feels."""
+"""Perception pipeline: estimates from the frames of a session, training, calibration, saving."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -35,27 +35,27 @@ from eitskin.training.pipeline.saved_form import (
 )
 
 KIND = "perception"
-LONGEST_HELD = 8  # frames of a held touch that are averaged; longer would lag behind its creep
+LONGEST_HELD = 8  # frames of an unchanged touch in the mean; more would lag behind its creep
 LONGEST_GAP = 5.0  # s without frames after which the dynamic reference may be out of date
 GOLDEN_PER_STATE = 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Estimate:
-    """What the skin feels in one frame.
+    """State, bend angle and touches of one frame.
 
     Attributes:
-        state: idle, touched or bent; a bent sensor that is touched is touched.
+        state: idle, touch or bend; touch for a bent sensor that is touched.
         probabilities: of the three states, in the order of `State`, (3,).
-        bend_angle_deg: [deg]; the paper's method gives, while touched, that of the sensor just
-            before the touch.
-        bend_deviation_deg: its standard error [deg]; NaN where the method does not say.
+        bend_angle_deg: bend angle [deg], positive convex on the touched side; in a touched frame
+            the paper's method gives the angle just before the touch.
+        bend_deviation_deg: standard error of the angle [deg]; NaN for a method without one.
         touch_map: probability of each pixel to be touched, (rows, columns), 0 to 1; rows and
             columns grow with y and x. Zero unless the state is touch.
-        found: the touches, with their forces and standard errors where the method gives them.
-        problems: what is wrong with the frame, in words; empty when all is well.
-        number: of the frame.
-        time: of the frame [s].
+        found: the touches, with forces and standard errors where the method gives them.
+        problems: faults of the frame or the references, in words; empty without any.
+        number: number of the frame.
+        time: time of the frame [s].
     """
 
     state: State
@@ -76,17 +76,20 @@ class Estimate:
 
 @dataclass(eq=False)
 class Pipeline:
-    """Trained stages, and the references of the session that they are applied to.
+    """A trained perception method and the references of the current session.
+
+    `fit` trains a pipeline, `load` reads one. `process` takes the frames of a session one after
+    another, `perceive` those of a dataset each by itself.
 
     Attributes:
-        layout: what it was trained for.
-        method: that says what a frame shows, and remembers nothing.
-        noise: rms of the relative difference of two frames of a still sensor.
-        settings: how it was trained.
-        trained_on: fingerprint and split of the training set.
-        examples: a few training frames that a saved pipeline is checked with.
-        metrics: how good it was found to be; whoever evaluates it writes them here.
-        calibration: what adapting it to one sensor did, as `Calibration` says; empty before.
+        layout: sensor, measurements and frequency of the training frames.
+        method: the trained method, which estimates frames one by one.
+        noise: rms of the relative difference of two frames of a still sensor, dimensionless.
+        settings: of the training.
+        trained_on: SHA-256, number of frames and source of the training set.
+        examples: a few training frames, by which a saved pipeline is checked.
+        metrics: results of evaluations, as whoever evaluates writes them here.
+        calibration: result of `calibrate`, as `Calibration.as_dict` gives it; empty before.
     """
 
     layout: InputSpec
@@ -106,7 +109,7 @@ class Pipeline:
     _renewed: float = field(init=False, repr=False, default=0.0)
 
     def __post_init__(self) -> None:
-        """Begin without references."""
+        """A session without references."""
         self.references = References(self.noise)
         self._held = RunningMean(self.noise, longest=LONGEST_HELD)
 
@@ -117,20 +120,24 @@ class Pipeline:
         settings: TrainingSettings | None = None,
         progress: Progress = silent,
     ) -> "Pipeline":
-        """Train on the first part of the dataset's split; `held_out` gives the last.
+        """A pipeline trained on the training part of a dataset; `held_out` gives the test part.
 
-        The losses on the part between them are told beside those of training; nothing is chosen
-        by them.
+        Losses on the validation part are recorded and select nothing. The result is reproducible
+        on one machine with the same seed and number of torch threads.
 
-        One machine, one seed, one number of torch threads: the same pipeline.
+        Args:
+            dataset: frames with states, angles and touches, of a known design and protocol.
+            settings: of the training; the defaults when omitted.
+            progress: called with a stage, steps done and steps in all.
 
-        Raises DataError where the dataset says too little to train on.
+        Raises:
+            DataError: for a dataset without design or protocol, or with too few frames of a kind.
         """
         settings = settings or TrainingSettings()
         if dataset.design is None or dataset.protocol is None:
             raise DataError(
-                "a perception pipeline needs a dataset that knows its sensor's geometry and table "
-                "of measurements; of this one only touch positions can be learned"
+                "expected a dataset that names its sensor's design and table of measurements, got "
+                "one without; learn touch positions from it, or save it with a design"
             )
         seen, unseen, _ = dataset.split(settings.fractions, settings.seed)
         train, validation = dataset.select(seen), dataset.select(unseen)
@@ -151,19 +158,24 @@ class Pipeline:
         )
 
     def held_out(self, dataset: Dataset) -> NDArray[np.int64]:
-        """Frames (n,) that training never saw: the test part of its own dataset, all of another."""
+        """Test frames (n,): the test part of the training set, all frames of another dataset."""
         if fingerprint(dataset) == self.trained_on["sha256"]:
             return dataset.split(self.settings.fractions, self.settings.seed)[2]
         return np.arange(len(dataset))
 
     def calibrate(self, frames: Sequence[Frame], angles_deg: ArrayLike) -> Calibration:
-        """Adapt to one sensor, from untouched frames at known angles (n,) [deg], 0 among them.
+        """Calibration to one sensor by untouched frames at known bend angles.
 
-        Five angles over the range do; several frames of each make it better. The session begins
-        anew. Calibrate the pipeline that was trained, not one that was calibrated before.
+        Five angles over the range suffice; several frames at each reduce the error. The session
+        begins anew. Calibrate the pipeline as trained, not one that was calibrated before.
 
-        Raises ConfigurationError, DataError or FrameError for frames that will not do; then
-        nothing has changed.
+        Args:
+            frames: n untouched frames of the sensor.
+            angles_deg: their bend angles (n,) [deg], 0 among them.
+
+        Raises:
+            ConfigurationError, DataError, FrameError: for frames or angles that cannot calibrate;
+                the pipeline is unchanged then.
         """
         known = KnownBends.of(frames, angles_deg, self.layout)
         adapted, calibration = self.method.adapted(known)
@@ -174,7 +186,7 @@ class Pipeline:
         return calibration
 
     def reset(self) -> None:
-        """Forget the session; the next frame must be of the flat, untouched sensor."""
+        """Begin a new session; its first frame must be of the flat, untouched sensor."""
         self.references.drop()
         self._held = RunningMean(self.noise, longest=LONGEST_HELD)
         self._last, self._outdated, self._touched = None, False, False
@@ -182,12 +194,13 @@ class Pipeline:
     def process(self, frame: Frame) -> Estimate:
         """The estimate for the next frame of a session.
 
-        The first frame becomes both references: the sensor must be flat and untouched then. Stay
-        so for some frames and the references become better, up to 32. A new session, or a number
-        or time that runs backwards, begins again.
+        The first frame becomes the static and the dynamic reference: the sensor must then be flat
+        and untouched. Up to 32 further such frames are averaged into the references. A frame of
+        another session, or a number or time that runs backwards, begins a new session.
 
-        Raises FrameError for a frame of another sensor, table or frequency, or with too few good
-        channels; such a frame changes nothing.
+        Raises:
+            FrameError: for a frame of another sensor, table or frequency, or with too few good
+                channels; the session is unchanged then.
         """
         voltages, problems = self.layout.voltages(frame)
         self._notice_session(frame)
@@ -220,18 +233,18 @@ class Pipeline:
         )
 
     def perceive(self, dataset: Dataset) -> Predictions:
-        """What each frame of a dataset shows, by itself.
+        """Estimates for all frames of a dataset, each by itself.
 
-        Each is compared with its specimen's flat reference and its own `touch_reference`, which is
-        what the dynamic reference of a session would hold; this session's are left alone.
+        The static reference of a frame is its specimen's flat reference, the dynamic one its own
+        `touch_reference`. The session of `process` is unchanged.
         """
         return self.method.perceive(Observations.of(dataset))
 
     def _held_touch(self, voltages: Voltages) -> tuple[Voltages, int]:
-        """The mean of the frames since a touch is held unchanged, and their number; else the frame.
+        """Mean over the frames of an unchanged touch, and their number; else the frame and 1.
 
-        A touch that stays where it is says the same in every frame, but for noise. Untouched
-        frames are not averaged: an angle would lag behind a slow bend.
+        Frames of an unchanged touch differ by noise only. Untouched frames are not averaged: the
+        angle would lag behind a slow bend.
         """
         departed = self._held.add(voltages)
         if self.method.AVERAGES and self._touched and not departed and self._held.mean is not None:
@@ -240,7 +253,7 @@ class Pipeline:
         return voltages, 1
 
     def _observed(self, voltages: Voltages, count: int, frame: Frame) -> Observations:
-        """A frame of the session, or the mean of some, beside the references."""
+        """Relative differences of one frame, or a mean of `count`, to both references."""
         references = self.references
         rows = {
             "static": relative_difference(voltages, references.bend),
@@ -255,7 +268,7 @@ class Pipeline:
         return Observations(**{name: np.asarray(value)[None] for name, value in rows.items()})
 
     def _notice_session(self, frame: Frame) -> None:
-        """Begin again with a new session; notice that no frames came for long."""
+        """Reset for a frame of a new session; mark the dynamic reference outdated after a gap."""
         last = self._last
         if last is None:
             return
@@ -271,13 +284,17 @@ class Pipeline:
             problems.append(f"channel {label} is left out: it was bad when the session began")
         if self._outdated and state is State.TOUCH:
             problems.append(
-                f"no frames came for more than {LONGEST_GAP:g} s before this touch: its place is "
-                "wrong where the sensor has been bent since"
+                f"no frames came for more than {LONGEST_GAP:g} s before this touch: its position "
+                "is wrong if the sensor has been bent since"
             )
         return tuple(problems)
 
     def save(self, path: str | Path) -> Path:
-        """Write the pipeline as the folder NAME.eitmodel; a pipeline there is replaced."""
+        """Write the folder NAME.eitmodel, replacing a pipeline there; returns its path.
+
+        Raises ConfigurationError for another ending or a path that is no pipeline, and
+        PartialError where the folder cannot be written.
+        """
         outputs = self.method.outputs(self.examples)
         golden: dict[str, NDArray[Any]] = {
             f"input.{name}": array for name, array in self.examples.arrays().items()
@@ -298,12 +315,14 @@ class Pipeline:
 
     @classmethod
     def load(cls, path: str | Path) -> "Pipeline":
-        """Read a saved pipeline and check that it computes here what it did when it was saved.
+        """A saved pipeline, checked by the outputs that were saved with it.
 
-        "reference.eitmodel", where no such folder is, is the pipeline that comes with eitskin,
-        trained on the recipe `training` for the reference sensor.
+        "reference.eitmodel", unless a folder of that name exists, is the pipeline that comes with
+        eitskin, trained on the recipe `training` for the reference sensor.
 
-        Raises DataError where it is damaged, changed, newer than this eitskin, or does not.
+        Raises:
+            DataError: for a pipeline that is damaged, changed, newer than this eitskin, or whose
+                outputs here differ from the saved ones.
         """
         saved = read_pipeline(path)
         require_kind(saved, KIND, path)

@@ -1,8 +1,8 @@
-"""`NAME.eitmodel/`: a trained pipeline on disk, checked on loading, without pickle.
+"""Saved form of a trained pipeline, the folder `NAME.eitmodel`, checked on loading, without pickle.
 
-pipeline.json          format, version, what it was trained for, how, and how well
+pipeline.json          format, version, layout, settings, training set and metrics
 weights.safetensors    every array
-golden.safetensors     inputs, and the outputs that the loaded pipeline must give for them
+golden.safetensors     inputs, and the outputs for them before saving
 README.md              model card
 SHA256SUMS             of the four, as sha256sum -c reads it
 """
@@ -27,9 +27,7 @@ FORMAT = "eitskin-pipeline"
 FORMAT_VERSION = 1
 SUFFIX = ".eitmodel"
 SHIPPED = Path(__file__).parents[1] / f"reference{SUFFIX}"
-GOLDEN_TOLERANCE = (
-    1e-3  # of outputs, relative to the largest; float32 convolutions sum in any order
-)
+GOLDEN_TOLERANCE = 1e-3  # relative to the largest output; float32 sums depend on their order
 
 DOCUMENT, WEIGHTS, GOLDEN, CARD, SUMS = (
     "pipeline.json",
@@ -46,13 +44,13 @@ Arrays = Mapping[str, NDArray[Any]]
 
 @dataclass(frozen=True, slots=True)
 class SavedPipeline:
-    """What such a folder holds.
+    """Contents of the folder.
 
     Attributes:
-        kind: which stages these are, "perception" or "touch position".
-        document: layout, hyper-parameters and metrics, as JSON takes them.
-        weights: arrays of the stages.
-        golden: arrays `input.*` and `output.*`.
+        kind: "perception" or "touch position".
+        document: layout, settings and metrics, as JSON takes them.
+        weights: trained arrays by name.
+        golden: arrays `input.*` and `output.*`, by which the loaded pipeline is checked.
         card: text of the model card.
     """
 
@@ -63,11 +61,14 @@ class SavedPipeline:
     card: str
 
     def require_golden(self, outputs: Arrays) -> None:
-        """Refuse `outputs` that differ from the golden ones of the same names."""
+        """Check `outputs` against the golden ones of the same names; raises DataError."""
         for name, value in outputs.items():
             expected = self.golden.get(f"output.{name}")
             if expected is None or expected.shape != np.shape(value):
-                raise DataError(f"the golden outputs hold no fitting '{name}'; save it again")
+                raise DataError(
+                    f"expected a golden output '{name}' of shape {np.shape(value)}, got "
+                    f"{expected if expected is None else expected.shape}; save the pipeline again"
+                )
             error = float(np.max(np.abs(value - expected), initial=0.0))
             allowed = GOLDEN_TOLERANCE * float(np.max(np.abs(expected), initial=0.0))
             if not error <= allowed:
@@ -79,13 +80,13 @@ class SavedPipeline:
 
 
 def write_pipeline(path: str | Path, saved: SavedPipeline) -> Path:
-    """Write `saved` as the folder `path`, whole or not at all; a pipeline there is replaced.
+    """Write the folder `path`, whole or not at all, replacing a pipeline there.
 
-    Raises ConfigurationError where `path` does not end in .eitmodel or is something else, and
-    PartialError where it cannot be written.
+    Raises ConfigurationError for a path that does not end in .eitmodel or is no pipeline, and
+    PartialError where the folder cannot be written.
     """
     path = Path(path)
-    require_place(path)
+    require_writable(path)
     files = _files(saved)
     sums = "".join(f"{_sha256(data)}  {name}\n" for name, data in files.items())
     files[SUMS] = sums.encode()
@@ -96,11 +97,13 @@ def write_pipeline(path: str | Path, saved: SavedPipeline) -> Path:
 
 
 def read_pipeline(path: str | Path) -> SavedPipeline:
-    """Read the folder `path`.
+    """Contents of the folder `path`.
 
-    "reference.eitmodel", where no such folder is, is the pipeline that comes with eitskin.
+    "reference.eitmodel", unless a folder of that name exists, is the pipeline that comes with
+    eitskin.
 
-    Raises DataError where it is no pipeline, is damaged, changed, or newer than this eitskin.
+    Raises DataError for a path that is no pipeline, or one that is damaged, changed, or newer than
+    this eitskin.
     """
     safetensors = require("safetensors.numpy", "training")
     damaged = require("safetensors", "training").SafetensorError
@@ -131,15 +134,17 @@ def read_pipeline(path: str | Path) -> SavedPipeline:
 
 
 def require_kind(saved: SavedPipeline, kind: str, path: str | Path) -> None:
-    """Refuse a pipeline of another kind than the one that is wanted."""
+    """Check the kind of a saved pipeline; raises DataError."""
     if saved.kind != kind:
-        raise DataError(f"{path} holds a '{saved.kind}' pipeline, a '{kind}' one is needed here")
+        raise DataError(
+            f"expected a '{kind}' pipeline, got a '{saved.kind}' one: {path}; name another"
+        )
 
 
-def require_place(path: Path) -> None:
-    """Refuse a place where no pipeline can be saved, before the work of making one."""
+def require_writable(path: Path) -> None:
+    """Check that a pipeline can be saved as `path`, before training; raises ConfigurationError."""
     if path.suffix != SUFFIX:
-        raise ConfigurationError(f"a pipeline is saved as NAME{SUFFIX}, got {path}")
+        raise ConfigurationError(f"expected a path NAME{SUFFIX} for the pipeline, got {path}")
     if path.exists() and not (path / SUMS).is_file():
         raise ConfigurationError(f"{path} exists and is no pipeline; choose another name")
     folder = next(each for each in path.absolute().parents if each.exists())
@@ -169,7 +174,7 @@ def _files(saved: SavedPipeline) -> dict[str, bytes]:
 
 
 def _checked_files(path: Path) -> dict[str, bytes]:
-    """The files that the sums name, every one of them and unchanged."""
+    """Contents of all files, whose SHA-256 must be those of the sums; raises DataError."""
     if path.is_file():
         raise DataError(f"{path} is a file, a pipeline is a folder; unpack it if it was packed")
     if not path.is_dir():

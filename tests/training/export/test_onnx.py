@@ -104,7 +104,7 @@ def test_the_paper_graph_gives_what_the_method_gives(paper) -> None:
     assert said["touch_map"][~touched].max() == 0.0
     assert np.ptp(said["touch_map"][touched]) > 0.1
     for name, picture in zip(
-        ("static", "dynamic"), paper.method.pictures(paper.examples), strict=True
+        ("static", "dynamic"), paper.method.reconstructions(paper.examples), strict=True
     ):
         assert np.abs(said[f"{name}_picture"] - picture).max() < 1e-6 * np.abs(picture).max()
 

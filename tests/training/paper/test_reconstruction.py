@@ -89,7 +89,7 @@ def test_noise_free_training_sets_are_still_regularised(jacobian):
 
 
 def test_refusals(jacobian):
-    with pytest.raises(ConfigurationError, match="128 columns, got 120"):
+    with pytest.raises(ConfigurationError, match=r"128 columns.*got 120"):
         Reconstruction.fit(jacobian[:, :120], snr=20.0, shape=SHAPE)
-    with pytest.raises(ConfigurationError, match=r"snr.*positive"):
+    with pytest.raises(ConfigurationError, match="positive snr"):
         Reconstruction.fit(jacobian, snr=-1.0, shape=SHAPE)

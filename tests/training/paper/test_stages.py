@@ -8,7 +8,7 @@ import torch
 
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.training.method.settings import NetworkSettings, TrainingSettings
-from eitskin.training.paper.bend_subspace import bend_free
+from eitskin.training.paper.bend_subspace import bend_free_projection
 from eitskin.training.paper.classifier import Classifier
 from eitskin.training.paper.missing_channels import MissingChannels
 from eitskin.training.paper.networks import single_thread, weights_of
@@ -65,13 +65,13 @@ def test_bend_free_signals_hold_no_bend_and_nearly_all_of_a_touch():
     angle, shapes = rng.uniform(-1, 1, 400), rng.normal(size=(2, 20))
     bends = np.outer(angle, shapes[0]) + 0.1 * np.outer(angle**2, shapes[1])
     noisy = bends + rng.normal(size=bends.shape) * 1e-3
-    projection = bend_free(noisy, noise=1e-3)
+    projection = bend_free_projection(noisy, noise=1e-3)
     assert np.linalg.matrix_rank(projection) == 18
     assert np.abs(bends @ projection).max() < 1e-3
     touch = rng.normal(size=20)
     assert np.linalg.norm(touch @ projection) > 0.7 * np.linalg.norm(touch)
-    assert np.linalg.matrix_rank(bend_free(rng.normal(size=(50, 20)), noise=1e-9)) == 10
-    np.testing.assert_array_equal(bend_free(np.zeros((50, 20)), noise=1e-9), np.eye(20))
+    assert np.linalg.matrix_rank(bend_free_projection(rng.normal(size=(50, 20)), noise=1e-9)) == 10
+    np.testing.assert_array_equal(bend_free_projection(np.zeros((50, 20)), noise=1e-9), np.eye(20))
 
 
 # Missing channels

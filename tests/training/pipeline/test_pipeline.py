@@ -272,7 +272,7 @@ def test_real_frame_of_another_board_is_refused(pipeline):
 
 
 def test_training_needs_geometry_and_all_states(dataset):
-    with pytest.raises(DataError, match="only touch positions"):
+    with pytest.raises(DataError, match=r"design and table.*touch positions"):
         Pipeline.fit(dataclasses.replace(dataset, design=None))
     with pytest.raises(DataError, match="0 touch"):
         Pipeline.fit(dataset.select(dataset.state != State.TOUCH))

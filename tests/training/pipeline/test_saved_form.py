@@ -18,7 +18,7 @@ from eitskin.errors import ConfigurationError, DataError, PartialError
 from eitskin.geometry import SensorDesign
 from eitskin.simulator import Frame, Protocol
 from eitskin.training import NetworkSettings, Pipeline, RecordedTouches, TrainingSettings
-from eitskin.training.pipeline.saved_form import SUMS, read_pipeline, require_place
+from eitskin.training.pipeline.saved_form import SUMS, read_pipeline, require_writable
 
 FLAT = np.linspace(400.0, 820.0, 28)
 FILES = ["README.md", "SHA256SUMS", "golden.safetensors", "pipeline.json", "weights.safetensors"]
@@ -301,10 +301,10 @@ def test_recorded_touches_are_saved_in_the_same_format(tmp_path):
 
 
 def test_a_place_that_may_not_be_written_to_is_refused_before_the_work(tmp_path, monkeypatch):
-    require_place(tmp_path / "new" / "deep.eitmodel")
+    require_writable(tmp_path / "new" / "deep.eitmodel")
     (tmp_path / "file").write_text("no folder")
     with pytest.raises(ConfigurationError, match="may not be written"):
-        require_place(tmp_path / "file" / "a.eitmodel")
+        require_writable(tmp_path / "file" / "a.eitmodel")
     monkeypatch.setattr(os, "access", lambda *_: False)
     with pytest.raises(ConfigurationError, match="may not be written"):
-        require_place(tmp_path / "a.eitmodel")
+        require_writable(tmp_path / "a.eitmodel")

@@ -1,0 +1,93 @@
+"""What version 0.1 saved opens, and gives the values that version 0.1 gave.
+
+`tests/data/v0.1/create.py` made the files, and `expected.json` beside them, with version 0.1.
+Values of datasets are the same to the last bit. Estimates are the same up to the order in which
+another machine sums.
+"""
+
+import hashlib
+import json
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from eitskin.datasets import open_dataset
+from eitskin.hardware import open_board
+from eitskin.training import Pipeline, RecordedTouches
+
+DATA = Path(__file__).parents[1] / "data" / "v0.1"
+EXPECTED = json.loads((DATA / "expected.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("version-01")
+    with zipfile.ZipFile(DATA / "saved.zip") as archive:
+        archive.extractall(folder)
+    return folder
+
+
+def same(values, expected) -> bool:
+    return np.asarray(values) == pytest.approx(
+        np.asarray(expected), rel=1e-5, abs=1e-5, nan_ok=True
+    )
+
+
+@pytest.mark.parametrize("name", ["dataset", "recording", "presses"])
+def test_a_dataset_has_the_same_values_to_the_last_bit(saved, name):
+    dataset, expected = open_dataset(saved / name), EXPECTED[name]
+    for field, (dtype, shape, digest) in expected["arrays"].items():
+        array = getattr(dataset, field)
+        assert (array.dtype.str, list(array.shape)) == (dtype, shape), field
+        content = np.ascontiguousarray(array).tobytes()
+        assert hashlib.sha256(content).hexdigest() == digest, field
+    for field in ("frequency", "source", "seed"):
+        assert getattr(dataset, field) == expected[field]
+    table = dataset.protocol and [list(row) for row in dataset.protocol.table]
+    assert table == expected["table"]
+    electrodes = dataset.design and [[e.x, e.y] for e in dataset.design.electrodes]
+    assert electrodes == expected["electrodes"]
+
+
+def test_a_pipeline_gives_the_same_estimates(saved):
+    pipeline, expected = Pipeline.load(saved / "paper.eitmodel"), EXPECTED["paper"]
+    shown = pipeline.perceive(open_dataset(saved / "dataset"))
+    assert same(shown.probabilities, expected["probabilities"])
+    assert same(shown.bend_angle_deg, expected["bend_angle_deg"])
+    assert same(shown.touch_map.mean(axis=(1, 2)), expected["touch_map_mean"])
+    for touches, known in zip(shown.touches, expected["touches"], strict=True):
+        assert same(touches.triples, known)
+    assert set(shown.state.tolist()) == {0, 1, 2}
+    assert any(expected["touches"])
+
+
+def test_a_replayed_recording_gives_the_same_session(saved):
+    pipeline = Pipeline.load(saved / "paper.eitmodel")
+    with open_board(f"replay:{saved / 'recording'}") as board:
+        estimates = [pipeline.process(frame) for frame in board.frames()]
+    for estimate, known in zip(estimates, EXPECTED["paper, recording"], strict=True):
+        assert (estimate.number, estimate.state.name) == (known["number"], known["state"])
+        assert same(estimate.probabilities, known["probabilities"])
+        assert same(estimate.bend_angle_deg, known["bend_angle_deg"])
+        assert same(estimate.touches, known["touches"])
+
+
+def test_touch_positions_are_the_same(saved):
+    learned = RecordedTouches.load(saved / "positions.eitmodel")
+    _, found = learned.found(open_dataset(saved / "presses"))
+    assert same(found, EXPECTED["positions"])
+
+
+def test_the_shipped_pipeline_trained_with_version_01_gives_the_same_estimates():
+    pipeline, expected = Pipeline.load("reference.eitmodel"), EXPECTED["reference"]
+    shown = pipeline.method.perceive(pipeline.examples)
+    assert shown.state.tolist() == expected["state"]
+    for field in ("probabilities", "bend_angle_deg", "bend_deviation_deg"):
+        assert same(getattr(shown, field), expected[field]), field
+    for touches, triples, force in zip(
+        shown.touches, expected["touches"], expected["force"], strict=True
+    ):
+        assert same(touches.triples, triples)
+        assert same(touches.force, force)
