@@ -206,7 +206,7 @@ PROVOKED = {
     "the surface in": surface(a_triangle()),
     "... holds no triangles": surface(""),
     "a grid of": lambda _: structured_mesh(SensorDesign.reference(), Grading(1e-5, 1e-5, 1.0)),
-    "a pipeline is saved": lambda folder: Pipeline.load(SHIPPED).save(folder / "a.zip"),
+    "expected a path NAME.eitmodel": lambda folder: Pipeline.load(SHIPPED).save(folder / "a.zip"),
     "expected a board": lambda _: open_board("tcp:1.2.3.4"),
     "... is not a complete": open_dataset,
     "... is not a whole": changed_shard(lambda path: path.write_bytes(path.read_bytes()[:3000])),
