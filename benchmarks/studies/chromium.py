@@ -1,22 +1,15 @@
-"""A headless Chromium, driven over its debugging pipe: JSON between NUL bytes, no library."""
+"""A headless Chromium, driven by Selenium: tabs, sizes, screenshots, console errors, signals."""
 
-import base64
-import itertools
-import json
 import os
-import selectors
 import shutil
-import signal
-import subprocess
-import tempfile
-import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from eitskin.errors import ConfigurationError, EitskinError
+from eitskin.extras import require
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
 FLAGS = (
@@ -38,177 +31,128 @@ class BrowserError(EitskinError):
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """Of a page in CSS pixels; a phone has touch and finer pixels."""
+    """Size of a page in CSS pixels; a phone has touch and finer pixels."""
 
     width: int
     height: int
     phone: bool = False
 
 
+@dataclass(frozen=True, slots=True)
 class Browser:
-    """One Chromium process.
+    """One Chromium process with its Selenium driver."""
 
-    Attributes:
-        process: the running browser.
-        events: what it told unasked, as pairs of session and message.
-    """
-
-    def __init__(self, process: "subprocess.Popen[bytes]", read: int, write: int) -> None:
-        """Talk to `process` through its pipes."""
-        self.process = process
-        self.events: list[dict[str, Any]] = []
-        self._read, self._write = read, write
-        self._ids = itertools.count(1)
-        self._rest = bytearray()
-        self._messages: list[dict[str, Any]] = []
-
-    def ask(self, method: str, session: str | None = None, **parameters: Any) -> dict[str, Any]:
-        """The answer to a command of the DevTools protocol; raises BrowserError."""
-        number = next(self._ids)
-        message = {"id": number, "method": method, "params": parameters}
-        if session is not None:
-            message["sessionId"] = session
-        os.write(self._write, json.dumps(message).encode() + b"\0")
-        deadline = time.monotonic() + ANSWERS_WITHIN
-        while True:
-            answer = self._next(deadline)
-            if answer.get("id") != number:
-                self.events.append(answer)
-                continue
-            if "error" in answer:
-                raise BrowserError(f"{method}: {answer['error']['message']}")
-            result: dict[str, Any] = answer["result"]
-            return result
+    driver: Any
 
     def open(self, url: str, size: Size) -> "Tab":
-        """A new tab of that size at `url`; what it complains about is kept from its start."""
-        target = self.ask("Target.createTarget", url="about:blank")["targetId"]
-        session = self.ask("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
-        tab = Tab(self, session, target)
-        for domain in ("Runtime", "Log", "Page"):
-            self.ask(f"{domain}.enable", session)
+        """Open `url` in a new window of that size."""
+        self.driver.switch_to.new_window("window")
+        tab = Tab(self.driver, self.driver.current_window_handle)
         tab.resize(size)
-        self.ask("Page.navigate", session, url=url)
+        self.driver.get(url)
         return tab
 
     def signal(self, number: int) -> None:
-        """Send a signal to every process of the browser."""
-        os.killpg(self.process.pid, number)
+        """Send a signal to every process of the browser and to its driver."""
+        os.killpg(self.driver.service.process.pid, number)
 
-    def _next(self, deadline: float) -> dict[str, Any]:
-        while not self._messages:
-            with selectors.DefaultSelector() as selector:
-                selector.register(self._read, selectors.EVENT_READ)
-                ready = selector.select(max(0.0, deadline - time.monotonic()))
-            data = os.read(self._read, 1 << 16) if ready else b""
-            if not data:
-                raise BrowserError("the browser has gone" if ready else "the browser is silent")
-            *whole, rest = (self._rest + data).split(b"\0")
-            self._rest = bytearray(rest)
-            self._messages += [json.loads(text) for text in whole]
-        return self._messages.pop(0)
+    def console_errors(self, url: str, network: bool = True) -> list[str]:
+        """Console errors and uncaught exceptions of pages at `url` since the last call.
+
+        Args:
+            url: beginning of their addresses.
+            network: count requests that failed, too; pages elsewhere may have made these.
+        """
+        return [
+            entry["message"]
+            for entry in self.driver.get_log("browser")
+            if entry["level"] == "SEVERE"
+            and entry["message"].startswith(url)
+            and (network or entry["source"] != "network")
+        ]
 
 
 @dataclass(frozen=True, slots=True)
 class Tab:
     """One page in a browser."""
 
-    browser: Browser
-    session: str
-    target: str
-
-    def ask(self, method: str, **parameters: Any) -> dict[str, Any]:
-        """The answer to a command about this page."""
-        return self.browser.ask(method, self.session, **parameters)
+    driver: Any
+    handle: str
 
     def run(self, script: str) -> Any:
-        """The value of a script, awaited where it is a promise; raises BrowserError."""
-        answer = self.ask(
-            "Runtime.evaluate", expression=script, awaitPromise=True, returnByValue=True
-        )
-        if "exceptionDetails" in answer:
-            details = answer["exceptionDetails"]
-            raise BrowserError(details.get("exception", details).get("description", str(details)))
-        return answer["result"].get("value")
+        """Value of a JavaScript expression, awaited if it is a promise; raises BrowserError."""
+        from selenium.common.exceptions import WebDriverException
+
+        self.driver.switch_to.window(self.handle)
+        try:
+            found = self.driver.execute_async_script(
+                "const done = arguments[0];"
+                f" (async () => {script})().then(value => done({{value}}),"
+                " error => done({error: `${error}`}));"
+            )
+        except WebDriverException as error:
+            raise BrowserError(f"{script}: {error.msg}") from error
+        if "error" in found:
+            raise BrowserError(f"{script}: {found['error']}")
+        return found.get("value")
 
     def until(self, condition: str, seconds: float = 30.0) -> None:
-        """Wait until a script's value is true, asked at each picture; raises BrowserError."""
-        found = self.run(
-            f"new Promise((done) => {{ const end = performance.now() + {1e3 * seconds};"
-            f" const look = () => {{ if ({condition}) done(true);"
-            " else if (performance.now() > end) done(false);"
-            " else setTimeout(look, 20); }; look(); })"
-        )
-        if not found:
-            raise BrowserError(f"{condition} did not come true within {seconds:g} s")
+        """Wait until a JavaScript expression is true; raises BrowserError."""
+        from selenium.common.exceptions import TimeoutException
+        from selenium.webdriver.support.wait import WebDriverWait
+
+        try:
+            WebDriverWait(self.driver, seconds, poll_frequency=0.02).until(
+                lambda _: self.run(f"Boolean({condition})")
+            )
+        except TimeoutException as error:
+            raise BrowserError(f"{condition} did not become true in {seconds:g} s") from error
 
     def resize(self, size: Size) -> None:
         """Give the page another size."""
-        self.ask(
-            "Emulation.setDeviceMetricsOverride",
-            width=size.width,
-            height=size.height,
-            deviceScaleFactor=2 if size.phone else 1,
-            mobile=size.phone,
-        )
-        self.ask("Emulation.setTouchEmulationEnabled", enabled=size.phone)
+        self.driver.switch_to.window(self.handle)
+        metrics = {
+            "width": size.width,
+            "height": size.height,
+            "deviceScaleFactor": 2 if size.phone else 1,
+            "mobile": size.phone,
+        }
+        self.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+        touch = {"enabled": size.phone}
+        self.driver.execute_cdp_cmd("Emulation.setTouchEmulationEnabled", touch)
 
-    def screenshot(self, path: Path, whole: bool = False) -> None:
-        """Write a PNG of what is seen, or of the whole page."""
-        taken = self.ask("Page.captureScreenshot", format="png", captureBeyondViewport=whole)
-        path.write_bytes(base64.b64decode(taken["data"]))
-
-    def complaints(self) -> list[str]:
-        """Errors of the console, and exceptions that nothing caught, so far."""
-        found = []
-        for event in self.browser.events:
-            if event.get("sessionId") != self.session:
-                continue
-            method, said = event["method"], event["params"]
-            if method == "Runtime.exceptionThrown":
-                found.append(str(said["exceptionDetails"]))
-            elif method == "Log.entryAdded" and said["entry"]["level"] == "error":
-                found.append(f"{said['entry']['text']} {said['entry'].get('url', '')}".strip())
-            elif method == "Runtime.consoleAPICalled" and said["type"] == "error":
-                found.append(" ".join(str(a.get("value", a)) for a in said["args"]))
-        return found
+    def screenshot(self, path: Path) -> None:
+        """Write a PNG of the visible page."""
+        self.driver.switch_to.window(self.handle)
+        path.write_bytes(self.driver.get_screenshot_as_png())
 
     def close(self) -> None:
-        """Close the tab."""
-        self.browser.ask("Target.closeTarget", targetId=self.target)
+        """Close the window."""
+        self.driver.switch_to.window(self.handle)
+        self.driver.close()
 
 
 @contextmanager
 def chromium(flags: Sequence[str] = ()) -> Iterator[Browser]:
-    """Run a Chromium with a profile of its own; raises ConfigurationError where there is none."""
+    """Run a Chromium with a new profile; raises ConfigurationError where there is none."""
+    webdriver = require("selenium.webdriver", "bench")
     program = next(filter(None, map(shutil.which, NAMES)), None)
-    if program is None:
+    driver_program = shutil.which("chromedriver")
+    if program is None or driver_program is None:
         raise ConfigurationError(
-            f"no browser found among {', '.join(NAMES)}; install Chromium, on Debian with "
-            "apt-get install chromium"
+            f"no browser found among {', '.join(NAMES)}, or no chromedriver; install both, on "
+            "Debian with apt-get install chromium chromium-driver"
         )
-    to_browser, write = os.pipe()
-    read, from_browser = os.pipe()
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
-        # The pipe is expected at 3 and 4; the shell puts it there.
-        ends = (to_browser, from_browser)
-        shell = ("/bin/sh", "-c", f'exec "$@" 3<&{ends[0]} 4>&{ends[1]}', "sh")
-        own = ("--remote-debugging-pipe", f"--user-data-dir={profile}")
-        process = subprocess.Popen(  # noqa: S603
-            [*shell, program, *FLAGS, *flags, *own, "about:blank"],
-            pass_fds=ends,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,
-        )
-        for end in ends:
-            os.close(end)
-        try:
-            yield Browser(process, read, write)
-        finally:
-            os.close(write)
-            os.close(read)
-            for number in (signal.SIGCONT, signal.SIGKILL):
-                with suppress(ProcessLookupError):
-                    os.killpg(process.pid, number)
-            process.wait()
+    options = webdriver.ChromeOptions()
+    options.binary_location = program
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    for flag in (*FLAGS, *flags):
+        options.add_argument(flag)
+    # A session of its own, so that `Browser.signal` reaches the browser and nothing else.
+    service = webdriver.ChromeService(driver_program, popen_kw={"start_new_session": True})
+    driver = webdriver.Chrome(options, service)
+    driver.set_script_timeout(ANSWERS_WITHIN)
+    try:
+        yield Browser(driver)
+    finally:
+        driver.quit()

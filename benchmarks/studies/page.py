@@ -141,6 +141,7 @@ def run(out: Path, seed: int = 0, seconds: float = 20.0, command: Sequence[str] 
         time.sleep(2.0)
         windows.append(live.watch("bent and touched", seconds, tab))
         pictures(tab, out, "touched")
+        complaints = browser.console_errors(live.url)
         foreign = browser.open(elsewhere, DESKTOP)
         foreign.until("document.readyState === 'complete' && location.protocol === 'http:'")
         refusals = refused(foreign, live.url)
@@ -148,6 +149,7 @@ def run(out: Path, seed: int = 0, seconds: float = 20.0, command: Sequence[str] 
             tab.run("document.getElementById('bend').value")
         )
         foreign.close()
+        complaints += browser.console_errors(live.url, network=False)
         browser.signal(signal.SIGSTOP)
         windows.append(live.watch("bent and touched, browser stopped", seconds))
         browser.signal(signal.SIGCONT)
@@ -155,14 +157,14 @@ def run(out: Path, seed: int = 0, seconds: float = 20.0, command: Sequence[str] 
             tab, f"eitskin.updates > {updates(tab)} && document.body.dataset.link === 'live'"
         )
         windows.append(live.watch("bent and touched, browser awake again", seconds, tab))
-        complaints = tuple(tab.complaints())
+        complaints += browser.console_errors(live.url)
         largest = int(tab.run("eitskin.largest"))
         command_board(tab, "/fault", {"fault": "unplug"})
         stale = _seconds_until(tab, "document.body.dataset.link !== 'live'")
         time.sleep(1.0)
         pictures(tab, out, "unplugged")
     now = Provenance.now(seed)
-    return Found(tuple(windows), refusals, back, stale, complaints, largest, load, now)
+    return Found(tuple(windows), refusals, back, stale, tuple(complaints), largest, load, now)
 
 
 def _seconds_until(tab: Tab, condition: str) -> float:
