@@ -1,1 +1,4 @@
-"""The demo: every stage from the bare sensor to a live pipeline, and its report."""
+"""The demo: every stage from the bare sensor to a pipeline on a live board, and its report.
+
+`command` -> `stages` (what is done, in order) -> `report` (one page from what the stages found).
+"""

@@ -47,13 +47,13 @@ def command(
 
 
 def _run(out: Path, data: Path | None, workers: int, seed: int, output: Output) -> None:
-    require_all(training=TRAINING, hardware="serial cobs", view="pyvista matplotlib")
+    require_all(training=TRAINING, hardware="serial cobs", view="pyvista matplotlib", demo="jinja2")
     # What the stages need takes seconds to load, and Ctrl-C shall be answered meanwhile.
-    from eitskin.cli.demo.folder import Demo, Plan
     from eitskin.cli.demo.report import write_demo_report
     from eitskin.cli.demo.stages import run_stages
+    from eitskin.cli.demo.workspace import Plan, Workspace
 
-    demo = Demo(Plan.standard(seed), out, data, workers, output)
+    demo = Workspace(Plan.standard(seed), out, data, workers, output)
     document = write_demo_report(run_stages(demo), demo)
     seconds = sum(document["seconds"].values())
     sentence = f"\nreport, made in {seconds:.0f} s: {(out / 'report.html').resolve().as_uri()}"

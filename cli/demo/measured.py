@@ -1,100 +1,182 @@
-"""The parts of a demo that measure a pipeline."""
+"""The stages about datasets and pipelines: contents, training, accuracy, run time, live episode."""
 
 import dataclasses
+import time
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
 
-from eitskin.cli.demo.parts import Part, drawn_picture, drawn_pictures
-from eitskin.cli.demo.pictures import latencies, tracked_angle
+from eitskin.cli.demo.pictures import raw_frames, touch_positions, tracked_angle
+from eitskin.cli.demo.results import StageResult, as_pictures
 from eitskin.cli.episode import run_episode
+from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.store.dataset import Dataset
-from eitskin.training.evaluation.report.drawing import style
+from eitskin.datasets.store.state import State
+from eitskin.frame import Frame
+from eitskin.training.evaluation.evaluate import Evaluation, Report
+from eitskin.training.evaluation.metrics import percentiles
+from eitskin.training.evaluation.report.curves import loss_curves
+from eitskin.training.evaluation.report.folder import PICTURES
+from eitskin.training.paper.method import PaperMethod
 
 if TYPE_CHECKING:
-    from eitskin.training.evaluation.evaluate import Report
     from eitskin.training.pipeline.pipeline import Pipeline
 
-PICTURES = {
+ALT = {
     "confusion": "Matrix of true against estimated states",
     "bend_angle": "Estimated over true bend angle, and the distribution of the errors",
     "touch_maps_angles": "Touch maps of one touch at several bend angles beside the truth",
     "touch_maps_counts": "Touch maps of one to four touches beside the truth",
-    "error_vectors": "Lines on the sensor from true places to those found",
-    "localisation_errors": "Histogram of the distances between true and found places",
+    "error_vectors": "Lines on the sensor from true to estimated positions",
+    "localisation_errors": "Histogram of the distances between true and estimated positions",
 }
-"""Of an evaluation, and what is seen on them."""
+"""Pictures of an evaluation, and their alternative texts."""
+
+STEPS = {
+    "classifier": "state",
+    "bend_angle": "bend angle",
+    "reconstruction": "reconstruction",
+    "postprocessor": "touch map",
+}
+"""Attributes of the paper's method, and the result of each."""
+
+TIMED_FRAMES = 300
 
 
-def report_of(part: Part) -> "Report":
-    """The report whose figures `evaluated` wrote down."""
-    from eitskin.training.evaluation.evaluate import Report
+def contents(sets: Mapping[str, Dataset], recipes: Mapping[str, Recipe]) -> StageResult:
+    """Contents of every dataset; touches and frames of the first as pictures."""
+    first, data = next(iter(sets.items()))
+    drawn = {
+        "positions": (touch_positions(data, first), "Positions of the touches on the sensor"),
+        "frames": (raw_frames(data, first), "Raw frames: changes of all resistances"),
+    }
+    numbers = {name: _contents(sets[name], recipes[name]) for name in sets}
+    return StageResult(numbers, as_pictures(drawn))
 
-    return msgspec.convert(part.numbers, Report)
+
+def _contents(data: Dataset, recipe: Recipe) -> dict[str, Any]:
+    angles = data.bend_angle_deg[data.state != State.IDLE]
+    counts = data.touch_count
+    return {
+        "frames": len(data),
+        "seed": data.seed,
+        "resolution": recipe.resolution,
+        "snr_db": recipe.instrument.snr_db,
+        "specimens": len(np.unique(data.specimen)),
+        "states": {state.name.lower(): int(np.sum(data.state == state)) for state in State},
+        "frames_by_touches": {str(n): int(np.sum(counts == n)) for n in np.unique(counts)},
+        "touches": int(counts.sum()),
+        "smallest_angle_deg": float(angles.min()) if angles.size else 0.0,
+        "largest_angle_deg": float(angles.max()) if angles.size else 0.0,
+    }
 
 
-def training(pipeline: "Pipeline") -> Part:
-    """How long it took, on what, and how the losses fell."""
-    from eitskin.training.evaluation.report.curves import loss_curves
-
-    learning_curves = {
+def training(pipeline: "Pipeline") -> StageResult:
+    """Duration and frames of the training, and its losses."""
+    learning = pipeline.method.learning_curves
+    curves = {
         name: dataclasses.asdict(history)
         for name, history in pipeline.method.learning_curves.items()
     }
     numbers = {
         "frames": pipeline.trained_on["frames"],
         "seconds": pipeline.metrics["training"]["seconds"],
-        "epochs": {name: len(each["training"]) for name, each in learning_curves.items()},
-        "losses": learning_curves,
+        "epochs": {name: len(each["training"]) for name, each in curves.items()},
+        "losses": curves,
     }
-    with style():
-        drawn = {"losses": (loss_curves(pipeline), "Loss over the epochs of each network")}
-        return Part(numbers, drawn_pictures(drawn))
+    drawn = {"losses": (loss_curves(pipeline), "Loss over the epochs of each network")}
+    return StageResult(numbers, as_pictures(drawn))
 
 
-def evaluated(pipeline: "Pipeline", data: Dataset) -> Part:
-    """The figures of `evaluate`, and the pictures of its report that these frames have."""
-    from eitskin.training.evaluation.evaluate import Evaluation
-    from eitskin.training.evaluation.report.folder import PICTURES as DRAWN
-
+def evaluated(pipeline: "Pipeline", data: Dataset) -> StageResult:
+    """Figures of `eitskin evaluate`, and the pictures of its report."""
     evaluation = Evaluation.of(pipeline, data)
-    with style():
-        pictures = drawn_pictures(
-            {name: (DRAWN[f"{name}.png"](evaluation), alt) for name, alt in PICTURES.items()}
-        )
-    return Part(evaluation.report.as_dict(), pictures)
+    drawn = {name: (PICTURES[f"{name}.png"](evaluation), alt) for name, alt in ALT.items()}
+    return StageResult(evaluation.report.as_dict(), as_pictures(drawn))
 
 
-def latency(pipelines: "Mapping[str, Pipeline]", data: Dataset) -> Part:
-    """Times of both pipelines, and of the stages of the first."""
-    from eitskin.cli.demo.latency import time_pipeline
-
-    times = {name: time_pipeline(pipeline, data) for name, pipeline in pipelines.items()}
-    with style():
-        picture = drawn_picture(latencies(times), "Histogram of times per frame; bars per stage")
-    return Part({name: each.as_dict() for name, each in times.items()}, {"latency": picture})
+def report_of(result: StageResult) -> Report:
+    """Report of an evaluation, from the numbers of its stage."""
+    return msgspec.convert(result.numbers, Report)
 
 
-def live(pipeline: "Pipeline", seed: int, frames: int) -> Part:
-    """The episode, `frames` of every step."""
+def latency(pipelines: "Mapping[str, Pipeline]", data: Dataset) -> StageResult:
+    """Median and 99th percentile of the time per frame, whole and by steps of the method."""
+    numbers = {}
+    for which, pipeline in pipelines.items():
+        numbers[which] = {
+            name: dict(zip(("p50_ms", "p99_ms"), percentiles(milliseconds), strict=True))
+            | {"times": len(milliseconds)}
+            for name, milliseconds in timed(pipeline, data).items()
+            if milliseconds
+        }
+    return StageResult(numbers)
+
+
+def timed(pipeline: "Pipeline", data: Dataset) -> dict[str, list[float]]:
+    """Times [ms] of frames of the first specimen in a row, after its flat reference.
+
+    Returns the times of `Pipeline.process` as "whole frame" and, for the paper's method, those of
+    each of its `STEPS` in the frames that need the step.
+    """
+    method, clocks = pipeline.method, {}
+    if isinstance(method, PaperMethod):
+        clocks = {name: _Clock(getattr(method, name)) for name in STEPS}
+        pipeline = dataclasses.replace(pipeline, method=dataclasses.replace(method, **clocks))  # type: ignore[arg-type]
+    rows = np.flatnonzero(data.specimen == data.specimen[0])[:TIMED_FRAMES]
+    frames = [_numbered(data.frame(int(row)), n + 1) for n, row in enumerate(rows)]
+    flat = data.reference[data.specimen[0]].astype(np.complex128)
+    pipeline.process(dataclasses.replace(_numbered(frames[0], 0), impedance=flat))
+    for clock in clocks.values():
+        clock.milliseconds.clear()
+    whole = []
+    for frame in frames:
+        start = time.perf_counter()
+        pipeline.process(frame)
+        whole.append(1e3 * (time.perf_counter() - start))
+    steps = {STEPS[name]: clock.milliseconds for name, clock in clocks.items()}
+    return {"whole frame": whole, **steps}
+
+
+class _Clock:
+    """Step of a method that records the time of each `apply`."""
+
+    def __init__(self, step: Any) -> None:
+        self._step = step
+        self.milliseconds: list[float] = []
+
+    def apply(self, *inputs: Any) -> Any:
+        start = time.perf_counter()
+        output = self._step.apply(*inputs)
+        self.milliseconds.append(1e3 * (time.perf_counter() - start))
+        return output
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._step, name)
+
+
+def _numbered(frame: Frame, number: int) -> Frame:
+    return dataclasses.replace(frame, number=number, time=0.1 * number, session=0)
+
+
+def live(pipeline: "Pipeline", seed: int, frames: int) -> StageResult:
+    """The live episode on a virtual board, with `frames` frames in each step."""
     rows = run_episode(pipeline, seed, frames)
-    with style():
-        picture = drawn_picture(tracked_angle(rows), "True and estimated bend angle of each frame")
-    said = np.concatenate([row["angles_deg"] for row in rows])
+    angles = np.concatenate([row["angles_deg"] for row in rows])
     true = np.repeat([row["true_angle_deg"] for row in rows], [len(row["states"]) for row in rows])
-    times = np.concatenate([row["latencies_ms"] for row in rows])
     errors = [error for row in rows for error in row["errors_mm"]]
-    p50, p99 = np.percentile(times, [50, 99])
+    p50, p99 = np.percentile(np.concatenate([row["latencies_ms"] for row in rows]), [50, 99])
     numbers = {
-        "frames": len(said),
+        "frames": len(angles),
         "right_states": sum(row["right_frames"] for row in rows),
-        "angle_rmse_deg": float(np.sqrt(np.mean((said - true) ** 2))),
+        "angle_rmse_deg": float(np.sqrt(np.mean((angles - true) ** 2))),
         "touches": sum(len(row["true_touches_mm"]) for row in rows),
         "touches_found": len(errors),
         "mean_error_mm": float(np.mean(errors)) if errors else None,
         "latency": {"p50_ms": float(p50), "p99_ms": float(p99)},
         "steps": rows,
     }
-    return Part(numbers, {"episode": picture})
+    drawn = {"episode": (tracked_angle(rows), "True and estimated bend angle of each frame")}
+    return StageResult(numbers, as_pictures(drawn))

@@ -1,186 +1,124 @@
-"""The sections of a demo's report that say how good its pipelines are."""
+"""Results of the demo's stages, each stored in a file of its own until its inputs change."""
 
-from collections.abc import Mapping
-from html import escape
+import io
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
-from eitskin.cli.demo.folder import HERE, SHIPPED
-from eitskin.cli.demo.html import figure, figures, filled, paragraph, section, table
-from eitskin.cli.demo.measured import report_of
-from eitskin.cli.demo.parts import Kept, Part
-from eitskin.cli.episode import COLUMNS, episode_cells
-from eitskin.training.evaluation.report.table import table_rows
-from eitskin.training.evaluation.scores import SSIM_DEFINITION
+import msgspec
 
-Parts = Mapping[str, Kept]
-Document = Mapping[str, Any]
+from eitskin.errors import PartialError
+from eitskin.extras import require
+from eitskin.files import atomic_file
+from eitskin.training.evaluation.report.drawing import EXTRA, CaptionedFigure, NoFigure
 
-BOTH = {"test": "Trained here, in this demo", "shipped": "Comes with eitskin"}
-BOTH_PLACES = {"indentation": BOTH["test"], "shipped_indentation": BOTH["shipped"]}
+PNG, SVG = "image/png", "image/svg+xml"
+REMEDY = "make room or give write permission, then give the same command again to go on from here"
 
 
-def states_and_angle(parts: Parts, document: Document) -> str:
-    """How states are told apart, and the bend angle."""
-    text = (
-        "Idle, touched or bent? {test.frames} frames that no pipeline was trained with, of one "
-        "specimen. The pipeline that comes along was trained on other specimens and knows this one "
-        "only by its flat reference."
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """Picture with its texts.
+
+    Attributes:
+        alt: short text for readers who do not see the picture.
+        caption: full text: content and how it was made.
+        media: `PNG` or `SVG`.
+        data: bytes of the file.
+        width: width where there is room [inch].
+    """
+
+    alt: str
+    caption: str
+    media: str
+    data: bytes
+    width: float
+
+
+@dataclass(frozen=True, slots=True)
+class StageResult:
+    """Result of one stage.
+
+    Attributes:
+        numbers: plain data, as JSON takes it.
+        pictures: by name, in the order in which they are shown.
+        remarks: sentences beside them.
+    """
+
+    numbers: dict[str, Any]
+    pictures: dict[str, Picture] = field(default_factory=dict)
+    remarks: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class StoredResult:
+    """Result of one stage as stored in its file.
+
+    Attributes:
+        inputs: everything that the result depends on: seed, versions, SHA-256 of data.
+        result: numbers, pictures and remarks.
+        seconds: time that the stage took.
+        date: end of the stage, ISO 8601, UTC.
+    """
+
+    inputs: dict[str, Any]
+    result: StageResult
+    seconds: float
+    date: str
+
+
+def stored(
+    path: Path,
+    inputs: Mapping[str, Any],
+    make: Callable[[], StageResult],
+    start: float | None = None,
+) -> StoredResult:
+    """Result in the file `path` where its inputs are the same, else a new one, stored there.
+
+    The result is decoded from the file's bytes in both cases, so that a demo that was resumed
+    reports the same as an uninterrupted one.
+
+    Args:
+        path: file of the stage.
+        inputs: everything that the result depends on, plain data.
+        make: computes the result.
+        start: begin of the stage, by `time.perf_counter`; now, when omitted.
+
+    Raises PartialError where the file cannot be written.
+    """
+    start = time.perf_counter() if start is None else start
+    expected = msgspec.json.decode(msgspec.json.encode(inputs))  # as it will be read back
+    try:
+        found = msgspec.json.decode(path.read_bytes(), type=StoredResult)
+        if found.inputs == expected:
+            return found
+    except (OSError, msgspec.MsgspecError):
+        pass  # missing, or written by another version
+    result = make()
+    now = datetime.now(UTC).isoformat(timespec="seconds")
+    content = msgspec.json.encode(
+        StoredResult(expected, result, round(time.perf_counter() - start, 2), now)
     )
-    return section(
-        "angle",
-        "States and bend angle",
-        paragraph(filled(text, document)),
-        _beside(parts, BOTH, "confusion"),
-        f"<h3>{BOTH['test']}</h3>",
-        figures(parts["test"].part, "bend_angle"),
-        f"<h3>{BOTH['shipped']}</h3>",
-        figures(parts["shipped"].part, "bend_angle"),
-    )
+    with atomic_file(path, PartialError, REMEDY) as temporary:
+        temporary.write_bytes(content)
+    return msgspec.json.decode(content, type=StoredResult)
 
 
-def touches(parts: Parts, document: Document) -> str:
-    """Touch maps beside the truth."""
-    text = (
-        "Each row is one frame: the truth; the picture reconstructed against the flat sensor "
-        "(static reference), in which the bend hides the touch; the one against the sensor as it "
-        "was just before the touch (dynamic reference); and the touch map that a network makes of "
-        "it. SSIM of the touch map, one touch: {test.touches.1.ssim.touch_map:.2f} (published "
-        "0.94), several: {test.touches.several.ssim.touch_map:.2f} (published 0.80)."
-    )
-    return section(
-        "touches",
-        "Touch maps",
-        paragraph(filled(text, document)),
-        f"<h3>{BOTH['test']}</h3>",
-        figures(parts["test"].part, "touch_maps_angles", "touch_maps_counts"),
-        f"<h3>{BOTH['shipped']}</h3>",
-        figures(parts["shipped"].part, "touch_maps_counts"),
-    )
+def as_pictures(drawn: Mapping[str, tuple[CaptionedFigure | NoFigure, str]]) -> dict[str, Picture]:
+    """Figures with their alternative texts as SVG pictures; absent figures are left out."""
+    return {
+        name: Picture(alt, each.caption, SVG, _svg(each.figure), float(each.figure.get_figwidth()))
+        for name, (each, alt) in drawn.items()
+        if isinstance(each, CaptionedFigure)
+    }
 
 
-def places(parts: Parts, document: Document) -> str:
-    """Where touches at known places are found."""
-    text = (
-        "The paper's first experiment: 10 N at 27 places, 8 times each, flat. Trained here: "
-        "{indentation.touches.1.mean_error_mm:.2f} &plusmn; "
-        "{indentation.touches.1.deviation_mm:.2f} mm, {indentation.touches.1.found:.1%} found; the "
-        "pipeline that comes along: {shipped_indentation.touches.1.mean_error_mm:.2f} &plusmn; "
-        "{shipped_indentation.touches.1.deviation_mm:.2f} mm, "
-        "{shipped_indentation.touches.1.found:.1%} found; published: 4.8 &plusmn; 2.8 mm."
-    )
-    return section(
-        "places",
-        "Where touches are found",
-        paragraph(filled(text, document)),
-        *(
-            f"<h3>{title}</h3>{figures(parts[stage].part, 'error_vectors', 'localisation_errors')}"
-            for stage, title in BOTH_PLACES.items()
-        ),
-    )
-
-
-def latency(parts: Parts, document: Document) -> str:
-    """Time per frame and stage."""
-    stages = list(document["latency"][HERE])
-    rows = [
-        (
-            f"{which}: {name}" if name == "whole frame" else f" {name}",
-            *(
-                filled(f"{{latency.{which}.{name}.{key}}}", document)
-                if key == "times"
-                else filled(f"{{latency.{which}.{name}.{key}:.2f}}", document)
-                for key in ("p50_ms", "p99_ms", "times")
-            ),
-        )
-        for which, names in ((HERE, stages), (SHIPPED, list(document["latency"][SHIPPED])))
-        for name in names
-    ]
-    return section(
-        "latency",
-        "Time per frame",
-        figures(parts["latency"].part, "latency"),
-        table(
-            ("pipeline and stage", "p50, ms", "p99, ms", "times"),
-            rows,
-            "Median and 99th percentile of the time for a frame and, where the method has them, of "
-            "its stages. The paper's frame takes 606.6 ms, 303 of them for its acquisition.",
-            as_html=True,
-        ),
-    )
-
-
-def live(parts: Parts, document: Document) -> str:
-    """The episode on a virtual board."""
-    text = (
-        "The saved pipeline on a virtual board: every frame crosses a pseudo-terminal as packets, "
-        "as from a real one. In {live.frames} frames the state was right {live.right_states} "
-        "times; of {live.touches} touches at the ends of their steps {live.touches_found} were "
-        "found, {live.mean_error_mm:.1f} mm off on average; the angle was off by "
-        "{live.angle_rmse_deg:.2f}° (RMSE), touched frames included; a frame took "
-        "{live.latency.p50_ms:.1f} ms (p99 {live.latency.p99_ms:.1f} ms)."
-    )
-    rows = [episode_cells(row) for row in document["live"]["steps"]]
-    caption = (
-        "The steps of the episode: the state that most of its frames were given and how many were "
-        "right, the median angle, and places [mm] and errors of the touches in its last frame."
-    )
-    return section(
-        "live",
-        "Live, through the serial link",
-        paragraph(filled(text, document)),
-        figures(parts["live"].part, "episode"),
-        table(COLUMNS, rows, caption),
-    )
-
-
-def real(parts: Parts) -> str:
-    """What real recordings gave, or how to give some."""
-    told = [paragraph(escape(sentence)) for sentence in parts["real"].part.told]
-    return section(
-        "real", "Real recordings", *told, figures(parts["real"].part, "presses", "board_frame")
-    )
-
-
-def paper(parts: Parts) -> str:
-    """All figures of the paper beside those of both pipelines."""
-    rows: list[tuple[str, ...]] = []
-    columns = [
-        _grid_rows(parts[grid].part) | _rows(parts[test].part)
-        for grid, test in zip(BOTH_PLACES, BOTH, strict=True)
-    ]
-    for key in dict.fromkeys(key for column in columns for key in column):
-        paper = next(column[key][0] for column in columns if key in column)
-        rows.append((key[1], paper, *(column.get(key, ("", "-"))[1] for column in columns)))
-    caption = (
-        f"{parts['test'].part.numbers['frames']} test frames of one simulated specimen; published "
-        "figures are of a real sensor. Places are of touches matched by the Hungarian method "
-        f"within 15 mm. {SSIM_DEFINITION}"
-    )
-    headings = ("experiment", "published", "trained here", "comes with eitskin")
-    return section("paper", "The paper's table", table(headings, rows, caption))
-
-
-def _rows(part: Part) -> dict[tuple[str, str], tuple[str, str]]:
-    """Published and measured figures by experiment and row."""
-    rows, experiment = {}, ""
-    for name, paper, here in table_rows(report_of(part)):
-        experiment = experiment if name.startswith(" ") else name
-        rows[experiment, name] = paper.replace("+-", "±"), here.replace("+-", "±")
-    return rows
-
-
-def _grid_rows(part: Part) -> dict[tuple[str, str], tuple[str, str]]:
-    """Those of the single touches on a grid."""
-    rows = [(key, row) for key, row in _rows(part).items() if key[0] == "one touch: error"]
-    title = "one touch at 27 places, flat: error"
-    return {(title, name if name.startswith(" ") else title): row for (_, name), row in rows}
-
-
-def _beside(parts: Parts, stages: Mapping[str, str], name: str) -> str:
-    """A picture of several stages in columns, each under its title."""
-    columns = (
-        f"<div><h3>{title}</h3>{figure(parts[stage].part.pictures[name])}</div>"
-        for stage, title in stages.items()
-        if name in parts[stage].part.pictures
-    )
-    return f'<div class="pair">{"".join(columns)}</div>'
+def _svg(figure: Any) -> bytes:
+    """SVG file of a figure; equal figures give equal bytes."""
+    file = io.BytesIO()
+    with require("matplotlib", EXTRA).rc_context({"svg.hashsalt": "eitskin"}):
+        figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
+    return file.getvalue()

@@ -1,39 +1,35 @@
-"""The first parts of a demo: the bare sensor, and what bends and presses do to it."""
+"""The stages about the sensor itself: its electric field, and its change in three scenes."""
 
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from eitskin.cli.demo.parts import PNG, Part, Picture, drawn_picture
-from eitskin.cli.demo.pictures import changed_resistances
+from eitskin.cli.demo.results import PNG, Picture, StageResult
 from eitskin.geometry.deformation.fixtures import Bend
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.simulator.scene.scene import Scene
 from eitskin.simulator.scene.touch import Touch
 from eitskin.simulator.simulator import Simulator
-from eitskin.training.evaluation.report.drawing import style
 
 DRIVE = (0, 4)
 SCENES = (
-    ("pressed with 10 N at two places", Scene(touches=(Touch(0.040, 0.020), Touch(0.110, 0.040)))),
+    ("touched with 10 N at two positions", Scene(touches=(Touch(0.04, 0.02), Touch(0.11, 0.04)))),
     ("bent by 40 deg", Scene(Bend(40.0))),
     (
-        "bent by 40 deg and pressed with 10 N at three places",
+        "bent by 40 deg and touched with 10 N at three positions",
         Scene(Bend(40.0), (Touch(0.030, 0.030), Touch(0.075, 0.020), Touch(0.120, 0.040))),
     ),
 )
 
 
-def sensor(design: SensorDesign) -> Part:
-    """The flat sensor: electrodes, cells, a potential, a current, and its resistances."""
+def flat_sensor(design: SensorDesign) -> StageResult:
+    """The flat sensor: electrodes, mesh, potential and current, and its resistances."""
     from eitskin.simulator.view.model_pictures import draw_drive, model_for_pictures
 
-    frame = Simulator(design, "fast").measure(Scene())
     model = model_for_pictures(design)
-    resistance = frame.impedance.real
+    resistance = Simulator(design, "fast").measure(Scene()).impedance.real
     numbers = {
         "length_mm": 1e3 * design.outline.length,
         "width_mm": 1e3 * design.outline.width,
@@ -47,56 +43,46 @@ def sensor(design: SensorDesign) -> Part:
     }
     caption = (
         f"The gel from the front with its {len(design.electrodes)} electrodes, the "
-        f"{len(model.mesh.cells)} cells of the picture's mesh, and what a current of 1 A from "
-        f"electrode {DRIVE[0]} to {DRIVE[1]} does: potential with lines of equal potential, lines "
+        f"{len(model.mesh.cells)} cells of the picture's mesh, and the field of a current of 1 A "
+        f"from electrode {DRIVE[0]} to {DRIVE[1]}: potential with lines of equal potential, lines "
         "of current, and current density where it is largest, at the edges of an electrode. "
-        "Meshes that measure are graded more finely."
+        "Meshes for measurements are graded more finely."
     )
-    drawing = _rendered(lambda path: draw_drive(model, DRIVE, path))
+    image = rendered(lambda path: draw_drive(model, DRIVE, path))
     alt = "Sensor with numbered electrodes, its mesh, potential and current"
-    return Part(numbers, {"sensor": Picture(alt, caption, PNG, drawing, 10.0)})
+    return StageResult(numbers, {"sensor": Picture(alt, caption, PNG, image, 10.0)})
 
 
-def states(design: SensorDesign) -> Part:
-    """The sensor in three scenes, and what these do to its resistances."""
+def deformed_sensor(design: SensorDesign) -> StageResult:
+    """The sensor in three scenes, and the change of its resistances."""
     from eitskin.simulator.view.scene_pictures import draw_scenes
 
     sim = Simulator(design, "fast")
     flat = sim.measure(Scene()).impedance.real
-    changes = [100.0 * (sim.measure(scene).impedance.real / flat - 1.0) for _, scene in SCENES]
-    titles = [title for title, _ in SCENES]
-    drawing = _rendered(lambda path: draw_scenes(sim, SCENES, path))
+    changes = {
+        title: 100.0 * (sim.measure(scene).impedance.real / flat - 1.0) for title, scene in SCENES
+    }
     caption = (
         "Three scenes to one scale. Colours: change of the conductance along the sensor, which "
-        "falls under a press and where the bend stretches the gel; rings beside a press are gel "
-        "that was pushed aside. Between the scenes nothing else differs."
+        "falls under a touch and where the bend stretches the gel; rings beside a touch are gel "
+        "that was pushed aside."
     )
-    with style():
-        chart = changed_resistances(titles, changes, sim.protocol.labels)
-    pictures = {
-        "scenes": Picture("The sensor " + "; ".join(titles), caption, PNG, drawing, 6.4),
-        "changes": drawn_picture(chart, "Change of every resistance in the three scenes"),
-    }
-    return Part({"scenes": _largest(titles, changes)}, pictures)
-
-
-def _largest(
-    titles: Sequence[str], changes: Sequence[NDArray[np.float64]]
-) -> list[dict[str, object]]:
-    """Reach and root mean square of the changes [%] of each scene."""
-    return [
+    image = rendered(lambda path: draw_scenes(sim, SCENES, path))
+    numbers = [
         {
             "scene": title,
             "smallest_percent": float(change.min()),
             "largest_percent": float(change.max()),
             "rms_percent": float(np.sqrt(np.mean(change**2))),
         }
-        for title, change in zip(titles, changes, strict=True)
+        for title, change in changes.items()
     ]
+    scenes = Picture("The sensor " + "; ".join(changes), caption, PNG, image, 6.4)
+    return StageResult({"scenes": numbers}, {"scenes": scenes})
 
 
-def _rendered(render: Callable[[Path], None]) -> bytes:
-    """The PNG file that `render` writes."""
+def rendered(render: Callable[[Path], None]) -> bytes:
+    """Bytes of the PNG file that `render` writes."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "picture.png"
         render(path)

@@ -1,4 +1,4 @@
-"""The stages of a demo, each kept: from the bare sensor to a pipeline on a live board."""
+"""The demo's stages in their order, from the bare sensor to a pipeline on a live board."""
 
 import dataclasses
 import time
@@ -10,156 +10,126 @@ from typing import Any
 from rich.table import Table
 
 from eitskin.cli.commands.evaluate import paper_table
-from eitskin.cli.demo import (
-    measured as demo_measured,
-)
-from eitskin.cli.demo import (
-    real_input,
-)
-from eitskin.cli.demo import (
-    sensor as demo_sensor,
-)
-from eitskin.cli.demo import (
-    sets as demo_sets,
-)
-from eitskin.cli.demo.folder import HERE, RESULTS, SHIPPED, Demo, made_with
-from eitskin.cli.demo.parts import Kept, Part, keep
+from eitskin.cli.demo import measured, recordings, sensor
+from eitskin.cli.demo.results import StageResult, StoredResult, stored
+from eitskin.cli.demo.workspace import RESULTS, SHIPPED, TRAINED, Workspace, versions
 from eitskin.cli.episode import episode_table
+from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.training.evaluation.report.drawing import style
 
 
 @dataclass(frozen=True, slots=True)
-class Stage:
-    """A part of the demo.
+class DemoStage:
+    """One stage of the demo.
 
     Attributes:
-        name: of the part and its file.
-        heading: that it has on the screen and in the report.
-        made_from: what decides over it, beside the versions and the seed.
-        make: it, from what the demo has so far.
-        table: of its numbers for the screen, beside what the part tells.
+        name: of its file, and of its numbers in report.json.
+        heading: on the screen and in the report.
+        inputs: everything that its result depends on, beside versions and seed.
+        make: computes its result.
+        table: its numbers for the screen.
     """
 
     name: str
     heading: str
-    made_from: Callable[[Demo], Mapping[str, Any]]
-    make: Callable[[Demo], Part]
-    table: Callable[[Part], Table] | None = None
+    inputs: Callable[[Workspace], Mapping[str, Any]]
+    make: Callable[[Workspace], StageResult]
+    table: Callable[[StageResult], Table] | None = None
 
 
-def run_stages(demo: Demo) -> dict[str, Kept]:
-    """Every stage in turn, by its name; those that lie in the demo's folder are taken from there.
+def run_stages(demo: Workspace) -> dict[str, StoredResult]:
+    """Results of all stages by name, those of earlier runs where their inputs are the same.
 
     Raises PartialError where the folder cannot be written to any more; the same demo goes on then.
     """
-    parts = {}
+    results = {}
     for number, stage in enumerate(STAGES, 1):
         demo.output.heading(f"{number}. {stage.heading}")
-        start = time.perf_counter()  # sets are made, and a pipeline trained, when first asked for
-        made_from = {"versions": made_with(), "seed": demo.plan.seed, **stage.made_from(demo)}
+        start = time.perf_counter()  # datasets and pipeline are made when first asked for
+        inputs = {"versions": versions(), "seed": demo.plan.seed, **stage.inputs(demo)}
         path = demo.out / RESULTS / f"{stage.name}.json"
-        kept = parts[stage.name] = keep(path, made_from, partial(stage.make, demo), start)
+        with style():
+            found = stored(path, inputs, partial(stage.make, demo), start)
+        results[stage.name] = found
         if stage.table:
-            demo.output.show(stage.table(kept.part))
-        for sentence in kept.part.told:
-            demo.output.show(sentence)
-    return parts
+            demo.output.show(stage.table(found.result))
+        for remark in found.result.remarks:
+            demo.output.show(remark)
+    return results
 
 
-def _of_design(demo: Demo) -> dict[str, Any]:
-    return {"design": dataclasses.asdict(demo.plan.recipes["quick"].sensor)}
+def _of_sensor(name: str, heading: str, make: Callable[[SensorDesign], StageResult]) -> DemoStage:
+    """A stage that depends on the sensor's design only."""
+
+    def design(demo: Workspace) -> SensorDesign:
+        return demo.plan.recipes["quick"].sensor
+
+    return DemoStage(
+        name,
+        heading,
+        lambda demo: {"design": dataclasses.asdict(design(demo))},
+        lambda demo: make(design(demo)),
+    )
 
 
-def _of_weights(*which: str) -> Callable[[Demo], dict[str, Any]]:
-    return lambda demo: {"weights": {name: demo.weights[name] for name in which}}
+def _evaluation(name: str, heading: str, frames: str, which: str) -> DemoStage:
+    """A stage that evaluates one pipeline on one dataset."""
+    return DemoStage(
+        name,
+        heading,
+        lambda demo: {**_weights(demo, which), "frames": demo.frames[frames]},
+        lambda demo: measured.evaluated(demo.pipeline(which), demo.sets[frames]),
+        lambda result: paper_table(measured.report_of(result)),
+    )
 
 
-def _of_frames(name: str, *which: str) -> Callable[[Demo], dict[str, Any]]:
-    return lambda demo: {**_of_weights(*which)(demo), "frames": demo.frames[name]}
-
-
-def _measured(name: str, which: str) -> Callable[[Demo], Part]:
-    return lambda demo: demo_measured.evaluated(demo.pipeline(which), demo.sets[name])
-
-
-def _report_table(part: Part) -> Table:
-    return paper_table(demo_measured.report_of(part))
+def _weights(demo: Workspace, *which: str) -> dict[str, Any]:
+    return {"weights": {name: demo.weights[name] for name in which}}
 
 
 STAGES = (
-    Stage(
-        "sensor",
-        "The sensor",
-        _of_design,
-        lambda demo: demo_sensor.sensor(demo.plan.recipes["quick"].sensor),
-    ),
-    Stage(
-        "states",
-        "Bent and pressed",
-        _of_design,
-        lambda demo: demo_sensor.states(demo.plan.recipes["quick"].sensor),
-    ),
-    Stage(
+    _of_sensor("sensor", "The sensor", sensor.flat_sensor),
+    _of_sensor("states", "Bent and touched", sensor.deformed_sensor),
+    DemoStage(
         "sets",
         "Training and test frames",
         lambda demo: {"frames": demo.frames},
-        lambda demo: demo_sets.sets(demo.sets, demo.plan.recipes),
+        lambda demo: measured.contents(demo.sets, demo.plan.recipes),
     ),
-    Stage(
+    DemoStage(
         "training",
         "Training",
-        _of_weights(HERE),
-        lambda demo: demo_measured.training(demo.pipeline(HERE)),
+        lambda demo: _weights(demo, TRAINED),
+        lambda demo: measured.training(demo.pipeline(TRAINED)),
     ),
-    Stage(
-        "test",
-        "The pipeline trained here, on frames of a finer mesh and other seeds",
-        _of_frames("quick_test", HERE),
-        _measured("quick_test", HERE),
-        _report_table,
+    _evaluation("test", "Trained here: other frames, of a finer mesh", "quick_test", TRAINED),
+    _evaluation("indentation", "Trained here: 27 positions", "paper_indentation", TRAINED),
+    _evaluation("shipped", "Comes with eitskin: the same frames", "quick_test", SHIPPED),
+    _evaluation(
+        "shipped_indentation", "Comes with eitskin: 27 positions", "paper_indentation", SHIPPED
     ),
-    Stage(
-        "indentation",
-        "The pipeline trained here at the paper's 27 places",
-        _of_frames("paper_indentation", HERE),
-        _measured("paper_indentation", HERE),
-        _report_table,
-    ),
-    Stage(
-        "shipped",
-        "The pipeline that comes with eitskin, trained on other sensors",
-        _of_frames("quick_test", SHIPPED),
-        _measured("quick_test", SHIPPED),
-        _report_table,
-    ),
-    Stage(
-        "shipped_indentation",
-        "The pipeline that comes with eitskin at the paper's 27 places",
-        _of_frames("paper_indentation", SHIPPED),
-        _measured("paper_indentation", SHIPPED),
-        _report_table,
-    ),
-    Stage(
+    DemoStage(
         "latency",
         "Time per frame",
-        _of_frames("quick_test", HERE, SHIPPED),
-        lambda demo: demo_measured.latency(
-            {name: demo.pipeline(name) for name in (HERE, SHIPPED)}, demo.sets["quick_test"]
+        lambda demo: {**_weights(demo, TRAINED, SHIPPED), "frames": demo.frames["quick_test"]},
+        lambda demo: measured.latency(
+            {which: demo.pipeline(which) for which in (TRAINED, SHIPPED)}, demo.sets["quick_test"]
         ),
     ),
-    Stage(
+    DemoStage(
         "live",
         "The saved pipeline, unchanged, on a virtual board over a serial link",
-        lambda demo: {**_of_weights(HERE)(demo), "step": demo.plan.episode_frames},
-        lambda demo: demo_measured.live(
-            demo.pipeline(HERE), demo.plan.seed, demo.plan.episode_frames
+        lambda demo: {**_weights(demo, TRAINED), "step": demo.plan.episode_frames},
+        lambda demo: measured.live(
+            demo.pipeline(TRAINED), demo.plan.seed, demo.plan.episode_frames
         ),
-        lambda part: episode_table(part.numbers["steps"]),
+        lambda result: episode_table(result.numbers["steps"]),
     ),
-    Stage(
+    DemoStage(
         "real",
         "Real recordings",
-        lambda demo: {**_of_weights(HERE)(demo), "files": real_input.sums(demo.data)},
-        lambda demo: real_input.real(demo.data, demo.out, demo.pipeline(HERE)),
+        lambda demo: {**_weights(demo, TRAINED), "files": recordings.checksums(demo.data)},
+        lambda demo: recordings.real_recordings(demo.data, demo.out, demo.pipeline(TRAINED)),
     ),
 )
-"""In their order."""
+"""All stages in their order."""
