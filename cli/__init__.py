@@ -1,4 +1,8 @@
-"""The commands: `eitskin simulate`, `generate`, `train`, `evaluate`, `live` and so on."""
+"""Command line: `eitskin simulate`, `generate`, `train`, `evaluate`, `live` and so on.
+
+`entry` -> `main` -> `commands` (one module each), `demo` and `page` (the live page); `options`,
+`episode` and `live_view` are shared by these.
+"""
 
 import os
 

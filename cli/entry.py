@@ -1,4 +1,4 @@
-"""The `eitskin` program: loads the commands, and says so where Ctrl-C ends that."""
+"""Entry point of the `eitskin` program, with a message for Ctrl-C while it loads."""
 
 import sys
 
@@ -6,7 +6,7 @@ EXIT_INTERRUPTED = 130
 
 
 def run() -> None:
-    """Run the command that was typed; `eitskin.cli.main` has the exit codes."""
+    """Run the command of `sys.argv`; `eitskin.cli.main` has the exit codes."""
     try:
         from eitskin.cli import main
 

@@ -1,4 +1,4 @@
-"""The paper's real-time episode on a virtual board: touches at four bends, beside the truth."""
+"""The paper's real-time episode on a virtual board: touches at four bends."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -13,7 +13,7 @@ from eitskin.simulator.scene.touch import Touch
 if TYPE_CHECKING:
     from eitskin.hardware.live import FramePipeline, Reading
 
-FRAMES = 12  # that each step lasts
+FRAMES = 12  # of each step
 
 _SPREAD = (Touch(0.025, 0.018), Touch(0.050, 0.042), Touch(0.100, 0.042), Touch(0.125, 0.018))
 _OTHERS = (Touch(0.025, 0.042), Touch(0.060, 0.018), Touch(0.090, 0.042), Touch(0.125, 0.018))
@@ -34,9 +34,9 @@ COLUMNS = ("true", "state", "angle, deg", "touches: true", "found", "error, mm",
 def run_episode(pipeline: "FramePipeline", seed: int, frames: int = FRAMES) -> list[dict[str, Any]]:
     """Play the episode through a virtual board and `pipeline`; one row of results per step.
 
-    Every frame crosses the pseudo-terminal as packets, as from a real board. A step's row holds
-    the state that most of its frames were given, the median angle, and the touches of its last;
-    and state, angle and time of each of its frames.
+    Every frame crosses the pseudo-terminal as packets, as from a real board. A row holds the state
+    estimated in most frames of its step, the median angle, the touches of the last frame, and
+    state, angle and time of each frame.
     """
     from eitskin.hardware.live import run_live
     from eitskin.hardware.opening import open_board
@@ -53,7 +53,7 @@ def run_episode(pipeline: "FramePipeline", seed: int, frames: int = FRAMES) -> l
 
 
 def episode_cells(row: dict[str, Any]) -> tuple[str, ...]:
-    """Truth beside estimate for a step, one text for each of `COLUMNS`."""
+    """Cells of a step's row: truth and estimate, one text for each of `COLUMNS`."""
     return (
         row["true_state"],
         f"{row['state']} ({row['right_frames']}/{len(row['states'])})",
@@ -66,7 +66,7 @@ def episode_cells(row: dict[str, Any]) -> tuple[str, ...]:
 
 
 def episode_table(rows: Sequence[dict[str, Any]]) -> Table:
-    """All steps."""
+    """Table of all steps."""
     table = Table(*COLUMNS)
     for row in rows:
         table.add_row(*episode_cells(row))

@@ -1,4 +1,4 @@
-"""How a reading of the live loop is shown: as plain data, and drawn in the terminal."""
+"""Readings of the live loop as plain data and as a panel in the terminal."""
 
 import math
 from typing import TYPE_CHECKING, Any
@@ -15,11 +15,11 @@ if TYPE_CHECKING:
     from eitskin.hardware.boards.board import Counts
     from eitskin.hardware.live import Estimate, Reading
 
-SHOWN = 0.3  # of the touch map; fainter pixels stay dark
+SHOWN = 0.3  # least value of the touch map that is drawn
 
 
 def plain(reading: "Reading", counts: "Counts") -> dict[str, Any]:
-    """A reading as plain data; null stands for what is unknown."""
+    """Reading as plain data; null stands for unknown values."""
     frame, estimate = reading.frame, reading.estimate
     return {
         "number": frame.number,
@@ -48,7 +48,7 @@ def _perceived(estimate: "Estimate") -> dict[str, Any]:
 
 
 def _nothing(reading: "Reading") -> dict[str, Any]:
-    """What is said of a frame that there is no estimate for."""
+    """Plain data of a frame without an estimate."""
     return {
         "state": None,
         "probabilities": None,
@@ -59,7 +59,7 @@ def _nothing(reading: "Reading") -> dict[str, Any]:
 
 
 def bad_channels(frame: "Frame") -> dict[str, str]:
-    """What is wrong with which measurement, by its label."""
+    """Status of each bad measurement, by its label."""
     return {
         label: _status_text(int(bits))
         for label, bits in zip(frame.protocol.labels, frame.status, strict=True)
@@ -68,7 +68,7 @@ def bad_channels(frame: "Frame") -> dict[str, str]:
 
 
 def draw(reading: "Reading", counts: "Counts", silence: str = "") -> RenderableType:
-    """One reading as a panel: numbers, touch map, health; `silence` is why no newer one comes."""
+    """Panel of a reading: numbers, touch map, health; `silence`: why no newer reading comes."""
     frame, estimate = reading.frame, reading.estimate
     numbers = Table.grid(padding=(0, 2))
     if silence:
@@ -95,7 +95,7 @@ def draw(reading: "Reading", counts: "Counts", silence: str = "") -> RenderableT
 
 
 def _add_estimate(numbers: Table, estimate: "Estimate", stale: bool) -> None:
-    """State, angle and touches; dimmed where they are old."""
+    """Add state, angle and touches, dimmed where the reading is old."""
     style = "dim" if stale else ""
     numbers.add_row("state", Text(state_name(estimate), style=style or "bold"))
     angle = estimate.bend_angle_deg
@@ -106,7 +106,7 @@ def _add_estimate(numbers: Table, estimate: "Estimate", stale: bool) -> None:
 
 
 def touch_picture(touch_map: NDArray[np.floating]) -> Text:
-    """A touch map (rows, columns), 0 to 1, in half-blocks: two rows of it in one of text."""
+    """Touch map (rows, columns), 0 to 1, in half-blocks: two rows of pixels in a line of text."""
     values = np.asarray(touch_map)[::-1]  # text runs downwards, y upwards
     if len(values) % 2:
         values = np.vstack([values, np.zeros_like(values[:1])])
@@ -122,7 +122,7 @@ def touch_picture(touch_map: NDArray[np.floating]) -> Text:
 
 
 def losses(counts: "Counts", unusable: int) -> str:
-    """What did not come through, in words."""
+    """Lost, skipped, unusable and dropped frames as a sentence."""
     dropped = ", ".join(f"{count} {reason}" for reason, count in counts.dropped.items())
     return (
         f"{counts.lost} lost, {counts.skipped} skipped, {unusable} unusable, "
@@ -131,7 +131,7 @@ def losses(counts: "Counts", unusable: int) -> str:
 
 
 def state_name(estimate: "Estimate") -> str:
-    """Name of the state, in small letters."""
+    """Name of the state in lower case."""
     state = estimate.state
     return (state if isinstance(state, str) else state.name).lower()
 

@@ -1,4 +1,4 @@
-"""Options and output that every command shares."""
+"""Options and output that commands share."""
 
 import contextlib
 import json
@@ -17,24 +17,26 @@ from eitskin.errors import ConfigurationError
 Seed = Annotated[int, typer.Option(help="Seed of everything random; same seed, same result.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, only the result.")]
-Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Say more about what is done.")]
+Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Print more about the work.")]
 
 Model = Annotated[Path, typer.Argument(help="The trained pipeline, NAME.eitmodel.")]
 Frames = Annotated[Path, typer.Argument(help="The dataset's folder, or one shard.")]
 SceneFile = Annotated[
     Path,
     typer.Argument(
-        help="Scene file: how it is bent and where it is pressed; docs/scenes.md has the keys."
+        help="Scene file: bends and touches of the sensor; docs/scenes.md has the keys."
     ),
 ]
 SensorFile = Annotated[
     Path | None, typer.Option(help="Sensor design file; the reference sensor when omitted.")
 ]
 MechanicsFile = Annotated[
-    Path | None, typer.Option(help="File of what it is made of; gel in Ecoflex when omitted.")
+    Path | None, typer.Option(help="Materials file; gel in Ecoflex when omitted.")
 ]
-FixtureFile = Annotated[Path | None, typer.Option(help="File of the hinge or arc that bends it.")]
-PressModel = Annotated[str, typer.Option(help="How presses are found: tabulated or 'closed form'.")]
+FixtureFile = Annotated[
+    Path | None, typer.Option(help="Fixture file: the hinge or arc that bends the sensor.")
+]
+PressModel = Annotated[str, typer.Option(help="Model of touches: tabulated or 'closed form'.")]
 Pairs = Annotated[str, typer.Option(help="pairwise, adjacent, opposite, skip:N, or a CSV file.")]
 
 
@@ -42,9 +44,9 @@ TRAINING = "torch sklearn skimage safetensors"  # packages of the extra of that 
 
 
 def one_of(option: str, text: str, kind: Any) -> str:
-    """The text, where it is one of those that the Literal `kind` lists.
+    """Check that the text is one of the values of the Literal `kind`, and return the text.
 
-    Raises ConfigurationError, naming the option, where it is not.
+    Raises ConfigurationError that names the option.
     """
     if text not in get_args(kind):
         raise ConfigurationError(
@@ -55,7 +57,7 @@ def one_of(option: str, text: str, kind: Any) -> str:
 
 @contextlib.contextmanager
 def ended_by_signals() -> Iterator[None]:
-    """Have SIGTERM end what runs as Ctrl-C does, so that what is open is closed and kept."""
+    """Context in which SIGTERM acts as Ctrl-C, so that open files are closed and kept."""
 
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
@@ -69,7 +71,7 @@ def ended_by_signals() -> Iterator[None]:
 
 @dataclass
 class Output:
-    """Where a command says things: the result on stdout, all else on stderr."""
+    """Output of a command: the result on stdout, everything else on stderr."""
 
     as_json: bool = False
     quiet: bool = False
@@ -81,33 +83,33 @@ class Output:
         """Print the result: `data` with --json, else `shown`."""
         if self.as_json:
             self.console.print_json(json.dumps(data, allow_nan=False))
-        elif isinstance(shown, str):  # whoever reads it wants a path in one piece
+        elif isinstance(shown, str):  # without line breaks, which would cut a path
             self.console.print(shown, soft_wrap=True, markup=False)
         else:
             self.console.print(shown)
 
     def heading(self, text: str) -> None:
-        """Begin a part of a long command; left out with --json."""
+        """Print a heading of a long command; left out with --json."""
         if not self.as_json:
             self.console.print(f"\n[bold]{text}[/bold]", highlight=False)
 
     def show(self, shown: RenderableType) -> None:
-        """Print a part of the result; left out with --json, whose one object holds it."""
+        """Print a part of the result; left out with --json, whose one object holds the part."""
         if not self.as_json:
             self.console.print(shown, highlight=False)
 
     def note(self, text: str) -> None:
-        """Say what is going on, unless quiet."""
+        """Print a note on stderr, unless quiet."""
         if not self.quiet:
             self.notes.print(text, highlight=False, markup=False)
 
     def detail(self, text: str) -> None:
-        """Say what only --verbose wants to know."""
+        """Print a note on stderr with --verbose."""
         if self.verbose and not self.quiet:
             self.notes.print(text, style="dim", highlight=False, markup=False)
 
     def progress(self) -> Progress:
-        """A progress bar on stderr with count and time left; silent when quiet."""
+        """Progress bar on stderr with count and time left; silent when quiet."""
         return Progress(
             TextColumn("{task.description}"),
             BarColumn(),
@@ -120,7 +122,7 @@ class Output:
 
 
 def watched(output: Output) -> Callable[[str, Sequence[Any]], Iterable[Any]]:
-    """A progress bar around the items that a benchmark goes through."""
+    """Progress bar around the items of a benchmark."""
 
     def watch(text: str, items: Sequence[Any]) -> Iterable[Any]:
         with output.progress() as bar:

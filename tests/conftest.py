@@ -35,9 +35,9 @@ def connection():
 @pytest.fixture
 def page(connection):
     """The live page of that board."""
-    from eitskin.cli.page.live_page import Page
+    from eitskin.cli.page.live_page import LivePage
 
     from page_fakes import DESIGN
 
-    with Page(connection, DESIGN) as made:
+    with LivePage(connection, DESIGN) as made:
         yield made

@@ -1,4 +1,4 @@
-"""`eitskin board`: a virtual board on a pseudo-terminal, for any program that speaks to boards."""
+"""`eitskin board`: a virtual board on a pseudo-terminal, for any program that talks to boards."""
 
 import time
 from contextlib import closing
@@ -16,20 +16,24 @@ SceneFile = Annotated[
 SensorFile = Annotated[
     Path | None, typer.Option(help="Sensor design file; the reference sensor when omitted.")
 ]
-BoardResolution = Annotated[str, typer.Option(help="Of the simulator: fast, standard or fine.")]
+BoardResolution = Annotated[
+    str, typer.Option(help="Resolution of the simulator: fast, standard or fine.")
+]
 Instrument = Annotated[
     str | None, typer.Option(help="ad5940: all terms of its chain; white noise when omitted.")
 ]
 Period = Annotated[
-    float | None, typer.Option(min=1e-4, help="From frame to frame, s; the AD5940's when omitted.")
+    float | None,
+    typer.Option(min=1e-4, help="Time from frame to frame, s; the AD5940's when omitted."),
 ]
 Faults = Annotated[
-    str, typer.Option(help="What goes wrong, name@frame:index,...; --list-faults names them.")
+    str,
+    typer.Option(help="Faults to inject, name@frame:index,...; --list-faults lists their names."),
 ]
 Link = Annotated[
     Path | None, typer.Option(help="A path that leads to the board, also after it was replugged.")
 ]
-ListFaults = Annotated[bool, typer.Option("--list-faults", help="Name all faults, and end.")]
+ListFaults = Annotated[bool, typer.Option("--list-faults", help="List all faults and exit.")]
 Speed = Annotated[str, typer.Option(help="real: as the AD5940; max: as fast as it is read.")]
 
 
@@ -78,7 +82,7 @@ def command(
 
 
 def _meanings() -> dict[str, str]:
-    """What each fault does, in its own words."""
+    """Name and description of each fault."""
     from eitskin.hardware.virtual.faults import FAULTS
 
     return {name: kind.meaning for name, kind in FAULTS.items()}

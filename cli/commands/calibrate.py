@@ -17,9 +17,12 @@ if TYPE_CHECKING:
     from eitskin.training.method.input_spec import InputSpec
 
 Angles = Annotated[
-    str, typer.Option(help="Known angles in degrees, apart by commas; flat comes first anyway.")
+    str,
+    typer.Option(
+        help="Known angles in degrees, separated by commas; the flat sensor always comes first."
+    ),
 ]
-PerAngle = Annotated[int, typer.Option("--frames", min=1, help="Frames taken at each angle.")]
+PerAngle = Annotated[int, typer.Option("--frames", min=1, help="Number of frames at each angle.")]
 NoPrompt = Annotated[
     bool,
     typer.Option(
@@ -33,7 +36,7 @@ BoardOption = Annotated[
 DatasetOption = Annotated[
     Path | None, typer.Option("--dataset", help="Instead of a board: untouched, labelled frames.")
 ]
-Specimen = Annotated[int, typer.Option(min=0, help="Of the dataset.")]
+Specimen = Annotated[int, typer.Option(min=0, help="Number of the specimen in the dataset.")]
 
 STALE = 2  # frames after a prompt that may have begun before it was answered
 
@@ -41,7 +44,7 @@ STALE = 2  # frames after a prompt that may have begun before it was answered
 def command(
     model: Model,
     *,
-    out: Annotated[Path, typer.Option(help="Where to save it, NAME.eitmodel.")],
+    out: Annotated[Path, typer.Option(help="File of the adapted pipeline, NAME.eitmodel.")],
     board: BoardOption = None,
     dataset: DatasetOption = None,
     specimen: Specimen = 0,

@@ -1,4 +1,4 @@
-"""`eitskin check`: is the sensor on this board healthy, and which ports are there."""
+"""`eitskin check`: diagnosis of the sensor on a board, and a list of serial ports."""
 
 import dataclasses
 from itertools import islice
@@ -17,8 +17,10 @@ if TYPE_CHECKING:
     from eitskin.hardware.diagnosis.sensor_check import SensorCheck
     from eitskin.protocol import Protocol
 
-Model = Annotated[Path, typer.Argument(help="The trained pipeline, which knows what to expect.")]
-Frames = Annotated[int, typer.Option(min=1, help="How many to look at.")]
+Model = Annotated[
+    Path, typer.Argument(help="The trained pipeline, which has the expected impedances.")
+]
+Frames = Annotated[int, typer.Option(min=1, help="Number of frames to measure.")]
 Calibrate = Annotated[
     bool, typer.Option("--calibrate", help="Have the board measure its resistor RCAL first.")
 ]
@@ -39,10 +41,10 @@ def command(
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Check the sensor on a board, which must lie flat and untouched; exit 4 where it is ill.
+    """Diagnose the flat, untouched sensor on a board; exit code 4 where there are findings.
 
-    Names open, loose, shorted and swapped electrodes, bad contacts, and channels and boards that
-    misbehave. See docs/boards.md.
+    Finds open, loose, shorted and swapped electrodes, bad contacts, faulty channels and boards.
+    See docs/boards.md.
     """
     output = Output(as_json, quiet, verbose)
     if list_ports:
@@ -76,7 +78,7 @@ def require_same_protocol(expected: "Protocol", measured: "Protocol") -> None:
 
 
 def _plain(check: "SensorCheck", frames: "list[Frame]") -> dict[str, object]:
-    """The check as plain data, channels by their labels."""
+    """Findings as plain data, channels by their labels."""
     labels = frames[0].protocol.labels
     return {
         "healthy": check.healthy,

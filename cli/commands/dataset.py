@@ -1,4 +1,4 @@
-"""`eitskin dataset`: what a dataset holds, and whether all of it is sound."""
+"""`eitskin dataset`: contents and verification of a dataset."""
 
 from collections.abc import Mapping
 from pathlib import Path

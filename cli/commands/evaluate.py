@@ -1,4 +1,4 @@
-"""`eitskin evaluate`: the paper's table, with what a pipeline reaches beside it."""
+"""`eitskin evaluate`: figures of a pipeline beside those of the paper."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 def command(
     pipeline: Annotated[Path, typer.Argument(help="The trained pipeline, NAME.eitmodel.")],
-    dataset: Annotated[Path, typer.Argument(help="Dataset to measure it on.")],
+    dataset: Annotated[Path, typer.Argument(help="Dataset to evaluate the pipeline on.")],
     *,
     out: Annotated[
         Path | None,
@@ -26,7 +26,7 @@ def command(
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Measure a pipeline; on the dataset it was trained on, only the part it never saw."""
+    """Evaluate a pipeline; on its own training dataset, only on the held-out frames."""
     from eitskin.datasets.store.folder import open_dataset
     from eitskin.errors import ConfigurationError
     from eitskin.training.evaluation.evaluate import Evaluation
@@ -41,8 +41,7 @@ def command(
     if read_pipeline(pipeline).kind == RecordedTouches.KIND:
         if out is not None:
             raise ConfigurationError(
-                f"{pipeline} has learned touch positions and nothing else, which make no report; "
-                "leave --out away"
+                f"{pipeline} estimates touch positions only, which have no report; leave out --out"
             )
         score = RecordedTouches.load(pipeline).evaluate(data)
         output.result(score.as_dict(), position_table(score))
@@ -60,7 +59,7 @@ def command(
 
 
 def save_report(evaluation: "Evaluation", folder: Path, output: Output) -> None:
-    """Write the report folder, with this machine, its versions and the date in it."""
+    """Write the report folder, with machine, versions and date."""
     from eitskin.provenance import Provenance
     from eitskin.training.evaluation.report.folder import write_report
 
@@ -75,7 +74,7 @@ def save_report(evaluation: "Evaluation", folder: Path, output: Output) -> None:
 
 
 def paper_table(report: "Report") -> Table:
-    """The figures of the paper beside those of `report`."""
+    """Table of the paper's figures beside those of `report`."""
     from eitskin.training.evaluation.report.table import HEADINGS, table_rows
     from eitskin.training.evaluation.scores import SSIM_DEFINITION
 
@@ -86,9 +85,9 @@ def paper_table(report: "Report") -> Table:
 
 
 def position_table(score: "PositionScore") -> Table:
-    """Touch positions learned without geometry."""
+    """Table of position errors learned without geometry."""
     table = Table("touch position", "here", title=f"{score.frames} frames")
     table.add_row("mean error", f"{score.mean_error_mm:.2f} mm")
     table.add_row("median error", f"{score.median_error_mm:.2f} mm")
-    table.add_row("mean error of saying the middle", f"{score.guess_error_mm:.1f} mm")
+    table.add_row("mean error of always the middle", f"{score.guess_error_mm:.1f} mm")
     return table

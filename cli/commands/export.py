@@ -1,4 +1,4 @@
-"""`eitskin export`: recordings, pipelines and scenes in files that other programs read."""
+"""`eitskin export`: recordings, pipelines and scenes in file formats of other programs."""
 
 import math
 import time
@@ -43,9 +43,9 @@ NewFolder = Annotated[Path, typer.Option("--out", help="Folder to write to, new 
 def export_mcap(
     recording: Frames,
     *,
-    out: Annotated[Path, typer.Option(help="The file, NAME.mcap; not there yet.")],
+    out: Annotated[Path, typer.Option(help="The new file, NAME.mcap.")],
     model: Annotated[
-        Path | None, typer.Option(help="Also write what this pipeline says of every frame.")
+        Path | None, typer.Option(help="Also write this pipeline's estimate of every frame.")
     ] = None,
     seed: Seed = 0,  # noqa: ARG001 - every command takes it
     as_json: Json = False,
@@ -98,7 +98,7 @@ def export_onnx(
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Write what of a pipeline is a graph as ONNX, checked against the pipeline itself."""
+    """Write the networks of a pipeline as ONNX graphs, checked against the pipeline itself."""
     from eitskin.training.export import onnx_export
     from eitskin.training.pipeline.pipeline import Pipeline
 
@@ -171,7 +171,7 @@ def export_vtu(
 
 
 def _readings(board: "ReplayBoard", model: Path | None) -> "Iterator[Reading]":
-    """Of every recorded frame, with estimates where there is a model; latency is not known."""
+    """Readings of all recorded frames, with estimates where there is a model; latency unknown."""
     from eitskin.hardware.live import Reading, run_live
 
     if model is None:
@@ -182,7 +182,7 @@ def _readings(board: "ReplayBoard", model: Path | None) -> "Iterator[Reading]":
 
 
 def _require_empty(folder: Path) -> None:
-    """Raise ConfigurationError for a folder that holds something; make nothing yet."""
+    """Refuse a folder that holds something; nothing is made yet."""
     if folder.is_dir() and not any(folder.iterdir()):
         return
     if folder.exists():

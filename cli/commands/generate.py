@@ -30,13 +30,13 @@ def command(
     ] = None,
     shard: Annotated[
         int | None,
-        typer.Option(help="Make only this shard, as $SLURM_ARRAY_TASK_ID; from 0 on."),
+        typer.Option(help="Make only this shard, counted from 0, as $SLURM_ARRAY_TASK_ID."),
     ] = None,
     resume: Annotated[
         bool, typer.Option("--resume", help="Keep finished shards in --out, make the others.")
     ] = False,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Only estimate time and size, from a measured part.")
+        bool, typer.Option("--dry-run", help="Only estimate time and size, from a measured sample.")
     ] = False,
     seed: Annotated[
         int | None, typer.Option(help="Seed of everything random, instead of the recipe's.")

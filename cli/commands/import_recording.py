@@ -17,15 +17,15 @@ def command(
         str | None, typer.Option(help="Variable (CSV: beginning of columns) with the values.")
     ] = None,
     touch_reference: Annotated[
-        str | None, typer.Option(help="The same for the sensor just before it was touched.")
+        str | None, typer.Option(help="The same for frames just before a touch.")
     ] = None,
     positions: Annotated[
         str | None, typer.Option(help="Variable with x, y of each touch, in metres.")
     ] = None,
     protocol: Annotated[
-        str | None, typer.Option(help="What the channels are, such as pairwise:8.")
+        str | None, typer.Option(help="Measurement protocol of the channels, such as pairwise:8.")
     ] = None,
-    frequency: Annotated[float, typer.Option(help="Of the excitation, in hertz.")] = 40e3,
+    frequency: Annotated[float, typer.Option(help="Frequency of the excitation, in hertz.")] = 40e3,
     seed: Seed = 0,
     as_json: Json = False,
     quiet: Quiet = False,

@@ -1,4 +1,4 @@
-"""`eitskin live`: what a board's sensor feels, as it happens, in the terminal and on a page."""
+"""`eitskin live`: live estimates of a board's sensor, in the terminal and on a page."""
 
 import json
 import time
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from eitskin.cli.page.live_page import Page
+    from eitskin.cli.page.live_page import LivePage
     from eitskin.frame import Frame
     from eitskin.hardware.boards.connection import Connection
     from eitskin.hardware.live import Reading
@@ -31,7 +31,9 @@ if TYPE_CHECKING:
 BoardUri = Annotated[
     str, typer.Option("--board", help="serial:PORT, text:PORT, virtual: or replay:DIRECTORY.")
 ]
-Frames = Annotated[int | None, typer.Option(min=1, help="End after so many; else at Ctrl-C.")]
+Frames = Annotated[
+    int | None, typer.Option(min=1, help="Number of frames; until Ctrl-C when omitted.")
+]
 Record = Annotated[
     Path | None, typer.Option(help="Also write every frame into a new dataset in this folder.")
 ]
@@ -44,7 +46,9 @@ EveryFrame = Annotated[
     typer.Option("--every-frame", help="Process all frames, not only the newest."),
 ]
 ShowPage = Annotated[bool, typer.Option("--page", help="Also serve a page to this machine.")]
-PagePort = Annotated[int, typer.Option(min=0, max=65535, help="Of the page; 0 for a free one.")]
+PagePort = Annotated[
+    int, typer.Option(min=0, max=65535, help="Port of the page; 0 for a free one.")
+]
 
 REFRESH = 10  # per second
 CHECKED = 16  # frames of a session's beginning that say how the sensor is
@@ -66,7 +70,7 @@ def command(
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Show what a board's sensor feels; with --json, print one JSON object per frame.
+    """Show state, angle and touches of a board's sensor; with --json, one JSON object per frame.
 
     The sensor must be flat and untouched when a session begins: at the start, and whenever the
     board has started anew. A board that goes away is connected to again until it is back.
@@ -94,11 +98,13 @@ def command(
         if layout is not None and not board.startswith("replay:"):
             session.expected = layout.reference
         if page:
-            from eitskin.cli.page.live_page import Page
+            from eitskin.cli.page.live_page import LivePage
             from eitskin.geometry.design.sensor import SensorDesign
 
             design = SensorDesign.reference() if layout is None else layout.design
-            session.page = stack.enter_context(closing(Page(session.connection, design, page_port)))
+            session.page = stack.enter_context(
+                closing(LivePage(session.connection, design, page_port))
+            )
             output.note(f"page: {session.page.url}")
         newest = not (every_frame or recordings)
         session.follow(run_live(session.connection, pipeline, newest=newest), frames)
@@ -112,7 +118,7 @@ def _tell_losses(recordings: Sequence[Recording], _: object, ended: object, __: 
 
 
 def _recordings(record: Path | None, mcap: Path | None) -> Iterator[Recording]:
-    """What a session is written to; nothing that is there already is replaced.
+    """Recordings of the session; existing files are never replaced.
 
     The file comes first: where it cannot be, no folder has been made.
     """
@@ -127,18 +133,18 @@ def _recordings(record: Path | None, mcap: Path | None) -> Iterator[Recording]:
 
 
 def seeded(uri: str, seed: int) -> dict[str, Any]:
-    """The seed is the virtual board's, unless its URI has its own."""
+    """Seed as an option of a virtual board whose URI has none."""
     return {"seed": seed} if uri.startswith("virtual:") and "seed=" not in uri else {}
 
 
 @dataclass
 class LiveSession:
-    """One run of the command: shows, records and sums up what comes."""
+    """Live session: shows, records and summarises readings."""
 
     connection: "Connection"
     output: Output
     recordings: Sequence[Recording] = ()
-    page: "Page | None" = None
+    page: "LivePage | None" = None
     expected: "NDArray[np.float64] | None" = None
     clock: Callable[[], float] = time.monotonic
     processed: int = 0
@@ -149,7 +155,7 @@ class LiveSession:
     notes: deque[str] = field(default_factory=lambda: deque(maxlen=3))
 
     def follow(self, readings: Iterator["Reading"], frames: int | None) -> None:
-        """Show the readings until they end, or so many frames have come, and sum up."""
+        """Show readings until they end or `frames` of them were processed, then summarise."""
         view = Live(
             get_renderable=self.view,
             console=self.output.console,
@@ -183,7 +189,7 @@ class LiveSession:
             typer.echo(json.dumps(plain(reading, counts), allow_nan=False))
 
     def record(self, reading: "Reading") -> None:
-        """Write the reading; where that fails, go on without and say so."""
+        """Write the reading; a recording that fails is noted and ended."""
         for recording in self.recordings:
             known = recording.problem
             recording.append(reading)
@@ -191,7 +197,7 @@ class LiveSession:
                 self.say(f"recording stopped: {recording.problem}")
 
     def notice_session(self, frame: "Frame") -> None:
-        """Say that a session begins, and how the sensor is at its beginning."""
+        """Note the beginning of a session, and findings on the sensor there."""
         last = self.newest.frame if self.newest is not None else None
         if last is not None and frame.session != last.session:
             self.say(
@@ -209,14 +215,14 @@ class LiveSession:
                 self.say(f"sensor check: {finding.message}")
 
     def say(self, text: str) -> None:
-        """Say something beside the view, which two writers to one terminal would tear."""
+        """Show a note beside the live view, or on stderr where there is no view."""
         if self.output.console.is_terminal and not (self.output.as_json or self.output.quiet):
             self.notes.append(text)
         else:
             self.output.note(text)
 
     def silence(self) -> str:
-        """Why the newest reading is old; empty while it is not."""
+        """Reason why the newest reading is old; empty while it is recent."""
         from eitskin.hardware.boards.board import longest_silence
 
         period = self.connection.board.info.period

@@ -1,4 +1,4 @@
-"""What is written beside a live session: a disk that fails ends the recording, not the session."""
+"""Recordings of a live session: a disk that fails ends the recording, not the session."""
 
 from abc import ABC, abstractmethod
 from pathlib import Path
@@ -13,10 +13,10 @@ if TYPE_CHECKING:
 
 
 class Recording(ABC):
-    """What is written of a session.
+    """Recording of a session's readings.
 
     Attributes:
-        problem: why no more is written; empty while all is.
+        problem: reason why nothing more is written; empty while everything is.
     """
 
     def __init__(self) -> None:
@@ -33,7 +33,7 @@ class Recording(ABC):
             self._fail(error)
 
     def close(self) -> None:
-        """Write what is left, if that can be."""
+        """Write remaining data, where possible."""
         try:
             self._finish()
         except PartialError as error:
@@ -42,7 +42,7 @@ class Recording(ABC):
     @property
     @abstractmethod
     def loss(self) -> str:
-        """What is not there in the end, and why; empty where all is."""
+        """Missing data and the reason; empty where everything was written."""
 
     @abstractmethod
     def _write(self, reading: "Reading") -> None:
@@ -58,16 +58,16 @@ class Recording(ABC):
 
 
 class FrameRecording(Recording):
-    """Frames, as a dataset that can be replayed."""
+    """Recording of frames as a dataset that can be replayed."""
 
     def __init__(self, writer: "ShardWriter", folder: Path) -> None:
-        """Write by `writer`, which is closed with this, into `folder`."""
+        """Write into `folder` by `writer`, which `close` closes."""
         super().__init__()
         self._writer, self._folder, self._given = writer, folder, 0
 
     @property
     def missing(self) -> int:
-        """Frames that can not be read back; those not yet written are among them."""
+        """Number of frames that cannot be read back, among them frames not yet written."""
         return self._given - self._writer.readable
 
     @property
@@ -93,17 +93,17 @@ class FrameRecording(Recording):
 
 
 class MessageRecording(Recording):
-    """Frames and estimates, as messages in an MCAP file."""
+    """Recording of frames and estimates as messages in an MCAP file."""
 
     def __init__(self, writer: "McapWriter") -> None:
-        """Write by `writer`, which is closed with this."""
+        """Write by `writer`, which `close` closes."""
         super().__init__()
         self._writer = writer
         self._said = ""
 
     @property
     def loss(self) -> str:
-        """Why there is no file, and where that lies which was written before."""
+        """Reason why there is no file, and the path of the part that was written."""
         return self._said
 
     def _write(self, reading: "Reading") -> None:

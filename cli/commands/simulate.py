@@ -1,4 +1,4 @@
-"""`eitskin simulate SCENE.toml`: the impedances of one scene, and its picture."""
+"""`eitskin simulate SCENE.toml`: impedances and picture of one scene."""
 
 import dataclasses
 import math
@@ -48,25 +48,25 @@ def command(
         float | None, typer.Option(help="Add white noise this many dB below full scale.")
     ] = None,
     instrument: Annotated[
-        str | None, typer.Option(help="ad5940: measure with every term of that board.")
+        str | None, typer.Option(help="ad5940: instrument model of that board.")
     ] = None,
     protocol: Pairs = "pairwise",
     view: Annotated[Path | None, typer.Option(help="Draw the scene into this PNG file.")] = None,
     colour: Annotated[
-        str | None, typer.Option(help="Of the picture: conductance, strain or current.")
+        str | None, typer.Option(help="Colour of the picture: conductance, strain or current.")
     ] = None,
     drive: Annotated[
         str | None,
-        typer.Option(help="Current from A to B, as A-B; the pair that the scene changes most."),
+        typer.Option(
+            help="Current from A to B, as A-B; the pair with the largest change when omitted."
+        ),
     ] = None,
     seed: Seed = 0,
     json: Json = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Simulate one scene: its impedances, their change from the flat, untouched sensor, and the
-    depth and pressure of its touches.
-    """
+    """Simulate one scene: impedances, their change from the flat sensor, depth of touches."""
     import numpy as np
 
     from eitskin.geometry.design.sensor import SensorDesign
@@ -136,7 +136,7 @@ def _colours(
 
 
 def _title(name: str, scene: "Scene") -> str:
-    """The name of a scene and what happens in it."""
+    """Title of a scene: name, deformation and number of touches."""
     parts = [f"bent by {scene.bend.angle_deg:g} deg"] if scene.bend.angle_deg else []
     parts += [f"rolled by {scene.roll.angle_deg:g} deg"] if scene.roll else []
     parts += [f"twisted by {scene.twist.angle_deg:g} deg"] if scene.twist else []

@@ -40,7 +40,7 @@ def command(
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Train on 60 % of a dataset and measure on the 20 % that nothing else has used.
+    """Train on 60 % of a dataset and evaluate on 20 % that were held out.
 
     Where the dataset does not know its sensor's geometry, only touch positions are learned, from
     the first 80 % in time.
@@ -83,14 +83,14 @@ def command(
 
 
 def _require_reportable(data: "Dataset", report: Path) -> None:
-    """Refuse, before the work, a report that could not be written at its end."""
+    """Refuse a report that could not be written, before the training."""
     from eitskin.errors import ConfigurationError
     from eitskin.training.evaluation.report.folder import require_report_folder
 
     if data.design is None:
         raise ConfigurationError(
-            "of a dataset without geometry only touch positions are learned, which make no "
-            "report; leave --report away"
+            "a dataset without geometry trains touch positions only, which have no report; "
+            "leave out --report"
         )
     require_report_folder(report)
 
@@ -98,14 +98,14 @@ def _require_reportable(data: "Dataset", report: Path) -> None:
 def train_pipeline(
     data: "Dataset", preset: str, epochs: int | None, seed: int, output: Output
 ) -> "Pipeline":
-    """A perception pipeline with its metrics on held-out frames; shows a bar per network."""
+    """Trained pipeline with its metrics on held-out frames; shows a bar per network."""
     return train_and_measure(data, preset, epochs, seed, output).pipeline
 
 
 def train_and_measure(
     data: "Dataset", preset: str, epochs: int | None, seed: int, output: Output
 ) -> "Evaluation":
-    """The pipeline of `train_pipeline`, and what it makes of the held-out frames."""
+    """Evaluation of a newly trained pipeline on its held-out frames."""
     from eitskin.training.evaluation.evaluate import Evaluation
     from eitskin.training.method.settings import TrainingSettings
     from eitskin.training.pipeline.pipeline import Pipeline
@@ -130,7 +130,7 @@ def train_and_measure(
 
 
 def train_positions(data: "Dataset") -> "RecordedTouches":
-    """Touch positions learned from a recording without geometry, with their metrics."""
+    """Regression of touch positions from a recording without geometry, with its metrics."""
     from eitskin.training.positions.recorded_touches import RecordedTouches
 
     learned = RecordedTouches.fit(data)

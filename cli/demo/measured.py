@@ -75,7 +75,6 @@ def _contents(data: Dataset, recipe: Recipe) -> dict[str, Any]:
 
 def training(pipeline: "Pipeline") -> StageResult:
     """Duration and frames of the training, and its losses."""
-    learning = pipeline.method.learning_curves
     curves = {
         name: dataclasses.asdict(history)
         for name, history in pipeline.method.learning_curves.items()

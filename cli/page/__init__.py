@@ -1,1 +1,1 @@
-"""The live page: its server, its state, and what it may ask of a board."""
+"""The live page: its server, its contents, and its commands to a virtual board."""

@@ -1,4 +1,4 @@
-"""What the live page may ask of a virtual board: bend and press it, play, break, mend."""
+"""Commands of the live page to a virtual board: scene, faults, and the paper's episode."""
 
 import re
 from collections.abc import Callable, Mapping
@@ -21,12 +21,12 @@ if TYPE_CHECKING:
     from eitskin.hardware.boards.board import Board
 
 MOST_TOUCHES = 4
-STEP = 3.0  # how long each step of the episode lasts [s]
+STEP = 3.0  # duration of each step of the episode [s]
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Bend [deg] and force [N] at one end of what the page offers."""
+    """Bend [deg] and force [N] at one end of the page's range."""
 
     bend_deg: float
     force: float
@@ -37,20 +37,20 @@ LEAST, LARGEST = Limits(-30.0, 1.0), Limits(60.0, 12.0)
 
 @dataclass(frozen=True, slots=True)
 class PageTouch:
-    """A finger on the page: place on the flat sensor [m] and force [N]."""
+    """Touch on the page: position on the flat sensor [m] and force [N]."""
 
     x: float
     y: float
     force: float
 
     def __post_init__(self) -> None:
-        """Check the force; the place is the sensor's matter."""
+        """Check the force; the position is checked with the sensor."""
         _require_within("force", self.force, LEAST.force, LARGEST.force, "N")
 
 
 @dataclass(frozen=True, slots=True)
 class SceneCommand:
-    """POST /scene: the whole scene that the board is to measure from now on."""
+    """POST /scene: the whole scene that the board measures from now on."""
 
     bend_deg: float = 0.0
     touches: tuple[PageTouch, ...] = ()
@@ -66,13 +66,13 @@ class SceneCommand:
 
 @dataclass(frozen=True, slots=True)
 class FaultCommand:
-    """POST /fault: a fault as "name" or "name:index", or the end of those that last."""
+    """POST /fault: a fault as "name" or "name:index", or the end of all lasting faults."""
 
     fault: str = ""
     clear: bool = False
 
     def __post_init__(self) -> None:
-        """Check that it says one thing."""
+        """Check that either a fault or its end is given."""
         if bool(self.fault) == self.clear:
             raise ConfigurationError('give either "fault", a name, or "clear": true')
         if self.fault and not re.fullmatch(r"\w{1,40}(:\d{1,6})?", self.fault):
@@ -86,10 +86,10 @@ class PlayCommand:
     play: bool
 
 
-def obey(board: "Board", design: SensorDesign, path: str, body: bytes) -> None:
-    """Do what was posted to `path`.
+def execute(board: "Board", design: SensorDesign, path: str, body: bytes) -> None:
+    """Execute the command that was posted to `path`.
 
-    Raises ConfigurationError for what cannot be read or done; KeyError for an unknown path.
+    Raises ConfigurationError for invalid or impossible commands, KeyError for an unknown path.
     """
     command, act = COMMANDS[path]
     try:

@@ -1,4 +1,4 @@
-"""The live page: what `eitskin live --page` shows in a browser on this machine."""
+"""The live page of `eitskin live --page`, for browsers on this machine."""
 
 import json
 import logging
@@ -7,10 +7,10 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from eitskin.cli.page.commands import obey
-from eitskin.cli.page.server import HOST, Patience, Server
-from eitskin.cli.page.state import Snapshot, View, filled
-from eitskin.cli.page.stream import Newest
+from eitskin.cli.page.commands import execute
+from eitskin.cli.page.server import HOST, ClientLimits, Server
+from eitskin.cli.page.state import PageContent, Snapshot, filled
+from eitskin.cli.page.stream import LatestMessage
 from eitskin.closeable import Closeable
 from eitskin.frame import Frame
 from eitskin.geometry.design.sensor import SensorDesign
@@ -27,14 +27,14 @@ HEARTBEAT = 1.0  # s
 MOST_PER_SECOND = 60  # more than a screen shows
 
 
-class Page(Closeable):
-    """Serves the page and tells it of the newest reading; never a queue, never an old one.
+class LivePage(Closeable):
+    """Server of the page and its newest reading; there is no queue, so nothing is late.
 
-    Whoever runs the live loop publishes; encoding and sending are done by threads of the page, so
-    that neither browsers nor their number can slow the loop.
+    The live loop publishes readings; threads of the page encode and send these, so that browsers
+    cannot slow the loop.
 
     Attributes:
-        url: where the page is.
+        url: address of the page.
     """
 
     def __init__(
@@ -42,45 +42,45 @@ class Page(Closeable):
         connection: "Connection",
         design: SensorDesign,
         port: int = 0,
-        patience: Patience | None = None,
+        limits: ClientLimits | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Serve, from now on.
+        """Start to serve.
 
         Args:
             connection: to the board whose readings will be published; a virtual one can be
                 commanded by the page.
             design: of its sensor.
             port: of 127.0.0.1; 0 for any that is free.
-            patience: with browsers.
+            limits: with browsers.
             clock: [s].
 
         Raises ConfigurationError where the port cannot be had.
         """
         board = connection.board
         self._connection, self._clock = connection, clock
-        self._view = View.of(board, design)
+        self._content = PageContent.of(board, design)
         self._published: tuple[Reading, Counts, float] | None = None
         self._reference: Frame | None = None
         self._arrived = self._closed = False
         self._changed = threading.Condition()
-        self._events = Newest()
-        hello = b"retry: 1000\n" + event("sensor", self._view.sensor())
+        self._events = LatestMessage()
+        hello = b"retry: 1000\n" + event("sensor", self._content.sensor())
         self.server = Server(
             port,
             self._events,
             hello,
-            lambda path, body: obey(board, design, path, body),
+            lambda path, body: execute(board, design, path, body),
             getattr(board, "stage", None) is not None,
-            patience or Patience(),
+            limits or ClientLimits(),
         )
         self.url = f"http://{HOST}:{self.server.server_port}/"
-        self._thread = threading.Thread(target=self._tell, name="page", daemon=True)
+        self._thread = threading.Thread(target=self._send_events, name="page", daemon=True)
         self._thread.start()
         self.server.start()
 
     def publish(self, reading: "Reading") -> None:
-        """Have the page show this reading next; takes no time, whoever watches."""
+        """Make this reading the next one that the page shows; returns at once."""
         counts = self._connection.board.counts
         with self._changed:
             if self._reference is None or self._reference.session != reading.frame.session:
@@ -100,12 +100,12 @@ class Page(Closeable):
         self.server.close()
         self._thread.join()
 
-    def _tell(self) -> None:
-        """Encode each newest reading once, and how things are where none comes."""
-        told = -1.0 / MOST_PER_SECOND
-        while self._wait(told):
+    def _send_events(self) -> None:
+        """Encode each newest reading once, and the connection's health while none comes."""
+        sent = -1.0 / MOST_PER_SECOND
+        while self._wait(sent):
             snapshot = self._take()
-            told = self._clock()
+            sent = self._clock()
             if not self.server.watching:
                 continue
             try:
@@ -113,33 +113,33 @@ class Page(Closeable):
             except Exception:  # the page must outlive whatever a pipeline comes up with
                 log.exception("the page cannot show frame")
 
-    def _wait(self, told: float) -> bool:
+    def _wait(self, sent: float) -> bool:
         """Wait for a reading or the next heartbeat, no more often than a screen shows."""
         with self._changed:
-            pause = told + 1.0 / MOST_PER_SECOND - self._clock()
+            pause = sent + 1.0 / MOST_PER_SECOND - self._clock()
             if pause > 0.0:
                 self._changed.wait_for(lambda: self._closed, pause)
-            self._changed.wait_for(lambda: self._closed or self._arrived, self._patience())
+            self._changed.wait_for(lambda: self._closed or self._arrived, self._heartbeat_delay())
             return not self._closed
 
-    def _patience(self) -> float:
-        """How long no reading may come before the page is told [s]."""
+    def _heartbeat_delay(self) -> float:
+        """Time without a reading until the page is told [s]."""
         age = self._age()
         left = self.stale_after() - age if age is not None else 0.0
         return min(left, HEARTBEAT) if left > 0.0 else HEARTBEAT
 
     def stale_after(self) -> float:
-        """How old the newest reading may be [s]; a board of text learns its period as it goes."""
+        """Age at which the newest reading is stale [s]; a text board's period is learned late."""
         from eitskin.hardware.boards.board import longest_silence
 
         return longest_silence(self._connection.board.info.period, SHORTEST)
 
     def _age(self) -> float | None:
-        """Of the newest reading [s]; None where there is none."""
+        """Age of the newest reading [s]; None without a reading."""
         return None if self._published is None else self._clock() - self._published[2]
 
     def _take(self) -> Snapshot | None:
-        """The newest reading, where it has not been taken before."""
+        """The newest reading; None where that was taken before."""
         with self._changed:
             if not self._arrived or self._published is None or self._reference is None:
                 return None
@@ -155,11 +155,11 @@ class Page(Closeable):
             "connection": self._connection.problem,
         }
         if snapshot is None:
-            return event("health", {**health, "stage": self._view.stage()})
-        return event("frame", {**health, **self._view.frame(snapshot)})
+            return event("health", {**health, "stage": self._content.stage()})
+        return event("frame", {**health, **self._content.frame(snapshot)})
 
 
 def event(name: str, data: dict[str, Any]) -> bytes:
-    """One server-sent event; raises ValueError for numbers that JSON cannot say."""
+    """Server-sent event; raises ValueError for numbers that are not finite."""
     text = json.dumps(data, allow_nan=False, separators=(",", ":"))
     return f"event: {name}\ndata: {text}\n\n".encode()

@@ -1,4 +1,4 @@
-"""The live page's server: its files, its events, and what it may be asked; this machine only."""
+"""HTTP server of the live page: files, events and commands, for this machine only."""
 
 import json
 import logging
@@ -14,7 +14,7 @@ from importlib import resources
 from typing import Any, cast
 
 from eitskin.cli.page.commands import COMMANDS
-from eitskin.cli.page.stream import Newest
+from eitskin.cli.page.stream import LatestMessage
 from eitskin.errors import ConfigurationError
 
 log = logging.getLogger(__name__)
@@ -45,13 +45,13 @@ HEADERS = {
 
 
 @dataclass(frozen=True, slots=True)
-class Patience:
-    """How long browsers are waited for.
+class ClientLimits:
+    """Time limits and buffer for browsers.
 
     Attributes:
-        send: until a browser that reads nothing is given up [s].
-        receive: until a request must have come [s].
-        buffer: bytes that the system may hold for one browser; more would be old frames.
+        send: time limit for a browser that reads nothing [s].
+        receive: time limit for a request to arrive [s].
+        buffer: size of the system's buffer for one browser [bytes]; more would be old frames.
     """
 
     send: float = 5.0
@@ -60,15 +60,15 @@ class Patience:
 
 
 class Server(ThreadingHTTPServer):
-    """Serves one page; a thread for each request, all ended by `close`.
+    """Server of one page, with a thread for each request, all ended by `close`.
 
     Attributes:
-        files: by path, each with its type.
-        events: what `/events` streams.
+        files: content type and bytes of each file, by path.
+        events: messages that `/events` streams.
         hello: the first event of each stream.
-        obey: takes path and body of a command; raises ConfigurationError.
-        controlled: whether there is anything to command.
-        watching: how many streams are open.
+        execute: takes path and body of a command; raises ConfigurationError.
+        controlled: whether the board takes commands.
+        watching: number of open streams.
     """
 
     daemon_threads = True
@@ -76,11 +76,11 @@ class Server(ThreadingHTTPServer):
     def __init__(
         self,
         port: int,
-        events: Newest,
+        events: LatestMessage,
         hello: bytes,
-        obey: Callable[[str, bytes], None],
+        execute: Callable[[str, bytes], None],
         controlled: bool,
-        patience: Patience,
+        limits: ClientLimits,
     ) -> None:
         """Take the port, 0 for any; raises ConfigurationError where it cannot be had."""
         folder = resources.files("eitskin.cli.page") / "web"
@@ -88,8 +88,8 @@ class Server(ThreadingHTTPServer):
             f"/{name}": (kind, (folder / name).read_bytes()) for name, kind in ASSETS.items()
         }
         self.files["/"] = self.files["/index.html"]
-        self.events, self.hello, self.obey = events, hello, obey
-        self.controlled, self.patience = controlled, patience
+        self.events, self.hello, self.execute = events, hello, execute
+        self.controlled, self.limits = controlled, limits
         self.watching = 0
         self._open: dict[Any, threading.Thread] = {}
         self._lock = threading.Lock()
@@ -106,7 +106,7 @@ class Server(ThreadingHTTPServer):
         self._thread = threading.Thread(target=self._serve, name="page server", daemon=True)
 
     def start(self) -> None:
-        """Serve in a thread."""
+        """Start to serve, in a thread."""
         self._thread.start()
 
     def close(self) -> None:
@@ -123,7 +123,7 @@ class Server(ThreadingHTTPServer):
             thread.join()
 
     def admit(self) -> bool:
-        """Count one more stream, if there may be one."""
+        """Count a new stream; False where there are too many."""
         with self._lock:
             if self.watching >= MOST_CLIENTS:
                 return False
@@ -131,12 +131,12 @@ class Server(ThreadingHTTPServer):
             return True
 
     def dismiss(self) -> None:
-        """Count one stream less."""
+        """Count the end of a stream."""
         with self._lock:
             self.watching -= 1
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Handle a request in a thread of its own, which `close` knows of."""
+        """Handle a request in a new thread, which `close` waits for."""
         thread = threading.Thread(
             target=self.process_request_thread,
             args=(request, client_address),
@@ -150,7 +150,7 @@ class Server(ThreadingHTTPServer):
             thread.start()
 
     def handle_error(self, request: Any, client_address: Any) -> None:  # noqa: ARG002
-        """Log what went wrong, unless a browser went away, which is no error of ours."""
+        """Log an error, unless the browser disconnected."""
         if not isinstance(sys.exception(), OSError):
             log.exception("the page's server failed")
 
@@ -159,7 +159,7 @@ class Server(ThreadingHTTPServer):
 
 
 class _Handler(BaseHTTPRequestHandler):
-    """One request. HTTP/1.0: one request for each connection, none waits for a next one."""
+    """Handler of one request; HTTP/1.0, so that each connection has one request."""
 
     server_version, sys_version = "eitskin", ""
 
@@ -168,9 +168,9 @@ class _Handler(BaseHTTPRequestHandler):
         return cast(Server, self.server)
 
     def setup(self) -> None:
-        patience = self.page.patience
-        self.request.settimeout(patience.receive)
-        self.request.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, patience.buffer)
+        limits = self.page.limits
+        self.request.settimeout(limits.receive)
+        self.request.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, limits.buffer)
         super().setup()
 
     def do_GET(self) -> None:
@@ -182,7 +182,7 @@ class _Handler(BaseHTTPRequestHandler):
         elif path in self.page.files:
             self._reply(HTTPStatus.OK, *self.page.files[path])
         else:
-            self._say(HTTPStatus.NOT_FOUND, f"there is no {path} here")
+            self._reply_error(HTTPStatus.NOT_FOUND, f"there is no {path} here")
 
     def do_POST(self) -> None:
         path = self.path.partition("?")[0]
@@ -194,36 +194,38 @@ class _Handler(BaseHTTPRequestHandler):
             return
         kind = self.headers.get("Content-Type", "").partition(";")[0].strip().lower()
         if path not in COMMANDS:
-            self._say(HTTPStatus.NOT_FOUND, f"expected a POST to {', '.join(COMMANDS)}, got {path}")
+            self._reply_error(
+                HTTPStatus.NOT_FOUND, f"expected a POST to {', '.join(COMMANDS)}, got {path}"
+            )
         elif not self.page.controlled:
-            self._say(
-                HTTPStatus.CONFLICT, "this board is not a virtual one: it cannot be told what to do"
+            self._reply_error(
+                HTTPStatus.CONFLICT, "this board is not a virtual one and takes no commands"
             )
         elif kind != "application/json":
-            self._say(
+            self._reply_error(
                 HTTPStatus.UNSUPPORTED_MEDIA_TYPE,
                 f"expected Content-Type application/json, got {kind or 'none'}",
             )
         elif not counted:
-            self._say(HTTPStatus.LENGTH_REQUIRED, "a command needs a Content-Length")
+            self._reply_error(HTTPStatus.LENGTH_REQUIRED, "a command needs a Content-Length")
         elif len(body) > LARGEST_BODY:
-            self._say(
+            self._reply_error(
                 HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
                 f"a command has at most {LARGEST_BODY} bytes, got {length}",
             )
         else:
-            self._obey(path, body)
+            self._execute(path, body)
 
-    def _obey(self, path: str, body: bytes) -> None:
+    def _execute(self, path: str, body: bytes) -> None:
         try:
-            self.page.obey(path, body)
+            self.page.execute(path, body)
         except ConfigurationError as error:
-            self._say(HTTPStatus.BAD_REQUEST, str(error))
+            self._reply_error(HTTPStatus.BAD_REQUEST, str(error))
         else:
             self._reply(HTTPStatus.OK, "application/json", b'{"done":true}')
 
     def _refused(self, path: str) -> bool:
-        """Answer, and say so, where the request is not from this page itself.
+        """Refuse a request that is not from this page itself; whether it was refused.
 
         A name other than this machine's means that a foreign one was made to point here (DNS
         rebinding); an Origin other than the page's, that a foreign page asks.
@@ -238,19 +240,21 @@ class _Handler(BaseHTTPRequestHandler):
             wrong = f"only the page at {self._url()} may ask, not a {site} one"
         else:
             return False
-        self._say(HTTPStatus.FORBIDDEN, wrong)
+        self._reply_error(HTTPStatus.FORBIDDEN, wrong)
         return True
 
     def _url(self) -> str:
         return f"http://{HOST}:{self.page.server_port}/"
 
     def _stream(self) -> None:
-        """Send the newest event whenever there is one, until the browser goes or stalls."""
+        """Send each newest event until the browser disconnects or stalls."""
         if not self.page.admit():
-            self._say(HTTPStatus.SERVICE_UNAVAILABLE, f"{MOST_CLIENTS} browsers watch already")
+            self._reply_error(
+                HTTPStatus.SERVICE_UNAVAILABLE, f"{MOST_CLIENTS} browsers watch already"
+            )
             return
         try:
-            self.connection.settimeout(self.page.patience.send)
+            self.connection.settimeout(self.page.limits.send)
             self.connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             number = self.page.events.number
             self._head(HTTPStatus.OK, "text/event-stream")
@@ -263,7 +267,7 @@ class _Handler(BaseHTTPRequestHandler):
         finally:
             self.page.dismiss()
 
-    def _say(self, status: HTTPStatus, message: str) -> None:
+    def _reply_error(self, status: HTTPStatus, message: str) -> None:
         self._reply(status, "application/json", json.dumps({"error": message}).encode())
 
     def _reply(self, status: HTTPStatus, kind: str, body: bytes) -> None:
@@ -280,4 +284,4 @@ class _Handler(BaseHTTPRequestHandler):
         self.end_headers()
 
     def log_message(self, format: str, *args: Any) -> None:  # noqa: A002
-        """Requests are not logged: the terminal shows the sensor."""
+        """Log nothing: the terminal shows the sensor."""

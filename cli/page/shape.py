@@ -1,4 +1,4 @@
-"""The sensor's gel as the live page draws it: bent and dented by eitskin's own geometry."""
+"""Deformed gel for the live page: points bent and dented by eitskin's own geometry."""
 
 import base64
 import math
@@ -25,7 +25,7 @@ from eitskin.simulator.scene.touch import Touch
 Array = NDArray[np.float64]
 
 COLUMNS, ROWS = 51, 21  # of the face, every 3 mm on the reference sensor
-FORCE_UNKNOWN = 6.0  # that a touch is drawn with whose force the pipeline does not say [N]
+FORCE_UNKNOWN = 6.0  # drawn for a touch whose force is not estimated [N]
 _STEEPEST = 60.0  # bends are drawn up to this, either way [deg]
 _FINEST = 0.2  # difference of two bends that are drawn [deg]; each is computed once
 _STEPS = 32000  # of a coordinate from the middle to twice the sensor's length
@@ -36,8 +36,8 @@ DrawnPress = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shape:
-    """Points of the flat gel, and how far they can be bent.
+class GelShape:
+    """Points of the flat gel, with the range of bends.
 
     Attributes:
         design: the sensor.
@@ -52,8 +52,8 @@ class Shape:
     most: float
 
     @classmethod
-    def of(cls, design: SensorDesign) -> "Shape | None":
-        """The shape of a rectangular sensor; None for others, which are not drawn."""
+    def of(cls, design: SensorDesign) -> "GelShape | None":
+        """GelShape of a rectangular sensor; None for others, which are not drawn."""
         if not isinstance(design.outline, Rectangle):
             return None
         length, width = design.outline.length, design.outline.width
@@ -64,7 +64,7 @@ class Shape:
         return cls(design, points, _farthest(design, -1), _farthest(design, 1))
 
     def bent(self, angle_deg: float, presses: Sequence[DrawnPress]) -> Array:
-        """The points bent and pressed at (x [m], y [m], force [N]), (n, 3) [m].
+        """Deformed points (n, 3) [m] under a bend and touches at (x [m], y [m], force [N]).
 
         Bends are drawn in steps of `_FINEST`. Dents are to scale, in the closed form that is fitted
         for the 15 mm cylinder; forces past its last are drawn as that, unknown ones as
@@ -81,27 +81,27 @@ class Shape:
 
 
 @dataclass(slots=True, eq=False)
-class Drawing:
-    """The shape as it was last drawn: what only flickers by noise is not drawn again.
+class GelDrawing:
+    """LatestMessage drawing of the shape, kept while estimates change by no more than noise.
 
     Attributes:
-        shape: that is drawn.
-        unit: length that the last digit of a coordinate stands for [m].
+        shape: the flat shape.
+        unit: resolution of a coordinate [m].
     """
 
-    shape: Shape
+    shape: GelShape
     unit: float
     _drawn: Array | None = None
     _points: str = ""
 
     @classmethod
-    def of(cls, design: SensorDesign) -> "Drawing | None":
-        """A drawing of a rectangular sensor; None for others."""
-        shape = Shape.of(design)
+    def of(cls, design: SensorDesign) -> "GelDrawing | None":
+        """GelDrawing of a rectangular sensor; None for others."""
+        shape = GelShape.of(design)
         return None if shape is None else cls(shape, 2.0 * design.outline.length / _STEPS)
 
     def points(self, angle_deg: float, presses: Sequence[DrawnPress]) -> str:
-        """The points bent and pressed, in multiples of `unit`: int16, little-endian, base64."""
+        """Deformed points in multiples of `unit`: int16, little-endian, base64."""
         wanted = np.array([angle_deg, *(value for press in presses for value in press)])
         tolerance = np.array([_SAME_ANGLE, *_SAME_PRESS * len(presses)])
         if self._drawn is None or not _near(wanted, self._drawn, tolerance):
@@ -112,7 +112,7 @@ class Drawing:
 
 
 def _near(one: Array, other: Array, tolerance: Array) -> bool:
-    """Whether all values, NaN among them, are as near as `tolerance`."""
+    """Whether all values differ by no more than `tolerance`; NaN equals NaN."""
     if one.shape != other.shape:
         return False
     same = np.isnan(one) & np.isnan(other)
@@ -144,7 +144,7 @@ def _flexure(design: SensorDesign, angle: float) -> Flexure:
 
 
 def _farthest(design: SensorDesign, sign: int) -> float:
-    """The farthest of a few bends in one direction that the hinge reaches [deg]."""
+    """Largest bend in one direction that the hinge can reach [deg]."""
     for angle in np.arange(_STEEPEST, 0.0, -10.0):
         try:
             _flexure(design, float(sign * angle))
@@ -155,6 +155,6 @@ def _farthest(design: SensorDesign, sign: int) -> float:
 
 
 def _drawn_force(force: float) -> float:
-    """In steps of 0.1 N, each of which is computed once."""
+    """Force rounded to 0.1 N, so that each dent is computed once."""
     known = force if math.isfinite(force) else FORCE_UNKNOWN
     return round(min(max(known, 0.1), LARGEST_FORCE), 1)

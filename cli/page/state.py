@@ -1,4 +1,4 @@
-"""What the live page is told: of the sensor once, and of each frame, as plain data for JSON."""
+"""Contents of the live page as plain data for JSON: the sensor once, then each frame."""
 
 import base64
 import dataclasses
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from eitskin.cli.live_view import bad_channels, state_name
 from eitskin.cli.page.commands import LARGEST, LEAST, MOST_TOUCHES
-from eitskin.cli.page.shape import COLUMNS, ROWS, Drawing, DrawnPress, electrode_corners
+from eitskin.cli.page.shape import COLUMNS, ROWS, DrawnPress, GelDrawing, electrode_corners
 from eitskin.frame import Frame
 from eitskin.geometry.design.outline import Disc, Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
@@ -27,12 +27,12 @@ _RIM = 96  # points of an outline without corners
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Snapshot:
-    """One reading, and what is shown beside it.
+    """Reading with the board's counts and the session's reference frame.
 
     Attributes:
         reading: from the live loop.
         counts: of the board at that moment.
-        reference: the frame that changes of channels are from, the first of the session.
+        reference: first frame of the session, from which changes of channels count.
     """
 
     reading: "Reading"
@@ -41,26 +41,26 @@ class Snapshot:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class View:
-    """Turns readings of one board into what the page shows.
+class PageContent:
+    """Conversion of one board's readings to plain data.
 
     Attributes:
-        board: whose readings they are.
+        board: source of the readings.
         design: its sensor.
-        drawing: of it in three dimensions; None where there is none.
+        drawing: three-dimensional drawing of the sensor; None for other outlines.
     """
 
     board: "Board"
     design: SensorDesign
-    drawing: Drawing | None
+    drawing: GelDrawing | None
 
     @classmethod
-    def of(cls, board: "Board", design: SensorDesign) -> "View":
-        """The view of a board with a sensor."""
-        return cls(board, design, Drawing.of(design))
+    def of(cls, board: "Board", design: SensorDesign) -> "PageContent":
+        """Contents for a board with a sensor."""
+        return cls(board, design, GelDrawing.of(design))
 
     def sensor(self) -> dict[str, Any]:
-        """What does not change while the page is open."""
+        """Plain data of the sensor, which does not change while the page is open."""
         design, board = self.design, self.board
         outline, corners = design.outline, electrode_corners(design)
         return {
@@ -80,7 +80,7 @@ class View:
         }
 
     def _controls(self) -> dict[str, Any] | None:
-        """What can be done to a virtual board; None with a real one."""
+        """Ranges of the controls of a virtual board; None with a real board."""
         if getattr(self.board, "stage", None) is None:
             return None
         from eitskin.hardware.virtual.faults import FAULTS
@@ -93,7 +93,7 @@ class View:
         }
 
     def frame(self, snapshot: Snapshot) -> dict[str, Any]:
-        """One reading; null stands for what is unknown."""
+        """Plain data of one reading; null stands for unknown values."""
         reading, counts = snapshot.reading, snapshot.counts
         frame = reading.frame
         return {
@@ -138,7 +138,7 @@ class View:
         }
 
     def stage(self, number: int | None = None) -> dict[str, Any] | None:
-        """What a virtual board is told to do, and what frame `number` was really measured of."""
+        """Commanded scene, faults, and true scene of frame `number` of a virtual board."""
         stage = getattr(self.board, "stage", None)
         if stage is None:
             return None
@@ -151,7 +151,7 @@ class View:
 
 
 def filled(reference: Frame, frame: Frame) -> Frame:
-    """The reference with what was bad in it taken from `frame`, where that is good."""
+    """Reference whose bad channels are replaced by good ones of `frame`."""
     better = (reference.status != 0) & (frame.status == 0)
     return dataclasses.replace(
         reference,
@@ -169,14 +169,14 @@ def relative_change(frame: Frame, reference: Frame) -> list[float | None]:
 
 
 def found_presses(estimate: "Estimate") -> list[DrawnPress]:
-    """x [m], y [m] and force [N] of each touch found; NaN where the method says no force."""
+    """x [m], y [m] and force [N] of each estimated touch; NaN where the force is not estimated."""
     forces = getattr(getattr(estimate, "found", None), "force", None)
     known = [math.nan] * len(estimate.touches) if forces is None else [float(f) for f in forces]
     return [(float(x), float(y), f) for (x, y, _), f in zip(estimate.touches, known, strict=True)]
 
 
 def pixels(touch_map: NDArray[np.floating]) -> dict[str, Any] | None:
-    """A map, 0 to 1, as bytes in base64, from its first row; None for an empty one."""
+    """Map, 0 to 1, as bytes in base64, first row first; None for an empty map."""
     values = np.nan_to_num(np.asarray(touch_map, dtype=float))
     if not values.any():
         return None
@@ -201,7 +201,7 @@ def _scene(scene: "Scene") -> dict[str, Any]:
 
 
 def _rim(design: SensorDesign) -> NDArray[np.float64]:
-    """Points of the outline in turn (k, 2) [m]; of a surface the rectangle that holds it."""
+    """Vertices of the outline (k, 2) [m]; for a surface, of its bounding rectangle."""
     outline = design.outline
     if isinstance(outline, Surface):
         outline = Rectangle(outline.length, outline.width)

@@ -1,10 +1,10 @@
-"""The newest message and who waits for it: no queue, so nothing is ever late."""
+"""The newest message and its readers, without a queue."""
 
 import threading
 
 
-class Newest:
-    """One place for a message; writers replace it, each reader takes the newest it has not had."""
+class LatestMessage:
+    """Slot for one message: writers replace the message, readers take it once each."""
 
     def __init__(self) -> None:
         """Begin without a message."""
@@ -15,19 +15,19 @@ class Newest:
 
     @property
     def number(self) -> int:
-        """Of the newest message; they are counted from 1."""
+        """Number of the newest message, counted from 1."""
         return self._number
 
     def put(self, message: bytes) -> None:
-        """Replace the message and wake who waits."""
+        """Replace the message and wake all readers."""
         with self._changed:
             self._message, self._number = message, self._number + 1
             self._changed.notify_all()
 
     def after(self, number: int, timeout: float | None = None) -> tuple[int, bytes] | None:
-        """The newest message and its number, once that is past `number`; None once closed.
+        """Wait for a message after `number`; returns number and message, or None once closed.
 
-        None also where none comes within `timeout` [s].
+        Returns None also where no message comes within `timeout` [s].
         """
         with self._changed:
             self._changed.wait_for(lambda: self._closed or self._number > number, timeout)
@@ -36,7 +36,7 @@ class Newest:
             return self._number, self._message
 
     def close(self) -> None:
-        """Let everybody who waits go."""
+        """Wake all readers for the last time."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()

@@ -26,7 +26,7 @@ class Info:
 
 
 class FakeStage:
-    """Remembers what it was told; frame 7 was measured of a bent, touched sensor."""
+    """Remembers what it was sent; frame 7 was measured of a bent, touched sensor."""
 
     def __init__(self):
         self.scene, self.faults, self.played = Scene(), (), []
@@ -96,7 +96,7 @@ def port_of(page):
 
 
 def ask(page, method, path, body=None, headers=None, own=True):
-    """Status, headers and body of an answer; from the page's own origin unless told otherwise."""
+    """Status, headers and body of an answer; from the page's own origin unless sent otherwise."""
     client = http.client.HTTPConnection("127.0.0.1", port_of(page), timeout=10)
     own = {"Origin": page.url.rstrip("/")} if own and method == "POST" else {}
     with closing(client):

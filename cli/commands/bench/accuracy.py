@@ -28,7 +28,7 @@ def command(
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Error against run time of the forward model, beside pyEIT: table, CSV and plot."""
+    """Measure error and run time of the forward model, beside pyEIT: table, CSV and plot."""
     from eitskin.benchmarks.accuracy.report import misses, write
     from eitskin.benchmarks.accuracy.run import run
     from eitskin.datasets.store.folder import make_folder

@@ -1,4 +1,4 @@
-"""`eitskin bench layouts`: where electrodes should be."""
+"""`eitskin bench layouts`: comparison of electrode layouts."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -32,18 +32,17 @@ def command(
     trained: Annotated[
         bool, typer.Option("--trained", help="Also train and test pipelines for chosen layouts.")
     ] = False,
-    workers: Annotated[int, typer.Option(min=1, help="Processes that judge and train.")] = 2,
+    workers: Annotated[int, typer.Option(min=1, help="Number of worker processes.")] = 2,
     quick: Annotated[
-        bool, typer.Option("--quick", help="Few places, short searches, little training.")
+        bool, typer.Option("--quick", help="Few positions, short searches, little training.")
     ] = False,
     as_json: Json = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """How well layouts of electrodes can know a press: sweeps, and a search for the best eight.
+    """Cramer-Rao bounds of touches for electrode layouts: sweeps, and a search for the best eight.
 
-    Cramer-Rao bounds over the sheet. Finished layouts are kept in the folder; a run that was
-    stopped goes on from them.
+    Finished layouts are kept in the folder; a run that was stopped goes on from them.
     """
     from eitskin.benchmarks import suite
     from eitskin.benchmarks.layouts.report import LEGEND, as_data, sentences, write

@@ -1,4 +1,4 @@
-"""`eitskin bench paper`: the paper's table, measured."""
+"""`eitskin bench paper`: the paper's experiments, repeated."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -21,9 +21,9 @@ def command(
     *,
     pipeline: Annotated[
         Path | None,
-        typer.Option(help="What to measure, NAME.eitmodel; the one that comes along if omitted."),
+        typer.Option(help="Pipeline, NAME.eitmodel; the one that comes with eitskin if omitted."),
     ] = None,
-    seeds: Annotated[int, typer.Option(min=1, help="How many; the first is 0.")] = 3,
+    seeds: Annotated[int, typer.Option(min=1, help="Number of seeds; the first is 0.")] = 3,
     workers: Annotated[int, typer.Option(min=1, help="Processes that make frames.")] = 2,
     paper_seeds: Annotated[
         int | None,
@@ -34,9 +34,9 @@ def command(
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """The paper's experiments: as published, with its pipeline trained here, and with ours.
+    """Repeat the paper's experiments: published, its pipeline trained here, and ours.
 
-    Frames are kept, and made on from where an earlier run was stopped.
+    Frames are kept; a run that was stopped goes on from them.
     """
     from eitskin.benchmarks.paper.report import NAME, as_data, sentences, write
     from eitskin.benchmarks.paper.run import REFERENCE, run

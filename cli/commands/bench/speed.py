@@ -16,14 +16,14 @@ def command(
     out: Annotated[Path, typer.Option(help="Folder of all results.")] = Path("build/bench"),
     *,
     quick: Annotated[
-        bool, typer.Option("--quick", help="Two ways and few scenes, in a minute.")
+        bool, typer.Option("--quick", help="Two resolutions and few scenes, in a minute.")
     ] = False,
     seed: Seed = 0,
     as_json: Json = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Scenes per second, each way beside its error; pyEIT; datasets; frames of the pipeline."""
+    """Measure scenes per second beside their error, pyEIT, datasets, and frames of the pipeline."""
     from eitskin.benchmarks.speed.report import HEADINGS, sentences, table, write
     from eitskin.benchmarks.speed.run import run
     from eitskin.datasets.store.folder import make_folder

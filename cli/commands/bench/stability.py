@@ -29,9 +29,9 @@ def command(
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Stiff and extreme cases: what comes of each, and how far it can be trusted.
+    """Run stiff and extreme cases: outcome, residual, invariants and error of each.
 
-    Exit code 1 where one of them gives a wrong result.
+    Exit code 1 where a case gives a wrong result.
     """
     from eitskin.benchmarks.stability.run import run, write
     from eitskin.datasets.store.folder import make_folder
@@ -74,7 +74,7 @@ def _stability_table(found: "Stability") -> Table:
 
 
 def _remarks(found: "Stability", everything: bool) -> Iterable[str]:
-    """How far cases went and what is wrong; with everything, also why others were refused."""
+    """Remarks on limits reached and wrong cases; with `everything`, also on refused cases."""
     for row in found.rows:
         naive = "" if row.naive is None else f"the plain method is off by {row.naive:.2g}"
         said = row.reason if everything or row.reached or row.outcome == "wrong" else ""

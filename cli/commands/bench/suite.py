@@ -27,27 +27,27 @@ def run_all(
         list[str] | None, typer.Option(help="Name of a benchmark; may be given several times.")
     ] = None,
     quick: Annotated[
-        bool, typer.Option("--quick", help="Fewer and smaller cases, and what has no such run not.")
+        bool, typer.Option("--quick", help="Fewer, smaller cases; without some benchmarks.")
     ] = False,
     long: Annotated[
         bool,
-        typer.Option("--long", help="Also those that take more than ten minutes, hours in all."),
+        typer.Option("--long", help="Also benchmarks of more than ten minutes, hours in all."),
     ] = False,
     fresh: Annotated[
-        bool, typer.Option("--fresh", help="Also those measured with this version and seed before.")
+        bool, typer.Option("--fresh", help="Repeat also what is measured already.")
     ] = False,
     data: Annotated[
         Path | None,
-        typer.Option(help="Folder with real recordings; what needs them is left out without."),
+        typer.Option(help="Folder with real recordings, which some benchmarks need."),
     ] = None,
     seed: Seed = 0,
     as_json: Json = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """All benchmarks, one after the other, into one folder; index.md says what is there.
+    """Run all benchmarks, one after the other, into one folder with an index.md.
 
-    Goes on after one that failed, and ends with exit code 1 then.
+    Goes on after a benchmark that failed; the exit code is 1 then.
     """
     from eitskin.benchmarks import suite
     from eitskin.benchmarks.results import INDEX, write_index
@@ -76,7 +76,7 @@ def run_all(
 
 
 def _chosen(only: list[str] | None, long: bool) -> "list[Benchmark]":
-    """By name, or all but the long ones."""
+    """Benchmarks by name, or all except long ones."""
     from eitskin.benchmarks.suite import ALL
 
     names = [each.name for each in ALL]

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from eitskin.cli.page.live_page import Page, event
-from eitskin.cli.page.server import ASSETS, MOST_CLIENTS, Patience
-from eitskin.cli.page.stream import Newest
+from eitskin.cli.page.live_page import LivePage, event
+from eitskin.cli.page.server import ASSETS, MOST_CLIENTS, ClientLimits
+from eitskin.cli.page.stream import LatestMessage
 from eitskin.errors import ConfigurationError
 from eitskin.hardware import Reading
 from eitskin.simulator import Frame
@@ -107,7 +107,7 @@ def test_messages_are_small(page, stream) -> None:
 
 
 def test_readers_get_the_newest_only() -> None:
-    newest = Newest()
+    newest = LatestMessage()
     for number in range(1, 6):
         newest.put(b"%d" % number)
     assert newest.after(0) == (5, b"5")
@@ -131,7 +131,7 @@ def test_a_slow_browser_misses_frames_and_never_gets_old_ones(page, stream) -> N
 
 
 def test_a_browser_that_reads_nothing_is_dropped_and_delays_nobody(connection) -> None:
-    with Page(connection, DESIGN, patience=Patience(send=0.2, buffer=4096)) as page:
+    with LivePage(connection, DESIGN, limits=ClientLimits(send=0.2, buffer=4096)) as page:
         stalled = socket.socket()
         stalled.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         stalled.connect(("127.0.0.1", port_of(page)))
@@ -152,7 +152,7 @@ def test_a_browser_that_reads_nothing_is_dropped_and_delays_nobody(connection) -
 
 
 def test_publishing_needs_no_browser_and_no_encoding(connection) -> None:
-    with Page(connection, DESIGN) as page:
+    with LivePage(connection, DESIGN) as page:
         page.publish(reading(1, estimate="not an estimate at all"))
 
 
@@ -169,7 +169,7 @@ def test_an_estimate_that_cannot_be_shown_is_not_the_end(page, stream, caplog) -
 @pytest.mark.usefixtures("many_beats")
 def test_silence_is_told(connection) -> None:
     now = [0.0]
-    with Page(connection, DESIGN, clock=lambda: now[0]) as page:
+    with LivePage(connection, DESIGN, clock=lambda: now[0]) as page:
         stream = Stream(page)
         stream.until("sensor")
         page.publish(reading(1))
@@ -205,10 +205,10 @@ def open_files():
 
 
 def test_closing_leaves_nothing_behind(connection) -> None:
-    with Page(connection, DESIGN):  # whatever a first one loads and keeps
+    with LivePage(connection, DESIGN):  # whatever a first one loads and keeps
         pass
     threads, descriptors = set(threading.enumerate()), open_files()
-    page = Page(connection, DESIGN, patience=Patience(receive=1e4))
+    page = LivePage(connection, DESIGN, limits=ClientLimits(receive=1e4))
     streams = [Stream(page) for _ in range(3)]
     silent = socket.create_connection(("127.0.0.1", port_of(page)))
     for stream in streams:
@@ -228,7 +228,7 @@ def test_closing_leaves_nothing_behind(connection) -> None:
 
 def test_a_port_in_use_is_named(page, connection) -> None:
     with pytest.raises(ConfigurationError, match="port "):
-        Page(connection, DESIGN, port=port_of(page))
+        LivePage(connection, DESIGN, port=port_of(page))
 
 
 def test_only_this_machine_is_served(page) -> None:
@@ -259,6 +259,6 @@ def test_every_asset_is_shipped_served_and_of_this_page_alone(page) -> None:
 
 def test_a_board_of_unknown_period_is_shown_and_not_called_silent(connection):
     connection.board.info = Info(period=float("nan"))
-    with Page(connection, DESIGN) as made, closing(Stream(made)) as stream:
+    with LivePage(connection, DESIGN) as made, closing(Stream(made)) as stream:
         assert stream.until("sensor")["period"] is None
         assert made.stale_after() == np.inf

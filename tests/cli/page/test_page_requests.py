@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from eitskin.cli.page.live_page import Page
+from eitskin.cli.page.live_page import LivePage
 from eitskin.cli.page.server import LARGEST_BODY
 from eitskin.geometry import Bend
 from eitskin.simulator import Scene, Touch
@@ -32,7 +32,7 @@ def unchanged():
 @pytest.fixture(scope="module")
 def refusing(unchanged):
     """A page for many requests that change nothing."""
-    with Page(unchanged, DESIGN) as made:
+    with LivePage(unchanged, DESIGN) as made:
         yield made
 
 
@@ -151,7 +151,7 @@ def test_the_episode_is_played_and_ended(page, connection) -> None:
 
 
 def test_a_real_board_cannot_be_commanded() -> None:
-    with Page(FakeConnection(FakeBoard(stage=None, uri="serial:/dev/x")), DESIGN) as page:
+    with LivePage(FakeConnection(FakeBoard(stage=None, uri="serial:/dev/x")), DESIGN) as page:
         for path, data in (("/scene", {}), ("/fault", {"clear": True}), ("/play", {"play": True})):
             status, answer = post(page, path, data)
             assert status == 409

@@ -6,7 +6,7 @@ import struct
 import numpy as np
 import pytest
 
-from eitskin.cli.page.shape import COLUMNS, ROWS, Drawing, Shape
+from eitskin.cli.page.shape import COLUMNS, ROWS, GelDrawing, GelShape
 from eitskin.cli.page.state import filled, relative_change
 from eitskin.geometry import Bend, Hinge
 from eitskin.simulator import Frame
@@ -23,7 +23,7 @@ def decoded(text, unit):
 
 
 def test_the_drawn_sensor_is_bent_and_dented_as_the_simulated_one() -> None:
-    shape = Shape.of(DESIGN)
+    shape = GelShape.of(DESIGN)
     flat = shape.bent(0.0, [])
     assert np.allclose(flat, shape.points, atol=1e-12)
     bent = shape.bent(30.0, [])
@@ -38,7 +38,7 @@ def test_the_drawn_sensor_is_bent_and_dented_as_the_simulated_one() -> None:
 
 
 def test_noise_is_not_drawn_again() -> None:
-    drawing = Drawing.of(DESIGN)
+    drawing = GelDrawing.of(DESIGN)
     first = drawing.points(10.0, [(0.05, 0.03, float("nan"))])
     assert drawing.points(10.1, [(0.0505, 0.03, float("nan"))]) is first
     moved = drawing.points(10.5, [(0.05, 0.03, float("nan"))])
