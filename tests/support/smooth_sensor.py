@@ -1,4 +1,4 @@
-"""A sensor in closed form that bends and is touched: smooth, symmetric and quick."""
+"""Sensor in closed form with bend and touches: smooth, symmetric and quick."""
 
 import numpy as np
 
@@ -37,36 +37,36 @@ def touch_change(touches, angle_deg=0.0):
 
 
 def powers(angle_deg, count):
-    """Powers (n, count) of the angle in the unit of bend curves, from the first on."""
+    """Powers 1, 2, ... (n, count) of the angle in the unit of bend curves."""
     return (np.asarray(angle_deg)[..., None] / SCALE) ** np.arange(1, count + 1)
 
 
 def bend_mean():
-    """b_k (MEAN_POWERS, 28): pairs along the sensor feel the bend most."""
+    """Coefficients b_k (MEAN_POWERS, 28), largest for pairs along the sensor."""
     along = np.abs(_ELECTRODES[_PAIRS[:, 0], 0] - _ELECTRODES[_PAIRS[:, 1], 0]) / SIZE[0]
     return np.outer([1.0, 0.15, -0.05, 0.0, 0.0], 0.01 + 0.04 * along)[:MEAN_POWERS]
 
 
 def own_covariance(size=5e-4):
-    """Of what specimens have of their own: every channel and power by itself."""
+    """Covariance of the random effects: independent channels and powers."""
     return size**2 * np.eye(RANDOM_POWERS * 28)
 
 
 def curve(size=5e-4):
-    """The bend curve of a specimen that nobody has calibrated."""
+    """Bend curve of an uncalibrated specimen."""
     return BendCurve(
         bend_mean(), np.zeros((RANDOM_POWERS, 28)), own_covariance(size), (-20.0, 50.0)
     )
 
 
 def curves(features=0):
-    """Of all specimens, whatever their features."""
+    """Distribution of bend curves, independent of the features."""
     mean = np.concatenate([bend_mean()[None], np.zeros((features, MEAN_POWERS, 28))])
     return BendCurvePrior(mean, own_covariance(), (-20.0, 50.0))
 
 
 def response(mismatch=0.0, features=0, unseen=0, hidden=160, seed=0):
-    """A network of fixed random layers whose last one is fitted to `touch_change`.
+    """Touch response of fixed random layers, the last one fitted to `touch_change`.
 
     What it is fitted to does not matter where frames are made from it: it is the truth then.
     """
@@ -90,6 +90,6 @@ def response(mismatch=0.0, features=0, unseen=0, hidden=160, seed=0):
 
 
 def places(step=0.006):
-    """A grid (n, 2) [m] over where touches lie."""
+    """Grid of positions (n, 2) [m] within the prior's bounds."""
     axes = [np.arange(TOUCH_PRIOR.low[i], TOUCH_PRIOR.high[i] + 1e-9, step) for i in (0, 1)]
     return np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)

@@ -28,7 +28,7 @@ class StateNetwork(nn.Module):
     """
 
     def __init__(self, shape: tuple[int, int], maps: int) -> None:
-        """Make it for `maps` maps of `shape`."""
+        """Build the layers for `maps` maps of `shape`."""
         super().__init__()
         encoder = [_down(maps, 16), _down(16, 32), _down(32, 64)]
         decoder = [_up(64, 32), _up(32, 16), _up(16, 1)]
@@ -44,15 +44,15 @@ class StateNetwork(nn.Module):
 class TouchMapNetwork(nn.Module):
     """Light post-processor, from a reconstruction to the logits of the touch map.
 
-    One step down, dilated 3x3 convolutions that see the whole sensor, one step up. Two channels
-    beside the picture say where each pixel lies, because a reconstruction is sharp near the
-    electrodes and blurred in the middle. Maps (n, 1, rows, columns), multiples of two.
+    One step down, dilated 3x3 convolutions whose receptive field is the whole sensor, one step up.
+    Two further channels hold the coordinates of each pixel, because a reconstruction is sharp near
+    the electrodes and blurred in the middle. Maps (n, 1, rows, columns), multiples of two.
     """
 
     place: Tensor
 
     def __init__(self, shape: tuple[int, int], width: int = 24) -> None:
-        """Make it for maps of `shape`, with `width` channels at half resolution."""
+        """Build the layers for maps of `shape`, with `width` channels at half resolution."""
         super().__init__()
         y, x = torch.meshgrid(*(torch.linspace(-1, 1, n) for n in shape), indexing="ij")
         self.register_buffer("place", torch.stack([y, x])[None], persistent=False)
@@ -90,7 +90,7 @@ def _dilated(width: int, dilation: int) -> nn.Module:
 def noisy_maps(
     difference: ArrayLike, embedding: ArrayLike, shape: tuple[int, int], noise: float
 ) -> Maps:
-    """Maps of the chosen dV (n, measurements), with fresh noise of this rms every time.
+    """Source of maps of chosen frames, with new noise at every call.
 
     Args:
         difference: dV (n, measurements).
@@ -111,7 +111,7 @@ def noisy_maps(
 
 
 def logits_of(network: nn.Module, maps: ArrayLike) -> NDArray[np.float64]:
-    """Logits of `network` for maps (n, maps, rows, columns), in pieces."""
+    """Logits of `network` for maps (n, maps, rows, columns), in batches."""
     inputs = torch.as_tensor(np.asarray(maps, dtype=np.float32))
     with torch.inference_mode():
         parts = [network(part).numpy() for part in torch.split(inputs, EVALUATED_AT_ONCE)]
@@ -124,7 +124,10 @@ def weights_of(network: nn.Module) -> dict[str, NDArray[np.generic]]:
 
 
 def with_weights(network: Network, arrays: Mapping[str, NDArray[Any]]) -> Network:
-    """`network` with the weights in `arrays`, in evaluation mode; raises DataError on a misfit."""
+    """`network` with the weights in `arrays`, in evaluation mode.
+
+    Raises DataError where arrays are missing or of another shape.
+    """
     names = network.state_dict().keys()
     missing = sorted(names - arrays.keys())
     if missing:
@@ -143,7 +146,7 @@ def with_weights(network: Network, arrays: Mapping[str, NDArray[Any]]) -> Networ
 
 @contextmanager
 def single_thread() -> Iterator[None]:
-    """One torch thread inside, what the program had set afterwards."""
+    """Context with one torch thread; the former number is restored."""
     before = torch.get_num_threads()
     if before == 1:
         yield

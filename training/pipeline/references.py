@@ -1,4 +1,4 @@
-"""What a frame is compared with: the flat sensor, and the sensor as it was before a touch."""
+"""References of a session: static (flat sensor) and dynamic (untouched sensor, same bend)."""
 
 from dataclasses import dataclass, field
 
@@ -9,7 +9,7 @@ from eitskin.training.method.observations import relative_difference
 
 Voltages = NDArray[np.complex128]
 
-LONGEST_MEAN = 32  # frames; longer would lag behind a drift too slow to be seen as a departure
+LONGEST_MEAN = 32  # frames; a longer mean would lag behind a drift too slow to count as motion
 
 
 @dataclass
@@ -19,8 +19,8 @@ class RunningMean:
     Attributes:
         noise: rms over the channels of the relative difference of two frames of a still sensor.
         mean: complex (measurements,), None before the first frame; NaN where never measured [ohm].
-        count: frames in the mean.
-        longest: number of frames from which on the oldest are forgotten.
+        count: number of frames in the mean.
+        longest: number of frames beyond which the mean becomes exponential.
     """
 
     noise: float
@@ -29,14 +29,15 @@ class RunningMean:
     longest: int = LONGEST_MEAN
 
     def restart(self, impedance: ArrayLike) -> None:
-        """Forget all but this frame."""
+        """Begin a new mean with this frame (measurements,) [ohm]."""
         self.mean, self.count = np.array(impedance, dtype=np.complex128), 1
 
     def add(self, impedance: ArrayLike) -> bool:
-        """Take one frame, NaN where a channel is bad; True if it departed and restarted the mean.
+        """Add one frame (measurements,) [ohm], NaN where a channel is bad.
 
-        A still frame differs from the mean by at most `noise` rms; twice that is a departure.
-        With 28 channels, chance exceeds it less than once in a billion frames.
+        Returns whether the sensor moved, which restarts the mean. A still frame differs from the
+        mean by at most `noise` rms; twice that counts as motion. With 28 channels, chance exceeds
+        this limit less than once in a billion frames.
         """
         V = np.array(impedance, dtype=np.complex128)
         if self.mean is None:
@@ -54,14 +55,14 @@ class RunningMean:
 
 @dataclass
 class References:
-    """The two references of a session; the state of the pipeline between frames.
+    """Both references of a session, renewed frame by frame.
 
-    `bend` is static: the flat, untouched sensor, averaged over the stillness with which the
-    session opens. `touch` is dynamic: it follows the sensor while nothing touches it, averaging
-    while it is still, and stays frozen while something does.
+    `bend` is static: the flat, untouched sensor, averaged while it is still at the session's start.
+    `touch` is dynamic: it follows the sensor while nothing touches it, averaged while the sensor is
+    still, and is frozen during a touch.
 
     Attributes:
-        noise: see RunningMean.
+        noise: rms relative difference of two frames of a still sensor.
     """
 
     noise: float
@@ -74,13 +75,13 @@ class References:
         self.drop()
 
     def drop(self) -> None:
-        """Forget both: a new session has begun."""
+        """Forget both references, for a new session."""
         self._opening, self._latest = RunningMean(self.noise), RunningMean(self.noise)
         self._is_opening = True
 
     @property
     def empty(self) -> bool:
-        """Whether no frame has come yet."""
+        """Whether the session has no frame yet."""
         return self._latest.mean is None
 
     @property
@@ -95,21 +96,21 @@ class References:
 
     @property
     def bend_frames(self) -> int:
-        """How many frames the static reference is the mean of."""
+        """Number of frames averaged into the static reference."""
         return self._opening.count
 
     @property
     def touch_frames(self) -> int:
-        """How many frames the dynamic reference is the mean of."""
+        """Number of frames averaged into the dynamic reference."""
         return self._latest.count
 
     def follow(self, impedance: ArrayLike) -> None:
-        """Take the frame of an untouched sensor, NaN where a channel is bad."""
+        """Renew the references by a frame of the untouched sensor, NaN where a channel is bad."""
         if self._latest.add(impedance):
             self._is_opening = False
         if self._is_opening:
             self._opening.add(impedance)
 
     def freeze(self) -> None:
-        """A touch has come: the dynamic reference stays, the opening stillness is over."""
+        """Keep both references as they are during a touch; the static one is final thereafter."""
         self._is_opening = False

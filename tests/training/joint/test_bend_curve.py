@@ -1,4 +1,4 @@
-"""Bend curves: what specimens share, what one has of its own, and angles read from them."""
+"""Bend curves: mixed model, calibration, and estimates of the angle."""
 
 import numpy as np
 import pytest
@@ -23,13 +23,13 @@ def powers(angle_deg, count):
 
 
 def mean_curve():
-    """A monotonic response of a few percent, that is not a straight line."""
+    """Monotonic, nonlinear change of a few percent."""
     shape = np.linspace(0.02, 0.05, CHANNELS) * np.where(np.arange(CHANNELS) % 3, 1.0, -0.7)
     return np.outer([1.0, 0.2, -0.1, 0.02, 0.01], shape)
 
 
 def own_covariance(rng, size=1.5e-3):
-    """Of a few ways in which specimens differ."""
+    """Covariance of the random effects, of rank five plus a small diagonal."""
     ways = rng.standard_normal((5, RANDOM_POWERS * CHANNELS)) * size
     return ways.T @ ways / 5 + (0.1 * size) ** 2 * np.eye(RANDOM_POWERS * CHANNELS)
 
@@ -71,7 +71,7 @@ def test_uncertainty_is_the_covariance_of_curves_drawn(curve, rng):
 
 
 def test_curve_is_that_of_the_plain_formula(curve, rng):
-    """However its arrays are arranged for speed."""
+    """Value, slope and covariance equal their plain formulas."""
     own = 1e-3 * rng.standard_normal(curve.effects.shape)
     curve = BendCurve(curve.mean, own, curve.covariance, RANGE)
     angles, values = curve.grid(8)
@@ -108,7 +108,7 @@ def posterior(curve, angles, change, noise):
 
 
 def test_conditioned_is_bayes_rule(curve, rng):
-    """As the information form says, also where a channel is bad, and one after another."""
+    """Posterior of the information form, with bad channels, jointly and sequentially."""
     angles = np.array([-15.0, 20.0, 45.0])
     change = curve.value(angles) + 2e-3 * rng.standard_normal((3, CHANNELS))
     change[1, 2] = change[2, :2] = np.nan
@@ -145,7 +145,7 @@ def test_every_known_angle_makes_the_curve_surer(curve, rng):
 
 
 def test_calibrated_curve_finds_the_specimen(curve, rng):
-    """Angles between those known: errors fall by several times, as the standard errors say."""
+    """Errors at intermediate angles fall as the standard errors state."""
     own = rng.multivariate_normal(np.zeros(18), curve.covariance).reshape(RANDOM_POWERS, CHANNELS)
     true = BendCurve(curve.mean, own, 0.0 * curve.covariance, RANGE)
     known = np.linspace(-20.0, 50.0, 8)
@@ -166,7 +166,7 @@ def test_calibrated_curve_finds_the_specimen(curve, rng):
 
 
 def unlikeliness(curve, change, noise, angle, uncertain_at=None):
-    """Minus twice the logarithm of the exact likelihood, or of that with the covariance held."""
+    """Minus twice the log likelihood, exact or with the covariance held fixed."""
     good = np.isfinite(change)
     at = angle if uncertain_at is None else uncertain_at
     covariance = (noise + curve.uncertainty(at))[np.ix_(good, good)]
@@ -175,7 +175,7 @@ def unlikeliness(curve, change, noise, angle, uncertain_at=None):
 
 
 def test_angle_is_where_the_likelihood_is_greatest(curve, rng):
-    """Fisher's scoring holds the covariance; letting it go moves the maximum by little."""
+    """Fisher scoring holds the covariance fixed, which moves the maximum by little."""
     for angle in (-18.0, -3.0, 4.0, 30.0, 48.0):
         own = rng.multivariate_normal(np.zeros(18), curve.covariance).reshape(3, CHANNELS)
         change = curve.value(angle) + powers(angle, RANDOM_POWERS) @ own
@@ -204,7 +204,7 @@ def test_clean_frame_gives_its_angle(curve):
 
 
 def test_stated_error_is_that_of_many_frames(curve, rng):
-    """Over specimens and noise, at three angles, with a bad channel in every other frame."""
+    """Standardised errors over specimens and noise, with a bad channel in half of the frames."""
     for angle in (-15.0, 10.0, 40.0):
         own = rng.multivariate_normal(np.zeros(18), curve.covariance, 300)
         change = curve.value(angle) + np.tensordot(
@@ -220,7 +220,7 @@ def test_stated_error_is_that_of_many_frames(curve, rng):
 
 
 def test_common_drift_is_projected_out(curve):
-    """A factor common to all channels, a hundred times the noise, moves the angle by nothing."""
+    """A common factor of a hundred times the noise does not move the angle."""
     frame = curve.value(20.0) + 0.02
     drifting = NOISE + 0.2**2
     assert estimate_angle(curve, frame, drifting)[0] == pytest.approx(20.0, abs=0.2)
@@ -232,7 +232,7 @@ def test_common_drift_is_projected_out(curve):
 
 
 def made_up(rng, count, frames, covariance, features=None):
-    """Bent frames of specimens: angles, changes, features and numbers of the specimens."""
+    """Angles, changes, features and specimen numbers of bent frames."""
     own = rng.multivariate_normal(np.zeros(18), covariance, count).reshape(-1, 3, CHANNELS)
     p = np.zeros((count, 0)) if features is None else rng.standard_normal((count, len(features)))
     specimen = np.repeat(np.arange(count), frames)
@@ -247,7 +247,7 @@ def made_up(rng, count, frames, covariance, features=None):
 
 
 def test_mixed_model_finds_covariance_and_mean(rng):
-    """Of what 400 specimens have of their own, from six frames each."""
+    """Random effects of 400 specimens from six frames each."""
     true = own_covariance(rng)
     curves = BendCurvePrior.fit(*made_up(rng, 400, 6, true), NOISE)
     scatter = np.sqrt(2.0 / 400)
@@ -284,7 +284,7 @@ def test_specimens_that_do_not_differ_have_no_covariance(rng):
 
 
 def test_flat_is_among_the_angles_learned(rng):
-    """From bends of one sign, the flat sensor is still found flat."""
+    """A curve learned from bends of one sign estimates a flat sensor as flat."""
     angle, change, features, specimen = made_up(rng, 30, 10, own_covariance(rng))
     bent = angle > 5.0
     curves = BendCurvePrior.fit(angle[bent], change[bent], features[bent], specimen[bent], NOISE)

@@ -1,4 +1,4 @@
-"""LAPACK called at once says what numpy.linalg says."""
+"""LAPACK called directly gives the results of numpy.linalg."""
 
 import numpy as np
 import pytest
@@ -27,7 +27,7 @@ def test_solved_and_inverse(covariance):
 
 
 def test_what_is_given_stays_as_it_was(covariance):
-    """Also a part of a matrix whose rows do not follow each other."""
+    """Inputs stay unchanged, also views whose rows are not contiguous."""
     before, part = covariance.copy(), covariance[1:, 1:]
     for matrix in (covariance, part):
         lapack.whitening(matrix)

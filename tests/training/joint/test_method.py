@@ -1,4 +1,4 @@
-"""The joint method: what it says of frames, of broken ones too."""
+"""The joint method: predictions, bad channels, faults, calibration and saving."""
 
 from dataclasses import fields, replace
 
@@ -33,14 +33,14 @@ ELECTRODE = [i for i, row in enumerate(PROTOCOL.table) if 3 in row[:2]]
 
 
 def silent_proposals():
-    """Of a network that never proposes anything: the search alone finds the touches."""
+    """Network without proposals: the search alone finds the touches."""
     columns, rows = np.array([0.05, 0.10]), np.array([0.02, 0.04])
     return ProposalNetwork((np.zeros((4, 30)),), (np.full(4, -9.0),), columns, rows)
 
 
 @pytest.fixture(scope="module")
 def method():
-    """Of a model that is exactly the sensor's."""
+    """Method whose model is exactly the sensor's."""
     rng = np.random.default_rng(0)
     flat = FLAT * np.exp(0.02 * rng.standard_normal((40, 28)))
     features = SpecimenFeatures.fit(flat, mirrors(LAYOUT.design, PROTOCOL), count=1)
@@ -61,7 +61,7 @@ def method():
 
 
 def observed(method, touches=(), angle_deg=0.0, rng=None, flat=FLAT, wrong=None, age=5.0):
-    """One frame of a specimen that has nothing of its own; `wrong` is added to its log V."""
+    """One frame of the mean specimen; `wrong` is added to its log V."""
     touches = np.array(touches, dtype=float).reshape(-1, 3)
     one = method.response.of(method.features.apply(flat))
     bent = method.bend_prior.of([0.0]).value(angle_deg)
@@ -86,7 +86,7 @@ def observed(method, touches=(), angle_deg=0.0, rng=None, flat=FLAT, wrong=None,
 
 
 def broken(good, bad):
-    """The same frame with bad measurements."""
+    """Frame with bad measurements."""
     static, dynamic = good.static.copy(), good.dynamic.copy()
     static[0, bad] = dynamic[0, bad] = np.nan
     return replace(good, static=static, dynamic=dynamic)
@@ -131,7 +131,7 @@ def test_touch_map_is_where_the_touch_is(method):
 
 
 def test_probabilities_add_up_and_follow_the_evidence(method):
-    """A touch of growing force and a bend of growing angle pass from unlikely to sure."""
+    """Probabilities rise with the force of a touch and with the angle of a bend."""
     still = method.perceive(observed(method)).probabilities[0]
     assert still.sum() == pytest.approx(1.0)
     bends = [
@@ -144,7 +144,7 @@ def test_probabilities_add_up_and_follow_the_evidence(method):
 
 
 def test_state_and_touches_agree(method):
-    """Touched frames have touches, others none, also where the touch is hardly felt."""
+    """Touched frames alone have touches, also near the threshold of detection."""
     rng = np.random.default_rng(2)
     for factor in (0.02, 0.05, 0.1, 0.2):
         one = method.response.of(method.features.apply(FLAT))
@@ -165,7 +165,7 @@ def test_older_reference_makes_the_angle_less_sure(method):
 
 
 def test_drift_of_all_channels_is_no_bend_and_no_touch(method):
-    """A percent in four hours, since the static reference; the dynamic one has followed."""
+    """Drift of a percent in four hours since the static reference, not the dynamic one."""
     aged = observed(method, angle_deg=20.0, age=4 * 3600.0)
     said = method.perceive(replace(aged, static=(1.0 + aged.static) * 1.01 - 1.0))
     assert said.bend_angle_deg[0] == pytest.approx(20.0, abs=2.0)
@@ -277,14 +277,14 @@ def sample(method):
 
 
 def calibrated(method, angles=(-15.0, 10.0, 30.0, 45.0), offset=1e-3):
-    """For a sensor whose channels each bend a little more than the middle one's."""
+    """Calibration to a sensor whose channels bend a little more than the mean's."""
     change = method.bend_prior.of([0.0]).value(angles) + offset * powers(angles, 1)
     known = KnownBends(FLAT, 4, np.array(angles), change, np.zeros(len(angles)))
     return method.adapted(known)
 
 
 def test_arrays_make_it_again(method):
-    """To single precision, in which weights are kept."""
+    """Copies agree to single precision, in which weights are saved."""
     frames = sample(method)
     for one in (method, calibrated(method)[0]):
         again = JointMethod.from_arrays(one.arrays(), LAYOUT)
@@ -325,7 +325,7 @@ def test_calibration_makes_angles_right_and_surer(method):
 
 
 def test_drift_during_calibration_is_not_taken_for_the_curve(method):
-    """Frames of one angle, all half a percent up after four hours: the curve hardly moves."""
+    """A common change of half a percent after four hours hardly moves the curve."""
     angles = np.full(6, 30.0)
     change = method.bend_prior.of([0.0]).value(angles) + 5e-3
     bend = {}
@@ -347,7 +347,7 @@ def test_other_sensor_than_the_calibrated_one_is_told(method):
 
 
 def test_a_contact_that_changed_since_the_session_began_bends_nothing(method):
-    """Only the static reference is out of date: the angle is told without that electrode."""
+    """A fault since the static reference is left out of the angle."""
     size = 0.005
     wrong = np.zeros(28)
     wrong[ELECTRODE] = np.log1p(size * np.median(FLAT) / FLAT[ELECTRODE])

@@ -1,4 +1,4 @@
-"""The fit of one frame: gradients, recovery, errors as stated, how many touches, bad channels."""
+"""Fit of one frame: gradients, recovery, standard errors, number of touches, bad channels."""
 
 from dataclasses import replace
 
@@ -29,12 +29,12 @@ def candidates(angle_deg=0.0):
 
 
 def misfit_sigma(found):
-    """The misfit above its expectation, in standard deviations."""
+    """Misfit above its expectation, in standard deviations."""
     return (found.misfit - found.degrees_of_freedom) / np.sqrt(2.0 * found.degrees_of_freedom)
 
 
 def frame(touches=(), angle_deg=0.0, reference_deg=0.0, rng=None, mismatch=0.0):
-    """The objective of a frame made from the model itself."""
+    """Objective of a frame drawn from the model itself."""
     touches = np.array(touches, dtype=float).reshape(-1, 3)
     change = CURVE.value(angle_deg) - CURVE.value(reference_deg)
     change = change + ONE(touches, angle_deg).sum(axis=0)
@@ -45,7 +45,7 @@ def frame(touches=(), angle_deg=0.0, reference_deg=0.0, rng=None, mismatch=0.0):
 
 
 def changed(objective, change):
-    """The same objective of another change."""
+    """Objective with another change."""
     return TouchObjective.of(
         change, objective.noise, objective.reference_deg, objective.response, CURVE, TOUCH_PRIOR
     )
@@ -56,7 +56,7 @@ def explained(objective, proposed=None):
 
 
 def matched(found, true):
-    """The found touches in the order of the true ones."""
+    """Found touches in the order of the true ones."""
     away = np.linalg.norm(np.asarray(true)[:, None, :2] - found[None, :, :2], axis=2)
     order = away.argmin(axis=1)
     assert sorted(order) == list(range(len(true)))
@@ -76,7 +76,7 @@ TOUCHES = {
 
 @pytest.mark.parametrize("kind", ["far apart", "too near", "one", "untouched"])
 def test_gradient_is_that_of_finite_differences(kind):
-    """With the priors of motion, place and force, and the repulsion of touches too near.
+    """Finite differences of the misfit, prior of motion and touches and repulsion included.
 
     The response is one that does not depend on the bend: its slope is left out of the angle's.
     """
@@ -107,7 +107,7 @@ def test_gradient_is_that_of_finite_differences(kind):
 
 
 def test_hessian_is_that_of_finite_differences_where_nothing_is_left():
-    """Gauss-Newton's matrix leaves out curvature times residuals: at the truth there are none."""
+    """The Gauss-Newton Hessian omits curvature times residual, which is zero at the truth."""
     unknowns = Unknowns(np.array(TOUCHES[2]), 20.0)
     said = STIFF(unknowns.touches, 20.0).sum(axis=0)
     objective = replace(changed(frame((), 20.0, 20.0), said), response=STIFF)
@@ -144,7 +144,7 @@ def test_steps_stay_within_what_is_possible():
 
 
 def test_two_touches_at_one_place_can_be_told_apart():
-    """On one corner, as steps that are cut short leave them, they part: nothing is singular."""
+    """Coincident touches in a corner part again; the Hessian stays regular."""
     objective = frame(TOUCHES[2])
     corner = np.array([TOUCH_PRIOR.low, TOUCH_PRIOR.low])
     found = levenberg_marquardt(objective, objective.linearised(Unknowns(corner, 0.0)), 30, 1e-6)
@@ -154,7 +154,7 @@ def test_two_touches_at_one_place_can_be_told_apart():
 
 
 def test_residuals_are_whitened_with_noise_bend_and_mismatch():
-    """Over many frames of specimens that differ, they have variance one and are uncorrelated."""
+    """Whitened residuals of many specimens are uncorrelated, with unit variance."""
     rng = np.random.default_rng(4)
     touches, angle, reference, mismatch = np.array(TOUCHES[2]), 40.0, 10.0, 0.1
     objective = frame(touches, angle, reference, mismatch=mismatch)
@@ -174,7 +174,7 @@ def test_residuals_are_whitened_with_noise_bend_and_mismatch():
 
 
 def test_a_frame_that_is_scanned_while_the_sensor_moves_is_no_touch():
-    """The measurements of a frame follow the sensor from 24 to 36 deg; the reference was at 18."""
+    """Channels of one frame see the sensor move from 24 to 36 deg; the reference was at 18."""
     angles = np.linspace(24.0, 36.0, 28)
     scanned = np.array([CURVE.value(angle)[i] for i, angle in enumerate(angles)])
     still = frame([], 30.0, 18.0)
@@ -189,7 +189,7 @@ def test_a_frame_that_is_scanned_while_the_sensor_moves_is_no_touch():
 @pytest.mark.parametrize("count", [1, 2, 3, 4])
 @pytest.mark.parametrize("angle_deg", [0.0, 35.0])
 def test_touches_are_recovered_without_noise(count, angle_deg):
-    """To what the gentle priors of force and place move them by."""
+    """Accuracy is limited by the pull of the weak priors."""
     found = explained(frame(TOUCHES[count], angle_deg, angle_deg))
     assert len(found.touches) == count
     order = matched(found.touches, TOUCHES[count])
@@ -238,7 +238,7 @@ def test_proposals_are_where_the_fit_starts_and_wrong_ones_are_given_up():
 
 
 def test_errors_are_as_large_as_stated():
-    """Of 60 frames with one touch anywhere: place, force and angle, in standard deviations."""
+    """Standardised errors of position, force and angle in 60 frames with one touch."""
     rng = np.random.default_rng(5)
     scores, missed = [], 0
     for _ in range(60):
@@ -265,7 +265,7 @@ def test_misfit_is_its_degrees_of_freedom():
 
 
 def faint(share):
-    """A sensor that feels touches so much less, and its candidates."""
+    """Response of a sensor with reduced sensitivity, and its candidates."""
     weak = replace(RESPONSE, scale=RESPONSE.scale * share).of(())
     touches = np.column_stack([places(), np.full(len(places()), RANGES.middle_force)])
     return weak, TouchCandidates(places(), RANGES.middle_force, weak(touches, 0.0))
@@ -273,7 +273,7 @@ def faint(share):
 
 @pytest.mark.parametrize("share", [1.0, 0.05])
 def test_noise_alone_is_no_touch(share):
-    """Below one false alarm in a hundred frames, also where touches are hardly felt."""
+    """At most one false touch in a hundred frames, at low sensitivity too."""
     rng = np.random.default_rng(7)
     weak, tried = faint(share)
     alarms = 0
@@ -284,7 +284,7 @@ def test_noise_alone_is_no_touch(share):
 
 
 def test_weak_touch_is_found_from_the_threshold_on():
-    """Growing from nothing, a touch is kept once it lowers the misfit by the threshold."""
+    """A touch of growing force is kept once it lowers the misfit by the threshold."""
     weak, tried = faint(0.05)
     whole = weak(np.array(TOUCHES[1]), 0.0)[0]
     for share, count in ((0.2, 0), (1.5, 1)):
@@ -298,7 +298,7 @@ def test_weak_touch_is_found_from_the_threshold_on():
 
 @pytest.mark.parametrize("bad", [[3], [0, 5, 12, 20, 27], list(range(7))])
 def test_bad_channels_are_left_out(bad):
-    """One, five, and all of electrode 0: as if there had never been such measurements."""
+    """One, five, or all measurements of electrode 0 are bad: results as without these."""
     objective = frame(TOUCHES[1], 12.0, 12.0, np.random.default_rng(8))
     change = objective.change.copy()
     change[bad] = np.nan
@@ -326,7 +326,7 @@ def test_one_wrong_channel_is_told_and_is_no_touch(count, size):
 
 @pytest.mark.parametrize("size", [0.02, -0.05, 0.3])
 def test_wrong_channel_beside_a_touch_is_never_silent(size):
-    """It is named, or the frame counts as one that nothing explains."""
+    """The fault is named, or the frame's misfit is reported."""
     rng = np.random.default_rng(9)
     for channel in (0, 9, 17):
         objective = frame(TOUCHES[1], 0.0, 0.0, rng)
@@ -338,7 +338,7 @@ def test_wrong_channel_beside_a_touch_is_never_silent(size):
 
 @pytest.mark.parametrize(("count", "share"), [(0, 0.001), (0, 0.01), (1, 0.002)])
 def test_contact_that_changed_is_told_and_is_no_touch(share, count):
-    """A series resistance of some ohm at one electrode: near it, a touch would do nearly that."""
+    """A series resistance of a few ohm at one electrode resembles a touch beside it."""
     rng = np.random.default_rng(11)
     for electrode in (0, 3, 5):
         through = np.array([electrode in row[:2] for row in PROTOCOL.table])
@@ -371,7 +371,7 @@ def test_frame_that_nothing_explains_has_a_misfit_that_tells():
 
 
 def test_any_common_factor_is_survived():
-    """A reference of another day: a few percent on all channels must not end a session."""
+    """A common change of a few percent, as of a reference of another day, is tolerated."""
     for factor in (0.01, 0.1, -0.1, 1.0, -0.7):
         found = explained(changed(frame(TOUCHES[1]), frame(TOUCHES[1]).change + factor))
         assert np.isfinite(found.angle_deg)

@@ -1,4 +1,4 @@
-"""Where touches may be, at first glance: the network, and the places read from its map."""
+"""Proposal network: synthetic frames, training, and positions read from its map."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ MODEL = SyntheticFrames(
 
 @pytest.fixture(scope="module")
 def trained():
-    """A smaller network than is used, for seconds: what it gave, and what it said."""
+    """Smaller network trained for seconds, its learning curve and reported progress."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     said = []
@@ -55,7 +55,7 @@ def test_frames_are_follow_the_touch_prior():
 
 
 def test_made_up_changes_are_those_of_the_response():
-    """Of one touch, on average over specimens and noise, what `TouchResponse` says."""
+    """The mean change over specimens and noise is that of `TouchResponse`."""
     rng = np.random.default_rng(2)
     touches = np.full((2000, MOST_TOUCHES, 3), np.nan)
     touches[:, 0] = [0.05, 0.02, 9.0]
@@ -81,7 +81,7 @@ def test_same_seed_makes_the_same_frames():
 
 @pytest.mark.slow
 def test_touches_are_proposed_near_where_they_are(trained):
-    """Most single touches to within 10 mm, in frames never seen."""
+    """Most single touches of new frames are proposed to within 10 mm."""
     inputs, places = frames(600)
     count = np.isfinite(places[..., 0]).sum(axis=1)
     near, quiet = [], []
@@ -119,7 +119,7 @@ def test_arrays_make_them_again(trained):
 
 
 def picture(*touches):
-    """ProposalNetwork that say one map whatever the inputs are: bumps of these x, y and values."""
+    """Network of constant output: bumps of these x, y and values."""
     columns, rows = np.linspace(0.01, 0.14, 27), np.linspace(0.01, 0.05, 9)
     x, y = np.meshgrid(columns, rows)
     values = np.full(x.shape, 1e-3)

@@ -1,4 +1,4 @@
-"""What flat resistances say of a specimen."""
+"""Specimen features: principal components of flat resistances."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ MIDDLE = np.linspace(300.0, 900.0, 28)
 
 
 def specimens(count, rng, directions=28, spread=0.02):
-    """Flat magnitudes (count, 28) [ohm] that differ in some directions, and by a common factor."""
+    """Flat magnitudes (count, 28) [ohm] that differ along some directions and by a factor."""
     ways = rng.standard_normal((directions, 28)) * spread
     common = rng.uniform(0.5, 2.0, (count, 1))
     return MIDDLE * common * np.exp(rng.standard_normal((count, directions)) @ ways)
@@ -34,7 +34,7 @@ def test_common_factor_does_not_matter(rng):
 
 
 def test_features_are_uncorrelated_and_of_variance_one(rng):
-    """Over the specimens and their mirror images, which they were fitted to."""
+    """Unit variance over the specimens and their mirror images."""
     flat = specimens(60, rng)
     features = SpecimenFeatures.fit(flat, IMAGES)
     said = np.concatenate([features.apply(flat[:, mirror.order]) for mirror in IMAGES])
@@ -44,7 +44,7 @@ def test_features_are_uncorrelated_and_of_variance_one(rng):
 
 
 def test_mirrors_make_specimens(rng):
-    """The middle sensor is its own image, though none of the specimens is."""
+    """The mean is mirror symmetric, though no specimen is."""
     flat = specimens(10, rng)
     features = SpecimenFeatures.fit(flat, IMAGES)
     for mirror in IMAGES:
@@ -54,7 +54,7 @@ def test_mirrors_make_specimens(rng):
 
 
 def test_largest_differences_come_first(rng):
-    """What specimens differ by most is found, though all channels have a little noise."""
+    """The directions of largest variance are found in noisy channels."""
     way = np.zeros(28)
     way[:4] = [0.5, -0.5, 0.5, -0.5]
     strength = rng.standard_normal(40)
@@ -68,7 +68,7 @@ def test_largest_differences_come_first(rng):
 
 
 def test_bad_channel_says_nothing(rng):
-    """One of large resistance left out, the others say what they said: it was as the middle."""
+    """A missing channel at its mean value leaves the features unchanged."""
     flat = specimens(50, rng)
     features = SpecimenFeatures.fit(flat, TRIVIAL)
     ordinary = np.exp(features.middle) * 500.0

@@ -1,4 +1,4 @@
-"""Mirrors of a sensor: which there are, and that the sensor measures the same in them."""
+"""Mirror symmetries: which exist, and that mirrored sensors measure the same."""
 
 from dataclasses import replace
 
@@ -41,7 +41,7 @@ def test_reference_sensor_is_itself_in_four_mirrors(name):
 
 @pytest.mark.parametrize("name", ["pairwise", "opposite"])
 def test_touch_in_the_mirror_measures_what_the_mirror_says(name):
-    """To rounding of the solver: the mesh has the sensor's mirrors."""
+    """Agreement to rounding, because the mesh has the sensor's symmetries."""
     design, protocol = SensorDesign.reference(), getattr(Protocol, name)(8)
     simulator = Simulator(design, "fast", protocol=protocol)
 
@@ -86,7 +86,7 @@ def test_outline_must_be_its_own_image():
 
 
 def test_protocol_must_have_the_images():
-    """Without the last measurement, 6-7, its images 4-3 and 0-7 in the mirrors have no image."""
+    """Without measurement 6-7, its images 4-3 and 0-7 have no image."""
     design = SensorDesign.reference()
     assert flips(design, Protocol(PAIRWISE.table[:-1], 8)) == [NONE]
     ring = Protocol(tuple(row for row in PAIRWISE.table if row[:2] in ((0, 1), (4, 5))), 8)
@@ -94,7 +94,7 @@ def test_protocol_must_have_the_images():
 
 
 def test_polarity_does_not_matter():
-    """Magnitudes are compared: a reversed pair on either side only changes the sign."""
+    """A reversed pair of electrodes changes the sign alone, not the magnitude."""
     table = tuple(
         (b, a, c, d) if i % 3 == 0 else (a, b, c, d)
         for i, (a, b, c, d) in enumerate(Protocol.adjacent(8).table)

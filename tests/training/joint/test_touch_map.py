@@ -1,4 +1,4 @@
-"""Touch maps drawn from touches: discs, blurred by what is not known."""
+"""Touch maps: discs blurred by the standard errors of positions."""
 
 import numpy as np
 import pytest
@@ -29,7 +29,7 @@ def test_sharp_disc_has_its_area_and_place():
 
 
 def test_edge_is_blurred_by_the_standard_error():
-    """Along a row through the centre: a half at the edge, the normal distribution about it."""
+    """Profile through the centre: 0.5 at the edge, the normal distribution about it."""
     map_ = drawn([[0.075, 0.030125]], [0.001])
     x = (np.arange(600) + 0.5) * 0.25e-3
     expected = norm.cdf((RADIUS - np.abs(x - 0.075)) / 0.001)
@@ -40,7 +40,7 @@ def test_edge_is_blurred_by_the_standard_error():
 
 @pytest.mark.parametrize("deviation", [0.0, 4e-4, 0.003, 0.02])
 def test_map_is_that_of_the_plain_formula(deviation):
-    """Pixels far from a touch are left out, which changes nothing; also at the sensor's rim."""
+    """Skipping pixels far from a touch changes nothing, also at the sensor's rim."""
     shape = (32, 80)
     x, y = (np.arange(80) + 0.5) * SIZE[0] / 80, (np.arange(32) + 0.5) * SIZE[1] / 32
     places = [[0.002, 0.058], [0.075, 0.030], [0.090, 0.031]]

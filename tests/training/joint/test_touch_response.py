@@ -1,4 +1,4 @@
-"""What a touch does: derivatives, linearity, copies, and learning it from frames."""
+"""Touch response: derivatives, superposition, copies, and training."""
 
 from dataclasses import replace
 
@@ -47,7 +47,7 @@ def test_derivatives_are_those_of_finite_differences(learned, touches):
 
 
 def plain(learned, p, touches, angle_deg):
-    """The response as its docstring writes it, touch by touch and layer by layer."""
+    """The response by the formula of its docstring, touch by touch and layer by layer."""
     output = learned.output[0] + np.tensordot(p, learned.output[1:], axes=1)
     for touch in touches:
         hidden = learned.ranges.inputs(touch, angle_deg)
@@ -60,7 +60,7 @@ def plain(learned, p, touches, angle_deg):
 
 @pytest.mark.parametrize("layers", [1, 2, 4])
 def test_response_is_that_of_the_plain_formula(learned, touches, layers):
-    """However its scales are folded into its layers, for any number of these."""
+    """Folding of scales into layers changes nothing, for any number of layers."""
     rng = np.random.default_rng(3)
     deep = replace(
         learned,
@@ -107,7 +107,7 @@ def uncertainty(one, touches, angle_deg):
 
 
 def test_uncertainty_is_the_covariance_of_what_is_not_known(learned, touches):
-    """Of the sum of three touches on specimens drawn at random, and of what no q explains."""
+    """Covariance of three touches' sum over random specimens and mismatch."""
     rng = np.random.default_rng(6)
     three, angle = touches[:3], 10.0
     told = replace(learned, mismatch=0.03)
@@ -126,7 +126,7 @@ def test_uncertainty_is_the_covariance_of_what_is_not_known(learned, touches):
 
 
 def test_arrays_make_it_again(learned, touches):
-    """To single precision, in which weights are trained and kept."""
+    """Copies agree to single precision, in which weights are saved."""
     told = replace(learned, mismatch=0.07)
     again = TouchResponse.from_arrays(told.arrays())
     expected = told.of([1.0, 2.0])(touches, -5.0)
@@ -146,7 +146,7 @@ STRENGTHS = np.exp(np.array([0.2, -0.2, 0.1, 0.0, -0.1, 0.15, -0.15, 0.0]))
 
 
 def frames(count, seed):
-    """Of one and two touches, of eight specimens of one feature that differ in strength."""
+    """Frames of one and two touches on eight specimens that differ in strength."""
     rng = np.random.default_rng(seed)
     touches = rng.uniform(TOUCH_PRIOR.low, TOUCH_PRIOR.high, (count, 2, 3))
     touches[rng.uniform(size=count) < 0.5, 1] = np.nan
@@ -163,7 +163,7 @@ def frames(count, seed):
 
 @pytest.fixture(scope="module")
 def trained():
-    """A smaller network than is used: seconds of training, to a tenth of the change."""
+    """Smaller network trained for seconds, accurate to a tenth of the change."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     with pytest.MonkeyPatch.context() as patch:
@@ -176,7 +176,7 @@ def trained():
 
 @pytest.mark.slow
 def test_smooth_response_is_learned_from_few_frames(trained):
-    """At places, forces, angles and features never seen."""
+    """Accuracy at new positions, forces, angles and features."""
     rng = np.random.default_rng(2)
     errors, sizes = [], []
     for touch in rng.uniform(TOUCH_PRIOR.low, TOUCH_PRIOR.high, (200, 3)):
@@ -191,7 +191,7 @@ def test_smooth_response_is_learned_from_few_frames(trained):
 
 @pytest.mark.slow
 def test_strengths_of_specimens_do_not_blur_it(trained):
-    """Had it one response for all specimens, it would end at a loss above 0.02.
+    """A response common to all specimens would end at a loss above 0.02.
 
     Relative to the middle one, each specimen is felt as strongly as it was made to be.
     """
@@ -212,7 +212,7 @@ def test_strengths_of_specimens_do_not_blur_it(trained):
 
 @pytest.mark.parametrize("features", [0, 1])
 def test_network_says_what_it_was_trained_to_say(features):
-    """The response without torch is the network's own, frame by frame; one specimen has none."""
+    """The response without torch equals the network's; one specimen gives no covariance."""
     data = frames(40, 4)
     data = replace(data, features=data.features[:, :features])
     network = ResponseNetwork(data)

@@ -1,4 +1,4 @@
-"""Where fits start, and what may be wrong, against plain loops over all that is possible."""
+"""Initial values and faults against exhaustive search in plain loops."""
 
 from itertools import combinations
 
@@ -25,7 +25,7 @@ BAD = [4, 11]
 
 @pytest.fixture(scope="module")
 def objective():
-    """A frame of two touches that the sensor was bent for, with two bad channels."""
+    """Objective of a frame with two touches, motion and two bad channels."""
     noise = 2.0 * NOISE**2 * np.eye(28) + 1e-8
     change = CURVE.value(14.0) - CURVE.value(10.0) + ONE(TWO, 14.0).sum(axis=0)
     change = change + NOISE * np.random.default_rng(0).standard_normal(28)
@@ -41,7 +41,7 @@ def candidates():
 
 
 def plain_covariance(objective, touches, angle_deg):
-    """Of noise, bend, scan and response, each by its own formula."""
+    """Covariance as the sum of noise, bend, scan and response."""
     late = CURVE.slope(angle_deg) * (np.arange(28) / 28 - 0.5) * (angle_deg - 10.0)
     covariance = objective.noise + CURVE.uncertainty(angle_deg, 10.0) + np.outer(late, late)
     own = ONE.latent_changes(touches, angle_deg)

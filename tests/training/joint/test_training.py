@@ -1,4 +1,4 @@
-"""Learning the joint method from frames of a sensor that is known in closed form."""
+"""Training of the joint method on frames of a sensor in closed form."""
 
 from dataclasses import replace
 
@@ -38,7 +38,7 @@ LAYOUT = InputSpec(SensorDesign.reference(), PROTOCOL, 40e3, FLAT)
 
 
 def dataset(count=900, specimens=24, seed=0):
-    """Idle, touched and bent frames in turn, of specimens that differ in flat values and bends."""
+    """Idle, touched and bent frames of specimens that differ in flat values and bend curves."""
     rng = np.random.default_rng(seed)
     flat = FLAT * np.exp(0.01 * rng.standard_normal((specimens, 28)))
     own = 5e-4 * rng.standard_normal((specimens, 28))
@@ -78,7 +78,7 @@ def dataset(count=900, specimens=24, seed=0):
 
 @pytest.fixture(scope="module")
 def trained():
-    """Networks smaller than are used, trained for seconds."""
+    """Method with smaller networks, trained for seconds."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     said = []

@@ -15,7 +15,7 @@ DATA = Path(os.environ.get("EITSKIN_DATA", Path(__file__).parents[4] / "shared" 
 
 
 def recorded(count=150, seed=0):
-    """Ratios of a toy skin of eight channels, each feeling presses near its own place."""
+    """Ratios of a toy skin of eight channels, each sensitive near its own position."""
     rng = np.random.default_rng(seed)
     places = rng.uniform(-0.05, 0.05, size=(count, 2))
     angles = np.arange(8) * np.pi / 4

@@ -1,4 +1,4 @@
-"""Adapting a pipeline to one sensor: what is asked for, what changes, and the command."""
+"""Calibration of a pipeline to one sensor: inputs, effect, and the command."""
 
 import json
 import re
@@ -133,7 +133,7 @@ def test_the_command_calibrates_from_labelled_frames(saved, sensor, tmp_path):
 
 @pytest.mark.slow
 def test_the_command_asks_for_each_angle_of_a_board(saved, tmp_path):
-    """The virtual board's sensor is flat all the time: asked for, but not bent."""
+    """The virtual board's sensor stays flat at every angle asked for."""
     out = tmp_path / "mine.eitmodel"
     board = "virtual:?speed=max"
     done = run(

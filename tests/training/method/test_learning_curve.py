@@ -1,4 +1,4 @@
-"""Losses of training: what is kept, of frames seen and of frames that are only looked at."""
+"""Learning curves: losses on training frames and on validation frames."""
 
 import numpy as np
 import pytest
@@ -48,7 +48,7 @@ def fit(network, validation=None, rate=0.1, epochs=12):
 
 
 def test_mean_loss_weighs_samples_and_not_pieces():
-    """300 samples come in pieces of 256 and 44; the loss of each is its target squared."""
+    """300 samples in batches of 256 and 44, with the squared target as loss."""
     targets = np.arange(300, dtype=np.float32)[:, None]
     given = samples(np.zeros((300, 3), np.float32), targets)
     found = mean_loss(line(), given, torch.nn.functional.mse_loss)
