@@ -1,4 +1,4 @@
-"""What a deformation makes of a layer's conductivity and of its electrodes' areas."""
+"""Deformed layer: pulled-back conductivity and electrode area ratio."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,13 +15,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class DeformedLayer:
-    """A deformed layer, seen from the flat one.
+    """Deformed layer in flat coordinates.
 
     Attributes:
         design: of the sensor.
-        deformation: of the flat layer; none where it stays flat.
+        deformation: of the flat layer; None where the layer stays flat.
         piezoresistivity: of the gel.
-        mean_stress: [Pa] at flat places, positive in tension; none where omitted.
+        mean_stress: function of flat points, positive in tension [Pa]; zero when omitted.
     """
 
     design: SensorDesign
@@ -30,7 +30,10 @@ class DeformedLayer:
     mean_stress: Callable[[Array], Array] | None = None
 
     def entries(self, x: Array) -> Array:
-        """Entries xx, yy, zz, xy, xz, yz of J F^-1 sigma F^-T [S/m] at places (..., 3) [m]."""
+        """Entries xx, yy, zz, xy, xz, yz of J F^-1 sigma F^-T [S/m], (..., 6).
+
+        At flat points x (..., 3) [m].
+        """
         sigma = self.design.conductivity_at(x)
         if self.deformation is None:
             unit: Array = sigma[..., None] * np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
@@ -43,11 +46,11 @@ class DeformedLayer:
         return found
 
     def conductivity(self, x: Array) -> Array:
-        """The same as tensors, (..., 3, 3)."""
+        """Tensors J F^-1 sigma F^-T [S/m], (..., 3, 3), at flat points (..., 3) [m]."""
         return self.entries(x)[..., [[0, 3, 4], [3, 1, 5], [4, 5, 2]]]
 
     def area_ratio(self, x: Array, normal: Array) -> Array:
-        """Deformed over flat area of surfaces at places with unit normals (..., 3), (...)."""
+        """Deformed over flat area of surfaces at flat points with unit normals (..., 3), (...)."""
         if self.deformation is None:
             return np.ones(x.shape[:-1])
         return area_ratio(self.deformation.gradient(x), normal)

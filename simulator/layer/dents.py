@@ -1,4 +1,4 @@
-"""How presses deform the flat layer: dents of revolution, side by side."""
+"""Deformation of the layer by presses: superposed axisymmetric dents."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from eitskin.simulator.layer.smooth_field import Box, SmoothField
 
 Array = NDArray[np.float64]
 
-_AT_ONCE = 30_000  # distances, so that what is known of them stays in the processor's memory
+_AT_ONCE = 30_000  # distances per chunk, so that all arrays stay in the processor's cache
 _HAIR = 1e-9  # [m]
 # Images farther from the layer than this [m] are interpolated, by polynomials of these numbers in
 # x, y and z. That moves the signal of a press by 1e-3 to 5e-3, up to 2e-2 where it is smallest, as
@@ -23,7 +23,7 @@ _DEGREES = (16, 8, 4)
 
 
 class Dent(Protocol):
-    """A displacement of the layer that is symmetric about an upright axis."""
+    """Axisymmetric displacement of the layer about a vertical axis."""
 
     @property
     def reach(self) -> float:
@@ -44,7 +44,7 @@ class Dent(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacedDent:
-    """A dent at (x, y) of the flat sensor [m], times a sign."""
+    """Dent at (x, y) of the flat sensor [m], times a sign."""
 
     x: float
     y: float
@@ -54,15 +54,15 @@ class PlacedDent:
 
 @dataclass(frozen=True, eq=False)
 class Dents:
-    """The deformation of the flat layer by presses, displacements superposed.
+    """Deformation of the flat layer by presses: superposed displacements.
 
-    Each keeps the volume; several do up to the product of their strains where they overlap. Dents
-    are those of an unbounded layer; what its rim does is up to images beyond it. What images far
-    outside do to the layer is smooth: it is found at a few places and interpolated.
+    Each dent is isochoric; several are up to the product of their strains where they overlap.
+    Dents are those of an unbounded layer; images beyond the rim stand for the free edge (method of
+    images). The displacement by distant images is smooth, and is interpolated from a few points.
 
     Attributes:
-        presses: the dents.
-        box: around all that moves; without it every dent counts as near.
+        presses: the dents and their images.
+        box: around the deformed body; without a box every dent counts as near.
     """
 
     presses: tuple[PlacedDent, ...]
@@ -77,19 +77,19 @@ class Dents:
         return self.mapped(points)[1]
 
     def mapped(self, points: Points) -> tuple[Points, Gradients]:
-        """Both at once, for little more than either costs."""
+        """Positions and deformation gradient in one pass."""
         columns, shape = _columns(points), points.shape[:-1]
         near, far = self._parts
         moved = far(columns) if far else np.zeros((12, columns.shape[1], len(columns)))
         moved[3::4] += 1.0  # the diagonal of F
         _move(near, columns, moved)
         moved = moved.swapaxes(-2, -1)
-        places = points + np.moveaxis(moved[:3].reshape(3, *shape), 0, -1)
-        return places, np.moveaxis(moved[3:].reshape(3, 3, *shape), (0, 1), (-2, -1))
+        positions = points + np.moveaxis(moved[:3].reshape(3, *shape), 0, -1)
+        return positions, np.moveaxis(moved[3:].reshape(3, 3, *shape), (0, 1), (-2, -1))
 
     @cached_property
     def _parts(self) -> tuple[tuple[PlacedDent, ...], SmoothField | None]:
-        """Dents near the layer, and displacement and derivative by those that are far from it."""
+        """Dents near the layer, and the interpolated field of the distant ones."""
         if self.box is None:
             return self.presses, None
         near: list[PlacedDent] = []
@@ -119,7 +119,7 @@ class Dents:
 
 
 def _alike(presses: tuple[PlacedDent, ...]) -> Iterable[list[PlacedDent]]:
-    """Presses by their dent."""
+    """Presses grouped by their dent."""
     alike: dict[int, list[PlacedDent]] = {}
     for press in presses:
         alike.setdefault(id(press.dent), []).append(press)
@@ -138,16 +138,16 @@ def _move(presses: tuple[PlacedDent, ...], columns: Points, moved: Array) -> Non
 def _around(
     same: list[PlacedDent], columns: Points
 ) -> Iterator[tuple[slice, Array, tuple[Array, Array], Array]]:
-    """Parts of the columns, signs (k,) of the dents that move them, and the way there [m].
+    """Chunks of the columns with signs (k,) of their dents, offsets and distances (k, n) [m].
 
-    Along x and y and as distance, (k, n) each; on the axis, a hair's breadth beside it.
+    Offsets from each axis are along x and y; a point on an axis is moved aside by `_HAIR`.
     """
-    places = np.array([(press.x, press.y) for press in same])
+    axes = np.array([(press.x, press.y) for press in same])
     most = max(1, _AT_ONCE // len(same))
     for start in range(0, len(columns), most):
         part = slice(start, start + most)
         signs = np.array([press.sign for press in same])
-        dx, dy = (columns[None, part, 0, axis] - places[:, axis, None] for axis in (0, 1))
+        dx, dy = (columns[None, part, 0, axis] - axes[:, axis, None] for axis in (0, 1))
         r = np.sqrt(dx**2 + dy**2)
         felt = r.min(axis=1) < same[0].dent.reach
         if not felt.all():
@@ -162,7 +162,7 @@ def _around(
 def _add(motion: Array, signs: Array, way: tuple[Array, Array], r: Array, moved: Array) -> None:
     """Add the motion (6, k, h, n) around k dents to displacements and gradients (12, h, n).
 
-    With direction (c, s), F_xx = du/dr c^2 + u/r s^2 and so on: only these depend on the way.
+    With direction (c, s), F_xx = du/dr c^2 + u/r s^2 and so on: only c and s depend on azimuth.
     """
     u, F = moved[:3], moved[3:].reshape(3, 3, *moved.shape[1:])
     one = np.broadcast_to(signs[:, None], r.shape)
@@ -190,9 +190,9 @@ def _totals(factors: tuple[Array, ...], values: Array) -> Array:
 
 
 def _columns(points: Points) -> Points:
-    """Points (n, h, 3), those of a row above each other, so that each distance is needed once.
+    """Points in vertical columns, (n, h, 3), so that each distance is computed once.
 
-    Quadrature points of upright cells come in such columns; others stand by themselves, h = 1.
+    Quadrature points of upright cells come in such columns; all others in columns of one, h = 1.
     """
     flat = points.reshape(-1, 3)
     height = 1

@@ -1,4 +1,4 @@
-"""What the touches of a scene do to the sensor: depth, contact, pressure and the dents."""
+"""Touches of a scene, pressed: their dents and images, depth, contact and pressure."""
 
 import math
 from collections.abc import Iterator
@@ -35,24 +35,24 @@ _BY_NEIGHBOUR = ((0.020, None), (NEIGHBOUR, 0.40), (0.0451, 0.16), (math.inf, 0.
 
 @dataclass(frozen=True, slots=True)
 class PressedTouch:
-    """One touch of a scene, pressed.
+    """Depth, contact, pressure and expected error of one touch of a scene.
 
     Attributes:
-        touch: what was asked for.
-        force: that acts on the indenter now [N]; 0 once it was taken off.
-        depth: of the dent: how far the indenter's lowest point is, or was, below the undeformed
-            top of the stack [m].
-        contact_radius: where contact ends, in the deformed stack [m]; 0 without contact.
+        touch: of the scene.
+        force: on the indenter now [N]; 0 after the release.
+        depth: of the dent: position of the indenter's lowest point, now or before its release,
+            below the undeformed top of the stack [m].
+        contact_radius: of the contact area in the deformed stack [m]; 0 without contact.
         mean_pressure: force over contact area [Pa].
-        peak_pressure: [Pa].
+        peak_pressure: largest contact pressure [Pa].
         thinning: 1 - thickness over undeformed thickness of the gel, on the axis.
         edge_distance: from the axis to the nearest edge of the gel [m].
         neighbour_distance: from the axis to that of the nearest other touch [m].
         signal_error: largest error of the signal, relative, that comparisons with the full model
             found at such distances, for 10 N by the 15 mm cylinder on the reference sensor
-            (docs/deformation.md); None nearer than any of them.
-        caution: why the dent is less exact than one alone in the middle of the sensor; empty where
-            it is not.
+            (docs/deformation.md); None at smaller distances than any comparison.
+        caution: why the dent is less exact than a single one in the middle of the sensor; empty
+            otherwise.
     """
 
     touch: Touch
@@ -69,19 +69,19 @@ class PressedTouch:
 
     @property
     def contact_area(self) -> float:
-        """[m2]."""
+        """Area of the contact [m2]."""
         return math.pi * self.contact_radius**2
 
 
 def dents(
     touches: tuple[Touch, ...], design: SensorDesign, mechanics: Mechanics, model: TouchModel
 ) -> Dents:
-    """The deformation of the gel by touches.
+    """Deformation of the gel by touches.
 
-    Raises ConfigurationError for presses that the model does not reach.
+    Raises ConfigurationError for presses beyond the range of the model.
     """
     if model == "closed form":
-        _refuse_what_is_not_in_the_closed_form(touches)
+        _check_closed_form(touches)
         return Dents(
             tuple(PlacedDent(t.x, t.y, ClosedFormDent.of(t.indenter, t.force)) for t in touches)
         )
@@ -98,7 +98,7 @@ def dents(
 
 
 def _box(design: SensorDesign, margin: float) -> Box | None:
-    """Around the gel and what surrounds it sideways."""
+    """Box around the gel and the encapsulation beside it."""
     outline = design.outline
     if isinstance(outline, Surface):
         return None
@@ -107,11 +107,11 @@ def _box(design: SensorDesign, margin: float) -> Box | None:
 
 
 def images(press: PlacedDent, design: SensorDesign, margin: float) -> Iterator[PlacedDent]:
-    """A press and its images beyond the free edges of the stack, of alternating sign.
+    """Press and its images beyond the free edges of the stack, of alternating sign.
 
-    At a free edge the pressure of the stack vanishes, as it does half-way between a press and its
-    negative mirror image. Outlines other than rectangles have one image, beyond the nearest place
-    of the edge.
+    Method of images: at a free edge the pressure of the stack vanishes, as half-way between a press
+    and its negative mirror image. Outlines other than rectangles have one image, beyond the nearest
+    point of the edge.
     """
     outline, thickness = design.outline, design.encapsulated_thickness
     if isinstance(outline, Surface):
@@ -125,20 +125,20 @@ def images(press: PlacedDent, design: SensorDesign, margin: float) -> Iterator[P
             if outside < press.dent.reach:
                 yield image
     else:
-        place = np.array([press.x, press.y])
-        s, depth = outline.nearest(place)
-        normal = (outline.at(s) - place) / max(float(depth), 1e-12)
+        position = np.array([press.x, press.y])
+        s, depth = outline.nearest(position)
+        normal = (outline.at(s) - position) / max(float(depth), 1e-12)
         distance = float(depth) + margin
-        x, y = place + 2.0 * (distance - mirror_inside(distance, thickness)) * normal
+        x, y = position + 2.0 * (distance - mirror_inside(distance, thickness)) * normal
         yield press
         yield PlacedDent(float(x), float(y), press.dent, -1.0)
 
 
 def mirror_inside(distance: float, thickness: float) -> float:
-    """How far inside a free edge the mirror of a press is [m]; negative where it is outside.
+    """Distance of the mirror plane of a press inside a free edge [m]; negative outside.
 
-    Fitted to the full model (docs/deformation.md): what a press does far away decays slowly and
-    meets an edge further in, what it does close by bulges the edge.
+    Fitted to the full model (docs/deformation.md): the far field of a press decays slowly and
+    meets an edge further in, the near field bulges the edge.
 
     Args:
         distance: of the press from the edge [m].
@@ -149,25 +149,25 @@ def mirror_inside(distance: float, thickness: float) -> float:
 
 
 def _mirrored(
-    place: float, extent: float, margin: float, thickness: float
+    position: float, extent: float, margin: float, thickness: float
 ) -> tuple[tuple[float, float], ...]:
-    """A place between two edges, its images in their mirrors, and theirs, each with its sign."""
-    low = -margin + mirror_inside(place + margin, thickness)
-    high = extent + margin - mirror_inside(extent + margin - place, thickness)
+    """Coordinate between two edges, with its images of first and second order, and signs."""
+    low = -margin + mirror_inside(position + margin, thickness)
+    high = extent + margin - mirror_inside(extent + margin - position, thickness)
     period = 2.0 * (high - low)
     return (
-        (place, 1.0),
-        (2.0 * low - place, -1.0),
-        (2.0 * high - place, -1.0),
-        (place - period, 1.0),
-        (place + period, 1.0),
+        (position, 1.0),
+        (2.0 * low - position, -1.0),
+        (2.0 * high - position, -1.0),
+        (position - period, 1.0),
+        (position + period, 1.0),
     )
 
 
 def pressed_touches(
     touches: tuple[Touch, ...], design: SensorDesign, mechanics: Mechanics
 ) -> tuple[PressedTouch, ...]:
-    """What becomes of each touch, from the tabulated presses."""
+    """Depth, contact and pressure of each touch, from the tabulated presses."""
     return tuple(_pressed(touch, touches, design, mechanics) for touch in touches)
 
 
@@ -200,7 +200,7 @@ def _pressed(
 def _dent(
     touch: Touch, design: SensorDesign, mechanics: Mechanics
 ) -> tuple[TabulatedDent | None, float]:
-    """The dent, if there is any, and the force that acts on the indenter [N]."""
+    """Dent of a touch, None where it has faded, and the force on the indenter [N]."""
     table = press_table(design, mechanics, touch.indenter)
     first = table.at_force(touch.force) if touch.depth is None else table.at_depth(touch.depth)
     if touch.held is None:
@@ -244,7 +244,7 @@ def _caution(edge: float, neighbour: float) -> str:
     return "; ".join(reasons)
 
 
-def _refuse_what_is_not_in_the_closed_form(touches: tuple[Touch, ...]) -> None:
+def _check_closed_form(touches: tuple[Touch, ...]) -> None:
     for touch in touches:
         if touch.depth is not None or touch.held is not None:
             raise ConfigurationError(

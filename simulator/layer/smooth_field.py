@@ -1,4 +1,4 @@
-"""Fields that are smooth all over a box: a few values, and polynomials between them."""
+"""Polynomial interpolation of fields that are smooth on a box."""
 
 import math
 from collections.abc import Callable
@@ -14,13 +14,13 @@ Array = NDArray[np.float64]
 
 
 class Box(NamedTuple):
-    """A box by its lowest and highest corner (x, y, z) [m]."""
+    """Box by its lowest and highest corner (x, y, z) [m]."""
 
     low: tuple[float, float, float]
     high: tuple[float, float, float]
 
     def distance(self, x: float, y: float) -> float:
-        """Of an upright line from the box [m]."""
+        """Distance of the vertical line at (x, y) [m] from the box [m]."""
         gaps = [
             max(low - at, at - high, 0.0)
             for low, at, high in zip(self.low, (x, y), self.high, strict=False)
@@ -28,7 +28,7 @@ class Box(NamedTuple):
         return math.hypot(*gaps)
 
     def scaled(self, points: Array) -> Array:
-        """Points (..., 3) [m] on a scale from -1 to 1 in the box."""
+        """Points (..., 3) [m] in coordinates from -1 to 1 in the box."""
         low, high = np.array(self.low), np.array(self.high)
         scaled: Array = (2.0 * points - low - high) / (high - low)
         return scaled
@@ -36,10 +36,10 @@ class Box(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SmoothField:
-    """A field on a box as one polynomial: of Chebyshev's along x and y, of Legendre's along z.
+    """Field on a box as a product of Chebyshev (x, y) and Legendre (z) polynomials.
 
     Attributes:
-        box: where it is.
+        box: domain of the field.
         degrees: numbers of polynomials along x, y and z.
         coefficients: of k components, (k, z, x * y).
     """
@@ -59,7 +59,7 @@ class SmoothField:
         return cls(box, degrees, upright @ values @ across.T)
 
     def __call__(self, columns: Array) -> Array:
-        """The field at columns of points (n, h, 3) [m], (k, h, n)."""
+        """Values (k, h, n) of the field at columns of points (n, h, 3) [m]."""
         at = self.box.scaled(columns)
         alike = len(at) and bool((at[..., 2] == at[0, :, 2]).all())
         if not alike:
@@ -81,7 +81,7 @@ class SmoothField:
 
 @lru_cache(maxsize=4)
 def _interpolation(degrees: tuple[int, int, int]) -> tuple[Array, Array, Array]:
-    """Nodes (x * y, z, 3) from -1 to 1, and from values there to coefficients across and up."""
+    """Nodes (x * y, z, 3) from -1 to 1, and matrices from values to coefficients."""
     flat = [chebyshev.chebpts1(count) for count in degrees[:2]]
     heights, weights = legendre.leggauss(degrees[2])
     nodes = np.stack(np.meshgrid(*flat, heights, indexing="ij"), axis=-1)

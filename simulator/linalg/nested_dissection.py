@@ -4,6 +4,10 @@ Nested dissection (George 1973) on a grid: a line of nodes across the grid separ
 into two uncoupled halves, and each half is dissected likewise, down to a few cells. Eliminating a
 block leaves a dense Schur complement on its border, which is added to the block around it
 (multifrontal method, Duff and Reid 1983).
+
+SuperLU with the same ordering (permc_spec="NATURAL") takes 2.1 times the time and 2.6 times the
+memory: 30 s and 2.7 GB against 14 s and 1.0 GB for two touches on the reference sensor (165,000
+unknowns, one core), 1.0 s against 0.6 s for one in its middle (18,000), with equal residuals.
 """
 
 from collections.abc import Callable, Sequence
@@ -85,7 +89,7 @@ class Elimination:
     """
 
     def __init__(self, matrix: csc_array, blocks: Sequence[Block]) -> None:
-        """Eliminate (n, n) `matrix` in the order of `blocks`."""
+        """Factorise `matrix` (n, n) in the order of `blocks`."""
         order = np.concatenate([block.own for block in blocks])
         matrix = csc_array(matrix[order][:, order])
         local = np.empty(len(order), dtype=np.int64)
@@ -112,7 +116,7 @@ class Elimination:
         self._order = order
 
     def solve(self, right: Array) -> Array:
-        """The solution (n,) for a right side (n,)."""
+        """Solution (n,) for a right-hand side (n,)."""
         x = right[self._order].copy()
         for f in self._fronts:
             y = solve_triangular(f.lower, x[f.own], lower=True, unit_diagonal=True)

@@ -1,4 +1,4 @@
-"""An indenter pressed into a stack of bonded layers on a rigid base, as bodies of revolution."""
+"""Axisymmetric press: an indenter on a stack of bonded layers on a rigid base."""
 
 import itertools
 import math
@@ -23,30 +23,30 @@ Indices = NDArray[np.int64]
 
 # Pressure over entry into the indenter, relative to shear modulus over radius of contact.
 _CONTACT_STIFFNESS = 5e3
-# Of the depth over the thickness: with larger steps Newton's method looks for contact in vain.
+# First step of the depth over the thickness: Newton's method misses contact with larger steps.
 _FIRST_STEP = 0.008
-# Likewise: a rough indenter holds what it touches only after each step.
+# Longest step, likewise: a rough indenter sticks to newly touched points only after each step.
 _LONGEST_STEP = 0.04
-_ATTRACTORS = 24  # at most, over the band where contact may end
+_ATTRACTORS = 24  # most radii of refinement over the band where contact may end
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Indentation:
-    """The stack under an indenter.
+    """Equilibrium of a stack under an indenter.
 
     Attributes:
-        stack: what is pressed.
+        stack: the layers.
         force: on the indenter [N].
-        depth: of its lowest point under the undeformed top [m].
-        contact_radius: where contact ends, in the deformed body [m].
-        radii: places of the deformed contact face, rising [m].
-        pressure: there [Pa].
-        r: radial places of the displacement nodes, undeformed, (nr,) [m].
-        z: their heights over the base, (nz,) [m].
+        depth: of the indenter's lowest point under the undeformed top [m].
+        contact_radius: of the contact area in the deformed body [m].
+        radii: of points of the deformed contact face, rising [m].
+        pressure: contact pressure at these radii [Pa].
+        r: undeformed radii of the displacement nodes, (nr,) [m].
+        z: undeformed heights of the displacement nodes over the base, (nz,) [m].
         displacement: radial and upward, (nr, nz, 2) [m].
-        mean_stress: of each layer at corners of its cells, r[::2] and z[::2], (layers, nr', nz')
+        mean_stress: of each layer at the corners of cells, r[::2] and z[::2], (layers, nr', nz')
             [Pa]; NaN outside the layer.
-        energies: of changes of shape stored in every layer [J].
+        energies: isochoric strain energy of every layer [J].
         volume_ratios: deformed over undeformed volume of every layer.
     """
 
@@ -64,7 +64,7 @@ class Indentation:
     volume_ratios: tuple[float, ...]
 
     def thinning(self, layer: int) -> float:
-        """1 - thickness over undeformed thickness of a layer, on the axis."""
+        """Thinning of a layer on the axis: 1 - thickness over undeformed thickness."""
         below, above = np.searchsorted(
             self.z, np.array(self.stack.levels[layer : layer + 2]) - 1e-9
         )
@@ -73,13 +73,14 @@ class Indentation:
 
 
 class AxisymmetricPress:
-    """One indenter on one stack; each press starts from where the last one ended.
+    """Indenter on a stack; each press starts from the last equilibrium.
 
     Attributes:
-        stack, indenter: what is pressed by what.
+        stack: the layers.
+        indenter: rigid body that presses.
         solid: the meshed stack.
-        contact: its upper face against the indenter.
-        unknowns: those of the solid, then the depth [m], as the last press left them.
+        contact: of the upper face with the indenter.
+        unknowns: of the solid, then the depth [m], at the last equilibrium.
     """
 
     def __init__(
@@ -90,16 +91,17 @@ class AxisymmetricPress:
         band: tuple[float, float] | None = None,
         reach: float | None = None,
     ) -> None:
-        """Mesh the stack, finely where contact may end.
+        """Mesh the stack, refined where contact may end.
 
         Args:
             stack: the layers.
-            indenter: what presses.
-            finest: cell size there; 1/30 of the largest radius of contact when omitted [m].
+            indenter: rigid body that presses.
+            finest: cell size where contact may end; 1/30 of the largest contact radius when omitted
+                [m].
             band: undeformed radii between which contact may end; from 0.7 of the smallest to the
                 largest that the indenter allows when omitted [m].
-            reach: radius at which the stack ends, on a frictionless wall; eight such radii
-                or thicknesses, whichever is more, when omitted [m].
+            reach: radius of a frictionless wall around the stack; eight largest contact radii or
+                thicknesses, whichever is more, when omitted [m].
         """
         self.stack, self.indenter = stack, indenter
         thickness = stack.levels[-1]
@@ -120,7 +122,7 @@ class AxisymmetricPress:
         )
         r, z = self.solid.nodes.T
         self._lines = tuple(_with_middles(np.unique(mesh.p[k])) for k in range(2))
-        self._places, self._corners = (
+        self._node_numbers, self._corners = (
             tuple(
                 np.searchsorted(0.5 * (line[1:] + line[:-1]), at)
                 for line, at in zip(self._lines, points, strict=True)
@@ -133,7 +135,7 @@ class AxisymmetricPress:
         self.unknowns: Array = np.zeros(self.solid.unknowns + 1)
 
     def to_force(self, force: float) -> Indentation:
-        """Press with a force [N]; raises SolidError, with the fraction reached, where it cannot."""
+        """Equilibrium under a force [N]; raises SolidError with the fraction reached otherwise."""
         _check_positive("force", force, "N")
         if not self.contact.force(self.unknowns):
             self.to_depth(self._touching_depth(force))
@@ -148,7 +150,7 @@ class AxisymmetricPress:
         return self._settle(path)
 
     def to_depth(self, depth: float) -> Indentation:
-        """Press to a depth [m]; raises SolidError, with the fraction reached, where it cannot."""
+        """Equilibrium at a depth [m]; raises SolidError with the fraction reached otherwise."""
         _check_positive("depth", depth, "m")
         start, longest = self.unknowns[-1], _LONGEST_STEP * self.stack.levels[-1]
         steps = np.linspace(start, depth, 1 + max(1, math.ceil(abs(depth - start) / longest)))
@@ -175,7 +177,7 @@ class AxisymmetricPress:
         return self._settle(path, 1.0 if before else min(1.0, first))
 
     def _touching_depth(self, force: float) -> float:
-        """A depth at which somewhat less than `force` acts, as on a half-space."""
+        """Depth at which less than `force` acts, estimated as on a half-space [m]."""
         mu = min(sheet.law.shear_modulus for sheet in self.stack.sheets)
         depth = 0.02 * self.stack.levels[-1]
         r = np.linspace(0.0, self.indenter.rims[1], 1001)
@@ -188,7 +190,7 @@ class AxisymmetricPress:
         return depth
 
     def _settle(self, path: Callable[[float], Load], first_step: float = 1.0) -> Indentation:
-        """Follow the path."""
+        """Equilibrium at the end of a load path."""
         self.unknowns, (_, contact) = follow(
             (self.solid, self.contact), self.unknowns, path, first_step
         )
@@ -200,7 +202,7 @@ class AxisymmetricPress:
         radii, pressure = self.contact.pressure(x)
         r, z = self._lines
         grid = np.empty((len(r), len(z), 2))
-        grid[self._places] = solid.displacement(x)
+        grid[self._node_numbers] = solid.displacement(x)
         layers = range(len(self.stack.sheets))
         corners = np.full((len(layers), len(r), len(z)), np.nan)
         corners[(slice(None), *self._corners)] = [solid.corner_mean_stress(x, k) for k in layers]
@@ -209,7 +211,7 @@ class AxisymmetricPress:
             stack=self.stack,
             force=self.contact.force(x),
             depth=float(x[-1]),
-            contact_radius=_end_of(radii, pressure),
+            contact_radius=_contact_radius(radii, pressure),
             radii=radii,
             pressure=pressure,
             r=r,
@@ -236,8 +238,8 @@ def _with_middles(lines: Array) -> Array:
     return np.sort(np.concatenate([lines, 0.5 * (lines[1:] + lines[:-1])]))
 
 
-def _end_of(radii: Array, pressure: Array) -> float:
-    """Between the last place with pressure and the next."""
+def _contact_radius(radii: Array, pressure: Array) -> float:
+    """Contact radius: between the last point with pressure and the next [m]."""
     last = np.flatnonzero(pressure > 0.0)[-1:]
     return float(radii[last[0] : last[0] + 2].mean()) if len(last) else 0.0
 

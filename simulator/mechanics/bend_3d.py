@@ -1,4 +1,4 @@
-"""The full model of a bend: the encapsulated gel, clamped by two plates that turn, in 3D."""
+"""Full 3D model of a bend: the encapsulated gel clamped by two turning plates."""
 
 import itertools
 import math
@@ -30,16 +30,16 @@ _ROUNDED = 10  # decimals, in m, by which nodes of one plane agree
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BentStack:
-    """An equilibrium of a clamped stack: a Deformation of the gel and what encapsulates it.
+    """Equilibrium of a clamped stack, a Deformation of gel and encapsulation.
 
     Attributes:
         angle_deg: between the plates.
-        displacement: from the middle of the sensor, of the quarter x >= 0, y >= 0 [m].
+        displacement: of the quarter x >= 0, y >= 0 of coordinates from `centre` [m].
         centre: middle of the sensor at mid-layer [m].
-        offset: of the hinge axis below it [m].
+        offset: of the hinge axis below `centre` [m].
         energy: stored in the whole sensor [J].
-        moment: that each plate exerts about the hinge axis [N m]; the slope of the energy along
-            the angle in radians.
+        moment: of each plate about the hinge axis, the derivative of the energy by the angle in
+            radians [N m].
     """
 
     angle_deg: float
@@ -69,7 +69,7 @@ class BentStack:
         return 0.5 * math.radians(self.angle_deg)
 
     def _quarter(self, points: Points) -> tuple[Points, Array, NDArray[np.bool_]]:
-        """Points mirrored to the quarter, their signs, and which of them have been solved for."""
+        """Points mirrored to the quarter, signs of mirroring, and whether in the solved part."""
         x = np.asarray(points, dtype=float) - self.centre
         sides = np.where(x < 0.0, -1.0, 1.0)
         sides[..., 2] = 1.0
@@ -85,19 +85,19 @@ class BentStack:
 
 
 class ClampedStack:
-    """A flat sensor between the plates of a hinge, meshed once; `bent` turns the plates.
+    """Flat sensor between the plates of a hinge, meshed once for all angles.
 
     The plates hold the top and bottom faces of the encapsulation wherever |x| >= span / 2 from the
-    middle, without slip, over the full width; they turn by +-theta/2 about the hinge axis. All
-    else is free: top and bottom between the plates, and the sides everywhere. Symmetry about the
-    middles of length and width leaves a quarter to solve.
+    middle, without slip, over the full width, and turn by +-theta/2 about the hinge axis. All
+    other faces are free: top and bottom between the plates, and the sides everywhere. Symmetry
+    about the middles of length and width leaves a quarter to solve.
 
-    Between the plates little moves, but far: the pressure of an incompressible layer whose faces
-    are held obeys Laplace's equation, so what the bend squeezes in decays along x by a factor e
-    only over width / pi.
+    The displacement within the clamps is small but reaches far: the pressure of an incompressible
+    layer with held faces obeys Laplace's equation, so the material that the bend squeezes in decays
+    along x by a factor e only over width / pi.
 
     Attributes:
-        solid: the quarter, from the middle of the sensor at mid-layer [m].
+        solid: the meshed quarter, in coordinates from the middle of the sensor at mid-layer [m].
     """
 
     def __init__(
@@ -108,17 +108,17 @@ class ClampedStack:
         grading: Grading | None = None,
         inside: float | None = None,
     ) -> None:
-        """Mesh a quarter by boxes.
+        """Mesh a quarter of the sensor by boxes.
 
         Args:
             design: the sensor, of rectangular outline.
-            hinge: span and offset count, not the profile of its kinematic model.
+            hinge: only span and offset are used, not the profile of its kinematic model.
             mechanics: materials.
             grading: finest at the edges of the plates and at the long sides of the gel, `layers`
                 cells in each of encapsulation, gel and encapsulation; by the thickness of the
                 sensor when omitted.
-            inside: length solved within each clamp, beyond which all turns with the plate [m]; all
-                of it when omitted.
+            inside: length solved within each clamp, beyond which the sensor turns rigidly with the
+                plate [m]; the whole clamp when omitted.
         """
         hinge, self._mechanics = hinge or Hinge(), mechanics or Mechanics()
         outline, margin = design.outline, self._mechanics.margin
@@ -150,16 +150,15 @@ class ClampedStack:
         self._held, self._fixed = self._supports()
 
     def equilibria(self, angles_deg: Sequence[float]) -> Iterator[BentStack]:
-        """The equilibria at these angles, each followed from the one before, the first from flat.
+        """Equilibria at angles [deg], by load stepping from the one before, the first from flat.
 
-        Raises SolidError where there is none, or none that is stable; it says which angle was
-        reached.
+        Raises SolidError, naming the angle reached, where no stable equilibrium is found.
         """
         flat = np.zeros(self.solid.unknowns)
         x = flat
         for before, angle in itertools.pairwise([0.0, *angles_deg]):
             if angle == 0.0:
-                x = flat  # without any strain no correction is small against the others
+                x = flat  # without strain, Newton's relative tolerance has no scale
             elif angle != before:
                 x = self._followed(x, before, angle)
             yield self._result(angle, x)
@@ -182,7 +181,7 @@ class ClampedStack:
         return Solid(mesh, laws, gel.astype(np.int64), "solid", self._mechanics.bulk_ratio)
 
     def _supports(self) -> tuple[Indices, Indices]:
-        """Nodes that move with the plate, and all prescribed unknowns."""
+        """Nodes that move with the plate, and numbers of all prescribed unknowns."""
         X = self.solid.nodes
         along, _, up = self._lines
         plate = (np.abs(X[:, 2]) > up[-1] - _SAME) & (X[:, 0] > self._clamp - _SAME)
@@ -194,7 +193,7 @@ class ClampedStack:
         return held, np.unique(np.concatenate([moved, *mirrored]))
 
     def _between(self, before: float, after: float, t: float) -> Load:
-        """What the plates prescribe at part t of the way between two angles [deg]."""
+        """Prescribed displacements at the fraction t between two angles [deg]."""
         solid, held, angle_deg = self.solid, self._held, before + t * (after - before)
         X = solid.nodes[held]
         u = np.zeros_like(solid.nodes)
@@ -211,12 +210,12 @@ class ClampedStack:
         shape = tuple(2 * len(line) - 1 for line in self._lines)
         values = QuadraticField(self._lines, u[order].reshape(*shape, 3))
         energy = 4.0 * solid.energy(x)
-        # A plate holds two quarters.
+        # Each plate holds two quarters.
         return BentStack(angle_deg, values, self._centre, self._offset, energy, 2.0 * moment)
 
 
 def default_grading(thickness: float) -> Grading:
-    """Cells fit for a stack of this thickness [m]."""
+    """Default grading for a stack of this thickness [m]."""
     return Grading(finest=thickness / 5.0, coarsest=0.75 * thickness, growth=0.4)
 
 
@@ -227,13 +226,13 @@ def _heights(gel: float, stack: float, layers: int) -> Array:
 
 
 def _rotation(angle: float) -> Array:
-    """The turn of the plate at x > 0, downwards for positive angles."""
+    """Rotation of the plate at x > 0 by an angle [rad], downwards for positive angles."""
     cos, sin = math.cos(angle), math.sin(angle)
     return np.array([[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]])
 
 
 def _turned(points: Array, angle: float, offset: float) -> Array:
-    """Points turned about the hinge axis."""
+    """Points rotated about the hinge axis by an angle [rad]."""
     axis = np.array([0.0, 0.0, -offset])
     turned: Array = (points - axis) @ _rotation(angle).T + axis
     return turned

@@ -1,4 +1,4 @@
-"""Clamped stacks solved at some angles once, and bent to any angle between them at no cost."""
+"""Table of bends: equilibria of a clamped stack, interpolated over the angle."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -16,7 +16,7 @@ ANGLES_DEG = (-20.0, -10.0, 0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 75.0, 90.0)
 
 @dataclass(frozen=True, eq=False)
 class BendTable:
-    """Bends whose displacement is a cubic spline over the angle.
+    """Bends of one stack, with displacement as a cubic spline over the angle.
 
     Attributes:
         solved: equilibria of one stack, by rising angle.
@@ -28,7 +28,7 @@ class BendTable:
     def of(cls, stack: ClampedStack, angles_deg: Sequence[float] = ANGLES_DEG) -> "BendTable":
         """Solve at all angles, from flat upwards and from flat downwards.
 
-        Raises SolidError where one of them cannot be reached.
+        Raises SolidError where an angle cannot be reached.
         """
         angles = np.unique(np.asarray(angles_deg, dtype=float))
         if len(angles) < 4 or not angles[0] <= 0.0 <= angles[-1]:
@@ -40,7 +40,7 @@ class BendTable:
         return cls((*downwards[::-1], *upwards))
 
     def at(self, angle_deg: float) -> BentStack:
-        """The stack bent by any angle within the table [deg]."""
+        """Stack bent by an angle within the table [deg]."""
         first, last = self.solved[0], self.solved[-1]
         if not first.angle_deg <= angle_deg <= last.angle_deg:
             raise ConfigurationError(
@@ -64,7 +64,7 @@ class BendTable:
 
     @cached_property
     def _energies(self) -> CubicHermiteSpline:
-        """Energy over degrees; its slopes are the moments."""
+        """Spline of the energy [J] over the angle [deg]; its slopes are the moments."""
         return CubicHermiteSpline(
             [bent.angle_deg for bent in self.solved],
             [bent.energy for bent in self.solved],

@@ -1,4 +1,4 @@
-"""The dent of a press in closed form, for scenes that want no solid mechanics."""
+"""Dent of a press in closed form, without solid mechanics."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -19,17 +19,17 @@ _REACH = 6.0  # in units of the kernel's width b; beyond it the thickness is unc
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClosedFormDent:
-    """Axisymmetric, isochoric deformation of a layer whose thickness changes by w(r).
+    """Axisymmetric, isochoric dent whose relative change of thickness is w(r).
 
         w = h/h0 - 1 = -A (1 - r^2/b^2) exp(-r^2/b^2)
 
-    Every height z moves by w z, and the radial displacement u keeps all volumes:
+    Every height z moves by w z, and the radial displacement u preserves volume:
     (r + u)^2 = r^2 + 2 int_0^r s (1/(1 + w) - 1) ds.
 
     Attributes:
         amplitude: A, thinning on the axis [-].
         width: b [m].
-        swept: the integral [m2] over r.
+        swept: the integral as a function of r [m2].
     """
 
     amplitude: float
@@ -38,9 +38,9 @@ class ClosedFormDent:
 
     @classmethod
     def of(cls, indenter: Indenter, force: float) -> "ClosedFormDent":
-        """The dent of a press with `force` [N].
+        """Dent of a press with `force` [N].
 
-        Raises ConfigurationError for what the formula was not fitted to.
+        Raises ConfigurationError for indenters and forces outside the fit.
         """
         if not (isinstance(indenter, Cylinder) and abs(indenter.radius - _FITTED_RADIUS) < 1e-9):
             raise ConfigurationError(
@@ -57,7 +57,7 @@ class ClosedFormDent:
     @classmethod
     @lru_cache(maxsize=4096)
     def _of_force(cls, force: float) -> "ClosedFormDent":
-        """The reference stack under the 15 mm cylinder.
+        """Dent of the reference stack under the 15 mm cylinder.
 
         A = 0.036 F + 0.0012 F^2 and b = 12.8 mm - 0.16 mm F (F in N) pass through the fits at
         5 N (0.21, 12.0 mm) and 10 N (0.48, 11.2 mm), and through no dent at no force.
@@ -88,14 +88,14 @@ class ClosedFormDent:
         return np.stack([each[..., None] * at for each, at in (*parts, (slope, rising))], axis=-2)
 
     def mean_stress(self, r: Array, z: Array) -> Array:  # noqa: ARG002
-        """Not known: raises ConfigurationError."""
+        """Raises ConfigurationError: the closed form has no stress."""
         raise ConfigurationError(
             "the closed form of a press knows no stress; a conductivity that depends on pressure "
             "needs the touch model 'tabulated'"
         )
 
     def _thinned(self, r: Array) -> tuple[Array, Array, Array]:
-        """u / r, w and dw/dr at distance r [m]; the first tends to its limit on the axis."""
+        """Hoop strain u / r, w and dw/dr at distance r [m], with the limit of u / r on the axis."""
         w, slope = _thickness_change(r, self.amplitude, self.width)
         swept = self.swept(np.minimum(r, _REACH * self.width))
         square = np.maximum(r, 1e-6 * self.width) ** 2
@@ -105,7 +105,7 @@ class ClosedFormDent:
 
 
 def _thickness_change(r: Array, amplitude: float, width: float) -> tuple[Array, Array]:
-    """The change w(r) and its derivative dw/dr."""
+    """Relative change of thickness w(r) and its derivative dw/dr [1/m]."""
     t = (r / width) ** 2
     bell = np.where(t < _REACH**2, amplitude * np.exp(-t), 0.0)
     return -(1.0 - t) * bell, 2.0 * r / width**2 * (2.0 - t) * bell

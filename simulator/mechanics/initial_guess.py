@@ -1,4 +1,4 @@
-"""A touch as if it were alone on an unbounded stack, to start from in 3D."""
+"""Initial guess for 3D presses: an axisymmetric press on an unbounded stack."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -20,11 +20,11 @@ _AXIS = 1e-9  # [m]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UnboundedPress:
-    """An axisymmetric press, put where a touch is.
+    """Axisymmetric press on an unbounded stack, at the position of a touch.
 
     Attributes:
-        touch: the place.
-        press: what is put there.
+        touch: gives the position of the axis.
+        press: the axisymmetric solution.
     """
 
     touch: Touch
@@ -32,32 +32,32 @@ class UnboundedPress:
 
     @classmethod
     def on(cls, stack: Stack, touch: Touch, force: float) -> "UnboundedPress":
-        """Press with a force [N]; raises SolidError where the stack cannot carry it."""
-        return cls(touch, _pressed(stack, touch.indenter, force))
+        """Press at `touch` with a force [N]; raises SolidError where the stack cannot carry it."""
+        return cls(touch, _solved(stack, touch.indenter, force))
 
-    def displacement(self, places: Array) -> Array:
-        """Displacements (n, 3) of places (n, 3) over the base [m]."""
-        across, r = self._across(places)
-        u = self._interpolated(1, self.press.displacement, r, places[:, 2])
+    def displacement(self, points: Array) -> Array:
+        """Displacements (n, 3) of points (n, 3) over the base [m]."""
+        across, r = self._across(points)
+        u = self._interpolated(1, self.press.displacement, r, points[:, 2])
         radial = u[:, :1] * across / np.maximum(r, _AXIS)[:, None]
         return np.concatenate([radial, u[:, 1:]], axis=1)
 
-    def mean_stress(self, places: Array, layer: int) -> Array:
-        """Mean stress (n,) [Pa] of a layer at places (n, 3) over the base [m]."""
+    def mean_stress(self, points: Array, layer: int) -> Array:
+        """Mean stress (n,) [Pa] of a layer at points (n, 3) over the base [m]."""
         values = self.press.mean_stress[layer]
         inside = np.flatnonzero(np.isfinite(values[0]))
         part = slice(inside[0], inside[-1] + 1)
-        heights = np.clip(places[:, 2], *self.press.z[::2][inside[[0, -1]]])
-        return self._interpolated(2, values[:, part], self._across(places)[1], heights, part)
+        heights = np.clip(points[:, 2], *self.press.z[::2][inside[[0, -1]]])
+        return self._interpolated(2, values[:, part], self._across(points)[1], heights, part)
 
-    def _across(self, places: Array) -> tuple[Array, Array]:
-        across = places[:, :2] - np.array([self.touch.x, self.touch.y])
+    def _across(self, points: Array) -> tuple[Array, Array]:
+        across = points[:, :2] - np.array([self.touch.x, self.touch.y])
         return across, np.linalg.norm(across, axis=1)
 
     def _interpolated(
         self, every: int, values: Array, r: Array, z: Array, part: slice = slice(None)
     ) -> Array:
-        """Values at every so many of the radii and heights, taken as zero farther out."""
+        """Values given on every `every`-th radius and height, interpolated; zero farther out."""
         lines = (self.press.r[::every], self.press.z[::every][part])
         field = RegularGridInterpolator(lines, values, bounds_error=False, fill_value=None)
         found: Array = field(np.stack([r, z], axis=1))
@@ -66,5 +66,5 @@ class UnboundedPress:
 
 
 @lru_cache(maxsize=32)
-def _pressed(stack: Stack, indenter: Indenter, force: float) -> Indentation:
+def _solved(stack: Stack, indenter: Indenter, force: float) -> Indentation:
     return AxisymmetricPress(stack, indenter, finest=indenter.rims[1] / _CELLS).to_force(force)

@@ -1,4 +1,4 @@
-"""What the sensor is made of, mechanically, and its layers as an indenter meets them."""
+"""Mechanical properties of the sensor, and its stack of bonded layers."""
 
 import math
 from dataclasses import dataclass, field
@@ -16,7 +16,9 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Piezoresistivity:
-    """Conductivity sigma_0 (1 + k_v (J - 1) + k_p p); none for an ideal ionic conductor.
+    """Piezoresistivity: conductivity sigma_0 (1 + k_v (J - 1) + k_p p).
+
+    Both coefficients are zero for an ideal ionic conductor.
 
     Attributes:
         volume: k_v, per change of volume J - 1.
@@ -34,9 +36,9 @@ class Piezoresistivity:
             )
 
     def factor(self, J: Array, mean_stress: Array | float) -> Array:
-        """Conductivity over that at rest, (...).
+        """Conductivity relative to the conductivity at rest, (...).
 
-        Raises ConfigurationError where that is not positive.
+        Raises ConfigurationError where the factor is not positive.
         """
         factor = 1.0 + self.volume * (J - 1.0) - self.pressure * mean_stress
         if not np.all(factor > 0.0):
@@ -49,18 +51,18 @@ class Piezoresistivity:
 
 @dataclass(frozen=True, slots=True)
 class Mechanics:
-    """Gel in encapsulation, bonded.
+    """Mechanical properties of a gel bonded into an encapsulation.
 
     Attributes:
-        gel: law of the conductive layer; E = 60 kPa.
-        encapsulation: law of what surrounds it; Ecoflex 00-30.
+        gel: hyperelastic law of the conductive layer; E = 60 kPa.
+        encapsulation: hyperelastic law of the encapsulation; Ecoflex 00-30.
         margin: width of the encapsulation beyond the gel on all four sides [m].
-        bulk_ratio: kappa / mu of both.
-        gel_relaxation, encapsulation_relaxation: how they relax when held.
-        piezoresistivity: how the gel's conductivity changes beyond its geometry.
-        solved_thickness: of the gel, for which presses are solved, and for some steps above and
-            below it; those on the design's thickness are interpolated [m]. Sensors that differ
-            little share what is solved. Solved for the design's own thickness when omitted.
+        bulk_ratio: kappa / mu of both materials.
+        gel_relaxation, encapsulation_relaxation: Prony series of the two materials.
+        piezoresistivity: change of the gel's conductivity with volume and pressure.
+        solved_thickness: thickness of the gel for which presses are solved, with some steps above
+            and below; presses on the design's thickness are interpolated [m]. Sensors of similar
+            thickness thus share solutions. The design's own thickness when omitted.
     """
 
     gel: NeoHookean | Ogden = field(default_factory=lambda: NeoHookean(20e3))
@@ -73,7 +75,7 @@ class Mechanics:
     solved_thickness: float | None = None
 
     def __post_init__(self) -> None:
-        """Check the lengths; laws and solid check the rest."""
+        """Check the lengths; laws and solid check the other values."""
         if not (math.isfinite(self.margin) and self.margin >= 0.0):
             raise ConfigurationError(f"margin must be a length in m, got {self.margin}")
         solved = self.solved_thickness
@@ -81,7 +83,7 @@ class Mechanics:
             raise ConfigurationError(f"solved_thickness must be a positive length, got {solved}")
 
     def stack(self, design: SensorDesign) -> "Stack":
-        """The layers of a sensor from below: encapsulation, gel, encapsulation."""
+        """Layers of a sensor from below: encapsulation, gel, encapsulation."""
         around = 0.5 * (design.encapsulated_thickness - design.thickness)
         sheets = [Sheet(design.thickness, self.gel)]
         if around > 0.0:
@@ -92,7 +94,7 @@ class Mechanics:
 
 @dataclass(frozen=True, slots=True)
 class Sheet:
-    """One layer of a stack: its thickness [m] and what it is made of."""
+    """One layer of a stack: thickness [m] and hyperelastic law."""
 
     thickness: float
     law: NeoHookean | Ogden
@@ -110,7 +112,7 @@ class Stack:
 
     Attributes:
         sheets: the layers.
-        bulk_ratio: kappa / mu of all of them.
+        bulk_ratio: kappa / mu of all layers.
     """
 
     sheets: tuple[Sheet, ...]

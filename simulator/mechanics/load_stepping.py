@@ -1,4 +1,4 @@
-"""Equilibrium of a solid under loads: Newton's method, and loads applied in steps."""
+"""Equilibrium under loads: Newton's method with line search, and load stepping."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -16,32 +16,30 @@ Indices = NDArray[np.int64]
 
 _ITERATIONS = 20
 _FULL_STEPS = 6
-_TOLERANCE = (
-    1e-7  # last correction against the largest unknown, now or before; what is left is its square
-)
+_TOLERANCE = 1e-7  # last correction over the largest unknown; the error is its square
 _HALVINGS = 6  # of a correction that would turn a cell inside out
 _SMALLEST_STEP = 1.0 / 200.0
 
 
 class SolidError(ConfigurationError):
-    """A load under which a solid has no stable equilibrium that was found.
+    """No stable equilibrium was found under a load.
 
     Attributes:
-        reached: the fraction of the load that was carried.
+        reached: fraction of the load that was carried.
     """
 
     def __init__(self, message: str, reached: float = 0.0) -> None:
-        """Say what was asked, what was reached and what to change."""
+        """Store the message (load asked for, load carried, remedy) and the fraction reached."""
         super().__init__(message)
         self.reached = reached
 
 
 class ForceTerm(Protocol):
-    """Something that exerts forces on the unknowns: a solid, a contact."""
+    """Term of the equilibrium that exerts forces on the unknowns: a solid, a contact."""
 
     @property
     def multipliers(self) -> int:
-        """How many unknowns are multipliers of constraints, such as pressures."""
+        """Number of unknowns that are Lagrange multipliers, such as pressures."""
         ...
 
     def forces(self, x: Array) -> Array:
@@ -53,21 +51,21 @@ class ForceTerm(Protocol):
         ...
 
     def admissible(self, x: Array) -> bool:
-        """Whether x is possible at all."""
+        """Whether the unknowns x are possible, without inverted cells."""
         ...
 
     def advanced(self, x: Array) -> Self:
-        """The part as it is once x has been reached, where its forces depend on the past."""
+        """The term after x has been reached, where its forces depend on the history."""
         ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Load:
-    """What acts on the unknowns.
+    """Prescribed unknowns and dead forces.
 
     Attributes:
-        fixed: unknowns that are prescribed.
-        values: their values, (len(fixed),).
+        fixed: numbers of the prescribed unknowns.
+        values: of the prescribed unknowns, (len(fixed),).
         forces: dead forces on all unknowns, (n,).
     """
 
@@ -77,26 +75,25 @@ class Load:
 
 
 class Factorised(Protocol):
-    """A symmetric matrix that can be solved with."""
+    """Factorised symmetric matrix."""
 
     @property
     def negative(self) -> int:
-        """Number of its negative eigenvalues."""
+        """Number of negative eigenvalues of the matrix."""
         ...
 
     def solve(self, right: Array) -> Array:
-        """The solution (n,) for a right side (n,)."""
+        """Solution (n,) for a right-hand side (n,)."""
         ...
 
 
 class SparseLU:
-    """A symmetric matrix (n, n) factorised by SuperLU."""
+    """Symmetric matrix (n, n) factorised by SuperLU."""
 
     def __init__(self, matrix: csc_array) -> None:
-        """Pivots stay on the diagonal, where their signs count.
+        """Factorise with diagonal pivots, whose signs give the inertia.
 
-        What that costs in accuracy the next iteration of Newton's method mends, since it starts
-        from the true forces.
+        The next Newton iteration, which starts from the true forces, corrects the loss of accuracy.
         """
         self._lu = splu(
             matrix,
@@ -107,11 +104,11 @@ class SparseLU:
 
     @property
     def negative(self) -> int:
-        """Number of its negative eigenvalues."""
+        """Number of negative eigenvalues of the matrix."""
         return int(np.count_nonzero(self._lu.U.diagonal() < 0.0))
 
     def solve(self, right: Array) -> Array:
-        """The solution (n,) for a right side (n,)."""
+        """Solution (n,) for a right-hand side (n,)."""
         return np.asarray(self._lu.solve(right))
 
 
@@ -121,18 +118,19 @@ Factorise = Callable[[csc_array], Factorised]
 def newton(
     terms: Sequence[ForceTerm], x: Array, load: Load, factorise: Factorise = SparseLU
 ) -> Array:
-    """The stable equilibrium near x; `factorise` takes the stiffness of the free unknowns, rising.
+    """Stable equilibrium near x (n,) under a load, by Newton's method.
 
-    Corrections that would invert a cell, or leave larger forces unbalanced, are halved. Raises
-    SolidError where no equilibrium is found; `follow` takes smaller steps then.
+    Corrections that would invert a cell, or increase the residual, are halved. `factorise` takes
+    the stiffness of the free unknowns in rising order. Raises SolidError where no stable
+    equilibrium is found; `follow` then takes smaller steps.
     """
     free = np.setdiff1d(np.arange(len(x)), load.fixed)
-    start = np.abs(x).max()  # where all loads are taken off, x itself goes to zero
+    start = np.abs(x).max()  # where all loads are removed, x itself goes to zero
     constraints = sum(term.multipliers for term in terms)
     for iteration in range(_ITERATIONS):
-        step, factorised, unbalanced = _correction(terms, x, load, free, factorise)
-        # At first full steps find out quickly what touches; later ones must not go in circles.
-        limit = np.inf if iteration < _FULL_STEPS else unbalanced
+        step, factorised, residual_norm = _correction(terms, x, load, free, factorise)
+        # Full steps find the contact area quickly at first; later steps must not cycle.
+        limit = np.inf if iteration < _FULL_STEPS else residual_norm
         x = _corrected(terms, x, step, load.forces, free, limit)
         if np.abs(step).max() <= _TOLERANCE * max(start, np.abs(x).max()):
             # The potential has a minimum over displacements, given the constraints, where there
@@ -143,10 +141,10 @@ def newton(
     raise SolidError(f"Newton's method does not converge in {_ITERATIONS} iterations")
 
 
-def _reached(
+def _solved_step(
     terms: Sequence[ForceTerm], x: Array, load: Load
 ) -> tuple[Array, tuple[ForceTerm, ...]]:
-    """The equilibrium near x, also of the terms as they are then."""
+    """Equilibrium near x, and the terms advanced to it."""
     x = newton(terms, x, load)
     advanced = tuple(term.advanced(x) for term in terms)
     before, after = (sum(term.forces(x) for term in each) for each in (terms, advanced))
@@ -158,7 +156,7 @@ def _reached(
 def _correction(
     terms: Sequence[ForceTerm], x: Array, load: Load, free: Indices, factorise: Factorise
 ) -> tuple[Array, Factorised, float]:
-    """The Newton step, the stiffness that gave it, and the unbalanced force."""
+    """Newton step, factorised stiffness, and norm of the residual."""
     linearised = [term.linearise(x) for term in terms]
     residual = sum((forces for forces, _ in linearised), start=-load.forces)
     K = sum((stiffness for _, stiffness in linearised[1:]), start=linearised[0][1])
@@ -177,17 +175,17 @@ def _correction(
 def _corrected(
     terms: Sequence[ForceTerm], x: Array, step: Array, loads: Array, free: Indices, limit: float
 ) -> Array:
-    """x after as much of the step as leaves less force unbalanced than `limit`, or least of it."""
+    """Line search by halving: x of the first residual below `limit`, or of the least."""
     best, least = x, np.inf
     for halving in range(_HALVINGS + 1):
         trial = x + 0.5**halving * step
         if not all(term.admissible(trial) for term in terms):
             continue
         residual = sum((term.forces(trial) for term in terms), start=-loads)
-        unbalanced = float(np.linalg.norm(residual[free]))
-        if unbalanced < least:
-            best, least = trial, unbalanced
-        if unbalanced < limit:
+        residual_norm = float(np.linalg.norm(residual[free]))
+        if residual_norm < least:
+            best, least = trial, residual_norm
+        if residual_norm < limit:
             break
     if least == np.inf:
         raise SolidError("cells are turned inside out")
@@ -200,9 +198,9 @@ def follow(
     path: Callable[[float], Load],
     first_step: float = 1.0,
 ) -> tuple[Array, tuple[ForceTerm, ...]]:
-    """The equilibrium under path(1), from x under path(0), in as few steps as will do.
+    """Load stepping: equilibrium under path(1) from x under path(0), with adaptive steps.
 
-    Returns it with the terms as they are then.
+    Returns the unknowns (n,) and the advanced terms.
 
     Raises SolidError, with the fraction reached, where even small steps find no equilibrium.
     """
@@ -215,7 +213,7 @@ def follow(
         if not all(term.admissible(guess) for term in terms):
             guess = x
         try:
-            reached, advanced = _reached(terms, guess, path(target))
+            reached, advanced = _solved_step(terms, guess, path(target))
         except SolidError as error:
             step, growth = 0.5 * (target - t), 1.0
             if step < _SMALLEST_STEP:

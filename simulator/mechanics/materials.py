@@ -1,8 +1,8 @@
-"""Hyperelastic laws: stress and tangent of the part of the energy that changes of shape store.
+"""Hyperelastic laws: isochoric energy, first Piola-Kirchhoff stress and tangent.
 
 Deformation gradients F and first Piola-Kirchhoff stresses P = dW/dF are (..., 3, 3), tangents
 dP/dF (..., 9, 9) between their entries by rows, or between some of these only. Volume changes are
-left to a pressure (`solid.py`), so every energy here depends on J^(-1/3) F alone.
+left to a pressure (`mixed_solid`), so every energy here depends on J^(-1/3) F alone.
 """
 
 import math
@@ -22,11 +22,11 @@ _OTHERS = ((1, 2), (2, 0), (0, 1))
 
 
 class Law(Protocol):
-    """An isotropic hyperelastic law."""
+    """Isotropic hyperelastic law."""
 
     @property
     def shear_modulus(self) -> float:
-        """mu of the undeformed material [Pa]."""
+        """Shear modulus mu of the undeformed material [Pa]."""
         ...
 
     def energy(self, F: Array) -> Array:
@@ -34,17 +34,17 @@ class Law(Protocol):
         ...
 
     def stress(self, F: Array) -> Array:
-        """P = dW/dF [Pa], (..., 3, 3)."""
+        """First Piola-Kirchhoff stress P = dW/dF [Pa], (..., 3, 3)."""
         ...
 
     def tangent(self, F: Array, entries: Sequence[int] = ENTRIES) -> Array:
-        """dP/dF [Pa] between these entries, (..., entries, entries)."""
+        """Tangent dP/dF [Pa] between the given entries, (..., entries, entries)."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class NeoHookean:
-    """W = mu/2 (J^(-2/3) tr C - 3) with C = F^T F.
+    """Neo-Hookean law W = mu/2 (J^(-2/3) tr C - 3) with C = F^T F.
 
     Attributes:
         shear_modulus: mu [Pa].
@@ -60,18 +60,20 @@ class NeoHookean:
         return _energy(self.shear_modulus, 2.0, F, _trace(F))
 
     def stress(self, F: Array) -> Array:
-        """P = dW/dF [Pa], (..., 3, 3)."""
+        """First Piola-Kirchhoff stress P = dW/dF [Pa], (..., 3, 3)."""
         return _stress(self.shear_modulus, 2.0, F, _trace(F), F)
 
     def tangent(self, F: Array, entries: Sequence[int] = ENTRIES) -> Array:
-        """dP/dF [Pa] between these entries, (..., entries, entries)."""
+        """Tangent dP/dF [Pa] between the given entries, (..., entries, entries)."""
         identity = np.eye(len(entries))
         return _tangent(self.shear_modulus, 2.0, F, _trace(F), F, identity, entries)
 
 
 @dataclass(frozen=True, slots=True)
 class Ogden:
-    """W = 2 mu/alpha^2 (sum_i lambda_i^alpha - 3), lambda_i the stretches of J^(-1/3) F.
+    """One-term Ogden law W = 2 mu/alpha^2 (sum_i lambda_i^alpha - 3).
+
+    The lambda_i are the principal stretches of J^(-1/3) F.
 
     Attributes:
         shear_modulus: mu of the undeformed material [Pa]. A coefficient mu_1 of W = mu_1/alpha
@@ -97,13 +99,13 @@ class Ogden:
         return _energy(self.shear_modulus, self.alpha, F, power)
 
     def stress(self, F: Array) -> Array:
-        """P = dW/dF [Pa], (..., 3, 3)."""
+        """First Piola-Kirchhoff stress P = dW/dF [Pa], (..., 3, 3)."""
         squares, axes = _principal(F)
         power = np.asarray((squares ** (self.alpha / 2)).sum(axis=-1))
         return _stress(self.shear_modulus, self.alpha, F, power, self._slope(F, squares, axes))
 
     def tangent(self, F: Array, entries: Sequence[int] = ENTRIES) -> Array:
-        """dP/dF [Pa] between these entries, (..., entries, entries)."""
+        """Tangent dP/dF [Pa] between the given entries, (..., entries, entries)."""
         squares, axes = _principal(F)
         beta = self.alpha / 2 - 1.0
         power = np.asarray((squares ** (self.alpha / 2)).sum(axis=-1))
@@ -121,7 +123,7 @@ class Ogden:
         return _tangent(self.shear_modulus, self.alpha, F, power, slope, curvature, entries)
 
     def _slope(self, F: Array, squares: Array, axes: Array) -> Array:
-        """F C^(alpha/2 - 1), (..., 3, 3)."""
+        """Slope F C^(alpha/2 - 1), (..., 3, 3)."""
         M: Array = ((F @ axes) * squares[..., None, :] ** (self.alpha / 2 - 1.0)) @ np.swapaxes(
             axes, -1, -2
         )
@@ -129,7 +131,7 @@ class Ogden:
 
 
 def cofactor(F: Array) -> Array:
-    """dJ/dF = J F^-T, (..., 3, 3)."""
+    """Cofactor dJ/dF = J F^-T, (..., 3, 3)."""
     H = np.empty_like(F)
     for i, (k, m) in enumerate(_OTHERS):
         for j, (n, o) in enumerate(_OTHERS):
@@ -138,7 +140,7 @@ def cofactor(F: Array) -> Array:
 
 
 def determinant(F: Array, H: Array) -> Array:
-    """J = det F from the cofactor H as well, (...)."""
+    """Determinant J = det F from F and its cofactor H, (...)."""
     J: Array = np.einsum("...J,...J->...", F[..., 0, :], H[..., 0, :])
     return J
 
@@ -160,7 +162,7 @@ def _principal(F: Array) -> tuple[Array, Array]:
 
 
 def _divided_difference(x: Array, power: float) -> Array:
-    """(x_a^p - x_b^p) / (x_a - x_b), (..., 3, 3), and its limit where x_a = x_b."""
+    """Divided difference (x_a^p - x_b^p) / (x_a - x_b), or its limit, (..., 3, 3)."""
     a, b = x[..., :, None], x[..., None, :]
     log_ratio = np.log1p((a - b) / b)
     equal = log_ratio == 0.0

@@ -1,4 +1,4 @@
-"""Nearly incompressible solids at finite strain: energy, forces and stiffness on a mesh.
+"""Nearly incompressible solids at finite strain: mixed Taylor-Hood elements on a mesh.
 
 Mixed form, total Lagrangian: the stationary points of
 
@@ -53,14 +53,14 @@ _CHUNK = 4_000_000  # numbers held at once per array while the stiffness is asse
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Strained:
-    """What holds at the quadrature points, for the unknowns x.
+class _StrainState:
+    """Strain state at the quadrature points.
 
     Attributes:
-        x: a copy of them.
+        x: copy of the unknowns.
         F: deformation gradients, (cells, q, 3, 3).
-        H: their cofactors.
-        J: their determinants, (cells, q).
+        H: cofactors of F.
+        J: determinants of F, (cells, q).
         multiplier: pressure of the mixed form [Pa], (cells, q).
     """
 
@@ -72,7 +72,7 @@ class _Strained:
 
 
 class Solid:
-    """A meshed body of hyperelastic materials.
+    """Meshed body of hyperelastic materials.
 
     Unknowns x are the displacements [m], node by node, then the pressures, scaled to have the
     size of displacements so that the stiffness is well scaled. Further unknowns may follow, such
@@ -80,9 +80,9 @@ class Solid:
 
     Attributes:
         mesh: cells; two-dimensional ones hold (x, y), or (r, z) when axisymmetric [m].
-        kinematics: what the mesh stands for.
-        basis: the functions of one displacement component, one per node.
-        nodes: places of the displacement nodes, (nodes, dim) [m].
+        kinematics: plane strain, axisymmetric or solid.
+        basis: shape functions of one displacement component, one per node.
+        nodes: positions of the displacement nodes, (nodes, dim) [m].
         unknowns: number of displacements and pressures.
         cells_of_law: cells of each material.
     """
@@ -100,7 +100,7 @@ class Solid:
         Args:
             mesh: quadrilaterals, triangles, hexahedra or tetrahedra of scikit-fem.
             laws: the materials.
-            law_of_cell: which of them each cell is made of; the first when omitted.
+            law_of_cell: number of the material of each cell; the first when omitted.
             kinematics: two-dimensional meshes are in plane strain or axisymmetric.
             bulk_ratio: kappa / mu of every material, 2 (1 + nu) / (3 (1 - 2 nu)).
         """
@@ -126,9 +126,9 @@ class Solid:
         moduli = np.array([law.shear_modulus for law in laws])
         direct = min(_DIRECT, 0.5 * bulk_ratio)
         self._direct: Array = direct * moduli[law_of_cell]
-        self._last: _Strained | None = None
+        self._last: _StrainState | None = None
         self._compliance: Array = 1.0 / ((bulk_ratio - direct) * moduli[law_of_cell])
-        # A pressure of mu/h does as much as a displacement of 1 in a cell of size h.
+        # A pressure of mu/h has the effect of a displacement of 1 in a cell of size h.
         size = np.mean(np.abs(np.ptp(mesh.p[:, mesh.t], axis=1)))
         self._pressure_scale = float(moduli.mean() / size)
 
@@ -148,27 +148,27 @@ class Solid:
 
     def pressure(self, x: Array) -> Array:
         """Mean stress at the quadrature points [Pa], (cells, q)."""
-        return self._mean_stress(self._strained(x))
+        return self._mean_stress(self._strain_state(x))
 
     def deformation_gradient(self, x: Array) -> Array:
-        """F at the quadrature points, (cells, q, 3, 3)."""
-        return self._strained(x).F
+        """Deformation gradient F at the quadrature points, (cells, q, 3, 3)."""
+        return self._strain_state(x).F
 
     def volume_ratio(self, x: Array) -> Array:
-        """J = det F at the quadrature points, (cells, q)."""
-        return self._strained(x).J
+        """Volume ratio J = det F at the quadrature points, (cells, q)."""
+        return self._strain_state(x).J
 
     def admissible(self, x: Array) -> bool:
-        """Whether no quadrature point is inverted."""
-        return bool(np.all(self._strained(x).J > 0.0))  # also false for NaN
+        """Whether J > 0 at all quadrature points."""
+        return bool(np.all(self._strain_state(x).J > 0.0))  # also false for NaN
 
     def advanced(self, x: Array) -> Self:  # noqa: ARG002
-        """The solid itself: it is elastic."""
+        """The solid itself, since an elastic solid has no history."""
         return self
 
     def energy(self, x: Array) -> float:
         """Stored energy [J]; per unit of thickness in plane strain."""
-        at = self._strained(x)
+        at = self._strain_state(x)
         W = self._compliance[:, None] * at.multiplier**2
         W += self._direct[:, None] * (at.J - 1.0) ** 2
         W *= 0.5
@@ -177,7 +177,7 @@ class Solid:
         return float(np.sum(W * self.weights))
 
     def shape_energies(self, x: Array) -> Array:
-        """Energy of changes of shape stored in each material [J], (laws,)."""
+        """Isochoric strain energy of each material [J], (laws,)."""
         F = self.deformation_gradient(x)
         stored = np.zeros(len(self.laws))
         for k, (law, cells) in enumerate(zip(self.laws, self.cells_of_law, strict=True)):
@@ -187,7 +187,7 @@ class Solid:
     def corner_mean_stress(self, x: Array, law: int) -> Array:
         """Mean stress of one material at the corners of cells [Pa], (corners,); NaN elsewhere.
 
-        Without the small part that acts on the displacements directly.
+        The small part of kappa that acts on the displacements directly is left out.
         """
         cells = self.cells_of_law[law]
         found = np.full(self.mesh.p.shape[1], np.nan)
@@ -196,27 +196,27 @@ class Solid:
 
     def stress(self, x: Array) -> Array:
         """First Piola-Kirchhoff stress at the quadrature points [Pa], (cells, q, 3, 3)."""
-        return self._stress(self._strained(x))
+        return self._stress(self._strain_state(x))
 
     def forces(self, x: Array) -> Array:
-        """Residual of the equilibrium: nodal forces [N], then scaled volume errors."""
-        return self._gathered(self._strained(x))
+        """Residual of the equilibrium, (n,): nodal forces [N], then scaled volume errors."""
+        return self._assembled(self._strain_state(x))
 
     def linearise(self, x: Array) -> tuple[Array, csc_array]:
-        """`forces` (n,) and their derivative, symmetric, (n, n), at x (n,)."""
-        at = self._strained(x)
+        """Residual (n,) and its symmetric derivative, the tangent stiffness (n, n), at x (n,)."""
+        at = self._strain_state(x)
         numbers = np.hstack([self._displacement_numbers, self._pressure_numbers])
         values = np.concatenate([self._stiffness(law, cells, at) for law, cells in self._groups()])
         numbers = numbers[np.concatenate([cells for _, cells in self._groups()])]
         rows = np.broadcast_to(numbers[:, :, None], values.shape)
         columns = np.broadcast_to(numbers[:, None, :], values.shape)
         K = coo_array((values.ravel(), (rows.ravel(), columns.ravel())), shape=(len(x), len(x)))
-        return self._gathered(at), K.tocsc()
+        return self._assembled(at), K.tocsc()
 
     def traction(self, facets: Indices, traction: Callable[[Array], Array]) -> Array:
         """Nodal forces (unknowns,) of dead tractions on boundary facets of the undeformed mesh.
 
-        `traction` gives [Pa], (dim, ...), at places (dim, ...) [m].
+        `traction` gives [Pa], (dim, ...), at points (dim, ...) [m].
         """
         rim = skfem.FacetBasis(self.mesh, self.basis.elem, facets=facets, intorder=5)
         X = np.asarray(rim.global_coordinates())
@@ -227,8 +227,8 @@ class Solid:
             np.add.at(loads, rim.element_dofs[a], parts.T)
         return np.concatenate([loads.ravel(), np.zeros(self.unknowns - loads.size)])
 
-    def _strained(self, x: Array) -> _Strained:
-        """The state at x; kept, since Newton's method asks several times for that of one x."""
+    def _strain_state(self, x: Array) -> _StrainState:
+        """Strain state at x; the last one is kept, as Newton's method asks for each repeatedly."""
         if self._last is None or not np.array_equal(self._last.x, x):
             u = self.displacement(x)[self.basis.element_dofs.T].swapaxes(1, 2)
             slopes = self._slopes.reshape(*self._slopes.shape[:2], -1)
@@ -241,23 +241,23 @@ class Solid:
             H = cofactor(F)
             J = determinant(F, H)
             for kept in (F, H, J):
-                kept.flags.writeable = False  # who asks for them gets these very arrays
+                kept.flags.writeable = False  # callers get these arrays, not copies
             p = self._pressure_scale * (x[self._pressure_numbers] @ self._pressure_values)
-            self._last = _Strained(x.copy(), F, H, J, p)
+            self._last = _StrainState(x.copy(), F, H, J, p)
         return self._last
 
-    def _mean_stress(self, at: _Strained) -> Array:
+    def _mean_stress(self, at: _StrainState) -> Array:
         p: Array = at.multiplier + self._direct[:, None] * (at.J - 1.0)
         return p
 
-    def _stress(self, at: _Strained) -> Array:
+    def _stress(self, at: _StrainState) -> Array:
         P: Array = self._mean_stress(at)[..., None, None] * at.H
         for law, cells in self._groups():
             P[cells] += law.stress(at.F[cells])
         return P
 
     def _shape(self, pressure: skfem.CellBasis) -> None:
-        """Shape functions at the quadrature points; weights include the ring 2 pi r."""
+        """Evaluate shape functions at the quadrature points; weights include the ring 2 pi r."""
         slopes = np.stack([np.asarray(f.grad) for (f,) in self.basis.basis])  # (a, J, c, q)
         self._slopes: Array = np.ascontiguousarray(slopes.transpose(2, 0, 3, 1))
         self.weights: Array = np.asarray(self.basis.dx).copy()
@@ -282,7 +282,7 @@ class Solid:
         self.cells_of_law = [np.flatnonzero(law_of_cell == k) for k in range(len(self.laws))]
 
     def _groups(self) -> Iterator[tuple[Law, Indices]]:
-        """Cells of one law, few enough to be assembled at once."""
+        """Chunks of cells of one law, small enough to be assembled at once."""
         functions, points = self._slopes.shape[1:3]
         each = max(1, _CHUNK // (points * functions * self.dim * 9))
         for law, cells in zip(self.laws, self.cells_of_law, strict=True):
@@ -290,7 +290,7 @@ class Solid:
                 yield law, cells[start : start + each]
 
     def _strain_operator(self, cells: Indices) -> Array:
-        """d(entries of F)/d(displacements of a cell), (cells, q, entries, functions * dim)."""
+        """Derivative of F by the displacements of a cell, (cells, q, entries, functions * dim)."""
         slopes = self._slopes[cells].transpose(0, 2, 3, 1)  # (cells, q, J, functions)
         dim = self.dim
         entries = _COMPONENTS[self.kinematics]
@@ -301,8 +301,8 @@ class Solid:
             B[:, :, 4, :, 0] = self._hoops[cells].swapaxes(1, 2)
         return B.reshape(*B.shape[:3], -1)
 
-    def _gathered(self, at: _Strained) -> Array:
-        """Nodal forces and volume errors, (n,)."""
+    def _assembled(self, at: _StrainState) -> Array:
+        """Assembled nodal forces and volume errors, (n,)."""
         P = self._stress(at) * self.weights[..., None, None]
         within = P[..., : self.dim, : self.dim].swapaxes(2, 3).reshape(len(P), -1, self.dim)
         nodal = self._slopes.reshape(*self._slopes.shape[:2], -1) @ within
@@ -317,7 +317,7 @@ class Solid:
         )
         return np.asarray(residual, dtype=np.float64)
 
-    def _stiffness(self, law: Law, cells: Indices, at: _Strained) -> Array:
+    def _stiffness(self, law: Law, cells: Indices, at: _StrainState) -> Array:
         """Element matrices of displacements and pressures, (cells, unknowns, unknowns)."""
         entries = _COMPONENTS[self.kinematics]
         w, F = self.weights[cells], at.F[cells]

@@ -1,4 +1,4 @@
-"""PenaltyContact of a solid's upper face with a rigid indenter that comes from above."""
+"""Penalty contact of a solid's upper face with a rigid indenter from above."""
 
 from dataclasses import dataclass, replace
 
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csc_array
 
 from eitskin.simulator.mechanics.mixed_solid import Solid
-from eitskin.simulator.scene.indenters import Indenter, entry
+from eitskin.simulator.scene.indenters import Indenter, penetration
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -16,26 +16,26 @@ Indices = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PenaltyContact:
-    """Pressure where the upper face would pass through the indenter, and nowhere tension.
+    """Penalty contact: pressure proportional to penetration, and no tension.
 
-    A place of the face that is inside the indenter by g is pushed back along the indenter's
-    normal by q = k max(0, g) per undeformed area. A rough indenter also holds places across the
-    normal, by a spring k to where they touched it first. Unknowns are those of the solid, then
+    A point of the face that penetrates the indenter by g is pushed back along the indenter's
+    normal by q = k max(0, g) per undeformed area. A rough indenter also holds points across the
+    normal, by a spring k to the position of first contact. Unknowns are those of the solid, then
     the depths d of indenters below the undeformed face, one per contact.
 
     Attributes:
         solid: the body.
-        indenter: its shape.
+        indenter: shape of the rigid body.
         stiffness: k [Pa/m].
-        centre: horizontal place of the axis, (dim - 1,) [m].
-        places: quadrature points of the undeformed face, (facets, q, dim) [m].
-        values: displacement functions there, (facets, q, functions).
-        slopes: and their gradients, (facets, q, functions, dim) [1/m].
+        centre: horizontal position of the axis, (dim - 1,) [m].
+        points: quadrature points of the undeformed face, (facets, q, dim) [m].
+        values: displacement shape functions at these points, (facets, q, functions).
+        slopes: gradients of the shape functions, (facets, q, functions, dim) [1/m].
         weights: undeformed areas, (facets, q) [m2].
         numbers: unknowns of each facet, those of the solid and d, (facets, functions * dim + 1).
         depth: number of the unknown d.
-        anchors: where places are held, seen from the lowest point, (facets, q, dim) [m].
-        holds: projections across the normal there, zero where a place is free to slide,
+        anchors: positions at which points are held, from the lowest point, (facets, q, dim) [m].
+        holds: projections across the normal at the anchors, zero where a point is free to slide,
             (facets, q, dim, dim).
     """
 
@@ -43,7 +43,7 @@ class PenaltyContact:
     indenter: Indenter
     stiffness: float
     centre: Array
-    places: Array
+    points: Array
     values: Array
     slopes: Array
     weights: Array
@@ -62,29 +62,29 @@ class PenaltyContact:
         centre: Array,
         number: int = 0,
     ) -> "PenaltyContact":
-        """PenaltyContact `number` on boundary facets of the solid's mesh, a level face, at rest.
+        """Contact `number` on a level face of boundary facets of the solid's mesh, at rest.
 
-        A rough flat end holds what lies under it from the start.
+        A rough flat end holds the points under it from the start.
         """
         basis = skfem.FacetBasis(solid.mesh, solid.basis.elem, facets=facets, intorder=3)
-        places = np.moveaxis(np.asarray(basis.global_coordinates()), 0, -1)
-        shape = places.shape[:2]
+        points = np.moveaxis(np.asarray(basis.global_coordinates()), 0, -1)
+        shape = points.shape[:2]
         values = [np.broadcast_to(np.asarray(f), shape) for (f,) in basis.basis]
         slopes = [np.moveaxis(np.asarray(f.grad), 0, -1) for (f,) in basis.basis]
         dofs = basis.element_dofs.T.astype(np.int64)
         spread = (solid.dim * dofs[:, :, None] + np.arange(solid.dim)).reshape(len(dofs), -1)
         depth = solid.unknowns + number
-        ring = 2.0 * np.pi * places[..., 0] if solid.kinematics == "axisymmetric" else 1.0
-        r = np.linalg.norm(places[..., :-1] - centre, axis=-1)
+        ring = 2.0 * np.pi * points[..., 0] if solid.kinematics == "axisymmetric" else 1.0
+        r = np.linalg.norm(points[..., :-1] - centre, axis=-1)
         flat = (indenter.profile(r)[0] <= 0.0).astype(np.float64) * indenter.rough
         horizontal = np.diag([*[1.0] * (solid.dim - 1), 0.0])
-        undeformed = np.concatenate([places[..., :-1] - centre, 0.0 * r[..., None]], axis=-1)
+        undeformed = np.concatenate([points[..., :-1] - centre, 0.0 * r[..., None]], axis=-1)
         return cls(
             solid=solid,
             indenter=indenter,
             stiffness=stiffness,
             centre=centre,
-            places=places,
+            points=points,
             values=np.stack(values, axis=-1),
             slopes=np.stack(slopes, axis=2),
             weights=np.asarray(basis.dx) * ring,
@@ -96,32 +96,32 @@ class PenaltyContact:
 
     @property
     def multipliers(self) -> int:
-        """None among the unknowns: those of the contact are held."""
+        """Number of Lagrange multipliers: none, since penalties need no multipliers."""
         return 0
 
     def admissible(self, x: Array) -> bool:  # noqa: ARG002
-        """Any place of the face is possible; it is only pushed back."""
+        """Always true: any position of the face is possible."""
         return True
 
     def nominal_pressure(self, x: Array) -> Array:
-        """q, force along the normal per undeformed area, (facets, q) [Pa]."""
-        return self.stiffness * np.maximum(self._entry(x)[0], 0.0)
+        """Nominal pressure q, force along the normal per undeformed area, (facets, q) [Pa]."""
+        return self.stiffness * np.maximum(self._penetration(x)[0], 0.0)
 
     def force(self, x: Array) -> float:
         """Total vertical force [N]."""
         return float(self.forces(x)[self.depth])
 
     def energy(self, x: Array) -> float:
-        """Energy of the springs that stand for the contact [J]."""
+        """Penalty energy of the contact [J]."""
         slip = np.einsum("fqij,fqj->fqi", self.holds, self._relative(x) - self.anchors)
-        squares = np.maximum(self._entry(x)[0], 0.0) ** 2 + np.sum(slip**2, axis=-1)
+        squares = np.maximum(self._penetration(x)[0], 0.0) ** 2 + np.sum(slip**2, axis=-1)
         return float(0.5 * self.stiffness * np.sum(self.weights * squares))
 
     def advanced(self, x: Array) -> "PenaltyContact":
-        """The contact after a step of the load: a rough indenter now holds what it touches."""
+        """Contact after a load step: a rough indenter now holds the points in contact."""
         if not self.indenter.rough:
             return self
-        _, normal, _ = self._entry(x)
+        _, normal, _ = self._penetration(x)
         relative = self._relative(x)
         touching = self.nominal_pressure(x) > 0.0
         known = np.any(self.holds != 0.0, axis=(-2, -1))
@@ -134,22 +134,25 @@ class PenaltyContact:
         )
 
     def pressure(self, x: Array) -> tuple[Array, Array]:
-        """Distance from the axis [m] and pressure on the deformed face [Pa], sorted; rings only."""
+        """Distance from the axis [m] and pressure on the deformed face [Pa], sorted.
+
+        For axisymmetric solids only.
+        """
         r = self._relative(x)[..., 0]
         along = np.einsum("fqa,fai->fqi", self.slopes[..., 0], self._of_facets(x))
         along += np.array([1.0, 0.0])
-        area_ratio = r / self.places[..., 0] * np.linalg.norm(along, axis=-1)
+        area_ratio = r / self.points[..., 0] * np.linalg.norm(along, axis=-1)
         order = np.argsort(r, axis=None)
         return r.ravel()[order], (self.nominal_pressure(x) / area_ratio).ravel()[order]
 
     def forces(self, x: Array) -> Array:
         """Forces on the unknowns (n,) [N]."""
-        g, normal, _ = self._entry(x)
-        return self._gathered(x, g, normal)
+        g, normal, _ = self._penetration(x)
+        return self._assembled(x, g, normal)
 
     def linearise(self, x: Array) -> tuple[Array, csc_array]:
-        """Forces on the unknowns and the symmetric stiffness; semi-smooth where contact ends."""
-        g, normal, curvature = self._entry(x)
+        """Forces on the unknowns and symmetric stiffness; semi-smooth where contact ends."""
+        g, normal, curvature = self._penetration(x)
         k = (self.stiffness * self.weights)[..., None, None]
         pushing = (g > 0.0)[..., None, None] * normal[..., :, None] * normal[..., None, :]
         stiffness = k * (pushing + self.holds + np.maximum(g, 0.0)[..., None, None] * curvature)
@@ -160,20 +163,20 @@ class PenaltyContact:
         rows = np.broadcast_to(self.numbers[:, :, None], K.shape)
         columns = np.broadcast_to(self.numbers[:, None, :], K.shape)
         total = coo_array((K.ravel(), (rows.ravel(), columns.ravel())), shape=(len(x), len(x)))
-        return self._gathered(x, g, normal), total.tocsc()
+        return self._assembled(x, g, normal), total.tocsc()
 
     @property
     def _moving(self) -> Array:
-        """What moves a place: displacements, and the indenter coming down."""
+        """Influence of displacements and of the indenter's depth on each point's penetration."""
         return np.concatenate([self.values, np.ones((*self.weights.shape, 1))], axis=-1)
 
     @property
     def _kept(self) -> Indices:
-        """Components of what moves a place that are unknowns; of the indenter, the vertical."""
+        """Components of `_moving` that are unknowns: the indenter moves vertically only."""
         last = self.solid.dim * (self.values.shape[-1] + 1) - 1
         return np.append(np.arange(self.numbers.shape[1] - 1), last)
 
-    def _gathered(self, x: Array, g: Array, normal: Array) -> Array:
+    def _assembled(self, x: Array, g: Array, normal: Array) -> Array:
         slip = np.einsum("fqij,fqj->fqi", self.holds, self._relative(x) - self.anchors)
         force = np.maximum(g, 0.0)[..., None] * normal + slip
         force *= (self.stiffness * self.weights)[..., None]
@@ -184,22 +187,22 @@ class PenaltyContact:
         return np.asarray(residual, dtype=np.float64)
 
     def _of_facets(self, x: Array) -> Array:
-        """Displacements facet by facet, (facets, functions, dim)."""
+        """Nodal displacements of each facet, (facets, functions, dim)."""
         u: Array = x[self.numbers[:, :-1]].reshape(len(self.numbers), -1, self.solid.dim)
         return u
 
     def _relative(self, x: Array) -> Array:
-        """Deformed places seen from the indenter's lowest point, (facets, q, dim) [m]."""
-        moved: Array = self.places + self.values @ self._of_facets(x)
+        """Deformed positions relative to the indenter's lowest point, (facets, q, dim) [m]."""
+        moved: Array = self.points + self.values @ self._of_facets(x)
         moved[..., :-1] -= self.centre
-        moved[..., -1] += x[self.depth] - self.places[..., -1]
+        moved[..., -1] += x[self.depth] - self.points[..., -1]
         return moved
 
-    def _entry(self, x: Array) -> tuple[Array, Array, Array]:
-        """g (facets, q), its gradient (..., dim) and second derivatives (..., dim, dim)."""
+    def _penetration(self, x: Array) -> tuple[Array, Array, Array]:
+        """Penetration g (facets, q), gradient (..., dim) and second derivative (..., dim, dim)."""
         relative = self._relative(x)
         r = np.maximum(np.linalg.norm(relative[..., :-1], axis=-1), 1e-12)
-        g, (radial, upward), bend = entry(self.indenter, r, relative[..., -1])
+        g, (radial, upward), bend = penetration(self.indenter, r, relative[..., -1])
         direction = relative[..., :-1] / r[..., None]
         normal = np.concatenate([radial[..., None] * direction, upward[..., None]], axis=-1)
         tangent = np.concatenate([upward[..., None] * direction, -radial[..., None]], axis=-1)

@@ -1,4 +1,4 @@
-"""The full model of presses: indenters on the encapsulated gel on a rigid base, in 3D."""
+"""Full 3D model of presses: indenters on the encapsulated gel on a rigid base."""
 
 import itertools
 import math
@@ -13,12 +13,13 @@ from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.meshing.grading import Grading, graded_lines
 from eitskin.simulator.linalg.nested_dissection import Block, by_blocks, dissected
+from eitskin.simulator.mechanics.dented_stack import DentedStack, contact_area_and_peak
 from eitskin.simulator.mechanics.initial_guess import UnboundedPress
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.mechanics.load_stepping import ForceTerm, Load, SolidError, newton
 from eitskin.simulator.mechanics.mixed_solid import Solid
 from eitskin.simulator.mechanics.penalty_contact import PenaltyContact
-from eitskin.simulator.mechanics.press_window import DentedStack, Window, check_places, touched
+from eitskin.simulator.mechanics.press_window import Window, check_touches
 from eitskin.simulator.mechanics.quadratic_field import QuadraticField
 from eitskin.simulator.scene.touch import Touch
 
@@ -35,15 +36,15 @@ _NEAR = 2.0  # radii of an indenter within which the top may touch it
 
 
 class PressedStack:
-    """A flat sensor bonded to a rigid base, pressed from above by one to four indenters.
+    """Flat sensor bonded to a rigid base, pressed from above by one to four indenters.
 
-    The sides of the encapsulation are free, and so is its top but for the indenters. Beyond
-    `reach` from the touches nothing moves. What the touches leave symmetric is solved by half.
+    The sides of the encapsulation are free, and so is its top outside the contacts. Beyond
+    `reach` from the touches nothing moves. Along an axis of symmetry only half is solved.
 
     Attributes:
-        touches: the indenters, their places and forces.
-        windows: what is solved along x and y.
-        solid: that, from the origin of the windows and the lower face of the gel.
+        touches: the indenters, their positions and forces.
+        windows: computational windows along x and y.
+        solid: the meshed windows, in coordinates from their origins and the gel's lower face.
     """
 
     def __init__(
@@ -54,11 +55,11 @@ class PressedStack:
         grading: Grading | None = None,
         reach: float | None = None,
     ) -> None:
-        """Mesh by boxes.
+        """Mesh the windows by boxes.
 
         Args:
             design: the sensor, of rectangular outline.
-            touches: one to four, on the gel, beside each other.
+            touches: one to four, on the gel, whose indenters do not overlap.
             mechanics: materials.
             grading: finest under the indenters, `layers` cells in each of encapsulation, gel and
                 encapsulation; by the smallest indenter and the thickness when omitted.
@@ -70,7 +71,7 @@ class PressedStack:
             raise ConfigurationError(
                 f"a pressed stack needs a rectangular outline, got {type(outline).__name__}"
             )
-        check_places(outline, touches)
+        check_touches(outline, touches)
         self.touches = tuple(touches)
         self._stack = self._mechanics.stack(design)
         thickness = design.encapsulated_thickness
@@ -94,36 +95,36 @@ class PressedStack:
         self._pressures = self._numbered()
         self._kept = [t for t in self.touches if self._solves(t)]
         self._shares = np.array([self._share(touch) for touch in self._kept])
-        self._eliminate = by_blocks(self._dissected())
+        self._eliminate = by_blocks(self._blocks())
 
     def equilibria(self, fractions: Sequence[float] = (1.0,)) -> Iterator[DentedStack]:
-        """The equilibria under these fractions of all forces, each followed from the one before.
+        """Equilibria under rising fractions of all forces, by load stepping.
 
-        Raises SolidError where there is none, or none that is stable; it says how much of the
-        load was carried.
+        Raises SolidError, with the fraction of the load that was carried, where no stable
+        equilibrium is found.
         """
         x = np.zeros(self.solid.unknowns + len(self._kept))
         contacts, before = self._contacts(), 0.0
         for fraction in fractions:
             if not fraction > before:
                 raise ConfigurationError(f"fractions of a load must rise from 0, got {fractions}")
-            x, contacts = self._followed(x, contacts, before, fraction)
+            x, contacts = self._load_stepped(x, contacts, before, fraction)
             before = fraction
             yield self._result(x, contacts)
 
-    def _followed(
+    def _load_stepped(
         self, x: Array, contacts: list[PenaltyContact], before: float, after: float
     ) -> tuple[Array, list[PenaltyContact]]:
-        """From one fraction of the load to another, in as few steps as will do.
+        """Load stepping from one fraction of the load to another, with adaptive steps.
 
-        A step goes first where it would lead if each press were alone on an unbounded stack.
+        Each step starts from the superposed presses on an unbounded stack.
         """
-        reached, alone = before, self._alone(before)
+        reached, guessed = before, self._initial_guess(before)
         target = min(after, _GROWTH * before or _FIRST_STEP)
         while reached < after:
             try:
-                there = self._alone(target)
-                guess = x + there - alone
+                there = self._initial_guess(target)
+                guess = x + there - guessed
                 start = guess if self.solid.admissible(guess) else x
                 terms: list[ForceTerm] = [self.solid, *contacts]
                 moved = newton(terms, start, self._load(target), self._eliminate)
@@ -136,13 +137,13 @@ class PressedStack:
                         reached=reached,
                     ) from None
                 continue
-            x, alone, reached = moved, there, target
+            x, guessed, reached = moved, there, target
             target = min(after, _GROWTH * reached)
             contacts = [contact.advanced(x) for contact in contacts]
         return x, contacts
 
     def _across(self, axis: int, grading: Grading) -> Array:
-        """Lines along x or y, from the origin, fine under the indenters."""
+        """Grid lines along x or y from the origin of the window, fine under the indenters [m]."""
         window = self.windows[axis]
         under, ends = [], np.array([0.0, self._gel[axis]])
         for touch in self.touches:
@@ -164,7 +165,7 @@ class PressedStack:
         return Solid(mesh, laws, gel.astype(np.int64), "solid", self._mechanics.bulk_ratio)
 
     def _supports(self) -> Indices:
-        """All prescribed unknowns: those of base and cuts, and what mirroring forbids."""
+        """Prescribed unknowns: all at base and cuts, the normal ones on planes of symmetry."""
         X = self.solid.nodes
         held = X[:, 2] < self._lines[2][0] + _SAME
         mirrored = []
@@ -179,7 +180,7 @@ class PressedStack:
         return np.unique(np.concatenate([moved, *mirrored]))
 
     def _numbered(self) -> list[tuple[Indices, Array]]:
-        """Numbers and places of the pressures of each layer; beside the gel, of its layer."""
+        """Numbers and positions of the pressures of each layer, its margin included."""
         solid, laws = self.solid, len(self.solid.laws)
         corners = [solid.mesh.t[:, cells] * laws + k for k, cells in enumerate(solid.cells_of_law)]
         kept = np.unique(np.concatenate(corners, axis=1))
@@ -190,8 +191,8 @@ class PressedStack:
         layers = range(3) if len(self._stack.sheets) == 3 else (1,)
         return [(numbers[layer == k], places[layer == k]) for k in layers]
 
-    def _dissected(self) -> list[Block]:
-        """What is free, in the order of elimination."""
+    def _blocks(self) -> list[Block]:
+        """Blocks of free unknowns in the order of elimination."""
         places = np.full((self.solid.unknowns + len(self._kept), 3), np.nan)
         places[: self.solid.nodes.size] = np.repeat(self.solid.nodes, 3, axis=0)
         for numbers, at in self._pressures:
@@ -201,17 +202,17 @@ class PressedStack:
         return [Block(free[block.own], block.within) for block in blocks]
 
     def _solves(self, touch: Touch) -> bool:
-        """Whether a touch lies in the solved part, not in what mirrors it."""
+        """Whether a touch lies in the solved part, not in its mirror image."""
         places = zip((touch.x, touch.y), self.windows, strict=True)
         return all(place > w.origin - _SAME for place, w in places)
 
     def _share(self, touch: Touch) -> float:
-        """How much of the indenter is on the solved side of the mirrors."""
+        """Fraction of the indenter in the solved part; a half on each plane of symmetry."""
         places = zip((touch.x, touch.y), self.windows, strict=True)
         return math.prod(0.5 for place, w in places if w.mirrored and place < w.origin + _SAME)
 
     def _contacts(self) -> list[PenaltyContact]:
-        """The top against every indenter, at rest."""
+        """Penalty contact of the top with each solved indenter, at rest."""
         mesh, found = self.solid.mesh, []
         top = mesh.facets_satisfying(
             lambda X: np.isclose(X[2], self._lines[2][-1]), boundaries_only=True
@@ -228,7 +229,7 @@ class PressedStack:
         return found
 
     def _local(self, touch: Touch) -> Array:
-        """Place of a touch, or of what mirrors it, in the solved part, (2,) [m]."""
+        """Position of a touch, or of its mirror image, in the solved part, (2,) [m]."""
         places = zip((touch.x, touch.y), self.windows, strict=True)
         return np.array([float(w.local(np.array(place))[0]) for place, w in places])
 
@@ -238,8 +239,8 @@ class PressedStack:
         forces[self.solid.unknowns :] = fraction * self._shares * whole
         return Load(self._fixed, np.zeros(len(self._fixed)), forces)
 
-    def _alone(self, fraction: float) -> Array:
-        """Unknowns if every press were alone on an unbounded stack, and all were added up."""
+    def _initial_guess(self, fraction: float) -> Array:
+        """Unknowns of superposed presses on an unbounded stack, the initial guess."""
         n, nodes = self.solid.unknowns, self.solid.nodes
         x = np.ones(n + len(self._kept))
         scale = np.nanmax(self.solid.corner_mean_stress(x, 1))  # of a unit of pressure
@@ -247,13 +248,13 @@ class PressedStack:
         above = np.array([self.windows[0].origin, self.windows[1].origin, -self._lines[2][0]])
         tops = np.array([[t.x, t.y, self._stack.levels[-1]] for t in self._kept])
         for touch in self.touches if fraction else ():
-            alone = UnboundedPress.on(self._stack, touch, fraction * touch.force)
-            x[: nodes.size] += alone.displacement(nodes + above).ravel()
-            # An indenter goes down with the top that others displace.
+            press = UnboundedPress.on(self._stack, touch, fraction * touch.force)
+            x[: nodes.size] += press.displacement(nodes + above).ravel()
+            # An indenter follows the top that the other presses displace.
             own = [touch is kept for kept in self._kept]
-            x[n:] += np.where(own, alone.press.depth, -alone.displacement(tops)[:, 2])
+            x[n:] += np.where(own, press.press.depth, -press.displacement(tops)[:, 2])
             for layer, (numbers, places) in enumerate(self._pressures):
-                x[numbers] += alone.mean_stress(places + above, layer) / scale
+                x[numbers] += press.mean_stress(places + above, layer) / scale
         x[self._fixed] = 0.0
         return x
 
@@ -265,11 +266,11 @@ class PressedStack:
         J = solid.volume_ratio(x) * solid.weights
         places = np.array([self._local(touch) for touch in self.touches])
         kept = np.array([self._local(touch) for touch in self._kept])
-        # Touches that mirror each other fare alike.
+        # Touches that mirror each other have equal results.
         which = np.linalg.norm(places[:, None] - kept, axis=-1).argmin(axis=1)
         faces = [np.insert(places, 2, z, axis=1) for z in (0.0, self._gel[2])]
         lower, upper = (field(face)[:, 2] for face in faces)
-        areas, peaks = np.array([touched(contact, x) for contact in contacts]).T
+        areas, peaks = np.array([contact_area_and_peak(contact, x) for contact in contacts]).T
         forces = np.array([contact.force(x) for contact in contacts]) / self._shares
         copies = math.prod(2 for window in self.windows if window.mirrored)
         upward = self._fixed[(self._fixed % 3 == 2) & (self._fixed < solid.nodes.size)]
@@ -289,7 +290,7 @@ class PressedStack:
 
 
 def default_grading(thickness: float, touches: Sequence[Touch]) -> Grading:
-    """Cells fit for a stack of this thickness [m] and the smallest of the indenters."""
+    """Default grading for a stack of this thickness [m] and the smallest of the indenters."""
     radius = min(touch.indenter.rims[1] for touch in touches)
     return Grading(finest=radius / 6.0, coarsest=0.5 * thickness, growth=0.35)
 

@@ -1,4 +1,4 @@
-"""Kernels that have been solved before, in memory and on disk, and those between them."""
+"""Store of solved press tables, in memory and on disk, with interpolation between them."""
 
 import dataclasses
 import hashlib
@@ -15,28 +15,28 @@ import numpy as np
 from eitskin.errors import ConfigurationError
 from eitskin.files import atomic_file
 from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.simulator.mechanics import press_table as kernels
+from eitskin.simulator.mechanics import press_table as tables
 from eitskin.simulator.mechanics.layer_stack import Mechanics, Sheet, Stack
 from eitskin.simulator.mechanics.press_table import PressTable
 from eitskin.simulator.scene.indenters import Indenter
 
-# Of what is computed: raise it whenever presses are solved or tabulated in another way.
+# Version of the tables: raise it whenever presses are solved or tabulated in another way.
 _VERSION = 1
-# Kernels are solved for moduli of the encapsulation over the gel's of 1.4 2^(k/2), k an integer;
-# 1.4 is the reference. Those between are interpolated.
+# Tables are solved for moduli of the encapsulation over the gel's of 1.4 2^(k/2), k an integer;
+# 1.4 is the reference. Other ratios are interpolated.
 _REFERENCE_RATIO = 1.4
 _STEPS = 2.0  # per factor of two
-_THICKER = 1.1  # between thicknesses that are solved, where sensors share them
+_THICKER = 1.1  # ratio of neighbouring solved thicknesses, where sensors share tables
 # Everything is solved at one scale: a layer this thick [m], of this shear modulus [Pa].
 _THICKNESS, _MODULUS = 0.005, 20e3
-_SAMPLES = 65  # of the indenter's profile, by which it is known
+_SAMPLES = 65  # of the indenter's profile, which identify the indenter
 _LENGTHS = ("depths", "contact_radii", "thickness", "knots", "moved")
 _STRESSES = ("peak_pressures", "stressed")
 
 
 @lru_cache(maxsize=64)
 def press_table(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -> PressTable:
-    """The kernel of a sensor and an indenter; the first time it takes seconds to a minute.
+    """Press table of a sensor and an indenter; the first time takes seconds to a minute.
 
     Raises ConfigurationError where not even shallow presses are carried.
     """
@@ -44,25 +44,25 @@ def press_table(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) 
     found = [(stored(stack, indenter), weight) for stack, weight in _needed(design, mechanics)]
     if len(found) == 1:
         return found[0][0]
-    return kernels.combined(
+    return tables.weighted_sum(
         [one.stretched(thickness / float(one.thickness)) for one, _ in found],
         np.array([weight for _, weight in found]),
     )
 
 
 def is_stored(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -> bool:
-    """Whether all that `kernel` needs has been solved and is on the disk."""
+    """Whether all tables that `press_table` needs are on the disk."""
     return not missing(design, mechanics, indenter)
 
 
 def missing(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -> set[Path]:
-    """The files that `kernel` needs and are not there; each takes seconds to a minute to solve."""
+    """Absent files of tables that `press_table` needs; each takes seconds to a minute to solve."""
     paths = (_path(stack, indenter) for stack, _ in _needed(design, mechanics))
     return {path for path in paths if not path.is_file()}
 
 
 def folder() -> Path:
-    """Where kernels are stored: $EITSKIN_CACHE, or the user's folder for caches."""
+    """Folder of the tables: $EITSKIN_CACHE, or the user's folder for caches."""
     given = os.environ.get("EITSKIN_CACHE")
     if given:
         return Path(given)
@@ -74,7 +74,7 @@ def folder() -> Path:
 
 
 def _needed(design: SensorDesign, mechanics: Mechanics) -> list[tuple[Stack, float]]:
-    """Stacks that are solved, and their weights in the kernel of a design's stack."""
+    """Solved stacks, and their weights in the table of a design's stack."""
     return [
         (stack, high * stiff)
         for thick, high in _of_thicknesses(mechanics.stack(design), design, mechanics)
@@ -85,33 +85,33 @@ def _needed(design: SensorDesign, mechanics: Mechanics) -> list[tuple[Stack, flo
 def _of_thicknesses(
     stack: Stack, design: SensorDesign, mechanics: Mechanics
 ) -> list[tuple[Stack, float]]:
-    """The stack at thicknesses that are solved, and their weights."""
+    """Stack at solved thicknesses, and their weights."""
     solved = mechanics.solved_thickness or design.thickness
-    place = float(np.log(design.thickness / solved) / np.log(_THICKER))
-    middle = round(place) if abs(place) > 1.0 else 0  # within a step three tables serve all
+    position = float(np.log(design.thickness / solved) / np.log(_THICKER))
+    middle = round(position) if abs(position) > 1.0 else 0  # within a step three tables serve all
     return [
         (_scaled_heights(stack, solved * _THICKER**p / design.thickness), weight)
-        for p, weight in _lagrange(place, range(middle - 1, middle + 2))
+        for p, weight in _lagrange(position, range(middle - 1, middle + 2))
     ]
 
 
 def _of_ratios(stack: Stack) -> list[tuple[Stack, float]]:
-    """The stack with moduli of the encapsulation that are solved, and their weights."""
+    """Stack with solved moduli of the encapsulation, and their weights."""
     if len(stack.sheets) == 1:
         return [(stack, 1.0)]
     around, gel, _ = (sheet.law.shear_modulus for sheet in stack.sheets)
-    place = float(_STEPS * np.log2(around / gel / _REFERENCE_RATIO))
-    first = math.ceil(place) - 2
-    weights = _lagrange(place, range(first, first + 4))
+    position = float(_STEPS * np.log2(around / gel / _REFERENCE_RATIO))
+    first = math.ceil(position) - 2
+    weights = _lagrange(position, range(first, first + 4))
     return [(_with_ratio(stack, p), weight) for p, weight in weights]
 
 
-def _lagrange(place: float, places: range) -> list[tuple[int, float]]:
-    """Weights of values at `places` in their polynomial at `place`; of one, where it is there."""
-    nearest = round(place)
-    if abs(place - nearest) < 1e-9:
+def _lagrange(position: float, nodes: range) -> list[tuple[int, float]]:
+    """Lagrange weights at `position` of values at `nodes`; a single weight at a node."""
+    nearest = round(position)
+    if abs(position - nearest) < 1e-9:
         return [(nearest, 1.0)]
-    return [(p, math.prod((place - q) / (p - q) for q in places if q != p)) for p in places]
+    return [(p, math.prod((position - q) / (p - q) for q in nodes if q != p)) for p in nodes]
 
 
 def _scaled_heights(stack: Stack, factor: float) -> Stack:
@@ -119,25 +119,25 @@ def _scaled_heights(stack: Stack, factor: float) -> Stack:
     return dataclasses.replace(stack, sheets=sheets)
 
 
-def _with_ratio(stack: Stack, place: int) -> Stack:
-    """The stack with the encapsulation of one of the moduli that kernels are solved for."""
+def _with_ratio(stack: Stack, step: int) -> Stack:
+    """Stack with solved modulus number `step` of the encapsulation."""
     around, gel, _ = stack.sheets
-    modulus = _REFERENCE_RATIO * 2.0 ** (place / _STEPS) * gel.law.shear_modulus
+    modulus = _REFERENCE_RATIO * 2.0 ** (step / _STEPS) * gel.law.shear_modulus
     law = dataclasses.replace(around.law, shear_modulus=modulus)
     silicone = dataclasses.replace(around, law=law)
     return dataclasses.replace(stack, sheets=(silicone, gel, silicone))
 
 
 def stored(stack: Stack, indenter: Indenter) -> PressTable:
-    """The kernel of the middle sheet from the disk, or solved now and put there."""
+    """Table of the middle sheet from the disk, or solved now and stored."""
     length, modulus = _scales(stack)
     path = _path(stack, indenter)
     found = _read(path)
     if found is None:
-        found = kernels.solved(
+        found = tables.solve_table(
             _scaled_stack(stack, length, modulus),
             len(stack.sheets) // 2,
-            _Scaled(indenter, length),
+            _ScaledIndenter(indenter, length),
         )
         _write(found, path)
     scale = dict.fromkeys(_LENGTHS, length) | dict.fromkeys(_STRESSES, modulus)
@@ -147,7 +147,7 @@ def stored(stack: Stack, indenter: Indenter) -> PressTable:
 
 
 def _scales(stack: Stack) -> tuple[float, float]:
-    """Length and modulus of the middle sheet over those that kernels are solved for."""
+    """Thickness and modulus of the middle sheet relative to the solved ones."""
     layer = stack.sheets[len(stack.sheets) // 2]
     return layer.thickness / _THICKNESS, layer.law.shear_modulus / _MODULUS
 
@@ -168,8 +168,8 @@ def _scaled_stack(stack: Stack, length: float, modulus: float) -> Stack:
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
-class _Scaled:
-    """An indenter drawn at another scale: lengths are divided by `length`."""
+class _ScaledIndenter:
+    """Scaled indenter: all lengths are divided by `length`."""
 
     indenter: Indenter
     length: float
@@ -189,8 +189,8 @@ class _Scaled:
 
 
 def _key(stack: Stack, indenter: Indenter, length: float, modulus: float) -> str:
-    """A hash of everything that the scaled kernel depends on."""
-    scaled, shape = _scaled_stack(stack, length, modulus), _Scaled(indenter, length)
+    """Hash of everything that the scaled table depends on."""
+    scaled, shape = _scaled_stack(stack, length, modulus), _ScaledIndenter(indenter, length)
     heights, slopes, _ = shape.profile(np.linspace(0.0, shape.rims[1], _SAMPLES))
     described = {
         "version": _VERSION,
@@ -209,12 +209,12 @@ def _key(stack: Stack, indenter: Indenter, length: float, modulus: float) -> str
     return hashlib.sha256(rounded.encode()).hexdigest()[:32]
 
 
-def _arrays(kernel: PressTable) -> dict[str, np.ndarray]:
-    return {field.name: getattr(kernel, field.name) for field in dataclasses.fields(PressTable)}
+def _arrays(table: PressTable) -> dict[str, np.ndarray]:
+    return {field.name: getattr(table, field.name) for field in dataclasses.fields(PressTable)}
 
 
 def _read(path: Path) -> PressTable | None:
-    """The kernel in a file; None where there is none, or not a whole one."""
+    """Table in a file; None where the file is absent or incomplete."""
     try:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             return PressTable(
@@ -224,11 +224,11 @@ def _read(path: Path) -> PressTable | None:
         return None
 
 
-def _write(kernel: PressTable, path: Path) -> None:
-    """Store a kernel, if the disk will have it: without, it is solved again the next time."""
+def _write(table: PressTable, path: Path) -> None:
+    """Store a table if the disk can be written; otherwise the table is solved again next time."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with atomic_file(path) as temporary:
-            np.savez(temporary, allow_pickle=False, **_arrays(kernel))
+            np.savez(temporary, allow_pickle=False, **_arrays(table))
     except (OSError, ConfigurationError):
         return

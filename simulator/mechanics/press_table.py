@@ -1,4 +1,4 @@
-"""Presses of one indenter on one stack: solved over depth once, then interpolated."""
+"""Table of presses of one indenter on one stack: solved over depth, then interpolated."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
@@ -23,17 +23,17 @@ _DEPTHS = 18
 _DEEPEST = 0.6  # of the thickness of the stack
 # Depths are spaced like k^1.5, since forces and dents grow about like depth to the power 1 to 1.5.
 _SPACING = 1.5
-_FEWEST = 4  # depths that a table needs
+_FEWEST = 4  # depths of a table
 _CELL = 1.0 / 20.0  # finest, of the radius of the indenter
-_KNOT = 0.1  # spacing over the layer's thickness near the indenter
+_KNOT = 0.1  # spacing of radial knots near the indenter, over the layer's thickness
 _KNOT_GROWTH = 0.1
-_FIRST = 0.4  # of the first depth, below which the table would be poor
-_NEGLIGIBLE = 1e-4  # displacements at which a dent ends, of the depth
+_FIRST = 0.4  # of the first depth: an additional shallow press, for accuracy
+_NEGLIGIBLE = 1e-4  # displacements over the depth at which a dent ends
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PressTable:
-    """Presses of one indenter on one stack, from none to the deepest that was solved.
+    """Presses of one indenter on one stack, from no press to the deepest solved one.
 
     Attributes:
         depths: rising from 0, (n,) [m].
@@ -41,12 +41,12 @@ class PressTable:
         contact_radii: (n,) [m].
         peak_pressures: (n,) [Pa].
         thinnings: of the layer on the axis, (n,).
-        energies: of changes of shape, (n, 2), in the layer and in all of the stack [J].
+        energies: isochoric strain energy in the layer and in the whole stack, (n, 2) [J].
         thickness: of the undeformed layer, () [m].
         knots: distances from the axis, (m,) [m].
-        moved: u and w at the knots as coefficients of Legendre polynomials over the height of the
-            layer, (n, m, coefficients, 2) [m].
-        stressed: mean stress likewise, (n, m, coefficients) [Pa].
+        moved: displacements u and w at the knots as coefficients of Legendre polynomials over the
+            height of the layer, (n, m, coefficients, 2) [m].
+        stressed: mean stress at the knots likewise, (n, m, coefficients) [Pa].
     """
 
     depths: Array
@@ -62,11 +62,11 @@ class PressTable:
 
     @property
     def largest_force(self) -> float:
-        """The force up to which presses were solved [N]."""
+        """Largest solved force [N]."""
         return float(self.forces[-1])
 
     def at_force(self, force: float) -> TabulatedDent:
-        """The dent of a press with `force` [N].
+        """Dent of a press with `force` [N].
 
         Raises ConfigurationError for a force that is not positive, or beyond the table.
         """
@@ -75,44 +75,44 @@ class PressTable:
                 f"force must be above 0 and at most {self.largest_force:.3g} N, where the layer is "
                 f"pressed to {1 - self.thinnings[-1]:.0%} of its thickness, got {force:g} N"
             )
-        place = _over_depth(self).forces.solve(force, extrapolate=False)[0]
-        return self._dent(force, float(place))
+        scaled_depth = _over_depth(self).forces.solve(force, extrapolate=False)[0]
+        return self._dent(force, float(scaled_depth))
 
     def at_depth(self, depth: float) -> TabulatedDent:
-        """The dent of a press to `depth` [m]; raises ConfigurationError like `at_force`."""
+        """Dent of a press to `depth` [m]; raises ConfigurationError like `at_force`."""
         if not 0.0 < depth <= self.depths[-1]:
             raise ConfigurationError(
                 f"depth must be above 0 and at most {self.depths[-1]:.3g} m, where the layer is "
                 f"pressed to {1 - self.thinnings[-1]:.0%} of its thickness, got {depth:g} m"
             )
-        place = float((depth / self.depths[-1]) ** (1.0 / _SPACING))
-        return self._dent(float(_over_depth(self).forces(place)), place)
+        scaled_depth = float((depth / self.depths[-1]) ** (1.0 / _SPACING))
+        return self._dent(float(_over_depth(self).forces(scaled_depth)), scaled_depth)
 
     def stretched(self, factor: float) -> "PressTable":
-        """These presses with all heights times `factor`, which keeps volumes and forces."""
+        """Table with all heights multiplied by `factor`, which preserves J and the forces."""
         scaled = {
             name: factor * getattr(self, name) for name in ("depths", "energies", "thickness")
         }
         return replace(self, **scaled, moved=self.moved * (1.0, factor))
 
-    def _dent(self, force: float, place: float) -> TabulatedDent:
+    def _dent(self, force: float, scaled_depth: float) -> TabulatedDent:
         table = _over_depth(self)
-        radius, pressure, thinning = table.numbers(place)
-        in_layer, in_all = table.energies(place, 1)
+        radius, pressure, thinning = table.numbers(scaled_depth)
+        in_layer, in_all = table.energies(scaled_depth, 1)
         return TabulatedDent(
             force=force,
-            depth=float(self.depths[-1] * place**_SPACING),
+            depth=float(self.depths[-1] * scaled_depth**_SPACING),
             contact_radius=float(radius),
             peak_pressure=float(pressure),
             thinning=float(thinning),
             share=float(in_layer / in_all),
             thickness=float(self.thickness),
-            profile=PPoly(table.profiles(place), self.knots),
+            profile=PPoly(table.profiles(scaled_depth), self.knots),
         )
 
 
 class _OverDepth(NamedTuple):
-    """Splines over the place of a depth on a scale from 0 to 1, on which all grows smoothly."""
+    """Splines over (depth / largest depth)^(1 / 1.5), in which all quantities are smooth."""
 
     forces: CubicSpline
     numbers: CubicSpline
@@ -121,30 +121,30 @@ class _OverDepth(NamedTuple):
 
 
 @lru_cache(maxsize=64)
-def _over_depth(kernel: PressTable) -> _OverDepth:
-    places = (kernel.depths / kernel.depths[-1]) ** (1.0 / _SPACING)
-    # On the axis u is odd, w and the stress are even; at the last knot all end level.
-    fields = np.concatenate([kernel.moved, kernel.stressed[..., None]], axis=-1)
+def _over_depth(table: PressTable) -> _OverDepth:
+    scaled_depths = (table.depths / table.depths[-1]) ** (1.0 / _SPACING)
+    # On the axis u is odd, w and the stress are even; at the last knot all slopes are zero.
+    fields = np.concatenate([table.moved, table.stressed[..., None]], axis=-1)
     profiles = [
-        CubicSpline(kernel.knots, fields[..., k], axis=1, bc_type=(end, "clamped")).c
+        CubicSpline(table.knots, fields[..., k], axis=1, bc_type=(end, "clamped")).c
         for k, end in enumerate(("natural", "clamped", "clamped"))
     ]
-    numbers = (kernel.contact_radii, kernel.peak_pressures, kernel.thinnings)
+    numbers = (table.contact_radii, table.peak_pressures, table.thinnings)
     return _OverDepth(
-        CubicSpline(places, kernel.forces),
-        CubicSpline(places, np.stack(numbers, axis=1)),
-        CubicSpline(places, kernel.energies),
-        CubicSpline(places, np.moveaxis(np.stack(profiles, axis=-1), 2, 0)),
+        CubicSpline(scaled_depths, table.forces),
+        CubicSpline(scaled_depths, np.stack(numbers, axis=1)),
+        CubicSpline(scaled_depths, table.energies),
+        CubicSpline(scaled_depths, np.moveaxis(np.stack(profiles, axis=-1), 2, 0)),
     )
 
 
-def solved(stack: Stack, layer: int, indenter: Indenter) -> PressTable:
-    """Press deeper and deeper, as far as there is an equilibrium or to 0.6 of the thickness.
+def solve_table(stack: Stack, layer: int, indenter: Indenter) -> PressTable:
+    """Solve presses of rising depth, to 0.6 of the thickness or the last equilibrium.
 
     Args:
-        stack: what is pressed.
-        layer: number of the sheet whose deformation is kept.
-        indenter: what presses.
+        stack: the layers.
+        layer: number of the sheet whose deformation is tabulated.
+        indenter: rigid body that presses.
 
     Raises SolidError where not even shallow presses are carried.
     """
@@ -182,17 +182,17 @@ def solved(stack: Stack, layer: int, indenter: Indenter) -> PressTable:
     )
 
 
-def combined(kernels: list[PressTable], weights: Array) -> PressTable:
-    """The weighted sum of kernels of one thickness, to depths that all reach."""
-    deep = min(len(kernel.depths) for kernel in kernels)
-    farthest = max(kernels, key=lambda kernel: float(kernel.knots[-1]))
+def weighted_sum(tables: list[PressTable], weights: Array) -> PressTable:
+    """Weighted sum of tables of one thickness, up to the depths of the shallowest."""
+    deep = min(len(table.depths) for table in tables)
+    farthest = max(tables, key=lambda table: float(table.knots[-1]))
 
     def summed(name: str) -> Array:
-        arrays = [getattr(kernel, name)[:deep] for kernel in kernels]
+        arrays = [getattr(table, name)[:deep] for table in tables]
         if name in ("moved", "stressed"):
             arrays = [
-                _at_knots(array, kernel.knots, farthest.knots)
-                for array, kernel in zip(arrays, kernels, strict=True)
+                _at_knots(array, table.knots, farthest.knots)
+                for array, table in zip(arrays, tables, strict=True)
             ]
         return np.tensordot(weights, np.stack(arrays), axes=1)
 
@@ -204,7 +204,7 @@ def combined(kernels: list[PressTable], weights: Array) -> PressTable:
 
 
 def _at_knots(values: Array, knots: Array, wanted: Array) -> Array:
-    """Values (n, m, ...) over knots (m,), zero at the last and beyond, at other knots."""
+    """Values (n, m, ...) over knots (m,), zero beyond the last, interpolated to other knots."""
     if np.array_equal(knots, wanted):
         return values
     return np.asarray(CubicSpline(knots, values, axis=1)(np.minimum(wanted, knots[-1])))
@@ -234,7 +234,7 @@ def _over_layer(
 ) -> Array:
     """Legendre coefficients over the height of a layer at the knots, (m, coefficients, k).
 
-    `field` holds places r (nr,), heights z (nz,) and values there, (nr, nz, k).
+    `field` holds radii r (nr,), heights z (nz,) and values (nr, nz, k).
     """
     r, z, values = field
     inside = (z > bottom - 1e-9) & (z < top + 1e-9)
@@ -247,6 +247,6 @@ def _over_layer(
 
 
 def _from_none(values: Sequence[object] | Array, first: float = 0.0) -> Array:
-    """The values after one for no press at all."""
+    """Values preceded by the value `first` of no press."""
     array = np.asarray(values, dtype=np.float64)
     return np.concatenate([np.full_like(array[:1], first), array])

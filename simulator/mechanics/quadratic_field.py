@@ -1,4 +1,4 @@
-"""Fields on a grid of boxes, quadratic in each."""
+"""Quadratic interpolation on a grid of boxes."""
 
 from dataclasses import dataclass
 
@@ -8,17 +8,17 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-_AT_ONCE = 20_000  # points, so that what is gathered for them stays small
+_AT_ONCE = 20_000  # points, per chunk, so that gathered values stay small
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class QuadraticField:
-    """A continuous field that is quadratic along each axis within each box, and its derivative.
+    """Continuous field, quadratic along each axis within each box.
 
     Points outside the grid belong to the nearest box.
 
     Attributes:
-        lines: where the boxes end along x, y and z [m].
+        lines: grid lines along x, y and z [m].
         values: at corners and middles of the boxes, (2 nx + 1, 2 ny + 1, 2 nz + 1, k).
     """
 
@@ -26,11 +26,11 @@ class QuadraticField:
     values: Array
 
     def __call__(self, points: Array) -> Array:
-        """The field, (..., k), at points (..., 3) [m]."""
+        """Values (..., k) of the field at points (..., 3) [m]."""
         return self._in_parts(points, ((0, 0, 0),))[..., 0]
 
     def derivative(self, points: Array) -> Array:
-        """Its derivative along x, y and z, (..., k, 3), exact inside the boxes."""
+        """Derivative of the field along x, y and z, (..., k, 3), exact inside the boxes."""
         return self._in_parts(points, ((1, 0, 0), (0, 1, 0), (0, 0, 1)))
 
     def _in_parts(self, points: Array, orders: tuple[tuple[int, int, int], ...]) -> Array:
@@ -55,7 +55,7 @@ class QuadraticField:
 
 
 def _functions(lines: Array, x: Array) -> tuple[Indices, tuple[Array, Array]]:
-    """Numbers of the three values along one axis that count, shape functions and slopes (n, 3)."""
+    """Numbers, shape functions and slopes of the three nodes along one axis, (n, 3) each."""
     cell = np.clip(np.searchsorted(lines, x, side="right") - 1, 0, len(lines) - 2)
     size = np.diff(lines)[cell]
     t = (x - lines[cell]) / size

@@ -1,4 +1,4 @@
-"""The dent of a press as a table: splines over the distance, polynomials over the height."""
+"""Tabulated dent: splines over the radius, Legendre polynomials over the height."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -12,20 +12,20 @@ Array = NDArray[np.float64]
 
 DEGREE = 5  # over the height of the layer
 # Legendre coefficients of the derivative of a polynomial, from its own.
-_RISES = np.vstack([legendre.legder(np.eye(DEGREE + 1)), np.zeros(DEGREE + 1)])
+_DERIVATIVE = np.vstack([legendre.legder(np.eye(DEGREE + 1)), np.zeros(DEGREE + 1)])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TabulatedDent:
-    """The dent of one press.
+    """Dent of one press, from a press table.
 
     Attributes:
         force: of the indenter [N].
-        depth: of its lowest point under the undeformed top of the stack [m].
-        contact_radius: where contact ends, in the deformed stack [m].
-        peak_pressure: on the contact [Pa].
+        depth: of the indenter's lowest point under the undeformed top of the stack [m].
+        contact_radius: of the contact area in the deformed stack [m].
+        peak_pressure: largest contact pressure [Pa].
         thinning: 1 - thickness over undeformed thickness of the layer, on the axis.
-        share: of the force that the shear modulus of the layer accounts for, (mu / F) dF/dmu.
+        share: of the force due to the shear modulus of the layer, (mu / F) dF/dmu.
         thickness: of the undeformed layer [m].
         profile: piecewise cubics in r of the coefficients of u, w and the mean stress in Legendre
             polynomials over the height, (coefficients, 3).
@@ -48,7 +48,7 @@ class TabulatedDent:
     def motion(self, r: Array, z: Array) -> Array:
         """u, w, du/dz, dw/dz, du/dr and dw/dr [m], (..., n, 6, h), at r (..., n) and z (n, h).
 
-        Where the heights are alike for all n, as of quadrature points in upright cells, the
+        Where the heights are equal for all n, as for quadrature points in upright cells, the
         polynomials over the height are summed before the splines.
         """
         inside = np.minimum(r, self.reach)
@@ -57,7 +57,7 @@ class TabulatedDent:
             return np.asarray(found.reshape(*r.shape, 6, z.shape[1]))
         P = self.over_height(z)
         c, slopes = self.profile(inside)[..., :2], self.profile(inside, 1)[..., :2]
-        pairs = ((P, c), (self.rises(P), c), (P, slopes))
+        pairs = ((P, c), (self.derivatives(P), c), (P, slopes))
         parts = [np.einsum("nhm,...nmf->...nfh", Q, v) for Q, v in pairs]
         return np.concatenate(parts, axis=-2)
 
@@ -66,21 +66,21 @@ class TabulatedDent:
         coefficients = self.profile(np.minimum(r, self.reach))[..., 2]
         return np.asarray(np.einsum("nhm,...nm->...nh", self.over_height(z), coefficients))
 
-    def rises(self, P: Array) -> Array:
-        """Slopes upwards [1/m] of the polynomials with values P (..., m)."""
-        return np.asarray(P @ (_RISES * (2.0 / self.thickness)))
+    def derivatives(self, P: Array) -> Array:
+        """Derivatives along z [1/m] of the Legendre polynomials with values P (..., m)."""
+        return np.asarray(P @ (_DERIVATIVE * (2.0 / self.thickness)))
 
     def over_height(self, z: Array) -> Array:
-        """Legendre polynomials at heights z (...), (..., m)."""
+        """Legendre polynomials (..., m) at heights z (...) [m]."""
         return np.asarray(legendre.legvander(2.0 * z / self.thickness - 1.0, DEGREE))
 
 
 @lru_cache(maxsize=16)
 def _at_heights(dent: TabulatedDent, heights: tuple[float, ...]) -> PPoly:
-    """Splines over r of u and w, their slopes upwards, and outwards, at heights, (6 h,)."""
+    """Splines over r of u, w and their derivatives along z and r at heights, (6 h,)."""
     P = dent.over_height(np.array(heights))
     c = dent.profile.c[..., :2]
-    values = [np.einsum("pkmf,hm->pkfh", c, Q, optimize=True) for Q in (P, dent.rises(P))]
+    values = [np.einsum("pkmf,hm->pkfh", c, Q, optimize=True) for Q in (P, dent.derivatives(P))]
     outward = np.zeros_like(values[0])
     outward[1:] = values[0][:-1] * np.array([3.0, 2.0, 1.0])[:, None, None, None]
     splines = np.concatenate([*values, outward], axis=2)

@@ -1,9 +1,9 @@
-"""How presses creep and relax: quasi-linear viscoelasticity of force against depth.
+"""Quasi-linear viscoelasticity: relaxation and creep of force against depth.
 
 A press to a depth d takes an elastic force F_e(d) at once and relaxes: F(t) = int G(t-s) dF_e(s)
 (Fung 1993, section 7.6). Under a given force the dent is the one that F_e(t) = int J(t-s) dF(s)
-would make at once; J, the creep function, undoes G. So everything about time goes through F_e,
-"the elastic force", and whatever is known of presses at once holds for it.
+would make at once; J, the creep function, is the inverse of G. Time enters only through F_e, "the
+elastic force", for which all results of instantaneous presses hold.
 """
 
 import math
@@ -20,16 +20,16 @@ from eitskin.errors import ConfigurationError
 Array = NDArray[np.float64]
 
 _LONGEST = 1e30  # s; squares of such times neither overflow nor vanish
-_FAINTEST = 1e-60  # amplitudes below it are those of no term
+_FAINTEST = 1e-60  # smaller amplitudes count as zero
 
 
 @dataclass(frozen=True)
 class Prony:
-    """Reduced relaxation function G(t) = 1 - sum_k g_k (1 - exp(-t / tau_k)).
+    """Prony series of the reduced relaxation function G(t) = 1 - sum_k g_k (1 - exp(-t / tau_k)).
 
     Attributes:
-        amplitudes: g_k, what relaxes of a force of 1; together less than 1.
-        times: tau_k [s].
+        amplitudes: g_k, relative; their sum is less than 1.
+        times: relaxation times tau_k [s].
     """
 
     amplitudes: tuple[float, ...] = ()
@@ -53,11 +53,11 @@ class Prony:
             )
 
     def relaxation(self, t: ArrayLike) -> Array:
-        """G at times t >= 0 [s]: the force after a step of depth that took a force of 1."""
+        """Relaxation function G at times t >= 0 [s]: force after a step of depth of unit force."""
         return 1.0 - _approach(self.amplitudes, self.times, t)
 
     def creep(self, t: ArrayLike) -> Array:
-        """J at times t >= 0 [s]: the elastic force after a step of force of 1."""
+        """Creep function J at times t >= 0 [s]: elastic force after a unit step of force."""
         return 1.0 + _approach(*self.dual, t)
 
     @cached_property
@@ -67,7 +67,7 @@ class Prony:
         The Laplace transform of G is sum_k w_k / (s + p_k) with weights w = (1 - sum g, g_1, ...)
         and rates p = (0, 1 / tau_1, ...). That of J is 1 over s^2 times it, so retardation rates
         are its zeros, one between any two neighbouring p, and the amplitudes follow from the
-        residues. All sums are of terms of one sign: close and far rates keep their digits.
+        residues. All sums have terms of one sign, so that no digits cancel for close and far rates.
         """
         g = np.array(self.amplitudes)
         kept = g > _FAINTEST
@@ -88,10 +88,10 @@ ECOFLEX = Prony((0.05, 0.05), (1.0, 30.0))
 
 
 def mixture(materials: Sequence[Prony], shares: ArrayLike) -> Prony:
-    """The relaxation of a body of several materials, sum_k s_k G_k(t).
+    """Relaxation of a body of several materials, sum_k s_k G_k(t), to first order.
 
     Args:
-        materials: those of the parts.
+        materials: of the parts.
         shares: s_k = (mu_k / F) dF/dmu_k at fixed depth, adding up to 1.
 
     The elastic force is F(mu_1, mu_2, ...), homogeneous of degree one. Were the body linear, its
@@ -119,13 +119,13 @@ REFERENCE = mixture((GEL, ECOFLEX), (0.43, 0.57))
 
 
 def elastic_force(prony: Prony, force: float, seconds: float, released: float = 0.0) -> float:
-    """The elastic force [N] of a force [N] applied at once, held, then perhaps taken off.
+    """Elastic force [N] of a force applied as a step, held, and possibly removed.
 
     Args:
-        prony: how the body relaxes.
-        force: while it is held [N].
-        seconds: for how long it is held [s].
-        released: how long ago it was taken off [s]; 0 while it still acts.
+        prony: relaxation of the body.
+        force: constant force [N].
+        seconds: duration of the force [s].
+        released: time since the force was removed [s]; 0 while the force acts.
     """
     check_not_negative(force=force, seconds=seconds, released=released)
     j, times = (np.array(part) for part in prony.dual)
@@ -136,16 +136,16 @@ def elastic_force(prony: Prony, force: float, seconds: float, released: float = 
 def elastic_force_at_depth(
     prony: Prony, force: float, seconds: float, released: float = 0.0
 ) -> float:
-    """The elastic force [N] of a depth reached at once, held, then perhaps left to itself.
+    """Elastic force [N] of a depth applied as a step, held, and possibly released.
 
     Args:
-        prony: how the body relaxes.
+        prony: relaxation of the body.
         force: at the first moment [N].
-        seconds: for how long the depth is held [s].
-        released: how long ago the indenter was taken off [s]; 0 while it is there.
+        seconds: duration of the constant depth [s].
+        released: time since the indenter was taken off [s]; 0 while it is in contact.
 
-    While the depth is held the force is F G(t). What each retardation time lets the body feel of
-    it, time q' = F G - q, fades after the release; all terms are positive.
+    While the depth is held the force is F G(t). The delayed force q of each retardation time,
+    time q' = F G - q, decays after the release; all terms are positive.
     """
     check_not_negative(force=force, seconds=seconds, released=released)
     if released == 0.0:
@@ -153,7 +153,7 @@ def elastic_force_at_depth(
     g, rates = np.array(prony.amplitudes), 1.0 / np.array(prony.times)
     j, times = (np.array(part) for part in prony.dual)
     retardation = 1.0 / times[:, None]
-    # (exp(-rate t) - exp(-retardation t)) / (retardation - rate), where they are close as well.
+    # (exp(-rate t) - exp(-retardation t)) / (retardation - rate), accurate for close rates too.
     lag = seconds * np.exp(-np.minimum(rates, retardation) * seconds)
     lag *= mean_decay(np.abs(rates - retardation) * seconds)
     felt = (1.0 - math.fsum(g)) * -np.expm1(-seconds / times) + (retardation * lag) @ g
@@ -161,20 +161,20 @@ def elastic_force_at_depth(
 
 
 def mean_decay(x: Array) -> Array:
-    """The mean of exp(-s) over s from 0 to x, (1 - exp(-x)) / x."""
+    """Mean of exp(-s) over s from 0 to x, (1 - exp(-x)) / x."""
     mean: Array = np.divide(-np.expm1(-x), x, out=np.ones_like(x), where=x > 0.0)
     return mean
 
 
 def check_not_negative(**numbers: float) -> None:
-    """Raise a ConfigurationError that names the first of `numbers` that is not 0 or more."""
+    """Raise ConfigurationError, naming the number, for the first negative or infinite one."""
     for name, value in numbers.items():
         if not (math.isfinite(value) and value >= 0.0):
             raise ConfigurationError(f"{name} must be a number of 0 or more, got {value}")
 
 
 def _approach(amplitudes: ArrayLike, times: ArrayLike, t: ArrayLike) -> Array:
-    """sum_k a_k (1 - exp(-t / time_k)), of the shape of t."""
+    """Sum of a_k (1 - exp(-t / time_k)) over k, of the shape of t."""
     at, a, tau = (np.asarray(part, dtype=np.float64) for part in (t, amplitudes, times))
     if not np.all(at >= 0.0):
         raise ConfigurationError(f"times since a step must be 0 s or more, got {at.min()}")
@@ -182,9 +182,9 @@ def _approach(amplitudes: ArrayLike, times: ArrayLike, t: ArrayLike) -> Array:
 
 
 def _zero_between(p: Array, w: Array, k: int) -> tuple[int, float]:
-    """The zero of sum_i w_i / (x - p_i) between p_k and p_(k+1), as the nearer one and the rest.
+    """Zero of sum_i w_i / (x - p_i) between p_k and p_(k+1), as the nearer pole and an offset.
 
-    Seen from the nearer pole, no digits of the distance to it are lost (Li 1993, LAPACK's dlaed4).
+    The offset from the nearer pole keeps all digits (Li 1993, LAPACK's dlaed4).
     """
     left, right = p[k], p[k + 1]
     others = np.delete(np.arange(len(p)), [k, k + 1])

@@ -1,4 +1,4 @@
-"""Convex rigid bodies of revolution that press on the sensor, as maps of their height."""
+"""Indenters: convex rigid bodies of revolution, given as height maps."""
 
 import math
 from dataclasses import dataclass
@@ -19,11 +19,11 @@ _WIDEST = 0.5  # m; no finger or tool is wider, but 1 mm written as 1 is
 
 
 class Indenter(Protocol):
-    """A convex body of revolution with a vertical axis."""
+    """Convex body of revolution with a vertical axis."""
 
     @property
     def rough(self) -> bool:
-        """Whether it holds what it touches; else the face slides along it freely."""
+        """Whether the indenter sticks to the touched face; else contact is frictionless."""
         ...
 
     @property
@@ -38,12 +38,12 @@ class Indenter(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Cylinder:
-    """A flat-ended cylinder.
+    """Flat-ended cylinder.
 
     Attributes:
         radius: of the cylinder [m].
-        edge: radius of its rounded rim over its own radius. No rim is perfectly sharp, and the
-            material that a press squeezes out slides around it.
+        edge: radius of the rounded rim over the radius of the cylinder. No rim is perfectly sharp,
+            and squeezed-out material slides around the rim.
     """
 
     radius: float = 0.0075
@@ -70,11 +70,11 @@ class Cylinder:
 
 @dataclass(frozen=True, slots=True)
 class Sphere:
-    """A ball, or a rod with a hemispherical end.
+    """Ball, or rod with a hemispherical end.
 
     Attributes:
-        radius: [m].
-        shape: tells it from a cylinder in files.
+        radius: of the ball [m].
+        shape: distinguishes a sphere from a cylinder in files.
     """
 
     radius: float
@@ -96,7 +96,7 @@ class Sphere:
 
 @dataclass(frozen=True, slots=True)
 class Profile:
-    """A convex body of revolution given by heights at some radii.
+    """Convex body of revolution given by heights at some radii.
 
     The slope is linear between the middles of the segments, so that the surface is smooth and
     cuts corners by a quarter of a segment; past the last radius there is a wall.
@@ -157,15 +157,17 @@ class Profile:
         return height, slope, bends[piece]
 
 
-def entry(indenter: Indenter, r: Array, height: Array) -> tuple[Array, tuple[Array, Array], Array]:
-    """How deep places at distance r and a height over the lowest point are inside an indenter.
+def penetration(
+    indenter: Indenter, r: Array, height: Array
+) -> tuple[Array, tuple[Array, Array], Array]:
+    """Penetration of points at distance r and a height over the lowest point into an indenter.
 
-    Returns the distance g to its surface, positive inside [m]; the gradient of g, radial and
-    upward; and its second derivative along the surface, across the gradient [1/m].
+    Returns the distance g to the surface, positive inside [m]; the gradient of g, radial and
+    upward; and the second derivative of g along the surface, across the gradient [1/m].
     """
     h, slope, bend = indenter.profile(r)
     inside = height > h
-    # The foot s of the normal through a place: (s - r) + (h(s) - height) h'(s) = 0.
+    # The foot s of the normal through a point: (s - r) + (h(s) - height) h'(s) = 0.
     s = r.copy()
     for _ in range(_PROJECTIONS):
         offset = s - r + (h - height) * slope
@@ -180,7 +182,7 @@ def entry(indenter: Indenter, r: Array, height: Array) -> tuple[Array, tuple[Arr
 
 
 def _arc(s: Array, radius: float) -> tuple[Array, Array, Array]:
-    """A circular arc that starts level at s = 0 and goes on straight where it is steepest."""
+    """Circular arc, level at s = 0, continued by a straight line from the steepest slope on."""
     last = radius * _STEEPEST / math.hypot(1.0, _STEEPEST)
     on_arc = np.minimum(s, last)
     root = np.sqrt(radius**2 - on_arc**2)

@@ -1,4 +1,4 @@
-"""Indenters from files: the lower side of a convex body, turned about its axis."""
+"""Indenter from a file: the lower side of a convex body, averaged about its axis."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -21,7 +21,7 @@ _ROUND = 0.1  # largest difference of height round the axis, of the radius
 
 @dataclass(frozen=True, slots=True)
 class ScannedIndenter:
-    """The lower side of the convex hull of a closed surface, such as a scanned fingertip.
+    """Lower side of the convex hull of a closed surface, such as a scanned fingertip.
 
     The axis is upright through the lowest point, z up. Presses are those of bodies of revolution:
     heights are averaged round the axis.
@@ -29,7 +29,7 @@ class ScannedIndenter:
     Attributes:
         file: path of the surface (STL, OBJ, PLY, OFF ...); made absolute.
         scale: metres per unit of the file, 1e-3 for millimetres.
-        rough: whether it holds what it touches.
+        rough: whether the indenter sticks to the touched face.
     """
 
     file: Path
@@ -37,7 +37,7 @@ class ScannedIndenter:
     rough: bool = True
 
     def __post_init__(self) -> None:
-        """Load the surface; raises ConfigurationError where it is no indenter."""
+        """Load the surface; raises ConfigurationError where the surface is no indenter."""
         object.__setattr__(self, "file", Path(self.file).absolute())
         self._profile()
 
@@ -56,7 +56,7 @@ class ScannedIndenter:
 
 @lru_cache(maxsize=16)
 def _of_surface(surface: Surface, rough: bool) -> Profile:
-    """The profile of the hull; raises ConfigurationError where that is far from round."""
+    """Mean profile of the hull; raises ConfigurationError where the hull is far from round."""
     points, _ = surface.triangles()
     hull = ConvexHull(points)
     corners = points[hull.vertices]
@@ -64,7 +64,7 @@ def _of_surface(surface: Surface, rough: bool) -> Profile:
     tip = (low.min(axis=0) + low.max(axis=0)) / 2.0
     azimuth = np.arange(_AZIMUTHS) * (2.0 * np.pi / _AZIMUTHS)
     directions = np.stack([np.cos(azimuth), np.sin(azimuth)])
-    # As far as the body reaches in every direction.
+    # Largest radius that the body reaches in every direction.
     radius = float(((corners - tip)[:, :2] @ directions).max(axis=0).min())
     if radius <= 0.0:
         raise ConfigurationError(

@@ -1,4 +1,4 @@
-"""What happens to the sensor at one moment: how it is bent and where it is pressed."""
+"""Scene: bend, roll, twist and touches of a sensor at one moment."""
 
 import math
 from dataclasses import dataclass, field
@@ -14,13 +14,13 @@ from eitskin.simulator.scene.touch import Touch
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """One moment of one sensor; `Scene()` is the flat, untouched sensor.
+    """Scene of one moment; `Scene()` is the flat, untouched sensor.
 
     Attributes:
-        bend: how the sensor is bent by its fixture; zero degrees when omitted.
+        bend: of the sensor by its fixture; zero degrees when omitted.
         touches: presses on the top side, in coordinates of the flat sensor.
-        roll: how it is curled across its width, before it is bent; flat when omitted.
-        twist: how it is twisted about its long axis, after all else; not at all when omitted.
+        roll: of the sensor across its width, before the bend; flat when omitted.
+        twist: about the long axis, after roll and bend; none when omitted.
     """
 
     bend: Bend = field(default_factory=lambda: Bend(0.0))
@@ -29,7 +29,7 @@ class Scene:
     twist: Twist | None = None
 
     def __post_init__(self) -> None:
-        """Refuse indenters that would be inside each other."""
+        """Raise ConfigurationError for indenters that overlap."""
         pressing = [touch for touch in self.touches if not touch.released]
         for one, other in combinations(pressing, 2):
             apart = math.dist((one.x, one.y), (other.x, other.y))
@@ -42,5 +42,5 @@ class Scene:
 
     @classmethod
     def from_toml(cls, path: str | Path) -> "Scene":
-        """Read a scene; raises ConfigurationError for anything that does not fit."""
+        """Read a scene from a TOML file; raises ConfigurationError where the file is invalid."""
         return read_toml(cls, path)

@@ -1,4 +1,4 @@
-"""A press on the touched side of the sensor."""
+"""Touch: a press of an indenter on the touched side of the sensor."""
 
 import math
 from dataclasses import dataclass, field
@@ -12,16 +12,16 @@ DEFAULT_FORCE = 10.0
 
 @dataclass(frozen=True, slots=True)
 class Touch:
-    """A press at (x, y) of the flat sensor, with a force or to a depth.
+    """Press at (x, y) of the flat sensor, with a force or to a depth.
 
     Attributes:
         x, y: centre of the indenter [m].
         force: normal force [N]; not used where a depth is given.
-        indenter: its shape.
+        indenter: shape of the indenter.
         depth: of the indenter's lowest point under the undeformed surface, instead of a force [m].
-        held: for how long the press has been held, or was held until it was released [s]. Without
-            it the press is as at its first moment, and nothing relaxes.
-        released: how long ago the indenter was taken off [s]; the dent that lingers is left.
+        held: duration of the press until now or until its release [s]. When omitted the press is in
+            its first moment, and nothing relaxes.
+        released: time since the indenter was taken off [s]; only a fading dent is left.
     """
 
     x: float
@@ -33,9 +33,9 @@ class Touch:
     released: float = 0.0
 
     def __post_init__(self) -> None:
-        """Check the numbers; how far a press can go depends on what is pressed."""
+        """Check the numbers; the largest possible force depends on the sensor."""
         if not (math.isfinite(self.x) and math.isfinite(self.y)):
-            raise ConfigurationError(f"touch place must be finite, got ({self.x}, {self.y})")
+            raise ConfigurationError(f"touch position must be finite, got ({self.x}, {self.y})")
         if not (math.isfinite(self.force) and self.force > 0.0):
             raise ConfigurationError(f"touch force must be above 0 N, got {self.force} N")
         if self.depth is not None:

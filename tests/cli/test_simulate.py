@@ -15,7 +15,7 @@ from eitskin.geometry import Bend, SensorDesign
 from eitskin.geometry.deformation.fixtures import Fixture, FreeArc, Hinge
 from eitskin.simulator import Cylinder, Mechanics, Protocol, Scene, Simulator, Sphere
 from eitskin.simulator.mechanics import press_store
-from eitskin.simulator.mechanics import press_table as kernels
+from eitskin.simulator.mechanics import press_table as tables
 from eitskin.simulator.mechanics.layer_stack import Piezoresistivity
 from eitskin.simulator.mechanics.materials import NeoHookean
 
@@ -137,7 +137,7 @@ def test_a_touch_by_itself_has_no_neighbour_and_the_closed_form_tells_nothing(sc
 @pytest.mark.slow
 def test_it_is_said_when_presses_have_to_be_solved(scene, tmp_path, monkeypatch) -> None:
     table = press_store.press_table(SensorDesign.reference(), Mechanics(), Cylinder())
-    monkeypatch.setattr(kernels, "solved", lambda *_: table)
+    monkeypatch.setattr(tables, "solve_table", lambda *_: table)
     monkeypatch.setenv("EITSKIN_CACHE", str(tmp_path / "store"))
     for options, said in ((("--touch-model", "closed form"), False), ((), True), ((), False)):
         press_store.press_table.cache_clear()

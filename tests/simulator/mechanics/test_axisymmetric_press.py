@@ -13,7 +13,7 @@ from eitskin.simulator.mechanics.layer_stack import Mechanics, Sheet, Stack
 from eitskin.simulator.mechanics.load_stepping import SolidError
 from eitskin.simulator.mechanics.materials import NeoHookean, Ogden
 from eitskin.simulator.mechanics.penalty_contact import PenaltyContact
-from eitskin.simulator.scene.indenters import Cylinder, Profile, Sphere, entry
+from eitskin.simulator.scene.indenters import Cylinder, Profile, Sphere, penetration
 
 import closed_forms
 
@@ -181,19 +181,23 @@ def test_entry_is_a_distance_with_these_derivatives(name) -> None:
     rng = np.random.default_rng(1)
     r, depth = rng.uniform(1e-4, 0.0068, 200), rng.uniform(1e-5, 5e-4, 200)
     height = indenter.profile(r)[0] + depth
-    g, (radial, upward), _ = entry(indenter, r, height)
+    g, (radial, upward), _ = penetration(indenter, r, height)
     assert np.all((g > 0) & (g <= depth * (1 + 1e-9)))
     assert np.hypot(radial, upward) == pytest.approx(np.ones(200))
     step = 1e-8
-    slope_r = (entry(indenter, r + step, height)[0] - entry(indenter, r - step, height)[0]) / 2
-    slope_z = (entry(indenter, r, height + step)[0] - entry(indenter, r, height - step)[0]) / 2
+    slope_r = (
+        penetration(indenter, r + step, height)[0] - penetration(indenter, r - step, height)[0]
+    ) / 2
+    slope_z = (
+        penetration(indenter, r, height + step)[0] - penetration(indenter, r, height - step)[0]
+    ) / 2
     assert slope_r / step == pytest.approx(radial, abs=2e-4)
     assert slope_z / step == pytest.approx(upward, abs=2e-4)
 
 
 def test_a_sphere_is_round() -> None:
     r, height = np.array([0.001, 0.003]), np.array([0.004, 0.006])
-    g, _, _ = entry(Sphere(0.0075), r, height)
+    g, _, _ = penetration(Sphere(0.0075), r, height)
     assert g == pytest.approx(0.0075 - np.hypot(r, 0.0075 - height))
 
 

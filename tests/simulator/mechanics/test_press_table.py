@@ -9,7 +9,7 @@ from eitskin.errors import ConfigurationError
 from eitskin.geometry import SensorDesign
 from eitskin.simulator.layer.dents import Dents, PlacedDent
 from eitskin.simulator.mechanics import press_store
-from eitskin.simulator.mechanics import press_table as kernels
+from eitskin.simulator.mechanics import press_table as tables
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.mechanics.materials import NeoHookean
@@ -187,7 +187,7 @@ def solves(table, monkeypatch, tmp_path):
         counted.append(arguments)
         return table
 
-    monkeypatch.setattr(kernels, "solved", solved)
+    monkeypatch.setattr(tables, "solve_table", solved)
     monkeypatch.setenv("EITSKIN_CACHE", str(tmp_path / "store"))
     press_store.press_table.cache_clear()
     yield counted
