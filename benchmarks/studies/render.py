@@ -28,7 +28,7 @@ from eitskin.benchmarks.markdown_tables import NUMBER, tables
 from eitskin.benchmarks.results import Results, found_results
 from eitskin.errors import ConfigurationError
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).resolve().parents[2]
 PUBLISHED = ROOT / "benchmarks" / "published"
 
 _TABLE = re.compile(r"^<!-- figures: (\w+)(?:: (.+?)| (\|.*?))? -->\n((?:\|.*\n)+)", re.MULTILINE)
