@@ -1,1 +1,1 @@
-"""Measurements of error against run time; every published figure comes from one of these."""
+"""Benchmarks behind `eitskin bench`: errors and run times of the package."""

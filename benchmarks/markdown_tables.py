@@ -1,4 +1,4 @@
-"""Tables in Markdown, as benchmarks print them and pages quote them, and the numbers in them."""
+"""Tables in Markdown, of reports and pages, and the numbers in them."""
 
 import re
 from collections import Counter
@@ -12,7 +12,7 @@ _ITEM = re.compile(r"- (.+?): (.+)")
 
 @dataclass(frozen=True, slots=True)
 class MarkdownTable:
-    """One table.
+    """Table in Markdown.
 
     Attributes:
         title: the heading or bold line above it, if there is one since the table before.
@@ -25,7 +25,7 @@ class MarkdownTable:
     rows: tuple[tuple[str, ...], ...]
 
     def labels(self) -> list[str]:
-        """What each row is called: its first cell; with the second where that is a name as well.
+        """Labels of the rows: the first cell, with the second where that is a name as well.
 
         Rows that are still called the same are numbered.
         """
@@ -87,7 +87,7 @@ def figures(text: str) -> dict[str, float]:
 
 
 def numbers(cell: str) -> list[str]:
-    """As they are written, in order."""
+    """Numbers of a cell as written, in order."""
     return NUMBER.findall(cell)
 
 
@@ -100,7 +100,7 @@ def keyed(key: str, written: Sequence[str]) -> dict[str, float]:
 
 
 def value_of(written: str) -> float:
-    """Of a number as it is written; commas are between thousands."""
+    """Value of a number as written; commas separate thousands."""
     return float(written.replace(",", ""))
 
 

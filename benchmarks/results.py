@@ -1,4 +1,4 @@
-"""One folder for what every benchmark finds: `OUT/NAME/` with results.json, table.csv, pictures.
+"""Results of a benchmark in its folder `OUT/NAME`: results.json, table.csv and pictures.
 
 results.json says what a run found, as figures by name, and what it was measured with; table.csv
 holds its rows. All benchmarks write through here, each file whole.
@@ -26,7 +26,7 @@ Plots = Mapping[str, Callable[[Path], object]]
 
 @dataclass(frozen=True, slots=True)
 class Results:
-    """What one run of one benchmark found.
+    """Results of one run of one benchmark.
 
     Attributes:
         name: of the benchmark, and of its folder.
@@ -45,7 +45,7 @@ class Results:
     figures: dict[str, float] = field(default_factory=dict)
 
     def answers(self, seed: int | None, quick: bool) -> bool:
-        """Whether a run with the versions installed would say no more than this.
+        """Whether a run with the installed versions would give the same figures.
 
         With this seed, or with any where it is None.
         """
@@ -57,7 +57,7 @@ class Results:
 def write_results(
     results: Results, out: Path, rows: Sequence[dict[str, Any]] = (), plots: Plots | None = None
 ) -> list[Path]:
-    """Write `out/NAME/`: pictures and table first, results.json last, so that it vouches for all.
+    """Write `out/NAME/`: pictures and table first, results.json last as a mark of completeness.
 
     Args:
         results: of the run.
@@ -83,7 +83,7 @@ def write_results(
 
 
 def write_table(path: Path, rows: Sequence[dict[str, Any]], comment: str) -> None:
-    """Write rows with a header, after a line that begins with # and says how they were measured.
+    """Write rows as CSV with a header, after a comment line on how they were measured.
 
     Raises ConfigurationError where the file cannot be written; what was there is kept.
     """
@@ -97,7 +97,7 @@ def write_table(path: Path, rows: Sequence[dict[str, Any]], comment: str) -> Non
 
 
 def read_results(path: Path) -> Results:
-    """Results that were written before; raises DataError where the file is none of them."""
+    """Results read from a file; raises DataError where the file holds none."""
     try:
         return msgspec.json.decode(path.read_bytes(), type=Results)
     except (OSError, msgspec.DecodeError) as error:
@@ -113,7 +113,7 @@ def found_results(out: Path) -> Iterator[Results]:
 
 
 def write_index(out: Path) -> Path:
-    """Write index.md: which results are there, of when, and what files they left."""
+    """Write index.md: all results with their dates and files."""
     lines = ["# Measured", "", "| benchmark | figures | seconds | seed | date | files |"]
     lines.append("|---" * 6 + "|")
     for one in found_results(out):

@@ -29,7 +29,7 @@ Start = Callable[[Sequence[str], Path | None], int]
 
 @dataclass(frozen=True, slots=True)
 class Benchmark:
-    """One benchmark.
+    """Benchmark of the suite: a command or a study.
 
     Attributes:
         name: of the command or module, and of the folder of its results.
@@ -56,11 +56,11 @@ class Benchmark:
 
     @property
     def long(self) -> bool:
-        """Whether it runs only when it is asked for."""
+        """Whether the benchmark takes so long that it runs only on request."""
         return self.minutes > LONG
 
     def arguments(self, places: Mapping[str, str], seed: int, quick: bool) -> list[str]:
-        """What follows `eitskin`, or `python` for a module."""
+        """Arguments after `eitskin`, or after `python` for a module."""
         options = self.quick if quick else self.options
         given = [part.format_map(places) for part in options or ()]
         seeds = ["--seed", str(seed)] if self.seeded else []
@@ -73,12 +73,12 @@ class Benchmark:
 
     @property
     def study(self) -> bool:
-        """Whether it is a module of `eitskin.benchmarks.studies`."""
+        """Whether the benchmark is a module of `eitskin.benchmarks.studies`."""
         return not self.command
 
 
 def has_studies() -> bool:
-    """Whether studies are there: in a checkout, not in an installed wheel."""
+    """Whether studies are installed: in a checkout, not in a wheel."""
     return find_spec("eitskin.benchmarks.studies") is not None
 
 
@@ -89,7 +89,7 @@ OUT, OWN = ("--out", "{out}"), ("--out", "{own}")
 
 
 def _command(name: str, minutes: float, *options: str, seeded: bool = True) -> Benchmark:
-    """A command that writes results."""
+    """Benchmark that is a command and writes its results itself."""
     return Benchmark(
         name=name,
         minutes=minutes,
@@ -128,7 +128,7 @@ ALL = (
 
 @dataclass(frozen=True, slots=True)
 class Done:
-    """What became of one benchmark: "measured", "kept", "left out" or "failed", and why."""
+    """Outcome of one benchmark: "measured", "kept", "left out" or "failed", and why."""
 
     name: str
     outcome: str
@@ -183,7 +183,7 @@ def run_all(
 
 
 def _run(each: Benchmark, places: Mapping[str, str], seed: int, quick: bool, start: Start) -> str:
-    """Run one; gives why it failed, or nothing."""
+    """Run one benchmark; returns the reason of a failure, or an empty text."""
     folder = Path(places["own"])
     make_folder(folder)
     program = EITSKIN if each.command else EITSKIN[:1]
@@ -214,7 +214,7 @@ def _run(each: Benchmark, places: Mapping[str, str], seed: int, quick: bool, sta
 
 
 def _printed(command: Sequence[str], report: Path, start: Start) -> int:
-    """Run a command whose report goes to a file, whole; a failed one leaves the file before."""
+    """Run a command whose standard output becomes a file; a failed run keeps the old file."""
     with tempfile.TemporaryDirectory() as folder:
         printed = Path(folder) / report.name
         status = start(command, printed)
@@ -233,7 +233,7 @@ def run_process(command: Sequence[str], report: Path | None) -> int:
 
 
 def _is_there(path: Path, seed: int | None, quick: bool) -> bool:
-    """Whether results are there that a run would give again."""
+    """Whether a file has the results that a run would give again."""
     try:
         return path.is_file() and read_results(path).answers(seed, quick)
     except DataError:

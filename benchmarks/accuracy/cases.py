@@ -1,4 +1,4 @@
-"""What `bench accuracy` compares: meshes, elements and solvers of the forward model."""
+"""Forward models that `bench accuracy` compares: meshes, elements and solvers."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,8 +18,8 @@ _ORDERS = {1: "linear", 2: "quadratic", 3: "cubic", 4: "quartic"}
 
 
 @dataclass(frozen=True, slots=True)
-class Case:
-    """One forward model, and the line of the plot that it belongs to.
+class ModelCase:
+    """Forward model to be measured, and the line of the plot that it belongs to.
 
     Attributes:
         family: name of the line.
@@ -36,7 +36,7 @@ class Case:
     solver: SolverName | None = None
 
     def model(self, design: SensorDesign) -> ForwardModel:
-        """Mesh the design."""
+        """Forward model of the design on its mesh."""
         return ForwardModel(design, self.resolution, cells=self.cells, solver=self.solver)
 
 
@@ -46,8 +46,8 @@ def ladder(
     rungs: int,
     cells: CellKind = "hexahedra",
     solver: SolverName | None = None,
-) -> list[Case]:
-    """Ever finer gradings for elements of one order.
+) -> list[ModelCase]:
+    """Sequence of ever finer gradings for elements of one order.
 
     Far from the edges the error goes with size^(2 order), near them with the size of the finest
     cells alone: sizes and growth shrink as the finest size to the power of 1 / (2 order).
@@ -58,7 +58,7 @@ def ladder(
         finest = coarse.finest / _STEP**rung
         ratio = _STEP ** (-0.5 * rung / order[0])
         grading = Grading(finest, coarse.coarsest * ratio, coarse.growth * ratio, coarse.layers)
-        cases.append(Case(family, _length(finest), (order, grading), cells, solver))
+        cases.append(ModelCase(family, _length(finest), (order, grading), cells, solver))
     return cases
 
 
@@ -66,15 +66,15 @@ def _length(metres: float) -> str:
     return f"{1e3 * metres:.3g} mm" if metres >= 1e-3 else f"{1e6 * metres:.3g} um"
 
 
-def named(cells: CellKind, names: Sequence[Resolution] = get_args(Resolution)) -> list[Case]:
+def named(cells: CellKind, names: Sequence[Resolution] = get_args(Resolution)) -> list[ModelCase]:
     """The named resolutions for one kind of mesh."""
-    return [Case(f"{cells}, named", name, name, cells) for name in names]
+    return [ModelCase(f"{cells}, named", name, name, cells) for name in names]
 
 
-def uniform(size: float, layers: int) -> Case:
-    """Linear elements on boxes of one size, as pyEIT is given them; no layers: a plane model."""
+def uniform(size: float, layers: int) -> ModelCase:
+    """Linear elements on boxes of one size, as given to pyEIT; a plane model without layers."""
     order = (1, 1) if layers else (1,)
-    return Case(
+    return ModelCase(
         "hexahedra, linear, uniform" if layers else "squares, linear, uniform",
         _length(size),
         (order, Grading(size, size, 1.0, max(1, layers))),
@@ -83,7 +83,7 @@ def uniform(size: float, layers: int) -> Case:
 
 CUBIC: tuple[tuple[int, ...], Grading] = ((3, 2, 1), Grading(1e-3, 5e-3, 2.0))
 
-FULL: tuple[Case, ...] = (
+FULL: tuple[ModelCase, ...] = (
     *named("hexahedra"),
     *ladder((1, 1), Grading(2e-3, 4e-3, 1.0), 3),
     *ladder((2, 2, 1), Grading(1e-3, 4e-3, 1.0), 3),
@@ -100,7 +100,7 @@ FULL: tuple[Case, ...] = (
 PEERS = (uniform(4.4e-3, 2), uniform(2.2e-3, 4), uniform(2e-3, 0), uniform(9.5e-4, 0))
 QUICK_PEERS = (uniform(8e-3, 2),)
 
-QUICK: tuple[Case, ...] = (
+QUICK: tuple[ModelCase, ...] = (
     *named("hexahedra", ("fast",)),
     *ladder((1, 1), Grading(4e-3, 5e-3, 1.0), 2),
     *ladder((3, 2, 1), Grading(2e-3, 6e-3, 2.0), 2, solver="sparse LU"),
@@ -110,10 +110,10 @@ QUICK: tuple[Case, ...] = (
 # Pairs of references: the first is the truth; the second, of other cells, order and grading, says
 # how far it can be trusted.
 REFERENCES = (
-    Case("reference", "first", ((5, 4, 3, 2), Grading(3e-6, 4e-3, 1.5))),
-    Case("reference", "second", ((4, 3, 3, 2), Grading(1e-5, 7e-3, 0.8)), "prisms"),
+    ModelCase("reference", "first", ((5, 4, 3, 2), Grading(3e-6, 4e-3, 1.5))),
+    ModelCase("reference", "second", ((4, 3, 3, 2), Grading(1e-5, 7e-3, 0.8)), "prisms"),
 )
 QUICK_REFERENCES = (
-    Case("reference", "first", ((4, 3, 2), Grading(1e-5, 5e-3, 2.5))),
-    Case("reference", "second", ((3, 2, 1), Grading(2e-5, 4e-3, 1.5))),
+    ModelCase("reference", "first", ((4, 3, 2), Grading(1e-5, 5e-3, 2.5))),
+    ModelCase("reference", "second", ((3, 2, 1), Grading(2e-5, 4e-3, 1.5))),
 )

@@ -43,7 +43,7 @@ QUICK_SCENES: Mapping[str, Scene] = {name: SCENES[name] for name in ("bend 50", 
 
 @dataclass(frozen=True, slots=True)
 class Deformed:
-    """One resolution.
+    """Signal errors of one resolution.
 
     Attributes:
         name: of the resolution.
@@ -79,7 +79,7 @@ def signals(sim: Simulator, scenes: Mapping[str, Scene]) -> tuple[dict[str, Arra
 def compare_deformed(
     resolutions: Sequence[Resolution], references: References, scenes: Mapping[str, Scene]
 ) -> tuple[Deformed, ...]:
-    """The error of each resolution, and of the second reference, against the first reference.
+    """Errors of each resolution, and of the second reference, against the first reference.
 
     On the reference sensor and its hinge.
     """

@@ -1,4 +1,4 @@
-"""The same frames by pyEIT 1.2.4, whose electrodes are single nodes (Liu et al. 2018)."""
+"""Frames by pyEIT 1.2.4, whose electrodes are single nodes (Liu et al. 2018)."""
 
 import time
 from importlib.util import find_spec
@@ -24,12 +24,12 @@ _TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]])
 
 
 def is_installed() -> bool:
-    """Whether pyEIT can be measured here."""
+    """Whether pyEIT is installed."""
     return find_spec("pyeit") is not None
 
 
 class PointElectrodeModel:
-    """A slab of tetrahedra or, with its conductivity averaged over the height, of triangles.
+    """Point electrode model of a slab of tetrahedra or, averaged over the height, of triangles.
 
     Attributes:
         nodes: number of nodes.
@@ -54,7 +54,7 @@ class PointElectrodeModel:
         self.setup_seconds = time.process_time() - start
 
     def frame(self, background: float) -> Frame:
-        """The resistances of all pairs [ohm] as a function of what happens to the layer."""
+        """Function from the deformed layer to the resistances of all pairs [ohm]."""
         table = np.array(Protocol.pairwise(len(self._electrodes)).table)
 
         def frame(drop: Drop | None) -> Array:
@@ -64,7 +64,7 @@ class PointElectrodeModel:
         return frame
 
     def _resistances(self, conductivity: Array, pairs: Indices) -> Array:
-        """One drive from electrode 0 to each other one; all pairs follow by superposition."""
+        """Resistances of all pairs [ohm], by superposition of drives from electrode 0."""
         self._forward.assemble_pde(conductivity * self._thickness)
         others = range(1, len(self._electrodes))
         driven = [self._forward.solve(np.array([0, j]))[self._electrodes] for j in others]
@@ -81,7 +81,7 @@ def _tetrahedra(mesh: Mesh) -> tuple[Array, Indices]:
 
 
 def _triangles(mesh: Mesh) -> tuple[Array, Indices]:
-    """The lowest layer of points, and its squares cut in two."""
+    """Points of the lowest layer, and its squares cut into two triangles each."""
     levels = _levels(mesh)
     squares = mesh.cells[:: levels - 1, :4] // levels
     nodes: Array = mesh.points[::levels, :2]
@@ -95,7 +95,7 @@ def _levels(mesh: Mesh) -> int:
 
 
 def _evaluation_points(corners: Array, thickness: float) -> Array:
-    """Where the conductivity is looked up, (elements, q, 3): middles; over the height if plane."""
+    """Points (elements, q, 3) [m] of the conductivity: centroids; over the height in the plane."""
     middles = corners.mean(axis=1)
     if middles.shape[1] == 3:
         points: Array = middles[:, None]

@@ -1,9 +1,9 @@
-"""The plot of `bench accuracy`: error against time per frame."""
+"""Plot of `bench accuracy`: error against time per frame."""
 
 from pathlib import Path
 from typing import Any
 
-from eitskin.benchmarks.accuracy.run import Accuracy, Result
+from eitskin.benchmarks.accuracy.run import Accuracy, ModelResult
 from eitskin.benchmarks.accuracy.targets import TARGETS, Target
 from eitskin.extras import require
 
@@ -25,7 +25,7 @@ _MARKERS = {
 
 
 def plot(found: Accuracy, path: Path) -> None:
-    """Both errors over the time per frame; one line per family, targets as corners."""
+    """Plot both errors over the time per frame: one line per family, targets as corners."""
     matplotlib = require("matplotlib", "bench")
     figure_class = require("matplotlib.figure", "bench").Figure
     with matplotlib.rc_context(
@@ -45,7 +45,7 @@ def plot(found: Accuracy, path: Path) -> None:
 
 
 def _panel(axes: Any, found: Accuracy, quantity: str) -> None:
-    families: dict[str, list[Result]] = {}
+    families: dict[str, list[ModelResult]] = {}
     for point in found.points:
         families.setdefault(point.family, []).append(point)
     for family, points in families.items():
@@ -71,14 +71,14 @@ def _panel(axes: Any, found: Accuracy, quantity: str) -> None:
 def _text(
     axes: Any, text: str, at: tuple[float, float], by: tuple[int, int], colour: str, **options: Any
 ) -> None:
-    """Text near a place, haloed so that it reads on top of lines."""
+    """Write text near a point, haloed so that it reads on top of lines."""
     halo = require("matplotlib.patheffects", "bench").withStroke(linewidth=2.5, foreground="white")
     options = {"fontsize": 8.5, "color": colour, "zorder": 6, "path_effects": [halo]} | options
     axes.annotate(text, at, xytext=by, textcoords="offset points", **options)
 
 
 def _style(family: str) -> dict[str, Any]:
-    """Colour by cells, marker by order, dashes for a solver that was asked for."""
+    """Line style: colour by cells, marker by order, dashes for a solver that was asked for."""
     parts = family.split(", ")
     marker = next((_MARKERS[part] for part in parts if part in _MARKERS), "x")
     colour = _colour(family)
@@ -97,7 +97,7 @@ def _style(family: str) -> dict[str, Any]:
 
 
 def _corner(axes: Any, target: Target, error: float | None) -> None:
-    """Mark the corner that a resolution must stay within, below and to the left."""
+    """Mark the target of a resolution as a corner: results must lie below and to the left."""
     if error is None:
         return
     time = 1e3 * target.seconds

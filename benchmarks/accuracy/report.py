@@ -1,4 +1,4 @@
-"""What `bench accuracy` leaves behind: results, tables, and the plot of error against time."""
+"""Files of `bench accuracy`: results, tables, and the plot of error against time."""
 
 import dataclasses
 from collections.abc import Iterable, Iterator
@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from eitskin.benchmarks.accuracy.plot import plot
-from eitskin.benchmarks.accuracy.run import Accuracy, Result
+from eitskin.benchmarks.accuracy.run import Accuracy, ModelResult
 from eitskin.benchmarks.accuracy.targets import TARGET_RATIO, TARGETS
 from eitskin.benchmarks.results import Results, write_results, write_table
 
@@ -32,7 +32,7 @@ def write(found: Accuracy, out: Path) -> list[Path]:
 
 
 def figures(found: Accuracy) -> Iterator[tuple[str, float]]:
-    """All figures by name: of points by family and name, of duels by the peer's family."""
+    """All figures by name: points by family and name, duels by the peer's family."""
     yield "references.resistance_error", found.resistance_error
     yield "references.signal_error", found.signal_error
     for point in found.results:
@@ -48,7 +48,7 @@ def figures(found: Accuracy) -> Iterator[tuple[str, float]]:
             yield f"bent and pressed, {row.name}.{scene}", error
 
 
-def _figures_of(label: str, point: Result) -> Iterator[tuple[str, float]]:
+def _figures_of(label: str, point: ModelResult) -> Iterator[tuple[str, float]]:
     yield f"{label}.nodes", point.nodes
     yield f"{label}.unknowns", point.unknowns
     yield f"{label}.frame_ms", 1e3 * point.frame_seconds
@@ -60,7 +60,7 @@ def _figures_of(label: str, point: Result) -> Iterator[tuple[str, float]]:
 
 
 def _flattened(row: dict[str, Any]) -> dict[str, Any]:
-    """The same with the entries of tables within it as columns of their own."""
+    """Flat copy of a row: entries of nested tables become columns."""
     flat: dict[str, Any] = {}
     for key, value in row.items():
         flat |= value if isinstance(value, dict) else {key: value}
@@ -68,7 +68,7 @@ def _flattened(row: dict[str, Any]) -> dict[str, Any]:
 
 
 def misses(found: Accuracy) -> Iterable[str]:
-    """A sentence for every target that was not reached."""
+    """Sentences, one for every target that was not reached."""
     named = {point.name: point for point in found.results if point.family == "hexahedra, named"}
     for target in TARGETS:
         point = named.get(target.name)

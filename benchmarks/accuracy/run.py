@@ -1,4 +1,4 @@
-"""Error against run time of the forward model, beside pyEIT's: `eitskin bench accuracy`.
+"""Error against run time of the forward model and of pyEIT: `eitskin bench accuracy`.
 
 Two errors on the reference sensor: of the 28 flat resistances, and of their change under smooth
 touch-sized drops of conductivity, the signal; each against a reference far finer, whose own error
@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from eitskin.benchmarks.accuracy import cases, deformed, peer
-from eitskin.benchmarks.accuracy.cases import Case
+from eitskin.benchmarks.accuracy.cases import ModelCase
 from eitskin.benchmarks.accuracy.truth import Truth, judge, model_frame
 from eitskin.extras import require
 from eitskin.geometry.design.sensor import SensorDesign
@@ -32,7 +32,7 @@ Watch: TypeAlias = Callable[[str, Sequence[Any]], Iterable[Any]]
 
 
 @dataclass(frozen=True, slots=True)
-class Result:
+class ModelResult:
     """One point of the plot.
 
     Attributes:
@@ -64,14 +64,14 @@ class Result:
 
 @dataclass(frozen=True, slots=True)
 class Duel:
-    """pyEIT's result and ours on one mesh."""
+    """Results of pyEIT and of eitskin on one mesh."""
 
-    own: Result
-    other: Result
+    own: ModelResult
+    other: ModelResult
 
     @property
     def ratio(self) -> float:
-        """How many times faster than pyEIT's our frames are."""
+        """Ratio of pyEIT's time per frame to eitskin's."""
         return self.other.frame_seconds / self.own.frame_seconds
 
 
@@ -94,13 +94,13 @@ class Accuracy:
     quick: bool
     resistance_error: float
     signal_error: float
-    results: tuple[Result, ...]
+    results: tuple[ModelResult, ...]
     duels: tuple[Duel, ...]
     deformed: tuple[deformed.Deformed, ...]
 
     @property
-    def points(self) -> tuple[Result, ...]:
-        """All results: ours, then pyEIT's."""
+    def points(self) -> tuple[ModelResult, ...]:
+        """All results: eitskin's, then pyEIT's."""
         own, others = (d.own for d in self.duels), (d.other for d in self.duels)
         return (*self.results, *own, *others)
 
@@ -135,14 +135,14 @@ def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> Accura
     )
 
 
-def measure(case: Case, truth: Truth) -> Result:
-    """Errors and times of one of our models."""
+def measure(case: ModelCase, truth: Truth) -> ModelResult:
+    """Errors and times of one forward model."""
     start = time.process_time()
     model = case.model(truth.design)
     setup = time.process_time() - start
     found = judge(model_frame(model), truth)
     order, _ = discretisation(case.resolution, truth.design, case.cells)
-    return Result(
+    return ModelResult(
         family=case.family,
         name=case.name,
         cells=case.cells,
@@ -158,7 +158,7 @@ def measure(case: Case, truth: Truth) -> Result:
     )
 
 
-def published_error(case: Case) -> float:
+def published_error(case: ModelCase) -> float:
     """Largest relative error of the seven published flat resistances and of their sum."""
     design = SensorDesign.reference()
     electrodes = [dataclasses.replace(e, contact_impedance=HP_CONTACT) for e in design.electrodes]
@@ -168,15 +168,15 @@ def published_error(case: Case) -> float:
     return float(np.abs(errors).max())
 
 
-def compare(case: Case, truth: Truth) -> Duel:
-    """Our model and pyEIT's on the mesh of one case, a plane one where the case has one order."""
+def compare(case: ModelCase, truth: Truth) -> Duel:
+    """Compare both models on the mesh of one case, a plane one where the case has one order."""
     order, _ = discretisation(case.resolution, truth.design, case.cells)
     plane = len(order) == 1
     mesh = ForwardModel(truth.design, case.resolution).mesh
     model = peer.PointElectrodeModel(truth.design, mesh, plane)
     found = judge(model.frame(truth.design.conductivity), truth)
     cells = "triangles" if plane else "tetrahedra"
-    other = Result(
+    other = ModelResult(
         family=f"pyEIT, {cells}",
         name=case.name,
         cells=cells,

@@ -1,11 +1,11 @@
-"""What the named resolutions are to reach."""
+"""Targets of the named resolutions."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """What a named resolution is to reach on one core; errors as in `Judgement`."""
+    """Target of a named resolution on one core; errors as in `Judgement`."""
 
     name: str
     resistance_error: float | None

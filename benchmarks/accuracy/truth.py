@@ -1,4 +1,4 @@
-"""The values that models are compared with: of a flat sensor, and of small changes in it."""
+"""Reference values of a flat sensor and of small changes in it, to compare models with."""
 
 import dataclasses
 import time
@@ -9,7 +9,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.benchmarks.accuracy.cases import REFERENCES, Case
+from eitskin.benchmarks.accuracy.cases import REFERENCES, ModelCase
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.protocol import Protocol
 from eitskin.simulator.electrical.forward_model import ForwardModel
@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Drop:
-    """A conductivity that falls smoothly, by 30 % at most, about a place that is touched.
+    """Conductivity that falls smoothly, by 30 % at most, about the position of a touch.
 
     sigma = sigma_0 (1 - depth exp(-r^2 / radius^2)), r the distance from (x, y, z).
 
@@ -49,7 +49,7 @@ Frame: TypeAlias = Callable[[Drop | None], Array]
 
 
 def drops(design: SensorDesign, seed: int, count: int = 5) -> tuple[Drop, ...]:
-    """Drops at random places on top of the layer."""
+    """Drops at random positions on top of the layer."""
     outline = design.outline
     rng = np.random.default_rng(seed)
     places = rng.uniform((0.0, 0.0), (outline.length, outline.width), (count, 2))
@@ -57,7 +57,7 @@ def drops(design: SensorDesign, seed: int, count: int = 5) -> tuple[Drop, ...]:
 
 
 def model_frame(model: ForwardModel) -> Frame:
-    """The 28 resistances [ohm] of `model` as a function of what happens to it."""
+    """Function from a conductivity to the 28 resistances [ohm] of `model`."""
     protocol = Protocol.pairwise(len(model.design.electrodes))
 
     def frame(drop: Drop | None) -> Array:
@@ -68,7 +68,7 @@ def model_frame(model: ForwardModel) -> Frame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Truth:
-    """Flat resistances and signals that are known far better than those to be judged.
+    """Reference resistances and signals, far more accurate than the models that are judged.
 
     Attributes:
         design: the sensor.
@@ -86,7 +86,7 @@ class Truth:
     signal_error: float
 
     @classmethod
-    def compute(cls, seed: int, references: tuple[Case, Case] = REFERENCES) -> "Truth":
+    def compute(cls, seed: int, references: tuple[ModelCase, ModelCase] = REFERENCES) -> "Truth":
         """Solve the reference sensor by the first reference, and check it by the second."""
         design = SensorDesign.reference()
         changes = drops(design, seed)
@@ -102,7 +102,7 @@ class Truth:
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """How wrong a model is and how long it takes.
+    """Errors and run time of a model.
 
     Attributes:
         resistance_error: largest relative error of the flat resistances.
@@ -118,7 +118,7 @@ class Judgement:
 
 
 def judge(frame: Frame, truth: Truth, least_seconds: float = 0.4) -> Judgement:
-    """Compare `frame` with the truth, and time it over all drops, again and again if quick."""
+    """Compare `frame` with the truth and time it over all drops, several times where it is fast."""
     flat = frame(None)
     found, times = [], []
     for drop in truth.drops:

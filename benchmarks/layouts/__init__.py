@@ -1,1 +1,1 @@
-"""Electrode layouts compared by their bounds: `eitskin bench layouts`."""
+"""Comparison of electrode layouts by Cramer-Rao bounds: `eitskin bench layouts`."""

@@ -1,4 +1,4 @@
-"""How well a layout can know a press, over the sheet: Cramer-Rao bounds at a grid of places.
+"""Cramer-Rao bounds of a press on a grid of positions over the sheet.
 
 Derivatives by place and force are central differences of scenes that are solved anew where the
 press changes much (`Simulator.measure_all`): a press of 10 N changes the conductivity beneath it by
@@ -39,7 +39,7 @@ _STENCIL = ((-1, 0, 0), (1, 0, 0), (0, -1, 0), (0, 1, 0), (0, 0, -1), (0, 0, 1))
 
 @dataclass(frozen=True, slots=True)
 class Sampling:
-    """Where and how a layout is judged.
+    """Grid of positions and mesh that a layout is judged with.
 
     Attributes:
         spacing: of the places, at most [m].
@@ -54,7 +54,7 @@ class Sampling:
     snr_db: float = 75.0
 
     def grid(self, design: SensorDesign) -> tuple[Array, Array]:
-        """Lines x and y of the places, mirror images of themselves [m]."""
+        """Coordinates x and y of the grid [m], symmetric about the middle of the sheet."""
         return self._line(design.outline.length), self._line(design.outline.width)
 
     def _line(self, extent: float) -> Array:
@@ -97,23 +97,23 @@ class SheetBound:
 
     @property
     def uniformity(self) -> float:
-        """Signal where it is weak over where it is strong, 10th over 90th percentile."""
+        """Uniformity of the signal: 10th over 90th percentile."""
         weak, strong = np.percentile(self.signal, (10, 90))
         return float(weak / strong)
 
     @property
     def condition(self) -> float:
-        """Largest over 15th singular value of the signals, the last of six electrodes."""
+        """Condition number: largest over 15th singular value, the last of six electrodes."""
         return float(self.spectrum[0] / self.spectrum[:_COMPARED][-1])
 
     @property
     def patterns(self) -> int:
-        """How many independent patterns of the signals exceed the noise of a frame."""
+        """Number of singular values of the signals above the noise of a frame."""
         return int((self.spectrum > 1.0).sum())
 
 
 def sheet_bound(layout: Layout, sampling: Sampling) -> SheetBound:
-    """Bounds over the sheet, solved in the part that the layout's mirrors do not repeat.
+    """Bounds over the sheet, solved in the part that the mirrors of the layout do not repeat.
 
     Raises ConfigurationError, naming the layout, where its measurements do not determine a press.
     """
@@ -145,7 +145,7 @@ def sheet_bound(layout: Layout, sampling: Sampling) -> SheetBound:
 
 
 def judged_discretisation(design: SensorDesign, resolution: Resolution) -> Discretisation:
-    """Orders of the elements, and the mesh's grading, that a layout is judged with."""
+    """Element orders and mesh grading that a layout is judged with."""
     orders, grading = discretisation(resolution, design, "hexahedra")
     pads = any(electrode.on != "side" for electrode in design.electrodes)
     return _PAD_ORDERS if pads else orders, grading
@@ -154,7 +154,7 @@ def judged_discretisation(design: SensorDesign, resolution: Resolution) -> Discr
 def touch_derivatives(
     sim: Simulator, untouched: SceneDerivatives, angle_deg: float, places: Array
 ) -> list[SceneDerivatives]:
-    """Derivatives at a press of 10 N on each of the places (n, 2) [m], with the untouched angle's.
+    """Derivatives at a press of 10 N at each position (n, 2) [m], and by the untouched angle.
 
     Steps are those of `training.cramer_rao`.
     """
@@ -204,7 +204,7 @@ def _rounded(electrode: Electrode, x: float, y: float) -> Electrode:
 
 
 def mirrored_places(nx: int, ny: int, along: bool, across: bool) -> Numbers:
-    """Number of the place that each place of a grid has in a mirror, (nx * ny,)."""
+    """Index of the mirror image of each position of a grid, (nx * ny,)."""
     numbers = np.arange(nx * ny).reshape(ny, nx)
     return numbers[:: -1 if across else 1, :: -1 if along else 1].ravel()
 
@@ -222,7 +222,7 @@ def _row(
 def _signal(
     found: SceneDerivatives, untouched: SceneDerivatives, instrument: Instrument, full_scale: float
 ) -> Array:
-    """Change by the press in deviations of one frame's noise, (measurements,)."""
+    """Signal of the press over the standard deviation of one frame's noise, (measurements,)."""
     change = np.log(np.abs(found.resistance / untouched.resistance))
     white: Array = change / untouched.noise(instrument, full_scale)
     return white

@@ -1,4 +1,4 @@
-"""Where electrodes could be: the layouts that `eitskin bench layouts` compares, as data."""
+"""Electrode layouts that `eitskin bench layouts` compares."""
 
 import dataclasses
 from collections.abc import Iterator, Sequence
@@ -29,7 +29,7 @@ _RIM = 0.005  # from the rim to the middle of a pad beside it [m]
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """A sensor with electrodes somewhere, at a bend; every pair of them is measured.
+    """Electrode layout of a bent sensor, of which every pair is measured.
 
     Attributes:
         name: of the layout, for tables; says nothing about it.
@@ -43,22 +43,22 @@ class Layout:
 
     @property
     def protocol(self) -> Protocol:
-        """Which pairs are measured: all."""
+        """Protocol that measures all pairs."""
         return Protocol.pairwise(len(self.design.electrodes))
 
     @property
     def scan_time(self) -> float:
-        """From one frame to the next [s]."""
+        """Time from one frame to the next [s]."""
         return len(self.protocol) * MEASUREMENT_TIME
 
 
 def paper(angle_deg: float = 0.0) -> Layout:
-    """The paper's sensor, at a bend."""
+    """Layout of the paper's sensor at a bend angle [deg]."""
     return Layout(PAPER, SensorDesign.reference(), angle_deg)
 
 
 def with_electrodes(name: str, electrodes: Sequence[Electrode]) -> Layout:
-    """The paper's sensor with other electrodes.
+    """Layout of the paper's sensor with other electrodes.
 
     Raises ConfigurationError, naming the layout, for electrodes that overlap or do not fit.
     """
@@ -70,7 +70,7 @@ def with_electrodes(name: str, electrodes: Sequence[Electrode]) -> Layout:
 
 
 def sweeps() -> dict[str, tuple[Layout, ...]]:
-    """Layouts by the name of the sweep that they belong to; the paper's is in each."""
+    """Layouts by the name of their sweep; the paper's layout is in each."""
     return {
         "count": tuple(_counted(count) for count in COUNTS),
         "placement": tuple(_placements()),
@@ -85,7 +85,7 @@ def sweeps() -> dict[str, tuple[Layout, ...]]:
 
 
 def _around(count: int, width: float = 0.005, contact_impedance: float = 1e-3) -> list[Electrode]:
-    """Evenly spaced on the rim, one in the middle of the lower side, as with the paper's."""
+    """Electrodes evenly spaced on the rim, one in the middle of the lower side as in the paper."""
     outline = Rectangle(*SIZE)
     start = outline.length / 2 % (outline.perimeter / count)
     return list(uniform(outline, count, width, start, contact_impedance))
@@ -96,7 +96,7 @@ def _counted(count: int) -> Layout:
 
 
 def _placements() -> Iterator[Layout]:
-    """Eight electrodes of 5 mm on the rim, on top beside it, on top all over, and within."""
+    """Layouts of eight 5 mm electrodes: on the rim, on top beside it, on top all over, inside."""
     design = SensorDesign.reference()
     outline, half = Rectangle(*SIZE), design.thickness / 2
     yield paper()

@@ -1,4 +1,4 @@
-"""The best places of eight electrodes on the rim, without any symmetry.
+"""Search for the best positions of eight electrodes on the rim, without any symmetry.
 
 Exchanges find many candidates by the guesses of `layouts_ring`: from random layouts one electrode
 after the other goes to the best free place of the ring, until none is better anywhere. The
@@ -22,7 +22,7 @@ _DIGITS = 9  # of arc lengths in metres
 
 @dataclass(frozen=True, slots=True)
 class FreePlan:
-    """How far the search goes.
+    """Extent of the search without symmetry.
 
     Attributes:
         pitch: between the places of the ring [m].
@@ -45,7 +45,7 @@ QUICK = FreePlan(0.030, 2, 1, (), sampling=Sampling(0.0225))
 
 
 def free_search(judge: Judge, ring: Ring, plan: FreePlan, known: Sequence[Arcs]) -> Candidate:
-    """The best layout found, `known` ones included."""
+    """Best layout found, `known` ones included."""
     candidates = exchanged(ring, plan)[: plan.judged]
     best = best_of(judge, plan.sampling, [*known, *candidates])
     for step in plan.steps:
@@ -54,7 +54,7 @@ def free_search(judge: Judge, ring: Ring, plan: FreePlan, known: Sequence[Arcs])
 
 
 def exchanged(ring: Ring, plan: FreePlan) -> list[Arcs]:
-    """Layouts that no exchange of one electrode makes better, best guess first.
+    """Layouts that no exchange of one electrode improves, best guess first.
 
     Of mirror images, which are equally good, there is one.
     """
@@ -68,7 +68,7 @@ def exchanged(ring: Ring, plan: FreePlan) -> list[Arcs]:
 
 
 def images(arcs: Arcs) -> Iterator[Arcs]:
-    """A layout and its mirror images."""
+    """Layout and its mirror images."""
     half = PERIMETER / 2
     for sign, start in ((1.0, 0.0), (1.0, half), (-1.0, SIZE[0]), (-1.0, SIZE[0] + half)):
         image = np.round((start + sign * np.array(arcs)) % PERIMETER, _DIGITS)
@@ -76,7 +76,7 @@ def images(arcs: Arcs) -> Iterator[Arcs]:
 
 
 def _exchanged(ring: Ring, chosen: list[int]) -> tuple[float, list[int]]:
-    """From a layout to one that no exchange of one electrode makes better."""
+    """Exchange electrodes of a layout one at a time until no exchange improves it."""
     best, before = ring.guess(chosen), np.inf
     while best < before:
         before = best
@@ -90,7 +90,7 @@ def _exchanged(ring: Ring, chosen: list[int]) -> tuple[float, list[int]]:
 
 
 def _moved(judge: Judge, plan: FreePlan, best: Candidate, step: float) -> Candidate:
-    """Steps of one electrode after the other, until none of them is better."""
+    """Move one electrode after the other until no step improves the layout."""
     arcs, turn, unmoved = list(best.arcs), 0, 0
     while unmoved < COUNT:
         others = [*arcs[:turn], *arcs[turn + 1 :]]

@@ -1,4 +1,4 @@
-"""The picture of `eitskin bench layouts`: bounds over the sheet, layouts side by side."""
+"""Plot of `eitskin bench layouts`: bounds over the sheet, layouts side by side."""
 
 from pathlib import Path
 from typing import Any
@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from eitskin.benchmarks.layouts.candidates import PAPER
-from eitskin.benchmarks.layouts.run import Comparison, Judged
+from eitskin.benchmarks.layouts.run import JudgedLayout, LayoutComparison
 from eitskin.extras import require
 
 # Of these the first ones are drawn that were judged and are not drawn already; of none of them, the
@@ -28,7 +28,7 @@ _TICKS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
 _ON_RIM = 1.2  # half of what a drawn electrode on the rim extends across it [mm]
 
 
-def plot_maps(found: Comparison, path: Path) -> None:
+def plot_maps(found: LayoutComparison, path: Path) -> None:
     """Draw the bound of the place [mm] of up to six layouts on one logarithmic scale."""
     shown = drawn(found)
     values = np.concatenate([1e3 * each.bound.place.ravel() for each in shown])
@@ -52,17 +52,17 @@ def plot_maps(found: Comparison, path: Path) -> None:
     figure.savefig(path, dpi=120, facecolor="white")
 
 
-def drawn(found: Comparison) -> list[Judged]:
-    """The layouts for the picture; of those that were judged twice the finer one."""
+def drawn(found: LayoutComparison) -> list[JudgedLayout]:
+    """Layouts for the picture; the finer judgement of each layout that was judged twice."""
     judged = {(each.sweep, each.layout.name): each for each in found.judged}
-    chosen: list[Judged] = []
+    chosen: list[JudgedLayout] = []
     for each in (judged[key] for key in _DRAWN if key in judged):
         if all(each.layout.design != other.layout.design for other in chosen):
             chosen.append(each)
     return (chosen or list(judged.values()))[:_MOST]
 
 
-def _draw(axes: Any, judged: Judged, scale: Any) -> Any:
+def _draw(axes: Any, judged: JudgedLayout, scale: Any) -> Any:
     bound, design = judged.bound, judged.layout.design
     length, width = 1e3 * design.outline.length, 1e3 * design.outline.width
     values = 1e3 * bound.place

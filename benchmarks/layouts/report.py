@@ -1,4 +1,4 @@
-"""What `eitskin bench layouts` writes: a table for people, CSV, JSON and maps."""
+"""Files of `eitskin bench layouts`: a table for people, CSV, JSON and maps."""
 
 import dataclasses
 import itertools
@@ -16,8 +16,8 @@ from eitskin.benchmarks.layouts.run import (
     MIRRORED,
     SEARCH,
     TURNED,
-    Comparison,
-    Figures,
+    LayoutComparison,
+    LayoutFigures,
 )
 from eitskin.benchmarks.results import write_table
 from eitskin.files import atomic_file
@@ -44,8 +44,8 @@ LEGEND = (
 SHORT = 9  # columns that fit into a terminal
 
 
-def table(found: Comparison) -> Iterator[tuple[str, ...]]:
-    """Rows below the headings; a row with a name alone begins each sweep."""
+def table(found: LayoutComparison) -> Iterator[tuple[str, ...]]:
+    """Rows below the headings; a row of one cell, the name, begins each sweep."""
     before: tuple[str, str] | None = None
     for each in found.figures:
         part = (each.sweep, each.resolution)
@@ -56,7 +56,7 @@ def table(found: Comparison) -> Iterator[tuple[str, ...]]:
         yield _row(each)
 
 
-def _row(each: Figures) -> tuple[str, ...]:
+def _row(each: LayoutFigures) -> tuple[str, ...]:
     return (
         each.layout,
         f"{each.measurements}{'' if each.fits_wire else '*'}",
@@ -73,8 +73,8 @@ def _row(each: Figures) -> tuple[str, ...]:
     )
 
 
-def sentences(found: Comparison) -> Iterator[str]:
-    """What the search gained, and what all was made with."""
+def sentences(found: LayoutComparison) -> Iterator[str]:
+    """Sentences on the gain of the search, and the provenance."""
     for sweep, resolution in itertools.product((SEARCH, FREE), ("fast", "standard")):
         searched = found.found(sweep, resolution)
         least = searched[PAPER].place_90_mm if searched else math.nan
@@ -94,8 +94,8 @@ def sentences(found: Comparison) -> Iterator[str]:
     yield str(found.provenance)
 
 
-def as_data(found: Comparison) -> dict[str, Any]:
-    """Everything as plain data."""
+def as_data(found: LayoutComparison) -> dict[str, Any]:
+    """Comparison as plain data."""
     return {
         "provenance": dataclasses.asdict(found.provenance),
         "quick": found.quick,
@@ -103,8 +103,8 @@ def as_data(found: Comparison) -> dict[str, Any]:
     }
 
 
-def markdown(found: Comparison) -> str:
-    """The table for a page, one per sweep."""
+def markdown(found: LayoutComparison) -> str:
+    """Markdown tables for a page, one per sweep."""
     lines: list[str] = []
     for row in table(found):
         if len(row) == 1:
@@ -114,7 +114,7 @@ def markdown(found: Comparison) -> str:
     return "\n".join([*lines[1:], "", *(f"- {each}" for each in (LEGEND, *sentences(found))), ""])
 
 
-def write(found: Comparison, folder: Path) -> list[Path]:
+def write(found: LayoutComparison, folder: Path) -> list[Path]:
     """Write layouts.csv, layouts.md, layouts.json and layouts.png into `folder`, each whole."""
     paths = [folder / f"layouts.{ending}" for ending in ("csv", "md", "json", "png")]
     rows = [dataclasses.asdict(each) for each in found.figures]

@@ -1,4 +1,4 @@
-"""Electrodes at every place of the rim, some of which make a layout whose bound can be guessed.
+"""Ring of narrow electrodes all round the rim: approximate bounds of layouts of some of them.
 
 One sheet with electrodes wherever one could be is solved once; that gives the resistances between
 every two of them and their derivatives, and so the bound of every layout of some of them, in a
@@ -47,7 +47,7 @@ _FROM_CORNER = 0.0025  # [m]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ring:
-    """Resistances between any two of n electrodes, and how a press of 10 N changes them.
+    """Resistances between any two of n electrodes, and their derivatives at presses of 10 N.
 
     Attributes:
         arcs: where along the rim the electrodes are, rising (n,) [m].
@@ -63,7 +63,7 @@ class Ring:
     snr_db: float
 
     def guess(self, chosen: Sequence[int]) -> float:
-        """Bound of the place that 90 % of the places are below, with these electrodes alone [m].
+        """Approximate 90th percentile of the position bound [m] with some electrodes of the ring.
 
         From one frame against a reference of one, the angle unknown, as `sheet_bound` has it;
         infinite where they do not determine a press.
@@ -83,7 +83,7 @@ class Ring:
 
 
 def solved_ring(folder: Path, pitch: float, sampling: Sampling) -> Ring:
-    """The ring with electrodes every `pitch` metres, none over a corner; kept in `folder`.
+    """Ring with electrodes every `pitch` metres, none over a corner; kept in `folder`.
 
     Raises PartialError where it cannot be written.
     """
@@ -109,7 +109,7 @@ def _arcs(pitch: float) -> Array:
 
 
 def _solved(arcs: Array, sampling: Sampling) -> Ring:
-    """Solved in the quarter that the ring's mirrors do not repeat.
+    """Solve the ring in the quarter that its mirrors do not repeat.
 
     In a mirror derivatives by x or y change their sign, which no bound of a place can tell.
     """
@@ -134,7 +134,7 @@ def _solved(arcs: Array, sampling: Sampling) -> Ring:
 
 
 def ring_layout(arcs: Array) -> Layout:
-    """Narrow electrodes at arc lengths of the rim (n,) [m]."""
+    """Layout of narrow electrodes at arc lengths of the rim (n,) [m]."""
     places = np.round(_OUTLINE.at(arcs), 12) + 0.0
     contact = _CONTACT * _WIDTH / _USED_WIDTH
     electrodes = [Electrode(x, y, _WIDTH, contact_impedance=contact) for x, y in places.tolist()]

@@ -1,4 +1,4 @@
-"""The comparison of layouts: sweeps, the search, and what is said of each layout."""
+"""Comparison of layouts: sweeps, searches, and the figures of each layout."""
 
 import dataclasses
 from collections.abc import Iterator, Sequence
@@ -22,7 +22,7 @@ from eitskin.benchmarks.layouts.search import (
     COUNT,
     QUICK,
     Candidate,
-    Plan,
+    SearchPlan,
     at_arcs,
     possible,
     search,
@@ -44,8 +44,8 @@ FREE_WIDTHS = (0.002, 0.008)  # of the electrodes of the best layouts, beside 5 
 
 
 @dataclass(frozen=True, slots=True)
-class Judged:
-    """A layout and its bounds."""
+class JudgedLayout:
+    """Layout and its bounds."""
 
     sweep: str
     layout: Layout
@@ -54,8 +54,8 @@ class Judged:
 
 
 @dataclass(frozen=True, slots=True)
-class Figures:
-    """What a table says of a layout.
+class LayoutFigures:
+    """Figures of one layout in the tables.
 
     Percentiles are over the sheet; bounds are of one frame against a reference of one, with the
     angle of the bend unknown where nothing else is said.
@@ -107,8 +107,8 @@ class Figures:
     electrodes_mm: str
 
     @classmethod
-    def of(cls, judged: Judged) -> "Figures":
-        """The figures of a layout."""
+    def of(cls, judged: JudgedLayout) -> "LayoutFigures":
+        """Figures of a judged layout."""
         layout, sampling, bound = judged.layout, judged.sampling, judged.bound
         place, place_90, worst = _percentiles(1e3 * bound.place)
         force, force_90, force_worst = _percentiles(bound.force)
@@ -142,22 +142,22 @@ class Figures:
 
 
 @dataclass(frozen=True, slots=True)
-class Comparison:
-    """All layouts that were judged, and what with."""
+class LayoutComparison:
+    """All judged layouts and their provenance."""
 
-    judged: tuple[Judged, ...]
+    judged: tuple[JudgedLayout, ...]
     provenance: Provenance
     quick: bool
 
     @property
-    def figures(self) -> list[Figures]:
-        """Of each layout, in order."""
-        return [Figures.of(each) for each in self.judged]
+    def figures(self) -> list[LayoutFigures]:
+        """Figures of each layout, in order."""
+        return [LayoutFigures.of(each) for each in self.judged]
 
-    def found(self, sweep: str, resolution: str) -> dict[str, Figures]:
-        """Of the layouts that a search ends with, by name; empty where it was not run."""
+    def found(self, sweep: str, resolution: str) -> dict[str, LayoutFigures]:
+        """Figures of the layouts that a search ends with, by name; empty where it was not run."""
         return {
-            each.layout.name: Figures.of(each)
+            each.layout.name: LayoutFigures.of(each)
             for each in self.judged
             if (each.sweep, each.sampling.resolution) == (sweep, resolution)
         }
@@ -170,7 +170,7 @@ def run(
     quick: bool = False,
     workers: int = 1,
     watch: Watch = lambda _: None,
-) -> Comparison:
+) -> LayoutComparison:
     """Judge the layouts of the sweeps, and search, keeping each finished layout in `folder`.
 
     Args:
@@ -196,27 +196,27 @@ def run(
         ]
         bounds = judge([(layout, sampling) for _, layout in asked])
         judged = [
-            Judged(name, layout, sampling, bound)
+            JudgedLayout(name, layout, sampling, bound)
             for (name, layout), bound in zip(asked, bounds, strict=True)
         ]
         if SEARCH in names:
             judged += _searched(judge, quick)
         if FREE in names:
             judged += _freed(judge, folder, quick)
-    return Comparison(tuple(judged), Provenance.now(SEED), quick)
+    return LayoutComparison(tuple(judged), Provenance.now(SEED), quick)
 
 
 def best_found(judge: Judge, folder: Path, quick: bool) -> dict[str, Candidate]:
-    """What the searches find with both mirrors and without any symmetry, by name."""
-    mirrored, _ = search(judge, QUICK if quick else Plan())
+    """Best layouts with both mirrors and without any symmetry, by name."""
+    mirrored, _ = search(judge, QUICK if quick else SearchPlan())
     plan = layouts_free.QUICK if quick else FreePlan(seed=SEED)
     ring = solved_ring(folder, plan.pitch, plan.sampling)
     return {MIRRORED: mirrored, FREED: free_search(judge, ring, plan, [mirrored.arcs])}
 
 
-def _searched(judge: Judge, quick: bool) -> Iterator[Judged]:
-    """What was found and the usual layouts, as in the search and then on a finer mesh."""
-    plan = QUICK if quick else Plan()
+def _searched(judge: Judge, quick: bool) -> Iterator[JudgedLayout]:
+    """Layouts found and usual layouts, judged as in the search and then on a finer mesh."""
+    plan = QUICK if quick else SearchPlan()
     mirrored, turned = search(judge, plan)
     electrodes = uniform(Rectangle(*SIZE), COUNT)
     layouts = [
@@ -228,8 +228,8 @@ def _searched(judge: Judge, quick: bool) -> Iterator[Judged]:
     yield from _twice(SEARCH, layouts, plan.sampling, judge, quick)
 
 
-def _freed(judge: Judge, folder: Path, quick: bool) -> Iterator[Judged]:
-    """The best of all beside the best with mirrors and the paper's, and both in other widths."""
+def _freed(judge: Judge, folder: Path, quick: bool) -> Iterator[JudgedLayout]:
+    """Best of all beside the best with mirrors and the paper's, and both in other widths."""
     best = best_found(judge, folder, quick)
     layouts = [paper(), *(at_arcs(name, found.arcs) for name, found in best.items())]
     layouts += [
@@ -243,11 +243,11 @@ def _freed(judge: Judge, folder: Path, quick: bool) -> Iterator[Judged]:
 
 def _twice(
     sweep: str, layouts: Sequence[Layout], sampling: Sampling, judge: Judge, quick: bool
-) -> Iterator[Judged]:
+) -> Iterator[JudgedLayout]:
     fine = dataclasses.replace(sampling if quick else FINE, resolution="standard")
     questions = [(layout, each) for each in (sampling, fine) for layout in layouts]
     for (layout, each), bound in zip(questions, judge(questions), strict=True):
-        yield Judged(sweep, layout, each, bound)
+        yield JudgedLayout(sweep, layout, each, bound)
 
 
 def _percentiles(values: np.ndarray) -> tuple[float, float, float]:

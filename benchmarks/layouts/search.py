@@ -1,4 +1,4 @@
-"""The best places of eight electrodes on the rim, by the bound of a press's place.
+"""Search for the best symmetric positions of eight electrodes on the rim.
 
 First all layouts that both middle lines of the sheet mirror: two quadruples of electrodes, or one
 and the two pairs on the middle lines, as the paper's. Then smaller steps from the best, and at last
@@ -33,8 +33,8 @@ _PAPER = (0.0525,)  # the paper's: four electrodes so far from there, and those 
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
-    """How far a search goes.
+class SearchPlan:
+    """Extent of the search with symmetry.
 
     Attributes:
         first: step of the first layouts along the rim [m].
@@ -49,29 +49,29 @@ class Plan:
     sampling: Sampling = Sampling(0.0075)  # noqa: RUF009 - frozen
 
 
-QUICK = Plan(0.030, (0.015,), (), Sampling(0.0225))
+QUICK = SearchPlan(0.030, (0.015,), (), Sampling(0.0225))
 
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """A layout on the rim, by the arc lengths of its electrodes' middles [m], rising."""
+    """Candidate layout on the rim: ascending arc lengths of its electrodes' middles [m]."""
 
     arcs: Arcs
     score: float
 
     @property
     def layout(self) -> Layout:
-        """With electrodes of 5 mm there."""
+        """Layout with 5 mm electrodes at these arc lengths."""
         return at_arcs("best found", self.arcs)
 
 
 def score(bound: SheetBound) -> float:
-    """What is minimised: the bound of the place that 90 % of the places are below [m]."""
+    """Objective of the search: 90th percentile over the sheet of the position bound [m]."""
     return float(np.percentile(bound.place, 90))
 
 
 def at_arcs(name: str, arcs: Arcs, width: float = WIDTH) -> Layout:
-    """Electrodes at arc lengths of the rim [m], of 5 mm where nothing else is said.
+    """Layout of electrodes at arc lengths of the rim [m], 5 mm wide by default.
 
     Raises ConfigurationError for less than 5 mm between two, or one that passes a corner.
     """
@@ -85,8 +85,8 @@ def at_arcs(name: str, arcs: Arcs, width: float = WIDTH) -> Layout:
     return with_electrodes(name, [Electrode(x, y, width) for x, y in places.tolist()])
 
 
-def search(judge: Judge, plan: Plan) -> tuple[Candidate, Candidate]:
-    """The best layout with both mirrors, and the best with a half turn at least."""
+def search(judge: Judge, plan: SearchPlan) -> tuple[Candidate, Candidate]:
+    """Best layout with both mirrors, and best with at least a half turn."""
     best = best_of(
         judge, plan.sampling, [_both_mirrors(each) for each in (_PAPER, *_coarse(plan.first))]
     )
@@ -100,7 +100,7 @@ def search(judge: Judge, plan: Plan) -> tuple[Candidate, Candidate]:
 
 
 def _coarse(step: float) -> list[Arcs]:
-    """Parameters on a lattice: one quadruple, which goes with both pairs, or two."""
+    """Parameters on a lattice: one quadruple with both pairs, or two quadruples."""
     along = np.arange(step, _QUARTER - 0.5 * step, step).tolist()
     return [(t,) for t in along] + list(itertools.combinations(along, 2))
 
@@ -131,9 +131,9 @@ def _turn(arc: float) -> float:
 
 
 def _descended(
-    judge: Judge, plan: Plan, best: Candidate, parameters: Arcs, step: float
+    judge: Judge, plan: SearchPlan, best: Candidate, parameters: Arcs, step: float
 ) -> Candidate:
-    """Steps of one parameter at a time, always the best of them, until none is better.
+    """Descend by the best step of one parameter at a time until no step improves the layout.
 
     With one or two parameters layouts have both mirrors, with four a half turn.
     """
@@ -152,7 +152,7 @@ def _descended(
 
 
 def best_of(judge: Judge, sampling: Sampling, layouts: Sequence[Arcs]) -> Candidate:
-    """The best of those that are possible; the first of equal ones."""
+    """Best of the possible candidates; the first of equal ones."""
     layouts = [arcs for arcs in dict.fromkeys(layouts) if possible(arcs)]
     bounds = judge([(at_arcs(_name(arcs), arcs), sampling) for arcs in layouts])
     found = [Candidate(arcs, score(each)) for arcs, each in zip(layouts, bounds, strict=True)]
@@ -160,7 +160,7 @@ def best_of(judge: Judge, sampling: Sampling, layouts: Sequence[Arcs]) -> Candid
 
 
 def possible(arcs: Arcs, width: float = WIDTH) -> bool:
-    """Eight, 5 mm free between any two, and none across a corner."""
+    """Whether eight electrodes are 5 mm apart and none lies across a corner."""
     s = np.sort(np.array(arcs))
     gaps = np.diff(s, append=s[:1] + PERIMETER)
     corners = np.append(_OUTLINE.corners, PERIMETER)

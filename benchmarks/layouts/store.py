@@ -1,4 +1,4 @@
-"""Bounds of layouts, kept: each finished one is a small file of its own, written whole.
+"""Store of bounds: each finished layout is a small file, written atomically.
 
 A file is named by a hash of what was asked, holds that too, and is taken only for the same: a run
 that was stopped goes on, and a layout that has changed is judged anew.
@@ -35,8 +35,8 @@ Watch = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
-    """One finished layout in a file.
+class StoredBound:
+    """Finished layout in a file.
 
     Attributes:
         asked: version, design, angle, force and sampling.
@@ -49,7 +49,7 @@ class Part:
 
 @contextmanager
 def judging(folder: Path, workers: int = 1, watch: Watch = lambda _: None) -> Iterator[Judge]:
-    """Give a function that answers questions in order, from files in `folder` where it can.
+    """Context of a function that judges layouts in order, from files in `folder` where possible.
 
     Args:
         folder: for the files; made where it is missing.
@@ -66,7 +66,7 @@ def judging(folder: Path, workers: int = 1, watch: Watch = lambda _: None) -> It
 
 @contextmanager
 def working(workers: int) -> Iterator[ProcessPoolExecutor | None]:
-    """Give processes to work with; none where one is enough, which this one is.
+    """Context of a process pool; None for one worker, which is this process.
 
     They end at once when the block raises, so what they write must be whole or absent.
 
@@ -93,7 +93,7 @@ def working(workers: int) -> Iterator[ProcessPoolExecutor | None]:
 def _answers(
     folder: Path, watch: Watch, pool: ProcessPoolExecutor | None, questions: Sequence[Question]
 ) -> list[SheetBound]:
-    """Bounds of all questions; those that differ in the layout's name alone share one."""
+    """Bounds of all questions; questions that differ only in the layout's name share one."""
     by_path = {_path(folder, question): question for question in questions}
     missing = []
     for path, question in by_path.items():
@@ -131,9 +131,9 @@ def _path(folder: Path, question: Question) -> Path:
 
 
 def _read(path: Path, question: Question) -> SheetBound | None:
-    """What a file answers; nothing where there is none, or one that is of something else."""
+    """Bound stored in a file; None where it is missing or belongs to another question."""
     try:
-        part = msgspec.json.decode(path.read_bytes(), type=Part)
+        part = msgspec.json.decode(path.read_bytes(), type=StoredBound)
     except (OSError, msgspec.MsgspecError):
         return None
     if part.asked != _asked(question) or set(part.found) != {f.name for f in fields(SheetBound)}:
@@ -149,7 +149,7 @@ def _write(path: Path, question: Question) -> None:
     bound = sheet_bound(*question)
     values = {each.name: getattr(bound, each.name) for each in fields(bound)}
     found = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in values.items()}
-    write_file(path, msgspec.json.encode(Part(_asked(question), found)) + b"\n")
+    write_file(path, msgspec.json.encode(StoredBound(_asked(question), found)) + b"\n")
 
 
 def _start_worker() -> None:

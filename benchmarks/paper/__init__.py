@@ -1,1 +1,1 @@
-"""The paper's experiments: `eitskin bench paper`."""
+"""Experiments of the paper: `eitskin bench paper`."""

@@ -1,4 +1,4 @@
-"""What frames of `bench paper` allow: signal and noise per channel, and the Cramer-Rao bound."""
+"""Signal-to-noise ratio and Cramer-Rao bound of the frames of `bench paper`."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ class SignalToNoise:
 
     @classmethod
     def of(cls, sets: Mapping[str, Dataset]) -> "SignalToNoise":
-        """Of all touches in `sets`; idle frames against their reference are all noise."""
+        """Signal-to-noise ratio of all touches in `sets`; idle frames minus reference are noise."""
         touched = [_changes(sets[name]) for name in ("indentation", "touch")]
         idle = sets["states"].select(sets["states"].state == State.IDLE)
         # The reference adds the noise of the mean of its frames.
@@ -39,7 +39,7 @@ class SignalToNoise:
 
 
 def bounds(sets: Mapping[str, Dataset], recipe: Recipe, count: int, seed: int) -> dict[str, float]:
-    """Bounds of the figures that `paper_scores` gives, by the same names, over some frames.
+    """Cramer-Rao bounds of the figures of `scores`, by the same names, over some frames.
 
     Of the nominal sensor, by the white noise of the recipe's instrument alone. Places: the mean
     distance [mm], against the mean of as many frames of the sensor at that bend as the recipe says,
@@ -79,7 +79,7 @@ def bounds(sets: Mapping[str, Dataset], recipe: Recipe, count: int, seed: int) -
 def _derivatives(
     simulator: Simulator, data: Dataset, count: int, rng: np.random.Generator
 ) -> Iterator[SceneDerivatives]:
-    """Of the scenes of some frames."""
+    """Derivatives of the scenes of some frames."""
     for row in rng.permutation(len(data))[:count].tolist():
         yield scene_derivatives(simulator, _scene(data, row))
 
@@ -91,7 +91,7 @@ def _scene(data: Dataset, row: int) -> Scene:
 
 
 def _changes(data: Dataset) -> Array:
-    """From the untouched sensor at the same bend, of the flat one's magnitude, (n, channels)."""
+    """Change from the untouched sensor at the same bend over the flat magnitude, (n, channels)."""
     size = np.abs(data.reference[data.specimen])
     change: Array = (data.impedance - data.touch_reference).real.astype(float) / size
     return change

@@ -1,11 +1,11 @@
-"""The plots of `bench paper`: errors of touches, and error against time."""
+"""Plots of `bench paper`: errors of touches, and error against time."""
 
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from eitskin.benchmarks.paper.run import COLUMNS, Comparison
+from eitskin.benchmarks.paper.run import COLUMNS, PaperComparison
 from eitskin.benchmarks.paper.scores import Figures
 from eitskin.extras import require
 
@@ -19,8 +19,8 @@ _TOUCHES = {
 }
 
 
-def plot_touches(found: Comparison, path: Path) -> None:
-    """Errors of places by experiment, beside the paper's and the bounds."""
+def plot_touches(found: PaperComparison, path: Path) -> None:
+    """Plot localisation errors by experiment, beside the paper's and the bounds."""
     figure = require("matplotlib.figure", "bench").Figure(figsize=(9.0, 4.4), layout="constrained")
     axes = figure.subplots()
     width = 0.8 / len(COLUMNS)
@@ -45,8 +45,8 @@ def plot_touches(found: Comparison, path: Path) -> None:
     figure.savefig(path, dpi=120, facecolor="white")
 
 
-def plot_time(found: Comparison, path: Path) -> None:
-    """Mean error of all touches on unseen sensors over the time of a frame, by variant."""
+def plot_time(found: PaperComparison, path: Path) -> None:
+    """Plot the mean error of all touches on unseen sensors over the time of a frame, by variant."""
     figure = require("matplotlib.figure", "bench").Figure(figsize=(7.0, 4.4), layout="constrained")
     axes = figure.subplots()
     for each in found.variants:
@@ -79,7 +79,7 @@ def plot_time(found: Comparison, path: Path) -> None:
 
 
 def _over_seeds(figures: Sequence[Figures], name: str) -> tuple[float, float]:
-    """Mean and standard deviation; NaN, which is not drawn, where no seed has one."""
+    """Mean and standard deviation over seeds; NaN where no seed has a value."""
     values = [each[name] for each in figures if name in each]
     if not values:
         return float("nan"), float("nan")

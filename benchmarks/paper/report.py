@@ -1,4 +1,4 @@
-"""What `bench paper` leaves behind: the table as Markdown, CSV and JSON, and a plot."""
+"""Files of `bench paper`: the table as Markdown, CSV and JSON, and plots."""
 
 import dataclasses
 import json
@@ -11,9 +11,9 @@ import numpy as np
 
 from eitskin.benchmarks import markdown_tables
 from eitskin.benchmarks.paper.limits import SignalToNoise
-from eitskin.benchmarks.paper.lines import LINES, Line
+from eitskin.benchmarks.paper.lines import LINES, TableLine
 from eitskin.benchmarks.paper.plot import plot_time, plot_touches
-from eitskin.benchmarks.paper.run import COLUMNS, OURS, OWN, Comparison
+from eitskin.benchmarks.paper.run import COLUMNS, OURS, OWN, PaperComparison
 from eitskin.benchmarks.paper.scores import Figures
 from eitskin.benchmarks.results import Results, write_results
 from eitskin.training.evaluation.matching import GATE
@@ -25,8 +25,8 @@ NAME = "paper"
 _DIGITS = {"mm": 2, "deg": 2, "%": 2, "ms": 2, "": 3}
 
 
-def table(found: Comparison) -> Iterator[tuple[str, ...]]:
-    """Rows of cells under `HEADINGS`: mean over the seeds, and its spread where there are some.
+def table(found: PaperComparison) -> Iterator[tuple[str, ...]]:
+    """Rows of cells under `HEADINGS`: mean and standard deviation over the seeds.
 
     Indented lines that no column has a figure for are left out; others head what follows them.
     """
@@ -42,8 +42,8 @@ def table(found: Comparison) -> Iterator[tuple[str, ...]]:
         yield text, line.paper, *cells, line.target, _cell(bound, line.unit), multiple
 
 
-def _values(figures: Sequence[Figures], line: Line) -> list[float]:
-    """Of the seeds that have one."""
+def _values(figures: Sequence[Figures], line: TableLine) -> list[float]:
+    """Values of the seeds that have one."""
     factor = 100.0 if line.unit == "%" else 1.0
     return [factor * each[line.figure] for each in figures if line.figure in each]
 
@@ -56,8 +56,8 @@ def _cell(values: Sequence[float], unit: str) -> str:
     return mean if len(values) == 1 else f"{mean} +- {np.std(values, ddof=1):.{digits}f}"
 
 
-def sentences(found: Comparison) -> Iterator[str]:
-    """What belongs beside the table."""
+def sentences(found: PaperComparison) -> Iterator[str]:
+    """Sentences below the table."""
     seeds = ", ".join(map(str, found.seeds))
     quick = "; a tenth of the frames, for trying out only" if found.quick else ""
     yield f"{found.provenance}; seeds {seeds}{quick}"
@@ -98,7 +98,7 @@ def _terms(said: Any) -> str:
     return ", ".join(f"{name} {value}" for name, value in dataclasses.asdict(said).items() if value)
 
 
-def figures(found: Comparison) -> dict[str, float]:
+def figures(found: PaperComparison) -> dict[str, float]:
     """Means over the seeds as `COLUMN: FIGURE`, their deviations with ` +-`, shares in percent.
 
     Cells of the table have keys of their own, `ROW / COLUMN`.
@@ -114,8 +114,8 @@ def figures(found: Comparison) -> dict[str, float]:
     return named | markdown_tables.figures(markdown(found))
 
 
-def as_data(found: Comparison) -> dict[str, Any]:
-    """Everything as plain data."""
+def as_data(found: PaperComparison) -> dict[str, Any]:
+    """Comparison as plain data."""
     return {
         "provenance": dataclasses.asdict(found.provenance),
         "seeds": list(found.seeds),
@@ -131,7 +131,7 @@ def as_data(found: Comparison) -> dict[str, Any]:
     }
 
 
-def write(found: Comparison, out: Path) -> list[Path]:
+def write(found: PaperComparison, out: Path) -> list[Path]:
     """Write results, table.csv, paper.md, paper.json and two plots into `out/paper`, each whole."""
     seeds, trained = len(found.seeds), len(found.figures[OWN])
     results = Results(
@@ -156,15 +156,15 @@ def _write_text(text: str, path: Path) -> None:
     path.write_text(text, encoding="utf-8")
 
 
-def markdown(found: Comparison) -> str:
-    """The table and what belongs beside it."""
+def markdown(found: PaperComparison) -> str:
+    """Markdown of the table and its sentences."""
     rows = [HEADINGS, ("---",) * len(HEADINGS), *table(found)]
     lines = ["| " + " | ".join(cell.replace("  ", "&emsp;") for cell in row) + " |" for row in rows]
     return "\n".join([*lines, "", *(f"- {each}" for each in sentences(found)), ""])
 
 
-def _long(found: Comparison) -> Iterator[dict[str, Any]]:
-    """One row per seed, column and figure."""
+def _long(found: PaperComparison) -> Iterator[dict[str, Any]]:
+    """Rows of the long table: one per seed, column and figure."""
     columns = {**found.figures, BOUND: found.bounds}
     columns |= {f"variant: {each.name}": each.figures for each in found.variants}
     for column, seeds in columns.items():

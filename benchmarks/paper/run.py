@@ -1,4 +1,4 @@
-"""`eitskin bench paper`: the paper's experiments, with its own pipeline and with a better one."""
+"""Run of the paper's experiments with its own pipeline and with another: `eitskin bench paper`."""
 
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -32,7 +32,7 @@ Variants = Callable[[Pipeline], Sequence[tuple[str, Pipeline]]]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Variant:
-    """One way to process frames, on all touches of the unseen sensors.
+    """Pipeline variant, measured on all touches of the unseen sensors.
 
     Attributes:
         name: in words.
@@ -44,8 +44,8 @@ class Variant:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Comparison:
-    """Everything that was measured; one of each seed in every tuple.
+class PaperComparison:
+    """Everything that was measured; every tuple has one entry per seed.
 
     Attributes:
         provenance: of the measurement; its seed is the last.
@@ -74,7 +74,7 @@ class Comparison:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Measured:
-    """The part of one seed."""
+    """Measurements of one seed."""
 
     recipe: Recipe
     figures: dict[str, Figures]
@@ -84,7 +84,7 @@ class _Measured:
 
 
 def no_variants(ours: Pipeline) -> Sequence[tuple[str, Pipeline]]:  # noqa: ARG001
-    """Only the two pipelines of the table."""
+    """Empty choice of variants: only the two pipelines of the table."""
     return ()
 
 
@@ -97,7 +97,7 @@ def run(
     progress: Progress = lambda *_: None,
     variants: Variants = no_variants,
     paper_seeds: int | None = None,
-) -> Comparison:
+) -> PaperComparison:
     """Measure the paper's pipeline, trained here for each seed, and the one at `pipeline`.
 
     Args:
@@ -131,7 +131,7 @@ def run(
             paper = _paper_pipeline(sets.training, place / "paper.eitmodel", seed, progress)
         parts.append(_measured(sets, paper, ours, variants(ours), seed, quick, progress))
     names = list(parts[0].variants)
-    return Comparison(
+    return PaperComparison(
         provenance=Provenance.now(seeds - 1),
         seconds=time.perf_counter() - began,
         seeds=tuple(range(seeds)),
@@ -193,7 +193,7 @@ def _measured(
 
 
 def _paper_pipeline(data: Dataset, place: Path, seed: int, progress: Progress) -> Pipeline:
-    """Trained as published on `data`, or the one at `place` that was; one of no use is replaced."""
+    """Pipeline trained as published on `data`, or loaded from `place` if it is there and valid."""
     settings = TrainingSettings.preset("paper", seed)
     with suppress(DataError):
         kept = Pipeline.load(place)

@@ -1,4 +1,4 @@
-"""What a pipeline reaches in the paper's experiments: figures by name, of one set of frames."""
+"""Scores of a pipeline in the paper's experiments: figures by name."""
 
 import dataclasses
 import time
@@ -27,7 +27,7 @@ Figures = dict[str, float]
 
 
 def scores(pipeline: Pipeline, sets: Mapping[str, Dataset]) -> Figures:
-    """All figures of the experiments, by `paper_sets.SPECIMENS`'s names, but calibrated ones."""
+    """All figures of the experiments, without the calibrated ones."""
     found = touch_scores(pipeline, sets["touch"])
     found |= _touches(
         "indentation", Evaluation.of(pipeline, sets["indentation"]).report.touches["1"]
@@ -39,7 +39,7 @@ def scores(pipeline: Pipeline, sets: Mapping[str, Dataset]) -> Figures:
 
 
 def touch_scores(pipeline: Pipeline, data: Dataset) -> Figures:
-    """One touch at many bends, several at some, all of them together, and the time of a frame."""
+    """Scores of one touch at many bends, of several at some, of all together, and frame times."""
     report = Evaluation.of(pipeline, data).report
     found: Figures = {}
     for group in ("1", "2", "3", "4", "several"):
@@ -57,13 +57,13 @@ def touch_scores(pipeline: Pipeline, data: Dataset) -> Figures:
 
 
 def state_scores(pipeline: Pipeline, data: Dataset) -> Figures:
-    """How many of each state are recognised."""
+    """Share of the frames of each state that are recognised."""
     accuracy = Evaluation.of(pipeline, data).report.states.accuracy
     return {f"state.{name}": share for name, share in accuracy.items() if share is not None}
 
 
 def bend_scores(pipeline: Pipeline, data: Dataset) -> Figures:
-    """Angles of the bent sensor, of frames by themselves and of a sequence as it comes."""
+    """Scores of the bend angle, of single frames and of a sequence as it comes."""
     alone = data.select(~in_episode(data) & (data.state == State.BEND))
     angle = alone.bend_angle_deg.astype(float)
     said = pipeline.perceive(alone).bend_angle_deg
@@ -80,7 +80,7 @@ def bend_scores(pipeline: Pipeline, data: Dataset) -> Figures:
 
 
 def demo_scores(pipeline: Pipeline, data: Dataset) -> Figures:
-    """The demonstration frame by frame: states, angles, and touches at each of its steps."""
+    """Scores of the demonstration: states, angles, and touches at each of its steps."""
     estimates = list(replayed(pipeline, data))
     right = np.array([each.state for each in estimates]) == data.state
     said = np.array([each.bend_angle_deg for each in estimates])
@@ -104,7 +104,7 @@ def demo_scores(pipeline: Pipeline, data: Dataset) -> Figures:
 def calibrated_scores(
     pipeline: Pipeline, sets: Mapping[str, Dataset], known: Mapping[str, Dataset]
 ) -> Figures:
-    """Angles once the pipeline is calibrated to each sensor by its frames in `known`."""
+    """Scores of the angle once the pipeline is calibrated to each sensor by frames in `known`."""
     bending, touch = sets["bending"], sets["touch"]
     alone = bending.select(~in_episode(bending) & (bending.state == State.BEND))
     free = _calibrated_angles(pipeline, alone, known["bending"])
@@ -126,7 +126,7 @@ def _calibrated_angles(pipeline: Pipeline, data: Dataset, known: Dataset) -> Arr
 
 
 def replayed(pipeline: Pipeline, data: Dataset) -> Iterator[Estimate]:
-    """What a pipeline says of an episode's frames as they come, the first as its reference."""
+    """Estimates of an episode's frames as they come, the first as reference."""
     pipeline.reset()
     for row in range(len(data)):
         yield pipeline.process(data.frame(row))
@@ -134,7 +134,7 @@ def replayed(pipeline: Pipeline, data: Dataset) -> Iterator[Estimate]:
 
 
 def times(pipeline: Pipeline, data: Dataset) -> Array:
-    """How long `process` takes for each frame (n,) [s], after one each of its two references."""
+    """Times (n,) [s] of `process` for each frame, after its two references."""
     seconds = np.zeros(len(data))
     for row in range(len(data)):
         pipeline.reset()

@@ -1,4 +1,4 @@
-"""The frames of `bench paper`: the paper's experiments on sensors that differ, and on one."""
+"""Datasets of `bench paper`: the paper's experiments on sensors that differ, and on one."""
 
 import dataclasses
 from collections.abc import Callable, Iterator
@@ -34,7 +34,7 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sets:
-    """All frames of one seed.
+    """Datasets of one seed.
 
     Attributes:
         training: of one sensor, for the paper's pipeline.
@@ -52,7 +52,7 @@ class Sets:
 
 
 def make(folder: Path, seed: int, quick: bool, workers: int, progress: Progress) -> Sets:
-    """Generate in `folder` what is not there yet, and read everything.
+    """Generate the datasets that `folder` does not have yet, and read all of them.
 
     Raises ConfigurationError where `folder` holds frames of other recipes.
     """
@@ -75,7 +75,7 @@ def make(folder: Path, seed: int, quick: bool, workers: int, progress: Progress)
 
 
 def recipes(seed: int, quick: bool) -> Iterator[tuple[str, Recipe]]:
-    """The recipes of `Sets`, named "training", "own-...", "unseen-..." and "calibration-...".
+    """Recipes of `Sets`, named "training", "own-...", "unseen-..." and "calibration-...".
 
     Instrument and spread of the sensors are those of the recipe "training"; none is chosen here.
     """
@@ -92,18 +92,18 @@ def recipes(seed: int, quick: bool) -> Iterator[tuple[str, Recipe]]:
 
 
 def in_episode(data: Dataset) -> NDArray[np.bool_]:
-    """Which frames (n,) are followed or preceded by others in time."""
+    """Mask (n,) of the frames that are followed or preceded by others in time."""
     return np.asarray(np.bincount(data.episode)[data.episode] > 1)
 
 
 def episodes(data: Dataset) -> list[Dataset]:
-    """The frames of each episode of more than one frame."""
+    """Frame numbers of each episode of more than one frame."""
     numbers = np.unique(data.episode[in_episode(data)])
     return [data.select(data.episode == number) for number in numbers]
 
 
 def _experiment(name: str, seed: int, quick: bool) -> Recipe:
-    """The paper's recipe on a finer mesh, with the sensors and the instrument of "training"."""
+    """Recipe of the paper on a finer mesh, with the sensors and the instrument of "training"."""
     recipe, training = Recipe.shipped(f"paper_{name}"), Recipe.shipped("training")
     count = max(1, SPECIMENS[name] // (QUICK if quick else 1))
     return dataclasses.replace(
@@ -125,14 +125,14 @@ def _fewer(group: SceneGroup) -> SceneGroup:
 
 
 def _of_every_sensor(episode: Episodes, sensors: int) -> Episodes:
-    """The sequence for each sensor; of repeated cycles one, so that sensors count, not turns."""
+    """Recipe with one cycle of its sequence for each sensor, so that sensors count, not cycles."""
     if isinstance(episode, ScriptedEpisode):
         episode = dataclasses.replace(episode, repeats=1)
     return dataclasses.replace(episode, count=sensors)
 
 
 def _only_sensor(recipe: Recipe) -> Callable[[Recipe], Recipe]:
-    """What puts one sensor, drawn like those of `recipe`, in place of all sensors of a recipe."""
+    """Function that replaces the sensors of a recipe by one, drawn like those of `recipe`."""
     drawn: Specimen = specimen(dataclasses.replace(recipe, seed=recipe.seed + OWN), 0)
 
     def replaced(other: Recipe) -> Recipe:
@@ -149,7 +149,7 @@ def _only_sensor(recipe: Recipe) -> Callable[[Recipe], Recipe]:
 
 
 def _training(experiments: dict[str, Recipe]) -> Recipe:
-    """Frames as the paper trained with: states, bends and touches on the bent sensor, no others."""
+    """Recipe of the paper's training: states, bends and touches on the bent sensor."""
     scenes = (experiments[name].scenes for name in ("states", "bending", "touch"))
     first = experiments["states"]
     return dataclasses.replace(
@@ -163,7 +163,7 @@ def _training(experiments: dict[str, Recipe]) -> Recipe:
 
 
 def _calibration(experiment: Recipe) -> Recipe:
-    """Every sensor once flat and once at each known angle, in the session of its other frames.
+    """Recipe with every sensor flat and at each known angle, in the session of its other frames.
 
     The groups are as long as there are sensors, so that each sensor has one frame of each.
     """

@@ -1,4 +1,4 @@
-"""What `bench speed` leaves behind: results, a table, and the plot of error against rate."""
+"""Files of `bench speed`: results, a table, and the plot of error against rate."""
 
 import dataclasses
 from collections.abc import Iterator
@@ -27,7 +27,7 @@ def write(found: Speed, out: Path) -> list[Path]:
 
 
 def figures(found: Speed) -> Iterator[tuple[str, float]]:
-    """All figures by name; those of a way by the cells of the table."""
+    """All figures by name; figures of a workload by the cells of the table."""
     for row in table(found):
         for heading, cell in zip(HEADINGS[1:], row[1:], strict=True):
             yield f"{row[0]} / {heading}", float(cell.removesuffix(" %"))
@@ -64,11 +64,11 @@ def table(found: Speed) -> Iterator[tuple[str, ...]]:
 
 
 def sentences(found: Speed) -> Iterator[str]:
-    """What stands beside the table."""
+    """Sentences below the table."""
     if found.peer:
         yield (
             f"pyEIT, {found.peer.nodes} nodes: {found.peer.scene_ms:.0f} ms a scene, "
-            f"{found.peer_ratio:.1f} times as long as the first way"
+            f"{found.peer_ratio:.1f} times as long as the first workload"
         )
     else:
         yield "pyEIT is not installed and was left out: pip install 'eitskin[bench]'"
@@ -89,7 +89,7 @@ def sentences(found: Speed) -> Iterator[str]:
 
 
 def plot(found: Speed, path: Path) -> None:
-    """Error of a signal over scenes per second, one point per way, median to largest."""
+    """Plot the error of a signal over scenes per second, one point per workload."""
     figure = require("matplotlib.figure", "bench").Figure(figsize=(8, 4.5), layout="constrained")
     axes = figure.subplots()
     for each in found.rates:

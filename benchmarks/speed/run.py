@@ -1,8 +1,8 @@
-"""How fast all of it is: `eitskin bench speed`.
+"""Speed of simulation, generation and pipeline: `eitskin bench speed`.
 
-Scenes per second by several ways through the simulator, each beside the error that it buys, with
-pyEIT in the same run; the floor that the arithmetic sets; frames per second and memory of making a
-dataset; and the time of a frame in the pipeline that ships.
+Scenes per second and errors of several workloads, with pyEIT in the same run; the lower bound of
+the arithmetic; frames per second and memory of making a dataset; and the time of a frame in the
+shipped pipeline.
 """
 
 import itertools
@@ -27,7 +27,7 @@ from eitskin.benchmarks.speed.scenes import (
     LIVE_SCENES,
     PER_BEND,
     PROCESSES,
-    WAYS,
+    WORKLOADS,
     Rate,
     rate,
     scenes,
@@ -49,13 +49,13 @@ Watch: TypeAlias = Callable[[str, Sequence[Any]], Iterable[Any]]
 
 SCENES_PER_WAY, QUICK_SCENES = 384, 32  # of each process
 FRAMES, QUICK_FRAMES = 400, 60  # of each scene through the pipeline
-QUICK_WAYS = (WAYS[0], JUMPING)
+QUICK_WORKLOADS = (WORKLOADS[0], JUMPING)
 SETTLED = 20  # frames before those whose time counts: references are taken then
 
 
 @dataclass(frozen=True, slots=True)
 class Peer:
-    """pyEIT on scenes of a conductivity alone: nodes of its mesh, and time of a scene [ms]."""
+    """Speed of pyEIT on scenes of a conductivity: nodes of its mesh, and time of a scene [ms]."""
 
     nodes: int
     scene_ms: float
@@ -104,7 +104,7 @@ class FrameTime:
 
 @dataclass(frozen=True, slots=True)
 class Speed:
-    """Everything that one run found; what is not installed is None."""
+    """All speeds of one run; None for packages that are not installed."""
 
     provenance: Provenance
     seconds: float
@@ -117,7 +117,7 @@ class Speed:
 
     @property
     def peer_ratio(self) -> float:
-        """How many times longer pyEIT takes for a scene than the first way."""
+        """Ratio of pyEIT's time for a scene to that of the first workload."""
         return self.peer.scene_ms / self.rates[0].scene_ms if self.peer else float("nan")
 
 
@@ -127,14 +127,14 @@ def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> Speed:
     Args:
         seed: of the virtual board's noise and of the conductivities that pyEIT solves; scenes are
             the same in every run.
-        quick: two ways and fewer scenes.
+        quick: two workloads and fewer scenes.
         watch: gives back the items that its text is about; shows progress where wanted.
     """
     start = time.perf_counter()
     count, frames = (QUICK_SCENES, QUICK_FRAMES) if quick else (SCENES_PER_WAY, FRAMES)
-    ways = QUICK_WAYS if quick else WAYS
+    workloads = QUICK_WORKLOADS if quick else WORKLOADS
     with ProcessPoolExecutor(PROCESSES, multiprocessing.get_context("spawn")) as pool:
-        rates = tuple(rate(way, count, pool) for way in watch("ways", ways))
+        rates = tuple(rate(workload, count, pool) for workload in watch("workloads", workloads))
     engine = next(each for each in rates if each.name == JUMPING.name)
     with require("threadpoolctl", "bench").threadpool_limits(1):
         (other,) = (solve(seed) for solve in watch("pyEIT", [pyeit]))
@@ -170,12 +170,12 @@ def pyeit(seed: int, count: int = 5) -> Peer | None:
 
 
 def floor(count: int = PER_BEND) -> Floor:
-    """What the strips and matrices of one reanalysed touch cost, and would cost at least."""
-    sim = WAYS[0].simulator("fast")
+    """Cost of the strips and matrices of one reanalysed touch, and its lower bound."""
+    sim = WORKLOADS[0].simulator("fast")
     solver, assembly = sim.model.solver, sim.model.assembly
     if not isinstance(solver, BlockCholesky):
         raise TypeError("the reference sensor is solved strip by strip")
-    some = scenes(WAYS[0], count, 5)
+    some = scenes(WORKLOADS[0], count, 5)
     solved = Reanalysis(sim.model, sim.deformed_layer(Scene(some[0].bend)))
     before = solved.strips, solved.resolved
     start = time.process_time()
@@ -197,7 +197,7 @@ def floor(count: int = PER_BEND) -> Floor:
 
 
 def _product_rate(size: int = 1500) -> float:
-    """Operations per second of a large product of matrices."""
+    """Operations per second of a product of large matrices."""
     a = np.random.default_rng(0).normal(size=(size, size))
     a @ a
     start = time.process_time()
@@ -206,13 +206,13 @@ def _product_rate(size: int = 1500) -> float:
 
 
 def recipe(frames: int, per_bend: int = PER_BEND) -> Recipe:
-    """Single touches, as many to a bend."""
+    """Recipe of single touches, as many to a bend."""
     group = SceneGroup("touch", frames, ANGLES, force=FORCES, per_bend=per_bend)
     return Recipe(name="rate", scenes=(group,), frames_per_shard=256)
 
 
 def generation(count: int, engine: Rate) -> Generation:
-    """Make datasets of eight, one and four times `count` frames; `engine` is the way they take."""
+    """Speed and memory of datasets of eight, one and four times `count` frames of `engine`."""
     frames = 8 * count
     with tempfile.TemporaryDirectory() as folder:
         start = time.perf_counter()
@@ -227,7 +227,7 @@ def generation(count: int, engine: Rate) -> Generation:
 
 
 def memory_mb(frames: int) -> float:
-    """Most memory that a worker used while it made a dataset [MB].
+    """Peak memory [MB] of a worker that made a dataset.
 
     Found in a process of its own: a system remembers the most that any child used.
     """
@@ -242,7 +242,7 @@ def _children_mb(frames: int) -> float:
 
 
 def frame_time(name: str, frames: int, seed: int) -> FrameTime:
-    """Of one of the live scenes, with every term of the AD5940's chain, in the shipped pipeline."""
+    """Frame time of the shipped pipeline for a live scene with every term of the AD5940's chain."""
     from eitskin.training.pipeline.pipeline import Pipeline
 
     pipeline = Pipeline.load("reference.eitmodel")

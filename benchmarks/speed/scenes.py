@@ -1,9 +1,9 @@
-"""Ways through the simulator: how many scenes per second, and the error that they buy.
+"""Workloads of the simulator: scenes per second and errors.
 
 Random presses of 5 to 12 N on the reference sensor: single ones and up to four, many of one bend
 and each with its own, by reanalysis and one by one, on two processes at once. Errors are those of
 the presses' signals against the resolution "fine". The hinge has a transition: without, presses at
-its ends meet a jump inside cells, which no resolution gets right (one way has none, to show it).
+its ends meet a jump inside cells, which no resolution gets right, as one workload shows.
 """
 
 import dataclasses
@@ -37,11 +37,11 @@ PROCESSES = 2
 
 
 @dataclass(frozen=True, slots=True)
-class Way:
-    """One way through the simulator.
+class Workload:
+    """Workload: a kind of scenes and how they are solved.
 
     Attributes:
-        name: of the way.
+        name: of the workload.
         touches: lowest and highest number at once.
         per_bend: scenes that share a bend.
         resolution: of the simulator.
@@ -57,29 +57,29 @@ class Way:
     transition: float = 0.010
 
     def simulator(self, resolution: Resolution) -> Simulator:
-        """Of the reference sensor."""
+        """Simulator of the reference sensor."""
         hinge = Hinge(transition=self.transition)
         return Simulator(SensorDesign.reference(), resolution, fixture=hinge)
 
 
-JUMPING = Way("one touch, 32 per bend, hinge without transition", transition=0.0)
-WAYS = (
-    Way("one touch, 32 per bend"),
-    Way("one to four touches, 32 per bend", touches=(1, 4)),
-    Way("one touch, bends of their own", per_bend=1),
-    Way("one to four touches, bends of their own", (1, 4), 1),
-    Way("one touch, 32 per bend, `EXACT`", tolerance=EXACT),
-    Way("one touch, 32 per bend, resolution `standard`", resolution="standard"),
+JUMPING = Workload("one touch, 32 per bend, hinge without transition", transition=0.0)
+WORKLOADS = (
+    Workload("one touch, 32 per bend"),
+    Workload("one to four touches, 32 per bend", touches=(1, 4)),
+    Workload("one touch, bends of their own", per_bend=1),
+    Workload("one to four touches, bends of their own", (1, 4), 1),
+    Workload("one touch, 32 per bend, `EXACT`", tolerance=EXACT),
+    Workload("one touch, 32 per bend, resolution `standard`", resolution="standard"),
     JUMPING,
 )
 
 
 @dataclass(frozen=True, slots=True)
 class Rate:
-    """What one way costs and buys.
+    """Speed and error of one workload.
 
     Attributes:
-        name: of the way.
+        name: of the workload.
         scenes_per_second: of two processes at once, solutions without touches included.
         scene_ms: of one scene, processor time of one process alone.
         error_median, error_max: norm of the error over norm of the signal, of some scenes.
@@ -92,41 +92,41 @@ class Rate:
     error_max: float
 
 
-def scenes(way: Way, count: int, seed: int) -> list[Scene]:
-    """Random presses; those that share a bend follow each other."""
+def scenes(workload: Workload, count: int, seed: int) -> list[Scene]:
+    """Scenes of random presses; scenes that share a bend follow each other."""
     rng = np.random.default_rng(seed)
     outline = Rectangle(0.150, 0.060)
     found = []
     for number in range(count):
-        if number % way.per_bend == 0:
+        if number % workload.per_bend == 0:
             bend = Bend(float(rng.uniform(*ANGLES)))
         places = draw_positions(
-            int(rng.integers(*way.touches, endpoint=True)), outline, 0.01, 0.03, rng
+            int(rng.integers(*workload.touches, endpoint=True)), outline, 0.01, 0.03, rng
         )
         touches = tuple(Touch(float(x), float(y), float(rng.uniform(*FORCES))) for x, y in places)
         found.append(Scene(bend, touches))
     return found
 
 
-def work(way: Way, count: int, seed: int) -> tuple[float, float]:
-    """Time and processor time of solving so many scenes, after meshing and a first one [s]."""
+def work(workload: Workload, count: int, seed: int) -> tuple[float, float]:
+    """Time and processor time [s] of solving `count` scenes, after meshing and a first scene."""
     with require("threadpoolctl", "bench").threadpool_limits(1):
-        sim = way.simulator(way.resolution)
-        some = scenes(way, count, seed)
+        sim = workload.simulator(workload.resolution)
+        some = scenes(workload, count, seed)
         sim.measure(some[0])
         start = time.perf_counter(), time.process_time()
-        sim.measure_all(some, way.tolerance)
+        sim.measure_all(some, workload.tolerance)
         return time.perf_counter() - start[0], time.process_time() - start[1]
 
 
-def rate(way: Way, count: int, pool: ProcessPoolExecutor) -> Rate:
-    """Measure one way."""
-    _, alone = work(way, count // 2, 0)
-    together = [pool.submit(work, way, count, seed) for seed in range(1, PROCESSES + 1)]
+def rate(workload: Workload, count: int, pool: ProcessPoolExecutor) -> Rate:
+    """Speed and error of a workload."""
+    _, alone = work(workload, count // 2, 0)
+    together = [pool.submit(work, workload, count, seed) for seed in range(1, PROCESSES + 1)]
     seconds = [future.result()[0] for future in together]
-    errors = signal_errors(way)
+    errors = signal_errors(workload)
     return Rate(
-        name=way.name,
+        name=workload.name,
         scenes_per_second=sum(count / each for each in seconds),
         scene_ms=1e3 * alone / (count // 2),
         error_median=float(np.median(errors)),
@@ -134,25 +134,25 @@ def rate(way: Way, count: int, pool: ProcessPoolExecutor) -> Rate:
     )
 
 
-def signal_errors(way: Way) -> Array:
-    """Of some scenes, four to a bend so that they are reanalysed, (JUDGED,)."""
-    some = scenes(dataclasses.replace(way, per_bend=min(way.per_bend, 4)), JUDGED, 99)
-    truth = _true_signals(tuple(some), way.transition)
-    missed = _signals(some, way, way.resolution) - truth
+def signal_errors(workload: Workload) -> Array:
+    """Relative errors of the signals of some scenes, four to a bend, (JUDGED,)."""
+    some = scenes(dataclasses.replace(workload, per_bend=min(workload.per_bend, 4)), JUDGED, 99)
+    truth = _true_signals(tuple(some), workload.transition)
+    missed = _signals(some, workload, workload.resolution) - truth
     found: Array = np.linalg.norm(missed, axis=1) / np.linalg.norm(truth, axis=1)
     return found
 
 
 @cache
 def _true_signals(some: tuple[Scene, ...], transition: float) -> Array:
-    return _signals(some, Way("", tolerance=EXACT, transition=transition), "fine")
+    return _signals(some, Workload("", tolerance=EXACT, transition=transition), "fine")
 
 
-def _signals(some: Sequence[Scene], way: Way, resolution: Resolution) -> Array:
-    """What the touches change [ohm], (scenes, measurements)."""
-    sim = way.simulator(resolution)
+def _signals(some: Sequence[Scene], workload: Workload, resolution: Resolution) -> Array:
+    """Signals of the touches [ohm], (scenes, measurements)."""
+    sim = workload.simulator(resolution)
     both = [*some, *(Scene(scene.bend) for scene in some)]
-    measured = sim.measure_all(both, way.tolerance).real
+    measured = sim.measure_all(both, workload.tolerance).real
     changes: Array = measured[: len(some)] - measured[len(some) :]
     return changes
 

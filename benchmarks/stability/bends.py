@@ -1,4 +1,4 @@
-"""Bends, rolls, twists and presses up to their limits and past them.
+"""Cases of bends, rolls, twists and presses up to their limits and beyond.
 
 The sensor is a bar between electrodes over two whole faces. Always true: the deformations keep
 volume (det F = 1, of presses on average), and a rigid motion afterwards changes nothing.
@@ -14,7 +14,7 @@ from functools import cache, partial
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.benchmarks.stability.case import Case, Found
+from eitskin.benchmarks.stability.case import Case, CaseValues
 from eitskin.benchmarks.stability.closed_forms import sector
 from eitskin.benchmarks.stability.electrical import OUTLINE, H, L, W, bar
 from eitskin.errors import ConfigurationError
@@ -49,7 +49,7 @@ QUICK_FIXTURES = ("hinge", "smooth arc of 20 mm")
 
 @dataclass(frozen=True, slots=True)
 class _Moved:
-    """A rigid motion: turned by some odd angles, and shifted."""
+    """Rigid motion: a rotation and a shift."""
 
     def positions(self, points: Array) -> Array:
         moved: Array = points @ self._turn().T + np.array([0.3, -2.0, 0.01])
@@ -67,7 +67,7 @@ class _Moved:
 
 
 def bends(quick: bool) -> Iterator[Case]:
-    """Free arcs to the full circle, hinges and short arcs to their last angles, and past them."""
+    """Cases of free arcs to the full circle, and of hinges and short arcs to their last angles."""
     angles = (-180.0, 180.0, 360.0) if quick else (-360.0, -180.0, -90.0, -1e-3, 1e-3, 90.0, 360.0)
     for angle in angles:
         yield Case("bends", f"whole length to {angle:g} deg", partial(_arc, angle))
@@ -85,7 +85,7 @@ def bends(quick: bool) -> Iterator[Case]:
 
 
 def rolls_and_twists(quick: bool) -> Iterator[Case]:
-    """Across the width to where the edges meet, and about the long axis many times."""
+    """Cases of rolls to where the edges meet, and of twists by many turns."""
     for angle in (-180.0, 360.0) if quick else (-360.0, -180.0, -90.0, 90.0, 180.0, 360.0):
         yield Case("rolls and twists", f"roll, {angle:g} deg", partial(_rolled, angle))
     for angle in (360.1, float("nan")):
@@ -98,7 +98,7 @@ def rolls_and_twists(quick: bool) -> Iterator[Case]:
 
 
 def compositions(model: TouchModel) -> Iterator[Case]:
-    """Presses on bent, rolled and twisted sensors; volume is kept on average."""
+    """Cases of presses on bent, rolled and twisted sensors; volume is kept on average."""
     press = (Touch(0.075, 0.030),)
     four = tuple(Touch(x, 0.030) for x in (0.03, 0.06, 0.09, 0.12))
     scenes = {
@@ -118,16 +118,16 @@ def compositions(model: TouchModel) -> Iterator[Case]:
     yield Case("compositions", "rolled to 180 deg, then bent", partial(_scene, rolled), None)
 
 
-def _arc(angle: float) -> Found:
-    """All of the bar bent evenly: an annular sector."""
+def _arc(angle: float) -> CaseValues:
+    """Bar bent evenly into an annular sector."""
     sim = Simulator(bar(_Z), _MESH, FreeArc(L))
     flexure = sim.fixture.flexure(sim.design, Bend(angle))
     exact = sector(math.radians(angle), H, W, flexure.stretch, L)
     return _found(sim, flexure, lambda R: abs(R / exact - 1.0))
 
 
-def _rolled(angle: float) -> Found:
-    """The same across the width."""
+def _rolled(angle: float) -> CaseValues:
+    """Bar rolled evenly across its width into an annular sector."""
     roll = Roll(angle)
     sim = Simulator(SensorDesign(OUTLINE, H, _ACROSS), _MESH)
     rolled = roll.deformation(sim.design)
@@ -137,8 +137,8 @@ def _rolled(angle: float) -> Found:
 
 def _scene(
     scene: Scene, fixture: Fixture | None = None, model: TouchModel = "closed form"
-) -> Found:
-    """The bar under a scene, its resistance between rigorous bounds."""
+) -> CaseValues:
+    """Bar under a scene, its resistance compared with rigorous bounds."""
     sim = Simulator(bar(_Z), _MESH, fixture, touch_model=model)
     deformation = sim.deformation(scene)
     if deformation is None:
@@ -151,20 +151,20 @@ def _scene(
     return dataclasses.replace(found, invariant=volume)
 
 
-def _two(gap: float, model: TouchModel) -> Found:
-    """Presses near each other, whose dents overlap."""
+def _two(gap: float, model: TouchModel) -> CaseValues:
+    """Two presses near each other, whose dents overlap."""
     touches = tuple(Touch(0.075 + side * gap, 0.030) for side in (-0.5, 0.5))
     return _scene(Scene(touches=touches), FreeArc(L), model)
 
 
-def _last(fixture: Fixture, sign: float) -> Found:
-    """At the angle that the refusal of a larger one names."""
+def _last(fixture: Fixture, sign: float) -> CaseValues:
+    """Bar at the last possible angle, as the refusal of a larger one names it."""
     angle = _last_angle(fixture, sign)
     found = _scene(Scene(Bend(angle)), fixture)
     return dataclasses.replace(found, reached=f"{angle:g} deg")
 
 
-def _past(fixture: Fixture, sign: float) -> Found:
+def _past(fixture: Fixture, sign: float) -> CaseValues:
     return _scene(Scene(Bend(_last_angle(fixture, sign) + 0.2 * sign)), fixture)
 
 
@@ -177,13 +177,13 @@ def _last_angle(fixture: Fixture, sign: float) -> float:
     raise ConfigurationError(f"{fixture} bends by ten thousand degrees")
 
 
-def _found(sim: Simulator, deformation: Deformation, error: Callable[[float], float]) -> Found:
-    """The resistance, and what a rigid motion makes of it."""
+def _found(sim: Simulator, deformation: Deformation, error: Callable[[float], float]) -> CaseValues:
+    """Resistance of the bar, and its change by a rigid motion."""
     R, moved = (
         complex(sim.deformed(each).impedance[0])
         for each in (deformation, Composed(deformation, _Moved()))
     )
-    return Found(
+    return CaseValues(
         residual=abs(moved / R - 1.0),
         invariant=float(np.abs(_determinants(deformation) - 1.0).max()),
         error=error(R.real),
@@ -191,7 +191,7 @@ def _found(sim: Simulator, deformation: Deformation, error: Callable[[float], fl
 
 
 def _places() -> tuple[Array, Array]:
-    """Gauss points (n, m, 3) [m], section by section, and weights (m,) of a section [m2]."""
+    """Gauss points (n, m, 3) [m], section by section, and weights (m,) [m2] of a section."""
     ends = np.linspace(0.0, L, 151)  # of which some are where hinges and arcs begin
     gauss = 0.5 + 0.5 * np.array([-1.0, 1.0]) / math.sqrt(3.0)
     x = ends[:-1, None] + gauss * np.diff(ends)[:, None]
@@ -208,7 +208,7 @@ def _determinants(deformation: Deformation) -> Array:
 
 
 def _bounds(deformation: Deformation) -> tuple[float, float]:
-    """Between sections of one potential each, and fibres that exchange no current [ohm].
+    """Bounds [ohm]: sections of one potential each, and fibres that exchange no current.
 
     With S = J F^-1 F^-T: int dX / int S_XX dA <= R <= int int (S^-1)_XX dA dX / A^2 (Dirichlet's
     and Thomson's principles).

@@ -1,4 +1,4 @@
-"""One stiff or extreme case, what was found in it, and whether that can be trusted."""
+"""Stiff or extreme case, its values and its outcome."""
 
 import math
 import signal
@@ -20,8 +20,8 @@ _PATIENCE = 300.0  # s: what takes longer counts as a hang
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
-    """What one case gave; None where a quantity does not apply.
+class CaseValues:
+    """Values of one case; None where a quantity does not apply.
 
     Attributes:
         residual: of electrical cases, largest relative difference between the impedances by two
@@ -46,7 +46,7 @@ class Found:
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """Something to compute, and what must come of it.
+    """Case to compute and its expected outcome.
 
     Attributes:
         family: row of the table of extreme cases that it belongs to.
@@ -59,7 +59,7 @@ class Case:
 
     family: str
     name: str
-    solve: Callable[[], Found]
+    solve: Callable[[], CaseValues]
     expected: Literal["ok", "refused"] | None = "ok"
     says: str = ""
     residual_limit: float = math.inf
@@ -68,8 +68,8 @@ class Case:
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
-    """What came of one case.
+class CaseResult:
+    """Outcome and values of one case.
 
     Attributes:
         family, case: as in `Case`.
@@ -78,7 +78,7 @@ class Row:
             another outcome than the expected one.
         reached: how far it went, in words.
         reason: why it is not ok, or went no further.
-        residual, invariant, error, naive, iterations: as in `Found`; None also for what is not
+        residual, invariant, error, naive, iterations: as in `CaseValues`; None also for what is not
             a number.
         seconds: that it took [s].
     """
@@ -96,14 +96,14 @@ class Row:
     seconds: float
 
 
-def judge(case: Case, patience: float = _PATIENCE) -> Row:
-    """Compute a case and say what came of it; a warning counts as a failure.
+def judge(case: Case, patience: float = _PATIENCE) -> CaseResult:
+    """Compute a case and judge its outcome; a warning counts as a failure.
 
     Where the system has no alarm clock, hangs are not ended.
     """
     start = time.perf_counter()
     outcome: Outcome
-    found = Found()
+    found = CaseValues()
     try:
         with _alarm(patience), warnings.catch_warnings():
             warnings.simplefilter("error")
@@ -115,7 +115,7 @@ def judge(case: Case, patience: float = _PATIENCE) -> Row:
         outcome, reason = "left out", str(error)
     except Exception as error:  # whatever else comes is a bug to be listed
         outcome, reason = "wrong", f"{type(error).__name__}: {error}"
-    return Row(
+    return CaseResult(
         family=case.family,
         case=case.name,
         outcome=outcome,
@@ -130,7 +130,7 @@ def judge(case: Case, patience: float = _PATIENCE) -> Row:
     )
 
 
-def _outcome(case: Case, found: Found) -> tuple[Outcome, str]:
+def _outcome(case: Case, found: CaseValues) -> tuple[Outcome, str]:
     for name in ("residual", "invariant", "error"):
         value, limit = getattr(found, name), getattr(case, f"{name}_limit")
         if value is None:

@@ -1,4 +1,4 @@
-"""Closed forms that stiff and extreme cases are held against. Nothing here knows the simulator."""
+"""Closed forms for stiff and extreme cases, independent of the simulator."""
 
 from collections.abc import Sequence
 
@@ -10,7 +10,7 @@ Array = NDArray[np.float64]
 
 
 def block(length: float, area: float, conductivity: float, *contact: complex) -> complex:
-    """L / (sigma A) + sum z / A [ohm] of a block between full-end electrodes."""
+    """Resistance L / (sigma A) + sum z / A [ohm] of a block between full-end electrodes."""
     return length / (conductivity * area) + sum(contact) / area
 
 
@@ -43,7 +43,7 @@ def shunt_pair(a: float, b: float, spans: Sequence[tuple[float, float]]) -> floa
 
 
 def _on_real_line(a: float, b: float, s: float) -> Array:
-    """Where sn takes the place at arc length s of the rim, as numerator and denominator.
+    """Image under sn of the point at arc length s of the rim, as numerator and denominator.
 
     The rectangle is |Re| < K, 0 < Im < K', with K' / K = 2 b / a; the nome is exp(-pi K' / K).
     """
@@ -61,7 +61,7 @@ def _on_real_line(a: float, b: float, s: float) -> Array:
 
 
 def punched_layer(radius: float, thickness: float, nu: float) -> float:
-    """Force over depth and shear modulus [m]: a flat smooth punch on a layer bonded to its base.
+    """Force over depth and shear modulus [m] of a flat smooth punch on a bonded layer.
 
     P = 4 mu a delta kappa / (1 - nu), kappa = pi / (2 a delta) int_0^a phi dt, from the integral
     equation of Lebedev and Ufliand (1958), as in Hayes et al. (1972):
@@ -85,6 +85,6 @@ def punched_layer(radius: float, thickness: float, nu: float) -> float:
 
 
 def _gauss(end: float, count: int) -> tuple[Array, Array]:
-    """Places and weights of the Gauss rule from 0 to `end`."""
+    """Nodes and weights of the Gauss rule from 0 to `end`."""
     nodes, weights = np.polynomial.legendre.leggauss(count)
     return 0.5 * end * (nodes + 1.0), 0.5 * end * weights

@@ -1,4 +1,4 @@
-"""Conductivities, contacts, electrodes and cells at the ends of what sensors can have.
+"""Cases of extreme conductivities, contacts and layers.
 
 Always true: power is not given back; the power put in is the power that body and contacts turn
 into heat; by the other factorisation, the one with which sensitivities are computed.
@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.benchmarks.stability.case import Case, Found
+from eitskin.benchmarks.stability.case import Case, CaseValues
 from eitskin.benchmarks.stability.closed_forms import block
 from eitskin.geometry.design.electrode import Electrode
 from eitskin.geometry.design.outline import Rectangle
@@ -33,7 +33,7 @@ COARSE = Grading(finest=2e-2, coarsest=2e-2, growth=1.0)
 
 
 def imbalance(model: ForwardModel, conductivity: Array | None = None) -> float:
-    """Worst violation of what holds for all impedances of a sensor, relative.
+    """Worst relative violation of passivity and of the power balance of a sensor.
 
     No currents give power: Re Z has no negative eigenvalue. And by Tellegen's theorem the
     impedance of every pair is
@@ -67,8 +67,8 @@ def solved(
     cells: CellKind | None = None,
     breaks: Sequence[float] = (),
     conductivity: Callable[[Array], Array] | None = None,
-) -> Found:
-    """All pairs of a sensor, by both solvers.
+) -> CaseValues:
+    """Impedances of all pairs of a sensor by both solvers, as values of a case.
 
     `exact` gives the error of the impedances of the pairs; `conductivity` the values at the
     middles (cells, 3) [m] of cells.
@@ -82,7 +82,7 @@ def solved(
         found.append(protocol.measure(model.impedance(sigma)))
         if cells == "tetrahedra":  # no two meshes are the same
             break
-    return Found(
+    return CaseValues(
         residual=apart(found[0], found[1]) if len(found) > 1 else None,
         invariant=imbalance(model, sigma),
         error=None if exact is None else exact(found[-1], model),
@@ -95,7 +95,7 @@ def bar(
     outline: Rectangle = OUTLINE,
     thickness: float = H,
 ) -> SensorDesign:
-    """A block between electrodes over its two whole ends x = 0 and x = length."""
+    """Block between electrodes over its two whole ends x = 0 and x = length."""
     length, width = outline.length, outline.width
     ends = (
         Electrode(0.0, 0.5 * width, width, z[0]),
@@ -105,7 +105,7 @@ def bar(
 
 
 def outside(R: Numbers, low: Numbers, high: Numbers) -> float:
-    """How far resistances are outside rigorous bounds, relative; 0 within."""
+    """Relative distance of resistances from the interval of rigorous bounds; 0 within."""
     return float(np.maximum(low / R - 1.0, R / high - 1.0).max(initial=0.0))
 
 
@@ -113,7 +113,7 @@ def outside(R: Numbers, low: Numbers, high: Numbers) -> float:
 
 
 def contrasts(ratios: Sequence[float]) -> Iterator[Case]:
-    """Two conductivities in one sensor: in series, in parallel, and under the electrodes."""
+    """Cases of two conductivities in one sensor: in series, in parallel, and in two halves."""
     for ratio in ratios:
         cases = {"in series": _in_series, "in parallel": _in_parallel, "half a sensor": _half}
         for name, solve in cases.items():
@@ -127,7 +127,7 @@ def contrasts(ratios: Sequence[float]) -> Iterator[Case]:
             )
 
 
-def _in_series(ratio: float) -> Found:
+def _in_series(ratio: float) -> CaseValues:
     exact = block(0.5 * L, AREA, 1.0, 1e-9) + block(0.5 * L, AREA, ratio, 1e-9)
     return solved(
         bar(1e-9),
@@ -138,8 +138,8 @@ def _in_series(ratio: float) -> Found:
     )
 
 
-def _in_parallel(ratio: float, thin: float = 0.5) -> Found:
-    """Sheets with contacts of their own conduct least; sheets that share them, most."""
+def _in_parallel(ratio: float, thin: float = 0.5) -> CaseValues:
+    """Sheets in parallel: separate contacts conduct least, shared contacts most."""
     z, shares = 1e-9, ((1.0 - thin, 1.0), (thin, ratio))
     sheets = tuple(Layer(share * H, sigma) for share, sigma in shares)
 
@@ -156,8 +156,8 @@ def _outside_bounds(R: Numbers, _: ForwardModel, bounds: tuple[Numbers, Numbers]
     return outside(R, *bounds)
 
 
-def _half(ratio: float) -> Found:
-    """The reference sensor, of which one half conducts more, between none and all of it."""
+def _half(ratio: float) -> CaseValues:
+    """Reference sensor with one changed half, bounded by none and all of it changed."""
 
     def error(R: Numbers, model: ForwardModel) -> float:
         protocol = Protocol.pairwise(8)
@@ -177,7 +177,7 @@ def _half(ratio: float) -> Found:
 
 
 def layers(ratios: Sequence[float], shares: Sequence[float]) -> Iterator[Case]:
-    """Thin sheets in the stack, between pads on top and bottom and between its ends."""
+    """Cases of thin sheets in the stack, between pads on top and bottom and between its ends."""
     for thin in shares:
         for ratio in ratios:
             name = f"1 : {ratio:g} S/m, {1.0 / thin - 1.0:.0f} : 1"
@@ -193,7 +193,7 @@ def layers(ratios: Sequence[float], shares: Sequence[float]) -> Iterator[Case]:
                 )
 
 
-def _across(ratio: float, thin: float) -> Found:
+def _across(ratio: float, thin: float) -> CaseValues:
     faces = tuple(Electrode(L / 2, W / 2, L, 1e-9, height=W, on=on) for on in ("top", "bottom"))
     sheets = (Layer((1.0 - thin) * H, 1.0), Layer(thin * H, ratio))
     exact = H * (1.0 - thin + thin / ratio) / (L * W) + 2e-9 / (L * W)
@@ -205,7 +205,7 @@ def _across(ratio: float, thin: float) -> Found:
 
 
 def contacts() -> Iterator[Case]:
-    """z from 1e-9 to 1e3 ohm m2, alike and mixed, real and complex, and beyond."""
+    """Cases of contact impedances from 1e-9 to 1e3 ohm m2, equal and mixed, and beyond."""
     pairs: list[tuple[complex, complex]] = [(z, z) for z in (1e-10, 1e-9, 1e-6, 1e-3, 1.0, 1e3)]
     pairs += [(1e-9, 1e3), (1e-9, 1e-3 + 1e3j), (1e3, 1e-3 - 4e-3j)]
     pairs += [(cmath.rect(z, 1.5), cmath.rect(z, -1.5)) for z in (1e-9, 1e-3, 1e3)]
@@ -229,8 +229,8 @@ def contacts() -> Iterator[Case]:
         )
 
 
-def _body(one: complex, other: complex) -> Found:
-    """The body's own share of the impedance, L / (sigma A), however large the contacts' is."""
+def _body(one: complex, other: complex) -> CaseValues:
+    """Block whose own resistance L / (sigma A) must stay accurate beside large contacts."""
 
     def error(R: Numbers, _: ForwardModel) -> float:
         return apart(R - (one + other) / AREA, np.array([L / AREA]))
@@ -238,15 +238,15 @@ def _body(one: complex, other: complex) -> Found:
     return solved(bar(one, other), ((2,), COARSE), error)
 
 
-def _strips(sigma: float) -> Found:
+def _strips(sigma: float) -> CaseValues:
     """Electrodes that do not cover the full thickness, without a closed form."""
     places = (0.03, 0.09)
     strips = tuple(Electrode(x, 0.0, 0.005, 1e-9, height=0.002) for x in places)
     return solved(SensorDesign(OUTLINE, H, strips, conductivity=sigma), "fast")
 
 
-def _buried(z: complex) -> Found:
-    """With 1e6 ohm m2 before it, an electrode is as good as not there."""
+def _buried(z: complex) -> CaseValues:
+    """Reference sensor with one electrode behind 1e6 ohm m2, compared with none there."""
     sensor = SensorDesign.reference()
     changed = [dataclasses.replace(e, contact_impedance=z) for e in sensor.electrodes]
     rest = dataclasses.replace(sensor, electrodes=tuple(changed[1:]))

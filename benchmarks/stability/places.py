@@ -1,4 +1,4 @@
-"""Electrodes of any size at any place, and cells of any shape."""
+"""Cases of electrodes of extreme sizes and positions, and of extreme cells."""
 
 import dataclasses
 from collections.abc import Iterator, Sequence
@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from eitskin.benchmarks.stability.case import Case, Found
+from eitskin.benchmarks.stability.case import Case, CaseValues
 from eitskin.benchmarks.stability.closed_forms import block, shunt_pair
 from eitskin.benchmarks.stability.electrical import OUTLINE, H, L, W, apart, bar, solved
 from eitskin.geometry.design.electrode import Electrode
@@ -37,7 +37,7 @@ REFUSED: dict[str, tuple[Spans, str]] = {
 
 
 def electrodes(quick: bool) -> Iterator[Case]:
-    """Shunt electrodes against the closed form; touching ones; those that cannot be."""
+    """Cases of shunt electrodes against the closed form, touching ones, and impossible ones."""
     for name, spans in list(SPANS.items())[:: 3 if quick else 1]:
         yield Case("electrodes", name, partial(_shunt, spans))
     for name in () if quick else ("10 um and 5 mm", "round one corner", "1 um short of a corner"):
@@ -56,7 +56,7 @@ def _pair(spans: Spans, z: complex) -> SensorDesign:
     return SensorDesign(OUTLINE, H, tuple(electrodes))
 
 
-def _shunt(spans: Spans, cells: CellKind = "hexahedra") -> Found:
+def _shunt(spans: Spans, cells: CellKind = "hexahedra") -> CaseValues:
     exact = shunt_pair(L, W, spans) / H
     finest = np.diff(np.ravel(spans)).min()
     share, growth = (1e-2, 1.0) if cells == "prisms" else (1e-3, 1.5)
@@ -66,13 +66,13 @@ def _shunt(spans: Spans, cells: CellKind = "hexahedra") -> Found:
     )
 
 
-def _unknown(spans: Spans) -> Found:
-    """Without a closed form: only what always holds."""
+def _unknown(spans: Spans) -> CaseValues:
+    """Pair of electrodes without a closed form: only the invariants hold."""
     return solved(_pair(spans, 1e-3), ((4,), Grading(1e-6, 2e-2, 1.5)))
 
 
 def cells(quick: bool) -> Iterator[Case]:
-    """Cells long, thin and sharp: blocks whose resistance is known, and corners without one."""
+    """Cases of long, thin and sharp cells: blocks of known resistance, and sharp corners."""
     sizes = Grading(1e-7, 1e-2, 1.5)
     yield Case("cells", "hexahedra, 0.1 um to 10 mm", partial(_bar, OUTLINE, sizes))
     for width in (1e-3, 1e-4, 1e-5):
@@ -96,13 +96,13 @@ def cells(quick: bool) -> Iterator[Case]:
     yield Case("cells", "hexahedra sheared by 10000", solve, "refused", says)
 
 
-def _bar(outline: Rectangle, sizes: Grading, cells: CellKind = "hexahedra") -> Found:
+def _bar(outline: Rectangle, sizes: Grading, cells: CellKind = "hexahedra") -> CaseValues:
     exact = block(outline.length, outline.width * H, 1.0, 1e-9, 1e-9)
     design = bar(1e-9, outline=outline)
     return solved(design, ((2,), sizes), lambda R, _: apart(R, np.array([exact])), cells=cells)
 
 
-def _tetrahedra(thickness: float) -> Found:
+def _tetrahedra(thickness: float) -> CaseValues:
     design = bar(1e-9, thickness=thickness)
     exact = block(L, W * thickness, 1.0, 1e-9, 1e-9)
     sizes = Grading(2.0 * thickness, 6.0 * thickness, 1.0)
@@ -111,8 +111,8 @@ def _tetrahedra(thickness: float) -> Found:
     )
 
 
-def _corner(degrees: float) -> Found:
-    """A triangle with one sharp corner, an electrode round it and one on the far side."""
+def _corner(degrees: float) -> CaseValues:
+    """Triangle with one sharp corner, an electrode round it and one on the far side."""
     far = L * np.tan(np.radians(degrees))
     outline = Polygon(((0.0, 0.0), (L, 0.0), (L, far)))
     places = outline.at([0.0, 0.8 * L, L + 0.5 * far]).tolist()
@@ -122,10 +122,10 @@ def _corner(degrees: float) -> Found:
     return solved(design, ((2,), Grading(min(2e-3, 0.25 * far), 1e-2, 0.7)), cells="prisms")
 
 
-def _gate(shear: float) -> Found:
-    """Boxes of a mesh sheared along x, past the gate that every mesh goes through."""
+def _gate(shear: float) -> CaseValues:
+    """Mesh of boxes sheared along x, through the quality check of every mesh."""
     mesh = mesh_design(bar(1e-3), Grading(1e-2, 1e-2, 1.0))
     points = mesh.points + shear * mesh.points[:, [1]] * np.array([1.0, 0.0, 0.0])
     sheared = dataclasses.replace(mesh, points=points)
     check_quality(sheared)
-    return Found(reached=f"least scaled Jacobian {quality(sheared).scaled_jacobian:.2g}")
+    return CaseValues(reached=f"least scaled Jacobian {quality(sheared).scaled_jacobian:.2g}")

@@ -1,4 +1,4 @@
-"""Sensors and scenes drawn at random, most of them odd, some of them impossible."""
+"""Cases of random sensors and scenes, many of them impossible."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.benchmarks.stability.case import Case, Found
+from eitskin.benchmarks.stability.case import Case, CaseValues
 from eitskin.benchmarks.stability.electrical import imbalance
 from eitskin.geometry.deformation.fixtures import Bend, Fixture, FreeArc, Hinge
 from eitskin.geometry.deformation.twist import Roll, Twist
@@ -26,7 +26,7 @@ RANDOM = "random designs"
 
 @dataclass(frozen=True, slots=True)
 class Drawn:
-    """A sensor on a fixture, and what happens to it."""
+    """Random sensor on a fixture, and its scene."""
 
     design: SensorDesign
     fixture: Fixture
@@ -34,7 +34,7 @@ class Drawn:
 
 
 def draw(rng: np.random.Generator) -> Drawn:
-    """A sensor, its fixture and a scene; raises ConfigurationError where one of them cannot be."""
+    """Random sensor, fixture and scene; raises ConfigurationError where one is impossible."""
     extent = _log_uniform(rng, 1e-2, 0.5)
     outline = _outline(rng, extent)
     thickness = extent * _log_uniform(rng, 3e-3, 0.3)
@@ -93,7 +93,7 @@ def _electrode(
 
 
 def _phase(rng: np.random.Generator) -> float:
-    """Angle of a contact impedance, seldom one that would give power."""
+    """Random phase [rad] of a contact impedance, seldom an active one."""
     if rng.integers(3):
         return 0.0
     return float(rng.uniform(-0.51, 0.51) * np.pi)
@@ -124,15 +124,15 @@ def _scene(rng: np.random.Generator, outline: PlaneOutline) -> Scene:
 
 
 def random_designs(seed: int, count: int) -> Iterator[Case]:
-    """Sensors and scenes, each with a generator of its own."""
+    """Cases of random sensors and scenes, each with a generator of its own."""
     for number in range(count):
         solve = partial(_measured, (seed, number))
         # Contrasts of a million between layers leave ten digits of a frame, and fewer of the heat.
         yield Case(RANDOM, f"{seed}-{number}", solve, None, invariant_limit=1e-4)
 
 
-def _measured(seed: tuple[int, int]) -> Found:
-    """A frame of the scene, all of whose resistances are positive, as in the flat sensor."""
+def _measured(seed: tuple[int, int]) -> CaseValues:
+    """Frame of the scene, with positive resistances as in the flat sensor."""
     drawn = draw(np.random.default_rng(seed))
     design, outline = drawn.design, drawn.design.outline
     size = 0.2 * max(outline.length, outline.width)
@@ -144,4 +144,4 @@ def _measured(seed: tuple[int, int]) -> Found:
     R = sim.measure(drawn.scene).impedance.real
     if not np.all(R > 0.0):
         raise ArithmeticError(f"resistances of {R.min():g} to {R.max():g} ohm")
-    return Found(invariant=flat)
+    return CaseValues(invariant=flat)

@@ -1,8 +1,8 @@
-"""Stiff and extreme cases, one after the other, and what came of each: `eitskin bench stability`.
+"""Run of all stiff and extreme cases and their outcomes: `eitskin bench stability`.
 
 Every case must give a number that can be trusted or a ConfigurationError that says what was wrong.
 Errors are against closed forms or rigorous bounds, invariants are what always holds of a case's
-family, and residuals say how many digits rounding left; `Found` says which is which.
+family, and residuals say how many digits rounding left; `CaseValues` says which is which.
 """
 
 import dataclasses
@@ -16,7 +16,7 @@ from typing import Any, TypeAlias
 
 from eitskin.benchmarks.results import Results, write_results
 from eitskin.benchmarks.stability import bends, electrical, places, solids
-from eitskin.benchmarks.stability.case import Case, Row, judge
+from eitskin.benchmarks.stability.case import Case, CaseResult, judge
 from eitskin.benchmarks.stability.random_designs import RANDOM, random_designs
 from eitskin.extras import require
 from eitskin.provenance import Provenance
@@ -28,7 +28,7 @@ _NUMBERS = re.compile(r"[-+]?\d[\d.]*(e[-+]?\d+)?j?")
 
 @dataclass(frozen=True, slots=True)
 class Stability:
-    """Everything that one run found.
+    """Outcomes of all cases of one run.
 
     Attributes:
         provenance: what it was measured with.
@@ -40,11 +40,11 @@ class Stability:
     provenance: Provenance
     seconds: float
     quick: bool
-    rows: tuple[Row, ...]
+    rows: tuple[CaseResult, ...]
 
     @property
-    def wrong(self) -> tuple[Row, ...]:
-        """What must not be."""
+    def wrong(self) -> tuple[CaseResult, ...]:
+        """Rows of the cases that went wrong."""
         return tuple(row for row in self.rows if row.outcome == "wrong")
 
 
@@ -70,7 +70,7 @@ def cases(seed: int, quick: bool) -> Iterator[Case]:
 
 
 def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> Stability:
-    """Go through all cases on one core.
+    """Compute and judge all cases on one core.
 
     Args:
         seed, quick: as in `cases`.
@@ -98,7 +98,7 @@ def write(found: Stability, out: Path) -> list[Path]:
 
 
 def figures(found: Stability) -> Iterator[tuple[str, float]]:
-    """Of each family and of all: how many had each outcome, and the worst of their numbers."""
+    """Figures of each family and of all: counts of the outcomes and worst values."""
     yield "all.seconds", found.seconds
     families = {"all": found.rows}
     for name in dict.fromkeys(row.family for row in found.rows):
@@ -114,12 +114,12 @@ def figures(found: Stability) -> Iterator[tuple[str, float]]:
                 yield f"{name}.{quantity}", max(worst)
 
 
-def tallied(rows: Sequence[Row]) -> list[Row]:
-    """The rows, those of random designs put together by outcome and kind of message.
+def tallied(rows: Sequence[CaseResult]) -> list[CaseResult]:
+    """Rows of all cases; random designs are grouped by outcome and kind of message.
 
     Their case says how many they are, numbers are the worst, and seconds the sum.
     """
-    kinds: dict[tuple[str, str], list[Row]] = {}
+    kinds: dict[tuple[str, str], list[CaseResult]] = {}
     for row in rows:
         if row.family == RANDOM:
             kinds.setdefault((row.outcome, _NUMBERS.sub("#", row.reason)), []).append(row)
@@ -127,7 +127,7 @@ def tallied(rows: Sequence[Row]) -> list[Row]:
     return alone + [_together(same) for same in sorted(kinds.values(), key=len, reverse=True)]
 
 
-def _together(rows: Sequence[Row]) -> Row:
+def _together(rows: Sequence[CaseResult]) -> CaseResult:
     invariants = [row.invariant for row in rows if row.invariant is not None]
     kind = _NUMBERS.sub("#", rows[0].reason)
     return dataclasses.replace(

@@ -1,4 +1,4 @@
-"""Nearly incompressible layers, and layers pressed until they give up.
+"""Cases of nearly incompressible layers, and of presses to their limits.
 
 Always true: the base pushes back with the force on the indenter, and every layer keeps its
 volume. The naive twin of the mixed elements has linear displacements on triangles alone.
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csc_array
 from skfem.helpers import ddot, div, sym_grad
 
-from eitskin.benchmarks.stability.case import Case, Found
+from eitskin.benchmarks.stability.case import Case, CaseValues
 from eitskin.benchmarks.stability.closed_forms import punched_layer
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.meshing.grading import Grading, graded_lines
@@ -34,7 +34,7 @@ _LAST = 0.9  # depth, of the thickness
 
 
 class Counted:
-    """A solid that remembers how often it was linearised, once per iteration, and where it is."""
+    """Solid that counts its linearisations, one per iteration, and keeps its last state."""
 
     def __init__(self, solid: Solid) -> None:
         """Start counting."""
@@ -43,22 +43,22 @@ class Counted:
         self.x: Array = np.zeros(0)
 
     def linearise(self, x: Array) -> tuple[Array, csc_array]:
-        """As of the solid."""
+        """Linearise the solid and count it."""
         self.iterations += 1
         return self._solid.linearise(x)
 
     def advanced(self, x: Array) -> Self:
-        """Itself, which is at x now."""
+        """This solid at the state x."""
         self.x = x
         return self
 
     def __getattr__(self, name: str) -> Any:
-        """All else as of the solid."""
+        """Any other attribute of the solid."""
         return getattr(self._solid, name)
 
 
 def incompressible(quick: bool) -> Iterator[Case]:
-    """A punch on a layer, from compressible to as good as incompressible, and stiffer."""
+    """Cases of a punch on a layer, from compressible to nearly incompressible."""
     for nu in (0.3, 0.499, 0.49999) if quick else (0.3, 0.4, 0.49, 0.499, 0.4999, 0.49999):
         ratio = 2.0 * (1.0 + nu) / (3.0 * (1.0 - 2.0 * nu))
         solve = partial(_punched, ratio)
@@ -73,8 +73,8 @@ def incompressible(quick: bool) -> Iterator[Case]:
         )
 
 
-def _punched(ratio: float) -> Found:
-    """A flat smooth punch on a layer bonded to its base, a little."""
+def _punched(ratio: float) -> CaseValues:
+    """Small indentation of a bonded layer by a flat smooth punch."""
     sizes = Grading(4e-3, 0.2, 0.4)
     r = graded_lines(_REACH, (_RADIUS,), (), sizes)
     z = graded_lines(_THICKNESS, (_THICKNESS,), (), sizes)
@@ -88,7 +88,7 @@ def _punched(ratio: float) -> Found:
     push = -forces[held[values < 0.0]].sum()
     back = forces[2 * np.flatnonzero(solid.nodes[:, 1] < 1e-9) + 1].sum()
     free = np.setdiff1d(np.arange(solid.unknowns), held)
-    return Found(
+    return CaseValues(
         residual=float(np.abs(forces[free]).max() / push),
         invariant=abs(float(back / push) - 1.0),
         error=abs(float(push) / exact - 1.0),
@@ -98,7 +98,7 @@ def _punched(ratio: float) -> Found:
 
 
 def _held(nodes: Array) -> Indices:
-    """Unknowns held by the bonded base, the smooth axis and the wall around."""
+    """Unknowns fixed by the bonded base, the smooth axis and the wall around."""
     r, z = nodes.T
     sides = 2 * np.flatnonzero((r < 1e-12) | (r > r.max() - 1e-9))
     base = np.flatnonzero(z < 1e-12)
@@ -106,7 +106,7 @@ def _held(nodes: Array) -> Indices:
 
 
 def _punch(nodes: Array) -> tuple[Indices, Array]:
-    """Held unknowns, those under the punch last, and their values."""
+    """Fixed unknowns, those under the punch last, and their values."""
     r, z = nodes.T
     held = _held(nodes)
     under = 2 * np.flatnonzero((z > _THICKNESS - 1e-9) & (r < _RADIUS + 1e-9)) + 1
@@ -135,7 +135,7 @@ def _linear_triangles(r: Array, z: Array, ratio: float) -> float:
 
 
 def presses(quick: bool) -> Iterator[Case]:
-    """Towards a tenth of the thickness, until no equilibrium is found."""
+    """Cases of presses to a tenth of the thickness, or until no equilibrium is found."""
     stack = Mechanics().stack(SensorDesign.reference())
     gel = Stack((Sheet(0.005, Mechanics().gel),))
     bodies: dict[str, tuple[Stack, Indenter]] = {
@@ -154,8 +154,8 @@ def presses(quick: bool) -> Iterator[Case]:
         yield Case("presses", name, solve, None, "of the load only", **limits)
 
 
-def _pressed(stack: Stack, indenter: Indenter, finest: float, steps: int) -> Found:
-    """Ever deeper; how far, and why no farther."""
+def _pressed(stack: Stack, indenter: Indenter, finest: float, steps: int) -> CaseValues:
+    """Press ever deeper; the depth reached, and the reason for stopping."""
     press = AxisymmetricPress(stack, indenter, finest=finest)
     counted = Counted(press.solid)
     press.solid = cast("Solid", counted)
@@ -176,7 +176,7 @@ def _pressed(stack: Stack, indenter: Indenter, finest: float, steps: int) -> Fou
     left = 1.0 - np.array([found.thinning(k) for k in range(len(stack.sheets))])
     least = float(np.linalg.det(solid.deformation_gradient(x)).min())
     volumes = np.abs(np.array(found.volume_ratios) - 1.0)
-    return Found(
+    return CaseValues(
         residual=float(np.abs(unbalanced).max() / found.force),
         invariant=max(abs(float(inside[base].sum()) / found.force - 1.0), float(volumes.max())),
         iterations=counted.iterations,

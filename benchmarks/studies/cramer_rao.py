@@ -59,7 +59,7 @@ NODES = np.arange(0.006, 0.0811, 0.003), np.arange(0.006, 0.0361, 0.003)
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class BoundRow:
     """The bound of one touch, or of the angle of a scene without.
 
     Attributes:
@@ -91,7 +91,7 @@ class Row:
 
 def bounds(
     sim: Simulator, experiment: str, scenes: Iterable[Scene], factors: Sequence[bool] = (True,)
-) -> Iterator[Row]:
+) -> Iterator[BoundRow]:
     """Rows of scenes, for every reference, with and without a drift where asked."""
     for scene in scenes:
         found = scene_derivatives(sim, scene)
@@ -103,7 +103,7 @@ def bounds(
 
 def _rows(
     experiment: str, scene: Scene, least: SceneBound, reference: str, known: bool
-) -> Iterator[Row]:
+) -> Iterator[BoundRow]:
     nan = math.nan
     each = [
         (1e3 * touch.x, 1e3 * touch.y, touch.force, 1e3 * distance, 1e3 * place, force)
@@ -112,7 +112,7 @@ def _rows(
         )
     ]
     for x, y, pressed, distance, place, force in each or [(nan,) * 6]:
-        yield Row(
+        yield BoundRow(
             experiment=experiment,
             touches=len(scene.touches),
             x_mm=x,
@@ -144,7 +144,7 @@ def several() -> list[Scene]:
     return scenes
 
 
-def position_table(rows: Sequence[Row]) -> str:
+def position_table(rows: Sequence[BoundRow]) -> str:
     """Mean distance [mm] at each position, by force and bend, and over the paper's 27."""
     cases = list(itertools.product(FORCES, BENDS))
     lines = [["x, y [mm]", *(f"{force:g} N, {angle:g} deg" for force, angle in cases)]]
@@ -158,13 +158,13 @@ def position_table(rows: Sequence[Row]) -> str:
     return markdown(lines)
 
 
-def distances(rows: Sequence[Row], reference: str, force: float, angle_deg: float) -> Array:
+def distances(rows: Sequence[BoundRow], reference: str, force: float, angle_deg: float) -> Array:
     """Mean distances [mm] of all rows of one case."""
     case = (reference, force, angle_deg)
     return np.array([r.distance_mm for r in rows if (r.reference, r.force, r.angle_deg) == case])
 
 
-def random_table(rows: Sequence[Row]) -> str:
+def random_table(rows: Sequence[BoundRow]) -> str:
     """Means over scenes of each number of touches."""
     lines = [["touches", "reference", "place [mm]", "median", "force [N]", "angle [deg]"]]
     for touches, reference in itertools.product(range(1, MOST_TOUCHES + 1), REFERENCES):
@@ -176,7 +176,7 @@ def random_table(rows: Sequence[Row]) -> str:
     return markdown(lines)
 
 
-def angle_table(rows: Sequence[Row]) -> str:
+def angle_table(rows: Sequence[BoundRow]) -> str:
     """Of the untouched sensor, by angle."""
     cases = list(itertools.product(REFERENCES, (True, False)))
     drift = {True: "", False: ", unknown drift"}

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.benchmarks.speed.scenes import JUDGED, WAYS, scenes
+from eitskin.benchmarks.speed.scenes import JUDGED, WORKLOADS, scenes
 from eitskin.geometry.deformation.fixtures import Bend
 from eitskin.provenance import Provenance
 from eitskin.simulator.electrical.reanalysis import EXACT, Reanalysis, Tolerance
@@ -52,7 +52,7 @@ class Near:
 
 def main() -> None:
     """Print both tables."""
-    sim = WAYS[0].simulator("fast")
+    sim = WORKLOADS[0].simulator("fast")
     print(Provenance.now(SEED))
     print("\n| beyond [mm] | left out, off by [%] | to first order, off by [%] |\n|---|---|---|")
     for distance in DISTANCES:
@@ -66,7 +66,7 @@ def main() -> None:
 
 def _tolerated(sim: Simulator, angle_deg: float) -> Array:
     """Errors of signals by the default tolerance, of as many scenes as are judged."""
-    some = [Scene(Bend(angle_deg), scene.touches) for scene in scenes(WAYS[0], JUDGED, SEED)]
+    some = [Scene(Bend(angle_deg), scene.touches) for scene in scenes(WORKLOADS[0], JUDGED, SEED)]
     whole = sim.measure_all(some, EXACT)
     signal = whole - sim.measure(Scene(Bend(angle_deg))).impedance
     missed = np.linalg.norm(sim.measure_all(some) - whole, axis=1)
@@ -75,7 +75,7 @@ def _tolerated(sim: Simulator, angle_deg: float) -> Array:
 
 def _few() -> list[Scene]:
     """Presses of 10 N, three of the flat and three of the bent sensor."""
-    places = [scene.touches[0] for scene in scenes(WAYS[0], 6, SEED)]
+    places = [scene.touches[0] for scene in scenes(WORKLOADS[0], 6, SEED)]
     return [Scene(Bend(30.0 * (k // 3)), (Touch(t.x, t.y),)) for k, t in enumerate(places)]
 
 

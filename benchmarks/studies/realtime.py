@@ -70,7 +70,7 @@ class Moment:
 
 
 @dataclass(frozen=True, slots=True)
-class Run:
+class EpisodeRun:
     """The episode, once.
 
     Attributes:
@@ -110,7 +110,7 @@ class Run:
         return float(np.sqrt(np.nanmean((said - true)[chosen] ** 2)))
 
 
-def run(seed: int, speed: str = "real") -> tuple[Run, Run]:
+def run(seed: int, speed: str = "real") -> tuple[EpisodeRun, EpisodeRun]:
     """The episode with the pipeline as it ships, and calibrated to the sensor."""
     from eitskin.training.pipeline.pipeline import Pipeline
 
@@ -141,7 +141,7 @@ def unseen(seed: int) -> Recipe:
     )
 
 
-def play(board: VirtualBoard, pipeline: "Pipeline", recipe: Recipe) -> Run:
+def play(board: VirtualBoard, pipeline: "Pipeline", recipe: Recipe) -> EpisodeRun:
     """Play the episode from its first frame on."""
     stage = board.stage
     count = recipe.frames
@@ -149,7 +149,7 @@ def play(board: VirtualBoard, pipeline: "Pipeline", recipe: Recipe) -> Run:
     stage.play(lambda number: sample(recipe, min(number, count - 1)).scene)
     readings = list(itertools.islice(run_live(board, pipeline, newest=False), count))
     scenes = [stage.truth(reading.frame.number) or Scene() for reading in readings]
-    return Run(tuple(readings), tuple(scenes), tuple(_moments(readings, scenes)))
+    return EpisodeRun(tuple(readings), tuple(scenes), tuple(_moments(readings, scenes)))
 
 
 def known_angles(board: VirtualBoard) -> tuple[list[Frame], list[float]]:
@@ -208,7 +208,7 @@ def _state(scene: Scene) -> State:
     return State.BEND if scene.bend.angle_deg else State.IDLE
 
 
-def report(runs: dict[str, Run], seed: int) -> list[str]:
+def report(runs: dict[str, EpisodeRun], seed: int) -> list[str]:
     """The tables, as Markdown."""
     lines = [f"Measured on {Provenance.now(seed)}", ""]
     columns = (
@@ -228,7 +228,7 @@ def report(runs: dict[str, Run], seed: int) -> list[str]:
     return [*lines, *_times(runs)]
 
 
-def _summary(run: Run) -> str:
+def _summary(run: EpisodeRun) -> str:
     true, said = run.angles_deg
     r2 = 1.0 - np.nansum((said - true) ** 2) / np.sum((true - true.mean()) ** 2)
     return (
@@ -237,7 +237,7 @@ def _summary(run: Run) -> str:
     )
 
 
-def _times(runs: dict[str, Run]) -> list[str]:
+def _times(runs: dict[str, EpisodeRun]) -> list[str]:
     latency = 1e3 * np.array([r.latency for run in runs.values() for r in run.readings])
     half, slowest = np.percentile(latency, (50, 99))
     paper, period = PAPER_MS["all of a frame"], 1e3 * PERIOD
@@ -251,7 +251,7 @@ def _times(runs: dict[str, Run]) -> list[str]:
     ]
 
 
-def write(runs: dict[str, Run], folder: Path, seed: int) -> None:
+def write(runs: dict[str, EpisodeRun], folder: Path, seed: int) -> None:
     """Write the frames as CSV and the plot."""
     folder.mkdir(parents=True, exist_ok=True)
     rows = [
@@ -271,7 +271,7 @@ def write(runs: dict[str, Run], folder: Path, seed: int) -> None:
     plot(runs, folder / "realtime.png")
 
 
-def plot(runs: dict[str, Run], path: Path) -> None:
+def plot(runs: dict[str, EpisodeRun], path: Path) -> None:
     """Predicted beside true angle over time, and the touch maps of the four moments."""
     figure = require("matplotlib.figure", "bench").Figure(figsize=(10, 6.4), layout="constrained")
     top, bottom = figure.subfigures(2, 1, height_ratios=(1.5, 1.0))
@@ -292,12 +292,12 @@ def plot(runs: dict[str, Run], path: Path) -> None:
     figure.savefig(path, dpi=120, facecolor="white")
 
 
-def _held(run: Run) -> dict[str, list[int]]:
+def _held(run: EpisodeRun) -> dict[str, list[int]]:
     touched = itertools.groupby(range(len(run.scenes)), lambda i: bool(_acting(run.scenes[i])))
     return dict(zip(MOMENTS, (list(group) for held, group in touched if held), strict=True))
 
 
-def _draw_map(axes, run: Run, frame: int, moment: str) -> None:  # type: ignore[no-untyped-def]  # noqa: ANN001
+def _draw_map(axes, run: EpisodeRun, frame: int, moment: str) -> None:  # type: ignore[no-untyped-def]  # noqa: ANN001
     estimate, scene = run.readings[frame].estimate, run.scenes[frame]
     if estimate is not None:
         axes.imshow(estimate.touch_map, origin="lower", extent=(0, 150, 0, 60), cmap="viridis")

@@ -46,7 +46,7 @@ PAIRS = tuple(itertools.combinations(range(8), 2))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Case:
+class FaultCase:
     """Frames with one fault.
 
     Attributes:
@@ -105,7 +105,7 @@ def shorted(flat: Complex, pair: tuple[int, int], wire: float = 0.5) -> Complex:
     return PROTOCOL.measure(Z).astype(complex)
 
 
-def cases(flat: Complex, pressed: Complex, rng: np.random.Generator) -> Iterator[Case]:
+def cases(flat: Complex, pressed: Complex, rng: np.random.Generator) -> Iterator[FaultCase]:
     """Every fault at every place, on a sensor of these noise-free values (pairs,)."""
     still = np.repeat(flat[None], FRAMES, axis=0)
     for e in range(8):
@@ -114,46 +114,50 @@ def cases(flat: Complex, pressed: Complex, rng: np.random.Generator) -> Iterator
         a, b = pair
         turned = {a: b, b: a}
         order = [PAIRS.index(tuple(sorted(turned.get(e, e) for e in each))) for each in PAIRS]
-        yield Case("swapped electrodes", FindingKind.SWAPPED, still[:, order], pair)
+        yield FaultCase("swapped electrodes", FindingKind.SWAPPED, still[:, order], pair)
         joined = np.repeat(shorted(flat, pair)[None], FRAMES, axis=0)
-        yield Case("shorted pair", FindingKind.SHORT, joined, pair)
+        yield FaultCase("shorted pair", FindingKind.SHORT, joined, pair)
         yield from _at_channel(still, k, rng)
     for factor in (0.2, 5.0, 50.0):
-        yield Case("wrong RTIA or RCAL", FindingKind.FACTOR, still, factor=factor)
-    yield Case("phase off by 30 deg", FindingKind.PHASE, still * np.exp(1j * np.deg2rad(30.0)))
-    yield Case("frozen", FindingKind.FROZEN, still, after="frozen")
+        yield FaultCase("wrong RTIA or RCAL", FindingKind.FACTOR, still, factor=factor)
+    yield FaultCase("phase off by 30 deg", FindingKind.PHASE, still * np.exp(1j * np.deg2rad(30.0)))
+    yield FaultCase("frozen", FindingKind.FROZEN, still, after="frozen")
     for each in pressed:
         moved = still.copy()
         moved[FRAMES // 2 :] *= each
-        yield Case(f"touched with {FORCE:g} N half-way", FindingKind.MOVED, moved)
+        yield FaultCase(f"touched with {FORCE:g} N half-way", FindingKind.MOVED, moved)
 
 
-def _at_electrode(still: Complex, e: int) -> Iterator[Case]:
+def _at_electrode(still: Complex, e: int) -> Iterator[FaultCase]:
     opened, status = still.copy(), np.zeros(still.shape, np.uint8)
     opened[:, touching(e)] = STRAY
-    yield Case("open electrode, not marked", FindingKind.OPEN, opened, (e,))
+    yield FaultCase("open electrode, not marked", FindingKind.OPEN, opened, (e,))
     status[:, touching(e)] = Status.OPEN
-    yield Case("open electrode, marked", FindingKind.OPEN, opened, (e,), status=status)
+    yield FaultCase("open electrode, marked", FindingKind.OPEN, opened, (e,), status=status)
     for ohm in SERIES:
         worse = still + ohm * touching(e)
-        yield Case(f"bad contact, {ohm:g} ohm", FindingKind.BAD_CONTACT, worse, (e,))
+        yield FaultCase(f"bad contact, {ohm:g} ohm", FindingKind.BAD_CONTACT, worse, (e,))
 
 
-def _at_channel(still: Complex, k: int, rng: np.random.Generator) -> Iterator[Case]:
+def _at_channel(still: Complex, k: int, rng: np.random.Generator) -> Iterator[FaultCase]:
     one = np.arange(len(PAIRS)) == k
     status = np.zeros(still.shape, np.uint8)
     status[:, k] = Status.CLIPPED
-    yield Case("stuck channel", FindingKind.STUCK, still, channels=(k,), after="stuck")
-    yield Case(
+    yield FaultCase("stuck channel", FindingKind.STUCK, still, channels=(k,), after="stuck")
+    yield FaultCase(
         "channel not finite", FindingKind.NOT_FINITE, still, channels=(k,), after="not finite"
     )
-    yield Case("clipped channel", FindingKind.CLIPPED, still * (1 - 0.3 * one), (), (k,), status)
+    yield FaultCase(
+        "clipped channel", FindingKind.CLIPPED, still * (1 - 0.3 * one), (), (k,), status
+    )
     noisy = still * (1 + 0.01 * one * rng.standard_normal(still.shape))
-    yield Case("noisy channel, 1 %", FindingKind.NOISY, noisy, channels=(k,))
-    yield Case("channel off by 10 %", FindingKind.MISFIT, still * (1 + 0.1 * one), channels=(k,))
+    yield FaultCase("noisy channel, 1 %", FindingKind.NOISY, noisy, channels=(k,))
+    yield FaultCase(
+        "channel off by 10 %", FindingKind.MISFIT, still * (1 + 0.1 * one), channels=(k,)
+    )
 
 
-def measured(case: Case, rng: np.random.Generator, full_scale: float) -> list[Frame]:
+def measured(case: FaultCase, rng: np.random.Generator, full_scale: float) -> list[Frame]:
     """The case's frames as the board gives them."""
     session = Instrument.ad5940().session(PROTOCOL, full_scale, rng)
     times = len(PAIRS) * MEASUREMENT_TIME * np.arange(FRAMES, dtype=np.float64)
@@ -193,7 +197,7 @@ def main() -> None:
     for number in range(given.specimens):
         sim = Simulator(specimen(recipe, given.first + number).design, recipe.resolution)
         own = sim.measure(Scene()).impedance
-        still = Case("healthy", FindingKind.MISFIT, np.repeat(own[None], FRAMES, axis=0))
+        still = FaultCase("healthy", FindingKind.MISFIT, np.repeat(own[None], FRAMES, axis=0))
         tried = [still, *(cases(own, pressed, rng) if number < given.faulty else ())]
         for case in tried:
             frames = measured(case, rng, nominal.full_scale)

@@ -54,7 +54,7 @@ COARSE = Grading(finest=0.003, coarsest=0.012, growth=0.6)
 
 
 @dataclass(frozen=True, slots=True)
-class Case:
+class PressCase:
     """Presses to compare models on.
 
     Attributes:
@@ -103,23 +103,23 @@ class Compared:
     pressure_kPa: float  # noqa: N815
 
 
-def cases(force: float = FORCE) -> list[Case]:
+def cases(force: float = FORCE) -> list[PressCase]:
     """All presses, those in the middle first."""
 
     def touches(*places: tuple[float, float]) -> tuple[Touch, ...]:
         return tuple(Touch(x, y, force) for x, y in places)
 
-    found = [Case("position", min(x, y), touches((x, y))) for x, y in POSITIONS]
-    found += [Case("long side", y, touches((0.075, y))) for y in EDGES]
-    found += [Case("short side", x, touches((x, 0.030))) for x in EDGES]
+    found = [PressCase("position", min(x, y), touches((x, y))) for x, y in POSITIONS]
+    found += [PressCase("long side", y, touches((0.075, y))) for y in EDGES]
+    found += [PressCase("short side", x, touches((x, 0.030))) for x in EDGES]
     for d in SPACINGS:
-        found.append(Case("two", d, touches((0.075 - d / 2, 0.030), (0.075 + d / 2, 0.030))))
+        found.append(PressCase("two", d, touches((0.075 - d / 2, 0.030), (0.075 + d / 2, 0.030))))
     for d in (0.030, 0.045):
         row = [(0.075 + k * d, 0.030) for k in (-1, 0, 1)]
-        found.append(Case("three", d, touches(*row)))
+        found.append(PressCase("three", d, touches(*row)))
     for d in (0.020, 0.030):
         corners = itertools.product((0.075 - d / 2, 0.075 + d / 2), (0.030 - d / 2, 0.030 + d / 2))
-        found.append(Case("four", d, touches(*corners)))
+        found.append(PressCase("four", d, touches(*corners)))
     return found
 
 
@@ -138,12 +138,12 @@ def quick_models(sim: Simulator) -> dict[str, Model]:
     }
 
 
-def places(case: Case) -> str:
+def places(case: PressCase) -> str:
     """Where it is pressed, as text [mm]."""
     return "; ".join(f"{1e3 * touch.x:.5g} {1e3 * touch.y:.5g}" for touch in case.touches)
 
 
-def compared(sim: Simulator, case: Case, grading: Grading | None = None) -> Compared:
+def compared(sim: Simulator, case: PressCase, grading: Grading | None = None) -> Compared:
     """The case, solved; raises SolidError where it cannot be."""
     start = time.perf_counter()
     (full,) = PressedStack(sim.design, case.touches, sim.mechanics, grading).equilibria()

@@ -47,7 +47,7 @@ def data(folder) -> dict:
 def truth() -> Truth:
     """A coarse one: enough where only the arithmetic is looked at."""
     design = SensorDesign.reference()
-    coarse = cases.Case("", "", ((2, 1), Grading(2e-3, 8e-3, 1.0)))
+    coarse = cases.ModelCase("", "", ((2, 1), Grading(2e-3, 8e-3, 1.0)))
     frame = model_frame(coarse.model(design))
     changes = drops(design, seed=1, count=2)
     flat = frame(None)
@@ -201,7 +201,7 @@ def test_drops_follow_the_seed() -> None:
 
 
 def test_the_published_error_is_that_of_the_published_contact_impedance() -> None:
-    fine = cases.Case("", "", ((4, 1), Grading(2e-6, 6e-3, 2.0)))
+    fine = cases.ModelCase("", "", ((4, 1), Grading(2e-6, 6e-3, 2.0)))
     assert published_error(fine) < 3e-5
 
 

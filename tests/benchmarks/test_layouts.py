@@ -23,8 +23,8 @@ from eitskin.benchmarks.layouts.candidates import PAPER, Layout, paper, sweeps, 
 from eitskin.benchmarks.layouts.free import FreePlan, exchanged, free_search, images
 from eitskin.benchmarks.layouts.report import markdown, table
 from eitskin.benchmarks.layouts.ring import Ring, ring_layout, solved_ring
-from eitskin.benchmarks.layouts.run import Comparison, Figures, Judged
-from eitskin.benchmarks.layouts.search import Plan, at_arcs, score, search
+from eitskin.benchmarks.layouts.run import JudgedLayout, LayoutComparison, LayoutFigures
+from eitskin.benchmarks.layouts.search import SearchPlan, at_arcs, score, search
 from eitskin.benchmarks.studies import layouts_trained, layouts_trained_report
 from eitskin.benchmarks.studies.layouts_trained import Learned
 from eitskin.cli.main import app
@@ -98,7 +98,7 @@ def likes(*wanted):
 
 def test_search_finds_the_best_with_both_mirrors():
     judge, seen = likes(0.075 + 0.03375, 0.075 + 0.0675)
-    mirrored, turned = search(judge, Plan())
+    mirrored, turned = search(judge, SearchPlan())
     assert mirrored.score == pytest.approx(1e-3, abs=1e-12)
     assert {0.10875, 0.1425} <= set(mirrored.arcs)
     assert turned == mirrored
@@ -113,7 +113,7 @@ def test_search_finds_the_best_with_both_mirrors():
 def test_search_leaves_the_mirrors_where_a_half_turn_is_better():
     """Both on one side of the lower middle and with their mirror images too near to them."""
     judge, _ = likes(0.0330, 0.1250)
-    mirrored, turned = search(judge, Plan())
+    mirrored, turned = search(judge, SearchPlan())
     assert turned.score < mirrored.score
     mirrors = [mirror for mirror, _ in own_mirrors(turned.layout.design)]
     assert mirrors == [(False, False), (True, True)]
@@ -174,12 +174,14 @@ def test_images_are_the_mirrors_of_the_sheet():
 def test_figures():
     sixteen = sweeps()["count"][-1]
     bound = replace(flat_bound(1.0), place=np.linspace(0.0, 1e-3, 11)[None])
-    found = Figures.of(Judged("count", sixteen, FEW, bound))
+    found = LayoutFigures.of(JudgedLayout("count", sixteen, FEW, bound))
     assert (found.place_mm, found.place_90_mm, found.place_worst_mm) == pytest.approx((0.5, 0.9, 1))
     assert found.scan_ms == 1272.0
     assert not found.fits_wire
     assert found.place_90_paced_mm == pytest.approx(0.9 * (120 / 28) ** 0.5)
-    comparison = Comparison((Judged("count", sixteen, FEW, bound),), Provenance.now(0), quick=False)
+    comparison = LayoutComparison(
+        (JudgedLayout("count", sixteen, FEW, bound),), Provenance.now(0), quick=False
+    )
     head, row = table(comparison)
     assert head == ("count",)
     assert row[1] == "120*"

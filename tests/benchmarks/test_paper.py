@@ -221,7 +221,7 @@ def test_spread_is_that_of_the_seeds():
 def comparison(*figures):
     """One column's figures by seed; the third seed has none."""
     empty = tuple({} for _ in figures)
-    return paper.Comparison(
+    return paper.PaperComparison(
         provenance=paper.Provenance.now(0),
         seconds=0.0,
         seeds=tuple(range(len(figures))),

@@ -1,4 +1,4 @@
-"""`eitskin bench speed`: what its ways draw, its ratios, its files."""
+"""`eitskin bench speed`: what its workloads draw, its ratios, its files."""
 
 import csv
 import json
@@ -12,7 +12,7 @@ from eitskin.benchmarks.results import read_results
 from eitskin.benchmarks.speed import run as speed
 from eitskin.benchmarks.speed import scenes
 from eitskin.benchmarks.speed.run import Floor, FrameTime, Generation, Peer
-from eitskin.benchmarks.speed.scenes import JUMPING, WAYS, Rate
+from eitskin.benchmarks.speed.scenes import JUMPING, WORKLOADS, Rate
 from eitskin.cli.main import app
 
 MADE = Generation(256, 40.0, 0.5, {32: 200.0, 128: 201.0})
@@ -21,7 +21,7 @@ MADE = Generation(256, 40.0, 0.5, {32: 200.0, 128: 201.0})
 @pytest.fixture
 def ran(tmp_path, monkeypatch):
     """The command with parts that answer at once, its folder and what it printed as JSON."""
-    monkeypatch.setattr(speed, "rate", lambda way, *_: Rate(way.name, 80, 20, 0.01, 0.02))
+    monkeypatch.setattr(speed, "rate", lambda workload, *_: Rate(workload.name, 80, 20, 0.01, 0.02))
     monkeypatch.setattr(speed, "pyeit", lambda _seed: Peer(1989, 90.0))
     monkeypatch.setattr(speed, "floor", lambda: Floor(8e7, 2.0, 20.0))
     monkeypatch.setattr(speed, "generation", lambda _count, _engine: MADE)
@@ -39,7 +39,7 @@ def test_rates_stand_beside_errors_and_ratios_are_of_one_run(ran):
     results = read_results(folder / "results.json")
     assert results.quick
     assert results.provenance.seed == 2
-    first = WAYS[0].name
+    first = WORKLOADS[0].name
     assert results.figures[f"{first} / per second"] == 80.0
     assert results.figures[f"{first} / error, median"] == 1.0
     assert results.figures[f"{first} / largest"] == 2.0
@@ -90,25 +90,25 @@ def test_a_frames_time_is_that_of_the_pipeline_alone():
 
 
 def test_scenes_of_a_way_share_bends_as_it_says():
-    for way in WAYS:
-        some = scenes.scenes(way, 40, seed=1)
+    for workload in WORKLOADS:
+        some = scenes.scenes(workload, 40, seed=1)
         bends = [scene.bend for scene in some]
-        assert len(set(bends)) == (40 if way.per_bend == 1 else 2)
+        assert len(set(bends)) == (40 if workload.per_bend == 1 else 2)
         counts = {len(scene.touches) for scene in some}
-        assert counts == set(range(way.touches[0], way.touches[1] + 1))
+        assert counts == set(range(workload.touches[0], workload.touches[1] + 1))
         assert all(5.0 <= t.force <= 12.0 for scene in some for t in scene.touches)
-    assert scenes.scenes(WAYS[0], 3, 1) == scenes.scenes(WAYS[0], 3, 1)
+    assert scenes.scenes(WORKLOADS[0], 3, 1) == scenes.scenes(WORKLOADS[0], 3, 1)
 
 
 @pytest.mark.slow
 def test_an_exact_way_is_off_by_its_mesh_alone(monkeypatch):
     """Against itself it has no error; a coarser mesh has."""
     monkeypatch.setattr(scenes, "JUDGED", 2)
-    truth = scenes._signals(scenes.scenes(WAYS[0], 2, 99), WAYS[4], "standard")
+    truth = scenes._signals(scenes.scenes(WORKLOADS[0], 2, 99), WORKLOADS[4], "standard")
     monkeypatch.setattr(scenes, "_true_signals", lambda *_: truth)
-    standard = scenes.Way("", resolution="standard", tolerance=WAYS[4].tolerance)
+    standard = scenes.Workload("", resolution="standard", tolerance=WORKLOADS[4].tolerance)
     assert np.abs(scenes.signal_errors(standard)).max() < 1e-9
-    assert 1e-3 < scenes.signal_errors(WAYS[4]).max() < 0.1
+    assert 1e-3 < scenes.signal_errors(WORKLOADS[4]).max() < 0.1
 
 
 def test_datasets_are_told_as_a_share_of_what_the_engine_does(monkeypatch):

@@ -25,7 +25,7 @@ from eitskin.benchmarks.stability import (
 from eitskin.benchmarks.stability import (
     solids as stability_solids,
 )
-from eitskin.benchmarks.stability.case import Case, Found, Row, judge
+from eitskin.benchmarks.stability.case import Case, CaseResult, CaseValues, judge
 from eitskin.benchmarks.stability.closed_forms import punched_layer, sector, shunt_pair
 from eitskin.benchmarks.stability.places import SPANS, cells, electrodes
 from eitskin.benchmarks.stability.random_designs import RANDOM, random_designs
@@ -42,7 +42,9 @@ import closed_forms
 
 
 def found(**values):
-    return Case("family", "name", lambda: Found(**values), invariant_limit=1e-6, error_limit=1e-3)
+    return Case(
+        "family", "name", lambda: CaseValues(**values), invariant_limit=1e-6, error_limit=1e-3
+    )
 
 
 def failing(error, **options):
@@ -89,7 +91,7 @@ def test_other_exceptions_are_wrong() -> None:
 def test_warnings_are_wrong() -> None:
     def solve():
         warnings.warn("overflow encountered", RuntimeWarning, stacklevel=1)
-        return Found()
+        return CaseValues()
 
     row = judge(Case("family", "name", solve))
     assert (row.outcome, row.reason) == ("wrong", "RuntimeWarning: overflow encountered")
@@ -308,9 +310,9 @@ def test_random_designs_follow_the_seed_and_are_often_possible() -> None:
     assert any(row.outcome == "ok" for row in first)
 
 
-def row(outcome="ok", family=RANDOM, reason="", **numbers) -> Row:
+def row(outcome="ok", family=RANDOM, reason="", **numbers) -> CaseResult:
     values = {"residual": None, "invariant": 1e-9, "error": None, "naive": None} | numbers
-    return Row(family, "case", outcome, "", reason, **values, iterations=None, seconds=1.0)
+    return CaseResult(family, "case", outcome, "", reason, **values, iterations=None, seconds=1.0)
 
 
 def test_random_designs_are_counted_by_the_kind_of_message() -> None:

@@ -13,7 +13,7 @@ from eitskin.errors import ConfigurationError
 from eitskin.extras import require_all
 
 if TYPE_CHECKING:
-    from eitskin.benchmarks.layouts.run import Comparison
+    from eitskin.benchmarks.layouts.run import LayoutComparison
     from eitskin.benchmarks.studies.layouts_trained import Training
 
 
@@ -82,7 +82,7 @@ def command(
     output.note("written: " + ", ".join(str(path) for path in paths))
 
 
-def _as_table(found: "Comparison") -> Table:
+def _as_table(found: "LayoutComparison") -> Table:
     from eitskin.benchmarks.layouts.report import HEADINGS, SHORT, table
 
     drawn = Table(*HEADINGS[:SHORT], box=box.SIMPLE, pad_edge=False, padding=0)

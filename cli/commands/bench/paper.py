@@ -11,7 +11,7 @@ from eitskin.cli.options import TRAINING, Json, Output, Quiet, Verbose
 from eitskin.extras import require_all
 
 if TYPE_CHECKING:
-    from eitskin.benchmarks.paper.run import Comparison
+    from eitskin.benchmarks.paper.run import PaperComparison
 
 
 def command(
@@ -64,7 +64,7 @@ def command(
     output.note("written: " + ", ".join(str(path) for path in paths))
 
 
-def _as_table(found: "Comparison") -> Table:
+def _as_table(found: "PaperComparison") -> Table:
     from eitskin.benchmarks.paper.report import HEADINGS, table
 
     drawn = Table(*HEADINGS, box=box.SIMPLE, pad_edge=False)

@@ -16,7 +16,7 @@ def command(
     out: Annotated[Path, typer.Option(help="Folder of all results.")] = Path("build/bench"),
     *,
     quick: Annotated[
-        bool, typer.Option("--quick", help="Two resolutions and few scenes, in a minute.")
+        bool, typer.Option("--quick", help="Two workloads and few scenes, in a minute.")
     ] = False,
     seed: Seed = 0,
     as_json: Json = False,
