@@ -83,7 +83,7 @@ def command(
 
 def _meanings() -> dict[str, str]:
     """Name and description of each fault."""
-    from eitskin.hardware.virtual.faults import FAULTS
+    from eitskin.hardware.virtual.fault_table import FAULTS
 
     return {name: kind.meaning for name, kind in FAULTS.items()}
 

@@ -83,7 +83,7 @@ class PageContent:
         """Ranges of the controls of a virtual board; None with a real board."""
         if getattr(self.board, "stage", None) is None:
             return None
-        from eitskin.hardware.virtual.faults import FAULTS
+        from eitskin.hardware.virtual.fault_table import FAULTS
 
         return {
             "bend": [LEAST.bend_deg, LARGEST.bend_deg],

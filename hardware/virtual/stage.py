@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.hardware.virtual.fault import Fault, Hook
-from eitskin.hardware.virtual.faults import read_faults
+from eitskin.hardware.virtual.fault_table import read_faults
 from eitskin.hardware.virtual.scene_script import SceneSource, Script, Step
 from eitskin.simulator.scene.scene import Scene
 

@@ -14,7 +14,7 @@ from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.hardware.boards.port import SerialPort, open_port
 from eitskin.hardware.boards.serial_board import SerialBoard
 from eitskin.hardware.virtual.fault import Fault
-from eitskin.hardware.virtual.faults import read_faults
+from eitskin.hardware.virtual.fault_table import read_faults
 from eitskin.hardware.virtual.pseudo_terminal import Pace, PseudoTerminal
 from eitskin.hardware.virtual.scene_script import SceneSource, Script, Step
 from eitskin.hardware.virtual.simulated_sensor import SceneSolver, SimulatedSensor

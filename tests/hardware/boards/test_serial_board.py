@@ -12,7 +12,7 @@ from eitskin.errors import DeviceError
 from eitskin.hardware import SerialBoard
 from eitskin.hardware.protocol.messages import Ack, Event, FrameData, MessageType, pack
 from eitskin.hardware.protocol.packets import Packet, encode
-from eitskin.hardware.virtual.faults import FAULTS, read_faults
+from eitskin.hardware.virtual.fault_table import FAULTS, read_faults
 from eitskin.hardware.virtual.virtual_board import virtual_terminal
 from eitskin.simulator import Status
 

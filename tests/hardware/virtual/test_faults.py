@@ -1,6 +1,8 @@
-"""Every fault of the list: what the host makes of it."""
+"""Every fault of the table, and its effect on the host."""
 
 import itertools
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,7 +10,7 @@ import pytest
 from eitskin.errors import ConfigurationError, DeviceError
 from eitskin.hardware import Connection, SerialBoard, open_board
 from eitskin.hardware.protocol.packets import Decoder
-from eitskin.hardware.virtual.faults import FAULTS, read_faults
+from eitskin.hardware.virtual.fault_table import FAULTS, read_faults
 from eitskin.hardware.virtual.virtual_board import virtual_terminal
 from eitskin.simulator import Status
 
@@ -250,13 +252,19 @@ def test_a_fault_of_answers_that_is_injected_strikes_the_next_request():
 
 
 def test_every_fault_of_the_list_has_a_name_and_is_read_back():
-    assert len(FAULTS) == 42
     for name, kind in FAULTS.items():
         (fault,) = read_faults(f"{name}@17:3")
         assert (fault.kind, fault.frame, fault.index) == (kind, 17, 3)
         assert str(fault) == f"{name}:3"
         assert kind.meaning
         assert kind.unit or "`index`" not in kind.meaning
+
+
+def test_the_page_of_boards_names_every_fault():
+    page = Path(__file__).parents[3] / "docs" / "boards.md"
+    table = page.read_text(encoding="utf-8").partition("\n### Faults\n")[2].partition("\n## ")[0]
+    rows = [row for row in table.splitlines() if row.startswith("| ")][1:]
+    assert sorted(re.findall(r"\w+", " ".join(rows))) == sorted(FAULTS)
 
 
 @pytest.mark.parametrize("text", ["gremlins", "bit_flip@x", "bit_flip@1:2:3", "bit_flip@-1"])
