@@ -22,7 +22,7 @@ with tempfile.TemporaryDirectory() as folder:
     electrodes = pyvista.read(Path(folder) / "electrodes.vtp")
 print(f"{body.n_cells} cells; fields: {', '.join(body.array_names)}")
 
-# What was written is what the simulator says: the voltage between the electrodes is the resistance.
+# The file holds the simulator's values: the voltage between the electrodes is the resistance.
 potential = electrodes.cell_data["potential_7_3_V_per_A"]
 numbers = electrodes.cell_data["electrode"]
 voltage = potential[numbers == 7].mean() - potential[numbers == 3].mean()

@@ -41,7 +41,7 @@ print(f"{len(frame.impedance)} values, {protocol.rank} of them independent")
 assert len(frame.impedance) == 12 * 9
 assert protocol.rank == 12 * 9 // 2
 
-# What cannot be built is refused, and the message says why.
+# An impossible design is refused, and the message says why.
 try:
     SensorDesign(outline=outline, thickness=0.005, electrodes=uniform(outline, 60, width=0.006))
 except ConfigurationError as error:
