@@ -22,9 +22,8 @@ from queue import Queue
 
 ROOT = Path(__file__).resolve().parents[2]
 LIST = Path(__file__).with_name("mutations.toml")
-FOLDERS = tuple(
-    ".types benchmarks cli datasets eitskin geometry hardware simulator tests training".split()
-)
+ROOMS = ("geometry", "simulator", "datasets", "training", "hardware", "cli", "benchmarks")
+FOLDERS = (".types", "eitskin", *ROOMS, "tests")
 PASSED, FAILED = 0, 1  # exit codes of pytest; others mean that nothing was tested
 WORDS = {FAILED: "killed", PASSED: "SURVIVED"}
 
