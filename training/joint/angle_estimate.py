@@ -10,6 +10,8 @@ from eitskin.training.joint import lapack
 from eitskin.training.joint.bend_curve import BendCurve
 from eitskin.training.joint.channel_faults import (
     FAULT_THRESHOLD,
+    MOST_FAULTS,
+    SUSPICIOUS_SIGMA,
     ChannelFault,
     PossibleFaults,
     most_likely_fault,
@@ -21,8 +23,6 @@ Array = NDArray[np.float64]
 GRID = 36  # angles among which the initial one is chosen
 STEPS = 6  # of Fisher scoring at most
 TOLERANCE_DEG = 3e-3
-SUSPICIOUS_SIGMA = 3.0  # misfit above its expectation from which a fault is sought
-MOST_FAULTS = 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)

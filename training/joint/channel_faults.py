@@ -19,7 +19,8 @@ Array = NDArray[np.float64]
 
 FAULT_THRESHOLD = 25.0  # least decrease of the misfit by a fault, the same as by a touch
 ACCEPTED_SIGMA = 3.0  # highest misfit with the fault, in standard deviations above expectation
-SUSPICIOUS_SIGMA = 3.0  # misfit from which a fault beside all touches is considered
+SUSPICIOUS_SIGMA = 3.0  # misfit above its expectation from which a fault is considered
+MOST_FAULTS = 2  # in one frame
 LEAST_SHARE = 0.5  # of a touch's gain that a fault must promise to be tried instead
 ALLOWANCE = 2.0  # misfit by which a fault may fit worse than the touches it replaces
 STEPS, TOLERANCE = 6, 0.1  # of Levenberg-Marquardt without the faulty measurements

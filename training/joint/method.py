@@ -265,7 +265,7 @@ class JointMethod:
     def arrays(self) -> Arrays:
         """Arrays from which `from_arrays` restores the method, by name."""
         prior = self.touch_prior
-        own: Arrays = {
+        saved: Arrays = {
             "noise": self.noise,
             "scalars": np.array([self.drift, self.radius, prior.separation, *prior.force]),
             "bounds": np.array([prior.low, prior.high]),
@@ -280,12 +280,12 @@ class JointMethod:
         if self.calibrated is not None:
             parts["calibrated"] = self.calibrated
         if self.calibrated_flat is not None:
-            own["calibrated_flat"] = self.calibrated_flat
+            saved["calibrated_flat"] = self.calibrated_flat
         for name, curve in self.learning_curves.items():
-            own |= {f"{name}.{key}": array for key, array in curve.arrays().items()}
+            saved |= {f"{name}.{key}": array for key, array in curve.arrays().items()}
         for name, part in parts.items():
-            own |= {f"{name}.{key}": array for key, array in part.arrays().items()}
-        return own
+            saved |= {f"{name}.{key}": array for key, array in part.arrays().items()}
+        return saved
 
     @classmethod
     def from_arrays(

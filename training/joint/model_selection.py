@@ -12,7 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.training.joint import lapack
-from eitskin.training.joint.channel_faults import ChannelFault, PossibleFaults, fit_with_fault
+from eitskin.training.joint.channel_faults import (
+    MOST_FAULTS,
+    ChannelFault,
+    PossibleFaults,
+    fit_with_fault,
+)
 from eitskin.training.joint.objective import (
     MapEstimate,
     TouchObjective,
@@ -39,7 +44,6 @@ START_THRESHOLD = 0.5  # times the threshold: least gain, to first order, of a s
 PRUNING_LIMIT = 3.0  # times the threshold: gain, to second order, below which a touch is questioned
 CHI2_LOW_SIGMA, CHI2_HIGH_SIGMA = 2.0, 2.0  # the misfit's usual range about its expectation
 PAIR_TRIALS = 2  # fits that split one touch into two where the misfit is unusually high
-MOST_FAULTS = 2  # in one frame
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -198,13 +202,13 @@ def _frame_fit(found: MapEstimate, evidence: float, faults: tuple[ChannelFault, 
     """The estimate in physical units, with its covariances."""
     touches = found.unknowns.touches
     covariance = lapack.inverse(found.quadratic.hessian)
-    own = [slice(1 + 3 * i, 4 + 3 * i) for i in range(len(touches))]
-    blocks = np.array([covariance[s, s] for s in own]).reshape(-1, 3, 3)
+    blocks = [slice(1 + 3 * i, 4 + 3 * i) for i in range(len(touches))]
+    covariances = np.array([covariance[s, s] for s in blocks]).reshape(-1, 3, 3)
     return FrameFit(
         found.unknowns.angle_deg,
         ANGLE_UNIT * math.sqrt(covariance[0, 0]),
         touches,
-        blocks * (TOUCH_UNITS[:, None] * TOUCH_UNITS),
+        covariances * (TOUCH_UNITS[:, None] * TOUCH_UNITS),
         evidence,
         _gains(found),
         found.misfit,

@@ -92,8 +92,10 @@ class SyntheticFrames:
         terms = torch.einsum("nh,pch->npc", summed, output_)
         share_ = torch.as_tensor(share, dtype=torch.float32)
         change: Array = torch.einsum("npc,np->nc", terms, share_).numpy().astype(float)
-        own = 1.0 + response.mismatch * rng.standard_normal(change.shape)
-        return change * own * np.exp(LOG_SENSITIVITY_STD * rng.standard_normal((len(touches), 1)))
+        errors = 1.0 + response.mismatch * rng.standard_normal(change.shape)
+        return (
+            change * errors * np.exp(LOG_SENSITIVITY_STD * rng.standard_normal((len(touches), 1)))
+        )
 
 
 def fit_proposals(

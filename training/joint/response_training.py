@@ -103,7 +103,7 @@ def fit_response(
     seed: int,
     progress: Progress,
 ) -> tuple[TouchResponse, LearningCurve]:
-    """Learn a response by weighted least squares; its mismatch is left zero.
+    """Learn a response by weighted least squares; its mismatch stays zero.
 
     Args:
         frames: training set.
@@ -111,7 +111,7 @@ def fit_response(
         noise: rms noise of the frames' changes.
         settings: of the training.
         seed: of initial weights and order.
-        progress: told of every epoch.
+        progress: called after every epoch.
     """
     scale = float(np.sqrt(np.mean(frames.change**2)))
     network = seeded_network(lambda: ResponseNetwork(frames), seed)

@@ -96,10 +96,10 @@ def _usable(dataset: Dataset) -> Dataset:
         "untouched frames with a reference": int(_is_untouched(data).sum()),
     }
     if min(found.values()) < 100:
-        said = ", ".join(f"{count} {what}" for what, count in found.items())
+        counts = ", ".join(f"{count} {kind}" for kind, count in found.items())
         raise DataError(
-            f"the joint method needs at least 100 frames of each kind, got {said}; generate more, "
-            "or train the paper's method"
+            f"the joint method needs at least 100 frames of each kind, got {counts}; generate "
+            "more, or train the paper's method"
         )
     return data
 
@@ -225,14 +225,14 @@ def _mismatch(response: TouchResponse, frames: "TouchFrames", variance: Array) -
     squares = size = 0.0
     for i in range(min(len(frames.change), 2000)):
         touches = frames.touches[i][np.isfinite(frames.touches[i][:, 0])]
-        said = response.of(frames.features[i])(touches, float(frames.angle_deg[i]))
+        modelled = response.of(frames.features[i])(touches, float(frames.angle_deg[i]))
         specimen = response.of(frames.features[i])
         shapes = specimen.latent_changes(touches, float(frames.angle_deg[i]))
-        columns = np.concatenate([said.sum(axis=0)[None], shapes])
+        columns = np.concatenate([modelled.sum(axis=0)[None], shapes])
         metric = np.diag(np.append(0.0, np.ones(len(shapes)))) * np.mean(variance)
         fitted = np.linalg.solve(columns @ columns.T + metric, columns @ frames.change[i])
         squares += float(np.sum((frames.change[i] - fitted @ columns) ** 2 - variance))
-        size += float(np.sum((fitted[0] * said) ** 2))
+        size += float(np.sum((fitted[0] * modelled) ** 2))
     return float(np.sqrt(max(squares / size, 1e-6)))
 
 

@@ -61,7 +61,7 @@ def train_network(
         count: number of samples.
         settings: of the training.
         seed: of the order of samples and of added noise.
-        progress: told of every epoch.
+        progress: called after every epoch with epochs done and total.
         validation: samples whose loss is recorded; the weights do not depend on them.
 
     Raises ConfigurationError where the loss is no longer finite.
