@@ -1,8 +1,9 @@
-"""The Cramer-Rao bound: how small the errors of any unbiased estimate can be.
+"""Cramer-Rao bound on the errors of touches and bend angle estimated from one frame.
 
-A frame's values are taken as the logarithms of its resistances over those of a reference, as the
-pipelines do, so that noise is relative. With their covariance C and their derivatives G by the
-parameters, no unbiased estimate has a covariance below (G C^-1 G^T)^-1 (Rao 1945, Cramer 1946).
+The measurements are the logarithms of a frame's resistances over those of a reference, as in the
+pipelines, so that noise is relative. With their covariance C and their derivatives G by the
+parameters, the covariance of every unbiased estimate is at least (G C^-1 G^T)^-1, the inverse of
+the Fisher information (Rao 1945, Cramer 1946).
 """
 
 import math
@@ -23,8 +24,8 @@ from eitskin.simulator.simulator import Simulator
 
 Array = NDArray[np.float64]
 
-_SINGULAR = 1e-12  # least eigenvalue of an information matrix with ones on its diagonal
-# Where a parameter is changed to, in steps, and the weights of its derivative; all of second order.
+_SINGULAR = 1e-12  # least eigenvalue of a Fisher information scaled to a unit diagonal
+# Difference stencils of second order: offsets in steps, and weights of the derivative.
 _STENCILS = (
     ((-1.0, 1.0), (-0.5, 0.5)),
     ((0.0, 1.0, 2.0), (-1.5, 2.0, -0.5)),
@@ -34,12 +35,12 @@ _STENCILS = (
 
 @dataclass(frozen=True, slots=True)
 class Steps:
-    """How far parameters are changed for differences; docs/cramer-rao.md says what that leaves.
+    """Steps of the finite differences; docs/cramer-rao.md gives their errors.
 
     Attributes:
-        place: of a touch [m].
-        force: relative to the force.
-        angle_deg: of the bend [deg].
+        place: step of a touch's x and y [m].
+        force: step of a force, relative to the force.
+        angle_deg: step of the bend angle [deg].
     """
 
     place: float = 1e-3
@@ -49,14 +50,14 @@ class Steps:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneBound:
-    """Least deviations of what is estimated from one frame of a scene with k touches.
+    """Least standard errors of unbiased estimates from one frame of a scene with k touches.
 
     Attributes:
-        place: sqrt(var x + var y) of each touch (k,) [m].
-        distance: mean distance between true and found place of each touch (k,) [m], smaller than
-            `place`, and what localisation errors are reported as.
-        force: of each touch (k,) [N].
-        angle_deg: of the bend [deg]; 0 where it is known.
+        place: sqrt(var x + var y) of the position of each touch (k,) [m].
+        distance: mean distance between true and estimated position of each touch (k,) [m], as
+            localisation errors are reported; smaller than `place`.
+        force: standard error of the force of each touch (k,) [N].
+        angle_deg: standard error of the bend angle [deg]; 0 for a known angle.
     """
 
     place: Array
@@ -67,7 +68,7 @@ class SceneBound:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneDerivatives:
-    """How the m measured resistances of a scene with k touches depend on its parameters.
+    """Derivatives of the m measured resistances of a scene with k touches by its parameters.
 
     Attributes:
         resistance: real parts of the measurements (m,) [ohm].
@@ -80,9 +81,9 @@ class SceneDerivatives:
     by_angle: Array
 
     def noise(self, instrument: Instrument, full_scale: float) -> Array:
-        """Deviation of an instrument's white noise, relative to each resistance (m,).
+        """Standard deviation of an instrument's white noise, relative to each resistance (m,).
 
-        The noise of the other quadrature turns the phase and leaves the logarithm alone.
+        Noise in quadrature changes the phase and, to first order, not the magnitude.
         """
         return instrument.deviation(full_scale) / np.abs(self.resistance)
 
@@ -94,25 +95,26 @@ class SceneDerivatives:
         angle_known: bool = False,
         factor_known: bool = True,
     ) -> SceneBound:
-        """The bound for one frame against a reference.
+        """Cramer-Rao bound for one frame against a reference.
 
         Args:
-            deviation: of the noise of one frame, relative to each resistance, (m,) or one number.
-            reference_frames: how many frames the reference is the mean of; math.inf for one
-                without noise.
-            angle_known: the bend angle need not be estimated.
-            factor_known: else all resistances have drifted by one unknown factor since the
-                reference was taken.
+            deviation: standard deviation of the noise of one frame, relative to each resistance,
+                (m,) or one number.
+            reference_frames: number of frames whose mean the reference is; math.inf for a
+                reference without noise.
+            angle_known: whether the bend angle is known.
+            factor_known: whether the gain is the reference's; else all resistances have drifted by
+                one unknown common factor since.
 
         Raises:
-            ConfigurationError: for noise that is not positive, for nothing to estimate, and where
-                the measurements do not determine the parameters.
+            ConfigurationError: for noise that is not positive, without parameters to estimate, and
+                for parameters that the measurements do not determine.
         """
         noise = np.broadcast_to(np.asarray(deviation, dtype=float), self.by_angle.shape)
         if not (np.all(np.isfinite(noise) & (noise > 0.0)) and reference_frames > 0.0):
             raise ConfigurationError(
-                "a bound needs noise and reference frames above 0, got deviations from "
-                f"{noise.min():g} to {noise.max():g} and {reference_frames:g} frames"
+                "expected noise and reference frames above 0, got deviations from "
+                f"{noise.min():g} to {noise.max():g} and {reference_frames:g} frames; give both"
             )
         touches = len(self.by_touch)
         rows = [self.by_touch.reshape(3 * touches, len(self.by_angle))]
@@ -120,24 +122,26 @@ class SceneDerivatives:
             rows.append(self.by_angle[None])
         wanted = sum(map(len, rows))
         if not wanted:
-            raise ConfigurationError("without touches and with a known angle nothing is estimated")
+            raise ConfigurationError(
+                "expected touches or an unknown angle to estimate, got neither; name one"
+            )
         if not factor_known:
             rows.append(np.ones((1, len(self.by_angle))))
         covariance = np.diag(noise**2) * (1.0 + 1.0 / reference_frames)
-        parameters = information(np.concatenate(rows), covariance)
-        least = bound(parameters, nuisance=range(wanted, len(parameters)))
-        of_touches = [slice(start, start + 3) for start in range(0, 3 * touches, 3)]
-        blocks = np.array([least[part, part] for part in of_touches]).reshape(-1, 3, 3)
-        places = blocks[:, :2, :2]
+        parameters = fisher_information(np.concatenate(rows), covariance)
+        least = cramer_rao_bound(parameters, nuisance=range(wanted, len(parameters)))
+        parts = [slice(start, start + 3) for start in range(0, 3 * touches, 3)]
+        blocks = np.array([least[part, part] for part in parts]).reshape(-1, 3, 3)
+        positions = blocks[:, :2, :2]
         return SceneBound(
-            place=np.sqrt(np.trace(places, axis1=1, axis2=2)),
-            distance=mean_distance(places),
+            place=np.sqrt(np.trace(positions, axis1=1, axis2=2)),
+            distance=mean_distance(positions),
             force=np.sqrt(blocks[:, 2, 2]),
             angle_deg=0.0 if angle_known else float(np.sqrt(least[wanted - 1, wanted - 1])),
         )
 
 
-def information(derivatives: Array, covariance: Array) -> Array:
+def fisher_information(derivatives: Array, covariance: Array) -> Array:
     """Fisher information G C^-1 G^T of normal noise, (parameters, parameters).
 
     Args:
@@ -159,36 +163,40 @@ def information(derivatives: Array, covariance: Array) -> Array:
     return found
 
 
-def bound(information: Array, nuisance: Sequence[int] = ()) -> Array:
-    """Least covariance of unbiased estimates, of all parameters but `nuisance`.
+def cramer_rao_bound(information: Array, nuisance: Sequence[int] = ()) -> Array:
+    """Least covariance of unbiased estimates of all parameters but `nuisance`.
 
-    Each parameter is taken in units of what it would be known to alone, so that metres beside
-    newtons cost no digits.
+    The inverse of the Fisher information, which is first scaled to a unit diagonal: parameters in
+    metres beside parameters in newtons would cost digits.
 
     Args:
-        information: of all parameters, (parameters, parameters).
-        nuisance: numbers of those that are unknown too, but not asked for.
+        information: Fisher information of all parameters, (parameters, parameters).
+        nuisance: indices of the parameters that are unknown, and left out of the result.
 
     Raises:
-        ConfigurationError: where the measurements do not determine the parameters.
+        ConfigurationError: for parameters that the measurements do not determine.
     """
     wanted = np.setdiff1d(np.arange(len(information)), np.asarray(nuisance, dtype=int))
     diagonal = np.diag(information)
     if not np.all(diagonal > 0.0):
         nothing = np.flatnonzero(~(diagonal > 0.0)).tolist()
-        raise ConfigurationError(f"the measurements say nothing of parameters {nothing}")
-    alone = 1.0 / np.sqrt(diagonal)
-    values, vectors = np.linalg.eigh(information * np.outer(alone, alone))
+        raise ConfigurationError(
+            f"the measurements do not depend on parameters {nothing}; leave these out"
+        )
+    scale = 1.0 / np.sqrt(diagonal)
+    values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
     if values[0] < _SINGULAR:
         mixed = np.flatnonzero(np.abs(vectors[:, 0]) > 0.1).tolist()
-        raise ConfigurationError(f"the measurements cannot tell parameters {mixed} apart")
-    root = (alone[:, None] * vectors / np.sqrt(values))[wanted]
+        raise ConfigurationError(
+            f"the measurements do not determine parameters {mixed} separately; fix one"
+        )
+    root = (scale[:, None] * vectors / np.sqrt(values))[wanted]
     found: Array = root @ root.T
     return found
 
 
 def mean_distance(covariance: Array) -> Array:
-    """Mean distance from the origin of normal places with covariance (..., 2, 2), (...).
+    """Mean distance (...) from its mean of a normal position with covariance (..., 2, 2).
 
     With variances a >= b along the principal axes it is sqrt(2 a / pi) E(1 - b / a), E the complete
     elliptic integral of the second kind of the parameter m = k^2: the mean over directions of
@@ -204,7 +212,7 @@ def mean_distance(covariance: Array) -> Array:
 def scene_bound(
     simulator: Simulator, scene: Scene, deviation: ArrayLike, reference_frames: float = 1.0
 ) -> SceneBound:
-    """The bound of a scene with its angle unknown; see `SceneDerivatives.bound`."""
+    """Cramer-Rao bound of a scene of unknown angle; see `SceneDerivatives.bound`."""
     return scene_derivatives(simulator, scene).bound(deviation, reference_frames)
 
 
@@ -213,17 +221,24 @@ def scene_derivatives(
 ) -> SceneDerivatives:
     """Derivatives of a scene's measurements by central differences, one-sided next to a limit.
 
-    Raises ConfigurationError for a touch that is pressed to a depth, or without room to move.
+    Args:
+        simulator: of the sensor.
+        scene: bend and touches, each with a force.
+        steps: of the differences; the defaults when omitted.
+
+    Raises:
+        ConfigurationError: for a touch that is given by its depth, or a parameter that cannot
+            change to either side.
     """
     if any(touch.depth is not None for touch in scene.touches):
         raise ConfigurationError(
-            "the bound is one of forces, got a touch with a depth; give it a force"
+            "expected touches with forces, got a touch with a depth; give a force instead"
         )
     scenes, weights = [scene], []
     for number, name, step in _parameters(scene, steps or Steps()):
-        places, of_places = _stencil(simulator, scene, number, name, step)
-        weights.append((slice(len(scenes), len(scenes) + len(places)), np.array(of_places) / step))
-        scenes += places
+        changed, factors = _stencil(simulator, scene, number, name, step)
+        weights.append((slice(len(scenes), len(scenes) + len(changed)), np.array(factors) / step))
+        scenes += changed
     measured = simulator.measure_all(scenes, EXACT).real
     logarithms = np.log(np.abs(measured))
     rows = np.array([weight @ logarithms[part] for part, weight in weights])
@@ -235,7 +250,7 @@ def scene_derivatives(
 
 
 def _parameters(scene: Scene, steps: Steps) -> Iterator[tuple[int | None, str, float]]:
-    """Number of a touch, or none for the bend, an attribute of it and its step."""
+    """Index of a touch, or None for the bend, with an attribute and the step of that attribute."""
     for number, touch in enumerate(scene.touches):
         yield number, "x", steps.place
         yield number, "y", steps.place
@@ -246,7 +261,7 @@ def _parameters(scene: Scene, steps: Steps) -> Iterator[tuple[int | None, str, f
 def _stencil(
     simulator: Simulator, scene: Scene, number: int | None, name: str, step: float
 ) -> tuple[list[Scene], tuple[float, ...]]:
-    """Scenes for one derivative, all possible, and their weights."""
+    """Scenes and weights of the first stencil whose scenes are all possible."""
     for multiples, weights in _STENCILS:
         try:
             scenes = [_changed(scene, number, name, multiple * step) for multiple in multiples]

@@ -1,4 +1,4 @@
-"""How good a pipeline is on a dataset: the figures of the paper, by stated definitions."""
+"""Evaluation of a pipeline on a dataset: the figures of the paper, by stated definitions."""
 
 import time
 from dataclasses import dataclass
@@ -39,63 +39,63 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evaluation:
-    """A pipeline, frames, and what it makes of them.
+    """A pipeline, n frames, the predictions for the frames, and the report.
 
     Attributes:
-        pipeline: as it was.
+        pipeline: the pipeline, unchanged.
         dataset: n frames.
-        perceived: what it says of each, by itself.
-        matches: its touches beside the true ones.
-        similarity: SSIM of each frame's pictures (n,), by picture: "touch_map" and, where the
-            method reconstructs, "static" and "dynamic"; and of an "empty" one, which is what
-            drawing nothing earns. NaN in untouched frames and where a radius is not known.
+        predictions: estimates for the frames, each by itself.
+        matches: found touches matched to the true ones.
+        similarity: SSIM of each frame's images (n,), by image: "touch_map" and, for a method that
+            reconstructs, "static" and "dynamic"; and "empty", the SSIM of an image of zeros. NaN
+            in untouched frames and where a radius is not known.
         report: the figures.
     """
 
     pipeline: Pipeline
     dataset: Dataset
-    perceived: Predictions
+    predictions: Predictions
     matches: Matches
     similarity: dict[str, Array]
     report: Report
 
     @classmethod
     def of(cls, pipeline: Pipeline, dataset: Dataset) -> "Evaluation":
-        """Measure `pipeline` on all frames of `dataset`.
+        """Evaluation of a pipeline on all frames of a dataset.
 
-        Frames count one by one: each is compared with its specimen's flat reference and with its
-        own `touch_reference`, which is what the dynamic reference of a session would hold. Touches
-        are those the pipeline gives out, so a touch whose state was not recognised counts as
-        missed.
+        Frames count one by one: the static reference is the specimen's flat reference, the dynamic
+        one the frame's own `touch_reference`, as a session would hold it. A touch in a frame whose
+        state is not estimated as touch counts as missed.
 
-        Raises DataError for a dataset without frames, or of other measurements than the pipeline's.
+        Raises DataError for a dataset without frames, with other measurements than the pipeline's,
+        or with touches far off the sensor.
         """
         if len(dataset) == 0:
-            raise DataError("there are no frames to evaluate on")
+            raise DataError("expected frames to evaluate on, got no frames; name another dataset")
         if dataset.protocol != pipeline.layout.protocol:
             raise DataError(
                 f"the pipeline was trained for {len(pipeline.layout.protocol)} measurements, the "
                 "dataset has others; evaluate on a dataset of the same sensor"
             )
         require_on_sheet(dataset, pipeline.layout.outline)
-        perceived = _perceive(pipeline, dataset)
-        matches = Matches.of(dataset, perceived)
-        similarity = _similarities(pipeline, dataset, perceived)
+        predictions = _perceive(pipeline, dataset)
+        matches = Matches.of(dataset, predictions)
+        similarity = _similarities(pipeline, dataset, predictions)
         report = Report(
             len(dataset),
-            _state_score(dataset, perceived),
-            _bend_score(dataset, perceived),
+            _state_score(dataset, predictions),
+            _bend_score(dataset, predictions),
             _touch_scores(dataset, matches, similarity),
             _untouched_score(dataset, matches),
             _force_score(matches),
             metrics.consistency(matches.error, matches.deviation),
             _latency(pipeline, dataset),
         )
-        return cls(pipeline, dataset, perceived, matches, similarity, report)
+        return cls(pipeline, dataset, predictions, matches, similarity, report)
 
 
 def require_on_sheet(dataset: Dataset, outline: tuple[float, float]) -> None:
-    """Refuse touches more than a sheet's length beside it: in millimetres, or of another sensor."""
+    """Check that touches lie within twice the length of the sensor; raises DataError."""
     for name, places in (("x", dataset.touch_x), ("y", dataset.touch_y)):
         known = places[np.isfinite(places)]
         if len(known) and np.abs(known).max() > 2.0 * max(outline):
@@ -107,22 +107,22 @@ def require_on_sheet(dataset: Dataset, outline: tuple[float, float]) -> None:
 
 
 def evaluate(pipeline: Pipeline, dataset: Dataset) -> Report:
-    """The figures of `Evaluation.of` alone."""
+    """Report of `Evaluation.of`."""
     return Evaluation.of(pipeline, dataset).report
 
 
 def contact_maps(
     dataset: Dataset, pipeline: Pipeline, shape: tuple[int, ...]
 ) -> NDArray[np.float32]:
-    """The true contact maps of touched frames (n, rows, columns)."""
+    """True contact maps (n, rows, columns) of touched frames, 0 to 1."""
     discs = (dataset.touch_x, dataset.touch_y, dataset.touch_radius)
     return touch_maps(*discs, pipeline.layout.outline, (shape[-2], shape[-1]))
 
 
 def reconstructions(pipeline: Pipeline, dataset: Dataset) -> dict[str, NDArray[np.float32]]:
-    """Pictures (n, rows, columns) from either reference, positive where conductivity is lower.
+    """Reconstructions (n, rows, columns) with either reference, positive for lower conductivity.
 
-    Empty for a method that reconstructs none.
+    Empty for a method without reconstructions.
     """
     if not isinstance(pipeline.method, PaperMethod):
         return {}
@@ -131,15 +131,17 @@ def reconstructions(pipeline: Pipeline, dataset: Dataset) -> dict[str, NDArray[n
 
 
 def _perceive(pipeline: Pipeline, dataset: Dataset) -> Predictions:
-    """In pieces: the maps inside a network take memory."""
+    """Predictions in pieces of `PIECE` frames, which bounds the memory for feature maps."""
     starts = range(0, len(dataset), PIECE)
     return Predictions.joined(
         [pipeline.perceive(dataset.select(slice(start, start + PIECE))) for start in starts]
     )
 
 
-def _similarities(pipeline: Pipeline, dataset: Dataset, perceived: Predictions) -> dict[str, Array]:
-    """SSIM of every picture, in pieces; a touch lowers the conductivity."""
+def _similarities(
+    pipeline: Pipeline, dataset: Dataset, predictions: Predictions
+) -> dict[str, Array]:
+    """SSIM of every image, in pieces; see `Evaluation`."""
     placed = np.isfinite(dataset.touch_x)
     drawable = placed.any(axis=1) & (np.isfinite(dataset.touch_radius) | ~placed).all(axis=1)
     values: dict[str, Array] = {}
@@ -147,8 +149,8 @@ def _similarities(pipeline: Pipeline, dataset: Dataset, perceived: Predictions) 
     for start in range(0, len(chosen), PIECE):
         piece = chosen[start : start + PIECE]
         frames = dataset.select(piece)
-        truth = contact_maps(frames, pipeline, perceived.touch_map.shape)
-        pictures = {"touch_map": perceived.touch_map[piece], **reconstructions(pipeline, frames)}
+        truth = contact_maps(frames, pipeline, predictions.touch_map.shape)
+        pictures = {"touch_map": predictions.touch_map[piece], **reconstructions(pipeline, frames)}
         pictures["empty"] = np.zeros_like(truth)
         for name, maps in pictures.items():
             pairs = zip(maps, truth, strict=True)
@@ -157,11 +159,11 @@ def _similarities(pipeline: Pipeline, dataset: Dataset, perceived: Predictions) 
     return values
 
 
-def _state_score(dataset: Dataset, perceived: Predictions) -> StateScore:
+def _state_score(dataset: Dataset, predictions: Predictions) -> StateScore:
     known = np.isin(dataset.state, list(State))
-    counts = metrics.confusion(dataset.state[known], perceived.state[known])
+    counts = metrics.confusion(dataset.state[known], predictions.state[known])
     bent = (dataset.state == State.TOUCH) & _bent(dataset)
-    right = perceived.state == dataset.state
+    right = predictions.state == dataset.state
     idle = counts[State.IDLE]
     return StateScore(
         {
@@ -174,10 +176,10 @@ def _state_score(dataset: Dataset, perceived: Predictions) -> StateScore:
     )
 
 
-def _bend_score(dataset: Dataset, perceived: Predictions) -> BendScore:
+def _bend_score(dataset: Dataset, predictions: Predictions) -> BendScore:
     known = np.isfinite(dataset.bend_angle_deg)
     bent, touched = (known & (dataset.state == state) for state in (State.BEND, State.TOUCH))
-    true, estimated = dataset.bend_angle_deg.astype(float), perceived.bend_angle_deg
+    true, estimated = dataset.bend_angle_deg.astype(float), predictions.bend_angle_deg
     error = estimated - true
     return BendScore(
         metrics.determination(true[bent], estimated[bent]) if bent.any() else None,
@@ -185,14 +187,14 @@ def _bend_score(dataset: Dataset, perceived: Predictions) -> BendScore:
         float(error[bent].mean()) if bent.any() else None,
         metrics.root_mean_square(error[touched]) if touched.any() else None,
         float(error[touched].mean()) if touched.any() else None,
-        metrics.consistency(error, perceived.bend_deviation_deg),
+        metrics.consistency(error, predictions.bend_deviation_deg),
     )
 
 
 def _touch_scores(
     dataset: Dataset, matches: Matches, similarity: dict[str, Array]
 ) -> dict[str, TouchScore]:
-    """Scores of the groups that `Report` names, where they have frames."""
+    """Scores of the groups of frames that `Report` names, without empty ones."""
     counts = dataset.touch_count
     groups = {str(n): counts == n for n in range(1, dataset.touch_x.shape[1] + 1)}
     groups |= {"several": counts > 1, "bent": (counts > 0) & _bent(dataset)}
@@ -206,7 +208,7 @@ def _touch_scores(
 def _touch_score(
     group: Mask, counts: NDArray[np.int64], matches: Matches, similarity: dict[str, Array]
 ) -> TouchScore:
-    """The score of the frames that the mask `group` (n,) chooses."""
+    """Score of the frames of a mask (n,)."""
     errors = matches.error[group[matches.frame]] * 1e3
     some = errors.size > 0
     true = int(counts[group].sum())
@@ -240,7 +242,7 @@ def _force_score(matches: Matches) -> ForceScore | None:
 
 
 def _latency(pipeline: Pipeline, dataset: Dataset) -> LatencyScore:
-    """Time `process` on frames of one specimen as they come, after its flat reference."""
+    """Latency of `process` in a session of one specimen."""
     pipeline.reset()
     seconds = []
     for frame in _session(dataset, pipeline.layout.protocol):
@@ -253,7 +255,7 @@ def _latency(pipeline: Pipeline, dataset: Dataset) -> LatencyScore:
 
 
 def _session(dataset: Dataset, protocol: Protocol) -> list[Frame]:
-    """A session: the flat reference of one specimen and some of its frames, numbered on."""
+    """Session of one specimen: its flat reference, then some of its frames."""
     mine = np.flatnonzero(dataset.specimen == dataset.specimen[0])[:TIMED_FRAMES]
     values = [dataset.reference[dataset.specimen[0]], *dataset.impedance[mine]]
     return [

@@ -82,9 +82,9 @@ class Matches:
 
     Attributes:
         frame: that each is in (m,).
-        true, found: places (m, 2) [m].
+        true, found: positions (m, 2) [m].
         true_force, found_force: (m,) [N]; NaN where not known.
-        deviation: standard error of the found place (m,) [m]; NaN where not stated.
+        deviation: standard error of the found position (m,) [m]; NaN where not stated.
         false: touches that match none, per frame of the dataset (n,).
     """
 
@@ -97,12 +97,12 @@ class Matches:
     false: NDArray[np.int64]
 
     @classmethod
-    def of(cls, dataset: Dataset, perceived: Predictions) -> "Matches":
+    def of(cls, dataset: Dataset, predictions: Predictions) -> "Matches":
         """Matches of the touches of every frame."""
         false = np.zeros(len(dataset), np.int64)
         rows: list[Array] = [np.zeros((0, 8))]
         truth = np.stack([dataset.touch_x, dataset.touch_y, dataset.touch_force], axis=2)
-        for i, touches in enumerate(perceived.touches):
+        for i, touches in enumerate(predictions.touches):
             true = truth[i][np.isfinite(truth[i, :, 0])].astype(float)
             a, b = match(true[:, :2], touches.place)
             false[i] = len(touches) - len(b)

@@ -1,4 +1,4 @@
-"""What `evaluate` measures of a pipeline; every figure by a stated definition."""
+"""Scores of a pipeline in an evaluation, and the report that holds them all."""
 
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -10,18 +10,19 @@ SSIM_DEFINITION = (
     "picture scaled to its own maximum, values below zero taken as zero, and the true contact map, "
     "discs of the indenter's radius; the mean over the frames."
 )
-"""Belongs beside every figure of it; see metrics.similarity."""
+"""Definition to be printed beside every SSIM; see `metrics.similarity`."""
 
 
 @dataclass(frozen=True, slots=True)
 class StateScore:
-    """States told apart.
+    """Classification of the state.
 
     Attributes:
-        accuracy: per true state, None where the dataset has none.
-        bent_touch_accuracy: of touches on a bent sensor alone.
-        idle_as_touch: share of the idle frames that are taken for touched.
-        confusion: counts, rows the true and columns the estimated state: idle, touch, bend.
+        accuracy: share of correct frames by true state; None for a state without frames.
+        bent_touch_accuracy: the same of touches on a bent sensor.
+        idle_as_touch: share of the idle frames that are classified as touch.
+        confusion: confusion matrix, rows the true and columns the estimated state: idle, touch,
+            bend.
     """
 
     accuracy: dict[str, float | None]
@@ -32,12 +33,13 @@ class StateScore:
 
 @dataclass(frozen=True, slots=True)
 class BendScore:
-    """Bend angles of bent frames and of touched ones; None where there are none.
+    """Errors of the bend angle; None without frames of the kind.
 
     Attributes:
-        r2, rmse_deg, bias_deg: of bent, untouched frames.
-        touched_rmse_deg, touched_bias_deg: of touched frames, flat and bent.
-        calibration: of the stated standard errors, all frames; None where none is stated.
+        r2, rmse_deg, bias_deg: coefficient of determination, root mean square and mean error
+            [deg] of bent, untouched frames.
+        touched_rmse_deg, touched_bias_deg: the errors [deg] of touched frames, flat and bent.
+        calibration: consistency of the standard errors of all frames; None without any.
     """
 
     r2: float | None
@@ -50,16 +52,17 @@ class BendScore:
 
 @dataclass(frozen=True, slots=True)
 class TouchScore:
-    """Touches found in a group of touched frames.
+    """Localisation of the touches in a group of touched frames.
 
     Attributes:
-        frames: how many there are.
-        mean_error_mm, deviation_mm: of matched touches, with the standard deviation.
-        median_error_mm, p95_error_mm: of the same; the 95th percentile.
+        frames: number of frames.
+        mean_error_mm, deviation_mm: mean and standard deviation of the distances between matched
+            positions [mm]; None without matches.
+        median_error_mm, p95_error_mm: median and 95th percentile of the distances [mm].
         found: share of the true touches that were matched.
-        false_per_touch: found touches that match none, per true touch.
-        ssim: of the picture with the static and the dynamic reference, of the touch map, and of
-            an empty picture.
+        false_per_touch: found touches without a match, per true touch.
+        ssim: mean SSIM of the reconstructions with the static and the dynamic reference, of the
+            touch map, and of an image of zeros.
     """
 
     frames: int
@@ -74,12 +77,12 @@ class TouchScore:
 
 @dataclass(frozen=True, slots=True)
 class UntouchedScore:
-    """Touches found where there are none.
+    """False touches in untouched frames.
 
     Attributes:
-        frames: idle and bent ones.
-        touched: share of them in which any touch was found.
-        touches: how many touches were found in all of them.
+        frames: number of idle and bent frames.
+        touched: share of these frames with a false touch.
+        touches: number of false touches.
     """
 
     frames: int
@@ -89,10 +92,10 @@ class UntouchedScore:
 
 @dataclass(frozen=True, slots=True)
 class ForceScore:
-    """Forces of matched touches, where the truth and the method both say one.
+    """Errors of the forces of matched touches with a true and an estimated force.
 
     Attributes:
-        touches: how many.
+        touches: number of touches.
         mean_error_n, bias_n: mean of the absolute and of the signed error [N].
     """
 
@@ -103,7 +106,7 @@ class ForceScore:
 
 @dataclass(frozen=True, slots=True)
 class LatencyScore:
-    """Time of `Pipeline.process` per frame [ms], on one thread."""
+    """Median and 99th percentile of the time of `Pipeline.process` per frame [ms]."""
 
     p50_ms: float
     p99_ms: float
@@ -111,15 +114,15 @@ class LatencyScore:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """Everything that `evaluate` measures.
+    """All scores of an evaluation.
 
     Attributes:
-        frames: how many.
-        states, bend, latency: see their classes.
+        frames: number of frames.
+        states, bend, latency: of all frames.
         touches: of frames with "1" to "4" touches, with "several", and with any on a "bent" sensor.
-        untouched: None without such frames.
-        force: None where forces are not known or not estimated.
-        place_calibration: of the stated standard errors of places; None where none is stated.
+        untouched: of untouched frames; None without any.
+        force: None for forces that are not known or not estimated.
+        place_calibration: consistency of the standard errors of positions; None without any.
     """
 
     frames: int
@@ -132,5 +135,5 @@ class Report:
     latency: LatencyScore
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain data, as JSON takes it."""
+        """The report as JSON takes it."""
         return asdict(self)

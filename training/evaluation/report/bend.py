@@ -1,4 +1,4 @@
-"""Pictures of the bend angle: against the truth, and over time."""
+"""Figures of the bend angle: estimated over true angle, and over time."""
 
 from typing import Any
 
@@ -26,10 +26,10 @@ Mask = NDArray[np.bool_]
 
 
 def bend_angles(evaluation: Evaluation) -> CaptionedFigure | NoFigure:
-    """Estimated over true angle, and the histogram of the errors."""
+    """Scatter plot of estimated over true angle, and histogram of the errors."""
     data = evaluation.dataset
     true = data.bend_angle_deg.astype(float)
-    estimated = evaluation.perceived.bend_angle_deg
+    estimated = evaluation.predictions.bend_angle_deg
     groups = {
         "bent, untouched": (_known(true) & (data.state == State.BEND), BLUE),
         "touched, flat or bent": (_known(true) & (data.state == State.TOUCH), ORANGE),
@@ -61,7 +61,7 @@ def bend_angles(evaluation: Evaluation) -> CaptionedFigure | NoFigure:
 
 
 def _histogram(axes: Any, errors: dict[str, Array], colours: dict[str, str]) -> None:
-    """Densities of the errors of every group on one axis."""
+    """Histograms of the errors of every group on one axis."""
     widest = max(float(np.percentile(np.abs(error), 99)) for error in errors.values())
     limit = 1.1 * (widest or 1.0)
     bins = np.linspace(-limit, limit, 42)
@@ -76,17 +76,17 @@ def _histogram(axes: Any, errors: dict[str, Array], colours: dict[str, str]) -> 
 
 
 def bend_sequence(evaluation: Evaluation) -> CaptionedFigure | NoFigure:
-    """The angle over time in the longest episode in which the sensor moves."""
+    """Angle and its error over time in the longest episode in which the sensor moves."""
     frames = _longest_sequence(evaluation)
     if frames is None:
         return NoFigure(
             f"no episode of at least {SHORTEST_SEQUENCE} frames moves by more than "
             f"{LEAST_MOVED:g} deg; a dataset from a recipe with episodes, as paper_bending, has one"
         )
-    data, perceived = evaluation.dataset, evaluation.perceived
+    data, predictions = evaluation.dataset, evaluation.predictions
     time, true = data.time[frames], data.bend_angle_deg[frames].astype(float)
-    estimated, touched = perceived.bend_angle_deg[frames], data.state[frames] == State.TOUCH
-    deviation = perceived.bend_deviation_deg[frames]
+    estimated, touched = predictions.bend_angle_deg[frames], data.state[frames] == State.TOUCH
+    deviation = predictions.bend_deviation_deg[frames]
     figure = new_figure(10.0, 5.2)
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=[2, 1])
     above.plot(time, true, color=DARK, linewidth=1.0, label="true", zorder=1)
@@ -111,7 +111,7 @@ def bend_sequence(evaluation: Evaluation) -> CaptionedFigure | NoFigure:
 
 
 def _longest_sequence(evaluation: Evaluation) -> NDArray[np.int64] | None:
-    """Frames of the longest episode that moves, in time; None where none is long enough."""
+    """Frames of the longest moving episode in order of time; None if all are too short."""
     data = evaluation.dataset
     usable = np.flatnonzero(_known(data.bend_angle_deg))
     episodes, sizes = np.unique(data.episode[usable], return_counts=True)

@@ -1,4 +1,4 @@
-"""Pictures of how training went and how states are told apart."""
+"""Figures of the learning curves and of the confusion matrix."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -28,12 +28,12 @@ def learning_curves(pipeline: Pipeline) -> Mapping[str, LearningCurve]:
 
 
 def training_curves(evaluation: Evaluation) -> CaptionedFigure | NoFigure:
-    """Loss per epoch of every network of the pipeline that was evaluated."""
+    """Learning curves of the evaluated pipeline."""
     return loss_curves(evaluation.pipeline)
 
 
 def loss_curves(pipeline: Pipeline) -> CaptionedFigure | NoFigure:
-    """Loss per epoch of every network."""
+    """Learning curves of every network of a pipeline."""
     networks = learning_curves(pipeline)
     if not networks:
         return NoFigure(
@@ -76,7 +76,7 @@ def _curve(axes: Any, losses: tuple[float, ...], label: str, colour: str) -> Non
 
 
 def confusion_matrix(evaluation: Evaluation) -> CaptionedFigure | NoFigure:
-    """Shares of the estimated states in the frames of every true state."""
+    """Confusion matrix of the state, normalised by row, with counts."""
     counts = np.array(evaluation.report.states.confusion)
     totals = counts.sum(axis=1, keepdims=True)
     if not totals.any():

@@ -1,4 +1,4 @@
-"""How the pictures of a report look, and what drawing one gives."""
+"""Style of the figures of a report, and the outline of a sensor in them."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -41,7 +41,7 @@ _STYLE = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CaptionedFigure:
-    """A matplotlib figure, and what it shows in words."""
+    """A matplotlib figure and its caption."""
 
     figure: Any
     caption: str
@@ -49,26 +49,26 @@ class CaptionedFigure:
 
 @dataclass(frozen=True, slots=True)
 class NoFigure:
-    """Why there is nothing to draw."""
+    """Reason for a figure that is left out."""
 
     why: str
 
 
 @contextmanager
 def style() -> Iterator[None]:
-    """The look of all pictures, while they are drawn and saved; the program's own afterwards."""
+    """Context in which figures are drawn and saved with the style of the report."""
     with require("matplotlib", EXTRA).rc_context(_STYLE):
         yield
 
 
 def new_figure(width: float, height: float) -> Any:
-    """An empty figure of this size [inch] that no window knows of."""
+    """Empty figure of this size [inch], without a window."""
     figure = require("matplotlib.figure", EXTRA).Figure
     return figure(figsize=(width, height), layout="constrained")
 
 
 def draw_sensor(axes: Any, design: SensorDesign) -> None:
-    """Outline of the conductive layer and its electrodes from above, in mm."""
+    """Draw the outline of the conductive layer and its electrodes from above, in mm."""
     outline = design.outline
     margin = 0.03 * outline.length * 1e3
     if not isinstance(outline, Surface):

@@ -1,4 +1,4 @@
-"""The report folder: figures, table and pictures of an evaluation, each a file of its own."""
+"""Report folder of an evaluation: figures as images, and all numbers as JSON and Markdown."""
 
 import json
 from collections.abc import Callable, Mapping
@@ -38,10 +38,10 @@ _REMEDY = "make room or choose another folder, and write the report again"
 
 
 def require_report_folder(folder: Path) -> None:
-    """Make the folder, and refuse one where no report can be, before the work of measuring.
+    """Make the folder of a report, before the evaluation.
 
-    Raises ConfigurationError for a place that cannot be made a folder, and for a folder that holds
-    other things than an earlier report, which is replaced; ImportError without matplotlib.
+    Raises ConfigurationError for a folder that cannot be made, or that holds anything but an
+    earlier report, which is replaced; ImportError without matplotlib.
     """
     require("matplotlib", EXTRA)
     try:
@@ -59,15 +59,16 @@ def require_report_folder(folder: Path) -> None:
 
 
 def write_report(evaluation: Evaluation, folder: str | Path, made_with: Mapping[str, str]) -> Path:
-    """Write pictures, report.json and report.md; an earlier report there is replaced.
+    """Write figures, report.json and report.md, replacing an earlier report; returns the folder.
 
     Args:
-        evaluation: what to report.
-        folder: made where it is not there.
+        evaluation: the evaluation to report.
+        folder: made if missing.
         made_with: provenance that only the caller knows: machine, versions, date.
 
-    Raises ConfigurationError as `require_report_folder`, and PartialError where the folder cannot
-    be written to any more; files that are there then are whole.
+    Raises:
+        ConfigurationError: as `require_report_folder`.
+        PartialError: for a folder that can no longer be written to; its files are whole.
     """
     folder = Path(folder)
     require_report_folder(folder)
@@ -104,7 +105,7 @@ def _write(path: Path, text: str) -> None:
 
 
 def provenance(evaluation: Evaluation) -> dict[str, Any]:
-    """What was measured on what."""
+    """Provenance of an evaluation: method, training set and test frames."""
     pipeline, data = evaluation.pipeline, evaluation.dataset
     return {
         "method": pipeline.method.KIND,
@@ -118,13 +119,16 @@ def provenance(evaluation: Evaluation) -> dict[str, Any]:
 
 
 def markdown(evaluation: Evaluation, document: Mapping[str, Any]) -> str:
-    """The report for people."""
-    lines = ["# How good the pipeline is", ""]
+    """The report as Markdown."""
+    lines = ["# Evaluation of a pipeline", ""]
     lines += [f"- {name}: {value}" for name, value in document["provenance"].items()]
     lines += ["", "| " + " | ".join(HEADINGS) + " |", "|---|---|---|"]
     lines += ["| " + " | ".join(row) + " |" for row in table_rows(evaluation.report)]
     lines += ["", SSIM_DEFINITION, ""]
-    lines += ["Errors of places are of touches matched by the Hungarian method within 15 mm.", ""]
+    lines += [
+        "Errors of positions are those of touches matched by the Hungarian method within 15 mm.",
+        "",
+    ]
     for name, caption in document["pictures"].items():
         lines += [f"![{name.removesuffix('.png').replace('_', ' ')}]({name})", "", caption, ""]
     if document["left_out"]:

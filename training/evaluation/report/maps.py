@@ -1,4 +1,4 @@
-"""Pictures of touch maps: the truth, both reconstructions and what is made of them."""
+"""Figures of touch maps beside the truth and both reconstructions."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -32,26 +32,28 @@ Maps = NDArray[np.float32]
 
 @dataclass(frozen=True, slots=True)
 class _Row:
-    """One frame of a picture, and what is written beside it."""
+    """One frame of a figure, and its label."""
 
     frame: int
     label: str
 
 
 def touch_maps_by_angle(evaluation: Evaluation) -> CaptionedFigure | NoFigure:
-    """One touch at the angles of the paper, as far as there are frames near them."""
+    """Touch maps of one touch at the angles of the paper that have frames near them."""
     rows: list[_Row] = []
     for wanted in ANGLES_DEG:
         frame = _nearest(evaluation, 1, wanted)
         if frame is not None and all(row.frame != frame for row in rows):
             rows.append(_Row(frame, _degrees(evaluation, frame)))
     if not rows:
-        return NoFigure("no frame has exactly one touch of known place and radius at a known angle")
+        return NoFigure(
+            "no frame has exactly one touch of known position and radius at a known angle"
+        )
     return _drawn(evaluation, rows, "One touch at several bend angles")
 
 
 def touch_maps_by_count(evaluation: Evaluation) -> CaptionedFigure | NoFigure:
-    """One to four touches on the sensor bent by 30 deg."""
+    """Touch maps of one to four touches on the sensor bent by 30 deg."""
     rows: list[_Row] = []
     for count in range(1, evaluation.dataset.touch_x.shape[1] + 1):
         frame = _nearest(evaluation, count, SEVERAL_DEG)
@@ -59,7 +61,7 @@ def touch_maps_by_count(evaluation: Evaluation) -> CaptionedFigure | NoFigure:
             rows.append(_Row(frame, f"{count} at\n{_degrees(evaluation, frame)}"))
     if not rows:
         return NoFigure(
-            f"no touched frame of known places and radii is within {NEAR_DEG:g} deg of "
+            f"no touched frame of known positions and radii is within {NEAR_DEG:g} deg of "
             f"{SEVERAL_DEG:g} deg"
         )
     return _drawn(evaluation, rows, f"One to four touches near {SEVERAL_DEG:g} deg")
@@ -71,7 +73,7 @@ def _degrees(evaluation: Evaluation, frame: int) -> str:
 
 
 def _nearest(evaluation: Evaluation, count: int, angle_deg: float) -> int | None:
-    """The frame with so many touches that is nearest to an angle; None where none is near."""
+    """Frame with `count` touches nearest to an angle; None beyond `NEAR_DEG`."""
     data = evaluation.dataset
     drawable = np.isfinite(evaluation.similarity.get("touch_map", np.full(len(data), np.nan)))
     away = np.abs(data.bend_angle_deg.astype(float) - angle_deg)
@@ -81,9 +83,9 @@ def _nearest(evaluation: Evaluation, count: int, angle_deg: float) -> int | None
 
 
 def _drawn(evaluation: Evaluation, rows: list[_Row], title: str) -> CaptionedFigure:
-    """The pictures of the frames of `rows`, a column for each kind."""
+    """Grid of images, a row for each frame and a column for each kind."""
     frames = evaluation.dataset.select([row.frame for row in rows])
-    post_processed = evaluation.perceived.touch_map[[row.frame for row in rows]]
+    post_processed = evaluation.predictions.touch_map[[row.frame for row in rows]]
     shape = post_processed.shape
     pictures = {"truth": contact_maps(frames, evaluation.pipeline, shape)}
     pictures |= {**reconstructions(evaluation.pipeline, frames), "touch_map": post_processed}
@@ -110,11 +112,11 @@ def _drawn(evaluation: Evaluation, rows: list[_Row], title: str) -> CaptionedFig
         " Reconstructions, against the flat sensor and against the bent one, are scaled to their "
         "largest magnitude."
         if "static" in names
-        else " The method reconstructs no pictures from either reference."
+        else " The method makes no reconstructions."
     )
     return CaptionedFigure(
         figure,
-        f"{title}: the frame nearest to each angle, not a chosen one. Circles: the true touches; "
+        f"{title}: the frame nearest to each angle, without selection. Circles: the true touches; "
         f"crosses: those found.{scaled} {SSIM_DEFINITION}",
     )
 
@@ -136,7 +138,7 @@ def _panel(axes: Any, values: Maps, size: tuple[float, float]) -> Any:
 
 
 def _mark(axes: Any, evaluation: Evaluation, frame: int, name: str) -> None:
-    """Where the touches are and were found, and how alike the picture is."""
+    """Mark true and found touches, and write the SSIM."""
     data = evaluation.dataset
     circle = require("matplotlib.patches", EXTRA).Circle
     halo = require("matplotlib.patheffects", EXTRA).withStroke(linewidth=2.2, foreground="white")
@@ -144,7 +146,7 @@ def _mark(axes: Any, evaluation: Evaluation, frame: int, name: str) -> None:
     for x, y, radius in 1e3 * touches[np.isfinite(touches[:, 0])]:
         axes.add_patch(circle((x, y), radius, fill=False, edgecolor=DARK, linewidth=0.7))
     if name == "touch_map":
-        found = 1e3 * evaluation.perceived.touches[frame].place
+        found = 1e3 * evaluation.predictions.touches[frame].place
         axes.plot(*found.T, "x", color=DARK, markersize=5, markeredgewidth=1.2, path_effects=[halo])
     if name in evaluation.similarity:
         text = f"SSIM {evaluation.similarity[name][frame]:.2f}"

@@ -1,4 +1,4 @@
-"""Pictures of where touches are found: error vectors over the sensor, and how long they are."""
+"""Figures of localisation: error vectors over the sensor, and histogram of the errors."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,54 +19,54 @@ from eitskin.training.evaluation.report.drawing import (
 )
 
 MOST_VECTORS = 240  # more would hide each other
-SAME_PLACE = 1e-4  # m
 
 Array = NDArray[np.float64]
 
 
 def error_vectors(evaluation: Evaluation) -> CaptionedFigure | NoFigure:
-    """From the place of every single touch to where it was found."""
+    """Error vectors of all single touches, from true to found position."""
     data, matches = evaluation.dataset, evaluation.matches
     single = np.flatnonzero(data.touch_count == 1)[:MOST_VECTORS]
     if not single.size:
-        return NoFigure("no frame has exactly one touch of known place")
+        return NoFigure("no frame has exactly one touch of known position")
     mine = np.isin(matches.frame, single)
     true, found = 1e3 * matches.true[mine], 1e3 * matches.found[mine]
     missed = np.setdiff1d(single, matches.frame[mine])
     figure = new_figure(9.6, 4.7)
     axes = figure.subplots()
     draw_sensor(axes, evaluation.pipeline.layout.design)
-    places = 1e3 * _places(evaluation, single)
+    true_positions = 1e3 * _positions(evaluation, single)
+    distinct = len(np.unique(np.round(true_positions, 1), axis=0))
     plus = {"s": 60, "marker": "+", "color": DARK, "linewidths": 1.0, "zorder": 5}
-    axes.scatter(*places.T, label="true place", **plus)
+    axes.scatter(*true_positions.T, label="true position", **plus)
     segments = require("matplotlib.collections", EXTRA).LineCollection
     lines = np.stack([true, found], axis=1)
     axes.add_collection(segments(lines, color=BLUE, alpha=0.7, linewidths=0.9, zorder=3))
     axes.scatter(*found.T, s=12, color=BLUE, linewidths=0, zorder=4, label="found there")
     if missed.size:
-        lost = 1e3 * _places(evaluation, missed)
+        lost = 1e3 * _positions(evaluation, missed)
         ring = {"s": 150, "facecolors": "none", "edgecolors": ORANGE, "linewidths": 1.4}
         axes.scatter(*lost.T, label="missed at least once", zorder=2, **ring)
     axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal")
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
     return CaptionedFigure(
         figure,
-        f"{len(single)} single touches at {len(np.unique(np.round(places, 1), axis=0))} places, to "
-        f"scale: a line leads from the true place to the one found; {missed.size} were missed. "
+        f"{len(single)} single touches at {distinct} positions, to scale: a line leads from the "
+        f"true to the found position; {missed.size} were missed. "
         "Grey: the sensor's outline and its electrodes.",
     )
 
 
-def _places(evaluation: Evaluation, frames: NDArray[np.int64]) -> Array:
-    """Where the one touch of each frame is (n, 2) [m]."""
+def _positions(evaluation: Evaluation, frames: NDArray[np.int64]) -> Array:
+    """Position (n, 2) [m] of the one touch of each frame."""
     data = evaluation.dataset
     touches = np.stack([data.touch_x, data.touch_y], axis=2)[frames].astype(float)
-    places: Array = np.nanmax(touches, axis=1)
-    return places
+    positions: Array = np.nanmax(touches, axis=1)
+    return positions
 
 
 def localisation_errors(evaluation: Evaluation) -> CaptionedFigure | NoFigure:
-    """Histogram of the distances of all matched touches."""
+    """Histogram of the localisation errors of all matched touches."""
     error = 1e3 * evaluation.matches.error
     if not len(error):
         return NoFigure("no touch was matched to a true one")
@@ -82,7 +82,7 @@ def localisation_errors(evaluation: Evaluation) -> CaptionedFigure | NoFigure:
     }
     for label, (value, colour, line) in figures.items():
         axes.axvline(value, color=colour, linestyle=line, linewidth=1.6, label=label)
-    axes.set(xlabel="distance between true and found place [mm]", ylabel="share of touches [%]")
+    axes.set(xlabel="distance between true and found position [mm]", ylabel="share of touches [%]")
     axes.set_xlim(0, upper)
     axes.legend()
     return CaptionedFigure(

@@ -1,4 +1,4 @@
-"""The paper's table with what a pipeline reaches beside it, as rows of words."""
+"""The paper's results and those of a report, side by side, as rows of text."""
 
 from collections.abc import Iterator
 
@@ -21,7 +21,7 @@ PICTURES = {
 
 
 def table_rows(report: Report) -> Iterator[Row]:
-    """What is measured, what the paper gives and what `report` does."""
+    """Rows of experiment, result of the paper and result of `report`."""
     yield from _touch_rows(report)
     yield from _state_rows(report)
     yield from _bend_rows(report)
@@ -92,5 +92,5 @@ def _consistency(found: Consistency) -> str:
 
 
 def _figure(value: float | None, form: str) -> str:
-    """`value` in its form; a dash where there is none."""
+    """`value` in a format; a dash for none."""
     return "-" if value is None else form.format(value)
