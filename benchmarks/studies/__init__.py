@@ -1,1 +1,1 @@
-"""Single measurements that pages quote; run from a checkout, not part of the wheel."""
+"""Studies: measurements that only pages quote, run from a checkout and not part of the wheel."""

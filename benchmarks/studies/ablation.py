@@ -1,4 +1,4 @@
-"""What each part of the joint method buys, and what it costs per frame.
+"""Ablation of the joint method: errors and time per frame without each of its parts.
 
     python -m eitskin.benchmarks.studies.ablation DATASET [--pipeline NAME.eitmodel] [--frames 400]
 
@@ -57,7 +57,7 @@ def main() -> None:
 
 
 def variants(method: JointMethod) -> Iterator[tuple[str, Places]]:
-    """The method, and the method less one part each."""
+    """Variants: the whole method, and the method without one part each."""
     silent = dataclasses.replace(
         method.proposals, biases=(*method.proposals.biases[:-1], method.proposals.biases[-1] - 50.0)
     )
@@ -85,12 +85,12 @@ def variants(method: JointMethod) -> Iterator[tuple[str, Places]]:
 
 
 def fitted(method: JointMethod) -> Places:
-    """What the method finds."""
+    """Touches found by the method."""
     return lambda frame: method.perceive(frame).touches[0].place
 
 
 def proposed(method: JointMethod) -> Places:
-    """What its network proposes, as it is."""
+    """Touches proposed by the network, without the fit."""
 
     def places(frame: Observations) -> Array:
         change = np.log1p(frame.dynamic[0])

@@ -1,4 +1,4 @@
-"""The kinematic bend against the 3D one.
+"""Kinematic bend models against the 3D bend.
 
 Run by `python -m eitskin.benchmarks.studies.bends`.
 
@@ -43,7 +43,7 @@ MESHES = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solved:
-    """The 3D model at one angle.
+    """Solution of the 3D model at one angle.
 
     Attributes:
         bent: the equilibrium.
@@ -67,7 +67,7 @@ def signal(sim: Simulator, deformation: Deformation) -> Array:
 def solved(
     sim: Simulator, stack: ClampedStack, angles_deg: Sequence[float]
 ) -> tuple[list[Solved], list[str]]:
-    """The 3D model at all angles that it reaches, and why it does not reach the others."""
+    """Solutions of the 3D model at all angles it reaches, and the reasons for the other angles."""
     found, refused = [], []
     downwards = sorted((a for a in angles_deg if a < 0.0), reverse=True)
     for path in (downwards, sorted(a for a in angles_deg if a >= 0.0)):
@@ -123,7 +123,7 @@ def between(
 
 
 def print_solved(references: Sequence[Solved], refused: Sequence[str]) -> None:
-    """What the 3D model gives, and where it does not go on."""
+    """Print results of the 3D model, and where it stops."""
     print_head("3D", ("angle", *SOLVED, "solve [s]", "frame [s]"))
     for s in references:
         print(
@@ -135,7 +135,7 @@ def print_solved(references: Sequence[Solved], refused: Sequence[str]) -> None:
 
 
 def print_meshes(sim: Simulator, references: Sequence[Solved], angle_deg: float) -> None:
-    """How much the signal at one of the angles changes on finer meshes."""
+    """Print the change of the signal at one angle on finer meshes."""
     used = next(s.signal for s in references if s.bent.angle_deg == angle_deg)
     for grading in MESHES[1:]:
         ((finer,), _) = solved(sim, ClampedStack(sim.design, grading=grading), (angle_deg,))
@@ -148,7 +148,7 @@ def print_meshes(sim: Simulator, references: Sequence[Solved], angle_deg: float)
 
 
 def print_kinematic(sim: Simulator, references: Sequence[Solved]) -> None:
-    """How far kinematic models are from the 3D one."""
+    """Print the errors of kinematic models against the 3D model."""
     angles = (f"{s.bent.angle_deg:g}" for s in references)
     print_head("kinematic", ("bends, transition [mm], contraction", *angles, "mean"))
     hinges = [
@@ -167,7 +167,7 @@ def print_kinematic(sim: Simulator, references: Sequence[Solved]) -> None:
 
 
 def print_head(title: str, columns: Sequence[str]) -> None:
-    """Of a table in Markdown."""
+    """Print the head of a table in Markdown."""
     print(f"\n## {title}\n", f"| {' | '.join(columns)} |", "|---" * len(columns) + "|", sep="\n")
 
 

@@ -1,4 +1,4 @@
-"""What damage does to the line between board and host.
+"""Damage on the line between board and host.
 
 Run by `python -m eitskin.benchmarks.studies.board_fuzz`.
 
@@ -51,7 +51,7 @@ REFUSED = {"wrong_table": "expected board"}
 
 @dataclass
 class Struck:
-    """What the host made of one fault, over many random times.
+    """Frames and errors at the host under one fault at many random times.
 
     Attributes:
         rounds: how often it struck.
@@ -96,7 +96,7 @@ def strike(name: str, rounds: int, seed: int, sensor: Simulator) -> Struck:
 
 
 def _struck_frames(board: VirtualBoard, name: str, rng: random.Random) -> list[Frame]:
-    """The frames of a board in which the fault strikes after some of them."""
+    """Frames of a board in which the fault strikes after some of them."""
     stage = board.stage
     away = 0
 
@@ -136,7 +136,7 @@ def _count(board: Board, found: Struck) -> None:
 
 @dataclass
 class Cable:
-    """What pulling and putting back the cable did; times in s.
+    """Effect of pulling and putting back the cable; times in s.
 
     Attributes:
         noticed: from pulling until the host knew, of each round.
@@ -197,7 +197,7 @@ def _holdings() -> tuple[int, int, float]:
 
 
 def report(total: int, rounds: int, cables: int, seed: int) -> Iterator[str]:
-    """The lines of the report, as they are known."""
+    """Lines of the report, as they are known."""
     yield f"Measured on {Provenance.now(seed)}\n"
     began = time.perf_counter()
     codec = fuzz_codec(total, seed)

@@ -1,4 +1,4 @@
-"""How well touches and bends can be known at all.
+"""Cramer-Rao bounds of touches and bends of the reference sensor.
 
 Run by `python -m eitskin.benchmarks.studies.cramer_rao`.
 
@@ -60,7 +60,7 @@ NODES = np.arange(0.006, 0.0811, 0.003), np.arange(0.006, 0.0361, 0.003)
 
 @dataclass(frozen=True, slots=True)
 class BoundRow:
-    """The bound of one touch, or of the angle of a scene without.
+    """Bound of one touch, or of the angle of an untouched scene.
 
     Attributes:
         experiment: "positions", "random" or "angle".
@@ -177,7 +177,7 @@ def random_table(rows: Sequence[BoundRow]) -> str:
 
 
 def angle_table(rows: Sequence[BoundRow]) -> str:
-    """Of the untouched sensor, by angle."""
+    """Table of the bounds of the untouched sensor, by angle."""
     cases = list(itertools.product(REFERENCES, (True, False)))
     drift = {True: "", False: ", unknown drift"}
     lines = [["angle [deg]", *(f"{reference}{drift[known]}" for reference, known in cases)]]
@@ -230,7 +230,7 @@ def quarter_map(sim: Simulator) -> Array:
 
 
 def logarithms(sim: Simulator, force: float, angle_deg: float) -> Array:
-    """Of the resistances under a touch at each of the `NODES`, (y, x, measurements)."""
+    """Logarithms of the resistances under a touch at each of the `NODES`, (y, x, measurements)."""
     x, y = NODES
     scenes = [Scene(Bend(angle_deg), (Touch(a, b, force),)) for b in y for a in x]
     measured = sim.measure_all(scenes, EXACT).real

@@ -1,4 +1,4 @@
-"""The picture of `benchmarks.cramer_rao`: how well a touch can be placed, over the sensor."""
+"""Plot of the Cramer-Rao bound of a touch's position over the sensor."""
 
 from pathlib import Path
 

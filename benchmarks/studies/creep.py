@@ -1,4 +1,4 @@
-"""How presses creep and what lingers.
+"""Creep of held presses and recovery after release.
 
 Run by `python -m eitskin.benchmarks.studies.creep`.
 
@@ -48,12 +48,12 @@ def main() -> None:
 
 
 def press(mechanics: Mechanics | None = None) -> AxisymmetricPress:
-    """The cylinder on the reference stack."""
+    """Press by the cylinder on the reference stack."""
     return AxisymmetricPress((mechanics or Mechanics()).stack(SensorDesign.reference()), Cylinder())
 
 
 def shares() -> None:
-    """Of the force, at the depths of some forces."""
+    """Shares of the layers in the force, at the depths of some forces."""
     print("\n## share of the force\n")
     print(
         "| force | encapsulation below | gel | above | G at infinite time |\n|---|---|---|---|---|"
@@ -80,7 +80,7 @@ def layer_shares(press: AxisymmetricPress, depth: float, step: float = 0.02) -> 
 
 
 def relaxed_stack() -> None:
-    """One elastic force against the stack of relaxed moduli, under the same force."""
+    """Compare one elastic force with the stack of relaxed moduli under the same force."""
     gel, silicone = (float(material.relaxation(np.inf)) for material in (GEL, ECOFLEX))
     soft = Mechanics(NeoHookean(20e3 * gel), NeoHookean(28e3 * silicone))
     print("\n## all relaxed\n")
@@ -93,7 +93,7 @@ def relaxed_stack() -> None:
 
 
 def over_time() -> None:
-    """A press of 10 N while it acts, and after it has acted for HELD seconds."""
+    """Print a press of 10 N while it is held, and after its release at HELD seconds."""
     force = FORCES[-1]
     print(f"\n## {force:g} N, held\n\n| held for | elastic force | depth | gel thinner by ", end="")
     print("| force at a held depth |\n|---|---|---|---|---|")
@@ -117,7 +117,7 @@ def over_time() -> None:
 
 
 def run_times() -> None:
-    """Of a creep function, of a long recording and of a frame."""
+    """Run times of a creep function, of a long recording and of a frame."""
     start = time.perf_counter()
     for term in range(100):
         _ = Prony(REFERENCE.amplitudes, (*REFERENCE.times[:-1], 200.0 + term)).dual

@@ -1,4 +1,4 @@
-"""What the codec makes of random and mutated bytes."""
+"""Fuzzing of the codec by random and mutated bytes."""
 
 import itertools
 import random
@@ -13,7 +13,7 @@ from eitskin.hardware.protocol.packets import MAX_PACKET, Decoder, encode
 
 @dataclass
 class Codec:
-    """What became of the bytes that the decoder was fed.
+    """Counts of bytes fed to the decoder and of its results.
 
     Attributes:
         fed: bytes.
@@ -83,7 +83,7 @@ def _packet(number: int) -> bytes:
 
 
 def _damaged(rng: random.Random, packet: bytes) -> bytes:
-    """What a bad line makes of a packet; random bytes and long ones among them."""
+    """Damaged versions of a packet, with random and overlong bytes among them."""
     place, length = rng.randrange(len(packet)), rng.randrange(1, 40)
     noise = rng.randbytes(length)
     flipped = bytearray(packet)

@@ -1,4 +1,4 @@
-"""What each term of the instrument does.
+"""Errors of each term of the instrument model.
 
 Run by `python -m eitskin.benchmarks.studies.instrument`.
 
@@ -82,7 +82,7 @@ def effect(
     pressed: Complex,
     sessions: int = SESSIONS,
 ) -> Effect:
-    """What an instrument does to the flat frame (pairs,) and the pressed ones (presses, pairs)."""
+    """Effect of an instrument on the flat frame (pairs,) and pressed frames (presses, pairs)."""
     truth = pressed.real / flat.real - 1.0
     frames = np.concatenate((flat[None], pressed))
     times = np.array([0.0] + [AGE] * len(pressed))

@@ -1,4 +1,4 @@
-"""What pipelines reach that are trained for layouts of electrodes, beside the layouts' bounds.
+"""Accuracy of pipelines trained for electrode layouts, beside the layouts' Cramer-Rao bounds.
 
 Each layout gets frames of the same scenes, by recipes that differ in the electrodes alone, and a
 pipeline that is trained on them in the same way. It is tested on sensors that it was not trained
@@ -45,7 +45,7 @@ _TEST_SEEDS = 1000  # added to the seed of training for other scenes, sensors an
 
 @dataclass(frozen=True, slots=True)
 class Lesson:
-    """How much each pipeline is trained on and tested with.
+    """Amount of frames that each pipeline is trained on and tested with.
 
     Attributes:
         sensors: that are trained with; as many idle frames are.
@@ -71,7 +71,7 @@ class Lesson:
     seed: int = 0
 
     def training(self, design: SensorDesign) -> Recipe:
-        """Frames of sensors that differ as those of the recipe `training` do."""
+        """Recipe of frames of sensors that differ as in the recipe `training`."""
         return self._recipe(
             design,
             self.seed,
@@ -85,7 +85,7 @@ class Lesson:
         )  # fmt: skip
 
     def testing(self, design: SensorDesign) -> Recipe:
-        """Frames of other sensors: bent ones, and flat ones that are pressed as for the bounds."""
+        """Recipe of frames of other sensors: bent ones, and flat ones pressed as for the bounds."""
         return self._recipe(
             design,
             self.seed + _TEST_SEEDS,
@@ -118,7 +118,7 @@ QUICK = Lesson(
 
 @dataclass(frozen=True, slots=True)
 class Learned:
-    """What a pipeline reaches on sensors that it was not trained with.
+    """Scores of a pipeline on sensors that it was not trained with.
 
     Attributes:
         layout: its name.
@@ -151,7 +151,7 @@ class Learned:
 
 @dataclass(frozen=True, slots=True)
 class Training:
-    """What pipelines reach that were trained for some layouts, and what with."""
+    """Scores of the pipelines of some layouts, and their provenance."""
 
     learned: tuple[Learned, ...]
     provenance: Provenance
@@ -159,7 +159,7 @@ class Training:
 
 
 def one_sided() -> Layout:
-    """Eight electrodes along one long side, which say little of the other."""
+    """Layout of eight electrodes along one long side, insensitive at the other."""
     pitch = SIZE[0] / 8
     row = [Electrode(pitch * (i + 0.5), 0.0) for i in range(8)]
     return with_electrodes("8 along one side", row)
@@ -248,7 +248,7 @@ def _frames(folder: Path, recipe: Recipe) -> Dataset:
 
 
 def _path(judged: tuple[Layout, SheetBound], folder: Path, lesson: Lesson) -> Path:
-    """Named by a hash of all that decides over the result."""
+    """Path named by a hash of all inputs of the result."""
     layout, bound = judged
     recipes = [each(layout.design).to_toml() for each in (lesson.training, lesson.testing)]
     asked = (_VERSION, *recipes, dataclasses.asdict(lesson), bound.place.tolist())
@@ -279,7 +279,7 @@ def _learn(judged: tuple[Layout, SheetBound], path: Path, lesson: Lesson) -> Non
 def scored(
     layout: Layout, bound: SheetBound, pipeline: Pipeline, testing: Dataset, seconds: float
 ) -> Learned:
-    """What a pipeline reaches on the frames of a test, beside the bound of its layout."""
+    """Scores of a pipeline on test frames, beside the bound of its layout."""
     found = Evaluation.of(pipeline, testing)
     distance, place = 1e3 * found.matches.error, 1e3 * bound.place
     some = len(distance) > 0

@@ -1,4 +1,4 @@
-"""What `eitskin bench layouts --trained` writes: a table for people, CSV, JSON and a picture."""
+"""Files of `eitskin bench layouts --trained`: a table for people, CSV, JSON and a plot."""
 
 import dataclasses
 import json
@@ -48,13 +48,13 @@ def table(trained: Training) -> Iterator[tuple[str, ...]]:
 
 
 def rank_correlation(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
-    """Spearman's: 1 where both have the same order, -1 where one has the other's reversed."""
+    """Spearman's rank correlation: 1 for the same order, -1 for the reversed order."""
     first, second = (np.argsort(np.argsort(values)) for values in (one, other))
     return float(np.corrcoef(first, second)[0, 1])
 
 
 def sentences(trained: Training) -> Iterator[str]:
-    """Whether the errors have the order of the bounds, and what all was made with."""
+    """Sentences on the order of errors and bounds, and the provenance."""
     some = [each for each in trained.learned if each.error_rms_mm is not None]
     if len(some) > 2:
         bounds, errors = (
@@ -73,7 +73,7 @@ def sentences(trained: Training) -> Iterator[str]:
 
 
 def as_data(trained: Training) -> dict[str, Any]:
-    """Everything as plain data."""
+    """Scores as plain data."""
     return {
         "provenance": dataclasses.asdict(trained.provenance),
         "quick": trained.quick,
@@ -82,7 +82,7 @@ def as_data(trained: Training) -> dict[str, Any]:
 
 
 def markdown(trained: Training) -> str:
-    """The table for a page."""
+    """Markdown table for a page."""
     rows = (HEADINGS, ("---",) * len(HEADINGS), *table(trained))
     lines = ["| " + " | ".join(row) + " |" for row in rows]
     return "\n".join([*lines, "", *(f"- {each}" for each in sentences(trained)), ""])

@@ -1,4 +1,4 @@
-"""What reanalysis leaves out, and what that costs.
+"""Errors of reanalysis by truncation, and by the default tolerance.
 
 Run by `python -m eitskin.benchmarks.studies.left_out`.
 
@@ -28,7 +28,7 @@ SEED = 3
 
 @dataclass(frozen=True, slots=True)
 class Near:
-    """A touched layer, but untouched farther than `distance` [m] from the touch along x."""
+    """Touched layer, but untouched farther than `distance` [m] from the touch along x."""
 
     touched: DeformedLayer
     untouched: DeformedLayer
@@ -36,17 +36,17 @@ class Near:
     distance: float
 
     def entries(self, x: Array) -> Array:
-        """As those of `DeformedLayer`; a cell, the first axis, is all near or not at all."""
+        """Entries as of `DeformedLayer`; each cell (first axis) is near as a whole or not."""
         near = np.abs(x[..., 0].mean(axis=1) - self.x) < self.distance
         both = self.touched.entries(x), self.untouched.entries(x)
         return np.where(near[:, None, None], *both)
 
     def conductivity(self, x: Array) -> Array:
-        """The same as tensors, (..., 3, 3)."""
+        """Conductivity tensors, (..., 3, 3)."""
         return self.entries(x)[..., [[0, 3, 4], [3, 1, 5], [4, 5, 2]]]
 
     def area_ratio(self, x: Array, normal: Array) -> Array:
-        """Of the touched layer."""
+        """Area ratio of the touched layer."""
         return self.touched.area_ratio(x, normal)
 
 

@@ -1,4 +1,4 @@
-"""How fast the live loop is.
+"""Rate and latency of the live loop.
 
 Run by `python -m eitskin.benchmarks.studies.live_rate [--hours H]`.
 
@@ -68,7 +68,7 @@ STAGES = ("line and codec", "pipeline")
 
 
 def frame_clock(times: "MutableSequence[float]") -> Fault:
-    """A fault without effect that notes when each frame goes to the line, by its number [s]."""
+    """Fault without effect that notes the time [s] at which each frame goes to the line."""
 
     def packet(whole: bytes, fault: Fault) -> bytes:
         times[(fault.frame + fault.since) % len(times)] = time.perf_counter()
@@ -88,7 +88,7 @@ def serve(path: "Pipe", times: "MutableSequence[float]", options: dict[str, Any]
 
 @contextlib.contextmanager
 def apart(**options: Any) -> "Iterator[tuple[Board, MutableSequence[float]]]":
-    """A virtual board in another process, and when it sent each frame."""
+    """Context of a virtual board in another process, and the times it sent each frame."""
     context = multiprocessing.get_context("spawn")
     times = context.Array("d", 4096, lock=False)
     here, there = context.Pipe()
@@ -119,7 +119,7 @@ def staged(
 
 
 def rates(frames: int, seed: int) -> Iterator[str]:
-    """The tables of rates and stages, as Markdown."""
+    """Tables of rates and stages, as Markdown."""
     from eitskin.training.pipeline.pipeline import Pipeline
 
     pipeline = Pipeline.load("reference.eitmodel")
@@ -166,7 +166,7 @@ def codec_rate(frames: int = 20000) -> float:
 
 
 def endure(hours: float, seed: int) -> Iterator[str]:
-    """What `eitskin live --page` holds, minute by minute, at full rate and through all states."""
+    """Resources of `eitskin live --page`, minute by minute, at full rate through all states."""
     run = "from eitskin.cli.main import run; run()"
     yield "| minute | frames | frames/s | lost | resident, MiB | open files | threads |"
     yield "|---|---|---|---|---|---|---|"

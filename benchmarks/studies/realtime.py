@@ -1,4 +1,4 @@
-"""The paper's real-time episode on the virtual board.
+"""Real-time episode of the paper on the virtual board.
 
 Run by `python -m eitskin.benchmarks.studies.realtime`.
 
@@ -44,7 +44,7 @@ PER_ANGLE = 8
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """One of the paper's four moments: while its touches are held.
+    """Moment of the paper's episode, while its touches are held.
 
     Attributes:
         name: the paper's.
@@ -71,7 +71,7 @@ class Moment:
 
 @dataclass(frozen=True, slots=True)
 class EpisodeRun:
-    """The episode, once.
+    """Readings and scenes of one run of the episode.
 
     Attributes:
         readings: of all frames.
@@ -91,7 +91,7 @@ class EpisodeRun:
 
     @property
     def times(self) -> np.ndarray:
-        """Of the frames, since the first [s]."""
+        """Times of the frames since the first [s]."""
         times = np.array([reading.frame.time for reading in self.readings])
         shifted: np.ndarray = times - times[0]
         return shifted
@@ -104,14 +104,14 @@ class EpisodeRun:
         return float(np.mean([a == b for a, b in zip(states, true, strict=True)]))
 
     def angle_rmse(self, touched: bool) -> float:
-        """Of the frames that are touched, or not [deg]."""
+        """Root mean square error [deg] of the angle in touched or untouched frames."""
         true, said = self.angles_deg
         chosen = np.array([bool(_acting(scene)) for scene in self.scenes]) == touched
         return float(np.sqrt(np.nanmean((said - true)[chosen] ** 2)))
 
 
 def run(seed: int, speed: str = "real") -> tuple[EpisodeRun, EpisodeRun]:
-    """The episode with the pipeline as it ships, and calibrated to the sensor."""
+    """Runs of the episode with the shipped pipeline, and with it calibrated to the sensor."""
     from eitskin.training.pipeline.pipeline import Pipeline
 
     recipe = unseen(seed)
@@ -133,7 +133,7 @@ def run(seed: int, speed: str = "real") -> tuple[EpisodeRun, EpisodeRun]:
 
 
 def unseen(seed: int) -> Recipe:
-    """The episode, on a sensor that differs as those of recipe `training` do."""
+    """Recipe of the episode on a sensor that differs as in the recipe `training`."""
     training = Recipe.shipped("training")
     one = dataclasses.replace(training.specimens, count=1)
     return dataclasses.replace(
@@ -162,7 +162,7 @@ def known_angles(board: VirtualBoard) -> tuple[list[Frame], list[float]]:
 
 
 def _moments(readings: Sequence[Reading], scenes: Sequence[Scene]) -> list[Moment]:
-    """The paper's moments among the frames: the runs of touched ones, in order."""
+    """Moments of the paper among the frames: runs of touched frames, in order."""
     runs = [
         [index for index, _ in group]
         for touched, group in itertools.groupby(
@@ -209,7 +209,7 @@ def _state(scene: Scene) -> State:
 
 
 def report(runs: dict[str, EpisodeRun], seed: int) -> list[str]:
-    """The tables, as Markdown."""
+    """Report tables, as Markdown."""
     lines = [f"Measured on {Provenance.now(seed)}", ""]
     columns = (
         "moment", "bend", "touches", "frames", "state right", "angle error, rms",

@@ -1,4 +1,4 @@
-"""What the shipped recipes draw, and what becomes of it.
+"""Scenes and signal strengths of the shipped recipes.
 
 Run by `python -m eitskin.benchmarks.studies.recipes`.
 
@@ -48,7 +48,7 @@ class Strength:
 
     @classmethod
     def of(cls, recipe: Recipe, frames: int) -> "Strength":
-        """Those of a recipe, from some of its frames, and as many of its sensors left alone."""
+        """Strength of a recipe, from some of its frames and as many of its sensors untouched."""
         data = simulate_frames(recipe, spread(recipe.frames, frames))
         flat = (SceneGroup("idle", count=frames),)
         alone = simulate_frames(
@@ -64,7 +64,7 @@ class Strength:
 
 
 def changes(data: Dataset) -> tuple[Array, Array]:
-    """From the flat and from the untouched sensor, of the flat one's magnitude, (n, C)."""
+    """Changes from the flat and from the untouched sensor over the flat magnitude, (n, C)."""
     flat = data.reference[data.specimen]
     size = np.abs(flat)
     return (data.impedance - flat).real / size, (data.impedance - data.touch_reference).real / size
@@ -107,7 +107,7 @@ def first_episode(recipe: Recipe) -> range:
 
 
 def row(recipe: Recipe, strength: Strength) -> str:
-    """Medians over the measurements, of a Markdown table."""
+    """Row of a Markdown table: medians over the measurements."""
     bend, touch, noise = (
         100.0 * float(np.median(part)) for part in (strength.bend, strength.touch, strength.noise)
     )

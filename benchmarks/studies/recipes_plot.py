@@ -1,4 +1,4 @@
-"""The pictures of `benchmarks.recipes`."""
+"""Plots of the study of recipes."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,7 +20,7 @@ _BLUE, _RED, _GREY = "#1f5fa8", "#b3372f", "#777777"
 def plot_statistics(
     rows: Sequence[tuple[Recipe, Sequence[Sample], "Strength"]], path: Path
 ) -> None:
-    """A row for each recipe: angles, places, forces and numbers of touches, signals and noise."""
+    """Plot angles, positions, forces and numbers of touches, signals and noise of each recipe."""
     figure = require("matplotlib.figure", "bench").Figure(
         figsize=(15.0, 2.5 * len(rows)), layout="constrained"
     )
@@ -38,7 +38,7 @@ def plot_statistics(
 
 
 def plot_episodes(rows: Sequence[tuple[str, Dataset]], path: Path) -> None:
-    """A column for each episode: angle, when it is touched, and all measurements over time."""
+    """Plot angle, times of touches and all measurements of each episode over time."""
     figure = require("matplotlib.figure", "bench").Figure(
         figsize=(5.0 * len(rows), 6.0), layout="constrained"
     )

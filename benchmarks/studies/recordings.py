@@ -36,7 +36,7 @@ def main() -> None:
 
 
 def board_frame(path: Path) -> None:
-    """How large the values are, and whether the shipped pipeline takes them."""
+    """Print the size of the values, and whether the shipped pipeline accepts them."""
     pipeline = Pipeline.load("reference.eitmodel")
     recording = read_recording(path, protocol=pipeline.layout.protocol)
     values = np.abs(recording.impedance[0])

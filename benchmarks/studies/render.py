@@ -42,7 +42,7 @@ _NO_FIGURE = "-"
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """One number of a page.
+    """Figure: a number of a page and its source.
 
     Attributes:
         start, end: position in the text.
@@ -58,7 +58,7 @@ class Figure:
 
 
 def pages(root: Path = ROOT) -> list[Path]:
-    """README and all pages of docs."""
+    """Paths of the README and of all pages of docs."""
     return [root / "README.md", *sorted((root / "docs").rglob("*.md"))]
 
 
@@ -76,7 +76,7 @@ def figures_in(text: str) -> list[Figure]:
 
 
 def rendered(text: str, published: Mapping[str, Results]) -> str:
-    """A page with all its figures as published; raises ConfigurationError where one is missing."""
+    """Page with all its figures as published; raises ConfigurationError where one is missing."""
     parts, done = [], 0
     for each in figures_in(text):
         parts += [text[done : each.start], _formatted(each, published)]
@@ -85,7 +85,7 @@ def rendered(text: str, published: Mapping[str, Results]) -> str:
 
 
 def rewritten(written: str, value: float) -> str:
-    """A value in the notation of the number it replaces: digits, sign, thousands, exponent."""
+    """Value in the notation of the number it replaces: digits, sign, thousands, exponent."""
     mantissa, has_exponent, exponent = written.partition("e")
     digits = len(mantissa.partition(".")[2])
     sign = "+" if written.startswith("+") else ""
@@ -97,7 +97,7 @@ def rewritten(written: str, value: float) -> str:
 
 
 def full_results(folder: Path = PUBLISHED) -> dict[str, Results]:
-    """Results by name; those of quick runs are not for quoting and left out."""
+    """Results of full runs by name; quick runs are left out."""
     return {each.name: each for each in found_results(folder) if not each.quick}
 
 
@@ -148,7 +148,7 @@ def _of_table(match: re.Match[str]) -> Iterator[Figure]:
 def _of_cell(
     cell: re.Match[str], keys: Sequence[str], offset: int, results: str
 ) -> Iterator[Figure]:
-    """Figures of one cell, keyed in order; the keys of a row may be more than its numbers."""
+    """Figures of one cell in the order of its keys, of which there may be more."""
     for count, number in enumerate(NUMBER.finditer(cell[0])):
         several = len(keys) > 1
         if several and count >= len(keys):

@@ -1,4 +1,4 @@
-"""Whom the sensor check accuses.
+"""False and missed alarms of the sensor check.
 
 Run by `python -m eitskin.benchmarks.studies.sensor_check`.
 
@@ -73,7 +73,7 @@ class FaultCase:
         return any(self._is(each.what, each.electrodes, each.channels) for each in check.findings)
 
     def alone(self, check: SensorCheck) -> bool:
-        """Whether it is the only one."""
+        """Whether the fault is the only finding."""
         return self.named(check) and len(check.findings) == 1
 
     def _is(
@@ -106,7 +106,7 @@ def shorted(flat: Complex, pair: tuple[int, int], wire: float = 0.5) -> Complex:
 
 
 def cases(flat: Complex, pressed: Complex, rng: np.random.Generator) -> Iterator[FaultCase]:
-    """Every fault at every place, on a sensor of these noise-free values (pairs,)."""
+    """Cases of every fault at every position, on a sensor of noise-free values (pairs,)."""
     still = np.repeat(flat[None], FRAMES, axis=0)
     for e in range(8):
         yield from _at_electrode(still, e)
@@ -158,7 +158,7 @@ def _at_channel(still: Complex, k: int, rng: np.random.Generator) -> Iterator[Fa
 
 
 def measured(case: FaultCase, rng: np.random.Generator, full_scale: float) -> list[Frame]:
-    """The case's frames as the board gives them."""
+    """Frames of a case as the board gives them."""
     session = Instrument.ad5940().session(PROTOCOL, full_scale, rng)
     times = len(PAIRS) * MEASUREMENT_TIME * np.arange(FRAMES, dtype=np.float64)
     impedance, status = session.measure(case.truth, times, rng)

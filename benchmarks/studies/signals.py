@@ -1,4 +1,4 @@
-"""How much bends and presses change the 28 resistances.
+"""Changes of the 28 resistances by bends and presses.
 
 Run by `python -m eitskin.benchmarks.studies.signals`.
 
@@ -56,7 +56,7 @@ class Signals:
 
 
 def measured() -> Signals:
-    """All signals at `standard`."""
+    """Signals at the resolution `standard`."""
     design = SensorDesign.reference()
     bends = {}
     for name, hinge in HINGES.items():
@@ -75,7 +75,7 @@ def _changes(sim: Simulator, scenes: Iterable[Scene]) -> Array:
 
 
 def bend_table(labels: Sequence[str], changes: Array) -> str:
-    """Pairs by angle."""
+    """Table of the signals of pairs by angle."""
     head = ["pair", *(f"{angle:+g}" for angle in ANGLES)]
     rows = [
         [label, *(f"{c:+.2f}" for c in row)] for label, row in zip(labels, changes.T, strict=True)
@@ -84,7 +84,7 @@ def bend_table(labels: Sequence[str], changes: Array) -> str:
 
 
 def press_table(found: Signals) -> str:
-    """The largest change of any pair at each position, and which pair it is."""
+    """Table of the largest change of any pair at each position."""
     head = ["x, y [mm]", *(f"{f:g} N [%], pair, norm of all" for f in FORCES)]
     rows = []
     for number, (x, y) in enumerate(POSITIONS):
@@ -100,7 +100,7 @@ def press_table(found: Signals) -> str:
 
 
 def dent_table() -> str:
-    """What the press itself looks like in the middle of the sensor."""
+    """Table of depth, thinning and contact of a press in the middle of the sensor."""
     sim = Simulator(SensorDesign.reference(), "fast")
     head = ["force [N]", "depth [mm]", "gel thinner on the axis [%]", "contact radius [mm]"]
     head.append("mean pressure [kPa]")
@@ -119,7 +119,7 @@ def _markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def draw(found: Signals, folder: Path) -> list[Path]:
-    """Pairs over angles, and pairs over positions, as maps of colour."""
+    """Plot pairs over angles, and pairs over positions as colour maps."""
     bends = folder / "signals-bend.png"
     panels = [(name, changes) for name, changes in found.bends.items()]
     columns = [f"{angle:+g}" for angle in ANGLES]

@@ -1,4 +1,4 @@
-"""A real water tank against the model.
+"""Model of a real water tank against its measured voltages.
 
 Run by `python -m eitskin.benchmarks.studies.tank FOLDER`.
 
@@ -42,7 +42,7 @@ COLUMNS = (
 
 
 def explain(tank: Tank) -> Iterator[Fit]:
-    """The first fit on coarser meshes and on the chosen one, then on that one all others."""
+    """Fits of the tank: the first on all meshes, all others on the chosen mesh."""
     first = start(tank)
     frozen = {name: np.zeros((tank.voltages.size, len(first[name]))) for name in ("place", "width")}
     for resolution in COARSER:
@@ -56,7 +56,7 @@ def explain(tank: Tank) -> Iterator[Fit]:
 
 
 def row(one: Fit) -> str:
-    """A row under `COLUMNS`, in Markdown."""
+    """Markdown row under `COLUMNS`."""
     values = one.values
     contacts = 1e3 * (values["contact"] + values["contacts"])
     model, ((order, *_), _) = one.model, one.resolution
@@ -70,7 +70,7 @@ def row(one: Fit) -> str:
 
 
 def draw(tank: Tank, fits: Sequence[Fit], path: str | Path) -> None:
-    """Measured against modelled voltages, and the differences by channel and pattern, as PNG."""
+    """Plot measured and modelled voltages, and their differences by channel and pattern, as PNG."""
     require("matplotlib", "view").use("Agg")
     plt = require("matplotlib.pyplot", "view")
     figure, axes = plt.subplots(len(fits), 2, figsize=(11, 4.2 * len(fits)), squeeze=False)

@@ -1,4 +1,4 @@
-"""The water tank of the Kuopio Tomography Challenge 2023, read from its files."""
+"""Water tank of the Kuopio Tomography Challenge 2023, read from its files."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -39,12 +39,12 @@ class Tank:
 
     @cached_property
     def driven(self) -> NDArray[np.bool_]:
-        """Which voltages sense an electrode that carries current, (channels, patterns)."""
+        """Mask of the voltages that sense a current-carrying electrode, (channels, patterns)."""
         return (np.abs(self.senses).T @ np.abs(self.currents)) > 0
 
     @cached_property
     def protocol(self) -> Protocol:
-        """All voltages as measurements, channel by channel for each pattern."""
+        """Protocol of all voltages, channel by channel for each pattern."""
         drive = zip(self.currents.argmax(axis=0), self.currents.argmin(axis=0), strict=True)
         sense = list(zip(self.senses.argmax(axis=0), self.senses.argmin(axis=0), strict=True))
         rows = [(*pair, *channel) for pair in drive for channel in sense]
@@ -52,7 +52,7 @@ class Tank:
 
     @cached_property
     def amplitudes(self) -> Array:
-        """Current of each measurement [mA], (channels * patterns,)."""
+        """Current amplitude of each measurement [mA], (channels * patterns,)."""
         return np.repeat(self.currents.max(axis=0), self.voltages.shape[0])
 
 

@@ -1,4 +1,4 @@
-"""What explains the voltages of a water tank: the model's numbers fitted to them, by kinds."""
+"""Fits of model parameters to the voltages of a water tank."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -45,7 +45,7 @@ LIMITS = {
 
 
 def tank_model(tank: Tank, values: Values, resolution: Discretisation = RESOLUTION) -> ForwardModel:
-    """The tank with sigma = 1 S/m: contact impedances are then z sigma [m]."""
+    """Forward model of the tank with sigma = 1 S/m; contact impedances are then z sigma [m]."""
     count = len(tank.angles)
     angles = tank.angles + values["place"]
     contacts = np.broadcast_to(values["contacts"] + values["contact"], count)
@@ -61,7 +61,7 @@ def tank_model(tank: Tank, values: Values, resolution: Discretisation = RESOLUTI
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
-    """What was fitted, and the voltages that it gives.
+    """Fitted parameters, and the voltages of the model.
 
     Attributes:
         name: what was free.
@@ -88,7 +88,7 @@ def fit(
     slopes: Values,
     resolution: Discretisation = RESOLUTION,
 ) -> Fit:
-    """Fit what `FITS[name]` frees from `values` on, by Gauss-Newton steps within `LIMITS`."""
+    """Fit the parameters of `FITS[name]` from `values` on, by Gauss-Newton within `LIMITS`."""
     free, measured = FITS[name], flat(tank.voltages)
     model = tank_model(tank, values, resolution)
     voltages, derivatives = _linearised(tank, model, values, slopes)
@@ -113,7 +113,7 @@ def fit(
 
 
 def start(tank: Tank) -> dict[str, Array]:
-    """Every number before it is fitted.
+    """Initial values of all parameters.
 
     `sheet` is a resistance [kohm], contacts are z sigma [m], `contacts` adds to `contact`, places
     are turned by `place` [rad], `width` is relative to the tank's own, constants are in V.
@@ -189,5 +189,5 @@ def residuals(tank: Tank, modelled: Array) -> tuple[float, float, float]:
 
 
 def flat(voltages: Array) -> Array:
-    """Channel by channel for each pattern, (measurements,)."""
+    """Flattened voltages, channel by channel for each pattern, (measurements,)."""
     return voltages.T.ravel()

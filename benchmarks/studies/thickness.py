@@ -1,4 +1,4 @@
-"""Presses on a sensor of another thickness, interpolated against solved anew.
+"""Interpolated presses on sensors of another thickness against solved ones.
 
 `python -m eitskin.benchmarks.studies.thickness` prints, as Markdown, the errors of signals of the
 reference sensor, all its heights times a factor, pressed at six places. Solves five tables the

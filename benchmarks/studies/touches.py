@@ -1,4 +1,4 @@
-"""Quick models of presses against the 3D one.
+"""Quick models of presses against the 3D press.
 
 Run by `python -m eitskin.benchmarks.studies.touches`.
 
@@ -55,7 +55,7 @@ COARSE = Grading(finest=0.003, coarsest=0.012, growth=0.6)
 
 @dataclass(frozen=True, slots=True)
 class PressCase:
-    """Presses to compare models on.
+    """Presses of one scene to compare models on.
 
     Attributes:
         family: "position", "long side", "short side", "two", "three" or "four".
@@ -70,7 +70,7 @@ class PressCase:
 
 @dataclass(frozen=True, slots=True)
 class Compared:
-    """One case, solved.
+    """Errors of the models in one case.
 
     Attributes:
         family, distance_mm: of the case.
@@ -104,7 +104,7 @@ class Compared:
 
 
 def cases(force: float = FORCE) -> list[PressCase]:
-    """All presses, those in the middle first."""
+    """Cases of all presses, those in the middle first."""
 
     def touches(*places: tuple[float, float]) -> tuple[Touch, ...]:
         return tuple(Touch(x, y, force) for x, y in places)
@@ -124,7 +124,7 @@ def cases(force: float = FORCE) -> list[PressCase]:
 
 
 def quick_models(sim: Simulator) -> dict[str, Model]:
-    """What is compared with the 3D model."""
+    """Quick models that are compared with the 3D model."""
 
     def unbounded(touches: tuple[Touch, ...]) -> Deformation:
         places = {(touch.x, touch.y) for touch in touches}
@@ -139,12 +139,12 @@ def quick_models(sim: Simulator) -> dict[str, Model]:
 
 
 def places(case: PressCase) -> str:
-    """Where it is pressed, as text [mm]."""
+    """Positions of the presses as text [mm]."""
     return "; ".join(f"{1e3 * touch.x:.5g} {1e3 * touch.y:.5g}" for touch in case.touches)
 
 
 def compared(sim: Simulator, case: PressCase, grading: Grading | None = None) -> Compared:
-    """The case, solved; raises SolidError where it cannot be."""
+    """Solved case; raises SolidError where there is no equilibrium."""
     start = time.perf_counter()
     (full,) = PressedStack(sim.design, case.touches, sim.mechanics, grading).equilibria()
     full_s = time.perf_counter() - start
@@ -173,7 +173,7 @@ def compared(sim: Simulator, case: PressCase, grading: Grading | None = None) ->
 
 
 def print_row(one: Compared) -> None:
-    """What became of one case."""
+    """Print the row of one case."""
     errors = " ".join(
         f"{100 * e:7.1f}" for e in (one.tabulated, one.without_images, one.closed_form)
     )
@@ -186,7 +186,7 @@ def print_row(one: Compared) -> None:
 
 
 def print_meshes(sim: Simulator, touch: Touch) -> None:
-    """How much the 3D signal of one press changes on finer meshes and in a wider window."""
+    """Print the change of the 3D signal of one press on finer meshes and in a wider window."""
     reference = None
     for reach, grading in MESHES:
         start = time.perf_counter()
@@ -246,7 +246,7 @@ def main() -> None:
 
 
 def _solved_before(path: Path | None) -> list[Compared]:
-    """What a table holds already."""
+    """Rows of an existing table."""
     if path is None or not path.is_file():
         return []
     with path.open(encoding="utf-8") as file:

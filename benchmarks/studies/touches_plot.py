@@ -1,4 +1,4 @@
-"""The plot of `benchmarks.touches`: errors of quick models over distances."""
+"""Plot of the errors of quick models of presses over distances."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,7 +19,7 @@ _TOGETHER = ("two", "three", "four")
 
 
 def plot(found: Sequence[Any], path: Path) -> None:
-    """Errors over the distance from the side of the gel, and over that between touches."""
+    """Plot errors over the distance from the side of the gel and between touches."""
     figure = require("matplotlib.figure", "bench").Figure(figsize=(10.0, 4.4), layout="constrained")
     panels = figure.subplots(1, 2, sharey=True)
     _panel(panels[0], [one for one in found if one.family not in _TOGETHER])
