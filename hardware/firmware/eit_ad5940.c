@@ -47,11 +47,11 @@ enum {
 };
 
 #define ADI 0x4144u
-#define CHIP_S1 0x5500u /* its generator has a frequency word of 26 bits, not 30 */
+#define CHIP_S1 0x5500u /* frequency word of 26 bits, not 30 */
 #define CHIP_S2 0x5501u
 #define CHIP_S3 0x5502u
 
-/* AFECON. Everything that needs time to settle stays on; converting is what starts and stops. */
+/* AFECON. All that needs time to settle stays on; only converting starts and stops. */
 #define ALDOILIMITEN (1u << 19) /* as after reset */
 #define POWERED                                                                                  \
     (ALDOILIMITEN | 1u << 20 /* DACREFEN */ | 1u << 14 /* WAVEGENEN */ | 1u << 11 /* TIAEN */ |  \
@@ -62,7 +62,7 @@ enum {
 #define DFTRDY (1u << 1)
 #define ADCMINERR (1u << 4)
 #define ADCMAXERR (1u << 5)
-#define ALL_ONES 0xFFFFFFFFu /* what a bus reads on which nobody answers */
+#define ALL_ONES 0xFFFFFFFFu /* read from a bus without an answer */
 
 #define T9 (1u << 8) /* to the transimpedance amplifier */
 
@@ -113,13 +113,13 @@ static uint32_t read_register(const eit_hal *hal, uint16_t address) {
 
 static float smaller(float a, float b) { return a < b ? a : b; }
 
-/* Largest amplitude of the transimpedance amplifier's output that is not cut off [V]. */
+/* Largest amplitude of the transimpedance amplifier's output without clipping [V]. */
 static float current_limit_volt(const eit_config *config) {
     return smaller(eit_pga_volt(config), TIA_LIMIT_A * eit_rtia_ohm(config));
 }
 
-/* Full amplitude on the sensor; on RCAL no more than the current channel takes, since RCAL is
- * the one impedance that is known beforehand, and clipping would spoil every frame after it. */
+/* WGAMPLITUDE: full on the sensor; on RCAL no more than the current channel takes, since RCAL is
+ * the one impedance known beforehand, and clipping would spoil every later frame. */
 static uint32_t amplitude_word(const eit_config *config, eit_target target) {
     if (target == EIT_SENSOR) return (uint32_t)FULL_AMPLITUDE;
     const float current = current_limit_volt(config) / eit_rtia_ohm(config);
@@ -149,7 +149,7 @@ static void begin_measurement(const eit_hal *hal, const eit_config *config) {
     write_register(hal, DE0RESCON, 0xFF); /* the amplifier's other input stays open */
     /* ADCCLK 800 kSPS, no mains filter (LPFBYPEN), SINC3OSR 2 */
     write_register(hal, ADCFILTERCON, 1u | 1u << 4 | 2u << 12);
-    /* SINC3 output, 2048 points. They hold 204.8 periods of 40 kHz, hence the Hanning window. */
+    /* SINC3 output, 2048 points: 204.8 periods of 40 kHz, hence the Hanning window. */
     write_register(hal, DFTCON, 1u << 20 | 9u << 4 | 1u);
     write_register(hal, ADCMINSM, 0);
     write_register(hal, ADCMAXSMEN, 0);

@@ -11,7 +11,7 @@ enum { AFE_ABSENT = 1, AFE_SILENT = 2, CALIBRATION_FAILED = 3 };
 #define FIRMWARE_SIZE 16
 #define LATE_US 1000
 
-/* No two packets end within so many bytes, so that one look at the UART means one answer. */
+/* Fewer bytes than between the ends of two packets, so that one read means one answer. */
 #define LISTEN_SIZE 8
 
 static eit_writer begin(eit_board *board, uint8_t type) {
@@ -19,7 +19,7 @@ static eit_writer begin(eit_board *board, uint8_t type) {
         board->outgoing + board->size, EIT_SEND_SIZE - board->size, type, board->seq);
 }
 
-/* A packet for which there is no room is lost whole; the host asks again. */
+/* Send a packet whole or, without room, not at all; the host then asks again. */
 static bool end(eit_board *board, eit_writer *writer) {
     const size_t size = eit_end(writer);
     board->size += size;
@@ -96,8 +96,8 @@ static void send_frame(eit_board *board) {
     if (end(board, &writer)) board->frame_end = board->size;
 }
 
-/* An old frame is worth nothing, so none waits behind another: it is skipped, and its number
- * shows that it was. */
+/* Send the frame, or skip it while another waits: an old frame is worth nothing, and the gap in
+ * the numbers shows the skip. */
 static void finish_frame(eit_board *board) {
     if (board->frame_end == 0) send_frame(board);
     board->number++;
@@ -107,7 +107,7 @@ static void finish_frame(eit_board *board) {
 static uint8_t start(eit_board *board, const eit_packet *request) {
     if (request->size != 4) return MALFORMED;
     if (board->scan.absent) {
-        send_absence(board); /* the host may not have been there when it was said */
+        send_absence(board); /* the host may have missed the first report */
         return FAILED;
     }
     if (!board->streaming) board->due_us = board->hal->clock_us(board->hal->context);
@@ -137,7 +137,7 @@ static uint8_t obey(eit_board *board, const eit_packet *request) {
     case CALIBRATE:
         return request->size == 0 ? calibrate(board) : MALFORMED;
     case HELLO:
-    case GET_TABLE: /* those that are well formed have been answered */
+    case GET_TABLE: /* well-formed requests have been answered */
         return MALFORMED;
     default:
         return UNKNOWN_TYPE;
@@ -150,7 +150,7 @@ static void answer(eit_board *board, const eit_packet *request) {
     else send_ack(board, request, obey(board, request));
 }
 
-/* Answer at most one request; they wait where the answer would not fit. */
+/* Answer at most one request; requests wait while the answer would not fit. */
 static bool listen(eit_board *board) {
     uint8_t bytes[LISTEN_SIZE];
     if (EIT_SEND_SIZE - board->size < EIT_MAX_PACKET) return false;
@@ -193,8 +193,8 @@ static bool measure(eit_board *board) {
     return outcome != EIT_NOTHING;
 }
 
-/* Frames keep to their period, whatever a poll takes; one that is late, after a calibration for
- * instance, starts the count of time afresh. */
+/* Frames keep to their period, however long a poll takes; a late frame, after a calibration for
+ * instance, begins a new count of periods. */
 static bool start_frame(eit_board *board) {
     const uint64_t now = board->hal->clock_us(board->hal->context);
     if (!board->streaming || !eit_scan_is_ready(&board->scan) || now < board->due_us) return false;

@@ -1,5 +1,5 @@
-/* The board: takes requests, answers them, and sends what is measured. One struct holds all of
- * it, and nothing is allocated. A port calls eit_boot once and eit_poll for ever. */
+/* The board: requests, answers and frames. One struct holds the whole state, and nothing is
+ * allocated. A port calls eit_boot once and eit_poll for ever. */
 #ifndef EIT_BOARD_H
 #define EIT_BOARD_H
 
@@ -17,19 +17,19 @@ typedef struct {
     eit_scan scan;
     eit_decoder decoder;
     uint8_t outgoing[EIT_SEND_SIZE];
-    size_t size; /* bytes that wait in it */
-    size_t frame_end; /* of these, up to the end of a FRAME; 0 where none waits */
-    uint32_t boot_count, number; /* number: of the next frame */
+    size_t size; /* bytes that wait to be sent */
+    size_t frame_end; /* bytes up to the end of a FRAME; 0 where none waits */
+    uint32_t boot_count, number; /* number of the next frame */
     uint32_t left; /* frames still to come, 0 for ever */
     bool streaming;
     uint16_t seq;
     uint64_t booted_us, due_us;
 } eit_board;
 
-/* Start afresh; false for a configuration that cannot be. Both pointers must stay good. */
+/* Boot; false for an impossible configuration. Both pointers must stay valid. */
 bool eit_boot(eit_board *board, const eit_hal *hal, const eit_config *config);
 
-/* Do one small thing that is due; calls idle where there is none. Never waits. */
+/* Do one short task that is due, or call idle. Never waits. */
 void eit_poll(eit_board *board);
 
 #endif

@@ -1,4 +1,4 @@
-/* What is measured and with what: all that differs from board to board is data. */
+/* Measurement table and settings: all differences between boards are data. */
 #ifndef EIT_CONFIG_H
 #define EIT_CONFIG_H
 
@@ -10,7 +10,7 @@
 /* Amplitude of the excitation, by the gains of the excitation amplifier and the DAC. */
 typedef enum { EIT_607_MV, EIT_121_MV, EIT_75_MV, EIT_15_MV, EIT_EXCITATIONS } eit_excitation;
 
-/* Resistor of the transimpedance amplifier, as HSRTIACON counts them. */
+/* Resistor of the transimpedance amplifier, in the order of HSRTIACON. */
 typedef enum {
     EIT_RTIA_200,
     EIT_RTIA_1K,
@@ -23,7 +23,7 @@ typedef enum {
     EIT_RTIAS
 } eit_rtia;
 
-/* Gain before the ADC, as ADCCON counts them. */
+/* Gain before the ADC, in the order of ADCCON. */
 typedef enum { EIT_PGA_1, EIT_PGA_1P5, EIT_PGA_2, EIT_PGA_4, EIT_PGA_9, EIT_PGAS } eit_pga;
 
 typedef struct {
@@ -33,18 +33,18 @@ typedef struct {
     uint8_t excitation, rtia, pga; /* eit_excitation, eit_rtia, eit_pga */
     float frequency_hz;
     float rcal_ohm;
-    float open_ohm; /* an impedance above is that of a lead without electrode */
-    uint32_t settle_us; /* from switching to the first sample */
-    uint32_t period_us; /* from frame to frame; 10600 for each measurement is enough */
+    float open_ohm; /* a larger impedance is that of a lead without electrode */
+    uint32_t settle_us; /* time from switching to the first sample */
+    uint32_t period_us; /* time from frame to frame; 10600 for each measurement suffice */
 } eit_config;
 
 /* Eight electrodes, every pair once, driven and sensed at the same two. */
 extern const eit_config eit_pairwise_8;
 
-/* Whether a board can do this. */
+/* Whether the configuration is possible. */
 bool eit_config_is_possible(const eit_config *config);
 
-/* What the settings mean: amplitude [V], resistor [ohm], largest amplitude at the ADC [V], gain. */
+/* Values of the settings: amplitude [V], resistor [ohm], largest amplitude at the ADC [V], gain. */
 float eit_excitation_volt(const eit_config *config);
 float eit_rtia_ohm(const eit_config *config);
 float eit_pga_volt(const eit_config *config);

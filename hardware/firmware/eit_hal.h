@@ -1,8 +1,8 @@
-/* What the firmware needs of a microcontroller: ten functions, and nothing else.
+/* Hardware abstraction: the ten functions that a microcontroller provides.
  *
- * None of them may block, apart from the SPI transfer, which takes microseconds. `context` is
- * the port's own and is handed back to each. hardware/firmware/README.md says which peripheral
- * of an STM32 stands behind which. */
+ * No function may block, apart from the SPI transfer, which takes microseconds. `context` belongs
+ * to the port and is passed to every function. hardware/firmware/README.md names the peripheral
+ * of an STM32 for each. */
 #ifndef EIT_HAL_H
 #define EIT_HAL_H
 
@@ -20,23 +20,23 @@ typedef struct {
     void *context;
     /* Send n bytes and receive as many, chip select low from the first to the last; mode 0. */
     void (*spi_transfer)(void *context, const uint8_t *out, uint8_t *in, size_t n);
-    /* Hold the AD5940 in reset, or let it go. */
+    /* Hold the AD5940 in reset, or release it. */
     void (*afe_reset)(void *context, bool held);
     /* Whether the AD5940 pulls its interrupt line low. */
     bool (*afe_interrupt)(void *context);
     /* Connect one multiplexer to an electrode, from 0. */
     void (*mux_select)(void *context, eit_mux mux, uint8_t electrode);
-    /* Take at most n bytes that have come from the host; how many there were. */
+    /* Read at most n bytes from the host; gives their number. */
     size_t (*uart_read)(void *context, uint8_t *data, size_t n);
-    /* Hand over at most n bytes for the host; how many were taken. */
+    /* Write at most n bytes to the host; gives the number accepted. */
     size_t (*uart_write)(void *context, const uint8_t *data, size_t n);
-    /* A clock that never runs backwards [us]. */
+    /* Monotonic clock [us]. */
     uint64_t (*clock_us)(void *context);
-    /* The number of this one microcontroller. */
+    /* Unique number of the microcontroller. */
     void (*unique_id)(void *context, uint8_t uid[EIT_UID_SIZE]);
-    /* One more than the last time, over resets and power cuts. Called once on each boot. */
+    /* Count of boots, kept over resets and power cuts. Called once on each boot. */
     uint32_t (*next_boot_count)(void *context);
-    /* There is nothing to do before this time, unless an interrupt comes; may return early. */
+    /* Sleep until this time or an interrupt; may return early. */
     void (*idle)(void *context, uint64_t until_us);
 } eit_hal;
 

@@ -6,7 +6,7 @@
 #define CRC_SIZE 4
 #define LONGEST_BLOCK 0xFF
 
-/* FRAME holds its numbers as IEEE 754 single precision, so `float` must be that. */
+/* FRAME holds IEEE 754 single precision, which `float` must be. */
 typedef char float_is_32_bits[sizeof(float) == 4 ? 1 : -1];
 
 uint32_t eit_crc32(uint32_t crc, const uint8_t *data, size_t n) {
@@ -22,8 +22,8 @@ uint32_t eit_get_u32(const uint8_t *data) {
     return data[0] | (uint32_t)data[1] << 8 | (uint32_t)data[2] << 16 | (uint32_t)data[3] << 24;
 }
 
-/* Unstuff in place, which works because what comes out is never longer; false where a block
- * runs past the end. */
+/* Unstuff in place, possible because the result is never longer; false where a block runs past
+ * the end. */
 static bool unstuff(uint8_t *data, size_t *size) {
     size_t from = 0, to = 0;
     while (from < *size) {
@@ -79,7 +79,7 @@ static void begin_block(eit_writer *writer) {
 }
 
 static void stuff(eit_writer *writer, uint8_t byte) {
-    /* A full block needs no zero after it, and is only followed by another if there is more. */
+    /* A full block ends without a zero; another block follows only with more bytes. */
     if (writer->size - writer->block == LONGEST_BLOCK) {
         end_block(writer);
         begin_block(writer);

@@ -2,8 +2,8 @@
  *
  * packet = 00 | COBS(version u8, type u8, seq u16, payload, crc32 u32) | 00
  *
- * Numbers are taken apart and put together byte by byte, so that neither the order of bytes in
- * the machine nor the padding of a struct matters. */
+ * Numbers are packed and unpacked byte by byte, independent of the byte order of the machine and
+ * of the padding of structs. */
 #ifndef EIT_PACKET_H
 #define EIT_PACKET_H
 
@@ -23,25 +23,25 @@ uint32_t eit_get_u32(const uint8_t *data);
 typedef struct {
     uint8_t type;
     uint16_t seq;
-    const uint8_t *payload; /* good until the next byte is decoded */
+    const uint8_t *payload; /* valid until the next byte is decoded */
     size_t size;
 } eit_packet;
 
-/* Holds what came of a packet that is not finished; all zero is the start. */
+/* Decoder with the bytes of an unfinished packet; all zero at the start. */
 typedef struct {
     uint8_t stuffed[EIT_MAX_STUFFED];
     size_t size;
     bool too_long;
 } eit_decoder;
 
-/* Take one byte; true where it ends a whole packet. What is damaged is dropped in silence. */
+/* Decode one byte; true at the end of a whole packet. Damaged packets are dropped silently. */
 bool eit_decode(eit_decoder *decoder, uint8_t byte, eit_packet *packet);
 
-/* Stuffs a packet as it is written, so that it needs no buffer but the one it is sent from. */
+/* Writer that stuffs a packet in the buffer that it is sent from. */
 typedef struct {
     uint8_t *bytes;
     size_t room, size;
-    size_t block; /* where the length of the present block goes */
+    size_t block; /* position of the present block's length */
     uint32_t crc;
 } eit_writer;
 
@@ -53,7 +53,7 @@ void eit_put_u64(eit_writer *writer, uint64_t value);
 void eit_put_f32(eit_writer *writer, float value);
 void eit_put_bytes(eit_writer *writer, const void *data, size_t n);
 
-/* Finish the packet: its size on the wire, 0 where there was no room for it. */
+/* Finish the packet; gives its size on the wire, 0 without room for it. */
 size_t eit_end(eit_writer *writer);
 
 #endif

@@ -3,12 +3,12 @@
 #include <math.h>
 
 #define RESET_US 2000
-#define ABSENT_US 1000000 /* from one look for an AD5940 to the next */
-#define UNCALIBRATED_FRAMES 32 /* from one try at a calibration to the next */
+#define ABSENT_US 1000000 /* between two searches for an AD5940 */
+#define UNCALIBRATED_FRAMES 32 /* between two tries at a calibration */
 #define WAKE_US 5000
 #define TRANSFORM_TIMEOUT_US (2 * EIT_DFT_US)
-#define LOW_CODES 16 /* a smaller current is known to no better than some per cent */
-#define RTIA_TOLERANCE 2.0f /* the part promises 20 %; beyond this factor RCAL is not there */
+#define LOW_CODES 16 /* a smaller current is known to some per cent at best */
+#define RTIA_TOLERANCE 2.0f /* the data sheet gives 20 %; beyond this factor RCAL is missing */
 
 static uint64_t now(const eit_scan *scan) { return scan->hal->clock_us(scan->hal->context); }
 
@@ -25,7 +25,7 @@ static void hold_in_reset(eit_scan *scan) {
 
 void eit_scan_begin(eit_scan *scan, const eit_hal *hal, const eit_config *config) {
     *scan = (eit_scan){.hal = hal, .config = config};
-    scan->rtia.re = eit_rtia_ohm(config); /* until it has been measured */
+    scan->rtia.re = eit_rtia_ohm(config); /* until measured */
     hold_in_reset(scan);
 }
 
@@ -79,7 +79,7 @@ void eit_scan_stop(eit_scan *scan) {
 
 static float squared(eit_complex z) { return z.re * z.re + z.im * z.im; }
 
-/* Real and imaginary parts all the way: no angle is ever taken, so none has to be wrapped. */
+/* Complex quotient in real and imaginary parts, so that no angle has to be wrapped. */
 static eit_complex divide(eit_code a, eit_code b) {
     const float ar = (float)a.re, ai = (float)a.im, br = (float)b.re, bi = (float)b.im;
     const float size = br * br + bi * bi;
@@ -90,7 +90,7 @@ static eit_complex multiply(eit_complex a, eit_complex b) {
     return (eit_complex){a.re * b.re - a.im * b.im, a.re * b.im + a.im * b.re};
 }
 
-/* No current at all counts as one code, so that nothing is infinite. */
+/* Current in codes, at least one, so that no impedance is infinite. */
 static eit_code at_least_one(eit_scan *scan, eit_code current) {
     const float size = squared((eit_complex){(float)current.re, (float)current.im});
     if (size < (float)LOW_CODES * LOW_CODES) scan->status |= EIT_LOW_CURRENT;
@@ -107,7 +107,7 @@ static void keep_impedance(eit_scan *scan, eit_code current) {
     scan->impedances[scan->row] = z;
 }
 
-/* RTIA = RCAL I / V. What both channels do to amplitude and phase is in it, and cancels. */
+/* RTIA = RCAL I / V, with gain and phase of both channels, which cancel in Z. */
 static bool keep_rtia(eit_scan *scan, eit_code current) {
     const eit_complex rcal = {scan->config->rcal_ohm, 0.0f};
     const float nominal = eit_rtia_ohm(scan->config);
@@ -155,7 +155,7 @@ static eit_outcome end_transform(eit_scan *scan) {
     eit_transform transform = {{0, 0}, false};
     if (!eit_ad5940_finish(scan->hal, scan->channel, &transform)) scan->status |= EIT_DFT_TIMEOUT;
     if (transform.clipped) scan->status |= EIT_CLIPPED;
-    /* Without a voltage there is no need of a current. */
+    /* Without a voltage the current is not needed. */
     if (scan->channel == EIT_VOLTAGE && !(scan->status & EIT_DFT_TIMEOUT)) {
         scan->voltage = transform.code;
         select_channel(scan, EIT_CURRENT);
@@ -176,7 +176,7 @@ static eit_outcome end_waking(eit_scan *scan) {
     return was_absent ? EIT_MOVED_ON : EIT_AFE_ABSENT;
 }
 
-/* An AD5940 that has lost its registers, by a spark or a dip of its supply, times out for ever. */
+/* Reset an AD5940 that lost its registers (spark, supply dip): it would time out for ever. */
 static bool has_gone_silent(const eit_scan *scan) {
     return scan->timeouts == scan->config->n_measurements;
 }

@@ -19,21 +19,21 @@ typedef struct {
 } eit_complex;
 
 typedef enum {
-    EIT_RESET_HELD, /* the AD5940 is held in reset */
-    EIT_WAKING, /* it has been let go */
-    EIT_RESTING, /* nothing is being measured */
+    EIT_RESET_HELD, /* AD5940 held in reset */
+    EIT_WAKING, /* AD5940 released from reset */
+    EIT_RESTING, /* no measurement running */
     EIT_SETTLING, /* switched, not yet converting */
     EIT_TRANSFORMING,
-    EIT_WAITING, /* no AD5940 answered after its reset: it is looked for again */
+    EIT_WAITING, /* no AD5940 answered after its reset; searched for again */
 } eit_phase;
 
-/* What one poll has brought about. */
+/* Result of one poll. */
 typedef enum {
     EIT_NOTHING,
     EIT_MOVED_ON,
     EIT_FRAME_MEASURED,
     EIT_AFE_ABSENT,
-    EIT_AFE_SILENT, /* a whole frame of timeouts: it is being reset */
+    EIT_AFE_SILENT, /* a whole frame of timeouts; the AD5940 is being reset */
     EIT_CALIBRATION_FAILED,
 } eit_outcome;
 
@@ -41,17 +41,17 @@ typedef struct {
     const eit_hal *hal;
     const eit_config *config;
     eit_phase phase;
-    uint64_t until_us; /* when the phase ends by itself */
+    uint64_t until_us; /* end of the phase */
     eit_target target;
     eit_channel channel;
     uint8_t row, timeouts;
-    uint8_t status; /* of the row so far */
+    uint8_t status; /* status of the row so far */
     eit_code voltage;
     bool calibration_due, calibrated;
     uint8_t uncalibrated; /* frames since a calibration failed */
-    bool absent; /* no AD5940 has answered since */
+    bool absent; /* no AD5940 has answered since the reset */
     eit_complex rtia; /* ohm, with the phase of the whole current channel */
-    uint64_t started_us, ended_us; /* of the frame */
+    uint64_t started_us, ended_us; /* start and end of the frame */
     eit_complex impedances[EIT_MAX_MEASUREMENTS]; /* ohm */
     uint8_t statuses[EIT_MAX_MEASUREMENTS];
 } eit_scan;
@@ -59,7 +59,7 @@ typedef struct {
 /* Start from the reset of the AD5940; a calibration follows. */
 void eit_scan_begin(eit_scan *scan, const eit_hal *hal, const eit_config *config);
 
-/* Have the calibration resistor measured before the next frame. */
+/* Measure the calibration resistor before the next frame. */
 void eit_scan_calibrate(eit_scan *scan);
 
 /* Whether a frame may start. */
@@ -67,10 +67,10 @@ bool eit_scan_is_ready(const eit_scan *scan);
 
 void eit_scan_start_frame(eit_scan *scan);
 
-/* Forget a frame that is being measured. */
+/* Abandon the frame that is being measured. */
 void eit_scan_stop(eit_scan *scan);
 
-/* Do what is due, if anything is. */
+/* Do the step that is due, if any. */
 eit_outcome eit_scan_poll(eit_scan *scan);
 
 #endif

@@ -81,7 +81,7 @@ def written(path, *readings):
     return read(path)
 
 
-# What is written
+# Written messages
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""The sensor check: it leaves healthy sensors alone, and names what is wrong with others."""
+"""Sensor check: no findings for healthy sensors, the right ones for others."""
 
 import dataclasses
 import json

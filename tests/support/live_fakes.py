@@ -1,4 +1,4 @@
-"""Pipelines and boards that do as they are told, for the live loop."""
+"""Fake pipelines and boards for the live loop."""
 
 from dataclasses import dataclass, field
 

@@ -1,4 +1,4 @@
-"""A board behind a port that needs no cable, no pseudo-terminal and no waiting."""
+"""Virtual board behind a port in memory: no cable, no pseudo-terminal, no waiting."""
 
 import dataclasses
 import itertools
@@ -17,7 +17,7 @@ FLAT = np.linspace(400.0, 820.0, 28)
 
 
 class FakeSimulator:
-    """Impedances that depend on the bend angle alone; counts the scenes it computes."""
+    """Simulator whose impedances depend on the bend angle alone; counts computed scenes."""
 
     protocol = PROTOCOL
     full_scale = 820.0
@@ -39,7 +39,7 @@ def take(board, count, **options):
 
 
 class Loopback:
-    """A port with a firmware right behind it, and a clock that only waiting moves."""
+    """Port with a firmware right behind it, and a clock that only waiting moves."""
 
     def __init__(self, firmware):
         self.firmware, self.now, self.closed = firmware, 0.0, False

@@ -1,4 +1,4 @@
-"""What a board that prints text prints, and when."""
+"""Lines printed by a text board, and their times."""
 
 import cmath
 import math

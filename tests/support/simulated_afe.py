@@ -1,7 +1,7 @@
-"""An AD5940 behind its SPI: registers in, what its transforms would show out.
+"""Simulated AD5940 behind its SPI: registers in, transforms out.
 
-It knows the part from the data sheet and nothing of the firmware. What it is told that makes no
-sense is kept in `complaints`.
+The simulation follows the data sheet and nothing of the firmware. Accesses that make no
+sense are kept in `complaints`.
 """
 
 import numpy as np
@@ -29,7 +29,7 @@ REQUIRED = bytes.fromhex(
     "090802c9 0c08206c 21f000000010 041002c9 0a280009 238c00000104 0a044859 0a04f27b 0a008009"
     "22f000000000 2230de87a5af 22500000103f 22b00000203c 2230de87a5a0"
 )
-"""What the data sheet wants written after a reset, as addresses and values."""
+"""Addresses and values to be written after a reset, by the data sheet."""
 
 KNOWN = {
     *(0x0000, 0x0004, 0x0400, 0x0404, 0x2000, 0x200C, 0x2010, 0x2014, 0x2030, 0x2034, 0x2038),
@@ -82,14 +82,14 @@ class SimulatedAfe:
 
     @property
     def done_at(self):
-        """When the transform that is running ends [us]; None where none does."""
+        """End of the running transform [us]; None without one."""
         return self._done_at
 
     def __getitem__(self, address):
         return self._registers.get(address, 0)
 
     def transfer(self, out):
-        """What comes back for the bytes of one chip select."""
+        """Bytes received for those sent in one chip select."""
         if not self.present:
             return b"\xff" * len(out)
         self._advance()
@@ -189,7 +189,7 @@ class SimulatedAfe:
         return min(full_range, TIA_LIMIT * rtia) if self._is_current() else full_range
 
     def _amplitude(self):
-        """Of the excitation [V]: full scale by the two gains, times WGAMPLITUDE."""
+        """Amplitude of the excitation [V]: full scale by the two gains, times WGAMPLITUDE."""
         quarter, fifth = self[0x2010] >> 12 & 1, self[0x2010] & 1
         full = EXCITATIONS[{(0, 0): 0, (0, 1): 1, (1, 0): 2, (1, 1): 3}[quarter, fifth]]
         return full * (self[0x203C] & 0x7FF) / 2047

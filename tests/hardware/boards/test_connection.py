@@ -1,4 +1,4 @@
-"""Boards that go away and come back: what is counted, what is a new session, what is final."""
+"""Boards that go away and come back: counts, new sessions, final errors."""
 
 import dataclasses
 import threading
@@ -18,7 +18,7 @@ from loopback import FakeSimulator, Loopback, connected, firmware, take, virtual
 
 
 class Flaky:
-    """A board of which connecting fails some times; its streams end in an error."""
+    """Board whose connections fail some times and whose streams end in an error."""
 
     def __init__(self, streams, failures=0, final=None):
         self.streams, self.failures, self.final = iter(streams), failures, final

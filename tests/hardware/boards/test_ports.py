@@ -1,4 +1,4 @@
-"""Which port is meant: by path, by USB serial number, or because there is only one."""
+"""Choice of a port: by path, by USB serial number, or the only one."""
 
 import dataclasses
 import os

@@ -1,4 +1,4 @@
-"""The host on a serial port: what can go wrong on the wire, on connecting, and with cables."""
+"""Serial board: faults on the wire, on connecting, and of cables."""
 
 import dataclasses
 import threading

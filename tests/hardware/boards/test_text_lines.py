@@ -1,4 +1,4 @@
-"""Lines of text: what is understood of them, and how they are frames."""
+"""Lines of text: decoding, and division into frames."""
 
 import cmath
 import contextlib

@@ -1,4 +1,4 @@
-"""The firmware in C: what it measures through the AD5940, and what it says of it."""
+"""Firmware in C: measurements through the AD5940, and their status."""
 
 import numpy as np
 import pytest
@@ -39,7 +39,7 @@ ABSENCE = Event(2, 1, "no AD5940 answers: check its SPI and its supply")
 
 
 def quantisation(values, amplitude=0.607, full_range=0.9, rtia=200.0):
-    """How far off rounding to codes can be [ohm]: of V, of I, and of both on RCAL = 200 ohm."""
+    """Bound of the rounding to codes [ohm]: of V, of I, and of both on RCAL = 200 ohm."""
     step = full_range / CODES
     half_codes = step * np.sqrt(0.5)
     of_v = half_codes / amplitude

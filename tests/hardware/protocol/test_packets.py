@@ -176,7 +176,7 @@ def test_no_mutation_is_accepted_as_something_that_was_not_sent():
 
 
 def mutated(rng, packet):
-    """The packet with one of the things done to it that a bad line does."""
+    """Packet with one kind of damage by a bad line."""
     place, length = rng.randrange(len(packet)), rng.randrange(1, 20)
     noise = rng.randbytes(length)
     return rng.choice(

@@ -274,7 +274,7 @@ def test_what_is_no_fault_is_refused_with_the_names(text):
 
 
 def test_faults_of_two_boards_are_apart():
-    """A fault that remembers must not remember another board."""
+    """The memory of a fault belongs to one board."""
     rng = np.random.default_rng(0)
     boards = [
         firmware(read_faults("frozen_frame@0"), sensor=lambda _: FLAT + rng.normal(size=28))
