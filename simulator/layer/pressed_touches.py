@@ -91,7 +91,7 @@ def dents(
             press
             for touch, dent in found
             if dent is not None
-            for press in images(PlacedDent(touch.x, touch.y, dent), design, mechanics.margin)
+            for press in press_images(PlacedDent(touch.x, touch.y, dent), design, mechanics.margin)
         ),
         _box(design, mechanics.margin),
     )
@@ -106,7 +106,7 @@ def _box(design: SensorDesign, margin: float) -> Box | None:
     return Box((-margin, -margin, 0.0), high)
 
 
-def images(press: PlacedDent, design: SensorDesign, margin: float) -> Iterator[PlacedDent]:
+def press_images(press: PlacedDent, design: SensorDesign, margin: float) -> Iterator[PlacedDent]:
     """Press and its images beyond the free edges of the stack, of alternating sign.
 
     Method of images: at a free edge the pressure of the stack vanishes, as half-way between a press

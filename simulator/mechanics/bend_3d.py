@@ -127,7 +127,7 @@ class ClampedStack:
                 f"a clamped stack needs a rectangular outline, got {type(outline).__name__}"
             )
         thickness = design.encapsulated_thickness
-        grading = grading or default_grading(thickness)
+        grading = grading or bend_grading(thickness)
         self._gel = 0.5 * np.array([outline.length, outline.width, design.thickness])
         self._clamp, self._offset = 0.5 * hinge.span, hinge.offset
         whole = self._gel[0] + margin
@@ -214,7 +214,7 @@ class ClampedStack:
         return BentStack(angle_deg, values, self._centre, self._offset, energy, 2.0 * moment)
 
 
-def default_grading(thickness: float) -> Grading:
+def bend_grading(thickness: float) -> Grading:
     """Default grading for a stack of this thickness [m]."""
     return Grading(finest=thickness / 5.0, coarsest=0.75 * thickness, growth=0.4)
 

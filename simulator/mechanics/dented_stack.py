@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.kinematics import Gradients, Points
 from eitskin.simulator.mechanics.penalty_contact import PenaltyContact
-from eitskin.simulator.mechanics.press_window import Window
+from eitskin.simulator.mechanics.press_window import PressWindow
 from eitskin.simulator.mechanics.quadratic_field import QuadraticField
 
 Array = NDArray[np.float64]
@@ -36,7 +36,7 @@ class DentedStack:
     """
 
     displacement: QuadraticField
-    windows: tuple[Window, Window]
+    windows: tuple[PressWindow, PressWindow]
     sensor: Array
     forces: Array
     depths: Array

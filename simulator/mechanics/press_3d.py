@@ -19,7 +19,7 @@ from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.mechanics.load_stepping import ForceTerm, Load, SolidError, newton
 from eitskin.simulator.mechanics.mixed_solid import Solid
 from eitskin.simulator.mechanics.penalty_contact import PenaltyContact
-from eitskin.simulator.mechanics.press_window import Window, check_touches
+from eitskin.simulator.mechanics.press_window import PressWindow, check_touches
 from eitskin.simulator.mechanics.quadratic_field import QuadraticField
 from eitskin.simulator.scene.touch import Touch
 
@@ -76,14 +76,14 @@ class PressedStack:
         self._stack = self._mechanics.stack(design)
         thickness = design.encapsulated_thickness
         reach = 5.0 * thickness if reach is None else reach
-        grading = grading or default_grading(thickness, touches)
+        grading = grading or press_grading(thickness, touches)
         margin, around = self._mechanics.margin, 0.5 * (thickness - design.thickness)
         self._gel = np.array([outline.length, outline.width, design.thickness])
         beyond = np.array([margin, margin, around])
         self._sensor = np.array([-beyond, self._gel + beyond])
         self.windows = (
-            Window.around(touches, 0, (-margin, outline.length + margin), reach),
-            Window.around(touches, 1, (-margin, outline.width + margin), reach),
+            PressWindow.around(touches, 0, (-margin, outline.length + margin), reach),
+            PressWindow.around(touches, 1, (-margin, outline.width + margin), reach),
         )
         self._lines = (
             self._across(0, grading),
@@ -289,7 +289,7 @@ class PressedStack:
         )
 
 
-def default_grading(thickness: float, touches: Sequence[Touch]) -> Grading:
+def press_grading(thickness: float, touches: Sequence[Touch]) -> Grading:
     """Default grading for a stack of this thickness [m] and the smallest of the indenters."""
     radius = min(touch.indenter.rims[1] for touch in touches)
     return Grading(finest=radius / 6.0, coarsest=0.5 * thickness, growth=0.35)

@@ -19,7 +19,7 @@ _MOST = 4  # touches
 
 
 @dataclass(frozen=True, slots=True)
-class Window:
+class PressWindow:
     """Computational window along one axis; half under symmetry.
 
     Attributes:
@@ -36,8 +36,8 @@ class Window:
     @classmethod
     def around(
         cls, touches: Sequence[Touch], axis: int, ends: tuple[float, float], reach: float
-    ) -> "Window":
-        """Window within `reach` [m] of all touches; half of it for mirror-symmetric touches."""
+    ) -> "PressWindow":
+        """PressWindow within `reach` [m] of all touches; half of it for mirror-symmetric touches."""
         positions = np.array([(touch.x, touch.y) for touch in touches])
         along, across = positions[:, axis], positions[:, 1 - axis]
         low, high = max(ends[0], along.min() - reach), min(ends[1], along.max() + reach)

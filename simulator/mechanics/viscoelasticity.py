@@ -65,9 +65,9 @@ class Prony:
         """Retardation amplitudes j_k and times [s]: J(t) = 1 + sum_k j_k (1 - exp(-t / time_k)).
 
         The Laplace transform of G is sum_k w_k / (s + p_k) with weights w = (1 - sum g, g_1, ...)
-        and rates p = (0, 1 / tau_1, ...). That of J is 1 over s^2 times it, so retardation rates
-        are its zeros, one between any two neighbouring p, and the amplitudes follow from the
-        residues. All sums have terms of one sign, so that no digits cancel for close and far rates.
+        and rates p = (0, 1 / tau_1, ...). The transform of J is 1 / s^2 over the transform of G.
+        Retardation rates are therefore the zeros of the latter, one between any two neighbouring
+        p, and the amplitudes follow from the residues. All sums have terms of one sign, so that no digits cancel for close and far rates.
         """
         g = np.array(self.amplitudes)
         kept = g > _FAINTEST
@@ -96,8 +96,8 @@ def mixture(materials: Sequence[Prony], shares: ArrayLike) -> Prony:
 
     The elastic force is F(mu_1, mu_2, ...), homogeneous of degree one. Were the body linear, its
     transformed relaxation would be F(mu_1 s G_1, ...) exactly (correspondence principle), of
-    which this is the first order in the amplitudes. It is exact for parts side by side; for parts
-    on top of each other it is off by some s_1 s_2 (G_1 - G_2)^2.
+    which the sum is the first order in the amplitudes. The sum is exact for parts side by side;
+    for parts on top of each other its error is about s_1 s_2 (G_1 - G_2)^2.
     """
     s = np.array(shares, dtype=np.float64)
     if s.shape != (len(materials),) or not (np.all(s >= 0.0) and abs(s.sum() - 1.0) < 1e-6):
