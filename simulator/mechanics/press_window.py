@@ -37,7 +37,7 @@ class PressWindow:
     def around(
         cls, touches: Sequence[Touch], axis: int, ends: tuple[float, float], reach: float
     ) -> "PressWindow":
-        """PressWindow within `reach` [m] of all touches; half of it for mirror-symmetric touches."""
+        """Window within `reach` [m] of all touches; half of it for mirror-symmetric touches."""
         positions = np.array([(touch.x, touch.y) for touch in touches])
         along, across = positions[:, axis], positions[:, 1 - axis]
         low, high = max(ends[0], along.min() - reach), min(ends[1], along.max() + reach)

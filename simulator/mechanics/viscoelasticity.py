@@ -67,7 +67,8 @@ class Prony:
         The Laplace transform of G is sum_k w_k / (s + p_k) with weights w = (1 - sum g, g_1, ...)
         and rates p = (0, 1 / tau_1, ...). The transform of J is 1 / s^2 over the transform of G.
         Retardation rates are therefore the zeros of the latter, one between any two neighbouring
-        p, and the amplitudes follow from the residues. All sums have terms of one sign, so that no digits cancel for close and far rates.
+        p, and the amplitudes follow from the residues. All sums have terms of one sign, so that no
+        digits cancel for close and far rates.
         """
         g = np.array(self.amplitudes)
         kept = g > _FAINTEST
