@@ -2,7 +2,7 @@
 
 A position on the rim is told by its arc length, counter-clockwise.
 
-An outline of straight sides is a frozen dataclass that derives from `_Sided`, gives `vertices`,
+An outline of straight sides is a frozen dataclass that derives from `_StraightSided`, gives `vertices`,
 `length` and `width`, and joins the union `PlaneOutline`; TOML files tell outlines apart by their
 keys. A curved outline derives from `_Plane` and needs a branch wherever `Disc` has one.
 """
@@ -69,7 +69,7 @@ def _located(outline: _Plane, x: float, y: float) -> float:
     return float(s)
 
 
-class _Sided(_Plane):
+class _StraightSided(_Plane):
     """Outline of straight sides; arc length runs counter-clockwise from the first vertex."""
 
     __slots__ = ()
@@ -126,7 +126,7 @@ class _Sides:
 
 
 @lru_cache(maxsize=64)
-def _sides(outline: _Sided) -> _Sides:
+def _sides(outline: _StraightSided) -> _Sides:
     closed = np.concatenate([outline.vertices, outline.vertices[:1]])
     step = np.diff(closed, axis=0)
     lengths = np.hypot(step[:, 0], step[:, 1])
@@ -136,7 +136,7 @@ def _sides(outline: _Sided) -> _Sides:
 
 
 @dataclass(frozen=True, slots=True)
-class Rectangle(_Sided):
+class Rectangle(_StraightSided):
     """Rectangular outline with a corner at the origin: length along x, width along y [m].
 
     Arc length runs counter-clockwise from the origin.
@@ -157,7 +157,7 @@ class Rectangle(_Sided):
 
 
 @dataclass(frozen=True, slots=True)
-class Polygon(_Sided):
+class Polygon(_StraightSided):
     """Polygonal outline through at least three points (x, y) [m]; the last joins the first.
 
     The least x and the least y must be 0. Clockwise points are reversed, the first point staying
