@@ -2,9 +2,9 @@
 
 A position on the rim is told by its arc length, counter-clockwise.
 
-An outline of straight sides is a frozen dataclass that derives from `_StraightSided`, gives `vertices`,
-`length` and `width`, and joins the union `PlaneOutline`; TOML files tell outlines apart by their
-keys. A curved outline derives from `_Plane` and needs a branch wherever `Disc` has one.
+An outline of straight sides is a frozen dataclass that derives from `_StraightSided`, gives
+`vertices`, `length` and `width`, and joins the union `PlaneOutline`; TOML files tell outlines apart
+by their keys. A curved outline derives from `_Plane` and needs a branch wherever `Disc` has one.
 """
 
 import math
