@@ -1,1 +1,4 @@
-"""How good a pipeline is: metrics, Cramer-Rao bounds and report folders."""
+"""Evaluation of pipelines on datasets: metrics, scores, report folders, Cramer-Rao bounds.
+
+`evaluate.Evaluation` compares predictions with the truth; `report` draws and writes the results.
+"""

@@ -78,14 +78,14 @@ def _positions(values: ArrayLike) -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Matches:
-    """The m touches that were matched; `matching.localisation` says how.
+    """The m matched touches of a dataset of n frames; see `localisation`.
 
     Attributes:
-        frame: that each is in (m,).
+        frame: index of each touch's frame (m,).
         true, found: positions (m, 2) [m].
         true_force, found_force: (m,) [N]; NaN where not known.
         deviation: standard error of the found position (m,) [m]; NaN where not stated.
-        false: touches that match none, per frame of the dataset (n,).
+        false: number of found touches without a match in each frame (n,).
     """
 
     frame: NDArray[np.int64]

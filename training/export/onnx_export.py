@@ -1,4 +1,4 @@
-"""`NAME.eitmodel` as ONNX graphs, each checked against the pipeline before anything is written."""
+"""Export of a pipeline as ONNX graphs, each checked against the pipeline before it is written."""
 
 import hashlib
 import json
@@ -53,20 +53,21 @@ def graphs_of(pipeline: Pipeline) -> tuple[list[ExportedGraph], tuple[str, ...]]
 def export_onnx(
     pipeline: Pipeline, folder: str | Path, tolerance: float = TOLERANCE
 ) -> dict[str, Any]:
-    """Write the graphs of a pipeline and what they take and give into a folder.
+    """Write the graphs of a pipeline and a description of their inputs and outputs.
 
     Args:
-        pipeline: a trained one; a calibrated one is exported as it is.
-        folder: to write to; made unless it is there.
-        tolerance: most difference from the pipeline of any output on the golden frames, relative
-            to the largest value of that output.
+        pipeline: trained, and exported with its calibration if it has one.
+        folder: made if missing.
+        tolerance: largest allowed difference between graph and pipeline on the golden frames,
+            relative to the largest value of an output.
 
-    Returns what it has written as `DOCUMENT`.
+    Returns:
+        The description, as written to `DOCUMENT`.
 
     Raises:
-        ImportError: naming the extra, where onnx or onnxruntime is missing.
-        DataError: where a graph differs by more; nothing is written then.
-        ConfigurationError: where the folder cannot be made or written to.
+        ImportError: naming the extra, without onnx or onnxruntime.
+        DataError: for a graph that differs by more; nothing is written then.
+        ConfigurationError: for a folder that cannot be made or written to.
     """
     graphs, left_out = graphs_of(pipeline)
     differences = [checked(graph, tolerance) for graph in graphs]
@@ -95,7 +96,7 @@ def export_onnx(
 
 
 def run_graph(model: bytes, feeds: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """Outputs of a graph by onnxruntime, on one thread."""
+    """Outputs of a graph by name, by onnxruntime on one thread."""
     runtime = require("onnxruntime", "onnx")
     options = runtime.SessionOptions()
     options.intra_op_num_threads = 1
@@ -106,15 +107,15 @@ def run_graph(model: bytes, feeds: Mapping[str, NDArray[Any]]) -> dict[str, NDAr
 
 
 def checked(graph: ExportedGraph, tolerance: float = TOLERANCE) -> dict[str, float]:
-    """Largest difference of each output from the pipeline's; raises DataError above tolerance."""
-    said, differences = run_graph(graph.model, graph.feeds), {}
+    """Largest difference of each output from the pipeline's; raises DataError above `tolerance`."""
+    computed, differences = run_graph(graph.model, graph.feeds), {}
     for name, expected in graph.expected.items():
-        if said[name].shape != expected.shape:
+        if computed[name].shape != expected.shape:
             raise DataError(
                 f"{graph.name}.onnx: expected '{name}' of shape {expected.shape}, got "
-                f"{said[name].shape}; nothing is written"
+                f"{computed[name].shape}; nothing is written"
             )
-        error = float(np.max(np.abs(said[name] - expected)))
+        error = float(np.max(np.abs(computed[name] - expected)))
         allowed = tolerance * float(np.max(np.abs(expected)))
         if not error <= allowed:
             raise DataError(

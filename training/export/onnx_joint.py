@@ -12,8 +12,8 @@ from eitskin.training.method.observations import Observations
 Array = NDArray[np.float64]
 
 PROPOSALS = (
-    "Where touches may be, at first glance, of n frames without bad channels; the fit starts from "
-    "the cells of largest value."
+    "Initial guesses of the touches in n frames without bad channels, as a map of cells; the fit "
+    "starts from the cells of largest value."
 )
 PROPOSAL_UNITS = {
     **FRAME_UNITS,
@@ -21,7 +21,7 @@ PROPOSAL_UNITS = {
     "cells": f"0 to 1; {AXES}",
 }
 RESPONSE = (
-    "The change of log V by each of n touches alone, on the specimen with these flat resistances; "
+    "Change of log V by each of n single touches, on the specimen with these flat resistances; "
     "changes of touches on one specimen add up."
 )
 RESPONSE_UNITS = {

@@ -21,8 +21,9 @@ WHAT = (
 )
 NOT_IN_GRAPH = (
     "the references themselves, which a session renews while nothing touches the sensor",
-    "bad channels, which are filled in before by a conditional mean (MissingChannels.fill)",
-    "places of touches, which are regions of touch_map above 0.4 (find_touches)",
+    "bad channels, which are first replaced by a conditional mean (MissingChannels.fill)",
+    "positions of touches, the centroids of connected components of touch_map above 0.4 "
+    "(find_touches)",
 )
 IMPEDANCE = "ohm; frames, measurements in the order of the table, real and imaginary part"
 FRAME_UNITS = dict.fromkeys(("impedance", "static_reference", "dynamic_reference"), IMPEDANCE)
@@ -52,13 +53,13 @@ def paper_graph(method: PaperMethod, frames: Observations) -> ExportedGraph:
         pictures = [_picture(method, difference) for difference in (static, dynamic)]
         return [probabilities, state, angle, _touch_map(method, pictures[1], touched), *pictures]
 
-    said = method.perceive(frames)
+    predictions = method.perceive(frames)
     reconstruct = method.reconstruction.apply
     expected: dict[str, NDArray[Any]] = {
-        "probabilities": said.probabilities,
-        "state": said.state.astype(np.int64),
-        "bend_angle_deg": said.bend_angle_deg,
-        "touch_map": said.touch_map,
+        "probabilities": predictions.probabilities,
+        "state": predictions.state.astype(np.int64),
+        "bend_angle_deg": predictions.bend_angle_deg,
+        "touch_map": predictions.touch_map,
         "static_picture": reconstruct(frames.static),
         "dynamic_picture": reconstruct(frames.dynamic),
     }

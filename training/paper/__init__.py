@@ -1,1 +1,4 @@
-"""The method of the paper: classifier, bend regression, reconstruction and post-processor."""
+"""The method of the paper: state classifier, bend regression, reconstruction, post-processor.
+
+`method.PaperMethod` joins the stages; each has a module with `fit` and `apply`.
+"""

@@ -1,1 +1,4 @@
-"""The perception pipeline: frames in, estimates out; calibration and the saved form."""
+"""Perception pipeline: estimates from the frames of a session, and its saved form.
+
+`pipeline.Pipeline` trains, calibrates, processes, saves and loads, whatever the method.
+"""

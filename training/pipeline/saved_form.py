@@ -90,7 +90,7 @@ def write_pipeline(path: str | Path, saved: SavedPipeline) -> Path:
     files = _files(saved)
     sums = "".join(f"{_sha256(data)}  {name}\n" for name, data in files.items())
     files[SUMS] = sums.encode()
-    with atomic_folder(path, PartialError, "make room, or choose another place") as folder:
+    with atomic_folder(path, PartialError, "make room, or choose another folder") as folder:
         for name, data in files.items():
             (folder / name).write_bytes(data)
     return path

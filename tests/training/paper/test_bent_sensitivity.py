@@ -8,7 +8,7 @@ from eitskin.geometry import Bend, SensorDesign
 from eitskin.geometry.meshing.hexahedra import Grading
 from eitskin.simulator import Protocol, Scene, Simulator
 from eitskin.training.method.input_spec import InputSpec
-from eitskin.training.paper.sensitivity import sensitivity_at
+from eitskin.training.paper.nominal_jacobian import nominal_jacobian
 
 COARSE = ((2, 1), Grading(finest=4e-3, coarsest=8e-3, growth=1.0, layers=1))
 PROTOCOL = Protocol(((0, 1, 0, 1), (2, 6, 2, 6), (0, 4, 1, 3)), 8)
@@ -34,7 +34,7 @@ def test_agrees_with_central_differences_at_any_angle(angle_deg):
 
     rows, columns = LAYOUT.pixels
     y, x = ((np.arange(n) + 0.5) / n * size for n, size in ((rows, 0.06), (columns, 0.15)))
-    J = sensitivity_at(LAYOUT, angle_deg, resolution=COARSE)
+    J = nominal_jacobian(LAYOUT, angle_deg, resolution=COARSE)
     assert J.shape == (3, rows * columns)
     expected = (logarithms(1e-4) - logarithms(-1e-4)) / 2e-4
     # The difference that is left is that of pixels and a smooth change.
@@ -43,7 +43,7 @@ def test_agrees_with_central_differences_at_any_angle(angle_deg):
 
 @pytest.mark.slow
 def test_bending_changes_what_is_felt_and_where():
-    flat, bent = (sensitivity_at(LAYOUT, angle, resolution=COARSE) for angle in (0.0, 40.0))
+    flat, bent = (nominal_jacobian(LAYOUT, angle, resolution=COARSE) for angle in (0.0, 40.0))
     assert 0.02 < np.linalg.norm(bent - flat) / np.linalg.norm(flat) < 0.5
     middle = np.abs(np.linspace(0, 0.15, flat.shape[1] // 32) - 0.075) < 0.02
     moved = np.abs(bent - flat).sum(axis=0).reshape(32, -1).sum(axis=0)
@@ -52,4 +52,4 @@ def test_bending_changes_what_is_felt_and_where():
 
 def test_a_bend_that_is_beyond_the_hinge_is_refused():
     with pytest.raises(ConfigurationError):
-        sensitivity_at(LAYOUT, 400.0, resolution=COARSE)
+        nominal_jacobian(LAYOUT, 400.0, resolution=COARSE)

@@ -1,1 +1,4 @@
-"""The report folder of an evaluation: figures, the table of the paper, and both as one page."""
+"""Report folder of an evaluation: figures, comparison with the paper, JSON and Markdown.
+
+`folder.write_report` writes it; a module for each kind of figure draws one from an `Evaluation`.
+"""

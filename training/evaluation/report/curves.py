@@ -22,7 +22,7 @@ from eitskin.training.pipeline.pipeline import Pipeline
 
 
 def learning_curves(pipeline: Pipeline) -> Mapping[str, LearningCurve]:
-    """How the loss of each network fell in training, by its name; empty where none was kept."""
+    """Learning curves of the networks by name, without empty ones."""
     kept = pipeline.method.learning_curves
     return {name: history for name, history in kept.items() if history.training}
 

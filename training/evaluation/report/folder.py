@@ -34,7 +34,7 @@ PICTURES: Mapping[str, Callable[[Evaluation], CaptionedFigure | NoFigure]] = {
     "error_vectors.png": error_vectors,
     "localisation_errors.png": localisation_errors,
 }
-_REMEDY = "make room or choose another folder, and write the report again"
+_REMEDY = "make room, or choose another folder, and write the report again"
 
 
 def require_report_folder(folder: Path) -> None:

@@ -11,7 +11,7 @@ from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.paper.reconstruction import relative_jacobian
 
 
-def sensitivity_at(
+def nominal_jacobian(
     layout: InputSpec,
     angle_deg: float = 0.0,
     hinge: Hinge | None = None,
