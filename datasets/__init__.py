@@ -1,4 +1,8 @@
-"""Frames in quantity: what to generate, generating it, keeping it, reading it back."""
+"""Datasets: labelled frames, simulated or measured.
+
+A `recipe` describes a dataset, `generation` simulates its shards on all cores or a cluster, and
+`store` holds the format, writes and reads; `recordings` imports what other boards measured.
+"""
 
 from eitskin.lazy import lazy_exports
 

@@ -3,10 +3,10 @@
 from eitskin.datasets.generation.generate import generate as generate
 from eitskin.datasets.generation.verification import verify as verify
 from eitskin.datasets.recipe.recipe import Recipe as Recipe
-from eitskin.datasets.recordings import (
+from eitskin.datasets.recordings.recording import (
     RecordingNames as RecordingNames,
 )
-from eitskin.datasets.recordings import (
+from eitskin.datasets.recordings.recording import (
     read_recording as read_recording,
 )
 from eitskin.datasets.store.dataset import Dataset as Dataset

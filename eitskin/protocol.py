@@ -143,6 +143,16 @@ class Protocol:
         return cls.from_file(text, n_electrodes)
 
     @classmethod
+    def from_text(cls, text: str) -> "Protocol":
+        """Protocol of a text with its number of electrodes, "pairwise:8"."""
+        match = re.fullmatch(r"pairwise:(\d{1,3})", text)
+        if match is None or int(match[1]) < 2:
+            raise ConfigurationError(
+                f"expected a protocol as pairwise:N with the number of electrodes, got '{text}'"
+            )
+        return cls.pairwise(int(match[1]))
+
+    @classmethod
     def from_rows(cls, rows: Iterable[Iterable[int]], n_electrodes: int) -> "Protocol":
         """Protocol from any iterable of rows of four integers."""
         return cls(tuple(tuple(int(e) for e in row) for row in rows), n_electrodes)  # type: ignore[misc]

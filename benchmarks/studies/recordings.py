@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from eitskin.datasets.recordings import RecordingNames, read_recording
+from eitskin.datasets.recordings.recording import RecordingNames, read_recording
 from eitskin.errors import FrameError
 from eitskin.provenance import Provenance
 from eitskin.training.pipeline.pipeline import Pipeline

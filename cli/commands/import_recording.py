@@ -32,14 +32,15 @@ def command(
     verbose: Verbose = False,
 ) -> None:
     """Import measured voltages and labels, as a dataset for training and evaluation."""
-    from eitskin.datasets.recordings import RecordingNames, parse_protocol, read_recording
+    from eitskin.datasets.recordings.recording import RecordingNames, read_recording
     from eitskin.datasets.store.folder import save_dataset
+    from eitskin.protocol import Protocol
 
     output = Output(as_json, quiet, verbose)
     data = read_recording(
         file,
         RecordingNames(values, touch_reference, positions),
-        parse_protocol(protocol) if protocol else None,
+        Protocol.from_text(protocol) if protocol else None,
         frequency,
     )
     output.detail(f"nothing is random in an import, seed {seed} is not used")

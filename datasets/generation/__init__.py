@@ -1,1 +1,4 @@
-"""Simulating a recipe's shards on all cores or a cluster, resumably, and verifying them."""
+"""Simulation of a recipe's shards on all cores or a cluster, resumable, and their verification.
+
+`generate` gives shards to the workers of `process_pool` or `cluster`, which run `shard_simulation`.
+"""

@@ -1,4 +1,4 @@
-"""Shards made by the workers of a dask cluster, which may come and go meanwhile."""
+"""Dask cluster: shards simulated by workers that may come and go."""
 
 import socket
 import threading
@@ -25,10 +25,10 @@ def make_shards(
     address: str,
     report: Callable[[int], None],
 ) -> list[int]:
-    """Make `shards` of `recipe` in `folder`, which all workers must see under the same path.
+    """Simulate `shards` of `recipe` into `folder`, which all workers must see under the same path.
 
-    Calls `report` with the number of each finished shard. The scheduler gives the shard of a
-    worker that is lost to another; returns those whose workers died again and again.
+    Calls `report` with the number of each finished shard. The scheduler gives the shard of a lost
+    worker to another one. Returns the numbers of shards whose workers died again and again.
 
     Raises:
         ConfigurationError: where the scheduler at `address` has no workers, or they have other
@@ -39,7 +39,7 @@ def make_shards(
     distributed = require("distributed", "cluster")
     lost = set(shards)
     with _connected(address) as client:
-        # Not pure: results are files, which the scheduler cannot know to be there.
+        # Not pure: results are files, of which the scheduler knows nothing.
         futures = [
             client.submit(
                 cluster_task, recipe, folder.resolve(), shard, package_versions(), pure=False
@@ -63,13 +63,13 @@ def make_shards(
 
 
 def check_scheduler(address: str) -> None:
-    """Raise ConfigurationError unless something answers at `address`, ImportError without dask."""
+    """Raise ConfigurationError unless a server answers at `address`, ImportError without dask."""
     require("distributed", "cluster")
     try:
-        place = urlsplit(address)
-        if place.scheme not in ("tcp", "tls") or not place.hostname or not place.port:
+        url = urlsplit(address)
+        if url.scheme not in ("tcp", "tls") or not url.hostname or not url.port:
             raise ValueError("expected tcp://HOST:PORT")
-        socket.create_connection((place.hostname, place.port), CONNECT_SECONDS).close()
+        socket.create_connection((url.hostname, url.port), CONNECT_SECONDS).close()
     except (OSError, ValueError) as error:
         raise ConfigurationError(
             f"no dask scheduler answers at '{address}': {error}; start one with 'dask scheduler' "
@@ -79,7 +79,7 @@ def check_scheduler(address: str) -> None:
 
 @contextmanager
 def _connected(address: str) -> Iterator[Any]:
-    """A client of the scheduler at `address` that has at least one worker."""
+    """Client of the scheduler at `address`, which has at least one worker."""
     distributed = require("distributed", "cluster")
     with distributed.Client(address, timeout=CONNECT_SECONDS, set_as_default=False) as client:
         try:
@@ -92,14 +92,14 @@ def _connected(address: str) -> Iterator[Any]:
         yield client
 
 
-# From here on: what runs in a worker.
+# From here on: code that runs in a worker.
 
-# Simulators are shared within a process, and a limit on threads holds for all of it.
+# Simulators, and the limit on BLAS threads, are shared by all threads of a worker process.
 _one_at_a_time = threading.Lock()
 
 
 def cluster_task(recipe: Recipe, folder: Path, shard: int, versions: Mapping[str, str]) -> int:
-    """Simulate and write `shard`; only its number goes back."""
+    """Simulate and write `shard`; returns its number."""
     found = package_versions()
     if found != versions:
         raise ConfigurationError(
@@ -107,7 +107,7 @@ def cluster_task(recipe: Recipe, folder: Path, shard: int, versions: Mapping[str
             f"got {found}; install the same on all machines"
         )
     threads = require("threadpoolctl", "cluster")
-    # More BLAS threads would fight over the cores, and sums would depend on how many there are.
+    # More BLAS threads would compete for the cores, and sums would depend on their number.
     with _one_at_a_time, threads.threadpool_limits(1):
         data = simulate_shard(recipe, shard)
         write_shard(folder / shard_name(shard), data, recipe.shard_range(shard).start)

@@ -1,4 +1,4 @@
-"""Making a dataset from a recipe, on all cores, so that it can be interrupted and resumed."""
+"""Generation of a dataset from a recipe, resumable after interruptions."""
 
 import hashlib
 import shutil
@@ -24,7 +24,7 @@ from eitskin.errors import ConfigurationError, DataError, PartialError
 from eitskin.files import TEMPORARY, remove_file, remove_leftovers, write_file
 
 RECIPE = "recipe.toml"
-# Less than any frame takes: noise does not compress, and each channel is stored twice.
+# Lower bound for any frame: noise does not compress, and each channel is stored twice.
 _LEAST_BYTES_PER_CHANNEL = 4
 
 Progress = Callable[[int, int], None]
@@ -39,30 +39,30 @@ def generate(
     scheduler: str | None = None,
     shard: int | None = None,
 ) -> Manifest | None:
-    """Make the dataset of `recipe` in the folder `out`.
+    """Generate the dataset of `recipe` in the folder `out`.
 
-    The bytes depend on the recipe alone, not on where they are made or on interruptions. Scripts
-    that call this need the usual `if __name__ == "__main__":`, because workers are started afresh.
+    The bytes depend on the recipe alone, not on the workers or on interruptions. Scripts that call
+    this function need the usual `if __name__ == "__main__":`, because workers are new processes.
 
     Args:
-        recipe: what to make.
+        recipe: of the dataset.
         out: folder; new or empty, unless `resume` or `shard`.
-        workers: processes that simulate; unused with `scheduler` and `shard`.
+        workers: number of processes; unused with `scheduler` and `shard`.
         progress: called with the number of finished frames and of all frames.
-        resume: keep the finished shards that lie in `out` and make the others.
+        resume: keep the finished shards in `out` and simulate the others.
             Half-written files of killed writers are removed.
-        scheduler: address of a dask.distributed scheduler, whose workers simulate instead.
-        shard: make this one only. Any number of such calls may share a folder at the same time,
-            and leave the half-written files of others alone; one that finds all shards finished
-            writes the manifest.
+        scheduler: address of a dask.distributed scheduler, for its workers in place of processes.
+        shard: number of the only shard to simulate. Any number of such calls may share a folder at
+            the same time, and leave the half-written files of others alone; a call that finds all
+            shards finished writes the manifest.
 
     Returns:
-        The manifest that was written; None where `shard` was given and others are missing.
+        The manifest that was written; None with `shard` while other shards are missing.
 
     Raises:
-        ConfigurationError: where `out` holds something else or has no room, forces are beyond
-            reach, or the scheduler cannot be used.
-        PartialError: where files cannot be written or workers died; resume when that is mended.
+        ConfigurationError: where `out` holds something else or has no room, forces are beyond the
+            reach of the presses, or the scheduler cannot be used.
+        PartialError: where files cannot be written or workers died; resume after the repair.
     """
     _check_options(recipe, workers, scheduler, shard)
     prepare(recipe)
@@ -98,16 +98,16 @@ def generate(
     return manifest
 
 
-def least_bytes(recipe: Recipe, frames: int) -> int:
-    """What `frames` of `recipe` surely take on a disk [bytes]."""
+def smallest_size(recipe: Recipe, frames: int) -> int:
+    """Lower bound of the size of `frames` frames on the disk [bytes]."""
     electrodes = len(recipe.sensor.electrodes)
     return frames * electrodes * (electrodes - 1) // 2 * _LEAST_BYTES_PER_CHANNEL
 
 
 def free_bytes(folder: Path) -> int:
-    """What is free on the disk where `folder` lies or would be made [bytes]."""
-    there = next(place for place in (folder, *folder.absolute().parents) if place.is_dir())
-    return shutil.disk_usage(there).free
+    """Free space on the disk of `folder`, which need not exist [bytes]."""
+    existing = next(path for path in (folder, *folder.absolute().parents) if path.is_dir())
+    return shutil.disk_usage(existing).free
 
 
 def _check_options(recipe: Recipe, workers: int, scheduler: str | None, shard: int | None) -> None:
@@ -128,8 +128,8 @@ def _check_options(recipe: Recipe, workers: int, scheduler: str | None, shard: i
 
 
 def _check_room(recipe: Recipe, folder: Path, missing: Sequence[int]) -> None:
-    """Refuse a disk that is obviously too full, before hours are spent on filling it."""
-    needed, free = least_bytes(recipe, _frames(recipe, missing)), free_bytes(folder)
+    """Raise ConfigurationError for a disk that is certainly too full, before hours of work."""
+    needed, free = smallest_size(recipe, _frames(recipe, missing)), free_bytes(folder)
     if needed > free:
         raise ConfigurationError(
             f"the disk of {folder} has no room: expected at least {needed / 1e6:.2g} MB, got "
@@ -142,48 +142,48 @@ def _frames(recipe: Recipe, shards: Sequence[int]) -> int:
 
 
 def _begin(recipe: Recipe, folder: Path, resume: bool, shared: bool) -> None:
-    """Make sure that `folder` holds this recipe, and nothing of another.
+    """Make sure that `folder` holds this recipe, and no files of another dataset.
 
-    A `shared` folder may be begun by several at once: they write the same recipe, and leave each
-    other's temporary files alone.
+    Several calls may begin a `shared` folder at once: they write the same recipe, and leave the
+    temporary files of each other alone.
     """
     text, path = recipe.to_toml().encode(), folder / RECIPE
     if not (resume or shared):
         new_folder(folder)
-    # Asked for before the recipe: another may write it, and a shard, in between.
+    # Listed before the look at the recipe: another call may write recipe and shard in between.
     held = sorted(name for name in make_folder(folder) if not name.startswith(TEMPORARY))
     if not shared:
         remove_leftovers(folder)
     if path.is_file():
         if path.read_bytes() != text:
             raise ConfigurationError(
-                f"cannot resume in {folder}: it was begun with another recipe or seed, which "
-                f"{path} holds; give that recipe, or choose another folder"
+                f"cannot resume in {folder}: {path} is another recipe or seed; give that recipe, "
+                "or choose another folder"
             )
     elif held:
         raise ConfigurationError(
-            f"cannot resume in {folder}: it holds {held[0]} but no {RECIPE}, so it is no dataset "
-            "that was begun; choose another folder"
+            f"cannot resume in {folder}: the folder holds {held[0]} but no {RECIPE}, so that no "
+            "dataset was begun there; choose another folder"
         )
     else:
         write_file(path, text)
 
 
 def _unfinished(recipe: Recipe, folder: Path, shards: Sequence[int]) -> list[int]:
-    """Those of `shards` that do not lie in `folder` whole, so that they are to be made."""
+    """Numbers of those `shards` that are missing or damaged in `folder`."""
     checksums = _checksums(folder)
     return [shard for shard in shards if not _finished(recipe, folder, shard, checksums)]
 
 
 def _complete(recipe: Recipe, folder: Path) -> bool:
-    """Whether all shards are there; they are read only where none is absent."""
+    """Whether all shards are finished; files are read only when none is absent."""
     shards = range(recipe.shards)
     there = all((folder / shard_name(shard)).is_file() for shard in shards)
     return there and not _unfinished(recipe, folder, shards)
 
 
 def _checksums(folder: Path) -> Mapping[str, str]:
-    """SHA-256 of the shards in `folder` by name, where it was complete once."""
+    """SHA-256 of the shards by name from the manifest of `folder`; empty without a manifest."""
     try:
         return {entry.name: entry.sha256 for entry in read_manifest(folder).shards}
     except DataError:
@@ -208,7 +208,7 @@ def _make(
     make: Callable[[Recipe, Path, Sequence[int]], list[int]],
 ) -> None:
     lost = make(recipe, folder, missing)
-    if lost:  # a worker died: the fault may be the machine's, so its shards get one more try
+    if lost:  # shards of workers that died, perhaps by a fault of the machine, get a second try
         lost = make(recipe, folder, lost)
     if lost:
         raise PartialError(

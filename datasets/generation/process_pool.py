@@ -1,4 +1,4 @@
-"""Shards made by processes of this machine; one that is killed costs its shard once more."""
+"""Process pool: shards simulated by worker processes on this machine."""
 
 import ctypes
 import multiprocessing
@@ -25,13 +25,13 @@ def make_shards(
     workers: int,
     report: Callable[[int], None],
 ) -> list[int]:
-    """Make `shards` of `recipe` in `folder` with `workers` processes.
+    """Simulate `shards` of `recipe` into `folder` with `workers` processes.
 
-    Calls `report` with the number of each finished shard. Returns those that were lost because
-    a worker died.
+    Calls `report` with the number of each finished shard. Returns the numbers of shards that were
+    lost because a worker died.
     """
     context = multiprocessing.get_context("spawn")
-    # Shared memory without a lock: one held at the wrong moment would stop the workers for ever.
+    # Shared memory without a lock, which a killed process could hold for ever.
     stop = context.RawValue(ctypes.c_bool, False)
     lost = set(shards)
     with (
@@ -42,7 +42,7 @@ def make_shards(
         ) as pool,
     ):
         try:
-            with _interrupts_held_back():  # workers start here, and keep them blocked
+            with _interrupts_held_back():  # workers start here and inherit the blocked signal
                 futures = [pool.submit(pool_task, recipe, folder, shard) for shard in shards]
             for future in as_completed(futures):
                 if isinstance(future.exception(), BrokenProcessPool):
@@ -53,8 +53,8 @@ def make_shards(
             pass
         except BaseException:
             stop.value = True
-            # Waits while further interrupts are still swallowed: after a shutdown that does not
-            # wait, nobody would, and one of them could cut the pool off from its workers.
+            # Waits here, where further interrupts are swallowed: after a shutdown without waiting,
+            # an interrupt could separate the pool from its workers.
             pool.shutdown(wait=True, cancel_futures=True)
             raise
     return sorted(lost)
@@ -62,14 +62,14 @@ def make_shards(
 
 @contextmanager
 def _one_interrupt(stop: ctypes.c_bool) -> Iterator[None]:
-    """Let Ctrl-C stop the workers and be raised once; more would disturb the clearing up."""
+    """Let Ctrl-C stop the workers and be raised once; a second one would disturb the shutdown."""
 
     def interrupt(number: int, frame: object) -> None:  # noqa: ARG001
         if not stop.value:
             stop.value = True
             raise KeyboardInterrupt
 
-    # Only the main thread may say what a signal does, and only it gets the interrupt.
+    # Only the main thread may set a signal handler, and only the main thread is interrupted.
     before = signal.getsignal(signal.SIGINT)
     ours = threading.current_thread() is threading.main_thread() and callable(before)
     if ours:
@@ -83,7 +83,7 @@ def _one_interrupt(stop: ctypes.c_bool) -> Iterator[None]:
 
 @contextmanager
 def _interrupts_held_back() -> Iterator[None]:
-    """Keep Ctrl-C waiting; processes that are started meanwhile never get it."""
+    """Block Ctrl-C; processes started meanwhile never receive it."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -93,9 +93,9 @@ def _interrupts_held_back() -> Iterator[None]:
 
 @contextmanager
 def one_thread_per_process() -> Iterator[None]:
-    """Let processes that are started now use one BLAS thread each.
+    """Limit processes started meanwhile to one BLAS thread each.
 
-    More would fight over the cores, and sums would depend on how many there are.
+    More threads would compete for the cores, and sums would depend on the number of threads.
     """
     before = {name: os.environ.get(name) for name in _THREAD_LIMITS}
     os.environ.update(dict.fromkeys(_THREAD_LIMITS, "1"))
@@ -109,17 +109,17 @@ def one_thread_per_process() -> Iterator[None]:
                 os.environ[name] = value
 
 
-# From here on: what runs in a worker.
+# From here on: code that runs in a worker.
 
 _stop: ctypes.c_bool | None = None
 
 
 class _Stopped(Exception):  # noqa: N818 - it is no error
-    """The parent has asked for an end."""
+    """Raised in a worker when the parent has asked for the end."""
 
 
 def _start_worker(stop: ctypes.c_bool) -> None:
-    """Look to `stop`, which the parent sets; end when the parent has gone."""
+    """Keep the flag `stop`, which the parent sets; end the process when the parent has ended."""
     global _stop  # noqa: PLW0603 - the one way to reach tasks from a pool's initializer
     _stop = stop
     threading.Thread(target=_end_with_parent, daemon=True).start()
@@ -133,7 +133,7 @@ def _end_with_parent() -> None:
 
 
 def pool_task(recipe: Recipe, folder: Path, shard: int) -> int:
-    """Simulate and write `shard`; only its number goes back."""
+    """Simulate and write `shard`; returns its number."""
     data = simulate_shard(recipe, shard, before_solve=_check_stop)
     write_shard(folder / shard_name(shard), data, recipe.shard_range(shard).start)
     return shard

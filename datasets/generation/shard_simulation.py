@@ -1,4 +1,4 @@
-"""The frames of one shard, simulated: a function of the recipe and the shard's number alone."""
+"""Simulation of one shard: a function of the recipe and the shard's number alone."""
 
 import dataclasses
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -30,7 +30,7 @@ Solved = Mapping[tuple[int, Scene], Impedance]
 
 
 def missing_press_tables(recipe: Recipe) -> set[Path]:
-    """The tables of presses that a recipe needs and that have not been solved yet."""
+    """Paths of the press tables that a recipe needs and that have not been solved yet."""
     if not recipe.largest_force:
         return set()
     found: set[Path] = set()
@@ -40,9 +40,9 @@ def missing_press_tables(recipe: Recipe) -> set[Path]:
 
 
 def prepare(recipe: Recipe) -> None:
-    """Solve once what all workers need, and check what takes a solution to know.
+    """Solve the press tables that all workers need, and check the recipe's forces.
 
-    Raises ConfigurationError for forces that the presses on some specimen do not reach.
+    Raises ConfigurationError for forces beyond the reach of the presses on some specimen.
     """
     if recipe.largest_force:
         for made in _specimens(recipe):
@@ -52,42 +52,42 @@ def prepare(recipe: Recipe) -> None:
 def simulate_shard(
     recipe: Recipe, shard: int, before_solve: Callable[[], None] = lambda: None
 ) -> Dataset:
-    """The frames of `shard`; `before_solve` is called before each solution and may raise."""
+    """Frames of `shard`; `before_solve` is called before each solution and may raise."""
     return simulate_frames(recipe, recipe.shard_range(shard), before_solve)
 
 
 def simulate_frames(
     recipe: Recipe, indices: Iterable[int], before_solve: Callable[[], None] = lambda: None
 ) -> Dataset:
-    """Any frames of a recipe, at least one.
+    """Frames of a recipe with the numbers `indices`, at least one.
 
-    They are the same in whatever company, but for what `Simulator.measure_all` allows itself where
-    many touches share a bend.
+    A frame does not depend on the others, up to the tolerance of `Simulator.measure_all` where many
+    touches share a bend.
     """
     samples = [sample(recipe, index) for index in indices]
     boards = [_board(recipe, number, before_solve) for number in range(recipe.specimens.count)]
     offsets = recipe.instrument.offsets(boards[0].protocol)
     solved = _solve(recipe, samples, bool(offsets.any()), before_solve)
 
-    def clean(each: Sample, seen: Callable[[Scene], Scene]) -> Impedance:
-        impedance = solved[each.specimen, seen(each.scene)]
+    def clean(each: Sample, changed: Callable[[Scene], Scene]) -> Impedance:
+        impedance = solved[each.specimen, changed(each.scene)]
         if offsets.any() and each.after is not None:
-            moved = solved[each.specimen, seen(each.after)] - impedance
+            moved = solved[each.specimen, changed(each.after)] - impedance
             impedance = impedance + offsets / each.period * moved
         return impedance
 
     def measure(each: Sample) -> tuple[Impedance, NDArray[np.uint8]]:
-        """The frame, and the mean of those without touches that go with it."""
+        """Frame, and mean of its untouched reference frames, with the status of both."""
         count = recipe.reference_frames
         free = np.broadcast_to(clean(each, without_touches), (count, len(offsets)))
-        both = np.concatenate([clean(each, _as_it_is)[None], free])
+        both = np.concatenate([clean(each, _unchanged)[None], free])
         rng = generator(recipe, Stream.NOISE, each.index)
         times = np.full(1 + count, each.session_time)
         measured, status = boards[each.specimen].session.measure(both, times, rng)
         return np.stack([measured[0], measured[1:].mean(axis=0)]), status[:2]
 
     impedance, status = (np.array(part) for part in zip(*map(measure, samples), strict=True))
-    touches = [touch_columns(_acting(each.scene)) for each in samples]
+    touches = [touch_columns(_held_touches(each.scene)) for each in samples]
     return Dataset.from_arrays(
         impedance[:, 0],
         np.array([board.reference for board in boards]),
@@ -109,26 +109,26 @@ def simulate_frames(
 
 
 def without_touches(scene: Scene) -> Scene:
-    """The scene without its touches, and what they have left."""
+    """Scene without touches, held or released."""
     return dataclasses.replace(scene, touches=())
 
 
-def _as_it_is(scene: Scene) -> Scene:
+def _unchanged(scene: Scene) -> Scene:
     return scene
 
 
-def _acting(scene: Scene) -> tuple[Touch, ...]:
+def _held_touches(scene: Scene) -> tuple[Touch, ...]:
     return tuple(touch for touch in scene.touches if not touch.released)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Board:
-    """The board of one specimen in its session.
+    """Board of one specimen in its session.
 
     Attributes:
-        protocol: which pairs are measured.
+        protocol: drive and sense pairs.
         session: of the instrument.
-        reference: of the flat, untouched sensor at the session's start, free of noise [ohm].
+        reference: flat, untouched sensor at the session's start, noise-free [ohm].
     """
 
     protocol: Protocol
@@ -144,7 +144,7 @@ def _board(recipe: Recipe, number: int, before_solve: Callable[[], None]) -> _Bo
         return instrument.session(protocol, full_scale, generator(recipe, Stream.SESSION, number))
 
     still = session(dataclasses.replace(recipe.instrument, snr_db=0.0, floor=0.0))
-    rng = generator(recipe, Stream.SESSION, number)  # nothing is left that draws from it
+    rng = generator(recipe, Stream.SESSION, number)  # not used: all noise is switched off
     (reference,), _ = still.measure(flat[None], np.zeros(1), rng)
     return _Board(protocol, session(recipe.instrument), reference)
 
@@ -152,10 +152,10 @@ def _board(recipe: Recipe, number: int, before_solve: Callable[[], None]) -> _Bo
 def _solve(
     recipe: Recipe, samples: Sequence[Sample], skewed: bool, before_solve: Callable[[], None]
 ) -> Solved:
-    """The noise-free impedance [ohm] of every different scene, each solved once."""
+    """Noise-free impedance [ohm] of every different scene of every specimen, solved once."""
     wanted: dict[int, dict[Scene, None]] = {}
     for each in samples:
-        # Where a frame ends matters only if it is scanned while that moves.
+        # The scene at a frame's end matters only for frames scanned during a movement.
         scenes = [each.scene, each.after] if skewed and each.after is not None else [each.scene]
         scenes += [without_touches(scene) for scene in scenes]
         wanted.setdefault(each.specimen, {}).update(dict.fromkeys(scenes))
@@ -175,8 +175,8 @@ def _specimens(recipe: Recipe) -> Iterator[Specimen]:
     return (specimen(recipe, number) for number in range(recipe.specimens.count))
 
 
-# Meshing takes as long as a few scenes, so simulators are kept, though only a few: each holds
-# its mesh's matrices. Flat frames are small, and every shard needs those of all specimens.
+# Meshing takes as long as a few scenes, so simulators are cached, but only a few: each holds the
+# matrices of its mesh. Flat frames are small, and every shard needs those of all specimens.
 @lru_cache(maxsize=4)
 def _simulator(made: Specimen, resolution: Resolution) -> Simulator:
     return Simulator(
@@ -186,6 +186,6 @@ def _simulator(made: Specimen, resolution: Resolution) -> Simulator:
 
 @lru_cache(maxsize=4096)
 def _flat(made: Specimen, resolution: Resolution) -> tuple[Protocol, Impedance, float]:
-    """What the flat, untouched specimen gives, free of noise, and its full scale [ohm]."""
+    """Protocol, noise-free frame and full scale [ohm] of the flat, untouched specimen."""
     frame = _simulator(made, resolution).measure(Scene())
     return frame.protocol, frame.impedance, float(np.abs(frame.impedance).max())

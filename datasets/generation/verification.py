@@ -1,4 +1,4 @@
-"""Looking through a dataset on disk for everything that is damaged, lost or does not belong."""
+"""Verification of a dataset on disk: damaged, missing and foreign files."""
 
 import hashlib
 from collections.abc import Callable, Iterator
@@ -18,7 +18,7 @@ _REPAIR = "copy it again, or delete it and generate with --resume"
 
 @dataclass(frozen=True, slots=True)
 class DamagedFile:
-    """One thing that is wrong: the file's name, and what is wrong with it and what to do."""
+    """A damaged, missing or foreign file: its name, and the problem with a remedy."""
 
     file: str
     problem: str
@@ -26,7 +26,7 @@ class DamagedFile:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What was looked through: number of good shards and frames in them, and all damage."""
+    """Result of a verification: number of sound shards, of their frames, and all damage."""
 
     shards: int
     frames: int
@@ -34,15 +34,15 @@ class Verdict:
 
 
 def verify(folder: str | Path, watch: Callable[[int, int], None] | None = None) -> Verdict:
-    """Check every file of a dataset, and go on where one is damaged.
+    """Check every file of a dataset, including those after a damaged one.
 
-    Of each shard: its SHA-256, the checksums within it, format, links, shapes and values, and
-    whether it belongs to the others. Where the manifest is lost or damaged, which is damage too,
-    the shards that lie there are checked without their SHA-256.
+    Checks of a shard: SHA-256, the checksums within the file, format, links, shapes and values, and
+    consistency with the other shards. Without a sound manifest, which is damage too, the shards in
+    the folder are checked without SHA-256.
 
     Args:
         folder: of the dataset.
-        watch: called with the number of shards that were looked at and of all.
+        watch: called with the number of checked shards and of all shards.
     """
     folder = Path(folder)
     damage: list[DamagedFile] = []
@@ -62,7 +62,7 @@ def verify(folder: str | Path, watch: Callable[[int, int], None] | None = None) 
         try:
             data = read()
             if shared is None:
-                shared = data.select([])  # what all shards have in common, without frames
+                shared = data.select([])  # the data that all shards share, without frames
             Dataset.concatenate((shared, data))
             frames += len(data)
         except DataError as error:
@@ -89,7 +89,7 @@ def _shard(folder: Path, entry: ShardEntry, manifest: Manifest) -> Dataset:
 
 
 def _around(folder: Path, manifest: Manifest) -> Iterator[DamagedFile]:
-    """What is wrong with the recipe beside the shards, and shards that nothing names."""
+    """Damage of the recipe beside the shards, and shards that the manifest does not name."""
     recipe = folder / RECIPE
     if manifest.source == "simulated" and recipe.is_file():
         found = hashlib.sha256(recipe.read_bytes()).hexdigest()

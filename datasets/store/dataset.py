@@ -1,4 +1,4 @@
-"""A dataset in memory: frames with everything that is known about them."""
+"""Dataset in memory: frames with their labels."""
 
 import dataclasses
 import itertools
@@ -24,26 +24,26 @@ class Dataset:
 
     Attributes:
         impedance: measured, (n, C) complex64 [ohm]; measured recordings may hold any quantity
-            that is proportional to it.
-        touch_reference: the untouched sensor at the same bend, with its own noise, (n, C)
+            proportional to an impedance.
+        touch_reference: untouched sensor at the same bend, with its own noise, (n, C)
             complex64 [ohm]; NaN where unknown.
-        reference: the flat untouched sensor, (S, C) complex64 [ohm].
-        specimen: row of `reference` that a frame belongs to, (n,) uint32.
+        reference: flat, untouched sensor, (S, C) complex64 [ohm].
+        specimen: row of `reference` for each frame, (n,) uint32.
         state: `State`, or `UNKNOWN_STATE`, (n,) uint8.
         bend_angle_deg: (n,) float32; NaN where unknown.
-        touch_x, touch_y: in coordinates of the flat sensor, (n, 4) float32 [m]; NaN where absent.
+        touch_x, touch_y: position on the flat sensor, (n, 4) float32 [m]; NaN where absent.
         touch_force: (n, 4) float32 [N]; NaN where absent or unknown.
         touch_radius: of the indenter, (n, 4) float32 [m]; NaN where absent or unknown.
-        time: since the episode began, (n,) float64 [s].
+        time: since the episode's start, (n,) float64 [s].
         status: `eitskin.simulator.Status` bits, (n, C) uint8.
-        episode: frames of one episode follow each other in time, (n,) uint32.
-        number: of each frame as it was counted, (n,) uint32; a gap says that frames were lost.
-        protocol: what the channels are; None where a recording does not say.
+        episode: number of the episode, whose frames follow each other in time, (n,) uint32.
+        number: of each frame as counted by the board, (n,) uint32; a gap means lost frames.
+        protocol: drive and sense pairs of the channels; None where unknown.
         frequency: of the excitation [Hz].
         source: "simulated" or "measured".
-        recipe: TOML text that the frames were made from; empty for recordings.
-        seed: of everything random in them.
-        design: the nominal sensor; None where unknown.
+        recipe: TOML text of the recipe; empty for recordings.
+        seed: of everything random in the frames.
+        design: nominal sensor; None where unknown.
     """
 
     impedance: NDArray[np.complex64]
@@ -68,7 +68,7 @@ class Dataset:
     design: SensorDesign | None = None
 
     def __post_init__(self) -> None:
-        """Bring the arrays to the format's types and check shapes and values."""
+        """Convert the arrays to the format's types, and check shapes and values."""
         sizes = {"frame": len(self.impedance), "channel": np.shape(self.impedance)[-1]}
         sizes |= {"specimen": len(self.reference), "touch": MAX_TOUCHES}
         for axis in ("channel", "specimen"):
@@ -98,14 +98,14 @@ class Dataset:
         reference: ArrayLike | None = None,
         **known: Any,
     ) -> "Dataset":
-        """A dataset of what is known; the rest is filled with what stands for "not known".
+        """Dataset of the given arrays, with the format's values for "unknown" elsewhere.
 
         Args:
             impedance: (n, C) [ohm].
             reference: (S, C) or (C,) [ohm]; the first frame when omitted.
             known: any other attributes of `Dataset`.
 
-        Raises DataError where shapes or values do not fit.
+        Raises DataError for wrong shapes or values.
         """
         values = np.asarray(impedance)
         if values.ndim != 2 or 0 in values.shape:
@@ -130,24 +130,24 @@ class Dataset:
 
     @property
     def reference_frames(self) -> int:
-        """How many frames were averaged for each `touch_reference`, as the recipe says."""
+        """Number of frames averaged for each `touch_reference`, from the recipe."""
         return int(tomllib.loads(self.recipe).get("reference_frames", 1))
 
     @property
     def touch_count(self) -> NDArray[np.int64]:
-        """How many touches each frame has, (n,)."""
+        """Number of touches in each frame, (n,)."""
         count: NDArray[np.int64] = np.isfinite(self.touch_x).sum(axis=1)
         return count
 
     def frame(self, index: int) -> Frame:
-        """Frame `index` as a board gave or would give it; raises DataError without a protocol.
+        """Frame `index` in the form of a board's frame; raises DataError without a protocol.
 
-        A value that the status calls not finite is NaN again.
+        Values with the status NOT_FINITE are NaN.
         """
         if self.protocol is None:
             raise DataError(
-                "this recording does not say which electrodes its channels were measured at, so "
-                "it has no frames; import it with --protocol, or use its arrays"
+                "expected a recording with the electrodes of its channels, got none; import with "
+                "--protocol, or use the arrays"
             )
         lost = (self.status[index] & np.uint8(Status.NOT_FINITE)).astype(bool)
         return Frame(
@@ -161,19 +161,23 @@ class Dataset:
         )
 
     def select(self, indices: ArrayLike | slice) -> "Dataset":
-        """The frames at `indices` (integers, slice or mask) in that order; all specimens stay."""
+        """Frames at `indices` (integers, slice or mask) in that order, with all specimens."""
         chosen = indices if isinstance(indices, slice) else np.asarray(indices)
         if isinstance(chosen, np.ndarray) and chosen.size == 0:
-            chosen = chosen.astype(np.int64)  # numpy makes an empty list an array of floats
+            chosen = chosen.astype(np.int64)  # numpy converts an empty list to floats
         return dataclasses.replace(
             self, **{field.name: getattr(self, field.name)[chosen] for field in FRAME_FIELDS}
         )
 
     def split(self, fractions: Sequence[float], seed: int = 0) -> tuple[NDArray[np.int64], ...]:
-        """Random disjoint numbers of frames, (n,) each, in the given proportions, which sum to one.
+        """Random disjoint numbers of frames, (n,) each, in proportions that sum to one.
 
-        Whole specimens are dealt out where there are enough for every part to get one, so that
-        a test part holds sensors that training never saw; else single frames.
+        Whole specimens are distributed where every part gets at least one, so that a test part
+        holds sensors unseen in training; otherwise single frames.
+
+        Args:
+            fractions: of the parts, in (0, 1], with sum one.
+            seed: of the random order.
         """
         shares = np.asarray(fractions, dtype=float)
         if shares.ndim != 1 or not (shares > 0).all() or abs(shares.sum() - 1.0) > 1e-9:
@@ -189,7 +193,7 @@ class Dataset:
 
     @classmethod
     def concatenate(cls, parts: Sequence["Dataset"]) -> "Dataset":
-        """All frames of `parts`, which must share everything that is not per frame."""
+        """Dataset of all frames of `parts`; raises DataError for parts of different datasets."""
         first = parts[0]
         for part in parts[1:]:
             same = np.array_equal(part.reference, first.reference)
@@ -207,13 +211,13 @@ class Dataset:
 
 
 def _deal(items: NDArray[Any], shares: NDArray[np.float64]) -> list[NDArray[Any]]:
-    """Cut `items` in the proportions `shares`."""
+    """Consecutive parts of `items` in the proportions `shares`."""
     edges = np.rint(np.cumsum([0.0, *shares]) * len(items)).astype(int)
     return [items[start:stop] for start, stop in itertools.pairwise(edges)]
 
 
 def _check_labels(data: Dataset) -> None:
-    """Refuse labels that contradict the arrays beside them."""
+    """Raise DataError for labels that contradict each other."""
     if data.source not in ("simulated", "measured"):
         raise DataError(f"source must be 'simulated' or 'measured', got {data.source!r}")
     if data.protocol is not None and len(data.protocol) != data.impedance.shape[1]:

@@ -1,4 +1,4 @@
-"""A dataset on disk: a folder of shards and the manifest that says it is complete."""
+"""Dataset on disk: a folder of shards with a manifest, written last."""
 
 import hashlib
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ MANIFEST = "manifest.json"
 
 @dataclass(frozen=True, slots=True)
 class ShardEntry:
-    """One shard in a manifest: its file, its frames, its checksum."""
+    """Entry of a shard in a manifest: file name, frames, SHA-256."""
 
     name: str
     first_index: int
@@ -27,7 +27,7 @@ class ShardEntry:
 
 @dataclass(frozen=True, slots=True)
 class Manifest:
-    """What a complete dataset consists of; written after everything that it names."""
+    """Content of a complete dataset; written after all files that it names."""
 
     source: str
     recipe_sha256: str
@@ -39,12 +39,12 @@ class Manifest:
 
 
 def open_dataset(path: str | Path) -> Dataset:
-    """Read a dataset into memory.
+    """Dataset read into memory.
 
     Args:
-        path: a dataset's folder, or a single shard.
+        path: folder of a dataset, or a single shard.
 
-    Raises DataError where files are missing, damaged, newer than this eitskin or not a dataset.
+    Raises DataError where files are missing, damaged, newer than this eitskin, or no dataset.
     """
     path = Path(path)
     if path.is_file():
@@ -55,10 +55,15 @@ def open_dataset(path: str | Path) -> Dataset:
 
 
 def save_dataset(data: Dataset, folder: str | Path, frames_per_shard: int = 4096) -> Manifest:
-    """Write `data` into a new or empty folder.
+    """Write `data` into a new or empty folder; returns the manifest.
 
-    Raises ConfigurationError where the folder holds something, PartialError where it cannot be
-    written.
+    Args:
+        data: at least one frame.
+        folder: of the new dataset.
+        frames_per_shard: number of frames in a file.
+
+    Raises DataError without frames, ConfigurationError where the folder holds something, and
+    PartialError where a file cannot be written.
     """
     if not len(data):
         raise DataError("a dataset needs at least one frame, got none")
@@ -81,7 +86,7 @@ def save_dataset(data: Dataset, folder: str | Path, frames_per_shard: int = 4096
 
 
 def read_manifest(folder: Path) -> Manifest:
-    """Read and check the manifest of a dataset's folder; raises DataError."""
+    """Manifest of a dataset's folder, checked; raises DataError."""
     path = folder / MANIFEST
     if not path.is_file():
         found = len(list(folder.glob("shard-*.h5"))) if folder.is_dir() else 0
@@ -103,13 +108,13 @@ def read_manifest(folder: Path) -> Manifest:
 
 
 def write_manifest(folder: Path, manifest: Manifest) -> None:
-    """Write the manifest; last of all, because it says that the dataset is complete."""
+    """Write the manifest, after all shards: a manifest marks a complete dataset."""
     content = msgspec.json.format(msgspec.json.encode(manifest), indent=2)
     write_file(folder / MANIFEST, content + b"\n")
 
 
 def shard_entry(folder: Path, name: str, first_index: int, count: int) -> ShardEntry:
-    """The manifest's line for a shard that lies in `folder`; PartialError where it does not."""
+    """Manifest entry of a shard in `folder`; raises PartialError where the shard is missing."""
     try:
         content = (folder / name).read_bytes()
     except OSError as error:
@@ -122,7 +127,7 @@ def shard_entry(folder: Path, name: str, first_index: int, count: int) -> ShardE
 
 
 def new_folder(folder: Path) -> Path:
-    """Make `folder`, or take an empty one; raises ConfigurationError otherwise."""
+    """Create `folder`, or accept an empty one; raises ConfigurationError otherwise."""
     if make_folder(folder):
         raise ConfigurationError(
             f"{folder} is not empty; choose another folder, or continue what lies there with "
@@ -132,9 +137,9 @@ def new_folder(folder: Path) -> Path:
 
 
 def make_folder(folder: Path) -> frozenset[str]:
-    """Make `folder` unless it is there; names of what lies in it.
+    """Create `folder` unless it exists; returns the names of the files in it.
 
-    Raises ConfigurationError where it cannot be made or looked into.
+    Raises ConfigurationError where the folder cannot be created or read.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -146,10 +151,9 @@ def make_folder(folder: Path) -> frozenset[str]:
 
 
 def read_entry(folder: Path, entry: ShardEntry) -> Dataset:
-    """Read a shard that the manifest names; raises DataError where anything is wrong with it.
+    """Dataset of a shard that the manifest names; raises DataError for any damage.
 
-    A file with another checksum is not even opened: what its damage makes of a reader of HDF5
-    cannot be told.
+    A file with another checksum is not opened, because damage can crash the HDF5 library.
     """
     path = folder / entry.name
     try:
@@ -168,7 +172,7 @@ def read_entry(folder: Path, entry: ShardEntry) -> Dataset:
 
 
 def _check_version(path: Path, content: bytes) -> None:
-    """Look at format and version first: a newer manifest may hold what this one knows not."""
+    """Check format and version first: a newer manifest may have unknown keys."""
     head = msgspec.json.decode(content)
     if not isinstance(head, dict):
         raise DataError(f"{path} is not a manifest: expected an object, got {type(head).__name__}")
@@ -185,7 +189,7 @@ def _check_version(path: Path, content: bytes) -> None:
 
 
 def _check_shards(path: Path, manifest: Manifest) -> None:
-    """Refuse shards outside the folder, gaps and overlaps."""
+    """Raise DataError for shards outside the folder, gaps and overlaps."""
     following = 0
     for entry in manifest.shards:
         if Path(entry.name).name != entry.name or entry.name.startswith("."):

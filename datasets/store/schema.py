@@ -1,4 +1,4 @@
-"""The arrays of a dataset: names, types, axes and units. What `docs/dataset-format.md` says."""
+"""Schema of the dataset format: names, types, axes and units, as in docs/dataset-format.md."""
 
 from dataclasses import dataclass
 from typing import Any, Final
@@ -9,7 +9,7 @@ FORMAT: Final = "eitskin-dataset"
 FORMAT_VERSION: Final = 1
 MAX_TOUCHES: Final = 4
 
-# Sizes above these are refused before memory is asked for: a shard from elsewhere may claim any.
+# Larger sizes are refused before memory is allocated: a foreign shard may claim any size.
 LIMITS: Final = {"frame": 1 << 20, "channel": 1 << 14, "specimen": 1 << 16, "touch": MAX_TOUCHES}
 MAX_VALUES: Final = 1 << 26
 
@@ -19,15 +19,15 @@ class Field:
     """One array of the format.
 
     Attributes:
-        name: of the attribute of `Dataset`.
+        name: attribute of `Dataset`.
         path: of the HDF5 dataset.
         dtype: in memory and in the file.
-        axes: names of its axes, of "frame", "channel", "touch" and "specimen".
+        axes: names of the axes, of "frame", "channel", "touch" and "specimen".
         units: SI, or "1".
         description: one line, written into the file.
         finite: whether NaN and infinity are refused.
-        missing: what stands for "not known".
-        optional: whether files may lack it, those of before it was thought of.
+        missing: value for "unknown".
+        optional: whether files may lack the array, which older files do.
     """
 
     name: str

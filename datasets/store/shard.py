@@ -1,4 +1,4 @@
-"""One HDF5 file of a dataset: built in memory, written whole, checked when read."""
+"""Shards: HDF5 files of a dataset, built in memory, written atomically, checked when read."""
 
 import hashlib
 import json
@@ -31,7 +31,7 @@ from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.protocol import Protocol
 
 CHUNK_FRAMES = 1024
-# Not lzf: h5py's leaves its hash table uninitialised, so equal data give different bytes.
+# Not lzf: the hash table of h5py's lzf is uninitialised, so equal data give different bytes.
 STORAGE = {"compression": "gzip", "compression_opts": 4, "shuffle": True, "fletcher32": True}
 STATES = {**{state.name.lower(): state.value for state in State}, "unknown": UNKNOWN_STATE}
 
@@ -45,7 +45,7 @@ def write_shard(path: Path, data: Dataset, first_index: int = 0) -> None:
     """Write `data` as one shard; equal data give equal bytes.
 
     Args:
-        path: of the new file; an old one is replaced in one step.
+        path: of the file; an existing one is replaced atomically.
         data: frames of the shard.
         first_index: number of its first frame within the whole dataset.
 
@@ -55,13 +55,13 @@ def write_shard(path: Path, data: Dataset, first_index: int = 0) -> None:
 
 
 def read_shard(path: Path, first_index: int | None = None) -> Dataset:
-    """Read and check one shard.
+    """Dataset of one shard, checked.
 
     Args:
         path: of the file.
-        first_index: number that its first frame must have, where that is known.
+        first_index: expected number of the first frame within the whole dataset, where known.
 
-    Raises DataError for anything that the format does not allow.
+    Raises DataError for any violation of the format.
     """
     path = Path(path)
     try:
@@ -81,7 +81,7 @@ def read_shard(path: Path, first_index: int | None = None) -> Dataset:
 
 @cache
 def package_versions() -> Mapping[str, str]:
-    """Versions of the packages that decide over the numbers in a dataset; looked up once."""
+    """Versions of the packages that influence the numbers in a dataset; cached."""
     versions = {}
     for package in ("eitskin", "h5py", "numpy", "scikit-fem", "scipy"):
         try:
@@ -92,8 +92,8 @@ def package_versions() -> Mapping[str, str]:
 
 
 def shard_bytes(data: Dataset, first_index: int = 0) -> bytes:
-    """The content of the file that `write_shard` writes; equal data give equal bytes."""
-    # HDF5 refuses two open files of one name, be they in memory, and so in other threads.
+    """Content of a shard's file; equal data give equal bytes."""
+    # HDF5 refuses two open files of one name, even in memory, as threads would open them.
     name = f"shard-{threading.get_ident()}"
     with h5py.File(name, "w", driver="core", backing_store=False) as file:
         file.attrs.update(_root_attributes(data, first_index))
@@ -143,15 +143,15 @@ def _write_array(
 ) -> None:
     chunks = (max(1, min(len(values), CHUNK_FRAMES)), *values.shape[1:])
     dataset = file.create_dataset(path, data=values, dtype=dtype, chunks=chunks, **STORAGE)
-    # Else chunks go to the file when the last reference goes, which a profiler may hold: another
-    # order, other bytes.
+    # Without the flush, chunks are written when the last reference is released, which a profiler
+    # may hold: another order, other bytes.
     dataset.flush()
     for axis, name in enumerate(axes):
         dataset.dims[axis].label = name
 
 
 def _attach_time(file: h5py.File) -> None:
-    """Make `time` the dimension scale of every frame axis."""
+    """Attach `time` as the dimension scale of every frame axis."""
     file["time"].make_scale("time")
     for field in FIELDS:
         if field.axes[0] == "frame" and field.name != "time":
@@ -159,7 +159,7 @@ def _attach_time(file: h5py.File) -> None:
 
 
 def _check_format(file: h5py.File) -> None:
-    """Refuse other formats, newer versions, and files that lead out of themselves."""
+    """Raise DataError for other formats, newer versions, and references to other files."""
     found = file.attrs.get("format")
     if found != FORMAT:
         raise DataError(f"expected format '{FORMAT}', got {found!r}; this is another kind of file")
@@ -183,7 +183,7 @@ def _check_format(file: h5py.File) -> None:
 
 
 def _check_links(group: h5py.Group, inner: bool = False) -> None:
-    """Refuse whatever would read other files than this one, or run foreign filters."""
+    """Raise DataError for links or data in other files, and for foreign filters."""
     for name in group:
         if not isinstance(group.get(name, getlink=True), h5py.HardLink):
             raise DataError(f"'{name}' is a soft or external link, and only plain data are read")
@@ -215,7 +215,7 @@ def _read(file: h5py.File) -> Dataset:
         for field in FIELDS
         if field.path in file or not field.optional
     }
-    # Files from before frames had numbers: the count within the set is as good.
+    # Older files have no numbers of frames: the count within the dataset takes their place.
     first = int(file.attrs["first_index"])
     arrays.setdefault("number", np.arange(first, first + sizes["frame"]))
     design = file.attrs["design"]
@@ -232,12 +232,12 @@ def _read(file: h5py.File) -> Dataset:
 
 @lru_cache(maxsize=8)
 def _read_design(text: str) -> SensorDesign:
-    """Kept, since all shards of a set hold the same."""
+    """Sensor design of a shard; cached, since all shards of a dataset hold the same."""
     return parse_toml(SensorDesign, text, "attribute 'design'")
 
 
 def _read_field(file: h5py.File, field: Field, sizes: Mapping[str, int]) -> NDArray[Any]:
-    """Read one array after its claims about itself have been checked."""
+    """One array, read after checks of the shape and type that the file states."""
     stored = file[field.path]
     expected = tuple(sizes[axis] for axis in field.axes)
     if stored.shape != expected:

@@ -1,14 +1,14 @@
-"""What the sensor is doing, in the three classes that the pipeline tells apart."""
+"""State of the sensor: the three classes of the pipeline's classifier."""
 
 from enum import IntEnum
 from typing import Final
 
 UNKNOWN_STATE: Final = 255
-"""Stands in state arrays where a recording does not say; not a class, so not a `State`."""
+"""Value for an unknown state in arrays; no class, and so no member of `State`."""
 
 
 class State(IntEnum):
-    """State of the sensor in one frame; a sensor that is bent and touched is in `TOUCH`."""
+    """State of the sensor in one frame; `TOUCH` for a sensor both bent and touched."""
 
     IDLE = 0
     TOUCH = 1

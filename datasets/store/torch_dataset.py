@@ -1,4 +1,4 @@
-"""Datasets on disk as torch reads them: all in memory, or shard by shard in a shuffled order."""
+"""Datasets for torch: all frames in memory, or shard by shard in a shuffled order."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -22,14 +22,14 @@ _MEMORY_LIMIT = 1 << 30
 
 
 class TorchDataset:
-    """The frames of a dataset for `torch.utils.data.DataLoader`, in memory.
+    """Frames of a dataset in memory, for `torch.utils.data.DataLoader`.
 
     An item is a frame: a dictionary of tensors by the names of `Dataset`'s attributes, without
-    the frame axis; `reference` is the flat sensor that the frame was taken with, (C,). Unsigned
-    integers come as int64, which torch can index and compare with.
+    the frame axis; `reference` is that of the frame's specimen, (C,). Unsigned integers are
+    converted to int64, which torch can index and compare with.
 
-    The files are read when the first item is asked for, in each process of its own, so that it
-    can be sent to workers.
+    The files are read with the first item, in each process separately, so that the object can be
+    sent to workers.
     """
 
     def __init__(
@@ -38,15 +38,15 @@ class TorchDataset:
         names: Sequence[str] = NAMES,
         memory_limit: int = _MEMORY_LIMIT,
     ) -> None:
-        """Look at the manifest and the first shard.
+        """Read the manifest and the first shard.
 
         Args:
             folder: of the dataset.
-            names: what an item holds.
-            memory_limit: of the frames together [bytes].
+            names: keys of an item.
+            memory_limit: for all frames together [bytes].
 
         Raises:
-            ConfigurationError: for other names, or a dataset above the limit.
+            ConfigurationError: for unknown names, or a dataset above the limit.
             DataError: where the folder is no complete dataset.
             ImportError: without torch.
         """
@@ -68,7 +68,7 @@ class TorchDataset:
         return self._frames
 
     def __getitem__(self, index: int) -> Item:
-        """Frame `index`, from the end where negative; raises IndexError beyond either end."""
+        """Item of frame `index`, negative from the end; raises IndexError beyond either end."""
         if not -self._frames <= index < self._frames:
             raise IndexError(f"frame {index} of a dataset of {self._frames}")
         if self._data is None:
@@ -76,28 +76,28 @@ class TorchDataset:
         return _item(self._data, index, self.names)
 
     def __getstate__(self) -> dict[str, Any]:
-        """What goes to another process: where the frames are, not the frames."""
+        """State for another process: the folder of the frames, without the frames."""
         return {**self.__dict__, "_data": None}
 
 
 class ShuffledShards:
-    """The frames of a dataset of any size for `torch.utils.data.DataLoader`, a shard at a time.
+    """Frames of a dataset of any size, shard by shard, for `torch.utils.data.DataLoader`.
 
     Shards come in a random order, and the frames within each; both follow from the seed and the
-    epoch alone. Workers share the shards out among them, so that each frame comes once. Items are
-    those of `TorchDataset`. Call `set_epoch` before each epoch, and leave the loader's
-    `persistent_workers` off: its workers would not hear of it.
+    epoch alone. The shards are distributed over the loader's workers, so that each frame comes
+    once. Items are those of `TorchDataset`. Call `set_epoch` before each epoch, and leave the
+    loader's `persistent_workers` off: persistent workers would keep the first epoch.
     """
 
     def __init__(self, folder: str | Path, names: Sequence[str] = NAMES, seed: int = 0) -> None:
-        """Look at the manifest only; errors as for `TorchDataset`.
+        """Read the manifest only; errors as for `TorchDataset`.
 
         Args:
             folder: of the dataset.
-            names: what an item holds.
+            names: keys of an item.
             seed: of the order.
         """
-        # A loader asks whether it has an IterableDataset; deriving from it would import torch.
+        # A loader checks for an IterableDataset; a base class would import torch here.
         data = require("torch.utils.data", "training")
         data.IterableDataset.register(ShuffledShards)
         self.folder, self.names, self.seed, self.epoch = Path(folder), _checked(names), seed, 0
@@ -112,7 +112,7 @@ class ShuffledShards:
         return self._manifest.frames
 
     def __iter__(self) -> Iterator[Item]:
-        """This worker's share of the frames."""
+        """Items of the shards of this worker."""
         worker = require("torch.utils.data", "training").get_worker_info()
         first, step = (worker.id, worker.num_workers) if worker else (0, 1)
         order = self._generator(0).permutation(len(self._manifest.shards))
@@ -136,7 +136,7 @@ def _checked(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def _frame_bytes(data: Dataset) -> int:
-    """Memory that one frame takes [bytes]."""
+    """Size of one frame in memory [bytes]."""
     return sum(getattr(data, field.name)[0].nbytes for field in FRAME_FIELDS)
 
 

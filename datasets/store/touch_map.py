@@ -1,4 +1,4 @@
-"""Pictures of where the sensor is touched, drawn from the list of touches."""
+"""Touch maps: images of the touches on the sensor, from their positions and radii."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,24 +13,24 @@ def touch_maps(
     outline: tuple[float, float] = (0.150, 0.060),
     shape: tuple[int, int] = (32, 80),
 ) -> NDArray[np.float32]:
-    """Draw every touch as a disc.
+    """Touch maps with a disc for every touch.
 
     Args:
-        x, y, radius: places and radii of touches, (n, touches) [m]; NaN where absent.
+        x, y, radius: positions and radii of touches, (n, touches) [m]; NaN where absent.
         outline: length and width of the sensor [m].
         shape: rows (along y) and columns (along x) of a map.
 
     Returns:
-        (n, *shape) float32: 1 inside a disc, 0 outside, in between on the pixels that its edge
-        passes. Rows and columns grow with y and x.
+        (n, *shape) float32: 1 inside a disc, 0 outside, in between on pixels at a disc's edge.
+        Rows and columns grow with y and x.
 
-    Raises DataError where a touch has a place and no radius.
+    Raises DataError where a touch has a position and no radius.
     """
     x, y, radius = (np.asarray(values, dtype=np.float32) for values in (x, y, radius))
     if np.any(np.isfinite(x) & ~np.isfinite(radius)):
         raise DataError(
-            "a touch map needs the radius of every touch, and this recording does not say it; "
-            "pass the radius of the indenter that was used"
+            "a touch map needs the radius of every touch, got NaN; pass the radius of the indenter "
+            "that was used"
         )
     rows, columns = shape
     step_x, step_y = outline[0] / columns, outline[1] / rows

@@ -1,4 +1,4 @@
-"""A dataset that grows frame by frame, as a recording does."""
+"""Writer of datasets that grow frame by frame, such as recordings."""
 
 import hashlib
 from collections.abc import Mapping, Sequence
@@ -27,10 +27,10 @@ from eitskin.simulator.scene.touch import Touch
 
 
 class ShardWriter(Closeable):
-    """Writes frames into a new folder, a shard at a time, and the manifest when closed.
+    """Writer of frames into a new folder, shard by shard, with a manifest after each shard.
 
-    A crash costs the frames of the last, unfinished shard: the manifest lists those before it.
-    Values that are not finite are written as 0, with a status that says so.
+    A crash loses the frames of the last, unfinished shard: the manifest lists the shards before.
+    Values that are not finite are written as 0, with the status NOT_FINITE.
 
     Use as a context manager:
 
@@ -38,8 +38,8 @@ class ShardWriter(Closeable):
             writer.append(frame)
 
     Attributes:
-        folder: where the shards go.
-        readable: frames that can be read back, whatever happens now.
+        folder: of the dataset.
+        readable: number of frames in finished shards, which survive a crash.
     """
 
     def __init__(
@@ -54,12 +54,12 @@ class ShardWriter(Closeable):
         """Start a dataset in `folder`, which must be new or empty.
 
         Args:
-            folder: where the shards go.
-            reference: the flat untouched sensor, (C,) [ohm]; the first frame, of which all is
-                finite, of the first shard when omitted.
+            folder: of the dataset.
+            reference: flat, untouched sensor, (C,) [ohm]; the first frame of the first shard with
+                only finite values when omitted.
             design: of the sensor, where known.
             source: "measured" or "simulated".
-            frames_per_shard: how many frames a crash can cost.
+            frames_per_shard: number of frames in a file, at most lost in a crash.
         """
         self.folder = new_folder(Path(folder))
         self._reference = reference
@@ -78,7 +78,7 @@ class ShardWriter(Closeable):
         touches: Sequence[Touch] = (),
         touch_reference: NDArray[Any] | None = None,
     ) -> None:
-        """Add one frame with what is known about it; raises FrameError for another protocol."""
+        """Add one frame with its known labels; raises FrameError for another protocol."""
         protocol = self._shared.setdefault("protocol", frame.protocol)
         if frame.protocol != protocol:
             raise FrameError(
@@ -96,7 +96,7 @@ class ShardWriter(Closeable):
             self._finish_shard()
 
     def close(self) -> None:
-        """Write what is left; a writer without frames leaves no dataset."""
+        """Write the remaining frames; a writer without frames leaves no dataset."""
         if self._rows:
             self._finish_shard()
         elif self.readable < sum(entry.count for entry in self._entries):
@@ -145,7 +145,7 @@ class ShardWriter(Closeable):
 
 
 def touch_columns(touches: Sequence[Touch]) -> dict[str, NDArray[np.float32]]:
-    """The four touch arrays of one frame, (4,) each; raises ConfigurationError for more touches."""
+    """Touch arrays of one frame, (4,) each; raises ConfigurationError for too many touches."""
     if len(touches) > MAX_TOUCHES:
         raise ConfigurationError(
             f"a dataset holds at most {MAX_TOUCHES} touches per frame, got {len(touches)}"

@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from eitskin.closeable import Closeable
-from eitskin.datasets.recordings import parse_protocol
 from eitskin.errors import ConfigurationError, DeviceError
 from eitskin.frame import Frame, Status
 from eitskin.hardware.boards.board import Counts, longest_silence
@@ -234,5 +233,5 @@ def open_text(
         )
     if pause <= 0.0 or frequency <= 0.0:
         raise ConfigurationError(f"{uri}: pause and frequency must be positive")
-    measured = parse_protocol(protocol)
+    measured = Protocol.from_text(protocol)
     return TextBoard(connector(path, uri, baud, usb), uri, measured, mark, pause, frequency)

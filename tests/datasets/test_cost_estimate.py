@@ -7,7 +7,7 @@ import pytest
 
 from eitskin.datasets import Recipe, generate
 from eitskin.datasets.generation.cost_estimate import estimate_cost
-from eitskin.datasets.generation.generate import free_bytes, least_bytes
+from eitskin.datasets.generation.generate import free_bytes, smallest_size
 from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.errors import ConfigurationError
 
@@ -31,11 +31,11 @@ def test_size_is_that_of_the_files(tmp_path):
     generate(RECIPE, tmp_path / "set", workers=1)
     size = sum(path.stat().st_size for path in (tmp_path / "set").glob("shard-*"))
     assert found.megabytes == pytest.approx(size / 1e6, rel=0.02)
-    assert least_bytes(RECIPE, 120) < size
+    assert smallest_size(RECIPE, 120) < size
 
 
 def test_a_disk_without_room_is_refused_before_anything_is_made(tmp_path, monkeypatch):
-    needed = least_bytes(RECIPE, 120)
+    needed = smallest_size(RECIPE, 120)
     monkeypatch.setattr(shutil, "disk_usage", lambda _folder: Usage(10**9, 10**9, needed - 1))
     with pytest.raises(ConfigurationError, match=r"at least 0\.013 MB, got 0\.013 MB"):
         generate(RECIPE, tmp_path / "set")

@@ -15,7 +15,6 @@ from eitskin.datasets import (
     read_recording,
     save_dataset,
 )
-from eitskin.datasets.recordings import parse_protocol
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.simulator import Protocol
 
@@ -171,13 +170,6 @@ def test_other_files_are_refused(tmp_path):
     for ending in (".csv", ".mat", ".npz", ".txt"):
         with pytest.raises(DataError, match="no file"):
             read_recording(tmp_path / f"a{ending}")
-
-
-def test_protocols_by_name():
-    assert parse_protocol("pairwise:8") == Protocol.pairwise(8)
-    for text in ("pairwise", "pairwise:1", "pairwise:x", "adjacent:8"):
-        with pytest.raises(ConfigurationError, match="pairwise:N"):
-            parse_protocol(text)
 
 
 def test_protocol_of_another_size_is_refused(tmp_path):

@@ -147,3 +147,10 @@ def test_missing_files_and_folders_are_said(tmp_path) -> None:
 def test_protocols_that_cannot_be_are_refused(make, message) -> None:
     with pytest.raises(ConfigurationError, match=message):
         make()
+
+
+def test_a_text_with_the_number_of_electrodes():
+    assert Protocol.from_text("pairwise:8") == Protocol.pairwise(8)
+    for text in ("pairwise", "pairwise:1", "pairwise:x", "adjacent:8"):
+        with pytest.raises(ConfigurationError, match="pairwise:N"):
+            Protocol.from_text(text)
