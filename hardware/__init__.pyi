@@ -37,6 +37,9 @@ from eitskin.hardware.virtual.scene_script import (
 )
 from eitskin.hardware.virtual.stage import Stage as Stage
 from eitskin.hardware.virtual.virtual_board import (
+    VirtualBoard as VirtualBoard,
+)
+from eitskin.hardware.virtual.virtual_board import (
     open_virtual as open_virtual,
 )
 from eitskin.hardware.virtual.virtual_board import (
