@@ -56,7 +56,7 @@ def free_search(judge: Judge, ring: Ring, plan: FreePlan, known: Sequence[Arcs])
 def exchanged(ring: Ring, plan: FreePlan) -> list[Arcs]:
     """Layouts that no exchange of one electrode improves, best guess first.
 
-    Of mirror images, which are equally good, there is one.
+    Mirror images, which are equally good, are listed once.
     """
     rng = np.random.default_rng(plan.seed)
     found = {}

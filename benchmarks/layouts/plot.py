@@ -9,8 +9,8 @@ from eitskin.benchmarks.layouts.candidates import PAPER
 from eitskin.benchmarks.layouts.run import JudgedLayout, LayoutComparison
 from eitskin.extras import require
 
-# Of these the first ones are drawn that were judged and are not drawn already; of none of them, the
-# first layouts.
+# The first of these that were judged and are not drawn already are drawn; without any, the first
+# layouts.
 _DRAWN = (
     ("search", PAPER),
     ("search", "best with both mirrors"),

@@ -41,7 +41,7 @@ class SignalToNoise:
 def bounds(sets: Mapping[str, Dataset], recipe: Recipe, count: int, seed: int) -> dict[str, float]:
     """Cramer-Rao bounds of the figures of `scores`, by the same names, over some frames.
 
-    Of the nominal sensor, by the white noise of the recipe's instrument alone. Places: the mean
+    For the nominal sensor, and the white noise of the recipe's instrument alone. Places: the mean
     distance [mm], against the mean of as many frames of the sensor at that bend as the recipe says,
     the angle unknown. Angles: root mean square [deg], of one frame against a flat reference
     without noise, touches unknown; frames before the touch may tell more.

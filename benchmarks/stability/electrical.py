@@ -217,7 +217,7 @@ def contacts() -> Iterator[Case]:
     for sigma in (1.0, 1e-2, 1e-4):
         solve = partial(_strips, sigma)
         name = f"2 mm high, 1e-09, {sigma:g} S/m"
-        # What a height shares with all others and its own part cancel: 2e-18 m / (z sigma).
+        # The part shared by all heights and the part of one height cancel: 2e-18 m / (z sigma).
         yield Case("contact impedance", name, solve, invariant_limit=1e-4)
     for bad in (0.0, 1e-11, 1e7, -1e-3, 1e-3j, float("nan"), float("inf")):
         yield Case(

@@ -51,8 +51,9 @@ MARGIN, SPACING, FORCE = 0.010, 0.030, 10.0
 REFERENCES = {"one frame": 1.0, "long average": math.inf}
 PLACE_STEPS = (4e-3, 2e-3, 1e-3, 5e-4, 2.5e-4)
 LENGTH, WIDTH = 0.150, 0.060
-# The sensor mirrors itself in both its middle lines: a quarter of it says all. Of the positions
-# there, how many of the paper's are their images; the map, and where it is solved [m].
+# The sensor mirrors itself in both its middle lines: a quarter of it says all. IMAGES counts, for
+# each position of that quarter, the paper's positions that mirror it; then the map, and the nodes
+# at which it is solved [m].
 IMAGES = Counter((round(min(x, LENGTH - x), 6), min(y, WIDTH - y)) for x, y in POSITIONS)
 MAP_X, MAP_Y = np.linspace(0.006, 0.075, 139), np.linspace(0.006, 0.030, 49)
 NODES = np.arange(0.006, 0.0811, 0.003), np.arange(0.006, 0.0361, 0.003)

@@ -126,7 +126,7 @@ def main() -> None:
     print("| --- | --- | --- | --- | --- | --- |")
     for name, (text, instrument) in TERMS.items():
         found = dataclasses.astuple(effect(instrument, sim, flat, pressed))
-        # What is left of rounding is nothing.
+        # Residuals below rounding count as zero.
         cells = (f"{number:.2g}" if number > 1e-12 else "0" for number in found)
         print(f"| {name} | {text} | {' | '.join(cells)} |")
     print(f"\n- skew at {BEND_SPEED_DEG:g} deg/s of bend, at most [%]: {skew(sim, flat):.2f}")

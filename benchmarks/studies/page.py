@@ -33,7 +33,7 @@ TOUCHED = BENT | {
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """What the benchmark found.
+    """Results of the benchmark.
 
     Attributes:
         windows: in the order in which they were measured.
@@ -84,7 +84,7 @@ def command_board(tab: Tab, path: str, data: dict[str, Any]) -> None:
 
 
 def refused(tab: Tab, url: str) -> dict[str, str]:
-    """What comes of a foreign page's attempts to read and command the page at `url`."""
+    """Outcome of a foreign page's attempts to read and command the page at `url`."""
     body = json.dumps(json.dumps({"bend_deg": 60}))
     attempts = {
         "fetch of the events": f"fetch('{url}events')",

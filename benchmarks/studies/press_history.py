@@ -80,7 +80,7 @@ class DepthHistory:
         """
         g, at = np.array(prony.amplitudes), _moments(t)
         delayed = _delayed(np.array(prony.times), *self._linear_pieces(elastic, tolerance), at)
-        # What acts at once is F_e itself; what is delayed, an average of its straight pieces.
+        # The instantaneous part is F_e itself; the delayed part, an average of its straight pieces.
         at_once = elastic(_now(self.times, self.depths, at))
         return np.maximum(at_once - np.tensordot(g, delayed, axes=1), 0.0)
 
@@ -111,7 +111,7 @@ class DepthHistory:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Memory:
-    """What a body remembers of the forces that acted on it, to go on frame by frame.
+    """Memory of a viscoelastic body for the forces that acted on it, updated frame by frame.
 
     Attributes:
         prony: how it relaxes.
@@ -125,7 +125,7 @@ class Memory:
 
     @classmethod
     def none(cls, prony: Prony) -> "Memory":
-        """Of a body that was never touched."""
+        """Memory of a body that was never touched."""
         return cls(prony, 0.0, np.zeros(len(prony.dual[1])))
 
     def after(self, seconds: float, force: float) -> "Memory":

@@ -38,7 +38,7 @@ Array = NDArray[np.float64]
 Model = Callable[[tuple[Touch, ...]], Deformation]
 
 FORCE = 10.0
-# Of the 27 positions, those that are not mirror images of another.
+# Those of the 27 positions that are not mirror images of another.
 POSITIONS = tuple(itertools.product((0.075, 0.060, 0.045, 0.030, 0.015), (0.030, 0.015)))
 EDGES = (0.012, 0.010, 0.0075, 0.005)  # from a side of the gel [m]
 SPACINGS = (0.015, 0.020, 0.030, 0.045, 0.060)  # between the axes of two touches [m]

@@ -53,7 +53,7 @@ class Recording(ABC):
         """Raises PartialError where that fails."""
 
     def _fail(self, error: PartialError) -> None:
-        # What follows is what to do in the end, and the session goes on.
+        # The rest of the message is the remedy for the end; the session goes on.
         self.problem = self.problem or str(error).partition(";")[0]
 
 

@@ -48,7 +48,7 @@ def command(
 
 def _run(out: Path, data: Path | None, workers: int, seed: int, output: Output) -> None:
     require_all(training=TRAINING, hardware="serial cobs", view="pyvista matplotlib", demo="jinja2")
-    # What the stages need takes seconds to load, and Ctrl-C shall be answered meanwhile.
+    # Imports of the stages take seconds, and Ctrl-C shall be answered meanwhile.
     from eitskin.cli.demo.report import write_demo_report
     from eitskin.cli.demo.stages import run_stages
     from eitskin.cli.demo.workspace import Plan, Workspace

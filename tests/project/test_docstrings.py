@@ -1,9 +1,11 @@
-"""Docstrings: every public name has one, every array in it a shape or a unit."""
+"""Docstrings: every public name has one, every array in it a shape or a unit, in plain words."""
 
 import ast
 import importlib
 import inspect
+import io
 import re
+import tokenize
 from pathlib import Path
 
 import pytest
@@ -90,3 +92,47 @@ def overrides_a_documented_one(module, owner, method):
 def test_every_public_method_or_the_one_it_overrides_is_documented(room):
     missing = [names for names in undocumented(room) if not overrides_a_documented_one(*names)]
     assert not missing
+
+
+SENTENCE_BY_OF_OR_WHAT = re.compile(r"(?:^|[.!?]\s+|\n\s*\n\s*|\n *[-*] )(?:Of|What)\b.{,60}")
+PAGES = [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("hardware/**/*.md")]
+
+
+def docstrings(source):
+    """Docstrings of a module and of all in it, private names included."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            yield ast.get_docstring(node) or ""
+
+
+def comments(source):
+    """Comments, those of lines in a row as one."""
+    last, text = 0, ""
+    for token in tokenize.generate_tokens(io.StringIO(source).readline):
+        if token.type == tokenize.COMMENT:
+            if token.start[0] != last + 1:
+                yield text
+                text = ""
+            last, text = token.start[0], f"{text} {token.string.lstrip('# ')}".strip()
+    yield text
+
+
+@pytest.mark.parametrize("room", [*ROOMS, "docs"])
+def test_no_docstring_or_comment_begins_a_sentence_by_of_or_what(room):
+    for path in sorted((ROOT / room).rglob("*.py")):
+        source = path.read_text(encoding="utf-8")
+        for text in (*docstrings(source), *comments(source)):
+            assert not SENTENCE_BY_OF_OR_WHAT.search(text), (path, text)
+
+
+def test_no_page_begins_a_sentence_by_of_or_what():
+    for page in PAGES:
+        text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+        assert not (found := SENTENCE_BY_OF_OR_WHAT.search(text)), (page.name, found[0])
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_the_first_line_of_every_docstring_is_a_sentence_of_one_line(room):
+    for path in sorted((ROOT / room).rglob("*.py")):
+        for text in docstrings(path.read_text(encoding="utf-8")):
+            assert not text or re.search(r"[.:!?]$", text.splitlines()[0]), (path, text)
