@@ -117,3 +117,21 @@ QUICK_REFERENCES = (
     ModelCase("reference", "first", ((4, 3, 2), Grading(1e-5, 5e-3, 2.5))),
     ModelCase("reference", "second", ((3, 2, 1), Grading(2e-5, 4e-3, 1.5))),
 )
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """Target of a named resolution on one core; errors as in `Judgement`."""
+
+    name: str
+    resistance_error: float | None
+    signal_error: float
+    seconds: float
+
+
+TARGETS = (
+    Target("fast", None, 2e-2, 0.010),
+    Target("standard", 1e-3, 1e-2, 0.050),
+    Target("fine", 1e-5, 1e-4, 5.0),
+)
+TARGET_RATIO = 20.0

@@ -3,8 +3,8 @@
 from pathlib import Path
 from typing import Any
 
+from eitskin.benchmarks.accuracy.cases import TARGETS, Target
 from eitskin.benchmarks.accuracy.run import Accuracy, ModelResult
-from eitskin.benchmarks.accuracy.targets import TARGETS, Target
 from eitskin.extras import require
 
 _COLOURS = {

@@ -6,9 +6,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from eitskin.benchmarks.accuracy.cases import TARGET_RATIO, TARGETS
 from eitskin.benchmarks.accuracy.plot import plot
 from eitskin.benchmarks.accuracy.run import Accuracy, ModelResult
-from eitskin.benchmarks.accuracy.targets import TARGET_RATIO, TARGETS
 from eitskin.benchmarks.results import Results, write_results, write_table
 
 NAME = "accuracy"
