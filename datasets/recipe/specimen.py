@@ -110,6 +110,7 @@ def draw_specimen(spread: Specimens, nominal: Specimen, rng: np.random.Generator
     Every property has its own draws, whichever of the deviations are zero.
     """
     design, hinge, mechanics = nominal.design, nominal.hinge, nominal.mechanics
+    # The order of these draws makes the specimens of all recipes: new properties draw at the end.
     conductivity, thickness, gel, around, span, offset = truncated_normal(rng, 6).tolist()
     contacts, places = truncated_normal(rng, 2 * len(design.electrodes)).reshape(2, -1).tolist()
 
