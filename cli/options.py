@@ -20,7 +20,7 @@ Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, only th
 Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Print more about the work.")]
 
 Model = Annotated[Path, typer.Argument(help="The trained pipeline, NAME.eitmodel.")]
-Frames = Annotated[Path, typer.Argument(help="The dataset's folder, or one shard.")]
+FramesPath = Annotated[Path, typer.Argument(help="The dataset's folder, or one shard.")]
 SceneFile = Annotated[
     Path,
     typer.Argument(

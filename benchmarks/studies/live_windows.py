@@ -1,4 +1,4 @@
-"""`eitskin live` in a process of its own, and how fast it and its page are over some seconds."""
+"""`eitskin live` as a subprocess, and rates of its loop and page over time windows."""
 
 import json
 import re
@@ -22,14 +22,14 @@ START_WITHIN = 120.0  # s
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """Some seconds of the live loop, with or without a browser.
+    """Rates over some seconds of the live loop, with or without a browser.
 
     Attributes:
-        name: what went on.
-        seconds: how long it was.
-        frames: that the pipeline processed each second [Hz].
-        updates: of the page, drawn with a new frame, each second [Hz]; None where none was open.
-        latency_p50_ms, latency_p99_ms: of the pipeline.
+        name: conditions.
+        seconds: duration.
+        frames: rate of processed frames [Hz].
+        updates: rate of drawings with a new frame [Hz]; None without a page.
+        latency_p50_ms, latency_p99_ms: latency of the pipeline.
     """
 
     name: str
@@ -41,15 +41,15 @@ class Window:
 
 
 class LiveLoop:
-    """`eitskin live --page --json` in a process of its own.
+    """Subprocess `eitskin live --page --json`.
 
     Attributes:
-        url: of its page.
-        latencies: of each frame so far [ms].
+        url: address of its page.
+        latencies: latency of each frame so far [ms].
     """
 
     def __init__(self, process: "subprocess.Popen[str]") -> None:
-        """Wait for the page; raises BrowserError where none comes."""
+        """Wait for the page; raises BrowserError without one."""
         self.process, self.url = process, ""
         self.latencies: list[float] = []
         self._found = threading.Event()
@@ -71,7 +71,7 @@ class LiveLoop:
         self._found.set()
 
     def watch(self, name: str, seconds: float, tab: Tab | None = None) -> Window:
-        """Measure for so many seconds."""
+        """Measure a window of `seconds`."""
         first, drawn = len(self.latencies), updates(tab)
         start = time.monotonic()
         time.sleep(seconds)
@@ -83,13 +83,13 @@ class LiveLoop:
 
 
 def updates(tab: Tab | None) -> int:
-    """How many pictures the page has drawn with a new frame; 0 where there is none."""
+    """Number of drawings with a new frame so far; 0 without a page."""
     return 0 if tab is None else int(tab.run("eitskin.updates"))
 
 
 @contextmanager
 def live_loop(seed: int, command: Sequence[str] = EITSKIN) -> Iterator[LiveLoop]:
-    """The shipped pipeline on a virtual board with its page."""
+    """Context of the shipped pipeline on a virtual board with its page."""
     board = f"virtual:?period={1 / RATE:.6f}&seed={seed}"
     arguments = ("live", "reference.eitmodel", "--board", board, "--page", "--page-port", "0")
     process = subprocess.Popen(  # noqa: S603

@@ -1,7 +1,7 @@
-"""The live page in a real browser: updates per second, refusals, stalls, and how it looks.
+"""The live page in a real browser: updates per second, refusals, stalls, and screenshots.
 
 `python -m eitskin.benchmarks.studies.page --out DIR` runs `eitskin live --page` on a virtual
-board at 30 frames per second and looks at it with a headless Chromium, which must be installed.
+board at 30 frames per second and opens it in a headless Chromium, which must be installed.
 """
 
 import argparse
@@ -33,16 +33,16 @@ TOUCHED = BENT | {
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """Results of the benchmark.
+    """Results of the study.
 
     Attributes:
         windows: in the order in which they were measured.
-        refusals: what each attempt from a foreign page came to.
+        refusals: answer to each attempt from a foreign page.
         back_after_s: from waking the stalled browser to its next update [s].
-        stale_after_s: from pulling the board's plug to the page's saying so [s].
+        stale_after_s: from unplugging the board to the page's message [s].
         complaints: errors of the page's console.
-        event_bytes: of the largest event seen.
-        load: average of the last minute before it began, by whatever else the machine did.
+        event_bytes: size of the largest event.
+        load: load average of the last minute before the study.
         provenance: where, when and with what.
     """
 
@@ -58,7 +58,7 @@ class Found:
 
 @contextmanager
 def foreign_page() -> Iterator[str]:
-    """An empty page of another origin; gives its address."""
+    """Context of an empty page of another origin; yields its address."""
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "index.html").write_text("<!doctype html><title>elsewhere</title>")
         handler = functools.partial(_Silent, directory=folder)
@@ -74,7 +74,7 @@ class _Silent(http.server.SimpleHTTPRequestHandler):
 
 
 def command_board(tab: Tab, path: str, data: dict[str, Any]) -> None:
-    """Have the page post a command, as its controls do; raises BrowserError if it is refused."""
+    """Post a command from the page, as its controls do; raises BrowserError if it is refused."""
     answer = tab.run(
         f"fetch({path!r}, {{method: 'POST', headers: {{'Content-Type': 'application/json'}}, "
         f"body: {json.dumps(json.dumps(data))}}}).then((answer) => answer.text())"
@@ -84,7 +84,7 @@ def command_board(tab: Tab, path: str, data: dict[str, Any]) -> None:
 
 
 def refused(tab: Tab, url: str) -> dict[str, str]:
-    """Outcome of a foreign page's attempts to read and command the page at `url`."""
+    """Answers to a foreign page's attempts to read and command the page at `url`."""
     body = json.dumps(json.dumps({"bend_deg": 60}))
     attempts = {
         "fetch of the events": f"fetch('{url}events')",
@@ -109,7 +109,7 @@ def refused(tab: Tab, url: str) -> dict[str, str]:
 
 
 def pictures(tab: Tab, out: Path, name: str) -> None:
-    """Screenshots on a desktop, and of the whole page on a phone."""
+    """Save screenshots on a desktop, and of the whole page on a phone."""
     tab.screenshot(out / f"live-page-{name}.png")
     tab.resize(PHONE)
     height = int(
@@ -126,7 +126,7 @@ def pictures(tab: Tab, out: Path, name: str) -> None:
 
 
 def run(out: Path, seed: int = 0, seconds: float = 20.0, command: Sequence[str] = EITSKIN) -> Found:
-    """Measure, and put screenshots into the folder `out`."""
+    """Run the study, with screenshots in the folder `out`."""
     load = os.getloadavg()[0]
     with live_loop(seed, command) as live, chromium() as browser, foreign_page() as elsewhere:
         time.sleep(5.0)  # the first frames wait for imports
@@ -174,7 +174,7 @@ def _seconds_until(tab: Tab, condition: str) -> float:
 
 
 def as_markdown(found: Found) -> str:
-    """The windows as a table, and the rest in words."""
+    """Windows and refusals as tables, other results as sentences."""
     lines = [
         "| | frames/s | page updates/s | latency p50, ms | p99, ms |",
         "|---|---|---|---|---|",
@@ -201,7 +201,7 @@ def as_markdown(found: Found) -> str:
 
 
 def main() -> None:
-    """Run it from the command line."""
+    """Run the study from the command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("build/bench/page"))
     parser.add_argument("--seed", type=int, default=0)

@@ -8,13 +8,18 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from eitskin.cli.options import Json, Output, Quiet, Seed, Verbose, ended_by_signals
+from eitskin.cli.options import (
+    Json,
+    Output,
+    Quiet,
+    Seed,
+    SensorFile,
+    Verbose,
+    ended_by_signals,
+)
 
 SceneFile = Annotated[
     Path | None, typer.Option(help="Scene or script (TOML); flat and untouched when omitted.")
-]
-SensorFile = Annotated[
-    Path | None, typer.Option(help="Sensor design file; the reference sensor when omitted.")
 ]
 BoardResolution = Annotated[
     str, typer.Option(help="Resolution of the simulator: fast, standard or fine.")

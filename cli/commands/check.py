@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     from eitskin.hardware.diagnosis.sensor_check import SensorCheck
     from eitskin.protocol import Protocol
 
-Model = Annotated[
+ReferenceModel = Annotated[
     Path, typer.Argument(help="The trained pipeline, which has the expected impedances.")
 ]
-Frames = Annotated[int, typer.Option(min=1, help="Number of frames to measure.")]
+FrameCount = Annotated[int, typer.Option(min=1, help="Number of frames to measure.")]
 Calibrate = Annotated[
     bool, typer.Option("--calibrate", help="Have the board measure its resistor RCAL first.")
 ]
@@ -30,10 +30,10 @@ EXIT_UNHEALTHY = 4
 
 
 def command(
-    model: Model = Path("reference.eitmodel"),
+    model: ReferenceModel = Path("reference.eitmodel"),
     *,
     board: BoardUri = "virtual:",
-    frames: Frames = 16,
+    frames: FrameCount = 16,
     calibrate: Calibrate = False,
     list_ports: List = False,
     seed: Seed = 0,

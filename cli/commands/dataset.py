@@ -9,7 +9,7 @@ from rich import box
 from rich.markup import escape
 from rich.table import Table
 
-from eitskin.cli.options import Frames, Json, Output, Quiet, Seed, Verbose
+from eitskin.cli.options import FramesPath, Json, Output, Quiet, Seed, Verbose
 from eitskin.errors import DataError
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ EXIT_DAMAGED = DataError.exit_code
 
 @app.command("info")
 def info(
-    dataset: Frames,
+    dataset: FramesPath,
     *,
     seed: Seed = 0,  # noqa: ARG001 - every command takes it
     as_json: Json = False,

@@ -13,7 +13,7 @@ from rich.table import Table
 from eitskin.cli.commands.simulator_options import announce_unsolved, simulator
 from eitskin.cli.options import (
     FixtureFile,
-    Frames,
+    FramesPath,
     Json,
     MechanicsFile,
     Model,
@@ -41,7 +41,7 @@ NewFolder = Annotated[Path, typer.Option("--out", help="Folder to write to, new 
 
 @app.command("mcap")
 def export_mcap(
-    recording: Frames,
+    recording: FramesPath,
     *,
     out: Annotated[Path, typer.Option(help="The new file, NAME.mcap.")],
     model: Annotated[

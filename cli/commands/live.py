@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 BoardUri = Annotated[
     str, typer.Option("--board", help="serial:PORT, text:PORT, virtual: or replay:DIRECTORY.")
 ]
-Frames = Annotated[
+FrameCount = Annotated[
     int | None, typer.Option(min=1, help="Number of frames; until Ctrl-C when omitted.")
 ]
 Record = Annotated[
@@ -59,7 +59,7 @@ def command(
     model: Model,
     *,
     board: BoardUri = "virtual:",
-    frames: Frames = None,
+    frames: FrameCount = None,
     record: Record = None,
     mcap: Mcap = None,
     every_frame: EveryFrame = False,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 import typer
 from rich.table import Table
 
-from eitskin.cli.options import Json, Output, Quiet, Verbose, one_of
+from eitskin.cli.options import Json, Output, Quiet, SensorFile, Verbose, one_of
 from eitskin.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -21,9 +21,7 @@ if TYPE_CHECKING:
 
 def command(
     *,
-    sensor: Annotated[
-        Path | None, typer.Option(help="Sensor design file; the reference sensor when omitted.")
-    ] = None,
+    sensor: SensorFile = None,
     resolution: Annotated[str, typer.Option(help="fast, standard or fine.")] = "standard",
     cells: Annotated[
         str | None,
