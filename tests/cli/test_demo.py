@@ -167,6 +167,7 @@ def report(finished):
     return Page((finished / PAGE).read_text())
 
 
+@pytest.mark.slow
 def test_the_report_refers_to_nothing_outside_itself(finished, report):
     inside = [reference.removeprefix("#") for reference in report.references if reference[0] == "#"]
     outside = [each for each in report.references if not each.startswith(("#", "data:image/"))]
@@ -180,6 +181,7 @@ def test_the_report_refers_to_nothing_outside_itself(finished, report):
     assert not report.open
 
 
+@pytest.mark.slow
 def test_every_picture_of_a_stage_is_shown_once_with_a_text(finished, report):
     assert len(report.images) >= 15
     assert all(len(image["alt"]) > 10 for image in report.images)
@@ -188,6 +190,7 @@ def test_every_picture_of_a_stage_is_shown_once_with_a_text(finished, report):
     assert len(list((finished / RESULTS).iterdir())) == len(STAGES)
 
 
+@pytest.mark.slow
 def test_the_numbers_shown_are_those_of_the_document(finished, report):
     document = json.loads((finished / "report.json").read_text())
     assert len(report.marked) > 60
@@ -206,6 +209,7 @@ def test_a_number_that_is_not_known_is_shown_as_none():
     assert "none" in marked_number({"a": [{"b": None}]}, "a.0.b", ".1f")
 
 
+@pytest.mark.slow
 def test_interrupted_at_every_stage_it_goes_on_to_the_same_report(finished, tmp_path, monkeypatch):
     generate = import_module("eitskin.datasets.generation.generate")  # a function hides the module
     monkeypatch.setattr(generate, "prepare", lambda _: None)
@@ -221,6 +225,7 @@ def test_interrupted_at_every_stage_it_goes_on_to_the_same_report(finished, tmp_
     assert not list(tmp_path.rglob(".*"))
 
 
+@pytest.mark.slow
 def test_finished_stages_are_kept(finished, tmp_path, monkeypatch):
     folder = shutil.copytree(finished, tmp_path / "demo")
     monkeypatch.setattr(workspace, "train_pipeline", None)
@@ -232,6 +237,7 @@ def test_finished_stages_are_kept(finished, tmp_path, monkeypatch):
         assert first.replace(str(finished), "") == second.replace(str(folder), "")
 
 
+@pytest.mark.slow
 def test_a_stage_is_repeated_when_its_inputs_change(tmp_path):
     path = tmp_path / "stage.json"
     made = []
@@ -261,6 +267,7 @@ def test_an_interrupt_in_the_midst_of_a_stage_leaves_nothing_behind(tmp_path, mo
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_a_pipeline_that_was_removed_or_trained_otherwise_is_trained_again(finished, tmp_path):
     folder = shutil.copytree(finished, tmp_path / "demo")
     assert space(folder).is_trained()
@@ -269,6 +276,7 @@ def test_a_pipeline_that_was_removed_or_trained_otherwise_is_trained_again(finis
     assert not space(folder).is_trained()
 
 
+@pytest.mark.slow
 def test_text_of_files_is_escaped(finished, tmp_path):
     folder = shutil.copytree(finished, tmp_path / "demo")
     run(folder, data=tmp_path / "<b>&recordings")
