@@ -227,9 +227,9 @@ def test_options_that_make_no_sense_are_refused(scene, monkeypatch, options, mes
     assert [path.name for path in scene.parent.iterdir()] == ["scene.toml"]
 
 
-def test_the_help_names_what_a_scene_holds() -> None:
+def test_the_help_names_the_page_on_scenes() -> None:
     shown = CliRunner().invoke(app, ["simulate", "--help"], terminal_width=200).stdout
-    assert "how it is bent and where it is pressed" in " ".join(shown.replace("│", " ").split())
+    assert "docs/scenes.md" in " ".join(shown.replace("│", " ").split())
 
 
 # The page on scenes

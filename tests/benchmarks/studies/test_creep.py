@@ -35,6 +35,7 @@ def ball(factors):
     )
 
 
+@pytest.mark.slow
 def test_shares_are_what_moduli_do_to_the_force():
     shares, h = shares_under_a_ball(), 0.02
     assert shares.sum() == pytest.approx(1.0)
@@ -51,6 +52,7 @@ def test_the_long_time_force_is_that_of_relaxed_moduli():
     assert mixture([ECOFLEX, GEL], shares).relaxation(np.inf) == pytest.approx(relaxed, abs=0.005)
 
 
+@pytest.mark.slow
 def test_the_reference_has_the_shares_of_the_reference_stack():
     press = AxisymmetricPress(Mechanics().stack(SensorDesign.reference()), Cylinder(), finest=0.001)
     below, gel, above = layer_shares(press, 0.0014)

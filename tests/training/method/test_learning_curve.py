@@ -65,6 +65,7 @@ def test_losses_fall_to_those_of_the_trained_network():
     assert history.validation[-1] == pytest.approx(np.mean(error**2), rel=1e-5)
 
 
+@pytest.mark.slow
 def test_first_loss_is_that_of_the_epoch_with_weights_that_hardly_move():
     history = fit(line(), rate=1e-12, epochs=1)
     assert history.training[0] == pytest.approx(np.mean(TARGETS**2), rel=1e-5)

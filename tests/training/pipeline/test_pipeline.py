@@ -112,6 +112,7 @@ def test_session_of_bends_and_touches(session):
     assert touched.time == pytest.approx(0.9)
 
 
+@pytest.mark.slow
 def test_touch_freezes_the_dynamic_reference_and_release_frees_it(pipeline, session):
     session()
     session(20.0)
@@ -125,6 +126,7 @@ def test_touch_freezes_the_dynamic_reference_and_release_frees_it(pipeline, sess
     assert np.hypot(moved.touches[0][0] - 0.11, moved.touches[0][1] - 0.02) < 0.006
 
 
+@pytest.mark.slow
 def test_stages_alone_say_what_the_session_says(pipeline, session, sensor):
     session()
     session(20.0)
@@ -207,6 +209,7 @@ def test_channel_that_was_bad_at_the_beginning_stays_out(session, sensor):
     assert later in touched.problems
 
 
+@pytest.mark.slow
 def test_frame_of_mostly_bad_channels_is_refused_and_changes_nothing(pipeline, session):
     session()
     before = pipeline.references.bend.copy()
@@ -220,6 +223,7 @@ def test_frame_of_mostly_bad_channels_is_refused_and_changes_nothing(pipeline, s
 # Refusals
 
 
+@pytest.mark.slow
 def test_frames_of_other_measurements_are_refused(pipeline, sensor):
     protocol = sensor.protocol
     swapped = Protocol((protocol.table[1], protocol.table[0], *protocol.table[2:]), 8)
@@ -233,6 +237,7 @@ def test_frames_of_other_measurements_are_refused(pipeline, sensor):
     assert pipeline.process(Frame(sensor.flat, protocol, frequency=40.1e3)).state is State.IDLE
 
 
+@pytest.mark.slow
 def test_gain_of_gel_or_board_is_no_reason_to_refuse(pipeline, sensor):
     for factor in (1.1 / LARGEST_SCALE, 0.9 * LARGEST_SCALE * np.exp(0.3j)):
         pipeline.reset()
@@ -241,12 +246,14 @@ def test_gain_of_gel_or_board_is_no_reason_to_refuse(pipeline, sensor):
         assert bent.bend_angle_deg == pytest.approx(30.0, abs=1.0)
 
 
+@pytest.mark.slow
 def test_other_units_are_refused_and_the_ratio_named(pipeline, sensor):
     with pytest.raises(FrameError, match="40 times"):
         pipeline.process(Frame(sensor.flat * 40.0, sensor.protocol))
     assert pipeline.process(Frame(sensor.flat, sensor.protocol)).state is State.IDLE
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "turned",
     [[(i + 1) % 8 for i in range(8)], [-i % 8 for i in range(8)], [4, 1, 2, 3, 0, 5, 6, 7]],
@@ -259,6 +266,7 @@ def test_other_wiring_is_refused(pipeline, sensor, turned):
         pipeline.process(Frame(sensor.flat[order], sensor.protocol))
 
 
+@pytest.mark.slow
 def test_real_frame_of_another_board_is_refused(pipeline):
     path = DATA / "openeit_background_8.txt"
     if not path.is_file():
