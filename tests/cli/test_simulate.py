@@ -258,9 +258,9 @@ def test_the_examples_of_the_page_are_read(tmp_path) -> None:
 
 @pytest.mark.slow
 def test_the_mistakes_of_the_page_are_answered_as_it_says(tmp_path) -> None:
-    section = PAGE.read_text(encoding="utf-8").partition("## What goes wrong")[2]
-    rows = re.findall(r"^\| `(.*?)` \| (`.*) \|$", section, re.MULTILINE)
-    assert len(rows) == section.count("\n| `")
+    table = PAGE.read_text(encoding="utf-8").partition("| in the file | message |")[2]
+    rows = re.findall(r"^\| `(.*?)` \| (`.*) \|$", table, re.MULTILINE)
+    assert len(rows) == table.count("\n| `")
     assert len(rows) > 8
     for text, message in rows:
         with pytest.raises(ConfigurationError) as error:
