@@ -1,8 +1,8 @@
 """Suite of all benchmarks, run one after the other: `eitskin bench all`.
 
-Most commands of `eitskin bench` write their results themselves. The studies of a checkout, `python
--m eitskin.benchmarks.studies.NAME`, print a report in Markdown, whose tables become results. An
-installed wheel has no studies: they are left out there, with the reason.
+Most commands of `eitskin bench` write their results themselves. The studies of a checkout,
+`python -m eitskin.benchmarks.studies.FOLDER.NAME`, print a report in Markdown, whose tables become
+results. An installed wheel has no studies: they are left out there, with the reason.
 """
 
 import subprocess
@@ -33,11 +33,12 @@ class Benchmark:
 
     Attributes:
         name: of the command or module, and of the folder of its results.
+        folder: folder of `eitskin.benchmarks.studies` that has its module; empty for a command of
+            `eitskin bench`.
         minutes: that all of it takes, by estimate; decides which are long.
         options: besides the seed; `{out}` stands for the folder of all results, `{own}` for that of
             its own, `{data}` for that of real recordings.
         quick: other options for a quick run; None where there is no quick one.
-        command: whether it is a command of `eitskin bench`, or else a module.
         report: the file in its folder that it writes a report to; empty where it prints one.
         own_results: whether it writes results itself.
         seeded: whether it takes a seed.
@@ -45,10 +46,10 @@ class Benchmark:
     """
 
     name: str
+    folder: str
     minutes: float
     options: tuple[str, ...] = ()
     quick: tuple[str, ...] | None = None
-    command: bool = False
     report: str = ""
     own_results: bool = False
     seeded: bool = False
@@ -64,17 +65,13 @@ class Benchmark:
         options = self.quick if quick else self.options
         given = [part.format_map(places) for part in options or ()]
         seeds = ["--seed", str(seed)] if self.seeded else []
-        what = (
-            ["bench", self.name]
-            if self.command
-            else ["-m", f"eitskin.benchmarks.studies.{self.name}"]
-        )
-        return [*what, *seeds, *given]
+        start = ["-m", self.module] if self.folder else ["bench", self.name]
+        return [*start, *seeds, *given]
 
     @property
-    def study(self) -> bool:
-        """Whether the benchmark is a module of `eitskin.benchmarks.studies`."""
-        return not self.command
+    def module(self) -> str:
+        """Name of the module of a study; empty for a command."""
+        return self.folder and f"eitskin.benchmarks.studies.{self.folder}.{self.name}"
 
 
 def has_studies() -> bool:
@@ -92,10 +89,10 @@ def _command(name: str, minutes: float, *options: str, seeded: bool = True) -> B
     """Benchmark that is a command and writes its results itself."""
     return Benchmark(
         name=name,
+        folder="",
         minutes=minutes,
         options=(*OUT, *options),
         quick=(*OUT, "--quick"),
-        command=True,
         own_results=True,
         seeded=seeded,
     )
@@ -105,24 +102,30 @@ ALL = (
     _command("accuracy", 3),
     _command("stability", 6),
     _command("speed", 5),
-    Benchmark("signals", 1, ("--pictures", "{own}"), ("--pictures", "{own}")),
-    Benchmark("instrument", 1, (), ()),
-    Benchmark("left_out", 1, (), ()),
-    Benchmark("thickness", 3),
-    Benchmark("creep", 1, (), ()),
-    Benchmark("cramer_rao", 3, OWN),
-    Benchmark("bends", 8),
-    Benchmark("tank", 3, ("{data}",), needs="{data}/ktc2023_ref.mat"),
-    Benchmark("recordings", 1, ("{data}",), needs="{data}/ohmc8.mat"),
-    Benchmark("recipes", 6, OWN, (*OWN, "--frames", "10")),
-    Benchmark("sensor_check", 5, (), ("--specimens", "10", "--faulty", "2"), seeded=True),
-    Benchmark("live_rate", 4, (), ("--frames", "60"), seeded=True),
-    Benchmark("realtime", 3, OWN, (*OWN, "--speed", "max"), seeded=True),
-    Benchmark("board_fuzz", 8, (), ("--bytes", "100000", "--rounds", "1", "--cables", "3")),
+    Benchmark("signals", "physics", 1, ("--pictures", "{own}"), ("--pictures", "{own}")),
+    Benchmark("instrument", "boards", 1, (), ()),
+    Benchmark("left_out", "physics", 1, (), ()),
+    Benchmark("thickness", "physics", 3),
+    Benchmark("creep", "physics", 1, (), ()),
+    Benchmark("cramer_rao", "physics", 3, OWN),
+    Benchmark("bends", "physics", 8),
+    Benchmark("tank", "data", 3, ("{data}",), needs="{data}/ktc2023_ref.mat"),
+    Benchmark("recordings", "data", 1, ("{data}",), needs="{data}/ohmc8.mat"),
+    Benchmark("recipes", "data", 6, OWN, (*OWN, "--frames", "10")),
+    Benchmark("sensor_check", "boards", 5, (), ("--specimens", "10", "--faulty", "2"), seeded=True),
+    Benchmark("live_rate", "boards", 4, (), ("--frames", "60"), seeded=True),
+    Benchmark("realtime", "boards", 3, OWN, (*OWN, "--speed", "max"), seeded=True),
+    Benchmark(
+        "board_fuzz", "boards", 8, (), ("--bytes", "100000", "--rounds", "1", "--cables", "3")
+    ),
     _command("paper", 40, "--seeds", "2", "--paper-seeds", "1", seeded=False),
-    Benchmark("ablation", 2, ("{out}/paper/seed-1/unseen-touch",), needs="{out}/paper/seed-1"),
-    Benchmark("layouts", 90, OWN, (*OWN, "--quick"), command=True, report="layouts.md"),
-    Benchmark("touches", 180, (*OWN[:1], "{own}/touches.csv", "--plot", "{own}/touches.png")),
+    Benchmark(
+        "ablation", "data", 2, ("{out}/paper/seed-1/unseen-touch",), needs="{out}/paper/seed-1"
+    ),
+    Benchmark("layouts", "", 90, OWN, (*OWN, "--quick"), report="layouts.md"),
+    Benchmark(
+        "touches", "physics", 180, (*OWN[:1], "{own}/touches.csv", "--plot", "{own}/touches.png")
+    ),
 )
 
 
@@ -165,7 +168,7 @@ def run_all(
             "data": str(data and data.absolute()),
         }
         needs = each.needs.format_map(places)
-        if each.study and not has_studies():
+        if each.folder and not has_studies():
             yield Done(each.name, "left out", WHY_NOT)
         elif quick and each.quick is None:
             yield Done(each.name, "left out", "there is no quick run of it")
@@ -186,7 +189,7 @@ def _run(each: Benchmark, places: Mapping[str, str], seed: int, quick: bool, sta
     """Run one benchmark; returns the reason of a failure, or an empty text."""
     folder = Path(places["own"])
     make_folder(folder)
-    program = EITSKIN if each.command else EITSKIN[:1]
+    program = EITSKIN[:1] if each.folder else EITSKIN
     command = [*program, *each.arguments(places, seed, quick)]
     if each.own_results:
         status = start(command, None)
@@ -200,7 +203,7 @@ def _run(each: Benchmark, places: Mapping[str, str], seed: int, quick: bool, sta
     if not found:
         return f"no figures in {report}"
     said = {"out": "OUT", "own": f"OUT/{each.name}", "data": "DATA"}
-    shown = ["eitskin" if each.command else "python", *each.arguments(said, seed, quick)]
+    shown = ["python" if each.folder else "eitskin", *each.arguments(said, seed, quick)]
     results = Results(
         name=each.name,
         command=" ".join(shown),

@@ -45,7 +45,7 @@ class Hinge:
         contraction: of the width, 0 as a plate to 1 as a beam; see Flexure.
 
     The defaults are those of a plate between rigid ends. `give=0.002, contraction=0.8` fits the 3D
-    model of the reference stack best (`python -m eitskin.benchmarks.studies.bends`).
+    model of the reference stack best (`python -m eitskin.benchmarks.studies.physics.bends`).
     """
 
     span: float = 0.040

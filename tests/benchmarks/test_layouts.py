@@ -25,8 +25,8 @@ from eitskin.benchmarks.layouts.report import markdown, table
 from eitskin.benchmarks.layouts.ring import Ring, ring_layout, solved_ring
 from eitskin.benchmarks.layouts.run import JudgedLayout, LayoutComparison, LayoutFigures
 from eitskin.benchmarks.layouts.search import SearchPlan, at_arcs, score, search
-from eitskin.benchmarks.studies import layouts_trained, layouts_trained_report
-from eitskin.benchmarks.studies.layouts_trained import Learned
+from eitskin.benchmarks.studies.data import layouts_trained, layouts_trained_report
+from eitskin.benchmarks.studies.data.layouts_trained import Learned
 from eitskin.cli.main import app
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Electrode, Rectangle, SensorDesign

@@ -16,9 +16,9 @@ from eitskin.errors import ConfigurationError, DataError
 from eitskin.provenance import Provenance
 
 PRINTED = "| what | ms |\n|---|---|\n| a | 1.5 |\n"
-PRINTS = Benchmark("prints", 1.0, ("--whole",), ("--few",), seeded=True)
-WRITES = Benchmark("writes", 1.0, ("--out", "{own}"), command=True, report="report.md")
-OWN = Benchmark("own", 1.0, ("--out", "{out}"), ("--quick",), command=True, own_results=True)
+PRINTS = Benchmark("prints", "boards", 1.0, ("--whole",), ("--few",), seeded=True)
+WRITES = Benchmark("writes", "", 1.0, ("--out", "{own}"), report="report.md")
+OWN = Benchmark("own", "", 1.0, ("--out", "{out}"), ("--quick",), own_results=True)
 THREE = (PRINTS, WRITES, OWN)
 
 
@@ -52,12 +52,12 @@ def test_each_runs_in_turn_and_leaves_results(tmp_path):
     start = Started(tmp_path)
     assert set(outcomes(tmp_path, start, seed=4).values()) == {"measured"}
     first, second, third = start.commands
-    assert first[1:] == ["-m", "eitskin.benchmarks.studies.prints", "--seed", "4", "--whole"]
+    assert first[1:] == ["-m", "eitskin.benchmarks.studies.boards.prints", "--seed", "4", "--whole"]
     assert second[3:] == ["bench", "writes", "--out", str(tmp_path / "writes")]
     assert third[3:] == ["bench", "own", "--out", str(tmp_path)]
     results = read_results(tmp_path / "prints" / "results.json")
     assert results.figures == {"a / ms": 1.5}
-    assert results.command == "python -m eitskin.benchmarks.studies.prints --seed 4 --whole"
+    assert results.command == "python -m eitskin.benchmarks.studies.boards.prints --seed 4 --whole"
     assert results.provenance.seed == 4
     assert (tmp_path / "prints" / "report.md").read_text() == PRINTED
     written = read_results(tmp_path / "writes" / "results.json")
@@ -107,7 +107,7 @@ def test_quick_takes_other_options_and_leaves_out_what_has_none(tmp_path):
 
 
 def test_what_needs_data_is_left_out_without_it(tmp_path):
-    needy = Benchmark("needy", 1.0, ("{data}",), needs="{data}/tank.mat")
+    needy = Benchmark("needy", "data", 1.0, ("{data}",), needs="{data}/tank.mat")
     start = Started(tmp_path)
     assert outcomes(tmp_path, start, [needy], data=tmp_path / "data") == {"needy": "left out"}
     (tmp_path / "data").mkdir()
@@ -176,10 +176,10 @@ def test_every_benchmark_is_a_command_or_a_module_that_takes_its_options():
     commands = {each.name for each in app.registered_groups[1].typer_instance.registered_commands}
     folder = Path(suite.__file__).parent / "studies"
     for each in ALL:
-        if each.command:
+        if not each.folder:
             assert each.name in commands
             continue
-        source = (folder / f"{each.name}.py").read_text()
+        source = (folder / each.folder / f"{each.name}.py").read_text()
         assert 'if __name__ == "__main__":' in source
         given = {*each.options, *(each.quick or ()), *(("--seed",) if each.seeded else ())}
         for option in given:
@@ -207,5 +207,5 @@ def test_studies_are_left_out_of_an_installed_wheel(tmp_path, monkeypatch):
 def test_each_study_of_the_suite_is_a_module():
     assert suite.has_studies()
     for each in ALL:
-        if each.study:
-            assert importlib.util.find_spec(f"eitskin.benchmarks.studies.{each.name}"), each.name
+        if each.folder:
+            assert importlib.util.find_spec(each.module), each.name

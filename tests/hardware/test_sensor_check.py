@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from eitskin.benchmarks.studies.sensor_check import FRAMES, PAIRS, cases, measured
+from eitskin.benchmarks.studies.boards.sensor_check import FRAMES, PAIRS, cases, measured
 from eitskin.cli.commands.check import require_same_protocol
 from eitskin.cli.main import app
 from eitskin.datasets import Recipe

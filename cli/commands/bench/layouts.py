@@ -14,7 +14,7 @@ from eitskin.extras import require_all
 
 if TYPE_CHECKING:
     from eitskin.benchmarks.layouts.run import LayoutComparison
-    from eitskin.benchmarks.studies.layouts_trained import Training
+    from eitskin.benchmarks.studies.data.layouts_trained import Training
 
 
 def command(
@@ -64,8 +64,8 @@ def command(
 
         found = run(out / "parts", names=sweep or NAMES, quick=quick, workers=workers, watch=show)
         if trained:
-            from eitskin.benchmarks.studies import layouts_trained_report as report
-            from eitskin.benchmarks.studies.layouts_trained import train
+            from eitskin.benchmarks.studies.data import layouts_trained_report as report
+            from eitskin.benchmarks.studies.data.layouts_trained import train
 
             learned = train(out, quick=quick, workers=workers, watch=show)
     paths, data, lines = write(found, out), as_data(found), [*sentences(found)]
@@ -95,7 +95,7 @@ def _as_table(found: "LayoutComparison") -> Table:
 
 
 def _trained_table(learned: "Training") -> Table:
-    from eitskin.benchmarks.studies.layouts_trained_report import HEADINGS, table
+    from eitskin.benchmarks.studies.data.layouts_trained_report import HEADINGS, table
 
     drawn = Table(*HEADINGS, title="trained", box=box.SIMPLE, pad_edge=False, padding=0)
     for column in drawn.columns[1:]:

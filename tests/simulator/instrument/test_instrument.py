@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from eitskin.benchmarks.studies.instrument import effect
+from eitskin.benchmarks.studies.boards.instrument import effect
 from eitskin.config import parse_toml, to_toml
 from eitskin.errors import ConfigurationError, FrameError
 from eitskin.geometry import SensorDesign

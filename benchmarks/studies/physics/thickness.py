@@ -1,8 +1,9 @@
 """Interpolated presses on sensors of another thickness against solved ones.
 
-`python -m eitskin.benchmarks.studies.thickness` prints, as Markdown, the errors of signals of the
-reference sensor, all its heights times a factor, pressed at six places. Solves five tables the
-first time.
+Run by `python -m eitskin.benchmarks.studies.physics.thickness`.
+
+Prints, as Markdown, the errors of signals of the reference sensor, all its heights times a factor,
+pressed at six places. Solves five tables the first time.
 """
 
 import dataclasses

@@ -1,6 +1,6 @@
 """The live page in a real browser: updates per second, refusals, stalls, and screenshots.
 
-`python -m eitskin.benchmarks.studies.page --out DIR` runs `eitskin live --page` on a virtual
+`python -m eitskin.benchmarks.studies.boards.page --out DIR` runs `eitskin live --page` on a virtual
 board at 30 frames per second and opens it in a headless Chromium, which must be installed.
 """
 
@@ -20,8 +20,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from eitskin.benchmarks.studies.chromium import BrowserError, Size, Tab, chromium
-from eitskin.benchmarks.studies.live_windows import EITSKIN, RATE, Window, live_loop, updates
+from eitskin.benchmarks.studies.boards.chromium import BrowserError, Size, Tab, chromium
+from eitskin.benchmarks.studies.boards.live_windows import EITSKIN, RATE, Window, live_loop, updates
 from eitskin.provenance import Provenance
 
 DESKTOP, PHONE = Size(1440, 900), Size(390, 844, phone=True)

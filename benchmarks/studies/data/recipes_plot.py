@@ -12,7 +12,7 @@ from eitskin.datasets.store.dataset import Dataset
 from eitskin.extras import require
 
 if TYPE_CHECKING:
-    from eitskin.benchmarks.studies.recipes import Strength
+    from eitskin.benchmarks.studies.data.recipes import Strength
 
 _BLUE, _RED, _GREY = "#1f5fa8", "#b3372f", "#777777"
 

@@ -1,6 +1,6 @@
 """Errors of reanalysis by truncation, and by the default tolerance.
 
-Run by `python -m eitskin.benchmarks.studies.left_out`.
+Run by `python -m eitskin.benchmarks.studies.physics.left_out`.
 
 Prints, as Markdown, how far signals of 10 N are off when all beyond some distance of the press is
 taken as untouched, or to first order, and what the default tolerance leaves.

@@ -1,6 +1,6 @@
 """Real-time episode of the paper on the virtual board.
 
-Run by `python -m eitskin.benchmarks.studies.realtime`.
+Run by `python -m eitskin.benchmarks.studies.boards.realtime`.
 
 The recipe `paper_demo` is played on a sensor that no pipeline was trained with, at the board's real
 pace, through a pseudo-terminal into the pipeline that ships: first as it comes, then adapted to

@@ -1,6 +1,6 @@
 """Kinematic bend models against the 3D bend.
 
-Run by `python -m eitskin.benchmarks.studies.bends`.
+Run by `python -m eitskin.benchmarks.studies.physics.bends`.
 
 Prints, as Markdown, for the reference sensor on the default hinge, what the 3D model of the clamped
 stack gives and how far the bend signals of kinematic models are from it, relative to the norm of

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.benchmarks.studies.signals import POSITIONS
+from eitskin.benchmarks.studies.physics.signals import POSITIONS
 from eitskin.extras import require
 from eitskin.geometry.design.sensor import SensorDesign
 

@@ -1,6 +1,6 @@
 """Changes of the 28 resistances by bends and presses.
 
-Run by `python -m eitskin.benchmarks.studies.signals`.
+Run by `python -m eitskin.benchmarks.studies.physics.signals`.
 
 Prints, as Markdown, the change of each pair of the reference sensor over the bend angle, with the
 default hinge and with the one fitted to the 3D model, and what 5 and 10 N do at the paper's 27

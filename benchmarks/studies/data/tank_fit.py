@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from eitskin.benchmarks.studies.tank_data import Tank
+from eitskin.benchmarks.studies.data.tank_data import Tank
 from eitskin.geometry.design.electrode import Electrode
 from eitskin.geometry.design.outline import Disc
 from eitskin.geometry.design.sensor import SensorDesign

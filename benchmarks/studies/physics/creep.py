@@ -1,6 +1,6 @@
 """Creep of held presses and recovery after release.
 
-Run by `python -m eitskin.benchmarks.studies.creep`.
+Run by `python -m eitskin.benchmarks.studies.physics.creep`.
 
 Prints, as Markdown, for the reference stack under the 15 mm cylinder, the layers' shares of the
 force, how far one elastic force for the whole stack is from layers that relax each by themselves
@@ -13,7 +13,7 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.benchmarks.studies.press_history import ForceHistory, Memory
+from eitskin.benchmarks.studies.physics.press_history import ForceHistory, Memory
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.provenance import Provenance
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress, Indentation

@@ -1,6 +1,6 @@
 """Cramer-Rao bounds of touches and bends of the reference sensor.
 
-Run by `python -m eitskin.benchmarks.studies.cramer_rao`.
+Run by `python -m eitskin.benchmarks.studies.physics.cramer_rao`.
 
 Prints, as Markdown, Cramer-Rao bounds of the reference sensor under the white noise of
 `Instrument()`: of one touch at the paper's 27 positions, of one to four touches at random places
@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
 from eitskin.benchmarks.results import write_table
-from eitskin.benchmarks.studies.cramer_rao_plot import draw_map
-from eitskin.benchmarks.studies.signals import FORCES, POSITIONS
+from eitskin.benchmarks.studies.physics.cramer_rao_plot import draw_map
+from eitskin.benchmarks.studies.physics.signals import FORCES, POSITIONS
 from eitskin.datasets.recipe.touch_sampling import draw_positions
 from eitskin.geometry.deformation.fixtures import Bend
 from eitskin.geometry.design.outline import Rectangle

@@ -8,8 +8,8 @@ import pytest
 from layouts_fakes import flat_bound
 
 from eitskin.benchmarks.layouts.candidates import paper
-from eitskin.benchmarks.studies import layouts_trained
-from eitskin.benchmarks.studies.layouts_trained import (
+from eitskin.benchmarks.studies.data import layouts_trained
+from eitskin.benchmarks.studies.data.layouts_trained import (
     QUICK,
     Learned,
     Lesson,
@@ -18,7 +18,7 @@ from eitskin.benchmarks.studies.layouts_trained import (
     one_sided,
     scored,
 )
-from eitskin.benchmarks.studies.layouts_trained_report import (
+from eitskin.benchmarks.studies.data.layouts_trained_report import (
     markdown,
     rank_correlation,
     sentences,

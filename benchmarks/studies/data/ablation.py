@@ -1,6 +1,6 @@
 """Ablation of the joint method: errors and time per frame without each of its parts.
 
-    python -m eitskin.benchmarks.studies.ablation DATASET [--pipeline NAME.eitmodel] [--frames 400]
+    python -m eitskin.benchmarks.studies.data.ablation DATASET [--pipeline NAME] [--frames 400]
 
 DATASET holds touched frames, such as `seed-0/unseen-touch` in the folder of `eitskin bench paper`.
 Prints two tables in Markdown: errors and times without each part, and the time of each stage; times

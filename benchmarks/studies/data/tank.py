@@ -1,6 +1,6 @@
 """Model of a real water tank against its measured voltages.
 
-Run by `python -m eitskin.benchmarks.studies.tank FOLDER`.
+Run by `python -m eitskin.benchmarks.studies.data.tank FOLDER`.
 
 FOLDER holds `ktc2023_ref.mat` and `ktc2023_mesh_sparse.mat` of the Kuopio Tomography Challenge
 2023 (Zenodo 8252370): a round tank of plain water, 32 electrodes as high as the water, so that
@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from eitskin.benchmarks.studies.tank_data import Tank, read_tank
-from eitskin.benchmarks.studies.tank_fit import FIRST, FITS, Fit, fit, slopes, start
+from eitskin.benchmarks.studies.data.tank_data import Tank, read_tank
+from eitskin.benchmarks.studies.data.tank_fit import FIRST, FITS, Fit, fit, slopes, start
 from eitskin.extras import require
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.provenance import Provenance
@@ -95,7 +95,7 @@ def draw(tank: Tank, fits: Sequence[Fit], path: str | Path) -> None:
 
 def main() -> None:
     """Fit, print each fit as it is found, draw the picture."""
-    parser = argparse.ArgumentParser(description=__doc__, prog="eitskin.benchmarks.studies.tank")
+    parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path, help="where the two .mat files are")
     parser.add_argument("--picture", type=Path, help="PNG of measured against modelled voltages")
     options = parser.parse_args()

@@ -1,6 +1,6 @@
 """False and missed alarms of the sensor check.
 
-Run by `python -m eitskin.benchmarks.studies.sensor_check`.
+Run by `python -m eitskin.benchmarks.studies.boards.sensor_check`.
 
 Prints, as Markdown, how many healthy specimens of the recipe `training` it accuses, and of each
 fault, injected at every place where it can be, how often it is named with its place, and how often
@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.benchmarks.studies.signals import POSITIONS
+from eitskin.benchmarks.studies.physics.signals import POSITIONS
 from eitskin.datasets.recipe.frame_sampling import specimen
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.frame import Frame, Status

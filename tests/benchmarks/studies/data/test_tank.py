@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from eitskin.benchmarks.studies import tank as report
-from eitskin.benchmarks.studies.tank_data import Tank, read_tank
-from eitskin.benchmarks.studies.tank_fit import FIRST, fit, residuals, slopes, start
+from eitskin.benchmarks.studies.data import tank as report
+from eitskin.benchmarks.studies.data.tank_data import Tank, read_tank
+from eitskin.benchmarks.studies.data.tank_fit import FIRST, fit, residuals, slopes, start
 from eitskin.errors import DataError
 from eitskin.geometry.meshing.grading import Grading
 
 import closed_forms
 
-DATA = Path(os.environ.get("EITSKIN_DATA", Path(__file__).parents[3] / "shared" / "data"))
+DATA = Path(os.environ.get("EITSKIN_DATA", Path(__file__).parents[5] / "shared" / "data"))
 QUICK = ((3,), Grading(finest=1e-3, coarsest=6e-2, growth=1.5))
 COUNT, RADIUS, WIDTH = 6, 0.115, 0.5
 SHEET, CONTACT = 1.7, 2e-3

@@ -1,4 +1,6 @@
-"""Real recordings through the same code as simulated frames: `... benchmarks.recordings FOLDER`.
+"""Real recordings through the same code as simulated frames.
+
+Run by `python -m eitskin.benchmarks.studies.data.recordings FOLDER`.
 
 FOLDER holds `ohmc8.mat`, 500 presses of a robot on a round hydrogel skin with 32 channels of
 unknown order, and `openeit_background_8.txt`, a frame of all 28 pairs of another board. Prints, as

@@ -1,6 +1,6 @@
 """Rate and latency of the live loop.
 
-Run by `python -m eitskin.benchmarks.studies.live_rate [--hours H]`.
+Run by `python -m eitskin.benchmarks.studies.boards.live_rate [--hours H]`.
 
 Frames cross a pseudo-terminal as packets, from a board in a process of its own, and go through the
 pipeline that ships. Prints frames per second and the time of each stage, for boards as fast as they

@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from eitskin.benchmarks.studies.creep import layer_shares
+from eitskin.benchmarks.studies.physics.creep import layer_shares
 from eitskin.geometry import SensorDesign
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
 from eitskin.simulator.mechanics.layer_stack import Mechanics, Sheet, Stack

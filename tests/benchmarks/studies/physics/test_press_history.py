@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
-from eitskin.benchmarks.studies.press_history import DepthHistory, ForceHistory, Memory
+from eitskin.benchmarks.studies.physics.press_history import DepthHistory, ForceHistory, Memory
 from eitskin.errors import ConfigurationError
 from eitskin.simulator.mechanics.viscoelasticity import ECOFLEX, GEL, Prony, elastic_force
 

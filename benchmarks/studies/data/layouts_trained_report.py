@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.benchmarks.results import write_table
-from eitskin.benchmarks.studies.layouts_trained import Training
+from eitskin.benchmarks.studies.data.layouts_trained import Training
 from eitskin.extras import require
 from eitskin.files import atomic_file
 

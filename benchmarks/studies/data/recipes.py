@@ -1,6 +1,6 @@
 """Scenes and signal strengths of the shipped recipes.
 
-Run by `python -m eitskin.benchmarks.studies.recipes`.
+Run by `python -m eitskin.benchmarks.studies.data.recipes`.
 
 Draws two pictures into --out: `recipes.png`, statistics of each recipe, and `episodes.png`, one
 episode of each that has any; and prints, as Markdown, medians of signal and noise. Signals are of
@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.benchmarks.studies.recipes_plot import plot_episodes, plot_statistics
+from eitskin.benchmarks.studies.data.recipes_plot import plot_episodes, plot_statistics
 from eitskin.datasets.generation.shard_simulation import prepare, simulate_frames
 from eitskin.datasets.recipe.frame_sampling import Sample, sample
 from eitskin.datasets.recipe.recipe import Recipe

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from eitskin.benchmarks.studies.chromium import BrowserError, Tab
+from eitskin.benchmarks.studies.boards.chromium import BrowserError, Tab
 
 RATE = 30  # frames per second of the board
 EITSKIN = (sys.executable, "-c", "from eitskin.cli.main import run; run()")

@@ -1,6 +1,6 @@
 """Quick models of presses against the 3D press.
 
-Run by `python -m eitskin.benchmarks.studies.touches`.
+Run by `python -m eitskin.benchmarks.studies.physics.touches`.
 
 Solves presses on the reference sensor in 3D, at the 27 positions (what is symmetric once), near its
 edges, and two to four at several distances, and prints how far the signals of quick models are from
@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.benchmarks.results import write_table
-from eitskin.benchmarks.studies.bends import signal
+from eitskin.benchmarks.studies.physics.bends import signal
 from eitskin.geometry.deformation.kinematics import Deformation
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.meshing.grading import Grading
@@ -240,7 +240,7 @@ def main() -> None:
         if chosen.out:
             write_table(chosen.out, [asdict(each) for each in found], str(Provenance.now(0)))
     if chosen.plot and found:
-        from eitskin.benchmarks.studies.touches_plot import plot
+        from eitskin.benchmarks.studies.physics.touches_plot import plot
 
         plot(found, chosen.plot)
 

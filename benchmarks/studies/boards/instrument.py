@@ -1,6 +1,6 @@
 """Errors of each term of the instrument model.
 
-Run by `python -m eitskin.benchmarks.studies.instrument`.
+Run by `python -m eitskin.benchmarks.studies.boards.instrument`.
 
 Prints, as Markdown, the error of each term alone on the 28 values of the reference sensor, and what
 is left of it in the signals of 10 N presses at the paper's 27 positions.
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.benchmarks.studies.signals import POSITIONS
+from eitskin.benchmarks.studies.physics.signals import POSITIONS
 from eitskin.geometry.deformation.fixtures import Bend
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.provenance import Provenance

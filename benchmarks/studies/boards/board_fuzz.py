@@ -1,6 +1,6 @@
 """Damage on the line between board and host.
 
-Run by `python -m eitskin.benchmarks.studies.board_fuzz`.
+Run by `python -m eitskin.benchmarks.studies.boards.board_fuzz`.
 
 Feeds the codec random and mutated bytes, strikes a virtual board with every fault at random times,
 and pulls and puts back its cable many times. Prints a report as Markdown.
@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from eitskin.benchmarks.studies.fuzz_codec import fuzz_codec
+from eitskin.benchmarks.studies.boards.fuzz_codec import fuzz_codec
 from eitskin.errors import DeviceError
 from eitskin.frame import Frame
 from eitskin.geometry.design.sensor import SensorDesign

@@ -1,0 +1,1 @@
+"""Studies of boards: signal chain, damage on the line, sensor check, live loop and page."""

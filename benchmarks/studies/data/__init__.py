@@ -1,0 +1,1 @@
+"""Studies of data: recordings, recipes, and pipelines trained on datasets."""

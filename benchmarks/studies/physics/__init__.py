@@ -1,0 +1,1 @@
+"""Studies of the physics: bends, presses, creep, and the signals and bounds that follow."""
