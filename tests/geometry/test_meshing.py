@@ -19,6 +19,8 @@ def test_cells_fill_the_layer_with_right_handed_boxes() -> None:
     volumes = np.linalg.det(edges)
     assert volumes.min() > 0
     assert volumes.sum() == pytest.approx(0.150 * 0.060 * 0.005, rel=1e-12)
+    upwards_then_along_y_then_x = np.lexsort(mesh.points[:, ::-1].T)
+    assert np.array_equal(upwards_then_along_y_then_x, np.arange(len(mesh.points)))
 
 
 def test_electrode_facets_have_the_electrodes_area_and_place() -> None:
@@ -33,27 +35,14 @@ def test_electrode_facets_have_the_electrodes_area_and_place() -> None:
         assert centre == pytest.approx([electrode.x, electrode.y, design.thickness / 2], abs=1e-12)
 
 
-def test_cells_are_fine_at_the_electrode_edges_and_coarse_elsewhere() -> None:
-    mesh = structured_mesh(SensorDesign.reference(), GRADING)
+def test_cells_are_fine_at_the_electrode_edges_and_coarse_elsewhere_and_end_at_breaks() -> None:
+    mesh = structured_mesh(SensorDesign.reference(), GRADING, breaks=(0.0531, 0.0969))
     x = np.unique(mesh.points[:, 0])
+    assert np.abs(x[:, None] - [0.0531, 0.0969]).min(axis=0).max() < 1e-12
     sizes = np.diff(x)
     at_edge = sizes[np.searchsorted(x, 0.020 + 1e-9) - 1]
     assert at_edge < 1.3 * GRADING.finest
     assert 0.7 * GRADING.coarsest < sizes.max() <= GRADING.coarsest * (1 + 1e-9)
-
-
-def test_breaks_are_cell_faces() -> None:
-    mesh = structured_mesh(SensorDesign.reference(), GRADING, breaks=(0.0531, 0.0969))
-    x = np.unique(mesh.points[:, 0])
-    assert np.abs(x - 0.0531).min() < 1e-12
-    assert np.abs(x - 0.0969).min() < 1e-12
-
-
-def test_points_are_numbered_upwards_then_along_y_then_x() -> None:
-    mesh = structured_mesh(SensorDesign.reference(), GRADING)
-    order = np.lexsort(mesh.points.T)
-    assert np.array_equal(np.lexsort(mesh.points[:, ::-1].T), np.arange(len(mesh.points)))
-    assert len(order) == len(mesh.points)
 
 
 def test_layers_are_kept_where_electrodes_have_level_edges() -> None:
@@ -73,20 +62,10 @@ def test_layers_are_kept_where_electrodes_have_level_edges() -> None:
         ((1e-3, 2e-3, 0.0), "growth=0.0"),
         ((np.nan, 2e-3, 0.5), "finest=nan"),
         ((1e-3, 2e-3, 0.5, 0), r"layer.*0"),
+        ((1e-5, 1e-5, 1.0, 300), r"2.7e\+10 points.*4.2e\+04 GB"),
+        ((1e-9, 1e-9, 1.0), r"points.*1e-09 to 1e-09 m"),
     ],
 )
-def test_gradings_that_cannot_be_are_refused(numbers, says):
+def test_gradings_that_cannot_be_or_that_no_memory_holds_are_refused(numbers, says):
     with pytest.raises(ConfigurationError, match=says):
-        Grading(*numbers)
-
-
-@pytest.mark.parametrize(
-    ("grading", "said"),
-    [
-        (Grading(1e-5, 1e-5, 1.0, 300), r"2.7e\+10 points.*4.2e\+04 GB"),
-        (Grading(1e-9, 1e-9, 1.0), r"points.*1e-09 to 1e-09 m"),
-    ],
-)
-def test_grids_that_no_memory_holds_are_refused_before_they_are_made(grading, said):
-    with pytest.raises(ConfigurationError, match=said):
-        structured_mesh(SensorDesign.reference(), grading)
+        structured_mesh(SensorDesign.reference(), Grading(*numbers))

@@ -135,32 +135,25 @@ def test_round_pads_and_facets_of_top_electrodes(kind, width):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("z", [0.002, 0.004, 0.0033])  # on cell faces (three layers) or not
-def test_sheets_are_counted_once_wherever_they_lie(kind, z):
+@pytest.mark.parametrize(
+    ("corner", "a", "b"),
+    [
+        # On cell faces (three layers), between them, and tilted.
+        *(((4.1e-3, 3.3e-3, z), (16.9e-3, 0, 0), (0, 11.7e-3, 0)) for z in (0.002, 0.004, 0.0033)),
+        ((0.008, 0.004, 0.001), (0.013, 0.002, 0.003), (-0.004, 0.009, 0.0)),
+    ],
+)
+def test_sheets_are_counted_once_wherever_they_lie(kind, corner, a, b):
     points, cells = block(kind)
-    sheet = np.array(
-        [[4.1e-3, 3.3e-3, z], [21e-3, 3.3e-3, z], [21e-3, 15e-3, z], [4.1e-3, 15e-3, z]]
-    )
-    area = (21e-3 - 4.1e-3) * (15e-3 - 3.3e-3)
-    contacts = electrode_contacts(points, cells, [Patch((), area, sheet)])
-    assert moments(contacts.corners)[0] == pytest.approx(area, rel=1e-9)
-    assert moments(contacts.corners)[1] == pytest.approx(sheet.mean(axis=0), abs=1e-12)
-    assert_within_cells(points, cells, contacts)
-    bottom = points[cells[contacts.cell]][:, :, 2].min(axis=1)
-    assert (bottom < z - 1e-9).all()
-    assert len(contacts.facets[0]) == 0
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_tilted_sheets_are_cut_by_the_cells_too(kind):
-    points, cells = block(kind)
-    a, b = np.array([0.013, 0.002, 0.003]), np.array([-0.004, 0.009, 0.0])
-    sheet = np.array([0.008, 0.004, 0.001]) + np.array([0 * a, a, a + b, b])
+    sheet = np.array(corner) + np.array([(0, 0, 0), a, np.add(a, b), b])
     area = np.linalg.norm(np.cross(a, b))
     contacts = electrode_contacts(points, cells, [Patch((), area, sheet)])
     assert moments(contacts.corners)[0] == pytest.approx(area, rel=1e-9)
     assert moments(contacts.corners)[1] == pytest.approx(sheet.mean(axis=0), abs=1e-12)
     assert_within_cells(points, cells, contacts)
+    bottom = points[cells[contacts.cell]][:, :, 2].min(axis=1)
+    assert (bottom < sheet[:, 2].max() - 1e-9).all()
+    assert len(contacts.facets[0]) == 0
 
 
 def test_neighbouring_regions_share_faces_without_counting_them_twice():

@@ -17,13 +17,13 @@ BENT = Polygon(((0, 0), (0.1, 0), (0.1, 0.03), (0.03, 0.03), (0.03, 0.1), (0, 0.
 
 
 def volumes(mesh):
-    """Of prisms with upright sides: area of the lower triangle times height."""
+    """Volumes of prisms with upright sides: area of the lower triangle times height."""
     a, b, c, d = np.moveaxis(mesh.points[mesh.cells[:, :4]], 1, 0)
     return 0.5 * np.einsum("ni,ni->n", np.cross(b - a, c - a), d - a)
 
 
 def areas_per_electrode(mesh, count):
-    """Of the pieces as they lie, by their corners."""
+    """Area of each electrode's pieces as they lie, by their corners."""
     edges = mesh.contacts.corners[:, [1, -1]] - mesh.contacts.corners[:, :1]
     areas = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
     if mesh.contacts.corners.shape[1] == 3:
@@ -31,31 +31,27 @@ def areas_per_electrode(mesh, count):
     return np.bincount(mesh.contacts.electrode, areas, minlength=count)
 
 
-def test_prisms_fill_the_slab_and_stand_upright():
-    mesh = triangulated_mesh(SensorDesign.reference(), GRADING)
-    assert volumes(mesh).min() > 0
-    assert volumes(mesh).sum() == pytest.approx(0.15 * 0.06 * 0.005, rel=1e-12)
-    lower, upper = mesh.points[mesh.cells[:, :3]], mesh.points[mesh.cells[:, 3:]]
-    assert np.array_equal(lower[..., :2], upper[..., :2])
-    assert (upper[..., 2] > lower[..., 2]).all()
+@pytest.fixture(scope="module")
+def slab():
+    return triangulated_mesh(SensorDesign.reference(), GRADING)
 
 
-def test_points_are_numbered_upwards_then_along_x():
-    mesh = triangulated_mesh(SensorDesign.reference(), GRADING)
-    columns = mesh.points.reshape(-1, len(mesh.heights), 3)
+def test_prisms_fill_the_slab_stand_upright_and_are_numbered_upwards_then_along_x(slab):
+    assert volumes(slab).min() > 0
+    assert volumes(slab).sum() == pytest.approx(0.15 * 0.06 * 0.005, rel=1e-12)
+    columns = slab.points.reshape(-1, len(slab.heights), 3)
     assert np.array_equal(columns[0, :, 2], [0.0, 0.0025, 0.005])
-    assert (columns[:, :, 2] == mesh.heights).all()
+    assert (columns[:, :, 2] == slab.heights).all()
     assert (np.ptp(columns[:, :, :2], axis=1) == 0).all()
     assert (np.diff(columns[:, 0, 0]) >= 0).all()
 
 
-def test_electrodes_on_the_side_are_fitted_by_whole_faces():
-    design = SensorDesign.reference()
-    mesh = triangulated_mesh(design, GRADING)
-    assert mesh.contacts.corners.shape[1] == 4
-    assert areas_per_electrode(mesh, 8) == pytest.approx(np.full(8, 25e-6), rel=1e-9)
-    for electrode, facets in zip(design.electrodes, mesh.electrode_facets, strict=True):
-        places = mesh.points[facets].reshape(-1, 3)
+def test_electrodes_on_the_side_are_fitted_by_whole_faces(slab):
+    assert slab.contacts.corners.shape[1] == 4
+    assert areas_per_electrode(slab, 8) == pytest.approx(np.full(8, 25e-6), rel=1e-9)
+    electrodes = SensorDesign.reference().electrodes
+    for electrode, facets in zip(electrodes, slab.electrode_facets, strict=True):
+        places = slab.points[facets].reshape(-1, 3)
         middle = 0.5 * (places.min(axis=0) + places.max(axis=0))
         assert middle == pytest.approx([electrode.x, electrode.y, 0.0025], abs=1e-12)
 
@@ -111,10 +107,7 @@ def test_surfaces_are_refused(tmp_path):
     trimesh = pytest.importorskip("trimesh")
     file = tmp_path / "box.stl"
     trimesh.creation.box((0.05, 0.04, 0.01)).export(file)
-    ends = (
-        Electrode(0.025, 0, 0.004, on="surface", z=0),
-        Electrode(-0.025, 0, 0.004, on="surface", z=0),
-    )
+    ends = tuple(Electrode(x, 0, 0.004, on="surface", z=0) for x in (0.025, -0.025))
     design = SensorDesign(Surface(file), 0.01, ends)
     with pytest.raises(ConfigurationError, match=r"plane.*tetrahedra"):
         triangulated_mesh(design, GRADING)

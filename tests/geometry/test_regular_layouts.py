@@ -11,17 +11,9 @@ L_SHAPE = Polygon(((0, 0), (0.09, 0), (0.09, 0.03), (0.04, 0.03), (0.04, 0.06), 
 
 
 def test_the_reference_electrodes_are_a_uniform_layout():
-    places = [
-        (0.0225, 0.0),
-        (0.075, 0.0),
-        (0.1275, 0.0),
-        (0.150, 0.030),
-        (0.1275, 0.060),
-        (0.075, 0.060),
-        (0.0225, 0.060),
-        (0.0, 0.030),
-    ]
-    electrodes = tuple(Electrode(x, y) for x, y in places)
+    x = (0.0225, 0.075, 0.1275, 0.150, 0.1275, 0.075, 0.0225, 0.0)
+    y = (0.0, 0.0, 0.0, 0.030, 0.060, 0.060, 0.060, 0.030)
+    electrodes = tuple(map(Electrode, x, y))
     assert uniform(Rectangle(0.15, 0.06), 8, start=0.0225) == electrodes
     assert SensorDesign.reference().electrodes == electrodes
 
@@ -44,14 +36,8 @@ def test_any_count_stands_at_equal_arc_lengths(outline, count, start):
 
 def test_a_grid_is_numbered_along_x_then_y():
     pads = grid(Rectangle(0.15, 0.06), rows=2, columns=3, size=0.01, on="bottom", shape="round")
-    assert [(p.x, p.y) for p in pads] == [
-        (0.025, 0.015),
-        (0.075, 0.015),
-        (0.125, 0.015),
-        (0.025, 0.045),
-        (0.075, 0.045),
-        (0.125, 0.045),
-    ]
+    expected = [(x, y) for y in (0.015, 0.045) for x in (0.025, 0.075, 0.125)]
+    assert [(p.x, p.y) for p in pads] == expected
     assert {(p.width, p.on, p.shape) for p in pads} == {(0.01, "bottom", "round")}
 
 

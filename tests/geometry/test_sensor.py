@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+import math
 import re
 from pathlib import Path
 
@@ -50,6 +51,7 @@ def test_layers_of_a_surface_start_at_its_lowest_point(tmp_path) -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
+        *(({"thickness": t}, r"thickness.*positive") for t in (0.0, -1.0, math.nan, math.inf)),
         ({"layers": (Layer(0.002, 1.0), Layer(0.002, 1.0))}, r"0.005 m.*0.004 m"),
         ({"layers": (Layer(0.005, 1.0),), "conductivity": 2.0}, "conductivity or lay"),
         ({"conductivity": 0.0}, r"conductivity.*positive.*S/m"),
@@ -58,21 +60,12 @@ def test_layers_of_a_surface_start_at_its_lowest_point(tmp_path) -> None:
         ({"encapsulated_thickness": 12.0}, r"1 um and 10 m.*12 m"),
     ],
 )
-def test_materials_that_contradict_each_other_are_refused(changes, message) -> None:
+def test_materials_that_cannot_be_or_contradict_each_other_are_refused(changes, message) -> None:
     with pytest.raises(ConfigurationError, match=message):
         dataclasses.replace(SensorDesign.reference(), **changes)
-
-
-@pytest.mark.parametrize("make", [lambda: Layer(0.0, 1.0), lambda: Layer(0.001, -1.0)])
-def test_layers_that_cannot_be_are_refused(make) -> None:
-    with pytest.raises(ConfigurationError, match=r"layer .*positive"):
-        make()
-
-
-@pytest.mark.parametrize("thickness", [0.0, -1.0, float("nan"), float("inf")])
-def test_nonsense_sizes_are_refused(thickness) -> None:
-    with pytest.raises(ConfigurationError, match=r"thickness.*positive"):
-        dataclasses.replace(SensorDesign.reference(), thickness=thickness)
+    for thickness, conductivity in ((0.0, 1.0), (0.001, -1.0)):
+        with pytest.raises(ConfigurationError, match=r"layer .*positive"):
+            Layer(thickness, conductivity)
 
 
 # TOML
@@ -90,13 +83,6 @@ def on_a_ball(folder, **options):
     return SensorDesign(surface, 0.1, pads, encapsulated_thickness=0.1, **options)
 
 
-def test_toml_round_trip(tmp_path) -> None:
-    design = dataclasses.replace(SensorDesign.reference(), conductivity=0.73)
-    text = design.to_toml(tmp_path / "sensor.toml")
-    assert text == design.to_toml()
-    assert SensorDesign.from_toml(tmp_path / "sensor.toml") == design
-
-
 def test_a_surface_is_found_beside_the_design_and_after_writing_elsewhere(tmp_path) -> None:
     design = on_a_ball(tmp_path)
     text = design.to_toml().replace(f"{tmp_path}/", "")
@@ -105,7 +91,7 @@ def test_a_surface_is_found_beside_the_design_and_after_writing_elsewhere(tmp_pa
     read = SensorDesign.from_toml(tmp_path / "sensor.toml")
     assert read == design
     (tmp_path / "elsewhere").mkdir()
-    read.to_toml(tmp_path / "elsewhere" / "sensor.toml")
+    assert read.to_toml(tmp_path / "elsewhere" / "sensor.toml") == read.to_toml()
     assert SensorDesign.from_toml(tmp_path / "elsewhere" / "sensor.toml") == design
 
 
@@ -187,21 +173,14 @@ def test_examples_of_the_page_are_designs(tmp_path, number) -> None:
     [
         ("thickness = 0.005", "`outline`"),
         ("thicknes = 0.005", "did you mean 'thickness'"),
-        ("thickness = 'thin'", "`float`, got `str`"),
         ("thickness = ", "not valid TOML"),
         ("outline = { radus = 1 }", r"outline.*Disc \(radius\).*'radius'"),
         ("electrodes = { count = 8 }", r"`outline`.*layout"),
         ("outline = { radius = 0.1 }\nelectrodes = { cuont = 8 }", "did you mean 'count'"),
         ("outline = { radius = 0.1 }\nelectrodes = { count = 8, rows = 2 }", r"uniform \(count, "),
-        (
-            "outline = { radius = 0.1 }\nelectrodes = { count = 1 }",
-            r"electrodes: .*count",
-        ),
+        ("outline = { radius = 0.1 }\nelectrodes = { count = 1 }", "electrodes: .*count"),
         ("electrodes = [{ x = 0, y = 0, width = -1 }]", r"electrodes\[0\].*width"),
-        (
-            "electrodes = [{ x = 0, y = 0, on = 'up' }]",
-            r"electrodes\[0\].on.*'side' or 'top'",
-        ),
+        ("electrodes = [{ x = 0, y = 0, on = 'up' }]", r"electrodes\[0\].on.*'side' or 'top'"),
     ],
 )
 def test_unreadable_designs_say_why(tmp_path, text, message) -> None:
@@ -209,8 +188,5 @@ def test_unreadable_designs_say_why(tmp_path, text, message) -> None:
     path.write_text(text)
     with pytest.raises(ConfigurationError, match=message):
         SensorDesign.from_toml(path)
-
-
-def test_a_missing_file_is_named(tmp_path) -> None:
     with pytest.raises(ConfigurationError, match=r"none\.toml"):
         SensorDesign.from_toml(tmp_path / "none.toml")

@@ -13,23 +13,17 @@ from eitskin.files import (
 )
 
 
-def test_a_block_that_raises_leaves_the_old_file_and_nothing_else(tmp_path) -> None:
-    path = tmp_path / "a.txt"
-    path.write_text("old")
+def test_a_file_takes_its_name_at_the_end_and_a_failed_one_leaves_the_old(tmp_path) -> None:
+    path = tmp_path / "a.png"
+    with atomic_file(path) as temporary:
+        temporary.write_text("old")
+        assert temporary.suffix == ".png"
+        assert not path.exists()
+    assert path.stat().st_mode & 0o777 == 0o644
     with pytest.raises(UnicodeEncodeError), atomic_file(path) as temporary:
         temporary.write_text("half \udcff", encoding="utf-8")
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
-
-
-def test_the_file_takes_its_name_only_at_the_end(tmp_path) -> None:
-    path = tmp_path / "a.png"
-    with atomic_file(path) as temporary:
-        temporary.write_text("new")
-        assert temporary.suffix == ".png"
-        assert not path.exists()
-    assert path.read_text() == "new"
-    assert path.stat().st_mode & 0o777 == 0o644
 
 
 def test_a_folder_that_is_not_there_is_said(tmp_path) -> None:

@@ -7,8 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from eitskin import simulator
-
 ROOT = Path(__file__).resolve().parents[2]
 ROOMS = ("geometry", "simulator", "datasets", "training", "hardware", "cli", "benchmarks")
 FOLDERS = ("eitskin", *ROOMS)
@@ -101,24 +99,8 @@ def test_torch_is_loaded_by_batches_alone(loaded) -> None:
     assert loaded["datasets"] & {"torch", "dask"} == set()
 
 
-def test_every_name_of_the_simulator_is_there_once_it_is_asked_for() -> None:
-    assert set(simulator.__all__) <= set(dir(simulator))
-    for name in set(simulator.__all__) - {"EXACT"}:
-        assert getattr(simulator, name).__name__ == name
-    assert isinstance(simulator.EXACT, simulator.Tolerance)
-    with pytest.raises(AttributeError, match=r"'eitskin\.simulator'.*'Forward'"):
-        simulator.Forward  # noqa: B018
-
-
 def test_no_module_is_longer_than_400_lines() -> None:
     modules = [path for folder in (*FOLDERS, "tests") for path in (ROOT / folder).rglob("*.py")]
     assert len(modules) > 300
     lines = {path: len(path.read_text(encoding="utf-8").splitlines()) for path in modules}
     assert {path.name: count for path, count in lines.items() if count > 400} == {}
-
-
-def test_a_missing_extra_is_named() -> None:
-    from eitskin.extras import require
-
-    with pytest.raises(ImportError, match=r"pip install 'eitskin\[view\]'"):
-        require("a_package_that_is_not_there", "view")

@@ -40,9 +40,10 @@ def resistance(model, *scene):
 @pytest.mark.parametrize(
     "z", [1e-9, 1e-3, 1e3, (1e-9, 1e3), (1e3, 1e-6), (1e-3 - 4e-3j, 1e-6 + 2e-4j)]
 )
-def test_block_between_any_contacts(z) -> None:
+@pytest.mark.parametrize("order", [(1,), (2,), (2, 1), (3, 2, 1), (5, 4)])
+def test_block_between_any_contacts(z, order) -> None:
     z = z if isinstance(z, tuple) else (z, z)
-    R = resistance(ForwardModel(strip(*z, conductivity=0.5), ((2,), COARSE)))
+    R = resistance(ForwardModel(strip(*z, conductivity=0.5), (order, COARSE)))
     exact = closed_forms.block(0.1, 0.04 * THICKNESS, 0.5, *z)
     assert R == pytest.approx(exact, rel=1e-10)
 

@@ -68,54 +68,45 @@ def test_a_sine_that_is_cut_off_loses_fundamental_as_its_transform_says():
     assert clipped_fundamental(np.array([1.0 + 0j]), np.array([1.0]))[0] == 1.0
 
 
-def test_clipping_begins_where_the_current_passes_3_mA():
-    fixed = only(clipping=True, excitation=0.607)
-    edge = 0.607 / 3e-3
+@pytest.mark.parametrize(("rtia", "most"), [(200.0, 3e-3), (1000.0, 0.9e-3)])
+def test_clipping_begins_where_the_current_passes_3_mA_or_what_rtia_makes_0_9_V(rtia, most):
+    fixed = only(clipping=True, excitation=0.607, rtia=rtia)
+    edge = 0.607 / most
     Z, status = read_one(fixed, edge * (1 + 1e-9))
     assert status == 0
     assert Z == pytest.approx(edge, rel=1e-8)
-    Z, status = read_one(fixed, edge * (1 - 1e-9))
-    assert status == Status.CLIPPED
+    assert read_one(fixed, edge * (1 - 1e-9))[1] == Status.CLIPPED
     Z, status = read_one(fixed, edge / 2)
     assert Z == pytest.approx(edge / 2 / (2 / np.pi * (np.pi / 6 + np.sqrt(3) / 4)), rel=1e-12)
     assert status == Status.CLIPPED
 
 
-@pytest.mark.parametrize(("pga", "excitation"), [(0.6, 0.607), (0.133, 0.607), (0.3, 0.607)])
-def test_clipping_begins_where_the_voltage_passes_the_range(pga, excitation):
-    terms = {"clipping": True, "rtia": 200.0, "excitation": excitation}
+@pytest.mark.parametrize("pga", [0.6, 0.133, 0.3])
+def test_clipping_begins_where_the_voltage_passes_the_range(pga):
+    terms = {"clipping": True, "rtia": 200.0, "excitation": 0.607}
     Z, status = read_one(only(**terms, pga_range=pga), 5000.0)
-    r = pga / excitation
+    r = pga / 0.607
     part = 2 / np.pi * (np.arcsin(r) + r * np.sqrt(1 - r * r))
     assert Z == pytest.approx(5000.0 * part, rel=1e-12)
     assert status == Status.CLIPPED
     assert read_one(only(**terms, pga_range=0.9), 5000.0)[1] == 0
 
 
-def test_the_current_is_clipped_by_the_range_where_rtia_makes_much_of_it():
-    terms = {"clipping": True, "excitation": 0.607, "rtia": 1000.0}
-    assert read_one(only(**terms), 0.607 / 0.9e-3 * (1 + 1e-9))[1] == 0
-    assert read_one(only(**terms), 0.607 / 0.9e-3 * (1 - 1e-9))[1] == Status.CLIPPED
-
-
 @pytest.mark.parametrize(
-    ("impedance", "excitation"),
+    ("impedance", "excitation", "rtia"),
     [
-        *((1e6, 0.607), (202.34, 0.607), (202.33, 0.121), (40.34, 0.121), (40.33, 0.075)),
-        *((25.01, 0.075), (24.99, 0.015), (5.01, 0.015), (4.0, 0.015)),
+        *((1e6, 0.607, 200.0), (202.34, 0.607, 200.0), (202.33, 0.121, 200.0)),
+        *((40.34, 0.121, 200.0), (40.33, 0.075, 200.0), (25.01, 0.075, 200.0)),
+        *((24.99, 0.015, 200.0), (5.01, 0.015, 200.0), (4.0, 0.015, 200.0)),
+        *((674.5, 0.607, 1000.0), (674.4, 0.121, 1000.0)),  # 0.9 V through 1 kohm are 0.9 mA
     ],
 )
-def test_auto_ranging_takes_the_largest_excitation_that_fits(impedance, excitation):
+def test_auto_ranging_takes_the_largest_excitation_that_fits(impedance, excitation, rtia):
     Z = np.array([[complex(impedance)]])
-    assert np.abs(drive_current(Z, Z, 200.0)) == pytest.approx(excitation / impedance, rel=1e-12)
+    assert np.abs(drive_current(Z, Z, rtia)) == pytest.approx(excitation / impedance, rel=1e-12)
     clips = impedance < 5.0
-    assert read_one(only(clipping=True), impedance)[1] == (Status.CLIPPED if clips else 0)
-
-
-@pytest.mark.parametrize(("impedance", "excitation"), [(674.5, 0.607), (674.4, 0.121)])
-def test_auto_ranging_heeds_what_rtia_makes_of_the_current(impedance, excitation):
-    Z = np.array([[complex(impedance)]])  # 0.9 V through 1 kohm are 0.9 mA
-    assert np.abs(drive_current(Z, Z, 1000.0)) == pytest.approx(excitation / impedance, rel=1e-12)
+    status = read_one(only(clipping=True, rtia=rtia), impedance)[1]
+    assert status == (Status.CLIPPED if clips else 0)
 
 
 def test_auto_ranging_heeds_a_sense_pair_that_sees_more_than_the_drive_pair():

@@ -108,29 +108,27 @@ def test_the_gel_drifts_before_the_stray_capacitance_and_the_electronics_after_i
 
 
 def cut_deviation(deviation, limit):
-    """Of a normal distribution cut off at +-limit."""
+    """Standard deviation of a normal distribution cut off at +-limit."""
     a = limit / deviation
     return deviation * np.sqrt(1 - 2 * a * norm.pdf(a) / (2 * norm.cdf(a) - 1))
 
 
-@pytest.mark.parametrize("deviation", [0.002, 0.0125])
-def test_gain_has_its_deviation_and_ends_at_its_limit(deviation):
-    gains = np.array([read(only(gain=deviation), seed=seed)[0] / FLAT - 1 for seed in range(1000)])
-    assert np.ptp(gains, axis=1).max() < 1e-15
-    assert np.abs(gains.imag).max() == 0.0
-    assert gains[:, 0].real.std() == pytest.approx(cut_deviation(deviation, 0.0125), rel=0.09)
-    assert np.abs(gains).max() <= 0.0125
-    assert abs(gains[:, 0].real.mean()) < 4 * deviation / np.sqrt(1000)
-
-
-@pytest.mark.parametrize("deviation", [0.1, 0.3])
-def test_phase_has_its_deviation_and_ends_at_its_limit(deviation):
-    factors = np.array([read(only(phase_deg=deviation), seed=s)[0] / FLAT for s in range(1000)])
-    phases = np.angle(factors, deg=True)
-    assert np.ptp(phases, axis=1).max() < 1e-12
-    np.testing.assert_allclose(np.abs(factors), 1.0, rtol=1e-12)
-    assert phases[:, 0].std() == pytest.approx(cut_deviation(deviation, 0.3), rel=0.09)
-    assert 0.25 < np.abs(phases).max() <= 0.3
+@pytest.mark.parametrize(
+    ("term", "deviation", "limit"),
+    [*(("gain", d, 0.0125) for d in (0.002, 0.0125)), *(("phase_deg", d, 0.3) for d in (0.1, 0.3))],
+)
+def test_gain_and_phase_have_their_deviation_and_end_at_their_limit(term, deviation, limit):
+    factors = np.array([read(only(**{term: deviation}), seed=s)[0] / FLAT for s in range(1000)])
+    assert np.ptp(factors, axis=1).max() < 1e-12
+    if term == "gain":
+        found = factors[:, 0].real - 1
+        assert np.abs(factors.imag).max() == 0.0
+    else:
+        found = np.angle(factors[:, 0], deg=True)
+        np.testing.assert_allclose(np.abs(factors), 1.0, rtol=1e-12)
+    assert found.std() == pytest.approx(cut_deviation(deviation, limit), rel=0.09)
+    assert np.abs(found).max() <= limit
+    assert abs(found.mean()) < 4 * deviation / np.sqrt(1000)
 
 
 def test_reciprocal_measurements_differ_by_the_reciprocity_error():
@@ -228,12 +226,6 @@ def test_measurements_of_a_frame_follow_each_other_by_10_6_ms():
     np.testing.assert_array_equal(only(measurement_time=0.02).offsets(PAIRS)[:3], [0, 0.02, 0.04])
 
 
-def test_the_same_seeds_give_the_same_readings():
-    one, again, other = (read(ALL, seed=seed, time=900.0)[0] for seed in (3, 3, 4))
-    np.testing.assert_array_equal(one, again)
-    assert not np.any(one == other)
-
-
 def test_frames_are_the_same_measured_at_once_and_one_by_one_but_for_noise():
     session = started(dataclasses.replace(ALL, snr_db=0.0, floor=0.0))
     frames, times = np.tile(FLAT, (4, 1)), np.array([0.0, 5.0, 4000.0, 90000.0])
@@ -306,17 +298,14 @@ def test_the_benchmark_finds_what_is_left_of_a_term_in_a_signal():
     [
         ({"snr_db": 59.9}, r"snr_db.*60 to 90 dB.*59.9"),
         ({"snr_db": 91.0}, "snr_db"),
-        ({"snr_db": np.inf}, "snr_db"),
         ({"snr_db": np.nan}, "snr_db"),
         ({"floor": 1.9}, r"floor.*0 to 0.001 V.*1.9"),
-        ({"floor": -1e-6}, "floor"),
         ({"drift": 0.2}, "drift"),
         ({"drift": -0.1}, "drift"),
         ({"gel_drift": 1.0}, "gel_drift"),
         ({"gain": 0.013}, r"gain.*0 to 0.0125"),
         ({"phase_deg": 0.31}, r"phase_deg.*0 to 0.3 deg"),
         ({"reciprocity": 0.4}, "reciprocity"),
-        ({"reciprocity": np.nan}, "reciprocity"),
         ({"excitation": 0.5}, r"excitation.*0, 0.607, 0.121, 0.075, 0.015, got 0.5"),
         ({"pga_range": 1.0}, "pga_range"),
         ({"rtia": 0.0}, r"rtia.*200"),
@@ -324,6 +313,7 @@ def test_the_benchmark_finds_what_is_left_of_a_term_in_a_signal():
         ({"stray_capacitance": (-1e-12, 40e-12)}, "stray_capacitance"),
         ({"stray_capacitance": (40.0, 100.0)}, "up to 1e-09 F"),
         ({"measurement_time": 10.6}, "measurement_time"),
+        ({"snr_db": 10.0, "gain": 1.0, "rtia": 1.0}, "snr_db.*gain.*rtia"),  # all at once
     ],
 )
 def test_numbers_out_of_range_are_refused(terms, message):
@@ -331,18 +321,10 @@ def test_numbers_out_of_range_are_refused(terms, message):
         Instrument(**terms)
 
 
-def test_everything_that_is_wrong_is_said_at_once():
-    with pytest.raises(ConfigurationError, match=r"snr_db.*gain.*rtia"):
-        Instrument(snr_db=10.0, gain=1.0, rtia=1.0)
-
-
-@pytest.mark.parametrize("time", [-1.0, np.nan, np.inf, 4e7])
-def test_times_that_no_session_has_are_refused(time):
-    with pytest.raises(ConfigurationError, match="times from 0 to"):
-        read(ALL, time=time)
-
-
-def test_frames_that_do_not_fit_are_refused():
+def test_times_that_no_session_has_and_frames_that_do_not_fit_are_refused():
+    for time in (-1.0, np.nan, np.inf, 4e7):
+        with pytest.raises(ConfigurationError, match="times from 0 to"):
+            read(ALL, time=time)
     session, rng = started(ALL), np.random.default_rng(0)
     for shape, times in (((28,), 1), ((2, 27), 2), ((2, 28), 3)):
         with pytest.raises(FrameError, match=r"\(frames, 28\)"):
@@ -356,7 +338,7 @@ def test_frames_that_do_not_fit_are_refused():
 
 @dataclass(frozen=True)
 class Holder:
-    """What a recipe does with an instrument."""
+    """A file with an instrument in it, as recipes are."""
 
     instrument: Instrument = field(default_factory=Instrument)
 

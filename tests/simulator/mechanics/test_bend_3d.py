@@ -162,18 +162,16 @@ def test_the_bend_signal_is_near_that_of_the_kinematic_model(bent) -> None:
 
 
 def test_what_cannot_be_bent_is_refused(bent) -> None:
-    reference = SensorDesign.reference()
-    with pytest.raises(ConfigurationError, match="beside"):
-        bent.positions(np.array([0.075, 0.030, 0.010]))
-    with pytest.raises(ConfigurationError, match="span"):
-        ClampedStack(reference, Hinge(span=0.155))
-    with pytest.raises(ConfigurationError, match="inside"):
-        ClampedStack(reference, inside=0.0)
-    with pytest.raises(ConfigurationError, match="margin"):
-        Mechanics(margin=-1e-3)
-    disc = Disc(0.050)
-    with pytest.raises(ConfigurationError, match="rectangular"):
-        ClampedStack(SensorDesign(disc, 0.005, uniform(disc, 4)))
+    reference, disc = SensorDesign.reference(), Disc(0.050)
+    for make, message in (
+        (lambda: bent.positions(np.array([0.075, 0.030, 0.010])), "beside"),
+        (lambda: ClampedStack(reference, Hinge(span=0.155)), "span"),
+        (lambda: ClampedStack(reference, inside=0.0), "inside"),
+        (lambda: Mechanics(margin=-1e-3), "margin"),
+        (lambda: ClampedStack(SensorDesign(disc, 0.005, uniform(disc, 4))), "rectangular"),
+    ):
+        with pytest.raises(ConfigurationError, match=message):
+            make()
 
 
 def test_a_bend_too_far_says_how_far_it_got() -> None:

@@ -171,14 +171,15 @@ def test_unequal_touches_each_carry_their_own_force() -> None:
 
 
 def test_what_cannot_be_pressed_is_refused() -> None:
-    with pytest.raises(ConfigurationError, match="on the sensor"):
-        stack(Touch(0.081, 0.035))
-    with pytest.raises(ConfigurationError, match="must not overlap"):
-        stack(Touch(0.040, 0.035, 1.0, PUNCH), Touch(0.046, 0.035, 1.0, PUNCH))
-    with pytest.raises(ConfigurationError, match="one to 4 touches"):
-        stack()
-    with pytest.raises(ConfigurationError, match="leave both out"):
-        stack(Touch(0.040, 0.035, depth=1e-3))
+    near = (Touch(0.040, 0.035, 1.0, PUNCH), Touch(0.046, 0.035, 1.0, PUNCH))
+    for touches, message in (
+        ((Touch(0.081, 0.035),), "on the sensor"),
+        (near, "must not overlap"),
+        ((), "one to 4 touches"),
+        ((Touch(0.040, 0.035, depth=1e-3),), "leave both out"),
+    ):
+        with pytest.raises(ConfigurationError, match=message):
+            stack(*touches)
     with pytest.raises(ConfigurationError, match="fractions"):
         list(stack(Touch(0.040, 0.035, 1.0, PUNCH)).equilibria((0.0,)))
     disc = Disc(0.050)

@@ -1,7 +1,5 @@
 """Relaxation and creep functions, their duality, and mixtures of materials."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -230,8 +228,3 @@ def test_what_cannot_be_is_refused(make, message):
 def test_less_lingers_of_a_shorter_press(prony, seconds):
     longer, shorter = (elastic_force(prony, 1.0, s, released=2.0) for s in (2 * seconds, seconds))
     assert longer >= shorter >= 0.0
-
-
-def test_a_series_is_a_value():
-    assert dataclasses.replace(GEL) == GEL
-    assert hash(Prony((0.1,), (1.0,))) == hash(Prony((0.1,), (1.0,)))

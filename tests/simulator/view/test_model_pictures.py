@@ -6,7 +6,7 @@ import pytest
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import SensorDesign
 from eitskin.geometry.design.electrode import Electrode
-from eitskin.geometry.design.outline import Disc, Rectangle
+from eitskin.geometry.design.outline import Disc
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.geometry.meshing.mesh_design import mesh_design
 from eitskin.simulator import ForwardModel, Protocol
@@ -14,20 +14,10 @@ from eitskin.simulator.view import shapes
 from eitskin.simulator.view.model_pictures import draw_drive, draw_mesh, model_for_pictures
 from eitskin.simulator.view.render import DIRECTION, Panel
 
+from pictured_bar import bar_between_electrodes, colours
+
 COARSE = Grading(2e-3, 5e-3, 1.0)
-
-
-@pytest.fixture(scope="module")
-def bar() -> SensorDesign:
-    """40 x 10 x 5 mm between electrodes that cover its ends: the current density is 1 / area."""
-    ends = (Electrode(0.0, 0.005, 0.010), Electrode(0.040, 0.005, 0.010))
-    return SensorDesign(Rectangle(0.040, 0.010), 0.005, ends)
-
-
-def colours(path) -> np.ndarray:
-    from PIL import Image
-
-    return np.asarray(Image.open(path).convert("RGB")).astype(int)
+BAR = bar_between_electrodes(contact_impedance=1e-3)  # the current density is 1 / area
 
 
 def coloured(pixels, low, high) -> int:
@@ -36,8 +26,8 @@ def coloured(pixels, low, high) -> int:
 
 
 @pytest.mark.parametrize("kind", ["hexahedra", "prisms"])
-def test_lines_of_current_in_a_bar_are_straight_and_carry_its_density(bar, kind) -> None:
-    model = ForwardModel(bar, ((1, 1), COARSE), cells=kind)
+def test_lines_of_current_in_a_bar_are_straight_and_carry_its_density(kind) -> None:
+    model = ForwardModel(BAR, ((1, 1), COARSE), cells=kind)
     lines = shapes.lines_of_current(model.mesh, model.current_density((0, 1)), plus=0, count=10)
     assert lines.n_cells == 10
     assert lines["magnitude"] == pytest.approx(1.0 / (0.010 * 0.005), rel=1e-6)
@@ -46,23 +36,19 @@ def test_lines_of_current_in_a_bar_are_straight_and_carry_its_density(bar, kind)
         assert np.ptp(points[:, 1:], axis=0).max() < 1e-6
     x = lines.points[:, 0]
     assert (x.min(), x.max()) == pytest.approx((0.0, 0.040), abs=3e-3)
-
-
-def test_lines_of_current_spread_over_the_electrode_they_begin_on(bar) -> None:
-    for kind in ("hexahedra", "prisms"):
-        model = ForwardModel(bar, ((1, 1), COARSE), cells=kind)
-        lines = shapes.lines_of_current(model.mesh, model.current_density((0, 1)), 0, count=40)
-        for axis, extent in ((1, 0.010), (2, 0.005)):
-            quarters = np.histogram(lines.points[:, axis], bins=4, range=(0.0, extent))[0]
-            assert quarters.min() > 0.5 * quarters.mean()
+    # They spread over the electrode they begin on.
+    many = shapes.lines_of_current(model.mesh, model.current_density((0, 1)), 0, count=40)
+    for axis, extent in ((1, 0.010), (2, 0.005)):
+        quarters = np.histogram(many.points[:, axis], bins=4, range=(0.0, extent))[0]
+        assert quarters.min() > 0.5 * quarters.mean()
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["hexahedra", "prisms", "tetrahedra"])
-def test_shapes_have_the_volume_and_the_electrodes_of_the_mesh(bar, kind) -> None:
+def test_shapes_have_the_volume_and_the_electrodes_of_the_mesh(kind) -> None:
     if kind == "tetrahedra":
         pytest.importorskip("pytetwild")
-    mesh = mesh_design(bar, COARSE, kind)
+    mesh = mesh_design(BAR, COARSE, kind)
     assert shapes.volume(mesh).volume == pytest.approx(0.040 * 0.010 * 0.005, rel=1e-5)
     assert shapes.electrode_plate(mesh, 1).area == pytest.approx(0.010 * 0.005, rel=1e-6)
     _, normal = shapes.electrode_corners(mesh, 1)
@@ -107,8 +93,8 @@ def test_a_design_with_electrodes_of_every_kind_is_drawn(tmp_path) -> None:
 
 
 @pytest.mark.slow
-def test_potential_and_current_of_a_drive_pair_are_drawn(bar, tmp_path) -> None:
-    model = ForwardModel(bar, ((1, 1), COARSE))
+def test_potential_and_current_of_a_drive_pair_are_drawn(tmp_path) -> None:
+    model = ForwardModel(BAR, ((1, 1), COARSE))
     draw_drive(model, (0, 1), tmp_path / "drive.png")
     pixels = colours(tmp_path / "drive.png")
     middle = pixels[pixels.shape[0] // 3 : 2 * pixels.shape[0] // 3]
@@ -121,8 +107,8 @@ def test_potential_and_current_of_a_drive_pair_are_drawn(bar, tmp_path) -> None:
     assert np.nonzero(red)[1].mean() < np.nonzero(blue)[1].mean()
 
 
-def test_electrodes_that_do_not_exist_are_refused(bar, tmp_path) -> None:
-    model = ForwardModel(bar, ((1, 1), COARSE))
+def test_electrodes_that_do_not_exist_are_refused(tmp_path) -> None:
+    model = ForwardModel(BAR, ((1, 1), COARSE))
     for drive in ((0, 2), (1, 1)):
         with pytest.raises(ConfigurationError):
             draw_drive(model, drive, tmp_path / "drive.png")

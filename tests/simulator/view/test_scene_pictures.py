@@ -11,8 +11,6 @@ from eitskin.geometry import Bend, Hinge, SensorDesign
 from eitskin.geometry.deformation.fixtures import FreeArc
 from eitskin.geometry.deformation.kinematics import Displaced, pulled_back
 from eitskin.geometry.deformation.twist import Roll, Twist
-from eitskin.geometry.design.electrode import Electrode
-from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import Cylinder, ForwardModel, Protocol, Scene, Simulator, Sphere, Touch
 from eitskin.simulator.view import scene_pictures as view
@@ -27,20 +25,14 @@ from eitskin.simulator.view.scene_pictures import (
     round_number,
 )
 
-LENGTH, WIDTH, THICKNESS = 0.040, 0.010, 0.005
+from pictured_bar import LENGTH, THICKNESS, WIDTH, bar_between_electrodes, colours
+
+BAR = bar_between_electrodes()
 
 
 @pytest.fixture(scope="module")
 def sim() -> Simulator:
     return Simulator(SensorDesign.reference(), "fast")
-
-
-@pytest.fixture(scope="module")
-def bar() -> SensorDesign:
-    """Between electrodes without contact impedance, to speak of, that cover its ends."""
-    places = ((0.0, 0.5 * WIDTH), (LENGTH, 0.5 * WIDTH))
-    ends = tuple(Electrode(x, y, WIDTH, contact_impedance=1e-9) for x, y in places)
-    return SensorDesign(Rectangle(LENGTH, WIDTH), THICKNESS, ends, encapsulated_thickness=THICKNESS)
 
 
 # Fields
@@ -70,11 +62,11 @@ def test_strain_is_that_of_a_stretch_and_of_a_shear() -> None:
     assert not largest_strain(None, points).any()
 
 
-def test_the_current_in_a_stretched_and_turned_block_is_uniform(bar) -> None:
+def test_the_current_in_a_stretched_and_turned_block_is_uniform() -> None:
     c, s = math.cos(0.5), math.sin(0.5)
     F = np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]]) @ np.diag([1.5, 0.9, 0.7])
     affine = Displaced(lambda x: x @ (F - np.eye(3)).T)
-    model = ForwardModel(bar, ((1, 1), Grading(2e-3, 2e-3, 1.0, 2)))
+    model = ForwardModel(BAR, ((1, 1), Grading(2e-3, 2e-3, 1.0, 2)))
     tensor = np.broadcast_to(pulled_back(F), (len(model.mesh.cells), 3, 3))
     found = deformed_current_density(model, affine, (0, 1), tensor)
     area = 0.9 * WIDTH * 0.7 * THICKNESS
@@ -82,12 +74,12 @@ def test_the_current_in_a_stretched_and_turned_block_is_uniform(bar) -> None:
 
 
 @pytest.mark.slow
-def test_the_current_in_a_bent_bar_falls_with_the_radius(bar) -> None:
+def test_the_current_in_a_bent_bar_falls_with_the_radius() -> None:
     arc, angle = FreeArc(LENGTH), 60.0
-    sim = Simulator(bar, "fast", arc)
+    sim = Simulator(BAR, "fast", arc)
     scene = Scene(Bend(angle))
     bent = sim.deformation(scene)
-    model = ForwardModel(bar, ((1, 1), Grading(1e-3, 1e-3, 1.0, 10)))
+    model = ForwardModel(BAR, ((1, 1), Grading(1e-3, 1e-3, 1.0, 10)))
     j = deformed_current_density(
         model, bent, (0, 1), sim.conductivity(scene), sim.area_ratio(scene)
     )
@@ -150,8 +142,8 @@ def test_values_that_are_zero_by_symmetry_are_not_those_that_change_most() -> No
 # What is drawn
 
 
-def test_values_of_cells_go_to_their_points(bar) -> None:
-    mesh = ForwardModel(bar, ((1, 1), Grading(2e-3, 2e-3, 1.0, 1))).mesh
+def test_values_of_cells_go_to_their_points() -> None:
+    mesh = ForwardModel(BAR, ((1, 1), Grading(2e-3, 2e-3, 1.0, 1))).mesh
     x = mesh.points[mesh.cells].mean(axis=1)[:, 0]
     inside = (mesh.points[:, 0] > 1e-9) & (mesh.points[:, 0] < LENGTH - 1e-9)
     assert shapes.at_points(mesh, x)[inside] == pytest.approx(mesh.points[inside, 0], abs=1e-9)
@@ -202,12 +194,6 @@ def few_cells(monkeypatch) -> None:
     monkeypatch.setitem(view.CELLS, "hexahedra", 75)
 
 
-def picture(path) -> np.ndarray:
-    from PIL import Image
-
-    return np.asarray(Image.open(path).convert("RGB")).astype(int)
-
-
 @pytest.fixture(scope="module")
 def bent_and_pressed() -> Scene:
     return Scene(Bend(40.0), (Touch(0.05, 0.02), Touch(0.12, 0.055, 5.0)), twist=Twist(15.0))
@@ -219,7 +205,7 @@ def bent_and_pressed() -> Scene:
 def test_a_bent_pressed_sensor_is_drawn_whole(sim, bent_and_pressed, colour, tmp_path) -> None:
     path = tmp_path / "scene.png"
     draw_scenes(sim, [("bent and pressed", bent_and_pressed)], path, colour)
-    pixels = picture(path)
+    pixels = colours(path)
     assert (pixels.min(axis=2) < 250).mean() > 0.15
     rim = np.concatenate([pixels[-3:].reshape(-1, 3), pixels[:, -3:].reshape(-1, 3)])
     assert (rim > 250).all()
@@ -233,7 +219,7 @@ def test_a_bent_pressed_sensor_is_drawn_whole(sim, bent_and_pressed, colour, tmp
 def test_a_press_is_red_where_it_is_and_nowhere_else(sim, tmp_path) -> None:
     scenes = [Scene(), Scene(touches=(Touch(0.05, 0.02),))]
     draw_scenes(sim, [(f"{i}", scene) for i, scene in enumerate(scenes)], tmp_path / "two.png")
-    pixels = picture(tmp_path / "two.png")
+    pixels = colours(tmp_path / "two.png")
     red = (pixels[..., 0] > 100) & (pixels[..., 1] < 90) & (pixels[..., 2] < 90)
     red &= pixels[..., 0] - pixels[..., 1] > 80  # electrodes are orange
     upper, lower = red[: len(red) // 2], red[len(red) // 2 : -120]  # without the colour scale
@@ -244,11 +230,11 @@ def test_a_press_is_red_where_it_is_and_nowhere_else(sim, tmp_path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("few_cells")
-def test_a_flat_sensor_is_drawn_in_every_colour(bar, tmp_path) -> None:
-    flat = Simulator(bar, "fast", Hinge(span=0.02))
+def test_a_flat_sensor_is_drawn_in_every_colour(tmp_path) -> None:
+    flat = Simulator(BAR, "fast", Hinge(span=0.02))
     for colour in ("conductance", "strain", "current"):
         draw_scenes(flat, [("flat", Scene())], tmp_path / f"{colour}.png", colour)
-        assert (picture(tmp_path / f"{colour}.png").min(axis=2) < 250).mean() > 0.05
+        assert (colours(tmp_path / f"{colour}.png").min(axis=2) < 250).mean() > 0.05
 
 
 def test_pictures_that_cannot_be_drawn_are_refused(sim, tmp_path, monkeypatch) -> None:

@@ -2,7 +2,6 @@
 
 import json
 import re
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +12,6 @@ from typer.testing import CliRunner
 from eitskin.cli.main import app
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend, SensorDesign
-from eitskin.geometry.design.electrode import Electrode
-from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import Protocol, Scene, Simulator, Touch
 from eitskin.simulator.electrical.fields import fields_in
@@ -29,7 +26,9 @@ from eitskin.simulator.view.vtu import (
     write_grids,
 )
 
-LENGTH, WIDTH, THICKNESS, CONDUCTIVITY = 0.040, 0.010, 0.005, 2.0
+from pictured_bar import LENGTH, THICKNESS, WIDTH, bar_between_electrodes
+
+CONDUCTIVITY = 2.0
 CELL = 0.008
 BENT = Scene(bend=Bend(30.0), touches=(Touch(0.05, 0.02, force=12.0),))
 UNITS = ("_m", "_1", "_V_per_A", "_S_per_m", "_A_per_m2_per_A", "_ohm_m2")
@@ -37,7 +36,7 @@ UNITS = ("_m", "_1", "_V_per_A", "_S_per_m", "_A_per_m2_per_A", "_ohm_m2")
 
 @pytest.fixture(scope="module")
 def sim() -> Simulator:
-    """Of few cells: what is compared is exact on any mesh."""
+    """A simulator of few cells: the values compared are exact on any mesh."""
     return Simulator(SensorDesign.reference(), ((2, 1), Grading(2e-3, CELL, 1.0, layers=2)))
 
 
@@ -144,11 +143,7 @@ def test_the_page_names_every_field(written) -> None:
 @pytest.fixture(scope="module")
 def bar() -> Simulator:
     """Between electrodes that cover its ends, without contact impedance to speak of."""
-    places = ((0.0, 0.5 * WIDTH), (LENGTH, 0.5 * WIDTH))
-    ends = tuple(Electrode(x, y, WIDTH, contact_impedance=1e-9) for x, y in places)
-    design = SensorDesign(
-        Rectangle(LENGTH, WIDTH), THICKNESS, ends, CONDUCTIVITY, encapsulated_thickness=THICKNESS
-    )
+    design = bar_between_electrodes(conductivity=CONDUCTIVITY)
     return Simulator(design, field_resolution(design, 0.004), protocol=Protocol.pairwise(2))
 
 
@@ -199,12 +194,6 @@ def test_cells_are_as_small_as_asked() -> None:
 def test_a_place_that_cannot_be_written_is_said(tmp_path) -> None:
     with pytest.raises(ConfigurationError, match="cannot write"):
         write_grids({BODY: pyvista.Sphere()}, tmp_path / "nowhere")
-
-
-def test_the_missing_extra_is_named(sim, monkeypatch) -> None:
-    monkeypatch.setitem(sys.modules, "pyvista", None)
-    with pytest.raises(ImportError, match=r"eitskin\[view\]"):
-        scene_grids(sim, Scene())
 
 
 @pytest.mark.slow
