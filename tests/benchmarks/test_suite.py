@@ -62,9 +62,7 @@ def test_each_runs_in_turn_and_leaves_results(tmp_path):
     assert (tmp_path / "prints" / "report.md").read_text() == PRINTED
     written = read_results(tmp_path / "writes" / "results.json")
     assert written.figures == {"a / ms": 1.5}
-    assert (
-        written.command == "eitskin bench writes --out OUT/writes"
-    )  # says nothing of this machine
+    assert written.command == "eitskin bench writes --out OUT/writes"  # no path of this machine
 
 
 def test_what_is_there_is_kept_unless_seed_or_wish_are_others(tmp_path):
@@ -124,7 +122,7 @@ def ran(tmp_path, monkeypatch):
         monkeypatch.setattr(suite, "ALL", THREE)
         monkeypatch.setattr(suite, "run_process", Started(tmp_path, status))
         given = ("bench", "all", "--out", str(tmp_path), "--json", "--quiet", *options)
-        return CliRunner().invoke(app, [*given])
+        return CliRunner().invoke(app, given)
 
     return run
 

@@ -27,11 +27,6 @@ def test_the_numbers_are_those_of_the_reference_sensor(kind) -> None:
     assert 0.0 < found["scaled_jacobian"] <= 1.0 + 1e-12
 
 
-def test_the_table_says_what_the_json_says() -> None:
-    found = json.loads(mesh("--resolution", "fast", "--json"))
-    assert f"{found['cells']} hexahedra" in mesh("--resolution", "fast")
-
-
 def test_a_design_file_is_meshed_by_what_suits_it(tmp_path) -> None:
     (tmp_path / "disc.toml").write_text(
         "outline = { radius = 0.03 }\nthickness = 0.004\n[electrodes]\ncount = 6\nwidth = 0.004\n"

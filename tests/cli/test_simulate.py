@@ -13,9 +13,7 @@ from eitskin.config import read_toml, to_dict
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend, SensorDesign
 from eitskin.geometry.deformation.fixtures import Fixture, FreeArc, Hinge
-from eitskin.simulator import Cylinder, Mechanics, Protocol, Scene, Simulator, Sphere
-from eitskin.simulator.mechanics import press_store
-from eitskin.simulator.mechanics import press_table as tables
+from eitskin.simulator import Mechanics, Protocol, Scene, Simulator, Sphere
 from eitskin.simulator.mechanics.layer_stack import Piezoresistivity
 from eitskin.simulator.mechanics.materials import NeoHookean
 
@@ -27,6 +25,15 @@ def scene(tmp_path):
     path = tmp_path / "scene.toml"
     path.write_text("[[touches]]\nx = 0.05\ny = 0.02\n")
     return path
+
+
+QUANTITIES = {
+    "_N": ("force",),
+    "_m": ("depth", "contact_radius", "edge_distance", "neighbour_distance"),
+    "_m2": ("contact_area",),
+    "_Pa": ("mean_pressure", "peak_pressure"),
+    "": ("thinning", "signal_error", "caution"),
+}
 
 
 def run(scene, *options):
@@ -104,24 +111,12 @@ def test_every_touch_tells_what_became_of_it(tmp_path) -> None:
     found = simulate(scene)["touches"]
     presses = Simulator(SensorDesign.reference(), "fast").presses(Scene.from_toml(scene))
     for row, press in zip(found, presses, strict=True):
-        assert row["force_N"] == press.force
-        assert row["depth_m"] == press.depth
-        assert row["contact_radius_m"] == press.contact_radius
-        assert row["contact_area_m2"] == press.contact_area
-        assert row["mean_pressure_Pa"] == press.mean_pressure
-        assert row["peak_pressure_Pa"] == press.peak_pressure
-        assert row["thinning"] == press.thinning
-        assert row["edge_distance_m"] == press.edge_distance
-        assert row["neighbour_distance_m"] == press.neighbour_distance
-        assert row["signal_error"] == press.signal_error
-        assert row["caution"] == press.caution
-    shown = run(scene).stdout
+        for unit, names in QUANTITIES.items():
+            for name in names:
+                assert row[name + unit] == getattr(press, name), name
     first, second = presses
-    assert f"{1e3 * first.depth:.3f} " in shown
-    assert f"{1e-3 * second.mean_pressure:.1f} " in shown
     assert first.caution == ""
-    assert shown.count("caution") == 1
-    assert f"60.0, 56.0 mm: {second.caution}" in " ".join(shown.split())
+    assert second.caution in " ".join(run(scene).stdout.split())
 
 
 def test_a_touch_by_itself_has_no_neighbour_and_the_closed_form_tells_nothing(scene) -> None:
@@ -132,21 +127,6 @@ def test_a_touch_by_itself_has_no_neighbour_and_the_closed_form_tells_nothing(sc
         Scene.from_toml(scene)
     )
     assert closed["impedance_real_ohm"] == frame.impedance.real.tolist()
-
-
-@pytest.mark.slow
-def test_it_is_said_when_presses_have_to_be_solved(scene, tmp_path, monkeypatch) -> None:
-    table = press_store.press_table(SensorDesign.reference(), Mechanics(), Cylinder())
-    monkeypatch.setattr(tables, "solve_table", lambda *_: table)
-    monkeypatch.setenv("EITSKIN_CACHE", str(tmp_path / "store"))
-    for options, said in ((("--touch-model", "closed form"), False), ((), True), ((), False)):
-        press_store.press_table.cache_clear()
-        assert ("1 indenter" in run(scene, *options).stderr) is (said)
-    for path in (tmp_path / "store").iterdir():
-        path.unlink()
-    press_store.press_table.cache_clear()
-    assert run(scene, "--quiet").stderr == ""
-    press_store.press_table.cache_clear()
 
 
 # Mechanics and fixture from files
@@ -208,10 +188,7 @@ def test_a_picture_is_drawn_of_what_is_asked_for(scene, tmp_path) -> None:
         (("--drive", "0-4"), "name the picture with --view"),
         (("--view", "a.png", "--colour", "red"), r"conductance, strain, current.*'red'"),
         (("--view", "a.png", "--drive", "0-4"), r"--drive.*--colour current"),
-        (
-            ("--view", "a.png", "--colour", "current", "--drive", "0-8"),
-            r"--drive.*0 to 7",
-        ),
+        (("--view", "a.png", "--colour", "current", "--drive", "0-8"), r"--drive.*0 to 7"),
         (("--view", "a.png", "--colour", "current", "--drive", "4"), "as 0-4, got '4'"),
         (("--view", "a.png", "--colour", "current", "--drive", "4,4"), "two different"),
         (("--view", "a.gif"), "PNG"),
@@ -225,11 +202,6 @@ def test_options_that_make_no_sense_are_refused(scene, monkeypatch, options, mes
     with pytest.raises(ConfigurationError, match=message):
         run(scene, *options)
     assert [path.name for path in scene.parent.iterdir()] == ["scene.toml"]
-
-
-def test_the_help_names_the_page_on_scenes() -> None:
-    shown = CliRunner().invoke(app, ["simulate", "--help"], terminal_width=200).stdout
-    assert "docs/scenes.md" in " ".join(shown.replace("│", " ").split())
 
 
 # The page on scenes

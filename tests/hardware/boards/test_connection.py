@@ -20,9 +20,8 @@ from loopback import FakeSimulator, Loopback, connected, firmware, take, virtual
 class Flaky:
     """Board whose connections fail some times and whose streams end in an error."""
 
-    def __init__(self, streams, failures=0, final=None):
-        self.streams, self.failures, self.final = iter(streams), failures, final
-        self.tries = 0
+    def __init__(self, streams, failures=0):
+        self.streams, self.failures, self.tries = iter(streams), failures, 0
 
     def frames(self, newest=False):  # noqa: ARG002
         for each in next(self.streams):
@@ -32,8 +31,6 @@ class Flaky:
 
     def reconnect(self):
         self.tries += 1
-        if self.final is not None:
-            raise self.final
         if self.tries <= self.failures:
             raise DeviceError("not there yet")
 
@@ -71,14 +68,6 @@ def test_a_board_that_goes_away_at_once_again_is_not_hammered():
     connection = Connection(Flaky([[GONE]] * 6 + [[1]]), wait=waits.append)
     assert list(connection.frames()) == [1]
     assert waits == sorted(set(waits))
-
-
-def test_what_cannot_be_mended_ends_it():
-    connection = Connection(
-        Flaky([[1, GONE]], final=UnrecoverableError("another board")), wait=lambda _: None
-    )
-    with pytest.raises(UnrecoverableError, match="another board"):
-        list(connection.frames())
 
 
 def test_frames_that_the_board_numbered_meanwhile_are_lost_and_counted():

@@ -1,7 +1,6 @@
 """Choice of a port: by path, by USB serial number, or the only one."""
 
 import dataclasses
-import os
 import termios
 import types
 
@@ -160,12 +159,3 @@ def test_what_pyserial_lists_is_taken_over(monkeypatch):
     assert port.serial_ports() == (BOARD, PortInfo("/dev/ttyUSB0"))
     with pytest.raises(DeviceError, match=r"cable.*/dev/ttyACM0 \(EIT board"):
         port.open_port("/dev/nowhere-at-all", "serial:/dev/nowhere-at-all")
-
-
-def test_a_pseudo_terminal_has_no_serial_number():
-    ours, theirs = os.openpty()
-    try:
-        assert usb_serial_of(os.ttyname(theirs)) == ""
-    finally:
-        os.close(ours)
-        os.close(theirs)

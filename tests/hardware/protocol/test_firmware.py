@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from eitskin.errors import DeviceError
-from eitskin.hardware import open_board
 from eitskin.hardware.protocol.messages import (
     Ack,
     AckStatus,
@@ -30,11 +29,10 @@ from compiled_firmware import (
     booted,
     build,
     compiled_board,
-    compiled_terminal,
     frames,
     messages,
 )
-from loopback import FLAT, PROTOCOL, connected, take
+from loopback import PROTOCOL, connected, take
 
 # ---- who it is ----
 
@@ -79,12 +77,6 @@ def test_a_configuration_that_cannot_be_does_not_boot(changes):
 
 
 # ---- requests ----
-
-
-def test_start_counts_frames():
-    taken = frames(booted(), 3)
-    assert [frame.number for frame in taken] == [0, 1, 2]
-    assert np.allclose(np.diff([frame.time for frame in taken]), 28 * 10.6e-3)
 
 
 def test_requests_may_be_repeated():
@@ -259,17 +251,6 @@ def test_the_host_counts_the_frames_that_the_board_skipped():
     assert numbers == [0, 1, 2, 4]
     assert board.lost == 1
     assert board.counts.dropped == {}
-
-
-def test_the_host_talks_to_it_over_a_pseudo_terminal():
-    with compiled_terminal() as terminal, open_board(f"serial:{terminal.path}") as board:
-        taken = take(board, 6)
-        assert board.protocol == PROTOCOL
-        assert [frame.number for frame in taken] == list(range(6))
-        assert np.allclose([frame.impedance for frame in taken], FLAT, atol=0.03)
-        assert np.allclose(np.diff([frame.time for frame in taken]), board.info.period)
-        assert (board.lost, board.counts.dropped) == (0, {})
-        assert terminal.firmware.afe.complaints == []
 
 
 def test_the_host_is_told_that_the_part_is_missing():

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from eitskin.geometry import SensorDesign
 from eitskin.hardware.protocol.messages import (
     Ack,
     AckStatus,
@@ -19,7 +18,7 @@ from eitskin.hardware.protocol.messages import (
     pack,
 )
 from eitskin.hardware.protocol.packets import encode
-from eitskin.simulator import Protocol, Scene, Simulator, Status
+from eitskin.simulator import Protocol, Status
 from eitskin.simulator.instrument.ad5940 import CODES, FrontEnd
 
 from compiled_firmware import (
@@ -30,7 +29,6 @@ from compiled_firmware import (
     config,
     frames,
     messages,
-    sensor,
 )
 from loopback import FLAT, PROTOCOL
 from simulated_afe import SimulatedAfe
@@ -260,23 +258,13 @@ def test_a_part_that_is_not_there_is_said_and_start_refused():
     assert not board.streaming
 
 
-def test_a_part_that_goes_away_ends_the_stream():
+def test_a_part_that_goes_away_ends_the_stream_and_is_calibrated_when_it_is_back():
     board = booted()
     board.receive(encode(pack(Start(0), 1)))
-    board.afe.present = False
-    sent = b""
+    board.afe.present, sent = False, b""
     while board.streaming:
         sent += board.frame()
     assert [type(message) for message in messages(sent)] == [FrameData, Event, Event]
-    assert ask(board, Start(1)) == [ABSENCE, Ack(1, MessageType.START, AckStatus.FAILED)]
-
-
-def test_a_part_that_comes_back_is_found_and_calibrated():
-    board = booted()
-    board.receive(encode(pack(Start(0), 1)))
-    board.afe.present = False
-    while board.streaming:
-        board.frame()
     board.poll(50)
     assert ask(board, Start(1)) == [ABSENCE, Ack(1, MessageType.START, AckStatus.FAILED)]
     before = board.afe.now
@@ -304,13 +292,3 @@ def test_a_calibration_that_failed_is_tried_again():
     taken = frames(board, 40)
     uncalibrated = [bool(frame.status.all()) for frame in taken]
     assert uncalibrated == [True] * 32 + [False] * 8
-
-
-def test_it_measures_the_simulated_sensor():
-    simulator = Simulator(SensorDesign.reference(), resolution="fast")
-    values = simulator.measure(Scene()).impedance
-    board = CompiledFirmware(SimulatedAfe(sensor(values, simulator.protocol)))
-    board.boot()
-    (frame,) = frames(board, 1)
-    assert not frame.status.any()
-    assert (np.abs(frame.impedance - values) <= quantisation(values)).all()

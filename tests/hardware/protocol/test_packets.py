@@ -101,15 +101,10 @@ def test_a_frame_and_info_have_the_bytes_of_the_specification():
     )
 
 
-@given(st.binary(min_size=MAX_PAYLOAD, max_size=MAX_PAYLOAD))
-def test_the_longest_payload_fits_into_a_packet(payload):
-    packet = Packet(0xFF, 0xFFFF, payload)
-    assert len(encode(packet)) <= MAX_PACKET
-    assert list(Decoder().feed(encode(packet))) == [packet]
-
-
 def test_payload_limit_is_tight_and_checked():
-    assert len(encode(Packet(0xFF, 0xFFFF, b"\xff" * MAX_PAYLOAD))) == MAX_PACKET
+    longest = Packet(0xFF, 0xFFFF, b"\xff" * MAX_PAYLOAD)
+    assert len(encode(longest)) == MAX_PACKET
+    assert list(Decoder().feed(encode(longest))) == [longest]
     with pytest.raises(ConfigurationError, match=r"1009 bytes.*1010"):
         encode(Packet(1, 1, b"x" * (MAX_PAYLOAD + 1)))
 
@@ -145,21 +140,13 @@ def test_garbage_never_raises_and_does_not_hide_the_next_packet(garbage, packet)
     assert received[-1:] == [packet]
 
 
-@pytest.mark.parametrize("damage", [0x00, 0x01, 0x55, 0xFF, None])
-def test_one_damaged_byte_costs_at_most_one_frame(damage):
+@pytest.mark.parametrize("kept", [0, 1], ids=["replaced", "inserted"])
+@pytest.mark.parametrize("wrong", [b"\x00", b"\x01", b"\xaa", b"\xff", b""])
+def test_one_byte_replaced_lost_or_inserted_costs_at_most_one_frame(wrong, kept):
     before, middle, after = (frame_packet(number) for number in range(3))
     for place in range(len(middle)):
-        wrong = b"" if damage is None else bytes([damage])
-        received = numbers(before + middle[:place] + wrong + middle[place + 1 :] + after)
+        received = numbers(before + middle[:place] + wrong + middle[place + 1 - kept :] + after)
         assert received in ([0, 2], [0, 1, 2]), place
-
-
-def test_an_inserted_byte_costs_at_most_one_frame():
-    before, middle, after = (frame_packet(number) for number in range(3))
-    for place in range(len(middle) + 1):
-        for extra in (b"\0", b"\1", b"\xaa"):
-            received = numbers(before + middle[:place] + extra + middle[place:] + after)
-            assert received in ([0, 2], [0, 1, 2]), place
 
 
 def test_no_mutation_is_accepted_as_something_that_was_not_sent():

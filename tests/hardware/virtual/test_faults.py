@@ -214,12 +214,7 @@ def test_a_contact_is_lost_slowly():
 
 @pytest.mark.parametrize(
     ("name", "factor"),
-    [
-        ("wrong_rtia", 0.2),
-        ("phase_360", 1.0),
-        ("gain_step", 1.02),
-        ("drift_ramp", 1.0008),
-    ],
+    [("wrong_rtia", 0.2), ("phase_360", 1.0), ("gain_step", 1.02), ("drift_ramp", 1.0008)],
 )
 def test_all_channels_change_by_one_factor(name, factor):
     impedance, status = values(f"{name}@2", 10)

@@ -141,10 +141,6 @@ def test_a_virtual_board_is_paced_as_its_info_says():
     terminal.close()
 
 
-def test_real_period_is_28_pairs_of_10_6_ms():
-    assert firmware().info.period == pytest.approx(0.2968)
-
-
 @pytest.mark.slow
 def test_a_paced_board_skips_frames_that_nobody_reads():
     measured, full = firmware(), threading.Event()

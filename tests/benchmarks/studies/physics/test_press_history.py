@@ -99,37 +99,6 @@ def test_presses_in_a_row_add_up():
     assert left[0] == pytest.approx(float(one.sum()), rel=1e-12)
 
 
-@steady
-@given(histories(), histories())
-def test_histories_superpose(a, b):
-    t = np.linspace(0.0, 60.0, 31)
-    times = np.sort(np.concatenate([a.times, a.times, b.times, b.times]))
-    # Values just before and after every knot, where either may jump.
-    both = ForceHistory(times, np.zeros_like(times))
-    total = sum(h.elastic_force(GEL, t) for h in (a, b))
-    forces = np.zeros_like(times)
-    for h in (a, b):
-        forces += resampled(h, times)
-    both = ForceHistory(times, forces)
-    assert np.allclose(both.elastic_force(GEL, t), total, rtol=1e-12, atol=1e-12)
-
-
-def resampled(history, times):
-    """The force at doubled times: before jumps at the first of equal ones, after at the last."""
-    known = np.append(history.times[0], history.times), np.append(0.0, history.forces)
-    values = np.empty_like(times)
-    for k, time in enumerate(times):
-        first = k == 0 or times[k - 1] < time
-        side = "left" if first else "right"
-        i = np.searchsorted(known[0], time, side=side)
-        if 0 < i < len(known[0]) and known[0][i] > known[0][i - 1]:
-            part = (time - known[0][i - 1]) / (known[0][i] - known[0][i - 1])
-            values[k] = known[1][i - 1] + part * (known[1][i] - known[1][i - 1])
-        else:
-            values[k] = 0.0 if i == 0 else known[1][min(i, len(known[0])) - 1]
-    return values
-
-
 def dissipated(history, prony):
     """int F dF_e = -int F_e dF from no force to no force, by jumps and by ramps."""
     times = np.append(history.times[0], history.times)
@@ -149,11 +118,6 @@ def dissipated(history, prony):
 @given(histories(closed=True), st.sampled_from([GEL, ECOFLEX, Prony((0.3, 0.4), (0.2, 5.0))]))
 def test_closed_cycles_dissipate(history, prony):
     assert dissipated(history, prony) >= -1e-12 * np.square(history.forces).sum()
-
-
-def test_a_rectangular_cycle_dissipates_what_creeps_under_the_force():
-    cycle = ForceHistory(np.array([0.0, 8.0, 8.0]), np.array([10.0, 10.0, 0.0]))
-    assert dissipated(cycle, GEL) == pytest.approx(10.0**2 * float(GEL.creep(8.0) - 1), rel=1e-12)
 
 
 def power(depth):
