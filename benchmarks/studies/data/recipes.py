@@ -9,13 +9,12 @@ frames simulated here, a few hundred of each recipe, spread over all of it.
 
 import argparse
 import dataclasses
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.benchmarks.studies.data.recipes_plot import plot_episodes, plot_statistics
+from eitskin.benchmarks.studies.data.recipes_plot import Strength, plot_episodes, plot_statistics
 from eitskin.datasets.generation.shard_simulation import prepare, simulate_frames
 from eitskin.datasets.recipe.frame_sampling import Sample, sample
 from eitskin.datasets.recipe.recipe import Recipe
@@ -30,37 +29,18 @@ Array = NDArray[np.float64]
 DRAWN = 3000  # frames at most, of which only scenes are drawn
 
 
-@dataclass(frozen=True, slots=True)
-class Strength:
-    """Signals and noise of each measurement, root mean square, relative to the flat sensor, (C,).
-
-    NaN where a recipe has no such frames.
-
-    Attributes:
-        bend: of untouched bent frames against the flat sensor.
-        touch: of touched frames against the untouched sensor at the same bend.
-        noise: of one frame, of the flat sensor.
-    """
-
-    bend: Array
-    touch: Array
-    noise: Array
-
-    @classmethod
-    def of(cls, recipe: Recipe, frames: int) -> "Strength":
-        """Strength of a recipe, from some of its frames and as many of its sensors untouched."""
-        data = simulate_frames(recipe, spread(recipe.frames, frames))
-        flat = (SceneGroup("idle", count=frames),)
-        alone = simulate_frames(
-            dataclasses.replace(recipe, scenes=flat, episodes=()), range(frames)
-        )
-        bend, touch = changes(data)
-        _, noise = changes(alone)
-        return cls(
-            bend=_rms(bend[data.state == State.BEND]),
-            touch=_rms(touch[data.touch_count > 0]),
-            noise=_rms(noise) / np.sqrt(2.0),  # the touch reference has as much
-        )
+def strength_of(recipe: Recipe, frames: int) -> Strength:
+    """Strength of a recipe, from some of its frames and as many of its sensors untouched."""
+    data = simulate_frames(recipe, spread(recipe.frames, frames))
+    flat = (SceneGroup("idle", count=frames),)
+    alone = simulate_frames(dataclasses.replace(recipe, scenes=flat, episodes=()), range(frames))
+    bend, touch = changes(data)
+    _, noise = changes(alone)
+    return Strength(
+        bend=_rms(bend[data.state == State.BEND]),
+        touch=_rms(touch[data.touch_count > 0]),
+        noise=_rms(noise) / np.sqrt(2.0),  # the touch reference has as much
+    )
 
 
 def changes(data: Dataset) -> tuple[Array, Array]:
@@ -81,7 +61,7 @@ def main() -> None:
     for name in shipped_names():
         recipe = Recipe.shipped(name)
         prepare(recipe)
-        strength = Strength.of(recipe, arguments.frames)
+        strength = strength_of(recipe, arguments.frames)
         rows.append((recipe, drawn(recipe), strength))
         print(row(recipe, strength), flush=True)
         if recipe.episodes:

@@ -1,25 +1,39 @@
 """Plots of the study of recipes."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from eitskin.datasets.recipe.frame_sampling import Sample
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.extras import require
 
-if TYPE_CHECKING:
-    from eitskin.benchmarks.studies.data.recipes import Strength
-
 _BLUE, _RED, _GREY = "#1f5fa8", "#b3372f", "#777777"
 
 
-def plot_statistics(
-    rows: Sequence[tuple[Recipe, Sequence[Sample], "Strength"]], path: Path
-) -> None:
+@dataclass(frozen=True, slots=True)
+class Strength:
+    """Signals and noise of each measurement, root mean square, relative to the flat sensor, (C,).
+
+    NaN where a recipe has no such frames.
+
+    Attributes:
+        bend: of untouched bent frames against the flat sensor.
+        touch: of touched frames against the untouched sensor at the same bend.
+        noise: of one frame, of the flat sensor.
+    """
+
+    bend: NDArray[np.float64]
+    touch: NDArray[np.float64]
+    noise: NDArray[np.float64]
+
+
+def plot_statistics(rows: Sequence[tuple[Recipe, Sequence[Sample], Strength]], path: Path) -> None:
     """Plot angles, positions, forces and numbers of touches, signals and noise of each recipe."""
     figure = require("matplotlib.figure", "bench").Figure(
         figsize=(15.0, 2.5 * len(rows)), layout="constrained"
@@ -95,7 +109,7 @@ def _numbers(axes: Any, samples: Sequence[Sample]) -> None:
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def _strengths(axes: Any, strength: "Strength") -> None:
+def _strengths(axes: Any, strength: Strength) -> None:
     parts = (("bend", _GREY, "o"), ("touch", _BLUE, "o"), ("noise", _RED, "_"))
     for name, colour, mark in parts:
         values = 100.0 * getattr(strength, name)
