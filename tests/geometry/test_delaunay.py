@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from eitskin.errors import ConfigurationError
-from eitskin.geometry.design.outline import Disc, Polygon, Rectangle
+from eitskin.geometry import Disc, Polygon, Rectangle
 from eitskin.geometry.meshing.delaunay import coarse_triangulation, triangulated
 
 SLAB = Rectangle(0.15, 0.06)

@@ -4,8 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Disc, Polygon, Rectangle
@@ -123,18 +121,3 @@ def test_sizes_that_cannot_be_and_places_off_the_outline_are_refused(make, messa
 def test_polygons_that_cannot_be_say_what_to_change(points, message):
     with pytest.raises(ConfigurationError, match=message):
         Polygon(points)
-
-
-@pytest.mark.slow
-@settings(max_examples=50, derandomize=True, deadline=None, database=None)
-@given(st.lists(st.floats(0.3, 1.0), min_size=3, max_size=30), st.floats(0.0, 6.0))
-def test_star_shaped_polygons_are_accepted_with_their_area(radii, turn):
-    """Seen from the middle, their points come one after the other: no sides cross."""
-    angle = turn + 2 * np.pi * np.arange(len(radii)) / len(radii)
-    points = np.array(radii)[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    polygon = Polygon((points - points.min(axis=0))[::-1])
-    r = np.array(radii)
-    area = 0.5 * np.sin(2 * np.pi / len(r)) * (r * np.roll(r, -1)).sum()
-    x, y = polygon.vertices.T
-    assert 0.5 * np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) == pytest.approx(area)
-    assert polygon.contains(-points.min(axis=0))

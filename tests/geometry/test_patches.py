@@ -6,29 +6,11 @@ import pytest
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.patches import FACES, Patch, Region, boundary_faces, electrode_contacts
 
+import cut_blocks
+
+COUNTS = (7, 5, 3)
 SIZE = np.array([0.03, 0.02, 0.006])
 KINDS = [8, 6, 4]
-
-# A hexahedron as two wedges, and as six tetrahedra around its long diagonal 0-6.
-AS_WEDGES = np.array([[0, 1, 2, 4, 5, 6], [0, 2, 3, 4, 6, 7]])
-AS_TETRAHEDRA = np.array(
-    [[0, 1, 2, 6], [0, 2, 3, 6], [0, 3, 7, 6], [0, 7, 4, 6], [0, 4, 5, 6], [0, 5, 1, 6]]
-)
-
-
-def block(kind, counts=(7, 5, 3), size=SIZE):
-    """A block at the origin, cut into cells with `kind` corners each."""
-    lines = [np.linspace(0.0, s, n + 1) for s, n in zip(size, counts, strict=True)]
-    points = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 3)
-    number = np.arange(len(points)).reshape([n + 1 for n in counts])
-    plane = [number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]]
-    corners = [p[..., :-1] for p in plane] + [p[..., 1:] for p in plane]
-    cells = np.stack(corners, axis=-1).reshape(-1, 8)
-    if kind == 6:
-        cells = cells[:, AS_WEDGES].reshape(-1, 6)
-    if kind == 4:
-        cells = cells[:, AS_TETRAHEDRA].reshape(-1, 4)
-    return points, cells
 
 
 def box_region(low, high, normal):
@@ -61,7 +43,7 @@ def assert_within_cells(points, cells, contacts):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_boundary_faces_enclose_the_body(kind):
-    points, cells = block(kind)
+    points, cells = cut_blocks.block(kind, COUNTS, SIZE)
     faces, owners = boundary_faces(cells)
     corners = points[faces]
     spokes = corners[:, 1:] - corners[:, :1]
@@ -84,7 +66,7 @@ def test_boundary_faces_enclose_the_body(kind):
     ],
 )
 def test_pieces_make_up_the_electrode_on_any_cells(kind, low, high, normal):
-    points, cells = block(kind)
+    points, cells = cut_blocks.block(kind, COUNTS, SIZE)
     extent = np.clip(high, 0, SIZE) - np.clip(low, 0, SIZE)
     low, high, normal = np.array(low), np.array(high), np.array(normal)
     area = np.prod(extent[normal == 0])
@@ -103,7 +85,7 @@ def test_pieces_make_up_the_electrode_on_any_cells(kind, low, high, normal):
 
 
 def test_pieces_are_parallelograms_where_faces_fit_and_triangles_where_not():
-    points, cells = block(8)
+    points, cells = cut_blocks.block(8, COUNTS, SIZE)
     x, z = np.unique(points[:, 0]), np.unique(points[:, 2])
     fitted = box_region((x[2], -1e-3, z[1]), (x[5], 1e-3, z[3]), (0, -1, 0))
     area = (x[5] - x[2]) * (z[3] - z[1])
@@ -120,7 +102,7 @@ def test_pieces_are_parallelograms_where_faces_fit_and_triangles_where_not():
 
 @pytest.mark.parametrize(("kind", "width"), [(8, 4), (6, 3), (4, 3)])
 def test_round_pads_and_facets_of_top_electrodes(kind, width):
-    points, cells = block(kind)
+    points, cells = cut_blocks.block(kind, COUNTS, SIZE)
     turn = np.arange(32) * 2 * np.pi / 32
     outward = np.column_stack([np.cos(turn), np.sin(turn), 0 * turn])
     centre, inradius = np.array([0.0137, 0.0091, 0.0]), 0.004
@@ -144,7 +126,7 @@ def test_round_pads_and_facets_of_top_electrodes(kind, width):
     ],
 )
 def test_sheets_are_counted_once_wherever_they_lie(kind, corner, a, b):
-    points, cells = block(kind)
+    points, cells = cut_blocks.block(kind, COUNTS, SIZE)
     sheet = np.array(corner) + np.array([(0, 0, 0), a, np.add(a, b), b])
     area = np.linalg.norm(np.cross(a, b))
     contacts = electrode_contacts(points, cells, [Patch((), area, sheet)])
@@ -157,7 +139,7 @@ def test_sheets_are_counted_once_wherever_they_lie(kind, corner, a, b):
 
 
 def test_neighbouring_regions_share_faces_without_counting_them_twice():
-    points, cells = block(4)
+    points, cells = cut_blocks.block(4, COUNTS, SIZE)
     cut = 0.0099
     left = box_region((0.004, -1e-3, 0.001), (cut, 1e-3, 0.004), (0, -1, 0))
     right = box_region((cut, -1e-3, 0.001), (0.0151, 1e-3, 0.004), (0, -1, 0))
@@ -169,7 +151,7 @@ def test_neighbouring_regions_share_faces_without_counting_them_twice():
 
 
 def test_electrodes_off_the_body_are_named():
-    points, cells = block(8)
+    points, cells = cut_blocks.block(8, COUNTS, SIZE)
     good = Patch((box_region((0, -1e-3, 0), (0.004, 1e-3, 1), (0, -1, 0)),), 0.004 * SIZE[2])
     half_off = Patch((box_region((-0.002, -1e-3, 0), (0.002, 1e-3, 1), (0, -1, 0)),), good.area)
     with pytest.raises(ConfigurationError, match=r"electrode 1 .*12 of its 24 mm2"):

@@ -4,31 +4,16 @@ import numpy as np
 import pytest
 
 from eitskin.errors import ConfigurationError
-from eitskin.geometry import Electrode, SensorDesign
-from eitskin.geometry.design.outline import Disc, Polygon, Rectangle
+from eitskin.geometry import Disc, Electrode, Layer, Polygon, Rectangle, SensorDesign, Surface
 from eitskin.geometry.design.regular_layouts import uniform
-from eitskin.geometry.design.sensor import Layer
-from eitskin.geometry.design.surface import Surface
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.geometry.meshing.prisms import triangulated_mesh
+from eitskin.geometry.meshing.quality import volumes
+
+from cut_blocks import covered
 
 GRADING = Grading(finest=1e-3, coarsest=5e-3, growth=0.5, layers=2)
 BENT = Polygon(((0, 0), (0.1, 0), (0.1, 0.03), (0.03, 0.03), (0.03, 0.1), (0, 0.1)))
-
-
-def volumes(mesh):
-    """Volumes of prisms with upright sides: area of the lower triangle times height."""
-    a, b, c, d = np.moveaxis(mesh.points[mesh.cells[:, :4]], 1, 0)
-    return 0.5 * np.einsum("ni,ni->n", np.cross(b - a, c - a), d - a)
-
-
-def areas_per_electrode(mesh, count):
-    """Area of each electrode's pieces as they lie, by their corners."""
-    edges = mesh.contacts.corners[:, [1, -1]] - mesh.contacts.corners[:, :1]
-    areas = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
-    if mesh.contacts.corners.shape[1] == 3:
-        areas *= 0.5
-    return np.bincount(mesh.contacts.electrode, areas, minlength=count)
 
 
 @pytest.fixture(scope="module")
@@ -37,8 +22,8 @@ def slab():
 
 
 def test_prisms_fill_the_slab_stand_upright_and_are_numbered_upwards_then_along_x(slab):
-    assert volumes(slab).min() > 0
-    assert volumes(slab).sum() == pytest.approx(0.15 * 0.06 * 0.005, rel=1e-12)
+    assert volumes(slab.points, slab.cells).min() > 0
+    assert volumes(slab.points, slab.cells).sum() == pytest.approx(0.15 * 0.06 * 0.005, rel=1e-12)
     columns = slab.points.reshape(-1, len(slab.heights), 3)
     assert np.array_equal(columns[0, :, 2], [0.0, 0.0025, 0.005])
     assert (columns[:, :, 2] == slab.heights).all()
@@ -48,7 +33,7 @@ def test_prisms_fill_the_slab_stand_upright_and_are_numbered_upwards_then_along_
 
 def test_electrodes_on_the_side_are_fitted_by_whole_faces(slab):
     assert slab.contacts.corners.shape[1] == 4
-    assert areas_per_electrode(slab, 8) == pytest.approx(np.full(8, 25e-6), rel=1e-9)
+    assert covered(slab, 8) == pytest.approx(np.full(8, 25e-6), rel=1e-9)
     electrodes = SensorDesign.reference().electrodes
     for electrode, facets in zip(electrodes, slab.electrode_facets, strict=True):
         places = slab.points[facets].reshape(-1, 3)
@@ -67,9 +52,9 @@ def test_every_kind_of_electrode_finds_its_area():
     layers = (Layer(0.001, 1.0), Layer(0.004, 0.1))
     design = SensorDesign(BENT, 0.005, electrodes, layers=layers)
     mesh = triangulated_mesh(design, GRADING)
-    assert volumes(mesh).sum() == pytest.approx(0.0051 * 0.005, rel=1e-12)
+    assert volumes(mesh.points, mesh.cells).sum() == pytest.approx(0.0051 * 0.005, rel=1e-12)
     expected = [patch.area for patch in design.patches()]
-    assert areas_per_electrode(mesh, 5) == pytest.approx(expected, rel=1e-9)
+    assert covered(mesh, 5) == pytest.approx(expected, rel=1e-9)
     # Interfaces, sheets and the ends of electrodes are layers of points.
     for z in (0.001, 0.0013, 0.0015, 0.0025):
         assert np.abs(mesh.heights - z).min() < 1e-12
@@ -96,7 +81,7 @@ def test_arcs_are_approached_by_chords_and_weighed_by_their_true_area():
     sides = mesh.contacts.corners[:, [1, -1]] - mesh.contacts.corners[:, :1]
     longest = np.linalg.norm(sides[..., :2], axis=2).max()
     # A chord c of radius R is shorter than its arc by (c / R)^2 / 24.
-    missing = 1 - areas_per_electrode(mesh, 32) / (0.0125 * 0.07)
+    missing = 1 - covered(mesh, 32) / (0.0125 * 0.07)
     assert missing.min() > 0
     bound = (longest / disc.radius) ** 2 / 24
     assert 0.1 * bound < missing.max() < 1.001 * bound

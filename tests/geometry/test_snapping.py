@@ -1,12 +1,12 @@
 """Points of a mesh go back to faces, edges and corners, unless a cell were flattened."""
 
-import itertools
-
 import numpy as np
 import pytest
 
 from eitskin.geometry.meshing.quality import volumes
 from eitskin.geometry.meshing.snapping import TriangleSurface, snapped
+
+from cut_blocks import block
 
 pytest.importorskip("trimesh")
 
@@ -30,22 +30,6 @@ def prism(sides):
     low, high = np.full(sides, 2 * sides), np.full(sides, 2 * sides + 1)
     rows = [(b, a, low), (a + sides, b + sides, high), (a, b, b + sides), (a, b + sides, a + sides)]
     return TriangleSurface.of(points, np.concatenate([np.column_stack(row) for row in rows]))
-
-
-def box_mesh(count):
-    """The box as a lattice of cubes, each cut in the six tetrahedra along its diagonal (Kuhn)."""
-    shape = np.array([3, 2, 1]) * count + 1
-    points = np.indices(shape).reshape(3, -1).T / count
-    number = np.arange(len(points)).reshape(shape)
-    cells = []
-    for first, second, third in itertools.permutations(range(3)):
-        steps = np.cumsum([np.zeros(3, int), *np.eye(3, dtype=int)[[first, second, third]]], axis=0)
-        corners = [number[tuple(slice(s, s - 1 or None) for s in step)].ravel() for step in steps]
-        cells.append(np.stack(corners, axis=1))
-    cells = np.concatenate(cells)
-    inverted = volumes(points, cells) < 0
-    cells[inverted] = cells[inverted][:, [0, 2, 1, 3]]
-    return points, cells, ((points > 0) & (points < [3, 2, 1])).all(axis=1)
 
 
 def test_boxes_have_twelve_edges_and_eight_corners():
@@ -87,7 +71,8 @@ def test_the_nearest_of_several_edges_is_taken(height, goal):
 
 
 def test_a_dented_box_becomes_plane_again():
-    points, cells, inside = box_mesh(4)
+    points, cells = block(4, (12, 8, 4), (3, 2, 1))
+    inside = ((points > 0) & (points < [3, 2, 1])).all(axis=1)
     assert volumes(points, cells).sum() == pytest.approx(6.0, rel=1e-9)
     rough = points.copy()
     rng = np.random.default_rng(3)

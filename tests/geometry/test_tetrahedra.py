@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 from eitskin.errors import ConfigurationError
-from eitskin.geometry import Electrode, SensorDesign
-from eitskin.geometry.design.outline import Disc, Polygon
+from eitskin.geometry import Disc, Electrode, Polygon, SensorDesign, Surface
 from eitskin.geometry.design.patches import boundary_faces
 from eitskin.geometry.design.regular_layouts import uniform
-from eitskin.geometry.design.surface import Surface
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.geometry.meshing.quality import quality, volumes
 from eitskin.geometry.meshing.tetrahedra import tetrahedral_mesh
+
+from cut_blocks import covered
 
 GRADING = Grading(finest=3e-3, coarsest=12e-3, growth=0.7)
 BENT = Polygon(((0, 0), (0.1, 0), (0.1, 0.03), (0.03, 0.03), (0.03, 0.1), (0, 0.1)))
@@ -27,37 +27,22 @@ def slab():
     return tetrahedral_mesh(SensorDesign.reference(), GRADING)
 
 
-def covered(mesh, count):
-    """Area of each electrode's pieces, by their corners."""
-    a, b, c = np.moveaxis(mesh.contacts.corners, 1, 0)
-    pieces = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    return np.bincount(mesh.contacts.electrode, pieces, minlength=count)
-
-
 @pytest.mark.slow
-def test_slab_and_electrodes_are_exact(slab):
+def test_slab_and_electrodes_are_exact_and_shapes_are_good(slab):
     assert volumes(slab.points, slab.cells).min() > 0
     assert quality(slab).volume == pytest.approx(0.15 * 0.06 * 0.005, rel=1e-12)
     assert covered(slab, 8) == pytest.approx(np.full(8, 25e-6), rel=1e-9)
     assert slab.heights is None
-
-
-@pytest.mark.slow
-def test_the_rim_is_plane_with_its_corners(slab):
-    rim = slab.points[np.unique(boundary_faces(slab.cells)[0])]
-    size = np.array([0.15, 0.06, 0.005])
-    assert np.minimum(np.abs(rim), np.abs(rim - size)).min(axis=1).max() < 1e-15
-    corners = np.array([[x, y, z] for x in (0, 0.15) for y in (0, 0.06) for z in (0, 0.005)])
-    assert np.linalg.norm(rim[:, None] - corners, axis=2).min(axis=0).max() < 1e-15
-
-
-@pytest.mark.slow
-def test_shapes_are_good_and_points_along_x(slab):
     found = quality(slab)
     assert found.scaled_jacobian > 0.05
     assert found.smallest_angle > 5
     assert (np.diff(slab.points[:, 0]) >= 0).all()
     assert np.array_equal(np.unique(slab.cells), np.arange(len(slab.points)))
+    rim = slab.points[np.unique(boundary_faces(slab.cells)[0])]
+    size = np.array([0.15, 0.06, 0.005])
+    assert np.minimum(np.abs(rim), np.abs(rim - size)).min(axis=1).max() < 1e-15
+    corners = np.array([[x, y, z] for x in (0, 0.15) for y in (0, 0.06) for z in (0, 0.005)])
+    assert np.linalg.norm(rim[:, None] - corners, axis=2).min(axis=0).max() < 1e-15
 
 
 @pytest.mark.slow

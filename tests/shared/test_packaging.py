@@ -80,12 +80,6 @@ def test_eitskin_and_its_rooms_load_nothing_until_a_name_is_asked_for(loaded) ->
     assert {name for name in loaded["eitskin"] if name.startswith("eitskin.")} == {"eitskin.lazy"}
 
 
-def test_the_package_is_the_command_line() -> None:
-    command = [sys.executable, "-m", "eitskin", "--help"]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert "simulate" in done.stdout
-
-
 def test_the_simulator_loads_no_heavy_package(loaded) -> None:
     assert loaded["simulator"] & set(HEAVY) == set()
 

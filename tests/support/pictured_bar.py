@@ -2,9 +2,7 @@
 
 import numpy as np
 
-from eitskin.geometry import SensorDesign
-from eitskin.geometry.design.electrode import Electrode
-from eitskin.geometry.design.outline import Rectangle
+from eitskin.geometry import Electrode, Rectangle, SensorDesign
 
 LENGTH, WIDTH, THICKNESS = 0.040, 0.010, 0.005
 

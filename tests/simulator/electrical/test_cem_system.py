@@ -12,15 +12,11 @@ from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import ForwardModel, Protocol
 from eitskin.simulator.linalg.block_cholesky import level_structure
 
+from contacts import with_contacts
+
 REFERENCE = SensorDesign.reference()
 PAIRS = Protocol.pairwise(8)
 COARSE = Grading(finest=2.5e-3, coarsest=1e-2, growth=1.0, layers=1)
-
-
-def with_contacts(z) -> SensorDesign:
-    electrodes = zip(REFERENCE.electrodes, np.broadcast_to(z, 8), strict=True)
-    electrodes = tuple(dataclasses.replace(e, contact_impedance=v) for e, v in electrodes)
-    return dataclasses.replace(REFERENCE, electrodes=electrodes)
 
 
 def whole_matrices(model, sigma):

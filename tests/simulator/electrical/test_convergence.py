@@ -6,21 +6,19 @@ R = L / (sigma A) + 2 z / A. Its error is one of energy, so it falls like h^2p f
 order p.
 """
 
-import dataclasses
-from itertools import permutations
-
 import numpy as np
 import pytest
 
-from eitskin.geometry import Electrode, Mesh, Rectangle, SensorDesign
+from eitskin.geometry import Electrode, Mesh, Rectangle, SensorDesign, structured_mesh
 from eitskin.geometry.deformation.kinematics import area_ratio, pulled_back
 from eitskin.geometry.design.patches import electrode_contacts
 from eitskin.geometry.meshing.grading import Grading
-from eitskin.geometry.meshing.hexahedra import structured_mesh
 from eitskin.simulator import ForwardModel, Protocol
 from eitskin.simulator.electrical import forward_model as forward
 
 import closed_forms
+from contacts import with_contacts
+from cut_blocks import AS_TETRAHEDRA, AS_WEDGES
 
 SIZE = np.array([0.04, 0.02, 0.01])
 CONTACT = 1e-3
@@ -53,34 +51,18 @@ def split(design: SensorDesign, grading: Grading, kind: str) -> Mesh:
     """Each box of a structured mesh cut into two prisms, or into six tetrahedra (Kuhn)."""
     mesh = structured_mesh(design, grading)
     if kind == "prisms":
-        halves = mesh.cells[:, [[0, 1, 2, 4, 5, 6], [0, 2, 3, 4, 6, 7]]]
-        columns = halves.reshape(-1, len(mesh.heights) - 1, 2, 6)
+        columns = mesh.cells[:, AS_WEDGES].reshape(-1, len(mesh.heights) - 1, 2, 6)
         cells, heights = columns.swapaxes(1, 2).reshape(-1, 6), mesh.heights
     else:
-        unit = [
-            [0, 0, 0],
-            [1, 0, 0],
-            [1, 1, 0],
-            [0, 1, 0],
-            [0, 0, 1],
-            [1, 0, 1],
-            [1, 1, 1],
-            [0, 1, 1],
-        ]
-        walks = [
-            np.vstack([np.zeros(3), np.eye(3)[list(p)].cumsum(axis=0)])
-            for p in permutations(range(3))
-        ]
-        corners = np.array([[unit.index(corner.tolist()) for corner in walk] for walk in walks])
-        odd = np.array([np.linalg.det(np.diff(walk, axis=0)) < 0 for walk in walks])
-        corners[odd] = corners[odd][:, [0, 2, 1, 3]]
-        cells, heights = mesh.cells[:, corners].reshape(-1, 4), None
+        cells, heights = mesh.cells[:, AS_TETRAHEDRA].reshape(-1, 4), None
     contacts = electrode_contacts(mesh.points, cells, design.patches())
     return Mesh(mesh.points, cells, contacts, heights)
 
 
 def model(design, order, grading, kind) -> ForwardModel:
     """The forward model on boxes cut up, so that halving them halves every cell."""
+    if kind == "triangulated prisms":
+        return ForwardModel(design, (order, grading), cells="prisms")
     with pytest.MonkeyPatch.context() as patch:
         if kind != "hexahedra":
             patch.setattr(forward, "mesh_design", lambda *_: split(design, grading, kind))
@@ -147,26 +129,20 @@ HP = [530.08615, 718.93029, 744.02202, 720.20649, 548.07843, 470.82818, 407.3249
 PAIRS = Protocol.pairwise(8)
 
 
-def reference(contact) -> SensorDesign:
-    whole = SensorDesign.reference()
-    electrodes = (dataclasses.replace(e, contact_impedance=contact) for e in whole.electrodes)
-    return dataclasses.replace(whole, electrodes=tuple(electrodes))
-
-
 @pytest.mark.parametrize("cells", ["hexahedra", "prisms"])
 @pytest.mark.parametrize(
     ("resolution", "close"),
     [("fast", 1.7e-2), ("standard", 1e-3), pytest.param("fine", 1e-5, marks=pytest.mark.slow)],
 )
 def test_flat_reference_sensor_matches_the_hp_solution(resolution, close, cells) -> None:
-    R = PAIRS.measure(ForwardModel(reference(1e-4), resolution, cells=cells).impedance())
+    R = PAIRS.measure(ForwardModel(with_contacts(1e-4), resolution, cells=cells).impedance())
     assert [*R[:7], R.sum()] == pytest.approx(HP, rel=close)
 
 
 @pytest.fixture(scope="module")
 def converged():
     finest = ((5,), Grading(2e-6, 7e-3, 1.5))
-    return PAIRS.measure(ForwardModel(reference(1e-3), finest).impedance())
+    return PAIRS.measure(ForwardModel(with_contacts(1e-3), finest).impedance())
 
 
 FALLS = [
@@ -176,6 +152,8 @@ FALLS = [
     ("prisms", (2, 2), 1.5e-3, 5.0),
     ("tetrahedra", (1,), 1e-2, 3.2),
     ("tetrahedra", (2,), 1.5e-3, 5.0),
+    ("triangulated prisms", (1, 1), 5e-3, 3.2),
+    ("triangulated prisms", (2, 2), 6e-4, 5.0),
 ]
 
 
@@ -185,15 +163,7 @@ def test_all_elements_fall_to_the_same_values(converged, kind, order, close, tim
     """Cells half as large everywhere leave a third of the error, quadratics a fifth and less."""
     errors = []
     for h in (4e-4 * order[0], 2e-4 * order[0]):
-        cut = model(reference(1e-3), order, Grading(h, 12 * h, 2e3 * h), kind)
+        cut = model(with_contacts(1e-3), order, Grading(h, 12 * h, 2e3 * h), kind)
         errors.append(np.abs(PAIRS.measure(cut.impedance()) / converged - 1).max())
     assert errors[1] < close
     assert errors[0] > times * errors[1]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("order", "close"), [((1, 1), 5e-3), ((2, 2), 6e-4)])
-def test_triangulated_prisms_meet_the_same_values(converged, order, close) -> None:
-    h = 2e-4 * order[0]
-    prisms = ForwardModel(reference(1e-3), (order, Grading(h, 12 * h, 2e3 * h)), cells="prisms")
-    assert PAIRS.measure(prisms.impedance()) == pytest.approx(converged, rel=close)

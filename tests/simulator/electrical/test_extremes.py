@@ -5,12 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from eitskin.geometry import Electrode, Rectangle, SensorDesign
-from eitskin.geometry.design.sensor import Layer
+from eitskin.geometry import Electrode, Layer, Rectangle, SensorDesign
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import ForwardModel, Protocol
 
 import closed_forms
+from contacts import with_contacts
 
 OUTLINE = Rectangle(0.15, 0.06)
 THICKNESS = 0.005
@@ -37,29 +37,23 @@ SPANS = {
     "round one corner": ((0.14, 0.16), (0.3, 0.305)),
     "round two corners, and the first": ((0.14, 0.22), (0.41, 0.43)),
 }
+CASES = [
+    *((name, None) for name in SPANS),
+    *((name, "prisms") for name in ("10 um and 5 mm", "round one corner")),
+]
 
 
-def shunt_pair(spans):
-    """The design, and its resistance times its thickness."""
-    ends = OUTLINE.at(np.array(spans)).reshape(4, 2)
-    electrodes = tuple(between(*span, 1e-10) for span in spans)
-    exact = closed_forms.shunt_pair(OUTLINE.length, OUTLINE.width, ends.tolist())
-    return SensorDesign(OUTLINE, THICKNESS, electrodes), exact
-
-
-@pytest.mark.parametrize("name", SPANS)
-def test_shunt_electrodes_of_any_size(name) -> None:
-    design, exact = shunt_pair(SPANS[name])
-    R = resistance(design, finest=1e-3 * np.diff(np.ravel(SPANS[name])).min())
-    assert R * THICKNESS == pytest.approx(exact, rel=1e-4)
-
-
-@pytest.mark.parametrize("name", ["10 um and 5 mm", "round one corner"])
-def test_shunt_electrodes_of_any_size_on_prisms(name) -> None:
-    design, exact = shunt_pair(SPANS[name])
-    finest = 1e-2 * np.diff(np.ravel(SPANS[name])).min()
-    R = resistance(design, finest=finest, growth=1.0, cells="prisms")
-    assert R * THICKNESS == pytest.approx(exact, rel=2e-4)
+@pytest.mark.parametrize(("name", "cells"), CASES)
+def test_shunt_electrodes_of_any_size(name, cells) -> None:
+    spans = SPANS[name]
+    ends = OUTLINE.at(np.array(spans)).reshape(4, 2).tolist()
+    exact = closed_forms.shunt_pair(OUTLINE.length, OUTLINE.width, ends)
+    design = SensorDesign(OUTLINE, THICKNESS, tuple(between(*span, 1e-10) for span in spans))
+    finest, growth, close = (1e-2, 1.0, 2e-4) if cells else (1e-3, 1.5, 1e-4)
+    R = resistance(
+        design, finest=finest * np.diff(np.ravel(spans)).min(), growth=growth, cells=cells
+    )
+    assert R * THICKNESS == pytest.approx(exact, rel=close)
 
 
 # Contact impedances: mixed
@@ -68,15 +62,10 @@ def test_shunt_electrodes_of_any_size_on_prisms(name) -> None:
 @pytest.mark.parametrize("buried", [0, 3])
 def test_a_buried_electrode_is_not_there(buried) -> None:
     """With z = 1e3 beside 1e-9 no current can pass it: the others see a sensor without it."""
-    whole = SensorDesign.reference()
-    z = [1e3 if e == buried else 1e-9 for e in range(8)]
-    electrodes = tuple(
-        dataclasses.replace(e, contact_impedance=one)
-        for e, one in zip(whole.electrodes, z, strict=True)
-    )
+    whole = with_contacts([1e3 if e == buried else 1e-9 for e in range(8)])
     rest = [e for e in range(8) if e != buried]
-    with_it = ForwardModel(dataclasses.replace(whole, electrodes=electrodes), "fast").impedance()
-    without = dataclasses.replace(whole, electrodes=tuple(electrodes[e] for e in rest))
+    with_it = ForwardModel(whole, "fast").impedance()
+    without = dataclasses.replace(whole, electrodes=tuple(whole.electrodes[e] for e in rest))
     pairs = Protocol.pairwise(7)
     R = pairs.measure(with_it[np.ix_(rest, rest)])
     assert R == pytest.approx(pairs.measure(ForwardModel(without, "fast").impedance()), rel=1e-3)

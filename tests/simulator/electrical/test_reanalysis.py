@@ -24,6 +24,8 @@ from eitskin.simulator.linalg.block_cholesky import BlockCholesky
 from eitskin.simulator.linalg.two_sided_elimination import TwoSidedElimination
 from eitskin.simulator.mechanics.layer_stack import Piezoresistivity
 
+from contacts import with_contacts
+
 COARSE = ((2, 2, 1), Grading(2e-3, 8e-3, 3.0))
 BEND = Bend(25.0)
 PRESSED = Piezoresistivity(volume=0.5, pressure=2e-6)
@@ -43,11 +45,6 @@ def scenes(bend=BEND):
         Scene(bend=bend, touches=(Touch(0.03 + 0.03 * k, 0.02 + 0.006 * k, 5.0 + k),))
         for k in range(4)
     ]
-
-
-@pytest.fixture(scope="module")
-def sim() -> Simulator:
-    return Simulator(SensorDesign.reference(), resolution="fast")
 
 
 def signals(sim, some, tolerance=None):
@@ -83,17 +80,6 @@ def test_strips_between_the_ends_are_eliminated_as_in_the_whole(first, last) -> 
     assert ends.factors.solve(B) == pytest.approx(np.linalg.solve(A, B), rel=1e-12, abs=1e-13)
 
 
-def test_values_outside_the_changed_strips_are_not_looked_at() -> None:
-    A, rows, columns, strip, B = random_tridiagonal()
-    ends = TwoSidedElimination(BlockCholesky(rows, columns, strip), A[rows, columns], B)
-    values, rest = A[rows, columns].copy(), B.copy()
-    right = ends.congruence(values, rest, 2, 4)
-    values[np.minimum(strip[rows], strip[columns]) < 2] = np.nan
-    values[np.minimum(strip[rows], strip[columns]) > 4] = np.nan
-    rest[(strip < 2) | (strip > 4)] = np.nan
-    assert np.array_equal(ends.congruence(values, rest, 2, 4), right)
-
-
 # Whole scenes
 
 
@@ -123,9 +109,7 @@ def test_meshes_of_any_kind_fall_into_strips(cells) -> None:
 @pytest.mark.parametrize("z", [1e-7, 1e-3, 10.0])
 def test_electrodes_of_any_contact_impedance(z) -> None:
     """Lifted off where contact is good, not where it is poor; both when touches change them."""
-    design = SensorDesign.reference()
-    electrodes = tuple(dataclasses.replace(e, contact_impedance=z) for e in design.electrodes)
-    sim = Simulator(dataclasses.replace(design, electrodes=electrodes), COARSE)
+    sim = Simulator(with_contacts(z), COARSE)
     near = [Scene(touches=(Touch(x, 0.008, 6.0),)) for x in (0.022, 0.075, 0.128)]
     found, plain = sim.measure_all(near, EXACT), [sim.measure(s).impedance for s in near]
     assert np.abs(found - plain).max() < 1e-12 * np.abs(plain).max()
@@ -227,11 +211,7 @@ def test_each_solution_can_be_stopped(sim) -> None:
 
 @pytest.mark.slow
 def test_other_solvers_and_complex_contacts_are_refused_but_simulated() -> None:
-    design = SensorDesign.reference()
-    electrodes = tuple(
-        dataclasses.replace(e, contact_impedance=1e-3 - 2e-4j) for e in design.electrodes
-    )
-    sim = Simulator(dataclasses.replace(design, electrodes=electrodes), COARSE)
+    sim = Simulator(with_contacts(1e-3 - 2e-4j), COARSE)
     with pytest.raises(ConfigurationError, match="real contact impedances"):
         Reanalysis(sim.model, sim.deformed_layer(Scene()))
     some = scenes()[:4]

@@ -8,12 +8,13 @@ import pytest
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import SensorDesign
+from eitskin.simulator import Cylinder, Mechanics, Profile, Sphere
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
-from eitskin.simulator.mechanics.layer_stack import Mechanics, Sheet, Stack
+from eitskin.simulator.mechanics.layer_stack import Sheet, Stack
 from eitskin.simulator.mechanics.load_stepping import SolidError
 from eitskin.simulator.mechanics.materials import NeoHookean, Ogden
 from eitskin.simulator.mechanics.penalty_contact import PenaltyContact
-from eitskin.simulator.scene.indenters import Cylinder, Profile, Sphere, penetration
+from eitskin.simulator.scene.indenters import penetration
 
 import closed_forms
 

@@ -9,9 +9,8 @@ from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend, Disc, Hinge, Rectangle, SensorDesign
 from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.geometry.meshing.grading import Grading
-from eitskin.simulator import Simulator
+from eitskin.simulator import Mechanics, Simulator
 from eitskin.simulator.mechanics.bend_3d import ClampedStack
-from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.mechanics.load_stepping import SolidError
 from eitskin.simulator.mechanics.materials import NeoHookean
 from eitskin.simulator.mechanics.quadratic_field import QuadraticField

@@ -48,9 +48,8 @@ def test_solved_bends_and_the_flat_one_are_met(table) -> None:
 
 
 def test_angles_outside_the_table_are_refused(stack, table) -> None:
-    with pytest.raises(ConfigurationError, match="from -20 to 40 deg"):
-        table.at(40.1)
-    with pytest.raises(ConfigurationError, match="from -20 to 40 deg"):
-        table.at(math.nan)
+    for angle in (40.1, math.nan):
+        with pytest.raises(ConfigurationError, match="from -20 to 40 deg"):
+            table.at(angle)
     with pytest.raises(ConfigurationError, match="four angles"):
         BendTable.of(stack, [10.0, 20.0, 30.0, 40.0])

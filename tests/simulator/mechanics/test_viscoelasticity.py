@@ -150,15 +150,6 @@ def test_a_held_depth_lingers_by_the_force_that_held_it(prony):
         )
 
 
-def test_a_held_depth_gives_back_at_once_what_had_not_relaxed():
-    for prony in (GEL, Prony((0.4, 0.5), (1e-6, 1e6))):
-        left = elastic_force_at_depth(prony, 1.0, 20.0, released=1e-12)
-        assert left == pytest.approx(1 - float(prony.relaxation(20.0)), rel=1e-5)
-    fading = [elastic_force_at_depth(GEL, 1.0, 20.0, released=t) for t in T]
-    assert np.all(np.diff(fading) < 0)
-    assert 0 < fading[-1] < 1e-100
-
-
 def test_the_reference_creeps_as_documented():
     assert elastic_force(REFERENCE, 10.0, 60.0) == pytest.approx(11.68, abs=0.005)
     assert elastic_force(REFERENCE, 10.0, 30.0, released=10.0) == pytest.approx(0.400, abs=0.0005)

@@ -30,11 +30,6 @@ from pictured_bar import LENGTH, THICKNESS, WIDTH, bar_between_electrodes, colou
 BAR = bar_between_electrodes()
 
 
-@pytest.fixture(scope="module")
-def sim() -> Simulator:
-    return Simulator(SensorDesign.reference(), "fast")
-
-
 # Fields
 
 
@@ -194,17 +189,13 @@ def few_cells(monkeypatch) -> None:
     monkeypatch.setitem(view.CELLS, "hexahedra", 75)
 
 
-@pytest.fixture(scope="module")
-def bent_and_pressed() -> Scene:
-    return Scene(Bend(40.0), (Touch(0.05, 0.02), Touch(0.12, 0.055, 5.0)), twist=Twist(15.0))
-
-
 @pytest.mark.slow
 @pytest.mark.usefixtures("few_cells")
 @pytest.mark.parametrize("colour", ["conductance", "strain", "current"])
-def test_a_bent_pressed_sensor_is_drawn_whole(sim, bent_and_pressed, colour, tmp_path) -> None:
+def test_a_bent_pressed_sensor_is_drawn_whole(sim, colour, tmp_path) -> None:
     path = tmp_path / "scene.png"
-    draw_scenes(sim, [("bent and pressed", bent_and_pressed)], path, colour)
+    scene = Scene(Bend(40.0), (Touch(0.05, 0.02), Touch(0.12, 0.055, 5.0)), twist=Twist(15.0))
+    draw_scenes(sim, [("bent and pressed", scene)], path, colour)
     pixels = colours(path)
     assert (pixels.min(axis=2) < 250).mean() > 0.15
     rim = np.concatenate([pixels[-3:].reshape(-1, 3), pixels[:, -3:].reshape(-1, 3)])
@@ -239,14 +230,14 @@ def test_a_flat_sensor_is_drawn_in_every_colour(tmp_path) -> None:
 
 def test_pictures_that_cannot_be_drawn_are_refused(sim, tmp_path, monkeypatch) -> None:
     scenes = [("flat", Scene())]
-    with pytest.raises(ConfigurationError, match="conductance', 'strain', 'current'"):
-        draw_scenes(sim, scenes, tmp_path / "a.png", "red")
-    with pytest.raises(ConfigurationError, match="0 to 7"):
-        draw_scenes(sim, scenes, tmp_path / "a.png", "current", (0, 8))
-    with pytest.raises(ConfigurationError, match=r"a\.png"):
-        draw_scenes(sim, scenes, tmp_path / "a.gif")
-    with pytest.raises(ConfigurationError, match="folder"):
-        draw_scenes(sim, scenes, tmp_path / "none" / "a.png")
+    for wanted, message in (
+        ((tmp_path / "a.png", "red"), "conductance', 'strain', 'current'"),
+        ((tmp_path / "a.png", "current", (0, 8)), "0 to 7"),
+        ((tmp_path / "a.gif",), r"a\.png"),
+        ((tmp_path / "none" / "a.png",), "folder"),
+    ):
+        with pytest.raises(ConfigurationError, match=message):
+            draw_scenes(sim, scenes, *wanted)
     monkeypatch.setitem(sys.modules, "pyvista", None)
     with pytest.raises(ImportError, match=r"pip install 'eitskin\[view\]'"):
         draw_scenes(sim, scenes, tmp_path / "a.png")

@@ -14,7 +14,6 @@ from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend, SensorDesign
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import Protocol, Scene, Simulator, Touch
-from eitskin.simulator.electrical.fields import fields_in
 from eitskin.simulator.view import shapes
 from eitskin.simulator.view.scene_pictures import deformed_current_density, largest_strain
 from eitskin.simulator.view.vtu import (
@@ -111,12 +110,6 @@ def test_potentials_of_body_and_electrodes_count_from_one_place(sim, written) ->
         assert under.min() < said[0] < under.max()
 
 
-def test_every_name_ends_in_its_unit(written) -> None:
-    for grid in written:
-        for name in grid.array_names:
-            assert name == "electrode" or name.endswith(UNITS), name
-
-
 @pytest.mark.slow
 def test_the_gel_is_as_thin_under_a_touch_as_the_press_says() -> None:
     design = SensorDesign.reference()
@@ -130,10 +123,11 @@ def test_the_gel_is_as_thin_under_a_touch_as_the_press_says() -> None:
     assert said[0] > 0.1
 
 
-def test_the_page_names_every_field(written) -> None:
+def test_every_name_ends_in_its_unit_and_is_on_the_page(written) -> None:
     page = (Path(__file__).parents[3] / "docs" / "interoperability.md").read_text()
     for grid in written:
         for name in grid.array_names:
+            assert name == "electrode" or name.endswith(UNITS), name
             assert f"| `{re.sub('_[0-7]_[0-7]_', '_A_B_', name)}` |" in page
 
 
@@ -161,15 +155,6 @@ def test_a_bar_has_ohms_law_in_every_cell(bar) -> None:
         assert not body[name].any(), name
 
 
-def test_fields_of_all_electrodes_are_those_of_each(sim) -> None:
-    setting = sim.deformed_layer(Scene())
-    fields = fields_in(sim.model, setting)
-    assert fields.electrode_potentials == pytest.approx(sim.model.impedance(), rel=1e-9, abs=1e-9)
-    density = sim.model.current_density((3, 6))
-    difference = fields.current_densities[..., 3] - fields.current_densities[..., 6]
-    assert close(difference, density, 1e-9)
-
-
 # Choices and refusals
 
 
@@ -181,7 +166,7 @@ def test_one_drive_can_be_chosen(sim) -> None:
             scene_grids(sim, Scene(), [wrong])
 
 
-def test_cells_are_as_small_as_asked() -> None:
+def test_cells_are_as_small_as_asked_and_folders_must_be_there(tmp_path) -> None:
     design = SensorDesign.reference()
     _, fine = field_resolution(design)
     assert fine.coarsest == pytest.approx(0.150 / 60)
@@ -189,9 +174,6 @@ def test_cells_are_as_small_as_asked() -> None:
     for wrong in (0.0, -1.0, 2.5, float("nan")):
         with pytest.raises(ConfigurationError, match="metres"):
             field_resolution(design, wrong)
-
-
-def test_a_place_that_cannot_be_written_is_said(tmp_path) -> None:
     with pytest.raises(ConfigurationError, match="cannot write"):
         write_grids({BODY: pyvista.Sphere()}, tmp_path / "nowhere")
 
