@@ -15,7 +15,7 @@ os.environ.setdefault("EITSKIN_CACHE", str(Path(__file__).parents[1] / ".pytest_
 
 def pytest_addoption(parser):
     """How often `tests/datasets/test_crashes.py` kills and starves a run; 200 for the long run."""
-    parser.addoption("--crashes", type=int, default=2, help="trials of each kind of crash")
+    parser.addoption("--crashes", type=int, default=1, help="trials of each kind of crash")
 
 
 def pytest_collection_modifyitems(items):

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
+from eitskin.config import parse_toml
 from eitskin.datasets import Recipe, State, generate, open_dataset, read_shard
 from eitskin.datasets.generation import process_pool as processes
 from eitskin.datasets.generation.shard_simulation import simulate_shard
@@ -263,8 +264,7 @@ from eitskin.config import parse_toml
 
 if __name__ == "__main__":
     recipe = parse_toml(Recipe, sys.argv[1])
-    workers = int(sys.argv[3])
-    generate(recipe, sys.argv[2], workers, lambda done, _: print(done, flush=True), resume=True)
+    generate(recipe, sys.argv[2], 2, lambda done, _: print(done, flush=True))
 """
 LONG = """
 name = "long"
@@ -277,21 +277,30 @@ angle_deg = [1, 9]
 
 
 @pytest.mark.slow
-def test_interrupts_in_a_row_end_it_once_and_leave_it_resumable(tmp_path) -> None:
+def test_interrupts_in_a_row_end_it_once_and_leave_it_resumable(tmp_path, monkeypatch):
     """As Ctrl-C pressed twice in a terminal, which signals the workers too."""
-    script, out = tmp_path / "make.py", tmp_path / "set"
+    script, out, done = tmp_path / "make.py", tmp_path / "set", []
     script.write_text(SCRIPT)
-    for workers in ("2", "1"):
-        run = [sys.executable, str(script), LONG, str(out), workers]
-        with subprocess.Popen(
-            run, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
-        ) as process:
-            assert process.stdout is not None
-            before = int(process.stdout.readline())
-            assert int(process.stdout.readline()) > before  # a shard is finished, others are begun
-            os.killpg(process.pid, signal.SIGINT)
-            os.killpg(process.pid, signal.SIGINT)
-            _, said = process.communicate(timeout=60)
-        assert said.count("Traceback") == 1
-        assert said.rstrip().endswith("KeyboardInterrupt")
-    assert before > 0  # what the first run finished, the second kept
+    with subprocess.Popen(
+        [sys.executable, str(script), LONG, str(out)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    ) as process:
+        before, after = (int(process.stdout.readline()) for _ in range(2))
+        assert after > before  # a shard is finished, others are begun
+        os.killpg(process.pid, signal.SIGINT)
+        os.killpg(process.pid, signal.SIGINT)
+        _, said = process.communicate(timeout=60)
+    assert said.count("Traceback") == 1
+    assert said.rstrip().endswith("KeyboardInterrupt")
+
+    def interrupt(finished, _total):
+        done.append(finished)
+        raise KeyboardInterrupt
+
+    in_this_process(monkeypatch)
+    with pytest.raises(KeyboardInterrupt):
+        generate(parse_toml(Recipe, LONG), out, progress=interrupt, resume=True)
+    assert done[0] > 0  # finished shards are kept
