@@ -42,22 +42,22 @@ def tiny_plan(seed=0):
         return Recipe(name, scenes, seed=seed, frames_per_shard=200)
 
     lessons = (
-        SceneGroup("idle", 20),
-        SceneGroup("bend", 25, angle_deg=(-20.0, 50.0)),
-        touches(20, touches=(1, 4)),
-        touches(10, angle_deg=(-20.0, 50.0), touches=(1, 4)),
+        SceneGroup("idle", 10),
+        SceneGroup("bend", 10, angle_deg=(-20.0, 50.0)),
+        touches(10, touches=(1, 4)),
+        touches(8, angle_deg=(-20.0, 50.0), touches=(1, 4), per_bend=4),
     )
     tests = (
-        SceneGroup("idle", 6),
-        SceneGroup("bend", 8, angle_deg=(-20.0, 50.0)),
-        touches(6, touches=(1, 1)),
-        touches(6, angle_deg=(25.0, 30.0), touches=(2, 2)),
+        SceneGroup("idle", 4),
+        SceneGroup("bend", 4, angle_deg=(-20.0, 50.0)),
+        touches(4, touches=(1, 1)),
+        touches(4, angle_deg=(25.0, 30.0), touches=(2, 2), per_bend=4),
     )
     positions = ((0.03, 0.03), (0.075, 0.03), (0.12, 0.03))
     grid = (SceneGroup("touch", force=(10.0, 10.0), repeats=2, positions=positions),)
     scenes = zip(SETS, (lessons, tests, grid), strict=True)
     recipes = {name: recipe(name, each, n + seed) for n, (name, each) in enumerate(scenes, 1)}
-    return Plan(recipes, seed, epochs=1, episode_frames=2)
+    return Plan(recipes, seed, epochs=1, episode_frames=1)
 
 
 class Interrupted(Output):
