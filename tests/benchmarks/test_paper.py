@@ -15,7 +15,6 @@ from eitskin.benchmarks.paper import limits as paper_limits
 from eitskin.benchmarks.paper import run as paper
 from eitskin.benchmarks.paper import sets as paper_sets
 from eitskin.benchmarks.paper.limits import SignalToNoise
-from eitskin.benchmarks.paper.lines import LINES
 from eitskin.benchmarks.paper.sets import KNOWN_DEG, SPECIMENS, Sets, in_episode, recipes
 from eitskin.benchmarks.results import read_results
 from eitskin.cli.main import app
@@ -190,15 +189,6 @@ def test_files_hold_the_table_and_what_it_was_made_with(folder):
     assert results.figures[cell] == pytest.approx(0.0, abs=0.01)
     written = {path.name for path in folder.iterdir()}
     assert written >= {"paper.md", "paper-touches.png", "paper-time.png"}
-
-
-@pytest.mark.slow
-def test_every_figure_has_a_line_or_is_a_part_of_one(folder):
-    """What is measured is shown, but pictures and misses that the table sums up elsewhere."""
-    figures = json.loads((folder / "paper.json").read_text())["figures"][paper.OURS][0]
-    shown = {line.figure for line in LINES}
-    hidden = {name for name in figures if name not in shown}
-    assert all("ssim" in name or "several" in name or name == "touch.error_mm" for name in hidden)
 
 
 def test_signal_to_noise_is_per_channel():

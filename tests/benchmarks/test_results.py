@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from eitskin.benchmarks.markdown_tables import figures, tables
+from eitskin.benchmarks.markdown_tables import figures
 from eitskin.benchmarks.results import (
     Results,
     found_results,
@@ -135,7 +135,3 @@ def test_tables_of_a_report_are_figures_by_title_row_and_column():
         "error (2) / b": 4.0,
         "skew, at most [%]": 0.36,
     }
-
-
-def test_a_title_belongs_to_the_next_table_alone():
-    assert [table.title for table in tables(REPORT)] == ["bends", "times", ""]

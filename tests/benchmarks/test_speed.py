@@ -1,10 +1,8 @@
 """`eitskin bench speed`: what its workloads draw, its ratios, its files."""
 
-import json
-
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from command_line import printed_json
 
 from eitskin.benchmarks.accuracy import peer
 from eitskin.benchmarks.results import read_results
@@ -12,8 +10,8 @@ from eitskin.benchmarks.speed import run as speed
 from eitskin.benchmarks.speed import scenes
 from eitskin.benchmarks.speed.run import Floor, FrameTime, Generation, Peer
 from eitskin.benchmarks.speed.scenes import JUMPING, WORKLOADS, Rate
-from eitskin.cli.main import app
 
+COMMAND = ("bench", "speed", "--quick", "--seed", "2")
 MADE = Generation(256, 40.0, 0.5, {32: 200.0, 128: 201.0})
 
 
@@ -25,11 +23,7 @@ def ran(tmp_path, monkeypatch):
     monkeypatch.setattr(speed, "floor", lambda: Floor(8e7, 2.0, 20.0))
     monkeypatch.setattr(speed, "generation", lambda _count, _engine: MADE)
     monkeypatch.setattr(speed, "frame_time", lambda name, *_: FrameTime(name, 3.0, 9.0))
-    command = ["bench", "speed", "--quick", "--seed", "2", "--json", "--quiet"]
-    done = CliRunner().invoke(app, [*command, "--out", str(tmp_path)])
-    if done.exception is not None:
-        raise done.exception
-    return tmp_path / "speed", json.loads(done.stdout)
+    return tmp_path / "speed", printed_json(*COMMAND, "--out", tmp_path)
 
 
 @pytest.mark.slow
@@ -96,15 +90,3 @@ def test_an_exact_way_is_off_by_its_mesh_alone(monkeypatch):
     standard = scenes.Workload("", resolution="standard", tolerance=WORKLOADS[4].tolerance)
     assert np.abs(scenes.signal_errors(standard)).max() < 1e-9
     assert 1e-3 < scenes.signal_errors(WORKLOADS[4]).max() < 0.1
-
-
-def test_datasets_are_told_as_a_share_of_what_the_engine_does(monkeypatch):
-    asked = []
-    clock = iter((10.0, 12.0))
-    monkeypatch.setattr(speed, "generate", lambda made, *_args, **_kw: asked.append(made.frames))
-    monkeypatch.setattr(speed, "memory_mb", lambda frames: 100.0 + frames)
-    monkeypatch.setattr(speed.time, "perf_counter", lambda: next(clock))
-    found = speed.generation(32, Rate("", 160.0, 1.0, 0.0, 0.0))
-    assert asked == [256]
-    assert (found.frames_per_second, found.share) == (128.0, 0.8)
-    assert found.memory_mb == {32: 132.0, 128: 228.0}

@@ -23,8 +23,7 @@ from eitskin.benchmarks.stability.places import SPANS, cells, electrodes
 from eitskin.benchmarks.stability.random_designs import random_designs
 from eitskin.cli.main import app
 from eitskin.errors import ConfigurationError
-from eitskin.geometry import Bend, Hinge, Rectangle, SensorDesign
-from eitskin.geometry.deformation.fixtures import FreeArc
+from eitskin.geometry import Rectangle, SensorDesign
 from eitskin.simulator import ForwardModel
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
 from eitskin.simulator.mechanics.load_stepping import SolidError
@@ -182,12 +181,6 @@ def test_the_heat_balance_sees_a_wrong_conductivity() -> None:
     assert stability_electrical.imbalance(model) > 1e-4
 
 
-def test_resistances_outside_bounds_are_measured() -> None:
-    R, low, high = np.array([1.0, 2.0]), np.array([0.9, 2.2]), np.array([1.1, 2.5])
-    assert stability_electrical.outside(R, low, high) == pytest.approx(0.1)
-    assert stability_electrical.outside(R, 0.5 * low, high) == 0.0
-
-
 def test_bends_are_right_to_their_ends_and_the_ends_are_named() -> None:
     rows = named(
         stability_bends.bends(quick=True),
@@ -201,33 +194,6 @@ def test_bends_are_right_to_their_ends_and_the_ends_are_named() -> None:
     assert rows[2].reached == "148.7 deg"
     rows = named(stability_bends.rolls_and_twists(quick=True), "roll, 360 deg", "twist, 10 turns")
     assert [row.outcome for row in rows] == ["ok", "ok"]
-
-
-def test_bounds_hold_the_resistance_and_meet_for_an_arc() -> None:
-    """Sections of an arc have one potential each; fibres would exchange current."""
-    design = stability_electrical.bar(1e-9)
-    arc = FreeArc(0.15).flexure(design, Bend(270.0))
-    low, high = stability_bends._bounds(arc)
-    exact = sector(np.radians(270.0), 0.005, 0.06, arc.stretch, 0.15)
-    assert low == pytest.approx(exact, rel=1e-9)
-    assert high > 1.0005 * low
-    straight = FreeArc(0.15).flexure(design, Bend(1e-6))
-    assert stability_bends._bounds(straight) == pytest.approx((500.0, 500.0), rel=1e-7)
-
-
-@pytest.mark.parametrize(
-    "fixture",
-    [Hinge(transition=0.01, contraction=0.8), FreeArc(0.02, transition=0.005, contraction=1.0)],
-    ids=["hinge", "arc"],
-)
-def test_smooth_fixtures_name_their_last_angle_too(fixture) -> None:
-    design = SensorDesign.reference()
-    with pytest.raises(ConfigurationError, match="last possible angle") as error:
-        fixture.flexure(design, Bend(1e3))
-    last = float(str(error.value).split("direction is ")[1].split(" deg")[0])
-    fixture.flexure(design, Bend(last))
-    with pytest.raises(ConfigurationError, match="last possible angle"):
-        fixture.flexure(design, Bend(last + 0.2))
 
 
 def test_presses_and_bends_compose_or_are_refused() -> None:

@@ -10,9 +10,8 @@ import sys
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from command_line import printed_json, run
 
-from eitskin.cli.main import app
 from eitskin.config import parse_toml
 from eitskin.datasets import Recipe, TorchDataset, open_dataset, save_dataset
 from eitskin.datasets.generation.shard_simulation import simulate_shard
@@ -41,23 +40,12 @@ def recipe(tmp_path):
     return path
 
 
-def run(*given):
-    ran = CliRunner().invoke(app, [str(word) for word in given])
-    if ran.exception is not None and not isinstance(ran.exception, SystemExit):
-        raise ran.exception
-    return ran
-
-
-def as_data(*given):
-    return json.loads(run(*given, "--json", "--quiet").stdout)
-
-
 @pytest.mark.slow
 def test_a_recipe_by_its_path(recipe, tmp_path):
-    found = as_data("generate", recipe, "--out", tmp_path / "set", "--workers", 1)
+    found = printed_json("generate", recipe, "--out", tmp_path / "set", "--workers", 1)
     assert (found["frames"], found["made"], found["complete"]) == (24, 24, True)
     assert len(open_dataset(tmp_path / "set")) == 24
-    again = as_data("generate", recipe, "--out", tmp_path / "set", "--resume")
+    again = printed_json("generate", recipe, "--out", tmp_path / "set", "--resume")
     assert (again["frames"], again["made"]) == (24, 0)
 
 
@@ -73,7 +61,7 @@ def test_one_shard_says_what_is_missing(recipe, tmp_path):
 
 
 def test_dry_run_writes_nothing(recipe, tmp_path):
-    found = as_data("generate", recipe, "--out", tmp_path / "set", "--dry-run")
+    found = printed_json("generate", recipe, "--out", tmp_path / "set", "--dry-run")
     assert (found["frames"], found["shards"]) == (24, 3)
     assert found["seconds"] > 0
     assert found["megabytes_free"] > found["megabytes"] > 0
@@ -192,7 +180,7 @@ def test_a_write_that_fails_in_a_worker_is_a_partial_error(recipe, tmp_path, mon
 
 def test_info_of_a_simulated_set_and_of_one_shard(tmp_path):
     save_dataset(make(40), tmp_path / "set", frames_per_shard=20)
-    found = as_data("dataset", "info", tmp_path / "set")
+    found = printed_json("dataset", "info", tmp_path / "set")
     assert (found["frames"], found["shards"], found["channels"]) == (40, 2, 28)
     assert found["states"] == {"touch": 20, "bend": 20}
     assert found["touches_per_frame"] == {"0": 20, "1": 20}
@@ -203,7 +191,7 @@ def test_info_of_a_simulated_set_and_of_one_shard(tmp_path):
     said = run("dataset", "info", tmp_path / "set").stdout
     assert "touch: 20, bend: 20" in said
     assert "50 to 50" in said
-    assert as_data("dataset", "info", tmp_path / "set" / "shard-000001.h5")["frames"] == 20
+    assert printed_json("dataset", "info", tmp_path / "set" / "shard-000001.h5")["frames"] == 20
 
 
 def test_verify_lists_all_damage_and_exits_with_three(tmp_path):
@@ -230,7 +218,7 @@ def test_an_imported_recording_is_opened_like_any_other_set(tmp_path):
     np.savez(tmp_path / "run.npz", down=values, t=np.arange(30.0))
     said = run("import", tmp_path / "run.npz", "--values", "down", "--out", tmp_path / "set").stdout
     assert "30 frames of 5 channels" in said
-    found = as_data("dataset", "info", tmp_path / "set")
+    found = printed_json("dataset", "info", tmp_path / "set")
     assert (found["channels"], found["source"], found["electrodes"]) == (5, "measured", None)
     assert run("dataset", "verify", tmp_path / "set").exit_code == 0
     item = TorchDataset(tmp_path / "set")[7]

@@ -15,7 +15,7 @@ from eitskin.cli.commands.live_recording import FrameRecording
 from eitskin.cli.options import Output
 from eitskin.datasets import ShardWriter, open_dataset
 from eitskin.errors import ConfigurationError, DeviceError, PartialError
-from eitskin.hardware import Connection, Counts, Reading, open_board
+from eitskin.hardware import Connection, Counts, Reading
 from eitskin.simulator import Status
 
 from live_fakes import PROTOCOL, Estimate, FakePipeline, frame, run_command
@@ -72,30 +72,6 @@ def test_ctrl_c_ends_cleanly_and_keeps_the_recording(run, tmp_path):
     assert len(open_dataset(tmp_path / "r")) == 4
 
 
-def test_a_recording_can_be_replayed(run, tmp_path):
-    folder = tmp_path / "recording"
-    board = ("--board", "virtual:?speed=max", "--frames", "6")
-    result = run(FakePipeline(), *board, "--record", str(folder), "--json")
-    numbers = [json.loads(line)["number"] for line in result.stdout.splitlines()]
-    assert numbers == list(range(6))
-    data = open_dataset(folder)
-    assert (data.source, data.protocol, len(data)) == ("measured", PROTOCOL, 6)
-    assert np.allclose(data.time, 0.2968 * np.arange(6))
-    pipeline = FakePipeline()
-    assert run(pipeline, "--board", f"replay:{folder}").exit_code == 0
-    assert pipeline.seen == list(range(6))
-
-
-def test_frames_that_are_not_finite_are_recorded_and_come_back_as_they_were(run, tmp_path):
-    board = "virtual:?speed=max&faults=nan_channel@4:1"
-    run(FakePipeline(), "--board", board, "--frames", "6", "--record", str(tmp_path / "r"))
-    with open_board(f"replay:{tmp_path / 'r'}") as replay:
-        frames = list(replay.frames())
-    assert [bool(f.status.any()) for f in frames] == [False] * 4 + [True] * 2
-    assert np.flatnonzero(np.isnan(frames[4].impedance)).tolist() == [1]
-    assert frames[4].status[1] == Status.NOT_FINITE
-
-
 def test_the_seed_is_the_virtual_boards(run, tmp_path):
     def recorded(name, *arguments):
         run(FakePipeline(), "--frames", "2", "--record", str(tmp_path / name), *arguments)
@@ -107,8 +83,7 @@ def test_the_seed_is_the_virtual_boards(run, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("uri", "error"),
-    [("serial:/dev/none", DeviceError), ("nothing", ConfigurationError)],
+    ("uri", "error"), [("serial:/dev/none", DeviceError), ("nothing", ConfigurationError)]
 )
 def test_errors_keep_their_kind(run, uri, error):
     assert isinstance(run(FakePipeline(), "--board", uri).exception, error)

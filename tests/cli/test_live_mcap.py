@@ -5,9 +5,9 @@ from functools import partial
 
 import numpy as np
 import pytest
+from mcap_reader import read
 from rich.console import Console
-from rosbags.rosbag2 import Reader, Writer
-from rosbags.typesys import Stores, get_typestore
+from rosbags.rosbag2 import Writer
 
 from eitskin.cli.commands import live
 from eitskin.cli.commands.live_recording import MessageRecording
@@ -20,22 +20,11 @@ from eitskin.hardware.export.mcap import McapWriter
 from live_fakes import Estimate, FakePipeline, frame, run_command
 
 BOARD = ("--board", "virtual:?speed=max")
-STORE = get_typestore(Stores.ROS2_HUMBLE)
 
 
 @pytest.fixture
 def run(monkeypatch):
     return partial(run_command, monkeypatch)
-
-
-def read(path, topic):
-    """Stamps [ns] and messages of a topic."""
-    with Reader(path) as bag:
-        chosen = [each for each in bag.connections if each.topic == topic]
-        return [
-            (stamp, STORE.deserialize_cdr(data, connection.msgtype))
-            for connection, stamp, data in bag.messages(chosen)
-        ]
 
 
 def full_after(monkeypatch, messages):
@@ -56,10 +45,10 @@ def test_every_frame_and_estimate_is_in_the_file(run, tmp_path, monkeypatch):
     path = tmp_path / "run.mcap"
     result = run(FakePipeline(), *BOARD, "--frames", "6", "--mcap", str(path), "-q")
     assert result.exit_code == 0, result.output
-    stamps = [stamp for stamp, _ in read(path, "/eitskin/impedance")]
+    stamps = [stamp for stamp, _ in read(path)["/eitskin/impedance"]]
     assert stamps[0] == 5_000_000_000
     np.testing.assert_allclose(np.diff(stamps), 0.2968e9)
-    angles = [message.position[0] for _, message in read(path, "/eitskin/bend")]
+    angles = [message.position[0] for _, message in read(path)["/eitskin/bend"]]
     assert angles == [np.radians(-12.5)] * 6
     assert list(tmp_path.iterdir()) == [path]
 
@@ -69,7 +58,7 @@ def test_ctrl_c_leaves_a_whole_file_beside_a_whole_recording(run, tmp_path):
     kept = ("--mcap", str(path), "--record", str(folder))
     result = run(FakePipeline(interrupt_at=5), *BOARD, *kept)
     assert result.exit_code == 130
-    written = [message.data[::2] for _, message in read(path, "/eitskin/impedance")]
+    written = [message.data[::2] for _, message in read(path)["/eitskin/impedance"]]
     np.testing.assert_array_equal(written, open_dataset(folder).impedance.real)
     assert len(written) == 4
     assert sorted(tmp_path.iterdir()) == [folder, path]
@@ -105,10 +94,7 @@ def test_a_file_that_cannot_be_finished_is_said_in_the_end(run, tmp_path, monkey
 
 @pytest.mark.parametrize(
     ("ending", "raised"),
-    [
-        (KeyboardInterrupt(), PartialError),
-        (DeviceError("the board is gone"), DeviceError),
-    ],
+    [(KeyboardInterrupt(), PartialError), (DeviceError("the board is gone"), DeviceError)],
 )
 def test_what_is_lost_is_said_unless_an_error_ends_the_session(
     run, tmp_path, monkeypatch, ending, raised

@@ -1,24 +1,14 @@
 """`eitskin mesh`: numbers, and what is refused."""
 
-import json
-
 import pytest
-from typer.testing import CliRunner
+from command_line import printed_json, run
 
-from eitskin.cli.main import app
 from eitskin.errors import ConfigurationError
-
-
-def mesh(*options) -> str:
-    ran = CliRunner().invoke(app, ["mesh", *options])
-    if ran.exception is not None:
-        raise ran.exception
-    return ran.stdout
 
 
 @pytest.mark.parametrize("kind", ["hexahedra", "prisms"])
 def test_the_numbers_are_those_of_the_reference_sensor(kind) -> None:
-    found = json.loads(mesh("--cells", kind, "--resolution", "fast", "--json"))
+    found = printed_json("mesh", "--cells", kind, "--resolution", "fast")
     assert found["kind"] == kind
     assert found["volume"] == pytest.approx(0.150 * 0.060 * 0.005)
     assert found["electrodes"] == 8
@@ -31,7 +21,7 @@ def test_a_design_file_is_meshed_by_what_suits_it(tmp_path) -> None:
     (tmp_path / "disc.toml").write_text(
         "outline = { radius = 0.03 }\nthickness = 0.004\n[electrodes]\ncount = 6\nwidth = 0.004\n"
     )
-    found = json.loads(mesh("--sensor", str(tmp_path / "disc.toml"), "--json"))
+    found = printed_json("mesh", "--sensor", str(tmp_path / "disc.toml"))
     assert found["kind"] == "prisms"
     assert found["electrodes"] == 6
 
@@ -50,4 +40,4 @@ def test_a_design_file_is_meshed_by_what_suits_it(tmp_path) -> None:
 )
 def test_what_cannot_be_is_refused(options, message) -> None:
     with pytest.raises(ConfigurationError, match=message):
-        mesh(*options)
+        run("mesh", *options)

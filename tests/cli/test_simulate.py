@@ -5,10 +5,9 @@ import re
 import tomllib
 from pathlib import Path
 
+import command_line
 import pytest
-from typer.testing import CliRunner
 
-from eitskin.cli.main import app
 from eitskin.config import read_toml, to_dict
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend, SensorDesign
@@ -27,6 +26,14 @@ def scene(tmp_path):
     return path
 
 
+def run(scene, *options):
+    return command_line.run("simulate", scene, "--resolution", "fast", *options)
+
+
+def simulate(scene, *options) -> dict:
+    return json.loads(run(scene, "--json", *options).stdout)
+
+
 QUANTITIES = {
     "_N": ("force",),
     "_m": ("depth", "contact_radius", "edge_distance", "neighbour_distance"),
@@ -34,17 +41,6 @@ QUANTITIES = {
     "_Pa": ("mean_pressure", "peak_pressure"),
     "": ("thinning", "signal_error", "caution"),
 }
-
-
-def run(scene, *options):
-    ran = CliRunner().invoke(app, ["simulate", str(scene), "--resolution", "fast", *options])
-    if ran.exception is not None:
-        raise ran.exception
-    return ran
-
-
-def simulate(scene, *options) -> dict:
-    return json.loads(run(scene, "--json", *options).stdout)
 
 
 def written(path, text):
@@ -141,16 +137,10 @@ def test_mechanics_and_fixture_come_from_files(scene, tmp_path) -> None:
     )
     scene.write_text(scene.read_text() + "force = 4\n[bend]\nangle_deg = 15\n")
     given = ("--mechanics", str(mechanics))
-    for text, fixture in (
-        ("span = 0.05\n", Hinge(span=0.05)),
-        ("length = 0.07\n", FreeArc(0.07)),
-    ):
+    for text, fixture in (("span = 0.05\n", Hinge(span=0.05)), ("length = 0.07\n", FreeArc(0.07))):
         found = simulate(scene, *given, "--fixture", str(written(tmp_path / "f.toml", text)))
         soft = Mechanics(
-            NeoHookean(10e3),
-            NeoHookean(14e3),
-            0.004,
-            piezoresistivity=Piezoresistivity(volume=1.5),
+            NeoHookean(10e3), NeoHookean(14e3), 0.004, piezoresistivity=Piezoresistivity(volume=1.5)
         )
         sim = Simulator(SensorDesign.reference(), "fast", fixture, mechanics=soft)
         frame = sim.measure(Scene.from_toml(scene))

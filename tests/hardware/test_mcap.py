@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rosbags.rosbag2 import Reader, Writer
-from rosbags.typesys import Stores, get_typestore
+from mcap_reader import read
+from rosbags.rosbag2 import Writer
 from typer.testing import CliRunner
 
 from eitskin.cli.main import app
@@ -23,19 +23,7 @@ from eitskin.training import Estimate, FoundTouches, Pipeline
 
 from small_dataset import make
 
-STORE = get_typestore(Stores.ROS2_HUMBLE)
 UNKNOWN = math.nan
-
-
-def read(path):
-    """Stamps [ns] and messages by topic."""
-    found = {}
-    with Reader(path) as bag:
-        for connection, stamp, data in bag.messages():
-            assert connection.msgtype == TOPICS[connection.topic]
-            message = STORE.deserialize_cdr(data, connection.msgtype)
-            found.setdefault(connection.topic, []).append((stamp, message))
-    return found
 
 
 def values_of(message, name):

@@ -18,16 +18,7 @@ from eitskin.hardware import Reading
 from eitskin.simulator import Frame
 from eitskin.training.method.predictions import FoundTouches
 
-from page_fakes import (
-    DESIGN,
-    PROTOCOL,
-    FakeEstimate,
-    Info,
-    Stream,
-    ask,
-    port_of,
-    reading,
-)
+from page_fakes import DESIGN, PROTOCOL, FakeEstimate, Info, Stream, ask, port_of, reading
 
 
 @pytest.fixture
@@ -149,11 +140,6 @@ def test_a_browser_that_reads_nothing_is_dropped_and_delays_nobody(connection) -
             assert stream.until("frame")["number"] == number
         stream.close()
         stalled.close()
-
-
-def test_publishing_needs_no_browser_and_no_encoding(connection) -> None:
-    with LivePage(connection, DESIGN) as page:
-        page.publish(reading(1, estimate="not an estimate at all"))
 
 
 @pytest.mark.usefixtures("many_beats")

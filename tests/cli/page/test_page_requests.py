@@ -10,17 +10,7 @@ from eitskin.cli.page.server import LARGEST_BODY
 from eitskin.geometry import Bend
 from eitskin.simulator import Scene, Touch
 
-from page_fakes import (
-    DESIGN,
-    JSON,
-    FakeBoard,
-    FakeConnection,
-    Stream,
-    ask,
-    port_of,
-    post,
-    reading,
-)
+from page_fakes import DESIGN, JSON, FakeBoard, FakeConnection, Stream, ask, port_of, post, reading
 
 
 @pytest.fixture(scope="module")

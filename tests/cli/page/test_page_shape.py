@@ -11,10 +11,7 @@ from eitskin.cli.page.state import filled, relative_change
 from eitskin.geometry import Bend, Hinge
 from eitskin.simulator import Frame
 
-from page_fakes import (
-    DESIGN,
-    PROTOCOL,
-)
+from page_fakes import DESIGN, PROTOCOL
 
 
 def decoded(text, unit):

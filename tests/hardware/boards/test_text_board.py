@@ -101,12 +101,6 @@ def test_a_lost_line_costs_its_frame():
     }
 
 
-def test_frames_are_found_by_a_mark():
-    board = board_on(Printer(stream(range(4), mark="frame")), mark="frame")
-    frames = list(itertools.islice(board.frames(), 3))
-    assert [round(abs(frame.impedance[0])) for frame in frames] == [1000, 2000, 3000]
-
-
 @pytest.mark.parametrize("printed_as", ["inf", "1e39"])  # the second is beyond single precision
 def test_an_infinite_value_is_marked_and_the_frame_kept(printed_as):
     events = list(stream(range(5)))

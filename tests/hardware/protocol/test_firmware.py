@@ -24,14 +24,7 @@ from eitskin.hardware.protocol.messages import (
 )
 from eitskin.hardware.protocol.packets import Decoder, Packet, encode
 
-from compiled_firmware import (
-    ask,
-    booted,
-    build,
-    compiled_board,
-    frames,
-    messages,
-)
+from compiled_firmware import ask, booted, build, compiled_board, frames, messages
 from loopback import PROTOCOL, connected, take
 
 # ---- who it is ----

@@ -1,0 +1,20 @@
+"""Run of the command line in the process of the test."""
+
+import json
+
+from typer.testing import CliRunner
+
+from eitskin.cli.main import app
+
+
+def run(*words):
+    """Result of `eitskin WORDS`; errors other than a usage error or an exit code are raised."""
+    ran = CliRunner().invoke(app, [str(word) for word in words])
+    if ran.exception is not None and not isinstance(ran.exception, SystemExit):
+        raise ran.exception
+    return ran
+
+
+def printed_json(*words):
+    """Data that `eitskin WORDS --json --quiet` prints."""
+    return json.loads(run(*words, "--json", "--quiet").stdout)
