@@ -33,6 +33,7 @@ def data(folder) -> dict:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(accuracy, "judge", partial(judge, least_seconds=0.0))
         patch.setattr(accuracy_truth, "drops", partial(drops, count=3))
+        patch.setattr(cases, "QUICK_PEERS", (cases.uniform(9e-3, 1),))
         return printed_json(*QUICK, "--out", folder.parent, "--seed", "3")
 
 
@@ -156,13 +157,15 @@ def test_the_peer_feels_a_drop_as_we_do_where_electrodes_are_far(truth) -> None:
 
 
 @pytest.mark.slow
-def test_a_duel_is_on_equal_nodes(truth) -> None:
+def test_a_duel_is_on_equal_nodes(truth, data) -> None:
     pytest.importorskip("pyeit")
-    for layers, cells in ((1, "tetrahedra"), (0, "triangles")):
-        duel = compare(cases.uniform(9e-3, layers), truth)
-        assert duel.other.cells == cells
-        assert duel.own.unknowns == duel.other.nodes == duel.own.nodes
-        assert duel.ratio == duel.other.frame_seconds / duel.own.frame_seconds
+    duel = compare(cases.uniform(9e-3, 0), truth)
+    assert duel.ratio == duel.other.frame_seconds / duel.own.frame_seconds
+    pairs = [(duel.own.unknowns, duel.own.nodes, duel.other.nodes, duel.other.cells)]
+    own, other = (data["duels"][0][which] for which in ("own", "other"))
+    pairs += [(own["unknowns"], own["nodes"], other["nodes"], other["cells"])]
+    assert [each[3] for each in pairs] == ["triangles", "tetrahedra"]
+    assert all(len(set(each[:3])) == 1 for each in pairs)
 
 
 @pytest.mark.slow

@@ -179,27 +179,27 @@ def test_what_the_board_says_is_passed_on(bit, said):
     assert said in finding.message
 
 
-def test_an_electrode_whose_pairs_are_no_numbers_is_named():
-    given = [np.where(at(2), complex(np.inf, 0), each.impedance) for each in frames(flat())]
-    result = check_sensor([Frame(z, PROTOCOL) for z in given], expected())
-    assert found(result) == [(FindingKind.NOT_FINITE, (2,))]
+NAN, INFINITE = complex(np.nan, np.nan), complex(np.inf, 0)
 
 
-def test_an_open_electrode_that_gives_no_numbers_is_one_finding():
+@pytest.mark.parametrize(
+    ("channels", "value", "status", "expected_finding"),
+    [
+        (at(2), INFINITE, 0, (FindingKind.NOT_FINITE, (2,))),
+        (at(2), NAN, Status.OPEN | Status.NOT_FINITE, (FindingKind.OPEN, (2,))),
+        (np.ones(28, bool), NAN, 0, (FindingKind.NOT_FINITE, ())),
+    ],
+)
+def test_values_that_are_no_numbers_are_one_finding(channels, value, status, expected_finding):
     marked = [
         dataclasses.replace(
             each,
-            impedance=np.where(at(2), complex(np.nan, np.nan), each.impedance),
-            status=np.where(at(2), Status.OPEN | Status.NOT_FINITE, 0),
+            impedance=np.where(channels, value, each.impedance),
+            status=np.where(channels, status, 0),
         )
         for each in frames(flat())
     ]
-    assert found(check_sensor(marked, expected())) == [(FindingKind.OPEN, (2,))]
-
-
-def test_values_that_are_all_no_numbers_are_one_finding():
-    result = check_sensor([Frame(np.full(28, np.nan), PROTOCOL)] * 8, expected())
-    assert found(result) == [(FindingKind.NOT_FINITE, ())]
+    assert found(check_sensor(marked, expected())) == [expected_finding]
 
 
 def test_values_that_are_all_zero_are_not_taken_for_a_sensor():

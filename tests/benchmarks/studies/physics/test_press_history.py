@@ -8,7 +8,7 @@ from scipy.integrate import quad
 
 from eitskin.benchmarks.studies.physics.press_history import DepthHistory, ForceHistory, Memory
 from eitskin.errors import ConfigurationError
-from eitskin.simulator.mechanics.viscoelasticity import ECOFLEX, GEL, Prony, elastic_force
+from eitskin.simulator.mechanics.viscoelasticity import ECOFLEX, GEL, Prony
 
 steady = settings(max_examples=60, derandomize=True, deadline=None, database=None)
 SPREAD = Prony((0.2, 0.1, 0.3, 0.05), (1e-4, 0.3, 5.0, 1e4))
@@ -67,36 +67,6 @@ def test_frame_by_frame_is_the_whole_history(prony):
     last = np.append(np.diff(history.times) > 0, True)
     whole = history.elastic_force(prony, history.times)
     assert np.allclose(np.array(followed)[last], whole[last], rtol=1e-13, atol=1e-13)
-
-
-def test_a_press_and_its_release():
-    history = ForceHistory(np.array([2.0, 32.0, 32.0]), np.array([10.0, 10.0, 0.0]))
-    t = np.array([[1.9, 2.0, 31.0], [32.0, 33.0, 332.0]])
-    expected = [
-        [0.0, 10.0, elastic_force(GEL, 10.0, 29.0)],
-        [
-            elastic_force(GEL, 10.0, 30.0) - 10.0,
-            elastic_force(GEL, 10.0, 30.0, 1.0),
-            elastic_force(GEL, 10.0, 30.0, 300.0),
-        ],
-    ]
-    assert np.allclose(history.elastic_force(GEL, t), expected, rtol=1e-13, atol=1e-14)
-    assert history.elastic_force(GEL, 33.0).shape == ()
-
-
-def test_presses_in_a_row_add_up():
-    press, memory = [(0.0, 10.0), (1.0, 10.0), (0.0, 0.0), (1.0, 0.0)], Memory.none(GEL)
-    left = []
-    for _ in range(400):
-        for seconds, force in press:
-            memory = memory.after(seconds, force)
-        left.append(memory.elastic_force)
-    assert np.all(np.diff(left) > -1e-14)
-    # A train of presses, in the end: a geometric series of what one leaves.
-    j, tau = (np.array(part) for part in GEL.dual)
-    one = 10 * j * np.exp(-1 / tau) * -np.expm1(-1 / tau)
-    assert left[-1] == pytest.approx(float(np.sum(one / -np.expm1(-2 / tau))), rel=0.03)
-    assert left[0] == pytest.approx(float(one.sum()), rel=1e-12)
 
 
 def dissipated(history, prony):
@@ -187,6 +157,11 @@ def test_depth_before_contact_takes_no_force():
     assert force == pytest.approx([0.0, relaxed], abs=1e-5 * 20)
 
 
+def force_at_one_second(force_of_depth, *times):
+    depths = np.linspace(0.001 if len(times) == 1 else 0.0, 0.001, len(times))
+    return DepthHistory(np.array(times), depths).force(GEL, force_of_depth, 1.0)
+
+
 @pytest.mark.parametrize(
     ("make", "message"),
     [
@@ -200,23 +175,11 @@ def test_depth_before_contact_takes_no_force():
         (lambda: Memory.none(GEL).after(-1.0, 1.0), "seconds"),
         (lambda: Memory.none(GEL).after(1.0, float("nan")), "force"),
         (
-            lambda: DepthHistory(np.array([0.0, 1.0]), np.array([0.0, 0.001])).force(
-                GEL, lambda d: np.where(d > 0.0003, 1.0, 0.0), 1.0
-            ),
+            lambda: force_at_one_second(lambda d: np.where(d > 0.0003, 1.0, 0.0), 0.0, 1.0),
             "continuous function",
         ),
-        (
-            lambda: DepthHistory(np.array([0.0, 1.0]), np.array([0.0, 0.001])).force(
-                GEL, lambda d: d * np.nan, 1.0
-            ),
-            "finite",
-        ),
-        (
-            lambda: DepthHistory(np.array([0.0]), np.array([0.001])).force(
-                GEL, lambda d: d * np.nan, 1.0
-            ),
-            "finite",
-        ),
+        (lambda: force_at_one_second(lambda d: d * np.nan, 0.0, 1.0), "finite"),
+        (lambda: force_at_one_second(lambda d: d * np.nan, 0.0), "finite"),
     ],
 )
 def test_what_cannot_be_is_refused(make, message):
