@@ -166,7 +166,7 @@ def test_edges_run_around_what_lies_within_a_face(ball):
     assert np.linalg.norm(cap.edges(), axis=1) == pytest.approx(0.05, rel=0.02)
 
 
-# What does not fit
+# Refusals
 
 
 @pytest.mark.parametrize(
@@ -198,26 +198,6 @@ def test_electrodes_that_cannot_be_are_refused(changes, message):
 
 
 FAR = Electrode(0.1, 0.025)
-
-
-@pytest.mark.parametrize(
-    ("outline", "electrode", "message"),
-    [
-        (SLAB, Electrode(0.02, 0.01), r"electrode 0.*\(0.02, 0.01\) m .*0.01 m"),
-        (SLAB, Electrode(0.02, 0.0, 0.4), r"0.4 m .*0.3 m"),
-        (SLAB, Electrode(0.02, 0.0, height=0.005), "from z = -0.0005 to 0.0045 m, beyond .* 0.004"),
-        (SLAB, Electrode(0.02, 0.0, height=0.002, z=0.0035), "from z = 0.0025 to 0.0045 m, beyond"),
-        (SLAB, Electrode(0.02, 0.01, z=0.004, on="inside"), r"above 0 .*below 0.004 m.*0.004"),
-        (SLAB, Electrode(0.02, 0.01, z=0.0, on="inside"), 'on = "top" or "bottom"'),
-        (SLAB, Electrode(0.001, 0.01, on="top"), "0.0015 m beyond"),
-        (SLAB, Electrode(0.3, 0.01, on="bottom"), "0.2025 m beyond"),
-        (FORK, Electrode(0.0035, 0.03, 0.0065, on="top"), "m beyond"),
-        (SLAB, Electrode(0.0, 0.0, z=0.0, on="surface"), r'"surface".*Rectangle'),
-    ],
-)
-def test_electrodes_off_their_body_are_refused(outline, electrode, message):
-    with pytest.raises(ConfigurationError, match=message):
-        SensorDesign(outline, THICKNESS, (electrode, FAR))
 
 
 @pytest.mark.parametrize(
@@ -253,22 +233,43 @@ def part(x, z, height=0.001):
     return Electrode(x, 0.0, height=height, z=z)
 
 
+PADS = [Electrode(x, 0.02, on="top") for x in (0.02, 0.023)]
+SHEETS = [Electrode(x, 0.02, z=0.001, on="inside") for x in (0.02, 0.024)]
+
+
 @pytest.mark.parametrize(
     ("electrodes", "message"),
     [
+        ((Electrode(0.02, 0.01), FAR), r"electrode 0.*\(0.02, 0.01\) m .*0.01 m"),
+        ((Electrode(0.02, 0.0, 0.4), FAR), r"0.4 m .*0.3 m"),
+        (
+            (Electrode(0.02, 0.0, height=0.005), FAR),
+            "from z = -0.0005 to 0.0045 m, beyond .* 0.004",
+        ),
+        ((part(0.02, 0.0035, 0.002), FAR), "from z = 0.0025 to 0.0045 m, beyond"),
+        ((Electrode(0.02, 0.01, z=0.004, on="inside"), FAR), r"above 0 .*below 0.004 m.*0.004"),
+        ((Electrode(0.02, 0.01, z=0.0, on="inside"), FAR), 'on = "top" or "bottom"'),
+        ((Electrode(0.001, 0.01, on="top"), FAR), "0.0015 m beyond"),
+        ((Electrode(0.3, 0.01, on="bottom"), FAR), "0.2025 m beyond"),
+        ((Electrode(0.0, 0.0, z=0.0, on="surface"), FAR), r'"surface".*Rectangle'),
         ((Electrode(0.02, 0.0), Electrode(0.022, 0.0)), r"0 and 1 .*3 mm"),
         ((FAR, Electrode(0.022, 0.0), Electrode(0.02, 0.0)), r"1 and 2 .*3 mm"),
         ((Electrode(0.001, 0.0), Electrode(0.0, 0.002)), r"0 and 1 .*2 mm"),
         ((part(0.02, 0.001), part(0.021, 0.0018)), r"overlap.*0.2 mm"),
-        ([Electrode(x, 0.02, on="top") for x in (0.02, 0.023)], r"overlap.*2 mm"),
-        ([Electrode(x, 0.02, z=0.001, on="inside") for x in (0.02, 0.024)], r"overlap.*1 mm"),
+        (PADS, r"overlap.*2 mm"),
+        (SHEETS, r"overlap.*1 mm"),
         ((Electrode(0.02, 0.0),), r"electrodes.*2 to 1024.*1"),
         ((), "from 2 to 1024, got 0"),
     ],
 )
-def test_overlapping_or_missing_electrodes_are_refused(electrodes, message):
+def test_electrodes_off_their_body_overlapping_or_missing_are_refused(electrodes, message):
     with pytest.raises(ConfigurationError, match=message):
         SensorDesign(SLAB, THICKNESS, tuple(electrodes))
+
+
+def test_pads_over_the_gap_of_a_fork_are_refused():
+    with pytest.raises(ConfigurationError, match="m beyond"):
+        SensorDesign(FORK, THICKNESS, (Electrode(0.0035, 0.03, 0.0065, on="top"), FAR))
 
 
 @pytest.mark.parametrize(

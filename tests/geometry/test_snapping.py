@@ -32,13 +32,10 @@ def prism(sides):
     return TriangleSurface.of(points, np.concatenate([np.column_stack(row) for row in rows]))
 
 
-def test_boxes_have_twelve_edges_and_eight_corners():
+def test_boxes_and_prisms_have_the_edges_and_corners_that_are_sharp():
     assert len(SURFACE.edges) == 12
     assert np.array_equal(np.sort(SURFACE.corners), np.arange(8))
     assert (np.count_nonzero(np.ptp(BOX[SURFACE.edges], axis=1), axis=1) == 1).all()
-
-
-def test_what_is_sharp_on_prisms():
     fine = prism(48)  # sides at 7.5 degrees make an edge only with the ends
     assert len(fine.edges) == 96
     assert len(fine.corners) == 0

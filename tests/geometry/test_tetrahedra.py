@@ -99,7 +99,7 @@ def test_surfaces_from_files(tmp_path, monkeypatch):
     assert quality(mesh).volume == pytest.approx(2e-5, rel=1e-4)
     assert covered(mesh, 2) == pytest.approx(np.full(2, 36e-6), rel=1e-4)
     assert mesh.points.min(axis=0) == pytest.approx([0.275, 0.18, 0.095])
-    # What fTetWild writes beside its result is not left in the working directory.
+    # Other files that fTetWild writes are not left in the working directory.
     assert [path.name for path in tmp_path.iterdir()] == ["box.stl"]
 
 

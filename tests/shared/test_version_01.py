@@ -1,4 +1,4 @@
-"""What version 0.1 saved opens, and gives the values that version 0.1 gave.
+"""Files that version 0.1 saved open, and give the values that version 0.1 gave.
 
 `tests/data/v0.1/create.py` made the files, and `expected.json` beside them, with version 0.1.
 Values of datasets are the same to the last bit. Estimates are the same up to the order in which

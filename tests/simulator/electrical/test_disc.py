@@ -94,7 +94,7 @@ def test_contacts_on_an_arc_have_their_true_area() -> None:
 
 @pytest.mark.parametrize(("ratio", "close"), [(0.2, 0.02), (5.0, 0.05)])
 def test_concentric_disc(ratio, close) -> None:
-    """What it adds to R.
+    """Change of R by the inner disc.
 
     The mesh does not know the inner circle; `test_closed_forms` has it on a mesh that does.
     """
@@ -123,7 +123,7 @@ def sector(angle, inner, outer, sides):
 
 
 def test_annular_sector_between_its_straight_ends() -> None:
-    """Of a polygon with more and more sides, at least as good as their sagitta, h^2."""
+    """Polygons with more and more sides: errors fall at least like their sagitta, h^2."""
     angle, inner, outer, z = 2.0, 0.02, 0.05, 1e-9
     exact = closed_forms.sector_between_ends(angle, inner, outer)
     errors = []

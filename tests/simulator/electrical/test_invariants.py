@@ -1,4 +1,4 @@
-"""What is true of every sensor, on random ones."""
+"""Invariants of every sensor, on random ones."""
 
 import dataclasses
 

@@ -206,7 +206,7 @@ def test_each_solution_can_be_stopped(sim) -> None:
         sim.measure_all(scenes(), before_each=stop)
 
 
-# What it is not for
+# Refusals
 
 
 @pytest.mark.slow

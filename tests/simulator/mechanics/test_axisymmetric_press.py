@@ -98,15 +98,10 @@ def pressed(request):
 
 
 @pytest.mark.slow
-def test_every_layer_keeps_its_volume(pressed) -> None:
-    _, found = pressed
-    assert found[-1].volume_ratios == pytest.approx([1.0, 1.0, 1.0], abs=1e-5)
-    assert 0.02 < found[-1].thinning(1) < 0.5
-
-
-@pytest.mark.slow
-def test_pressure_and_base_carry_the_force(pressed) -> None:
+def test_layers_keep_their_volume_and_pressure_and_base_carry_the_force(pressed) -> None:
     press, (*_, last) = pressed
+    assert last.volume_ratios == pytest.approx([1.0, 1.0, 1.0], abs=1e-5)
+    assert 0.02 < last.thinning(1) < 0.5
     r, p = last.radii, last.pressure
     assert np.all(p >= 0.0)
     inside = r < last.contact_radius
@@ -202,7 +197,7 @@ def test_a_profile_of_a_sphere_presses_like_the_sphere() -> None:
     assert forces[1] == pytest.approx(forces[0], rel=0.01)
 
 
-# What cannot be
+# Refusals
 
 
 @pytest.mark.parametrize(

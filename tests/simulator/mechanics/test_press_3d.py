@@ -70,15 +70,11 @@ def test_far_from_edges_a_press_is_a_body_of_revolution(alone) -> None:
 
 
 @pytest.mark.slow
-def test_the_base_carries_the_force(alone) -> None:
+def test_the_base_carries_the_force_whose_work_is_the_energy(alone) -> None:
     for fraction, found in zip((0.5, 0.75, 1.0), alone, strict=True):
         assert found.forces == pytest.approx([fraction], rel=1e-9)
         assert found.base_force == pytest.approx(fraction, rel=1e-6)
-
-
-@pytest.mark.slow
-def test_energy_is_the_work_of_the_force(alone) -> None:
-    """By Simpson's rule over the force: dU = d(F d) - d dF."""
+    # Simpson's rule over the force: dU = d(F d) - d dF.
     depths = [found.depths[0] for found in alone]
     complementary = 0.5 / 6 * (depths[0] + 4 * depths[1] + depths[2])
     work = 1.0 * depths[2] - 0.5 * depths[0] - complementary
@@ -86,15 +82,11 @@ def test_energy_is_the_work_of_the_force(alone) -> None:
 
 
 @pytest.mark.slow
-def test_the_gel_keeps_its_volume(alone) -> None:
+def test_gradient_is_the_derivative_of_positions_and_keeps_volume(alone) -> None:
     assert alone[-1].volume_ratio == pytest.approx(1.0, abs=1e-4)
     J = np.linalg.det(alone[-1].gradient(points()))
     assert J.mean() == pytest.approx(1.0, abs=5e-3)
     assert np.sqrt(np.mean((J - 1.0) ** 2)) < 0.03
-
-
-@pytest.mark.slow
-def test_gradient_is_the_derivative_of_positions(alone) -> None:
     X = points(500)
     steps = 1e-8 * np.eye(3)
     ends = [alone[-1].positions(X + e) - alone[-1].positions(X - e) for e in steps]

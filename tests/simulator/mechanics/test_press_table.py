@@ -34,23 +34,20 @@ def disc(dent, n=40):
 def test_between_tabulated_depths_dents_are_those_of_a_press(table) -> None:
     press = AxisymmetricPress(REFERENCE.stack(DESIGN), Cylinder(), finest=0.0075 / 20)
     for depth in (2e-4, 9e-4, 2.2e-3):
-        assert_alike(table.at_depth(depth), press.to_depth(depth))
+        dent, pressed = table.at_depth(depth), press.to_depth(depth)
+        assert dent.force == pytest.approx(pressed.force, rel=0.01)
+        assert dent.thinning == pytest.approx(pressed.thinning(1), rel=0.002)
+        in_gel = (pressed.z > 0.0035 - 1e-9) & (pressed.z < 0.0085 + 1e-9)
+        r, z = np.meshgrid(pressed.r, pressed.z[in_gel] - 0.0035, indexing="ij")
+        near = r < dent.reach
+        u = moved(dent, r[near], z[near])[:2].T
+        solved = pressed.displacement[:, in_gel][near]
+        assert u == pytest.approx(solved, abs=0.004 * np.abs(solved).max())
 
 
 def moved(dent, r, z):
     """u, w, du/dz, dw/dz, du/dr and dw/dr at places by themselves, (6, n)."""
     return dent.motion(r, z[:, None])[..., 0].T
-
-
-def assert_alike(dent, pressed) -> None:
-    assert dent.force == pytest.approx(pressed.force, rel=0.01)
-    assert dent.thinning == pytest.approx(pressed.thinning(1), rel=0.002)
-    in_gel = (pressed.z > 0.0035 - 1e-9) & (pressed.z < 0.0085 + 1e-9)
-    r, z = np.meshgrid(pressed.r, pressed.z[in_gel] - 0.0035, indexing="ij")
-    near = r < dent.reach
-    u = moved(dent, r[near], z[near])[:2].T
-    solved = pressed.displacement[:, in_gel][near]
-    assert u == pytest.approx(solved, abs=0.004 * np.abs(solved).max())
 
 
 def test_force_and_depth_are_each_others_inverse(table) -> None:

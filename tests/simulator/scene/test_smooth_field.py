@@ -13,7 +13,7 @@ BOX = Box((-0.01, 0.0, 0.001), (0.05, 0.03, 0.004))
 
 
 def polynomial(columns):
-    """Of degrees 3, 2 and 1 in x, y and z, two components, (2, h, n)."""
+    """Polynomials of degrees 3, 2 and 1 in x, y and z, two components, (2, h, n)."""
     x, y, z = (1e2 * columns[..., axis].T for axis in range(3))
     return np.stack([x**3 * y**2 * z - 2.0 * y, 1.0 + x * z])
 
@@ -43,9 +43,7 @@ def test_smooth_functions_converge_geometrically() -> None:
         errors.append(np.abs(SmoothField.of(wave, BOX, (degree, degree, 2))(at) - wave(at)).max())
     assert errors[1] < 0.05 * errors[0]
     assert errors[2] < 0.05 * errors[1]
-
-
-def test_distances_are_from_the_nearest_side() -> None:
+    # Outside, distances are from the nearest side.
     assert BOX.distance(0.02, 0.01) == 0.0
     assert BOX.distance(0.054, 0.033) == pytest.approx(0.005)
 

@@ -1,4 +1,4 @@
-"""What pictures of scenes show, against closed forms, and that they are drawn."""
+"""Pictures of scenes: their fields against closed forms, and that they are drawn."""
 
 import math
 import sys
@@ -134,7 +134,7 @@ def test_values_that_are_zero_by_symmetry_are_not_those_that_change_most() -> No
     assert most_changed(sim, Scene(touches=(Touch(0.05, 0.02),))) == (0, 4)
 
 
-# What is drawn
+# Drawing
 
 
 def test_values_of_cells_go_to_their_points() -> None:
@@ -191,7 +191,7 @@ def few_cells(monkeypatch) -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("few_cells")
-@pytest.mark.parametrize("colour", ["conductance", "strain", "current"])
+@pytest.mark.parametrize("colour", ["strain", "current"])
 def test_a_bent_pressed_sensor_is_drawn_whole(sim, colour, tmp_path) -> None:
     path = tmp_path / "scene.png"
     scene = Scene(Bend(40.0), (Touch(0.05, 0.02), Touch(0.12, 0.055, 5.0)), twist=Twist(15.0))

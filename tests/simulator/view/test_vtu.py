@@ -57,7 +57,7 @@ def close(said, known, part):
     return np.abs(said - known).max() <= part * np.abs(known).max()
 
 
-# What stands in the files
+# Content of the files
 
 
 def test_points_and_cells_are_those_of_the_deformed_mesh(sim, written) -> None:
