@@ -29,7 +29,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def data(folder) -> dict:
-    """Of few drops and a run that times each model once: times are not looked at here."""
+    """Results of few drops, each model timed once: times are not looked at here."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(accuracy, "judge", partial(judge, least_seconds=0.0))
         patch.setattr(accuracy_truth, "drops", partial(drops, count=3))

@@ -132,7 +132,7 @@ def pipeline(place, angle_deg):
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """What the command leaves behind for two seeds, and what it printed as JSON."""
+    """Folder that the command leaves behind for two seeds, with its JSON output."""
     out = tmp_path_factory.mktemp("paper")
     (out / "ours.eitmodel").mkdir()
     limits = {"indentation.error_mm": 0.5, "bend.angle_deg": 0.1}

@@ -46,7 +46,7 @@ def failing(error, **options):
     return Case("family", "name", solve, **options)
 
 
-# What counts as wrong
+# Outcomes of a case
 
 
 def test_a_number_within_its_limits_is_ok() -> None:
@@ -124,9 +124,7 @@ def test_an_interrupt_is_not_swallowed() -> None:
 # Closed forms
 
 
-@pytest.mark.parametrize(
-    ("ratio", "factor"), [(0.2, 1.281), (0.4, 1.684), (0.6, 2.213), (1.0, 3.619), (2.0, 9.15)]
-)
+@pytest.mark.parametrize(("ratio", "factor"), [(0.2, 1.281), (0.6, 2.213), (2.0, 9.15)])
 def test_punched_layer_is_hayes_and_on_a_thick_layer_a_half_space(ratio, factor) -> None:
     mu, nu = 1.0, 0.5
     half_space = 4.0 * mu * ratio / (1.0 - nu)

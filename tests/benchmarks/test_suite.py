@@ -1,6 +1,5 @@
 """`eitskin bench all`: what runs, what is kept, and what becomes of failures."""
 
-import importlib.util
 import json
 import signal
 from pathlib import Path
@@ -200,10 +199,3 @@ def test_studies_are_left_out_of_an_installed_wheel(tmp_path, monkeypatch):
     refused = CliRunner().invoke(app, layouts)
     assert isinstance(refused.exception, ConfigurationError)
     assert "in a checkout" in str(refused.exception)
-
-
-def test_each_study_of_the_suite_is_a_module():
-    assert suite.has_studies()
-    for each in ALL:
-        if each.folder:
-            assert importlib.util.find_spec(each.module), each.name

@@ -13,7 +13,7 @@ import pytest
 from command_line import printed_json, run
 
 from eitskin.config import parse_toml
-from eitskin.datasets import Recipe, TorchDataset, open_dataset, save_dataset
+from eitskin.datasets import Recipe, open_dataset, save_dataset
 from eitskin.datasets.generation.shard_simulation import simulate_shard
 from eitskin.datasets.store.shard import shard_bytes
 from eitskin.errors import ConfigurationError, DataError, PartialError
@@ -221,5 +221,4 @@ def test_an_imported_recording_is_opened_like_any_other_set(tmp_path):
     found = printed_json("dataset", "info", tmp_path / "set")
     assert (found["channels"], found["source"], found["electrodes"]) == (5, "measured", None)
     assert run("dataset", "verify", tmp_path / "set").exit_code == 0
-    item = TorchDataset(tmp_path / "set")[7]
-    assert np.allclose(item["impedance"].numpy(), values[7])
+    assert np.allclose(open_dataset(tmp_path / "set").impedance[7], values[7])

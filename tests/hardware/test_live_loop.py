@@ -11,49 +11,37 @@ from eitskin.hardware import open_board, run_live
 from live_fakes import FakeBoard, FakePipeline, FakeSimulator, frame
 
 
-class DamagedFrames(FakePipeline):
-    """Cannot use the frames with these numbers."""
+class Refusing(FakePipeline):
+    """Pipeline that raises an error for frames of given numbers."""
 
-    def __init__(self, damaged):
+    def __init__(self, error, refused):
         super().__init__()
-        self.damaged = damaged
+        self.error, self.refused = error, refused
 
     def process(self, frame):
-        if frame.number in self.damaged:
-            raise UnusableFrameError("all channels are open; check the cable")
+        if frame.number in self.refused:
+            raise self.error
         return super().process(frame)
 
 
 def test_damaged_frames_are_counted_and_come_with_the_reason():
+    error = UnusableFrameError("all channels are open; check the cable")
+    refused = {1, 2, *range(5, 39)}
     board = FakeBoard([frame(number) for number in range(40)])
-    readings = list(run_live(board, DamagedFrames({1, 2, *range(5, 39)}), newest=False))
+    readings = list(run_live(board, Refusing(error, refused), newest=False))
     assert not board.newest
     assert [reading.unusable for reading in readings[:6]] == [0, 1, 2, 2, 2, 3]
     for reading in readings:
-        damaged = reading.frame.number in {1, 2, *range(5, 39)}
+        damaged = reading.frame.number in refused
         assert (reading.estimate is None) == damaged == ("check the cable" in reading.problem)
 
 
-class Foreign(FakePipeline):
-    """Refuses frames from a number on, as of another sensor."""
-
-    def __init__(self, first):
-        super().__init__()
-        self.first = first
-
-    def process(self, frame):
-        if frame.number >= self.first:
-            raise FrameError("another sensor")
-        return super().process(frame)
-
-
 def test_another_sensor_ends_the_loop_unless_it_was_the_right_one_before():
-    board = FakeBoard([frame(number) for number in range(4)])
+    error, board = FrameError("another sensor"), FakeBoard([frame(number) for number in range(4)])
     with pytest.raises(FrameError, match="another sensor"):
-        list(run_live(board, Foreign(0)))
-    assert [reading.problem for reading in run_live(board, Foreign(2))] == ["", ""] + [
-        "another sensor"
-    ] * 2
+        list(run_live(board, Refusing(error, {0})))
+    readings = run_live(board, Refusing(error, {2, 3}))
+    assert [reading.problem for reading in readings] == ["", "", *["another sensor"] * 2]
 
 
 def test_every_frame_comes_with_its_estimate_latency_and_rate():

@@ -1,4 +1,4 @@
-"""What the live page draws: the bent and pressed sensor, and changes of its channels."""
+"""Pictures of the live page: the bent and pressed sensor, and changes of its channels."""
 
 import base64
 import struct

@@ -294,15 +294,6 @@ def test_an_impossible_scene_is_refused_where_it_is_set_and_the_board_goes_on():
         assert board.stage.scene == Scene()
 
 
-def test_a_script_begins_when_it_is_played():
-    board = firmware()
-    for _ in range(7):
-        board.frame()
-    board.stage.play(lambda number: Scene(bend=Bend(float(number))))
-    assert board.stage.measured(board.stage.frames) is not None
-    assert board.stage.scene.bend.angle_deg == 0.0
-
-
 def test_faults_that_are_injected_strike_at_once_and_are_named():
     board, port = connected(firmware())
     frames = board.frames()
