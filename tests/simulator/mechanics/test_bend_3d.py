@@ -1,4 +1,4 @@
-"""The 3D bend against beam and plate theory, symmetry, conserved volume and rigid limits."""
+"""The 3D bend against theory, symmetry, conserved volume and rigid limits, and its table."""
 
 import math
 
@@ -11,11 +11,20 @@ from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import Mechanics, Simulator
 from eitskin.simulator.mechanics.bend_3d import ClampedStack
+from eitskin.simulator.mechanics.bend_table import BendTable
 from eitskin.simulator.mechanics.load_stepping import SolidError
 from eitskin.simulator.mechanics.materials import NeoHookean
 from eitskin.simulator.mechanics.quadratic_field import QuadraticField
 
-from clamped_stack import COARSE, plain
+COARSE = Grading(finest=4e-3, coarsest=8e-3, growth=0.5)
+
+
+def plain(length, width, thickness):
+    """A sensor without encapsulation and its material, so that theory has one modulus."""
+    outline = Rectangle(length, width)
+    design = SensorDesign(outline, thickness, uniform(outline, 4), encapsulated_thickness=thickness)
+    rubber = NeoHookean(20e3)
+    return design, Mechanics(rubber, rubber, margin=0.0)
 
 
 @pytest.fixture(scope="module")
@@ -132,16 +141,6 @@ def test_a_wide_plate_bends_in_plane_strain_by_rivlins_flexure() -> None:
     assert C[:, 2, 2] * C[:, 0, 0] == pytest.approx(1.0, abs=0.012)
 
 
-def test_energy_is_the_work_of_the_moments() -> None:
-    """By Simpson's rule over the angle."""
-    design, stack = plain(0.100, 0.020, 0.010)
-    clamped = ClampedStack(design, Hinge(0.040), stack, COARSE, inside=0.010)
-    found = list(clamped.equilibria([10.0, 20.0, 30.0, 40.0]))
-    moments = np.array([0.0, *(b.moment for b in found)])
-    work = moments @ np.array([1, 4, 2, 4, 1]) / 3 * math.radians(10.0)
-    assert found[-1].energy == pytest.approx(work, rel=1e-3)
-
-
 def test_the_bend_signal_is_near_that_of_the_kinematic_model(bent) -> None:
     """Near where the width contracts as in the 3D model, and far where it does not."""
     sim = Simulator(SensorDesign.reference(), "fast")
@@ -178,3 +177,59 @@ def test_a_bend_too_far_says_how_far_it_got() -> None:
     with pytest.raises(SolidError, match=r"\d+\.\d deg of 300 deg") as refusal:
         list(clamped.equilibria([20.0, 300.0]))
     assert 0.0 < refusal.value.reached < 1.0
+
+
+# Bends between the solved ones
+
+INSIDE = np.random.default_rng(1).uniform([0.025, 0.0, 0.0], [0.075, 0.020, 0.010], (500, 3))
+
+
+@pytest.fixture(scope="module")
+def stack():
+    design, materials = plain(0.100, 0.020, 0.010)
+    return ClampedStack(design, Hinge(0.040), materials, COARSE, inside=0.010)
+
+
+@pytest.fixture(scope="module")
+def table(stack):
+    return BendTable.of(stack, [-20.0, -10.0, 0.0, 10.0, 20.0, 30.0, 40.0])
+
+
+@pytest.mark.parametrize("angle", [-15.0, 5.0, 25.0])
+def test_bends_between_the_solved_ones(stack, table, angle) -> None:
+    (direct,) = stack.equilibria([angle])
+    between = table.at(angle)
+    assert between.positions(INSIDE) == pytest.approx(direct.positions(INSIDE), abs=5e-6)
+    size = np.abs(direct.gradient(INSIDE) - np.eye(3)).max()
+    assert between.gradient(INSIDE) == pytest.approx(direct.gradient(INSIDE), abs=5e-3 * size)
+    assert between.energy == pytest.approx(direct.energy, rel=5e-3)
+    assert between.moment == pytest.approx(direct.moment, rel=2e-2)
+    # Outside what was solved the arms turn by exactly the angle asked for.
+    end = between.gradient(np.array([0.095, 0.010, 0.005]))
+    assert end[0, 0] == pytest.approx(math.cos(math.radians(angle / 2)), abs=1e-12)
+
+
+def test_solved_bends_and_the_flat_one_are_met(table) -> None:
+    for bent in table.solved:
+        assert table.at(bent.angle_deg).positions(INSIDE) == pytest.approx(
+            bent.positions(INSIDE), abs=1e-12
+        )
+    assert table.at(0.0).positions(INSIDE) == pytest.approx(INSIDE, abs=1e-12)
+    assert [bent.angle_deg for bent in table.solved] == [-20, -10, 0, 10, 20, 30, 40]
+
+
+def test_energy_is_the_work_of_the_moments(table) -> None:
+    """By Simpson's rule over the angle."""
+    bends = table.solved[2:]
+    assert [bent.angle_deg for bent in bends] == [0, 10, 20, 30, 40]
+    moments = np.array([bent.moment for bent in bends])
+    work = moments @ np.array([1, 4, 2, 4, 1]) / 3 * math.radians(10.0)
+    assert bends[-1].energy == pytest.approx(work, rel=1e-3)
+
+
+def test_angles_outside_the_table_are_refused(stack, table) -> None:
+    for angle in (40.1, math.nan):
+        with pytest.raises(ConfigurationError, match="from -20 to 40 deg"):
+            table.at(angle)
+    with pytest.raises(ConfigurationError, match="four angles"):
+        BendTable.of(stack, [10.0, 20.0, 30.0, 40.0])
