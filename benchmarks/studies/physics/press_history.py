@@ -1,6 +1,5 @@
-"""Presses that change in time: histories of force or depth, and memories that go on."""
+"""Viscoelastic memory of presses whose force changes in time: whole histories, frame by frame."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,9 +10,6 @@ from eitskin.errors import ConfigurationError
 from eitskin.simulator.mechanics.viscoelasticity import Prony, check_not_negative, mean_decay
 
 Array = NDArray[np.float64]
-
-_ROUNDS = 40  # of halving the segments of a depth history
-_QUARTERS = np.array([0.25, 0.5, 0.75])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,7 +25,7 @@ class ForceHistory:
     forces: Array
 
     def __post_init__(self) -> None:
-        _check_samples(self.times, self.forces, "forces in N")
+        _check_samples(self.times, self.forces)
 
     def elastic_force(self, prony: Prony, t: ArrayLike) -> Array:
         """The force [N] that would make at once the dent there is at each t [s], after jumps.
@@ -40,73 +36,6 @@ class ForceHistory:
         at = _moments(t)
         delayed = _delayed(retardation, self.times, self.forces, at)
         return np.asarray(_now(self.times, self.forces, at) + np.tensordot(j, delayed, axes=1))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class DepthHistory:
-    """A depth that changes linearly between given times: none before, the last one for ever.
-
-    Attributes:
-        times: never falling, (n,) [s]; the depth jumps where two are equal.
-        depths: (n,) [m].
-    """
-
-    times: Array
-    depths: Array
-
-    def __post_init__(self) -> None:
-        _check_samples(self.times, self.depths, "depths in m")
-
-    def force(
-        self,
-        prony: Prony,
-        elastic: Callable[[Array], Array],
-        t: ArrayLike,
-        tolerance: float = 1e-6,
-    ) -> Array:
-        """The force measured at each t [s], after jumps [N].
-
-        Args:
-            prony: how the body relaxes.
-            elastic: F_e at depths [m], rising from 0 at depth 0 [N].
-            t: when.
-            tolerance: error over the largest F_e; segments are halved until F_e is linear in time
-                within it.
-
-        Where an indenter is raised faster than the dent comes back, contact is lost and the force
-        is 0; the dent that it leaves is that of a `ForceHistory` of the forces returned here. If
-        it comes back before the dent is gone, contact is found too early: as if the face had
-        been pulled along.
-        """
-        g, at = np.array(prony.amplitudes), _moments(t)
-        delayed = _delayed(np.array(prony.times), *self._linear_pieces(elastic, tolerance), at)
-        # The instantaneous part is F_e itself; the delayed part, an average of its straight pieces.
-        at_once = elastic(_now(self.times, self.depths, at))
-        return np.maximum(at_once - np.tensordot(g, delayed, axes=1), 0.0)
-
-    def _linear_pieces(
-        self, elastic: Callable[[Array], Array], tolerance: float
-    ) -> tuple[Array, Array]:
-        """Times and F_e there, as many as straight lines between them need."""
-        times, depths = self.times, self.depths
-        forces = elastic(depths)
-        for _ in range(_ROUNDS):
-            between = depths[:-1, None] + np.diff(depths)[:, None] * _QUARTERS
-            straight = forces[:-1, None] + np.diff(forces)[:, None] * _QUARTERS
-            error = np.abs(elastic(between) - straight).max(axis=1, initial=0.0)
-            bent = np.flatnonzero(error > tolerance * np.abs(forces).max())
-            if not (np.all(np.isfinite(forces)) and np.all(np.isfinite(error))):
-                break
-            if len(bent) == 0:
-                return times, forces
-            depths = np.insert(depths, bent + 1, between[bent, 1])
-            times = np.insert(times, bent + 1, 0.5 * (times[bent] + times[bent + 1]))
-            forces = elastic(depths)
-        raise ConfigurationError(
-            "the elastic force must be a finite, continuous function of the depths asked for, "
-            f"{self.depths.min():g} to {self.depths.max():g} m: halving a segment {_ROUNDS} times "
-            f"did not make it straight within {tolerance:g} of its largest value"
-        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -182,13 +111,13 @@ def _moments(t: ArrayLike) -> Array:
     return at
 
 
-def _check_samples(times: Array, values: Array, what: str) -> None:
-    if np.ndim(times) != 1 or np.shape(times) != np.shape(values) or len(times) == 0:
+def _check_samples(times: Array, forces: Array) -> None:
+    if np.ndim(times) != 1 or np.shape(times) != np.shape(forces) or len(times) == 0:
         raise ConfigurationError(
-            f"a history needs as many {what} as times, one or more, got shapes "
-            f"{np.shape(values)} and {np.shape(times)}"
+            "a history needs as many forces in N as times, one or more, got shapes "
+            f"{np.shape(forces)} and {np.shape(times)}"
         )
     if not (np.all(np.isfinite(times)) and np.all(np.diff(times) >= 0.0)):
         raise ConfigurationError("the times of a history must be finite, in s, and never fall")
-    if not np.all(np.isfinite(values) & (np.asarray(values) >= 0.0)):
-        raise ConfigurationError(f"a history needs {what} that are finite and not negative")
+    if not np.all(np.isfinite(forces) & (np.asarray(forces) >= 0.0)):
+        raise ConfigurationError("a history needs forces in N that are finite and not negative")
