@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from scipy.special import ellipj, ellipk, ellipkm1
 
 Array = NDArray[np.float64]
+Place = tuple[float, float]
 
 
 def block(length: float, area: float, conductivity: float, *contact: complex) -> complex:
@@ -25,39 +26,55 @@ def sector(angle: float, height: float, width: float, stretch: float, length: fl
     return float(abs(angle) / (width * log_ratio))
 
 
-def shunt_pair(a: float, b: float, spans: Sequence[tuple[float, float]]) -> float:
+def shunt_resistance(m: float, rest: float) -> float:
+    """Resistance times sheet conductance, K(1-m) / K(m), of a half-plane with shunt electrodes.
+
+    m is the cross-ratio (a1 - a2) (b1 - b2) / ((a1 - b1) (a2 - b2)) of the ends a1, a2 of one
+    electrode and b1, b2 of the other, in turn; `rest` is 1 - m. The half-plane is then a
+    rectangle K(1-m) long and K(m) wide.
+    """
+    return float(ellipkm1(m) / ellipkm1(rest))
+
+
+def shunt_pair(a: float, b: float, edges: Sequence[Place]) -> float:
     """Resistance times sheet conductance of a rectangle a x b between two shunt electrodes.
 
-    K(1 - m) / K(m), with m the cross-ratio of the images of the electrodes' ends on the real
-    line, to which sn takes the rim of the rectangle (Schwarz and Christoffel). `spans` are arc
-    lengths from the origin, counter-clockwise [m].
+    `edges` are the ends (x, y) of the first and of the second electrode, in turn round the rim;
+    a, b and `edges` share one unit. sn maps the rectangle to the upper half-plane
+    (Schwarz-Christoffel).
     """
-    p, q, r, s = (_on_real_line(a, b, end % (2 * (a + b))) for span in spans for end in span)
-
-    def minor(v: Array, w: Array) -> float:
-        return float(v[0] * w[1] - v[1] * w[0])
-
-    whole = minor(p, r) * minor(q, s)
-    m, rest = minor(p, q) * minor(r, s) / whole, minor(p, s) * minor(q, r) / whole
-    return float(ellipkm1(abs(m)) / ellipkm1(abs(rest)))
+    p = [_on_real_line(a, b, place) for place in edges]
+    whole = _minor(p[0], p[2]) * _minor(p[1], p[3])
+    m = abs(_minor(p[0], p[1]) * _minor(p[2], p[3]) / whole)
+    rest = abs(_minor(p[0], p[3]) * _minor(p[1], p[2]) / whole)
+    return shunt_resistance(m, rest)
 
 
-def _on_real_line(a: float, b: float, s: float) -> Array:
-    """Image under sn of the point at arc length s of the rim, as numerator and denominator.
+def _minor(p: Place, q: Place) -> float:
+    return p[0] * q[1] - p[1] * q[0]
 
-    The rectangle is |Re| < K, 0 < Im < K', with K' / K = 2 b / a; the nome is exp(-pi K' / K).
+
+def _on_real_line(a: float, b: float, place: Place) -> Place:
+    """Image under sn of a point of the rim, as numerator and denominator.
+
+    With K'/K = 2 b/a the rectangle is |x| < K, 0 < y < K'. The nome q = exp(-pi K'/K) gives
+    sqrt(k) = theta_2 / theta_3.
     """
-    n = np.arange(30)
-    nome = np.exp(-2.0 * np.pi * b / a)
-    k = (2 * (nome ** ((n + 0.5) ** 2)).sum() / (1 + 2 * (nome ** ((n + 1.0) ** 2)).sum())) ** 2
+    if a > b:  # a small nome loses no digits
+        return _on_real_line(b, a, (place[1], a - place[0]))
+    n = np.arange(20)
+    nome = np.exp(-2 * np.pi * b / a)
+    theta_2 = 2 * (nome ** ((n + 0.5) ** 2)).sum()
+    theta_3 = 1 + 2 * (nome ** ((n + 1.0) ** 2)).sum()
+    k = (theta_2 / theta_3) ** 2
     K = ellipk(k**2)
-    if s <= a:  # sn(x)
-        return np.array([ellipj((2 * s / a - 1) * K, k**2)[0], 1.0])
-    if s <= a + b:  # sn(K + i y) = 1 / dn(y, 1 - m)
-        return np.array([1.0, ellipj(2 * (s - a) / a * K, 1 - k**2)[2]])
-    if s <= 2 * a + b:  # sn(x + i K') = 1 / (k sn x)
-        return np.array([1.0, k * ellipj((2 * (2 * a + b - s) / a - 1) * K, k**2)[0]])
-    return np.array([-1.0, ellipj(2 * (2 * (a + b) - s) / a * K, 1 - k**2)[2]])
+    x, y = (2 * place[0] / a - 1) * K, 2 * place[1] / a * K
+    sn = ellipj(x, k**2)[0]
+    if np.isclose(place[1], 0.0):
+        return sn, 1.0
+    if np.isclose(place[1], b):
+        return 1.0, k * sn  # sn(x + i K') = 1 / (k sn x)
+    return float(np.sign(x)), ellipj(y, 1 - k**2)[2]  # sn(K + i y) = 1 / dn(y, 1 - m)
 
 
 def punched_layer(radius: float, thickness: float, nu: float) -> float:

@@ -49,7 +49,8 @@ def electrodes(quick: bool) -> Iterator[Case]:
         yield Case("electrodes", name, partial(_unknown, spans), "refused", says)
 
 
-def _pair(spans: Spans, z: complex) -> SensorDesign:
+def pair(spans: Spans, z: complex) -> SensorDesign:
+    """Block with two electrodes of contact impedance z [ohm m2] over spans of its rim [m]."""
     places = [OUTLINE.at(0.5 * (a + b)).tolist() for a, b in spans]
     widths = [b - a for a, b in spans]
     electrodes = (Electrode(x, y, w, z) for (x, y), w in zip(places, widths, strict=True))
@@ -57,18 +58,18 @@ def _pair(spans: Spans, z: complex) -> SensorDesign:
 
 
 def _shunt(spans: Spans, cells: CellKind = "hexahedra") -> CaseValues:
-    exact = shunt_pair(L, W, spans) / H
+    exact = shunt_pair(L, W, OUTLINE.at(np.ravel(spans)).tolist()) / H
     finest = np.diff(np.ravel(spans)).min()
     share, growth = (1e-2, 1.0) if cells == "prisms" else (1e-3, 1.5)
     fine = Grading(share * finest, 2e-2, growth)
     return solved(
-        _pair(spans, 1e-10), ((4,), fine), lambda R, _: apart(R, np.array([exact])), cells=cells
+        pair(spans, 1e-10), ((4,), fine), lambda R, _: apart(R, np.array([exact])), cells=cells
     )
 
 
 def _unknown(spans: Spans) -> CaseValues:
     """Pair of electrodes without a closed form: only the invariants hold."""
-    return solved(_pair(spans, 1e-3), ((4,), Grading(1e-6, 2e-2, 1.5)))
+    return solved(pair(spans, 1e-3), ((4,), Grading(1e-6, 2e-2, 1.5)))
 
 
 def cells(quick: bool) -> Iterator[Case]:

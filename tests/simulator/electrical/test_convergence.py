@@ -9,6 +9,7 @@ order p.
 import numpy as np
 import pytest
 
+from eitskin.benchmarks.stability.closed_forms import block
 from eitskin.geometry import Electrode, Mesh, Rectangle, SensorDesign, structured_mesh
 from eitskin.geometry.deformation.kinematics import area_ratio, pulled_back
 from eitskin.geometry.design.patches import electrode_contacts
@@ -16,13 +17,12 @@ from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import ForwardModel, Protocol
 from eitskin.simulator.electrical import forward_model as forward
 
-import closed_forms
 from contacts import with_contacts
 from cut_blocks import AS_TETRAHEDRA, AS_WEDGES
 
 SIZE = np.array([0.04, 0.02, 0.01])
 CONTACT = 1e-3
-EXACT = closed_forms.block(SIZE[0], SIZE[1] * SIZE[2], 1.0, CONTACT, CONTACT)
+EXACT = block(SIZE[0], SIZE[1] * SIZE[2], 1.0, CONTACT, CONTACT)
 BLOCK = SensorDesign(
     Rectangle(*SIZE[:2]),
     SIZE[2],

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from eitskin.benchmarks.stability.closed_forms import shunt_resistance
 from eitskin.geometry import Disc, Electrode, Polygon, SensorDesign
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import ForwardModel, Protocol
@@ -36,7 +37,7 @@ def opposite(Z) -> complex:
 def test_integral_equation_meets_the_shunt_limit() -> None:
     """z -> 0 is K(1-m) / K(m) too: the disc is a half-plane, m the cross-ratio of four chords."""
     m = np.sin(0.5) ** 2
-    exact = closed_forms.shunt_resistance(m, 1 - m)
+    exact = shunt_resistance(m, 1 - m)
     Z = closed_forms.disc_impedance([0, np.pi], 1.0, 1e-14)
     assert opposite(Z) == pytest.approx(exact, rel=1e-10)
 

@@ -1,24 +1,19 @@
-"""Sizes, contrasts and contact impedances at the ends of what sensors can have."""
+"""Sizes, contrasts and contact impedances at the ends of their ranges, against closed forms."""
 
 import dataclasses
 
 import numpy as np
 import pytest
 
-from eitskin.geometry import Electrode, Layer, Rectangle, SensorDesign
+from eitskin.benchmarks.stability.closed_forms import block, shunt_pair
+from eitskin.benchmarks.stability.electrical import OUTLINE
+from eitskin.benchmarks.stability.electrical import H as THICKNESS
+from eitskin.benchmarks.stability.places import SPANS, pair
+from eitskin.geometry import Electrode, Layer, SensorDesign
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import ForwardModel, Protocol
 
-import closed_forms
 from contacts import with_contacts
-
-OUTLINE = Rectangle(0.15, 0.06)
-THICKNESS = 0.005
-
-
-def between(start, end, z=1e-9):
-    """An electrode from arc length `start` to `end` of the outline, also round corners."""
-    return Electrode(*OUTLINE.at((start + end) / 2).tolist(), end - start, z)
 
 
 def resistance(design, order=(4,), finest=1e-6, growth=1.5, cells=None) -> complex:
@@ -29,14 +24,6 @@ def resistance(design, order=(4,), finest=1e-6, growth=1.5, cells=None) -> compl
 
 # Electrodes: tiny, huge, round corners
 
-SPANS = {
-    "1 um": ((0.03, 0.030001), (0.09, 0.090001)),
-    "10 um and 5 mm": ((0.03, 0.03001), (0.09, 0.095)),
-    "10 um apart": ((0.03, 0.035), (0.03501, 0.04)),
-    "all of the rim but 10 um twice": ((0.0, 0.21), (0.21001, 0.41999)),
-    "round one corner": ((0.14, 0.16), (0.3, 0.305)),
-    "round two corners, and the first": ((0.14, 0.22), (0.41, 0.43)),
-}
 CASES = [
     *((name, None) for name in SPANS),
     *((name, "prisms") for name in ("10 um and 5 mm", "round one corner")),
@@ -45,14 +32,11 @@ CASES = [
 
 @pytest.mark.parametrize(("name", "cells"), CASES)
 def test_shunt_electrodes_of_any_size(name, cells) -> None:
-    spans = SPANS[name]
-    ends = OUTLINE.at(np.array(spans)).reshape(4, 2).tolist()
-    exact = closed_forms.shunt_pair(OUTLINE.length, OUTLINE.width, ends)
-    design = SensorDesign(OUTLINE, THICKNESS, tuple(between(*span, 1e-10) for span in spans))
+    ends = np.ravel(SPANS[name])
+    exact = shunt_pair(OUTLINE.length, OUTLINE.width, OUTLINE.at(ends).tolist())
     finest, growth, close = (1e-2, 1.0, 2e-4) if cells else (1e-3, 1.5, 1e-4)
-    R = resistance(
-        design, finest=finest * np.diff(np.ravel(spans)).min(), growth=growth, cells=cells
-    )
+    finest *= np.diff(ends).min()
+    R = resistance(pair(SPANS[name], 1e-10), finest=finest, growth=growth, cells=cells)
     assert R * THICKNESS == pytest.approx(exact, rel=close)
 
 
@@ -91,7 +75,7 @@ def test_layers_in_parallel(ratio, thin) -> None:
     low, high = (
         1
         / sum(
-            1 / closed_forms.block(0.15, share * area, sigma, *contacts)
+            1 / block(0.15, share * area, sigma, *contacts)
             for share, sigma in ((1 - thin, 1.0), (thin, ratio))
         )
         for contacts in ((), (z, z))
