@@ -98,16 +98,10 @@ def test_touch_maps_are_discs_of_the_right_area_and_place():
     assert (maps[0] * rows).sum() / maps[0].sum() == pytest.approx(0.02 / pixel - 0.5, abs=0.05)
 
 
-def test_overlapping_discs_stay_at_one():
-    maps = touch_maps([[0.05, 0.052]], [[0.02, 0.02]], [[0.0075, 0.0075]])
-    assert maps.max() == 1.0
-
-
-def test_untouched_frames_have_empty_maps():
+def test_touch_maps_at_their_limits():
+    """Overlapping discs stay at one, no touches are empty, and radii are needed."""
+    assert touch_maps([[0.05, 0.052]], [[0.02, 0.02]], [[0.0075, 0.0075]]).max() == 1.0
     assert not touch_maps(*np.full((3, 2, 4), np.nan)).any()
-
-
-def test_touch_maps_need_radii():
     with pytest.raises(DataError, match="radius"):
         touch_maps([[0.05]], [[0.02]], [[np.nan]])
 
@@ -151,26 +145,18 @@ def test_recording_keeps_what_came_before_an_error(tmp_path):
     assert len(open_dataset(tmp_path / "run")) == 5
 
 
-def test_recording_keeps_numbers_and_says_what_was_lost(tmp_path):
-    numbers = [4, 5, 9, 2**32 - 1]
+def test_recording_keeps_numbers_and_marks_values_that_are_not_finite(tmp_path):
+    numbers, bad = [4, 5, 9, 2**32 - 1], (np.nan, complex(np.inf, 1.0), 7.0, 8.0)
     with ShardWriter(tmp_path / "run", frames_per_shard=3) as writer:
-        for frame, number in zip(frames(4), numbers, strict=True):
-            writer.append(dataclasses.replace(frame, number=number))
-    data = open_dataset(tmp_path / "run")
-    assert data.number.tolist() == numbers
-    assert [data.frame(i).number for i in range(4)] == numbers
-
-
-def test_values_that_are_not_finite_come_back_as_nan_and_marked(tmp_path):
-    with ShardWriter(tmp_path / "run") as writer:
-        for frame, bad in zip(frames(3), (np.nan, complex(np.inf, 1.0), 7.0), strict=True):
+        for frame, number, value in zip(frames(4), numbers, bad, strict=True):
             values = frame.impedance.copy()
-            values[2] = bad
-            writer.append(dataclasses.replace(frame, impedance=values))
+            values[2] = value
+            writer.append(dataclasses.replace(frame, impedance=values, number=number))
     data = open_dataset(tmp_path / "run")
+    assert data.number.tolist() == [data.frame(i).number for i in range(4)] == numbers
     assert np.isfinite(data.impedance).all()
     assert np.isnan([data.frame(i).impedance[2] for i in range(3)]).tolist() == [True, True, False]
-    assert data.status[:, 2].tolist() == [Status.NOT_FINITE, Status.NOT_FINITE, 0]
+    assert data.status[:, 2].tolist() == [Status.NOT_FINITE, Status.NOT_FINITE, 0, 0]
     assert data.reference[0, 2] == 7.0  # of the first frame that is whole
 
 

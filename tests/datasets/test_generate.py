@@ -10,7 +10,7 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 from eitskin.config import parse_toml
-from eitskin.datasets import Recipe, State, generate, open_dataset, read_shard
+from eitskin.datasets import Recipe, State, generate, open_dataset
 from eitskin.datasets.generation import process_pool as processes
 from eitskin.datasets.generation.shard_simulation import simulate_shard
 from eitskin.datasets.recipe.frame_sampling import sample, specimen
@@ -247,14 +247,6 @@ def test_equal_scenes_are_solved_once(monkeypatch):
     assert {scene.bend for scene in measured} == {Bend(0.0), Bend(20.0)}
     idle = data.impedance[data.state == State.IDLE]
     assert len(np.unique(idle[:, 0])) == 50  # each with its own noise
-
-
-def test_shard_is_a_function_of_recipe_and_number(whole):
-    data = read_shard(whole / shard_name(2), first_index=8)
-    again = simulate_shard(RECIPE, 2)
-    assert np.array_equal(data.impedance, again.impedance)
-    assert np.array_equal(data.touch_reference, again.touch_reference)
-    assert np.array_equal(data.touch_x, again.touch_x, equal_nan=True)
 
 
 SCRIPT = """

@@ -29,14 +29,35 @@ def write(tmp_path, text):
     return path
 
 
-@pytest.mark.parametrize("name", shipped_names())
-def test_shipped_recipes_are_the_same_after_writing_and_reading(name, tmp_path):
-    recipe = Recipe.shipped(name)
-    assert recipe.name == name
+EPISODES = dataclasses.replace(
+    MIXED,
+    episodes=(
+        ScriptedEpisode(
+            (Keyframe(0.0), Keyframe(3.0, 20.0, (EpisodeTouch(0.05, 0.03),)), Keyframe(5.0))
+        ),
+        RandomEpisodes(2, 9, angle_deg=(0.0, 30.0), relaxation=False),
+    ),
+    mechanics=Mechanics(gel=Ogden(15e3, 2.0), margin=0.004),
+    instrument=Instrument.ad5940(),
+)
+AWKWARD = dataclasses.replace(
+    MIXED,
+    description='quotes " and \\ and\nlines and ü and \x7f',
+    specimens=Specimens(3, conductivity=0.05),
+    hinge=Hinge(span=0.05, offset=0.007),
+    instrument=Instrument(60.0),
+)
+
+
+@pytest.mark.parametrize(
+    "recipe", [*map(Recipe.shipped, shipped_names()), EPISODES, AWKWARD], ids=lambda each: each.name
+)
+def test_recipes_are_the_same_after_writing_and_reading(recipe, tmp_path):
     assert Recipe.from_toml(write(tmp_path, recipe.to_toml())) == recipe
 
 
 def test_paper_recipes_hold_the_numbers_of_the_paper():
+    assert all(Recipe.shipped(name).name == name for name in shipped_names())
     states = Recipe.shipped("paper_states")
     assert [(g.state, g.frames) for g in states.scenes] == [
         ("idle", 360),
@@ -92,19 +113,6 @@ def test_episodes_are_not_cut():
     assert joined == list(range(160))
 
 
-def test_recipe_of_episodes_survives_writing(tmp_path):
-    script = ScriptedEpisode(
-        (Keyframe(0.0), Keyframe(3.0, 20.0, (EpisodeTouch(0.05, 0.03),)), Keyframe(5.0))
-    )
-    recipe = dataclasses.replace(
-        MIXED,
-        episodes=(script, RandomEpisodes(2, 9, angle_deg=(0.0, 30.0), relaxation=False)),
-        mechanics=Mechanics(gel=Ogden(15e3, 2.0), margin=0.004),
-        instrument=Instrument.ad5940(),
-    )
-    assert Recipe.from_toml(write(tmp_path, recipe.to_toml())) == recipe
-
-
 def test_a_board_may_be_named(tmp_path):
     board = '[instrument]\nboard = "ad5940"\nsnr_db = 80\n'
     text = f'name = "a"\n{board}[[scenes]]\nstate = "idle"\ncount = 1\n'
@@ -115,17 +123,6 @@ def test_a_board_may_be_named(tmp_path):
 def test_unknown_shipped_name_lists_those_that_exist():
     with pytest.raises(ConfigurationError, match=r"'quik'.*paper_states, paper_touch, quick"):
         Recipe.shipped("quik")
-
-
-def test_recipe_with_awkward_text_and_specimens_survives_writing(tmp_path):
-    recipe = dataclasses.replace(
-        MIXED,
-        description='quotes " and \\ and\nlines and ü and \x7f',
-        specimens=Specimens(3, conductivity=0.05),
-        hinge=Hinge(span=0.05, offset=0.007),
-        instrument=Instrument(60.0),
-    )
-    assert Recipe.from_toml(write(tmp_path, recipe.to_toml())) == recipe
 
 
 def test_sensor_may_be_a_file_beside_the_recipe(tmp_path):
@@ -195,17 +192,18 @@ def test_all_contradictions_are_listed_at_once():
         assert expected in message
 
 
-def test_misspelt_key_is_refused_with_the_nearest(tmp_path):
-    text = 'name = "a"\n[[scenes]]\nstate = "idle"\ncuont = 1\n'
-    with pytest.raises(ConfigurationError, match=r"'cuont';.*'count'"):
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('name = "a"\n[[scenes]]\nstate = "idle"\ncuont = 1\n', r"'cuont';.*'count'"),
+        ("name = ", "recipe"),
+    ],
+)
+def test_misspelt_keys_and_broken_and_missing_files_are_refused(tmp_path, text, message):
+    with pytest.raises(ConfigurationError, match="recipe"):
+        Recipe.from_toml(tmp_path / "recipe.toml")
+    with pytest.raises(ConfigurationError, match=message):
         Recipe.from_toml(write(tmp_path, text))
-
-
-def test_missing_and_broken_files_are_refused(tmp_path):
-    with pytest.raises(ConfigurationError, match="recipe"):
-        Recipe.from_toml(tmp_path / "none.toml")
-    with pytest.raises(ConfigurationError, match="recipe"):
-        Recipe.from_toml(write(tmp_path, "name = "))
 
 
 def test_a_surface_can_be_no_sensor_of_a_recipe(tmp_path):

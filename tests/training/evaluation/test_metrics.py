@@ -7,7 +7,6 @@ from eitskin.training.evaluation.metrics import (
     confusion,
     consistency,
     determination,
-    percentiles,
     root_mean_square,
     similarity,
 )
@@ -33,10 +32,6 @@ def test_angles():
 def test_confusion_has_the_truth_in_rows():
     counts = confusion([0, 0, 1, 2, 2], [0, 1, 1, 0, 2])
     assert counts.tolist() == [[1, 1, 0], [0, 1, 0], [1, 0, 1]]
-
-
-def test_percentiles():
-    assert percentiles(list(range(101))) == (50.0, 99.0)
 
 
 def test_consistency_compares_errors_with_what_was_stated():

@@ -38,13 +38,17 @@ class Told:
     def perceive(self, observations):
         if len(observations) == len(self.says.touches):
             return self.says
-        return dataclasses.replace(
-            self.says,
-            **{
-                field.name: getattr(self.says, field.name)[: len(observations)]
-                for field in dataclasses.fields(self.says)
-            },
-        )
+        return chosen(self.says, range(len(observations)))
+
+
+def chosen(said, order):
+    """Predictions of some frames, in an order."""
+    taken = {}
+    for each in dataclasses.fields(said):
+        values = getattr(said, each.name)
+        plain = isinstance(values, tuple)
+        taken[each.name] = tuple(values[i] for i in order) if plain else values[list(order)]
+    return Predictions(**taken)
 
 
 # State, angle and places [mm]; what is said: angle, its deviation, places, forces, deviations.
@@ -169,19 +173,10 @@ def test_touches(evaluation):
 
 def test_spread_of_errors():
     """Ten touches 0.1, 0.4, 0.9 ... 10 mm off."""
-    chosen = np.full(10, 4)
+    ten = [4] * 10
     places = tuple(FoundTouches.of([(0.030 + 1e-4 * k**2, 0.030)], [1.0]) for k in range(1, 11))
-    told = perceived()
-    says = dataclasses.replace(
-        told,
-        **{
-            name: getattr(told, name)[chosen]
-            for name in ("probabilities", "bend_angle_deg", "bend_deviation_deg", "touch_map")
-        },
-        touches=places,
-        problems=((),) * 10,
-    )
-    report = Evaluation.of(pipeline(says), frames().select(chosen)).report
+    says = dataclasses.replace(chosen(perceived(), ten), touches=places)
+    report = Evaluation.of(pipeline(says), frames().select(ten)).report
     score = report.touches["1"]
     assert score.mean_error_mm == pytest.approx(3.85, rel=1e-4)
     assert score.median_error_mm == pytest.approx(3.05, rel=1e-4)
@@ -238,16 +233,8 @@ def test_folder_holds_what_there_is_to_show_and_says_what_not(evaluation, tmp_pa
 
 @pytest.mark.slow
 def test_episodes_and_several_touches_near_30_deg_have_pictures(tmp_path):
-    told, order = perceived(), np.tile(np.arange(len(FRAMES)), 4)
-    says = dataclasses.replace(
-        told,
-        **{
-            name: getattr(told, name)[order]
-            for name in ("probabilities", "bend_angle_deg", "bend_deviation_deg", "touch_map")
-        },
-        touches=tuple(told.touches[i] for i in order),
-        problems=((),) * len(order),
-    )
+    order = np.tile(np.arange(len(FRAMES)), 4)
+    says = chosen(perceived(), order)
     data = frames(bend_angle_deg=[0.0, 0.0, 10.0, -10.0, 0.0, 28.0, -20.0]).select(order)
     data = dataclasses.replace(data, time=np.arange(len(order)) * 0.3)
     folder = write_report(Evaluation.of(pipeline(says), data), tmp_path / "report", {})

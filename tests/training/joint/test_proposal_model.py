@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-import torch
 
 from eitskin.training.joint import proposal_training as proposal_network
 from eitskin.training.joint.prior import MOST_TOUCHES
 from eitskin.training.joint.proposal_model import ProposalNetwork, network_inputs
 from eitskin.training.joint.proposal_training import SyntheticFrames, fit_proposals
 from eitskin.training.method.settings import NetworkSettings
+from eitskin.training.paper.networks import single_thread
 
 from smooth_sensor import NOISE, TOUCH_PRIOR, curves, response
 
@@ -20,14 +20,11 @@ MODEL = SyntheticFrames(
 @pytest.fixture(scope="module")
 def trained():
     """Smaller network trained for seconds, its learning curve and reported progress."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
     said = []
-    with pytest.MonkeyPatch.context() as patch:
+    with single_thread(), pytest.MonkeyPatch.context() as patch:
         patch.setattr(proposal_network, "HIDDEN", (128, 128))
         settings = NetworkSettings(1e-2, epochs=5, batch=96)
         proposals, history = fit_proposals(MODEL, settings, 0, lambda *told: said.append(told))
-    torch.set_num_threads(before)
     return proposals, history, said
 
 

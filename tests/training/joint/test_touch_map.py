@@ -52,23 +52,7 @@ def test_map_is_that_of_the_plain_formula(deviation):
     np.testing.assert_allclose(said, 1.0 - free, atol=1e-7)
 
 
-def test_two_touches_are_two_discs():
-    two = drawn([[0.040, 0.030], [0.110, 0.030]], [0.0005, 0.002])
-    one, other = drawn([[0.040, 0.030]], [0.0005]), drawn([[0.110, 0.030]], [0.002])
-    np.testing.assert_allclose(two, one + other, atol=1e-6)
-    again = drawn([[0.040, 0.030], [0.040, 0.030]], [0.002, 0.002])
-    once = drawn([[0.040, 0.030]], [0.002])
-    np.testing.assert_allclose(again, 1.0 - (1.0 - once) ** 2, atol=1e-6)
-    assert again.max() <= 1.0
-
-
 def test_no_touch_is_an_empty_map_of_the_shape_asked_for():
     empty = disc_map(np.zeros((0, 2)), np.zeros(0), RADIUS, SIZE, (32, 80))
     assert empty.shape == (32, 80)
     assert not empty.any()
-
-
-def test_unsure_touch_covers_more_with_less():
-    sure, unsure = drawn([[0.075, 0.030]], [0.0005]), drawn([[0.075, 0.030]], [0.008])
-    assert unsure.max() < 0.9 < sure.max()
-    assert np.mean(unsure > 0.05) > 2 * np.mean(sure > 0.05)

@@ -16,6 +16,7 @@ from eitskin.training.joint.response_training import (
 )
 from eitskin.training.joint.touch_response import TouchResponse
 from eitskin.training.method.settings import NetworkSettings, silent
+from eitskin.training.paper.networks import single_thread
 
 from smooth_sensor import RANGES, TOUCH_PRIOR, response, touch_change
 
@@ -83,24 +84,6 @@ def test_no_force_changes_nothing_and_angle_changes_the_response(learned, touche
     assert one(touches[:0], 0.0).shape == (0, 28)
 
 
-def test_each_touch_is_alone(learned, touches):
-    one = learned.of([0.0, 0.0])
-    for i in range(6):
-        np.testing.assert_allclose(one(touches, 5.0)[i], one(touches[i : i + 1], 5.0)[0])
-
-
-def test_linear_in_features(learned, touches):
-    def change(*p):
-        return learned.of(p)(touches, 10.0)
-
-    middle = change(0.0, 0.0)
-    first, second = change(1.0, 0.0) - middle, change(0.0, 1.0) - middle
-    assert np.abs(first).max() > 0.01 * np.abs(middle).max()
-    np.testing.assert_allclose(
-        change(-2.0, 0.3), middle - 2.0 * first + 0.3 * second, rtol=1e-9, atol=1e-14
-    )
-
-
 def uncertainty(one, touches, angle_deg):
     said, hidden = one.with_derivatives(touches, angle_deg)
     return one.uncertainty(said[:, 0], hidden)
@@ -164,14 +147,11 @@ def frames(count, seed):
 @pytest.fixture(scope="module")
 def trained():
     """Smaller network trained for seconds, accurate to a tenth of the change."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    with pytest.MonkeyPatch.context() as patch:
+    with single_thread(), pytest.MonkeyPatch.context() as patch:
         patch.setattr(response_network, "HIDDEN", 48)
         patch.setattr(response_network, "LAYERS", 2)
         settings = NetworkSettings(1e-2, epochs=50, batch=32)
         yield fit_response(frames(800, 0), RANGES, 1e-5, settings, 0, silent)
-    torch.set_num_threads(before)
 
 
 @pytest.mark.slow

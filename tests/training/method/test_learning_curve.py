@@ -9,7 +9,7 @@ from eitskin.training import NetworkSettings
 from eitskin.training.method.learning_curve import LearningCurve
 from eitskin.training.method.network_training import Samples, mean_loss, train_network
 from eitskin.training.paper.classifier import Classifier
-from eitskin.training.paper.networks import weights_of
+from eitskin.training.paper.networks import single_thread, weights_of
 from eitskin.training.paper.postprocessor import PostProcessor
 from eitskin.training.paper.reconstruction import Reconstruction
 
@@ -21,10 +21,8 @@ TARGETS = INPUTS @ np.float32([[1.0], [-2.0], [0.5]])
 
 @pytest.fixture(scope="module", autouse=True)
 def one_thread():
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
+    with single_thread():
+        yield
 
 
 def samples(inputs, targets):

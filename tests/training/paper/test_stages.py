@@ -31,10 +31,8 @@ JACOBIAN = np.array(
 @pytest.fixture(scope="module", autouse=True)
 def one_thread():
     """Small networks gain nothing from more, and lose where cores are shared."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
+    with single_thread():
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -67,14 +67,10 @@ def reseal(folder):
     (folder / SUMS).write_text("".join(sums))
 
 
-def edit(folder, **changes):
-    document = json.loads((folder / "pipeline.json").read_text()) | changes
-    (folder / "pipeline.json").write_text(json.dumps(document))
-    reseal(folder)
-
-
-def test_loaded_pipeline_is_the_one_that_was_saved(pipeline, folder):
+def test_loaded_pipeline_is_the_one_that_was_saved(dataset, pipeline, folder):
     loaded = Pipeline.load(folder)
+    np.testing.assert_array_equal(loaded.held_out(dataset), pipeline.held_out(dataset))
+    assert len(loaded.held_out(dataset)) == 12
     rng = np.random.default_rng(1)
     frames = FLAT * (1 + rng.normal(size=(6, 28)) * 1e-3 * np.arange(6)[:, None])
     pipeline.reset()
@@ -88,12 +84,6 @@ def test_loaded_pipeline_is_the_one_that_was_saved(pipeline, folder):
     assert loaded.metrics == pipeline.metrics
     assert loaded.layout.design == pipeline.layout.design
     assert loaded.noise == pipeline.noise
-
-
-def test_loaded_pipeline_knows_what_it_was_trained_on(dataset, pipeline, folder):
-    loaded = Pipeline.load(folder)
-    np.testing.assert_array_equal(loaded.held_out(dataset), pipeline.held_out(dataset))
-    assert len(loaded.held_out(dataset)) == 12
 
 
 def test_folder_says_what_it_is_and_holds_no_pickle(folder):
@@ -135,31 +125,26 @@ def test_missing_sums_or_folder_are_refused(folder):
         Pipeline.load(folder.parent / "other.eitmodel")
 
 
-def test_newer_versions_and_other_formats_are_refused(folder):
-    edit(folder, format_version=2)
-    with pytest.raises(DataError, match=r"version 2.*up to 1"):
-        Pipeline.load(folder)
-    edit(folder, format_version=1, format="else")
-    with pytest.raises(DataError, match="got 'else'"):
-        Pipeline.load(folder)
-
-
-@pytest.mark.parametrize("missing", ["layout", "settings", "noise", "kind", "format_version"])
-def test_incomplete_documents_are_refused(folder, missing):
-    document = json.loads((folder / "pipeline.json").read_text())
-    del document[missing]
-    (folder / "pipeline.json").write_text(json.dumps(document))
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"format_version": 2}, r"version 2.*up to 1"),
+        ({"format": "else"}, "got 'else'"),
+        *(({key: ...}, key) for key in ("layout", "settings", "noise", "kind", "format_version")),
+    ],
+)
+def test_newer_other_and_incomplete_documents_are_refused(folder, changes, message):
+    document = json.loads((folder / "pipeline.json").read_text()) | changes
+    kept = {key: value for key, value in document.items() if value is not ...}
+    (folder / "pipeline.json").write_text(json.dumps(kept))
     reseal(folder)
-    with pytest.raises(DataError, match=missing):
+    with pytest.raises(DataError, match=message):
         Pipeline.load(folder)
 
 
-def test_documents_that_are_no_json_are_refused(folder):
-    (folder / "pipeline.json").write_text("[]")
-    reseal(folder)
-    with pytest.raises(DataError, match="no pipeline"):
-        Pipeline.load(folder)
-    (folder / "pipeline.json").write_bytes(b"\xff{")
+@pytest.mark.parametrize("document", [b"[]", b"\xff{"])
+def test_documents_that_are_no_json_are_refused(folder, document):
+    (folder / "pipeline.json").write_bytes(document)
     reseal(folder)
     with pytest.raises(DataError, match="no pipeline"):
         Pipeline.load(folder)
