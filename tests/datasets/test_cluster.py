@@ -12,7 +12,7 @@ from eitskin.datasets.store.shard import shard_name
 from eitskin.errors import ConfigurationError, PartialError
 
 from killed_writers import killed_in_cluster, was_killed
-from shards_here import in_this_process
+from shards_here import contents, in_this_process, made_here
 
 distributed = pytest.importorskip("distributed")
 dask = pytest.importorskip("dask")
@@ -28,18 +28,10 @@ RECIPE = Recipe(
 )
 
 
-def contents(folder):
-    return {path.name: path.read_bytes() for path in folder.iterdir()}
-
-
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
     """The set made in this process, file by file."""
-    folder = tmp_path_factory.mktemp("cluster") / "whole"
-    with pytest.MonkeyPatch.context() as patch:
-        in_this_process(patch)
-        generate(RECIPE, folder)
-    return contents(folder)
+    return contents(made_here(RECIPE, tmp_path_factory.mktemp("cluster") / "whole"))
 
 
 @pytest.fixture(scope="module")

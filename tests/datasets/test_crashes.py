@@ -23,7 +23,7 @@ from eitskin.datasets.store.schema import FIELDS
 from eitskin.datasets.store.shard import read_shard
 from eitskin.errors import DataError, EitskinError
 
-from shards_here import in_this_process
+from shards_here import in_this_process, made_here
 
 pytestmark = pytest.mark.slow
 
@@ -41,11 +41,7 @@ LONG_SHARD = Recipe("damage", seed=7, frames_per_shard=256, scenes=(SceneGroup("
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
     """Files of a set that nothing happened to."""
-    folder = tmp_path_factory.mktemp("whole") / "set"
-    with pytest.MonkeyPatch.context() as patch:
-        in_this_process(patch)
-        generate(RECIPE, folder)
-    return contents(folder)
+    return contents(made_here(RECIPE, tmp_path_factory.mktemp("whole") / "set"))
 
 
 @pytest.fixture

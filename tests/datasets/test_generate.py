@@ -23,7 +23,7 @@ from eitskin.geometry import Bend
 from eitskin.simulator import Instrument, Scene, Simulator
 
 from killed_writers import killed_in_pool, was_killed
-from shards_here import in_this_process
+from shards_here import contents, in_this_process, made_here
 
 RECIPE = Recipe(
     "small",
@@ -45,18 +45,10 @@ def one_blas_thread():
         yield
 
 
-def contents(folder):
-    return {path.name: path.read_bytes() for path in folder.iterdir()}
-
-
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
     """The recipe made in this process without interruption."""
-    folder = tmp_path_factory.mktemp("datasets") / "whole"
-    with pytest.MonkeyPatch.context() as patch:
-        in_this_process(patch)
-        generate(RECIPE, folder)
-    return folder
+    return made_here(RECIPE, tmp_path_factory.mktemp("datasets") / "whole")
 
 
 @pytest.mark.slow

@@ -117,6 +117,7 @@ def test_openeit_lines_among_others(tmp_path):
         ("a.csv", "v0,state\n1,sleep\n", r"'state'.*\['sleep'\]"),
         ("a.csv", "v0,force\n1,much\n", "'force'"),
         ("a.csv", "v0,x\n1,0.1\n", r"touch_x.*touch_y"),
+        ("a.csv", "v0,v1,x,y\n1,2,15,30\n1,2,135,\n", r"metres.*10 m.*15 to 135"),
         ("a.txt", "nothing here\n", "'magnitudes :'"),
         ("a.txt", "magnitudes : 1, 2\nmagnitudes : 1\n", "line 2: expected 2 values"),
         ("a.txt", "magnitudes : 1, oops\n", "line 1"),
@@ -129,39 +130,27 @@ def test_broken_files_are_refused(tmp_path, name, text, message):
         read_recording(write(tmp_path, name, text))
 
 
-def test_pickled_objects_are_never_loaded(tmp_path):
-    np.savez(tmp_path / "a.npz", v=np.array([{"a": 1}], dtype=object))
-    with pytest.raises(DataError, match="plain arrays"):
-        read_recording(tmp_path / "a.npz", RecordingNames("v"))
+BOTH = {"down": PRESSED, "up": UNTOUCHED}
+OBJECTS = np.array([{"a": 1}], dtype=object)  # pickled, so never loaded
 
 
-def test_missing_names_list_what_is_there(tmp_path):
-    np.savez(tmp_path / "a.npz", down=PRESSED, up=UNTOUCHED)
-    for names in (None, RecordingNames("dwon")):
-        with pytest.raises(ConfigurationError, match="holds down, up"):
-            read_recording(tmp_path / "a.npz", names)
-    with pytest.raises(ConfigurationError, match="positions"):
-        read_recording(tmp_path / "a.npz", RecordingNames("down", "up", "places"))
-
-
-def test_tables_that_do_not_belong_together_are_refused(tmp_path):
-    np.savez(tmp_path / "a.npz", v=PRESSED, r=UNTOUCHED[:2], p=PLACES[:2], t=np.arange(2))
-    with pytest.raises(DataError, match="shape"):
-        read_recording(tmp_path / "a.npz", RecordingNames("v", "r"))
-    with pytest.raises(DataError, match=r"'t'.*3 frames"):
-        read_recording(tmp_path / "a.npz", RecordingNames("v"))
-    np.savez(tmp_path / "a.npz", v=PRESSED, p=PLACES[:2])
-    with pytest.raises(DataError, match=r"x and y.*3 frames"):
-        read_recording(tmp_path / "a.npz", RecordingNames("v", positions="p"))
-
-
-def test_positions_in_millimetres_are_refused_with_the_numbers(tmp_path):
-    path = write(tmp_path, "a.csv", "v0,v1,x,y\n1,2,15,30\n1,2,135,\n")
-    with pytest.raises(DataError, match=r"metres.*10 m.*15 to 135"):
-        read_recording(path)
-    np.savez(tmp_path / "a.npz", v=PRESSED, p=1e3 * PLACES)
-    with pytest.raises(DataError, match=r"positions.*metres"):
-        read_recording(tmp_path / "a.npz", RecordingNames("v", positions="p"))
+@pytest.mark.parametrize(
+    ("tables", "names", "error", "message"),
+    [
+        ({"v": OBJECTS}, ("v",), DataError, "plain arrays"),
+        (BOTH, None, ConfigurationError, "holds down, up"),
+        (BOTH, ("dwon",), ConfigurationError, "holds down, up"),
+        (BOTH, ("down", "up", "places"), ConfigurationError, "positions"),
+        ({"v": PRESSED, "r": UNTOUCHED[:2]}, ("v", "r"), DataError, "shape"),
+        ({"v": PRESSED, "t": np.arange(2)}, ("v",), DataError, r"'t'.*3 frames"),
+        ({"v": PRESSED, "p": PLACES[:2]}, ("v", None, "p"), DataError, r"x and y.*3 frames"),
+        ({"v": PRESSED, "p": 1e3 * PLACES}, ("v", None, "p"), DataError, r"positions.*metres"),
+    ],
+)
+def test_tables_that_do_not_fit_are_refused(tmp_path, tables, names, error, message):
+    np.savez(tmp_path / "a.npz", **tables)
+    with pytest.raises(error, match=message):
+        read_recording(tmp_path / "a.npz", names and RecordingNames(*names))
 
 
 def test_other_files_are_refused(tmp_path):

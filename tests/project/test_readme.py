@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from eitskin.config import parse_toml
-from eitskin.datasets import Recipe, generate, open_dataset
+from eitskin.datasets import Recipe, open_dataset
 from eitskin.geometry import Bend
 from eitskin.hardware import Script, Step, open_board, run_live
 from eitskin.simulator import Scene
 from eitskin.training import NetworkSettings, Pipeline, TrainingSettings
 
-from shards_here import in_this_process
+from shards_here import made_here
 
 README = Path(__file__).resolve().parents[2] / "README.md"
 RECIPE = """
@@ -40,9 +40,7 @@ force = [10, 10]
 def folder(tmp_path_factory) -> Path:
     """Where the pipeline lies that a small generated dataset was trained on."""
     place = tmp_path_factory.mktemp("thread")
-    with pytest.MonkeyPatch.context() as patch:
-        in_this_process(patch)
-        generate(parse_toml(Recipe, RECIPE), place / "small")
+    made_here(parse_toml(Recipe, RECIPE), place / "small")
     brief = NetworkSettings(3e-3, epochs=8, batch=16)
     pipeline = Pipeline.fit(
         open_dataset(place / "small"), TrainingSettings(classifier=brief, postprocessor=brief)

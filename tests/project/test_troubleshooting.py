@@ -42,20 +42,22 @@ SIDE = "electrodes = { count = 6 }\n"
 INSIDE = "electrodes = [{ x = 0, y = 0.02 }, { x = 0.03, y = 0.02 }]\n"
 
 
-def scene(text):
-    def provoke(folder):
-        (folder / "scene.toml").write_text(text)
-        simulate.command(folder / "scene.toml", resolution="fast")
+def read_as(read, name):
+    """Provokes what `read` says of a file `name` with a text."""
 
-    return provoke
+    def with_text(text):
+        def provoke(folder):
+            (folder / name).write_text(text)
+            read(folder / name)
+
+        return provoke
+
+    return with_text
 
 
-def design(text):
-    def provoke(folder):
-        (folder / "sensor.toml").write_text(text)
-        SensorDesign.from_toml(folder / "sensor.toml")
-
-    return provoke
+scene = read_as(lambda path: simulate.command(path, resolution="fast"), "scene.toml")
+design = read_as(SensorDesign.from_toml, "sensor.toml")
+recipe = read_as(Recipe.from_toml, "recipe.toml")
 
 
 def surface(text):
@@ -69,14 +71,6 @@ def surface(text):
 def a_triangle():
     corners = "".join(f"vertex {x} {y} 0\n" for x, y in ((0, 0), (0.1, 0), (0, 0.1)))
     return f"solid a\nfacet normal 0 0 1\nouter loop\n{corners}endloop\nendfacet\nendsolid a\n"
-
-
-def recipe(text):
-    def provoke(folder):
-        (folder / "recipe.toml").write_text(text)
-        Recipe.from_toml(folder / "recipe.toml")
-
-    return provoke
 
 
 def bends_a_surface(folder):

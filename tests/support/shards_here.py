@@ -4,9 +4,10 @@ import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import pytest
 from threadpoolctl import threadpool_limits
 
-from eitskin.datasets import Recipe, write_shard
+from eitskin.datasets import Recipe, generate, write_shard
 from eitskin.datasets.generation import process_pool as processes
 from eitskin.datasets.generation.shard_simulation import simulate_shard
 from eitskin.datasets.store.shard import shard_name
@@ -33,3 +34,16 @@ def make_shards(
 def in_this_process(monkeypatch):
     """Let `generate` make shards here."""
     monkeypatch.setattr(processes, "make_shards", make_shards)
+
+
+def made_here(recipe: Recipe, folder: Path) -> Path:
+    """The folder of a set made in this process."""
+    with pytest.MonkeyPatch.context() as patch:
+        in_this_process(patch)
+        generate(recipe, folder)
+    return folder
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """Every file of a folder by name."""
+    return {path.name: path.read_bytes() for path in folder.iterdir()}

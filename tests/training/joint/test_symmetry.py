@@ -24,10 +24,6 @@ def with_electrode(number, **changes):
     return replace(design, electrodes=tuple(electrodes))
 
 
-def with_outline(*points):
-    return replace(SensorDesign.reference(), outline=Polygon(points))
-
-
 @pytest.mark.parametrize("name", ["pairwise", "adjacent", "opposite"])
 def test_reference_sensor_is_itself_in_four_mirrors(name):
     protocol = getattr(Protocol, name)(8)
@@ -68,21 +64,27 @@ def test_places_in_the_mirrors():
     }
 
 
-def test_one_electrode_that_differs_leaves_no_mirror():
-    for changes in ({"x": 0.025}, {"contact_impedance": 2e-3}, {"width": 0.006}, {"height": 0.003}):
-        assert flips(with_electrode(0, **changes)) == [NONE]
+CORNERS = ((0.0, 0.0), (0.15, 0.0), (0.15, 0.06), (0.0, 0.06))
+CUT = ((0.0, 0.0), (0.15, 0.0), (0.15, 0.048), (0.14, 0.06), (0.0, 0.06))
+REFERENCE = SensorDesign.reference()
 
 
-def test_electrode_on_the_axis_leaves_the_mirror_that_keeps_it():
-    assert flips(with_electrode(1, contact_impedance=2e-3)) == [NONE, ACROSS_X]
-    assert flips(with_electrode(3, contact_impedance=2e-3)) == [NONE, ACROSS_Y]
-
-
-def test_outline_must_be_its_own_image():
-    corners = ((0.0, 0.0), (0.15, 0.0), (0.15, 0.06), (0.0, 0.06))
-    assert flips(with_outline(*corners)) == [NONE, ACROSS_X, ACROSS_Y, TURNED]
-    cut = ((0.0, 0.0), (0.15, 0.0), (0.15, 0.048), (0.14, 0.06), (0.0, 0.06))
-    assert flips(with_outline(*cut)) == [NONE]
+@pytest.mark.parametrize(
+    ("design", "kept"),
+    [
+        (with_electrode(0, x=0.025), [NONE]),
+        (with_electrode(0, contact_impedance=2e-3), [NONE]),
+        (with_electrode(0, width=0.006), [NONE]),
+        (with_electrode(0, height=0.003), [NONE]),
+        (with_electrode(1, contact_impedance=2e-3), [NONE, ACROSS_X]),
+        (with_electrode(3, contact_impedance=2e-3), [NONE, ACROSS_Y]),
+        (replace(REFERENCE, outline=Polygon(CORNERS)), [NONE, ACROSS_X, ACROSS_Y, TURNED]),
+        (replace(REFERENCE, outline=Polygon(CUT)), [NONE]),
+        (replace(REFERENCE, electrodes=REFERENCE.electrodes[:4]), [NONE]),
+    ],
+)
+def test_outline_and_electrodes_must_have_images(design, kept):
+    assert flips(design, Protocol.pairwise(len(design.electrodes))) == kept
 
 
 def test_protocol_must_have_the_images():
@@ -100,9 +102,3 @@ def test_polarity_does_not_matter():
         for i, (a, b, c, d) in enumerate(Protocol.adjacent(8).table)
     )
     assert len(flips(SensorDesign.reference(), Protocol(table, 8))) == 4
-
-
-def test_electrodes_must_have_images():
-    design = SensorDesign.reference()
-    half = replace(design, electrodes=design.electrodes[:4])
-    assert flips(half, Protocol.pairwise(4)) == [NONE]
