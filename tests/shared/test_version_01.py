@@ -8,6 +8,7 @@ another machine sums.
 import hashlib
 import json
 import zipfile
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -91,3 +92,10 @@ def test_the_shipped_pipeline_trained_with_version_01_gives_the_same_estimates()
     ):
         assert same(touches.triples, triples)
         assert same(touches.force, force)
+
+
+def test_every_public_name_is_still_offered() -> None:
+    names = [line.split() for line in (DATA / "names.txt").read_text().splitlines()]
+    assert len(names) == 80
+    for room, name in names:
+        assert hasattr(import_module(f"eitskin.{room}"), name), f"eitskin.{room}.{name}"

@@ -4,8 +4,8 @@
 
 A dataset in two shards, a recording of a live session, a pipeline of the paper's method and one
 of touch positions, small enough for a repository, and in `expected.json` what version 0.1 read
-from them and estimated with them. `tests/shared/test_version_01.py` holds that they still open
-and give the same.
+from them and estimated with them; `names.txt` has its public names.
+`tests/shared/test_version_01.py` holds that they still open and give the same.
 """
 
 import csv
@@ -15,6 +15,7 @@ import subprocess
 import sys
 import zipfile
 from dataclasses import fields
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -110,6 +111,9 @@ def main(folder: Path) -> None:
         "reference": reference(),
     }
     (folder / "expected.json").write_text(json.dumps(expected, indent=1) + "\n")
+    rooms = ("geometry", "simulator", "datasets", "training", "hardware")
+    names = [(room, name) for room in rooms for name in import_module(f"eitskin.{room}").__all__]
+    (folder / "names.txt").write_text("".join(f"{room} {name}\n" for room, name in names))
     saved = ("dataset", "recording", "presses", "paper.eitmodel", "positions.eitmodel")
     with zipfile.ZipFile(folder / "saved.zip", "w", zipfile.ZIP_DEFLATED) as archive:
         for path in sorted(path for name in saved for path in (folder / name).iterdir()):
