@@ -147,12 +147,6 @@ def test_with_marks_the_newest_overtakes_the_others():
     assert (board.counts.skipped, board.lost) == (3, 0)
 
 
-def test_a_silent_board_is_stale():
-    board = board_on(Printer([]))
-    with pytest.raises(DeviceError, match=r"stale.*10\.0 s.*baud"):
-        next(board.frames())
-
-
 def test_silence_after_frames_is_stale_within_a_second():
     port = Printer(stream(range(6)))
     frames = board_on(port).frames()
@@ -164,22 +158,19 @@ def test_silence_after_frames_is_stale_within_a_second():
     assert 1.0 <= port.now - began < 1.1
 
 
-def test_another_number_of_lines_is_told():
-    board = board_on(Printer(stream(range(99), skip={(n, 5) for n in range(99)})))
-    with pytest.raises(DeviceError, match=r"5, 5, 5 lines .*6"):
-        next(board.frames())
-
-
-def test_lines_without_a_pause_are_told():
-    events = [(0.01 * k, printed([1])[0].encode()) for k in range(1200)]
-    with pytest.raises(DeviceError, match=r"mark=.*pause="):
+@pytest.mark.parametrize(
+    ("events", "said"),
+    [
+        ((), r"stale.*10\.0 s.*baud"),
+        (stream(range(99), skip={(n, 5) for n in range(99)}), "5, 5, 5 lines .*6"),
+        (((0.01 * k, printed([1])[0].encode()) for k in range(1200)), "mark=.*pause="),
+        (((0.1 * k, b"\xf0\x81\n") for k in range(200)), "wrong baud rate"),
+    ],
+    ids=["silent", "too few lines", "no pause", "wrong baud rate"],
+)
+def test_a_board_without_whole_frames_says_what_is_wrong(events, said):
+    with pytest.raises(DeviceError, match=said):
         next(board_on(Printer(events)).frames())
-
-
-def test_a_wrong_baud_rate_is_told():
-    noise = [(0.1 * k, b"\xf0\x81\n") for k in range(200)]
-    with pytest.raises(DeviceError, match="wrong baud rate"):
-        next(board_on(Printer(noise)).frames())
 
 
 def test_a_board_that_comes_back_is_a_new_session():

@@ -1,7 +1,6 @@
 """`eitskin bench layouts --trained`: what is trained on, what is kept, and what is said of it."""
 
 import dataclasses
-import types
 
 import numpy as np
 import pytest
@@ -15,7 +14,6 @@ from eitskin.benchmarks.studies.data.layouts_trained import (
     Lesson,
     learn_all,
     one_sided,
-    scored,
 )
 from eitskin.benchmarks.studies.data.layouts_trained_report import rank_correlation
 from eitskin.datasets.recipe.frame_sampling import sample, specimen
@@ -81,19 +79,3 @@ def test_a_layout_under_two_names_is_trained_once(tmp_path, trained):
     found = learn_all(twice, tmp_path, lesson=QUICK)
     assert trained == ["again"]
     assert [each.layout for each in found] == [paper().name, "again"]
-
-
-def test_scores_are_of_matched_touches(monkeypatch):
-    touches = types.SimpleNamespace(found=0.75, false_per_touch=0.1)
-    report = types.SimpleNamespace(touches={"1": touches}, bend=types.SimpleNamespace(rmse_deg=1.5))
-    matches = types.SimpleNamespace(error=np.array([1e-3, 2e-3, 6e-3]))
-    found = types.SimpleNamespace(matches=matches, report=report)
-    monkeypatch.setattr(layouts_trained, "Evaluation", types.SimpleNamespace(of=lambda *_: found))
-    pipeline = types.SimpleNamespace(trained_on={"frames": 7})
-    said = scored(paper(), flat_bound(3e-3), pipeline, None, 2.0)
-    assert (said.error_mm, said.error_90_mm) == pytest.approx((3.0, 5.2))
-    assert said.error_rms_mm == pytest.approx((41.0 / 3.0) ** 0.5)
-    assert (said.bound_rms_mm, said.bound_90_mm) == pytest.approx((3.0, 3.0))
-    assert (said.found, said.angle_deg, said.frames) == (0.75, 1.5, 7)
-    matches.error = np.zeros(0)
-    assert scored(paper(), flat_bound(3e-3), pipeline, None, 2.0).error_mm is None
