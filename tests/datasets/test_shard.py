@@ -124,25 +124,23 @@ def test_file_describes_itself(shard):
 # Damage and hostility
 
 
-def test_every_flipped_byte_is_noticed_through_the_manifest(tmp_path):
+def flipped(content, bit, places):
+    for place in places:
+        yield content[:place] + bytes([content[place] ^ bit]) + content[place + 1 :]
+
+
+def test_flipped_bytes_are_noticed_everywhere_or_without_a_manifest_in_values(shard, tmp_path):
     save_dataset(make(), tmp_path / "set")
-    path = tmp_path / "set" / "shard-000000.h5"
+    path, rng = tmp_path / "set" / "shard-000000.h5", np.random.default_rng(0)
     whole = path.read_bytes()
-    for place in np.random.default_rng(0).integers(0, len(whole), 100):
-        broken = bytearray(whole)
-        broken[place] ^= 0x10
-        path.write_bytes(broken)
+    for path_content in flipped(whole, 0x10, rng.integers(0, len(whole), 100)):
+        path.write_bytes(path_content)
         with pytest.raises(DataError, match="SHA-256"):
             open_dataset(tmp_path / "set")
-
-
-def test_flipped_bytes_in_values_are_noticed_without_a_manifest(shard):
-    whole = shard.read_bytes()
     with h5py.File(shard) as file:
         chunk = file["impedance"].id.get_chunk_info(0)
-    for place in np.random.default_rng(0).integers(0, chunk.size, 50):
-        broken = bytearray(whole)
-        broken[chunk.byte_offset + place] ^= 0x01
+    places = chunk.byte_offset + rng.integers(0, chunk.size, 50)
+    for broken in flipped(shard.read_bytes(), 0x01, places):
         shard.write_bytes(broken)
         with pytest.raises(DataError, match="make or copy"):
             read_shard(shard)

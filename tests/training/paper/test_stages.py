@@ -201,13 +201,9 @@ def test_networks_survive_their_arrays(presses, reconstruction, embedding):
     np.testing.assert_array_equal(again.apply(pictures), stage.apply(pictures))
     with pytest.raises(DataError, match="missing"):
         PostProcessor.from_arrays({"scale": np.array(1.0)}, SHAPE)
+    classifier = Classifier.fit(dV[:4], [0, 1, 2, 0], embedding, SHAPE, settings)
     with pytest.raises(DataError, match="other shapes"):
-        Classifier.from_arrays(_classifier_arrays(dV, embedding), (16, 16))
-
-
-def _classifier_arrays(dV, embedding):
-    settings = NetworkSettings(1e-3, epochs=1)
-    return Classifier.fit(dV[:4], [0, 1, 2, 0], embedding, SHAPE, settings).arrays()
+        Classifier.from_arrays(classifier.arrays(), (16, 16))
 
 
 def test_single_thread_gives_the_threads_back():

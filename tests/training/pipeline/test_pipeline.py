@@ -65,7 +65,11 @@ def session(pipeline, sensor):
 
 
 def test_states_angles_and_touches_of_frames_never_seen(trained, dataset):
-    held_out = dataset.select(trained.held_out(dataset))
+    unseen = trained.held_out(dataset)
+    assert set(unseen).isdisjoint(dataset.split((0.6, 0.2, 0.2), SETTINGS.seed)[0])
+    assert len(trained.held_out(dataset.select(slice(10)))) == 10
+    assert {("state classifier", 9, 9), ("touch map", 1, 9)} <= set(map(tuple, trained.said))
+    held_out = dataset.select(unseen)
     report = evaluate(trained, held_out)
     assert report.frames == 48
     assert min(report.states.accuracy.values()) > 0.85
@@ -78,17 +82,6 @@ def test_states_angles_and_touches_of_frames_never_seen(trained, dataset):
     assert one.mean_error_mm < 5.0
     assert one.ssim["touch_map"] > one.ssim["dynamic"] > one.ssim["static"]
     assert 0 < report.latency.p50_ms <= report.latency.p99_ms
-
-
-def test_training_reports_its_progress(trained):
-    assert ["state classifier", 9, 9] in trained.said
-    assert ["touch map", 1, 9] in trained.said
-
-
-def test_held_out_frames_are_those_the_split_left(trained, dataset):
-    held_out = trained.held_out(dataset)
-    assert set(held_out).isdisjoint(dataset.split((0.6, 0.2, 0.2), SETTINGS.seed)[0])
-    assert len(trained.held_out(dataset.select(slice(10)))) == 10
 
 
 def test_session_of_bends_and_touches(session):

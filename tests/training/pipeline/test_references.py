@@ -62,9 +62,7 @@ def test_mean_restarts_when_the_sensor_moves():
 
 
 def test_still_noise_does_not_restart_the_mean():
-    references = References(NOISE)
-    for frame in frames(FLAT, 2000):
-        references.follow(frame)
+    references = followed(frames(FLAT, 2000))
     assert references.touch_frames == LONGEST_MEAN
 
 
@@ -78,9 +76,7 @@ def test_static_reference_is_the_opening_stillness_only():
 
 def test_slow_drift_is_followed():
     drift = np.linspace(1.0, 1.01, 1000)  # a hundredth of the noise per frame at first
-    references = References(NOISE)
-    for factor in drift:
-        references.follow(FLAT * factor)
+    references = followed(FLAT * drift[:, None])
     assert error(references.touch, FLAT * drift[-1]) < 2 * NOISE
 
 
@@ -110,8 +106,6 @@ def test_bad_channel_keeps_what_was_known_and_a_late_one_is_taken_up():
     late = followed([broken], [FLAT])
     np.testing.assert_allclose(late.touch, FLAT)
 
-
-def test_departure_is_seen_although_a_channel_is_bad():
     broken = np.where(np.arange(28) == 3, np.nan, BENT)
     references = followed(frames(FLAT, 10), [broken])
     assert error(np.delete(references.touch, 3), np.delete(BENT, 3)) < 1e-12
