@@ -112,8 +112,8 @@ def found_results(out: Path) -> Iterator[Results]:
         yield read_results(path)
 
 
-def write_index(out: Path) -> Path:
-    """Write index.md: all results with their dates and files."""
+def write_index(out: Path, left_out: Mapping[str, str] | None = None) -> Path:
+    """Write index.md: all results with their dates and files, and benchmarks left out, with why."""
     lines = ["# Measured", "", "| benchmark | figures | seconds | seed | date | files |"]
     lines.append("|---" * 6 + "|")
     for one in found_results(out):
@@ -123,6 +123,8 @@ def write_index(out: Path) -> Path:
         seconds = "" if one.seconds is None else f"{one.seconds:.0f}"
         cells = (name, len(one.figures), seconds, one.provenance.seed, date, links)
         lines.append("| " + " | ".join(map(str, cells)) + " |")
+    if left_out:
+        lines += ["", *(f"- `{name}` left out: {why}" for name, why in left_out.items())]
     lines += ["", *sorted({f"- {_machine(one)}" for one in found_results(out)}), ""]
     with atomic_file(out / INDEX) as temporary:
         temporary.write_text("\n".join(lines), encoding="utf-8")

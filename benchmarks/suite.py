@@ -111,7 +111,7 @@ ALL = (
     Benchmark("bends", "physics", 8),
     Benchmark("tank", "data", 3, ("{data}",), needs="{data}/ktc2023_ref.mat"),
     Benchmark("recordings", "data", 1, ("{data}",), needs="{data}/ohmc8.mat"),
-    Benchmark("recipes", "data", 6, OWN, (*OWN, "--frames", "10")),
+    Benchmark("recipes", "data", 6, OWN, (*OWN, "--frames", "10", "--only", "paper_demo")),
     Benchmark("sensor_check", "boards", 5, (), ("--specimens", "10", "--faulty", "2"), seeded=True),
     Benchmark("live_rate", "boards", 4, (), ("--frames", "60"), seeded=True),
     Benchmark("realtime", "boards", 3, OWN, (*OWN, "--speed", "max"), seeded=True),

@@ -129,7 +129,11 @@ def ran(tmp_path, monkeypatch):
 def test_the_command_ends_with_1_where_one_failed_and_writes_the_index(ran, tmp_path):
     done = ran()
     assert done.exit_code == 0
-    assert "| prints |" in (tmp_path / "index.md").read_text()
+    index = (tmp_path / "index.md").read_text()
+    assert "| prints |" in index
+    assert "left out" not in index
+    assert ran(0, "--quick").exit_code == 0
+    assert "- `writes` left out: there is no quick run of it" in (tmp_path / "index.md").read_text()
     failed = ran(2, "--fresh")
     assert failed.exit_code == 1
     names = [each["name"] for each in json.loads(failed.stdout)["benchmarks"]]

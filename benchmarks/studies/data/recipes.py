@@ -55,10 +55,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("docs"), help="folder for the pictures")
     parser.add_argument("--frames", type=int, default=200, help="how many to simulate of each")
+    parser.add_argument("--only", help="name of the one recipe to look at, instead of all")
     arguments = parser.parse_args()
     rows, episodes = [], []
     print("| recipe | bend | touch | noise of one frame |\n|---|---|---|---|")
-    for name in shipped_names():
+    for name in [arguments.only] if arguments.only else shipped_names():
         recipe = Recipe.shipped(name)
         prepare(recipe)
         strength = strength_of(recipe, arguments.frames)

@@ -70,7 +70,8 @@ def run_all(
         table.add_row(each.name, _coloured(each.outcome), seconds, escape(each.why))
     rows = [{"name": d.name, "outcome": d.outcome, "why": d.why} for d in done]
     output.result({"benchmarks": rows, "index": str(out / INDEX)}, table)
-    output.note(f"written: {write_index(out)}")  # last: results of others may be broken
+    left_out = {each.name: each.why for each in done if each.outcome == "left out"}
+    output.note(f"written: {write_index(out, left_out)}")  # last: results of others may be broken
     if any(each.outcome == "failed" for each in done):
         raise typer.Exit(1)
 
