@@ -59,6 +59,7 @@ def test_the_peers_time_is_of_a_scene():
     assert found.scene_ms > 0.0
 
 
+@pytest.mark.slow
 def test_the_floor_is_below_what_a_touch_takes():
     found = speed.floor(count=2)
     assert 1e7 < found.operations < 1e9

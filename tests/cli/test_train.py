@@ -87,6 +87,7 @@ def test_a_place_for_no_report_is_refused_before_the_work(trained, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_touch_positions_alone_make_no_report(dataset, tmp_path):
     recording = dataclasses.replace(dataset, design=None).select(dataset.state == State.TOUCH)
     data, model = tmp_path / "data", tmp_path / "skin.eitmodel"

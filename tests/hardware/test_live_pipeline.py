@@ -108,6 +108,7 @@ def test_live_estimates_are_those_of_the_same_frames_offline(board, pipeline):
     assert readings[-1].estimate.bend_angle_deg == pytest.approx(20.0, abs=4.0)
 
 
+@pytest.mark.slow
 def test_a_recording_replays_to_identical_lines(tmp_path):
     """Through the command, with lost frames, values that are none, and a restart."""
     scene = tmp_path / "script.toml"

@@ -56,6 +56,7 @@ def test_a_quadratic_is_its_own_interpolant() -> None:
     assert field.derivative(X) == pytest.approx(slope(*np.moveaxis(X, -1, 0)), abs=1e-12)
 
 
+@pytest.mark.slow
 def test_gradient_is_the_derivative_of_positions_and_keeps_volume(bent) -> None:
     X = points(200)
     steps = 1e-8 * np.eye(3)
@@ -169,6 +170,7 @@ def test_what_cannot_be_bent_is_refused(bent) -> None:
             make()
 
 
+@pytest.mark.slow
 def test_a_bend_too_far_says_how_far_it_got() -> None:
     design, stack = plain(0.060, 0.010, 0.010)
     clamped = ClampedStack(

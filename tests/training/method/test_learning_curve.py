@@ -70,6 +70,7 @@ def test_first_loss_is_that_of_the_epoch_with_weights_that_hardly_move():
     assert history.validation == ()
 
 
+@pytest.mark.slow
 def test_looking_at_other_frames_changes_no_weight():
     first, second = line(), line()
     fit(first)

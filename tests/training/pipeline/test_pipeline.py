@@ -64,6 +64,7 @@ def session(pipeline, sensor):
     return Session(pipeline, sensor)
 
 
+@pytest.mark.slow
 def test_states_angles_and_touches_of_frames_never_seen(trained, dataset):
     unseen = trained.held_out(dataset)
     assert set(unseen).isdisjoint(dataset.split((0.6, 0.2, 0.2), SETTINGS.seed)[0])
@@ -84,6 +85,7 @@ def test_states_angles_and_touches_of_frames_never_seen(trained, dataset):
     assert 0 < report.latency.p50_ms <= report.latency.p99_ms
 
 
+@pytest.mark.slow
 def test_session_of_bends_and_touches(session):
     first = session()
     assert first.state is State.IDLE
@@ -133,6 +135,7 @@ def test_stages_alone_say_what_the_session_says(pipeline, session, sensor):
     assert said.bend_angle_deg == pytest.approx(alone.bend_angle_deg[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", [{"session": 1}, {"number": 0}, {"time": 0.0}])
 def test_new_session_begins_with_new_references(session, change):
     session()
@@ -142,6 +145,7 @@ def test_new_session_begins_with_new_references(session, change):
     assert again.bend_angle_deg == pytest.approx(0.0, abs=1.0)
 
 
+@pytest.mark.slow
 def test_gap_before_a_touch_is_told(session):
     session()
     session(20.0)
@@ -154,6 +158,7 @@ def test_gap_before_a_touch_is_told(session):
     assert session(20.0, (0.05, 0.03)).problems == ()
 
 
+@pytest.mark.slow
 def test_process_leaves_torchs_threads_alone(session):
     before = torch.get_num_threads()
     torch.set_num_threads(2)
@@ -177,6 +182,7 @@ def with_bad(sensor, angle_deg=0.0, place=None):
     return {"impedance": impedance, "status": status}
 
 
+@pytest.mark.slow
 def test_bad_channels_are_left_out_and_named(session, sensor):
     session()
     estimate = session(**with_bad(sensor))
@@ -193,6 +199,7 @@ def test_bad_channels_are_left_out_and_named(session, sensor):
     assert np.hypot(touched.touches[0][0] - 0.05, touched.touches[0][1] - 0.03) < 0.008
 
 
+@pytest.mark.slow
 def test_channel_that_was_bad_at_the_beginning_stays_out(session, sensor):
     session(**with_bad(sensor))
     later = "channel 0-2 is left out: it was bad when the session began"
@@ -251,6 +258,7 @@ def test_other_units_are_refused_and_the_ratio_named(pipeline, sensor):
     "turned",
     [[(i + 1) % 8 for i in range(8)], [-i % 8 for i in range(8)], [4, 1, 2, 3, 0, 5, 6, 7]],
 )
+@pytest.mark.slow
 def test_other_wiring_is_refused(pipeline, sensor, turned):
     """Electrodes counted from another one, the other way round, and two of them swapped."""
     index = {tuple(sorted(row[:2])): n for n, row in enumerate(sensor.protocol.table)}
@@ -279,6 +287,7 @@ def test_training_needs_geometry_and_all_states(dataset):
         Pipeline.fit(dataset.select(dataset.state != State.TOUCH))
 
 
+@pytest.mark.slow
 def test_evaluation_of_other_measurements_is_refused(trained, dataset):
     with pytest.raises(DataError, match="no frames"):
         evaluate(trained, dataset.select(slice(0)))
