@@ -5,9 +5,9 @@ into two uncoupled halves, and each half is dissected likewise, down to a few ce
 block leaves a dense Schur complement on its border, which is added to the block around it
 (multifrontal method, Duff and Reid 1983).
 
-SuperLU with the same ordering (permc_spec="NATURAL") takes 2.1 times the time and 2.6 times the
-memory: 30 s and 2.7 GB against 14 s and 1.0 GB for two touches on the reference sensor (165,000
-unknowns, one core), 1.0 s against 0.6 s for one in its middle (18,000), with equal residuals.
+It stands because SuperLU with the same ordering (permc_spec="NATURAL") takes 1.5 times the time and
+2.1 times the memory: 11.3 s and 1.5 GB against 7.6 s and 0.7 GB for an elastic layer of 101,400
+unknowns (`python -m eitskin.benchmarks.studies.physics.dissection 16 32`, one core).
 """
 
 from collections.abc import Callable, Sequence
@@ -86,6 +86,7 @@ class Elimination:
 
     Attributes:
         negative: number of negative eigenvalues (Sylvester's law of inertia).
+        stored: memory of the factors [byte].
     """
 
     def __init__(self, matrix: csc_array, blocks: Sequence[Block]) -> None:
@@ -114,6 +115,7 @@ class Elimination:
             self.negative += negative
             start = stop
         self._order = order
+        self.stored = sum(front.lower.nbytes + front.rows.nbytes for front in self._fronts)
 
     def solve(self, right: Array) -> Array:
         """Solution (n,) for a right-hand side (n,)."""
