@@ -1,9 +1,10 @@
 """Checked configuration: frozen dataclasses from TOML and back.
 
-The type annotations of a dataclass define its file: a nested dataclass is a table, a union of
-dataclasses is resolved by its keys, `complex` is a number or [real, imaginary], `Path` is relative
-to the file. msgspec checks everything else. An unknown key is an error that names the nearest
-known key; numbers must be finite.
+The type annotations of a dataclass define its file: a nested dataclass is a table, `complex` is a
+number or [real, imaginary], `Path` is relative to the file. A union of dataclasses is resolved by
+its keys, or by the name, in lower case, of a member that needs none; a dataclass without fields is
+written as its name. msgspec checks everything else. An unknown key is an error that names the
+nearest known key; numbers must be finite.
 """
 
 import dataclasses
@@ -129,7 +130,7 @@ def build(make: Callable[..., T], data: Any, location: Location) -> T:
 def choose(makers: Iterable[Callable[..., T]], data: Any, location: Location) -> Callable[..., T]:
     """First of `makers` that accepts every key of `data` and requires no other key."""
     makers = tuple(makers)
-    listed = " or ".join(f"{_name(make)} ({_keys(make)})" for make in makers)
+    listed = _listed(makers)
     if not isinstance(data, Mapping):
         raise location.error(f"expected a table, {listed}, got `{type(data).__name__}`")
     for make in makers:
@@ -167,9 +168,31 @@ def _read_union(kind: Any, data: Any, location: Location) -> Any:
     if len(members) == 1:
         return read(members[0], data, location)
     if all(map(_is_dataclass, members)):
+        if isinstance(data, str) and _nameable(members):
+            return _named(members, data, location)
         known = isinstance(data, members)
         return data if known else build(choose(members, data, location), data, location)
     return _plain(kind, data, location)
+
+
+def _named(makers: tuple[Callable[..., T], ...], name: str, location: Location) -> T:
+    """Member of a union by its name; raises ConfigurationError where no member has the name."""
+    named = _nameable(makers)
+    if name in named:
+        return named[name]()
+    names = " or ".join(f"'{each}'" for each in named)
+    hint = _nearest(name, named)
+    raise location.error(f"expected {names} or a table, {_listed(makers)}, got '{name}'{hint}")
+
+
+def _nameable(makers: Iterable[Callable[..., T]]) -> dict[str, Callable[..., T]]:
+    """Members of a union that need no key, by their names in lower case."""
+    return {_name(make).lower(): make for make in makers if not _required(make)}
+
+
+def _listed(makers: Iterable[Callable[..., Any]]) -> str:
+    """Names and keys of the members of a union, as text."""
+    return " or ".join(f"{_name(make)} ({_keys(make)})" for make in makers if _parameters(make))
 
 
 def _is_dataclass(kind: Any) -> TypeGuard[type]:
@@ -228,10 +251,14 @@ def _nearest(key: str, known: Iterable[str]) -> str:
 
 
 def to_dict(value: Any) -> Any:
-    """Convert a dataclass to plain data for TOML and JSON; fields that are None are left out."""
+    """Convert a dataclass to plain data for TOML and JSON; fields that are None are left out.
+
+    A dataclass without fields becomes its name in lower case.
+    """
     if dataclasses.is_dataclass(value):
         items = ((field.name, getattr(value, field.name)) for field in dataclasses.fields(value))
-        return {name: to_dict(item) for name, item in items if item is not None}
+        made = {name: to_dict(item) for name, item in items if item is not None}
+        return made if dataclasses.fields(value) else _name(type(value)).lower()
     if isinstance(value, tuple | list):
         return [to_dict(item) for item in value]
     if isinstance(value, Path):

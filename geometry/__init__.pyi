@@ -50,6 +50,21 @@ from eitskin.geometry.design.sensor import (
 from eitskin.geometry.design.sensor import (
     SensorDesign as SensorDesign,
 )
+from eitskin.geometry.design.support import (
+    Free as Free,
+)
+from eitskin.geometry.design.support import (
+    Plates as Plates,
+)
+from eitskin.geometry.design.support import (
+    Rigid as Rigid,
+)
+from eitskin.geometry.design.support import (
+    Substrate as Substrate,
+)
+from eitskin.geometry.design.support import (
+    Support as Support,
+)
 from eitskin.geometry.design.surface import Surface as Surface
 from eitskin.geometry.meshing.hexahedra import structured_mesh as structured_mesh
 from eitskin.geometry.meshing.mesh import Mesh as Mesh

@@ -24,6 +24,7 @@ from eitskin.simulator.layer.dents import Dents
 from eitskin.simulator.layer.pressed_touches import PressedTouch, TouchModel, dents, pressed_touches
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.scene.scene import Scene
+from eitskin.simulator.scene.support_check import require_base, require_bendable
 
 Array = NDArray[np.float64]
 Field: TypeAlias = Callable[[Array], Array]
@@ -114,16 +115,19 @@ class Simulator:
     def presses(self, scene: Scene) -> tuple[PressedTouch, ...]:
         """Depth, contact radius and pressure of each touch, with error estimates."""
         self.check_scene(scene)
-        return pressed_touches(scene.touches, self.design, self.mechanics)
+        return pressed_touches(scene.touches, self.supported(scene), self.mechanics)
 
     def check_scene(self, scene: Scene) -> None:
-        """Raise ConfigurationError for touches off the layer, and for a surface that is not flat.
+        """Raise ConfigurationError for a scene that the sensor or its support does not allow.
 
+        Refused are touches off the layer or where the support leaves the bottom face free, bends
+        that the support does not allow, and everything but the flat state of a surface.
         Forces and angles that are too large are refused later, in the solution.
         """
         outline = self.design.outline
         if isinstance(outline, Surface):
-            if scene == Scene():
+            if not scene.touches and not scene.bends:
+                self.supported(scene)
                 return
             raise ConfigurationError(
                 "bending and touches need a rectangle, disc or polygon as outline, not a surface; "
@@ -136,6 +140,19 @@ class Simulator:
                     f"{outline.length:g} x {outline.width:g} m, got ({touch.x:g}, {touch.y:g}) m; "
                     "are the units metres?"
                 )
+        supported = self.supported(scene)
+        if scene.bends:
+            require_bendable(supported.support, self.fixture)
+        require_base(scene.touches, supported)
+
+    def supported(self, scene: Scene) -> SensorDesign:
+        """The design, on the scene's support where the scene has one.
+
+        Raises ConfigurationError where the sensor cannot rest on that support.
+        """
+        if scene.support is None or scene.support == self.design.support:
+            return self.design
+        return dataclasses.replace(self.design, support=scene.support)
 
     def deformed(self, deformation: Deformation) -> Frame:
         """Noise-free frame of the sensor under any deformation, such as `Displaced`."""
@@ -210,7 +227,7 @@ class Simulator:
         return np.array([found[scene] for scene in scenes])
 
     def _dents(self, scene: Scene) -> Dents:
-        return dents(scene.touches, self.design, self.mechanics, self.touch_model)
+        return dents(scene.touches, self.supported(scene), self.mechanics, self.touch_model)
 
     def conductivity(self, scene: Scene) -> Field | None:
         """Pulled-back conductivity J F^-1 sigma F^-T as a function of flat positions.

@@ -152,7 +152,7 @@ def export_vtu(
     resolution = field_resolution(design, cell)
     sim = simulator(design, resolution, fixture, protocol, mechanics, touch_model)
     if touch_model == "tabulated":
-        announce_unsolved(design, sim.mechanics, (touch.indenter for touch in what.touches), output)
+        announce_unsolved(sim, what, output)
     start = time.perf_counter()
     grids = scene_grids(sim, what, None if drive is None else [drive])
     make_folder(out)

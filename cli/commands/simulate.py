@@ -11,7 +11,7 @@ import typer
 from rich.console import Group
 from rich.table import Table
 
-from eitskin.cli.commands.simulator_options import announce_unsolved, simulator
+from eitskin.cli.commands.simulator_options import announce_unsolved, on_support, simulator
 from eitskin.cli.options import (
     FixtureFile,
     Json,
@@ -51,6 +51,10 @@ def command(
         str | None, typer.Option(help="ad5940: instrument model of that board.")
     ] = None,
     protocol: Pairs = "pairwise",
+    support: Annotated[
+        str | None,
+        typer.Option(help="rigid, plates or free, instead of the scene's or the sensor's."),
+    ] = None,
     view: Annotated[Path | None, typer.Option(help="Draw the scene into this PNG file.")] = None,
     colour: Annotated[
         str | None, typer.Option(help="Colour of the picture: conductance, strain or current.")
@@ -75,7 +79,7 @@ def command(
     from eitskin.simulator.view.scene_pictures import draw_scenes
 
     output = Output(json, quiet, verbose)
-    what = Scene.from_toml(scene)
+    what = on_support(Scene.from_toml(scene), support)
     design = SensorDesign.from_toml(sensor) if sensor else SensorDesign.reference()
     board = _instrument(noise, instrument)
     colours, pair = _colours(view, colour, drive, len(design.electrodes))
@@ -84,7 +88,7 @@ def command(
     sim.check_scene(what)  # before its presses are solved, which takes minutes
     flat = sim.measure(Scene())
     if touch_model == "tabulated":
-        announce_unsolved(design, sim.mechanics, (touch.indenter for touch in what.touches), output)
+        announce_unsolved(sim, what, output)
     start = time.perf_counter()
     frame = sim.measure(what, board, np.random.default_rng(seed))
     seconds = time.perf_counter() - start

@@ -1,6 +1,6 @@
 """Simulator of a command's options, and the note of presses that it has to solve first."""
 
-from collections.abc import Iterable
+import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
@@ -11,8 +11,7 @@ if TYPE_CHECKING:
     from eitskin.geometry.design.sensor import SensorDesign
     from eitskin.simulator.electrical.resolution import Discretisation, Resolution
     from eitskin.simulator.layer.pressed_touches import TouchModel
-    from eitskin.simulator.mechanics.layer_stack import Mechanics
-    from eitskin.simulator.scene.indenters import Indenter
+    from eitskin.simulator.scene.scene import Scene
     from eitskin.simulator.simulator import Simulator
 
 
@@ -45,16 +44,27 @@ def simulator(
     )
 
 
-def announce_unsolved(
-    design: "SensorDesign",
-    mechanics: "Mechanics",
-    indenters: "Iterable[Indenter]",
-    output: Output,
-) -> None:
-    """Note how many indenters have no solved press on this sensor yet."""
+def on_support(scene: "Scene", support: str | None) -> "Scene":
+    """Scene on the support of the option --support, where one is given.
+
+    Raises ConfigurationError where the option names no support.
+    """
+    from eitskin.config import from_dict
+    from eitskin.simulator.scene.scene import Scene
+
+    if support is None:
+        return scene
+    given = from_dict(Scene, {"support": support}, "--support")
+    return dataclasses.replace(scene, support=given.support)
+
+
+def announce_unsolved(simulator: "Simulator", scene: "Scene", output: Output) -> None:
+    """Note how many indenters of a scene have no solved press on this sensor yet."""
     from eitskin.simulator.mechanics.press_store import folder, is_stored
 
-    missing = sum(not is_stored(design, mechanics, each) for each in dict.fromkeys(indenters))
+    design, mechanics = simulator.supported(scene), simulator.mechanics
+    indenters = dict.fromkeys(touch.indenter for touch in scene.touches)
+    missing = sum(not is_stored(design, mechanics, each) for each in indenters)
     if missing:
         several = missing > 1
         output.note(

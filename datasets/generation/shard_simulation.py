@@ -14,12 +14,14 @@ from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.recipe.specimen import Specimen
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.writer import touch_columns
+from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.protocol import Protocol
 from eitskin.simulator.electrical.resolution import Resolution
 from eitskin.simulator.instrument.instrument import Instrument
 from eitskin.simulator.instrument.session import Session
 from eitskin.simulator.layer.pressed_touches import pressed_touches
 from eitskin.simulator.mechanics import press_store
+from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.scene.indenters import Cylinder
 from eitskin.simulator.scene.scene import Scene
 from eitskin.simulator.scene.touch import Touch
@@ -34,8 +36,8 @@ def missing_press_tables(recipe: Recipe) -> set[Path]:
     if not recipe.largest_force:
         return set()
     found: set[Path] = set()
-    for made in _specimens(recipe):
-        found |= press_store.missing(made.design, made.mechanics, Cylinder())
+    for design, mechanics in _pressed(recipe):
+        found |= press_store.missing(design, mechanics, Cylinder())
     return found
 
 
@@ -45,8 +47,8 @@ def prepare(recipe: Recipe) -> None:
     Raises ConfigurationError for forces beyond the reach of the presses on some specimen.
     """
     if recipe.largest_force:
-        for made in _specimens(recipe):
-            pressed_touches((Touch(0.0, 0.0, recipe.largest_force),), made.design, made.mechanics)
+        for design, mechanics in _pressed(recipe):
+            pressed_touches((Touch(0.0, 0.0, recipe.largest_force),), design, mechanics)
 
 
 def simulate_shard(
@@ -171,8 +173,14 @@ def _solve(
     return solved
 
 
-def _specimens(recipe: Recipe) -> Iterator[Specimen]:
-    return (specimen(recipe, number) for number in range(recipe.specimens.count))
+def _pressed(recipe: Recipe) -> Iterator[tuple[SensorDesign, Mechanics]]:
+    """Designs and materials of all specimens on all supports on which they are pressed."""
+    groups = [group.support for group in recipe.scenes if group.state == "touch"]
+    given = [None] * bool(recipe.episodes) + groups
+    for number in range(recipe.specimens.count):
+        made = specimen(recipe, number)
+        for support in dict.fromkeys(each or made.design.support for each in given):
+            yield dataclasses.replace(made.design, support=support), made.mechanics
 
 
 # Meshing takes as long as a few scenes, so simulators are cached, but only a few: each holds the

@@ -4,6 +4,7 @@ Frame i depends only on (recipe, seed, i): every random quantity has its own gen
 may be simulated in any order, anywhere, with the same result.
 """
 
+import dataclasses
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import lru_cache
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 
 from eitskin.datasets.recipe.episode import PERIOD, Episodes, Timeline
 from eitskin.datasets.recipe.recipe import Recipe
-from eitskin.datasets.recipe.specimen import Specimen, draw_specimen
+from eitskin.datasets.recipe.specimen import Specimen, draw_specimen, with_wider_gap
 from eitskin.datasets.store.state import State
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.mechanics.viscoelasticity import Prony, mixture
@@ -95,6 +96,9 @@ def _snapshot(recipe: Recipe, index: int) -> Sample:
     count, blocks = recipe.specimens.count, len(order.groups)
     made = block * count // blocks
     first = int(order.starts[-(-made * blocks // count)])
+    if scene.support is not None:
+        widened = specimen(recipe, made).hinge.span - recipe.hinge.span
+        scene = dataclasses.replace(scene, support=with_wider_gap(scene.support, widened))
     return Sample(
         index=index,
         specimen=made,

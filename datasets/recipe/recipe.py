@@ -13,6 +13,7 @@ from eitskin.datasets.recipe.episode import Episodes
 from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.datasets.recipe.shipped_recipes import SHIPPED, shipped_names
 from eitskin.datasets.recipe.specimen import Specimens
+from eitskin.datasets.recipe.support_problems import support_problems
 from eitskin.datasets.store.schema import LIMITS
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.fixtures import Bend, Hinge
@@ -155,12 +156,20 @@ class Recipe:
             return
         for number, group in enumerate(self.scenes):
             problems = [*group.problems(outline), *self._bend_problems(group.angle_deg)]
+            bent = group.angle_deg != (0.0, 0.0)
+            problems += support_problems(
+                group.support, self.sensor, self.hinge, bent, group.pressed_positions(outline)
+            )
             for problem in problems:
                 yield f"scenes[{number}] ({group.state}): {problem}"
         for number, each in enumerate(self.episodes):
             problems = list(each.problems(outline))
             problems = problems or [*self._bend_problems(each.angles_deg)]
             problems += self._skew_problems(each.period)
+            bent = each.angles_deg != (0.0, 0.0)
+            problems += support_problems(
+                None, self.sensor, self.hinge, bent, each.pressed_positions(outline)
+            )
             for problem in problems:
                 yield f"episodes[{number}]: {problem}"
 

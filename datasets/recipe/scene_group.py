@@ -11,6 +11,7 @@ from eitskin.datasets.recipe.touch_sampling import draw_positions, position_prob
 from eitskin.datasets.store.state import State
 from eitskin.geometry.deformation.fixtures import Bend
 from eitskin.geometry.design.outline import PlaneOutline
+from eitskin.geometry.design.support import Support
 from eitskin.simulator.scene.scene import Scene
 from eitskin.simulator.scene.touch import Touch
 
@@ -32,6 +33,7 @@ class SceneGroup:
         positions: (x, y) [m] of single touches in turn, instead of random positions.
         repeats: number of frames for each of `positions`.
         per_bend: number of consecutive frames with one angle, which is factorised once.
+        support: of the sensor in these scenes; the design's when omitted.
     """
 
     state: Literal["idle", "bend", "touch"]
@@ -44,6 +46,7 @@ class SceneGroup:
     positions: tuple[tuple[float, float], ...] = ()
     repeats: int = 1
     per_bend: int = 1
+    support: Support | None = None
 
     @property
     def frames(self) -> int:
@@ -81,6 +84,12 @@ class SceneGroup:
         if self.state == "bend" and self.angle_deg == (0.0, 0.0):
             yield "state 'bend' needs a range of angle_deg other than [0, 0]"
 
+    def pressed_positions(self, outline: PlaneOutline) -> tuple[tuple[float, float], ...]:
+        """Positions (x, y) [m] of touches; random ones reach the middle, which stands for all."""
+        if self.state != "touch":
+            return ()
+        return self.positions or ((0.5 * outline.length, 0.5 * outline.width),)
+
     @property
     def blocks(self) -> int:
         """Number of blocks of consecutive frames with one angle."""
@@ -95,7 +104,7 @@ class SceneGroup:
     ) -> Scene:
         """Scene `number` of the group at a bend, with touches drawn from `rng`."""
         if self.state != "touch":
-            return Scene(bend=bend)
+            return Scene(bend=bend, support=self.support)
         if self.positions:
             positions = np.array([self.positions[number % len(self.positions)]])
         else:
@@ -108,6 +117,7 @@ class SceneGroup:
                 Touch(float(x), float(y), float(force))
                 for (x, y), force in zip(positions, forces, strict=True)
             ),
+            support=self.support,
         )
 
     def _position_problems(self, outline: PlaneOutline) -> Iterator[str]:

@@ -14,6 +14,7 @@ from eitskin.geometry.deformation.fixtures import Hinge
 from eitskin.geometry.design.electrode import Electrode
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.geometry.design.support import Plates, Support
 from eitskin.geometry.design.surface import Surface
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.mechanics.materials import NeoHookean, Ogden
@@ -51,7 +52,7 @@ class Specimens:
         encapsulation_modulus: shear modulus of the encapsulation.
         contact_impedance: of each electrode independently.
         electrode_place: position along the rim, of each side electrode independently [m].
-        hinge_span: free length of the hinge [m].
+        hinge_span: free length of the hinge, and between the plates of a support [m].
         hinge_offset: position of the hinge's axis across the layer [m].
     """
 
@@ -124,7 +125,10 @@ def draw_specimen(spread: Specimens, nominal: Specimen, rng: np.random.Generator
         )
         for electrode, contact, place in zip(design.electrodes, contacts, places, strict=True)
     )
-    made = dataclasses.replace(design, electrodes=electrodes)
+    widened = spread.hinge_span * span
+    made = dataclasses.replace(
+        design, electrodes=electrodes, support=with_wider_gap(design.support, widened)
+    )
     made = _scaled_conductivity(made, factor("conductivity", conductivity))
     if spread.thickness:
         made = _scaled_thickness(made, factor("thickness", thickness))
@@ -135,7 +139,7 @@ def draw_specimen(spread: Specimens, nominal: Specimen, rng: np.random.Generator
         made,
         dataclasses.replace(
             hinge,
-            span=hinge.span + spread.hinge_span * span,
+            span=hinge.span + widened,
             offset=hinge.offset + spread.hinge_offset * offset,
         ),
         dataclasses.replace(
@@ -146,6 +150,13 @@ def draw_specimen(spread: Specimens, nominal: Specimen, rng: np.random.Generator
             ),
         ),
     )
+
+
+def with_wider_gap(support: Support, by: float) -> Support:
+    """Support whose plates are farther apart `by` [m]; other supports unchanged."""
+    if isinstance(support, Plates) and by:
+        return dataclasses.replace(support, span=support.span + by)
+    return support
 
 
 def lognormal(deviation: float, normal: float) -> float:

@@ -1,7 +1,7 @@
-"""Design of a sensor: outline, thickness, electrodes, conductivity."""
+"""Design of a sensor: outline, thickness, electrodes, conductivity, support."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ from eitskin.geometry.design.outline import Outline, Rectangle
 from eitskin.geometry.design.patches import Patch
 from eitskin.geometry.design.placement import placed, require_apart
 from eitskin.geometry.design.regular_layouts import grid, uniform
+from eitskin.geometry.design.support import Rigid, Support, require_fit
 from eitskin.geometry.design.surface import Surface
 
 Array = NDArray[np.float64]
@@ -51,6 +52,7 @@ class SensorDesign:
         layers: sheets from the bottom upwards, instead of one conductivity; their thicknesses add
             up to `thickness`.
         encapsulated_thickness: of body and encapsulation together, body centred [m].
+        support: of the bottom face of the encapsulation.
     """
 
     outline: Outline
@@ -59,12 +61,14 @@ class SensorDesign:
     conductivity: float = 1.0
     layers: tuple[Layer, ...] = ()
     encapsulated_thickness: float = 0.012
+    support: Support = field(default_factory=Rigid)
 
     def __post_init__(self) -> None:
         """Check that sizes, layers and electrodes agree, and that no electrodes overlap."""
         self._check_thickness()
         require_positive("conductivity", self.conductivity, "S/m")
         self._check_layers()
+        require_fit(self.support, self.outline)
         require_count("the number of electrodes", len(self.electrodes), 2, MOST_ELECTRODES)
         require_apart(placed(self.electrodes, self.outline, self.thickness))
 

@@ -125,6 +125,15 @@ def test_a_touch_by_itself_has_no_neighbour_and_the_closed_form_tells_nothing(sc
     assert closed["impedance_real_ohm"] == frame.impedance.real.tolist()
 
 
+def test_an_option_says_what_the_sensor_rests_on(scene, tmp_path) -> None:
+    with pytest.raises(ConfigurationError, match="not solved yet on plates"):
+        run(scene, "--support", "plates")
+    with pytest.raises(ConfigurationError, match=r"--support: support: .*'plates'.*got 'plate'"):
+        run(scene, "--support", "plate")
+    free = written(tmp_path / "free.toml", "support = 'free'\n" + scene.read_text())
+    assert simulate(free, "--support", "rigid")["touches"] == simulate(scene)["touches"]
+
+
 # Mechanics and fixture from files
 
 

@@ -7,11 +7,12 @@ import pytest
 
 from eitskin.datasets import Recipe
 from eitskin.datasets.recipe.episode import EpisodeTouch, Keyframe, RandomEpisodes, ScriptedEpisode
+from eitskin.datasets.recipe.frame_sampling import sample, specimen
 from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.datasets.recipe.shipped_recipes import shipped_names
 from eitskin.datasets.recipe.specimen import Specimens
 from eitskin.errors import ConfigurationError
-from eitskin.geometry import Electrode, Hinge, SensorDesign, Surface
+from eitskin.geometry import Electrode, Free, Hinge, Plates, SensorDesign, Surface
 from eitskin.simulator import Instrument, Mechanics
 from eitskin.simulator.mechanics.materials import Ogden
 
@@ -214,3 +215,51 @@ def test_a_surface_can_be_no_sensor_of_a_recipe(tmp_path):
     design = SensorDesign(Surface(tmp_path / "box.stl"), 0.005, pads)
     with pytest.raises(ConfigurationError, match="rectangle, disc or polygon"):
         Recipe("solid", scenes=(IDLE,), sensor=design)
+
+
+ON_PLATES = SceneGroup("touch", positions=((0.02, 0.03), (0.13, 0.03)), support=Plates())
+
+
+def test_a_group_of_scenes_may_have_a_support_of_its_own(tmp_path):
+    recipe = dataclasses.replace(MIXED, scenes=(IDLE, ON_PLATES))
+    assert Recipe.from_toml(write(tmp_path, recipe.to_toml())) == recipe
+    found = [sample(recipe, index).scene.support for index in range(recipe.frames)]
+    assert found.count(Plates()) == 2
+    assert found.count(None) == IDLE.count
+
+
+def test_plates_are_as_far_apart_as_each_specimen_s_hinge():
+    recipe = dataclasses.replace(
+        MIXED,
+        sensor=dataclasses.replace(MIXED.sensor, support=Plates()),
+        scenes=(dataclasses.replace(BENT, support=Plates()),),
+        specimens=Specimens(5, hinge_span=1e-3),
+    )
+    drawn = [sample(recipe, index) for index in range(recipe.frames)]
+    spans = {each.scene.support.span for each in drawn}
+    assert len(spans) == 5
+    for each in drawn:
+        made = specimen(recipe, each.specimen)
+        assert each.scene.support.span == pytest.approx(made.hinge.span, abs=1e-12)
+        assert made.design.support.span == pytest.approx(made.hinge.span, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("group", "support", "message"),
+    [
+        (TOUCHED, Free(), r"scenes\[0\] \(touch\): a free membrane"),
+        (dataclasses.replace(TOUCHED, angle_deg=(0.0, 0.0)), Free(), "on a free membrane is not"),
+        (dataclasses.replace(TOUCHED, angle_deg=(0.0, 0.0)), Plates(), "not solved yet on plates"),
+        (BENT, Plates(0.03), "0.03 m apart"),
+        (IDLE, Plates(0.2), "length of 0.15 m"),
+    ],
+)
+def test_scenes_that_their_support_does_not_allow_are_refused(group, support, message):
+    with pytest.raises(ConfigurationError, match=message):
+        dataclasses.replace(MIXED, scenes=(dataclasses.replace(group, support=support),))
+
+
+def test_episodes_are_on_the_support_of_the_sensor():
+    free = dataclasses.replace(MIXED.sensor, support=Free())
+    with pytest.raises(ConfigurationError, match=r"episodes\[0\]: a free membrane"):
+        dataclasses.replace(EPISODES, sensor=free, scenes=())

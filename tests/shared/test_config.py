@@ -23,6 +23,21 @@ class Box:
 
 
 @dataclass(frozen=True, slots=True)
+class Plain:
+    pass
+
+
+@dataclass(frozen=True, slots=True)
+class Spaced:
+    gap: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    base: Plain | Spaced | Box = field(default_factory=Plain)
+
+
+@dataclass(frozen=True, slots=True)
 class Thing:
     shape: Ball | Box
     z: complex = 0.0
@@ -42,6 +57,36 @@ def test_a_union_is_the_member_whose_keys_are_there():
     assert thing("shape = { radius = 2 }").shape == Ball(2.0)
     assert thing("shape = { length = 2 }").shape == Box(2.0)
     assert thing("shape = { width = 3, length = 2 }").shape == Box(2.0, 3.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "base", "written"),
+    [
+        ("", Plain(), 'base = "plain"\n'),
+        ("base = 'plain'", Plain(), 'base = "plain"\n'),
+        ("base = 'spaced'", Spaced(), "\n[base]\ngap = 1.0\n"),
+        ("base = { gap = 2 }", Spaced(2.0), "\n[base]\ngap = 2.0\n"),
+    ],
+)
+def test_a_member_that_needs_no_key_is_known_by_its_name(text, base, written):
+    found = parse_toml(Standing, text)
+    assert found == Standing(base)
+    assert to_toml(found) == written
+    assert parse_toml(Standing, written) == found
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("base = 'plan'", "'plain' or 'spaced' or a table, Spaced .* got 'plan'; .*'plain'"),
+        ("base = 'box'", r"Box \(length, \[width\]\), got 'box'"),
+        ("base = { gap = 2, width = 1 }", "got gap, width"),
+        ("base = 3", r"table, Spaced .* got `int`"),
+    ],
+)
+def test_a_name_that_no_member_has_is_refused(text, message):
+    with pytest.raises(ConfigurationError, match=message):
+        parse_toml(Standing, text)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,70 @@
+"""Scenes on supports: which are refused, and what stays the same."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from eitskin.config import parse_toml, to_toml
+from eitskin.errors import ConfigurationError
+from eitskin.geometry import Bend, Free, Hinge, Plates, Rigid, SensorDesign, Substrate
+from eitskin.geometry.deformation.fixtures import FreeArc
+from eitskin.geometry.deformation.twist import Roll, Twist
+from eitskin.simulator import Scene, Simulator, Touch
+
+TOUCH = Touch(0.020, 0.030, 8.0)
+MIDDLE = Touch(0.075, 0.030, 8.0)
+
+
+@pytest.mark.parametrize("support", [None, Rigid(), Plates(0.03), Substrate(0.01, 5e3), Free()])
+def test_a_scene_keeps_its_support_in_its_file(support) -> None:
+    scene = Scene(Bend(10.0), (TOUCH,), support=support)
+    assert parse_toml(Scene, to_toml(scene)) == scene
+
+
+def test_support_changes_nothing_where_nothing_is_pressed(sim) -> None:
+    flat = sim.measure(Scene()).impedance
+    for support in (Rigid(), Plates(), Substrate(0.01, 5e3), Free()):
+        assert np.array_equal(sim.measure(Scene(support=support)).impedance, flat)
+    bent = sim.measure(Scene(Bend(20.0))).impedance
+    assert np.array_equal(sim.measure(Scene(Bend(20.0), support=Plates())).impedance, bent)
+
+
+def test_far_from_the_gap_plates_carry_a_press_as_a_rigid_base_does(sim) -> None:
+    rigid = sim.measure(Scene(touches=(TOUCH,))).impedance
+    plates = sim.measure(Scene(touches=(TOUCH,), support=Plates())).impedance
+    assert np.array_equal(plates, rigid)
+
+
+def test_the_support_of_a_scene_takes_the_place_of_the_design() -> None:
+    free = dataclasses.replace(SensorDesign.reference(), support=Free())
+    on_free = Simulator(free, "fast")
+    with pytest.raises(ConfigurationError, match="free membrane"):
+        on_free.check_scene(Scene(touches=(TOUCH,)))
+    on_free.check_scene(Scene(touches=(TOUCH,), support=Rigid()))
+    assert on_free.supported(Scene()) == free
+    assert on_free.supported(Scene(support=Rigid())) == SensorDesign.reference()
+
+
+@pytest.mark.parametrize(
+    ("scene", "fixture", "message"),
+    [
+        (Scene(touches=(TOUCH,), support=Free()), None, r"\(0.02, 0.03\) m on a free membrane"),
+        (Scene(touches=(MIDDLE,), support=Plates()), None, "up to 0.0355 m or from 0.1145 m"),
+        (Scene(Bend(5.0), support=Free()), None, "neither bent, rolled nor twisted"),
+        (Scene(roll=Roll(5.0), support=Free()), None, "neither bent, rolled nor twisted"),
+        (Scene(twist=Twist(5.0), support=Free()), None, "neither bent, rolled nor twisted"),
+        (Scene(Bend(5.0), support=Plates(0.03)), None, "0.03 m apart, .* fixture 0.04 m"),
+        (Scene(Bend(5.0), support=Plates()), FreeArc(0.1), "needs the hinge of the plates"),
+        (Scene(support=Plates(0.2)), None, "length of 0.15 m, got 0.2 m"),
+    ],
+)
+def test_what_a_support_does_not_allow_is_refused(scene, fixture, message) -> None:
+    made = Simulator(SensorDesign.reference(), "fast", fixture=fixture)
+    with pytest.raises(ConfigurationError, match=message):
+        made.measure(scene)
+
+
+def test_plates_as_far_apart_as_those_of_the_fixture_may_be_bent() -> None:
+    made = Simulator(SensorDesign.reference(), "fast", fixture=Hinge(span=0.03))
+    made.check_scene(Scene(Bend(5.0), support=Plates(0.03)))
