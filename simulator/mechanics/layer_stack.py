@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.geometry.design.support import Substrate
 from eitskin.simulator.mechanics.materials import NeoHookean, Ogden
 from eitskin.simulator.mechanics.viscoelasticity import ECOFLEX, GEL, Prony
 
@@ -83,13 +84,16 @@ class Mechanics:
             raise ConfigurationError(f"solved_thickness must be a positive length, got {solved}")
 
     def stack(self, design: SensorDesign) -> "Stack":
-        """Layers of a sensor from below: encapsulation, gel, encapsulation."""
+        """Layers of a sensor from below: encapsulation, gel, encapsulation; a substrate below."""
         around = 0.5 * (design.encapsulated_thickness - design.thickness)
         sheets = [Sheet(design.thickness, self.gel)]
         if around > 0.0:
             silicone = Sheet(around, self.encapsulation)
             sheets = [silicone, *sheets, silicone]
-        return Stack(tuple(sheets), self.bulk_ratio)
+        support = design.support
+        if isinstance(support, Substrate):
+            sheets = [Sheet(support.thickness, NeoHookean(support.shear_modulus)), *sheets]
+        return Stack(tuple(sheets), self.bulk_ratio, isinstance(support, Substrate))
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,15 +117,22 @@ class Stack:
     Attributes:
         sheets: the layers.
         bulk_ratio: kappa / mu of all layers.
+        substrate: whether the lowest layer is a substrate, which is no part of the sensor.
     """
 
     sheets: tuple[Sheet, ...]
     bulk_ratio: float = 1e4
+    substrate: bool = False
 
     def __post_init__(self) -> None:
         """Check that there is a layer."""
         if not self.sheets:
             raise ConfigurationError("a stack needs at least one layer")
+
+    @property
+    def gel(self) -> int:
+        """Number of the conductive layer: the middle one of the sensor."""
+        return (len(self.sheets) + self.substrate) // 2
 
     @property
     def levels(self) -> tuple[float, ...]:

@@ -23,8 +23,9 @@ from eitskin.simulator.scene.indenters import Indenter
 # Version of the tables: raise it whenever presses are solved or tabulated in another way.
 _VERSION = 1
 # Tables are solved for moduli of the encapsulation over the gel's of 1.4 2^(k/2), k an integer;
-# 1.4 is the reference. Other ratios are interpolated.
+# 1.4 is the reference. Other ratios are interpolated. Likewise for a substrate, of 2^(k/2).
 _REFERENCE_RATIO = 1.4
+_SUBSTRATE_RATIO = 1.0
 _STEPS = 2.0  # per factor of two
 _THICKER = 1.1  # ratio of neighbouring solved thicknesses, where sensors share tables
 # Everything is solved at one scale: a layer this thick [m], of this shear modulus [Pa].
@@ -76,9 +77,10 @@ def folder() -> Path:
 def _needed(design: SensorDesign, mechanics: Mechanics) -> list[tuple[Stack, float]]:
     """Solved stacks, and their weights in the table of a design's stack."""
     return [
-        (stack, high * stiff)
+        (stack, high * stiff * soft)
         for thick, high in _of_thicknesses(mechanics.stack(design), design, mechanics)
-        for stack, stiff in _of_ratios(thick)
+        for cased, stiff in _of_ratios(thick)
+        for stack, soft in _of_substrates(cased)
     ]
 
 
@@ -97,13 +99,30 @@ def _of_thicknesses(
 
 def _of_ratios(stack: Stack) -> list[tuple[Stack, float]]:
     """Stack with solved moduli of the encapsulation, and their weights."""
-    if len(stack.sheets) == 1:
+    gel, around = stack.gel, (stack.gel - 1, stack.gel + 1)
+    if around[1] == len(stack.sheets):
         return [(stack, 1.0)]
-    around, gel, _ = (sheet.law.shear_modulus for sheet in stack.sheets)
-    position = float(_STEPS * np.log2(around / gel / _REFERENCE_RATIO))
+    return _of_moduli(stack, around, _REFERENCE_RATIO * stack.sheets[gel].law.shear_modulus)
+
+
+def _of_substrates(stack: Stack) -> list[tuple[Stack, float]]:
+    """Stack with solved moduli of the substrate, and their weights; the stack without one."""
+    if not stack.substrate:
+        return [(stack, 1.0)]
+    return _of_moduli(stack, (0,), _SUBSTRATE_RATIO * stack.sheets[stack.gel].law.shear_modulus)
+
+
+def _of_moduli(
+    stack: Stack, numbers: tuple[int, ...], reference: float
+) -> list[tuple[Stack, float]]:
+    """Stack with solved moduli of sheets of one modulus, steps from `reference` [Pa]; weights."""
+    modulus = stack.sheets[numbers[0]].law.shear_modulus
+    position = float(_STEPS * np.log2(modulus / reference))
     first = math.ceil(position) - 2
-    weights = _lagrange(position, range(first, first + 4))
-    return [(_with_ratio(stack, p), weight) for p, weight in weights]
+    return [
+        (_with_modulus(stack, numbers, reference * 2.0 ** (p / _STEPS)), weight)
+        for p, weight in _lagrange(position, range(first, first + 4))
+    ]
 
 
 def _lagrange(position: float, nodes: range) -> list[tuple[int, float]]:
@@ -115,28 +134,34 @@ def _lagrange(position: float, nodes: range) -> list[tuple[int, float]]:
 
 
 def _scaled_heights(stack: Stack, factor: float) -> Stack:
-    sheets = tuple(dataclasses.replace(x, thickness=factor * x.thickness) for x in stack.sheets)
+    """Stack whose sensor is `factor` times as thick; a substrate stays as it is."""
+    sheets = tuple(
+        sheet
+        if stack.substrate and number == 0
+        else dataclasses.replace(sheet, thickness=factor * sheet.thickness)
+        for number, sheet in enumerate(stack.sheets)
+    )
     return dataclasses.replace(stack, sheets=sheets)
 
 
-def _with_ratio(stack: Stack, step: int) -> Stack:
-    """Stack with solved modulus number `step` of the encapsulation."""
-    around, gel, _ = stack.sheets
-    modulus = _REFERENCE_RATIO * 2.0 ** (step / _STEPS) * gel.law.shear_modulus
-    law = dataclasses.replace(around.law, shear_modulus=modulus)
-    silicone = dataclasses.replace(around, law=law)
-    return dataclasses.replace(stack, sheets=(silicone, gel, silicone))
+def _with_modulus(stack: Stack, numbers: tuple[int, ...], modulus: float) -> Stack:
+    """Stack whose sheets `numbers` have the shear modulus `modulus` [Pa]."""
+    sheets = list(stack.sheets)
+    for number in numbers:
+        law = dataclasses.replace(sheets[number].law, shear_modulus=modulus)
+        sheets[number] = dataclasses.replace(sheets[number], law=law)
+    return dataclasses.replace(stack, sheets=tuple(sheets))
 
 
 def stored(stack: Stack, indenter: Indenter) -> PressTable:
-    """Table of the middle sheet from the disk, or solved now and stored."""
+    """Table of the conductive layer from the disk, or solved now and stored."""
     length, modulus = _scales(stack)
     path = _path(stack, indenter)
     found = _read(path)
     if found is None:
         found = tables.solve_table(
             _scaled_stack(stack, length, modulus),
-            len(stack.sheets) // 2,
+            stack.gel,
             _ScaledIndenter(indenter, length),
         )
         _write(found, path)
@@ -147,8 +172,8 @@ def stored(stack: Stack, indenter: Indenter) -> PressTable:
 
 
 def _scales(stack: Stack) -> tuple[float, float]:
-    """Thickness and modulus of the middle sheet relative to the solved ones."""
-    layer = stack.sheets[len(stack.sheets) // 2]
+    """Thickness and modulus of the conductive layer relative to the solved ones."""
+    layer = stack.sheets[stack.gel]
     return layer.thickness / _THICKNESS, layer.law.shear_modulus / _MODULUS
 
 
