@@ -16,6 +16,7 @@ from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.surface import Surface
 from eitskin.protocol import Protocol
 from eitskin.simulator.electrical.forward_model import AreaRatio, ForwardModel
+from eitskin.simulator.electrical.model_family import ModelFamily
 from eitskin.simulator.electrical.reanalysis import Reanalysis, Tolerance, is_possible
 from eitskin.simulator.electrical.resolution import Discretisation, Resolution
 from eitskin.simulator.instrument.instrument import Instrument
@@ -43,7 +44,8 @@ class Simulator:
         protocol: drive and sense pairs of the measurements.
         mechanics: materials of gel and encapsulation.
         touch_model: "tabulated" or "closed form", the model of presses.
-        model: the forward model; `model.factorisations` counts the work done.
+        model: the forward model of scenes without small indenters; `model.factorisations` counts
+            the work done.
     """
 
     def __init__(
@@ -83,7 +85,9 @@ class Simulator:
         middle, half = design.outline.length / 2, self.fixture.bent_length / 2
         # Without a transition F jumps at the clamps: the mesh must have faces there.
         breaks = () if self.fixture.transition else (middle - half, middle + half)
-        self.model = ForwardModel(design, resolution, breaks=breaks)
+        self._models = ModelFamily(design, resolution, breaks)
+        self.model = self._models.base
+        self._untouched: dict[ForwardModel, tuple[Scene, NDArray[np.inexact]]] = {}
         self._last: tuple[Scene, NDArray[np.inexact]] | None = None
         self._bent: tuple[Bend, Deformation] | None = None
 
@@ -212,19 +216,31 @@ class Simulator:
         """
         found: dict[Scene, NDArray[np.complex128]] = {}
         for base, group in _by_bend(scenes).items():
-            touched = [scene for scene in group if scene.touches]
-            if len(touched) < _FEWEST_REANALYSED or not is_possible(self.model):
-                for scene in group:
-                    before_each()
-                    found[scene] = self.measure(scene).impedance
-                continue
-            before_each()
-            solved = Reanalysis(self.model, self.deformed_layer(base), tolerance)
-            found[base] = self._measured(solved.base)
-            for scene in touched:
+            for model, same in self._by_model(group).items():
+                touched = [scene for scene in same if scene.touches]
+                if len(touched) < _FEWEST_REANALYSED or not is_possible(model):
+                    for scene in same:
+                        before_each()
+                        found[scene] = self.measure(scene).impedance
+                    continue
                 before_each()
-                found[scene] = self._measured(solved.impedance(self.deformed_layer(scene)))
+                solved = Reanalysis(model, self.deformed_layer(base), tolerance)
+                self._untouched[model] = base, solved.base
+                found[base] = self._measured(self._impedance(base))
+                for scene in touched:
+                    before_each()
+                    Z = solved.impedance(self.deformed_layer(scene))
+                    found[scene] = self._measured(self._on_base_mesh(Z, model, base))
         return np.array([found[scene] for scene in scenes])
+
+    def _by_model(self, scenes: Sequence[Scene]) -> dict[ForwardModel, list[Scene]]:
+        by_model: dict[ForwardModel, list[Scene]] = {}
+        for scene in scenes:
+            by_model.setdefault(self._model_of(scene), []).append(scene)
+        return by_model
+
+    def _model_of(self, scene: Scene) -> ForwardModel:
+        return self._models.suited(touch.indenter for touch in scene.touches)
 
     def _dents(self, scene: Scene) -> Dents:
         return dents(scene.touches, self.supported(scene), self.mechanics, self.touch_model)
@@ -247,10 +263,34 @@ class Simulator:
         return None if layer.deformation is None else layer.area_ratio
 
     def _impedance(self, scene: Scene) -> NDArray[np.inexact]:
-        layer = self.deformed_layer(scene)
-        if layer.deformation is None:
-            return self.model.impedance()
-        return self.model.impedance(layer.conductivity, layer.area_ratio)
+        if not scene.touches:
+            return self._untouched_impedance(self.model, scene)
+        model, layer = self._model_of(scene), self.deformed_layer(scene)
+        Z = model.impedance(layer.conductivity, layer.area_ratio)
+        return self._on_base_mesh(Z, model, _untouched(scene))
+
+    def _on_base_mesh(
+        self, Z: NDArray[np.inexact], model: ForwardModel, base: Scene
+    ) -> NDArray[np.inexact]:
+        """Impedance on the base mesh, plus the change from scene `base` to Z on the finer mesh.
+
+        Errors of the two meshes thus do not enter the change that touches make.
+        """
+        if model is self.model:
+            return Z
+        change = Z - self._untouched_impedance(model, base)
+        moved: NDArray[np.inexact] = self._untouched_impedance(self.model, base) + change
+        return moved
+
+    def _untouched_impedance(self, model: ForwardModel, base: Scene) -> NDArray[np.inexact]:
+        """Impedance [ohm] of a scene without touches; that of the last one is cached."""
+        last = self._untouched.get(model)
+        if last is None or last[0] != base:
+            layer = self.deformed_layer(base)
+            flat = layer.deformation is None
+            Z = model.impedance() if flat else model.impedance(layer.conductivity, layer.area_ratio)
+            self._untouched[model] = last = base, Z
+        return last[1]
 
     def deformed_layer(self, scene: Scene) -> DeformedLayer:
         """Deformed layer: pulled-back conductivity and electrode area ratio of the scene."""
@@ -268,5 +308,9 @@ def _by_bend(scenes: Sequence[Scene]) -> dict[Scene, list[Scene]]:
     """Different scenes, grouped by the scene without touches."""
     groups: dict[Scene, list[Scene]] = {}
     for scene in dict.fromkeys(scenes):
-        groups.setdefault(dataclasses.replace(scene, touches=()), []).append(scene)
+        groups.setdefault(_untouched(scene), []).append(scene)
     return groups
+
+
+def _untouched(scene: Scene) -> Scene:
+    return dataclasses.replace(scene, touches=())

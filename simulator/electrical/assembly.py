@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from eitskin.geometry.design.patches import Contacts
 from eitskin.geometry.meshing.mesh import Mesh
 from eitskin.simulator.electrical.function_space import FunctionSpace, Rule
+from eitskin.simulator.electrical.memory import require_memory
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.inexact]
@@ -83,8 +84,12 @@ class Assembly:
     """
 
     def __init__(self, mesh: Mesh, order: tuple[int, ...]) -> None:
-        """Prepare elements of polynomial `order`: one number for tetrahedra."""
+        """Prepare elements of polynomial `order`: one number for tetrahedra.
+
+        Raises ConfigurationError where the matrices need too much memory.
+        """
         self.space = FunctionSpace(mesh, order)
+        require_memory(self.space)
         self.unknowns = self.space.unknowns
         self.points = self.space.rule.points
         self._pairs = np.tril_indices(self.space.numbers.shape[1])
@@ -252,34 +257,40 @@ class Assembly:
     @property
     def cell_weights(self) -> Array:
         """Quadrature weights of the cells, (cells, q) [m3]."""
-        return self._weights(self.space.rule)
-
-    def _weights(self, rule: Rule) -> Array:
+        rule = self.space.rule
         weights: Array = self.space.jacobians[:, None] * rule.weights
         return weights.reshape(rule.points.shape[:2])
 
     def cell_gradients(self, potentials: Numbers) -> Numbers:
         """Gradients at the quadrature points, (cells, q, 3, k), for u (elements, functions, k)."""
-        return self._gradients(potentials, self.space.rule)
+        return self._gradients(potentials)
 
     def energies(self, potentials: Array) -> Array:
         """Energy products of potentials u at the coarse rule's points, (cells, s, 6, k, k).
 
         Multiplied by the entries of a symmetric tensor S and summed over the points, the products
-        give int grad u_k . S grad u_l.
+        give int grad u_k . S grad u_l, by the full quadrature, for S linear between these points.
         """
-        g = np.moveaxis(self._gradients(potentials, self.space.coarse), 2, 0)
-        one, other = g[TENSOR_ROWS], g[TENSOR_COLUMNS]
-        products = one[..., :, None] * other[..., None, :]
-        products[3:] += other[3:, ..., :, None] * one[3:, ..., None, :]
-        products *= self._weights(self.space.coarse)[..., None, None]
-        return np.moveaxis(products, 0, 2)
+        (between, _), *_ = self._interpolation()
+        weights = self.cell_weights[..., None]
+        found = []
+        for some in np.array_split(np.arange(len(potentials)), len(potentials) // 64 + 1):
+            g = np.moveaxis(self._gradients(potentials, some), 2, 0)
+            cells = some[:, None] * self.space.element.cells + np.arange(self.space.element.cells)
+            one, other = g[TENSOR_ROWS], g[TENSOR_COLUMNS] * weights[cells.ravel()]
+            products = one[..., :, None] * other[..., None, :]
+            products[3:] += other[3:, ..., :, None] * one[3:, ..., None, :]
+            found.append(np.einsum("qs,acqkl->csakl", between, products, optimize=True))
+        return np.concatenate(found)
 
-    def _gradients(self, potentials: Numbers, rule: Rule) -> Numbers:
+    def _gradients(self, potentials: Numbers, elements: Indices | slice = slice(None)) -> Numbers:
+        """Gradients at the quadrature points of some elements' cells, (cells, q, 3, k)."""
+        rule = self.space.rule
         reference = self.space.element.gradients(rule.X)
-        gradients = np.einsum("iaq,eik->eqak", reference, potentials, optimize=True)
-        gradients = np.einsum("eqak,eab->eqbk", gradients, self.space.inverses, optimize=True)
-        shaped: Numbers = gradients.reshape(*rule.points.shape, potentials.shape[-1])
+        gradients = np.einsum("iaq,eik->eqak", reference, potentials[elements], optimize=True)
+        inverses = self.space.inverses[elements]
+        gradients = np.einsum("eqak,eab->eqbk", gradients, inverses, optimize=True)
+        shaped: Numbers = gradients.reshape(-1, *rule.points.shape[1:], potentials.shape[-1])
         return shaped
 
 

@@ -41,7 +41,7 @@ class FunctionSpace:
         origins: images of X = 0, (elements, 3) [m].
         inverses: dX/dx, (elements, 3, 3).
         jacobians: |det dx/dX|, (elements,).
-        rule: quadrature, exact for products of two functions.
+        rule: quadrature of products of two functions' gradients.
         coarse: quadrature with few points, for fields almost linear within cells.
     """
 

@@ -1,43 +1,92 @@
-"""Named resolutions: polynomial orders and cell sizes for any design."""
+"""Named resolutions: polynomial orders and cell sizes for any design and indenter."""
 
 import math
-from typing import Literal, TypeAlias, get_args
+from typing import Literal, NamedTuple, TypeAlias, get_args
+
+import numpy as np
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.geometry.meshing.mesh_design import CellKind
+from eitskin.simulator.scene.indenters import Cylinder, Indenter
 
 Resolution = Literal["fast", "standard", "fine"]
 Discretisation: TypeAlias = tuple[tuple[int, ...], Grading]
 
-# Orders in the plane for the constant, linear, quadratic ... part along the height; finest cell
-# relative to the smallest electrode, coarsest cell relative to the body's shorter side, and growth.
-# Presses tilt and shear the layer, which couples the parts, so that all parts need nearly the same
-# order. `eitskin bench accuracy` measures cost and error of each resolution.
-_COLUMNS: dict[str, tuple[tuple[int, ...], float, float, float]] = {
-    "fast": ((3, 2, 1), 0.2, 0.1, 4.0),
-    "standard": ((3, 2, 2), 0.04, 0.11, 2.2),
-    "fine": ((5, 4, 3), 4e-3, 0.13, 2.0),
+
+class _Named(NamedTuple):
+    """Sizes of a named resolution, relative to lengths of the design.
+
+    Attributes:
+        order: in the plane for the constant, linear, quadratic ... part along the height. Presses
+            shear the layer, which couples the parts, so that all parts need nearly the same order.
+        finest: finest cell, relative to the smallest electrode.
+        coarsest: coarsest cell, relative to the body's shorter side.
+        growth: of the cells from the electrode edges.
+        per_press: coarsest cell, relative to the length over which a press varies.
+    """
+
+    order: tuple[int, ...]
+    finest: float
+    coarsest: float
+    growth: float
+    per_press: float
+
+
+# `eitskin bench accuracy` measures cost and error of each resolution.
+_COLUMNS = {
+    "fast": _Named((3, 3, 2, 1), 0.2, 0.1, 2.0, 0.62),
+    "standard": _Named((4, 4, 3, 2, 1), 0.04, 0.11, 3.0, 0.68),
+    "fine": _Named((5, 5, 5, 4, 3), 4e-3, 0.083, 2.0, 0.52),
 }
 # Triangles are refined around electrode edges only, not along whole lines, and can be finer.
-_PRISMS: dict[str, tuple[tuple[int, ...], float, float, float]] = {
-    "fast": ((2, 2, 1), 0.2, 0.12, 1.2),
-    "standard": ((3, 2, 2), 0.04, 0.13, 1.2),
-    "fine": ((4, 3, 2), 4e-3, 0.13, 1.5),
+_PRISMS = {
+    "fast": _Named((3, 3, 2, 1), 0.2, 0.133, 1.2, 0.82),
+    "standard": _Named((4, 4, 3, 2, 1), 0.04, 0.133, 1.2, 0.82),
+    "fine": _Named((4, 4, 4, 3, 2), 4e-3, 0.1, 1.2, 0.62),
 }
-_TETRAHEDRA: dict[str, tuple[tuple[int, ...], float, float, float]] = {
-    "fast": ((2,), 0.3, 0.10, 0.7),
-    "standard": ((2,), 0.1, 0.08, 0.7),
-    "fine": ((2,), 0.04, 0.08, 0.5),
+_TETRAHEDRA = {
+    "fast": _Named((2,), 0.3, 0.10, 0.7, math.inf),
+    "standard": _Named((2,), 0.1, 0.08, 0.7, math.inf),
+    "fine": _Named((2,), 0.04, 0.08, 0.5, math.inf),
 }
 _NAMED = {"hexahedra": _COLUMNS, "prisms": _PRISMS, "tetrahedra": _TETRAHEDRA}
 
+_NEAR_TIP = 1e-3  # height over an indenter's lowest point at which the radius is measured [m]
+_SUFFICIENT = 0.9  # of the wanted cell size over the size of a mesh that is still used
+_STEP = 1.25  # ratio of cell sizes of finer meshes
+
+
+def press_length(design: SensorDesign, indenter: Indenter) -> float:
+    """Length over which the deformation of the layer by an indenter varies [m].
+
+    The cover between indenter and layer and the mean over half the layer smooth a press as the
+    width of the indenter does. Indenters wider than the default one count as the default one,
+    since their rims are as sharp.
+    """
+    cover = 0.5 * (design.encapsulated_thickness - design.thickness)
+    widest = min(indenter.rims[1], Cylinder().radius)
+    r = np.linspace(0.0, widest, 65)
+    radius = float(r[indenter.profile(r)[0] <= _NEAR_TIP][-1])
+    return cover + 0.5 * design.thickness + 0.5 * radius
+
 
 def discretisation(
-    resolution: Resolution | Discretisation, design: SensorDesign, cells: CellKind
+    resolution: Resolution | Discretisation,
+    design: SensorDesign,
+    cells: CellKind,
+    indenter: Indenter | None = None,
 ) -> Discretisation:
     """Order and grading of a named resolution for a design; a discretisation stays as it is.
+
+    Args:
+        resolution: the name, or element order and grading.
+        design: the sensor.
+        cells: kind of mesh.
+        indenter: the smallest of those that will press the sensor; the default cylinder when
+            omitted. Sizes for smaller indenters are rounded down, so that similar indenters share
+            a mesh.
 
     Raises ConfigurationError for an unknown name.
     """
@@ -47,9 +96,15 @@ def discretisation(
         raise ConfigurationError(
             f"resolution must be one of {', '.join(get_args(Resolution))}, got '{resolution}'"
         )
-    order, finest, coarsest, growth = _NAMED[cells][resolution]
+    named = _NAMED[cells][resolution]
     extents = [e.width for e in design.electrodes]
     extents += [e.height for e in design.electrodes if e.height is not None]
-    largest = coarsest * min(design.outline.length, design.outline.width)
-    layers = max(1, math.ceil(design.thickness / largest - 0.1))
-    return order, Grading(min(finest * min(extents), largest), largest, growth, layers)
+    largest = named.coarsest * min(design.outline.length, design.outline.width)
+    largest = min(largest, named.per_press * press_length(design, Cylinder()))
+    if indenter is not None:
+        wanted = named.per_press * press_length(design, indenter)
+        while wanted < _SUFFICIENT * largest:
+            largest /= _STEP
+    layers = max(1, math.ceil(design.thickness / largest - 0.5))
+    finest = min(named.finest * min(extents), largest)
+    return named.order, Grading(finest, largest, named.growth, layers)

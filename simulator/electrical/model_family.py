@@ -1,0 +1,49 @@
+"""Forward models of one design whose cells suit the indenters that press the sensor."""
+
+from collections.abc import Iterable, Sequence
+
+from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.geometry.meshing.mesh_design import natural_cells
+from eitskin.simulator.electrical.forward_model import ForwardModel
+from eitskin.simulator.electrical.resolution import (
+    Discretisation,
+    Resolution,
+    discretisation,
+    press_length,
+)
+from eitskin.simulator.scene.indenters import Indenter
+
+
+class ModelFamily:
+    """Forward models of one design and resolution, meshed when first asked for, and kept.
+
+    Attributes:
+        base: forward model that suits the default indenter and wider ones.
+    """
+
+    def __init__(
+        self,
+        design: SensorDesign,
+        resolution: Resolution | Discretisation,
+        breaks: Sequence[float] = (),
+    ) -> None:
+        """Mesh the base model; arguments as of `ForwardModel`."""
+        self._design, self._resolution, self._breaks = design, resolution, breaks
+        self._cells = natural_cells(design)
+        coarsest = discretisation(resolution, design, self._cells)
+        self.base = ForwardModel(design, coarsest, breaks)
+        self._models = {coarsest: self.base}
+
+    def suited(self, indenters: Iterable[Indenter]) -> ForwardModel:
+        """Forward model whose cells suit the smallest of the indenters.
+
+        Indenters of about the same size share a model. A resolution given as order and grading is
+        kept for all indenters.
+
+        Raises ConfigurationError for a model that needs too much memory.
+        """
+        smallest = min(indenters, key=lambda i: press_length(self._design, i), default=None)
+        wanted = discretisation(self._resolution, self._design, self._cells, smallest)
+        if wanted not in self._models:
+            self._models[wanted] = ForwardModel(self._design, wanted, self._breaks)
+        return self._models[wanted]
