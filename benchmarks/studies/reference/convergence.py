@@ -1,0 +1,71 @@
+"""Convergence of the 3D reference by refinement.
+
+Run by `python -m eitskin.benchmarks.studies.reference.convergence`; needs the extra `reference`.
+
+Prints, as Markdown, for some cases how far the relative changes of the 28 resistances are from
+those of the finest discretisation, over their norm: with displacements of order 2 to 5, finer
+triangles everywhere, along the rim of the contact or far from it, and more layers.
+"""
+
+import argparse
+import time
+
+import numpy as np
+
+from eitskin.benchmarks.studies.reference.case import Case
+from eitskin.benchmarks.studies.reference.cases import cases
+from eitskin.benchmarks.studies.reference.pressed_reference import Numerics, ReferenceStack
+from eitskin.benchmarks.studies.reference.prisms import Sizes
+from eitskin.benchmarks.studies.reference.run import Gauge
+from eitskin.extras import require_all
+from eitskin.provenance import Provenance
+
+CASES = ("75_30", "75_7.5", "plates_45_30", "plates_45_30_30deg")
+_FINER = Sizes(rim=2.0, inside=3.0, around=4.0, far=8.0)
+# The last is what the others are compared with.
+REFINED = {
+    "order 3": Numerics(order=3),
+    "order 3, finer triangles": Numerics(order=3, sizes=_FINER),
+    "order 3, finer triangles, twice the layers": Numerics(3, _FINER, (4, 2, 2, 2)),
+    "order 4, as used": Numerics(),
+    "order 4, rim 1.2 mm": Numerics(sizes=Sizes(rim=1.2, inside=2.5)),
+    "order 4, twice the layers": Numerics(layers=(4, 2, 2, 2)),
+    "order 4, finer triangles": Numerics(sizes=_FINER),
+    "order 5": Numerics(order=5),
+}
+
+
+def print_case(case: Case, gauge: Gauge, refined: dict[str, Numerics]) -> None:
+    """Print the table of one case."""
+    rows, changes = [], []
+    for name, numerics in refined.items():
+        start = time.process_time()
+        stack = ReferenceStack(case, numerics)
+        stack.solve()
+        seconds = time.process_time() - start
+        changes.append(gauge.changes(stack))
+        rows.append((name, stack.solid.unknowns, f"{seconds:.0f}", f"{stack.depths[0]:.3f}"))
+    print(f"\n{case.name}\n\n| discretisation | unknowns | s | depth [mm] | apart [%] |")
+    print("|---" * 5 + "|")
+    for row, change in zip(rows, changes, strict=True):
+        apart = 100.0 * np.linalg.norm(change - changes[-1]) / np.linalg.norm(changes[-1])
+        print("| " + " | ".join(map(str, (*row, f"{apart:.2f}"))) + " |", flush=True)
+
+
+def main() -> None:
+    """Print the tables."""
+    require_all(reference="ngsolve netgen")
+    options = argparse.ArgumentParser(description="Convergence of the 3D reference.")
+    options.add_argument("--only", nargs="*", default=CASES, help="names of cases")
+    options.add_argument("--resolution", default="fine", help="of the forward model")
+    options.add_argument("--refined", nargs="*", default=list(REFINED), help="of `REFINED`")
+    chosen = options.parse_args()
+    found = {case.name: case for case in cases()}
+    print(Provenance.now(seed=0))
+    for name in chosen.only:
+        gauge = Gauge(found[name].design(), chosen.resolution)
+        print_case(found[name], gauge, {key: REFINED[key] for key in chosen.refined})
+
+
+if __name__ == "__main__":
+    main()
