@@ -103,6 +103,8 @@ class ReferenceStack:
         iterations: of Newton's method, in total.
     """
 
+    solid: MixedSolid
+
     def __init__(self, case: Case, numerics: Numerics | None = None) -> None:
         """Mesh the case."""
         self.case, self._numerics = case, numerics or Numerics()
