@@ -44,6 +44,8 @@ def figures(found: Accuracy) -> Iterator[tuple[str, float]]:
         yield f"{peer}.times_longer", duel.ratio
     for row in found.deformed:
         yield f"bent and pressed, {row.name}.frame_ms", 1e3 * row.frame_seconds
+        yield f"bent and pressed, {row.name}.largest of presses", row.press_error
+        yield f"bent and pressed, {row.name}.largest of shears", row.shear_error
         for scene, error in row.signal_errors.items():
             yield f"bent and pressed, {row.name}.{scene}", error
 
@@ -82,6 +84,14 @@ def misses(found: Accuracy) -> Iterable[str]:
         for quantity, value, limit in limits:
             if limit is not None and value > limit:
                 yield f"{target.name}: {quantity} {value:.2g}, target {limit:g}"
+    deformed = {row.name: row for row in found.deformed}
+    for target in TARGETS:
+        if target.name in deformed:
+            row = deformed[target.name]
+            for kind, error in (("presses", row.press_error), ("shears", row.shear_error)):
+                if error > target.deformed_error:
+                    limit = target.deformed_error
+                    yield f"{target.name}: error of {kind} {error:.2g}, target {limit:g}"
     for duel in found.duels:
         if abs(duel.other.nodes / 1e4 - 1.0) < 0.2 and duel.ratio < TARGET_RATIO:
             yield (

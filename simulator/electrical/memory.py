@@ -47,7 +47,7 @@ def require_memory(space: FunctionSpace) -> None:
         raise ConfigurationError(
             f"a forward model of {space.unknowns} unknowns needs about {needed / 1e9:.3g} GB of "
             f"memory, more than the {MOST_MEMORY / 1e9:g} GB that are allowed; choose a faster "
-            "resolution, a larger indenter, or a grading with larger cells"
+            "resolution or larger cells; presses by small indenters need small cells"
         )
 
 

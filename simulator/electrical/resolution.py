@@ -37,13 +37,13 @@ class _Named(NamedTuple):
 # `eitskin bench accuracy` measures cost and error of each resolution.
 _COLUMNS = {
     "fast": _Named((3, 3, 2, 1), 0.2, 0.1, 2.0, 0.62),
-    "standard": _Named((4, 4, 3, 2, 1), 0.04, 0.11, 3.0, 0.68),
-    "fine": _Named((5, 5, 5, 4, 3), 4e-3, 0.083, 2.0, 0.52),
+    "standard": _Named((4, 4, 3, 2, 2), 0.04, 0.11, 3.0, 0.68),
+    "fine": _Named((5, 5, 5, 4, 3), 4e-3, 0.1, 3.0, 0.62),
 }
 # Triangles are refined around electrode edges only, not along whole lines, and can be finer.
 _PRISMS = {
     "fast": _Named((3, 3, 2, 1), 0.2, 0.133, 1.2, 0.82),
-    "standard": _Named((4, 4, 3, 2, 1), 0.04, 0.133, 1.2, 0.82),
+    "standard": _Named((4, 4, 3, 2, 2), 0.04, 0.15, 1.5, 0.92),
     "fine": _Named((4, 4, 4, 3, 2), 4e-3, 0.1, 1.2, 0.62),
 }
 _TETRAHEDRA = {

@@ -102,7 +102,7 @@ def test_missed_targets_are_named() -> None:
         ({"signal_error": 0.05}, "fast: signal error"),
     ):
         point = SimpleNamespace(family="hexahedra, named", name="fast", **reached | missed)
-        assert line in "".join(misses(SimpleNamespace(results=(point,), duels=())))
+        assert line in "".join(misses(SimpleNamespace(results=(point,), duels=(), deformed=())))
         assert bool(line) == bool(missed)
 
 

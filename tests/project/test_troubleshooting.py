@@ -24,7 +24,7 @@ from eitskin.geometry import SensorDesign, structured_mesh
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.hardware import open_board
 from eitskin.hardware.boards.port import remedy
-from eitskin.simulator import Frame, Protocol, Scene
+from eitskin.simulator import ForwardModel, Frame, Protocol, Scene
 from eitskin.training import Pipeline
 from eitskin.training.evaluation.evaluate import require_on_sheet
 from eitskin.training.method.calibration import Calibration, KnownBends
@@ -200,6 +200,9 @@ PROVOKED = {
     "the surface in": surface(a_triangle()),
     "... holds no triangles": surface(""),
     "a grid of": lambda _: structured_mesh(SensorDesign.reference(), Grading(1e-5, 1e-5, 1.0)),
+    "a forward model of": lambda _: ForwardModel(
+        SensorDesign.reference(), ((10,) * 6, Grading(5e-3, 1e-2, 1.0))
+    ),
     "expected a path NAME.eitmodel": lambda folder: Pipeline.load(SHIPPED).save(folder / "a.zip"),
     "expected a board": lambda _: open_board("tcp:1.2.3.4"),
     "... is not a complete": open_dataset,

@@ -1,0 +1,103 @@
+"""The promises of the named resolutions, meshes for small indenters, and the bound of memory."""
+
+import dataclasses
+import tracemalloc
+
+import numpy as np
+import pytest
+
+from eitskin.benchmarks.accuracy.deformed import sheared
+from eitskin.errors import ConfigurationError
+from eitskin.geometry import Rectangle, SensorDesign
+from eitskin.geometry.design.regular_layouts import uniform
+from eitskin.geometry.meshing.grading import Grading
+from eitskin.simulator import ForwardModel, Scene, Simulator, Touch
+from eitskin.simulator.electrical.memory import estimated_memory
+from eitskin.simulator.electrical.reanalysis import EXACT
+from eitskin.simulator.electrical.resolution import discretisation, press_length
+from eitskin.simulator.scene.indenters import Cylinder, Sphere
+
+OUTLINE = Rectangle(0.06, 0.04)
+DESIGN = SensorDesign(OUTLINE, 0.005, uniform(OUTLINE, 4))
+CONVERGED = ((5, 5, 5, 4, 3), Grading(2e-4, 6e-3, 3.0))
+PRESSED = Scene(touches=(Touch(0.032, 0.021),))
+BALL = Scene(touches=(Touch(0.026, 0.019, 2.0, Sphere(0.003)),))
+SCENES = {"press": PRESSED, "ball": BALL, "sheared": sheared(0), "sheared across": sheared(1)}
+PROMISES = {"fast": 1e-2, "standard": 3e-3}
+
+
+def signal(sim, scene):
+    frame = sim.measure(scene) if isinstance(scene, Scene) else sim.deformed(scene)
+    return frame.impedance.real / sim.measure(Scene()).impedance.real - 1.0
+
+
+@pytest.fixture(scope="module")
+def converged():
+    sim = Simulator(DESIGN, CONVERGED)
+    return {name: signal(sim, scene) for name, scene in SCENES.items()}
+
+
+@pytest.mark.parametrize("name", list(SCENES))
+@pytest.mark.parametrize("resolution", ["fast", "standard"])
+def test_signals_are_as_exact_as_promised(converged, resolution, name) -> None:
+    found, truth = signal(Simulator(DESIGN, resolution), SCENES[name]), converged[name]
+    assert np.linalg.norm(found - truth) < PROMISES[resolution] * np.linalg.norm(truth)
+
+
+# Meshes for small indenters
+
+
+@pytest.mark.parametrize("cells", ["hexahedra", "prisms"])
+@pytest.mark.parametrize("extent", [0.03, 0.18, 1.0])
+def test_cells_are_not_larger_than_an_indenter_allows(extent, cells) -> None:
+    wide = dataclasses.replace(
+        DESIGN, outline=(o := Rectangle(extent, extent)), electrodes=uniform(o, 4)
+    )
+    for indenter in (Cylinder(), Cylinder(0.0025), Sphere(0.003), Sphere(0.1)):
+        _, grading = discretisation("fast", wide, cells, indenter)
+        assert grading.coarsest < press_length(wide, indenter)
+
+
+def test_small_indenters_have_a_finer_mesh_and_wide_ones_share_the_base_mesh() -> None:
+    sim = Simulator(SensorDesign.reference(), "fast")
+    family = sim._models
+    assert family.suited([]) is family.suited([Cylinder(), Cylinder(0.01)]) is sim.model
+    fine = family.suited([Cylinder(), Sphere(0.003)])
+    assert len(fine.mesh.cells) > len(sim.model.mesh.cells)
+    assert family.suited([Sphere(0.003)]) is fine
+    own = Simulator(SensorDesign.reference(), ((3, 2, 1), Grading(1e-3, 6e-3, 2.0)))
+    assert own._models.suited([Sphere(0.003)]) is own.model
+
+
+def test_many_scenes_of_several_indenters_are_those_of_one_by_one() -> None:
+    sim = Simulator(SensorDesign.reference(), "fast")
+    places = [0.04, 0.06, 0.08]
+    scenes = [Scene(), *(Scene(touches=(Touch(x, 0.02),)) for x in places)]
+    scenes += [Scene(touches=(Touch(x, 0.02, 2.0, Sphere(0.003)),)) for x in places]
+    apart = np.array([sim.measure(scene).impedance for scene in scenes])
+    assert sim.measure_all(scenes, EXACT) == pytest.approx(apart, rel=1e-9)
+
+
+# Memory
+
+
+def test_a_model_beyond_the_bound_is_refused_before_it_is_assembled() -> None:
+    with pytest.raises(ConfigurationError, match=r"needs about .* GB .* more than the 8 GB"):
+        ForwardModel(DESIGN, ((10,) * 6, Grading(5e-3, 1e-2, 1.0)))
+
+
+@pytest.mark.parametrize(
+    ("order", "size", "cells"),
+    [((3, 3, 2, 1), 1.5e-3, None), ((5, 5, 4, 3), 4e-3, None), ((3, 2, 1), 2.5e-3, "prisms")],
+)
+def test_the_estimate_is_near_the_memory_that_is_taken(order, size, cells) -> None:
+    tracemalloc.start()
+    try:
+        model = ForwardModel(
+            DESIGN, (order, Grading(size, size, 1.0)), cells=cells, solver="block Cholesky"
+        )
+        model.solver.factorise(model._system(1.0, None)[1].values)
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak / 2.0 < estimated_memory(model.assembly.space) < 2.5 * peak
