@@ -25,6 +25,12 @@ from eitskin.geometry.deformation.fixtures import (
     Bend as Bend,
 )
 from eitskin.geometry.deformation.fixtures import (
+    Clamp as Clamp,
+)
+from eitskin.geometry.deformation.fixtures import (
+    FreeArc as FreeArc,
+)
+from eitskin.geometry.deformation.fixtures import (
     Hinge as Hinge,
 )
 from eitskin.geometry.design.electrode import Electrode as Electrode

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError
 from eitskin.frame import Frame
-from eitskin.geometry.deformation.fixtures import Bend, Fixture, Hinge
+from eitskin.geometry.deformation.fixtures import Bend, Clamp, Fixture
 from eitskin.geometry.deformation.kinematics import Composed, Deformation
 from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.geometry.design.support import Support
 from eitskin.geometry.design.surface import Surface
 from eitskin.protocol import Protocol
 from eitskin.simulator.electrical.forward_model import AreaRatio, ForwardModel
@@ -23,6 +24,7 @@ from eitskin.simulator.instrument.instrument import Instrument
 from eitskin.simulator.layer.deformed_layer import DeformedLayer
 from eitskin.simulator.layer.dents import Dents
 from eitskin.simulator.layer.pressed_touches import PressedTouch, TouchModel, dents, pressed_touches
+from eitskin.simulator.mechanics import bend_store
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.scene.scene import Scene
 from eitskin.simulator.scene.support_check import require_base, require_bendable
@@ -62,7 +64,8 @@ class Simulator:
         Args:
             design: the sensor.
             resolution: "fast", "standard" or "fine", or element order and grading.
-            fixture: that bends the sensor; the default hinge when omitted.
+            fixture: that bends the sensor; the default clamp when omitted, whose bends of other
+                sensors than the reference are solved at their first use, in half a minute.
             protocol: drive and sense pairs; every pair of electrodes, which is drive and sense pair
                 in one, when omitted.
             mechanics: materials of gel and encapsulation; the reference sensor's when omitted.
@@ -74,7 +77,7 @@ class Simulator:
                 fit the sensor.
         """
         self.design = design
-        self.fixture: Fixture = fixture or Hinge()
+        self.fixture: Fixture = fixture or Clamp()
         self.protocol = protocol or Protocol.pairwise(len(design.electrodes))
         self.mechanics = mechanics or Mechanics()
         if touch_model not in get_args(TouchModel):
@@ -82,14 +85,11 @@ class Simulator:
                 f"touch_model must be one of {get_args(TouchModel)}, got {touch_model!r}"
             )
         self.touch_model: TouchModel = touch_model
-        middle, half = design.outline.length / 2, self.fixture.bent_length / 2
-        # Without a transition F jumps at the clamps: the mesh must have faces there.
-        breaks = () if self.fixture.transition else (middle - half, middle + half)
-        self._models = ModelFamily(design, resolution, breaks)
+        self._models = ModelFamily(design, resolution, _breaks(design, self.fixture))
         self.model = self._models.base
         self._untouched: dict[ForwardModel, tuple[Scene, NDArray[np.inexact]]] = {}
         self._last: tuple[Scene, NDArray[np.inexact]] | None = None
-        self._bent: tuple[Bend, Deformation] | None = None
+        self._bent: tuple[tuple[Bend, Support], Deformation] | None = None
 
     @cached_property
     def full_scale(self) -> float:
@@ -105,15 +105,17 @@ class Simulator:
         if scene.roll is not None:
             parts.append(scene.roll.deformation(self.design))
         if scene.bend.angle_deg:
-            parts.append(self._flexure(scene.bend))
+            parts.append(self._flexure(scene.bend, self.supported(scene)))
         if scene.twist is not None:
             parts.append(scene.twist.deformation(self.design))
         return reduce(Composed, parts) if parts else None
 
-    def _flexure(self, bend: Bend) -> Deformation:
+    def _flexure(self, bend: Bend, design: SensorDesign) -> Deformation:
         """Deformation by the bend; cached, since scenes of one bend follow each other."""
-        if self._bent is None or self._bent[0] != bend:
-            self._bent = (bend, self.fixture.flexure(self.design, bend))
+        wanted = (bend, design.support)
+        if self._bent is None or self._bent[0] != wanted:
+            bent = bend_store.bend(design, self.fixture, self.mechanics, bend)
+            self._bent = (wanted, bent)
         return self._bent[1]
 
     def presses(self, scene: Scene) -> tuple[PressedTouch, ...]:
@@ -302,6 +304,14 @@ class Simulator:
     def _measured(self, impedance: NDArray[np.inexact]) -> NDArray[np.complex128]:
         measured: NDArray[np.complex128] = self.protocol.measure(impedance).astype(np.complex128)
         return measured
+
+
+def _breaks(design: SensorDesign, fixture: Fixture) -> tuple[float, ...]:
+    """Positions along x where F jumps, and where the mesh must have faces [m]."""
+    if isinstance(fixture, Clamp) or fixture.transition:
+        return ()
+    middle, half = design.outline.length / 2, fixture.bent_length / 2
+    return (middle - half, middle + half)
 
 
 def _by_bend(scenes: Sequence[Scene]) -> dict[Scene, list[Scene]]:

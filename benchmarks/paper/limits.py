@@ -52,7 +52,7 @@ def bounds(sets: Mapping[str, Dataset], recipe: Recipe, count: int, seed: int) -
         count: how many frames of each kind.
         seed: which ones.
     """
-    simulator = Simulator(recipe.sensor, "fast", recipe.hinge, mechanics=recipe.mechanics)
+    simulator = Simulator(recipe.sensor, "fast", recipe.fixture, mechanics=recipe.mechanics)
     rng = np.random.default_rng(seed)
     touch, bending = sets["touch"], sets["bending"]
     kinds = {"indentation": sets["indentation"]}

@@ -139,7 +139,7 @@ def _only_sensor(recipe: Recipe) -> Callable[[Recipe], Recipe]:
         return dataclasses.replace(
             other,
             sensor=drawn.design,
-            hinge=drawn.hinge,
+            fixture=drawn.fixture,
             mechanics=drawn.mechanics,
             specimens=Specimens(),
             episodes=tuple(dataclasses.replace(each, count=1) for each in other.episodes),

@@ -36,7 +36,7 @@ _MESH = ((2, 2, 2), Grading(1e-2, 1e-2, 1.0, layers=4))
 _ACROSS = (Electrode(L / 2, 0.0, L, _Z), Electrode(L / 2, W, L, _Z))
 
 
-FIXTURES: dict[str, Fixture] = {
+FIXTURES: dict[str, Hinge | FreeArc] = {
     "hinge": Hinge(),
     "hinge, axis mid-layer": Hinge(offset=0.0),
     "hinge, axis above": Hinge(offset=-0.008),
@@ -120,8 +120,9 @@ def compositions(model: TouchModel) -> Iterator[Case]:
 
 def _arc(angle: float) -> CaseValues:
     """Bar bent evenly into an annular sector."""
-    sim = Simulator(bar(_Z), _MESH, FreeArc(L))
-    flexure = sim.fixture.flexure(sim.design, Bend(angle))
+    arc = FreeArc(L)
+    sim = Simulator(bar(_Z), _MESH, arc)
+    flexure = arc.flexure(sim.design, Bend(angle))
     exact = sector(math.radians(angle), H, W, flexure.stretch, L)
     return _found(sim, flexure, lambda R: abs(R / exact - 1.0))
 
@@ -157,19 +158,19 @@ def _two(gap: float, model: TouchModel) -> CaseValues:
     return _scene(Scene(touches=touches), FreeArc(L), model)
 
 
-def _last(fixture: Fixture, sign: float) -> CaseValues:
+def _last(fixture: Hinge | FreeArc, sign: float) -> CaseValues:
     """Bar at the last possible angle, as the refusal of a larger one names it."""
     angle = _last_angle(fixture, sign)
     found = _scene(Scene(Bend(angle)), fixture)
     return dataclasses.replace(found, reached=f"{angle:g} deg")
 
 
-def _past(fixture: Fixture, sign: float) -> CaseValues:
+def _past(fixture: Hinge | FreeArc, sign: float) -> CaseValues:
     return _scene(Scene(Bend(_last_angle(fixture, sign) + 0.2 * sign)), fixture)
 
 
 @cache
-def _last_angle(fixture: Fixture, sign: float) -> float:
+def _last_angle(fixture: Hinge | FreeArc, sign: float) -> float:
     try:
         fixture.flexure(bar(_Z), Bend(1e4 * sign))
     except ConfigurationError as error:

@@ -123,10 +123,19 @@ def make_dataset(
 
 
 def _announce_unsolved(recipe: "Recipe", output: Output) -> None:
-    """Note how many tables of presses have to be solved first."""
-    from eitskin.datasets.generation.shard_simulation import missing_press_tables
+    """Note how many tables of presses and bends have to be solved first."""
+    from eitskin.datasets.generation.shard_simulation import (
+        missing_bend_tables,
+        missing_press_tables,
+    )
     from eitskin.simulator.mechanics.press_store import folder
 
+    bends = len(missing_bend_tables(recipe))
+    if bends:
+        output.note(
+            f"solving {bends} table{'s' * (bends > 1)} of bends that no clamped sensor has needed "
+            f"so far, once: about half a minute each; kept in {folder()}"
+        )
     missing = len(missing_press_tables(recipe))
     if missing:
         output.note(

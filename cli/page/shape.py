@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError
-from eitskin.geometry.deformation.fixtures import Bend, Hinge
-from eitskin.geometry.deformation.flexure import Flexure
+from eitskin.geometry.deformation.fixtures import Bend, Clamp, Hinge
 from eitskin.geometry.deformation.kinematics import Composed, Deformation
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.placement import placed
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.side_contacts import Strip
 from eitskin.simulator.layer.pressed_touches import dents
+from eitskin.simulator.mechanics import bend_store
 from eitskin.simulator.mechanics.closed_form_dent import LARGEST_FORCE
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.scene.touch import Touch
@@ -43,7 +43,7 @@ class GelShape:
         design: the sensor.
         points: the face, row by row, `ROWS` times `COLUMNS`; the bottom along both long edges,
             2 times `COLUMNS`; four corners of each electrode (n, 3) [m].
-        least, most: bends that the hinge can be drawn at [deg].
+        least, most: bends that can be drawn [deg].
     """
 
     design: SensorDesign
@@ -73,7 +73,7 @@ class GelShape:
         angle = _FINEST * round(angle_deg / _FINEST) if math.isfinite(angle_deg) else 0.0
         angle = min(max(angle, self.least), self.most)
         touches = tuple(Touch(x, y, _drawn_force(force)) for x, y, force in presses)
-        shape: Deformation = _flexure(self.design, angle)
+        shape: Deformation = _bent(self.design, angle)
         if touches:
             pressed = dents(touches, self.design, Mechanics(), "closed form")
             shape = Composed(pressed, shape)
@@ -138,16 +138,19 @@ def _sheet(x: Array, y: Array, z: float) -> Array:
     return np.stack([columns, rows, np.full_like(rows, z)], axis=-1).reshape(-1, 3)
 
 
-@lru_cache(maxsize=1024)
-def _flexure(design: SensorDesign, angle: float) -> Flexure:
-    return Hinge().flexure(design, Bend(angle))
+@lru_cache(maxsize=256)
+def _bent(design: SensorDesign, angle: float) -> Deformation:
+    """Bend by the default clamp where that has been solved, by the kinematic hinge elsewhere."""
+    solved = not bend_store.missing(design, Clamp(), Mechanics())
+    fixture = Clamp() if solved else Hinge()
+    return bend_store.bend(design, fixture, Mechanics(), Bend(angle))
 
 
 def _farthest(design: SensorDesign, sign: int) -> float:
-    """Largest bend in one direction that the hinge can reach [deg]."""
+    """Largest bend in one direction that the fixture can reach [deg]."""
     for angle in np.arange(_STEEPEST, 0.0, -10.0):
         try:
-            _flexure(design, float(sign * angle))
+            _bent(design, float(sign * angle))
         except ConfigurationError:
             continue
         return float(sign * angle)

@@ -14,13 +14,14 @@ from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.recipe.specimen import Specimen
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.writer import touch_columns
+from eitskin.geometry.deformation.fixtures import Clamp
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.protocol import Protocol
 from eitskin.simulator.electrical.resolution import Resolution
 from eitskin.simulator.instrument.instrument import Instrument
 from eitskin.simulator.instrument.session import Session
 from eitskin.simulator.layer.pressed_touches import pressed_touches
-from eitskin.simulator.mechanics import press_store
+from eitskin.simulator.mechanics import bend_store, press_store
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.scene.indenters import Cylinder
 from eitskin.simulator.scene.scene import Scene
@@ -28,7 +29,16 @@ from eitskin.simulator.scene.touch import Touch
 from eitskin.simulator.simulator import Simulator
 
 Impedance = NDArray[np.complex128]
+Progress = Callable[[int, int], None]
 Solved = Mapping[tuple[int, Scene], Impedance]
+
+
+def missing_bend_tables(recipe: Recipe) -> set[Path]:
+    """Paths of the bend tables that a recipe needs and that have not been solved yet."""
+    found: set[Path] = set()
+    for bent in _clamped(recipe):
+        found |= bend_store.missing(*bent)
+    return found
 
 
 def missing_press_tables(recipe: Recipe) -> set[Path]:
@@ -41,11 +51,18 @@ def missing_press_tables(recipe: Recipe) -> set[Path]:
     return found
 
 
-def prepare(recipe: Recipe) -> None:
-    """Solve the press tables that all workers need, and check the recipe's forces.
+def prepare(recipe: Recipe, progress: Progress | None = None) -> None:
+    """Solve the tables that all workers need, and check the recipe's forces and bends.
 
-    Raises ConfigurationError for forces beyond the reach of the presses on some specimen.
+    `progress` is called with the number of solved bends and of all bends of each specimen that
+    needs tables.
+
+    Raises ConfigurationError for forces or bends out of reach on some specimen.
     """
+    for bent in _clamped(recipe):
+        bend_store.prepare(*bent, progress)
+        for angle in recipe.extreme_angles:
+            bend_store.bend_table(*bent).check(angle)
     if recipe.largest_force:
         for design, mechanics in _pressed(recipe):
             pressed_touches((Touch(0.0, 0.0, recipe.largest_force),), design, mechanics)
@@ -173,6 +190,18 @@ def _solve(
     return solved
 
 
+def _clamped(recipe: Recipe) -> Iterator[tuple[SensorDesign, Clamp, Mechanics]]:
+    """Designs, clamps and materials of all specimens on all supports on which clamps bend them."""
+    given = [group.support for group in recipe.scenes if any(group.angle_deg)]
+    given += [None for each in recipe.episodes if any(each.angles_deg)]
+    for number in range(recipe.specimens.count if given else 0):
+        made = specimen(recipe, number)
+        for support in dict.fromkeys(each or made.design.support for each in given):
+            if isinstance(made.fixture, Clamp):
+                design = dataclasses.replace(made.design, support=support)
+                yield design, made.fixture, made.mechanics
+
+
 def _pressed(recipe: Recipe) -> Iterator[tuple[SensorDesign, Mechanics]]:
     """Designs and materials of all specimens on all supports on which they are pressed."""
     groups = [group.support for group in recipe.scenes if group.state == "touch"]
@@ -188,7 +217,7 @@ def _pressed(recipe: Recipe) -> Iterator[tuple[SensorDesign, Mechanics]]:
 @lru_cache(maxsize=4)
 def _simulator(made: Specimen, resolution: Resolution) -> Simulator:
     return Simulator(
-        made.design, resolution=resolution, fixture=made.hinge, mechanics=made.mechanics
+        made.design, resolution=resolution, fixture=made.fixture, mechanics=made.mechanics
     )
 
 

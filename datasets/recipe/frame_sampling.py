@@ -14,7 +14,12 @@ from numpy.typing import NDArray
 
 from eitskin.datasets.recipe.episode import PERIOD, Episodes, Timeline
 from eitskin.datasets.recipe.recipe import Recipe
-from eitskin.datasets.recipe.specimen import Specimen, draw_specimen, with_wider_gap
+from eitskin.datasets.recipe.specimen import (
+    Specimen,
+    draw_specimen,
+    free_length,
+    with_wider_gap,
+)
 from eitskin.datasets.store.state import State
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.mechanics.viscoelasticity import Prony, mixture
@@ -81,7 +86,7 @@ def sample(recipe: Recipe, index: int) -> Sample:
 @lru_cache(maxsize=256)
 def specimen(recipe: Recipe, number: int) -> Specimen:
     """Specimen `number` of the recipe."""
-    nominal = Specimen(recipe.sensor, recipe.hinge, recipe.mechanics)
+    nominal = Specimen(recipe.sensor, recipe.fixture, recipe.mechanics)
     return draw_specimen(recipe.specimens, nominal, generator(recipe, Stream.SPECIMEN, number))
 
 
@@ -97,7 +102,7 @@ def _snapshot(recipe: Recipe, index: int) -> Sample:
     made = block * count // blocks
     first = int(order.starts[-(-made * blocks // count)])
     if scene.support is not None:
-        widened = specimen(recipe, made).hinge.span - recipe.hinge.span
+        widened = free_length(specimen(recipe, made).fixture) - free_length(recipe.fixture)
         scene = dataclasses.replace(scene, support=with_wider_gap(scene.support, widened))
     return Sample(
         index=index,

@@ -8,7 +8,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from eitskin.config import from_dict, to_toml
+from eitskin.config import Location, from_dict, read, to_toml
 from eitskin.datasets.recipe.episode import Episodes
 from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.datasets.recipe.shipped_recipes import SHIPPED, shipped_names
@@ -16,13 +16,15 @@ from eitskin.datasets.recipe.specimen import Specimens
 from eitskin.datasets.recipe.support_problems import support_problems
 from eitskin.datasets.store.schema import LIMITS
 from eitskin.errors import ConfigurationError
-from eitskin.geometry.deformation.fixtures import Bend, Hinge
+from eitskin.geometry.deformation.fixtures import Bend, Clamp, Fixture, FreeArc, Hinge
 from eitskin.geometry.design.outline import PlaneOutline
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.surface import Surface
 from eitskin.protocol import Protocol
 from eitskin.simulator.electrical.resolution import Resolution
 from eitskin.simulator.instrument.instrument import Instrument
+from eitskin.simulator.mechanics import bend_store
+from eitskin.simulator.mechanics.bend_table import ANGLES_DEG
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 
 MOST_REFERENCE_FRAMES = 1000
@@ -42,7 +44,8 @@ class Recipe:
         frames_per_shard: number of frames in a file, which one worker simulates. Episodes are not
             split: a shard has as many as fit, at least one.
         sensor: nominal design. In TOML also "reference" or the path of a design file.
-        hinge: that bends the sensor.
+        fixture: that bends the sensor; the default clamp when omitted. In TOML also as the table
+            `hinge` of version 0.1, which is the kinematic hinge.
         mechanics: materials of gel and encapsulation.
         instrument: errors and noise of the board; each specimen has one board and one session.
         specimens: number of sensors and standard deviations between them.
@@ -58,7 +61,7 @@ class Recipe:
     resolution: Resolution = "fast"
     frames_per_shard: int = 256
     sensor: SensorDesign = field(default_factory=SensorDesign.reference)
-    hinge: Hinge = field(default_factory=Hinge)
+    fixture: Fixture = field(default_factory=Clamp)
     mechanics: Mechanics = field(default_factory=Mechanics)
     instrument: Instrument = field(default_factory=Instrument)
     specimens: Specimens = field(default_factory=Specimens)
@@ -92,6 +95,16 @@ class Recipe:
             )
         return cls.from_toml(SHIPPED / f"{name}.toml")
 
+    @classmethod
+    def expanded(cls, data: Mapping[str, Any], location: Location) -> Mapping[str, Any]:
+        """TOML table `data` with the hinge of version 0.1 as fixture."""
+        if "hinge" not in data:
+            return data
+        if "fixture" in data:
+            raise location.error("expected `fixture` or `hinge`, got both; leave `hinge` out")
+        rest = {key: value for key, value in data.items() if key != "hinge"}
+        return {**rest, "fixture": read(Hinge, data["hinge"], location.under("hinge"))}
+
     def to_toml(self) -> str:
         """The recipe as TOML that needs no other file; `from_toml` of it is this recipe."""
         return to_toml(self)
@@ -124,6 +137,13 @@ class Recipe:
         return max([*forces, *(each.largest_force for each in self.episodes)], default=0.0)
 
     @property
+    def extreme_angles(self) -> tuple[float, float]:
+        """Least and largest bend of any frame [deg]; zeros without bends."""
+        angles = [angle for group in self.scenes for angle in group.angle_deg]
+        angles += [angle for each in self.episodes for angle in each.angles_deg]
+        return min([*angles, 0.0]), max([*angles, 0.0])
+
+    @property
     def shards(self) -> int:
         """Number of shards, which may differ in length."""
         return len(_shard_ranges(self))
@@ -146,7 +166,7 @@ class Recipe:
                 f"reference_frames must be from 1 to {MOST_REFERENCE_FRAMES}, got "
                 f"{self.reference_frames}"
             )
-        yield from self.specimens.problems(self.sensor, self.hinge)
+        yield from self.specimens.problems(self.sensor, self.fixture)
         if not self.scenes and not self.episodes:
             yield "scenes or episodes must hold at least one group"
         try:
@@ -158,7 +178,7 @@ class Recipe:
             problems = [*group.problems(outline), *self._bend_problems(group.angle_deg)]
             bent = group.angle_deg != (0.0, 0.0)
             problems += support_problems(
-                group.support, self.sensor, self.hinge, bent, group.pressed_positions(outline)
+                group.support, self.sensor, self.fixture, bent, group.pressed_positions(outline)
             )
             for problem in problems:
                 yield f"scenes[{number}] ({group.state}): {problem}"
@@ -168,15 +188,34 @@ class Recipe:
             problems += self._skew_problems(each.period)
             bent = each.angles_deg != (0.0, 0.0)
             problems += support_problems(
-                None, self.sensor, self.hinge, bent, each.pressed_positions(outline)
+                None, self.sensor, self.fixture, bent, each.pressed_positions(outline)
             )
             for problem in problems:
                 yield f"episodes[{number}]: {problem}"
 
     def _bend_problems(self, angles_deg: tuple[float, float]) -> Iterator[str]:
         for angle in angles_deg:
-            if problem := _bend_problem(self.sensor, self.hinge, self.specimens, angle):
+            if problem := self._bend_problem(angle):
                 yield problem
+
+    def _bend_problem(self, angle_deg: float) -> str:
+        """Reason why the sensor or an extreme specimen cannot be bent so far; empty without one."""
+        fixture = self.fixture
+        if not isinstance(fixture, Clamp):
+            return _kinematic_problem(self.sensor, fixture, self.specimens, angle_deg)
+        if not angle_deg:
+            return ""
+        least, most = ANGLES_DEG[0], ANGLES_DEG[-1]
+        if not least <= angle_deg <= most:
+            return (
+                f"a bend of {angle_deg:g} deg is beyond the clamp, which is solved from {least:g} "
+                f"to {most:g} deg; bend less, or choose a kinematic fixture"
+            )
+        try:
+            bend_store.check_clamp(self.sensor, fixture, self.mechanics)
+        except ConfigurationError as error:
+            return str(error)
+        return ""
 
     def _skew_problems(self, period: float) -> Iterator[str]:
         protocol = Protocol.pairwise(len(self.sensor.electrodes))
@@ -189,14 +228,14 @@ class Recipe:
 
 
 @lru_cache(maxsize=64)  # recipes have the same angles in most of their groups
-def _bend_problem(
-    sensor: SensorDesign, hinge: Hinge, specimens: Specimens, angle_deg: float
+def _kinematic_problem(
+    sensor: SensorDesign, fixture: Hinge | FreeArc, specimens: Specimens, angle_deg: float
 ) -> str:
     """Reason why the sensor or an extreme specimen cannot be bent so far; empty without one."""
     try:
-        hinge.flexure(sensor, Bend(angle_deg))
-        if not list(specimens.problems(sensor, hinge)):
-            for design, own in specimens.extremes(sensor, hinge):
+        fixture.flexure(sensor, Bend(angle_deg))
+        if not list(specimens.problems(sensor, fixture)):
+            for design, own in specimens.extremes(sensor, fixture):
                 own.flexure(design, Bend(angle_deg))
     except ConfigurationError as error:
         return str(error)

@@ -5,12 +5,13 @@ import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.datasets.store.schema import LIMITS
-from eitskin.geometry.deformation.fixtures import Hinge
+from eitskin.geometry.deformation.fixtures import Clamp, Fixture, FreeArc, Hinge
 from eitskin.geometry.design.electrode import Electrode
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
@@ -20,6 +21,8 @@ from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.mechanics.materials import NeoHookean, Ogden
 
 Array = NDArray[np.float64]
+KinematicFixture = Hinge | FreeArc
+_Fixed = TypeVar("_Fixed", Hinge, FreeArc, Clamp, Hinge | FreeArc, Fixture)
 
 MAX_DEVIATIONS = 3.0
 """Truncation of all normal draws, in standard deviations."""
@@ -52,8 +55,9 @@ class Specimens:
         encapsulation_modulus: shear modulus of the encapsulation.
         contact_impedance: of each electrode independently.
         electrode_place: position along the rim, of each side electrode independently [m].
-        hinge_span: free length of the hinge, and between the plates of a support [m].
-        hinge_offset: position of the hinge's axis across the layer [m].
+        hinge_span: free length of the fixture or length of its arc, and between the plates of a
+            support [m].
+        hinge_offset: position of the fixture's axis across the layer, where it has one [m].
     """
 
     count: int = 1
@@ -66,16 +70,17 @@ class Specimens:
     hinge_span: float = 0.0
     hinge_offset: float = 0.0
 
-    def problems(self, design: SensorDesign, hinge: Hinge) -> Iterator[str]:
-        """Impossible values for sensors like `design` on a `hinge`, a sentence each."""
+    def problems(self, design: SensorDesign, fixture: Fixture) -> Iterator[str]:
+        """Impossible values for sensors like `design` on a `fixture`, a sentence each."""
         if not 1 <= self.count <= LIMITS["specimen"]:
             yield f"specimens: count must be from 1 to {LIMITS['specimen']}, got {self.count}"
         for name, (limit, unit) in _RANGES.items():
             if not 0.0 <= (value := getattr(self, name)) <= limit:
                 yield f"specimens: {name} must be from 0 to {limit:g}{unit}, got {value}"
-        if not MAX_DEVIATIONS * self.hinge_span < hinge.span:
+        span = free_length(fixture)
+        if not MAX_DEVIATIONS * self.hinge_span < span:
             yield (
-                f"specimens: hinge_span must be less than a third of the span of {hinge.span:g} m, "
+                f"specimens: hinge_span must be less than a third of the span of {span:g} m, "
                 f"got {self.hinge_span}"
             )
         free = _clearance(design)
@@ -86,22 +91,23 @@ class Specimens:
                 f"{self.electrode_place}"
             )
 
-    def extremes(self, design: SensorDesign, hinge: Hinge) -> Iterator[tuple[SensorDesign, Hinge]]:
-        """Sensors and hinges with the largest possible deviations from the nominal ones."""
+    def extremes(
+        self, design: SensorDesign, fixture: KinematicFixture
+    ) -> Iterator[tuple[SensorDesign, KinematicFixture]]:
+        """Sensors and fixtures with the largest possible deviations from the nominal ones."""
         thick = _scaled_thickness(design, lognormal(self.thickness, MAX_DEVIATIONS))
         ends = (-MAX_DEVIATIONS, MAX_DEVIATIONS)
         for one, other in itertools.product(ends, ends):
-            span = hinge.span + one * self.hinge_span
-            offset = hinge.offset + other * self.hinge_offset
-            yield thick, dataclasses.replace(hinge, span=span, offset=offset)
+            moved = (one * self.hinge_span, other * self.hinge_offset)
+            yield thick, _moved_fixture(fixture, *moved)
 
 
 @dataclass(frozen=True, slots=True)
 class Specimen:
-    """One sensor with its hinge and its materials."""
+    """One sensor with its fixture and its materials."""
 
     design: SensorDesign
-    hinge: Hinge
+    fixture: Fixture
     mechanics: Mechanics
 
 
@@ -110,7 +116,7 @@ def draw_specimen(spread: Specimens, nominal: Specimen, rng: np.random.Generator
 
     Every property has its own draws, whichever of the deviations are zero.
     """
-    design, hinge, mechanics = nominal.design, nominal.hinge, nominal.mechanics
+    design, fixture, mechanics = nominal.design, nominal.fixture, nominal.mechanics
     # The order of these draws makes the specimens of all recipes: new properties draw at the end.
     conductivity, thickness, gel, around, span, offset = truncated_normal(rng, 6).tolist()
     contacts, places = truncated_normal(rng, 2 * len(design.electrodes)).reshape(2, -1).tolist()
@@ -135,13 +141,11 @@ def draw_specimen(spread: Specimens, nominal: Specimen, rng: np.random.Generator
         mechanics = dataclasses.replace(
             mechanics, solved_thickness=mechanics.solved_thickness or design.thickness
         )
+    if isinstance(fixture, Clamp):
+        fixture, mechanics = _sharing_bends(spread, fixture, mechanics)
     return Specimen(
         made,
-        dataclasses.replace(
-            hinge,
-            span=hinge.span + widened,
-            offset=hinge.offset + spread.hinge_offset * offset,
-        ),
+        _moved_fixture(fixture, widened, spread.hinge_offset * offset),
         dataclasses.replace(
             mechanics,
             gel=_scaled_modulus(mechanics.gel, factor("gel_modulus", gel)),
@@ -157,6 +161,32 @@ def with_wider_gap(support: Support, by: float) -> Support:
     if isinstance(support, Plates) and by:
         return dataclasses.replace(support, span=support.span + by)
     return support
+
+
+def free_length(fixture: Fixture) -> float:
+    """Free length of a fixture, or length of its arc [m]."""
+    return fixture.length if isinstance(fixture, FreeArc) else fixture.span
+
+
+def _moved_fixture(fixture: _Fixed, span: float, offset: float) -> _Fixed:
+    """Fixture of a longer span and a deeper axis, by `span` and `offset` [m]."""
+    if isinstance(fixture, FreeArc):
+        return dataclasses.replace(fixture, length=fixture.length + span)
+    return dataclasses.replace(fixture, span=fixture.span + span, offset=fixture.offset + offset)
+
+
+def _sharing_bends(
+    spread: Specimens, clamp: Clamp, mechanics: Mechanics
+) -> tuple[Clamp, Mechanics]:
+    """Nominal clamp and materials about which the bends of all specimens are interpolated."""
+    if spread.hinge_span:
+        clamp = dataclasses.replace(clamp, solved_span=clamp.solved_span or clamp.span)
+    if spread.hinge_offset and clamp.solved_offset is None:
+        clamp = dataclasses.replace(clamp, solved_offset=clamp.offset)
+    if spread.gel_modulus or spread.encapsulation_modulus:
+        ratio = mechanics.encapsulation.shear_modulus / mechanics.gel.shear_modulus
+        mechanics = dataclasses.replace(mechanics, solved_ratio=mechanics.solved_ratio or ratio)
+    return clamp, mechanics
 
 
 def lognormal(deviation: float, normal: float) -> float:

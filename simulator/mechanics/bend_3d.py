@@ -11,13 +11,20 @@ import skfem
 from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError
-from eitskin.geometry.deformation.fixtures import Hinge
+from eitskin.geometry.deformation.fixtures import Clamp
 from eitskin.geometry.deformation.kinematics import Gradients, Points
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.meshing.grading import Grading, graded_lines
+from eitskin.simulator.mechanics.elastic_bond import ElasticBond
 from eitskin.simulator.mechanics.layer_stack import Mechanics
-from eitskin.simulator.mechanics.load_stepping import Load, SolidError, follow
+from eitskin.simulator.mechanics.load_stepping import (
+    ForceTerm,
+    Load,
+    SolidError,
+    follow,
+    newton,
+)
 from eitskin.simulator.mechanics.mixed_solid import Solid
 from eitskin.simulator.mechanics.quadratic_field import QuadraticField
 
@@ -26,6 +33,38 @@ Indices = NDArray[np.int64]
 
 _SAME = 1e-9  # [m]
 _ROUNDED = 10  # decimals, in m, by which nodes of one plane agree
+_NEIGHBOURS = 4  # solved angles that give the first guess of another
+_TOLERANCE = 1e-4  # of Newton's last correction; errors of its square are far below the mesh's
+
+
+@dataclass(frozen=True, slots=True)
+class Slab:
+    """Rectangular layer in its encapsulation, the part of a design that bends depend on.
+
+    Attributes:
+        outline: of the gel.
+        thickness, encapsulated_thickness: of the gel and of the whole stack [m].
+    """
+
+    outline: Rectangle
+    thickness: float
+    encapsulated_thickness: float
+
+    @classmethod
+    def of(cls, design: SensorDesign) -> "Slab":
+        """Slab of a design; raises ConfigurationError for outlines that are not rectangular."""
+        outline = design.outline
+        if not isinstance(outline, Rectangle):
+            raise ConfigurationError(
+                f"a clamp bends sensors of rectangular outline, got {type(outline).__name__}; "
+                "choose a kinematic fixture, fixture=Hinge(...) or fixture=FreeArc(...)"
+            )
+        return cls(outline, design.thickness, design.encapsulated_thickness)
+
+    @property
+    def half_sizes(self) -> Array:
+        """Half of length, width and thickness of the gel [m], (3,)."""
+        return 0.5 * np.array([self.outline.length, self.outline.width, self.thickness])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,9 +75,9 @@ class BentStack:
         angle_deg: between the plates.
         displacement: of the quarter x >= 0, y >= 0 of coordinates from `centre` [m].
         centre: middle of the sensor at mid-layer [m].
-        offset: of the hinge axis below `centre` [m].
+        offset: of the axis of the plates below `centre` [m].
         energy: stored in the whole sensor [J].
-        moment: of each plate about the hinge axis, the derivative of the energy by the angle in
+        moment: of each plate about the axis, the derivative of the energy by the angle in
             radians [N m].
     """
 
@@ -85,12 +124,12 @@ class BentStack:
 
 
 class ClampedStack:
-    """Flat sensor between the plates of a hinge, meshed once for all angles.
+    """Flat sensor between the plates of a clamp, meshed once for all angles.
 
-    The plates hold the top and bottom faces of the encapsulation wherever |x| >= span / 2 from the
-    middle, without slip, over the full width, and turn by +-theta/2 about the hinge axis. All
-    other faces are free: top and bottom between the plates, and the sides everywhere. Symmetry
-    about the middles of length and width leaves a quarter to solve.
+    The plates hold the faces of the encapsulation wherever |x| >= span / 2 from the middle, without
+    slip, over the full width, and turn by +-theta/2 about the axis. All other faces are free: top
+    and bottom between the plates, and the sides everywhere. Symmetry about the middles of length
+    and width leaves a quarter to solve.
 
     The displacement within the clamps is small but reaches far: the pressure of an incompressible
     layer with held faces obeys Laplace's equation, so the material that the bend squeezes in decays
@@ -98,74 +137,81 @@ class ClampedStack:
 
     Attributes:
         solid: the meshed quarter, in coordinates from the middle of the sensor at mid-layer [m].
+        lines: grid lines of the quarter along x, y and z [m].
+        half_sizes: half of length, width and thickness of the gel [m], (3,).
     """
 
     def __init__(
         self,
-        design: SensorDesign,
-        hinge: Hinge | None = None,
+        design: SensorDesign | Slab,
+        clamp: Clamp | None = None,
         mechanics: Mechanics | None = None,
         grading: Grading | None = None,
         inside: float | None = None,
+        lines: tuple[Array, Array, Array] | None = None,
     ) -> None:
         """Mesh a quarter of the sensor by boxes.
 
         Args:
             design: the sensor, of rectangular outline.
-            hinge: only span and offset are used, not the profile of its kinematic model.
+            clamp: span, offset, compliance and held faces; the default clamp when omitted.
             mechanics: materials.
             grading: finest at the edges of the plates and at the long sides of the gel, `layers`
                 cells in each of encapsulation, gel and encapsulation; by the thickness of the
                 sensor when omitted.
             inside: length solved within each clamp, beyond which the sensor turns rigidly with the
                 plate [m]; the whole clamp when omitted.
+            lines: grid lines in place of those by `grading` and `inside`, through the edges of
+                plates and gel [m].
         """
-        hinge, self._mechanics = hinge or Hinge(), mechanics or Mechanics()
-        outline, margin = design.outline, self._mechanics.margin
-        if not isinstance(outline, Rectangle):
-            raise ConfigurationError(
-                f"a clamped stack needs a rectangular outline, got {type(outline).__name__}"
-            )
-        thickness = design.encapsulated_thickness
-        grading = grading or bend_grading(thickness)
-        self._gel = 0.5 * np.array([outline.length, outline.width, design.thickness])
-        self._clamp, self._offset = 0.5 * hinge.span, hinge.offset
-        whole = self._gel[0] + margin
+        clamp, self._mechanics = clamp or Clamp(), mechanics or Mechanics()
+        slab = design if isinstance(design, Slab) else Slab.of(design)
+        self._clamp, self.half_sizes = clamp, slab.half_sizes
         if inside is not None and not inside > 0.0:
             raise ConfigurationError(f"inside must be a positive length in m, got {inside}")
-        if self._clamp > self._gel[0]:
-            raise ConfigurationError(
-                f"the span of {hinge.span:g} m must not exceed the sensor's {outline.length:g} m"
-            )
-        end = whole if inside is None else self._clamp + inside
-        self._truncated = end < whole
-        width = self._gel[1]
-        self._lines = (
-            graded_lines(min(end, whole), {self._clamp}, {self._gel[0]}, grading),
-            graded_lines(width + margin, {width}, (), grading),
-            _heights(self._gel[2], 0.5 * thickness, grading.layers),
-        )
+        self.lines = lines or clamped_lines(slab, clamp, self._mechanics, grading, inside)
+        self._truncated = self.lines[0][-1] < self.half_sizes[0] + self._mechanics.margin - _SAME
         self.solid = self._meshed()
-        self._centre = (float(self._gel[0]), float(self._gel[1]), float(self._gel[2]))
+        x, y, z = self.half_sizes.tolist()
+        self._centre = (x, y, z)
         self._held, self._fixed = self._supports()
+        self._terms: tuple[ForceTerm, ...] = (self.solid,)
+        self._bond = self._bonded()
+        if self._bond:
+            self._terms = (self.solid, self._bond)
+        # Without strain, Newton's relative tolerance has no scale: flat is not solved.
+        self._solved = {0.0: np.zeros(self.solid.unknowns)}
 
     def equilibria(self, angles_deg: Sequence[float]) -> Iterator[BentStack]:
-        """Equilibria at angles [deg], by load stepping from the one before, the first from flat.
+        """Equilibria at angles [deg], each from the nearest ones solved before.
 
         Raises SolidError, naming the angle reached, where no stable equilibrium is found.
         """
-        flat = np.zeros(self.solid.unknowns)
-        x = flat
-        for before, angle in itertools.pairwise([0.0, *angles_deg]):
-            if angle == 0.0:
-                x = flat  # without strain, Newton's relative tolerance has no scale
-            elif angle != before:
-                x = self._followed(x, before, angle)
-            yield self._result(angle, x)
+        for angle in angles_deg:
+            if angle not in self._solved:
+                self._solved[angle] = self._equilibrium(angle)
+            yield self._result(angle, self._solved[angle])
+
+    def _equilibrium(self, angle: float) -> Array:
+        """Equilibrium from the polynomial through solved neighbours, or by load stepping."""
+        near = sorted(self._solved, key=lambda solved: abs(solved - angle))[:_NEIGHBOURS]
+        if len(near) > 1:
+            weights = (
+                math.prod((angle - other) / (one - other) for other in near if other != one)
+                for one in near
+            )
+            guess = sum(w * self._solved[one] for w, one in zip(weights, near, strict=True))
+            load = self._between(0.0, angle, 1.0)
+            if self.solid.admissible(np.asarray(guess)):
+                try:
+                    return newton(self._terms, np.asarray(guess), load, tolerance=_TOLERANCE)
+                except SolidError:
+                    pass  # load stepping may find a way where the polynomial does not
+        return self._followed(self._solved[near[0]], near[0], angle)
 
     def _followed(self, x: Array, before: float, angle: float) -> Array:
         try:
-            return follow([self.solid], x, partial(self._between, before, angle))[0]
+            return follow(self._terms, x, partial(self._between, before, angle))[0]
         except SolidError as error:
             reached = before + error.reached * (angle - before)
             raise SolidError(
@@ -174,44 +220,89 @@ class ClampedStack:
             ) from error
 
     def _meshed(self) -> Solid:
-        mesh = skfem.MeshHex.init_tensor(*self._lines)
+        mesh = skfem.MeshHex.init_tensor(*self.lines)
         middles = mesh.p[:, mesh.t].mean(axis=1).T
-        gel = np.all(np.abs(middles) < self._gel, axis=1)
+        gel = np.all(np.abs(middles) < self.half_sizes, axis=1)
         laws = (self._mechanics.encapsulation, self._mechanics.gel)
         return Solid(mesh, laws, gel.astype(np.int64), "solid", self._mechanics.bulk_ratio)
+
+    def _on_plate(self, x: Array) -> NDArray[np.bool_]:
+        """Whether points (3, ...) [m] lie on a held face."""
+        up = self.lines[2][-1]
+        below, above = x[2] < _SAME - up, x[2] > up - _SAME
+        face = below if self._clamp.faces == "bottom" else below | above
+        held: NDArray[np.bool_] = face & (x[0] > 0.5 * self._clamp.span - _SAME)
+        return held
 
     def _supports(self) -> tuple[Indices, Indices]:
         """Nodes that move with the plate, and numbers of all prescribed unknowns."""
         X = self.solid.nodes
-        along, _, up = self._lines
-        plate = (np.abs(X[:, 2]) > up[-1] - _SAME) & (X[:, 0] > self._clamp - _SAME)
-        if self._truncated:
-            plate |= X[:, 0] > along[-1] - _SAME
-        held = np.flatnonzero(plate)
-        moved = (3 * held[:, None] + np.arange(3)).ravel()
+        end = X[:, 0] > self.lines[0][-1] - _SAME if self._truncated else np.zeros(len(X), bool)
+        plate = self._on_plate(X.T)
+        prescribed = np.flatnonzero(end if self._clamp.compliance else plate | end)
+        moved = (3 * prescribed[:, None] + np.arange(3)).ravel()
         mirrored = [3 * np.flatnonzero(X[:, axis] < _SAME) + axis for axis in (0, 1)]
-        return held, np.unique(np.concatenate([moved, *mirrored]))
+        return np.flatnonzero(plate | end), np.unique(np.concatenate([moved, *mirrored]))
+
+    def _bonded(self) -> ElasticBond | None:
+        """Springs between faces and plates; None for a rigid bond."""
+        if not self._clamp.compliance:
+            return None
+        facets = self.solid.mesh.facets_satisfying(self._on_plate, boundaries_only=True)
+        return ElasticBond(self.solid, facets, self._clamp.compliance)
+
+    def _moved(self, angle_deg: float) -> Array:
+        """Displacements (unknowns,) of the plates, at the nodes that they hold."""
+        X, moved = self.solid.nodes[self._held], np.zeros(self.solid.unknowns)
+        turned = _turned(X, 0.5 * math.radians(angle_deg), self._clamp.offset)
+        self.solid.displacement(moved)[self._held] = turned - X
+        return moved
 
     def _between(self, before: float, after: float, t: float) -> Load:
-        """Prescribed displacements at the fraction t between two angles [deg]."""
-        solid, held, angle_deg = self.solid, self._held, before + t * (after - before)
-        X = solid.nodes[held]
-        u = np.zeros_like(solid.nodes)
-        u[held] = _turned(X, 0.5 * math.radians(angle_deg), self._offset) - X
-        return Load(self._fixed, u.ravel()[self._fixed], np.zeros(solid.unknowns))
+        """Load at the fraction t between two angles [deg]."""
+        moved = self._moved(before + t * (after - before))
+        forces = self._bond.pull(moved) if self._bond else np.zeros_like(moved)
+        return Load(self._fixed, moved[self._fixed], forces)
 
     def _result(self, angle_deg: float, x: Array) -> BentStack:
-        solid, held = self.solid, self._held
-        u = solid.displacement(x)
+        solid, held, offset = self.solid, self._held, self._clamp.offset
+        u, moved = solid.displacement(x), self._moved(angle_deg)
         f = solid.displacement(solid.forces(x))[held]
-        arm = solid.nodes[held] + u[held] + np.array([0.0, 0.0, self._offset])
+        arm = solid.nodes[held] + solid.displacement(moved)[held] + np.array([0.0, 0.0, offset])
         moment = float(np.sum(arm[:, 2] * f[:, 0] - arm[:, 0] * f[:, 2]))
         order = np.lexsort(solid.nodes.round(_ROUNDED).T[::-1])
-        shape = tuple(2 * len(line) - 1 for line in self._lines)
-        values = QuadraticField(self._lines, u[order].reshape(*shape, 3))
-        energy = 4.0 * solid.energy(x)
-        # Each plate holds two quarters.
-        return BentStack(angle_deg, values, self._centre, self._offset, energy, 2.0 * moment)
+        shape = tuple(2 * len(line) - 1 for line in self.lines)
+        values = QuadraticField(self.lines, u[order].reshape(*shape, 3))
+        energy = solid.energy(x) + (self._bond.energy(moved - x) if self._bond else 0.0)
+        # A plate holds two of the four quarters.
+        return BentStack(angle_deg, values, self._centre, offset, 4.0 * energy, 2.0 * moment)
+
+
+def clamped_lines(
+    slab: Slab,
+    clamp: Clamp,
+    mechanics: Mechanics,
+    grading: Grading | None = None,
+    inside: float | None = None,
+) -> tuple[Array, Array, Array]:
+    """Grid lines of a clamped quarter along x, y and z from the middle of the sensor [m].
+
+    Raises ConfigurationError for a span that exceeds the sensor's length.
+    """
+    (length, width, height), margin = slab.half_sizes, mechanics.margin
+    grading = grading or bend_grading(slab.encapsulated_thickness)
+    edge, whole = 0.5 * clamp.span, length + margin
+    if edge > length:
+        raise ConfigurationError(
+            f"the span of {clamp.span:g} m must not exceed the sensor's length of "
+            f"{slab.outline.length:g} m"
+        )
+    end = whole if inside is None else min(whole, edge + inside)
+    return (
+        graded_lines(end, {edge}, {length}, grading),
+        graded_lines(width + margin, {width}, (), grading),
+        _heights(height, 0.5 * slab.encapsulated_thickness, grading.layers),
+    )
 
 
 def bend_grading(thickness: float) -> Grading:
@@ -232,7 +323,7 @@ def _rotation(angle: float) -> Array:
 
 
 def _turned(points: Array, angle: float, offset: float) -> Array:
-    """Points rotated about the hinge axis by an angle [rad]."""
+    """Points rotated about the axis of the plates by an angle [rad]."""
     axis = np.array([0.0, 0.0, -offset])
     turned: Array = (points - axis) @ _rotation(angle).T + axis
     return turned

@@ -23,8 +23,8 @@ class Piezoresistivity:
 
     Attributes:
         volume: k_v, per change of volume J - 1.
-        pressure: k_p, per pressure p under presses, positive in compression [1/Pa]. Bends by a
-            fixture are kinematic and have no pressure.
+        pressure: k_p, per pressure p under presses, positive in compression [1/Pa]; the pressure
+            of bends is left out.
     """
 
     volume: float = 0.0
@@ -64,6 +64,9 @@ class Mechanics:
         solved_thickness: thickness of the gel for which presses are solved, with some steps above
             and below; presses on the design's thickness are interpolated [m]. Sensors of similar
             thickness thus share solutions. The design's own thickness when omitted.
+        solved_ratio: shear modulus of the encapsulation over the gel's for which bends are solved,
+            with some steps above and below; bends of other ratios are interpolated. The ratio of
+            this mechanics when omitted.
     """
 
     gel: NeoHookean | Ogden = field(default_factory=lambda: NeoHookean(20e3))
@@ -74,6 +77,7 @@ class Mechanics:
     encapsulation_relaxation: Prony = ECOFLEX
     piezoresistivity: Piezoresistivity = field(default_factory=Piezoresistivity)
     solved_thickness: float | None = None
+    solved_ratio: float | None = None
 
     def __post_init__(self) -> None:
         """Check the lengths; laws and solid check the other values."""
@@ -82,6 +86,9 @@ class Mechanics:
         solved = self.solved_thickness
         if solved is not None and not (math.isfinite(solved) and solved > 0.0):
             raise ConfigurationError(f"solved_thickness must be a positive length, got {solved}")
+        ratio = self.solved_ratio
+        if ratio is not None and not (math.isfinite(ratio) and ratio > 0.0):
+            raise ConfigurationError(f"solved_ratio must be a positive number, got {ratio}")
 
     def stack(self, design: SensorDesign) -> "Stack":
         """Layers of a sensor from below: encapsulation, gel, encapsulation; a substrate below."""

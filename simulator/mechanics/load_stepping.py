@@ -116,13 +116,18 @@ Factorise = Callable[[csc_array], Factorised]
 
 
 def newton(
-    terms: Sequence[ForceTerm], x: Array, load: Load, factorise: Factorise = SparseLU
+    terms: Sequence[ForceTerm],
+    x: Array,
+    load: Load,
+    factorise: Factorise = SparseLU,
+    tolerance: float = _TOLERANCE,
 ) -> Array:
     """Stable equilibrium near x (n,) under a load, by Newton's method.
 
     Corrections that would invert a cell, or increase the residual, are halved. `factorise` takes
-    the stiffness of the free unknowns in rising order. Raises SolidError where no stable
-    equilibrium is found; `follow` then takes smaller steps.
+    the stiffness of the free unknowns in rising order. The iteration ends with a correction below
+    `tolerance` relative to the largest unknown; the error is of the order of its square. Raises
+    SolidError where no stable equilibrium is found; `follow` then takes smaller steps.
     """
     free = np.setdiff1d(np.arange(len(x)), load.fixed)
     start = np.abs(x).max()  # where all loads are removed, x itself goes to zero
@@ -132,7 +137,7 @@ def newton(
         # Full steps find the contact area quickly at first; later steps must not cycle.
         limit = np.inf if iteration < _FULL_STEPS else residual_norm
         x = _corrected(terms, x, step, load.forces, free, limit)
-        if np.abs(step).max() <= _TOLERANCE * max(start, np.abs(x).max()):
+        if np.abs(step).max() <= tolerance * max(start, np.abs(x).max()):
             # The potential has a minimum over displacements, given the constraints, where there
             # are as many negative pivots as multipliers (Sylvester's law of inertia).
             if factorised.negative != constraints:

@@ -16,13 +16,13 @@ def require_bendable(support: Support, fixture: Fixture) -> None:
     if isinstance(support, Free):
         raise ConfigurationError(
             "a free membrane is held at its rim and can be neither bent, rolled nor twisted; leave "
-            "these out, or say support = 'plates' for a sensor that a hinge bends"
+            "these out, or say support = 'plates' for a sensor that plates bend"
         )
     if not isinstance(support, Plates):
         return
     if isinstance(fixture, FreeArc):
         raise ConfigurationError(
-            "a bend of a sensor on plates needs the hinge of the plates as its fixture, got "
+            "a bend of a sensor on plates needs the clamp of the plates as its fixture, got "
             f"{fixture}; use another fixture or support = 'rigid'"
         )
     if abs(fixture.span - support.span) > _SAME:

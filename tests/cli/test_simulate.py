@@ -11,7 +11,7 @@ import pytest
 from eitskin.config import read_toml, to_dict
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend, SensorDesign
-from eitskin.geometry.deformation.fixtures import Fixture, FreeArc, Hinge
+from eitskin.geometry.deformation.fixtures import Clamp, Fixture, FreeArc, Hinge
 from eitskin.simulator import Mechanics, Protocol, Scene, Simulator, Sphere
 from eitskin.simulator.mechanics.layer_stack import Piezoresistivity
 from eitskin.simulator.mechanics.materials import NeoHookean
@@ -223,7 +223,7 @@ def test_the_examples_of_the_page_are_read(tmp_path) -> None:
     assert isinstance(everything.touches[1].indenter, Sphere)
     (mechanics,) = examples("mechanics")
     assert tomllib.loads(mechanics) == to_dict(Mechanics())
-    for text, expected in zip(examples("fixture"), (Hinge(), FreeArc(0.1)), strict=True):
+    for text, expected in zip(examples("fixture"), (Clamp(), Hinge(), FreeArc(0.1)), strict=True):
         assert read_toml(Fixture, written(tmp_path / "fixture.toml", text)) == expected
 
 

@@ -17,7 +17,7 @@ from eitskin.datasets.recipe.episode import (
 )
 from eitskin.datasets.recipe.frame_sampling import Stream, generator, sample, specimen
 from eitskin.datasets.recipe.specimen import Specimens
-from eitskin.geometry import Bend, Electrode, Rectangle, SensorDesign
+from eitskin.geometry import Bend, Electrode, Hinge, Rectangle, SensorDesign
 from eitskin.simulator import Instrument, Scene, Simulator
 from eitskin.simulator.mechanics.viscoelasticity import REFERENCE, elastic_force
 
@@ -192,8 +192,9 @@ def test_skew_of_a_moving_bend_is_near_to_solving_every_moment():
     """At 30 deg/s, of what each measurement says where every moment is a scene of its own."""
     fast = script(Keyframe(0.0, -20.0), Keyframe(7 / 3, 50.0), period=0.297)
     slow_scan = dataclasses.replace(SCANNED, measurement_time=0.05)
-    data = simulate_shard(recipe(fast, instrument=slow_scan, sensor=SMALL), 0)
-    sim = Simulator(SMALL, "fast")
+    hinge = Hinge()
+    data = simulate_shard(recipe(fast, instrument=slow_scan, sensor=SMALL, fixture=hinge), 0)
+    sim = Simulator(SMALL, "fast", hinge)
     offsets = slow_scan.offsets(sim.protocol)
     assert offsets[-1] == pytest.approx(0.25)
     moments = data.time[:, None] + offsets

@@ -91,7 +91,7 @@ def test_values_are_those_of_the_simulator_with_noise_of_the_right_size(whole):
     simulators = []
     for number in range(2):
         made = specimen(RECIPE, number)
-        simulators.append(Simulator(made.design, resolution="fast", fixture=made.hinge))
+        simulators.append(Simulator(made.design, resolution="fast", fixture=made.fixture))
         flat = simulators[number].measure(Scene()).impedance
         assert np.allclose(data.reference[number], flat, rtol=1e-6)
     for index in range(len(data)):

@@ -45,7 +45,7 @@ AWKWARD = dataclasses.replace(
     MIXED,
     description='quotes " and \\ and\nlines and ü and \x7f',
     specimens=Specimens(3, conductivity=0.05),
-    hinge=Hinge(span=0.05, offset=0.007),
+    fixture=Hinge(span=0.05, offset=0.007),
     instrument=Instrument(60.0),
 )
 
@@ -176,7 +176,7 @@ def test_all_contradictions_are_listed_at_once():
         "scenes[4] (touch): count follows from positions",
         "scenes[4] (touch): repeats must be at least 1",
         "scenes[4] (touch): position (15, 0.1) m is off",
-        "scenes[5] (bend): a bend of -400 deg is not possible",
+        "scenes[5] (bend): a bend of -400 deg is beyond the clamp",
         "scenes[6] (touch): per_bend must be at least 1",
         "episodes[0]: keyframes must be at least two, rising in time from 0 s, got",
         "episodes[1]: position (0.2, 0) m is off",
@@ -187,7 +187,7 @@ def test_all_contradictions_are_listed_at_once():
         "episodes[3]: angle_deg must be [lowest, highest]",
         "episodes[3]: hold_s must be a rising range above 0",
         "episodes[3]: touches must be from 1 to 4",
-        "episodes[4]: a bend of 300 deg is not possible",
+        "episodes[4]: a bend of 300 deg is beyond the clamp",
         "episodes[4]: period must be at least the 0.2862 s",
     ):
         assert expected in message

@@ -14,7 +14,7 @@ from eitskin.datasets.recipe.frame_sampling import specimen
 from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.datasets.recipe.specimen import MAX_DEVIATIONS, Specimens, truncated_normal
 from eitskin.errors import ConfigurationError
-from eitskin.geometry import Electrode, Hinge, Layer, SensorDesign
+from eitskin.geometry import Clamp, Electrode, Hinge, Layer, SensorDesign
 from eitskin.simulator import Cylinder, Mechanics
 from eitskin.simulator.mechanics import press_store
 from eitskin.simulator.mechanics.press_table import PressTable
@@ -55,8 +55,8 @@ def properties(each):
         "encapsulation_modulus": [each.mechanics.encapsulation.shear_modulus],
         "contact_impedance": [e.contact_impedance.real for e in electrodes],
         "electrode_place": [outline.locate(e.x, e.y) for e in electrodes],
-        "hinge_span": [each.hinge.span],
-        "hinge_offset": [each.hinge.offset],
+        "hinge_span": [each.fixture.span],
+        "hinge_offset": [each.fixture.offset],
     }
 
 
@@ -87,7 +87,7 @@ def test_draws_are_normal_up_to_three_standard_deviations():
 def test_without_spread_every_specimen_is_nominal():
     for each in made(Specimens(4)):
         assert each.design == DESIGN
-        assert each.hinge == Hinge()
+        assert each.fixture == Clamp()
         assert each.mechanics == Mechanics()
 
 
@@ -179,7 +179,7 @@ def test_the_widest_spread_that_is_accepted_makes_only_possible_sensors():
 
 def test_a_short_hinge_is_refused_with_the_span_that_it_may_lose():
     with pytest.raises(ConfigurationError, match="hinge_span"):
-        recipe(Specimens(hinge_span=0.005), hinge=Hinge(span=0.015))
+        recipe(Specimens(hinge_span=0.005), fixture=Hinge(span=0.015))
 
 
 # Presses

@@ -117,7 +117,7 @@ def run(seed: int, speed: str = "real") -> tuple[EpisodeRun, EpisodeRun]:
     recipe = unseen(seed)
     made = specimen(recipe, 0)
     simulator = Simulator(
-        made.design, resolution="standard", fixture=made.hinge, mechanics=made.mechanics
+        made.design, resolution="standard", fixture=made.fixture, mechanics=made.mechanics
     )
     pressed = next(
         scene for n in range(recipe.frames) if (scene := sample(recipe, n).scene).touches

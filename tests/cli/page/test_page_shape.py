@@ -8,8 +8,9 @@ import pytest
 
 from eitskin.cli.page.shape import COLUMNS, ROWS, GelDrawing, GelShape
 from eitskin.cli.page.state import filled, relative_change
-from eitskin.geometry import Bend, Hinge
-from eitskin.simulator import Frame
+from eitskin.geometry import Bend, Clamp
+from eitskin.simulator import Frame, Mechanics
+from eitskin.simulator.mechanics import bend_store
 
 from page_fakes import DESIGN, PROTOCOL
 
@@ -24,7 +25,8 @@ def test_the_drawn_sensor_is_bent_and_dented_as_the_simulated_one() -> None:
     flat = shape.bent(0.0, [])
     assert np.allclose(flat, shape.points, atol=1e-12)
     bent = shape.bent(30.0, [])
-    wanted = Hinge().flexure(DESIGN, Bend(30.0)).positions(shape.points)
+    layer = bend_store.bend(DESIGN, Clamp(), Mechanics(), Bend(30.0))
+    wanted = layer.positions(shape.points)
     assert np.allclose(bent, wanted)
     dented = shape.bent(0.0, [(0.075, 0.03, 10.0)])
     middle = ROWS // 2 * COLUMNS + COLUMNS // 2

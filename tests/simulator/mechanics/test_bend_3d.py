@@ -1,17 +1,17 @@
 """The 3D bend against theory, symmetry, conserved volume and rigid limits, and its table."""
 
+import itertools
 import math
 
 import numpy as np
 import pytest
 
 from eitskin.errors import ConfigurationError
-from eitskin.geometry import Bend, Disc, Hinge, Rectangle, SensorDesign
+from eitskin.geometry import Bend, Clamp, Disc, Hinge, Rectangle, SensorDesign
 from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import Mechanics, Simulator
 from eitskin.simulator.mechanics.bend_3d import ClampedStack
-from eitskin.simulator.mechanics.bend_table import BendTable
 from eitskin.simulator.mechanics.load_stepping import SolidError
 from eitskin.simulator.mechanics.materials import NeoHookean
 from eitskin.simulator.mechanics.quadratic_field import QuadraticField
@@ -81,7 +81,7 @@ def test_left_mirrors_right_and_front_mirrors_back(bent) -> None:
         assert pytest.approx(expected, abs=1e-12) == F
 
 
-def test_arms_turn_rigidly_by_half_the_angle_about_the_hinge_axis(bent) -> None:
+def test_arms_turn_rigidly_by_half_the_angle_about_the_axis(bent) -> None:
     X = np.array([[0.115, 0.0, 0.0], [0.135, 0.050, 0.005], [0.150, 0.060, 0.0025]])
     half = math.radians(10.0)
     x, z = X[:, 0] - 0.075, X[:, 2] - 0.0025 + 0.008
@@ -107,20 +107,23 @@ def layered(length):
     return design, Mechanics(NeoHookean(gel / 3), NeoHookean(around / 3), margin=0.002), EA, EI
 
 
-@pytest.mark.parametrize("offset", [0.0, 0.010])
-def test_small_bends_of_a_slender_beam_store_what_beam_theory_says(offset) -> None:
+@pytest.mark.parametrize(("offset", "faces"), [(0.0, "both"), (0.010, "both"), (0.010, "bottom")])
+def test_small_bends_of_a_slender_beam_store_what_beam_theory_says(offset, faces) -> None:
     """U = (E I + E A d^2) theta^2 / (2 s); what clamps add to s is the same for every span."""
-    design, stack, EA, EI = layered(0.150)
-    angle, compliance = 0.1, []
+    design, stack, EA, EI = layered(0.190)
+    angle, compliance = 0.05, []
     for span in (0.060, 0.120):
         grading = Grading(finest=3e-3, coarsest=0.010, growth=0.3)
-        hinge = Hinge(span, offset)
-        (found,) = ClampedStack(design, hinge, stack, grading, inside=0.010).equilibria([angle])
+        clamp = Clamp(span, offset, faces=faces)
+        inside = 0.010 if faces == "both" else None
+        (found,) = ClampedStack(design, clamp, stack, grading, inside=inside).equilibria([angle])
         theta = math.radians(angle)
         assert found.moment == pytest.approx(2.0 * found.energy / theta, rel=2e-3)
         compliance.append(theta / found.moment)
     expected = 0.060 / (EI + EA * offset**2)
-    assert compliance[1] - compliance[0] == pytest.approx(expected, rel=0.01)
+    # What plates below add depends a little on their length.
+    tolerance = 0.01 if faces == "both" else 0.015
+    assert compliance[1] - compliance[0] == pytest.approx(expected, rel=tolerance)
 
 
 def test_a_wide_plate_bends_in_plane_strain_by_rivlins_flexure() -> None:
@@ -128,9 +131,9 @@ def test_a_wide_plate_bends_in_plane_strain_by_rivlins_flexure() -> None:
     design, stack = plain(0.080, 0.120, 0.004)
     theta, span = math.radians(60.0), 0.040
     unstretched = span * (1.0 - 0.5 * theta / math.tan(0.5 * theta)) / theta
-    hinge = Hinge(span, unstretched)
+    clamp = Clamp(span, unstretched)
     grading = Grading(finest=4e-3, coarsest=0.015, growth=0.4)
-    (found,) = ClampedStack(design, hinge, stack, grading, inside=0.004).equilibria([60.0])
+    (found,) = ClampedStack(design, clamp, stack, grading, inside=0.004).equilibria([60.0])
     X = points(400, (0.036, 0.050, 0.0), (0.044, 0.070, 0.004))
     F = found.gradient(X)
     C = F.swapaxes(1, 2) @ F
@@ -144,7 +147,7 @@ def test_a_wide_plate_bends_in_plane_strain_by_rivlins_flexure() -> None:
 
 def test_the_bend_signal_is_near_that_of_the_kinematic_model(bent) -> None:
     """Near where the width contracts as in the 3D model, and far where it does not."""
-    sim = Simulator(SensorDesign.reference(), "fast")
+    sim = Simulator(SensorDesign.reference(), "fast", Hinge())
     flat = sim.protocol.measure(sim.model.impedance()).real
     full = sim.deformed(bent).impedance.real / flat - 1.0
 
@@ -161,7 +164,7 @@ def test_what_cannot_be_bent_is_refused(bent) -> None:
     reference, disc = SensorDesign.reference(), Disc(0.050)
     for make, message in (
         (lambda: bent.positions(np.array([0.075, 0.030, 0.010])), "beside"),
-        (lambda: ClampedStack(reference, Hinge(span=0.155)), "span"),
+        (lambda: ClampedStack(reference, Clamp(span=0.155)), "span"),
         (lambda: ClampedStack(reference, inside=0.0), "inside"),
         (lambda: Mechanics(margin=-1e-3), "margin"),
         (lambda: ClampedStack(SensorDesign(disc, 0.005, uniform(disc, 4))), "rectangular"),
@@ -174,64 +177,49 @@ def test_what_cannot_be_bent_is_refused(bent) -> None:
 def test_a_bend_too_far_says_how_far_it_got() -> None:
     design, stack = plain(0.060, 0.010, 0.010)
     clamped = ClampedStack(
-        design, Hinge(0.012, 0.0), stack, Grading(6e-3, 0.012, 0.5), inside=0.004
+        design, Clamp(0.012, 0.0), stack, Grading(6e-3, 0.012, 0.5), inside=0.004
     )
     with pytest.raises(SolidError, match=r"\d+\.\d deg of 300 deg") as refusal:
         list(clamped.equilibria([20.0, 300.0]))
     assert 0.0 < refusal.value.reached < 1.0
 
 
-# Bends between the solved ones
-
-INSIDE = np.random.default_rng(1).uniform([0.025, 0.0, 0.0], [0.075, 0.020, 0.010], (500, 3))
-
-
 @pytest.fixture(scope="module")
-def stack():
-    design, materials = plain(0.100, 0.020, 0.010)
-    return ClampedStack(design, Hinge(0.040), materials, COARSE, inside=0.010)
+def short():
+    return plain(0.060, 0.012, 0.006)
 
 
-@pytest.fixture(scope="module")
-def table(stack):
-    return BendTable.of(stack, [-20.0, -10.0, 0.0, 10.0, 20.0, 30.0, 40.0])
+def test_faces_above_are_free_where_only_those_below_are_held(short) -> None:
+    design, materials = short
+    point = np.array([0.055, 0.003, 0.006])
+    moved = {}
+    for faces in ("both", "bottom"):
+        clamp = Clamp(0.020, 0.004, faces=faces)
+        (found,) = ClampedStack(design, clamp, materials, COARSE).equilibria([20.0])
+        below = found.positions(point - [0.0, 0.0, 0.006])
+        moved[faces] = np.linalg.norm(found.positions(point) - below)
+        assert np.linalg.det(found.gradient(point)) == pytest.approx(1.0, abs=0.02)
+    assert moved["both"] == pytest.approx(0.006, abs=1e-12)
+    assert abs(moved["bottom"] - 0.006) > 1e-6
 
 
-@pytest.mark.parametrize("angle", [-15.0, 5.0, 25.0])
-def test_bends_between_the_solved_ones(stack, table, angle) -> None:
-    (direct,) = stack.equilibria([angle])
-    between = table.at(angle)
-    assert between.positions(INSIDE) == pytest.approx(direct.positions(INSIDE), abs=5e-6)
-    size = np.abs(direct.gradient(INSIDE) - np.eye(3)).max()
-    assert between.gradient(INSIDE) == pytest.approx(direct.gradient(INSIDE), abs=5e-3 * size)
-    assert between.energy == pytest.approx(direct.energy, rel=5e-3)
-    assert between.moment == pytest.approx(direct.moment, rel=2e-2)
-    # Outside what was solved the arms turn by exactly the angle asked for.
-    end = between.gradient(np.array([0.095, 0.010, 0.005]))
-    assert end[0, 0] == pytest.approx(math.cos(math.radians(angle / 2)), abs=1e-12)
+def test_a_bond_that_gives_takes_moment_away_and_a_stiff_bond_is_rigid(short) -> None:
+    design, materials = short
+    moments, energies = [], []
+    for compliance in (0.0, 1e-11, 1e-8, 1e-7):
+        clamp = Clamp(0.020, 0.004, compliance)
+        (found,) = ClampedStack(design, clamp, materials, COARSE).equilibria([10.0])
+        moments.append(found.moment)
+        energies.append(found.energy)
+    assert moments[1] == pytest.approx(moments[0], rel=1e-3)
+    assert energies[1] == pytest.approx(energies[0], rel=1e-3)
+    assert all(soft < 0.99 * stiff for stiff, soft in itertools.pairwise(moments[1:]))
+    assert all(soft < 0.99 * stiff for stiff, soft in itertools.pairwise(energies[1:]))
 
 
-def test_solved_bends_and_the_flat_one_are_met(table) -> None:
-    for bent in table.solved:
-        assert table.at(bent.angle_deg).positions(INSIDE) == pytest.approx(
-            bent.positions(INSIDE), abs=1e-12
-        )
-    assert table.at(0.0).positions(INSIDE) == pytest.approx(INSIDE, abs=1e-12)
-    assert [bent.angle_deg for bent in table.solved] == [-20, -10, 0, 10, 20, 30, 40]
-
-
-def test_energy_is_the_work_of_the_moments(table) -> None:
-    """By Simpson's rule over the angle."""
-    bends = table.solved[2:]
-    assert [bent.angle_deg for bent in bends] == [0, 10, 20, 30, 40]
-    moments = np.array([bent.moment for bent in bends])
-    work = moments @ np.array([1, 4, 2, 4, 1]) / 3 * math.radians(10.0)
-    assert bends[-1].energy == pytest.approx(work, rel=1e-3)
-
-
-def test_angles_outside_the_table_are_refused(stack, table) -> None:
-    for angle in (40.1, math.nan):
-        with pytest.raises(ConfigurationError, match="from -20 to 40 deg"):
-            table.at(angle)
-    with pytest.raises(ConfigurationError, match="four angles"):
-        BendTable.of(stack, [10.0, 20.0, 30.0, 40.0])
+def test_the_moment_of_a_soft_bond_is_the_slope_of_the_energy(short) -> None:
+    design, materials = short
+    stack = ClampedStack(design, Clamp(0.020, 0.004, 1e-7, "bottom"), materials, COARSE)
+    low, middle, high = stack.equilibria([9.9, 10.0, 10.1])
+    slope = (high.energy - low.energy) / math.radians(0.2)
+    assert middle.moment == pytest.approx(slope, rel=1e-4)

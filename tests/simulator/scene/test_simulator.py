@@ -32,7 +32,7 @@ def test_frame_has_the_protocol_order_and_is_real_without_instrument(sim) -> Non
 def test_convex_bends_stretch_the_layer_and_concave_ones_shorten_it(sim, flat) -> None:
     out = sim.measure(Scene(bend=Bend(50.0))).impedance.real / flat - 1
     back = sim.measure(Scene(bend=Bend(-20.0))).impedance.real / flat - 1
-    assert np.median(out) > 0.02
+    assert np.median(out) > 0.01
     assert np.median(back) < -0.01
 
 
@@ -163,7 +163,7 @@ def test_noise_goes_by_the_full_scale_and_follows_its_seed(sim) -> None:
 def test_impossible_scenes_are_refused(sim) -> None:
     for scene, message in (
         (Scene(touches=(Touch(50.0, 20.0),)), "metres"),
-        (Scene(bend=Bend(-90.0)), "last possible angle"),
+        (Scene(bend=Bend(-90.0)), "from -40 to 90 deg"),
         (Scene(touches=(Touch(0.05, 0.02, 100.0),)), "pressed to"),
     ):
         with pytest.raises(ConfigurationError, match=message):

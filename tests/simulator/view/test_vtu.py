@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from eitskin.cli.main import app
 from eitskin.errors import ConfigurationError
-from eitskin.geometry import Bend, SensorDesign
+from eitskin.geometry import Bend, Hinge, SensorDesign
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import Protocol, Scene, Simulator, Touch
 from eitskin.simulator.view import shapes
@@ -185,7 +185,7 @@ def test_other_cells_are_written_too(tmp_path) -> None:
         "outline = { radius = 0.03 }\nthickness = 0.004\n[electrodes]\ncount = 6\nwidth = 0.004\n"
     )
     design = SensorDesign.from_toml(tmp_path / "disc.toml")
-    sim = Simulator(design, field_resolution(design, 0.006))
+    sim = Simulator(design, field_resolution(design, 0.006), Hinge())
     write_grids(scene_grids(sim, Scene(bend=Bend(10.0)), [(0, 3)]), tmp_path)
     body = pyvista.read(tmp_path / BODY)
     assert np.array_equal(body.cells_dict[13], shapes.volume(sim.model.mesh).cells_dict[13])

@@ -1,0 +1,204 @@
+"""Bent layer: a smooth Deformation through nodal displacements of a clamped stack."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline, PPoly, make_interp_spline
+from scipy.sparse import csr_array
+
+from eitskin.errors import ConfigurationError
+from eitskin.geometry.deformation.kinematics import Gradients, Points
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+_DEGREE = 3  # of the splines along x and y; F is twice less differentiable than they are
+_FUNCTIONS = _DEGREE + 1
+_AT_ONCE = 20_000  # points, per chunk, so that gathered values stay small
+_SAME = 1e-9  # [m]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Nodes:
+    """Nodes of a quarter of the layer along each axis, from its middle [m].
+
+    Attributes:
+        x, y: from 0 to half the length and half the width, (nx,) and (ny,).
+        z: from the bottom face to the top face, (nz,).
+        thickness: of the whole stack.
+    """
+
+    x: Array
+    y: Array
+    z: Array
+    thickness: float
+
+
+class BentLayer:
+    """Layer of a bent sensor, a Deformation of the gel.
+
+    Cubic splines along x and y and a polynomial along z interpolate the nodal displacements of a
+    quarter, mirrored to all four: positions and deformation gradients are continuous. Beyond the
+    layer, where presses push gel, positions are extrapolated linearly.
+
+    Attributes:
+        angle_deg: between the plates.
+        energy: stored in the whole sensor [J].
+        moment: of each plate about the axis, the derivative of the energy by the angle in radians
+            [N m].
+    """
+
+    def __init__(
+        self,
+        nodes: Nodes,
+        values: Array,
+        centre: Array,
+        angle_deg: float,
+        energy: float,
+        moment: float,
+    ) -> None:
+        """Fit the splines.
+
+        Args:
+            nodes: of a quarter of the layer.
+            values: displacements of the nodes [m], (nx, ny, nz, 3).
+            centre: middle of the layer [m], (3,).
+            angle_deg, energy, moment: see the attributes.
+        """
+        self.angle_deg, self.energy, self.moment = angle_deg, energy, moment
+        self._centre, self._thickness = centre, nodes.thickness
+        self._ends = np.array([nodes.x[-1], nodes.y[-1], nodes.z[-1]])
+        self._x, self._y = _axis(tuple(nodes.x)), _axis(tuple(nodes.y))
+        along = np.einsum("sia,ajkc->sijkc", self._x.fit, values)
+        both = np.einsum("sijkc,tjb->stibkc", along, self._y.fit.swapaxes(1, 2))
+        # u_x is odd and the others are even along x; likewise u_y along y.
+        fits = np.stack([both[1, 0, ..., 0], both[0, 1, ..., 1], both[0, 0, ..., 2]], axis=-1)
+        vandermonde = np.vander(nodes.z / self._ends[2], increasing=True)
+        coefficients = np.einsum("pk,ijkc->ijpc", np.linalg.inv(vandermonde), fits)
+        self._shape = coefficients.shape
+        self._coefficients = np.ascontiguousarray(
+            coefficients.reshape(coefficients.shape[0] * coefficients.shape[1], -1)
+        )
+
+    def positions(self, points: Points) -> Points:
+        """Deformed positions [m], (..., 3), of flat points [m], (..., 3)."""
+        x, inside = self._within(points)
+        moved = self._in_parts(inside, self._displacements)
+        beyond = x - inside
+        if np.any(beyond):
+            slope = self._in_parts(inside, self._slopes).reshape(*points.shape, 3)
+            moved = moved + np.einsum("...ij,...j->...i", slope, beyond)
+        deformed: Points = self._centre + x + moved
+        return deformed
+
+    def gradient(self, points: Points) -> Gradients:
+        """Deformation gradient, (..., 3, 3), continuous everywhere."""
+        F = self._in_parts(self._within(points)[1], self._slopes)
+        F = F.reshape(*points.shape, 3)
+        F[..., range(3), range(3)] += 1.0
+        return F
+
+    def _within(self, points: Points) -> tuple[Points, Points]:
+        """Points from the middle of the layer, and the nearest points of the layer."""
+        x = np.asarray(points, dtype=float) - self._centre
+        outside = np.abs(x[..., 2]) > 0.5 * self._thickness + _SAME
+        outside |= np.abs(x[..., 1]) > self._ends[1] + 0.5 * self._thickness
+        if np.any(outside):
+            raise ConfigurationError(
+                f"{int(outside.sum())} of {outside.size} points lie beside the bent sensor, whose "
+                f"gel is {2 * self._ends[1]:g} m wide and whose stack is {self._thickness:g} m "
+                "thick; a rolled sensor needs a kinematic fixture, Hinge(...) or FreeArc(...)"
+            )
+        return x, np.clip(x, -self._ends, self._ends)
+
+    def _in_parts(self, x: Array, evaluated: Callable[[Array], Array]) -> Array:
+        flat = x.reshape(-1, 3)
+        parts = [
+            evaluated(flat[start : start + _AT_ONCE])
+            for start in range(0, max(len(flat), 1), _AT_ONCE)
+        ]
+        return np.concatenate(parts).reshape(*x.shape[:-1], -1)
+
+    def _displacements(self, x: Array) -> Array:
+        """Displacements (n, 3) at points (n, 3) of the layer."""
+        (i, a, _), (j, b, _) = self._x.functions(x[:, 0]), self._y.functions(x[:, 1])
+        sums = self._summed(self._indices(i, j), a, b)
+        return np.asarray(np.einsum("npc,np->nc", sums, self._powers(x[:, 2])[0]))
+
+    def _slopes(self, x: Array) -> Array:
+        """Derivatives (n, 9) of the displacements at points (n, 3) of the layer."""
+        (i, a, da), (j, b, db) = self._x.functions(x[:, 0]), self._y.functions(x[:, 1])
+        powers, dpowers = self._powers(x[:, 2])
+        indices = self._indices(i, j)
+        found = np.empty((len(x), 3, 3))
+        value = self._summed(indices, a, b)
+        found[..., 0] = np.einsum("npc,np->nc", self._summed(indices, da, b), powers)
+        found[..., 1] = np.einsum("npc,np->nc", self._summed(indices, a, db), powers)
+        found[..., 2] = np.einsum("npc,np->nc", value, dpowers)
+        return found.reshape(len(x), 9)
+
+    def _indices(self, i: Indices, j: Indices) -> Indices:
+        """Numbers (n, 16) of the products of splines that do not vanish at n points."""
+        offsets = self._shape[1] * np.arange(_FUNCTIONS)[:, None] + np.arange(_FUNCTIONS)
+        return np.asarray((self._shape[1] * i + j)[:, None] + offsets.ravel())
+
+    def _summed(self, indices: Indices, a: Array, b: Array) -> Array:
+        """Sums over the products of splines a and b, (n, powers, 3)."""
+        weights = (a[:, :, None] * b[:, None, :]).ravel()
+        ends = np.arange(0, indices.size + 1, _FUNCTIONS**2)
+        matrix = csr_array(
+            (weights, indices.ravel(), ends), shape=(len(a), len(self._coefficients))
+        )
+        return np.asarray(matrix @ self._coefficients).reshape(len(a), *self._shape[2:])
+
+    def _powers(self, z: Array) -> tuple[Array, Array]:
+        """Powers of the scaled height, (n, powers), and their derivatives by z [1/m]."""
+        powers = np.vander(z / self._ends[2], self._shape[2], increasing=True)
+        slopes = np.zeros_like(powers)
+        slopes[:, 1:] = powers[:, :-1] * np.arange(1, self._shape[2]) / self._ends[2]
+        return powers, slopes
+
+
+class _Axis:
+    """Splines along one axis, mirrored at the middle.
+
+    Attributes:
+        fit: spline coefficients of even and odd functions by their values at the nodes of one
+            half, (2, splines, nodes).
+    """
+
+    def __init__(self, nodes: Array) -> None:
+        whole = np.concatenate([-nodes[:0:-1], nodes])
+        fit = make_interp_spline(whole, np.eye(len(whole)), k=_DEGREE)
+        mirror = np.eye(len(nodes))[:0:-1]
+        halves = np.stack(
+            [np.concatenate([sign * mirror, np.eye(len(nodes))]) for sign in (1.0, -1.0)]
+        )
+        halves[1, len(nodes) - 1] = 0.0  # odd functions vanish in the middle
+        self.fit: Array = np.einsum("ij,sjk->sik", fit.c, halves)
+        knots = fit.t
+        self._breaks = knots[_DEGREE:-_DEGREE]
+        self._pieces = np.zeros((len(self._breaks) - 1, _FUNCTIONS, _FUNCTIONS))
+        for number in range(len(self._pieces)):
+            for function in range(_FUNCTIONS):
+                one = np.zeros(fit.c.shape[0])
+                one[number + function] = 1.0
+                # PPoly has the highest power first.
+                pieces = PPoly.from_spline(BSpline(knots, one, _DEGREE)).c
+                self._pieces[number, function] = pieces[::-1, _DEGREE + number]
+
+    def functions(self, x: Array) -> tuple[Indices, Array, Array]:
+        """Number of the first spline at points (n,), values and slopes of the four, (n, 4)."""
+        piece = np.searchsorted(self._breaks, x, side="right") - 1
+        piece = np.clip(piece, 0, len(self._pieces) - 1)
+        t = (x - self._breaks[piece])[:, None]
+        c0, c1, c2, c3 = np.moveaxis(self._pieces, 2, 0)[:, piece]
+        return piece, ((c3 * t + c2) * t + c1) * t + c0, (3.0 * c3 * t + 2.0 * c2) * t + c1
+
+
+@lru_cache(maxsize=64)
+def _axis(nodes: tuple[float, ...]) -> _Axis:
+    return _Axis(np.array(nodes))
