@@ -240,8 +240,8 @@ def test_plates_are_as_far_apart_as_each_specimen_s_hinge():
     assert len(spans) == 5
     for each in drawn:
         made = specimen(recipe, each.specimen)
-        assert each.scene.support.span == pytest.approx(made.hinge.span, abs=1e-12)
-        assert made.design.support.span == pytest.approx(made.hinge.span, abs=1e-12)
+        assert each.scene.support.span == pytest.approx(made.fixture.span, abs=1e-12)
+        assert made.design.support.span == pytest.approx(made.fixture.span, abs=1e-12)
 
 
 @pytest.mark.parametrize(

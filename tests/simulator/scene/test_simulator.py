@@ -33,7 +33,7 @@ def test_convex_bends_stretch_the_layer_and_concave_ones_shorten_it(sim, flat) -
     out = sim.measure(Scene(bend=Bend(50.0))).impedance.real / flat - 1
     back = sim.measure(Scene(bend=Bend(-20.0))).impedance.real / flat - 1
     assert np.median(out) > 0.01
-    assert np.median(back) < -0.01
+    assert np.median(back) < -0.005
 
 
 def test_without_hinge_offset_the_bend_signal_is_second_order() -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from eitskin.config import parse_toml, to_toml
 from eitskin.errors import ConfigurationError
-from eitskin.geometry import Bend, Free, Hinge, Plates, Rigid, SensorDesign, Substrate
+from eitskin.geometry import Bend, Clamp, Free, Hinge, Plates, Rigid, SensorDesign, Substrate
 from eitskin.geometry.deformation.fixtures import FreeArc
 from eitskin.geometry.deformation.twist import Roll, Twist
 from eitskin.simulator import Scene, Simulator, Touch
@@ -22,12 +22,20 @@ def test_a_scene_keeps_its_support_in_its_file(support) -> None:
     assert parse_toml(Scene, to_toml(scene)) == scene
 
 
-def test_support_changes_nothing_where_nothing_is_pressed(sim) -> None:
+def test_support_changes_nothing_where_nothing_is_pressed_or_bent(sim) -> None:
     flat = sim.measure(Scene()).impedance
     for support in (Rigid(), Plates(), Substrate(0.01, 5e3), Free()):
         assert np.array_equal(sim.measure(Scene(support=support)).impedance, flat)
-    bent = sim.measure(Scene(Bend(20.0))).impedance
-    assert np.array_equal(sim.measure(Scene(Bend(20.0), support=Plates())).impedance, bent)
+
+
+def test_plates_bend_by_the_bottom_face(sim) -> None:
+    flat, both, below = (
+        sim.measure(scene).impedance.real
+        for scene in (Scene(), Scene(Bend(20.0)), Scene(Bend(20.0), support=Plates()))
+    )
+    held = Simulator(sim.design, "fast", Clamp(faces="bottom")).measure(Scene(Bend(20.0)))
+    assert np.array_equal(held.impedance.real, below)
+    assert 0.05 < np.linalg.norm(below - both) / np.linalg.norm(both - flat) < 0.15
 
 
 def test_far_from_the_gap_plates_carry_a_press_as_a_rigid_base_does(sim) -> None:
@@ -55,7 +63,7 @@ def test_the_support_of_a_scene_takes_the_place_of_the_design() -> None:
         (Scene(roll=Roll(5.0), support=Free()), None, "neither bent, rolled nor twisted"),
         (Scene(twist=Twist(5.0), support=Free()), None, "neither bent, rolled nor twisted"),
         (Scene(Bend(5.0), support=Plates(0.03)), None, "0.03 m apart, .* fixture 0.04 m"),
-        (Scene(Bend(5.0), support=Plates()), FreeArc(0.1), "needs the hinge of the plates"),
+        (Scene(Bend(5.0), support=Plates()), FreeArc(0.1), "needs the clamp of the plates"),
         (Scene(support=Plates(0.2)), None, "length of 0.15 m, got 0.2 m"),
     ],
 )
