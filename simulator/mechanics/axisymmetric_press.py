@@ -1,4 +1,4 @@
-"""Axisymmetric press: an indenter on a stack of bonded layers on a rigid base."""
+"""Axisymmetric press: an indenter on a stack of layers, on a rigid base or held at its rim."""
 
 import itertools
 import math
@@ -10,6 +10,7 @@ import numpy as np
 import skfem
 from numpy.typing import NDArray
 
+from eitskin.bounds import require_length
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.meshing.grading import Grading, graded_lines
 from eitskin.simulator.mechanics.layer_stack import Stack
@@ -27,6 +28,9 @@ _CONTACT_STIFFNESS = 5e3
 _FIRST_STEP = 0.008
 # Longest step, likewise: a rough indenter sticks to newly touched points only after each step.
 _LONGEST_STEP = 0.04
+# Likewise of a stack without a base, which moves as a whole, over the radius of contact.
+_LONGEST_UNHELD_STEP = 0.1
+_LARGEST_STRETCH = 2.0  # of a held rim
 _ATTRACTORS = 24  # most radii of refinement over the band where contact may end
 
 
@@ -72,6 +76,28 @@ class Indentation:
         return float(shortened / (self.z[above] - self.z[below]))
 
 
+@dataclass(frozen=True, slots=True)
+class HeldRim:
+    """Rim that holds a round stack without a base, over the whole height of its outer face.
+
+    Attributes:
+        radius: of the undeformed stack [m].
+        stretch: of the flat stack, equal in all directions of its plane, before it is pressed; the
+            upper face stays at its height.
+    """
+
+    radius: float
+    stretch: float = 1.0
+
+    def __post_init__(self) -> None:
+        require_length("rim radius", self.radius)
+        if not 1.0 <= self.stretch <= _LARGEST_STRETCH:
+            raise ConfigurationError(
+                f"the stretch of a held rim must be from 1 to {_LARGEST_STRETCH:g}, got "
+                f"{self.stretch}"
+            )
+
+
 class AxisymmetricPress:
     """Indenter on a stack; each press starts from the last equilibrium.
 
@@ -90,6 +116,7 @@ class AxisymmetricPress:
         finest: float | None = None,
         band: tuple[float, float] | None = None,
         reach: float | None = None,
+        rim: HeldRim | None = None,
     ) -> None:
         """Mesh the stack, refined where contact may end.
 
@@ -102,6 +129,7 @@ class AxisymmetricPress:
                 largest that the indenter allows when omitted [m].
             reach: radius of a frictionless wall around the stack; eight largest contact radii or
                 thicknesses, whichever is more, when omitted [m].
+            rim: holds the stack instead of a rigid base and a wall.
         """
         self.stack, self.indenter = stack, indenter
         thickness = stack.levels[-1]
@@ -109,6 +137,7 @@ class AxisymmetricPress:
         radius = band[1]
         finest = radius / 30.0 if finest is None else finest
         reach = 8.0 * max(radius, thickness) if reach is None else reach
+        reach = reach if rim is None else rim.radius
         grading = Grading(finest, max(finest, thickness / 4.0), 0.3)
         mesh = _mesh(stack.levels, band, reach, grading)
         heights = mesh.p[1, mesh.t].mean(axis=0)
@@ -130,9 +159,13 @@ class AxisymmetricPress:
             for points in ((r, z), mesh.p)
         )
         walls = np.flatnonzero((r < 1e-12) | (r > reach - 1e-9))
-        base = np.flatnonzero(z < 1e-12)
+        base = np.flatnonzero(z < 1e-12 if rim is None else r > reach - 1e-9)
         self._held: Indices = np.union1d(2 * walls, np.concatenate([2 * base, 2 * base + 1]))
+        self._values: Array = np.zeros(len(self._held))
+        self._longest = _LONGEST_STEP * thickness if rim is None else _LONGEST_UNHELD_STEP * radius
         self.unknowns: Array = np.zeros(self.solid.unknowns + 1)
+        if rim is not None and rim.stretch != 1.0:
+            self._stretch(rim.stretch)
 
     def to_force(self, force: float) -> Indentation:
         """Equilibrium under a force [N]; raises SolidError with the fraction reached otherwise."""
@@ -140,7 +173,7 @@ class AxisymmetricPress:
         if not self.contact.force(self.unknowns):
             self.to_depth(self._touching_depth(force))
         start = self.contact.force(self.unknowns)
-        held, values = self._held, np.zeros(len(self._held))
+        held, values = self._held, self._values
 
         def path(t: float) -> Load:
             forces = np.zeros(len(self.unknowns))
@@ -152,8 +185,9 @@ class AxisymmetricPress:
     def to_depth(self, depth: float) -> Indentation:
         """Equilibrium at a depth [m]; raises SolidError with the fraction reached otherwise."""
         _check_positive("depth", depth, "m")
-        start, longest = self.unknowns[-1], _LONGEST_STEP * self.stack.levels[-1]
-        steps = np.linspace(start, depth, 1 + max(1, math.ceil(abs(depth - start) / longest)))
+        start = self.unknowns[-1]
+        count = max(1, math.ceil(abs(depth - start) / self._longest))
+        steps = np.linspace(start, depth, 1 + count)
         for before, after in itertools.pairwise(steps):
             try:
                 result = self._straight_to(before, after)
@@ -169,12 +203,25 @@ class AxisymmetricPress:
         fixed, none = np.append(self._held, len(self.unknowns) - 1), np.zeros(len(self.unknowns))
 
         def path(t: float) -> Load:
-            values = np.zeros(len(fixed))
-            values[-1] = before + t * (after - before)
+            values = np.append(self._values, before + t * (after - before))
             return Load(fixed, values, none)
 
         first = _FIRST_STEP * self.stack.levels[-1] / max(abs(after - before), 1e-12)
         return self._settle(path, 1.0 if before else min(1.0, first))
+
+    def _stretch(self, stretch: float) -> None:
+        """Move the rim outwards, the indenter away."""
+        X = self.solid.nodes
+        moved = (stretch - 1.0) * X
+        moved[:, 1] = (stretch**-2 - 1.0) * (X[:, 1] - self.stack.levels[-1])
+        self._values = moved.ravel()[self._held]
+        fixed, none = np.append(self._held, len(self.unknowns) - 1), np.zeros(len(self.unknowns))
+
+        def path(t: float) -> Load:
+            return Load(fixed, np.append(t * self._values, 0.0), none)
+
+        self.unknowns, _ = follow((self.solid,), self.unknowns, path)
+        self.contact = self.contact.placed(self.unknowns)
 
     def _touching_depth(self, force: float) -> float:
         """Depth at which less than `force` acts, estimated as on a half-space [m]."""

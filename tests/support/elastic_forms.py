@@ -135,3 +135,41 @@ def equibiaxial_tension(sheets: Sheets, stretch: float) -> float:
     N = sum of mu h (1 - stretch^-6) [N/m], h the undeformed thicknesses (Treloar 1944).
     """
     return sum(mu * thickness for thickness, mu in sheets) * (1.0 - stretch**-6)
+
+
+def clamped_disc_deflection(radius: float, rigidity: float, force: float) -> float:
+    """Deflection in the middle of a thin round plate, clamped, under a force there, small [m].
+
+    P R^2 / (16 pi D) (Timoshenko and Woinowsky-Krieger 1959, section 19).
+    """
+    return force * radius**2 / (16.0 * np.pi * rigidity)
+
+
+def slack_disc_deflection(
+    r: Array, radius: float, thickness: float, shear_modulus: float, force: float
+) -> Array:
+    """Deflection [m] at distances r of a round membrane without tension under a central force.
+
+    Schwerin (1929): w = 3/2 c (R^(2/3) - r^(2/3)) with c^3 = 8 P / (9 pi E h), which solves
+    Foeppl's equations with a held rim for nu = 1/3 exactly; E = 8/3 mu. The rim is clamped, not
+    hinged: bending there takes c R^(-1/3) sqrt(D / N) away, with N = P / (2 pi c R^(2/3)).
+    """
+    modulus = 8.0 / 3.0 * shear_modulus
+    c = (8.0 * force / (9.0 * np.pi * modulus * thickness)) ** (1.0 / 3.0)
+    tension = force / (2.0 * np.pi * c * radius ** (2.0 / 3.0))
+    rigidity = modulus * thickness**3 / (12.0 * (1.0 - 1.0 / 9.0))
+    bent = c * radius ** (-1.0 / 3.0) * np.sqrt(rigidity / tension)
+    found: Array = 1.5 * c * (radius ** (2.0 / 3.0) - r ** (2.0 / 3.0)) - bent
+    return found
+
+
+def taut_disc_deflection(
+    r: Array, radius: float, tension: float, rigidity: float, force: float
+) -> Array:
+    """Deflection [m] at distances r of a round membrane of tension [N/m] under a small force.
+
+    P / (2 pi N) ln(R / r), less the bending at the clamped rim, P / (2 pi N R) sqrt(D / N).
+    """
+    scale = force / (2.0 * np.pi * tension)
+    found: Array = scale * (np.log(radius / r) - np.sqrt(rigidity / tension) / radius)
+    return found
