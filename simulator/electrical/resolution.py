@@ -38,7 +38,7 @@ class _Named(NamedTuple):
 _COLUMNS = {
     "fast": _Named((3, 3, 2, 1), 0.2, 0.1, 2.0, 0.62),
     "standard": _Named((4, 4, 3, 2, 2), 0.04, 0.11, 3.0, 0.68),
-    "fine": _Named((5, 5, 5, 4, 3), 4e-3, 0.1, 3.0, 0.62),
+    "fine": _Named((5, 5, 5, 4, 3), 4e-3, 0.083, 2.0, 0.52),
 }
 # Triangles are refined around electrode edges only, not along whole lines, and can be finer.
 _PRISMS = {
