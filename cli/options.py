@@ -36,7 +36,9 @@ MechanicsFile = Annotated[
 FixtureFile = Annotated[
     Path | None, typer.Option(help="Fixture file: the hinge or arc that bends the sensor.")
 ]
-PressModel = Annotated[str, typer.Option(help="Model of touches: tabulated or 'closed form'.")]
+PressModel = Annotated[
+    str, typer.Option(help="Corrections of touches: tabulated or solved; chosen when omitted.")
+]
 Pairs = Annotated[str, typer.Option(help="pairwise, adjacent, opposite, skip:N, or a CSV file.")]
 
 

@@ -45,7 +45,7 @@ class Simulator:
         fixture: that bends the sensor.
         protocol: drive and sense pairs of the measurements.
         mechanics: materials of gel and encapsulation.
-        touch_model: "tabulated" or "closed form", the model of presses.
+        touch_model: "tabulated" or "solved", the way to the corrections of presses; None chooses.
         model: the forward model of scenes without small indenters; `model.factorisations` counts
             the work done.
     """
@@ -57,7 +57,7 @@ class Simulator:
         fixture: Fixture | None = None,
         protocol: Protocol | None = None,
         mechanics: Mechanics | None = None,
-        touch_model: TouchModel = "tabulated",
+        touch_model: TouchModel | None = None,
     ) -> None:
         """Mesh the sensor, with faces where the fixture clamps it.
 
@@ -69,8 +69,10 @@ class Simulator:
             protocol: drive and sense pairs; every pair of electrodes, which is drive and sense pair
                 in one, when omitted.
             mechanics: materials of gel and encapsulation; the reference sensor's when omitted.
-            touch_model: "tabulated" interpolates presses solved at finite strain, which takes
-                seconds at the first use of each indenter; "closed form" needs no solver.
+            touch_model: corrections of dents in the finite stack are "tabulated", solved once for
+                each stack and indenter, which takes minutes, or "solved" for each scene, which
+                takes seconds. When omitted they are tabulated where a table comes with the package
+                (the reference sensor's), and solved otherwise.
 
         Raises:
             ConfigurationError: for an unknown resolution or touch model, or a fixture that does not
@@ -80,11 +82,11 @@ class Simulator:
         self.fixture: Fixture = fixture or Clamp()
         self.protocol = protocol or Protocol.pairwise(len(design.electrodes))
         self.mechanics = mechanics or Mechanics()
-        if touch_model not in get_args(TouchModel):
+        if touch_model is not None and touch_model not in get_args(TouchModel):
             raise ConfigurationError(
                 f"touch_model must be one of {get_args(TouchModel)}, got {touch_model!r}"
             )
-        self.touch_model: TouchModel = touch_model
+        self.touch_model: TouchModel | None = touch_model
         self._models = ModelFamily(design, resolution, _breaks(design, self.fixture))
         self.model = self._models.base
         self._untouched: dict[ForwardModel, tuple[Scene, NDArray[np.inexact]]] = {}
@@ -121,7 +123,9 @@ class Simulator:
     def presses(self, scene: Scene) -> tuple[PressedTouch, ...]:
         """Depth, contact radius and pressure of each touch, with error estimates."""
         self.check_scene(scene)
-        return pressed_touches(scene.touches, self.supported(scene), self.mechanics)
+        return pressed_touches(
+            scene.touches, self.supported(scene), self.mechanics, self.touch_model
+        )
 
     def check_scene(self, scene: Scene) -> None:
         """Raise ConfigurationError for a scene that the sensor or its support does not allow.

@@ -1,5 +1,6 @@
 """Cases of random sensors and scenes, many of them impossible."""
 
+import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -10,11 +11,13 @@ from numpy.typing import NDArray
 from eitskin.benchmarks.stability.case import Case, CaseValues
 from eitskin.benchmarks.stability.electrical import imbalance
 from eitskin.geometry.deformation.fixtures import Bend, Fixture, FreeArc, Hinge
+from eitskin.geometry.deformation.kinematics import Composed
 from eitskin.geometry.deformation.twist import Roll, Twist
 from eitskin.geometry.design.electrode import Electrode, On, Shape
 from eitskin.geometry.design.outline import Disc, PlaneOutline, Polygon, Rectangle
 from eitskin.geometry.design.sensor import Layer, SensorDesign
 from eitskin.geometry.meshing.grading import Grading
+from eitskin.simulator.layer.dents import closed_form_dents
 from eitskin.simulator.scene.scene import Scene
 from eitskin.simulator.scene.touch import Touch
 from eitskin.simulator.simulator import Simulator
@@ -138,10 +141,12 @@ def _measured(seed: tuple[int, int]) -> CaseValues:
     size = 0.2 * max(outline.length, outline.width)
     finest = min(min(e.width, e.height or e.width) for e in design.electrodes)
     sizes = Grading(float(np.clip(0.5 * finest, 0.1 * size, size)), size, 3.0)
-    # Every stack would need a table of presses of its own, which takes a minute.
-    sim = Simulator(design, ((1, 1), sizes), drawn.fixture, touch_model="closed form")
+    sim = Simulator(design, ((1, 1), sizes), drawn.fixture)
     flat = imbalance(sim.model)
-    R = sim.measure(drawn.scene).impedance.real
+    # Every stack would need presses of its own, which take a minute: dents in closed form.
+    bare = dataclasses.replace(drawn.scene, touches=())
+    dents, bent = closed_form_dents(drawn.scene.touches), sim.deformation(bare)
+    R = sim.deformed(Composed(dents, bent) if bent else dents).impedance.real
     if not np.all(R > 0.0):
         raise ArithmeticError(f"resistances of {R.min():g} to {R.max():g} ohm")
     return CaseValues(invariant=flat)

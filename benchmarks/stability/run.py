@@ -58,7 +58,7 @@ def cases(seed: int, quick: bool) -> Iterator[Case]:
     ratios = (1e-6, 1e6) if quick else (1e-6, 1e-4, 1e-2, 1e2, 1e4, 1e6)
     yield from bends.bends(quick)
     yield from bends.rolls_and_twists(quick)
-    yield from bends.compositions("closed form" if quick else "tabulated")
+    yield from bends.compositions(quick)
     yield from solids.incompressible(quick)
     yield from solids.presses(quick)
     yield from electrical.contrasts(ratios)

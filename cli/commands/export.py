@@ -125,7 +125,7 @@ def export_vtu(
     sensor: SensorFile = None,
     mechanics: MechanicsFile = None,
     fixture: FixtureFile = None,
-    touch_model: PressModel = "tabulated",
+    touch_model: PressModel = "",
     protocol: Pairs = "pairwise",
     drive: Annotated[
         tuple[int, int] | None,
@@ -151,8 +151,7 @@ def export_vtu(
     design = SensorDesign.from_toml(sensor) if sensor else SensorDesign.reference()
     resolution = field_resolution(design, cell)
     sim = simulator(design, resolution, fixture, protocol, mechanics, touch_model)
-    if touch_model == "tabulated":
-        announce_unsolved(sim, what, output)
+    announce_unsolved(sim, what, output)
     start = time.perf_counter()
     grids = scene_grids(sim, what, None if drive is None else [drive])
     make_folder(out)

@@ -42,7 +42,7 @@ def command(
     sensor: SensorFile = None,
     mechanics: MechanicsFile = None,
     fixture: FixtureFile = None,
-    touch_model: PressModel = "tabulated",
+    touch_model: PressModel = "",
     resolution: Annotated[str, typer.Option(help="fast, standard or fine.")] = "standard",
     noise: Annotated[
         float | None, typer.Option(help="Add white noise this many dB below full scale.")
@@ -87,13 +87,12 @@ def command(
     sim = simulator(design, detail, fixture, protocol, mechanics, touch_model)
     sim.check_scene(what)  # before its presses are solved, which takes minutes
     flat = sim.measure(Scene())
-    if touch_model == "tabulated":
-        announce_unsolved(sim, what, output)
+    announce_unsolved(sim, what, output)
     start = time.perf_counter()
     frame = sim.measure(what, board, np.random.default_rng(seed))
     seconds = time.perf_counter() - start
     output.detail(f"{sim.model.solver.name}, {len(sim.model.mesh.cells)} cells, {seconds:.3f} s")
-    presses = sim.presses(what) if touch_model == "tabulated" else ()
+    presses = sim.presses(what)
     data = _as_data(frame, flat, seconds) | {"touches": [_touch_data(one) for one in presses]}
     shown = [_as_table(frame, flat), *([_touch_table(presses)] if presses else [])]
     output.result(data, Group(*shown, *_cautions(presses)))

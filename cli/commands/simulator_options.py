@@ -40,7 +40,9 @@ def simulator(
         read_toml(cast("type[Fixture]", Fixture), fixture) if fixture else None,
         Protocol.named(protocol, len(design.electrodes)),
         read_toml(Mechanics, mechanics) if mechanics else None,
-        cast("TouchModel", one_of("--touch-model", touch_model, TouchModel)),
+        cast("TouchModel", one_of("--touch-model", touch_model, TouchModel))
+        if touch_model
+        else None,
     )
 
 

@@ -16,7 +16,7 @@ from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.placement import placed
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.side_contacts import Strip
-from eitskin.simulator.layer.pressed_touches import dents
+from eitskin.simulator.layer.dents import closed_form_dents
 from eitskin.simulator.mechanics import bend_store
 from eitskin.simulator.mechanics.closed_form_dent import LARGEST_FORCE
 from eitskin.simulator.mechanics.layer_stack import Mechanics
@@ -75,7 +75,7 @@ class GelShape:
         touches = tuple(Touch(x, y, _drawn_force(force)) for x, y, force in presses)
         shape: Deformation = _bent(self.design, angle)
         if touches:
-            pressed = dents(touches, self.design, Mechanics(), "closed form")
+            pressed = closed_form_dents(touches)
             shape = Composed(pressed, shape)
         return shape.positions(self.points)
 

@@ -20,8 +20,8 @@ from eitskin.protocol import Protocol
 from eitskin.simulator.electrical.resolution import Resolution
 from eitskin.simulator.instrument.instrument import Instrument
 from eitskin.simulator.instrument.session import Session
-from eitskin.simulator.layer.pressed_touches import pressed_touches
-from eitskin.simulator.mechanics import bend_store, press_store
+from eitskin.simulator.mechanics import bend_store, correction_store, press_store
+from eitskin.simulator.mechanics.correction_store import corrections, tabulable
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.scene.indenters import Cylinder
 from eitskin.simulator.scene.scene import Scene
@@ -48,6 +48,7 @@ def missing_press_tables(recipe: Recipe) -> set[Path]:
     found: set[Path] = set()
     for design, mechanics in _pressed(recipe):
         found |= press_store.missing(design, mechanics, Cylinder())
+        found |= correction_store.missing(design, mechanics, Cylinder())
     return found
 
 
@@ -65,7 +66,10 @@ def prepare(recipe: Recipe, progress: Progress | None = None) -> None:
             bend_store.bend_table(*bent).check(angle)
     if recipe.largest_force:
         for design, mechanics in _pressed(recipe):
-            pressed_touches((Touch(0.0, 0.0, recipe.largest_force),), design, mechanics)
+            table = press_store.press_table(design, mechanics, Cylinder())
+            deepest = table.at_force(recipe.largest_force).depth
+            if tabulable(design):
+                corrections(design, mechanics, Cylinder()).check_depth(deepest)
 
 
 def simulate_shard(
@@ -217,7 +221,11 @@ def _pressed(recipe: Recipe) -> Iterator[tuple[SensorDesign, Mechanics]]:
 @lru_cache(maxsize=4)
 def _simulator(made: Specimen, resolution: Resolution) -> Simulator:
     return Simulator(
-        made.design, resolution=resolution, fixture=made.fixture, mechanics=made.mechanics
+        made.design,
+        resolution=resolution,
+        fixture=made.fixture,
+        mechanics=made.mechanics,
+        touch_model="tabulated" if tabulable(made.design) else "solved",
     )
 
 

@@ -2,24 +2,19 @@
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.geometry.deformation.kinematics import Gradients, Points
-from eitskin.simulator.layer.smooth_field import Box, SmoothField
+from eitskin.simulator.mechanics.closed_form_dent import ClosedFormDent
+from eitskin.simulator.scene.touch import Touch
 
 Array = NDArray[np.float64]
 
 _AT_ONCE = 30_000  # distances per chunk, so that all arrays stay in the processor's cache
 _HAIR = 1e-9  # [m]
-# Images farther from the layer than this [m] are interpolated, by polynomials of these numbers in
-# x, y and z. That moves the signal of a press by 1e-3 to 5e-3, up to 2e-2 where it is smallest, as
-# much as the end of the tables' reach does.
-_FAR = 0.035
-_DEGREES = (16, 8, 4)
 
 
 class Dent(Protocol):
@@ -42,31 +37,40 @@ class Dent(Protocol):
         ...
 
 
+class ColumnField(Protocol):
+    """Field that is evaluated in vertical columns of points (n, h, 3) [m]."""
+
+    def values(self, columns: Array) -> Array:
+        """Displacement [m] and mean stress [Pa], (4, h, n)."""
+        ...
+
+    def moved(self, columns: Array) -> Array:
+        """Displacement [m] and its derivatives by x, y, z, (12, h, n)."""
+        ...
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacedDent:
-    """Dent at (x, y) of the flat sensor [m], times a sign."""
+    """Dent at (x, y) of the flat sensor [m]."""
 
     x: float
     y: float
     dent: Dent
-    sign: float = 1.0
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class Dents:
-    """Deformation of the flat layer by presses: superposed displacements.
+    """Deformation of the flat layer by presses: dents of the unbounded stack, and corrections.
 
-    Each dent is isochoric; several are up to the product of their strains where they overlap.
-    Dents are those of an unbounded layer; images beyond the rim stand for the free edge (method of
-    images). The displacement by distant images is smooth, and is interpolated from a few points.
+    All displacements are added up.
 
     Attributes:
-        presses: the dents and their images.
-        box: around the deformed body; without a box every dent counts as near.
+        presses: the dents.
+        corrections: of the dents in the finite stack; displacement [m] and mean stress [Pa].
     """
 
     presses: tuple[PlacedDent, ...]
-    box: Box | None = None
+    corrections: tuple[ColumnField, ...] = ()
 
     def positions(self, points: Points) -> Points:
         """Deformed positions [m], (..., 3), of flat points [m], (..., 3)."""
@@ -79,43 +83,33 @@ class Dents:
     def mapped(self, points: Points) -> tuple[Points, Gradients]:
         """Positions and deformation gradient in one pass."""
         columns, shape = _columns(points), points.shape[:-1]
-        near, far = self._parts
-        moved = far(columns) if far else np.zeros((12, columns.shape[1], len(columns)))
+        moved = np.zeros((12, columns.shape[1], len(columns)))
+        for field in self.corrections:
+            moved += field.moved(columns)
         moved[3::4] += 1.0  # the diagonal of F
-        _move(near, columns, moved)
+        _move(self.presses, columns, moved)
         moved = moved.swapaxes(-2, -1)
         positions = points + np.moveaxis(moved[:3].reshape(3, *shape), 0, -1)
         return positions, np.moveaxis(moved[3:].reshape(3, 3, *shape), (0, 1), (-2, -1))
-
-    @cached_property
-    def _parts(self) -> tuple[tuple[PlacedDent, ...], SmoothField | None]:
-        """Dents near the layer, and the interpolated field of the distant ones."""
-        if self.box is None:
-            return self.presses, None
-        near: list[PlacedDent] = []
-        far: list[PlacedDent] = []
-        for press in self.presses:
-            (far if self.box.distance(press.x, press.y) > _FAR else near).append(press)
-        if not far:
-            return self.presses, None
-
-        def moved(columns: Points) -> Array:
-            found = np.zeros((12, columns.shape[1], len(columns)))
-            _move(tuple(far), columns, found)
-            return found
-
-        return tuple(near), SmoothField.of(moved, self.box, _DEGREES)
 
     def mean_stress(self, points: Points) -> Array:
         """Mean stress [Pa] at flat points (..., 3) [m], (...), positive in tension."""
         columns = _columns(points)
         stress = np.zeros(columns.shape[:2])
+        for field in self.corrections:
+            stress += field.values(columns)[3].T
         for same in _alike(self.presses):
-            for part, signs, _, r in _around(same, columns):
+            for part, _, r in _around(same, columns):
                 found = same[0].dent.mean_stress(r, columns[part, :, 2])
-                felt = np.where(r[..., None] < same[0].dent.reach, found, 0.0)
-                stress[part] += np.tensordot(signs, felt, axes=1)
+                stress[part] += np.where(r[..., None] < same[0].dent.reach, found, 0.0).sum(axis=0)
         return stress.reshape(points.shape[:-1])
+
+
+def closed_form_dents(touches: Iterable[Touch]) -> Dents:
+    """Superposed dents in closed form: a sketch of presses for drawings, without a solution."""
+    return Dents(
+        tuple(PlacedDent(t.x, t.y, ClosedFormDent.of(t.indenter, t.force)) for t in touches)
+    )
 
 
 def _alike(presses: tuple[PlacedDent, ...]) -> Iterable[list[PlacedDent]]:
@@ -129,16 +123,16 @@ def _alike(presses: tuple[PlacedDent, ...]) -> Iterable[list[PlacedDent]]:
 def _move(presses: tuple[PlacedDent, ...], columns: Points, moved: Array) -> None:
     """Add displacements and their derivatives, 3 and 3 x 3, to `moved` (12, h, n)."""
     for same in _alike(presses):
-        for part, signs, way, r in _around(same, columns):
+        for part, way, r in _around(same, columns):
             motion = same[0].dent.motion(r, columns[part, :, 2])
             upright = np.ascontiguousarray(np.moveaxis(motion, (2, 0, 3, 1), (0, 1, 2, 3)))
-            _add(upright, signs, way, r, moved[..., part])
+            _add(upright, way, r, moved[..., part])
 
 
 def _around(
     same: list[PlacedDent], columns: Points
-) -> Iterator[tuple[slice, Array, tuple[Array, Array], Array]]:
-    """Chunks of the columns with signs (k,) of their dents, offsets and distances (k, n) [m].
+) -> Iterator[tuple[slice, tuple[Array, Array], Array]]:
+    """Chunks of the columns with offsets and distances from k dents, (k, n) [m].
 
     Offsets from each axis are along x and y; a point on an axis is moved aside by `_HAIR`.
     """
@@ -146,29 +140,27 @@ def _around(
     most = max(1, _AT_ONCE // len(same))
     for start in range(0, len(columns), most):
         part = slice(start, start + most)
-        signs = np.array([press.sign for press in same])
         dx, dy = (columns[None, part, 0, axis] - axes[:, axis, None] for axis in (0, 1))
         r = np.sqrt(dx**2 + dy**2)
         felt = r.min(axis=1) < same[0].dent.reach
         if not felt.all():
-            signs, dx, dy, r = (each[felt] for each in (signs, dx, dy, r))
+            dx, dy, r = (each[felt] for each in (dx, dy, r))
         on_axis = r < _HAIR
         if on_axis.any():
             dx[on_axis], dy[on_axis], r[on_axis] = _HAIR, 0.0, _HAIR
-        if len(signs):
-            yield part, signs, (dx, dy), r
+        if len(r):
+            yield part, (dx, dy), r
 
 
-def _add(motion: Array, signs: Array, way: tuple[Array, Array], r: Array, moved: Array) -> None:
+def _add(motion: Array, way: tuple[Array, Array], r: Array, moved: Array) -> None:
     """Add the motion (6, k, h, n) around k dents to displacements and gradients (12, h, n).
 
     With direction (c, s), F_xx = du/dr c^2 + u/r s^2 and so on: only c and s depend on azimuth.
     """
     u, F = moved[:3], moved[3:].reshape(3, 3, *moved.shape[1:])
-    one = np.broadcast_to(signs[:, None], r.shape)
-    cos, sin = way[0] / r, way[1] / r
-    c, s = one * cos, one * sin
-    cc, ss, cs = c * cos, s * sin, c * sin
+    one = np.ones_like(r)
+    c, s = way[0] / r, way[1] / r
+    cc, ss, cs = c * c, s * s, c * s
     outward = _totals((c, s, ss / r, cc / r, -cs / r), motion[0])
     radial = _totals((cc, ss, cs), motion[4])
     u[:2] += outward[:2]

@@ -1,36 +1,34 @@
-"""Touches of a scene, pressed: their dents and images, depth, contact and pressure."""
+"""Touches of a scene, pressed: their dents, depth, contact and pressure."""
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import product
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
-from eitskin.errors import ConfigurationError
-from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.surface import Surface
 from eitskin.simulator.layer.dents import Dents, PlacedDent
-from eitskin.simulator.layer.smooth_field import Box
 from eitskin.simulator.mechanics import viscoelasticity as relaxation
-from eitskin.simulator.mechanics.closed_form_dent import ClosedFormDent
+from eitskin.simulator.mechanics.correction_store import corrections, is_shipped, tabulable
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.mechanics.press_store import press_table
+from eitskin.simulator.mechanics.press_table import PressTable
+from eitskin.simulator.mechanics.smooth_field import SmoothField
+from eitskin.simulator.mechanics.solved_press import Press, SolvedField, solved_presses
 from eitskin.simulator.mechanics.tabulated_dent import TabulatedDent
 from eitskin.simulator.scene.touch import Touch
 
-TouchModel = Literal["tabulated", "closed form"]
+TouchModel = Literal["tabulated", "solved"]
 
 # Distances of the axis from the gel's edge and from another touch, below which signals are more
-# than a tenth off the full model's, or not compared with it (docs/deformation.md) [m].
-EDGE = 0.0075
-NEIGHBOUR = 0.030
-# Largest errors of the signal that were found up to these distances, from the edge and from another
-# touch [m], [-]; none where nothing was compared. Beside the edge signals are large, and so exact.
-_BY_EDGE = ((0.005, None), (EDGE, 0.10), (0.0121, 0.03), (math.inf, 0.21))
-_BY_NEIGHBOUR = ((0.020, None), (NEIGHBOUR, 0.40), (0.0451, 0.16), (math.inf, 0.0))
+# than 4 % off independent solutions, or not compared with them (docs/deformation.md) [m].
+_EDGE, _NEIGHBOUR = 0.005, 0.020
+# Largest errors of the signal found up to these distances from the edge and from another touch [m].
+_BY_EDGE = ((_EDGE, None), (math.inf, 0.04))
+_BY_NEIGHBOUR = ((_NEIGHBOUR, None), (math.inf, 0.04))
+# A touch to a given depth: the dent is made shallower by what the whole stack sinks.
+_SINKINGS, _SAME_DEPTH = 3, 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,119 +71,119 @@ class PressedTouch:
         return math.pi * self.contact_radius**2
 
 
+class _Pressed(NamedTuple):
+    """Touch with its dent, None where it has faded, and the force on the indenter [N]."""
+
+    touch: Touch
+    dent: TabulatedDent | None
+    force: float
+
+
+class _World(NamedTuple):
+    """All touches with their dents, corrections, and how much deeper each indenter sinks [m]."""
+
+    pressed: tuple[_Pressed, ...]
+    corrections: tuple[SmoothField | SolvedField, ...]
+    sunk: tuple[float, ...]
+
+
 def dents(
-    touches: tuple[Touch, ...], design: SensorDesign, mechanics: Mechanics, model: TouchModel
+    touches: tuple[Touch, ...], design: SensorDesign, mechanics: Mechanics, model: TouchModel | None
 ) -> Dents:
     """Deformation of the gel by touches.
 
     Raises ConfigurationError for presses beyond the range of the model.
     """
-    if model == "closed form":
-        _check_closed_form(touches)
-        return Dents(
-            tuple(PlacedDent(t.x, t.y, ClosedFormDent.of(t.indenter, t.force)) for t in touches)
+    world = _world(touches, design, mechanics, model)
+    placed = tuple(
+        PlacedDent(one.touch.x, one.touch.y, one.dent)
+        for one in world.pressed
+        if one.dent is not None
+    )
+    return Dents(placed, world.corrections)
+
+
+def _world(
+    touches: tuple[Touch, ...], design: SensorDesign, mechanics: Mechanics, model: TouchModel | None
+) -> _World:
+    """Dents of touches, and their corrections in the whole stack.
+
+    Without a model corrections are tabulated where a table comes with the package, else solved.
+    """
+    sunk = (0.0,) * len(touches)
+    for _ in range(_SINKINGS):
+        pressed = tuple(
+            _Pressed(touch, *_dent(touch, below, design, mechanics))
+            for touch, below in zip(touches, sunk, strict=True)
         )
-    found = [(touch, _dent(touch, design, mechanics)[0]) for touch in touches]
-    return Dents(
-        tuple(
-            press
-            for touch, dent in found
-            if dent is not None
-            for press in press_images(PlacedDent(touch.x, touch.y, dent), design, mechanics.margin)
-        ),
-        _box(design, mechanics.margin),
-    )
+        before = sunk
+        found, sunk = _corrected(pressed, design, mechanics, model)
+        deeper = [
+            abs(a - b) / one.touch.depth
+            for one, a, b in zip(pressed, sunk, before, strict=True)
+            if one.touch.depth
+        ]
+        if max(deeper, default=0.0) < _SAME_DEPTH:
+            break
+    return _World(pressed, found, sunk)
 
 
-def _box(design: SensorDesign, margin: float) -> Box | None:
-    """Box around the gel and the encapsulation beside it."""
-    outline = design.outline
-    if isinstance(outline, Surface):
-        return None
-    high = (outline.length + margin, outline.width + margin, design.thickness)
-    return Box((-margin, -margin, 0.0), high)
-
-
-def press_images(press: PlacedDent, design: SensorDesign, margin: float) -> Iterator[PlacedDent]:
-    """Press and its images beyond the free edges of the stack, of alternating sign.
-
-    Method of images: at a free edge the pressure of the stack vanishes, as half-way between a press
-    and its negative mirror image. Outlines other than rectangles have one image, beyond the nearest
-    point of the edge.
-    """
-    outline, thickness = design.outline, design.encapsulated_thickness
-    if isinstance(outline, Surface):
-        yield press
-    elif isinstance(outline, Rectangle):
-        along = _mirrored(press.x, outline.length, margin, thickness)
-        across = _mirrored(press.y, outline.width, margin, thickness)
-        for (x, one), (y, other) in product(along, across):
-            image = PlacedDent(x, y, press.dent, one * other)
-            outside = np.hypot(max(-x, x - outline.length, 0.0), max(-y, y - outline.width, 0.0))
-            if outside < press.dent.reach:
-                yield image
-    else:
-        position = np.array([press.x, press.y])
-        s, depth = outline.nearest(position)
-        normal = (outline.at(s) - position) / max(float(depth), 1e-12)
-        distance = float(depth) + margin
-        x, y = position + 2.0 * (distance - mirror_inside(distance, thickness)) * normal
-        yield press
-        yield PlacedDent(float(x), float(y), press.dent, -1.0)
-
-
-def mirror_inside(distance: float, thickness: float) -> float:
-    """Distance of the mirror plane of a press inside a free edge [m]; negative outside.
-
-    Fitted to the full model (docs/deformation.md): the far field of a press decays slowly and
-    meets an edge further in, the near field bulges the edge.
-
-    Args:
-        distance: of the press from the edge [m].
-        thickness: of the stack [m].
-    """
-    fitted = 0.15 - 0.25 * math.exp(2.0 * (1.04 - distance / thickness))
-    return thickness * max(fitted, -0.3)
-
-
-def _mirrored(
-    position: float, extent: float, margin: float, thickness: float
-) -> tuple[tuple[float, float], ...]:
-    """Coordinate between two edges, with its images of first and second order, and signs."""
-    low = -margin + mirror_inside(position + margin, thickness)
-    high = extent + margin - mirror_inside(extent + margin - position, thickness)
-    period = 2.0 * (high - low)
-    return (
-        (position, 1.0),
-        (2.0 * low - position, -1.0),
-        (2.0 * high - position, -1.0),
-        (position - period, 1.0),
-        (position + period, 1.0),
-    )
+def _corrected(
+    pressed: tuple[_Pressed, ...],
+    design: SensorDesign,
+    mechanics: Mechanics,
+    model: TouchModel | None,
+) -> tuple[tuple[SmoothField | SolvedField, ...], tuple[float, ...]]:
+    """Corrections of dents, and how much deeper each indenter sinks [m]."""
+    felt = [(k, one.touch, one.dent) for k, one in enumerate(pressed) if one.dent is not None]
+    sunk = [0.0] * len(pressed)
+    fields: list[SmoothField | SolvedField] = []
+    if model is None:
+        known = tabulable(design) and all(
+            is_shipped(design, mechanics, t.indenter) for _, t, _ in felt
+        )
+        model = "tabulated" if known else "solved"
+    if model == "tabulated":
+        for k, touch, dent in felt:
+            found, sunk[k] = corrections(design, mechanics, touch.indenter).at(
+                touch.x, touch.y, dent.depth
+            )
+            fields += found
+    elif felt:
+        presses = tuple(Press(t.x, t.y, dent.depth, t.indenter) for _, t, dent in felt)
+        solved = solved_presses(design, mechanics, presses)
+        fields.append(SolvedField(solved))
+        for (k, *_), below in zip(felt, solved.sunk.tolist(), strict=True):
+            sunk[k] = below
+    return tuple(fields), tuple(sunk)
 
 
 def pressed_touches(
-    touches: tuple[Touch, ...], design: SensorDesign, mechanics: Mechanics
+    touches: tuple[Touch, ...], design: SensorDesign, mechanics: Mechanics, model: TouchModel | None
 ) -> tuple[PressedTouch, ...]:
-    """Depth, contact and pressure of each touch, from the tabulated presses."""
-    return tuple(_pressed(touch, touches, design, mechanics) for touch in touches)
+    """Depth, contact and pressure of each touch."""
+    world = _world(touches, design, mechanics, model)
+    return tuple(
+        _described(one, below, touches, design)
+        for one, below in zip(world.pressed, world.sunk, strict=True)
+    )
 
 
-def _pressed(
-    touch: Touch, touches: tuple[Touch, ...], design: SensorDesign, mechanics: Mechanics
+def _described(
+    one: _Pressed, sunk: float, touches: tuple[Touch, ...], design: SensorDesign
 ) -> PressedTouch:
-    dent, force = _dent(touch, design, mechanics)
-    edge = _edge_distance(touch, design)
+    touch, dent, force = one
     neighbour = min(
         (math.dist((touch.x, touch.y), (t.x, t.y)) for t in touches if t is not touch),
         default=math.inf,
     )
     # Without contact there is a dent, but no pressure.
     radius = dent.contact_radius if dent is not None and force > 0.0 else 0.0
+    edge = _edge_distance(touch, design)
     return PressedTouch(
         touch=touch,
         force=force,
-        depth=dent.depth if dent is not None else 0.0,
+        depth=dent.depth + sunk if dent is not None else 0.0,
         contact_radius=radius,
         mean_pressure=force / (math.pi * radius**2) if radius else 0.0,
         peak_pressure=dent.peak_pressure * force / dent.force if dent is not None else 0.0,
@@ -198,11 +196,14 @@ def _pressed(
 
 
 def _dent(
-    touch: Touch, design: SensorDesign, mechanics: Mechanics
+    touch: Touch, sunk: float, design: SensorDesign, mechanics: Mechanics
 ) -> tuple[TabulatedDent | None, float]:
-    """Dent of a touch, None where it has faded, and the force on the indenter [N]."""
+    """Dent of a touch, None where it has faded, and the force on the indenter [N].
+
+    The indenter sinks by `sunk` [m] more than into an unbounded stack.
+    """
     table = press_table(design, mechanics, touch.indenter)
-    first = table.at_force(touch.force) if touch.depth is None else table.at_depth(touch.depth)
+    first = _first(table, touch, sunk)
     if touch.held is None:
         return first, first.force
     prony = relaxation.mixture(
@@ -227,6 +228,13 @@ def _edge_distance(touch: Touch, design: SensorDesign) -> float:
     return float(depth)
 
 
+def _first(table: PressTable, touch: Touch, sunk: float) -> TabulatedDent:
+    """Dent of the first moment."""
+    if touch.depth is None:
+        return table.at_force(touch.force)
+    return table.at_depth(max(touch.depth - sunk, 0.5 * touch.depth))
+
+
 def _signal_error(edge: float, neighbour: float) -> float | None:
     alone, together = (
         next(error for limit, error in table if distance < limit or limit == math.inf)
@@ -237,17 +245,8 @@ def _signal_error(edge: float, neighbour: float) -> float | None:
 
 def _caution(edge: float, neighbour: float) -> str:
     reasons = []
-    if edge < EDGE:
-        reasons.append(f"{1e3 * edge:.1f} mm from the edge of the gel, felt by images only")
-    if neighbour < NEIGHBOUR:
+    if edge < _EDGE:
+        reasons.append(f"{1e3 * edge:.1f} mm from the edge of the gel, where nothing was compared")
+    if neighbour < _NEIGHBOUR:
         reasons.append(f"{1e3 * neighbour:.1f} mm from another, whose dent is only added")
     return "; ".join(reasons)
-
-
-def _check_closed_form(touches: tuple[Touch, ...]) -> None:
-    for touch in touches:
-        if touch.depth is not None or touch.held is not None:
-            raise ConfigurationError(
-                "the closed form knows forces only, no depth, held or released; use the touch "
-                "model 'tabulated'"
-            )

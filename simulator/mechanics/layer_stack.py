@@ -145,3 +145,9 @@ class Stack:
     def levels(self) -> tuple[float, ...]:
         """Heights of base, interfaces and top [m]."""
         return (0.0, *np.cumsum([sheet.thickness for sheet in self.sheets]).tolist())
+
+    def layer_at(self, heights: Array) -> NDArray[np.int64]:
+        """Number of the layer at heights over the base [m]; the lower one at an interface."""
+        inner = np.array(self.levels[1:-1])
+        found: NDArray[np.int64] = np.searchsorted(inner, heights).astype(np.int64)
+        return found

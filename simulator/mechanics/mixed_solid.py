@@ -53,7 +53,7 @@ _CHUNK = 4_000_000  # numbers held at once per array while the stiffness is asse
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _StrainState:
+class StrainState:
     """Strain state at the quadrature points.
 
     Attributes:
@@ -83,6 +83,7 @@ class Solid:
         kinematics: plane strain, axisymmetric or solid.
         basis: shape functions of one displacement component, one per node.
         nodes: positions of the displacement nodes, (nodes, dim) [m].
+        pressure_nodes: positions of the pressures, (multipliers, dim) [m].
         unknowns: number of displacements and pressures.
         cells_of_law: cells of each material.
     """
@@ -124,10 +125,10 @@ class Solid:
         self._shape(pressure)
         self._number(pressure, law_of_cell)
         moduli = np.array([law.shear_modulus for law in laws])
-        direct = min(_DIRECT, 0.5 * bulk_ratio)
-        self._direct: Array = direct * moduli[law_of_cell]
-        self._last: _StrainState | None = None
-        self._compliance: Array = 1.0 / ((bulk_ratio - direct) * moduli[law_of_cell])
+        self.bulk_ratio, self.direct_ratio = bulk_ratio, min(_DIRECT, 0.5 * bulk_ratio)
+        self._direct: Array = self.direct_ratio * moduli[law_of_cell]
+        self._last: StrainState | None = None
+        self._compliance: Array = 1.0 / ((bulk_ratio - self.direct_ratio) * moduli[law_of_cell])
         # A pressure of mu/h has the effect of a displacement of 1 in a cell of size h.
         size = np.mean(np.abs(np.ptp(mesh.p[:, mesh.t], axis=1)))
         self._pressure_scale = float(moduli.mean() / size)
@@ -227,30 +228,34 @@ class Solid:
             np.add.at(loads, rim.element_dofs[a], parts.T)
         return np.concatenate([loads.ravel(), np.zeros(self.unknowns - loads.size)])
 
-    def _strain_state(self, x: Array) -> _StrainState:
+    def _strain_state(self, x: Array) -> StrainState:
         """Strain state at x; the last one is kept, as Newton's method asks for each repeatedly."""
         if self._last is None or not np.array_equal(self._last.x, x):
-            u = self.displacement(x)[self.basis.element_dofs.T].swapaxes(1, 2)
-            slopes = self._slopes.reshape(*self._slopes.shape[:2], -1)
-            moved = (u @ slopes).reshape(len(u), self.dim, -1, self.dim).swapaxes(1, 2)
-            F = np.zeros((*self.weights.shape, 3, 3))
-            F[..., range(3), range(3)] = 1.0
-            F[..., : self.dim, : self.dim] += moved
-            if self.kinematics == "axisymmetric":
-                F[..., 2, 2] += (u[:, :1] @ self._hoops)[:, 0]
-            H = cofactor(F)
-            J = determinant(F, H)
-            for kept in (F, H, J):
-                kept.flags.writeable = False  # callers get these arrays, not copies
-            p = self._pressure_scale * (x[self._pressure_numbers] @ self._pressure_values)
-            self._last = _StrainState(x.copy(), F, H, J, p)
+            self._last = self._strained(x)
         return self._last
 
-    def _mean_stress(self, at: _StrainState) -> Array:
+    def _strained(self, x: Array) -> StrainState:
+        """Strain state at x, newly evaluated."""
+        u = self.displacement(x)[self.basis.element_dofs.T].swapaxes(1, 2)
+        slopes = self._slopes.reshape(*self._slopes.shape[:2], -1)
+        moved = (u @ slopes).reshape(len(u), self.dim, -1, self.dim).swapaxes(1, 2)
+        F = np.zeros((*self.weights.shape, 3, 3))
+        F[..., range(3), range(3)] = 1.0
+        F[..., : self.dim, : self.dim] += moved
+        if self.kinematics == "axisymmetric":
+            F[..., 2, 2] += (u[:, :1] @ self._hoops)[:, 0]
+        H = cofactor(F)
+        J = determinant(F, H)
+        for kept in (F, H, J):
+            kept.flags.writeable = False  # callers get these arrays, not copies
+        p = self._pressure_scale * (x[self._pressure_numbers] @ self._pressure_values)
+        return StrainState(x.copy(), F, H, J, p)
+
+    def _mean_stress(self, at: StrainState) -> Array:
         p: Array = at.multiplier + self._direct[:, None] * (at.J - 1.0)
         return p
 
-    def _stress(self, at: _StrainState) -> Array:
+    def _stress(self, at: StrainState) -> Array:
         P: Array = self._mean_stress(at)[..., None, None] * at.H
         for law, cells in self._groups():
             P[cells] += law.stress(at.F[cells])
@@ -278,6 +283,7 @@ class Solid:
         pairs = pressure.element_dofs.T.astype(np.int64) * len(self.laws) + law_of_cell[:, None]
         kept, numbers = np.unique(pairs, return_inverse=True)
         self._pressure_numbers: Indices = self.nodes.size + numbers.reshape(pairs.shape)
+        self.pressure_nodes: Array = pressure.doflocs.T[kept // len(self.laws)]
         self.unknowns = self.nodes.size + len(kept)
         self.cells_of_law = [np.flatnonzero(law_of_cell == k) for k in range(len(self.laws))]
 
@@ -301,23 +307,27 @@ class Solid:
             B[:, :, 4, :, 0] = self._hoops[cells].swapaxes(1, 2)
         return B.reshape(*B.shape[:3], -1)
 
-    def _assembled(self, at: _StrainState) -> Array:
+    def _assembled(self, at: StrainState) -> Array:
         """Assembled nodal forces and volume errors, (n,)."""
-        P = self._stress(at) * self.weights[..., None, None]
+        dilation = at.J - 1.0 - self._compliance[:, None] * at.multiplier
+        return self._integrated(self._stress(at), dilation, len(at.x))
+
+    def _integrated(self, stress: Array, dilation: Array, size: int) -> Array:
+        """Nodal forces of stresses, and scaled integrals of dilations, (size,)."""
+        P = stress * self.weights[..., None, None]
         within = P[..., : self.dim, : self.dim].swapaxes(2, 3).reshape(len(P), -1, self.dim)
         nodal = self._slopes.reshape(*self._slopes.shape[:2], -1) @ within
         if self.kinematics == "axisymmetric":
             nodal[..., :1] += self._hoops @ P[..., 2, 2:]
-        dilation = at.J - 1.0 - self._compliance[:, None] * at.multiplier
         volume = self._pressure_scale * (dilation * self.weights) @ self._pressure_values.T
         residual = np.bincount(
             np.concatenate([self._displacement_numbers.ravel(), self._pressure_numbers.ravel()]),
             weights=np.concatenate([nodal.ravel(), volume.ravel()]),
-            minlength=len(at.x),
+            minlength=size,
         )
         return np.asarray(residual, dtype=np.float64)
 
-    def _stiffness(self, law: Law, cells: Indices, at: _StrainState) -> Array:
+    def _stiffness(self, law: Law, cells: Indices, at: StrainState) -> Array:
         """Element matrices of displacements and pressures, (cells, unknowns, unknowns)."""
         entries = _COMPONENTS[self.kinematics]
         w, F = self.weights[cells], at.F[cells]

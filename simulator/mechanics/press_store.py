@@ -20,12 +20,14 @@ from eitskin.simulator.mechanics.layer_stack import Mechanics, Sheet, Stack
 from eitskin.simulator.mechanics.press_table import PressTable
 from eitskin.simulator.scene.indenters import Indenter
 
+# Tables that come with the package.
+LIBRARY = Path(__file__).with_name("library")
 # Version of the tables: raise it whenever presses are solved or tabulated in another way.
 _VERSION = 1
 # Tables are solved for moduli of the encapsulation over the gel's of 1.4 2^(k/2), k an integer;
 # 1.4 is the reference. Other ratios are interpolated. Likewise for a substrate, of 2^(k/2).
-_REFERENCE_RATIO = 1.4
-_SUBSTRATE_RATIO = 1.0
+REFERENCE_RATIO = 1.4
+SUBSTRATE_RATIO = 1.0
 _STEPS = 2.0  # per factor of two
 _THICKER = 1.1  # ratio of neighbouring solved thicknesses, where sensors share tables
 # Everything is solved at one scale: a layer this thick [m], of this shear modulus [Pa].
@@ -59,7 +61,7 @@ def is_stored(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) ->
 def missing(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -> set[Path]:
     """Absent files of tables that `press_table` needs; each takes seconds to a minute to solve."""
     paths = (_path(stack, indenter) for stack, _ in _needed(design, mechanics))
-    return {path for path in paths if not path.is_file()}
+    return {path for path in paths if not (LIBRARY / path.name).is_file() and not path.is_file()}
 
 
 def folder() -> Path:
@@ -92,7 +94,7 @@ def _of_thicknesses(
     position = float(np.log(design.thickness / solved) / np.log(_THICKER))
     middle = round(position) if abs(position) > 1.0 else 0  # within a step three tables serve all
     return [
-        (_scaled_heights(stack, solved * _THICKER**p / design.thickness), weight)
+        (scaled_heights(stack, solved * _THICKER**p / design.thickness), weight)
         for p, weight in _lagrange(position, range(middle - 1, middle + 2))
     ]
 
@@ -102,14 +104,14 @@ def _of_ratios(stack: Stack) -> list[tuple[Stack, float]]:
     gel, around = stack.gel, (stack.gel - 1, stack.gel + 1)
     if around[1] == len(stack.sheets):
         return [(stack, 1.0)]
-    return _of_moduli(stack, around, _REFERENCE_RATIO * stack.sheets[gel].law.shear_modulus)
+    return _of_moduli(stack, around, REFERENCE_RATIO * stack.sheets[gel].law.shear_modulus)
 
 
 def _of_substrates(stack: Stack) -> list[tuple[Stack, float]]:
     """Stack with solved moduli of the substrate, and their weights; the stack without one."""
     if not stack.substrate:
         return [(stack, 1.0)]
-    return _of_moduli(stack, (0,), _SUBSTRATE_RATIO * stack.sheets[stack.gel].law.shear_modulus)
+    return _of_moduli(stack, (0,), SUBSTRATE_RATIO * stack.sheets[stack.gel].law.shear_modulus)
 
 
 def _of_moduli(
@@ -120,7 +122,7 @@ def _of_moduli(
     position = float(_STEPS * np.log2(modulus / reference))
     first = math.ceil(position) - 2
     return [
-        (_with_modulus(stack, numbers, reference * 2.0 ** (p / _STEPS)), weight)
+        (with_modulus(stack, numbers, reference * 2.0 ** (p / _STEPS)), weight)
         for p, weight in _lagrange(position, range(first, first + 4))
     ]
 
@@ -133,7 +135,7 @@ def _lagrange(position: float, nodes: range) -> list[tuple[int, float]]:
     return [(p, math.prod((position - q) / (p - q) for q in nodes if q != p)) for p in nodes]
 
 
-def _scaled_heights(stack: Stack, factor: float) -> Stack:
+def scaled_heights(stack: Stack, factor: float) -> Stack:
     """Stack whose sensor is `factor` times as thick; a substrate stays as it is."""
     sheets = tuple(
         sheet
@@ -144,7 +146,7 @@ def _scaled_heights(stack: Stack, factor: float) -> Stack:
     return dataclasses.replace(stack, sheets=sheets)
 
 
-def _with_modulus(stack: Stack, numbers: tuple[int, ...], modulus: float) -> Stack:
+def with_modulus(stack: Stack, numbers: tuple[int, ...], modulus: float) -> Stack:
     """Stack whose sheets `numbers` have the shear modulus `modulus` [Pa]."""
     sheets = list(stack.sheets)
     for number in numbers:
@@ -157,7 +159,7 @@ def stored(stack: Stack, indenter: Indenter) -> PressTable:
     """Table of the conductive layer from the disk, or solved now and stored."""
     length, modulus = _scales(stack)
     path = _path(stack, indenter)
-    found = _read(path)
+    found = _read(LIBRARY / path.name) or _read(path)
     if found is None:
         found = tables.solve_table(
             _scaled_stack(stack, length, modulus),
@@ -215,8 +217,7 @@ class _ScaledIndenter:
 
 def _key(stack: Stack, indenter: Indenter, length: float, modulus: float) -> str:
     """Hash of everything that the scaled table depends on."""
-    scaled, shape = _scaled_stack(stack, length, modulus), _ScaledIndenter(indenter, length)
-    heights, slopes, _ = shape.profile(np.linspace(0.0, shape.rims[1], _SAMPLES))
+    scaled = _scaled_stack(stack, length, modulus)
     described = {
         "version": _VERSION,
         "sheets": [
@@ -224,10 +225,7 @@ def _key(stack: Stack, indenter: Indenter, length: float, modulus: float) -> str
             for sheet in scaled.sheets
         ],
         "bulk_ratio": stack.bulk_ratio,
-        "rims": shape.rims,
-        "rough": shape.rough,
-        "heights": heights.tolist(),
-        "slopes": slopes.tolist(),
+        **indenter_samples(_ScaledIndenter(indenter, length)),
     }
     text = json.dumps(described, default=float, sort_keys=True)
     rounded = json.dumps(json.loads(text, parse_float=lambda s: f"{float(s):.9g}"))
@@ -257,3 +255,14 @@ def _write(table: PressTable, path: Path) -> None:
             np.savez(temporary, allow_pickle=False, **_arrays(table))
     except (OSError, ConfigurationError):
         return
+
+
+def indenter_samples(indenter: Indenter) -> dict[str, object]:
+    """Numbers that identify an indenter."""
+    heights, slopes, _ = indenter.profile(np.linspace(0.0, indenter.rims[1], _SAMPLES))
+    return {
+        "rims": indenter.rims,
+        "rough": indenter.rough,
+        "heights": heights.tolist(),
+        "slopes": slopes.tolist(),
+    }

@@ -44,7 +44,7 @@ class QuadraticField:
     def _evaluated(self, points: Array, orders: tuple[tuple[int, int, int], ...]) -> Array:
         """Derivatives of these orders, (points, k, orders)."""
         (i, a), (j, b), (k, c) = (
-            _functions(line, x) for line, x in zip(self.lines, points.T, strict=True)
+            shape_functions(line, x) for line, x in zip(self.lines, points.T, strict=True)
         )
         near = self.values[i[:, :, None, None], j[:, None, :, None], k[:, None, None, :]]
         found = np.empty((len(points), self.values.shape[-1], len(orders)))
@@ -54,8 +54,8 @@ class QuadraticField:
         return found
 
 
-def _functions(lines: Array, x: Array) -> tuple[Indices, tuple[Array, Array]]:
-    """Numbers, shape functions and slopes of the three nodes along one axis, (n, 3) each."""
+def shape_functions(lines: Array, x: Array) -> tuple[Indices, tuple[Array, Array]]:
+    """Numbers, shape functions and slopes of three quadratic nodes along one axis, (n, 3) each."""
     cell = np.clip(np.searchsorted(lines, x, side="right") - 1, 0, len(lines) - 2)
     size = np.diff(lines)[cell]
     t = (x - lines[cell]) / size

@@ -2,12 +2,14 @@
 
 import math
 from dataclasses import dataclass, field
+from typing import TypeAlias
 
 from eitskin.errors import ConfigurationError
 from eitskin.simulator.scene.indenters import Cylinder, Profile, Sphere
 from eitskin.simulator.scene.scanned_indenter import ScannedIndenter
 
 DEFAULT_FORCE = 10.0
+AnyIndenter: TypeAlias = Cylinder | Sphere | Profile | ScannedIndenter
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +29,7 @@ class Touch:
     x: float
     y: float
     force: float = DEFAULT_FORCE
-    indenter: Cylinder | Sphere | Profile | ScannedIndenter = field(default_factory=Cylinder)
+    indenter: AnyIndenter = field(default_factory=Cylinder)
     depth: float | None = None
     held: float | None = None
     released: float = 0.0

@@ -196,8 +196,8 @@ def _moved(mesh: Mesh, deformation: Deformation | None) -> Mesh:
 
 
 def indenter_surfaces(sim: Simulator, scene: Scene) -> list[Any]:
-    """Indenters in contact, rotated by the bend; none for presses in closed form."""
-    if not scene.touches or sim.touch_model == "closed form":
+    """Indenters in contact, rotated by the bend; none without touches."""
+    if not scene.touches:
         return []
     bent = sim.deformation(dataclasses.replace(scene, touches=()))
     top = 0.5 * (sim.design.thickness + sim.design.encapsulated_thickness)

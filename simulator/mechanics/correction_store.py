@@ -1,0 +1,276 @@
+"""Store of correction tables, shipped and on the disk, with interpolation between stacks."""
+
+import dataclasses
+import hashlib
+import json
+import math
+import zipfile
+from collections.abc import Iterator
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.errors import ConfigurationError
+from eitskin.files import atomic_file
+from eitskin.geometry.design.outline import Rectangle
+from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.geometry.design.support import Rigid, Substrate
+from eitskin.simulator.mechanics.correction_table import CorrectionTable, Report, solve_corrections
+from eitskin.simulator.mechanics.layer_stack import Mechanics, Stack
+from eitskin.simulator.mechanics.press_store import (
+    LIBRARY,
+    REFERENCE_RATIO,
+    SUBSTRATE_RATIO,
+    folder,
+    indenter_samples,
+    scaled_heights,
+    with_modulus,
+)
+from eitskin.simulator.mechanics.smooth_field import SmoothField
+from eitskin.simulator.scene.indenters import Indenter
+
+Array = NDArray[np.float64]
+
+# Version of the tables: raise it whenever corrections are solved or tabulated in another way.
+_VERSION = 1
+_SHORTEST = 8.0  # length over the thickness of the stack, so that the ends do not feel each other
+# Steps of thickness and of the modulus ratio between solved stacks, as for the tables of presses.
+_THICKER, _STIFFER = 1.1, math.sqrt(2.0)
+_BEYOND = 0.02  # of the deepest solved press, by which another may be deeper
+_KEPT = 1e-4  # singular values, relative to the largest, that a stored table keeps
+_FIELDS = ("strip", "ends")
+
+
+def tabulable(design: SensorDesign) -> bool:
+    """Whether corrections on a design can be tabulated: they must not depend on x off the ends."""
+    outline = design.outline
+    return (
+        isinstance(outline, Rectangle)
+        and isinstance(design.support, Rigid | Substrate)
+        and outline.length >= _SHORTEST * design.encapsulated_thickness
+    )
+
+
+def is_shipped(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -> bool:
+    """Whether all tables that a design needs come with the package."""
+    return tabulable(design) and all(
+        (LIBRARY / _name(design, stack, mechanics, indenter)).is_file()
+        for stack, _ in _needed(design, mechanics)
+    )
+
+
+def missing(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -> set[Path]:
+    """Absent files of tables that `corrections` needs; each takes minutes to solve."""
+    if not tabulable(design):
+        return set()
+    names = (_name(design, stack, mechanics, indenter) for stack, _ in _needed(design, mechanics))
+    return {folder() / name for name in names if _file(name) is None}
+
+
+@dataclasses.dataclass(frozen=True, slots=True, eq=False)
+class Corrections:
+    """Corrections of presses on one sensor: a weighted sum of tables of neighbouring stacks.
+
+    Attributes:
+        height: of the gel [m].
+        tables: with their weights.
+    """
+
+    height: float
+    tables: tuple[tuple[CorrectionTable, float], ...]
+
+    def at(self, x: float, y: float, depth: float) -> tuple[tuple[SmoothField, ...], float]:
+        """Fields of the correction of a press at (x, y) to a depth [m], and how much it sinks [m].
+
+        Raises ConfigurationError for a press that overhangs the stack or is deeper than the tables.
+        """
+        fields, sunk = [], 0.0
+        self.check_depth(depth)
+        for table, weight in self.tables:
+            higher = self.height / float(table.height)
+            if not table.covers(x, y):
+                raise ConfigurationError(
+                    f"a touch must keep {1e3 * table.along[0]:.1f} mm from the edge of the gel, so "
+                    f"that its contact stays on the stack, got ({x:g}, {y:g}) m; press farther in"
+                )
+            found, more = table.at(x, y, depth / higher)
+            fields += [field.scaled(weight).raised(higher) for field in found]
+            sunk += weight * higher * more
+        return tuple(fields), sunk
+
+    def check_depth(self, depth: float) -> None:
+        """Raise ConfigurationError for a depth [m] beyond the tables."""
+        deepest = min(self.height / float(t.height) * float(t.depths[-1]) for t, _ in self.tables)
+        if depth > deepest * (1.0 + _BEYOND):
+            raise ConfigurationError(
+                f"touches are tabulated to a depth of {1e3 * deepest:.2f} mm, got "
+                f"{1e3 * depth:.2f} mm; press less, or solve scenes with touch_model='solved'"
+            )
+
+
+@lru_cache(maxsize=64)
+def corrections(
+    design: SensorDesign, mechanics: Mechanics, indenter: Indenter, report: Report | None = None
+) -> Corrections:
+    """Corrections on a design that is `tabulable`; those not stored take minutes to solve."""
+    return Corrections(
+        design.thickness,
+        tuple(
+            (_stored(design, stack, mechanics, indenter, report), weight)
+            for stack, weight in _needed(design, mechanics)
+        ),
+    )
+
+
+def _needed(design: SensorDesign, mechanics: Mechanics) -> list[tuple[Stack, float]]:
+    """Solved stacks, and their weights in the corrections of a design's stack.
+
+    Thickness and modulus ratio are varied one at a time, quadratically, about the nearest solved
+    stack (cut-HDMR, Rabitz and Alis 1999).
+    """
+    stack = mechanics.stack(design)
+    exact = _positions(stack, design, mechanics)
+    nearest = tuple(round(position) for position in exact)
+    weights: dict[Stack, float] = {_solved(stack, design, mechanics, nearest): 1.0 - len(exact)}
+    for axis, position in enumerate(exact):
+        for step, weight in _quadratic(position - nearest[axis]):
+            steps = tuple(n + step * (k == axis) for k, n in enumerate(nearest))
+            one = _solved(stack, design, mechanics, steps)
+            weights[one] = weights.get(one, 0.0) + weight
+    return [(one, weight) for one, weight in weights.items() if abs(weight) > 1e-12]
+
+
+def _positions(stack: Stack, design: SensorDesign, mechanics: Mechanics) -> tuple[float, ...]:
+    """Thickness, and moduli of encapsulation and substrate, in steps from solved ones."""
+    moduli = [sheet.law.shear_modulus for sheet in stack.sheets]
+    gel = moduli[stack.gel]
+    solved = mechanics.solved_thickness or design.thickness
+    found = [math.log(design.thickness / solved) / math.log(_THICKER)]
+    if stack.gel + 1 < len(moduli):
+        found.append(math.log(moduli[-1] / gel / REFERENCE_RATIO) / math.log(_STIFFER))
+    if stack.substrate:
+        found.append(math.log(moduli[0] / gel / SUBSTRATE_RATIO) / math.log(_STIFFER))
+    return tuple(found)
+
+
+def _solved(
+    stack: Stack, design: SensorDesign, mechanics: Mechanics, steps: tuple[int, ...]
+) -> Stack:
+    """Stack at a number of steps from the reference along each axis of `_positions`."""
+    thickness = (mechanics.solved_thickness or design.thickness) * _THICKER ** steps[0]
+    stack = scaled_heights(stack, thickness / design.thickness)
+    rest, gel = list(steps[1:]), stack.sheets[stack.gel].law.shear_modulus
+    if stack.gel + 1 < len(stack.sheets):
+        around = (stack.gel - 1, stack.gel + 1)
+        stack = with_modulus(stack, around, REFERENCE_RATIO * gel * _STIFFER ** rest.pop(0))
+    if stack.substrate:
+        stack = with_modulus(stack, (0,), SUBSTRATE_RATIO * gel * _STIFFER ** rest.pop(0))
+    return stack
+
+
+def _quadratic(t: float) -> list[tuple[int, float]]:
+    """Lagrange weights at t of values at -1, 0 and 1; a single weight at 0."""
+    if abs(t) < 1e-9:
+        return [(0, 1.0)]
+    return [(-1, 0.5 * t * (t - 1.0)), (0, 1.0 - t * t), (1, 0.5 * t * (t + 1.0))]
+
+
+def _stored(
+    design: SensorDesign,
+    stack: Stack,
+    mechanics: Mechanics,
+    indenter: Indenter,
+    report: Report | None,
+) -> CorrectionTable:
+    outline = _rectangle(design)
+    name = _name(design, stack, mechanics, indenter)
+    path = _file(name)
+    found = None if path is None else _read(path)
+    if found is None:
+        silicone = stack.sheets[-1].law if len(stack.sheets) > 1 else mechanics.encapsulation
+        around = dataclasses.replace(mechanics, encapsulation=silicone)
+        found = solve_corrections(outline, stack, around, design.support, indenter, report)
+        _write(found, folder() / name)
+    return found
+
+
+def _rectangle(design: SensorDesign) -> Rectangle:
+    if isinstance(design.outline, Rectangle):
+        return design.outline
+    raise ConfigurationError(
+        f"corrections are tabulated on rectangles, got a {type(design.outline).__name__.lower()}; "
+        "use touch_model='solved'"
+    )
+
+
+def _file(name: str) -> Path | None:
+    return next((place / name for place in (LIBRARY, folder()) if (place / name).is_file()), None)
+
+
+def _name(design: SensorDesign, stack: Stack, mechanics: Mechanics, indenter: Indenter) -> str:
+    """Name of a table's file: a hash of everything that the table depends on."""
+    outline, gel = _rectangle(design), stack.sheets[stack.gel].law.shear_modulus
+    laws = [sheet.law for sheet in stack.sheets]
+    described = {
+        "version": _VERSION,
+        "outline": [outline.length, outline.width],
+        "margin": mechanics.margin,
+        "heights": [sheet.thickness for sheet in stack.sheets],
+        "laws": [
+            [type(law).__name__, law.shear_modulus / gel, getattr(law, "alpha", 2.0)]
+            for law in (*laws, *([] if len(laws) > 1 else [mechanics.encapsulation]))
+        ],
+        "bulk_ratio": stack.bulk_ratio,
+        "substrate": stack.substrate,
+        "indenter": indenter_samples(indenter),
+    }
+    text = json.dumps(described, default=float, sort_keys=True)
+    rounded = json.dumps(json.loads(text, parse_float=lambda s: f"{float(s):.9g}"))
+    return f"corrections-{hashlib.sha256(rounded.encode()).hexdigest()[:32]}.npz"
+
+
+def _arrays(table: CorrectionTable) -> Iterator[tuple[str, Array]]:
+    """Arrays of a file: fields as amplitudes and modes (proper orthogonal decomposition)."""
+    for field in dataclasses.fields(CorrectionTable):
+        array = getattr(table, field.name)
+        if field.name not in _FIELDS:
+            yield field.name, array
+            continue
+        scales = np.sqrt(np.mean(array**2, axis=tuple(range(array.ndim - 1))))
+        flat = (array / scales).reshape(-1, np.prod(array.shape[-4:]))
+        left, singular, modes = np.linalg.svd(flat, full_matrices=False)
+        rank = max(1, int(np.count_nonzero(singular > _KEPT * singular[0])))
+        yield f"{field.name}_scales", scales
+        yield f"{field.name}_shape", np.array(array.shape)
+        yield f"{field.name}_amplitudes", (left[:, :rank] * singular[:rank]).astype(np.float32)
+        yield f"{field.name}_modes", modes[:rank].astype(np.float32)
+
+
+def _read(path: Path) -> CorrectionTable | None:
+    """Table in a file; None where the file is incomplete."""
+    try:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+            values = {}
+            for field in dataclasses.fields(CorrectionTable):
+                if field.name not in _FIELDS:
+                    values[field.name] = file[field.name]
+                    continue
+                parts = [file[f"{field.name}_{part}"] for part in ("amplitudes", "modes")]
+                flat = parts[0].astype(np.float64) @ parts[1]
+                shape = tuple(int(n) for n in file[f"{field.name}_shape"])
+                values[field.name] = flat.reshape(shape) * file[f"{field.name}_scales"]
+            return CorrectionTable(**values)
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        return None
+
+
+def _write(table: CorrectionTable, path: Path) -> None:
+    """Store a table if the disk can be written; otherwise it is solved again next time."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with atomic_file(path) as temporary:
+            np.savez_compressed(temporary, allow_pickle=False, **dict(_arrays(table)))
+    except (OSError, ConfigurationError):
+        return

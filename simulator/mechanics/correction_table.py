@@ -1,0 +1,322 @@
+"""Table of corrections of a press: over its position and depth on one stack."""
+
+import multiprocessing
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from eitskin.geometry.design.outline import Rectangle
+from eitskin.geometry.design.support import Support
+from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress, Indentation
+from eitskin.simulator.mechanics.dent_field import DentField
+from eitskin.simulator.mechanics.finite_stack import Correction, FiniteStack
+from eitskin.simulator.mechanics.layer_stack import Mechanics, Stack
+from eitskin.simulator.mechanics.smooth_field import Box, SmoothField
+from eitskin.simulator.mechanics.stack_mesh import Fineness, stack_mesh
+from eitskin.simulator.scene.indenters import Indenter
+
+Array = NDArray[np.float64]
+
+# Lengths over the thickness of the stack.
+_DEPTHS = (0.1, 0.2, 0.32)
+_ALONG = (0.0, 0.2, 0.45, 0.8, 1.25, 1.8, 2.5, 3.4, 4.5, 6.2)  # from a side, beyond the least
+_REACH, _FADE = 9.0, 2.0  # of a correction along x, and the length over which it is faded out
+_ENDS = 11.0  # length of the field at an end
+_SHORTEST = 8.0  # sensor with two ends that do not feel each other
+_CELL = 1.0 / 20.0  # finest of the axisymmetric press, over the radius of the indenter
+_LEAST = 0.08  # of the thickness: from the rim of the contact to the side of the stack
+_STRIP, _END = (28, 20, 3), (20, 16, 3)
+_STRETCH = 2.5
+# Corrections vary most at the sides beside a press. Near an end the strip's mesh would cost five
+# times as much, and the difference to a strip of the same mesh needs less.
+_ON_STRIP, _AT_END = Fineness(ends=0.0, sides=0.1, layers=2), Fineness(sides=0.0, layers=1)
+_VANISHED = 2.0  # beyond the last distance from an end, over the thickness
+_SAME = 1e-9  # [m]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CorrectionTable:
+    """Corrections of presses of one indenter on a rectangular sensor, by position and depth.
+
+    The correction far from both ends moves along with the press: it is solved on a long strip.
+    Near an end comes the difference to the strip, in coordinates fixed to the end. Fields hold the
+    displacement [m] and the mean stress [Pa] of the gel as polynomials (`SmoothField`).
+
+    Attributes:
+        thickness: of the whole stack, () [m].
+        length, width: of the gel, () [m].
+        height: of the gel, () [m].
+        aside: distances of solved presses from a long side, (m,) [m].
+        along: distances of solved presses from an end, (l,) [m].
+        depths: of solved presses, rising from 0, (d,) [m].
+        strip: coefficients, (m, d, nx, ny, nz, 4).
+        ends: coefficients, (l, m, d, nx, ny, nz, 4).
+        sunk: by which presses sink deeper than in an unbounded stack, on the strip (m, d) [m].
+        sunk_more: the difference to the strip near an end, (l, m, d) [m].
+    """
+
+    thickness: Array
+    length: Array
+    width: Array
+    height: Array
+    aside: Array
+    along: Array
+    depths: Array
+    strip: Array
+    ends: Array
+    sunk: Array
+    sunk_more: Array
+
+    def at(self, x: float, y: float, depth: float) -> tuple[tuple[SmoothField, ...], float]:
+        """Fields of the correction of a press at (x, y) to a depth [m], and how much it sinks [m].
+
+        The press must be one that the table `covers`.
+        """
+        length, H = float(self.length), float(self.thickness)
+        right = x > 0.5 * length
+        x = length - x if right else x
+        deep = _polynomial_weights(depth, self.depths)
+        across = self._across(y)
+        sunk = float((across.sum(axis=0)) @ self.sunk @ deep)
+        box = self._box(-_REACH * H, _REACH * H)
+        found = [self._field(box, across, deep, self.strip, _STRETCH).shifted(x)]
+        for far in (False, True):
+            distance = length - x if far else x
+            if distance < self.along[-1]:
+                near = CubicSpline(self.along, np.eye(len(self.along)))(distance)[:-1]
+                ends, more = (np.tensordot(near, e, (0, 0)) for e in (self.ends, self.sunk_more))
+                end = self._field(self._box(0.0, _ENDS * H), across, deep, ends, 0.0)
+                found.append(end.mirrored(0, 0.5 * length) if far else end)
+                sunk += float(across.sum(axis=0) @ more @ deep)
+        if right:
+            found = [field.mirrored(0, 0.5 * length) for field in found]
+        return tuple(found), sunk
+
+    def covers(self, x: float, y: float) -> bool:
+        """Whether (x, y) is among the solved positions, at which the contact is on the stack."""
+        x, y = min(x, float(self.length) - x), min(y, float(self.width) - y)
+        return bool(x >= self.along[0] - _SAME and y >= self.aside[0] - _SAME)
+
+    def _across(self, y: float) -> Array:
+        """Weights of the solved distances from either long side, (2, m)."""
+        nodes = self.aside
+        middle = nodes[-1] > 0.5 * float(self.width) - _SAME
+        beyond = (float(self.width) - nodes)[::-1][int(middle) :]
+        both = CubicSpline(np.concatenate([nodes, beyond]), np.eye(len(nodes) + len(beyond)))(y)
+        mirrored = np.zeros(len(nodes))
+        mirrored[: len(beyond)] = both[len(nodes) :][::-1]
+        return np.stack([both[: len(nodes)], mirrored])
+
+    def _box(self, low: float, high: float) -> Box:
+        return Box((low, 0.0, 0.0), (high, float(self.width), float(self.height)))
+
+    def _field(
+        self, box: Box, across: Array, deep: Array, solved: Array, stretch: float
+    ) -> SmoothField:
+        """Field interpolated between solved ones (m, d, nx, ny, nz, 4) and their mirror images."""
+        here, there = np.tensordot(across, np.tensordot(deep, solved, (0, 1)), (1, 0))
+        image = SmoothField(box, there, stretch).mirrored(1, 0.5 * float(self.width))
+        return SmoothField(box, here + image.coefficients, stretch)
+
+
+def _polynomial_weights(depth: float, depths: Array) -> Array:
+    """Weights of values at depths from 0, where they vanish, in the polynomial through them."""
+    others = [np.delete(depths, k) for k in range(1, len(depths))]
+    weights = [
+        np.prod((depth - other) / (own - other))
+        for own, other in zip(depths[1:], others, strict=True)
+    ]
+    return np.array(weights)
+
+
+Report = Callable[[int, int], None]
+Field = Callable[[Array], Array]
+Solved = tuple[Array, Array]
+"""Coefficients of one position's fields, (d, nx, ny, nz, 4), and how much it sinks, (d,) [m]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Setting:
+    """Solved stack and presses: what all positions share."""
+
+    width: float
+    stack: Stack
+    mechanics: Mechanics
+    support: Support
+    indenter: Indenter
+    dents: tuple[Indentation, ...]
+
+    @property
+    def thickness(self) -> float:
+        """Thickness of the whole stack [m]."""
+        return self.stack.levels[-1]
+
+    def box(self, low: float, high: float) -> Box:
+        """Box of the gel between two x in thicknesses of the stack."""
+        height = self.stack.sheets[self.stack.gel].thickness
+        H = self.thickness
+        return Box((low * H, 0.0, 0.0), (high * H, self.width, height))
+
+    def solved(self, length: float, x: float, y: float, fineness: Fineness) -> list[Correction]:
+        """Corrections of presses of rising depth at one position, each started from the last."""
+        outline, radius = Rectangle(length, self.width), self.indenter.rims[1]
+        body = stack_mesh(
+            outline, self.stack, self.mechanics, self.support, [(x, y, radius)], fineness
+        )
+        stack, found = FiniteStack(body), list[Correction]()
+        for number, dent in enumerate(self.dents):
+            start = None
+            if found:
+                start = found[-1].unknowns * dent.depth / self.dents[number - 1].depth
+            found.append(stack.correction([DentField(x, y, self.indenter, dent)], start))
+        return found
+
+    def on_strip(self, fineness: Fineness, y: float) -> Solved:
+        """Press at y on a long strip."""
+        H = self.thickness
+        middle = (_REACH + 1.0) * H
+        found = self.solved(2.0 * middle, middle, y, fineness)
+        shift, box = np.array([middle, 0.0, 0.0]), self.box(-_REACH, _REACH)
+        fields = [
+            SmoothField.of(_faded(each, shift, _REACH * H, H), box, _STRIP, _STRETCH)
+            for each in found
+        ]
+        return np.array([f.coefficients for f in fields]), np.array([c.sunk[0] for c in found])
+
+    def at_end(self, x: float, y: float, strip: Solved) -> Solved:
+        """Difference of a press at a distance x from an end to that on an equally meshed strip."""
+        H, box = self.thickness, self.box(-_REACH, _REACH)
+        found = self.solved((_ENDS + 3.0) * H, x, y, _AT_END)
+        far = [SmoothField(box, each, _STRETCH).shifted(x) for each in strip[0]]
+        fields = [
+            SmoothField.of(_difference(each, one, _ENDS * H, H), self.box(0.0, _ENDS), _END)
+            for each, one in zip(found, far, strict=True)
+        ]
+        sunk = np.array([each.sunk[0] for each in found]) - strip[1]
+        return np.array([f.coefficients for f in fields]), sunk
+
+
+def solve_corrections(
+    outline: Rectangle,
+    stack: Stack,
+    mechanics: Mechanics,
+    support: Support,
+    indenter: Indenter,
+    report: Report | None = None,
+    workers: int = 1,
+) -> CorrectionTable:
+    """Solve presses on a strip and near its end, at rising depths.
+
+    Args:
+        outline: of the gel.
+        stack: the layers.
+        mechanics: margin beside the gel, and its material.
+        support: of the base, alike everywhere.
+        indenter: rigid body that presses.
+        report: called with the number of positions done and their total.
+        workers: processes.
+
+    Raises SolidError where a press is not carried.
+    """
+    H, gel = stack.levels[-1], stack.sheets[stack.gel]
+    dents = _dents(stack, indenter, [part * H for part in _DEPTHS])
+    setting = _Setting(outline.width, stack, mechanics, support, indenter, tuple(dents))
+    least = max(indenter.rims[1] - mechanics.margin + _LEAST * H, 0.0)
+    aside = _distances(least, H, 0.5 * outline.width)
+    along = least + H * np.array(_ALONG)
+    total, done = len(aside) * (2 + len(along)), 0
+
+    def solved(
+        run: Callable[..., Iterable[Solved]], solve: Callable[..., Solved], *of: object
+    ) -> list[Solved]:
+        nonlocal done
+        found = []
+        for each in run(solve, *of):
+            found.append(each)
+            done += 1
+            if report:
+                report(done, total)
+        return found
+
+    with _processes(workers) as run:
+        strips = solved(run, partial(setting.on_strip, _ON_STRIP), aside.tolist())
+        coarse = solved(run, partial(setting.on_strip, _AT_END), aside.tolist())
+        positions = [(x, k) for x in along.tolist() for k in range(len(aside))]
+        ends = solved(
+            run,
+            setting.at_end,
+            [x for x, _ in positions],
+            [float(aside[k]) for _, k in positions],
+            [coarse[k] for _, k in positions],
+        )
+    grid = (len(along), len(aside))
+    return CorrectionTable(
+        thickness=np.array(H),
+        length=np.array(outline.length),
+        width=np.array(outline.width),
+        height=np.array(gel.thickness),
+        aside=aside,
+        along=np.append(along, along[-1] + _VANISHED * H),
+        depths=np.array([0.0, *(dent.depth for dent in dents)]),
+        strip=np.array([fields for fields, _ in strips]),
+        ends=np.array([f for f, _ in ends]).reshape(*grid, *ends[0][0].shape),
+        sunk=np.array([sunk for _, sunk in strips]),
+        sunk_more=np.array([sunk for _, sunk in ends]).reshape(*grid, -1),
+    )
+
+
+@contextmanager
+def _processes(workers: int) -> Iterator[Callable[..., Iterable[Solved]]]:
+    """Map over arguments in this process, or in several."""
+    if workers == 1:
+        yield map
+        return
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(workers, mp_context=context) as pool:
+        yield pool.map
+
+
+def _dents(stack: Stack, indenter: Indenter, depths: Sequence[float]) -> list[Indentation]:
+    press = AxisymmetricPress(stack, indenter, finest=_CELL * indenter.rims[1])
+    return [press.to_depth(depth) for depth in depths]
+
+
+def _distances(least: float, thickness: float, middle: float) -> Array:
+    """Distances from a side up to the middle, wider apart farther in [m]."""
+    found = least + thickness * np.array(_ALONG)
+    return np.append(found[found < middle - 0.25 * thickness], middle)
+
+
+def _faded(correction: Correction, shift: Array, reach: float, H: float) -> Field:
+    """Correction in coordinates from its press, faded out along x."""
+
+    def field(points: Array) -> Array:
+        values = correction.in_gel(points + shift)
+        return values * _fade(np.abs(points[..., :1]), reach, H)
+
+    return field
+
+
+def _difference(correction: Correction, strip: SmoothField, reach: float, H: float) -> Field:
+    """Correction near an end less that on the strip, faded out away from the end."""
+
+    def field(points: Array) -> Array:
+        columns = points.reshape(-1, points.shape[-2], 3)
+        far = (
+            np.moveaxis(strip.values(columns), 0, -1).swapaxes(0, 1).reshape(*points.shape[:-1], 4)
+        )
+        return (correction.in_gel(points) - far) * _fade(points[..., :1], reach, H)
+
+    return field
+
+
+def _fade(x: Array, reach: float, H: float) -> Array:
+    """Smooth step from 1 to 0 over the last part of the reach."""
+    t = np.clip((reach - x) / (_FADE * H), 0.0, 1.0)
+    return np.asarray(t * t * (3.0 - 2.0 * t))

@@ -1,0 +1,209 @@
+"""Finite stack under presses: dents of the unbounded stack, and their correction in 3D.
+
+A dent of the unbounded stack leaves tractions on the free sides, stresses of gel where the margin
+is of silicone, and a base where the support may have none. The correction c and its pressure q are
+the smooth difference to equilibrium of the whole stack at finite strain,
+
+    int P(F_d + dc/dX, p_d + q) : dv dV = int P_d : dv dV - int P_d N . v dA  for all v,
+
+F_d = 1 + sum G_d of all dents, the last integral over the faces that are free in the finite stack
+only. Under an indenter that sticks, c is a vertical translation at an unchanged force.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import skfem
+from numpy.typing import NDArray
+from scipy.interpolate import RegularGridInterpolator
+
+from eitskin.simulator.linalg.nested_dissection import Block, by_blocks, dissected
+from eitskin.simulator.mechanics.dent_field import DentField
+from eitskin.simulator.mechanics.dented_solid import DentedSolid
+from eitskin.simulator.mechanics.held_contact import HeldContact
+from eitskin.simulator.mechanics.load_stepping import ForceTerm, Load, SolidError, newton
+from eitskin.simulator.mechanics.quadratic_field import QuadraticField
+from eitskin.simulator.mechanics.stack_mesh import StackMesh
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+_ROUNDED = 10  # decimals, in m, by which nodes of one plane agree
+# Springs that hold a contact, relative to shear modulus over its radius.
+_STIFFNESS = 500.0
+_TOLERANCE = 1e-2  # of the last correction; the error is its square
+_SMALLEST_STEP = 1.0 / 64.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Correction:
+    """Correction of dents in the finite stack.
+
+    Attributes:
+        displacement: c in the whole stack, heights over the base [m].
+        mean_stress: function of points, q in the gel [Pa], heights over the base.
+        bottom: height of the gel's lower face over the base [m].
+        sunk: by which each indenter sinks deeper than in the unbounded stack, (presses,) [m].
+        unknowns: of the solid, from which a neighbouring correction may start.
+    """
+
+    displacement: QuadraticField
+    mean_stress: RegularGridInterpolator
+    bottom: float
+    sunk: Array
+    unknowns: Array
+
+    def in_gel(self, points: Array) -> Array:
+        """c [m] and q [Pa], (..., 4), at points of the gel over its bottom, (..., 3) [m]."""
+        over_base = points + np.array([0.0, 0.0, self.bottom])
+        return np.concatenate(
+            [self.displacement(over_base), self.mean_stress(over_base)[..., None]], axis=-1
+        )
+
+
+class FiniteStack:
+    """Stack of a finite outline under presses whose dents in the unbounded stack are known.
+
+    Attributes:
+        body: the mesh and its support.
+        solid: the meshed stack about the dents.
+    """
+
+    def __init__(self, body: StackMesh, presses: int = 1) -> None:
+        """Number the unknowns of a number of presses on a mesh that is refined for them."""
+        self.body = body
+        self.solid = DentedSolid(body.mesh, body.laws, body.law_of_cell, body.stack.bulk_ratio)
+        self._size = self.solid.unknowns + presses
+        self._fixed = self._supports()
+        self._eliminate = by_blocks(self._blocks())
+        self._contacts: list[HeldContact] = []
+        self._load = np.zeros(self._size)
+
+    def correction(self, dents: Sequence[DentField], start: Array | None = None) -> Correction:
+        """Correction of dents in equilibrium, found from none or from the unknowns `start`.
+
+        Where Newton's method fails, the load is applied in steps. Raises SolidError where no
+        stable equilibrium is found, with the fraction of the missing forces that were applied.
+        """
+        self._contacts = [self._held(dent, number) for number, dent in enumerate(dents)]
+        self._load = np.append(self._dented(dents), np.zeros(len(dents)))
+        x = np.zeros(self._size) if start is None else start
+        try:
+            if self.solid.admissible(x):
+                return self._result(self._equilibrium(x, self._load))
+        except SolidError:
+            pass
+        return self._result(self._stepped())
+
+    def _equilibrium(self, x: Array, load: Array) -> Array:
+        terms: list[ForceTerm] = [self.solid, *self._contacts]
+        held = Load(self._fixed, np.zeros(len(self._fixed)), load)
+        return newton(terms, x, held, self._eliminate, _TOLERANCE)
+
+    def _stepped(self) -> Array:
+        """Equilibrium by load stepping from the dents, which are one under forces of their own."""
+        x = np.zeros(self._size)
+        own = self.solid.forces(x)
+        reached, step = 0.0, 0.25
+        while reached < 1.0:
+            target = min(1.0, reached + step)
+            guess = x * target / reached if reached else x
+            guess = guess if self.solid.admissible(guess) else x
+            try:
+                x = self._equilibrium(guess, own + target * (self._load - own))
+            except SolidError as error:
+                step *= 0.5
+                if step < _SMALLEST_STEP:
+                    raise SolidError(
+                        f"the finite stack bears {reached:.0%} of these presses only; beyond, "
+                        f"{error}. Press it less, or farther from its edge",
+                        reached,
+                    ) from None
+                continue
+            reached, step = target, 2.0 * step
+        return x
+
+    def _supports(self) -> Indices:
+        held = np.flatnonzero(self.body.held(self.solid.nodes))
+        fixed: Indices = (3 * held[:, None] + np.arange(3)).ravel()
+        return fixed
+
+    def _dented(self, dents: Sequence[DentField]) -> Array:
+        """Forces (unknowns,) in equilibrium with the dents; sets the state of the solid."""
+        points = self.solid.points.reshape(-1, 3)
+        heights = self.body.mesh.p[2, self.body.mesh.t].mean(axis=0)
+        laws = self.body.law_of_layer_at(heights)
+        G, p = np.zeros((len(points), 3, 3)), np.zeros(len(points))
+        load = np.zeros(self.solid.unknowns)
+        for dent in dents:
+            _, gradient, stress = dent.at(points)
+            load += self.solid.residual_of(gradient, stress, laws)
+            load -= self._tractions(dent)
+            G += gradient
+            p += stress
+        self.solid.dent(G, p)
+        return load
+
+    def _tractions(self, dent: DentField) -> Array:
+        """Nodal forces (unknowns,) of a dent's tractions on faces that are free."""
+        facets = self.body.freed()
+        basis = skfem.FacetBasis(self.body.mesh, self.solid.basis.elem, facets=facets, intorder=6)
+        X = np.moveaxis(np.asarray(basis.global_coordinates()), 0, -1)
+        normals = np.moveaxis(np.asarray(basis.normals), 0, -1)
+        _, G, p = dent.at(X.reshape(-1, 3))
+        laws = self.body.law_of_layer_at(X[..., 2]).ravel()
+        P = np.empty_like(G)
+        for k in range(len(self.body.laws)):
+            here = laws == k
+            P[here] = self.solid.stress_and_dilation(k, G[here], p[here])[0]
+        traction = np.einsum("fqij,fqj->fqi", P.reshape(*X.shape, 3), normals)
+        traction *= np.asarray(basis.dx)[..., None]
+        forces = np.zeros((len(self.solid.nodes), 3))
+        for a, (function,) in enumerate(basis.basis):
+            parts = np.sum(traction * np.asarray(function)[..., None], axis=1)
+            np.add.at(forces, basis.element_dofs[a], parts)
+        return np.append(forces.ravel(), np.zeros(self.solid.multipliers))
+
+    def _held(self, dent: DentField, number: int) -> HeldContact:
+        mesh, top = self.body.mesh, self.body.top()
+        corners = mesh.p[:2, mesh.facets[:, top]]
+        centre, radius = np.array([dent.x, dent.y]), dent.contact_radius
+        nearest = np.clip(centre[:, None], corners.min(axis=1), corners.max(axis=1))
+        near = np.linalg.norm(nearest - centre[:, None], axis=0) < radius
+        stiffness = _STIFFNESS * self.body.stack.sheets[-1].law.shear_modulus / radius
+        return HeldContact(self.solid, top[near], dent.indenter, centre, radius, stiffness, number)
+
+    def _blocks(self) -> list[Block]:
+        """Blocks of free unknowns in the order of elimination."""
+        solid = self.solid
+        places = np.full((self._size, 2), np.nan)
+        places[: solid.nodes.size] = np.repeat(solid.nodes[:, :2], 3, axis=0)
+        places[solid.nodes.size : solid.unknowns] = solid.pressure_nodes[:, :2]
+        free = np.setdiff1d(np.arange(len(places)), self._fixed)
+        blocks = dissected(places[free], self.body.lines[:2])
+        return [Block(free[block.own], block.within) for block in blocks]
+
+    def _result(self, x: Array) -> Correction:
+        solid, lines = self.solid, self.body.lines
+        order = np.lexsort(solid.nodes.round(_ROUNDED).T[::-1])
+        shape = tuple(2 * len(line) - 1 for line in lines)
+        gel = self.body.stack.sheets[self.body.stack.gel].law
+        stress = solid.corner_mean_stress(x, self.body.laws.index(gel))
+        corners = np.lexsort(self.body.mesh.p.round(_ROUNDED)[::-1])
+        return Correction(
+            displacement=QuadraticField(lines, solid.displacement(x)[order].reshape(*shape, 3)),
+            mean_stress=_of_gel(stress[corners].reshape([len(line) for line in lines]), lines),
+            bottom=self.body.stack.levels[self.body.stack.gel],
+            sunk=x[solid.unknowns :].copy(),
+            unknowns=x,
+        )
+
+
+def _of_gel(values: Array, lines: tuple[Array, Array, Array]) -> RegularGridInterpolator:
+    """Interpolator of values on the grid, which are NaN outside the gel."""
+    known = np.isfinite(values)
+    axes = [np.flatnonzero(known.any(axis=tuple({0, 1, 2} - {axis}))) for axis in range(3)]
+    inside = tuple(slice(found[0], found[-1] + 1) for found in axes)
+    grid = [line[part] for line, part in zip(lines, inside, strict=True)]
+    return RegularGridInterpolator(grid, values[inside], bounds_error=False, fill_value=None)

@@ -1,0 +1,104 @@
+"""Held contact: the area under a rough indenter, which moves with the indenter only."""
+
+import numpy as np
+import skfem
+from numpy.typing import NDArray
+from scipy.sparse import coo_array, csc_array
+
+from eitskin.simulator.mechanics.mixed_solid import Solid
+from eitskin.simulator.scene.indenters import Indenter
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+_ORDER = 13  # of the quadrature, on facets that the rim of the contact cuts
+
+
+class HeldContact:
+    """Springs that hold the displacement c of a contact area at -d e_z.
+
+    The indenter neither tilts nor moves sideways, and sinks by a further d under a force unchanged.
+    A smooth indenter holds c along its normal only. The unknown d [m] follows those of the solid.
+
+    Attributes:
+        area: of the contact on the undeformed face [m2].
+    """
+
+    def __init__(
+        self,
+        solid: Solid,
+        facets: Indices,
+        indenter: Indenter,
+        centre: Array,
+        radius: float,
+        stiffness: float,
+        number: int,
+    ) -> None:
+        """Integrate the springs over a circle on a level face.
+
+        Args:
+            solid: the body.
+            facets: boundary facets of its mesh that the contact may reach.
+            indenter: gives the normal, and whether it is rough.
+            centre: of the contact, (2,) [m].
+            radius: of the undeformed contact [m].
+            stiffness: of the springs [Pa/m].
+            number: of the contact, among those of the solid.
+        """
+        basis = skfem.FacetBasis(solid.mesh, solid.basis.elem, facets=facets, intorder=_ORDER)
+        away = np.asarray(basis.global_coordinates())[:2] - centre[:, None, None]
+        r = np.linalg.norm(away, axis=0)
+        weights = np.asarray(basis.dx) * (r < radius)
+        self.area = float(weights.sum())
+        functions = [np.broadcast_to(np.asarray(f), r.shape) for (f,) in basis.basis]
+        values = np.stack([*functions, np.ones_like(r)], axis=-1)
+        held = _held(indenter, away, r) * (stiffness * weights)[..., None, None]
+        K = np.einsum("fqa,fqij,fqb->faibj", values, held, values, optimize=True)
+        dofs = basis.element_dofs.T.astype(np.int64)
+        depth = np.full((len(dofs), 3), -1)
+        depth[:, 2] = solid.unknowns + number
+        numbers = (3 * dofs[:, :, None] + np.arange(3)).reshape(len(dofs), -1)
+        numbers = np.hstack([numbers, depth])
+        K = K.reshape(len(dofs), numbers.shape[1], -1)
+        rows = np.broadcast_to(numbers[:, :, None], K.shape).ravel()
+        columns = np.broadcast_to(numbers[:, None, :], K.shape).ravel()
+        kept = (rows >= 0) & (columns >= 0)
+        self._entries = (K.ravel()[kept], (rows[kept], columns[kept]))
+        self._stiffness: csc_array | None = None
+
+    @property
+    def multipliers(self) -> int:
+        """Number of Lagrange multipliers: none, since springs need no multipliers."""
+        return 0
+
+    def admissible(self, x: Array) -> bool:  # noqa: ARG002
+        """Always true: springs allow any position."""
+        return True
+
+    def advanced(self, x: Array) -> "HeldContact":  # noqa: ARG002
+        """The contact itself, which has no history."""
+        return self
+
+    def forces(self, x: Array) -> Array:
+        """Forces of the springs on the unknowns (n,) [N]."""
+        return np.asarray(self._matrix(len(x)) @ x)
+
+    def linearise(self, x: Array) -> tuple[Array, csc_array]:
+        """Forces (n,) and their constant stiffness (n, n)."""
+        return self.forces(x), self._matrix(len(x))
+
+    def _matrix(self, size: int) -> csc_array:
+        if self._stiffness is None or self._stiffness.shape[0] != size:
+            self._stiffness = coo_array(self._entries, shape=(size, size)).tocsc()
+        return self._stiffness
+
+
+def _held(indenter: Indenter, away: Array, r: Array) -> Array:
+    """Projections (facets, q, 3, 3) on the directions in which points are held."""
+    if indenter.rough:
+        return np.broadcast_to(np.eye(3), (*r.shape, 3, 3))
+    slope = indenter.profile(r)[1]
+    normal = np.stack([*(-slope * away / np.maximum(r, 1e-12)), np.ones_like(r)], axis=-1)
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    projections: Array = normal[..., :, None] * normal[..., None, :]
+    return projections

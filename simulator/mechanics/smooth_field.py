@@ -1,0 +1,182 @@
+"""Polynomial fields on a box: Chebyshev polynomials in the plane, Legendre over the height."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.polynomial import chebyshev, legendre
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+_AT_ONCE = 4_000  # columns that do not lie on a grid
+
+
+class Box(NamedTuple):
+    """Box by its lowest and highest corner (x, y, z) [m]."""
+
+    low: tuple[float, float, float]
+    high: tuple[float, float, float]
+
+
+class _Basis(NamedTuple):
+    """Polynomials and their derivatives at positions along one axis, (positions, count) each."""
+
+    values: Array
+    slopes: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SmoothField:
+    """Field on a box as a product of Chebyshev (x, y) and Legendre (z) polynomials.
+
+    Along x the polynomials are those of s, x = middle + half length * sinh(k s) / sinh(k), which
+    resolves the middle of the box as finely as is wanted; k = 0 leaves x as it is. The field is
+    zero beyond the ends of x, and keeps its value beyond the other faces of the box.
+
+    Attributes:
+        box: domain of the field.
+        coefficients: of k components, (nx, ny, nz, k).
+        stretch: k.
+    """
+
+    box: Box
+    coefficients: Array
+    stretch: float = 0.0
+
+    @classmethod
+    def of(
+        cls,
+        field: Callable[[Array], Array],
+        box: Box,
+        counts: tuple[int, int, int],
+        stretch: float = 0.0,
+    ) -> "SmoothField":
+        """Interpolate `field`, which gives (..., k) at points (..., 3) [m]."""
+        empty = cls(box, np.zeros((*counts, 0)), stretch)
+        nodes = [*(chebyshev.chebpts1(n) for n in counts[:2]), legendre.leggauss(counts[2])[0]]
+        along = [empty._along(axis, at) for axis, at in enumerate(nodes)]
+        values = field(np.stack(np.meshgrid(*along, indexing="ij"), axis=-1))
+        for axis, at in enumerate(nodes):
+            inverse = np.linalg.inv(_polynomials(axis, at, counts[axis]))
+            values = np.moveaxis(np.tensordot(inverse, values, axes=(1, axis)), 0, axis)
+        return replace(empty, coefficients=np.ascontiguousarray(values))
+
+    def shifted(self, x: float) -> "SmoothField":
+        """The same field, moved along x [m]."""
+        low, high = self.box
+        return replace(self, box=Box((low[0] + x, *low[1:]), (high[0] + x, *high[1:])))
+
+    def scaled(self, factor: float) -> "SmoothField":
+        """The field times a factor."""
+        return replace(self, coefficients=factor * self.coefficients)
+
+    def raised(self, factor: float) -> "SmoothField":
+        """The displacement field of a box `factor` times as high."""
+        low, high = self.box
+        box = Box((*low[:2], factor * low[2]), (*high[:2], factor * high[2]))
+        upward = np.ones(self.coefficients.shape[-1])
+        upward[2] = factor
+        return replace(self, box=box, coefficients=self.coefficients * upward)
+
+    def mirrored(self, axis: int, at: float) -> "SmoothField":
+        """Mirror image in the plane x or y = `at` [m], of displacements and further scalars."""
+        signs = np.ones(self.coefficients.shape[-1])
+        signs[axis] = -1.0
+        odd = (-1.0) ** np.arange(self.coefficients.shape[axis])
+        shape = [1, 1, 1, 1]
+        shape[axis] = -1
+        coefficients = self.coefficients * odd.reshape(shape) * signs
+        low, high = list(self.box.low), list(self.box.high)
+        low[axis], high[axis] = 2.0 * at - high[axis], 2.0 * at - low[axis]
+        box = Box((low[0], low[1], low[2]), (high[0], high[1], high[2]))
+        return SmoothField(box, coefficients, self.stretch)
+
+    def values(self, columns: Array) -> Array:
+        """All components (k, h, n) at columns of points (n, h, 3) [m]."""
+        (found,) = self._evaluated(columns, ((0, 0, 0),), slice(None))
+        return found
+
+    def moved(self, columns: Array) -> Array:
+        """First three components and their derivatives by x, y, z, (12, h, n)."""
+        orders = ((0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1))
+        u, *slopes = self._evaluated(columns, orders, slice(3))
+        gradient = np.stack(slopes, axis=1)
+        return np.concatenate([u, gradient.reshape(9, *u.shape[1:])])
+
+    def _evaluated(
+        self, columns: Array, orders: tuple[tuple[int, int, int], ...], part: slice
+    ) -> list[Array]:
+        """Derivatives of these orders of some components, (k, h, n) each."""
+        n, h = columns.shape[:2]
+        if n and not (columns[..., 2] == columns[0, :, 2]).all():
+            single = self._evaluated(columns.reshape(-1, 1, 3), orders, part)
+            return [one.reshape(-1, n, h).swapaxes(1, 2) for one in single]
+        x, where_x = np.unique(columns[:, 0, 0], return_inverse=True)
+        y, where_y = np.unique(columns[:, 0, 1], return_inverse=True)
+        bases = [self._basis(0, x), self._basis(1, y), self._basis(2, columns[0, :, 2] if n else x)]
+        found = []
+        on_grid = len(x) * len(y) <= 4 * n
+        for i, j, k in orders:
+            c = np.einsum("abcm,hc->mhab", self.coefficients[..., part], bases[2][k], optimize=True)
+            if on_grid:
+                grid = bases[0][i] @ c @ bases[1][j].T
+                found.append(grid[..., where_x, where_y])
+            else:
+                found.append(_scattered(c, bases[0][i][where_x], bases[1][j][where_y]))
+        return found
+
+    def _along(self, axis: int, s: Array) -> Array:
+        """Positions [m] at coordinates s from -1 to 1."""
+        low, high = self.box.low[axis], self.box.high[axis]
+        if axis == 0 and self.stretch:
+            s = np.sinh(self.stretch * s) / math.sinh(self.stretch)
+        return 0.5 * (low + high) + 0.5 * (high - low) * s
+
+    def _basis(self, axis: int, positions: Array) -> _Basis:
+        low, high = self.box.low[axis], self.box.high[axis]
+        s = (2.0 * positions - low - high) / (high - low)
+        rate = np.full(s.shape, 2.0 / (high - low))
+        outside = np.abs(s) > 1.0 + 1e-9
+        s = np.clip(s, -1.0, 1.0)
+        if axis == 0 and self.stretch:
+            scale = math.sinh(self.stretch)
+            rate *= scale / (self.stretch * np.sqrt(1.0 + (s * scale) ** 2))
+            s = np.arcsinh(s * scale) / self.stretch
+        count = self.coefficients.shape[axis]
+        values = _polynomials(axis, s, count)
+        slopes = values @ _differentiation(axis, count) * rate[:, None]
+        slopes[outside] = 0.0
+        if axis == 0:
+            values[outside] = 0.0
+        return _Basis(values, slopes)
+
+
+def _polynomials(axis: int, s: Array, count: int) -> Array:
+    """Polynomials along an axis at coordinates s (n,), (n, count)."""
+    if axis == 2:
+        return np.asarray(legendre.legvander(s, count - 1))
+    return np.asarray(chebyshev.chebvander(s, count - 1))
+
+
+def _differentiation(axis: int, count: int) -> Array:
+    """Matrix from values of polynomials, as a row, to values of their derivatives."""
+    derive = legendre.legder if axis == 2 else chebyshev.chebder
+    found = np.zeros((count, count))
+    for k in range(1, count):
+        slope = derive(np.eye(count)[k])
+        found[: len(slope), k] = slope
+    return found
+
+
+def _scattered(coefficients: Array, x: Array, y: Array) -> Array:
+    """Sum over coefficients (m, h, a, b) of products x (n, a) y (n, b), (m, h, n)."""
+    flat = coefficients.reshape(-1, x.shape[1] * y.shape[1])
+    parts = [
+        flat
+        @ (x[i : i + _AT_ONCE, :, None] * y[i : i + _AT_ONCE, None]).reshape(-1, flat.shape[1]).T
+        for i in range(0, max(len(x), 1), _AT_ONCE)
+    ]
+    return np.concatenate(parts, axis=1).reshape(*coefficients.shape[:2], -1)

@@ -1,0 +1,206 @@
+"""Box mesh of a whole stack on its support, for presses."""
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import skfem
+from numpy.typing import NDArray
+
+from eitskin.geometry.design.outline import Rectangle
+from eitskin.geometry.design.support import Free, Plates, Support
+from eitskin.geometry.meshing.grading import Grading
+from eitskin.simulator.mechanics.layer_stack import Mechanics, Stack
+from eitskin.simulator.mechanics.materials import Law
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+_SAME = 1e-9  # [m]
+# Cells under an indenter over its radius, and their growth away from it. Corrections are smooth.
+_UNDER, _GROWTH = 0.5, 0.5
+_SAMPLES, _SPARE = 4001, 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class Fineness:
+    """Fineness of a mesh where a correction varies most: at the faces of the gel.
+
+    Attributes:
+        ends, sides: cells at the faces across x and across y, over the thickness of the stack; 0
+            for no refinement.
+        layers: cells through each layer.
+    """
+
+    ends: float = 0.2
+    sides: float = 0.2
+    layers: int = 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StackMesh:
+    """Boxes through gel, margin and the layers above and below, heights over the base.
+
+    Attributes:
+        mesh: the boxes; x and y as in the design.
+        lines: grid lines along x, y and z [m].
+        stack: the layers.
+        laws: different materials, that of the encapsulation last. Pressures jump between them.
+        gel_cells: numbers of the cells of gel.
+        gap: least and greatest x of the free part of the base, equal where there is none [m].
+        free: whether the sides are held instead of the base.
+    """
+
+    mesh: skfem.MeshHex
+    lines: tuple[Array, Array, Array]
+    stack: Stack
+    laws: tuple[Law, ...]
+    gel_cells: Indices
+    gap: tuple[float, float]
+    free: bool
+
+    @property
+    def law_of_cell(self) -> Indices:
+        """Number of the material of each cell; in the margin that of the encapsulation."""
+        laws = self.law_of_layer_at(self.mesh.p[2, self.mesh.t].mean(axis=0))
+        margin = self.stack.layer_at(self.mesh.p[2, self.mesh.t].mean(axis=0)) == self.stack.gel
+        margin[self.gel_cells] = False
+        laws[margin] = len(self.laws) - 1
+        return laws
+
+    def law_of_layer_at(self, heights: Array) -> Indices:
+        """Number of the material of the layer at heights over the base [m], as under a dent."""
+        numbers = [self.laws.index(sheet.law) for sheet in self.stack.sheets]
+        found: Indices = np.array(numbers, dtype=np.int64)[self.stack.layer_at(heights)]
+        return found
+
+    def held(self, points: Array) -> NDArray[np.bool_]:
+        """Whether points (n, 3) are held by the support."""
+        x, y, z = points.T
+        if self.free:
+            ends = [(line[0], line[-1]) for line in self.lines[:2]]
+            sides: list[NDArray[np.bool_]] = [
+                (p < a + _SAME) | (p > b - _SAME) for p, (a, b) in zip((x, y), ends, strict=True)
+            ]
+            outer: NDArray[np.bool_] = sides[0] | sides[1]
+            return outer
+        low, high = self.gap
+        base: NDArray[np.bool_] = (z < _SAME) & ((x < low + _SAME) | (x > high - _SAME))
+        return base
+
+    def top(self) -> Indices:
+        """Facets of the upper face."""
+        return self._facets(self._middles()[2] > self.lines[2][-1] - _SAME)
+
+    def freed(self) -> Indices:
+        """Facets that are free, but not in the unbounded stack on a rigid base: sides and gap."""
+        x, y, z = self._middles()
+        low, high = self.gap
+        freed = (z < _SAME) & (x > low) & (x < high)
+        for at, line in zip((x, y), self.lines[:2], strict=True):
+            freed |= ((at < line[0] + _SAME) | (at > line[-1] - _SAME)) & (not self.free)
+        return self._facets(freed)
+
+    def _middles(self) -> Array:
+        """Middles of the boundary facets, (3, facets) [m]."""
+        corners = self.mesh.facets[:, self.mesh.boundary_facets()]
+        middles: Array = self.mesh.p[:, corners].mean(axis=1)
+        return middles
+
+    def _facets(self, chosen: NDArray[np.bool_]) -> Indices:
+        found: Indices = self.mesh.boundary_facets()[chosen].astype(np.int64)
+        return found
+
+
+def stack_mesh(
+    outline: Rectangle,
+    stack: Stack,
+    mechanics: Mechanics,
+    support: Support,
+    contacts: Sequence[tuple[float, float, float]],
+    fineness: Fineness | None = None,
+) -> StackMesh:
+    """Box mesh of a stack, refined around contacts (x, y, radius) [m].
+
+    Args:
+        outline: of the gel.
+        stack: the layers.
+        mechanics: margin beside the gel, and its material.
+        support: of the base.
+        contacts: positions and radii of indenters.
+        fineness: at the faces, and through each layer.
+    """
+    radius, height = min(r for *_, r in contacts), stack.levels[-1]
+    fineness = fineness or Fineness()
+    grading = Grading(min(_UNDER * radius, 0.5 * height), max(height, _UNDER * radius), _GROWTH)
+    whole = outline.length
+    gap = support.gap(outline) if isinstance(support, Plates) else (0.5 * whole, 0.5 * whole)
+    free = isinstance(support, Free)
+    if free:
+        gap = (-mechanics.margin - whole, 2.0 * whole + mechanics.margin)
+    plates = gap if isinstance(support, Plates) else ()
+    x, y = (
+        _across(
+            extent,
+            mechanics.margin,
+            [(c[axis], c[2]) for c in contacts],
+            edges,
+            grading,
+            height * (fineness.ends, fineness.sides)[axis],
+        )
+        for axis, (extent, edges) in enumerate(((whole, plates), (outline.width, ())))
+    )
+    ends = np.array(stack.levels)
+    steps = [np.linspace(a, b, fineness.layers + 1)[1:] for a, b in itertools.pairwise(ends)]
+    heights = np.concatenate([ends[:1], *steps])
+    mesh = skfem.MeshHex.init_tensor(x, y, heights)
+    middles = mesh.p[:, mesh.t].mean(axis=1)
+    inside = (middles[0] > 0.0) & (middles[0] < whole)
+    inside &= (middles[1] > 0.0) & (middles[1] < outline.width)
+    cells = np.flatnonzero(inside & (stack.layer_at(middles[2]) == stack.gel))
+    around = mechanics.encapsulation
+    laws = (*dict.fromkeys(s.law for s in stack.sheets if s.law != around), around)
+    return StackMesh(mesh, (x, y, heights), stack, laws, cells, gap, free)
+
+
+def _across(
+    extent: float,
+    margin: float,
+    contacts: Sequence[tuple[float, float]],
+    edges: Sequence[float],
+    grading: Grading,
+    side: float,
+) -> Array:
+    """Grid lines across the sensor, fine under contacts (position, radius), at edges and sides."""
+    rims = [at + way * radius for at, radius in contacts for way in (-1.0, 1.0)]
+    whole, faces = extent + 2.0 * margin, np.array([margin, margin + extent])
+    near = [x + margin for x in (*rims, *edges) if -margin < x < extent + margin]
+    samples = np.linspace(0.0, whole, _SAMPLES)
+    middles = 0.5 * (samples[1:] + samples[:-1])
+    size = grading.size(np.abs(middles[:, None] - np.array(near)).min(axis=1))
+    if side:
+        beside = Grading(side, grading.coarsest, grading.growth)
+        size = np.minimum(size, beside.size(np.abs(middles[:, None] - faces).min(axis=1)))
+    # Grid lines are at equal steps of the cumulative number of cells.
+    count = np.append(0.0, np.cumsum(np.diff(samples) / size))
+    fixed = np.unique(np.round([0.0, whole, *faces, *near], 12))
+    parts = [fixed[:1]]
+    for start, end in itertools.pairwise(fixed):
+        first, last = np.interp([start, end], samples, count)
+        cells = max(1, math.ceil(last - first - _SPARE))
+        parts.append(np.interp(np.linspace(first, last, cells + 1), count, samples)[1:])
+        parts[-1][-1] = end
+    kept = np.array([0.0, *faces, whole])
+    return (
+        _without_slivers(np.concatenate(parts), kept, 0.25 * min(grading.finest, side or 1.0))
+        - margin
+    )
+
+
+def _without_slivers(lines: Array, kept: Array, least: float) -> Array:
+    """Grid lines without those nearer than `least` to one that must be kept."""
+    distance = np.abs(lines[:, None] - kept).min(axis=1)
+    chosen: Array = lines[(distance < _SAME) | (distance > least)]
+    return chosen
