@@ -2,19 +2,25 @@
 
 import math
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Literal, NamedTuple
 
 import numpy as np
 
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.surface import Surface
-from eitskin.simulator.layer.dents import Dents, PlacedDent
+from eitskin.simulator.layer.dents import ColumnField, Dents, PlacedDent
 from eitskin.simulator.mechanics import viscoelasticity as relaxation
-from eitskin.simulator.mechanics.correction_store import corrections, is_shipped, tabulable
+from eitskin.simulator.mechanics.correction_store import (
+    corrections,
+    is_shipped,
+    pair_table,
+    tabulable,
+)
 from eitskin.simulator.mechanics.layer_stack import Mechanics
+from eitskin.simulator.mechanics.pair_table import TurnedField
 from eitskin.simulator.mechanics.press_store import press_table
 from eitskin.simulator.mechanics.press_table import PressTable
-from eitskin.simulator.mechanics.smooth_field import SmoothField
 from eitskin.simulator.mechanics.solved_press import Press, SolvedField, solved_presses
 from eitskin.simulator.mechanics.tabulated_dent import TabulatedDent
 from eitskin.simulator.scene.touch import Touch
@@ -83,7 +89,7 @@ class _World(NamedTuple):
     """All touches with their dents, corrections, and how much deeper each indenter sinks [m]."""
 
     pressed: tuple[_Pressed, ...]
-    corrections: tuple[SmoothField | SolvedField, ...]
+    corrections: tuple[ColumnField, ...]
     sunk: tuple[float, ...]
 
 
@@ -133,11 +139,11 @@ def _corrected(
     design: SensorDesign,
     mechanics: Mechanics,
     model: TouchModel | None,
-) -> tuple[tuple[SmoothField | SolvedField, ...], tuple[float, ...]]:
+) -> tuple[tuple[ColumnField, ...], tuple[float, ...]]:
     """Corrections of dents, and how much deeper each indenter sinks [m]."""
     felt = [(k, one.touch, one.dent) for k, one in enumerate(pressed) if one.dent is not None]
     sunk = [0.0] * len(pressed)
-    fields: list[SmoothField | SolvedField] = []
+    fields: list[ColumnField] = []
     if model is None:
         known = tabulable(design) and all(
             is_shipped(design, mechanics, t.indenter) for _, t, _ in felt
@@ -149,6 +155,12 @@ def _corrected(
                 touch.x, touch.y, dent.depth
             )
             fields += found
+        for (k, one, dent), (j, other, beside) in combinations(felt, 2):
+            pair = _pair((one, dent.depth), (other, beside.depth), design, mechanics)
+            if pair is not None:
+                fields.append(pair[0])
+                sunk[k] += pair[1]
+                sunk[j] += pair[1]
     elif felt:
         presses = tuple(Press(t.x, t.y, dent.depth, t.indenter) for _, t, dent in felt)
         solved = solved_presses(design, mechanics, presses)
@@ -156,6 +168,25 @@ def _corrected(
         for (k, *_), below in zip(felt, solved.sunk.tolist(), strict=True):
             sunk[k] = below
     return tuple(fields), tuple(sunk)
+
+
+def _pair(
+    one: tuple[Touch, float], other: tuple[Touch, float], design: SensorDesign, mechanics: Mechanics
+) -> tuple[TurnedField, float] | None:
+    """Change of two dents by each other, and by how much deeper each sinks [m].
+
+    Touches with their depths [m]; None where they are far apart. Between different indenters it is
+    the change by those of the smaller one's kind.
+    """
+    (a, deep), (b, beside) = one, other
+    apart = math.dist((a.x, a.y), (b.x, b.y))
+    indenter = min(a.indenter, b.indenter, key=lambda each: each.rims[1])
+    found = pair_table(design, mechanics, indenter).at(apart, deep, beside)
+    if found is None:
+        return None
+    field, sunk = found
+    cos, sin = (b.x - a.x) / apart, (b.y - a.y) / apart
+    return TurnedField(field, 0.5 * (a.x + b.x), 0.5 * (a.y + b.y), cos, sin), sunk
 
 
 def pressed_touches(

@@ -4,10 +4,12 @@ import dataclasses
 import hashlib
 import json
 import math
+import os
 import zipfile
 from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +21,7 @@ from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.support import Rigid, Substrate
 from eitskin.simulator.mechanics.correction_table import CorrectionTable, Report, solve_corrections
 from eitskin.simulator.mechanics.layer_stack import Mechanics, Stack
+from eitskin.simulator.mechanics.pair_table import PairTable, solve_pairs
 from eitskin.simulator.mechanics.press_store import (
     LIBRARY,
     REFERENCE_RATIO,
@@ -40,7 +43,7 @@ _SHORTEST = 8.0  # length over the thickness of the stack, so that the ends do n
 _THICKER, _STIFFER = 1.1, math.sqrt(2.0)
 _BEYOND = 0.02  # of the deepest solved press, by which another may be deeper
 _KEPT = 1e-4  # singular values, relative to the largest, that a stored table keeps
-_FIELDS = ("strip", "ends")
+_OF_FIELD = 4  # dimensions of the coefficients of one field
 
 
 def tabulable(design: SensorDesign) -> bool:
@@ -56,8 +59,7 @@ def tabulable(design: SensorDesign) -> bool:
 def is_shipped(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -> bool:
     """Whether all tables that a design needs come with the package."""
     return tabulable(design) and all(
-        (LIBRARY / _name(design, stack, mechanics, indenter)).is_file()
-        for stack, _ in _needed(design, mechanics)
+        (LIBRARY / name).is_file() for name in _names(design, mechanics, indenter)
     )
 
 
@@ -65,8 +67,15 @@ def missing(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -> s
     """Absent files of tables that `corrections` needs; each takes minutes to solve."""
     if not tabulable(design):
         return set()
-    names = (_name(design, stack, mechanics, indenter) for stack, _ in _needed(design, mechanics))
+    names = _names(design, mechanics, indenter)
     return {folder() / name for name in names if _file(name) is None}
+
+
+def _names(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -> list[str]:
+    """Names of all files that a design needs."""
+    stacks = [stack for stack, _ in _needed(design, mechanics)]
+    found = [_name(design, stack, mechanics, indenter) for stack in stacks]
+    return [*found, _pair_name(_nearest(design, mechanics), mechanics, indenter)]
 
 
 @dataclasses.dataclass(frozen=True, slots=True, eq=False)
@@ -184,16 +193,43 @@ def _stored(
     indenter: Indenter,
     report: Report | None,
 ) -> CorrectionTable:
-    outline = _rectangle(design)
     name = _name(design, stack, mechanics, indenter)
-    path = _file(name)
-    found = None if path is None else _read(path)
+    found = _read(CorrectionTable, name)
     if found is None:
-        silicone = stack.sheets[-1].law if len(stack.sheets) > 1 else mechanics.encapsulation
-        around = dataclasses.replace(mechanics, encapsulation=silicone)
-        found = solve_corrections(outline, stack, around, design.support, indenter, report)
+        found = solve_corrections(
+            _rectangle(design),
+            stack,
+            _around(stack, mechanics),
+            design.support,
+            indenter,
+            report,
+            os.cpu_count() or 1,
+        )
         _write(found, folder() / name)
     return found
+
+
+@lru_cache(maxsize=64)
+def pair_table(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -> PairTable:
+    """Pairs of presses on the solved stack nearest to a design's; minutes where not stored."""
+    stack = _nearest(design, mechanics)
+    name = _pair_name(stack, mechanics, indenter)
+    found = _read(PairTable, name)
+    if found is None:
+        found = solve_pairs(stack, _around(stack, mechanics), indenter)
+        _write(found, folder() / name)
+    return found
+
+
+def _nearest(design: SensorDesign, mechanics: Mechanics) -> Stack:
+    return max(_needed(design, mechanics), key=lambda needed: needed[1])[0]
+
+
+def _around(stack: Stack, mechanics: Mechanics) -> Mechanics:
+    """Materials whose encapsulation is that of a solved stack."""
+    if stack.gel + 1 == len(stack.sheets):
+        return mechanics
+    return dataclasses.replace(mechanics, encapsulation=stack.sheets[-1].law)
 
 
 def _rectangle(design: SensorDesign) -> Rectangle:
@@ -210,17 +246,28 @@ def _file(name: str) -> Path | None:
 
 
 def _name(design: SensorDesign, stack: Stack, mechanics: Mechanics, indenter: Indenter) -> str:
-    """Name of a table's file: a hash of everything that the table depends on."""
-    outline, gel = _rectangle(design), stack.sheets[stack.gel].law.shear_modulus
-    laws = [sheet.law for sheet in stack.sheets]
+    """Name of the file of a table of corrections."""
+    outline = _rectangle(design)
+    size = {"outline": [outline.length, outline.width], "margin": mechanics.margin}
+    return f"corrections-{_hash(stack, mechanics, indenter, size)}.npz"
+
+
+def _pair_name(stack: Stack, mechanics: Mechanics, indenter: Indenter) -> str:
+    """Name of the file of a table of pairs."""
+    return f"pairs-{_hash(stack, mechanics, indenter, {})}.npz"
+
+
+def _hash(stack: Stack, mechanics: Mechanics, indenter: Indenter, size: dict[str, object]) -> str:
+    """Hash of everything that a table depends on."""
+    gel, laws = stack.sheets[stack.gel].law.shear_modulus, [sheet.law for sheet in stack.sheets]
+    laws += [] if stack.gel + 1 < len(laws) else [mechanics.encapsulation]
     described = {
         "version": _VERSION,
-        "outline": [outline.length, outline.width],
-        "margin": mechanics.margin,
+        **size,
         "heights": [sheet.thickness for sheet in stack.sheets],
         "laws": [
             [type(law).__name__, law.shear_modulus / gel, getattr(law, "alpha", 2.0)]
-            for law in (*laws, *([] if len(laws) > 1 else [mechanics.encapsulation]))
+            for law in laws
         ],
         "bulk_ratio": stack.bulk_ratio,
         "substrate": stack.substrate,
@@ -228,18 +275,18 @@ def _name(design: SensorDesign, stack: Stack, mechanics: Mechanics, indenter: In
     }
     text = json.dumps(described, default=float, sort_keys=True)
     rounded = json.dumps(json.loads(text, parse_float=lambda s: f"{float(s):.9g}"))
-    return f"corrections-{hashlib.sha256(rounded.encode()).hexdigest()[:32]}.npz"
+    return hashlib.sha256(rounded.encode()).hexdigest()[:32]
 
 
-def _arrays(table: CorrectionTable) -> Iterator[tuple[str, Array]]:
+def _arrays(table: CorrectionTable | PairTable) -> Iterator[tuple[str, Array]]:
     """Arrays of a file: fields as amplitudes and modes (proper orthogonal decomposition)."""
-    for field in dataclasses.fields(CorrectionTable):
+    for field in dataclasses.fields(table):
         array = getattr(table, field.name)
-        if field.name not in _FIELDS:
+        if array.ndim <= _OF_FIELD:
             yield field.name, array
             continue
         scales = np.sqrt(np.mean(array**2, axis=tuple(range(array.ndim - 1))))
-        flat = (array / scales).reshape(-1, np.prod(array.shape[-4:]))
+        flat = (array / scales).reshape(-1, np.prod(array.shape[-_OF_FIELD:]))
         left, singular, modes = np.linalg.svd(flat, full_matrices=False)
         rank = max(1, int(np.count_nonzero(singular > _KEPT * singular[0])))
         yield f"{field.name}_scales", scales
@@ -248,25 +295,31 @@ def _arrays(table: CorrectionTable) -> Iterator[tuple[str, Array]]:
         yield f"{field.name}_modes", modes[:rank].astype(np.float32)
 
 
-def _read(path: Path) -> CorrectionTable | None:
-    """Table in a file; None where the file is incomplete."""
+Table = TypeVar("Table", CorrectionTable, PairTable)
+
+
+def _read(kind: type[Table], name: str) -> Table | None:
+    """Table in a file; None where there is none or it is incomplete."""
+    path = _file(name)
+    if path is None:
+        return None
     try:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             values = {}
-            for field in dataclasses.fields(CorrectionTable):
-                if field.name not in _FIELDS:
+            for field in dataclasses.fields(kind):
+                if field.name in file:
                     values[field.name] = file[field.name]
                     continue
                 parts = [file[f"{field.name}_{part}"] for part in ("amplitudes", "modes")]
                 flat = parts[0].astype(np.float64) @ parts[1]
                 shape = tuple(int(n) for n in file[f"{field.name}_shape"])
                 values[field.name] = flat.reshape(shape) * file[f"{field.name}_scales"]
-            return CorrectionTable(**values)
+            return kind(**values)
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         return None
 
 
-def _write(table: CorrectionTable, path: Path) -> None:
+def _write(table: CorrectionTable | PairTable, path: Path) -> None:
     """Store a table if the disk can be written; otherwise it is solved again next time."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

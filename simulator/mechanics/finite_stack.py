@@ -104,6 +104,11 @@ class FiniteStack:
     def _stepped(self) -> Array:
         """Equilibrium by load stepping from the dents, which are one under forces of their own."""
         x = np.zeros(self._size)
+        if not self.solid.admissible(x):
+            raise SolidError(
+                "the dents of these presses turn the stack inside out where they overlap; press "
+                "farther apart, or less"
+            )
         own = self.solid.forces(x)
         reached, step = 0.0, 0.25
         while reached < 1.0:

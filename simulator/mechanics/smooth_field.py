@@ -1,7 +1,7 @@
 """Polynomial fields on a box: Chebyshev polynomials in the plane, Legendre over the height."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _AT_ONCE = 4_000  # columns that do not lie on a grid
+_PER_GRID = 4  # nodes of a grid per column, up to which the grid is evaluated
 
 
 class Box(NamedTuple):
@@ -112,20 +113,36 @@ class SmoothField:
         """Derivatives of these orders of some components, (k, h, n) each."""
         n, h = columns.shape[:2]
         if n and not (columns[..., 2] == columns[0, :, 2]).all():
-            single = self._evaluated(columns.reshape(-1, 1, 3), orders, part)
+            single = self._at_points(columns.reshape(-1, 3), orders, part)
             return [one.reshape(-1, n, h).swapaxes(1, 2) for one in single]
         x, where_x = np.unique(columns[:, 0, 0], return_inverse=True)
         y, where_y = np.unique(columns[:, 0, 1], return_inverse=True)
         bases = [self._basis(0, x), self._basis(1, y), self._basis(2, columns[0, :, 2] if n else x)]
+        on_grid = len(x) * len(y) <= _PER_GRID * n
         found = []
-        on_grid = len(x) * len(y) <= 4 * n
         for i, j, k in orders:
             c = np.einsum("abcm,hc->mhab", self.coefficients[..., part], bases[2][k], optimize=True)
             if on_grid:
                 grid = bases[0][i] @ c @ bases[1][j].T
                 found.append(grid[..., where_x, where_y])
             else:
-                found.append(_scattered(c, bases[0][i][where_x], bases[1][j][where_y]))
+                flat = c.reshape(-1, c.shape[2] * c.shape[3])
+                across = _products(bases[0][i][where_x], bases[1][j][where_y])
+                found.append(_joined([flat @ each.T for each in across], (*c.shape[:2], -1)))
+        return found
+
+    def _at_points(
+        self, points: Array, orders: tuple[tuple[int, int, int], ...], part: slice
+    ) -> list[Array]:
+        """Derivatives of these orders of some components at points (n, 3), (k, n) each."""
+        bases = [self._basis(axis, points[:, axis]) for axis in range(3)]
+        c = self.coefficients[..., part]
+        flat, count = c.reshape(c.shape[0] * c.shape[1], -1), c.shape[-1]
+        found = []
+        for i, j, k in orders:
+            upright = [each @ flat for each in _products(bases[0][i], bases[1][j])]
+            values = np.concatenate(upright).reshape(len(points), -1, count)
+            found.append(np.einsum("nck,nc->kn", values, bases[2][k]))
         return found
 
     def _along(self, axis: int, s: Array) -> Array:
@@ -171,12 +188,12 @@ def _differentiation(axis: int, count: int) -> Array:
     return found
 
 
-def _scattered(coefficients: Array, x: Array, y: Array) -> Array:
-    """Sum over coefficients (m, h, a, b) of products x (n, a) y (n, b), (m, h, n)."""
-    flat = coefficients.reshape(-1, x.shape[1] * y.shape[1])
-    parts = [
-        flat
-        @ (x[i : i + _AT_ONCE, :, None] * y[i : i + _AT_ONCE, None]).reshape(-1, flat.shape[1]).T
-        for i in range(0, max(len(x), 1), _AT_ONCE)
-    ]
-    return np.concatenate(parts, axis=1).reshape(*coefficients.shape[:2], -1)
+def _products(x: Array, y: Array) -> Iterator[Array]:
+    """Products (.., a b) of polynomials x (n, a) and y (n, b), in chunks of points."""
+    for start in range(0, max(len(x), 1), _AT_ONCE):
+        part = slice(start, start + _AT_ONCE)
+        yield (x[part, :, None] * y[part, None]).reshape(len(x[part]), -1)
+
+
+def _joined(parts: list[Array], shape: tuple[int, ...]) -> Array:
+    return np.concatenate(parts, axis=1).reshape(shape)

@@ -1,0 +1,105 @@
+"""Smooth fields: polynomials exactly, their derivatives, mirror images, stretched axes."""
+
+import numpy as np
+import pytest
+
+from eitskin.simulator.mechanics.pair_table import TurnedField
+from eitskin.simulator.mechanics.smooth_field import Box, SmoothField
+
+BOX = Box((-0.01, 0.0, 0.001), (0.05, 0.03, 0.004))
+
+
+def polynomial(points):
+    """Polynomials of degrees 3, 2 and 1 in x, y and z, four components, (..., 4)."""
+    x, y, z = np.moveaxis(1e2 * points, -1, 0)
+    return np.stack([x**3 * y**2 * z - 2.0 * y, 1.0 + x * z, x * y, z - x], axis=-1)
+
+
+def columns(count, heights, box=BOX, seed=0):
+    rng = np.random.default_rng(seed)
+    places = rng.uniform(box.low[:2], box.high[:2], (count, 2))
+    found = np.empty((count, len(heights), 3))
+    found[..., :2], found[..., 2] = places[:, None], heights
+    return found
+
+
+def grid(box=BOX):
+    x, y = np.meshgrid(*(np.linspace(box.low[k], box.high[k], 7) for k in (0, 1)))
+    found = np.empty((x.size, 2, 3))
+    found[..., 0], found[..., 1], found[..., 2] = (
+        x.ravel()[:, None],
+        y.ravel()[:, None],
+        (2e-3, 3e-3),
+    )
+    return found
+
+
+@pytest.mark.parametrize("at", [columns(20, (0.001, 0.002, 0.004)), grid()], ids=["any", "grid"])
+def test_polynomials_are_met_everywhere(at) -> None:
+    field = SmoothField.of(polynomial, BOX, (4, 3, 2))
+    assert field.values(at) == pytest.approx(np.moveaxis(polynomial(at), -1, 0).swapaxes(1, 2))
+    single = at.reshape(-1, 1, 3)[np.random.default_rng(1).permutation(at.shape[0] * at.shape[1])]
+    assert field.values(single)[:, 0] == pytest.approx(polynomial(single[:, 0]).T)
+
+
+def test_derivatives_are_those_of_the_values() -> None:
+    field = SmoothField.of(polynomial, BOX, (7, 4, 3), stretch=1.5)
+    at = columns(9, (0.0015, 0.003), Box((0.0, 0.01, 0.0), (0.04, 0.02, 0.0)))
+    moved = field.moved(at)
+    assert moved[:3] == pytest.approx(field.values(at)[:3])
+    for axis in range(3):
+        step = 1e-6 * np.eye(3)[axis]
+        slope = (field.values(at + step) - field.values(at - step))[:3] / 2e-6
+        assert moved[3:].reshape(3, 3, *slope.shape[1:])[:, axis] == pytest.approx(slope, rel=1e-5)
+
+
+@pytest.mark.parametrize("stretch", [0.0, 2.0])
+def test_smooth_functions_converge_geometrically(stretch) -> None:
+    def wave(points):
+        return np.exp(np.sin(60.0 * points[..., :1] + 40.0 * points[..., 1:2]))
+
+    at, errors = columns(200, (0.002, 0.003)), []
+    exact = np.moveaxis(wave(at), -1, 0).swapaxes(1, 2)
+    for degree in (5, 10, 15):
+        field = SmoothField.of(wave, BOX, (degree, degree, 2), stretch)
+        errors.append(np.abs(field.values(at) - exact).max())
+    assert errors[1] < 0.1 * errors[0]
+    assert errors[2] < 0.1 * errors[1]
+
+
+def test_a_field_ends_with_its_length() -> None:
+    field = SmoothField.of(polynomial, BOX, (4, 3, 2))
+    at = np.array([[[-0.02, 0.01, 0.002]], [[0.06, 0.01, 0.002]]])
+    assert np.all(field.values(at) == 0.0)
+    assert np.all(field.moved(at) == 0.0)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_mirror_images_have_mirrored_values(axis) -> None:
+    field = SmoothField.of(polynomial, BOX, (4, 3, 2), stretch=1.0)
+    at = columns(12, (0.002, 0.003))
+    mirrored = at.copy()
+    mirrored[..., axis] = 2.0 * 0.07 - at[..., axis]
+    signs = np.ones(4)
+    signs[axis] = -1.0
+    image = field.mirrored(axis, 0.07)
+    assert image.values(mirrored) == pytest.approx(signs[:, None, None] * field.values(at))
+
+
+def test_a_turned_field_turns_displacements_and_slopes() -> None:
+    field = SmoothField.of(polynomial, Box((-0.03, -0.03, 0.0), (0.03, 0.03, 0.004)), (4, 3, 2))
+    turned = TurnedField(field, 0.05, 0.02, 0.6, 0.8)
+    at = columns(10, (0.001, 0.003), Box((0.04, 0.01, 0.0), (0.06, 0.03, 0.0)))
+    moved = turned.moved(at)
+    assert moved[:3] == pytest.approx(turned.values(at)[:3])
+    for axis in range(3):
+        step = 1e-6 * np.eye(3)[axis]
+        slope = (turned.values(at + step) - turned.values(at - step))[:3] / 2e-6
+        found = moved[3:].reshape(3, 3, *slope.shape[1:])[:, axis]
+        assert found == pytest.approx(slope, rel=1e-5, abs=1e-7)
+    # A vector along the frame's x axis points along (0.6, 0.8).
+    along = SmoothField.of(
+        lambda p: np.ones((*p.shape[:-1], 1)) * [1.0, 0, 0, 2.0], field.box, (2, 2, 2)
+    )
+    values = TurnedField(along, 0.05, 0.02, 0.6, 0.8).values(at)
+    assert values[:, 0, 0] == pytest.approx([0.6, 0.8, 0.0, 2.0])
