@@ -22,7 +22,9 @@ from eitskin.simulator.mechanics.load_stepping import SolidError
 Array = NDArray[np.float64]
 
 _TOLERANCE = 1e-5  # of the largest change of a displacement over the largest displacement
-_MOST_ITERATIONS = 14
+_MOST_ITERATIONS = 20
+# A tangent is kept while increments are smaller than this part of the displacement and shrink.
+_KEPT_BELOW, _CONTRACTION = 0.12, 0.2
 _SCALE = 1e2  # of the unknowns of the mean stress [kPa]
 
 
@@ -132,22 +134,28 @@ class MixedSolid:
             for patch in held:
                 for number in self._prescribed(patch):
                     free[int(number)] = False
-            residual = state.vec.CreateVector()
+            residual, inverse, last = state.vec.CreateVector(), None, math.inf
             for iteration in range(_MOST_ITERATIONS):
-                self._form.AssembleLinearization(state.vec)
+                if inverse is None:
+                    self._form.AssembleLinearization(state.vec)
+                    inverse = self._form.mat.Inverse(free, inverse="sparsecholesky")
                 self._form.Apply(state.vec, residual)
-                inverse = self._form.mat.Inverse(free, inverse="sparsecholesky")
                 increment, moved = self._increment(inverse, residual, lifts, held, self._jump(held))
                 state.vec.data += increment
                 self.steps += moved
-                change = float(np.abs(increment.FV().NumPy()[: self._displacements]).max())
-                size = float(np.abs(state.vec.FV().NumPy()[: self._displacements]).max())
+                change, size = (
+                    float(np.abs(vector.FV().NumPy()[: self._displacements]).max())
+                    for vector in (increment, state.vec)
+                )
                 if report:
                     print(f"    {iteration}: change {change:.2e} of {size:.2e} mm", flush=True)
                 if not math.isfinite(change) or change > 1e3:
                     break
                 if change < _TOLERANCE * max(size, 1e-3):
                     return iteration + 1
+                if change > min(_KEPT_BELOW * size, _CONTRACTION * last):
+                    inverse = None
+                last = change
             raise SolidError("Newton's method found no equilibrium of the reference", 0.0)
         except SolidError:
             state.vec.data, self.steps = before, steps

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from eitskin.benchmarks.studies.reference.case import Case
-from eitskin.benchmarks.studies.reference.cases import cases
 
 ngsolve = pytest.importorskip("ngsolve", reason="needs the extra `reference` (NGSolve)")
 
@@ -85,11 +84,6 @@ def test_a_patch_has_the_area_of_its_ellipse_and_a_symmetric_polygon():
     assert areas.min() > 0.0
     assert areas.sum() == pytest.approx(320.0)
     assert areas[inside].sum() == pytest.approx(math.pi * 4.0 * 2.5, rel=1e-9)
-
-
-def test_names_of_cases_are_unique():
-    names = [case.name for case in cases()]
-    assert len(set(names)) == len(names)
 
 
 @pytest.mark.slow

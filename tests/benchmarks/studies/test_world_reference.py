@@ -1,0 +1,41 @@
+"""The published reference solutions are whole, and of the cases that the command solves."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from eitskin.benchmarks.studies.reference.cases import cases
+from eitskin.benchmarks.studies.reference.run import described
+
+PUBLISHED = Path(__file__).resolve().parents[3] / "benchmarks/published/world_reference.json"
+FOUND = json.loads(PUBLISHED.read_text())
+
+
+def test_names_of_cases_are_unique():
+    names = [case.name for case in cases()]
+    assert len(set(names)) == len(names)
+
+
+@pytest.mark.parametrize("solution", FOUND["solutions"], ids=lambda one: one["name"])
+def test_published_solutions_are_of_cases_of_the_command(solution):
+    known = {case.name: described(case) for case in cases()}
+    assert {key: solution[key] for key in known[solution["name"]]} == known[solution["name"]]
+    if solution["changes"] is None:
+        assert solution["refused"]
+        return
+    assert len(solution["changes"]) == 28
+    assert np.all(np.isfinite(solution["changes"]))
+    assert len(solution["depth"]) == len(solution["touches"])
+
+
+def test_a_press_in_the_middle_has_the_sensors_symmetry():
+    solutions = {one["name"]: one for one in FOUND["solutions"]}
+    changes = np.array(solutions["75_30"]["changes"])
+    assert changes[[0, 7, 22, 25]] == pytest.approx(changes[0], rel=1e-6)
+
+
+def test_provenance_names_the_solver():
+    assert FOUND["command"].startswith("python -m eitskin.benchmarks.studies.reference.run")
+    assert "ngsolve" in FOUND["provenance"]["packages"]
