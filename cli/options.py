@@ -34,7 +34,7 @@ MechanicsFile = Annotated[
     Path | None, typer.Option(help="Materials file; gel in Ecoflex when omitted.")
 ]
 FixtureFile = Annotated[
-    Path | None, typer.Option(help="Fixture file: the hinge or arc that bends the sensor.")
+    Path | None, typer.Option(help="Fixture file: the clamp, hinge or arc that bends the sensor.")
 ]
 PressModel = Annotated[
     str, typer.Option(help="Corrections of touches: tabulated or solved; chosen when omitted.")

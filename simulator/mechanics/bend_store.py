@@ -257,7 +257,8 @@ def _case(
 
     x, y, z = clamped_lines(*body(nominal), made)
     before, after = 0.5 * nominal["span"], 0.5 * value["span"]
-    x = np.interp(x, [0.0, before, x[-1]], [0.0, after, x[-1]])
+    ends = [float(slab.half_sizes[0]), float(x[-1])]
+    x = np.interp(x, [0.0, before, *ends], [0.0, after, *ends])
     z = z * (value["thickness"] / nominal["thickness"])
     lines = tuple(tuple(line.tolist()) for line in (x, y, z))
     return _Case(*body(value), made, lines)

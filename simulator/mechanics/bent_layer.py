@@ -13,7 +13,7 @@ from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.kinematics import Gradients, Points
 
 Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
+Indices = NDArray[np.int32]
 
 _DEGREE = 3  # of the splines along x and y; F is twice less differentiable than they are
 _FUNCTIONS = _DEGREE + 1
@@ -142,13 +142,14 @@ class BentLayer:
 
     def _indices(self, i: Indices, j: Indices) -> Indices:
         """Numbers (n, 16) of the products of splines that do not vanish at n points."""
-        offsets = self._shape[1] * np.arange(_FUNCTIONS)[:, None] + np.arange(_FUNCTIONS)
+        each = np.arange(_FUNCTIONS, dtype=np.int32)  # as the sparse product takes them
+        offsets = self._shape[1] * each[:, None] + each
         return np.asarray((self._shape[1] * i + j)[:, None] + offsets.ravel())
 
     def _summed(self, indices: Indices, a: Array, b: Array) -> Array:
         """Sums over the products of splines a and b, (n, powers, 3)."""
         weights = (a[:, :, None] * b[:, None, :]).ravel()
-        ends = np.arange(0, indices.size + 1, _FUNCTIONS**2)
+        ends = np.arange(0, indices.size + 1, _FUNCTIONS**2, dtype=np.int32)
         matrix = csr_array(
             (weights, indices.ravel(), ends), shape=(len(a), len(self._coefficients))
         )
@@ -181,21 +182,21 @@ class _Axis:
         self.fit: Array = np.einsum("ij,sjk->sik", fit.c, halves)
         knots = fit.t
         self._breaks = knots[_DEGREE:-_DEGREE]
-        self._pieces = np.zeros((len(self._breaks) - 1, _FUNCTIONS, _FUNCTIONS))
-        for number in range(len(self._pieces)):
+        self._pieces = np.zeros((_FUNCTIONS, len(self._breaks) - 1, _FUNCTIONS))
+        for number in range(len(self._breaks) - 1):
             for function in range(_FUNCTIONS):
                 one = np.zeros(fit.c.shape[0])
                 one[number + function] = 1.0
                 # PPoly has the highest power first.
                 pieces = PPoly.from_spline(BSpline(knots, one, _DEGREE)).c
-                self._pieces[number, function] = pieces[::-1, _DEGREE + number]
+                self._pieces[:, number, function] = pieces[::-1, _DEGREE + number]
 
     def functions(self, x: Array) -> tuple[Indices, Array, Array]:
         """Number of the first spline at points (n,), values and slopes of the four, (n, 4)."""
-        piece = np.searchsorted(self._breaks, x, side="right") - 1
-        piece = np.clip(piece, 0, len(self._pieces) - 1)
+        found = np.searchsorted(self._breaks, x, side="right") - 1
+        piece: Indices = np.clip(found, 0, len(self._breaks) - 2).astype(np.int32)
         t = (x - self._breaks[piece])[:, None]
-        c0, c1, c2, c3 = np.moveaxis(self._pieces, 2, 0)[:, piece]
+        c0, c1, c2, c3 = (power.take(piece, axis=0) for power in self._pieces)
         return piece, ((c3 * t + c2) * t + c1) * t + c0, (3.0 * c3 * t + 2.0 * c2) * t + c1
 
 

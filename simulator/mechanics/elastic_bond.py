@@ -49,13 +49,17 @@ class ElasticBond:
         return 0.5 * float(gap @ (self.stiffness @ gap))
 
     def forces(self, x: Array) -> Array:
+        """Spring forces (n,) on the unknowns x (n,), at U = 0."""
         return np.asarray(self.stiffness @ x)
 
     def linearise(self, x: Array) -> tuple[Array, csc_array]:
+        """Spring forces (n,) at the unknowns x (n,), and the stiffness (n, n)."""
         return self.forces(x), self.stiffness
 
     def admissible(self, x: Array) -> bool:  # noqa: ARG002
+        """Whether the unknowns x are possible: always."""
         return True
 
     def advanced(self, x: Array) -> Self:  # noqa: ARG002
+        """The bond itself, since springs have no history."""
         return self

@@ -2,9 +2,9 @@
 
 Run by `python -m eitskin.benchmarks.studies.physics.bends`.
 
-Prints, as Markdown, for the reference sensor on the default hinge, what the 3D model of the clamped
-stack gives and how far the bend signals of kinematic models are from it, relative to the norm of
-the signal.
+Prints, as Markdown, for the reference sensor in the default clamp, the solution of the 3D model of
+the clamped stack and how far the bend signals of kinematic models are from it, relative to the norm
+of the signal.
 """
 
 import itertools
