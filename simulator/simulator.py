@@ -16,6 +16,13 @@ from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.support import Support
 from eitskin.geometry.design.surface import Surface
 from eitskin.protocol import Protocol
+from eitskin.simulator.bodies.body_bends import bent_by
+from eitskin.simulator.bodies.body_touches import (
+    pressed_body_touches,
+    pressed_by,
+    require_pressable,
+)
+from eitskin.simulator.bodies.tetrahedral_field import TetrahedralField
 from eitskin.simulator.electrical.forward_model import AreaRatio, ForwardModel
 from eitskin.simulator.electrical.model_family import ModelFamily
 from eitskin.simulator.electrical.reanalysis import Reanalysis, Tolerance, is_possible
@@ -102,8 +109,8 @@ class Simulator:
         """Deformation by the scene, touches first, then roll, bend and twist; None where flat."""
         self.check_scene(scene)
         parts: list[Deformation] = []
-        if scene.touches:
-            parts.append(self._dents(scene))
+        if scene.touches and (dented := self._dents(scene)) is not None:
+            parts.append(dented)
         if scene.roll is not None:
             parts.append(scene.roll.deformation(self.design))
         if scene.bend.angle_deg:
@@ -116,33 +123,31 @@ class Simulator:
         """Deformation by the bend; cached, since scenes of one bend follow each other."""
         wanted = (bend, design.support)
         if self._bent is None or self._bent[0] != wanted:
-            bent = bend_store.bend(design, self.fixture, self.mechanics, bend)
+            of_shape = bent_by if self._is_body else bend_store.bend
+            bent = of_shape(design, self.fixture, self.mechanics, bend)
             self._bent = (wanted, bent)
         return self._bent[1]
 
     def presses(self, scene: Scene) -> tuple[PressedTouch, ...]:
         """Depth, contact radius and pressure of each touch, with error estimates."""
         self.check_scene(scene)
-        return pressed_touches(
-            scene.touches, self.supported(scene), self.mechanics, self.touch_model
-        )
+        supported = self.supported(scene)
+        if self._is_body:
+            return pressed_body_touches(scene.touches, supported, self.mechanics)
+        return pressed_touches(scene.touches, supported, self.mechanics, self.touch_model)
 
     def check_scene(self, scene: Scene) -> None:
         """Raise ConfigurationError for a scene that the sensor or its support does not allow.
 
-        Refused are touches off the layer or where the support leaves the bottom face free, bends
-        that the support does not allow, and everything but the flat state of a surface.
+        Refused are touches off the layer or where the support leaves the bottom face free, and
+        bends that the support does not allow.
         Forces and angles that are too large are refused later, in the solution.
         """
         outline = self.design.outline
         if isinstance(outline, Surface):
-            if not scene.touches and not scene.bends:
-                self.supported(scene)
-                return
-            raise ConfigurationError(
-                "bending and touches need a rectangle, disc or polygon as outline, not a surface; "
-                "give the rim of a flat sensor as outline = { points = [...] }"
-            )
+            self.supported(scene)
+            require_pressable(outline, scene.touches)
+            return
         for touch in scene.touches:
             if not outline.contains(np.array([touch.x, touch.y])):
                 raise ConfigurationError(
@@ -248,7 +253,16 @@ class Simulator:
     def _model_of(self, scene: Scene) -> ForwardModel:
         return self._models.suited(touch.indenter for touch in scene.touches)
 
-    def _dents(self, scene: Scene) -> Dents:
+    @property
+    def _is_body(self) -> bool:
+        """Whether the sensor is a body from a surface file, deformed on tetrahedra of its own."""
+        return isinstance(self.design.outline, Surface)
+
+    def _dents(self, scene: Scene) -> Dents | TetrahedralField | None:
+        """Deformation by the touches; None where the dents of a body have faded."""
+        if self._is_body:
+            pressed = pressed_by(scene.touches, self.design, self.mechanics)
+            return None if pressed is None else pressed.field
         return dents(scene.touches, self.supported(scene), self.mechanics, self.touch_model)
 
     def conductivity(self, scene: Scene) -> Field | None:
@@ -302,7 +316,8 @@ class Simulator:
         """Deformed layer: pulled-back conductivity and electrode area ratio of the scene."""
         deformation = self.deformation(scene)
         needed = self.mechanics.piezoresistivity.pressure and scene.touches
-        stress = self._dents(scene).mean_stress if needed else None
+        dented = self._dents(scene) if needed else None
+        stress = dented.mean_stress if dented is not None else None
         return DeformedLayer(self.design, deformation, self.mechanics.piezoresistivity, stress)
 
     def _measured(self, impedance: NDArray[np.inexact]) -> NDArray[np.complex128]:

@@ -126,7 +126,7 @@ class Hinge:
         return _within_limits(self, self._flexure, design, bend)
 
     def _flexure(self, design: SensorDesign, theta: float) -> Flexure:
-        centre, half = _centre(design), 0.5 * theta
+        centre, half = design.centre, 0.5 * theta
         length = self.bent_length
         clamp = 0.5 * length
         unstretched = Flexure(centre, length, theta, 1.0, self.transition)
@@ -184,7 +184,7 @@ class FreeArc:
         c = theta / (self.length - self.transition)
         stretch = (1.0 + (c * design.encapsulated_thickness) ** 2) ** 0.25
         return Flexure(
-            _centre(design), self.length, theta, stretch, self.transition, self.contraction
+            design.centre, self.length, theta, stretch, self.transition, self.contraction
         )
 
 
@@ -202,11 +202,6 @@ def _check_profile(name: str, span: float, transition: float, contraction: float
         raise ConfigurationError(
             f"{name} contraction must be from 0 (plate) to 1 (beam), got {contraction}"
         )
-
-
-def _centre(design: SensorDesign) -> tuple[float, float, float]:
-    outline = design.outline
-    return (0.5 * outline.length, 0.5 * outline.width, 0.5 * design.thickness)
 
 
 def _within_limits(

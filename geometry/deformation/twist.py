@@ -27,9 +27,7 @@ class Twist:
 
     def deformation(self, design: SensorDesign) -> "Twisted":
         """Deformation of a twisted design, its middle at rest."""
-        outline = design.outline
-        centre = (0.5 * outline.length, 0.5 * outline.width, 0.5 * design.thickness)
-        return Twisted(centre, math.radians(self.angle_deg) / outline.length)
+        return Twisted(design.centre, math.radians(self.angle_deg) / design.outline.length)
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,10 +84,10 @@ class Roll:
     def deformation(self, design: SensorDesign) -> "Rolled":
         """Deformation of a rolled design: Rivlin's flexure (1949) of the whole width."""
         outline, theta = design.outline, math.radians(self.angle_deg)
-        centre = (0.5 * outline.width, 0.5 * outline.length, 0.5 * design.thickness)
+        x, y, z = design.centre
         c = theta / outline.width
         stretch = (1.0 + (c * design.encapsulated_thickness) ** 2) ** 0.25
-        return Rolled(Flexure(centre, outline.width, theta, stretch))
+        return Rolled(Flexure((y, x, z), outline.width, theta, stretch))
 
 
 @dataclass(frozen=True, slots=True)

@@ -103,6 +103,14 @@ class SensorDesign:
         """
         return to_toml(self) if path is None else write_toml(self, path)
 
+    @property
+    def centre(self) -> tuple[float, float, float]:
+        """Middle of the body's bounding box [m]."""
+        if isinstance(self.outline, Surface):
+            x, y, z = self.outline.bounds.mean(axis=0).tolist()
+            return (x, y, z)
+        return (0.5 * self.outline.length, 0.5 * self.outline.width, 0.5 * self.thickness)
+
     def patches(self) -> tuple[Patch, ...]:
         """Contact area of each electrode, on the boundary of the body or inside it."""
         contacts = placed(self.electrodes, self.outline, self.thickness)

@@ -50,12 +50,22 @@ def tetrahedral_mesh(design: SensorDesign, grading: Grading) -> Mesh:
             mesh of the body was found.
         ImportError: where pytetwild is missing.
     """
+    points, cells = tetrahedral_body(design, grading, design.edges(_SPACING * grading.finest))
+    return Mesh(points, cells, electrode_contacts(points, cells, design.patches()), None)
+
+
+def tetrahedral_body(design: SensorDesign, grading: Grading, edges: Array) -> tuple[Array, Numbers]:
+    """Points (n, 3) [m] and corners (m, 4) of tetrahedra that fill the body.
+
+    As `tetrahedral_mesh`, but without electrodes, and fine at points `edges` (k, 3) [m], which
+    lie at distances of about twice the finest size.
+    """
     tetwild = require("pytetwild", "mesh")
     surface = TriangleSurface.of(*_surface(design.outline, design.thickness))
     diagonal = float(np.linalg.norm(np.ptp(surface.points, axis=0)))
     envelope = min(0.25 * grading.finest, _WIDEST_ENVELOPE * diagonal)
-    _require_feasible(design, grading, envelope / diagonal)
-    places, tetrahedra, sizes = _sizing(design, grading, surface.points)
+    _require_feasible(design, grading, envelope / diagonal, len(edges))
+    places, tetrahedra, sizes = _sizing(edges, grading, surface.points)
     # fTetWild leaves a file in the working directory.
     with TemporaryDirectory() as scratch, contextlib.chdir(scratch):
         points, cells = tetwild.tetrahedralize(
@@ -73,8 +83,7 @@ def tetrahedral_mesh(design: SensorDesign, grading: Grading) -> Mesh:
     points = snapped(points, cells, surface, _REACH * envelope)
     if isinstance(design.outline, Disc):
         points = _on_circle(design.outline, points, cells)
-    points, cells = numbered_along_x(points, cells)
-    return Mesh(points, cells, electrode_contacts(points, cells, design.patches()), None)
+    return numbered_along_x(points, cells)
 
 
 def _surface(outline: Outline, thickness: float) -> tuple[Array, Numbers]:
@@ -93,9 +102,8 @@ def _surface(outline: Outline, thickness: float) -> tuple[Array, Numbers]:
     return np.concatenate([bottom, top]), np.concatenate([lower[:, ::-1], lower + count, *walls])
 
 
-def _sizing(design: SensorDesign, grading: Grading, points: Array) -> tuple[Array, Numbers, Array]:
+def _sizing(edges: Array, grading: Grading, points: Array) -> tuple[Array, Numbers, Array]:
     """Sizing field on tetrahedra around the body: points, corners, and edge lengths there [m]."""
-    edges = design.edges(_SPACING * grading.finest)
     low, high = points.min(axis=0), points.max(axis=0)
     margin = 0.1 * float((high - low).max())
     step = max(2.0 * grading.coarsest, margin / 3.0)
@@ -127,15 +135,15 @@ def _on_circle(disc: Disc, points: Array, cells: Numbers) -> Array:
     return moved
 
 
-def _require_feasible(design: SensorDesign, grading: Grading, envelope: float) -> None:
+def _require_feasible(design: SensorDesign, grading: Grading, envelope: float, edges: int) -> None:
     """Raise ConfigurationError where fTetWild would take far too long.
 
     With edges of length s there are about 8.5 tetrahedra in s^3; around a straight electrode edge
-    of length l on a wall there are 8.5 pi l / (2 growth^2 finest) more.
+    of length l on a wall, given by points, there are 8.5 pi l / (2 growth^2 finest) more.
     """
-    outline, spacing = design.outline, _SPACING * grading.finest
+    outline = design.outline
     volume = outline.length * outline.width * design.thickness
-    length = len(design.edges(spacing)) * spacing
+    length = edges * _SPACING * grading.finest
     around = 0.5 * np.pi * length / (grading.growth**2 * grading.finest)
     cells = 8.5 * (volume / grading.coarsest**3 + around)
     if cells > _MOST_CELLS or envelope < _SLIMMEST_ENVELOPE:

@@ -90,7 +90,10 @@ class Elimination:
     """
 
     def __init__(self, matrix: csc_array, blocks: Sequence[Block]) -> None:
-        """Factorise `matrix` (n, n) in the order of `blocks`."""
+        """Factorise `matrix` (n, n) in the order of `blocks`.
+
+        Raises RuntimeError for a singular matrix.
+        """
         order = np.concatenate([block.own for block in blocks])
         matrix = csc_array(matrix[order][:, order])
         local = np.empty(len(order), dtype=np.int64)
@@ -171,10 +174,12 @@ def _ldl(matrix: Array) -> tuple[Array, tuple[Array, Array], Indices, int]:
     single[first] = single[first + 1] = False
     negative = int(np.count_nonzero(diagonal[single] < 0.0))
     negative += int(np.sum(np.where(determinant < 0.0, 1, np.where(a < 0.0, 2, 0))))
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):
         inverse = 1.0 / diagonal
     inverse[first], inverse[first + 1] = c / determinant, a / determinant
     beside[first] = -b / determinant
+    if not (np.all(np.isfinite(inverse)) and np.all(np.isfinite(beside))):
+        raise RuntimeError("the matrix is singular")
     return lower[order], (inverse, beside), order.astype(np.int64), negative
 
 

@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.kinematics import Gradients, Points
-from eitskin.simulator.mechanics.penalty_contact import PenaltyContact
 from eitskin.simulator.mechanics.press_window import PressWindow
 from eitskin.simulator.mechanics.quadratic_field import QuadraticField
 
@@ -79,13 +78,3 @@ class DentedStack:
             solved &= (x[..., axis] >= window.low) & (x[..., axis] <= window.high)
             x[..., axis], sides[..., axis] = window.local(x[..., axis])
         return x, sides, solved
-
-
-def contact_area_and_peak(contact: PenaltyContact, x: Array) -> tuple[float, float]:
-    """Deformed area in contact [m2] and largest pressure on the deformed face [Pa]."""
-    u = x[contact.numbers[:, :-1]].reshape(len(contact.numbers), -1, 3)
-    F = np.eye(3) + np.einsum("fai,fqaJ->fqiJ", u, contact.slopes)
-    area_ratio = np.linalg.norm(np.cross(F[..., 0], F[..., 1]), axis=-1)
-    q = contact.nominal_pressure(x)
-    area = np.sum((q > 0.0) * contact.weights * area_ratio)
-    return float(area), float((q / area_ratio).max())

@@ -147,14 +147,14 @@ def newton(
 
 
 def _solved_step(
-    terms: Sequence[ForceTerm], x: Array, load: Load
+    terms: Sequence[ForceTerm], x: Array, load: Load, factorise: Factorise
 ) -> tuple[Array, tuple[ForceTerm, ...]]:
     """Equilibrium near x, and the terms advanced to it."""
-    x = newton(terms, x, load)
+    x = newton(terms, x, load, factorise)
     advanced = tuple(term.advanced(x) for term in terms)
     before, after = (sum(term.forces(x) for term in each) for each in (terms, advanced))
     if np.linalg.norm(after - before) > _TOLERANCE * np.linalg.norm(before):
-        x = newton(advanced, x, load)
+        x = newton(advanced, x, load, factorise)
     return x, advanced
 
 
@@ -202,6 +202,7 @@ def follow(
     x: Array,
     path: Callable[[float], Load],
     first_step: float = 1.0,
+    factorise: Factorise = SparseLU,
 ) -> tuple[Array, tuple[ForceTerm, ...]]:
     """Load stepping: equilibrium under path(1) from x under path(0), with adaptive steps.
 
@@ -218,7 +219,7 @@ def follow(
         if not all(term.admissible(guess) for term in terms):
             guess = x
         try:
-            reached, advanced = _solved_step(terms, guess, path(target))
+            reached, advanced = _solved_step(terms, guess, path(target), factorise)
         except SolidError as error:
             step, growth = 0.5 * (target - t), 1.0
             if step < _SMALLEST_STEP:

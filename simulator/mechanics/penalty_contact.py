@@ -1,4 +1,4 @@
-"""Penalty contact of a solid's upper face with a rigid indenter from above."""
+"""Penalty contact of a solid's upper side with a rigid indenter from above."""
 
 from dataclasses import dataclass, replace
 
@@ -7,11 +7,14 @@ import skfem
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csc_array
 
+from eitskin.simulator.mechanics.materials import cofactor
 from eitskin.simulator.mechanics.mixed_solid import Solid
 from eitskin.simulator.scene.indenters import Indenter, penetration
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
+
+_SAME = 1e-9  # [m]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,10 +31,12 @@ class PenaltyContact:
         indenter: shape of the rigid body.
         stiffness: k [Pa/m].
         centre: horizontal position of the axis, (dim - 1,) [m].
+        lowest: height of the indenter's lowest point at the depth 0 [m].
         points: quadrature points of the undeformed face, (facets, q, dim) [m].
         values: displacement shape functions at these points, (facets, q, functions).
         slopes: gradients of the shape functions, (facets, q, functions, dim) [1/m].
         weights: undeformed areas, (facets, q) [m2].
+        normals: unit normals of the undeformed face, (facets, q, dim).
         numbers: unknowns of each facet, those of the solid and d, (facets, functions * dim + 1).
         depth: number of the unknown d.
         anchors: positions at which points are held, from the lowest point, (facets, q, dim) [m].
@@ -43,10 +48,12 @@ class PenaltyContact:
     indenter: Indenter
     stiffness: float
     centre: Array
+    lowest: float
     points: Array
     values: Array
     slopes: Array
     weights: Array
+    normals: Array
     numbers: Indices
     depth: int
     anchors: Array
@@ -61,12 +68,16 @@ class PenaltyContact:
         stiffness: float,
         centre: Array,
         number: int = 0,
+        lowest: float | None = None,
     ) -> "PenaltyContact":
-        """Contact `number` on a level face of boundary facets of the solid's mesh, at rest.
+        """Contact `number` on a face of boundary facets of the solid's mesh, at rest.
 
-        A rough flat end holds the points under it from the start.
+        The indenter's lowest point starts at the height `lowest` [m], the face's greatest height
+        when omitted. A rough flat end holds the points that it touches there from the start.
         """
-        basis = skfem.FacetBasis(solid.mesh, solid.basis.elem, facets=facets, intorder=3)
+        # The rule of order 3 on triangles has a negative weight, which would pull at the face.
+        order = 4 if isinstance(solid.mesh, skfem.MeshTet1) else 3
+        basis = skfem.FacetBasis(solid.mesh, solid.basis.elem, facets=facets, intorder=order)
         points = np.moveaxis(np.asarray(basis.global_coordinates()), 0, -1)
         shape = points.shape[:2]
         values = [np.broadcast_to(np.asarray(f), shape) for (f,) in basis.basis]
@@ -76,18 +87,23 @@ class PenaltyContact:
         depth = solid.unknowns + number
         ring = 2.0 * np.pi * points[..., 0] if solid.kinematics == "axisymmetric" else 1.0
         r = np.linalg.norm(points[..., :-1] - centre, axis=-1)
-        flat = (indenter.profile(r)[0] <= 0.0).astype(np.float64) * indenter.rough
+        above = points[..., -1].max() if lowest is None else lowest
+        rise = points[..., -1:] - above
+        rise[np.abs(rise) < _SAME] = 0.0
+        flat = (indenter.profile(r)[0] <= rise[..., 0]).astype(np.float64) * indenter.rough
         horizontal = np.diag([*[1.0] * (solid.dim - 1), 0.0])
-        undeformed = np.concatenate([points[..., :-1] - centre, 0.0 * r[..., None]], axis=-1)
+        undeformed = np.concatenate([points[..., :-1] - centre, rise], axis=-1)
         return cls(
             solid=solid,
             indenter=indenter,
             stiffness=stiffness,
             centre=centre,
+            lowest=float(above),
             points=points,
             values=np.stack(values, axis=-1),
             slopes=np.stack(slopes, axis=2),
             weights=np.asarray(basis.dx) * ring,
+            normals=np.moveaxis(np.broadcast_to(basis.normals, (solid.dim, *shape)), 0, -1),
             numbers=np.hstack([spread, np.full((len(dofs), 1), depth)]),
             depth=depth,
             anchors=undeformed,
@@ -110,6 +126,16 @@ class PenaltyContact:
     def force(self, x: Array) -> float:
         """Total vertical force [N]."""
         return float(self.forces(x)[self.depth])
+
+    def depth_touching(self, radius: float, least: int) -> float:
+        """Depth at which the undeformed face is in contact up to a radius [m], at `least` points.
+
+        Parts of the face that slope away from the indenter may not be in contact there.
+        """
+        r = np.linalg.norm(self.points[..., :-1] - self.centre, axis=-1)
+        gaps = self.lowest + self.indenter.profile(r)[0] - self.points[..., -1]
+        count = min(max(least, int(0.5 * np.count_nonzero(r < radius))), gaps.size)
+        return float(np.sort(gaps, axis=None)[count - 1])
 
     def energy(self, x: Array) -> float:
         """Penalty energy of the contact [J]."""
@@ -151,6 +177,15 @@ class PenaltyContact:
         area_ratio = r / self.points[..., 0] * np.linalg.norm(along, axis=-1)
         order = np.argsort(r, axis=None)
         return r.ravel()[order], (self.nominal_pressure(x) / area_ratio).ravel()[order]
+
+    def area_and_peak(self, x: Array) -> tuple[float, float]:
+        """Deformed area in contact [m2] and largest pressure on the deformed face [Pa], in 3D."""
+        F = np.eye(3) + np.einsum("fai,fqaJ->fqiJ", self._of_facets(x), self.slopes)
+        stretch = np.einsum("...ij,...j->...i", cofactor(F), self.normals)
+        area_ratio = np.linalg.norm(stretch, axis=-1)
+        q = self.nominal_pressure(x)
+        area = np.sum((q > 0.0) * self.weights * area_ratio)
+        return float(area), float((q / area_ratio).max())
 
     def forces(self, x: Array) -> Array:
         """Forces on the unknowns (n,) [N]."""
@@ -202,7 +237,7 @@ class PenaltyContact:
         """Deformed positions relative to the indenter's lowest point, (facets, q, dim) [m]."""
         moved: Array = self.points + self.values @ self._of_facets(x)
         moved[..., :-1] -= self.centre
-        moved[..., -1] += x[self.depth] - self.points[..., -1]
+        moved[..., -1] += x[self.depth] - self.lowest
         return moved
 
     def _penetration(self, x: Array) -> tuple[Array, Array, Array]:

@@ -13,7 +13,7 @@ from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.meshing.grading import Grading, graded_lines
 from eitskin.simulator.linalg.nested_dissection import Block, by_blocks, dissected
-from eitskin.simulator.mechanics.dented_stack import DentedStack, contact_area_and_peak
+from eitskin.simulator.mechanics.dented_stack import DentedStack
 from eitskin.simulator.mechanics.initial_guess import UnboundedPress
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.mechanics.load_stepping import ForceTerm, Load, SolidError, newton
@@ -270,7 +270,7 @@ class PressedStack:
         which = np.linalg.norm(places[:, None] - kept, axis=-1).argmin(axis=1)
         faces = [np.insert(places, 2, z, axis=1) for z in (0.0, self._gel[2])]
         lower, upper = (field(face)[:, 2] for face in faces)
-        areas, peaks = np.array([contact_area_and_peak(contact, x) for contact in contacts]).T
+        areas, peaks = np.array([contact.area_and_peak(x) for contact in contacts]).T
         forces = np.array([contact.force(x) for contact in contacts]) / self._shares
         copies = math.prod(2 for window in self.windows if window.mirrored)
         upward = self._fixed[(self._fixed % 3 == 2) & (self._fixed < solid.nodes.size)]

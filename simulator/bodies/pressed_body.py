@@ -1,0 +1,295 @@
+"""Presses on a body of any shape on a rigid base."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.errors import ConfigurationError
+from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.geometry.meshing.grading import Grading
+from eitskin.simulator.bodies.tetrahedral_field import TetrahedralField
+from eitskin.simulator.bodies.tetrahedral_solid import (
+    TetrahedralSolid,
+    body_grading,
+    meshed,
+    surface_of,
+)
+from eitskin.simulator.bodies.upper_side import heights, require_above
+from eitskin.simulator.mechanics.layer_stack import Mechanics
+from eitskin.simulator.mechanics.load_stepping import ForceTerm, Load, SolidError, newton
+from eitskin.simulator.mechanics.penalty_contact import PenaltyContact
+from eitskin.simulator.scene.touch import Touch
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+
+MOST_TOUCHES = 4
+_PER_RADIUS = 4.0  # cells along the radius of an indenter, under the indenter
+# Pressure over entry into the indenter, relative to shear modulus over radius of contact. More
+# would lock the cells that the rim cuts.
+_CONTACT_STIFFNESS = 500.0
+_FIRST_RADIUS, _FIRST_POINTS = 0.4, 12  # of the contact at the start, in radii of the indenter
+_SHALLOW = 0.02  # depth of the first presses, over the radius of the indenter
+_FIRST_STEP, _SMALLEST_STEP = 0.15, 0.005
+_NEAR = 2.0  # radii of an indenter within which the body may touch it
+_UPWARD = 0.05  # least upward part of the normals of faces that an indenter may touch
+# Boundary within these parts of the body's height from its lowest point rests on the base: where
+# the body has a level face there, and where not.
+_LEVEL, _SOCKET = 1e-3, 0.05
+_FLAT = 0.01  # of its bounding box, that a level face fills at least
+_HIDDEN = 0.02  # of the body's height, by which touched faces may lie below the highest one
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PressedBody:
+    """Equilibrium of a pressed body.
+
+    Attributes:
+        field: displacement and mean stress of the body, a Deformation.
+        forces: on each indenter [N].
+        depths: of the indenters below the positions where they first touch the body [m].
+        contact_areas: on the deformed face [m2].
+        peak_pressures: on the deformed face, at the quadrature points [Pa].
+        thinnings: 1 - height over undeformed height of the body on each axis.
+        energy: strain energy and penalty energy of the contacts [J].
+        base_force: vertical force of the base on the body [N].
+        volume_ratio: deformed over undeformed volume.
+    """
+
+    field: TetrahedralField
+    forces: Array
+    depths: Array
+    contact_areas: Array
+    peak_pressures: Array
+    thinnings: Array
+    energy: float
+    base_force: float
+    volume_ratio: float
+
+
+class BodyPress:
+    """Body on a rigid base, meshed for one to four indenters that press from above.
+
+    The base holds the boundary nearest to the lowest point: the level face there, or, where the
+    body has none, all within a twentieth of its height, as a socket would. The rest of the boundary
+    is free; contact of the body with itself or with the base is not solved.
+
+    Attributes:
+        body: the meshed body.
+        touches: the indenters, by their positions; their loads are given to `equilibrium`.
+    """
+
+    def __init__(
+        self,
+        design: SensorDesign,
+        touches: Sequence[Touch],
+        mechanics: Mechanics | None = None,
+        grading: Grading | None = None,
+    ) -> None:
+        """Mesh the body.
+
+        Args:
+            design: the sensor, with a surface as outline.
+            touches: one to four.
+            mechanics: materials; only the gel's law and bulk ratio are used.
+            grading: finest under the indenters, `layers` is not used; a quarter of the smallest
+                radius when omitted.
+
+        Raises:
+            ConfigurationError: for a plane outline, touches beside the body, or a body that needs
+                too many cells.
+        """
+        if not 1 <= len(touches) <= MOST_TOUCHES:
+            raise ConfigurationError(
+                f"a body is pressed by one to {MOST_TOUCHES} touches, got {len(touches)}"
+            )
+        surface, self._mechanics = surface_of(design), mechanics or Mechanics()
+        self._points, self._faces = surface.triangles()
+        self._bounds = surface.bounds
+        self.touches = tuple(touches)
+        for touch in self.touches:
+            require_above(surface, touch)
+        self._lowest = [self._first_contact(touch) for touch in self.touches]
+        smallest = min(t.indenter.rims[1] for t in self.touches)
+        grading = grading or body_grading(design, smallest / _PER_RADIUS)
+        near = np.concatenate([self._under(t, grading.finest) for t in self.touches])
+        self.body = TetrahedralSolid(meshed(design, grading, near), self._mechanics)
+        base = self._base()
+        self._fixed: Indices = np.sort((3 * base[:, None] + np.arange(3)).ravel())
+        self._contacts = [self._contact(number) for number in range(len(self.touches))]
+
+    def equilibrium(
+        self, forces: Sequence[float | None], depths: Sequence[float | None]
+    ) -> PressedBody:
+        """Equilibrium under a force [N] or at a depth [m] of each indenter, by load stepping.
+
+        Loads rise together from shallow presses, which are solved by their depths: without contact
+        nothing holds an indenter under a force.
+
+        Raises SolidError, with the fraction of the load that was carried, where no stable
+        equilibrium is found.
+        """
+        unknowns = self.body.solid.unknowns
+        shallow = np.array(
+            [
+                min(self._shallow(k), 0.5 * (np.inf if depth is None else depth))
+                for k, depth in enumerate(depths)
+            ]
+        )
+        x = np.zeros(unknowns + len(self.touches))
+        x[unknowns:] = shallow
+        every = np.ones(len(self.touches), dtype=bool)
+        start = Load(self._all_fixed(every), self._fixed_values(shallow), np.zeros_like(x))
+        terms: list[ForceTerm] = [self.body.solid, *self._contacts]
+        x = newton(terms, x, start, self.body.elimination(start.fixed, len(self.touches)))
+        contacts = [contact.advanced(x) for contact in self._contacts]
+        carried = np.array([contact.force(x) for contact in contacts])
+        held = np.array([depth is not None for depth in depths])
+        final = np.where(held, 0.0, [force or 0.0 for force in forces])
+        deep = np.where(held, [depth or 0.0 for depth in depths], 0.0)
+
+        def load(t: float) -> Load:
+            dead = np.zeros_like(x)
+            dead[unknowns:] = np.where(held, 0.0, carried + t * (final - carried))
+            given = (shallow + t * (deep - shallow))[held]
+            return Load(self._all_fixed(held), self._fixed_values(given), dead)
+
+        return self._result(*self._load_stepped(x, contacts, load))
+
+    def _shallow(self, number: int) -> float:
+        """Depth of a shallow press, with some points in contact [m]."""
+        radius = self.touches[number].indenter.rims[1]
+        touching = self._contacts[number].depth_touching(_FIRST_RADIUS * radius, _FIRST_POINTS)
+        return touching + _SHALLOW * radius
+
+    def _load_stepped(
+        self, x: Array, contacts: list[PenaltyContact], load: Callable[[float], Load]
+    ) -> tuple[Array, list[PenaltyContact]]:
+        """Load stepping from load(0), at x, to load(1), with adaptive steps.
+
+        Returns the unknowns and the contacts that they balance.
+        """
+        eliminate = self.body.elimination(load(0.0).fixed, len(self.touches))
+        reached, step, before, balanced = 0.0, _FIRST_STEP, (0.0, x), contacts
+        while reached < 1.0:
+            target = min(1.0, reached + step)
+            slope = (x - before[1]) / (reached - before[0]) if reached else 0.0 * x
+            guess = x + (target - reached) * slope
+            start = guess if self.body.solid.admissible(guess) else x
+            try:
+                terms: list[ForceTerm] = [self.body.solid, *contacts]
+                moved = newton(terms, start, load(target), eliminate)
+            except SolidError as error:
+                step = 0.5 * (target - reached)
+                if step < _SMALLEST_STEP:
+                    raise SolidError(
+                        f"the body carries {reached:.0%} of these presses only; beyond, {error}. "
+                        "Press it less, or with a larger indenter",
+                        reached=reached,
+                    ) from None
+                continue
+            before, x, reached, step = (reached, x), moved, target, 2.0 * step
+            balanced, contacts = contacts, [contact.advanced(x) for contact in contacts]
+        return x, balanced
+
+    def _all_fixed(self, held: Flags) -> Indices:
+        """Numbers of the unknowns at the base, then of the depths that are held."""
+        depths = self.body.solid.unknowns + np.flatnonzero(held)
+        return np.concatenate([self._fixed, depths])
+
+    def _fixed_values(self, depths: Array) -> Array:
+        return np.concatenate([np.zeros(len(self._fixed)), depths])
+
+    def _first_contact(self, touch: Touch) -> float:
+        """Height of the indenter's lowest point at first contact [m]."""
+        axis = np.array([touch.x, touch.y])
+        net = axis + touch.indenter.rims[1] * _net()
+        z = heights(self._points[self._faces], net)
+        rise = touch.indenter.profile(np.linalg.norm(net - axis, axis=1))[0]
+        return float(np.nanmax(z - rise))
+
+    def _under(self, touch: Touch, finest: float) -> Array:
+        """Points on the body under the indenter, two finest sizes apart, (k, 3) [m]."""
+        radius = touch.indenter.rims[1]
+        steps = np.arange(-radius, radius + finest, 2.0 * finest)
+        x, y = (each.ravel() for each in np.meshgrid(steps, steps))
+        inside = np.hypot(x, y) <= radius
+        turn = np.linspace(0.0, 2.0 * np.pi, 1 + math.ceil(np.pi * radius / finest))
+        rim = radius * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+        plane = np.concatenate([np.stack([x, y], axis=1)[inside], rim])
+        plane += np.array([touch.x, touch.y])
+        z = heights(self._points[self._faces], plane)
+        return np.column_stack([plane, z])[~np.isnan(z)]
+
+    def _base(self) -> Indices:
+        """Nodes that rest on the base."""
+        body, low = self.body, self._bounds[0, 2]
+        extent = self._bounds[1] - self._bounds[0]
+        above = self._points[self._faces, 2].max(axis=1) - low
+        level = self._points[self._faces[above < _LEVEL * extent[2]]]
+        a, b = level[:, 1] - level[:, 0], level[:, 2] - level[:, 0]
+        area = 0.5 * float(np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum())
+        flat = area > _FLAT * float(extent[0] * extent[1])
+        limit = low + (_LEVEL if flat else _SOCKET) * extent[2]
+        nodes = body.nodes_of(np.ones(len(body.facets), dtype=bool))
+        held: Indices = nodes[body.solid.nodes[nodes, 2] <= limit]
+        return held
+
+    def _contact(self, number: int) -> PenaltyContact:
+        """Penalty contact of one indenter at rest with the faces that it may touch."""
+        body, touch = self.body, self.touches[number]
+        centre, radius = np.array([touch.x, touch.y]), touch.indenter.rims[1]
+        chosen = body.normals[:, 2] > _UPWARD
+        chosen &= np.linalg.norm(body.middles[:, :2] - centre, axis=1) < _NEAR * radius
+        top = np.full(len(chosen), np.inf)
+        top[chosen] = heights(self._points[self._faces], body.middles[chosen, :2])
+        slack = _HIDDEN * float(self._bounds[1, 2] - self._bounds[0, 2])
+        chosen &= ~(body.middles[:, 2] < top - slack)  # true where no height was found
+        stiffness = _CONTACT_STIFFNESS * self._mechanics.gel.shear_modulus / radius
+        return PenaltyContact.of_face(
+            body.solid,
+            body.facets[chosen],
+            touch.indenter,
+            stiffness,
+            centre,
+            number,
+            self._lowest[number],
+        )
+
+    def _result(self, x: Array, contacts: Sequence[PenaltyContact]) -> PressedBody:
+        solid, count = self.body.solid, len(self.touches)
+        field = self.body.field(x)
+        thinnings = np.array([self._thinning(field, touch) for touch in self.touches])
+        areas, peaks = np.array([contact.area_and_peak(x) for contact in contacts]).T
+        J = solid.volume_ratio(x) * solid.weights
+        upward = self._fixed[self._fixed % 3 == 2]
+        return PressedBody(
+            field=field,
+            forces=np.array([contact.force(x) for contact in contacts]),
+            depths=x[solid.unknowns : solid.unknowns + count].copy(),
+            contact_areas=areas,
+            peak_pressures=peaks,
+            thinnings=thinnings,
+            energy=solid.energy(x) + sum(contact.energy(x) for contact in contacts),
+            base_force=float(solid.forces(x)[upward].sum()),
+            volume_ratio=float(J.sum() / solid.weights.sum()),
+        )
+
+    def _thinning(self, field: TetrahedralField, touch: Touch) -> float:
+        """1 - deformed over undeformed height between the lowest and highest face on the axis."""
+        axis = np.array([[touch.x, touch.y]])
+        (top,) = heights(self._points[self._faces], axis)
+        (bottom,) = -heights(self._points[self._faces] * [1.0, 1.0, -1.0], axis)
+        ends = field.positions(np.array([[*axis[0], bottom], [*axis[0], top]]))
+        return float(1.0 - (ends[1, 2] - ends[0, 2]) / (top - bottom))
+
+
+def _net() -> Array:
+    """Points (k, 2) of the unit disc, on rings."""
+    radii, turn = np.linspace(0.0, 1.0, 21), np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
+    r, angle = (each.ravel() for each in np.meshgrid(radii, turn))
+    return np.stack([r * np.cos(angle), r * np.sin(angle)], axis=1)

@@ -1,0 +1,221 @@
+"""Bodies from surface files, bent and pressed on tetrahedra: balances, boxes, and refusals."""
+
+import numpy as np
+import pytest
+import skfem
+
+from eitskin.errors import ConfigurationError
+from eitskin.geometry import Bend, Electrode, Rectangle, SensorDesign, Surface
+from eitskin.geometry.deformation.fixtures import Clamp, FreeArc, Hinge
+from eitskin.geometry.deformation.twist import Roll, Twist
+from eitskin.geometry.meshing.grading import Grading
+from eitskin.simulator import Mechanics, Scene, Simulator
+from eitskin.simulator.bodies.clamped_body import ClampedBody
+from eitskin.simulator.bodies.pressed_body import BodyPress
+from eitskin.simulator.bodies.tetrahedral_field import EDGES, TetrahedralField
+from eitskin.simulator.bodies.tetrahedral_solid import TetrahedralSolid
+from eitskin.simulator.bodies.upper_side import heights
+from eitskin.simulator.mechanics.bend_3d import ClampedStack
+from eitskin.simulator.mechanics.load_stepping import Load, newton
+from eitskin.simulator.mechanics.materials import NeoHookean
+from eitskin.simulator.scene.indenters import Cylinder, Sphere
+from eitskin.simulator.scene.touch import Touch
+
+trimesh = pytest.importorskip("trimesh")
+pytest.importorskip("pytetwild")
+
+SIZE = np.array([0.040, 0.020, 0.010])
+RUBBER = NeoHookean(20e3)
+BARE = Mechanics(RUBBER, RUBBER, margin=0.0)
+COARSE = Grading(finest=6e-3, coarsest=8e-3, growth=1.0)
+
+
+def box(folder, shift=(0.0, 0.0, 0.0)):
+    """A box from a file, and the same as a rectangle without encapsulation."""
+    solid = trimesh.creation.box(SIZE)
+    solid.apply_translation(0.5 * SIZE + shift)
+    solid.export(folder / "box.stl")
+    places = [(0.010, 0.0), (0.030, 0.0), (0.010, 0.020), (0.030, 0.020)]
+    body = SensorDesign(
+        Surface(folder / "box.stl"),
+        SIZE[2],
+        tuple(
+            Electrode(x + shift[0], y + shift[1], on="surface", z=0.005 + shift[2], width=0.004)
+            for x, y in places
+        ),
+        encapsulated_thickness=SIZE[2],
+    )
+    side = tuple(Electrode(x, y, z=0.005, width=0.004, height=0.004) for x, y in places)
+    flat = SensorDesign(Rectangle(*SIZE[:2]), SIZE[2], side, encapsulated_thickness=SIZE[2])
+    return body, flat
+
+
+@pytest.fixture(scope="module")
+def design(tmp_path_factory):
+    return box(tmp_path_factory.mktemp("box"))[0]
+
+
+@pytest.fixture(scope="module")
+def flat(tmp_path_factory):
+    return box(tmp_path_factory.mktemp("flat"))[1]
+
+
+def inside(n, low=(0.0, 0.0, 0.0), high=SIZE):
+    return np.random.default_rng(4).uniform(low, high, (n, 3))
+
+
+# Tetrahedra
+
+
+def test_a_quadratic_displacement_is_met_and_goes_on_outside() -> None:
+    mesh = skfem.MeshTet.init_tensor(*[np.array([0.0, 0.4, 1.0])] * 3)
+    corners = mesh.p.T[mesh.t.T]
+    middles = np.stack([0.5 * (corners[:, a] + corners[:, b]) for a, b in EDGES], axis=1)
+
+    def moved(X):
+        x, y, z = np.moveaxis(X, -1, 0)
+        return np.stack([x * y, z**2 - x, 0.1 + y * z], axis=-1)
+
+    values = moved(np.concatenate([corners, middles], axis=1))
+    stress = mesh.p.T @ [1.0, 2.0, 3.0]
+    field = TetrahedralField(mesh.p.T, mesh.t.T.astype(np.int64), values, stress)
+    X = inside(300, -0.1, 1.1).reshape(100, 3, 3)
+    x, F = field.mapped(X)
+    assert x == pytest.approx(X + moved(X), abs=1e-12)
+    a, b, c = np.moveaxis(X, -1, 0)
+    zero = np.zeros_like(a)
+    rows = [[1 + b, a, zero], [zero - 1, zero + 1, 2 * c], [zero, c, 1 + b]]
+    expected = np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    assert pytest.approx(expected, abs=1e-12) == F
+    assert field.mean_stress(X) == pytest.approx(X @ [1.0, 2.0, 3.0], abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("F", "bulk_ratio"),
+    [(np.diag([1.0, 1.0, 0.8]), 10.0), (np.array([[1.0, 0, 0.5], [0, 1, 0], [0, 0, 1]]), 1e4)],
+    ids=["compression", "shear"],
+)
+def test_a_block_of_tetrahedra_deforms_uniformly(F, bulk_ratio) -> None:
+    mesh = skfem.MeshTet.init_tensor(*[np.linspace(0.0, 0.01, 3)] * 3)
+    body = TetrahedralSolid(mesh, Mechanics(RUBBER, RUBBER, bulk_ratio=bulk_ratio))
+    rim = body.nodes_of(np.ones(len(body.facets), dtype=bool))
+    assert np.linalg.norm(body.normals.sum(axis=0)) < 1e-9
+    fixed = np.sort((3 * rim[:, None] + np.arange(3)).ravel())
+    solid = body.solid
+    u = solid.nodes @ (F - np.eye(3)).T
+    load = Load(fixed, u.ravel()[fixed], np.zeros(solid.unknowns))
+    x = newton([solid], np.zeros(solid.unknowns), load, body.elimination(fixed))
+    assert body.field(x).gradient(inside(50, 0.0, 0.01)) == pytest.approx(
+        np.broadcast_to(F, (50, 3, 3)), abs=1e-9
+    )
+
+
+def test_heights_are_those_of_the_highest_triangle(design) -> None:
+    points, faces = design.outline.triangles()
+    places = np.array([[0.020, 0.010], [0.0, 0.0], [0.041, 0.010]])
+    found = heights(points[faces], places)
+    assert found[:2] == pytest.approx(0.010, abs=1e-9)
+    assert np.isnan(found[2])
+
+
+# Bends
+
+
+@pytest.fixture(scope="module")
+def bent(design):
+    clamped = ClampedBody(design, 0.020, 0.004, BARE, COARSE)
+    return list(clamped.equilibria([10.0, 20.0]))
+
+
+@pytest.mark.slow
+def test_plates_balance_and_their_work_is_stored(bent) -> None:
+    for found in bent:
+        assert found.forces.sum(axis=0) == pytest.approx(0.0, abs=1e-6)
+        assert found.moments[0] == pytest.approx(found.moments[1], rel=1e-5)
+        assert found.volume_ratio == pytest.approx(1.0, abs=1e-4)
+    # By Simpson's rule: the moment at no angle is none.
+    work = (4.0 * bent[0].moments.mean() + bent[1].moments.mean()) * np.radians(20.0) / 6.0
+    assert bent[1].energy == pytest.approx(work, rel=0.01)
+
+
+@pytest.mark.slow
+def test_a_box_bends_as_the_clamped_stack_does(bent, flat) -> None:
+    grading = Grading(finest=1.5e-3, coarsest=4e-3, growth=0.5)
+    (stack,) = ClampedStack(flat, Clamp(0.020, 0.004), BARE, grading).equilibria([20.0])
+    X = inside(2000)
+    moved = stack.positions(X) - X
+    difference = bent[1].field.positions(X) - stack.positions(X)
+    assert np.sqrt(np.mean(difference**2) / np.mean(moved**2)) < 0.05
+    assert bent[1].energy == pytest.approx(stack.energy, rel=0.12)
+
+
+# Presses
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("indenter", "depth", "thinning"),
+    [(Sphere(0.006), 1.957e-3, 0.201), (Cylinder(0.005, edge=0.2), 0.837e-3, 0.086)],
+)
+def test_a_box_is_pressed_as_a_stack_of_hexahedra_is(design, indenter, depth, thinning) -> None:
+    """Depth and thinning by quadratic hexahedra of 2 to 5 mm, rough indenters, 1 N."""
+    touch = Touch(0.020, 0.010, force=1.0, indenter=indenter)
+    found = BodyPress(design, [touch], BARE, COARSE).equilibrium([1.0], [None])
+    assert found.forces == pytest.approx([1.0], rel=1e-6)
+    assert found.base_force == pytest.approx(1.0, rel=1e-6)
+    assert found.volume_ratio == pytest.approx(1.0, abs=1e-4)
+    assert found.depths == pytest.approx([depth], rel=0.12)
+    assert found.thinnings == pytest.approx([thinning], rel=0.15)
+
+
+# Scenes
+
+
+def test_kinematic_bends_are_about_the_middle_of_the_body(tmp_path) -> None:
+    shift = np.array([0.3, -0.2, 0.1])
+    for shape in ("there", "here"):
+        (tmp_path / shape).mkdir()
+    there, here = box(tmp_path / "there", shift)[0], box(tmp_path / "here")[0]
+    X = inside(20)
+    for make in (
+        Twist(20.0).deformation,
+        Roll(30.0).deformation,
+        lambda design: FreeArc(0.030).flexure(design, Bend(20.0)),
+        lambda design: Hinge(0.020).flexure(design, Bend(20.0)),
+    ):
+        moved = make(there).positions(X + shift) - shift
+        assert moved == pytest.approx(make(here).positions(X), abs=1e-12)
+
+
+@pytest.fixture(scope="module")
+def sim(design):
+    return Simulator(design, ((2,), COARSE), fixture=FreeArc(0.030))
+
+
+@pytest.mark.slow
+def test_a_body_is_bent_pressed_and_both(sim, tmp_path, monkeypatch) -> None:
+    monkeypatch.setenv("EITSKIN_CACHE", str(tmp_path))
+    touch = Touch(0.020, 0.010, force=0.5, indenter=Sphere(0.010))
+    pressed, bend = Scene(touches=(touch,)), Scene(bend=Bend(10.0))
+    flat = sim.measure(Scene()).impedance
+    changes = [
+        np.abs(sim.measure(scene).impedance / flat - 1.0).max()
+        for scene in (pressed, bend, Scene(bend=Bend(10.0), touches=(touch,)))
+    ]
+    assert min(changes) > 1e-3
+    assert len(list(tmp_path.glob("body-*.npz"))) == 1
+    (found,) = sim.presses(pressed)
+    assert found.force == 0.5
+    assert found.mean_pressure * found.contact_area == pytest.approx(0.5)
+    assert 0.0 < found.thinning < 0.3
+
+
+def test_scenes_that_a_body_cannot_have_are_refused(sim, design) -> None:
+    beside = Touch(0.050, 0.010, force=1.0, indenter=Sphere(0.002))
+    with pytest.raises(ConfigurationError, match="above the body"):
+        sim.measure(Scene(touches=(beside,)))
+    five = tuple(Touch(0.004 + 0.008 * k, 0.01, 1.0, Sphere(0.002)) for k in range(5))
+    with pytest.raises(ConfigurationError, match="at most 4 touches"):
+        sim.measure(Scene(touches=five))
+    with pytest.raises(ConfigurationError, match="span"):
+        ClampedBody(design, 0.040, 0.0)
