@@ -19,7 +19,13 @@ from eitskin.files import atomic_file
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.support import Rigid, Substrate
-from eitskin.simulator.mechanics.correction_table import CorrectionTable, Report, solve_corrections
+from eitskin.simulator.mechanics.correction_table import (
+    CorrectionTable,
+    Report,
+    StripTable,
+    solve_corrections,
+    solve_strip,
+)
 from eitskin.simulator.mechanics.layer_stack import Mechanics, Stack
 from eitskin.simulator.mechanics.pair_table import PairTable, solve_pairs
 from eitskin.simulator.mechanics.press_store import (
@@ -41,8 +47,10 @@ _VERSION = 1
 _SHORTEST = 8.0  # length over the thickness of the stack, so that the ends do not feel each other
 # Steps of thickness and of the modulus ratio between solved stacks, as for the tables of presses.
 _THICKER, _STIFFER = 1.1, math.sqrt(2.0)
+# Steps up to which neighbours of the reference serve; differences that count as none.
+_FAR, _AT_NODE = 1.3, 1e-9
 _BEYOND = 0.02  # of the deepest solved press, by which another may be deeper
-_KEPT = 1e-4  # singular values, relative to the largest, that a stored table keeps
+_KEPT = 3e-4  # singular values, relative to the largest, that a stored table keeps
 _OF_FIELD = 4  # dimensions of the coefficients of one field
 
 
@@ -73,45 +81,52 @@ def missing(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -> s
 
 def _names(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -> list[str]:
     """Names of all files that a design needs."""
-    stacks = [stack for stack, _ in _needed(design, mechanics)]
-    found = [_name(design, stack, mechanics, indenter) for stack in stacks]
-    return [*found, _pair_name(_nearest(design, mechanics), mechanics, indenter)]
+    base, others = _needed(design, mechanics)
+    return [
+        _name(design, base, mechanics, indenter),
+        *(_strip_name(design, stack, mechanics, indenter) for stack, _ in others),
+        _pair_name(base, mechanics, indenter),
+    ]
 
 
 @dataclasses.dataclass(frozen=True, slots=True, eq=False)
 class Corrections:
-    """Corrections of presses on one sensor: a weighted sum of tables of neighbouring stacks.
+    """Corrections of presses on one sensor: those of a solved stack, and how others differ.
 
     Attributes:
         height: of the gel [m].
-        tables: with their weights.
+        base: table of the solved stack.
+        strips: tables of neighbouring stacks, with their weights, which add up to 0.
     """
 
     height: float
-    tables: tuple[tuple[CorrectionTable, float], ...]
+    base: CorrectionTable
+    strips: tuple[tuple[StripTable, float], ...]
 
     def at(self, x: float, y: float, depth: float) -> tuple[tuple[SmoothField, ...], float]:
         """Fields of the correction of a press at (x, y) to a depth [m], and how much it sinks [m].
 
         Raises ConfigurationError for a press that overhangs the stack or is deeper than the tables.
         """
-        fields, sunk = [], 0.0
         self.check_depth(depth)
-        for table, weight in self.tables:
+        if not self.base.covers(x, y):
+            raise ConfigurationError(
+                f"a touch must keep {1e3 * self.base.along[0]:.1f} mm from the edge of the gel, so "
+                f"that its contact stays on the stack, got ({x:g}, {y:g}) m; press farther in"
+            )
+        higher = self.height / float(self.base.height)
+        ends, sunk = self.base.near_ends(x, y, depth / higher)
+        fields, sunk = [end.raised(higher) for end in ends], sunk * higher
+        for table, weight in ((self.base, 1.0), *self.strips):
             higher = self.height / float(table.height)
-            if not table.covers(x, y):
-                raise ConfigurationError(
-                    f"a touch must keep {1e3 * table.along[0]:.1f} mm from the edge of the gel, so "
-                    f"that its contact stays on the stack, got ({x:g}, {y:g}) m; press farther in"
-                )
-            found, more = table.at(x, y, depth / higher)
-            fields += [field.scaled(weight).raised(higher) for field in found]
+            field, more = table.at(x, y, depth / higher)
+            fields.append(field.scaled(weight).raised(higher))
             sunk += weight * higher * more
         return tuple(fields), sunk
 
     def check_depth(self, depth: float) -> None:
         """Raise ConfigurationError for a depth [m] beyond the tables."""
-        deepest = min(self.height / float(t.height) * float(t.depths[-1]) for t, _ in self.tables)
+        deepest = self.height / float(self.base.height) * float(self.base.depths[-1])
         if depth > deepest * (1.0 + _BEYOND):
             raise ConfigurationError(
                 f"touches are tabulated to a depth of {1e3 * deepest:.2f} mm, got "
@@ -124,31 +139,36 @@ def corrections(
     design: SensorDesign, mechanics: Mechanics, indenter: Indenter, report: Report | None = None
 ) -> Corrections:
     """Corrections on a design that is `tabulable`; those not stored take minutes to solve."""
+    base, others = _needed(design, mechanics)
     return Corrections(
         design.thickness,
-        tuple(
-            (_stored(design, stack, mechanics, indenter, report), weight)
-            for stack, weight in _needed(design, mechanics)
-        ),
+        _stored(design, base, mechanics, indenter, report),
+        tuple((_strip(design, stack, mechanics, indenter), weight) for stack, weight in others),
     )
 
 
-def _needed(design: SensorDesign, mechanics: Mechanics) -> list[tuple[Stack, float]]:
-    """Solved stacks, and their weights in the corrections of a design's stack.
+def _needed(design: SensorDesign, mechanics: Mechanics) -> tuple[Stack, list[tuple[Stack, float]]]:
+    """Solved stack next to a design's, and neighbours with their weights.
 
-    Thickness and modulus ratio are varied one at a time, quadratically, about the nearest solved
-    stack (cut-HDMR, Rabitz and Alis 1999).
+    Thickness and moduli are varied one at a time, quadratically, about the solved stack (cut-HDMR,
+    Rabitz and Alis 1999): the correction is that of the solved stack plus weighted differences of
+    neighbours to it, for which presses on a strip and a coarse mesh suffice.
     """
     stack = mechanics.stack(design)
     exact = _positions(stack, design, mechanics)
-    nearest = tuple(round(position) for position in exact)
-    weights: dict[Stack, float] = {_solved(stack, design, mechanics, nearest): 1.0 - len(exact)}
+    nearest = tuple(0 if abs(t) < _FAR else round(t) for t in exact)
+    base = _solved(stack, design, mechanics, nearest)
+    weights: dict[Stack, float] = {}
     for axis, position in enumerate(exact):
-        for step, weight in _quadratic(position - nearest[axis]):
+        t = position - nearest[axis]
+        if abs(t) < _AT_NODE:
+            continue
+        for step, weight in ((-1, 0.5 * t * (t - 1.0)), (1, 0.5 * t * (t + 1.0))):
             steps = tuple(n + step * (k == axis) for k, n in enumerate(nearest))
-            one = _solved(stack, design, mechanics, steps)
-            weights[one] = weights.get(one, 0.0) + weight
-    return [(one, weight) for one, weight in weights.items() if abs(weight) > 1e-12]
+            weights[_solved(stack, design, mechanics, steps)] = weight
+    if weights:
+        weights[base] = -sum(weights.values())
+    return base, list(weights.items())
 
 
 def _positions(stack: Stack, design: SensorDesign, mechanics: Mechanics) -> tuple[float, ...]:
@@ -179,13 +199,6 @@ def _solved(
     return stack
 
 
-def _quadratic(t: float) -> list[tuple[int, float]]:
-    """Lagrange weights at t of values at -1, 0 and 1; a single weight at 0."""
-    if abs(t) < 1e-9:
-        return [(0, 1.0)]
-    return [(-1, 0.5 * t * (t - 1.0)), (0, 1.0 - t * t), (1, 0.5 * t * (t + 1.0))]
-
-
 def _stored(
     design: SensorDesign,
     stack: Stack,
@@ -212,7 +225,7 @@ def _stored(
 @lru_cache(maxsize=64)
 def pair_table(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -> PairTable:
     """Pairs of presses on the solved stack nearest to a design's; minutes where not stored."""
-    stack = _nearest(design, mechanics)
+    stack, _ = _needed(design, mechanics)
     name = _pair_name(stack, mechanics, indenter)
     found = _read(PairTable, name)
     if found is None:
@@ -221,8 +234,16 @@ def pair_table(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -
     return found
 
 
-def _nearest(design: SensorDesign, mechanics: Mechanics) -> Stack:
-    return max(_needed(design, mechanics), key=lambda needed: needed[1])[0]
+def _strip(
+    design: SensorDesign, stack: Stack, mechanics: Mechanics, indenter: Indenter
+) -> StripTable:
+    name = _strip_name(design, stack, mechanics, indenter)
+    found = _read(StripTable, name)
+    if found is None:
+        around, workers = _around(stack, mechanics), os.cpu_count() or 1
+        found = solve_strip(_rectangle(design), stack, around, design.support, indenter, workers)
+        _write(found, folder() / name)
+    return found
 
 
 def _around(stack: Stack, mechanics: Mechanics) -> Mechanics:
@@ -248,8 +269,19 @@ def _file(name: str) -> Path | None:
 def _name(design: SensorDesign, stack: Stack, mechanics: Mechanics, indenter: Indenter) -> str:
     """Name of the file of a table of corrections."""
     outline = _rectangle(design)
-    size = {"outline": [outline.length, outline.width], "margin": mechanics.margin}
+    size: dict[str, object] = {
+        "outline": [outline.length, outline.width],
+        "margin": mechanics.margin,
+    }
     return f"corrections-{_hash(stack, mechanics, indenter, size)}.npz"
+
+
+def _strip_name(
+    design: SensorDesign, stack: Stack, mechanics: Mechanics, indenter: Indenter
+) -> str:
+    """Name of the file of a table of presses on a strip."""
+    size: dict[str, object] = {"width": _rectangle(design).width, "margin": mechanics.margin}
+    return f"strips-{_hash(stack, mechanics, indenter, size)}.npz"
 
 
 def _pair_name(stack: Stack, mechanics: Mechanics, indenter: Indenter) -> str:
@@ -278,7 +310,7 @@ def _hash(stack: Stack, mechanics: Mechanics, indenter: Indenter, size: dict[str
     return hashlib.sha256(rounded.encode()).hexdigest()[:32]
 
 
-def _arrays(table: CorrectionTable | PairTable) -> Iterator[tuple[str, Array]]:
+def _arrays(table: StripTable | PairTable) -> Iterator[tuple[str, Array]]:
     """Arrays of a file: fields as amplitudes and modes (proper orthogonal decomposition)."""
     for field in dataclasses.fields(table):
         array = getattr(table, field.name)
@@ -295,7 +327,7 @@ def _arrays(table: CorrectionTable | PairTable) -> Iterator[tuple[str, Array]]:
         yield f"{field.name}_modes", modes[:rank].astype(np.float32)
 
 
-Table = TypeVar("Table", CorrectionTable, PairTable)
+Table = TypeVar("Table", CorrectionTable, StripTable, PairTable)
 
 
 def _read(kind: type[Table], name: str) -> Table | None:
@@ -319,7 +351,7 @@ def _read(kind: type[Table], name: str) -> Table | None:
         return None
 
 
-def _write(table: CorrectionTable | PairTable, path: Path) -> None:
+def _write(table: StripTable | PairTable, path: Path) -> None:
     """Store a table if the disk can be written; otherwise it is solved again next time."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -41,67 +41,44 @@ _SAME = 1e-9  # [m]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CorrectionTable:
-    """Corrections of presses of one indenter on a rectangular sensor, by position and depth.
+class StripTable:
+    """Corrections of presses of one indenter on a long strip, by distance from a side and depth.
 
-    The correction far from both ends moves along with the press: it is solved on a long strip.
-    Near an end comes the difference to the strip, in coordinates fixed to the end. Fields hold the
-    displacement [m] and the mean stress [Pa] of the gel as polynomials (`SmoothField`).
+    Fields move along with their presses. They hold the displacement [m] and the mean stress [Pa] of
+    the gel as polynomials (`SmoothField`).
 
     Attributes:
         thickness: of the whole stack, () [m].
-        length, width: of the gel, () [m].
+        width: of the gel, () [m].
         height: of the gel, () [m].
         aside: distances of solved presses from a long side, (m,) [m].
-        along: distances of solved presses from an end, (l,) [m].
         depths: of solved presses, rising from 0, (d,) [m].
-        strip: coefficients, (m, d, nx, ny, nz, 4).
-        ends: coefficients, (l, m, d, nx, ny, nz, 4).
-        sunk: by which presses sink deeper than in an unbounded stack, on the strip (m, d) [m].
-        sunk_more: the difference to the strip near an end, (l, m, d) [m].
+        strip: coefficients, (m, d - 1, nx, ny, nz, 4).
+        sunk: by which presses sink deeper than in an unbounded stack, (m, d - 1) [m].
     """
 
     thickness: Array
-    length: Array
     width: Array
     height: Array
     aside: Array
-    along: Array
     depths: Array
     strip: Array
-    ends: Array
     sunk: Array
-    sunk_more: Array
 
-    def at(self, x: float, y: float, depth: float) -> tuple[tuple[SmoothField, ...], float]:
-        """Fields of the correction of a press at (x, y) to a depth [m], and how much it sinks [m].
+    def at(self, x: float, y: float, depth: float) -> tuple[SmoothField, float]:
+        """Correction of a press at (x, y) to a depth [m], and how much it sinks [m]."""
+        deep, across, H = self._deep(depth), self._across(y), float(self.thickness)
+        field = self._field(self._box(-_REACH * H, _REACH * H), across, deep, self.strip, _STRETCH)
+        return field.shifted(x), float(across.sum(axis=0) @ self.sunk @ deep)
 
-        The press must be one that the table `covers`.
-        """
-        length, H = float(self.length), float(self.thickness)
-        right = x > 0.5 * length
-        x = length - x if right else x
-        deep = _polynomial_weights(depth, self.depths)
-        across = self._across(y)
-        sunk = float((across.sum(axis=0)) @ self.sunk @ deep)
-        box = self._box(-_REACH * H, _REACH * H)
-        found = [self._field(box, across, deep, self.strip, _STRETCH).shifted(x)]
-        for far in (False, True):
-            distance = length - x if far else x
-            if distance < self.along[-1]:
-                near = CubicSpline(self.along, np.eye(len(self.along)))(distance)[:-1]
-                ends, more = (np.tensordot(near, e, (0, 0)) for e in (self.ends, self.sunk_more))
-                end = self._field(self._box(0.0, _ENDS * H), across, deep, ends, 0.0)
-                found.append(end.mirrored(0, 0.5 * length) if far else end)
-                sunk += float(across.sum(axis=0) @ more @ deep)
-        if right:
-            found = [field.mirrored(0, 0.5 * length) for field in found]
-        return tuple(found), sunk
-
-    def covers(self, x: float, y: float) -> bool:
-        """Whether (x, y) is among the solved positions, at which the contact is on the stack."""
-        x, y = min(x, float(self.length) - x), min(y, float(self.width) - y)
-        return bool(x >= self.along[0] - _SAME and y >= self.aside[0] - _SAME)
+    def _deep(self, depth: float) -> Array:
+        """Weights of the solved depths in the polynomial through them and no press at 0."""
+        others = [np.delete(self.depths, k) for k in range(1, len(self.depths))]
+        weights = [
+            np.prod((depth - other) / (own - other))
+            for own, other in zip(self.depths[1:], others, strict=True)
+        ]
+        return np.array(weights)
 
     def _across(self, y: float) -> Array:
         """Weights of the solved distances from either long side, (2, m)."""
@@ -119,20 +96,49 @@ class CorrectionTable:
     def _field(
         self, box: Box, across: Array, deep: Array, solved: Array, stretch: float
     ) -> SmoothField:
-        """Field interpolated between solved ones (m, d, nx, ny, nz, 4) and their mirror images."""
+        """Field interpolated between solved ones (m, d - 1, nx, ny, nz, 4) and mirror images."""
         here, there = np.tensordot(across, np.tensordot(deep, solved, (0, 1)), (1, 0))
         image = SmoothField(box, there, stretch).mirrored(1, 0.5 * float(self.width))
         return SmoothField(box, here + image.coefficients, stretch)
 
 
-def _polynomial_weights(depth: float, depths: Array) -> Array:
-    """Weights of values at depths from 0, where they vanish, in the polynomial through them."""
-    others = [np.delete(depths, k) for k in range(1, len(depths))]
-    weights = [
-        np.prod((depth - other) / (own - other))
-        for own, other in zip(depths[1:], others, strict=True)
-    ]
-    return np.array(weights)
+@dataclass(frozen=True, slots=True, eq=False)
+class CorrectionTable(StripTable):
+    """Corrections of presses of one indenter on a rectangular sensor, by position and depth.
+
+    Near an end comes the difference to the strip, in coordinates fixed to the end.
+
+    Attributes:
+        length: of the gel, () [m].
+        along: distances of solved presses from an end, and one without difference, (l,) [m].
+        ends: coefficients, (l - 1, m, d - 1, nx, ny, nz, 4).
+        sunk_more: the difference to the strip near an end, (l - 1, m, d - 1) [m].
+    """
+
+    length: Array
+    along: Array
+    ends: Array
+    sunk_more: Array
+
+    def near_ends(self, x: float, y: float, depth: float) -> tuple[list[SmoothField], float]:
+        """Differences to the strip near either end, and how much deeper a press sinks [m]."""
+        length, H = float(self.length), float(self.thickness)
+        deep, across = self._deep(depth), self._across(y)
+        fields, sunk = [], 0.0
+        for far in (False, True):
+            distance = length - x if far else x
+            if distance < self.along[-1]:
+                near = CubicSpline(self.along, np.eye(len(self.along)))(distance)[:-1]
+                ends, more = (np.tensordot(near, e, (0, 0)) for e in (self.ends, self.sunk_more))
+                end = self._field(self._box(0.0, _ENDS * H), across, deep, ends, 0.0)
+                fields.append(end.mirrored(0, 0.5 * length) if far else end)
+                sunk += float(across.sum(axis=0) @ more @ deep)
+        return fields, sunk
+
+    def covers(self, x: float, y: float) -> bool:
+        """Whether (x, y) is among the solved positions, at which the contact is on the stack."""
+        x, y = min(x, float(self.length) - x), min(y, float(self.width) - y)
+        return bool(x >= self.along[0] - _SAME and y >= self.aside[0] - _SAME)
 
 
 Report = Callable[[int, int], None]
@@ -189,6 +195,18 @@ class _Setting:
         ]
         return np.array([f.coefficients for f in fields]), np.array([c.sunk[0] for c in found])
 
+    def tabulated(self, aside: Array, strips: list[Solved]) -> dict[str, Array]:
+        """Arrays of a table of presses on a strip."""
+        return {
+            "thickness": np.array(self.thickness),
+            "width": np.array(self.width),
+            "height": np.array(self.stack.sheets[self.stack.gel].thickness),
+            "aside": aside,
+            "depths": np.array([0.0, *(dent.depth for dent in self.dents)]),
+            "strip": np.array([fields for fields, _ in strips]),
+            "sunk": np.array([sunk for _, sunk in strips]),
+        }
+
     def at_end(self, x: float, y: float, strip: Solved) -> Solved:
         """Difference of a press at a distance x from an end to that on an equally meshed strip."""
         H, box = self.thickness, self.box(-_REACH, _REACH)
@@ -224,12 +242,9 @@ def solve_corrections(
 
     Raises SolidError where a press is not carried.
     """
-    H, gel = stack.levels[-1], stack.sheets[stack.gel]
-    dents = _dents(stack, indenter, [part * H for part in _DEPTHS])
-    setting = _Setting(outline.width, stack, mechanics, support, indenter, tuple(dents))
-    least = max(indenter.rims[1] - mechanics.margin + _LEAST * H, 0.0)
-    aside = _distances(least, H, 0.5 * outline.width)
-    along = least + H * np.array(_ALONG)
+    H = stack.levels[-1]
+    setting, aside = _setting(outline, stack, mechanics, support, indenter)
+    along = aside[0] + H * np.array(_ALONG)
     total, done = len(aside) * (2 + len(along)), 0
 
     def solved(
@@ -257,18 +272,41 @@ def solve_corrections(
         )
     grid = (len(along), len(aside))
     return CorrectionTable(
-        thickness=np.array(H),
+        **setting.tabulated(aside, strips),
         length=np.array(outline.length),
-        width=np.array(outline.width),
-        height=np.array(gel.thickness),
-        aside=aside,
         along=np.append(along, along[-1] + _VANISHED * H),
-        depths=np.array([0.0, *(dent.depth for dent in dents)]),
-        strip=np.array([fields for fields, _ in strips]),
         ends=np.array([f for f, _ in ends]).reshape(*grid, *ends[0][0].shape),
-        sunk=np.array([sunk for _, sunk in strips]),
         sunk_more=np.array([sunk for _, sunk in ends]).reshape(*grid, -1),
     )
+
+
+def solve_strip(
+    outline: Rectangle,
+    stack: Stack,
+    mechanics: Mechanics,
+    support: Support,
+    indenter: Indenter,
+    workers: int = 1,
+) -> StripTable:
+    """Solve presses on a strip on a coarse mesh, good for differences between stacks.
+
+    Arguments and errors as for `solve_corrections`.
+    """
+    setting, aside = _setting(outline, stack, mechanics, support, indenter)
+    with _processes(workers) as run:
+        strips = list(run(partial(setting.on_strip, _AT_END), aside.tolist()))
+    return StripTable(**setting.tabulated(aside, strips))
+
+
+def _setting(
+    outline: Rectangle, stack: Stack, mechanics: Mechanics, support: Support, indenter: Indenter
+) -> tuple[_Setting, Array]:
+    """What all positions share, and the distances of presses from a side [m]."""
+    H = stack.levels[-1]
+    dents = _dents(stack, indenter, [part * H for part in _DEPTHS])
+    setting = _Setting(outline.width, stack, mechanics, support, indenter, tuple(dents))
+    least = max(indenter.rims[1] - mechanics.margin + _LEAST * H, 0.0)
+    return setting, _distances(least, H, 0.5 * outline.width)
 
 
 @contextmanager
