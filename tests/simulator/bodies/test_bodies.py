@@ -184,7 +184,7 @@ def test_kinematic_bends_are_about_the_middle_of_the_body(tmp_path) -> None:
         lambda design: Hinge(0.020).flexure(design, Bend(20.0)),
     ):
         moved = make(there).positions(X + shift) - shift
-        assert moved == pytest.approx(make(here).positions(X), abs=1e-12)
+        assert moved == pytest.approx(make(here).positions(X), abs=1e-8)  # files: 7 digits
 
 
 @pytest.fixture(scope="module")
@@ -202,7 +202,7 @@ def test_a_body_is_bent_pressed_and_both(sim, tmp_path, monkeypatch) -> None:
         np.abs(sim.measure(scene).impedance / flat - 1.0).max()
         for scene in (pressed, bend, Scene(bend=Bend(10.0), touches=(touch,)))
     ]
-    assert min(changes) > 1e-3
+    assert min(changes) > 1e-4  # a pure bend changes each resistance little
     assert len(list(tmp_path.glob("body-*.npz"))) == 1
     (found,) = sim.presses(pressed)
     assert found.force == 0.5
