@@ -45,7 +45,7 @@ lint: $(VENV)/installed
 # that pages tell of beside them.
 REFERENCE := geometry geometry.deformation.fixtures geometry.deformation.kinematics \
 	geometry.deformation.twist geometry.design.regular_layouts \
-	simulator simulator.mechanics.bend_3d simulator.mechanics.bend_table \
+	simulator simulator.bends.bend_3d simulator.bends.bend_table \
 	simulator.mechanics.materials simulator.mechanics.press_3d \
 	simulator.mechanics.viscoelasticity simulator.view.vtu \
 	datasets training training.evaluation.cramer_rao hardware

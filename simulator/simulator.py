@@ -16,6 +16,7 @@ from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.support import Support
 from eitskin.geometry.design.surface import Surface
 from eitskin.protocol import Protocol
+from eitskin.simulator.bends import bend_store
 from eitskin.simulator.bodies.body_bends import bent_by
 from eitskin.simulator.bodies.body_touches import (
     pressed_body_touches,
@@ -31,7 +32,6 @@ from eitskin.simulator.instrument.instrument import Instrument
 from eitskin.simulator.layer.deformed_layer import DeformedLayer
 from eitskin.simulator.layer.dents import Dents
 from eitskin.simulator.layer.pressed_touches import PressedTouch, TouchModel, dents, pressed_touches
-from eitskin.simulator.mechanics import bend_store
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.scene.scene import Scene
 from eitskin.simulator.scene.support_check import require_base, require_bendable

@@ -1,1 +1,6 @@
-../../eitskin/__main__.py
+"""The command line, as `python -m eitskin`."""
+
+from eitskin.cli.entry import run
+
+if __name__ == "__main__":
+    run()

@@ -1,1 +1,33 @@
-../../eitskin/bounds.py
+"""Bounds of user input: lengths, counts and positive numbers.
+
+A length beyond the bounds was most likely given in another unit.
+"""
+
+import math
+
+from eitskin.errors import ConfigurationError
+
+SHORTEST, LONGEST = 1e-6, 10.0
+MOST_ELECTRODES, MOST_POINTS = 1024, 4096
+
+
+def require_positive(name: str, value: float, unit: str) -> None:
+    """Raise ConfigurationError unless `value` is finite and above zero."""
+    if not (math.isfinite(value) and value > 0):
+        raise ConfigurationError(f"{name} must be a positive number of {unit}, got {value!r}")
+
+
+def require_length(name: str, value: float, longest: float = LONGEST) -> None:
+    """Raise ConfigurationError unless `value` [m] is a length up to `longest` [m]."""
+    require_positive(name, value, "m")
+    if not SHORTEST <= value <= longest:
+        raise ConfigurationError(
+            f"{name} must be between {SHORTEST * 1e6:g} um and {longest:g} m, got {value:g} m; "
+            "lengths are in metres, so 5 mm is 0.005"
+        )
+
+
+def require_count(name: str, value: int, least: int, most: int) -> None:
+    """Raise ConfigurationError unless `value` is from `least` to `most`."""
+    if not least <= value <= most:
+        raise ConfigurationError(f"{name} must be from {least} to {most}, got {value}")

@@ -1,1 +1,249 @@
-../../eitskin/protocol.py
+"""Measurement protocol: drive and sense electrodes of each measurement."""
+
+import csv
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from eitskin.errors import ConfigurationError
+from eitskin.files import atomic_file
+
+Row: TypeAlias = tuple[int, int, int, int]
+
+HEADER = ("drive_plus", "drive_minus", "sense_plus", "sense_minus")
+
+
+@dataclass(frozen=True, slots=True)
+class Protocol:
+    """Table of measurements, each (drive+, drive-, sense+, sense-).
+
+    Attributes:
+        table: electrode numbers, one row per measurement.
+        n_electrodes: number of electrodes of the sensor.
+    """
+
+    table: tuple[Row, ...]
+    n_electrodes: int
+
+    def __post_init__(self) -> None:
+        """Check that every row names electrodes that exist and two different ones per pair."""
+        if not self.table:
+            raise ConfigurationError("a protocol needs at least one measurement, got none")
+        for number, row in enumerate(self.table):
+            _check(row, self.n_electrodes, f"measurement {number}")
+
+    @classmethod
+    def pairwise(cls, n_electrodes: int) -> "Protocol":
+        """Two-terminal measurements of all pairs of electrodes: (0,1), (0,2) ... in order."""
+        pairs = combinations(range(n_electrodes), 2)
+        return cls(tuple((i, j, i, j) for i, j in pairs), n_electrodes)
+
+    @classmethod
+    def skip(
+        cls, n_electrodes: int, skip: int, sense_skip: int | None = None, shared: bool = False
+    ) -> "Protocol":
+        """Skip protocol: pairs (i, i + skip + 1) around the rim.
+
+        Every drive pair is combined with every sense pair.
+
+        Args:
+            n_electrodes: number of electrodes of the sensor.
+            skip: electrodes left out between drive+ and drive-.
+            sense_skip: electrodes left out between sense+ and sense-; `skip` when omitted.
+            shared: keep sense pairs that share an electrode with the drive pair, whose voltages
+                contain that electrode's contact impedance.
+        """
+        drives = _ring_pairs(n_electrodes, skip)
+        senses = _ring_pairs(n_electrodes, skip if sense_skip is None else sense_skip)
+        table = tuple(d + s for d in drives for s in senses if shared or not set(d) & set(s))
+        if not table:
+            raise ConfigurationError(
+                f"with {n_electrodes} electrodes every sense pair shares an electrode with the "
+                "drive pair; use more electrodes, or keep the shared pairs with shared=True"
+            )
+        return cls(table, n_electrodes)
+
+    @classmethod
+    def adjacent(cls, n_electrodes: int, shared: bool = False) -> "Protocol":
+        """Adjacent protocol, neighbours drive and sense (Barber and Brown 1984): n (n - 3) rows.
+
+        By reciprocity n (n - 3) / 2 of the measurements are independent.
+        """
+        return cls.skip(n_electrodes, 0, shared=shared)
+
+    @classmethod
+    def opposite(cls, n_electrodes: int, shared: bool = False) -> "Protocol":
+        """Opposite protocol: facing electrodes drive, neighbours sense; n / 2 (n - 4) rows."""
+        if n_electrodes % 2:
+            raise ConfigurationError(
+                f"electrodes face each other only in even numbers, got {n_electrodes}; use "
+                f"skip={max(n_electrodes // 2 - 1, 0)} for pairs that nearly do"
+            )
+        return cls.skip(n_electrodes, n_electrodes // 2 - 1, sense_skip=0, shared=shared)
+
+    @classmethod
+    def from_file(cls, path: str | Path, n_electrodes: int) -> "Protocol":
+        """Read a CSV table with the header drive_plus,drive_minus,sense_plus,sense_minus.
+
+        Electrodes are counted from 0. Raises ConfigurationError, naming the line, for values that
+        are no integers, a wrong number of columns, electrodes that do not exist, and repeated
+        measurements.
+        """
+        try:
+            with Path(path).open(encoding="utf-8-sig", newline="") as file:
+                reader = csv.reader(file, strict=True)
+                lines = [(reader.line_num, row) for row in reader if any(row)]
+        except (OSError, UnicodeDecodeError, csv.Error) as error:
+            raise ConfigurationError(f"cannot read the protocol {path}: {error}") from error
+        header = tuple(name.strip() for name in lines[0][1]) if lines else ()
+        if header != HEADER:
+            raise ConfigurationError(
+                f"{path}: expected the header {','.join(HEADER)}, got "
+                f"{','.join(header) or 'an empty file'}"
+            )
+        if len(lines) == 1:
+            raise ConfigurationError(f"{path}: expected measurements after the header, got none")
+        table: dict[Row, int] = {}
+        for number, cells in lines[1:]:
+            where = f"{path}, line {number}"
+            row = _row(cells, n_electrodes, where)
+            if row in table:
+                raise ConfigurationError(
+                    f"{where}: measurement {_text(row)} is in line {table[row]} already; leave "
+                    "one of them out"
+                )
+            table[row] = number
+        return cls(tuple(table), n_electrodes)
+
+    def to_file(self, path: str | Path) -> None:
+        """Write the table as a CSV file for `from_file`, atomically."""
+        with atomic_file(path) as temporary:
+            rows = (HEADER, *self.table)
+            temporary.write_text("".join(_text(row) + "\n" for row in rows), encoding="utf-8")
+
+    @classmethod
+    def named(cls, text: str, n_electrodes: int) -> "Protocol":
+        """Protocol of a name (`pairwise`, `adjacent`, `opposite`, `skip:2`), or from a CSV file."""
+        simple = {"pairwise": cls.pairwise, "adjacent": cls.adjacent, "opposite": cls.opposite}
+        if text in simple:
+            return simple[text](n_electrodes)
+        if skip := re.fullmatch(r"skip:(\d{1,4})", text):
+            return cls.skip(n_electrodes, int(skip[1]))
+        if not Path(text).is_file():
+            raise ConfigurationError(
+                f"expected a protocol: {', '.join(simple)}, skip:N, or a CSV file that exists, "
+                f"got '{text}'"
+            )
+        return cls.from_file(text, n_electrodes)
+
+    @classmethod
+    def from_text(cls, text: str) -> "Protocol":
+        """Protocol of a text with its number of electrodes, "pairwise:8"."""
+        match = re.fullmatch(r"pairwise:(\d{1,3})", text)
+        if match is None or int(match[1]) < 2:
+            raise ConfigurationError(
+                f"expected a protocol as pairwise:N with the number of electrodes, got '{text}'"
+            )
+        return cls.pairwise(int(match[1]))
+
+    @classmethod
+    def from_rows(cls, rows: Iterable[Iterable[int]], n_electrodes: int) -> "Protocol":
+        """Protocol from any iterable of rows of four integers."""
+        return cls(tuple(tuple(int(e) for e in row) for row in rows), n_electrodes)  # type: ignore[misc]
+
+    def __len__(self) -> int:
+        """Number of measurements in one frame."""
+        return len(self.table)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Labels of the measurements, '0-1' for equal drive and sense pairs, else '0-1/2-3'."""
+        return tuple(
+            f"{a}-{b}" if (a, b) == (c, d) else f"{a}-{b}/{c}-{d}" for a, b, c, d in self.table
+        )
+
+    @property
+    def rank(self) -> int:
+        """Number of independent measurements, by linearity and reciprocity.
+
+        Each measurement is a linear functional of the symmetric impedance matrix; the rank is the
+        dimension of their span, at most the n (n - 1) / 2 unknowns of the matrix.
+        """
+        drive, sense = self.patterns()
+        products = np.einsum("im,jm->mij", drive, sense)
+        rows, columns = np.triu_indices(self.n_electrodes)
+        functionals = (products + np.swapaxes(products, 1, 2))[:, rows, columns]
+        return int(np.linalg.matrix_rank(functionals))
+
+    def patterns(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Drive and sense patterns, each (n_electrodes, measurements), entries -1, 0, +1."""
+        table = np.array(self.table)
+        columns = np.arange(len(table))
+        drive = np.zeros((self.n_electrodes, len(table)))
+        sense = np.zeros_like(drive)
+        drive[table[:, 0], columns], drive[table[:, 1], columns] = 1.0, -1.0
+        sense[table[:, 2], columns], sense[table[:, 3], columns] = 1.0, -1.0
+        return drive, sense
+
+    def measure(self, impedance: ArrayLike) -> NDArray[np.inexact]:
+        """Transfer impedances [ohm], (..., measurements), of matrices (..., n_el, n_el) [ohm].
+
+        Raises ConfigurationError for a matrix of another number of electrodes.
+        """
+        Z = np.asarray(impedance)
+        if Z.shape[-2:] != (self.n_electrodes, self.n_electrodes):
+            raise ConfigurationError(
+                f"expected an impedance matrix of shape ({self.n_electrodes}, "
+                f"{self.n_electrodes}), got {Z.shape}"
+            )
+        a, b, c, d = np.array(self.table).T
+        measured: NDArray[np.inexact] = Z[..., c, a] - Z[..., d, a] - Z[..., c, b] + Z[..., d, b]
+        return measured
+
+
+def _ring_pairs(n_electrodes: int, skip: int) -> list[tuple[int, int]]:
+    """All different pairs (i, i + skip + 1) around the rim; opposite pairs would come twice."""
+    if not 0 <= skip <= n_electrodes - 2:
+        raise ConfigurationError(
+            f"a pair among {n_electrodes} electrodes can skip 0 to {max(n_electrodes - 2, 0)} of "
+            f"them, got {skip}"
+        )
+    step = skip + 1
+    starts = range(n_electrodes // 2 if 2 * step == n_electrodes else n_electrodes)
+    return [(i, (i + step) % n_electrodes) for i in starts]
+
+
+def _row(cells: list[str], n_electrodes: int, where: str) -> Row:
+    """Measurement from the cells of one line of a protocol file."""
+    if len(cells) != len(HEADER):
+        raise ConfigurationError(
+            f"{where}: expected {len(HEADER)} electrodes separated by commas, got {len(cells)}"
+        )
+    if not all(re.fullmatch(r"[+-]?\d{1,9}", cell.strip()) for cell in cells):
+        raise ConfigurationError(f"{where}: electrodes are whole numbers, got {','.join(cells)}")
+    a, b, c, d = (int(cell) for cell in cells)
+    _check((a, b, c, d), n_electrodes, where)
+    return a, b, c, d
+
+
+def _check(row: Row, n_electrodes: int, where: str) -> None:
+    """Refuse electrodes that do not exist, and pairs of one electrode."""
+    if len(row) != len(HEADER) or any(not 0 <= e < n_electrodes for e in row):
+        raise ConfigurationError(
+            f"{where}: expected (drive+, drive-, sense+, sense-), each from 0 to "
+            f"{n_electrodes - 1}, got {row}"
+        )
+    if row[0] == row[1] or row[2] == row[3]:
+        raise ConfigurationError(
+            f"{where}: drive and sense pairs need two different electrodes, got {row}"
+        )
+
+
+def _text(row: Iterable[object]) -> str:
+    return ",".join(str(value) for value in row)

@@ -128,7 +128,7 @@ def _announce_unsolved(recipe: "Recipe", output: Output) -> None:
         missing_bend_tables,
         missing_press_tables,
     )
-    from eitskin.simulator.mechanics.press_store import folder
+    from eitskin.simulator.mechanics.cache_folder import folder
 
     bends = len(missing_bend_tables(recipe))
     if bends:

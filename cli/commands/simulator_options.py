@@ -62,7 +62,8 @@ def on_support(scene: "Scene", support: str | None) -> "Scene":
 
 def announce_unsolved(simulator: "Simulator", scene: "Scene", output: Output) -> None:
     """Note how many indenters of a scene have no solved press on this sensor yet."""
-    from eitskin.simulator.mechanics.press_store import folder, is_stored
+    from eitskin.simulator.mechanics.cache_folder import folder
+    from eitskin.simulator.presses.press_store import is_stored
 
     design, mechanics = simulator.supported(scene), simulator.mechanics
     indenters = dict.fromkeys(touch.indenter for touch in scene.touches)

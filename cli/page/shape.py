@@ -16,10 +16,10 @@ from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.placement import placed
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.side_contacts import Strip
+from eitskin.simulator.bends import bend_store
 from eitskin.simulator.layer.dents import closed_form_dents
-from eitskin.simulator.mechanics import bend_store
-from eitskin.simulator.mechanics.closed_form_dent import LARGEST_FORCE
 from eitskin.simulator.mechanics.layer_stack import Mechanics
+from eitskin.simulator.presses.closed_form_dent import LARGEST_FORCE
 from eitskin.simulator.scene.touch import Touch
 
 Array = NDArray[np.float64]

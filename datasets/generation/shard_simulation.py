@@ -17,12 +17,13 @@ from eitskin.datasets.store.writer import touch_columns
 from eitskin.geometry.deformation.fixtures import Clamp
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.protocol import Protocol
+from eitskin.simulator.bends import bend_store
 from eitskin.simulator.electrical.resolution import Resolution
 from eitskin.simulator.instrument.instrument import Instrument
 from eitskin.simulator.instrument.session import Session
-from eitskin.simulator.mechanics import bend_store, correction_store, press_store
-from eitskin.simulator.mechanics.correction_store import corrections, tabulable
 from eitskin.simulator.mechanics.layer_stack import Mechanics
+from eitskin.simulator.presses import correction_store, press_store
+from eitskin.simulator.presses.correction_store import corrections, tabulable
 from eitskin.simulator.scene.indenters import Cylinder
 from eitskin.simulator.scene.scene import Scene
 from eitskin.simulator.scene.touch import Touch

@@ -21,10 +21,10 @@ from eitskin.geometry.design.outline import PlaneOutline
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.surface import Surface
 from eitskin.protocol import Protocol
+from eitskin.simulator.bends import bend_store
+from eitskin.simulator.bends.bend_table import ANGLES_DEG
 from eitskin.simulator.electrical.resolution import Resolution
 from eitskin.simulator.instrument.instrument import Instrument
-from eitskin.simulator.mechanics import bend_store
-from eitskin.simulator.mechanics.bend_table import ANGLES_DEG
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 
 MOST_REFERENCE_FRAMES = 1000

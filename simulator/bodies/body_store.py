@@ -19,8 +19,8 @@ from eitskin.simulator.bodies.clamped_body import BentBody, ClampedBody
 from eitskin.simulator.bodies.pressed_body import BodyPress, PressedBody
 from eitskin.simulator.bodies.tetrahedral_field import TetrahedralField
 from eitskin.simulator.bodies.tetrahedral_solid import surface_of
+from eitskin.simulator.mechanics.cache_folder import folder
 from eitskin.simulator.mechanics.layer_stack import Mechanics
-from eitskin.simulator.mechanics.press_store import folder
 from eitskin.simulator.scene.touch import Touch
 
 Array = NDArray[np.float64]

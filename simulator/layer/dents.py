@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.geometry.deformation.kinematics import Gradients, Points
-from eitskin.simulator.mechanics.closed_form_dent import ClosedFormDent
+from eitskin.simulator.presses.closed_form_dent import ClosedFormDent
 from eitskin.simulator.scene.touch import Touch
 
 Array = NDArray[np.float64]

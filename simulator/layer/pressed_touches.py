@@ -11,18 +11,18 @@ from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.surface import Surface
 from eitskin.simulator.layer.dents import ColumnField, Dents, PlacedDent
 from eitskin.simulator.mechanics import viscoelasticity as relaxation
-from eitskin.simulator.mechanics.correction_store import (
+from eitskin.simulator.mechanics.layer_stack import Mechanics
+from eitskin.simulator.presses.correction_store import (
     corrections,
     is_shipped,
     pair_table,
     tabulable,
 )
-from eitskin.simulator.mechanics.layer_stack import Mechanics
-from eitskin.simulator.mechanics.pair_table import TurnedField
-from eitskin.simulator.mechanics.press_store import press_table
-from eitskin.simulator.mechanics.press_table import PressTable
-from eitskin.simulator.mechanics.solved_press import Press, SolvedField, solved_presses
-from eitskin.simulator.mechanics.tabulated_dent import TabulatedDent
+from eitskin.simulator.presses.pair_table import TurnedField
+from eitskin.simulator.presses.press_store import press_table
+from eitskin.simulator.presses.press_table import PressTable
+from eitskin.simulator.presses.solved_press import Press, SolvedField, solved_presses
+from eitskin.simulator.presses.tabulated_dent import TabulatedDent
 from eitskin.simulator.scene.touch import Touch
 
 TouchModel = Literal["tabulated", "solved"]

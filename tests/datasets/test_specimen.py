@@ -16,8 +16,8 @@ from eitskin.datasets.recipe.specimen import MAX_DEVIATIONS, Specimens, truncate
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Clamp, Electrode, Hinge, Layer, SensorDesign
 from eitskin.simulator import Cylinder, Mechanics
-from eitskin.simulator.mechanics import press_store
-from eitskin.simulator.mechanics.press_table import PressTable
+from eitskin.simulator.presses import press_store
+from eitskin.simulator.presses.press_table import PressTable
 
 DESIGN = SensorDesign.reference()
 SPREAD = Specimens(

@@ -13,7 +13,7 @@ from eitskin.geometry.deformation.kinematics import Composed, Displaced, area_ra
 from eitskin.geometry.deformation.twist import Roll, Twist
 from eitskin.simulator import Cylinder, Sphere
 from eitskin.simulator.layer.dents import Dents, PlacedDent
-from eitskin.simulator.mechanics.closed_form_dent import ClosedFormDent
+from eitskin.simulator.presses.closed_form_dent import ClosedFormDent
 
 DESIGN = SensorDesign.reference()
 HINGE = Hinge(span=0.040, offset=0.008)

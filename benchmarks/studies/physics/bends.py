@@ -20,8 +20,8 @@ from eitskin.geometry.deformation.fixtures import Bend, Hinge
 from eitskin.geometry.deformation.kinematics import Deformation
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.meshing.grading import Grading
-from eitskin.simulator.mechanics.bend_3d import BentStack, ClampedStack
-from eitskin.simulator.mechanics.bend_table import BendTable
+from eitskin.simulator.bends.bend_3d import BentStack, ClampedStack
+from eitskin.simulator.bends.bend_table import BendTable
 from eitskin.simulator.mechanics.load_stepping import SolidError
 from eitskin.simulator.simulator import Simulator
 

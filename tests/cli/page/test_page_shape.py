@@ -10,7 +10,7 @@ from eitskin.cli.page.shape import COLUMNS, ROWS, GelDrawing, GelShape
 from eitskin.cli.page.state import filled, relative_change
 from eitskin.geometry import Bend, Clamp
 from eitskin.simulator import Frame, Mechanics
-from eitskin.simulator.mechanics import bend_store
+from eitskin.simulator.bends import bend_store
 
 from page_fakes import DESIGN, PROTOCOL
 

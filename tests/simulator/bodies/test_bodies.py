@@ -10,12 +10,12 @@ from eitskin.geometry.deformation.fixtures import Clamp, FreeArc, Hinge
 from eitskin.geometry.deformation.twist import Roll, Twist
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import Mechanics, Scene, Simulator
+from eitskin.simulator.bends.bend_3d import ClampedStack
 from eitskin.simulator.bodies.clamped_body import ClampedBody
 from eitskin.simulator.bodies.pressed_body import BodyPress
 from eitskin.simulator.bodies.tetrahedral_field import EDGES, TetrahedralField
 from eitskin.simulator.bodies.tetrahedral_solid import TetrahedralSolid
 from eitskin.simulator.bodies.upper_side import heights
-from eitskin.simulator.mechanics.bend_3d import ClampedStack
 from eitskin.simulator.mechanics.load_stepping import Load, newton
 from eitskin.simulator.mechanics.materials import NeoHookean
 from eitskin.simulator.scene.indenters import Cylinder, Sphere

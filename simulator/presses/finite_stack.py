@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 
 from eitskin.simulator.linalg.nested_dissection import Block, by_blocks, dissected
-from eitskin.simulator.mechanics.dent_field import DentField
-from eitskin.simulator.mechanics.dented_solid import DentedSolid
-from eitskin.simulator.mechanics.held_contact import HeldContact
 from eitskin.simulator.mechanics.load_stepping import ForceTerm, Load, SolidError, newton
 from eitskin.simulator.mechanics.quadratic_field import QuadraticField
-from eitskin.simulator.mechanics.stack_mesh import StackMesh
+from eitskin.simulator.presses.dent_field import DentField
+from eitskin.simulator.presses.dented_solid import DentedSolid
+from eitskin.simulator.presses.held_contact import HeldContact
+from eitskin.simulator.presses.stack_mesh import StackMesh
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

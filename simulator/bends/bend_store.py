@@ -27,18 +27,18 @@ from eitskin.geometry.deformation.kinematics import Deformation
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.support import Plates
-from eitskin.simulator.mechanics import bend_table as tables
-from eitskin.simulator.mechanics.bend_3d import ClampedStack, Slab, clamped_lines
-from eitskin.simulator.mechanics.bend_table import BendTable
+from eitskin.simulator.bends import bend_table as tables
+from eitskin.simulator.bends.bend_3d import ClampedStack, Slab, clamped_lines
+from eitskin.simulator.bends.bend_table import BendTable
+from eitskin.simulator.mechanics.cache_folder import folder
 from eitskin.simulator.mechanics.layer_stack import Mechanics
-from eitskin.simulator.mechanics.press_store import folder
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
 
 log = logging.getLogger(__name__)
 
-SHIPPED = Path(__file__).parent / "bends"
+SHIPPED = Path(__file__).with_name("library")
 
 # Version of the tables: raise it whenever bends are solved or tabulated in another way.
 _VERSION = 1

@@ -8,10 +8,10 @@ import pytest
 
 from eitskin.geometry import Rigid, SensorDesign, Substrate, Support
 from eitskin.simulator import Cylinder, Mechanics
-from eitskin.simulator.mechanics import press_store
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress, Indentation
 from eitskin.simulator.mechanics.layer_stack import Sheet, Stack
 from eitskin.simulator.mechanics.materials import NeoHookean
+from eitskin.simulator.presses import press_store
 
 DESIGN = SensorDesign.reference()
 SOFT = Substrate(0.010, 5e3)

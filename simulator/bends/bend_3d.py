@@ -16,7 +16,7 @@ from eitskin.geometry.deformation.kinematics import Gradients, Points
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.meshing.grading import Grading, graded_lines
-from eitskin.simulator.mechanics.elastic_bond import ElasticBond
+from eitskin.simulator.bends.elastic_bond import ElasticBond
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.mechanics.load_stepping import (
     ForceTerm,

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from eitskin.errors import ConfigurationError
-from eitskin.simulator.mechanics.bend_3d import BentStack, ClampedStack
-from eitskin.simulator.mechanics.bent_layer import BentLayer, Nodes
+from eitskin.simulator.bends.bend_3d import BentStack, ClampedStack
+from eitskin.simulator.bends.bent_layer import BentLayer, Nodes
 from eitskin.simulator.mechanics.load_stepping import SolidError
 
 Array = NDArray[np.float64]

@@ -14,11 +14,11 @@ from scipy.interpolate import CubicSpline
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.support import Support
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress, Indentation
-from eitskin.simulator.mechanics.dent_field import DentField
-from eitskin.simulator.mechanics.finite_stack import Correction, FiniteStack
 from eitskin.simulator.mechanics.layer_stack import Mechanics, Stack
-from eitskin.simulator.mechanics.smooth_field import Box, SmoothField
-from eitskin.simulator.mechanics.stack_mesh import Fineness, stack_mesh
+from eitskin.simulator.presses.dent_field import DentField
+from eitskin.simulator.presses.finite_stack import Correction, FiniteStack
+from eitskin.simulator.presses.smooth_field import Box, SmoothField
+from eitskin.simulator.presses.stack_mesh import Fineness, stack_mesh
 from eitskin.simulator.scene.indenters import Indenter
 
 Array = NDArray[np.float64]

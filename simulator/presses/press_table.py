@@ -14,7 +14,7 @@ from eitskin.errors import ConfigurationError
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress, Indentation
 from eitskin.simulator.mechanics.layer_stack import Stack
 from eitskin.simulator.mechanics.load_stepping import SolidError
-from eitskin.simulator.mechanics.tabulated_dent import DEGREE, TabulatedDent
+from eitskin.simulator.presses.tabulated_dent import DEGREE, TabulatedDent
 from eitskin.simulator.scene.indenters import Indenter
 
 Array = NDArray[np.float64]

@@ -9,11 +9,12 @@ from eitskin.errors import ConfigurationError
 from eitskin.geometry import SensorDesign
 from eitskin.simulator import Cylinder, Mechanics
 from eitskin.simulator.layer.dents import Dents, PlacedDent
-from eitskin.simulator.mechanics import press_store
-from eitskin.simulator.mechanics import press_table as tables
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
+from eitskin.simulator.mechanics.cache_folder import folder
 from eitskin.simulator.mechanics.materials import NeoHookean
-from eitskin.simulator.mechanics.press_table import PressTable
+from eitskin.simulator.presses import press_store
+from eitskin.simulator.presses import press_table as tables
+from eitskin.simulator.presses.press_table import PressTable
 
 DESIGN = SensorDesign.reference()
 REFERENCE = Mechanics()
@@ -235,4 +236,4 @@ def test_they_are_kept_where_the_system_keeps_such_things(
         monkeypatch.delenv(name, raising=False)
     for name, value in variables.items():
         monkeypatch.setenv(name, value)
-    assert press_store.folder().as_posix() == expected
+    assert folder().as_posix() == expected

@@ -11,9 +11,9 @@ from eitskin.geometry import Bend, Clamp, Disc, FreeArc, Hinge, Rectangle, Senso
 from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import Mechanics, Scene, Simulator
-from eitskin.simulator.mechanics import bend_store, bend_table
-from eitskin.simulator.mechanics.bend_3d import ClampedStack
-from eitskin.simulator.mechanics.bend_table import BendTable
+from eitskin.simulator.bends import bend_store, bend_table
+from eitskin.simulator.bends.bend_3d import ClampedStack
+from eitskin.simulator.bends.bend_table import BendTable
 from eitskin.simulator.mechanics.materials import NeoHookean
 
 COARSE = Grading(finest=4e-3, coarsest=8e-3, growth=0.5)

@@ -11,7 +11,7 @@ from eitskin.geometry import Bend, Clamp, Disc, Hinge, Rectangle, SensorDesign
 from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import Mechanics, Simulator
-from eitskin.simulator.mechanics.bend_3d import ClampedStack
+from eitskin.simulator.bends.bend_3d import ClampedStack
 from eitskin.simulator.mechanics.load_stepping import SolidError
 from eitskin.simulator.mechanics.materials import NeoHookean
 from eitskin.simulator.mechanics.quadratic_field import QuadraticField

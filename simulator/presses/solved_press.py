@@ -10,10 +10,10 @@ from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress, Indentation
-from eitskin.simulator.mechanics.dent_field import DentField
-from eitskin.simulator.mechanics.finite_stack import Correction, FiniteStack
 from eitskin.simulator.mechanics.layer_stack import Mechanics, Stack
-from eitskin.simulator.mechanics.stack_mesh import stack_mesh
+from eitskin.simulator.presses.dent_field import DentField
+from eitskin.simulator.presses.finite_stack import Correction, FiniteStack
+from eitskin.simulator.presses.stack_mesh import stack_mesh
 from eitskin.simulator.scene.touch import AnyIndenter
 
 Array = NDArray[np.float64]

@@ -19,25 +19,25 @@ from eitskin.files import atomic_file
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.support import Rigid, Substrate
-from eitskin.simulator.mechanics.correction_table import (
+from eitskin.simulator.mechanics.cache_folder import folder
+from eitskin.simulator.mechanics.layer_stack import Mechanics, Stack
+from eitskin.simulator.presses.correction_table import (
     CorrectionTable,
     Report,
     StripTable,
     solve_corrections,
     solve_strip,
 )
-from eitskin.simulator.mechanics.layer_stack import Mechanics, Stack
-from eitskin.simulator.mechanics.pair_table import PairTable, solve_pairs
-from eitskin.simulator.mechanics.press_store import (
+from eitskin.simulator.presses.pair_table import PairTable, solve_pairs
+from eitskin.simulator.presses.press_store import (
     LIBRARY,
     REFERENCE_RATIO,
     SUBSTRATE_RATIO,
-    folder,
     indenter_samples,
     scaled_heights,
     with_modulus,
 )
-from eitskin.simulator.mechanics.smooth_field import SmoothField
+from eitskin.simulator.presses.smooth_field import SmoothField
 from eitskin.simulator.scene.indenters import Indenter
 
 Array = NDArray[np.float64]

@@ -4,8 +4,6 @@ import dataclasses
 import hashlib
 import json
 import math
-import os
-import sys
 import zipfile
 from functools import lru_cache
 from pathlib import Path
@@ -15,9 +13,10 @@ import numpy as np
 from eitskin.errors import ConfigurationError
 from eitskin.files import atomic_file
 from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.simulator.mechanics import press_table as tables
+from eitskin.simulator.mechanics.cache_folder import folder
 from eitskin.simulator.mechanics.layer_stack import Mechanics, Sheet, Stack
-from eitskin.simulator.mechanics.press_table import PressTable
+from eitskin.simulator.presses import press_table as tables
+from eitskin.simulator.presses.press_table import PressTable
 from eitskin.simulator.scene.indenters import Indenter
 
 # Tables that come with the package.
@@ -62,18 +61,6 @@ def missing(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -> s
     """Absent files of tables that `press_table` needs; each takes seconds to a minute to solve."""
     paths = (_path(stack, indenter) for stack, _ in _needed(design, mechanics))
     return {path for path in paths if not (LIBRARY / path.name).is_file() and not path.is_file()}
-
-
-def folder() -> Path:
-    """Folder of the tables: $EITSKIN_CACHE, or the user's folder for caches."""
-    given = os.environ.get("EITSKIN_CACHE")
-    if given:
-        return Path(given)
-    if sys.platform == "win32":
-        return Path(os.environ.get("LOCALAPPDATA", Path.home())) / "eitskin"
-    if sys.platform == "darwin":
-        return Path.home() / "Library" / "Caches" / "eitskin"
-    return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "eitskin"
 
 
 def _needed(design: SensorDesign, mechanics: Mechanics) -> list[tuple[Stack, float]]:
