@@ -47,11 +47,13 @@ _VERSION = 1
 _SHORTEST = 8.0  # length over the thickness of the stack, so that the ends do not feel each other
 # Steps of thickness and of the modulus ratio between solved stacks, as for the tables of presses.
 _THICKER, _STIFFER = 1.1, math.sqrt(2.0)
-# Steps up to which neighbours of the reference serve; differences that count as none.
-_FAR, _AT_NODE = 1.3, 1e-9
+# Steps up to which the neighbours of the reference serve: hand-made specimens stay within. Steps
+# that count as none.
+_FAR, _AT_NODE = 2.6, 1e-9
 _BEYOND = 0.02  # of the deepest solved press, by which another may be deeper
 _KEPT = 3e-4  # singular values, relative to the largest, that a stored table keeps
 _OF_FIELD = 4  # dimensions of the coefficients of one field
+_PARTS = ("_scales", "_amplitudes", "_modes", "_shape")
 
 
 def tabulable(design: SensorDesign) -> bool:
@@ -333,20 +335,24 @@ Table = TypeVar("Table", CorrectionTable, StripTable, PairTable)
 def _read(kind: type[Table], name: str) -> Table | None:
     """Table in a file; None where there is none or it is incomplete."""
     path = _file(name)
-    if path is None:
-        return None
+    values = None if path is None else _loaded(path, path.stat().st_mtime_ns)
+    names = {field.name for field in dataclasses.fields(kind)}
+    return kind(**values) if values is not None and names == set(values) else None
+
+
+# Specimens of one design share tables, and most scenes follow others of the same.
+@lru_cache(maxsize=16)
+def _loaded(path: Path, changed: int) -> dict[str, Array] | None:  # noqa: ARG001
+    """Arrays of a table in a file, read again where the file has changed."""
     try:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-            values = {}
-            for field in dataclasses.fields(kind):
-                if field.name in file:
-                    values[field.name] = file[field.name]
-                    continue
-                parts = [file[f"{field.name}_{part}"] for part in ("amplitudes", "modes")]
-                flat = parts[0].astype(np.float64) @ parts[1]
-                shape = tuple(int(n) for n in file[f"{field.name}_shape"])
-                values[field.name] = flat.reshape(shape) * file[f"{field.name}_scales"]
-            return kind(**values)
+            values = {name: file[name] for name in file.files if not name.endswith(_PARTS)}
+            for shape in (name for name in file.files if name.endswith("_shape")):
+                name = shape.removesuffix("_shape")
+                scales, amplitudes, modes = (file[f"{name}{part}"] for part in _PARTS[:3])
+                flat = amplitudes.astype(np.float64) @ modes
+                values[name] = flat.reshape(file[shape].tolist()) * scales
+            return values
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         return None
 

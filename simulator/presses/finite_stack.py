@@ -17,6 +17,7 @@ import numpy as np
 import skfem
 from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
+from scipy.spatial import cKDTree
 
 from eitskin.simulator.linalg.nested_dissection import Block, by_blocks, dissected
 from eitskin.simulator.mechanics.load_stepping import ForceTerm, Load, SolidError, newton
@@ -29,7 +30,6 @@ from eitskin.simulator.presses.stack_mesh import StackMesh
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-_ROUNDED = 10  # decimals, in m, by which nodes of one plane agree
 # Springs that hold a contact, relative to shear modulus over its radius.
 _STIFFNESS = 500.0
 _TOLERANCE = 1e-2  # of the last correction; the error is its square
@@ -191,18 +191,40 @@ class FiniteStack:
 
     def _result(self, x: Array) -> Correction:
         solid, lines = self.solid, self.body.lines
-        order = np.lexsort(solid.nodes.round(_ROUNDED).T[::-1])
-        shape = tuple(2 * len(line) - 1 for line in lines)
         gel = self.body.stack.sheets[self.body.stack.gel].law
+        middles = [np.sort(np.append(line, 0.5 * (line[1:] + line[:-1]))) for line in lines]
         stress = solid.corner_mean_stress(x, self.body.laws.index(gel))
-        corners = np.lexsort(self.body.mesh.p.round(_ROUNDED)[::-1])
+        of_gel = np.isfinite(stress)
+        pressures = _on_grid(self.body.mesh.p.T[of_gel], stress[of_gel, None], lines)[..., 0]
+        moved = _on_grid(solid.nodes, solid.displacement(x), middles)
         return Correction(
-            displacement=QuadraticField(lines, solid.displacement(x)[order].reshape(*shape, 3)),
-            mean_stress=_of_gel(stress[corners].reshape([len(line) for line in lines]), lines),
+            displacement=QuadraticField(lines, moved),
+            mean_stress=_of_gel(pressures, lines),
             bottom=self.body.stack.levels[self.body.stack.gel],
             sunk=x[solid.unknowns :].copy(),
             unknowns=x,
         )
+
+
+def _on_grid(points: Array, values: Array, lines: Sequence[Array]) -> Array:
+    """Values (n, k) at points (n, 3) of a grid, as (nx, ny, nz, k).
+
+    Where the grid has no node, beside a body that does not fill it, stands the nearest node's value
+    of the same height.
+    """
+    numbers = [
+        np.searchsorted(0.5 * (line[1:] + line[:-1]), points[:, axis])
+        for axis, line in enumerate(lines)
+    ]
+    found = np.full((*(len(line) for line in lines), values.shape[1]), np.nan)
+    found[tuple(numbers)] = values
+    filled = np.zeros(found.shape[:2], dtype=bool)
+    filled[numbers[0], numbers[1]] = True
+    if not filled.all():
+        plane = np.stack(np.meshgrid(lines[0], lines[1], indexing="ij"), axis=-1)
+        nearest = cKDTree(plane[filled]).query(plane[~filled])[1]
+        found[~filled] = found[filled][nearest]
+    return found
 
 
 def _of_gel(values: Array, lines: tuple[Array, Array, Array]) -> RegularGridInterpolator:

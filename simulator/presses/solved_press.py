@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError
-from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.geometry.design.surface import Surface
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress, Indentation
 from eitskin.simulator.mechanics.layer_stack import Mechanics, Stack
 from eitskin.simulator.presses.dent_field import DentField
@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 
 _CELL = 1.0 / 20.0  # finest of the axisymmetric press, over the radius of the indenter
 _KEPT = 64  # scenes
+_SAME = 1e-9  # [m]
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,14 +61,13 @@ def solved_presses(
 ) -> Correction:
     """Correction of presses on a design, solved in 3D; seconds to a minute.
 
-    Raises ConfigurationError for other outlines than rectangles, SolidError where presses are not
+    Raises ConfigurationError for a press that overhangs the stack, SolidError where presses are not
     carried.
     """
-    if not isinstance(design.outline, Rectangle):
-        raise ConfigurationError(
-            "presses are solved on rectangles, got the outline "
-            f"{type(design.outline).__name__.lower()}"
-        )
+    if isinstance(design.outline, Surface):
+        raise ConfigurationError("presses on a body from a surface file are solved on tetrahedra")
+    for press in presses:
+        _require_on_stack(press, design, mechanics.margin)
     stack = mechanics.stack(design)
     contacts = [(press.x, press.y, press.indenter.rims[1]) for press in presses]
     body = stack_mesh(design.outline, stack, mechanics, design.support, contacts)
@@ -76,6 +76,20 @@ def solved_presses(
         for press in presses
     ]
     return FiniteStack(body, len(presses)).correction(dents)
+
+
+def _require_on_stack(press: Press, design: SensorDesign, margin: float) -> None:
+    """Raise ConfigurationError unless the whole contact can lie on the stack."""
+    outline = design.outline
+    if isinstance(outline, Surface):
+        return
+    depth = float(outline.nearest(np.array([press.x, press.y]))[1])
+    least = press.indenter.rims[1] - margin
+    if depth < least - _SAME:
+        raise ConfigurationError(
+            f"a touch must keep {1e3 * max(least, 0.0):.1f} mm from the edge of the gel, so that "
+            f"its contact stays on the stack, got ({press.x:g}, {press.y:g}) m; press farther in"
+        )
 
 
 @lru_cache(maxsize=_KEPT)

@@ -9,7 +9,7 @@ import numpy as np
 import skfem
 from numpy.typing import NDArray
 
-from eitskin.geometry.design.outline import Rectangle
+from eitskin.geometry.design.outline import PlaneOutline, Rectangle
 from eitskin.geometry.design.support import Free, Plates, Support
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator.mechanics.layer_stack import Mechanics, Stack
@@ -22,6 +22,8 @@ _SAME = 1e-9  # [m]
 # Cells under an indenter over its radius, and their growth away from it. Corrections are smooth.
 _UNDER, _GROWTH = 0.5, 0.5
 _SAMPLES, _SPARE = 4001, 1e-6
+_STAIRS = 0.4  # of the thickness: boxes at the rim of other outlines than rectangles
+_ROUNDED = 9  # decimals, in m, by which nodes agree
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,15 +79,15 @@ class StackMesh:
         return found
 
     def held(self, points: Array) -> NDArray[np.bool_]:
-        """Whether points (n, 3) are held by the support."""
-        x, y, z = points.T
+        """Whether nodes at points (n, 3) of quadratic boxes are held by the support."""
+        x, _, z = points.T
         if self.free:
-            ends = [(line[0], line[-1]) for line in self.lines[:2]]
-            sides: list[NDArray[np.bool_]] = [
-                (p < a + _SAME) | (p > b - _SAME) for p, (a, b) in zip((x, y), ends, strict=True)
-            ]
-            outer: NDArray[np.bool_] = sides[0] | sides[1]
-            return outer
+            corners = self.mesh.p[:, self.mesh.facets[:, self._facets(self._upright())]]
+            around = corners.mean(axis=1)
+            edges = [0.5 * (corners[:, a] + corners[:, b]) for a, b in _pairs_of(4)]
+            rim = np.concatenate([*np.moveaxis(corners, 1, 0), around, *edges], axis=1).T
+            known = {tuple(point) for point in rim.round(_ROUNDED).tolist()}
+            return np.array([tuple(point) in known for point in points.round(_ROUNDED).tolist()])
         low, high = self.gap
         base: NDArray[np.bool_] = (z < _SAME) & ((x < low + _SAME) | (x > high - _SAME))
         return base
@@ -96,12 +98,16 @@ class StackMesh:
 
     def freed(self) -> Indices:
         """Facets that are free, but not in the unbounded stack on a rigid base: sides and gap."""
-        x, y, z = self._middles()
+        x, _, z = self._middles()
         low, high = self.gap
         freed = (z < _SAME) & (x > low) & (x < high)
-        for at, line in zip((x, y), self.lines[:2], strict=True):
-            freed |= ((at < line[0] + _SAME) | (at > line[-1] - _SAME)) & (not self.free)
-        return self._facets(freed)
+        return self._facets(freed if self.free else freed | self._upright())
+
+    def _upright(self) -> NDArray[np.bool_]:
+        """Whether each boundary facet is one of the sides."""
+        z = self._middles()[2]
+        upright: NDArray[np.bool_] = (z > _SAME) & (z < self.lines[2][-1] - _SAME)
+        return upright
 
     def _middles(self) -> Array:
         """Middles of the boundary facets, (3, facets) [m]."""
@@ -115,7 +121,7 @@ class StackMesh:
 
 
 def stack_mesh(
-    outline: Rectangle,
+    outline: PlaneOutline,
     stack: Stack,
     mechanics: Mechanics,
     support: Support,
@@ -125,7 +131,8 @@ def stack_mesh(
     """Box mesh of a stack, refined around contacts (x, y, radius) [m].
 
     Args:
-        outline: of the gel.
+        outline: of the gel. Others than rectangles are approximated by the boxes whose middles lie
+            within, those of gel and those of its margin.
         stack: the layers.
         mechanics: margin beside the gel, and its material.
         support: of the base.
@@ -133,8 +140,10 @@ def stack_mesh(
         fineness: at the faces, and through each layer.
     """
     radius, height = min(r for *_, r in contacts), stack.levels[-1]
-    fineness = fineness or Fineness()
-    grading = Grading(min(_UNDER * radius, 0.5 * height), max(height, _UNDER * radius), _GROWTH)
+    boxed = not isinstance(outline, Rectangle)
+    fineness = fineness or (Fineness(0.0, 0.0, 1) if boxed else Fineness())
+    coarsest = _STAIRS * height if boxed else max(height, _UNDER * radius)
+    grading = Grading(min(_UNDER * radius, 0.5 * height, coarsest), coarsest, _GROWTH)
     whole = outline.length
     gap = support.gap(outline) if isinstance(support, Plates) else (0.5 * whole, 0.5 * whole)
     free = isinstance(support, Free)
@@ -156,13 +165,20 @@ def stack_mesh(
     steps = [np.linspace(a, b, fineness.layers + 1)[1:] for a, b in itertools.pairwise(ends)]
     heights = np.concatenate([ends[:1], *steps])
     mesh = skfem.MeshHex.init_tensor(x, y, heights)
+    if boxed:
+        middles = mesh.p[:2, mesh.t].mean(axis=1).T
+        mesh = mesh.restrict(np.flatnonzero(outline.contains(middles, -mechanics.margin)))
     middles = mesh.p[:, mesh.t].mean(axis=1)
-    inside = (middles[0] > 0.0) & (middles[0] < whole)
-    inside &= (middles[1] > 0.0) & (middles[1] < outline.width)
+    inside = outline.contains(middles[:2].T)
     cells = np.flatnonzero(inside & (stack.layer_at(middles[2]) == stack.gel))
     around = mechanics.encapsulation
     laws = (*dict.fromkeys(s.law for s in stack.sheets if s.law != around), around)
     return StackMesh(mesh, (x, y, heights), stack, laws, cells, gap, free)
+
+
+def _pairs_of(count: int) -> list[tuple[int, int]]:
+    """Pairs of neighbouring corners of a facet, in a ring."""
+    return [(k, (k + 1) % count) for k in range(count)]
 
 
 def _across(
