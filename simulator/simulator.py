@@ -13,7 +13,7 @@ from eitskin.frame import Frame
 from eitskin.geometry.deformation.fixtures import Bend, Clamp, Fixture
 from eitskin.geometry.deformation.kinematics import Composed, Deformation
 from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.geometry.design.support import Support
+from eitskin.geometry.design.support import Support, require_fit
 from eitskin.geometry.design.surface import Surface
 from eitskin.protocol import Protocol
 from eitskin.simulator.bends import bend_store
@@ -34,7 +34,7 @@ from eitskin.simulator.layer.dents import Dents
 from eitskin.simulator.layer.pressed_touches import PressedTouch, TouchModel, dents, pressed_touches
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.scene.scene import Scene
-from eitskin.simulator.scene.support_check import require_base, require_bendable
+from eitskin.simulator.scene.support_check import require_bendable
 
 Array = NDArray[np.float64]
 Field: TypeAlias = Callable[[Array], Array]
@@ -139,8 +139,7 @@ class Simulator:
     def check_scene(self, scene: Scene) -> None:
         """Raise ConfigurationError for a scene that the sensor or its support does not allow.
 
-        Refused are touches off the layer or where the support leaves the bottom face free, and
-        bends that the support does not allow.
+        Refused are touches off the layer, and bends that the support does not allow.
         Forces and angles that are too large are refused later, in the solution.
         """
         outline = self.design.outline
@@ -158,7 +157,7 @@ class Simulator:
         supported = self.supported(scene)
         if scene.bends:
             require_bendable(supported.support, self.fixture)
-        require_base(scene.touches, supported)
+        require_fit(supported.support, outline)
 
     def supported(self, scene: Scene) -> SensorDesign:
         """The design, on the scene's support where the scene has one.

@@ -143,10 +143,6 @@ class ScriptedEpisode:
             if any(not touch.force > 0.0 for touch in keyframe.touches):
                 yield f"keyframes[{number}] has a force that is not above 0 N"
 
-    def pressed_positions(self, outline: PlaneOutline) -> tuple[tuple[float, float], ...]:  # noqa: ARG002
-        """Positions (x, y) [m] of touches."""
-        return tuple((touch.x, touch.y) for each in self.keyframes for touch in each.touches)
-
     def draw(self, outline: PlaneOutline, rng: np.random.Generator) -> Timeline:  # noqa: ARG002
         """Timeline of the script; draws nothing from `rng`."""
         length = self.keyframes[-1].time
@@ -232,10 +228,6 @@ class RandomEpisodes:
             if not 0.0 < low <= high:
                 yield f"{name} must be a rising range above 0, got [{low}, {high}]"
         yield from touch_problems(self.force, self.touches, self.margin, self.spacing, outline)
-
-    def pressed_positions(self, outline: PlaneOutline) -> tuple[tuple[float, float], ...]:
-        """Middle of the sensor (x, y) [m], which random touches reach."""
-        return ((0.5 * outline.length, 0.5 * outline.width),)
 
     def draw(self, outline: PlaneOutline, rng: np.random.Generator) -> Timeline:
         """Random timeline, drawn from `rng`."""

@@ -177,9 +177,7 @@ class Recipe:
         for number, group in enumerate(self.scenes):
             problems = [*group.problems(outline), *self._bend_problems(group.angle_deg)]
             bent = group.angle_deg != (0.0, 0.0)
-            problems += support_problems(
-                group.support, self.sensor, self.fixture, bent, group.pressed_positions(outline)
-            )
+            problems += support_problems(group.support, self.sensor, self.fixture, bent)
             for problem in problems:
                 yield f"scenes[{number}] ({group.state}): {problem}"
         for number, each in enumerate(self.episodes):
@@ -187,9 +185,7 @@ class Recipe:
             problems = problems or [*self._bend_problems(each.angles_deg)]
             problems += self._skew_problems(each.period)
             bent = each.angles_deg != (0.0, 0.0)
-            problems += support_problems(
-                None, self.sensor, self.fixture, bent, each.pressed_positions(outline)
-            )
+            problems += support_problems(None, self.sensor, self.fixture, bent)
             for problem in problems:
                 yield f"episodes[{number}]: {problem}"
 

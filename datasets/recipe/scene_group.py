@@ -84,12 +84,6 @@ class SceneGroup:
         if self.state == "bend" and self.angle_deg == (0.0, 0.0):
             yield "state 'bend' needs a range of angle_deg other than [0, 0]"
 
-    def pressed_positions(self, outline: PlaneOutline) -> tuple[tuple[float, float], ...]:
-        """Positions (x, y) [m] of touches; random ones reach the middle, which stands for all."""
-        if self.state != "touch":
-            return ()
-        return self.positions or ((0.5 * outline.length, 0.5 * outline.width),)
-
     @property
     def blocks(self) -> int:
         """Number of blocks of consecutive frames with one angle."""
