@@ -172,6 +172,8 @@ class TurnedField:
         """Displacements and their derivatives by x, y, z, (12, h, n)."""
         near = self._near(columns)
         found = np.zeros((12, columns.shape[1], len(columns)))
+        if not near.any():
+            return found
         inner = self.field.moved(self._within(columns[near]))
         Q = self._turn
         found[:3, :, near] = np.einsum("ij,jhn->ihn", Q, inner[:3])
