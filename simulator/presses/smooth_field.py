@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -178,6 +179,7 @@ def _polynomials(axis: int, s: Array, count: int) -> Array:
     return np.asarray(chebyshev.chebvander(s, count - 1))
 
 
+@lru_cache(maxsize=64)
 def _differentiation(axis: int, count: int) -> Array:
     """Matrix from values of polynomials, as a row, to values of their derivatives."""
     derive = legendre.legder if axis == 2 else chebyshev.chebder
