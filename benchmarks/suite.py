@@ -123,9 +123,6 @@ ALL = (
         "ablation", "data", 2, ("{out}/paper/seed-1/unseen-touch",), needs="{out}/paper/seed-1"
     ),
     Benchmark("layouts", "", 90, OWN, (*OWN, "--quick"), report="layouts.md"),
-    Benchmark(
-        "touches", "physics", 180, (*OWN[:1], "{own}/touches.csv", "--plot", "{own}/touches.png")
-    ),
 )
 
 

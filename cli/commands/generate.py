@@ -52,7 +52,7 @@ def command(
     output = Output(as_json, quiet, verbose)
     chosen = with_seed(_read(recipe), seed)
     if dry_run:
-        _announce_unsolved(chosen, output)
+        _solve_missing(chosen, output)
         found = estimate_cost(chosen, out, workers)
         output.result(dataclasses.asdict(found), _as_text(found, chosen, workers, out))
         return
@@ -83,7 +83,7 @@ def make_dataset(
 
     by = f"the cluster of {scheduler}" if scheduler else f"{workers} workers"
     output.detail(f"{recipe.frames} frames in {recipe.shards} shards, {by}")
-    _announce_unsolved(recipe, output)
+    _solve_missing(recipe, output)
     start = time.perf_counter()
     with output.progress() as bar:
         task = bar.add_task(recipe.name, total=recipe.frames, rate="")
@@ -122,11 +122,12 @@ def make_dataset(
     )
 
 
-def _announce_unsolved(recipe: "Recipe", output: Output) -> None:
-    """Note how many tables of presses and bends have to be solved first."""
+def _solve_missing(recipe: "Recipe", output: Output) -> None:
+    """Solve the tables of presses and bends that are absent, with a note and a progress bar."""
     from eitskin.datasets.generation.shard_simulation import (
         missing_bend_tables,
         missing_press_tables,
+        prepare,
     )
     from eitskin.simulator.mechanics.cache_folder import folder
 
@@ -142,6 +143,10 @@ def _announce_unsolved(recipe: "Recipe", output: Output) -> None:
             f"solving {missing} table{'s' * (missing > 1)} of presses that no sensor has needed "
             f"so far, once: from ten seconds to a few minutes each; kept in {folder()}"
         )
+    if bends or missing:
+        with output.progress() as bar:
+            task = bar.add_task("tables", total=None, rate="")
+            prepare(recipe, lambda done, total: bar.update(task, completed=done, total=total))
 
 
 def _as_text(found: "CostEstimate", recipe: "Recipe", workers: int, out: Path) -> str:

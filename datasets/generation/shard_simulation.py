@@ -56,8 +56,8 @@ def missing_press_tables(recipe: Recipe) -> set[Path]:
 def prepare(recipe: Recipe, progress: Progress | None = None) -> None:
     """Solve the tables that all workers need, and check the recipe's forces and bends.
 
-    `progress` is called with the number of solved bends and of all bends of each specimen that
-    needs tables.
+    `progress` is called with the numbers of solved bends or presses and of all in the tables that
+    are being solved.
 
     Raises ConfigurationError for forces or bends out of reach on some specimen.
     """
@@ -70,6 +70,7 @@ def prepare(recipe: Recipe, progress: Progress | None = None) -> None:
             table = press_store.press_table(design, mechanics, Cylinder())
             deepest = table.at_force(recipe.largest_force).depth
             if tabulable(design):
+                correction_store.prepare(design, mechanics, Cylinder(), progress)
                 corrections(design, mechanics, Cylinder()).check_depth(deepest)
 
 

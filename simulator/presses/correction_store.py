@@ -39,6 +39,7 @@ from eitskin.simulator.presses.press_store import (
 )
 from eitskin.simulator.presses.smooth_field import SmoothField
 from eitskin.simulator.scene.indenters import Indenter
+from eitskin.simulator.scene.touch import AnyIndenter
 
 Array = NDArray[np.float64]
 
@@ -136,15 +137,27 @@ class Corrections:
             )
 
 
+def prepare(
+    design: SensorDesign, mechanics: Mechanics, indenter: AnyIndenter, report: Report | None = None
+) -> None:
+    """Solve and store the absent tables of a design that is `tabulable`.
+
+    `report` is called with the numbers of solved presses and of all presses of the base table.
+    """
+    base, _ = _needed(design, mechanics)
+    if _file(_name(design, base, mechanics, indenter)) is None:
+        _stored(design, base, mechanics, indenter, report)
+    corrections(design, mechanics, indenter)
+    pair_table(design, mechanics, indenter)
+
+
 @lru_cache(maxsize=64)
-def corrections(
-    design: SensorDesign, mechanics: Mechanics, indenter: Indenter, report: Report | None = None
-) -> Corrections:
+def corrections(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -> Corrections:
     """Corrections on a design that is `tabulable`; those not stored take minutes to solve."""
     base, others = _needed(design, mechanics)
     return Corrections(
         design.thickness,
-        _stored(design, base, mechanics, indenter, report),
+        _stored(design, base, mechanics, indenter),
         tuple((_strip(design, stack, mechanics, indenter), weight) for stack, weight in others),
     )
 
@@ -206,7 +219,7 @@ def _stored(
     stack: Stack,
     mechanics: Mechanics,
     indenter: Indenter,
-    report: Report | None,
+    report: Report | None = None,
 ) -> CorrectionTable:
     name = _name(design, stack, mechanics, indenter)
     found = _read(CorrectionTable, name)

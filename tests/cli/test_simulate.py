@@ -115,14 +115,10 @@ def test_every_touch_tells_what_became_of_it(tmp_path) -> None:
     assert second.caution in " ".join(run(scene).stdout.split())
 
 
-def test_a_touch_by_itself_has_no_neighbour_and_the_closed_form_tells_nothing(scene) -> None:
-    assert simulate(scene)["touches"][0]["neighbour_distance_m"] is None
-    closed = simulate(scene, "--touch-model", "closed form")
-    assert closed["touches"] == []
-    frame = Simulator(SensorDesign.reference(), "fast", touch_model="closed form").measure(
-        Scene.from_toml(scene)
-    )
-    assert closed["impedance_real_ohm"] == frame.impedance.real.tolist()
+def test_a_touch_by_itself_has_no_neighbour_and_its_corrections_are_tabulated(scene) -> None:
+    found = simulate(scene)
+    assert found["touches"][0]["neighbour_distance_m"] is None
+    assert simulate(scene, "--touch-model", "tabulated") == found
 
 
 def test_an_option_says_what_the_sensor_rests_on(scene, tmp_path) -> None:
@@ -192,7 +188,7 @@ def test_a_picture_is_drawn_of_what_is_asked_for(scene, tmp_path) -> None:
         (("--view", "a.png", "--colour", "current", "--drive", "4,4"), "two different"),
         (("--view", "a.gif"), "PNG"),
         (("--view", "no/such/a.png"), "folder"),
-        (("--touch-model", "exact"), r"tabulated, closed form.*'exact'"),
+        (("--touch-model", "exact"), r"tabulated, solved.*'exact'"),
         (("--resolution", "finest"), r"fast, standard, fine.*'finest'"),
     ],
 )
