@@ -46,7 +46,7 @@ lint: $(VENV)/installed
 REFERENCE := geometry geometry.deformation.fixtures geometry.deformation.kinematics \
 	geometry.deformation.twist geometry.design.regular_layouts \
 	simulator simulator.bends.bend_3d simulator.bends.bend_table \
-	simulator.mechanics.materials simulator.mechanics.press_3d \
+	simulator.mechanics.materials simulator.presses.finite_stack \
 	simulator.mechanics.viscoelasticity simulator.view.vtu \
 	datasets training training.evaluation.cramer_rao hardware
 docs: $(VENV)/installed

@@ -149,7 +149,7 @@ Solved = tuple[Array, Array]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Setting:
-    """Solved stack and presses: what all positions share."""
+    """Stack and presses that all positions share."""
 
     width: float
     stack: Stack
@@ -301,7 +301,7 @@ def solve_strip(
 def _setting(
     outline: Rectangle, stack: Stack, mechanics: Mechanics, support: Support, indenter: Indenter
 ) -> tuple[_Setting, Array]:
-    """What all positions share, and the distances of presses from a side [m]."""
+    """Setting that all positions share, and the distances of presses from a side [m]."""
     H = stack.levels[-1]
     dents = _dents(stack, indenter, [part * H for part in _DEPTHS])
     setting = _Setting(outline.width, stack, mechanics, support, indenter, tuple(dents))

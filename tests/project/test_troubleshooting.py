@@ -191,7 +191,7 @@ PROVOKED = {
     "indenter radius": scene("touches = [{ x = 0.05, y = 0.02, indenter = { radius = 7.5 } }]\n"),
     "...: touch force": scene("touches = [{ x = 0.05, y = 0.02, force = -1 }]\n"),
     "force must be above": scene("touches = [{ x = 0.05, y = 0.02, force = 1000 }]\n"),
-    "a bend of": scene("[bend]\nangle_deg = 999\n"),
+    "this sensor is solved": scene("[bend]\nangle_deg = 999\n"),
     "thickness must be": design("thickness = -0.004\n" + SENSOR + SIDE),
     "electrode ...: ": design("thickness = 0.004\n" + SENSOR + INSIDE),
     "bending and touches": bends_a_surface,

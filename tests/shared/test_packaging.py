@@ -31,7 +31,16 @@ def test_the_wheel_holds_every_module_of_the_tree(tmp_path) -> None:
     (wheel,) = tmp_path.glob("*.whl")
     held = set(zipfile.ZipFile(wheel).namelist())
     assert "eitskin/training/reference.eitmodel/weights.safetensors" in held
-    patterns = ("*.py", "*.pyi", "py.typed", "*.toml", "firmware/*.[ch]", "*.css", "web/*")
+    patterns = (
+        "*.py",
+        "*.pyi",
+        "py.typed",
+        "*.toml",
+        "library/*.npz",
+        "firmware/*.[ch]",
+        "*.css",
+        "web/*",
+    )
     files = {
         path.relative_to(ROOT).as_posix()
         for folder in FOLDERS

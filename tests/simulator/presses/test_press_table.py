@@ -9,8 +9,8 @@ from eitskin.errors import ConfigurationError
 from eitskin.geometry import SensorDesign
 from eitskin.simulator import Cylinder, Mechanics
 from eitskin.simulator.layer.dents import Dents, PlacedDent
+from eitskin.simulator.mechanics import cache_folder
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
-from eitskin.simulator.mechanics.cache_folder import folder
 from eitskin.simulator.mechanics.materials import NeoHookean
 from eitskin.simulator.presses import press_store
 from eitskin.simulator.presses import press_table as tables
@@ -177,6 +177,7 @@ def solves(table, monkeypatch, tmp_path):
 
     monkeypatch.setattr(tables, "solve_table", solved)
     monkeypatch.setenv("EITSKIN_CACHE", str(tmp_path / "store"))
+    monkeypatch.setattr(press_store, "LIBRARY", tmp_path / "nothing ships")
     press_store.press_table.cache_clear()
     yield counted
     press_store.press_table.cache_clear()
@@ -231,9 +232,9 @@ def test_a_store_that_cannot_be_written_costs_time_only(solves, tmp_path, monkey
 def test_they_are_kept_where_the_system_keeps_such_things(
     platform, variables, expected, monkeypatch
 ) -> None:
-    monkeypatch.setattr(press_store.sys, "platform", platform)
+    monkeypatch.setattr(cache_folder.sys, "platform", platform)
     for name in ("EITSKIN_CACHE", "XDG_CACHE_HOME", "LOCALAPPDATA"):
         monkeypatch.delenv(name, raising=False)
     for name, value in variables.items():
         monkeypatch.setenv(name, value)
-    assert folder().as_posix() == expected
+    assert cache_folder.folder().as_posix() == expected

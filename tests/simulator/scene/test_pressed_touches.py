@@ -7,22 +7,19 @@ import numpy as np
 import pytest
 
 from eitskin.errors import ConfigurationError
-from eitskin.geometry import Bend, Clamp, Disc, Hinge, Rectangle, SensorDesign
-from eitskin.geometry.design.regular_layouts import uniform
+from eitskin.geometry import Bend, Clamp, Hinge, SensorDesign
 from eitskin.simulator import Cylinder, Mechanics, Profile, Scene, Simulator, Sphere, Touch
-from eitskin.simulator.layer import pressed_touches as presses
 from eitskin.simulator.layer.pressed_touches import pressed_touches
 from eitskin.simulator.mechanics.layer_stack import Piezoresistivity
 from eitskin.simulator.mechanics.viscoelasticity import Prony
 from eitskin.simulator.scene.scanned_indenter import ScannedIndenter
 
 DESIGN = SensorDesign.reference()
-WIDE = SensorDesign(Rectangle(0.55, 0.46), 0.005, uniform(Rectangle(0.55, 0.46), 4))
 X, Y = 0.060, 0.030
 
 
 def one(touch, mechanics=None):
-    (found,) = pressed_touches((touch,), DESIGN, mechanics or Mechanics())
+    (found,) = pressed_touches((touch,), DESIGN, mechanics or Mechanics(), "tabulated")
     return found
 
 
@@ -41,29 +38,29 @@ def test_a_press_tells_depth_contact_and_pressure() -> None:
 def test_a_press_to_the_depth_of_a_force_is_that_press(sim) -> None:
     found = one(Touch(X, Y, 6.0))
     to_depth = Touch(X, Y, depth=found.depth)
-    assert one(to_depth).force == pytest.approx(6.0, rel=1e-6)
+    assert one(to_depth).force == pytest.approx(6.0, rel=3e-3)  # steps of sinking end at 1e-3
     frames = [sim.measure(Scene(touches=(t,))).impedance for t in (Touch(X, Y, 6.0), to_depth)]
-    assert frames[0] == pytest.approx(frames[1], rel=1e-9)
+    assert frames[0] == pytest.approx(frames[1], rel=2e-5)
 
 
 def test_presses_near_the_edge_or_each_other_say_so() -> None:
-    assert "5.0 mm" in one(Touch(0.005, Y, 5.0)).caution
+    assert "4.0 mm" in one(Touch(0.004, Y, 5.0)).caution
     near = (Touch(X, Y, 5.0), Touch(X + 0.016, Y, 5.0))
-    for found in pressed_touches(near, DESIGN, Mechanics()):
+    for found in pressed_touches(near, DESIGN, Mechanics(), None):
         assert found.neighbour_distance == pytest.approx(0.016)
         assert "16.0 mm from another" in found.caution
 
 
 @pytest.mark.parametrize(
     ("y", "error"),
-    [(0.004, None), (0.006, 0.1), (0.0075, 0.03), (0.012, 0.03), (0.015, 0.21), (0.030, 0.21)],
+    [(0.0045, None), (0.006, 0.04), (0.030, 0.04)],
 )
 def test_errors_of_the_signal_are_those_found_at_such_distances(y, error) -> None:
     assert one(Touch(X, y, 5.0)).signal_error == error
-    for apart, least in ((0.018, None), (0.025, 0.40), (0.04, 0.16), (0.05, 0.0)):
+    for apart, least in ((0.018, None), (0.025, 0.04)):
         pair = (Touch(X, y, 5.0), Touch(X + apart, y, 5.0))
         expected = None if error is None or least is None else max(error, least)
-        for found in pressed_touches(pair, DESIGN, Mechanics()):
+        for found in pressed_touches(pair, DESIGN, Mechanics(), None):
             assert found.signal_error == expected
 
 
@@ -78,38 +75,6 @@ def test_presses_that_turn_the_gel_inside_out_are_refused(sim) -> None:
     near = Scene(touches=tuple(Touch(x, y, 38.0) for x in (0.02, 0.036) for y in (0.02, 0.036)))
     with pytest.raises(ConfigurationError, match="inside out"):
         sim.measure(near)
-
-
-def test_free_edges_carry_no_pressure() -> None:
-    """Half-way to the negative image, w and p vanish; both mirrors of the width repeat for ever."""
-    mechanics = Mechanics()
-    touch = Touch(0.070, 0.022, 8.0)
-    dents = presses.dents((touch,), DESIGN, mechanics, "tabulated")
-    x, z = np.meshgrid(np.linspace(0.03, 0.11, 9), [0.0005, 0.004])
-    middle = Touch(0.270, 0.222, 8.0)
-    alone = presses.dents((middle,), WIDE, mechanics, "tabulated")
-    for side, distance in ((-1, touch.y + 0.005), (1, 0.065 - touch.y)):
-        edge = touch.y + side * (distance - presses.mirror_inside(distance, 0.012))
-        rim = np.stack([x, np.full_like(x, edge), z], axis=-1)
-        unbounded = rim + np.array([0.2, 0.2, 0.0])
-        scale = np.abs(alone.positions(unbounded) - unbounded)[..., 2].max()
-        assert (dents.positions(rim) - rim)[..., 2] == pytest.approx(0 * x, abs=0.05 * scale)
-        stress = np.abs(alone.mean_stress(unbounded)).max()
-        assert dents.mean_stress(rim) == pytest.approx(0 * x, abs=0.05 * stress)
-
-
-def test_presses_have_images_beyond_the_rims_that_are_near() -> None:
-    middle = Touch(0.270, 0.222, 8.0)
-    assert len(presses.dents((middle,), WIDE, Mechanics(), "tabulated").presses) == 1
-    assert len(presses.dents((Touch(X, Y),), DESIGN, Mechanics(), "tabulated").presses) > 3
-    disc = Disc(0.05)
-    design = SensorDesign(disc, 0.005, uniform(disc, 4))
-    found = presses.dents((Touch(0.08, 0.05, 5.0),), design, Mechanics(), "tabulated").presses
-    beyond = 0.005 - presses.mirror_inside(0.025, design.encapsulated_thickness)
-    assert [(press.x, press.y, press.sign) for press in found] == [
-        (0.08, 0.05, 1.0),
-        (pytest.approx(0.1 + 2 * beyond + 0.02), pytest.approx(0.05), -1.0),
-    ]
 
 
 # Time
@@ -256,11 +221,6 @@ def test_impossible_touches_are_refused(arguments, says) -> None:
         Touch(X, Y, **arguments)
 
 
-def test_the_closed_form_says_what_it_does_not_know() -> None:
-    sim = Simulator(DESIGN, resolution="fast", touch_model="closed form")
-    sim.measure(Scene(touches=(Touch(X, Y, 5.0),)))
-    for touch in (Touch(X, Y, depth=1e-3), Touch(X, Y, held=1.0), Touch(X, Y, 5.0, Sphere(0.01))):
-        with pytest.raises(ConfigurationError, match="tabulated"):
-            sim.measure(Scene(touches=(touch,)))
+def test_an_unknown_model_of_touches_is_refused() -> None:
     with pytest.raises(ConfigurationError, match=r"touch_model.*one of"):
         Simulator(DESIGN, touch_model="guess")

@@ -171,7 +171,6 @@ def test_impossible_scenes_are_refused(sim) -> None:
     # In the bounding box and off the outline.
     disc = Disc(0.04)
     round_sensor = Simulator(SensorDesign(disc, 0.005, uniform(disc, 4)), resolution="fast")
-    assert np.isfinite(round_sensor.measure(Scene(touches=(Touch(0.02, 0.04),))).impedance).all()
     with pytest.raises(ConfigurationError, match=r"0.08 x 0.08 m.*\(0.005,"):
         round_sensor.measure(Scene(touches=(Touch(0.005, 0.005),)))
 

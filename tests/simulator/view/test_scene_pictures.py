@@ -172,8 +172,6 @@ def test_indenters_are_where_they_press_and_not_where_they_were_taken_off(sim) -
     before = np.linalg.norm(body.points - tip, axis=1)
     after = np.linalg.norm(moved.points - place, axis=1)
     assert np.sort(after) == pytest.approx(np.sort(before), abs=1e-7)
-    closed = Simulator(SensorDesign.reference(), "fast", touch_model="closed form")
-    assert indenter_surfaces(closed, Scene(touches=(press,))) == []
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,191 @@
+"""Tabulated corrections: symmetry, range, storage, and presses that were solved otherwise."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from eitskin.errors import ConfigurationError
+from eitskin.geometry import Disc, Plates, SensorDesign, Substrate
+from eitskin.geometry.design.regular_layouts import uniform
+from eitskin.simulator import Cylinder, Mechanics, Scene, Simulator, Touch
+from eitskin.simulator.mechanics.materials import NeoHookean
+from eitskin.simulator.presses import correction_store as store
+from eitskin.simulator.presses.correction_table import CorrectionTable
+from eitskin.simulator.presses.pair_table import PairTable
+
+DESIGN, MECHANICS, PUNCH = SensorDesign.reference(), Mechanics(), Cylinder()
+LENGTH, WIDTH, DEPTH = 0.150, 0.060, 0.0024
+REFERENCES = Path(__file__).parents[2] / "data" / "press_references.json"
+
+
+@pytest.fixture(scope="module")
+def shipped() -> store.Corrections:
+    assert store.is_shipped(DESIGN, MECHANICS, PUNCH)
+    return store.corrections(DESIGN, MECHANICS, PUNCH)
+
+
+def total(found, points):
+    """Displacement and mean stress of all fields at points (n, 3), (n, 4)."""
+    fields, _ = found
+    return sum(field.values(points[:, None])[:, 0].T for field in fields)
+
+
+@pytest.mark.parametrize(("x", "y"), [(0.075, 0.030), (0.030, 0.014), (0.012, 0.048)])
+@pytest.mark.parametrize("axis", [0, 1])
+def test_mirrored_presses_have_mirrored_corrections(shipped, x, y, axis) -> None:
+    size = (LENGTH, WIDTH)
+    there = [x, y]
+    there[axis] = size[axis] - there[axis]
+    points = np.random.default_rng(0).uniform((0, 0, 0), (LENGTH, WIDTH, 0.005), (60, 3))
+    mirrored, signs = points.copy(), np.ones(4)
+    mirrored[:, axis], signs[axis] = size[axis] - points[:, axis], -1.0
+    here, image = shipped.at(x, y, DEPTH), shipped.at(*there, DEPTH)
+    assert image[1] == pytest.approx(here[1], rel=1e-9)
+    expected = total(here, points) * signs
+    scale = np.abs(expected).max(axis=0)
+    assert total(image, mirrored) / scale == pytest.approx(expected / scale, abs=2e-3)
+
+
+def test_corrections_vanish_with_the_depth(shipped) -> None:
+    points = np.random.default_rng(1).uniform((0, 0, 0), (LENGTH, WIDTH, 0.005), (60, 3))
+    deep, shallow = (np.abs(total(shipped.at(0.04, 0.02, d), points)) for d in (2.4e-3, 2.4e-6))
+    assert np.all(shallow.max(axis=0) < 3e-3 * deep.max(axis=0))
+
+
+def test_presses_beyond_the_tables_are_refused(shipped) -> None:
+    deepest = float(shipped.base.depths[-1])
+    shipped.at(0.075, 0.030, deepest)
+    with pytest.raises(ConfigurationError, match=r"tabulated to a depth .* touch_model='solved'"):
+        shipped.at(0.075, 0.030, 1.05 * deepest)
+    assert shipped.base.covers(0.075, 0.055)
+    assert shipped.base.covers(0.004, 0.004)
+    assert not shipped.base.covers(0.075, 0.0595)
+    with pytest.raises(ConfigurationError, match=r"keep .* mm from the edge"):
+        shipped.at(0.001, 0.030, 0.001)
+
+
+def test_pairs_feel_each_other_less_farther_apart() -> None:
+    table = store.pair_table(DESIGN, MECHANICS, PUNCH)
+    found = [table.at(apart, 0.002, 0.002) for apart in (0.018, 0.025, 0.035)]
+    sizes = [np.abs(field.coefficients[..., :3]).max() for field, _ in found]
+    assert sizes[0] > 2 * sizes[1] > 4 * sizes[2]
+    assert table.at(float(table.apart[-1]), 0.002, 0.002) is None
+    field, sunk = table.at(0.025, 0.003, 0.0012)
+    swapped, same = table.at(0.025, 0.0012, 0.003)
+    assert sunk == same
+    assert np.array_equal(field.coefficients, swapped.coefficients)
+
+
+# Neighbouring stacks
+
+
+@pytest.mark.parametrize("thickness", [0.0047, 0.005, 0.0054])
+@pytest.mark.parametrize("modulus", [28e3, 33e3])
+def test_weights_of_neighbours_are_those_of_a_quadratic(thickness, modulus) -> None:
+    design = dataclasses.replace(DESIGN, thickness=thickness)
+    mechanics = Mechanics(encapsulation=NeoHookean(modulus), solved_thickness=0.005)
+    base, others = store._needed(design, mechanics)
+    assert sum(weight for _, weight in others) == pytest.approx(0.0, abs=1e-12)
+
+    def quadratic(stack):
+        t = np.log(stack.sheets[1].thickness / 0.005)
+        s = np.log(stack.sheets[0].law.shear_modulus / 28e3)
+        return 1.0 + 2.0 * t - 3.0 * t**2 + 0.5 * s + 4.0 * s**2
+
+    found = quadratic(base) + sum(weight * quadratic(stack) for stack, weight in others)
+    t, s = np.log(thickness / 0.005), np.log(modulus / 28e3)
+    assert found == pytest.approx(1.0 + 2.0 * t - 3.0 * t**2 + 0.5 * s + 4.0 * s**2)
+
+
+def test_only_presses_that_depend_on_x_near_the_ends_are_tabulated() -> None:
+    disc = Disc(0.05)
+    assert store.tabulable(DESIGN)
+    assert store.tabulable(dataclasses.replace(DESIGN, support=Substrate(0.01, 5e3)))
+    assert not store.tabulable(dataclasses.replace(DESIGN, support=Plates()))
+    assert not store.tabulable(SensorDesign(disc, 0.005, uniform(disc, 4)))
+    assert not store.is_shipped(DESIGN, MECHANICS, Cylinder(0.006))
+
+
+# Files
+
+
+@pytest.fixture
+def table() -> CorrectionTable:
+    rng, fields = np.random.default_rng(5), (3, 2, 2, 4)
+    return CorrectionTable(
+        thickness=np.array(0.012),
+        width=np.array(WIDTH),
+        height=np.array(0.005),
+        aside=np.array([0.004, 0.030]),
+        depths=np.array([0.0, 0.001, 0.002]),
+        strip=rng.normal(size=(2, 2, *fields)),
+        sunk=rng.normal(size=(2, 2)),
+        length=np.array(LENGTH),
+        along=np.array([0.004, 0.02, 0.05]),
+        ends=rng.normal(size=(2, 2, 2, *fields)),
+        sunk_more=rng.normal(size=(2, 2, 2)),
+    )
+
+
+def test_a_stored_table_is_read_back_and_a_damaged_one_is_none(
+    table, tmp_path, monkeypatch
+) -> None:
+    monkeypatch.setenv("EITSKIN_CACHE", str(tmp_path))
+    assert store._read(CorrectionTable, "table.npz") is None
+    path = tmp_path / "table.npz"
+    store._write(table, path)
+    found = store._read(CorrectionTable, "table.npz")
+    for field in dataclasses.fields(CorrectionTable):
+        own = getattr(table, field.name)
+        assert getattr(found, field.name) == pytest.approx(own, abs=2e-3), field.name
+    assert store._read(PairTable, "table.npz") is None
+    path.write_bytes(path.read_bytes()[:1000])
+    assert store._read(CorrectionTable, "table.npz") is None
+
+
+def test_names_of_files_depend_on_everything() -> None:
+    stack = MECHANICS.stack(DESIGN)
+    harder = dataclasses.replace(MECHANICS, encapsulation=NeoHookean(40e3))
+    longer = dataclasses.replace(DESIGN.outline, length=0.160)
+    cases = [
+        (DESIGN, stack, MECHANICS, PUNCH),
+        (dataclasses.replace(DESIGN, outline=longer), stack, MECHANICS, PUNCH),
+        (DESIGN, stack, Mechanics(margin=0.004), PUNCH),
+        (DESIGN, harder.stack(DESIGN), harder, PUNCH),
+        (DESIGN, dataclasses.replace(stack, bulk_ratio=1e3), MECHANICS, PUNCH),
+        (DESIGN, stack, MECHANICS, Cylinder(0.006)),
+        (DESIGN, stack, MECHANICS, Cylinder(rough=False)),
+    ]
+    names = {store._name(*case) for case in cases}
+    assert len(names) == len(cases)
+    assert len({store._strip_name(*case) for case in cases}) == len(cases) - 1  # of any length
+    assert store._name(*cases[0]) == store._name(DESIGN, stack, Mechanics(), Cylinder())
+
+
+# Independent solutions
+
+
+def changes(sim: Simulator, touch: Touch):
+    flat = sim.measure(Scene()).impedance.real
+    return sim.measure(Scene(touches=(touch,))).impedance.real / flat - 1.0
+
+
+@pytest.mark.slow
+def test_tables_give_the_signals_of_solved_presses() -> None:
+    touch = Touch(0.062, 0.022, 8.0)
+    found, solved = (
+        changes(Simulator(DESIGN, "fast", touch_model=model), touch)
+        for model in ("tabulated", "solved")
+    )
+    assert np.linalg.norm(found - solved) < 0.02 * np.linalg.norm(solved)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "x"), [("75_30", 0.075), ("60_30", 0.060)])
+def test_presses_give_the_signals_of_an_independent_solution(name, x) -> None:
+    expected = np.array(json.loads(REFERENCES.read_text())[name])
+    found = changes(Simulator(DESIGN, "fine"), Touch(x, 0.030, 10.0))
+    assert np.linalg.norm(found - expected) < 0.02 * np.linalg.norm(expected)

@@ -1,0 +1,149 @@
+"""Finite stack under presses: equilibrium, symmetry, limits, supports and refusals."""
+
+import numpy as np
+import pytest
+
+from eitskin.geometry import Free, Plates, Rectangle, Rigid, SensorDesign, Support
+from eitskin.simulator import Cylinder, Mechanics
+from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
+from eitskin.simulator.mechanics.load_stepping import SolidError
+from eitskin.simulator.presses.dent_field import DentField
+from eitskin.simulator.presses.finite_stack import FiniteStack
+from eitskin.simulator.presses.stack_mesh import Fineness, StackMesh, stack_mesh
+
+MECHANICS, PUNCH = Mechanics(), Cylinder()
+STACK = MECHANICS.stack(SensorDesign.reference())
+LENGTH, WIDTH, X, Y = 0.050, 0.040, 0.018, 0.013
+TOP = 0.012
+DEPTH, SMALL = 8e-4, 1e-5
+
+
+@pytest.fixture(scope="module")
+def dents():
+    """Axisymmetric presses on a coarse mesh, by depth [m]."""
+    press = AxisymmetricPress(STACK, PUNCH, PUNCH.radius / 6)
+    return {depth: press.to_depth(depth) for depth in (SMALL, 2 * SMALL, DEPTH)}
+
+
+def meshed(x=X, y=Y, support: Support | None = None, size=(LENGTH, WIDTH)) -> StackMesh:
+    contacts = [(x, y, PUNCH.radius)]
+    fineness = Fineness(ends=0.0, sides=0.0, layers=1)
+    outline = Rectangle(*size)
+    return stack_mesh(outline, STACK, MECHANICS, support or Rigid(), contacts, fineness)
+
+
+@pytest.fixture(scope="module")
+def stack() -> FiniteStack:
+    return FiniteStack(meshed())
+
+
+@pytest.fixture(scope="module")
+def pressed(stack, dents):
+    return stack.correction([DentField(X, Y, PUNCH, dents[DEPTH])])
+
+
+def test_the_base_carries_the_force_of_the_indenter(stack, pressed, dents) -> None:
+    """Dents and correction together; 3 % is the quadrature of the dent on coarse cells."""
+    stack.correction([DentField(X, Y, PUNCH, dents[DEPTH])], pressed.unknowns)
+    count = len(stack.solid.nodes)
+    forces = stack.solid.forces(pressed.unknowns)[: 3 * count].reshape(count, 3)
+    held = stack.body.held(stack.solid.nodes)
+    assert forces[held].sum(axis=0)[2] == pytest.approx(dents[DEPTH].force, rel=0.03)
+    assert forces.sum(axis=0) == pytest.approx(np.zeros(3), abs=1e-9)
+
+
+def test_the_contact_sinks_and_neither_tilts_nor_slides(pressed) -> None:
+    radii = np.array([0.0, 0.5, 0.9]) * PUNCH.radius
+    under = np.array([[X + r, Y, TOP] for r in radii] + [[X, Y - r, TOP] for r in radii])
+    moved = pressed.displacement(under)
+    assert 0.0 < pressed.sunk[0] < 0.1 * DEPTH
+    assert moved[:, 2] == pytest.approx(np.full(6, -pressed.sunk[0]), rel=0.03)
+    assert np.abs(moved[:, :2]).max() < 0.03 * pressed.sunk[0]
+    beyond = pressed.displacement(np.array([[0.040, 0.030, TOP]]))
+    assert np.linalg.norm(beyond) > 0.1 * pressed.sunk[0]
+
+
+def test_mirrored_presses_have_mirrored_corrections(pressed, dents) -> None:
+    there = (LENGTH - X, WIDTH - Y)
+    image = FiniteStack(meshed(*there)).correction([DentField(*there, PUNCH, dents[DEPTH])])
+    assert image.sunk == pytest.approx(pressed.sunk, rel=1e-4)
+    points = np.random.default_rng(0).uniform((0, 0, 0.004), (LENGTH, WIDTH, 0.008), (40, 3))
+    mirrored = points * [-1.0, -1.0, 1.0] + [LENGTH, WIDTH, 0.0]
+    expected = pressed.displacement(points) * [-1.0, -1.0, 1.0]
+    found = image.displacement(mirrored)
+    assert found == pytest.approx(expected, abs=1e-4 * np.abs(expected).max())
+
+
+def test_corrections_of_small_presses_scale_with_the_force(stack, dents) -> None:
+    one, two = (
+        stack.correction([DentField(X, Y, PUNCH, dents[depth])]) for depth in (SMALL, 2 * SMALL)
+    )
+    factor = dents[2 * SMALL].force / dents[SMALL].force
+    assert two.sunk == pytest.approx(factor * one.sunk, rel=0.01)
+    size = np.abs(one.displacement.values).max()
+    assert two.displacement.values == pytest.approx(
+        factor * one.displacement.values, abs=0.02 * factor * size
+    )
+
+
+@pytest.mark.slow
+def test_nothing_is_corrected_far_from_the_sides(pressed, dents) -> None:
+    wide = FiniteStack(meshed(0.075, 0.075, size=(0.150, 0.150)))
+    found = wide.correction([DentField(0.075, 0.075, PUNCH, dents[DEPTH])])
+    largest = np.abs(found.displacement.values).max()
+    assert largest < 0.01 * DEPTH
+    assert largest < 0.1 * np.abs(pressed.displacement.values).max()
+
+
+def test_dents_that_turn_the_stack_inside_out_are_refused(dents) -> None:
+    many = [DentField(X, Y, PUNCH, dents[DEPTH])] * 20
+    with pytest.raises(SolidError, match="inside out where they overlap"):
+        FiniteStack(meshed(), len(many)).correction(many)
+
+
+# Supports
+
+
+def freed_area(body: StackMesh) -> dict[str, float]:
+    """Area of the free base and of the free sides [m2]."""
+    corners = body.mesh.p[:, body.mesh.facets[:, body.freed()]]
+    extent = np.ptp(corners, axis=1)
+    below = extent[2] < 1e-12
+    sides = np.where(extent[0] < 1e-12, extent[1], extent[0]) * extent[2]
+    return {"base": (extent[0] * extent[1])[below].sum(), "sides": sides[~below].sum()}
+
+
+def test_what_is_held_and_what_is_free_follows_the_support() -> None:
+    margin = MECHANICS.margin
+    length, width = LENGTH + 2 * margin, WIDTH + 2 * margin
+    points = np.array(
+        [
+            [LENGTH / 2, Y, 0.0],
+            [LENGTH / 2 - 0.010, Y, 0.0],
+            [0.0, Y, 0.0],
+            [-margin, Y, 0.006],
+            [X, WIDTH + margin, 0.006],
+            [X, Y, TOP],
+        ]
+    )
+    sides = 2 * (length + width) * TOP
+    for support, held, areas in (
+        (Rigid(), [True, True, True, False, False, False], (0.0, sides)),
+        (Plates(0.020), [False, True, True, False, False, False], (0.020 * width, sides)),
+        (Free(), [False, False, False, True, True, False], (length * width, 0.0)),
+    ):
+        body = meshed(support=support)
+        assert body.held(points).tolist() == held
+        found = freed_area(body)
+        assert (found["base"], found["sides"]) == pytest.approx(areas, abs=1e-9)
+
+
+def test_cells_of_the_margin_are_of_silicone() -> None:
+    body = meshed()
+    middles = body.mesh.p[:, body.mesh.t].mean(axis=1)
+    gel = np.array([body.laws[k] == MECHANICS.gel for k in body.law_of_cell])
+    inside = (np.abs(middles[0] - LENGTH / 2) < LENGTH / 2) & (
+        np.abs(middles[1] - WIDTH / 2) < WIDTH / 2
+    )
+    assert np.array_equal(gel, inside & (np.abs(middles[2] - TOP / 2) < 0.0025))
+    assert np.array_equal(np.flatnonzero(gel), np.sort(body.gel_cells))
