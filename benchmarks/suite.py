@@ -101,6 +101,7 @@ def _command(name: str, minutes: float, *options: str, seeded: bool = True) -> B
 ALL = (
     _command("accuracy", 3),
     _command("stability", 6),
+    _command("world", 8),
     _command("speed", 5),
     Benchmark("signals", "physics", 1, ("--pictures", "{own}"), ("--pictures", "{own}")),
     Benchmark("instrument", "boards", 1, (), ()),

@@ -2,7 +2,7 @@
 
 import typer
 
-from eitskin.cli.commands.bench import accuracy, layouts, paper, speed, stability, suite
+from eitskin.cli.commands.bench import accuracy, layouts, paper, speed, stability, suite, world
 
 app = typer.Typer(help="Measure errors and run times.", no_args_is_help=True)
 app.command("paper")(paper.command)
@@ -11,3 +11,4 @@ app.command("speed")(speed.command)
 app.command("all")(suite.run_all)
 app.command("accuracy")(accuracy.command)
 app.command("stability")(stability.command)
+app.command("world")(world.command)

@@ -1,0 +1,1 @@
+"""Presses and bends against reference solutions in 3D: `eitskin bench world`."""

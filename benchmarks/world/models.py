@@ -1,0 +1,72 @@
+"""Models of presses and bends: kinematic, tabulated and solved in 3D."""
+
+from collections.abc import Callable
+from functools import partial
+
+from eitskin.benchmarks.world.reference import ReferenceCase
+from eitskin.geometry.deformation.fixtures import Clamp, Hinge
+from eitskin.geometry.deformation.kinematics import Deformation
+from eitskin.simulator.bends import bend_store
+from eitskin.simulator.bends.bend_3d import ClampedStack
+from eitskin.simulator.layer.dents import Dents, PlacedDent
+from eitskin.simulator.layer.pressed_touches import TouchModel, dents, pressed_touches
+from eitskin.simulator.presses.correction_store import missing, tabulable
+from eitskin.simulator.presses.press_store import press_table
+from eitskin.simulator.presses.solved_press import solved_presses
+
+KINEMATIC, TABULATED, SOLVED = "kinematic", "tabulated", "solved"
+"""Names of models: unbounded dents or `Hinge()`; the tables; solutions in 3D."""
+QUICK = (KINEMATIC, TABULATED)
+
+Model = Callable[[], Deformation]
+
+
+def deformations(case: ReferenceCase) -> dict[str, Model | None]:
+    """Models of one case by name; None where the tables of the case are not shipped."""
+    scene, sensor = case.scene, (case.design, case.mechanics)
+    if case.is_bend:
+        design, materials = sensor
+        return {
+            KINEMATIC: partial(bend_store.bend, design, Hinge(), materials, scene.bend),
+            TABULATED: partial(bend_store.bend, design, Clamp(), materials, scene.bend),
+            SOLVED: partial(_clamped_3d, case),
+        }
+    shipped = tabulable(case.design) and not any(
+        missing(*sensor, touch.indenter) for touch in scene.touches
+    )
+    return {
+        KINEMATIC: partial(_unbounded, case),
+        TABULATED: partial(dents, scene.touches, *sensor, "tabulated") if shipped else None,
+        SOLVED: partial(_pressed_3d, case),
+    }
+
+
+def depth(case: ReferenceCase, model: str) -> float:
+    """Depth of the first indenter by a model [m]; nan for bends."""
+    if case.is_bend:
+        return float("nan")
+    if model == KINEMATIC:
+        touch = case.scene.touches[0]
+        found = press_table(case.design, case.mechanics, touch.indenter).at_force(touch.force)
+        return float(found.depth)
+    way: TouchModel = "tabulated" if model == TABULATED else "solved"
+    return pressed_touches(case.scene.touches, case.design, case.mechanics, way)[0].depth
+
+
+def _clamped_3d(case: ReferenceCase) -> Deformation:
+    stack = ClampedStack(case.design, mechanics=case.mechanics)
+    return next(stack.equilibria([case.scene.bend.angle_deg]))
+
+
+def _pressed_3d(case: ReferenceCase) -> Deformation:
+    solved_presses.cache_clear()
+    return dents(case.scene.touches, case.design, case.mechanics, "solved")
+
+
+def _unbounded(case: ReferenceCase) -> Deformation:
+    """Dents of the unbounded stack, without corrections."""
+    placed = []
+    for touch in case.scene.touches:
+        table = press_table(case.design, case.mechanics, touch.indenter)
+        placed.append(PlacedDent(touch.x, touch.y, table.at_force(touch.force)))
+    return Dents(tuple(placed))

@@ -1,0 +1,190 @@
+"""Error and cost of every model of presses and bends: `eitskin bench world`.
+
+Errors are those of the signal: norm of the error of the 28 relative changes over their norm. The
+deformation of each model is evaluated on the mesh of the reference, so that the forward model has
+no part in the error.
+"""
+
+import statistics
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from eitskin.benchmarks.world.costs import Cost, bytes_stored, costs, counted, points_of
+from eitskin.benchmarks.world.models import KINEMATIC, QUICK, SOLVED, TABULATED, deformations, depth
+from eitskin.benchmarks.world.reference import ReferenceCase, cases
+from eitskin.extras import require
+from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.provenance import Provenance
+from eitskin.simulator.simulator import Simulator
+
+Watch: TypeAlias = Callable[[str, Sequence[Any]], Iterable[Any]]
+
+MEDIAN, WORST = 0.02, 0.04
+"""Targets of the signal error of the default models: in the middle, and at most."""
+_QUICK_CASES = ("75_30", "independent_bend_20")
+
+
+@dataclass(frozen=True, slots=True)
+class ModelError:
+    """Comparison of one model with one case of the reference.
+
+    Attributes:
+        case: name of the case.
+        kind: "press" or "bend".
+        model: its name.
+        error: of the signal.
+        seconds: of the deformation at the points of the mesh [s].
+        reference_error: of the case, by estimate.
+        depth: of the first indenter [m]; nan for bends.
+        reference_depth: the same, of the reference.
+    """
+
+    case: str
+    kind: str
+    model: str
+    error: float
+    seconds: float
+    reference_error: float
+    depth: float
+    reference_depth: float
+
+
+@dataclass(frozen=True, slots=True)
+class World:
+    """Results of one run.
+
+    Attributes:
+        provenance: machine, versions, seed and date.
+        seconds: of the run [s].
+        quick: whether few cases and a coarse mesh had to do.
+        errors: of all models at all cases.
+        costs: of deformations at the points of named resolutions.
+        stored: size of all shipped tables by kind [bytes].
+        counts: tables that simple scenes look up.
+        left_out: models that have no table of a case.
+    """
+
+    provenance: Provenance
+    seconds: float
+    quick: bool
+    errors: tuple[ModelError, ...]
+    costs: tuple[Cost, ...]
+    stored: dict[str, int]
+    counts: dict[str, int]
+    left_out: tuple[str, ...]
+
+    def of(self, model: str, kind: str) -> list[ModelError]:
+        """Errors of one model at presses or bends."""
+        return [row for row in self.errors if (row.model, row.kind) == (model, kind)]
+
+    def default(self) -> list[ModelError]:
+        """Errors of the default models, tabulated presses and bends."""
+        return [row for row in self.errors if row.model == TABULATED]
+
+    @property
+    def median(self) -> float:
+        """Median error of the default models."""
+        return statistics.median(row.error for row in self.default())
+
+    @property
+    def worst(self) -> ModelError:
+        """Largest error of the default models."""
+        return max(self.default(), key=lambda row: row.error)
+
+
+def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> World:
+    """Measure everything on one core.
+
+    Args:
+        seed: kept with the results; nothing is drawn.
+        quick: two cases on a coarse mesh, without solutions in 3D.
+        watch: returns the items that its text is about; shows progress where wanted.
+    """
+    start = time.perf_counter()
+    found = [case for case in cases() if not quick or case.name in _QUICK_CASES]
+    errors: list[ModelError] = []
+    left_out: list[str] = []
+    with require("threadpoolctl", "bench").threadpool_limits(1):
+        counts = counted()
+        gauges: dict[SensorDesign, Simulator] = {}
+        for case in watch("cases", found):
+            if case.design not in gauges:
+                gauges[case.design] = Simulator(case.design, "standard" if quick else "fine")
+            of_case, lacking = compare(case, gauges[case.design], QUICK if quick else None)
+            errors += of_case
+            left_out += lacking
+        (spent,) = (measure() for measure in watch("costs", [costs]))
+    return World(
+        provenance=Provenance.now(seed),
+        seconds=time.perf_counter() - start,
+        quick=quick,
+        errors=tuple(errors),
+        costs=spent,
+        stored=bytes_stored(),
+        counts=counts,
+        left_out=tuple(left_out),
+    )
+
+
+def compare(
+    case: ReferenceCase, gauge: Simulator, models: Sequence[str] | None = None
+) -> tuple[list[ModelError], list[str]]:
+    """Errors of models at one case, and sentences on models that lack a table of the case.
+
+    Args:
+        case: of the reference.
+        gauge: simulator of the flat sensor on the mesh that signals are measured on.
+        models: names of models; all when omitted.
+    """
+    flat = gauge.protocol.measure(gauge.model.impedance()).real
+    points = points_of(gauge)
+    rows, left_out = [], []
+    for name, model in deformations(case).items():
+        if models is not None and name not in models:
+            continue
+        if model is None:
+            left_out.append(f"{name} at {case.name}: no table is shipped")
+            continue
+        if name != SOLVED:
+            model()  # tables are read once
+        start = time.process_time()
+        deformation = model()
+        for part in points:
+            deformation.gradient(part)
+        seconds = time.process_time() - start
+        changes = gauge.deformed(deformation).impedance.real / flat - 1.0
+        error = np.linalg.norm(changes - case.changes) / np.linalg.norm(case.changes)
+        rows.append(
+            ModelError(
+                case=case.name,
+                kind="bend" if case.is_bend else "press",
+                model=name,
+                error=float(error),
+                seconds=seconds,
+                reference_error=case.error,
+                depth=depth(case, name),
+                reference_depth=case.depth[0] if case.depth else float("nan"),
+            )
+        )
+    return rows, left_out
+
+
+def sentences(found: World) -> Iterable[str]:
+    """Median and worst error beside their targets, what was left out, and provenance."""
+    worst = found.worst
+    yield (
+        f"tabulated presses and bends: median {100 * found.median:.2f} % "
+        f"(target {100 * MEDIAN:g} %), worst {100 * worst.error:.2f} % at {worst.case} "
+        f"(target {100 * WORST:g} %); the reference itself is good to "
+        f"{100 * worst.reference_error:.2g} % there, by estimate"
+    )
+    baseline = [row.error for row in found.of(KINEMATIC, "press")]
+    yield f"unbounded dents without corrections: {100 * min(baseline):.0f} % at least"
+    for name, count in found.counts.items():
+        yield f"{name}: {count}"
+    yield from found.left_out
+    yield f"{found.seconds:.0f} s; {found.provenance}"

@@ -1,0 +1,57 @@
+"""`eitskin bench world`: errors against the reference, files, and tables that scenes look up."""
+
+import math
+
+import pytest
+from command_line import printed_json
+
+from eitskin.benchmarks.results import read_results
+from eitskin.benchmarks.world.costs import counted
+from eitskin.benchmarks.world.models import KINEMATIC, TABULATED
+from eitskin.benchmarks.world.reference import cases
+from eitskin.benchmarks.world.run import ModelError, World, sentences
+from eitskin.provenance import Provenance
+
+
+def error(case: str, value: float, model: str = TABULATED) -> ModelError:
+    return ModelError(case, "press", model, value, 0.1, 0.02, math.nan, math.nan)
+
+
+def test_cases_are_presses_on_a_rigid_base_and_clamped_bends() -> None:
+    found = {case.name: case for case in cases()}
+    assert len(found["75_30"].scene.touches) == 1
+    assert found["independent_bend_20"].is_bend
+    assert all(case.changes.shape == (28,) for case in found.values())
+    assert all(case.is_bend != bool(case.scene.touches) for case in found.values())
+
+
+def test_median_and_worst_are_of_the_tabulated_models() -> None:
+    errors = (error("a", 0.01), error("b", 0.05), error("c", 0.02), error("c", 1.1, KINEMATIC))
+    found = World(Provenance.now(0), 1.0, False, errors, (), {}, {"flat": 0}, ())
+    assert (found.median, found.worst.case) == (0.02, "b")
+    said = next(iter(sentences(found)))
+    assert "median 2.00 % (target 2 %), worst 5.00 % at b (target 4 %)" in said
+
+
+def test_scenes_look_up_no_tables_but_their_own() -> None:
+    found = counted()
+    assert not any(count for name, count in found.items() if name.startswith("flat"))
+    assert {name for name, count in found.items() if count} == {
+        "one touch, press tables",
+        "one touch, correction tables",
+        "bend, bend tables",
+    }
+
+
+@pytest.mark.slow
+def test_a_quick_run_compares_a_press_and_a_bend(tmp_path) -> None:
+    data = printed_json("bench", "world", "--quick", "--out", tmp_path, "--seed", "3")
+    found = {(row["case"], row["model"]): row["error"] for row in data["errors"]}
+    for case, limit in (("75_30", 0.04), ("independent_bend_20", 0.005)):
+        assert found[case, TABULATED] < limit
+        assert found[case, KINEMATIC] > 0.5
+    results = read_results(tmp_path / "world" / "results.json")
+    assert results.quick
+    assert results.provenance.seed == 3
+    assert results.figures["stored / presses [kB]"] > 1000
+    assert (tmp_path / "world" / "world.png").stat().st_size > 10_000
