@@ -46,16 +46,19 @@ class Cost:
     milliseconds: dict[str, float]
 
 
-def points_of(simulator: Simulator) -> list[Array]:
-    """Points (..., 3) [m] at which the forward model evaluates a deformation, in its batches."""
+def flat_and_points(simulator: Simulator) -> tuple[Array, list[Array]]:
+    """Resistances of the flat sensor [ohm], and points that the forward model evaluates.
+
+    Points (..., 3) [m] are those of the deformation gradient, in the batches of the model.
+    """
     batches: list[Array] = []
 
     def derivative(points: Array) -> Array:
         batches.append(points)
         return np.zeros((*points.shape, 3))
 
-    simulator.deformed(Displaced(np.zeros_like, derivative))
-    return batches
+    frame = simulator.deformed(Displaced(np.zeros_like, derivative))
+    return frame.impedance.real, batches
 
 
 def costs() -> tuple[Cost, ...]:
@@ -66,7 +69,7 @@ def costs() -> tuple[Cost, ...]:
 
 def _cost(design: SensorDesign, resolution: Resolution) -> Cost:
     simulator = Simulator(design, resolution, touch_model="tabulated")
-    batches = points_of(simulator)
+    _, batches = flat_and_points(simulator)
     one, two = (Scene(touches=_TOUCHES[:count]) for count in (1, 2))
     dented = simulator.deformation(one)
     unbounded = Dents(dented.presses) if isinstance(dented, Dents) else None
