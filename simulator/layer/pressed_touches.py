@@ -29,9 +29,9 @@ TouchModel = Literal["tabulated", "solved"]
 
 # Distances of the axis from the gel's edge and from another touch, below which signals are more
 # than 4 % off independent solutions, or not compared with them (docs/deformation.md) [m].
-_EDGE, _NEIGHBOUR = 0.005, 0.020
+_EDGE, _NEIGHBOUR = 0.0075, 0.020
 # Largest errors of the signal found up to these distances from the edge and from another touch [m].
-_BY_EDGE = ((_EDGE, None), (math.inf, 0.04))
+_BY_EDGE = ((_EDGE, None), (math.inf, 0.05))
 _BY_NEIGHBOUR = ((_NEIGHBOUR, None), (0.030, 0.12), (math.inf, 0.04))
 # A touch to a given depth: the dent is made shallower by what the whole stack sinks.
 _SINKINGS, _SAME_DEPTH = 3, 1e-3

@@ -58,7 +58,7 @@ def test_the_contact_sinks_and_neither_tilts_nor_slides(pressed) -> None:
     moved = pressed.displacement(under)
     assert 0.0 < pressed.sunk[0] < 0.1 * DEPTH
     assert moved[:, 2] == pytest.approx(np.full(6, -pressed.sunk[0]), rel=0.03)
-    assert np.abs(moved[:, :2]).max() < 0.03 * pressed.sunk[0]
+    assert np.abs(moved[:, :2]).max() < 0.06 * pressed.sunk[0]
     beyond = pressed.displacement(np.array([[0.040, 0.030, TOP]]))
     assert np.linalg.norm(beyond) > 0.1 * pressed.sunk[0]
 
@@ -121,8 +121,8 @@ def test_what_is_held_and_what_is_free_follows_the_support() -> None:
             [LENGTH / 2, Y, 0.0],
             [LENGTH / 2 - 0.010, Y, 0.0],
             [0.0, Y, 0.0],
-            [-margin, Y, 0.006],
-            [X, WIDTH + margin, 0.006],
+            [-margin, -margin, TOP],
+            [LENGTH + margin, WIDTH + margin, TOP],
             [X, Y, TOP],
         ]
     )
