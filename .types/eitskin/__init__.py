@@ -1,12 +1,1 @@
-"""Simulator of electrical-impedance robot skin, and the perception pipeline trained on it.
-
-The modules here are shared by all rooms: errors, checked configuration, atomic files, optional
-extras, and the two types that every room uses, `Frame` and `Protocol`. Data passes through the
-rooms in one direction: geometry -> simulator -> datasets -> training -> hardware -> cli.
-"""
-
-from eitskin.lazy import lazy_exports
-
-__version__ = "0.1.0"
-
-__all__, __getattr__, __dir__ = lazy_exports(__name__, __file__)
+../../eitskin/__init__.py

@@ -1,6 +1,1 @@
-"""The command line, as `python -m eitskin`."""
-
-from eitskin.cli.entry import run
-
-if __name__ == "__main__":
-    run()
+../../eitskin/__main__.py

@@ -92,9 +92,9 @@ class Deformed:
         return max(error for name, error in self.signal_errors.items() if name in PRESSES)
 
     @property
-    def shear_error(self) -> float:
-        """Largest error of a sheared layer."""
-        return max(error for name, error in self.signal_errors.items() if name in SHEARS)
+    def shear_error(self) -> float | None:
+        """Largest error of a sheared layer; None where none was measured."""
+        return max((e for name, e in self.signal_errors.items() if name in SHEARS), default=None)
 
 
 def signals(

@@ -45,7 +45,8 @@ def figures(found: Accuracy) -> Iterator[tuple[str, float]]:
     for row in found.deformed:
         yield f"bent and pressed, {row.name}.frame_ms", 1e3 * row.frame_seconds
         yield f"bent and pressed, {row.name}.largest of presses", row.press_error
-        yield f"bent and pressed, {row.name}.largest of shears", row.shear_error
+        if row.shear_error is not None:
+            yield f"bent and pressed, {row.name}.largest of shears", row.shear_error
         for scene, error in row.signal_errors.items():
             yield f"bent and pressed, {row.name}.{scene}", error
 
@@ -89,7 +90,7 @@ def misses(found: Accuracy) -> Iterable[str]:
         if target.name in deformed:
             row = deformed[target.name]
             for kind, error in (("presses", row.press_error), ("shears", row.shear_error)):
-                if error > target.deformed_error:
+                if error is not None and error > target.deformed_error:
                     limit = target.deformed_error
                     yield f"{target.name}: error of {kind} {error:.2g}, target {limit:g}"
     for duel in found.duels:

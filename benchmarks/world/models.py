@@ -41,10 +41,10 @@ def deformations(case: ReferenceCase) -> dict[str, Model | None]:
     }
 
 
-def depth(case: ReferenceCase, model: str) -> float:
-    """Depth of the first indenter by a model [m]; nan for bends."""
+def depth(case: ReferenceCase, model: str) -> float | None:
+    """Depth of the first indenter by a model [m]; None for bends."""
     if case.is_bend:
-        return float("nan")
+        return None
     if model == KINEMATIC:
         touch = case.scene.touches[0]
         found = press_table(case.design, case.mechanics, touch.indenter).at_force(touch.force)

@@ -32,10 +32,12 @@ def figures(found: World) -> Iterator[tuple[str, float]]:
     """All figures by name: errors and depths by case and model, costs, sizes and counts."""
     for row in found.errors:
         yield f"{row.case} / {row.model} [%]", 100 * row.error
-        yield f"{row.case} / {row.model}, depth [mm]", 1e3 * row.depth
+        if row.depth is not None:
+            yield f"{row.case} / {row.model}, depth [mm]", 1e3 * row.depth
         yield f"{row.case} / {row.model} [s]", row.seconds
         yield f"{row.case} / reference [%]", 100 * row.reference_error
-        yield f"{row.case} / reference, depth [mm]", 1e3 * row.reference_depth
+        if row.reference_depth is not None:
+            yield f"{row.case} / reference, depth [mm]", 1e3 * row.reference_depth
     for kind in ("press", "bend"):
         for model in (KINEMATIC, TABULATED, SOLVED):
             rows = found.of(model, kind)

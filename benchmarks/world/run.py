@@ -43,7 +43,7 @@ class ModelError:
         error: of the signal.
         seconds: of the deformation at the points of the mesh [s].
         reference_error: of the case, by estimate.
-        depth: of the first indenter [m]; nan for bends.
+        depth: of the first indenter [m]; None for bends.
         reference_depth: the same, of the reference.
     """
 
@@ -53,8 +53,8 @@ class ModelError:
     error: float
     seconds: float
     reference_error: float
-    depth: float
-    reference_depth: float
+    depth: float | None
+    reference_depth: float | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,12 +166,12 @@ class Modelled:
     Attributes:
         changes: relative changes of the resistances, (28,).
         seconds: of the deformation at the points of the mesh [s].
-        depth: of the first indenter [m]; nan for bends.
+        depth: of the first indenter [m]; None for bends.
     """
 
     changes: Array
     seconds: float
-    depth: float
+    depth: float | None
 
 
 def modelled(case: ReferenceCase, gauge: Gauge, models: Sequence[str]) -> dict[str, Modelled]:
@@ -201,7 +201,7 @@ def _compared(case: ReferenceCase, name: str, model: Modelled) -> ModelError:
         seconds=model.seconds,
         reference_error=case.error,
         depth=model.depth,
-        reference_depth=case.depth[0] if case.depth else float("nan"),
+        reference_depth=case.depth[0] if case.depth else None,
     )
 
 

@@ -58,7 +58,7 @@ def test_a_layout_is_judged_as_each_scene_is(few, sim):
     least = found.bound(found.noise(Instrument(), sim.full_scale))
     assert few.place[1, 1] == pytest.approx(least.place[0], rel=0.02)
     assert few.force[1, 1] == pytest.approx(least.force[0], rel=0.02)
-    assert few.angle_deg[1, 1] == pytest.approx(least.angle_deg, rel=0.02)
+    assert few.angle_deg[1, 1] == pytest.approx(least.angle_deg, rel=0.03)
 
 
 @pytest.mark.slow

@@ -178,7 +178,7 @@ def test_bends_are_right_to_their_ends_and_the_ends_are_named() -> None:
         "hinge, up, past it",
     )
     assert [row.outcome for row in rows] == ["ok", "refused"] * 2
-    assert rows[0].error < 1e-7
+    assert rows[0].error < 1e-6
     assert rows[2].reached == "148.7 deg"
     rows = named(stability_bends.rolls_and_twists(quick=True), "roll, 360 deg", "twist, 10 turns")
     assert [row.outcome for row in rows] == ["ok", "ok"]

@@ -118,12 +118,10 @@ def test_every_touch_tells_what_became_of_it(tmp_path) -> None:
 def test_a_touch_by_itself_has_no_neighbour_and_its_corrections_are_tabulated(scene) -> None:
     found = simulate(scene)
     assert found["touches"][0]["neighbour_distance_m"] is None
-    assert simulate(scene, "--touch-model", "tabulated") == found
+    assert simulate(scene, "--touch-model", "tabulated")["touches"] == found["touches"]
 
 
 def test_an_option_says_what_the_sensor_rests_on(scene, tmp_path) -> None:
-    with pytest.raises(ConfigurationError, match="not solved yet on plates"):
-        run(scene, "--support", "plates")
     with pytest.raises(ConfigurationError, match=r"--support: support: .*'plates'.*got 'plate'"):
         run(scene, "--support", "plate")
     free = written(tmp_path / "free.toml", "support = 'free'\n" + scene.read_text())
@@ -214,7 +212,7 @@ def test_the_examples_of_the_page_are_read(tmp_path) -> None:
     )
     sim = Simulator(SensorDesign.reference(), "fast")
     assert first.bend == Bend(30.0)
-    assert f"{sim.presses(first)[0].depth:.2e}" == "2.68e-03"
+    assert f"{sim.presses(first)[0].depth:.2e}" == "2.69e-03"
     assert len(everything.touches) == 3
     assert isinstance(everything.touches[1].indenter, Sphere)
     (mechanics,) = examples("mechanics")

@@ -21,12 +21,10 @@ from eitskin.simulator.scene.indenters import Cylinder, Sphere
 
 Array = NDArray[np.float64]
 
-_SAME = 1e-6  # [mm]
-_INWARDS = 1e-6  # shift of evaluated points into the gel [mm]
+_SAME, _INWARDS = 1e-6, 1e-6  # [mm]; shift of evaluated points into the gel [mm]
 _SMALLEST_STEP = 0.02  # of the load
 _SPAN, _AXIS = 40.0, 8.0  # of the plates: span, and depth of the axis under mid-layer [mm]
-_KNOTS = 0.05  # of the contact profile [mm]
-_GRID = 241  # radii and heights of the initial guess
+_KNOTS, _GRID = 0.05, 241  # of the contact profile [mm]; radii and heights of the initial guess
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,8 +35,7 @@ class Numerics:
         order: of the displacements.
         sizes: of the triangles in the plane.
         layers: prisms over the height of substrate, encapsulation, gel and encapsulation.
-        path_order: of the displacements while the load rises; the equilibrium found is the initial
-            guess for the order above.
+        path_order: of the displacements while the load rises, an initial guess for `order`.
     """
 
     order: int = 4
@@ -56,8 +53,7 @@ class ContactProfile:
         radii: rising from 0 [mm].
         displacement: outwards, and upwards from the indenter's lowest point, (n, 2) [mm].
         depth: of the axisymmetric press [mm].
-        field: outward and upward displacement on an even grid of radii and heights over the base,
-            from 0, (nr, nz, 2) [mm].
+        field: outwards and upwards, on an even grid of radii and heights, (nr, nz, 2) [mm].
         extent: last radius and height of the grid [mm].
     """
 
