@@ -88,7 +88,11 @@ class StripTable:
         both = CubicSpline(np.concatenate([nodes, beyond]), np.eye(len(nodes) + len(beyond)))(y)
         mirrored = np.zeros(len(nodes))
         mirrored[: len(beyond)] = both[len(nodes) :][::-1]
-        return np.stack([both[: len(nodes)], mirrored])
+        direct = both[: len(nodes)]
+        if middle:  # a press in the middle is its own image, but the mesh is not quite symmetric
+            direct[-1] *= 0.5
+            mirrored[-1] = direct[-1]
+        return np.stack([direct, mirrored])
 
     def _box(self, low: float, high: float) -> Box:
         return Box((low, 0.0, 0.0), (high, float(self.width), float(self.height)))

@@ -81,19 +81,6 @@ def test_touch_positions_are_the_same(saved):
     assert same(found, EXPECTED["positions"])
 
 
-def test_the_shipped_pipeline_trained_with_version_01_gives_the_same_estimates():
-    pipeline, expected = Pipeline.load("reference.eitmodel"), EXPECTED["reference"]
-    shown = pipeline.method.perceive(pipeline.examples)
-    assert shown.state.tolist() == expected["state"]
-    for field in ("probabilities", "bend_angle_deg", "bend_deviation_deg"):
-        assert same(getattr(shown, field), expected[field]), field
-    for touches, triples, force in zip(
-        shown.touches, expected["touches"], expected["force"], strict=True
-    ):
-        assert same(touches.triples, triples)
-        assert same(touches.force, force)
-
-
 def test_every_public_name_is_still_offered() -> None:
     names = [line.split() for line in (DATA / "names.txt").read_text().splitlines()]
     assert len(names) == 80

@@ -46,8 +46,7 @@ def test_mirrored_presses_have_mirrored_corrections(shipped, x, y, axis) -> None
     assert image[1] == pytest.approx(here[1], rel=1e-9)
     expected = total(here, points) * signs
     scale = np.abs(expected).max(axis=0)
-    # The mesh of the strip is not quite symmetric about the middle of the width.
-    assert total(image, mirrored) / scale == pytest.approx(expected / scale, abs=1e-2)
+    assert total(image, mirrored) / scale == pytest.approx(expected / scale, abs=1e-9)
 
 
 def test_corrections_vanish_with_the_depth(shipped) -> None:
