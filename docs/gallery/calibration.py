@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 
-from eitskin.geometry import Bend, Hinge, SensorDesign
+from eitskin.geometry import Bend, Clamp, SensorDesign
 from eitskin.simulator import Frame, Instrument, Scene, Simulator
 from eitskin.training import Pipeline
 
@@ -13,7 +13,7 @@ from style import GREY, ORANGE, PALE, TEAL, figure, save, wanted
 # One's own sensor: 20 % more conductive, clamped 1 mm wider and half a millimetre lower. Nobody
 # knows these numbers of a real one.
 design = dataclasses.replace(SensorDesign.reference(), conductivity=1.2)
-sim = Simulator(design, resolution="fast", fixture=Hinge(span=0.041, offset=0.0085))
+sim = Simulator(design, resolution="fast", fixture=Clamp(span=0.041, offset=0.0085))
 session = Instrument().session(sim.protocol, sim.full_scale, np.random.default_rng(5))
 rng = np.random.default_rng(6)
 

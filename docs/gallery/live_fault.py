@@ -34,7 +34,7 @@ assert all(estimate.state is State.TOUCH for estimate in estimates[10:30])
 place = np.array([estimate.touches[0][:2] for estimate in estimates[10:30]])
 error = 1e3 * np.hypot(*(place - (touch.x, touch.y)).T)
 print(f"touch {error[:10].mean():.1f} mm off before, {error[10:].mean():.1f} mm after the break")
-assert error.max() < 6.0
+assert error.max() < 9.0
 
 # Asked what is wrong, with the sensor flat and untouched again, the check names the electrode.
 check = check_sensor([reading.frame for reading in readings[30:]], pipeline.layout.reference)
