@@ -135,7 +135,7 @@ def test_an_option_says_what_the_sensor_rests_on(scene, tmp_path) -> None:
 def test_mechanics_and_fixture_come_from_files(scene, tmp_path) -> None:
     mechanics = written(
         tmp_path / "mechanics.toml",
-        "margin = 0.004\n[gel]\nshear_modulus = 10e3\n"
+        "bulk_ratio = 1e4\n[gel]\nshear_modulus = 10e3\n"
         "[encapsulation]\nshear_modulus = 14e3\n[piezoresistivity]\nvolume = 1.5\n",
     )
     scene.write_text(scene.read_text() + "force = 4\n[bend]\nangle_deg = 15\n")
@@ -143,7 +143,7 @@ def test_mechanics_and_fixture_come_from_files(scene, tmp_path) -> None:
     for text, fixture in (("span = 0.05\n", Hinge(span=0.05)), ("length = 0.07\n", FreeArc(0.07))):
         found = simulate(scene, *given, "--fixture", str(written(tmp_path / "f.toml", text)))
         soft = Mechanics(
-            NeoHookean(10e3), NeoHookean(14e3), 0.004, piezoresistivity=Piezoresistivity(volume=1.5)
+            NeoHookean(10e3), NeoHookean(14e3), piezoresistivity=Piezoresistivity(volume=1.5)
         )
         sim = Simulator(SensorDesign.reference(), "fast", fixture, mechanics=soft)
         frame = sim.measure(Scene.from_toml(scene))
