@@ -7,7 +7,9 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.geometry.design.support import Rigid
 from eitskin.geometry.design.surface import Surface
 from eitskin.simulator.layer.dents import ColumnField, Dents, PlacedDent
 from eitskin.simulator.mechanics import viscoelasticity as relaxation
@@ -28,7 +30,7 @@ from eitskin.simulator.scene.touch import Touch
 TouchModel = Literal["tabulated", "solved"]
 
 # Distances of the axis from the gel's edge and from another touch, below which signals are more
-# than 4 % off independent solutions, or not compared with them (docs/deformation.md) [m].
+# than 5 % off independent solutions, or not compared with them (docs/deformation.md) [m].
 _EDGE, _NEIGHBOUR = 0.0075, 0.020
 # Largest errors of the signal found up to these distances from the edge and from another touch [m].
 _BY_EDGE = ((_EDGE, None), (math.inf, 0.05))
@@ -221,8 +223,8 @@ def _described(
         thinning=dent.thinning if dent is not None else 0.0,
         edge_distance=edge,
         neighbour_distance=neighbour,
-        signal_error=_signal_error(edge, neighbour),
-        caution=_caution(edge, neighbour),
+        signal_error=_signal_error(edge, neighbour) if _is_compared(design) else None,
+        caution=_caution(edge, neighbour, design),
     )
 
 
@@ -274,10 +276,17 @@ def _signal_error(edge: float, neighbour: float) -> float | None:
     return None if alone is None or together is None else max(alone, together)
 
 
-def _caution(edge: float, neighbour: float) -> str:
+def _is_compared(design: SensorDesign) -> bool:
+    """Whether presses on such a sensor were compared with independent solutions."""
+    return isinstance(design.outline, Rectangle) and isinstance(design.support, Rigid)
+
+
+def _caution(edge: float, neighbour: float, design: SensorDesign) -> str:
     reasons = []
+    if not _is_compared(design):
+        reasons.append("presses on this outline or support were not compared")
     if edge < _EDGE:
         reasons.append(f"{1e3 * edge:.1f} mm from the edge of the gel, where nothing was compared")
     if neighbour < _NEIGHBOUR:
-        reasons.append(f"{1e3 * neighbour:.1f} mm from another, whose dent is only added")
+        reasons.append(f"{1e3 * neighbour:.1f} mm from another, where nothing was compared")
     return "; ".join(reasons)

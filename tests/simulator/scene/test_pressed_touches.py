@@ -1,13 +1,15 @@
 """Touches of a scene: forces, depths, time, files, and what is said of them."""
 
+import dataclasses
 import math
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from eitskin.errors import ConfigurationError
-from eitskin.geometry import Bend, Clamp, Hinge, SensorDesign
+from eitskin.geometry import Bend, Clamp, Hinge, Plates, SensorDesign
 from eitskin.simulator import Cylinder, Mechanics, Profile, Scene, Simulator, Sphere, Touch
 from eitskin.simulator.layer.pressed_touches import pressed_touches
 from eitskin.simulator.mechanics.layer_stack import Piezoresistivity
@@ -62,6 +64,15 @@ def test_errors_of_the_signal_are_those_found_at_such_distances(y, error) -> Non
         expected = None if error is None or least is None else max(error, least)
         for found in pressed_touches(pair, DESIGN, Mechanics(), None):
             assert found.signal_error == expected
+
+
+def test_presses_on_supports_that_were_never_compared_say_so(monkeypatch) -> None:
+    unmoved = SimpleNamespace(sunk=np.zeros(1))
+    monkeypatch.setattr(presses, "solved_presses", lambda *_: unmoved)
+    on_plates = dataclasses.replace(DESIGN, support=Plates())
+    (found,) = pressed_touches((Touch(X, Y, 5.0),), on_plates, Mechanics(), None)
+    assert found.signal_error is None
+    assert "support" in found.caution
 
 
 def test_indenters_are_not_inside_each_other() -> None:
