@@ -11,6 +11,7 @@ import pytest
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend, Clamp, Hinge, Plates, SensorDesign
 from eitskin.simulator import Cylinder, Mechanics, Profile, Scene, Simulator, Sphere, Touch
+from eitskin.simulator.layer import pressed_touches as presses
 from eitskin.simulator.layer.pressed_touches import pressed_touches
 from eitskin.simulator.mechanics.layer_stack import Piezoresistivity
 from eitskin.simulator.mechanics.viscoelasticity import Prony
