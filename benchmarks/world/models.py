@@ -4,13 +4,13 @@ from collections.abc import Callable
 from functools import partial
 
 from eitskin.benchmarks.world.reference import ReferenceCase
-from eitskin.geometry.deformation.fixtures import Clamp, Hinge
-from eitskin.geometry.deformation.kinematics import Deformation
+from eitskin.geometry.deformation.fixtures import Clamp, Fixture, Hinge
+from eitskin.geometry.deformation.kinematics import Composed, Deformation
 from eitskin.simulator.bends import bend_store
 from eitskin.simulator.bends.bend_3d import ClampedStack
 from eitskin.simulator.layer.dents import Dents, PlacedDent
 from eitskin.simulator.layer.pressed_touches import TouchModel, dents, pressed_touches
-from eitskin.simulator.presses.correction_store import missing, tabulable
+from eitskin.simulator.presses.correction_store import is_shipped, tabulable
 from eitskin.simulator.presses.press_store import press_table
 from eitskin.simulator.presses.solved_press import solved_presses
 
@@ -19,6 +19,7 @@ KINEMATIC, TABULATED, SOLVED = "kinematic", "tabulated", "solved"
 QUICK = (KINEMATIC, TABULATED)
 
 Model = Callable[[], Deformation]
+_FIXTURES: dict[str, Fixture] = {KINEMATIC: Hinge(), TABULATED: Clamp(), SOLVED: Clamp()}
 
 
 def deformations(case: ReferenceCase) -> dict[str, Model | None]:
@@ -31,13 +32,19 @@ def deformations(case: ReferenceCase) -> dict[str, Model | None]:
             TABULATED: partial(bend_store.bend, design, Clamp(), materials, scene.bend),
             SOLVED: partial(_clamped_3d, case),
         }
-    shipped = tabulable(case.design) and not any(
-        missing(*sensor, touch.indenter) for touch in scene.touches
+    shipped = tabulable(case.design) and all(
+        is_shipped(*sensor, touch.indenter) for touch in scene.touches
     )
-    return {
+    found: dict[str, Model | None] = {
         KINEMATIC: partial(_unbounded, case),
         TABULATED: partial(dents, scene.touches, *sensor, "tabulated") if shipped else None,
         SOLVED: partial(_pressed_3d, case),
+    }
+    if not scene.bend.angle_deg:
+        return found
+    return {
+        name: None if press is None else partial(_then_bent, case, press, _FIXTURES[name])
+        for name, press in found.items()
     }
 
 
@@ -51,6 +58,12 @@ def depth(case: ReferenceCase, model: str) -> float | None:
         return float(found.depth)
     way: TouchModel = "tabulated" if model == TABULATED else "solved"
     return pressed_touches(case.scene.touches, case.design, case.mechanics, way)[0].depth
+
+
+def _then_bent(case: ReferenceCase, press: Model, fixture: Fixture) -> Deformation:
+    """Presses on the flat sensor, then the bend."""
+    bend = bend_store.bend(case.design, fixture, case.mechanics, case.scene.bend)
+    return Composed(press(), bend)
 
 
 def _clamped_3d(case: ReferenceCase) -> Deformation:

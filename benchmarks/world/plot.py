@@ -12,11 +12,11 @@ _LABELS = {
     TABULATED: "tabulated",
     SOLVED: "solved in 3D",
 }
-_MARKERS = {"press": "o", "bend": "s"}
+_MARKERS = {"press": "o", "supported press": "^", "bent press": "D", "bend": "s"}
 
 
 def plot(found: World, path: Path) -> None:
-    """Plot the error of each model at each case over its time; circles presses, squares bends."""
+    """Plot the error of each model at each case over its time; markers tell kinds of cases."""
     matplotlib = require("matplotlib", "bench")
     figure_class = require("matplotlib.figure", "bench").Figure
     with matplotlib.rc_context(
@@ -36,7 +36,11 @@ def plot(found: World, path: Path) -> None:
             axes.text(0.99, 104 * limit, name, ha="right", transform=axes.get_yaxis_transform())
         axes.set_xlabel("time of the deformation at all points of the mesh [s]")
         axes.set_ylabel("error of the signal against the reference [%]")
-        axes.set_title("Presses (circles) and bends (squares), one core")
+        axes.set_title(
+            "Presses on a rigid base (circles), on other supports (triangles), on bent sensors "
+            "(diamonds), and bends (squares); one core",
+            fontsize=10,
+        )
         axes.grid(visible=True, which="major", color="#e4e4e4", linewidth=0.7)
         axes.legend(frameon=False)
         figure.supxlabel(str(found.provenance), fontsize=8, color="#555555")

@@ -10,24 +10,27 @@ from numpy.typing import NDArray
 
 from eitskin.geometry.deformation.fixtures import Bend
 from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.geometry.design.support import Free, Plates, Rigid, Substrate, Support
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.mechanics.materials import NeoHookean
 from eitskin.simulator.scene.indenters import Cylinder, Sphere
 from eitskin.simulator.scene.scene import Scene
 from eitskin.simulator.scene.touch import Touch
 
+KINDS = ("press", "supported press", "bent press", "bend")
+"""Kinds of cases: flat on a rigid base, flat on another support, pressed and bent, bent only."""
 PUBLISHED = Path(__file__).parents[1] / "published" / "world_reference.json"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReferenceCase:
-    """Case of the reference: a flat sensor on a rigid base that is pressed, or a clamped bend.
+    """Case of the reference: presses on a support, flat or bent, or a clamped bend.
 
     Attributes:
         name: of the case.
-        design: of the sensor.
+        design: of the sensor, with its support.
         mechanics: materials of the sensor.
-        scene: touches or bend.
+        scene: touches, bend, or both.
         changes: relative changes of the 28 pair resistances, (28,).
         error: of the changes over their norm, by estimate.
         depth: of each indenter [m].
@@ -46,24 +49,34 @@ class ReferenceCase:
         """Whether the sensor is bent rather than pressed."""
         return not self.scene.touches
 
+    @property
+    def kind(self) -> str:
+        """One of `KINDS`."""
+        if self.is_bend:
+            return "bend"
+        if self.scene.bend.angle_deg:
+            return "bent press"
+        return "press" if isinstance(self.design.support, Rigid) else "supported press"
+
 
 def cases(path: Path = PUBLISHED) -> list[ReferenceCase]:
-    """Cases that are solved: presses on a rigid base, and clamped bends without presses."""
+    """Cases that are solved."""
     solutions = json.loads(path.read_text(encoding="utf-8"))["solutions"]
-    return [_case(one) for one in solutions if one["changes"] is not None and _is_meant(one)]
+    return [_case(one) for one in solutions if one["changes"] is not None]
 
 
-def _is_meant(solution: dict[str, Any]) -> bool:
-    """Whether a solution is of a press on a rigid base or of a bend between clamps."""
-    pressed = bool(solution["touches"])
-    bent = bool(solution["angle"])
-    return (solution["support"] == "rigid" and pressed and not bent) or (
-        solution["support"] == "clamp" and bent and not pressed
-    )
+def _support(solution: dict[str, Any]) -> Support:
+    """Support of a case; that of a bend without presses is a clamp, which holds the sensor."""
+    if solution["support"] == "substrate":
+        thickness, modulus = solution["substrate"]
+        return Substrate(1e-3 * thickness, 1e3 * modulus)
+    known: dict[str, Support] = {"plates": Plates(), "free": Free()}
+    return known.get(solution["support"], Rigid())
 
 
 def _case(solution: dict[str, Any]) -> ReferenceCase:
-    design, materials = SensorDesign.reference(), Mechanics()
+    design = replace(SensorDesign.reference(), support=_support(solution))
+    materials = Mechanics()
     if (factor := solution["thickness"]) != 1.0:
         design = replace(
             design,

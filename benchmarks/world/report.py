@@ -9,6 +9,7 @@ from pathlib import Path
 from eitskin.benchmarks.results import Results, write_results
 from eitskin.benchmarks.world.models import KINEMATIC, SOLVED, TABULATED
 from eitskin.benchmarks.world.plot import plot
+from eitskin.benchmarks.world.reference import KINDS
 from eitskin.benchmarks.world.run import World
 
 NAME = "world"
@@ -38,7 +39,7 @@ def figures(found: World) -> Iterator[tuple[str, float]]:
         yield f"{row.case} / reference [%]", 100 * row.reference_error
         if row.reference_depth is not None:
             yield f"{row.case} / reference, depth [mm]", 1e3 * row.reference_depth
-    for kind in ("press", "bend"):
+    for kind in KINDS:
         for model in (KINEMATIC, TABULATED, SOLVED):
             rows = found.of(model, kind)
             if rows:
@@ -48,9 +49,10 @@ def figures(found: World) -> Iterator[tuple[str, float]]:
                 )
                 yield f"{kind} / {model}, worst [%]", 100 * max(r.error for r in rows)
                 yield f"{kind} / {model}, median [s]", statistics.median(r.seconds for r in rows)
-    yield "tabulated / cases", len(found.default())
-    yield "tabulated / median [%]", 100 * found.median
-    yield "tabulated / worst [%]", 100 * found.worst.error
+        if found.default(kind):
+            yield f"{kind} / default, cases", len(found.default(kind))
+            yield f"{kind} / default, median [%]", 100 * found.median(kind)
+            yield f"{kind} / default, worst [%]", 100 * found.worst(kind).error
     for cost in found.costs:
         yield f"{cost.resolution} / points", cost.points
         for name, milliseconds in cost.milliseconds.items():

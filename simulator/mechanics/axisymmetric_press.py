@@ -28,6 +28,7 @@ _CONTACT_STIFFNESS = 5e3
 _FIRST_STEP = 0.008
 # Longest step, likewise: a rough indenter sticks to newly touched points only after each step.
 _LONGEST_STEP = 0.04
+_STEP_TO_FORCE = 0.5  # step over the longest, on the way to a force
 # Likewise of a stack without a base, which moves as a whole, over the radius of contact.
 _LONGEST_UNHELD_STEP = 0.1
 _LARGEST_STRETCH = 2.0  # of a held rim
@@ -168,10 +169,15 @@ class AxisymmetricPress:
             self._stretch(rim.stretch)
 
     def to_force(self, force: float) -> Indentation:
-        """Equilibrium under a force [N]; raises SolidError with the fraction reached otherwise."""
+        """Equilibrium under a force [N]; raises SolidError with the fraction reached otherwise.
+
+        A rising force is followed in steps of depth: where a rough indenter sticks depends on the
+        way to the force, and one step leaves 0.7 to 1 % of the depth.
+        """
         _check_positive("force", force, "N")
         if not self.contact.force(self.unknowns):
             self.to_depth(self._touching_depth(force))
+        self._approach(force)
         start = self.contact.force(self.unknowns)
         held, values = self._held, self._values
 
@@ -208,6 +214,20 @@ class AxisymmetricPress:
 
         first = _FIRST_STEP * self.stack.levels[-1] / max(abs(after - before), 1e-12)
         return self._settle(path, 1.0 if before else min(1.0, first))
+
+    def _approach(self, force: float) -> None:
+        """Press deeper in steps as long as the force stays below `force` [N]."""
+        while self.contact.force(self.unknowns) < force:
+            before = self.unknowns, self.contact
+            try:
+                self.to_depth(float(self.unknowns[-1]) + _STEP_TO_FORCE * self._longest)
+            except SolidError:
+                reached = math.inf
+            else:
+                reached = self.contact.force(self.unknowns)
+            if reached >= force:
+                self.unknowns, self.contact = before
+                return
 
     def _stretch(self, stretch: float) -> None:
         """Move the rim outwards, the indenter away."""

@@ -44,7 +44,7 @@ from eitskin.simulator.scene.touch import AnyIndenter
 Array = NDArray[np.float64]
 
 # Version of the tables: raise it whenever corrections are solved or tabulated in another way.
-_VERSION = 1
+_VERSION = 2
 _SHORTEST = 8.0  # length over the thickness of the stack, so that the ends do not feel each other
 # Steps of thickness and of the modulus ratio between solved stacks, as for the tables of presses.
 _THICKER, _STIFFER = 1.1, math.sqrt(2.0)
@@ -244,7 +244,8 @@ def pair_table(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -
     name = _pair_name(stack, mechanics, indenter)
     found = _read(PairTable, name)
     if found is None:
-        found = solve_pairs(stack, _around(stack, mechanics), indenter)
+        workers = os.cpu_count() or 1
+        found = solve_pairs(stack, _around(stack, mechanics), indenter, workers)
         _write(found, folder() / name)
     return found
 

@@ -6,6 +6,7 @@ from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,9 +30,9 @@ _ALONG = (0.0, 0.2, 0.45, 0.8, 1.25, 1.8, 2.5, 3.4, 4.5, 6.2)  # from a side, be
 _REACH, _FADE = 9.0, 2.0  # of a correction along x, and the length over which it is faded out
 _ENDS = 11.0  # length of the field at an end
 _SHORTEST = 8.0  # sensor with two ends that do not feel each other
-_CELL = 1.0 / 20.0  # finest of the axisymmetric press, over the radius of the indenter
+_CELL = 1.0 / 40.0  # finest of the axisymmetric press, over the radius of the indenter
 _LEAST = 0.08  # of the thickness: from the rim of the contact to the side of the stack
-_STRIP, _END = (28, 20, 3), (20, 16, 3)
+_STRIP, _END = (28, 20, 4), (20, 16, 4)
 _STRETCH = 2.5
 # Corrections vary most at the sides beside a press. Near an end the strip's mesh would cost five
 # times as much, and the difference to a strip of the same mesh needs less.
@@ -263,7 +264,7 @@ def solve_corrections(
                 report(done, total)
         return found
 
-    with _processes(workers) as run:
+    with processes(workers) as run:
         strips = solved(run, partial(setting.on_strip, _ON_STRIP), aside.tolist())
         coarse = solved(run, partial(setting.on_strip, _AT_END), aside.tolist())
         positions = [(x, k) for x in along.tolist() for k in range(len(aside))]
@@ -297,7 +298,7 @@ def solve_strip(
     Arguments and errors as for `solve_corrections`.
     """
     setting, aside = _setting(outline, stack, mechanics, support, indenter)
-    with _processes(workers) as run:
+    with processes(workers) as run:
         strips = list(run(partial(setting.on_strip, _AT_END), aside.tolist()))
     return StripTable(**setting.tabulated(aside, strips))
 
@@ -314,7 +315,7 @@ def _setting(
 
 
 @contextmanager
-def _processes(workers: int) -> Iterator[Callable[..., Iterable[Solved]]]:
+def processes(workers: int) -> Iterator[Callable[..., Iterable[Any]]]:
     """Map over arguments in this process, or in several."""
     if workers == 1:
         yield map

@@ -1,6 +1,7 @@
 """Table of pairs: how two presses side by side change each other's dents."""
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,7 @@ from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.support import Rigid
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress, Indentation
 from eitskin.simulator.mechanics.layer_stack import Mechanics, Stack
+from eitskin.simulator.presses.correction_table import processes
 from eitskin.simulator.presses.dent_field import DentField
 from eitskin.simulator.presses.finite_stack import Correction, FiniteStack
 from eitskin.simulator.presses.smooth_field import Box, SmoothField
@@ -19,11 +21,11 @@ from eitskin.simulator.scene.indenters import Indenter
 Array = NDArray[np.float64]
 
 # Lengths over the thickness of the stack; distances are between the rims of the indenters.
-_DEPTHS = (0.16, 0.3)
+_DEPTHS = (0.16, 0.23, 0.3)
 _APART = (0.25, 0.45, 0.8, 1.25, 1.9, 2.8)
 _VANISHED = 1.4  # beyond the last distance
 _REACH, _FADE, _FREE = 4.5, 1.5, 6.0  # beyond the axes: of the field, of its end, of the mesh
-_CELL = 1.0 / 20.0  # finest of the axisymmetric press, over the radius of the indenter
+_CELL = 1.0 / 40.0  # finest of the axisymmetric press, over the radius of the indenter
 _COUNTS, _STRETCH = (30, 24, 3), 1.5
 
 
@@ -61,10 +63,15 @@ class PairTable:
         apart = max(apart, float(self.apart[0]))
         near = CubicSpline(np.log(self.apart), np.eye(len(self.apart)))(np.log(apart))[:-1]
         product = first * second
-        deep = float(np.sqrt(product))
-        low, high = self.depths
-        t = (deep - low) / (high - low)
-        weights = np.array([(1.0 - t) / low**2, t / high**2]) * product
+        # Over the product of the depths the change is constant up to the least solved depth.
+        deep = max(float(np.sqrt(product)), float(self.depths[0]))
+        others = [np.delete(self.depths, k) for k in range(len(self.depths))]
+        weights = product * np.array(
+            [
+                np.prod((deep - other) / (own - other)) / own**2
+                for own, other in zip(self.depths, others, strict=True)
+            ]
+        )
         fields = np.tensordot(weights, np.tensordot(near, self.fields, (0, 0)), (0, 0))
         return SmoothField(self._box(apart), fields, _STRETCH), float(near @ self.sunk @ weights)
 
@@ -72,17 +79,21 @@ class PairTable:
         return _box(apart, float(self.thickness), float(self.height))
 
 
-def solve_pairs(stack: Stack, mechanics: Mechanics, indenter: Indenter) -> PairTable:
-    """Solve pairs of equal presses on a wide stack; raises SolidError where one is not carried."""
+def solve_pairs(
+    stack: Stack, mechanics: Mechanics, indenter: Indenter, workers: int = 1
+) -> PairTable:
+    """Solve pairs of equal presses on a wide stack, in a number of processes.
+
+    Raises SolidError where one is not carried.
+    """
     H, height = stack.levels[-1], stack.sheets[stack.gel].thickness
     press = AxisymmetricPress(stack, indenter, finest=_CELL * indenter.rims[1])
     dents = [press.to_depth(part * H) for part in _DEPTHS]
     apart = 2.0 * indenter.rims[1] + H * np.array(_APART)
-    fields, sunk = [], []
-    for distance in apart.tolist():
-        pairs = _pairs(stack, mechanics, indenter, dents, distance)
-        fields.append([field.coefficients for field, _ in pairs])
-        sunk.append([deeper for _, deeper in pairs])
+    with processes(workers) as run:
+        solved = list(run(partial(_pairs, stack, mechanics, indenter, dents), apart.tolist()))
+    fields = [[field.coefficients for field, _ in pairs] for pairs in solved]
+    sunk = [[deeper for _, deeper in pairs] for pairs in solved]
     return PairTable(
         thickness=np.array(H),
         height=np.array(height),
@@ -101,13 +112,17 @@ def _pairs(
     outline = Rectangle(apart + 2.0 * _FREE * H, 2.0 * _FREE * H)
     y, places = _FREE * H, (_FREE * H, apart + _FREE * H)
     contacts = [(x, y, radius) for x in places]
-    fineness = Fineness(ends=0.0, sides=0.0, layers=1)
+    fineness = Fineness(ends=0.0, sides=0.0, layers=2)
     body = stack_mesh(outline, stack, mechanics, Rigid(), contacts, fineness)
     both, one = FiniteStack(body, 2), FiniteStack(body)
-    found = []
+    found: list[tuple[SmoothField, float]] = []
+    start, before = None, 0.0
     for dent in dents:
         first, second = (DentField(x, y, indenter, dent) for x in places)
-        pair, single = both.correction([first, second]), one.correction([first])
+        # Deep dents close together may turn the stack inside out before their correction.
+        start = None if start is None else start * (dent.depth / before) ** 2
+        pair, single = both.correction([first, second], start), one.correction([first])
+        start, before = pair.unknowns, dent.depth
         box = _box(apart, H, stack.sheets[stack.gel].thickness)
         change = _Change(pair, single, outline, apart, H)
         field = SmoothField.of(change, box, _COUNTS, _STRETCH)

@@ -22,7 +22,7 @@ from eitskin.simulator.scene.indenters import Indenter
 # Tables that come with the package.
 LIBRARY = Path(__file__).with_name("library")
 # Version of the tables: raise it whenever presses are solved or tabulated in another way.
-_VERSION = 1
+_VERSION = 2
 # Tables are solved for moduli of the encapsulation over the gel's of 1.4 2^(k/2), k an integer;
 # 1.4 is the reference. Other ratios are interpolated. Likewise for a substrate, of 2^(k/2).
 REFERENCE_RATIO = 1.4

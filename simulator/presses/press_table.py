@@ -24,7 +24,7 @@ _DEEPEST = 0.6  # of the thickness of the stack
 # Depths are spaced like k^1.5, since forces and dents grow about like depth to the power 1 to 1.5.
 _SPACING = 1.5
 _FEWEST = 4  # depths of a table
-_CELL = 1.0 / 20.0  # finest, of the radius of the indenter
+_CELL = 1.0 / 40.0  # finest, of the radius of the indenter
 _KNOT = 0.1  # spacing of radial knots near the indenter, over the layer's thickness
 _KNOT_GROWTH = 0.1
 _FIRST = 0.4  # of the first depth: an additional shallow press, for accuracy

@@ -18,7 +18,7 @@ from eitskin.simulator.scene.touch import AnyIndenter
 
 Array = NDArray[np.float64]
 
-_CELL = 1.0 / 20.0  # finest of the axisymmetric press, over the radius of the indenter
+_CELL = 1.0 / 40.0  # finest of the axisymmetric press, over the radius of the indenter
 _KEPT = 64  # scenes
 _SAME = 1e-9  # [m]
 

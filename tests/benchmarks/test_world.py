@@ -7,30 +7,36 @@ from command_line import printed_json
 
 from eitskin.benchmarks.results import read_results
 from eitskin.benchmarks.world.costs import counted
-from eitskin.benchmarks.world.models import KINEMATIC, TABULATED
-from eitskin.benchmarks.world.reference import cases
+from eitskin.benchmarks.world.models import KINEMATIC, SOLVED, TABULATED
+from eitskin.benchmarks.world.reference import KINDS, cases
 from eitskin.benchmarks.world.run import ModelError, World, sentences
 from eitskin.provenance import Provenance
 
 
-def error(case: str, value: float, model: str = TABULATED) -> ModelError:
-    return ModelError(case, "press", model, value, 0.1, 0.02, math.nan, math.nan)
+def error(case: str, value: float, model: str = TABULATED, kind: str = "press") -> ModelError:
+    return ModelError(case, kind, model, value, 0.1, 0.02, math.nan, math.nan)
 
 
-def test_cases_are_presses_on_a_rigid_base_and_clamped_bends() -> None:
+def test_cases_are_presses_and_bends() -> None:
     found = {case.name: case for case in cases()}
     assert len(found["75_30"].scene.touches) == 1
     assert found["independent_bend_20"].is_bend
     assert all(case.changes.shape == (28,) for case in found.values())
     assert all(case.is_bend != bool(case.scene.touches) for case in found.values())
+    assert {case.kind for case in found.values()} <= set(KINDS)
 
 
-def test_median_and_worst_are_of_the_tabulated_models() -> None:
-    errors = (error("a", 0.01), error("b", 0.05), error("c", 0.02), error("c", 1.1, KINEMATIC))
+def test_median_and_worst_are_of_the_tables_and_of_3d_solutions_where_there_is_none() -> None:
+    errors = (
+        *(error("a", 0.01), error("b", 0.05), error("c", 1.1, KINEMATIC)),
+        *(error("a", 0.2, SOLVED), error("c", 0.02, SOLVED)),
+        error("d", 0.003, kind="bend"),
+    )
     found = World(Provenance.now(0), 1.0, False, errors, (), {}, {"flat": 0}, ())
-    assert (found.median, found.worst.case) == (0.02, "b")
-    said = next(iter(sentences(found)))
-    assert "median 2.00 % (target 2 %), worst 5.00 % at b (target 4 %)" in said
+    assert (found.median("press"), found.worst("press").case) == (0.02, "b")
+    pressed, bent, *_ = sentences(found)
+    assert "median 2.00 % (target 2 %), worst 5.00 % at b (target 4 %)" in pressed
+    assert "worst 0.30 % at d" in bent
 
 
 def test_scenes_look_up_no_tables_but_their_own() -> None:

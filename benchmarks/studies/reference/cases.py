@@ -13,8 +13,9 @@ SINGLE = (
     (30.0, 30.0),
     (75.0, 10.0),
     (75.0, 5.0),
+    (15.0, 30.0),
 )
-CORNERS = ((60.0, 15.0), (15.0, 15.0), (45.0, 15.0))  # without symmetry
+CORNERS = ((15.0, 15.0), (60.0, 15.0), (30.0, 15.0), (45.0, 15.0))  # without symmetry
 FORCES = (2.0, 5.0, 8.0, 12.0)
 
 
@@ -24,32 +25,28 @@ def cases() -> list[Case]:
     found += [
         Case("two_60_30_90_30", ((60.0, 30.0), (90.0, 30.0))),
         Case("two_65_30_85_30", ((65.0, 30.0), (85.0, 30.0))),
+        Case("two_52.5_30_97.5_30", ((52.5, 30.0), (97.5, 30.0))),
         Case("four_30", ((60.0, 15.0), (90.0, 15.0), (60.0, 45.0), (90.0, 45.0))),
     ]
-    found += [_at(*place) for place in CORNERS]
-    plates = [
-        _at(45, 30),
-        _at(75, 30, force=2.0),
-        _at(75, 30),
-        _at(60, 30),
-        _at(45, 30, angle=30.0),
-    ]
-    found += [_renamed(replace(case, support="plates"), "plates") for case in plates]
-    found += [_at(*place, force=force) for place in ((60, 15), (75, 30)) for force in FORCES]
+    found += [_at(75, 30, force=force) for force in FORCES]
     shapes = (
         ("ball_5", Sphere(0.005), 5.0),
         ("cylinder_3", Cylinder(0.003), 3.0),
         ("cylinder_10", Cylinder(0.010), 10.0),
     )
     for name, indenter, force in shapes:
-        found.append(_renamed(_at(60, 30, force=force, indenter=indenter), name))
+        found.append(_renamed(_at(75, 30, force=force, indenter=indenter), name))
+    found += [_at(*CORNERS[0]), _at(*CORNERS[1])]
+    plates = [_at(45, 30), _at(75, 30, force=2.0), _at(75, 30), _at(45, 30, angle=30.0)]
+    found += [_renamed(replace(case, support="plates"), "plates") for case in plates]
     for thickness in (0.8, 1.25):
-        found.append(_renamed(_at(60, 30, thickness=thickness), f"thickness_{thickness:g}"))
-    for ratio in (0.7, 2.8, 6.0):
-        found.append(_renamed(_at(60, 30, ratio=ratio), f"ratio_{ratio:g}"))
-    for place in ((75, 30), (45, 15)):
-        found.append(_renamed(_at(*place, support="substrate"), "substrate"))
+        found.append(_renamed(_at(75, 30, thickness=thickness), f"thickness_{thickness:g}"))
+    for ratio in (0.7, 2.8):
+        found.append(_renamed(_at(75, 30, ratio=ratio), f"ratio_{ratio:g}"))
+    found.append(_renamed(_at(75, 30, support="substrate"), "substrate"))
     found.append(_renamed(_at(75, 30, force=2.0, support="free"), "free"))
+    found += [_at(*place) for place in CORNERS[2:]]
+    found.append(Case("three", ((45.0, 30.0), (75.0, 30.0), (105.0, 30.0))))
     for angle in (20.0, 50.0):
         for place in ((75, 30), (40, 30), (30, 15)):
             found.append(_renamed(_at(*place, support="plates", angle=angle), "plates"))

@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 _SAME, _INWARDS = 1e-6, 1e-6  # [mm]; shift of evaluated points into the gel [mm]
 _SMALLEST_STEP = 0.02  # of the load
 _SPAN, _AXIS = 40.0, 8.0  # of the plates: span, and depth of the axis under mid-layer [mm]
+_CELL, _STEPS = 1.0 / 60.0, 24  # finest of the axisymmetric press, over the radius; its steps
 _KNOTS, _GRID = 0.05, 241  # of the contact profile [mm]; radii and heights of the initial guess
 
 
@@ -68,8 +69,10 @@ class ContactProfile:
 @lru_cache(maxsize=16)
 def contact_profile(stack: Stack, indenter: Cylinder | Sphere, force: float) -> ContactProfile:
     """Contact profile of the axisymmetric press at a force [N]."""
-    press = AxisymmetricPress(stack, indenter)
-    found = press.to_force(force)
+    press = AxisymmetricPress(stack, indenter, finest=_CELL * indenter.rims[1])
+    # Small steps, since a rough indenter sticks to newly touched points only after each.
+    for part in (np.arange(1, _STEPS + 1) / _STEPS) ** 1.5:
+        found = press.to_force(part * force)
     pressure = press.contact.nominal_pressure(press.unknowns).ravel()
     r = press.contact.points[..., 0].ravel()
     order = np.argsort(r)

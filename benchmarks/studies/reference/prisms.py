@@ -49,8 +49,8 @@ class Sizes:
         reach: radius of the finer surroundings over that of the patch.
     """
 
-    rim: float = 2.0
-    inside: float = 3.0
+    rim: float = 1.0
+    inside: float = 2.5
     around: float = 5.0
     far: float = 12.0
     grading: float = 0.45

@@ -137,7 +137,7 @@ class MixedSolid:
             residual, inverse, last = state.vec.CreateVector(), None, math.inf
             for iteration in range(_MOST_ITERATIONS):
                 if inverse is None:
-                    self._form.AssembleLinearization(state.vec)
+                    self._linearise()
                     inverse = self._form.mat.Inverse(free, inverse="sparsecholesky")
                 self._form.Apply(state.vec, residual)
                 increment, moved = self._increment(inverse, residual, lifts, held, self._jump(held))
@@ -160,6 +160,15 @@ class MixedSolid:
         except SolidError:
             state.vec.data, self.steps = before, steps
             raise
+
+    def _linearise(self) -> None:
+        """Assemble the tangent at `state`; raises SolidError where a cell cannot be condensed."""
+        # NGSolve raises an error of its own; the guess is then too far from an equilibrium.
+        singular = require("netgen.libngpy._meshing", "reference").NgException
+        try:
+            self._form.AssembleLinearization(self.state.vec)
+        except singular as error:
+            raise SolidError(f"the tangent of the reference is singular: {error}", 0.0) from error
 
     @property
     def _displacements(self) -> int:

@@ -35,8 +35,8 @@ def command(
     found = run(seed, quick, watched(output))
     paths = [str(path) for path in write(found, out)]
     data = dataclasses.asdict(found) | {
-        "median": found.median,
-        "worst": dataclasses.asdict(found.worst),
+        "median": {kind: found.median(kind) for kind in found.kinds},
+        "worst": {kind: dataclasses.asdict(found.worst(kind)) for kind in found.kinds},
         "files": paths,
     }
     output.result(data, _errors(found))
