@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from eitskin.benchmarks.results import Results, write_results
-from eitskin.benchmarks.stability import bends, electrical, places, solids
+from eitskin.benchmarks.stability import bends, electrical, places, solids, stacks
 from eitskin.benchmarks.stability.case import Case, CaseResult, judge
 from eitskin.benchmarks.stability.random_designs import RANDOM, random_designs
 from eitskin.extras import require
@@ -61,6 +61,7 @@ def cases(seed: int, quick: bool) -> Iterator[Case]:
     yield from bends.compositions(quick)
     yield from solids.incompressible(quick)
     yield from solids.presses(quick)
+    yield from stacks.stacks(quick)
     yield from electrical.contrasts(ratios)
     yield from electrical.contacts()
     yield from places.electrodes(quick)

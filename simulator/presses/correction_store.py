@@ -37,7 +37,7 @@ from eitskin.simulator.presses.press_store import (
     scaled_heights,
     with_modulus,
 )
-from eitskin.simulator.presses.smooth_field import SmoothField
+from eitskin.simulator.presses.smooth_field import SmoothField, together
 from eitskin.simulator.scene.indenters import Indenter
 from eitskin.simulator.scene.touch import AnyIndenter
 
@@ -125,7 +125,7 @@ class Corrections:
             field, more = table.at(x, y, depth / higher)
             fields.append(field.scaled(weight).raised(higher))
             sunk += weight * higher * more
-        return tuple(fields), sunk
+        return tuple(together(fields)), sunk
 
     def check_depth(self, depth: float) -> None:
         """Raise ConfigurationError for a depth [m] beyond the tables."""

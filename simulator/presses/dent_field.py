@@ -79,7 +79,7 @@ class DentField:
     def _part(self, points: Array) -> FieldValues:
         dx, dy = points[:, 0] - self.x, points[:, 1] - self.y
         distance = np.maximum(np.hypot(dx, dy), _AXIS)
-        c, s = dx / distance, dy / distance
+        c, s = np.where(distance > _AXIS, dx / distance, 1.0), dy / distance
         r = np.minimum(distance, self.press.r[-1])
         radial, upward, outward, rising = self._motion(r, points[:, 2])
         hoop = radial[:, 0] / distance

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial import cKDTree
 
+from eitskin.errors import ConfigurationError
 from eitskin.simulator.linalg.nested_dissection import Block, by_blocks, dissected
 from eitskin.simulator.mechanics.load_stepping import ForceTerm, Load, SolidError, newton
 from eitskin.simulator.mechanics.quadratic_field import QuadraticField
@@ -38,6 +39,8 @@ _WITHIN = 0.2
 _TOLERANCE = 1e-2  # of the last correction; the error is its square
 _SMALLEST_STEP = 1.0 / 64.0
 _SAME = 1e-9  # [m]
+# Unknowns of a solid; 95,000 took 3 GB at their peak, and memory grows a little faster.
+_MOST_UNKNOWNS = 250_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,9 +78,18 @@ class FiniteStack:
     """
 
     def __init__(self, body: StackMesh, presses: int = 1) -> None:
-        """Number the unknowns of a number of presses on a mesh that is refined for them."""
+        """Number the unknowns of a number of presses on a mesh that is refined for them.
+
+        Raises ConfigurationError for more unknowns than memory is allowed for.
+        """
         self.body = body
         self.solid = DentedSolid(body.mesh, body.laws, body.law_of_cell, body.stack.bulk_ratio)
+        if self.solid.unknowns > _MOST_UNKNOWNS:
+            raise ConfigurationError(
+                f"the stack under these presses needs {self.solid.unknowns} unknowns, of which "
+                f"{_MOST_UNKNOWNS} (about 8 GB) are allowed; press with larger indenters, or "
+                "model a smaller part of the sensor"
+            )
         self._size = self.solid.unknowns + presses
         self._fixed = self._supports()
         self._eliminate = by_blocks(self._blocks())

@@ -1,7 +1,7 @@
 """Polynomial fields on a box: Chebyshev polynomials in the plane, Legendre over the height."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import NamedTuple
@@ -170,6 +170,17 @@ class SmoothField:
         if axis == 0:
             values[outside] = 0.0
         return _Basis(values, slopes)
+
+
+def together(fields: Iterable[SmoothField]) -> list[SmoothField]:
+    """Fields of the same sum, those on one box and of one degree added up to one."""
+    alike: dict[tuple[object, ...], SmoothField] = {}
+    for field in fields:
+        key = (field.box, field.stretch, field.coefficients.shape)
+        same = alike.get(key)
+        total = field.coefficients if same is None else same.coefficients + field.coefficients
+        alike[key] = replace(field, coefficients=total)
+    return list(alike.values())
 
 
 def _polynomials(axis: int, s: Array, count: int) -> Array:

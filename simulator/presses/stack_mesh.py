@@ -22,6 +22,8 @@ _SAME = 1e-9  # [m]
 # Cells under an indenter over its radius, and their growth away from it. Corrections are smooth.
 _UNDER, _GROWTH = 0.5, 0.5
 _SAMPLES, _SPARE = 4001, 1e-6
+# Largest cells over the length of the sensor: far from presses on a thin stack nothing happens.
+_FAR = 1.0 / 20.0
 _STAIRS = 0.4  # of the thickness: boxes at the rim of other outlines than rectangles
 _ROUNDED = 9  # decimals, in m, by which nodes agree
 
@@ -142,7 +144,8 @@ def stack_mesh(
     radius, height = min(r for *_, r in contacts), stack.levels[-1]
     boxed = not isinstance(outline, Rectangle)
     fineness = fineness or (Fineness(0.0, 0.0, 1) if boxed else Fineness())
-    coarsest = _STAIRS * height if boxed else max(height, _UNDER * radius)
+    far = max(height, _UNDER * radius, _FAR * outline.length)
+    coarsest = _STAIRS * height if boxed else far
     grading = Grading(min(_UNDER * radius, 0.5 * height, coarsest), coarsest, _GROWTH)
     whole = outline.length
     gap = support.gap(outline) if isinstance(support, Plates) else (0.5 * whole, 0.5 * whole)

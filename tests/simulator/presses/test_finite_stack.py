@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 
+from eitskin.errors import ConfigurationError
 from eitskin.geometry import Free, Plates, Rectangle, Rigid, SensorDesign, Support
 from eitskin.simulator import Cylinder, Mechanics
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
 from eitskin.simulator.mechanics.load_stepping import SolidError
+from eitskin.simulator.presses import finite_stack
 from eitskin.simulator.presses import stack_mesh as mesh_of_stack
 from eitskin.simulator.presses.dent_field import DentField
 from eitskin.simulator.presses.finite_stack import FiniteStack
@@ -113,6 +115,20 @@ def test_dents_that_turn_the_stack_inside_out_are_refused(dents) -> None:
     many = [DentField(X, Y, PUNCH, dents[DEPTH])] * 20
     with pytest.raises(SolidError, match="inside out where they overlap"):
         FiniteStack(meshed(), len(many)).correction(many)
+
+
+def test_a_dent_is_smooth_across_its_axis(dents) -> None:
+    field = DentField(X, Y, PUNCH, dents[DEPTH])
+    on, beside = (field.at(np.array([[X + away, Y, 0.006]]))[1][0] for away in (0.0, 1e-6))
+    assert on == pytest.approx(beside, abs=1e-4)
+    assert on[0, 0] == pytest.approx(on[1, 1], rel=1e-3)
+    assert np.linalg.det(np.eye(3) + on) == pytest.approx(1.0, abs=0.01)
+
+
+def test_a_stack_that_needs_too_much_memory_is_refused(monkeypatch) -> None:
+    monkeypatch.setattr(finite_stack, "_MOST_UNKNOWNS", 5_000)
+    with pytest.raises(ConfigurationError, match=r"needs \d+ unknowns, of which 5000"):
+        FiniteStack(meshed())
 
 
 # Supports

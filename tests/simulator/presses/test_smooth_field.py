@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from eitskin.simulator.presses.pair_table import TurnedField
-from eitskin.simulator.presses.smooth_field import Box, SmoothField
+from eitskin.simulator.presses.smooth_field import Box, SmoothField, together
 
 BOX = Box((-0.01, 0.0, 0.001), (0.05, 0.03, 0.004))
 
@@ -103,3 +103,14 @@ def test_a_turned_field_turns_displacements_and_slopes() -> None:
     )
     values = TurnedField(along, 0.05, 0.02, 0.6, 0.8).values(at)
     assert values[:, 0, 0] == pytest.approx([0.6, 0.8, 0.0, 2.0])
+
+
+def test_fields_on_one_box_are_added_up() -> None:
+    rng = np.random.default_rng(3)
+    near, far = (Box((low, 0.0, 0.0), (low + 0.1, 0.06, 0.005)) for low in (0.0, 0.05))
+    fields = [SmoothField(box, rng.normal(size=(4, 3, 2, 4))) for box in (near, far, near)]
+    merged = together(fields)
+    assert [field.box for field in merged] == [near, far]
+    columns = rng.uniform((0, 0, 0), (0.15, 0.06, 0.005), (50, 1, 3))
+    expected = sum(field.moved(columns) for field in fields)
+    assert sum(field.moved(columns) for field in merged) == pytest.approx(expected, abs=1e-9)
