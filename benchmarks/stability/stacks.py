@@ -88,7 +88,7 @@ def _pressed(
     punch = Cylinder(min(0.0075, stack.levels[-1]))
     dent = _dent(AxisymmetricPress(stack, punch, _CELL * punch.radius), depth, thinning)
     contacts = [(*_PLACE, punch.radius)]
-    body = stack_mesh(design.outline, stack, mechanics, design.support, contacts, _ONE_LAYER)
+    body = stack_mesh(_OUTLINE, stack, mechanics, design.support, contacts, _ONE_LAYER)
     solved = FiniteStack(body)
     found = solved.correction([DentField(*_PLACE, punch, dent)])
     solid = solved.solid

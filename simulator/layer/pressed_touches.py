@@ -161,8 +161,8 @@ def _corrected(
             pair = _pair((one, dent.depth), (other, beside.depth), design, mechanics)
             if pair is not None:
                 fields.append(pair[0])
-                sunk[k] += pair[1]
-                sunk[j] += pair[1]
+                sunk[k] += pair[1][0]
+                sunk[j] += pair[1][1]
     elif felt:
         presses = tuple(Press(t.x, t.y, dent.depth, t.indenter) for _, t, dent in felt)
         solved = solved_presses(design, mechanics, presses)
@@ -174,7 +174,7 @@ def _corrected(
 
 def _pair(
     one: tuple[Touch, float], other: tuple[Touch, float], design: SensorDesign, mechanics: Mechanics
-) -> tuple[TurnedField, float] | None:
+) -> tuple[TurnedField, tuple[float, float]] | None:
     """Change of two dents by each other, and by how much deeper each sinks [m].
 
     Touches with their depths [m]; None where they are far apart. Between different indenters it is

@@ -7,7 +7,8 @@ the smooth difference to equilibrium of the whole stack at finite strain,
     int P(F_d + dc/dX, p_d + q) : dv dV = int P_d : dv dV - int P_d N . v dA  for all v,
 
 F_d = 1 + sum G_d of all dents, the last integral over the faces that are free in the finite stack
-only. Under an indenter that sticks, c is a vertical translation at an unchanged force.
+only. Under an indenter that sticks, c takes back what the dents of other indenters move, but for a
+vertical translation at an unchanged force.
 """
 
 from collections.abc import Sequence
@@ -102,7 +103,7 @@ class FiniteStack:
         Where Newton's method fails, the load is applied in steps. Raises SolidError where no
         stable equilibrium is found, with the fraction of the missing forces that were applied.
         """
-        self._contacts = [self._held(dent, number) for number, dent in enumerate(dents)]
+        self._contacts = [self._held(dents, number) for number in range(len(dents))]
         self._load = np.append(self._dented(dents), np.zeros(len(dents)))
         x = np.zeros(self._size) if start is None else start
         try:
@@ -186,7 +187,12 @@ class FiniteStack:
             np.add.at(forces, basis.element_dofs[a], parts)
         return np.append(forces.ravel(), np.zeros(self.solid.multipliers))
 
-    def _held(self, dent: DentField, number: int) -> HeldContact:
+    def _held(self, dents: Sequence[DentField], number: int) -> HeldContact:
+        dent, others = dents[number], [*dents[:number], *dents[number + 1 :]]
+
+        def given(points: Array) -> Array:
+            return sum((other.at(points).displacement for other in others), np.zeros((1, 3)))
+
         mesh, top = self.body.mesh, self.body.top()
         corners = mesh.p[:2, mesh.facets[:, top]]
         centre, radius = np.array([dent.x, dent.y]), dent.contact_radius
@@ -198,7 +204,16 @@ class FiniteStack:
         ]
         held = radius - _WITHIN * float(np.concatenate(cells).mean())
         stiffness = _STIFFNESS * self.body.stack.sheets[-1].law.shear_modulus / radius
-        return HeldContact(self.solid, top[near], dent.indenter, centre, held, stiffness, number)
+        return HeldContact(
+            self.solid,
+            top[near],
+            dent.indenter,
+            centre,
+            held,
+            stiffness,
+            number,
+            given if others else None,
+        )
 
     def _blocks(self) -> list[Block]:
         """Blocks of free unknowns in the order of elimination."""

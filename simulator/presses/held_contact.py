@@ -1,5 +1,7 @@
 """Held contact: the area under a rough indenter, which moves with the indenter only."""
 
+from collections.abc import Callable
+
 import numpy as np
 import skfem
 from numpy.typing import NDArray
@@ -15,9 +17,10 @@ _ORDER = 13  # of the quadrature, on facets that the rim of the contact cuts
 
 
 class HeldContact:
-    """Springs that hold the displacement c of a contact area at -d e_z.
+    """Springs that hold the displacement c of a contact area at -d e_z - g.
 
-    The indenter neither tilts nor moves sideways, and sinks by a further d under a force unchanged.
+    g is the displacement of the area by the dents of other indenters. The indenter neither tilts
+    nor moves sideways, and sinks by a further d under a force unchanged.
     A smooth indenter holds c along its normal only. The unknown d [m] follows those of the solid.
 
     Attributes:
@@ -33,6 +36,7 @@ class HeldContact:
         radius: float,
         stiffness: float,
         number: int,
+        given: Callable[[Array], Array] | None = None,
     ) -> None:
         """Integrate the springs over a circle on a level face.
 
@@ -44,6 +48,7 @@ class HeldContact:
             radius: of the undeformed contact [m].
             stiffness: of the springs [Pa/m].
             number: of the contact, among those of the solid.
+            given: g (n, 3) [m] at points (n, 3) of the face; none when omitted.
         """
         basis = skfem.FacetBasis(solid.mesh, solid.basis.elem, facets=facets, intorder=_ORDER)
         away = np.asarray(basis.global_coordinates())[:2] - centre[:, None, None]
@@ -65,6 +70,13 @@ class HeldContact:
         kept = (rows >= 0) & (columns >= 0)
         self._entries = (K.ravel()[kept], (rows[kept], columns[kept]))
         self._stiffness: csc_array | None = None
+        self._given: tuple[Indices, Array] | None = None
+        if given is not None:
+            points = np.moveaxis(np.asarray(basis.global_coordinates()), 0, -1)
+            g = given(points.reshape(-1, 3)).reshape(points.shape)
+            pulled = np.einsum("fqa,fqij,fqj->fai", values, held, g, optimize=True).ravel()
+            used = numbers.ravel() >= 0
+            self._given = numbers.ravel()[used], pulled[used]
 
     @property
     def multipliers(self) -> int:
@@ -81,7 +93,10 @@ class HeldContact:
 
     def forces(self, x: Array) -> Array:
         """Forces of the springs on the unknowns (n,) [N]."""
-        return np.asarray(self._matrix(len(x)) @ x)
+        found = np.asarray(self._matrix(len(x)) @ x)
+        if self._given is not None:
+            np.add.at(found, *self._given)
+        return found
 
     def linearise(self, x: Array) -> tuple[Array, csc_array]:
         """Forces (n,) and their constant stiffness (n, n)."""

@@ -49,7 +49,7 @@ from eitskin.simulator.scene.indenters import Cylinder
 from eitskin.simulator.simulator import Simulator
 
 Array = NDArray[np.float64]
-ERROR = 0.02
+ERROR = 0.015
 """Estimated error of the changes over their norm, see docs/reference-solutions.md."""
 COMMAND = "python -m eitskin.benchmarks.studies.reference.run --out FILE"
 

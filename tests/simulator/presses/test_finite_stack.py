@@ -117,6 +117,22 @@ def test_dents_that_turn_the_stack_inside_out_are_refused(dents) -> None:
         FiniteStack(meshed(), len(many)).correction(many)
 
 
+@pytest.mark.slow
+def test_a_contact_takes_back_the_dent_of_another(dents) -> None:
+    places = (0.015, 0.034)
+    contacts = [(x, Y, PUNCH.radius) for x in places]
+    outline, coarse = Rectangle(LENGTH, WIDTH), Fineness(ends=0.0, sides=0.0, layers=1)
+    both = FiniteStack(stack_mesh(outline, STACK, MECHANICS, Rigid(), contacts, coarse), 2)
+    first, second = (DentField(x, Y, PUNCH, dents[DEPTH]) for x in places)
+    found = both.correction([first, second])
+    under = np.array([[places[0] + r, Y, TOP] for r in (-0.003, 0.0, 0.003)])
+    beside = second.at(under).displacement
+    assert np.ptp(beside[:, 2]) > 0.01 * DEPTH  # the other dent alone would tilt the contact
+    moved = beside + found.displacement(under)
+    assert moved[:, 2] == pytest.approx(np.full(3, -found.sunk[0]), abs=2e-3 * DEPTH)
+    assert np.abs(moved[:, :2]).max() < 0.15 * np.abs(beside).max()
+
+
 def test_a_dent_is_smooth_across_its_axis(dents) -> None:
     field = DentField(X, Y, PUNCH, dents[DEPTH])
     on, beside = (field.at(np.array([[X + away, Y, 0.006]]))[1][0] for away in (0.0, 1e-6))
