@@ -31,7 +31,7 @@ MEDIAN, WORST = 0.02, 0.04
 """Targets of the signal error of the default models: in the middle, and at most."""
 _QUICK_CASES = ("75_30", "independent_bend_20")
 # Presses that are solved in 3D besides those without a table: half a minute to minutes each.
-_SOLVED_TOO = ("75_30", "75_15", "75_7.5", "45_30", "15_15", "two_65_30_85_30")
+_SOLVED_TOO = ("75_30", "75_15", "two_65_30_85_30")
 
 
 @dataclass(frozen=True, slots=True)

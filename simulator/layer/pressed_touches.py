@@ -30,10 +30,10 @@ from eitskin.simulator.scene.touch import Touch
 TouchModel = Literal["tabulated", "solved"]
 
 # Distances of the axis from the gel's edge and from another touch, below which signals are more
-# than 5 % off independent solutions, or not compared with them (docs/deformation.md) [m].
-_EDGE, _NEIGHBOUR = 0.0075, 0.020
+# than 4 % off independent solutions, or not compared with them (docs/deformation.md) [m].
+_EDGE, _NEIGHBOUR = 0.005, 0.020
 # Largest errors of the signal found up to these distances from the edge and from another touch [m].
-_BY_EDGE = ((_EDGE, None), (math.inf, 0.05))
+_BY_EDGE = ((_EDGE, None), (math.inf, 0.04))
 _BY_NEIGHBOUR = ((_NEIGHBOUR, None), (0.030, 0.12), (math.inf, 0.04))
 # A touch to a given depth: the dent is made shallower by what the whole stack sinks.
 _SINKINGS, _SAME_DEPTH = 3, 1e-3
@@ -161,8 +161,8 @@ def _corrected(
             pair = _pair((one, dent.depth), (other, beside.depth), design, mechanics)
             if pair is not None:
                 fields.append(pair[0])
-                sunk[k] += pair[1][0]
-                sunk[j] += pair[1][1]
+                sunk[k] += pair[1]
+                sunk[j] += pair[1]
     elif felt:
         presses = tuple(Press(t.x, t.y, dent.depth, t.indenter) for _, t, dent in felt)
         solved = solved_presses(design, mechanics, presses)
@@ -174,7 +174,7 @@ def _corrected(
 
 def _pair(
     one: tuple[Touch, float], other: tuple[Touch, float], design: SensorDesign, mechanics: Mechanics
-) -> tuple[TurnedField, tuple[float, float]] | None:
+) -> tuple[TurnedField, float] | None:
     """Change of two dents by each other, and by how much deeper each sinks [m].
 
     Touches with their depths [m]; None where they are far apart. Between different indenters it is

@@ -302,7 +302,7 @@ def _strip_name(
 
 def _pair_name(stack: Stack, mechanics: Mechanics, indenter: Indenter) -> str:
     """Name of the file of a table of pairs."""
-    return f"pairs-{_hash(stack, mechanics, indenter, {'parted': True})}.npz"
+    return f"pairs-{_hash(stack, mechanics, indenter, {})}.npz"
 
 
 def _hash(stack: Stack, mechanics: Mechanics, indenter: Indenter, size: dict[str, object]) -> str:

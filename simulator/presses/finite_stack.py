@@ -97,13 +97,20 @@ class FiniteStack:
         self._contacts: list[HeldContact] = []
         self._load = np.zeros(self._size)
 
-    def correction(self, dents: Sequence[DentField], start: Array | None = None) -> Correction:
+    def correction(
+        self, dents: Sequence[DentField], start: Array | None = None, dents_held: bool = True
+    ) -> Correction:
         """Correction of dents in equilibrium, found from none or from the unknowns `start`.
 
+        Without `dents_held` contacts do not take back what the dents of other indenters move.
         Where Newton's method fails, the load is applied in steps. Raises SolidError where no
         stable equilibrium is found, with the fraction of the missing forces that were applied.
         """
-        self._contacts = [self._held(dents, number) for number in range(len(dents))]
+        dents = list(dents)
+        self._contacts = [
+            self._held(dents[k], dents[:k] + dents[k + 1 :] if dents_held else [], k)
+            for k in range(len(dents))
+        ]
         self._load = np.append(self._dented(dents), np.zeros(len(dents)))
         x = np.zeros(self._size) if start is None else start
         try:
@@ -187,9 +194,7 @@ class FiniteStack:
             np.add.at(forces, basis.element_dofs[a], parts)
         return np.append(forces.ravel(), np.zeros(self.solid.multipliers))
 
-    def _held(self, dents: Sequence[DentField], number: int) -> HeldContact:
-        dent, others = dents[number], [*dents[:number], *dents[number + 1 :]]
-
+    def _held(self, dent: DentField, others: Sequence[DentField], number: int) -> HeldContact:
         def given(points: Array) -> Array:
             return sum((other.at(points).displacement for other in others), np.zeros((1, 3)))
 

@@ -1,6 +1,6 @@
 """Table of pairs: how two presses side by side change each other's dents."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -26,26 +26,25 @@ _APART = (0.25, 0.45, 0.8, 1.25, 1.9, 2.8)
 _VANISHED = 1.4  # beyond the last distance
 _REACH, _FADE, _FREE = 4.5, 1.5, 6.0  # beyond the axes: of the field, of its end, of the mesh
 _CELL = 1.0 / 40.0  # finest of the axisymmetric press, over the radius of the indenter
-_COUNTS, _STRETCH = (30, 24, 4), 1.5
-_PARTING = 3.0  # steepness, over the distance, at which the change is parted between the presses
+_COUNTS, _STRETCH = (30, 24, 3), 1.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairTable:
     """Change of displacement and mean stress by a second press, over distance and depth.
 
-    Pairs are solved on a wide stack, with equal indenters and depths. To leading order each contact
-    takes back what the other dent moves, so that the change beside one press grows like the depth
-    of the other.
+    Pairs are solved on a wide stack, with equal indenters and depths. To leading order the change
+    is bilinear in both depths, so that unequal ones are scaled by their product. Contacts do not
+    take back each other's dents here: without the sides of the sensor that moves signals away from
+    reference solutions (docs/deformation.md).
 
     Attributes:
         thickness: of the whole stack, () [m].
         height: of the gel, () [m].
         apart: distances between the axes; at the last nothing changes, (r,) [m].
         depths: (d,) [m].
-        fields: coefficients of the part of the change beside the first press, in the frame of the
-            pair, x from press to press, (r - 1, d, nx, ny, nz, 4). The other part is its mirror
-            image.
+        fields: coefficients in the frame of the pair, x from press to press, (r - 1, d, nx, ny, nz,
+            4).
         sunk: by which each press sinks deeper, (r - 1, d) [m].
     """
 
@@ -56,10 +55,8 @@ class PairTable:
     fields: Array
     sunk: Array
 
-    def at(
-        self, apart: float, first: float, second: float
-    ) -> tuple[SmoothField, tuple[float, float]] | None:
-        """Field in the frame of a pair at a distance and to two depths [m], and sinkings [m].
+    def at(self, apart: float, first: float, second: float) -> tuple[SmoothField, float] | None:
+        """Field in the frame of a pair at a distance and to two depths [m], and sinking [m].
 
         None where the presses do not feel each other.
         """
@@ -67,20 +64,18 @@ class PairTable:
             return None
         apart = max(apart, float(self.apart[0]))
         near = CubicSpline(np.log(self.apart), np.eye(len(self.apart)))(np.log(apart))[:-1]
-        # Over the depth the change is constant up to the least solved depth.
-        deep = max(float(np.sqrt(first * second)), float(self.depths[0]))
+        product = first * second
+        # Over the product of the depths the change is constant up to the least solved depth.
+        deep = max(float(np.sqrt(product)), float(self.depths[0]))
         others = [np.delete(self.depths, k) for k in range(len(self.depths))]
-        weights = np.array(
+        weights = product * np.array(
             [
-                np.prod((deep - other) / (own - other)) / own
+                np.prod((deep - other) / (own - other)) / own**2
                 for own, other in zip(self.depths, others, strict=True)
             ]
         )
         fields = np.tensordot(weights, np.tensordot(near, self.fields, (0, 0)), (0, 0))
-        beside = SmoothField(self._box(apart), fields, _STRETCH)
-        total = second * fields + first * beside.mirrored(0, 0.0).coefficients
-        sunk = float(near @ self.sunk @ weights)
-        return replace(beside, coefficients=total), (second * sunk, first * sunk)
+        return SmoothField(self._box(apart), fields, _STRETCH), float(near @ self.sunk @ weights)
 
     def _box(self, apart: float) -> Box:
         return _box(apart, float(self.thickness), float(self.height))
@@ -128,7 +123,8 @@ def _pairs(
         first, second = (DentField(x, y, indenter, dent) for x in places)
         # Deep dents close together may turn the stack inside out before their correction.
         start = None if start is None else start * (dent.depth / before) ** 2
-        pair, single = both.correction([first, second], start), one.correction([first])
+        pair = both.correction([first, second], start, dents_held=False)
+        single = one.correction([first])
         start, before = pair.unknowns, dent.depth
         box = _box(apart, H, stack.sheets[stack.gel].thickness)
         change = _Change(pair, single, outline, apart, H)
@@ -139,10 +135,7 @@ def _pairs(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Change:
-    """Part beside the first press of a pair's correction less those of its presses alone.
-
-    Positions are from the middle between the presses.
-    """
+    """Correction of a pair less those of its presses alone, from the middle between them."""
 
     pair: Correction
     single: Correction
@@ -162,8 +155,6 @@ class _Change:
         for axis, end in enumerate(ends):
             t = np.clip((end - np.abs(points[..., axis])) / (_FADE * H), 0.0, 1.0)
             change *= (t * t * (3.0 - 2.0 * t))[..., None]
-        # Both parts add up to the whole.
-        change *= 0.5 - 0.5 * np.tanh(_PARTING * points[..., :1] / self.apart)
         return change
 
 

@@ -73,23 +73,10 @@ def test_pairs_feel_each_other_less_farther_apart() -> None:
     sizes = [np.abs(field.coefficients[..., :3]).max() for field, _ in found]
     assert sizes[0] > sizes[1] > sizes[2]
     assert table.at(float(table.apart[-1]), 0.002, 0.002) is None
-    # The deeper press is pushed less than it pushes.
-    field, (first, second) = table.at(0.025, 0.003, 0.0012)
-    swapped, sunk = table.at(0.025, 0.0012, 0.003)
-    assert sunk == (second, first)
-    assert second == pytest.approx(first * 0.003 / 0.0012)
-    expected = swapped.mirrored(0, 0.0).coefficients
-    assert field.coefficients == pytest.approx(expected, abs=1e-12 * np.abs(expected).max())
-
-
-@pytest.mark.slow
-def test_tabulated_pairs_give_the_signals_of_solved_ones() -> None:
-    touches = (Touch(0.060, 0.026, 9.0), Touch(0.082, 0.032, 6.0))
-    found, solved = (
-        changes(Simulator(DESIGN, "fast", touch_model=model), *touches)
-        for model in ("tabulated", "solved")
-    )
-    assert np.linalg.norm(found - solved) < 0.03 * np.linalg.norm(solved)
+    field, sunk = table.at(0.025, 0.003, 0.0012)
+    swapped, same = table.at(0.025, 0.0012, 0.003)
+    assert sunk == same
+    assert np.array_equal(field.coefficients, swapped.coefficients)
 
 
 # Neighbouring stacks
