@@ -56,7 +56,7 @@ def test_presses_near_the_edge_or_each_other_say_so() -> None:
 
 @pytest.mark.parametrize(
     ("y", "error"),
-    [(0.0045, None), (0.0075, 0.05), (0.030, 0.05)],
+    [(0.0045, None), (0.0050, 0.04), (0.030, 0.04)],
 )
 def test_errors_of_the_signal_are_those_found_at_such_distances(y, error) -> None:
     assert one(Touch(X, y, 5.0)).signal_error == error
