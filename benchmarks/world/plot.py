@@ -37,8 +37,8 @@ def plot(found: World, path: Path) -> None:
         axes.set_xlabel("time of the deformation at all points of the mesh [s]")
         axes.set_ylabel("error of the signal against the reference [%]")
         axes.set_title(
-            "Presses on a rigid base (circles), on other supports (triangles), on bent sensors "
-            "(diamonds), and bends (squares); one core",
+            "Presses: flat on a rigid base (circles), on other supports (triangles), bent "
+            "(diamonds); bends (squares)",
             fontsize=10,
         )
         axes.grid(visible=True, which="major", color="#e4e4e4", linewidth=0.7)

@@ -140,10 +140,8 @@ class ReferenceStack:
             self.solid.start(lower.displacement, lower.mean_stress)
             self.solid.steps = lower.steps
             self._settled(pressed(1.0), f"order {self._numerics.order}")
-        own = [
-            int(np.argmin([math.dist(self._local(touch), kept) for kept in self._kept]))
-            for touch in self.case.touches
-        ]
+        places = [self._local(touch) for touch in self.case.touches]
+        own = [np.argmin([math.dist(place, kept) for kept in self._kept]) for place in places]
         self.depths = self.solid.steps[own]
 
     def displacement_and_gradient(self, points: Array) -> tuple[Array, Array]:
@@ -165,13 +163,11 @@ class ReferenceStack:
 
     def _symmetric(self, axis: int) -> bool:
         """Whether the touches mirror each other about the middle along an axis."""
-        here = {tuple(np.round(t, 6)) for t in self.case.touches}
-        there = set()
-        for touch in self.case.touches:
-            other = list(touch)
-            other[axis] = float(self._gel[axis]) - other[axis]
-            there.add(tuple(np.round(other, 6)))
-        return here == there
+        here = np.array(self.case.touches)
+        there = here.copy()
+        there[:, axis] = self._gel[axis] - here[:, axis]
+        first, second = ({tuple(t) for t in np.round(each, 6).tolist()} for each in (here, there))
+        return first == second
 
     def _is_kept(self, touch: tuple[float, float]) -> bool:
         middle = 0.5 * self._gel
