@@ -34,6 +34,7 @@ _PER_RADIUS = 4.0  # cells along the radius of an indenter, under the indenter
 _CONTACT_STIFFNESS = 500.0
 _FIRST_RADIUS, _FIRST_POINTS = 0.4, 12  # of the contact at the start, in radii of the indenter
 _SHALLOW = 0.02  # depth of the first presses, over the radius of the indenter
+_STARTS = 4  # attempts at the first presses, each half as deep
 _FIRST_STEP, _SMALLEST_STEP = 0.15, 0.005
 _NEAR = 2.0  # radii of an indenter within which the body may touch it
 _UPWARD = 0.05  # least upward part of the normals of faces that an indenter may touch
@@ -134,18 +135,7 @@ class BodyPress:
         equilibrium is found.
         """
         unknowns = self.body.solid.unknowns
-        shallow = np.array(
-            [
-                min(self._shallow(k), 0.5 * (np.inf if depth is None else depth))
-                for k, depth in enumerate(depths)
-            ]
-        )
-        x = np.zeros(unknowns + len(self.touches))
-        x[unknowns:] = shallow
-        every = np.ones(len(self.touches), dtype=bool)
-        start = Load(self._all_fixed(every), self._fixed_values(shallow), np.zeros_like(x))
-        terms: list[ForceTerm] = [self.body.solid, *self._contacts]
-        x = newton(terms, x, start, self.body.elimination(start.fixed, len(self.touches)))
+        x, shallow = self._started(depths)
         contacts = [contact.advanced(x) for contact in self._contacts]
         carried = np.array([contact.force(x) for contact in contacts])
         held = np.array([depth is not None for depth in depths])
@@ -160,11 +150,37 @@ class BodyPress:
 
         return self._result(*self._load_stepped(x, contacts, load))
 
-    def _shallow(self, number: int) -> float:
-        """Depth of a shallow press, with some points in contact [m]."""
+    def _started(self, depths: Sequence[float | None]) -> tuple[Array, Array]:
+        """Unknowns of shallow presses, and their depths (touches,) [m].
+
+        They are made shallower, down to mere contact, where cells turn inside out.
+        """
+        unknowns = self.body.solid.unknowns
+        every = np.ones(len(self.touches), dtype=bool)
+        terms: list[ForceTerm] = [self.body.solid, *self._contacts]
+        failed = SolidError("no shallow press was tried", 0.0)
+        for part in 0.5 ** np.arange(_STARTS):
+            shallow = np.array(
+                [
+                    min(self._shallow(k, float(part)), 0.5 * (np.inf if depth is None else depth))
+                    for k, depth in enumerate(depths)
+                ]
+            )
+            x = np.zeros(unknowns + len(self.touches))
+            x[unknowns:] = shallow
+            start = Load(self._all_fixed(every), self._fixed_values(shallow), np.zeros_like(x))
+            factorise = self.body.elimination(start.fixed, len(self.touches))
+            try:
+                return newton(terms, x, start, factorise), shallow
+            except SolidError as error:
+                failed = error
+        raise failed
+
+    def _shallow(self, number: int, part: float) -> float:
+        """Depth of a shallow press, `part` of the usual one beyond contact of some points [m]."""
         radius = self.touches[number].indenter.rims[1]
         touching = self._contacts[number].depth_touching(_FIRST_RADIUS * radius, _FIRST_POINTS)
-        return touching + _SHALLOW * radius
+        return touching + part * _SHALLOW * radius
 
     def _load_stepped(
         self, x: Array, contacts: list[PenaltyContact], load: Callable[[float], Load]
