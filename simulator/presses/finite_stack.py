@@ -36,10 +36,10 @@ Indices = NDArray[np.int64]
 _STIFFNESS = 200.0
 # A cell that the rim of a contact cuts is held almost as a whole, as by a larger contact, which
 # takes up to 7 % from the signal. The springs therefore end before the rim, by this part of a cell.
-_WITHIN = 0.2
+_WITHIN, _LEAST_HELD = 0.2, 0.5  # the least over the radius of the contact
+_INSIDE = 0.9  # of the radius: cells that reach farther in lie under the contact
 _TOLERANCE = 1e-2  # of the last correction; the error is its square
 _SMALLEST_STEP = 1.0 / 64.0
-_SAME = 1e-9  # [m]
 # Unknowns of a solid; 95,000 took 3 GB at their peak, and memory grows a little faster.
 _MOST_UNKNOWNS = 250_000
 
@@ -203,11 +203,13 @@ class FiniteStack:
         centre, radius = np.array([dent.x, dent.y]), dent.contact_radius
         nearest = np.clip(centre[:, None], corners.min(axis=1), corners.max(axis=1))
         near = np.linalg.norm(nearest - centre[:, None], axis=0) < radius
+        # A contact may be smaller than a cell, as those of balls are.
         cells = [
-            np.diff(line[np.abs(line - c) < radius + _SAME])
+            np.diff(line)[(line[1:] > c - _INSIDE * radius) & (line[:-1] < c + _INSIDE * radius)]
             for line, c in zip(self.body.lines, centre, strict=False)
         ]
-        held = radius - _WITHIN * float(np.concatenate(cells).mean())
+        cell = float(np.concatenate(cells).mean())
+        held = max(radius - _WITHIN * cell, _LEAST_HELD * radius)
         stiffness = _STIFFNESS * self.body.stack.sheets[-1].law.shear_modulus / radius
         return HeldContact(
             self.solid,

@@ -5,7 +5,7 @@ import pytest
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Free, Plates, Rectangle, Rigid, SensorDesign, Support
-from eitskin.simulator import Cylinder, Mechanics
+from eitskin.simulator import Cylinder, Mechanics, Sphere
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
 from eitskin.simulator.mechanics.load_stepping import SolidError
 from eitskin.simulator.presses import finite_stack
@@ -131,6 +131,16 @@ def test_a_contact_takes_back_the_dent_of_another(dents) -> None:
     moved = beside + found.displacement(under)
     assert moved[:, 2] == pytest.approx(np.full(3, -found.sunk[0]), abs=2e-3 * DEPTH)
     assert np.abs(moved[:, :2]).max() < 0.15 * np.abs(beside).max()
+
+
+def test_a_contact_smaller_than_a_cell_is_held() -> None:
+    ball = Sphere(0.0075)
+    dent = AxisymmetricPress(STACK, ball, ball.radius / 10).to_depth(2e-4)
+    body = meshed()
+    assert 2.0 * dent.contact_radius < np.diff(body.lines[0]).min()
+    found = FiniteStack(body).correction([DentField(X, Y, ball, dent)])
+    under = found.displacement(np.array([[X, Y, TOP]]))[0, 2]
+    assert under == pytest.approx(-found.sunk[0], rel=0.1)
 
 
 def test_a_dent_is_smooth_across_its_axis(dents) -> None:
