@@ -28,7 +28,9 @@ Array = NDArray[np.float64]
 Watch: TypeAlias = Callable[[str, Sequence[Any]], Iterable[Any]]
 
 MEDIAN, WORST = 0.02, 0.04
-"""Targets of the signal error of the default models: in the middle, and at most."""
+"""Targets of the signal error of presses by the default models: in the middle, and at most."""
+BENDS = 0.01
+"""Target of the signal error of bends."""
 _QUICK_CASES = ("75_30", "independent_bend_20")
 # Presses that are solved in 3D besides those without a table: half a minute to minutes each.
 _SOLVED_TOO = ("75_30", "75_15", "two_65_30_85_30")
@@ -219,10 +221,11 @@ def sentences(found: World) -> Iterable[str]:
     """Median and worst error beside their targets, what was left out, and provenance."""
     for kind in found.kinds:
         worst = found.worst(kind)
+        median, most = (BENDS, BENDS) if kind == "bend" else (MEDIAN, WORST)
         yield (
             f"{kind}, {len(found.default(kind))} cases: median {100 * found.median(kind):.2f} % "
-            f"(target {100 * MEDIAN:g} %), worst {100 * worst.error:.2f} % at {worst.case} "
-            f"(target {100 * WORST:g} %); the reference itself is good to "
+            f"(target {100 * median:g} %), worst {100 * worst.error:.2f} % at {worst.case} "
+            f"(target {100 * most:g} %); the reference itself is good to "
             f"{100 * worst.reference_error:.2g} % there, by estimate"
         )
     baseline = [row.error for row in found.of(KINEMATIC, "press")]

@@ -129,7 +129,7 @@ def _solve_missing(recipe: "Recipe", output: Output) -> None:
         missing_press_tables,
         prepare,
     )
-    from eitskin.simulator.mechanics.cache_folder import folder
+    from eitskin.simulator.mechanics.solved_files import folder
 
     bends = len(missing_bend_tables(recipe))
     if bends:

@@ -62,7 +62,7 @@ def on_support(scene: "Scene", support: str | None) -> "Scene":
 
 def announce_unsolved(simulator: "Simulator", scene: "Scene", output: Output) -> None:
     """Note how many indenters of a scene have no solved press on this sensor yet."""
-    from eitskin.simulator.mechanics.cache_folder import folder
+    from eitskin.simulator.mechanics.solved_files import folder
     from eitskin.simulator.presses.press_store import is_stored
 
     design, mechanics = simulator.supported(scene), simulator.mechanics

@@ -66,6 +66,7 @@ def prepare(recipe: Recipe, progress: Progress | None = None) -> None:
         for angle in recipe.extreme_angles:
             bend_store.bend_table(*bent).check(angle)
     if recipe.largest_force:
+        press_store.prepare(_pressed(recipe), Cylinder(), progress)
         for design, mechanics in _pressed(recipe):
             table = press_store.press_table(design, mechanics, Cylinder())
             deepest = table.at_force(recipe.largest_force).depth

@@ -8,11 +8,8 @@ is solved at one thickness and one modulus of the gel.
 """
 
 import dataclasses
-import hashlib
-import json
 import logging
 import math
-import zipfile
 from collections.abc import Callable, Iterator
 from functools import lru_cache
 from pathlib import Path
@@ -20,8 +17,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.errors import ConfigurationError
-from eitskin.files import atomic_file
 from eitskin.geometry.deformation.fixtures import Bend, Clamp, Fixture
 from eitskin.geometry.deformation.kinematics import Deformation
 from eitskin.geometry.design.outline import Rectangle
@@ -30,7 +25,7 @@ from eitskin.geometry.design.support import Plates
 from eitskin.simulator.bends import bend_table as tables
 from eitskin.simulator.bends.bend_3d import ClampedStack, Slab, clamped_lines
 from eitskin.simulator.bends.bend_table import BendTable
-from eitskin.simulator.mechanics.cache_folder import folder
+from eitskin.simulator.mechanics import solved_files
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 
 Array = NDArray[np.float64]
@@ -116,9 +111,7 @@ class _Case:
             "lines": case.lines,
             "angles_deg": tables.ANGLES_DEG,
         }
-        text = json.dumps(described, default=float, sort_keys=True)
-        rounded = json.dumps(json.loads(text, parse_float=lambda s: f"{float(s):.9g}"))
-        return f"bend-{hashlib.sha256(rounded.encode()).hexdigest()[:32]}.npz"
+        return solved_files.file_name("bend", described)
 
 
 def bend(design: SensorDesign, fixture: Fixture, mechanics: Mechanics, angle: Bend) -> Deformation:
@@ -153,7 +146,7 @@ def bend_table(design: SensorDesign, clamp: Clamp, mechanics: Mechanics) -> Bend
 
 def missing(design: SensorDesign, clamp: Clamp, mechanics: Mechanics) -> set[Path]:
     """Absent files of tables that `bend_table` needs; each takes half a minute to solve."""
-    return {folder() / case.name for case in _absent(design, clamp, mechanics)}
+    return {solved_files.folder() / case.name for case in _absent(design, clamp, mechanics)}
 
 
 def prepare(
@@ -171,12 +164,12 @@ def prepare(
             if progress:
                 progress(before + done, each * len(cases))
 
-        _write(_solve(case, report), folder() / case.name)
+        _write(_solve(case, report), solved_files.folder() / case.name)
 
 
 def _absent(design: SensorDesign, clamp: Clamp, mechanics: Mechanics) -> Iterator[_Case]:
     for case, _ in _needed(design, clamp, mechanics):
-        if not any((place / case.name).is_file() for place in (SHIPPED, folder())):
+        if not any((place / case.name).is_file() for place in (SHIPPED, solved_files.folder())):
             yield case
 
 
@@ -266,10 +259,10 @@ def _case(
 
 def _stored(case: _Case) -> BendTable:
     """Table of a case from package or disk, or solved now and stored."""
-    found = _read(SHIPPED / case.name) or _read(folder() / case.name)
+    found = _read(SHIPPED / case.name) or _read(solved_files.folder() / case.name)
     if found is None:
         log.info("solving the bends of a clamped sensor, which takes half a minute")
-        path = folder() / case.name
+        path = solved_files.folder() / case.name
         _write(_solve(case), path)
         found = _read(path)
     if found is None:  # the disk cannot be written
@@ -304,20 +297,16 @@ def _write(table: BendTable, path: Path) -> None:
         if error < _COMPRESSION * float(table.thickness):
             break
     arrays |= {"amounts": amounts, "modes": modes[:rank].reshape(rank, *values.shape[1:])}
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with atomic_file(path) as temporary:
-            np.savez_compressed(temporary, allow_pickle=False, **arrays)
-    except (OSError, ConfigurationError):
-        return
+    solved_files.write(path, arrays)
 
 
 def _read(path: Path) -> BendTable | None:
     """Table in a file; None where the file is absent or incomplete."""
+    found = solved_files.read(path)
+    if found is None or not {"amounts", "modes"} <= set(found):
+        return None
+    amounts, modes = found.pop("amounts"), found.pop("modes").astype(float)
     try:
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-            values = np.tensordot(arrays.pop("amounts"), arrays.pop("modes").astype(float), axes=1)
-            return BendTable(values=values, **arrays)
-    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
+        return BendTable(values=np.tensordot(amounts, modes, axes=1), **found)
+    except (TypeError, ValueError):
         return None

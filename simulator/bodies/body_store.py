@@ -2,8 +2,6 @@
 
 import dataclasses
 import hashlib
-import json
-import zipfile
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -12,14 +10,12 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.errors import ConfigurationError
-from eitskin.files import atomic_file
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.simulator.bodies.clamped_body import BentBody, ClampedBody
 from eitskin.simulator.bodies.pressed_body import BodyPress, PressedBody
 from eitskin.simulator.bodies.tetrahedral_field import TetrahedralField
 from eitskin.simulator.bodies.tetrahedral_solid import surface_of
-from eitskin.simulator.mechanics.cache_folder import folder
+from eitskin.simulator.mechanics import solved_files
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.scene.touch import Touch
 
@@ -109,9 +105,7 @@ def _path(kind: str, design: SensorDesign, mechanics: Mechanics, rest: Sequence[
         "bulk_ratio": mechanics.bulk_ratio,
         "rest": rest,
     }
-    text = json.dumps(described, default=float, sort_keys=True)
-    rounded = json.dumps(json.loads(text, parse_float=lambda s: f"{float(s):.9g}"))
-    return folder() / f"body-{hashlib.sha256(rounded.encode()).hexdigest()[:32]}.npz"
+    return solved_files.folder() / solved_files.file_name("body", described)
 
 
 def _described(each: BodyTouch) -> list[Any]:
@@ -124,14 +118,12 @@ def _described(each: BodyTouch) -> list[Any]:
 
 def _read(path: Path, kind: type[Solved]) -> Solved | None:
     """Solution in a file; None where the file is absent or incomplete."""
+    found = solved_files.read(path)
     names = {field.name for field in dataclasses.fields(kind)} - {"field"}
-    try:
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-            field = TetrahedralField(**{name: file[f"field_{name}"] for name in _FIELD})
-            values = {name: _plain(file[name]) for name in names}
-            return kind(field=field, **values)
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+    if found is None or set(found) != names | {f"field_{name}" for name in _FIELD}:
         return None
+    field = TetrahedralField(**{name: found[f"field_{name}"] for name in _FIELD})
+    return kind(field=field, **{name: _plain(found[name]) for name in names})
 
 
 def _plain(value: Array) -> Any:
@@ -143,9 +135,4 @@ def _write(path: Path, solved: BentBody | PressedBody) -> None:
     names = [field.name for field in dataclasses.fields(solved) if field.name != "field"]
     arrays = {name: np.asarray(getattr(solved, name)) for name in names}
     arrays |= {f"field_{name}": getattr(solved.field, name) for name in _FIELD}
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with atomic_file(path) as temporary:
-            np.savez_compressed(temporary, allow_pickle=False, **arrays)
-    except (OSError, ConfigurationError):
-        return
+    solved_files.write(path, arrays)

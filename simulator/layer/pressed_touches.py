@@ -20,7 +20,6 @@ from eitskin.simulator.presses.correction_store import (
     pair_table,
     tabulable,
 )
-from eitskin.simulator.presses.pair_table import TurnedField
 from eitskin.simulator.presses.press_store import press_table
 from eitskin.simulator.presses.press_table import PressTable
 from eitskin.simulator.presses.solved_press import Press, SolvedField, solved_presses
@@ -160,7 +159,7 @@ def _corrected(
         for (k, one, dent), (j, other, beside) in combinations(felt, 2):
             pair = _pair((one, dent.depth), (other, beside.depth), design, mechanics)
             if pair is not None:
-                fields.append(pair[0])
+                fields += pair[0]
                 sunk[k] += pair[1]
                 sunk[j] += pair[1]
     elif felt:
@@ -174,21 +173,15 @@ def _corrected(
 
 def _pair(
     one: tuple[Touch, float], other: tuple[Touch, float], design: SensorDesign, mechanics: Mechanics
-) -> tuple[TurnedField, float] | None:
+) -> tuple[tuple[ColumnField, ...], float] | None:
     """Change of two dents by each other, and by how much deeper each sinks [m].
 
     Touches with their depths [m]; None where they are far apart. Between different indenters it is
     the change by those of the smaller one's kind.
     """
     (a, deep), (b, beside) = one, other
-    apart = math.dist((a.x, a.y), (b.x, b.y))
     indenter = min(a.indenter, b.indenter, key=lambda each: each.rims[1])
-    found = pair_table(design, mechanics, indenter).at(apart, deep, beside)
-    if found is None:
-        return None
-    field, sunk = found
-    cos, sin = (b.x - a.x) / apart, (b.y - a.y) / apart
-    return TurnedField(field, 0.5 * (a.x + b.x), 0.5 * (a.y + b.y), cos, sin), sunk
+    return pair_table(design, mechanics, indenter).at((a.x, a.y, deep), (b.x, b.y, beside))
 
 
 def pressed_touches(

@@ -1,11 +1,8 @@
 """Store of correction tables, shipped and on the disk, with interpolation between stacks."""
 
 import dataclasses
-import hashlib
-import json
 import math
 import os
-import zipfile
 from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
@@ -15,11 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError
-from eitskin.files import atomic_file
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.support import Rigid, Substrate
-from eitskin.simulator.mechanics.cache_folder import folder
+from eitskin.simulator.mechanics import solved_files
 from eitskin.simulator.mechanics.layer_stack import Mechanics, Stack
 from eitskin.simulator.presses.correction_table import (
     CorrectionTable,
@@ -79,7 +75,7 @@ def missing(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -> s
     if not tabulable(design):
         return set()
     names = _names(design, mechanics, indenter)
-    return {folder() / name for name in names if _file(name) is None}
+    return {solved_files.folder() / name for name in names if _file(name) is None}
 
 
 def _names(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -> list[str]:
@@ -88,7 +84,7 @@ def _names(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -> li
     return [
         _name(design, base, mechanics, indenter),
         *(_strip_name(design, stack, mechanics, indenter) for stack, _ in others),
-        _pair_name(base, mechanics, indenter),
+        _pair_name(design, base, mechanics, indenter),
     ]
 
 
@@ -233,7 +229,7 @@ def _stored(
             report,
             os.cpu_count() or 1,
         )
-        _write(found, folder() / name)
+        solved_files.write(solved_files.folder() / name, dict(_arrays(found)))
     return found
 
 
@@ -241,12 +237,12 @@ def _stored(
 def pair_table(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -> PairTable:
     """Pairs of presses on the solved stack nearest to a design's; minutes where not stored."""
     stack, _ = _needed(design, mechanics)
-    name = _pair_name(stack, mechanics, indenter)
+    name = _pair_name(design, stack, mechanics, indenter)
     found = _read(PairTable, name)
     if found is None:
-        workers = os.cpu_count() or 1
-        found = solve_pairs(stack, _around(stack, mechanics), indenter, workers)
-        _write(found, folder() / name)
+        around, workers = _around(stack, mechanics), os.cpu_count() or 1
+        found = solve_pairs(_rectangle(design).width, stack, around, indenter, workers)
+        solved_files.write(solved_files.folder() / name, dict(_arrays(found)))
     return found
 
 
@@ -258,7 +254,7 @@ def _strip(
     if found is None:
         around, workers = _around(stack, mechanics), os.cpu_count() or 1
         found = solve_strip(_rectangle(design), stack, around, design.support, indenter, workers)
-        _write(found, folder() / name)
+        solved_files.write(solved_files.folder() / name, dict(_arrays(found)))
     return found
 
 
@@ -279,7 +275,10 @@ def _rectangle(design: SensorDesign) -> Rectangle:
 
 
 def _file(name: str) -> Path | None:
-    return next((place / name for place in (LIBRARY, folder()) if (place / name).is_file()), None)
+    return next(
+        (place / name for place in (LIBRARY, solved_files.folder()) if (place / name).is_file()),
+        None,
+    )
 
 
 def _name(design: SensorDesign, stack: Stack, mechanics: Mechanics, indenter: Indenter) -> str:
@@ -289,7 +288,7 @@ def _name(design: SensorDesign, stack: Stack, mechanics: Mechanics, indenter: In
         "outline": [outline.length, outline.width],
         "margin": mechanics.margin,
     }
-    return f"corrections-{_hash(stack, mechanics, indenter, size)}.npz"
+    return _file_name("corrections", stack, mechanics, indenter, size)
 
 
 def _strip_name(
@@ -297,16 +296,23 @@ def _strip_name(
 ) -> str:
     """Name of the file of a table of presses on a strip."""
     size: dict[str, object] = {"width": _rectangle(design).width, "margin": mechanics.margin}
-    return f"strips-{_hash(stack, mechanics, indenter, size)}.npz"
+    return _file_name("strips", stack, mechanics, indenter, size)
 
 
-def _pair_name(stack: Stack, mechanics: Mechanics, indenter: Indenter) -> str:
+def _pair_name(design: SensorDesign, stack: Stack, mechanics: Mechanics, indenter: Indenter) -> str:
     """Name of the file of a table of pairs."""
-    return f"pairs-{_hash(stack, mechanics, indenter, {})}.npz"
+    size: dict[str, object] = {"width": _rectangle(design).width, "margin": mechanics.margin}
+    return _file_name("pairs", stack, mechanics, indenter, size)
 
 
-def _hash(stack: Stack, mechanics: Mechanics, indenter: Indenter, size: dict[str, object]) -> str:
-    """Hash of everything that a table depends on."""
+def _file_name(
+    kind: str,
+    stack: Stack,
+    mechanics: Mechanics,
+    indenter: Indenter,
+    size: dict[str, object],
+) -> str:
+    """Name of the file of a table, by everything that it depends on."""
     gel, laws = stack.sheets[stack.gel].law.shear_modulus, [sheet.law for sheet in stack.sheets]
     laws += [] if stack.gel + 1 < len(laws) else [mechanics.encapsulation]
     described = {
@@ -321,9 +327,7 @@ def _hash(stack: Stack, mechanics: Mechanics, indenter: Indenter, size: dict[str
         "substrate": stack.substrate,
         "indenter": indenter_samples(indenter),
     }
-    text = json.dumps(described, default=float, sort_keys=True)
-    rounded = json.dumps(json.loads(text, parse_float=lambda s: f"{float(s):.9g}"))
-    return hashlib.sha256(rounded.encode()).hexdigest()[:32]
+    return solved_files.file_name(kind, described)
 
 
 def _arrays(table: StripTable | PairTable) -> Iterator[tuple[str, Array]]:
@@ -358,24 +362,16 @@ def _read(kind: type[Table], name: str) -> Table | None:
 @lru_cache(maxsize=16)
 def _loaded(path: Path, changed: int) -> dict[str, Array] | None:  # noqa: ARG001
     """Arrays of a table in a file, read again where the file has changed."""
-    try:
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-            values = {name: file[name] for name in file.files if not name.endswith(_PARTS)}
-            for shape in (name for name in file.files if name.endswith("_shape")):
-                name = shape.removesuffix("_shape")
-                scales, amplitudes, modes = (file[f"{name}{part}"] for part in _PARTS[:3])
-                flat = amplitudes.astype(np.float64) @ modes
-                values[name] = flat.reshape(file[shape].tolist()) * scales
-            return values
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+    found = solved_files.read(path)
+    if found is None:
         return None
-
-
-def _write(table: StripTable | PairTable, path: Path) -> None:
-    """Store a table if the disk can be written; otherwise it is solved again next time."""
+    values = {name: array for name, array in found.items() if not name.endswith(_PARTS)}
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with atomic_file(path) as temporary:
-            np.savez_compressed(temporary, allow_pickle=False, **dict(_arrays(table)))
-    except (OSError, ConfigurationError):
-        return
+        for shape in (name for name in found if name.endswith("_shape")):
+            name = shape.removesuffix("_shape")
+            scales, amplitudes, modes = (found[f"{name}{part}"] for part in _PARTS[:3])
+            flat = amplitudes.astype(np.float64) @ modes
+            values[name] = flat.reshape(found[shape].tolist()) * scales
+    except (KeyError, ValueError):
+        return None
+    return values

@@ -83,17 +83,7 @@ class StripTable:
 
     def _across(self, y: float) -> Array:
         """Weights of the solved distances from either long side, (2, m)."""
-        nodes = self.aside
-        middle = nodes[-1] > 0.5 * float(self.width) - _SAME
-        beyond = (float(self.width) - nodes)[::-1][int(middle) :]
-        both = CubicSpline(np.concatenate([nodes, beyond]), np.eye(len(nodes) + len(beyond)))(y)
-        mirrored = np.zeros(len(nodes))
-        mirrored[: len(beyond)] = both[len(nodes) :][::-1]
-        direct = both[: len(nodes)]
-        if middle:  # a press in the middle is its own image, but the mesh is not quite symmetric
-            direct[-1] *= 0.5
-            mirrored[-1] = direct[-1]
-        return np.stack([direct, mirrored])
+        return across_strip(self.aside, float(self.width), y)
 
     def _box(self, low: float, high: float) -> Box:
         return Box((low, 0.0, 0.0), (high, float(self.width), float(self.height)))
@@ -310,8 +300,30 @@ def _setting(
     H = stack.levels[-1]
     dents = _dents(stack, indenter, [part * H for part in _DEPTHS])
     setting = _Setting(outline.width, stack, mechanics, support, indenter, tuple(dents))
-    least = max(indenter.rims[1] - mechanics.margin + _LEAST * H, 0.0)
+    least = least_distance(stack, mechanics, indenter)
     return setting, _distances(least, H, 0.5 * outline.width)
+
+
+def across_strip(nodes: Array, width: float, y: float) -> Array:
+    """Weights, at y, of positions solved up to the middle of a strip and of their mirror images.
+
+    (2, m), of the spline through all of them.
+    """
+    middle = nodes[-1] > 0.5 * width - _SAME
+    beyond = (width - nodes)[::-1][int(middle) :]
+    both = CubicSpline(np.concatenate([nodes, beyond]), np.eye(len(nodes) + len(beyond)))(y)
+    mirrored = np.zeros(len(nodes))
+    mirrored[: len(beyond)] = both[len(nodes) :][::-1]
+    direct = both[: len(nodes)]
+    if middle:  # a press in the middle is its own image, but the mesh is not quite symmetric
+        direct[-1] *= 0.5
+        mirrored[-1] = direct[-1]
+    return np.stack([direct, mirrored])
+
+
+def least_distance(stack: Stack, mechanics: Mechanics, indenter: Indenter) -> float:
+    """Distance of a press from a side of the gel, at which its contact is just on the stack [m]."""
+    return max(indenter.rims[1] - mechanics.margin + _LEAST * stack.levels[-1], 0.0)
 
 
 @contextmanager

@@ -97,19 +97,15 @@ class FiniteStack:
         self._contacts: list[HeldContact] = []
         self._load = np.zeros(self._size)
 
-    def correction(
-        self, dents: Sequence[DentField], start: Array | None = None, dents_held: bool = True
-    ) -> Correction:
+    def correction(self, dents: Sequence[DentField], start: Array | None = None) -> Correction:
         """Correction of dents in equilibrium, found from none or from the unknowns `start`.
 
-        Without `dents_held` contacts do not take back what the dents of other indenters move.
         Where Newton's method fails, the load is applied in steps. Raises SolidError where no
         stable equilibrium is found, with the fraction of the missing forces that were applied.
         """
         dents = list(dents)
         self._contacts = [
-            self._held(dents[k], dents[:k] + dents[k + 1 :] if dents_held else [], k)
-            for k in range(len(dents))
+            self._held(dents[k], dents[:k] + dents[k + 1 :], k) for k in range(len(dents))
         ]
         self._load = np.append(self._dented(dents), np.zeros(len(dents)))
         x = np.zeros(self._size) if start is None else start

@@ -1,7 +1,9 @@
 """Table of pairs: how two presses side by side change each other's dents."""
 
+import math
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,11 +13,12 @@ from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.support import Rigid
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress, Indentation
 from eitskin.simulator.mechanics.layer_stack import Mechanics, Stack
-from eitskin.simulator.presses.correction_table import processes
+from eitskin.simulator.presses.correction_table import across_strip, least_distance, processes
 from eitskin.simulator.presses.dent_field import DentField
 from eitskin.simulator.presses.finite_stack import Correction, FiniteStack
-from eitskin.simulator.presses.smooth_field import Box, SmoothField
+from eitskin.simulator.presses.smooth_field import Box, SmoothField, together
 from eitskin.simulator.presses.stack_mesh import Fineness, stack_mesh
+from eitskin.simulator.presses.turned_field import TurnedField
 from eitskin.simulator.scene.indenters import Indenter
 
 Array = NDArray[np.float64]
@@ -24,138 +27,314 @@ Array = NDArray[np.float64]
 _DEPTHS = (0.16, 0.23, 0.3)
 _APART = (0.25, 0.45, 0.8, 1.25, 1.9, 2.8)
 _VANISHED = 1.4  # beyond the last distance
-_REACH, _FADE, _FREE = 4.5, 1.5, 6.0  # beyond the axes: of the field, of its end, of the mesh
+_REACH, _FADE, _FREE = 4.5, 1.5, 6.5  # beyond the axes: of the field, of its end, of the mesh
 _CELL = 1.0 / 40.0  # finest of the axisymmetric press, over the radius of the indenter
 _COUNTS, _STRETCH = (30, 24, 3), 1.5
+_FINENESS = Fineness(ends=0.0, sides=0.0, layers=1)
+
+# What the sides of the sensor add is smooth, and needs fewer pairs.
+_BESIDE, _DEEP_BESIDE = (1, 3, 5), 1  # of the distances and depths above
+_ANGLES = 6  # directions in half a turn, of which more than a quarter turn follow by symmetry
+_ASIDE = (0.0, 0.3, 1.0)  # of the way from the nearest side to the middle
+_AROUND, _STRIP = 6.0, 9.0  # of the middle of the pair, along x: of the field, of the mesh
+_COUNTS_BESIDE, _FINER = (16, 14, 3), 2  # polynomials, and how many more are cut off
+_SAME = 1e-9  # [m]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairTable:
-    """Change of displacement and mean stress by a second press, over distance and depth.
+    """Change of displacement and mean stress by a second press: on a wide stack, and by the sides.
 
-    Pairs are solved on a wide stack, with equal indenters and depths. To leading order the change
-    is bilinear in both depths, so that unequal ones are scaled by their product. Contacts do not
-    take back each other's dents here: without the sides of the sensor that moves signals away from
-    reference solutions (docs/deformation.md).
+    Pairs are solved with equal indenters and depths. To leading order the change is bilinear in
+    both depths, so that unequal ones are scaled by their product. On a strip the tractions that the
+    change leaves on the sides are answered by a smooth field, which is tabulated over the distance,
+    direction and position of the pair; ends are left out, of which electrodes are far.
 
     Attributes:
         thickness: of the whole stack, () [m].
+        width: of the gel, () [m].
         height: of the gel, () [m].
         apart: distances between the axes; at the last nothing changes, (r,) [m].
         depths: (d,) [m].
         fields: coefficients in the frame of the pair, x from press to press, (r - 1, d, nx, ny, nz,
             4).
         sunk: by which each press sinks deeper, (r - 1, d) [m].
+        least: distance of a solved press from a side, () [m].
+        sides: coefficients of what the sides add at one depth, by distance, direction (a quarter
+            turn) and position, (r', a, m, nx, ny, nz, 4).
     """
 
     thickness: Array
+    width: Array
     height: Array
     apart: Array
     depths: Array
     fields: Array
     sunk: Array
+    least: Array
+    sides: Array
 
-    def at(self, apart: float, first: float, second: float) -> tuple[SmoothField, float] | None:
-        """Field in the frame of a pair at a distance and to two depths [m], and sinking [m].
+    def at(
+        self, first: tuple[float, float, float], second: tuple[float, float, float]
+    ) -> tuple[tuple[TurnedField, SmoothField], float] | None:
+        """Fields of presses (x, y, depth) [m], and by how much deeper each sinks [m].
 
         None where the presses do not feel each other.
         """
+        (x, y, deep), (x_other, y_other, beside) = first, second
+        apart = math.dist((x, y), (x_other, y_other))
         if apart >= self.apart[-1]:
             return None
-        apart = max(apart, float(self.apart[0]))
-        near = CubicSpline(np.log(self.apart), np.eye(len(self.apart)))(np.log(apart))[:-1]
-        product = first * second
-        # Over the product of the depths the change is constant up to the least solved depth.
-        deep = max(float(np.sqrt(product)), float(self.depths[0]))
-        others = [np.delete(self.depths, k) for k in range(len(self.depths))]
-        weights = product * np.array(
-            [
-                np.prod((deep - other) / (own - other)) / own**2
-                for own, other in zip(self.depths, others, strict=True)
-            ]
-        )
+        cos, sin = (x_other - x) / apart, (y_other - y) / apart
+        x, y = 0.5 * (x + x_other), 0.5 * (y + y_other)
+        weights = _over_depth(self.depths, deep * beside)
+        near = self._near(self.apart, apart)
         fields = np.tensordot(weights, np.tensordot(near, self.fields, (0, 0)), (0, 0))
-        return SmoothField(self._box(apart), fields, _STRETCH), float(near @ self.sunk @ weights)
+        box = _box(max(apart, float(self.apart[0])), float(self.thickness), float(self.height))
+        wide = TurnedField(SmoothField(box, fields, _STRETCH), x, y, cos, sin)
+        sides = self._beside(apart, math.atan2(sin, cos), y, deep * beside).shifted(x)
+        return (wide, sides), float(near @ self.sunk @ weights)
 
-    def _box(self, apart: float) -> Box:
-        return _box(apart, float(self.thickness), float(self.height))
+    def _near(self, nodes: Array, apart: float) -> Array:
+        """Weights of solved distances but the last, at which nothing changes."""
+        apart = max(apart, float(nodes[0]))
+        found: Array = CubicSpline(np.log(nodes), np.eye(len(nodes)))(np.log(apart))[:-1]
+        return found
+
+    def _beside(self, apart: float, angle: float, y: float, depths: float) -> SmoothField:
+        """What the sides add to a pair whose middle is at (0, y) [m]."""
+        width, least = float(self.width), float(self.least)
+        near = self._near(np.append(self.apart[list(_BESIDE)], self.apart[-1]), apart)
+        deep = depths / float(self.depths[_DEEP_BESIDE]) ** 2
+        across = across_strip(np.array(_ASIDE), 2.0, _aside(width, least, apart, angle, y))
+        weights = deep * np.einsum("r,ka,lm->klram", near, _over_angle(angle), across)
+        shape = self.sides.shape[-4:]
+        parts = weights.reshape(4, -1) @ self.sides.reshape(-1, math.prod(shape))
+        box = _strip_box(width, float(self.thickness), float(self.height))
+        half = 0.5 * width
+        # The mirror image along x of a pair is that at the opposite angle. Turned by half a turn, a
+        # pair is the same at the same distance from the other side.
+        images: tuple[Callable[[SmoothField], SmoothField], ...] = (
+            lambda field: field,
+            lambda field: field.mirrored(0, 0.0).mirrored(1, half),
+            lambda field: field.mirrored(0, 0.0),
+            lambda field: field.mirrored(1, half),
+        )
+        (total,) = together(
+            image(SmoothField(box, part.reshape(shape), _STRETCH))
+            for image, part in zip(images, parts, strict=True)
+        )
+        return total
 
 
 def solve_pairs(
-    stack: Stack, mechanics: Mechanics, indenter: Indenter, workers: int = 1
+    width: float, stack: Stack, mechanics: Mechanics, indenter: Indenter, workers: int = 1
 ) -> PairTable:
-    """Solve pairs of equal presses on a wide stack, in a number of processes.
+    """Solve pairs of equal presses on a wide stack, and what a strip adds, in several processes.
+
+    Args:
+        width: of the gel of the strip [m].
+        stack: the layers.
+        mechanics: margin beside the gel, and its material.
+        indenter: rigid body that presses.
+        workers: processes.
 
     Raises SolidError where one is not carried.
     """
     H, height = stack.levels[-1], stack.sheets[stack.gel].thickness
     press = AxisymmetricPress(stack, indenter, finest=_CELL * indenter.rims[1])
     dents = [press.to_depth(part * H) for part in _DEPTHS]
+    depths = np.array([dent.depth for dent in dents])
     apart = 2.0 * indenter.rims[1] + H * np.array(_APART)
+    least = least_distance(stack, mechanics, indenter)
+    setting = _Setting(width, least, stack, mechanics, indenter, tuple(dents))
+    angles = [k * math.pi / _ANGLES for k in range(_ANGLES // 2 + 1)]
+    grid = list(product((float(apart[k]) for k in _BESIDE), angles))
     with processes(workers) as run:
-        solved = list(run(partial(_pairs, stack, mechanics, indenter, dents), apart.tolist()))
-    fields = [[field.coefficients for field, _ in pairs] for pairs in solved]
-    sunk = [[deeper for _, deeper in pairs] for pairs in solved]
+        wide = list(run(setting.on_wide, apart.tolist()))
+        sides = np.array(list(run(setting.on_strip, *zip(*grid, strict=True))))
     return PairTable(
         thickness=np.array(H),
+        width=np.array(width),
         height=np.array(height),
         apart=np.append(apart, apart[-1] + _VANISHED * H),
-        depths=np.array([dent.depth for dent in dents]),
-        fields=np.array(fields),
-        sunk=np.array(sunk),
+        depths=depths,
+        fields=np.array([[field.coefficients for field in fields] for fields, _ in wide]),
+        sunk=np.array([sunk for _, sunk in wide]),
+        least=np.array(least),
+        sides=sides.reshape(len(_BESIDE), len(angles), *sides.shape[1:]),
     )
 
 
-def _pairs(
-    stack: Stack, mechanics: Mechanics, indenter: Indenter, dents: list[Indentation], apart: float
-) -> list[tuple[SmoothField, float]]:
-    """Fields of pairs of presses of rising depth at a distance, and how much each sinks."""
-    H, radius = stack.levels[-1], indenter.rims[1]
-    outline = Rectangle(apart + 2.0 * _FREE * H, 2.0 * _FREE * H)
-    y, places = _FREE * H, (_FREE * H, apart + _FREE * H)
-    contacts = [(x, y, radius) for x in places]
-    fineness = Fineness(ends=0.0, sides=0.0, layers=2)
-    body = stack_mesh(outline, stack, mechanics, Rigid(), contacts, fineness)
-    both, one = FiniteStack(body, 2), FiniteStack(body)
-    found: list[tuple[SmoothField, float]] = []
-    start, before = None, 0.0
-    for dent in dents:
-        first, second = (DentField(x, y, indenter, dent) for x in places)
-        # Deep dents close together may turn the stack inside out before their correction.
-        start = None if start is None else start * (dent.depth / before) ** 2
-        pair = both.correction([first, second], start, dents_held=False)
-        single = one.correction([first])
-        start, before = pair.unknowns, dent.depth
-        box = _box(apart, H, stack.sheets[stack.gel].thickness)
-        change = _Change(pair, single, outline, apart, H)
-        field = SmoothField.of(change, box, _COUNTS, _STRETCH)
-        found.append((field, float(pair.sunk[0] - single.sunk[0])))
-    return found
+@dataclass(frozen=True, slots=True, eq=False)
+class _Setting:
+    """Stack and presses that all pairs share."""
+
+    width: float
+    least: float
+    stack: Stack
+    mechanics: Mechanics
+    indenter: Indenter
+    dents: tuple[Indentation, ...]
+
+    def on_wide(self, apart: float) -> tuple[list[SmoothField], list[float]]:
+        """Fields of pairs of rising depth on a wide stack, and by how much deeper each sinks."""
+        H, height = self.stack.levels[-1], self.stack.sheets[self.stack.gel].thickness
+        outline, middle = self._wide(apart, 0.0)
+        fields, sunk = [], []
+        for change in self._changes(outline, middle, apart, 0.0, self.dents):
+            faded = _faded(change, (0.5 * apart + _REACH * H, _REACH * H), H)
+            fields.append(SmoothField.of(faded, _box(apart, H, height), _COUNTS, _STRETCH))
+            sunk.append(change.sunk)
+        return fields, sunk
+
+    def on_strip(self, apart: float, angle: float) -> Array:
+        """Coefficients of what the sides add to pairs in one direction, (m, nx, ny, nz, 4).
+
+        Zero where such pairs have no room.
+        """
+        H, height = self.stack.levels[-1], self.stack.sheets[self.stack.gel].thickness
+        found = np.zeros((len(_ASIDE), *_COUNTS_BESIDE, 4))
+        low, half = _lowest(self.least, apart, angle), 0.5 * self.width
+        if low > half:
+            return found
+        dents = self.dents[_DEEP_BESIDE : _DEEP_BESIDE + 1]
+        (wide,) = self._changes(*self._wide(apart, angle), apart, angle, dents)
+        outline, box = Rectangle(2.0 * _STRIP * H, self.width), _strip_box(self.width, H, height)
+        finer = (_FINER * _COUNTS_BESIDE[0], _FINER * _COUNTS_BESIDE[1], _COUNTS_BESIDE[2])
+        for k, aside in enumerate(_ASIDE):
+            middle = (_STRIP * H, low + aside * (half - low))
+            (beside,) = self._changes(outline, middle, apart, angle, dents)
+            added = _Added(beside, wide, np.array([0.0, middle[1], 0.0]))
+            field = SmoothField.of(_faded(added, (_AROUND * H, math.inf), H), box, finer, _STRETCH)
+            found[k] = field.coefficients[tuple(slice(count) for count in _COUNTS_BESIDE)]
+        return found
+
+    def _wide(self, apart: float, angle: float) -> tuple[Rectangle, tuple[float, float]]:
+        """Wide stack around a pair, and where the middle of the pair is on it [m]."""
+        free = _FREE * self.stack.levels[-1]
+        half = [0.5 * apart * abs(way) + free for way in (math.cos(angle), math.sin(angle))]
+        return Rectangle(2.0 * half[0], 2.0 * half[1]), (half[0], half[1])
+
+    def _changes(
+        self,
+        outline: Rectangle,
+        middle: tuple[float, float],
+        apart: float,
+        angle: float,
+        dents: Sequence[Indentation],
+    ) -> "Iterator[_Change]":
+        """Changes of two presses by each other at rising depths, on an outline."""
+        x, y = 0.5 * apart * math.cos(angle), 0.5 * apart * math.sin(angle)
+        places = [(middle[0] + way * x, middle[1] + way * y) for way in (-1.0, 1.0)]
+        contacts = [(*place, self.indenter.rims[1]) for place in places]
+        body = stack_mesh(outline, self.stack, self.mechanics, Rigid(), contacts, _FINENESS)
+        both, one = FiniteStack(body, 2), FiniteStack(body)
+        starts: list[Array | None] = [None] * 3
+        before = 1.0
+        for dent in dents:
+            fields = [DentField(*place, self.indenter, dent) for place in places]
+            # Deep dents close together may turn the stack inside out before their correction.
+            given = [None if x is None else x * (dent.depth / before) ** 2 for x in starts]
+            pair = both.correction(fields, given[0])
+            alone = [
+                one.correction([field], start)
+                for field, start in zip(fields, given[1:], strict=True)
+            ]
+            starts, before = [each.unknowns for each in (pair, *alone)], dent.depth
+            yield _Change(pair, alone, np.array([*middle, 0.0]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Change:
-    """Correction of a pair less those of its presses alone, from the middle between them."""
+    """Correction of a pair less those of its presses alone, from the middle between them [m]."""
 
     pair: Correction
-    single: Correction
-    outline: Rectangle
-    apart: float
-    thickness: float
+    alone: list[Correction]
+    middle: Array
+
+    @property
+    def sunk(self) -> float:
+        """By which each press sinks deeper, in the mean [m]."""
+        return float(np.mean(self.pair.sunk - [each.sunk[0] for each in self.alone]))
 
     def __call__(self, points: Array) -> Array:
-        length, width = self.outline.length, self.outline.width
-        placed = points + np.array([0.5 * length, 0.5 * width, 0.0])
-        mirrored = placed.copy()
-        mirrored[..., 0] = length - placed[..., 0]
-        image = self.single.in_gel(mirrored) * np.array([-1.0, 1.0, 1.0, 1.0])
-        change: Array = self.pair.in_gel(placed) - self.single.in_gel(placed) - image
-        H = self.thickness
-        ends = (0.5 * self.apart + _REACH * H, _REACH * H)
+        placed = points + self.middle
+        found: Array = self.pair.in_gel(placed)
+        for each in self.alone:
+            found -= each.in_gel(placed)
+        return found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Added:
+    """What a strip adds to the change on a wide stack, at points from x of the pair's middle."""
+
+    beside: _Change
+    wide: _Change
+    middle: Array
+
+    def __call__(self, points: Array) -> Array:
+        return self.beside(points - self.middle) - self.wide(points - self.middle)
+
+
+def _faded(
+    field: Callable[[Array], Array], ends: tuple[float, float], thickness: float
+) -> Callable[[Array], Array]:
+    """Field that is faded out towards ends along x and y, from the origin [m]."""
+
+    def faded(points: Array) -> Array:
+        values = field(points)
         for axis, end in enumerate(ends):
-            t = np.clip((end - np.abs(points[..., axis])) / (_FADE * H), 0.0, 1.0)
-            change *= (t * t * (3.0 - 2.0 * t))[..., None]
-        return change
+            t = np.clip((end - np.abs(points[..., axis])) / (_FADE * thickness), 0.0, 1.0)
+            values *= (t * t * (3.0 - 2.0 * t))[..., None]
+        return values
+
+    return faded
+
+
+def _over_depth(depths: Array, product: float) -> Array:
+    """Weights of the changes at solved depths for a product of two [m2].
+
+    Over the product of the depths the change is constant up to the least solved depth, and a
+    polynomial beyond.
+    """
+    deep = max(math.sqrt(product), float(depths[0]))
+    others = [np.delete(depths, k) for k in range(len(depths))]
+    weights: Array = product * np.array(
+        [
+            np.prod((deep - other) / (own - other)) / own**2
+            for own, other in zip(depths, others, strict=True)
+        ]
+    )
+    return weights
+
+
+def _over_angle(angle: float) -> Array:
+    """Weights of the solved directions and of their mirror images along x, (2, a).
+
+    They are those of the trigonometric polynomial over half a turn.
+    """
+    nodes = np.arange(_ANGLES) * math.pi / _ANGLES
+    waves = np.arange(1, _ANGLES // 2)[:, None]
+    from_node = 2.0 * (angle - nodes)
+    weights = 1.0 + 2.0 * np.cos(waves * from_node).sum(axis=0)
+    weights = (weights + np.cos(_ANGLES // 2 * from_node)) / _ANGLES
+    found = np.zeros((2, _ANGLES // 2 + 1))
+    found[0] = weights[: _ANGLES // 2 + 1]
+    found[1, 1:-1] = weights[_ANGLES // 2 + 1 :][::-1]
+    return found
+
+
+def _lowest(least: float, apart: float, angle: float) -> float:
+    """Least distance from a side of the middle of a pair [m]."""
+    return least + 0.5 * apart * abs(math.sin(angle))
+
+
+def _aside(width: float, least: float, apart: float, angle: float, y: float) -> float:
+    """Position of a pair's middle: 0 where it is nearest to a side, 1 in the middle, 2 opposite."""
+    low = _lowest(least, apart, angle)
+    return min(max((y - low) / max(0.5 * width - low, _SAME), 0.0), 2.0)
 
 
 def _box(apart: float, thickness: float, height: float) -> Box:
@@ -164,54 +343,6 @@ def _box(apart: float, thickness: float, height: float) -> Box:
     return Box((-along, -across, 0.0), (along, across, height))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class TurnedField:
-    """Displacement field in a frame at (x, y), turned about z.
-
-    Attributes:
-        field: in its own frame.
-        x, y: origin of the frame [m].
-        cos, sin: of the angle from the sensor's x axis to the frame's.
-    """
-
-    field: SmoothField
-    x: float
-    y: float
-    cos: float
-    sin: float
-
-    def values(self, columns: Array) -> Array:
-        """Displacement [m] and mean stress [Pa], (4, h, n), at columns of points (n, h, 3) [m]."""
-        found = self.field.values(self._within(columns))
-        found[:2] = np.einsum("ij,jhn->ihn", self._turn[:2, :2], found[:2])
-        return found
-
-    def moved(self, columns: Array) -> Array:
-        """Displacements and their derivatives by x, y, z, (12, h, n)."""
-        near = self._near(columns)
-        found = np.zeros((12, columns.shape[1], len(columns)))
-        if not near.any():
-            return found
-        inner = self.field.moved(self._within(columns[near]))
-        Q = self._turn
-        found[:3, :, near] = np.einsum("ij,jhn->ihn", Q, inner[:3])
-        slopes = inner[3:].reshape(3, 3, *inner.shape[1:])
-        turned = np.einsum("ij,jkhn,lk->ilhn", Q, slopes, Q, optimize=True)
-        found[3:, :, near] = turned.reshape(9, *inner.shape[1:])
-        return found
-
-    @property
-    def _turn(self) -> Array:
-        return np.array([[self.cos, -self.sin, 0.0], [self.sin, self.cos, 0.0], [0.0, 0.0, 1.0]])
-
-    def _near(self, columns: Array) -> NDArray[np.bool_]:
-        """Columns in the box of the field."""
-        at, high = self._within(columns[:, :1])[:, 0], self.field.box.high
-        near: NDArray[np.bool_] = (np.abs(at[:, 0]) < high[0]) & (np.abs(at[:, 1]) < high[1])
-        return near
-
-    def _within(self, columns: Array) -> Array:
-        """Columns in the frame of the field."""
-        within = columns - np.array([self.x, self.y, 0.0])
-        turned: Array = within @ self._turn
-        return turned
+def _strip_box(width: float, thickness: float, height: float) -> Box:
+    """Box of the gel of a strip around a pair, from its middle along x."""
+    return Box((-_AROUND * thickness, 0.0, 0.0), (_AROUND * thickness, width, height))

@@ -1,21 +1,19 @@
 """Store of solved press tables, in memory and on disk, with interpolation between them."""
 
 import dataclasses
-import hashlib
-import json
 import math
-import zipfile
-from functools import lru_cache
+import os
+from collections.abc import Iterable
+from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
 
-from eitskin.errors import ConfigurationError
-from eitskin.files import atomic_file
 from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.simulator.mechanics.cache_folder import folder
+from eitskin.simulator.mechanics import solved_files
 from eitskin.simulator.mechanics.layer_stack import Mechanics, Sheet, Stack
 from eitskin.simulator.presses import press_table as tables
+from eitskin.simulator.presses.correction_table import Report, processes
 from eitskin.simulator.presses.press_table import PressTable
 from eitskin.simulator.scene.indenters import Indenter
 
@@ -57,10 +55,34 @@ def is_stored(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) ->
     return not missing(design, mechanics, indenter)
 
 
+def prepare(
+    sensors: Iterable[tuple[SensorDesign, Mechanics]],
+    indenter: Indenter,
+    report: Report | None = None,
+) -> None:
+    """Solve and store the absent tables of sensors, several at a time.
+
+    `report` is called with the number of tables done and their total. Raises ConfigurationError
+    where not even shallow presses are carried.
+    """
+    needed = {_path(stack, indenter): stack for sensor in sensors for stack, _ in _needed(*sensor)}
+    absent = [stack for path, stack in needed.items() if not _is_kept(path)]
+    workers = min(os.cpu_count() or 1, len(absent))
+    with processes(max(workers, 1)) as run:
+        for done, _ in enumerate(run(partial(stored, indenter=indenter), absent), 1):
+            if report:
+                report(done, len(absent))
+
+
 def missing(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -> set[Path]:
     """Absent files of tables that `press_table` needs; each takes seconds to a minute to solve."""
     paths = (_path(stack, indenter) for stack, _ in _needed(design, mechanics))
-    return {path for path in paths if not (LIBRARY / path.name).is_file() and not path.is_file()}
+    return {path for path in paths if not _is_kept(path)}
+
+
+def _is_kept(path: Path) -> bool:
+    """Whether a table comes with the package or is in the user's folder."""
+    return (LIBRARY / path.name).is_file() or path.is_file()
 
 
 def _needed(design: SensorDesign, mechanics: Mechanics) -> list[tuple[Stack, float]]:
@@ -153,7 +175,7 @@ def stored(stack: Stack, indenter: Indenter) -> PressTable:
             stack.gel,
             _ScaledIndenter(indenter, length),
         )
-        _write(found, path)
+        solved_files.write(path, _arrays(found))
     scale = dict.fromkeys(_LENGTHS, length) | dict.fromkeys(_STRESSES, modulus)
     scale |= {"forces": modulus * length**2, "energies": modulus * length**3}
     values = {name: scale.get(name, 1.0) * array for name, array in _arrays(found).items()}
@@ -167,7 +189,7 @@ def _scales(stack: Stack) -> tuple[float, float]:
 
 
 def _path(stack: Stack, indenter: Indenter) -> Path:
-    return folder() / f"kernel-{_key(stack, indenter, *_scales(stack))}.npz"
+    return solved_files.folder() / _name(stack, indenter, *_scales(stack))
 
 
 def _scaled_stack(stack: Stack, length: float, modulus: float) -> Stack:
@@ -202,8 +224,8 @@ class _ScaledIndenter:
         return height / self.length, slope, bend * self.length
 
 
-def _key(stack: Stack, indenter: Indenter, length: float, modulus: float) -> str:
-    """Hash of everything that the scaled table depends on."""
+def _name(stack: Stack, indenter: Indenter, length: float, modulus: float) -> str:
+    """Name of the file of a scaled table."""
     scaled = _scaled_stack(stack, length, modulus)
     described = {
         "version": _VERSION,
@@ -214,9 +236,7 @@ def _key(stack: Stack, indenter: Indenter, length: float, modulus: float) -> str
         "bulk_ratio": stack.bulk_ratio,
         **indenter_samples(_ScaledIndenter(indenter, length)),
     }
-    text = json.dumps(described, default=float, sort_keys=True)
-    rounded = json.dumps(json.loads(text, parse_float=lambda s: f"{float(s):.9g}"))
-    return hashlib.sha256(rounded.encode()).hexdigest()[:32]
+    return solved_files.file_name("kernel", described)
 
 
 def _arrays(table: PressTable) -> dict[str, np.ndarray]:
@@ -225,23 +245,9 @@ def _arrays(table: PressTable) -> dict[str, np.ndarray]:
 
 def _read(path: Path) -> PressTable | None:
     """Table in a file; None where the file is absent or incomplete."""
-    try:
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-            return PressTable(
-                **{field.name: file[field.name] for field in dataclasses.fields(PressTable)}
-            )
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
-        return None
-
-
-def _write(table: PressTable, path: Path) -> None:
-    """Store a table if the disk can be written; otherwise the table is solved again next time."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with atomic_file(path) as temporary:
-            np.savez(temporary, allow_pickle=False, **_arrays(table))
-    except (OSError, ConfigurationError):
-        return
+    found = solved_files.read(path)
+    names = {field.name for field in dataclasses.fields(PressTable)}
+    return PressTable(**found) if found is not None and set(found) == names else None
 
 
 def indenter_samples(indenter: Indenter) -> dict[str, object]:

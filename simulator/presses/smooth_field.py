@@ -1,7 +1,7 @@
 """Polynomial fields on a box: Chebyshev polynomials in the plane, Legendre over the height."""
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import NamedTuple
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-_AT_ONCE = 4_000  # columns that do not lie on a grid
+_AT_ONCE = 1_000  # columns that do not lie on a grid
 _PER_GRID = 4  # nodes of a grid per column, up to which the grid is evaluated
 
 
@@ -116,20 +116,25 @@ class SmoothField:
         if n and not (columns[..., 2] == columns[0, :, 2]).all():
             single = self._at_points(columns.reshape(-1, 3), orders, part)
             return [one.reshape(-1, n, h).swapaxes(1, 2) for one in single]
+        heights = self._basis(2, columns[0, :, 2] if n else np.zeros(h))
+        coefficients = self.coefficients[..., part]
+        # Polynomials in the plane for the values (0) and upward derivatives (1) at each height.
+        planes = [
+            np.ascontiguousarray(np.tensordot(coefficients, each, (2, 1)).transpose(2, 3, 0, 1))
+            for each in heights[: 1 + max(k for *_, k in orders)]
+        ]
         x, where_x = np.unique(columns[:, 0, 0], return_inverse=True)
         y, where_y = np.unique(columns[:, 0, 1], return_inverse=True)
-        bases = [self._basis(0, x), self._basis(1, y), self._basis(2, columns[0, :, 2] if n else x)]
-        on_grid = len(x) * len(y) <= _PER_GRID * n
-        found = []
-        for i, j, k in orders:
-            c = np.einsum("abcm,hc->mhab", self.coefficients[..., part], bases[2][k], optimize=True)
-            if on_grid:
-                grid = bases[0][i] @ c @ bases[1][j].T
-                found.append(grid[..., where_x, where_y])
-            else:
-                flat = c.reshape(-1, c.shape[2] * c.shape[3])
-                across = _products(bases[0][i][where_x], bases[1][j][where_y])
-                found.append(_joined([flat @ each.T for each in across], (*c.shape[:2], -1)))
+        if len(x) * len(y) <= _PER_GRID * n:
+            grid = _in_plane(planes, self._basis(0, x), self._basis(1, y), orders)
+            return [(along @ across.T)[..., where_x, where_y] for along, across in grid]
+        found = [np.empty((*planes[0].shape[:2], n)) for _ in orders]
+        for start in range(0, n, _AT_ONCE):
+            near = slice(start, start + _AT_ONCE)
+            x, y = columns[near, 0, 0], columns[near, 0, 1]
+            parts = _in_plane(planes, self._basis(0, x), self._basis(1, y), orders)
+            for values, (along, across) in zip(found, parts, strict=True):
+                values[..., near] = np.einsum("mhnb,nb->mhn", along, across)
         return found
 
     def _at_points(
@@ -201,12 +206,16 @@ def _differentiation(axis: int, count: int) -> Array:
     return found
 
 
+def _in_plane(
+    planes: list[Array], x: _Basis, y: _Basis, orders: Sequence[tuple[int, int, int]]
+) -> list[tuple[Array, Array]]:
+    """Polynomials along y (k, h, positions, b) at positions x, and their basis, for each order."""
+    along = {(i, k): x[i] @ planes[k] for i, _, k in orders}
+    return [(along[i, k], y[j]) for i, j, k in orders]
+
+
 def _products(x: Array, y: Array) -> Iterator[Array]:
     """Products (.., a b) of polynomials x (n, a) and y (n, b), in chunks of points."""
     for start in range(0, max(len(x), 1), _AT_ONCE):
         part = slice(start, start + _AT_ONCE)
         yield (x[part, :, None] * y[part, None]).reshape(len(x[part]), -1)
-
-
-def _joined(parts: list[Array], shape: tuple[int, ...]) -> Array:
-    return np.concatenate(parts, axis=1).reshape(shape)

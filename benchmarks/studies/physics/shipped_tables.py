@@ -12,9 +12,9 @@ from dataclasses import replace
 
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.provenance import Provenance
-from eitskin.simulator.mechanics.cache_folder import folder
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.mechanics.materials import NeoHookean
+from eitskin.simulator.mechanics.solved_files import folder
 from eitskin.simulator.presses import correction_store, press_store
 from eitskin.simulator.scene.indenters import Cylinder
 

@@ -139,10 +139,22 @@ class ReferenceStack:
             self.solid = self._solid(self._numerics.order)
             self.solid.start(lower.displacement, lower.mean_stress)
             self.solid.steps = lower.steps
-            self._settled(pressed(1.0), f"order {self._numerics.order}")
+            self._raised(pressed(1.0))
         places = [self._local(touch) for touch in self.case.touches]
         own = [np.argmin([math.dist(place, kept) for kept in self._kept]) for place in places]
         self.depths = self.solid.steps[own]
+
+    def _raised(self, held: list[Held]) -> None:
+        """Equilibrium at the full order, from that of a lower one or else by steps of the load."""
+        try:
+            self._settled(held, f"order {self._numerics.order}")
+        except SolidError:
+            # A sharp rim of the contact may be too far off at the lower order.
+            self._report(f"order {self._numerics.order} is reached by steps of the load")
+            self.solid = self._solid(self._numerics.order)
+            if self.case.angle:
+                self._ramp(self._bent)
+            self._ramp(self._pressed())
 
     def displacement_and_gradient(self, points: Array) -> tuple[Array, Array]:
         """Displacement [m] (..., 3) and gradient (..., 3, 3) at points (..., 3) of the gel [m]."""

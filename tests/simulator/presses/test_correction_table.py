@@ -11,6 +11,7 @@ from eitskin.errors import ConfigurationError
 from eitskin.geometry import Disc, Plates, Rectangle, SensorDesign, Substrate
 from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.simulator import Cylinder, Mechanics, Scene, Simulator, Touch
+from eitskin.simulator.mechanics import solved_files
 from eitskin.simulator.mechanics.materials import NeoHookean
 from eitskin.simulator.presses import correction_store as store
 from eitskin.simulator.presses.correction_table import CorrectionTable
@@ -67,16 +68,42 @@ def test_presses_beyond_the_tables_are_refused(shipped) -> None:
         shipped.at(0.001, 0.030, 0.001)
 
 
+def pair(first, second):
+    """Fields of what two presses (x, y, depth) change of each other, and their sinking."""
+    found = store.pair_table(DESIGN, MECHANICS, PUNCH).at(first, second)
+    assert found is not None
+    return found
+
+
 def test_pairs_feel_each_other_less_farther_apart() -> None:
-    table = store.pair_table(DESIGN, MECHANICS, PUNCH)
-    found = [table.at(apart, 0.002, 0.002) for apart in (0.018, 0.025, 0.035)]
-    sizes = [np.abs(field.coefficients[..., :3]).max() for field, _ in found]
+    points = np.random.default_rng(2).uniform((0.05, 0, 0), (0.1, WIDTH, 0.005), (60, 3))
+    sizes = []
+    for half in (0.009, 0.0125, 0.0175):
+        found = pair((0.075 - half, 0.03, DEPTH), (0.075 + half, 0.03, DEPTH))
+        sizes.append(np.abs(total(found, points)[:, :3]).max())
     assert sizes[0] > sizes[1] > sizes[2]
-    assert table.at(float(table.apart[-1]), 0.002, 0.002) is None
-    field, sunk = table.at(0.025, 0.003, 0.0012)
-    swapped, same = table.at(0.025, 0.0012, 0.003)
-    assert sunk == same
-    assert np.array_equal(field.coefficients, swapped.coefficients)
+    table = store.pair_table(DESIGN, MECHANICS, PUNCH)
+    far = float(table.apart[-1])
+    assert table.at((0.01, 0.03, DEPTH), (0.01 + far, 0.03, DEPTH)) is None
+
+
+@pytest.mark.parametrize("second", [(0.085, 0.03), (0.068, 0.047), (0.06, 0.045), (0.075, 0.012)])
+def test_pairs_are_the_same_seen_from_either_press_and_in_a_mirror(second) -> None:
+    points = np.random.default_rng(3).uniform((0.03, 0, 0), (0.12, WIDTH, 0.005), (60, 3))
+    places = np.array([(0.07, 0.03), second])
+    found = pair((*places[0], 0.003), (*places[1], 0.0012))
+    expected = total(found, points)
+    scale = np.abs(expected).max(axis=0)
+    swapped = pair((*places[1], 0.003), (*places[0], 0.0012))
+    assert swapped[1] == pytest.approx(found[1])
+    assert total(swapped, points) / scale == pytest.approx(expected / scale, abs=0.03)
+    for axis, extent in ((0, LENGTH), (1, WIDTH)):
+        there, mirrored, signs = places.copy(), points.copy(), np.ones(4)
+        there[:, axis], mirrored[:, axis] = extent - places[:, axis], extent - points[:, axis]
+        signs[axis] = -1.0
+        image = pair((*there[0], 0.003), (*there[1], 0.0012))
+        # The meshes on which pairs are solved are not quite symmetric.
+        assert total(image, mirrored) / scale == pytest.approx(expected * signs / scale, abs=0.03)
 
 
 # Neighbouring stacks
@@ -136,7 +163,7 @@ def test_a_stored_table_is_read_back_and_a_damaged_one_is_none(
     monkeypatch.setenv("EITSKIN_CACHE", str(tmp_path))
     assert store._read(CorrectionTable, "table.npz") is None
     path = tmp_path / "table.npz"
-    store._write(table, path)
+    solved_files.write(path, dict(store._arrays(table)))
     found = store._read(CorrectionTable, "table.npz")
     for field in dataclasses.fields(CorrectionTable):
         own = getattr(table, field.name)

@@ -9,7 +9,7 @@ from eitskin.errors import ConfigurationError
 from eitskin.geometry import SensorDesign
 from eitskin.simulator import Cylinder, Mechanics
 from eitskin.simulator.layer.dents import Dents, PlacedDent
-from eitskin.simulator.mechanics import cache_folder
+from eitskin.simulator.mechanics import solved_files
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
 from eitskin.simulator.mechanics.materials import NeoHookean
 from eitskin.simulator.presses import press_store
@@ -211,6 +211,19 @@ def test_what_a_kernel_depends_on_gives_another(solves) -> None:
     assert len(solves) == 5
 
 
+def test_all_that_sensors_lack_is_solved_once_beforehand(solves, monkeypatch) -> None:
+    monkeypatch.setattr(press_store.os, "cpu_count", lambda: 1)
+    harder = dataclasses.replace(REFERENCE, gel=NeoHookean(21e3))
+    sensors = [(DESIGN, REFERENCE), (DESIGN, harder), (DESIGN, REFERENCE)]
+    reports = []
+    press_store.prepare(sensors, Cylinder(), lambda done, total: reports.append((done, total)))
+    assert not any(press_store.missing(*sensor, Cylinder()) for sensor in sensors)
+    assert reports == [(k + 1, len(solves)) for k in range(len(solves))]
+    press_store.prepare(sensors, Cylinder(), lambda *_: pytest.fail("nothing is missing"))
+    fresh(), fresh(mechanics=harder)
+    assert len(solves) == len(reports)
+
+
 def test_a_store_that_cannot_be_written_costs_time_only(solves, tmp_path, monkeypatch) -> None:
     (tmp_path / "file").write_text("in the way")
     monkeypatch.setenv("EITSKIN_CACHE", str(tmp_path / "file" / "below"))
@@ -232,9 +245,9 @@ def test_a_store_that_cannot_be_written_costs_time_only(solves, tmp_path, monkey
 def test_they_are_kept_where_the_system_keeps_such_things(
     platform, variables, expected, monkeypatch
 ) -> None:
-    monkeypatch.setattr(cache_folder.sys, "platform", platform)
+    monkeypatch.setattr(solved_files.sys, "platform", platform)
     for name in ("EITSKIN_CACHE", "XDG_CACHE_HOME", "LOCALAPPDATA"):
         monkeypatch.delenv(name, raising=False)
     for name, value in variables.items():
         monkeypatch.setenv(name, value)
-    assert cache_folder.folder().as_posix() == expected
+    assert solved_files.folder().as_posix() == expected

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from eitskin.simulator.presses.pair_table import TurnedField
 from eitskin.simulator.presses.smooth_field import Box, SmoothField, together
+from eitskin.simulator.presses.turned_field import TurnedField
 
 BOX = Box((-0.01, 0.0, 0.001), (0.05, 0.03, 0.004))
 
