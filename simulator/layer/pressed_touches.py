@@ -33,7 +33,7 @@ TouchModel = Literal["tabulated", "solved"]
 _EDGE, _NEIGHBOUR = 0.005, 0.020
 # Largest errors of the signal found up to these distances from the edge and from another touch [m].
 _BY_EDGE = ((_EDGE, None), (math.inf, 0.04))
-_BY_NEIGHBOUR = ((_NEIGHBOUR, None), (0.030, 0.12), (math.inf, 0.04))
+_BY_NEIGHBOUR = ((_NEIGHBOUR, None), (0.030, 0.05), (math.inf, 0.04))
 # A touch to a given depth: the dent is made shallower by what the whole stack sinks.
 _SINKINGS, _SAME_DEPTH = 3, 1e-3
 

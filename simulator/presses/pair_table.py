@@ -32,7 +32,7 @@ _CELL = 1.0 / 40.0  # finest of the axisymmetric press, over the radius of the i
 _COUNTS, _STRETCH = (30, 24, 3), 1.5
 _FINENESS = Fineness(ends=0.0, sides=0.0, layers=1)
 
-# What the sides of the sensor add is smooth, and needs fewer pairs.
+# The part that the sides of the sensor add is smooth, and needs fewer pairs.
 _BESIDE, _DEEP_BESIDE = (1, 3, 5), 1  # of the distances and depths above
 _ANGLES = 6  # directions in half a turn, of which more than a quarter turn follow by symmetry
 _ASIDE = (0.0, 0.3, 1.0)  # of the way from the nearest side to the middle
@@ -102,7 +102,7 @@ class PairTable:
         return found
 
     def _beside(self, apart: float, angle: float, y: float, depths: float) -> SmoothField:
-        """What the sides add to a pair whose middle is at (0, y) [m]."""
+        """Field that the sides add to a pair whose middle is at (0, y) [m]."""
         width, least = float(self.width), float(self.least)
         near = self._near(np.append(self.apart[list(_BESIDE)], self.apart[-1]), apart)
         deep = depths / float(self.depths[_DEEP_BESIDE]) ** 2
@@ -268,7 +268,7 @@ class _Change:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Added:
-    """What a strip adds to the change on a wide stack, at points from x of the pair's middle."""
+    """Difference of the change on a strip to that on a wide stack."""
 
     beside: _Change
     wide: _Change

@@ -4,7 +4,8 @@ import dataclasses
 import math
 import os
 from collections.abc import Iterable
-from functools import lru_cache, partial
+from functools import lru_cache
+from itertools import repeat
 from pathlib import Path
 
 import numpy as np
@@ -69,7 +70,7 @@ def prepare(
     absent = [stack for path, stack in needed.items() if not _is_kept(path)]
     workers = min(os.cpu_count() or 1, len(absent))
     with processes(max(workers, 1)) as run:
-        for done, _ in enumerate(run(partial(stored, indenter=indenter), absent), 1):
+        for done, _ in enumerate(run(stored, absent, repeat(indenter)), 1):
             if report:
                 report(done, len(absent))
 

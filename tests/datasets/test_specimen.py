@@ -223,6 +223,16 @@ def law(stack, _indenter) -> PressTable:
     )
 
 
+@pytest.fixture
+def presses_by_law(monkeypatch):
+    """Press tables by `law`, which need not be solved."""
+    monkeypatch.setattr(press_store, "stored", law)
+    monkeypatch.setattr(press_store, "prepare", lambda *_: None)
+    press_store.press_table.cache_clear()
+    yield
+    press_store.press_table.cache_clear()
+
+
 @pytest.mark.parametrize("factor", [0.93, 1.04])
 def test_presses_between_thicknesses_are_interpolated(monkeypatch, factor):
     monkeypatch.setattr(press_store, "stored", law)
@@ -252,13 +262,11 @@ def test_stretched_presses_keep_volumes_and_forces():
     assert stretched.share == pytest.approx(dent.share)
 
 
-def test_forces_must_be_within_reach_of_every_specimen(monkeypatch):
+@pytest.mark.usefixtures("presses_by_law")
+def test_forces_must_be_within_reach_of_every_specimen():
     """Here a table reaches 104 N at the nominal 5 mm, and less on thinner sensors."""
-    monkeypatch.setattr(press_store, "stored", law)
-    press_store.press_table.cache_clear()
     group = SceneGroup("touch", count=20, force=(100.0, 103.0))
     one = Recipe("force", scenes=(group,))
     prepare(one)
     with pytest.raises(ConfigurationError, match=r"force.*above 0"):
         prepare(dataclasses.replace(one, specimens=Specimens(20, thickness=0.04)))
-    press_store.press_table.cache_clear()

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from eitskin.benchmarks.world.reference import cases
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Disc, Plates, Rectangle, SensorDesign, Substrate
 from eitskin.geometry.design.regular_layouts import uniform
@@ -217,3 +218,16 @@ def test_presses_give_the_signals_of_an_independent_solution() -> None:
         expected = np.array(json.loads(REFERENCES.read_text())[name])
         found = changes(sim, Touch(x, 0.030, 10.0))
         assert np.linalg.norm(found - expected) < 0.02 * np.linalg.norm(expected), name
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "limit"),
+    [("two_65_30_85_30", 0.055), ("two_60_30_90_30", 0.03), ("four_30", 0.025), ("15_15", 0.02)],
+)
+def test_presses_side_by_side_give_the_signals_of_the_reference(name, limit) -> None:
+    (case,) = (case for case in cases() if case.name == name)
+    found = changes(Simulator(DESIGN, "standard"), *case.scene.touches)
+    assert np.linalg.norm(found - case.changes) < limit * np.linalg.norm(case.changes)
+    (pressed, *_) = Simulator(DESIGN).presses(case.scene)
+    assert pressed.depth == pytest.approx(case.depth[0], rel=0.01)
