@@ -33,7 +33,7 @@ def plot(found: World, path: Path) -> None:
                 axes.loglog(times, errors, marker, color=colour, label=label, alpha=0.8)
         for limit, name in ((MEDIAN, "target, median"), (WORST, "target, worst")):
             axes.axhline(100 * limit, color="#999999", linewidth=0.8, linestyle=(0, (4, 3)))
-            axes.text(0.99, 104 * limit, name, ha="right", transform=axes.get_yaxis_transform())
+            axes.text(0.01, 104 * limit, name, transform=axes.get_yaxis_transform())
         axes.set_xlabel("time of the deformation at all points of the mesh [s]")
         axes.set_ylabel("error of the signal against the reference [%]")
         axes.set_title(

@@ -9,7 +9,7 @@ import numpy as np
 
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.geometry.design.support import Rigid
+from eitskin.geometry.design.support import Free, Plates, Rigid, Substrate
 from eitskin.geometry.design.surface import Surface
 from eitskin.simulator.layer.dents import ColumnField, Dents, PlacedDent
 from eitskin.simulator.mechanics import viscoelasticity as relaxation
@@ -34,6 +34,8 @@ _EDGE, _NEIGHBOUR = 0.005, 0.020
 # Largest errors of the signal found up to these distances from the edge and from another touch [m].
 _BY_EDGE = ((_EDGE, None), (math.inf, 0.04))
 _BY_NEIGHBOUR = ((_NEIGHBOUR, None), (0.030, 0.05), (math.inf, 0.04))
+# Largest errors found on each support.
+_BY_SUPPORT = {Rigid: 0.04, Plates: 0.04, Substrate: 0.04, Free: 0.08}
 # A touch to a given depth: the dent is made shallower by what the whole stack sinks.
 _SINKINGS, _SAME_DEPTH = 3, 1e-3
 
@@ -54,8 +56,8 @@ class PressedTouch:
         edge_distance: from the axis to the nearest edge of the gel [m].
         neighbour_distance: from the axis to that of the nearest other touch [m].
         signal_error: largest error of the signal, relative, that comparisons with the full model
-            found at such distances, for 10 N by the 15 mm cylinder on the reference sensor
-            (docs/deformation.md); None at smaller distances than any comparison.
+            found at such distances and on such a support (docs/deformation.md); None at smaller
+            distances than any comparison, and on other outlines than rectangles.
         caution: why the dent is less exact than a single one in the middle of the sensor; empty
             otherwise.
     """
@@ -216,7 +218,7 @@ def _described(
         thinning=dent.thinning if dent is not None else 0.0,
         edge_distance=edge,
         neighbour_distance=neighbour,
-        signal_error=_signal_error(edge, neighbour) if _is_compared(design) else None,
+        signal_error=_signal_error(edge, neighbour, design),
         caution=_caution(edge, neighbour, design),
     )
 
@@ -261,23 +263,27 @@ def _first(table: PressTable, touch: Touch, sunk: float) -> TabulatedDent:
     return table.at_depth(max(touch.depth - sunk, 0.5 * touch.depth))
 
 
-def _signal_error(edge: float, neighbour: float) -> float | None:
+def _signal_error(edge: float, neighbour: float, design: SensorDesign) -> float | None:
+    if not _is_compared(design):
+        return None
     alone, together = (
         next(error for limit, error in table if distance < limit or limit == math.inf)
         for distance, table in ((edge, _BY_EDGE), (neighbour, _BY_NEIGHBOUR))
     )
-    return None if alone is None or together is None else max(alone, together)
+    if alone is None or together is None:
+        return None
+    return max(alone, together, _BY_SUPPORT[type(design.support)])
 
 
 def _is_compared(design: SensorDesign) -> bool:
     """Whether presses on such a sensor were compared with independent solutions."""
-    return isinstance(design.outline, Rectangle) and isinstance(design.support, Rigid)
+    return isinstance(design.outline, Rectangle) and type(design.support) in _BY_SUPPORT
 
 
 def _caution(edge: float, neighbour: float, design: SensorDesign) -> str:
     reasons = []
     if not _is_compared(design):
-        reasons.append("presses on this outline or support were not compared")
+        reasons.append("presses on this outline were not compared")
     if edge < _EDGE:
         reasons.append(f"{1e3 * edge:.1f} mm from the edge of the gel, where nothing was compared")
     if neighbour < _NEIGHBOUR:

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from eitskin.errors import ConfigurationError
-from eitskin.geometry import Bend, Clamp, Hinge, Plates, SensorDesign
+from eitskin.geometry import Bend, Clamp, Disc, Free, Hinge, Plates, SensorDesign
+from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.simulator import Cylinder, Mechanics, Profile, Scene, Simulator, Sphere, Touch
 from eitskin.simulator.layer import pressed_touches as presses
 from eitskin.simulator.layer.pressed_touches import pressed_touches
@@ -67,13 +68,22 @@ def test_errors_of_the_signal_are_those_found_at_such_distances(y, error) -> Non
             assert found.signal_error == expected
 
 
-def test_presses_on_supports_that_were_never_compared_say_so(monkeypatch) -> None:
+def test_errors_of_the_signal_are_those_found_on_a_support(monkeypatch) -> None:
     unmoved = SimpleNamespace(sunk=np.zeros(1))
     monkeypatch.setattr(presses, "solved_presses", lambda *_: unmoved)
-    on_plates = dataclasses.replace(DESIGN, support=Plates())
-    (found,) = pressed_touches((Touch(X, Y, 5.0),), on_plates, Mechanics(), None)
+    for support, error in ((Plates(), 0.04), (Free(), 0.08)):
+        design = dataclasses.replace(DESIGN, support=support)
+        (found,) = pressed_touches((Touch(X, Y, 5.0),), design, Mechanics(), None)
+        assert found.signal_error == error
+
+
+def test_presses_on_outlines_that_were_never_compared_say_so(monkeypatch) -> None:
+    unmoved = SimpleNamespace(sunk=np.zeros(1))
+    monkeypatch.setattr(presses, "solved_presses", lambda *_: unmoved)
+    disc = SensorDesign(Disc(0.04), 0.005, uniform(Disc(0.04), 8, 0.005))
+    (found,) = pressed_touches((Touch(0.04, 0.04, 5.0),), disc, Mechanics(), None)
     assert found.signal_error is None
-    assert "support" in found.caution
+    assert "outline" in found.caution
 
 
 def test_indenters_are_not_inside_each_other() -> None:
