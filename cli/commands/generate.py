@@ -52,7 +52,7 @@ def command(
     output = Output(as_json, quiet, verbose)
     chosen = with_seed(_read(recipe), seed)
     if dry_run:
-        _solve_missing(chosen, output)
+        _solve_missing(chosen, workers, output)
         found = estimate_cost(chosen, out, workers)
         output.result(dataclasses.asdict(found), _as_text(found, chosen, workers, out))
         return
@@ -83,7 +83,7 @@ def make_dataset(
 
     by = f"the cluster of {scheduler}" if scheduler else f"{workers} workers"
     output.detail(f"{recipe.frames} frames in {recipe.shards} shards, {by}")
-    _solve_missing(recipe, output)
+    _solve_missing(recipe, workers, output)
     start = time.perf_counter()
     with output.progress() as bar:
         task = bar.add_task(recipe.name, total=recipe.frames, rate="")
@@ -122,7 +122,7 @@ def make_dataset(
     )
 
 
-def _solve_missing(recipe: "Recipe", output: Output) -> None:
+def _solve_missing(recipe: "Recipe", workers: int, output: Output) -> None:
     """Solve the tables of presses and bends that are absent, with a note and a progress bar."""
     from eitskin.datasets.generation.shard_simulation import (
         missing_bend_tables,
@@ -146,7 +146,11 @@ def _solve_missing(recipe: "Recipe", output: Output) -> None:
     if bends or missing:
         with output.progress() as bar:
             task = bar.add_task("tables", total=None, rate="")
-            prepare(recipe, lambda done, total: bar.update(task, completed=done, total=total))
+
+            def report(done: int, total: int) -> None:
+                bar.update(task, completed=done, total=total)
+
+            prepare(recipe, report, workers)
 
 
 def _as_text(found: "CostEstimate", recipe: "Recipe", workers: int, out: Path) -> str:

@@ -62,7 +62,7 @@ def estimate_cost(recipe: Recipe, out: str | Path, workers: int = 2) -> CostEsti
 
     Raises ConfigurationError for forces beyond the reach of the presses.
     """
-    prepare(recipe)
+    prepare(recipe, workers=workers)
     most = max(len(recipe.shard_range(shard)) for shard in range(recipe.shards))
     trials = [_run_trial(recipe, min(_FIRST_FRAMES, most))]
     while trials[-1].frames < most and (len(trials) < 2 or trials[-1].seconds < _ENOUGH_SECONDS):

@@ -65,7 +65,7 @@ def generate(
         PartialError: where files cannot be written or workers died; resume after the repair.
     """
     _check_options(recipe, workers, scheduler, shard)
-    prepare(recipe)
+    prepare(recipe, workers=workers)
     folder = Path(out)
     wanted = range(recipe.shards) if shard is None else range(shard, shard + 1)
     missing = _unfinished(recipe, folder, wanted) if resume or shard is not None else list(wanted)

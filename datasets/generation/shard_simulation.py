@@ -53,8 +53,10 @@ def missing_press_tables(recipe: Recipe) -> set[Path]:
     return found
 
 
-def prepare(recipe: Recipe, progress: Progress | None = None) -> None:
+def prepare(recipe: Recipe, progress: Progress | None = None, workers: int = 1) -> None:
     """Solve the tables that all workers need, and check the recipe's forces and bends.
+
+    Dents of presses are solved in a number of processes, `workers`.
 
     `progress` is called with the numbers of solved bends or presses and of all in the tables that
     are being solved.
@@ -66,7 +68,7 @@ def prepare(recipe: Recipe, progress: Progress | None = None) -> None:
         for angle in recipe.extreme_angles:
             bend_store.bend_table(*bent).check(angle)
     if recipe.largest_force:
-        press_store.prepare(_pressed(recipe), Cylinder(), progress)
+        press_store.prepare(_pressed(recipe), Cylinder(), progress, workers)
         for design, mechanics in _pressed(recipe):
             table = press_store.press_table(design, mechanics, Cylinder())
             deepest = table.at_force(recipe.largest_force).depth

@@ -3,6 +3,7 @@
 import multiprocessing
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from eitskin.errors import PartialError
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.support import Support
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress, Indentation
@@ -328,13 +330,19 @@ def least_distance(stack: Stack, mechanics: Mechanics, indenter: Indenter) -> fl
 
 @contextmanager
 def processes(workers: int) -> Iterator[Callable[..., Iterable[Any]]]:
-    """Map over arguments in this process, or in several."""
+    """Map over arguments in this process, or in several; raises PartialError where one dies."""
     if workers == 1:
         yield map
         return
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, mp_context=context) as pool:
-        yield pool.map
+    try:
+        with ProcessPoolExecutor(workers, mp_context=context) as pool:
+            yield pool.map
+    except BrokenProcessPool as error:
+        raise PartialError(
+            "a process died while tables were solved. Look for lack of memory, or, in a script, "
+            "for a missing if __name__ == '__main__'; then run it again"
+        ) from error
 
 
 def _dents(stack: Stack, indenter: Indenter, depths: Sequence[float]) -> list[Indentation]:

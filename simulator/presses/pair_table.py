@@ -101,11 +101,11 @@ class PairTable:
         found: Array = CubicSpline(np.log(nodes), np.eye(len(nodes)))(np.log(apart))[:-1]
         return found
 
-    def _beside(self, apart: float, angle: float, y: float, depths: float) -> SmoothField:
+    def _beside(self, apart: float, angle: float, y: float, product: float) -> SmoothField:
         """Field that the sides add to a pair whose middle is at (0, y) [m]."""
         width, least = float(self.width), float(self.least)
         near = self._near(np.append(self.apart[list(_BESIDE)], self.apart[-1]), apart)
-        deep = depths / float(self.depths[_DEEP_BESIDE]) ** 2
+        deep = product / float(self.depths[_DEEP_BESIDE]) ** 2
         across = across_strip(np.array(_ASIDE), 2.0, _aside(width, least, apart, angle, y))
         weights = deep * np.einsum("r,ka,lm->klram", near, _over_angle(angle), across)
         shape = self.sides.shape[-4:]

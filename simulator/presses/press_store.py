@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-import os
 from collections.abc import Iterable
 from functools import lru_cache
 from itertools import repeat
@@ -60,16 +59,16 @@ def prepare(
     sensors: Iterable[tuple[SensorDesign, Mechanics]],
     indenter: Indenter,
     report: Report | None = None,
+    workers: int = 1,
 ) -> None:
-    """Solve and store the absent tables of sensors, several at a time.
+    """Solve and store the absent tables of sensors, in a number of processes.
 
     `report` is called with the number of tables done and their total. Raises ConfigurationError
     where not even shallow presses are carried.
     """
     needed = {_path(stack, indenter): stack for sensor in sensors for stack, _ in _needed(*sensor)}
     absent = [stack for path, stack in needed.items() if not _is_kept(path)]
-    workers = min(os.cpu_count() or 1, len(absent))
-    with processes(max(workers, 1)) as run:
+    with processes(max(min(workers, len(absent)), 1)) as run:
         for done, _ in enumerate(run(stored, absent, repeat(indenter)), 1):
             if report:
                 report(done, len(absent))

@@ -227,7 +227,6 @@ def law(stack, _indenter) -> PressTable:
 def presses_by_law(monkeypatch):
     """Press tables by `law`, which need not be solved."""
     monkeypatch.setattr(press_store, "stored", law)
-    monkeypatch.setattr(press_store, "prepare", lambda *_: None)
     press_store.press_table.cache_clear()
     yield
     press_store.press_table.cache_clear()

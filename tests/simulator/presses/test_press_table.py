@@ -1,11 +1,12 @@
 """Tabulated presses against presses, and where they are kept."""
 
 import dataclasses
+import os
 
 import numpy as np
 import pytest
 
-from eitskin.errors import ConfigurationError
+from eitskin.errors import ConfigurationError, PartialError
 from eitskin.geometry import SensorDesign
 from eitskin.simulator import Cylinder, Mechanics
 from eitskin.simulator.layer.dents import Dents, PlacedDent
@@ -14,6 +15,7 @@ from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
 from eitskin.simulator.mechanics.materials import NeoHookean
 from eitskin.simulator.presses import press_store
 from eitskin.simulator.presses import press_table as tables
+from eitskin.simulator.presses.correction_table import processes
 from eitskin.simulator.presses.press_table import PressTable
 
 DESIGN = SensorDesign.reference()
@@ -211,8 +213,7 @@ def test_what_a_kernel_depends_on_gives_another(solves) -> None:
     assert len(solves) == 5
 
 
-def test_all_that_sensors_lack_is_solved_once_beforehand(solves, monkeypatch) -> None:
-    monkeypatch.setattr(press_store.os, "cpu_count", lambda: 1)
+def test_all_that_sensors_lack_is_solved_once_beforehand(solves) -> None:
     harder = dataclasses.replace(REFERENCE, gel=NeoHookean(21e3))
     sensors = [(DESIGN, REFERENCE), (DESIGN, harder), (DESIGN, REFERENCE)]
     reports = []
@@ -222,6 +223,11 @@ def test_all_that_sensors_lack_is_solved_once_beforehand(solves, monkeypatch) ->
     press_store.prepare(sensors, Cylinder(), lambda *_: pytest.fail("nothing is missing"))
     fresh(), fresh(mechanics=harder)
     assert len(solves) == len(reports)
+
+
+def test_a_process_that_dies_is_told_in_words() -> None:
+    with pytest.raises(PartialError, match=r"__main__"), processes(2) as run:
+        list(run(os._exit, [1]))
 
 
 def test_a_store_that_cannot_be_written_costs_time_only(solves, tmp_path, monkeypatch) -> None:
