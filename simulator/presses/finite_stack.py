@@ -7,8 +7,9 @@ the smooth difference to equilibrium of the whole stack at finite strain,
     int P(F_d + dc/dX, p_d + q) : dv dV = int P_d : dv dV - int P_d N . v dA  for all v,
 
 F_d = 1 + sum G_d of all dents, the last integral over the faces that are free in the finite stack
-only. Under an indenter that sticks, c takes back what the dents of other indenters move, but for a
-vertical translation at an unchanged force.
+only: at a free base it is the reaction in the first integral, at the sides it is integrated. Under
+an indenter that sticks, c takes back what the dents of other indenters move, but for a vertical
+translation at an unchanged force.
 """
 
 from collections.abc import Sequence
@@ -36,8 +37,9 @@ Indices = NDArray[np.int64]
 _STIFFNESS = 200.0
 # A cell that the rim of a contact cuts is held almost as a whole, as by a larger contact, which
 # takes up to 7 % from the signal. The springs therefore end before the rim, by this part of a cell.
-_WITHIN, _LEAST_HELD = 0.2, 0.5  # the least over the radius of the contact
-_INSIDE = 0.9  # of the radius: cells that reach farther in lie under the contact
+_WITHIN, _LEAST_HELD = 0.15, 0.5  # the least over the radius of the contact
+_INSIDE = 0.9  # of the radius, where the cells at the rim are measured
+_LEVEL = 1e-9  # [m]
 _TOLERANCE = 1e-2  # of the last correction; the error is its square
 _SMALLEST_STEP = 1.0 / 64.0
 # Unknowns of a solid; 95,000 took 3 GB at their peak, and memory grows a little faster.
@@ -92,7 +94,10 @@ class FiniteStack:
                 "model a smaller part of the sensor"
             )
         self._size = self.solid.unknowns + presses
-        self._fixed = self._supports()
+        held = np.flatnonzero(body.held(self.solid.nodes))
+        base = np.flatnonzero(self.solid.nodes[:, 2] < _LEVEL)
+        self._fixed = _unknowns(held)
+        self._loose = _unknowns(np.setdiff1d(base, held))
         self._eliminate = by_blocks(self._blocks())
         self._contacts: list[HeldContact] = []
         self._load = np.zeros(self._size)
@@ -149,11 +154,6 @@ class FiniteStack:
             reached, step = target, 2.0 * step
         return x
 
-    def _supports(self) -> Indices:
-        held = np.flatnonzero(self.body.held(self.solid.nodes))
-        fixed: Indices = (3 * held[:, None] + np.arange(3)).ravel()
-        return fixed
-
     def _dented(self, dents: Sequence[DentField]) -> Array:
         """Forces (unknowns,) in equilibrium with the dents; sets the state of the solid."""
         points = self.solid.points.reshape(-1, 3)
@@ -168,11 +168,13 @@ class FiniteStack:
             G += gradient
             p += stress
         self.solid.dent(G, p)
+        # Reactions of the base sum to the force; tractions from the dent's stresses leave 4 % out.
+        load[self._loose] = 0.0
         return load
 
     def _tractions(self, dent: DentField) -> Array:
-        """Nodal forces (unknowns,) of a dent's tractions on faces that are free."""
-        facets = self.body.freed()
+        """Nodal forces (unknowns,) of a dent's tractions on the sides."""
+        facets = self.body.sides()
         basis = skfem.FacetBasis(self.body.mesh, self.solid.basis.elem, facets=facets, intorder=6)
         X = np.moveaxis(np.asarray(basis.global_coordinates()), 0, -1)
         normals = np.moveaxis(np.asarray(basis.normals), 0, -1)
@@ -199,13 +201,13 @@ class FiniteStack:
         centre, radius = np.array([dent.x, dent.y]), dent.contact_radius
         nearest = np.clip(centre[:, None], corners.min(axis=1), corners.max(axis=1))
         near = np.linalg.norm(nearest - centre[:, None], axis=0) < radius
-        # A contact may be smaller than a cell, as those of balls are.
+        rims = _INSIDE * radius * np.array([-1.0, 1.0])
         cells = [
-            np.diff(line)[(line[1:] > c - _INSIDE * radius) & (line[:-1] < c + _INSIDE * radius)]
+            np.diff(line)[np.searchsorted(line[1:-1], c + rims)]
             for line, c in zip(self.body.lines, centre, strict=False)
         ]
-        cell = float(np.concatenate(cells).mean())
-        held = max(radius - _WITHIN * cell, _LEAST_HELD * radius)
+        # A contact may be smaller than a cell, as those of balls are.
+        held = max(radius - _WITHIN * float(np.mean(cells)), _LEAST_HELD * radius)
         stiffness = _STIFFNESS * self.body.stack.sheets[-1].law.shear_modulus / radius
         return HeldContact(
             self.solid,
@@ -243,6 +245,12 @@ class FiniteStack:
             sunk=x[solid.unknowns :].copy(),
             unknowns=x,
         )
+
+
+def _unknowns(nodes: Indices) -> Indices:
+    """Numbers of the displacements of nodes."""
+    numbers: Indices = (3 * nodes[:, None] + np.arange(3)).ravel()
+    return numbers
 
 
 def _on_grid(points: Array, values: Array, lines: Sequence[Array]) -> Array:

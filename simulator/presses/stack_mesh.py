@@ -19,8 +19,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 _SAME = 1e-9  # [m]
-# Cells under an indenter over its radius, and their growth away from it. Corrections are smooth.
-_UNDER, _GROWTH = 0.5, 0.5
+_UNDER = 0.5  # least size of the largest cells, over the radius of an indenter
 _SAMPLES, _SPARE = 4001, 1e-6
 # Largest cells over the length of the sensor: far from presses on a thin stack nothing happens.
 _FAR = 1.0 / 20.0
@@ -36,11 +35,19 @@ class Fineness:
         ends, sides: cells at the faces across x and across y, over the thickness of the stack; 0
             for no refinement.
         layers: cells through each layer.
+        rims: cells at the rims of contacts, over the radius of the indenter.
+        growth: of cells with the distance from the rims.
     """
 
     ends: float = 0.2
     sides: float = 0.2
     layers: int = 2
+    rims: float = 0.5
+    growth: float = 0.5
+
+
+# A stack that bends under an indenter has a kink at the rim of the contact.
+_LOOSE = Fineness(rims=0.1, growth=1.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,7 +91,7 @@ class StackMesh:
         """Whether nodes at points (n, 3) of quadratic boxes are held by the support."""
         x, _, z = points.T
         if self.free:
-            corners = self.mesh.p[:, self.mesh.facets[:, self._facets(self._upright())]]
+            corners = self.mesh.p[:, self.mesh.facets[:, self.sides()]]
             around = corners.mean(axis=1)
             edges = [0.5 * (corners[:, a] + corners[:, b]) for a, b in _pairs_of(4)]
             rim = np.concatenate([*np.moveaxis(corners, 1, 0), around, *edges], axis=1).T
@@ -98,12 +105,9 @@ class StackMesh:
         """Facets of the upper face."""
         return self._facets(self._middles()[2] > self.lines[2][-1] - _SAME)
 
-    def freed(self) -> Indices:
-        """Facets that are free, but not in the unbounded stack on a rigid base: sides and gap."""
-        x, _, z = self._middles()
-        low, high = self.gap
-        freed = (z < _SAME) & (x > low) & (x < high)
-        return self._facets(freed if self.free else freed | self._upright())
+    def sides(self) -> Indices:
+        """Facets of the sides."""
+        return self._facets(self._upright())
 
     def _upright(self) -> NDArray[np.bool_]:
         """Whether each boundary facet is one of the sides."""
@@ -143,10 +147,13 @@ def stack_mesh(
     """
     radius, height = min(r for *_, r in contacts), stack.levels[-1]
     boxed = not isinstance(outline, Rectangle)
-    fineness = fineness or (Fineness(0.0, 0.0, 1) if boxed else Fineness())
+    if fineness is None:
+        loose = isinstance(support, Free | Plates)
+        fineness = Fineness(0.0, 0.0, 1) if boxed else _LOOSE if loose else Fineness()
     far = max(height, _UNDER * radius, _FAR * outline.length)
     coarsest = _STAIRS * height if boxed else far
-    grading = Grading(min(_UNDER * radius, 0.5 * height, coarsest), coarsest, _GROWTH)
+    finest = min(fineness.rims * radius, 0.5 * height, coarsest)
+    grading = Grading(finest, coarsest, fineness.growth)
     whole = outline.length
     gap = support.gap(outline) if isinstance(support, Plates) else (0.5 * whole, 0.5 * whole)
     free = isinstance(support, Free)
