@@ -17,6 +17,7 @@ from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.meshing.grading import Grading, graded_lines
 from eitskin.simulator.bends.elastic_bond import ElasticBond
+from eitskin.simulator.linalg.nested_dissection import Block, by_blocks, dissected
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.mechanics.load_stepping import (
     ForceTerm,
@@ -179,6 +180,7 @@ class ClampedStack:
         self._bond = self._bonded()
         if self._bond:
             self._terms = (self.solid, self._bond)
+        self._eliminate = by_blocks(self._blocks())
         # Without strain, Newton's relative tolerance has no scale: flat is not solved.
         self._solved = {0.0: np.zeros(self.solid.unknowns)}
 
@@ -204,14 +206,15 @@ class ClampedStack:
             load = self._between(0.0, angle, 1.0)
             if self.solid.admissible(np.asarray(guess)):
                 try:
-                    return newton(self._terms, np.asarray(guess), load, tolerance=_TOLERANCE)
+                    return newton(self._terms, np.asarray(guess), load, self._eliminate, _TOLERANCE)
                 except SolidError:
                     pass  # load stepping may find a way where the polynomial does not
         return self._followed(self._solved[near[0]], near[0], angle)
 
     def _followed(self, x: Array, before: float, angle: float) -> Array:
         try:
-            return follow(self._terms, x, partial(self._between, before, angle))[0]
+            path = partial(self._between, before, angle)
+            return follow(self._terms, x, path, factorise=self._eliminate)[0]
         except SolidError as error:
             reached = before + error.reached * (angle - before)
             raise SolidError(
@@ -250,6 +253,14 @@ class ClampedStack:
             return None
         facets = self.solid.mesh.facets_satisfying(self._on_plate, boundaries_only=True)
         return ElasticBond(self.solid, facets, self._clamp.compliance)
+
+    def _blocks(self) -> list[Block]:
+        """Blocks of free unknowns in the order of elimination."""
+        displaced = np.repeat(self.solid.nodes[:, :2], 3, axis=0)
+        places = np.concatenate([displaced, self.solid.pressure_nodes[:, :2]])
+        free = np.setdiff1d(np.arange(len(places)), self._fixed)
+        blocks = dissected(places[free], self.lines[:2])
+        return [Block(free[block.own], block.within) for block in blocks]
 
     def _moved(self, angle_deg: float) -> Array:
         """Displacements (unknowns,) of the plates, at the nodes that they hold."""

@@ -135,6 +135,7 @@ def _dissected(unknowns: Indices, middles: Array, free: NDArray[np.bool_]) -> li
         free: whether each unknown is to be eliminated; changed.
     """
     blocks: list[Block] = []
+    leaves: list[Indices] = []
 
     def dissect(cells: Indices) -> int:
         own = np.unique(unknowns[cells])
@@ -151,8 +152,13 @@ def _dissected(unknowns: Indices, middles: Array, free: NDArray[np.bool_]) -> li
         else:
             own = own[free[own]]
             free[own] = False
+            leaves.append(cells)
         blocks.append(Block(own, inside))
         return len(blocks) - 1
 
     dissect(np.arange(len(unknowns)))
-    return blocks
+    # Neighbours in turn: they stay together in the borders of the blocks within.
+    turn = np.zeros(len(free), dtype=np.int64)
+    for number, leaf in reversed(list(enumerate(leaves))):
+        turn[unknowns[leaf]] = number
+    return [Block(b.own[np.argsort(turn[b.own], kind="stable")], b.within) for b in blocks]
