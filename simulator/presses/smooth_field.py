@@ -1,7 +1,7 @@
 """Polynomial fields on a box: Chebyshev polynomials in the plane, Legendre over the height."""
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import NamedTuple
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _AT_ONCE = 1_000  # columns that do not lie on a grid
+_LAYERS = 8  # of columns of different heights, up to which each layer is evaluated by itself
 _PER_GRID = 4  # nodes of a grid per column, up to which the grid is evaluated
 
 
@@ -113,9 +114,25 @@ class SmoothField:
     ) -> list[Array]:
         """Derivatives of these orders of some components, (k, h, n) each."""
         n, h = columns.shape[:2]
-        if n and not (columns[..., 2] == columns[0, :, 2]).all():
+        layers = _layers(columns[..., 2])
+        if len(layers) == 1:
+            return self._in_layer(columns, orders, part)
+        if not layers:
             single = self._at_points(columns.reshape(-1, 3), orders, part)
             return [one.reshape(-1, n, h).swapaxes(1, 2) for one in single]
+        count = self.coefficients[..., part].shape[-1]
+        found = [np.empty((count, h, n)) for _ in orders]
+        for layer in layers:
+            parts = self._in_layer(columns[layer], orders, part)
+            for whole, values in zip(found, parts, strict=True):
+                whole[..., layer] = values
+        return found
+
+    def _in_layer(
+        self, columns: Array, orders: tuple[tuple[int, int, int], ...], part: slice
+    ) -> list[Array]:
+        """As `_evaluated`, at columns of equal heights."""
+        n, h = columns.shape[:2]
         heights = self._basis(2, columns[0, :, 2] if n else np.zeros(h))
         coefficients = self.coefficients[..., part]
         # Polynomials in the plane for the values (0) and upward derivatives (1) at each height.
@@ -141,14 +158,19 @@ class SmoothField:
         self, points: Array, orders: tuple[tuple[int, int, int], ...], part: slice
     ) -> list[Array]:
         """Derivatives of these orders of some components at points (n, 3), (k, n) each."""
-        bases = [self._basis(axis, points[:, axis]) for axis in range(3)]
         c = self.coefficients[..., part]
-        flat, count = c.reshape(c.shape[0] * c.shape[1], -1), c.shape[-1]
-        found = []
-        for i, j, k in orders:
-            upright = [each @ flat for each in _products(bases[0][i], bases[1][j])]
-            values = np.concatenate(upright).reshape(len(points), -1, count)
-            found.append(np.einsum("nck,nc->kn", values, bases[2][k]))
+        slabs, count = c.reshape(len(c), -1), c.shape[-1]
+        found = [np.empty((count, len(points))) for _ in orders]
+        for start in range(0, len(points), _AT_ONCE):
+            some = slice(start, start + _AT_ONCE)
+            x, y, z = (self._basis(axis, points[some, axis]) for axis in range(3))
+            columns = [
+                (each @ slabs).reshape(-1, c.shape[1], c.shape[2] * count)
+                for each in x[: 1 + max(i for i, *_ in orders)]
+            ]
+            for values, (i, j, k) in zip(found, orders, strict=True):
+                upright = (y[j][:, None] @ columns[i]).reshape(-1, c.shape[2], count)
+                values[:, some] = np.einsum("nck,nc->kn", upright, z[k])
         return found
 
     def _along(self, axis: int, s: Array) -> Array:
@@ -188,6 +210,18 @@ def together(fields: Iterable[SmoothField]) -> list[SmoothField]:
     return list(alike.values())
 
 
+def _layers(heights: Array) -> list[NDArray[np.bool_]]:
+    """Columns of equal heights (n, h), as in a layer of cells; none where few columns are alike."""
+    if (heights == heights[:1]).all():
+        return [np.ones(len(heights), dtype=bool)]
+    lowest, number = np.unique(heights[:, 0], return_inverse=True)
+    if len(lowest) > _LAYERS:
+        return []
+    layers = [number == k for k in range(len(lowest))]
+    alike = all((heights[layer] == heights[layer][:1]).all() for layer in layers)
+    return layers if alike else []
+
+
 def _polynomials(axis: int, s: Array, count: int) -> Array:
     """Polynomials along an axis at coordinates s (n,), (n, count)."""
     if axis == 2:
@@ -212,10 +246,3 @@ def _in_plane(
     """Polynomials along y (k, h, positions, b) at positions x, and their basis, for each order."""
     along = {(i, k): x[i] @ planes[k] for i, _, k in orders}
     return [(along[i, k], y[j]) for i, j, k in orders]
-
-
-def _products(x: Array, y: Array) -> Iterator[Array]:
-    """Products (.., a b) of polynomials x (n, a) and y (n, b), in chunks of points."""
-    for start in range(0, max(len(x), 1), _AT_ONCE):
-        part = slice(start, start + _AT_ONCE)
-        yield (x[part, :, None] * y[part, None]).reshape(len(x[part]), -1)

@@ -34,7 +34,25 @@ def grid(box=BOX):
     return found
 
 
-@pytest.mark.parametrize("at", [columns(20, (0.001, 0.002, 0.004)), grid()], ids=["any", "grid"])
+def layers():
+    """Columns of two layers of cells in turn."""
+    found = columns(20, (0.0011, 0.0021))
+    found[::2, :, 2] += 0.0015
+    return found
+
+
+def uneven():
+    """Columns that begin at one height and end at as many as there are columns."""
+    found = columns(30, (0.0011, 0.0021))
+    found[:, 1, 2] += np.random.default_rng(2).uniform(0.0, 0.001, len(found))
+    return found
+
+
+@pytest.mark.parametrize(
+    "at",
+    [columns(20, (0.001, 0.002, 0.004)), grid(), layers(), uneven()],
+    ids=["any", "grid", "layers", "uneven"],
+)
 def test_polynomials_are_met_everywhere(at) -> None:
     field = SmoothField.of(polynomial, BOX, (4, 3, 2))
     assert field.values(at) == pytest.approx(np.moveaxis(polynomial(at), -1, 0).swapaxes(1, 2))
@@ -42,9 +60,11 @@ def test_polynomials_are_met_everywhere(at) -> None:
     assert field.values(single)[:, 0] == pytest.approx(polynomial(single[:, 0]).T)
 
 
-def test_derivatives_are_those_of_the_values() -> None:
+@pytest.mark.parametrize(
+    "at", [columns(9, (0.0015, 0.003)), layers(), uneven()], ids=["any", "layers", "uneven"]
+)
+def test_derivatives_are_those_of_the_values(at) -> None:
     field = SmoothField.of(polynomial, BOX, (7, 4, 3), stretch=1.5)
-    at = columns(9, (0.0015, 0.003), Box((0.0, 0.01, 0.0), (0.04, 0.02, 0.0)))
     moved = field.moved(at)
     assert moved[:3] == pytest.approx(field.values(at)[:3])
     for axis in range(3):
