@@ -129,18 +129,21 @@ class Assembly:
         Entries are the lower triangle of the outer functions, then the rows of the inner ones.
         """
         gradients = self.space.element.gradients(rule.X)
-        a, b = TENSOR_ROWS, TENSOR_COLUMNS
         i, j = self._pairs
         outer, count = self.space.numbers.shape[1], len(gradients)
         inner = np.arange(outer, count)
         rows = np.concatenate([i, np.repeat(inner, outer), np.repeat(inner, len(inner))])
         columns = np.concatenate([j, np.tile(np.arange(outer), len(inner))])
         columns = np.concatenate([columns, np.tile(inner, len(inner))])
-        one, other = gradients[rows], gradients[columns]
-        products = one[:, a] * other[:, b] + np.where(a == b, 0.0, 1.0)[:, None] * (
-            one[:, b] * other[:, a]
-        )
-        return np.ascontiguousarray((products * rule.weights).T)
+        products = np.empty((len(rule.weights), len(TENSOR_ROWS), len(rows)))
+        at_points = zip(rule.weights, gradients.transpose(2, 1, 0), products, strict=True)
+        for weight, slopes, found in at_points:  # small arrays stay in the processor's cache
+            one, other = (weight * slopes)[:, rows], slopes[:, columns]
+            for s, (a, b) in enumerate(zip(TENSOR_ROWS, TENSOR_COLUMNS, strict=True)):
+                np.multiply(one[a], other[b], out=found[s])
+                if a != b:
+                    found[s] += one[b] * other[a]
+        return products
 
     def _prepare_electrodes(self, contacts: Contacts) -> None:
         space = self.space
@@ -167,11 +170,9 @@ class Assembly:
         self.facet_normals: Array = (normals / lengths[:, None])[:, None]
         values = space.element.values(space.reference(owners, self.facet_points))
         values = values[: space.numbers.shape[1]].swapaxes(0, 1)
-        i, j = self._pairs
-        self.facet_shape: Array = values
+        self.facet_shape: Array = np.ascontiguousarray(values)
         self.facet_numbers: Indices = space.numbers[owners]
         self.facet_weights: Array = contacts.areas[:, None] * (weights / weights.sum())
-        self._facet_products = values[:, i] * values[:, j]
         self._facet_rows, self._facet_columns = self._lower(self.facet_numbers)
 
     def _lower(self, unknowns: Indices) -> tuple[Indices, Indices]:
@@ -239,10 +240,11 @@ class Assembly:
         """
         conductance = self.facet_weights * area_ratio / impedance[self.facet_electrode][:, None]
         L = self.electrodes
-        loads = np.matmul(self.facet_shape, conductance[:, :, None])[..., 0]
+        weighted, (i, j) = self.facet_shape * conductance[:, None], self._pairs
+        loads = weighted.sum(axis=2)
         positions = self.facet_numbers * L + self.facet_electrode[:, None]
         return ElectrodeTerms(
-            values=np.matmul(self._facet_products, conductance[:, :, None]).ravel(),
+            values=(weighted @ self.facet_shape.swapaxes(1, 2))[:, i, j].ravel(),
             coupling=scatter_sum(positions, loads, self.unknowns * L).reshape(self.unknowns, L),
             admittance=scatter_sum(self.facet_electrode, conductance.sum(axis=1), L),
         )

@@ -82,13 +82,13 @@ class SystemPattern:
         # Entries of K in columns of lifted unknowns, both triangles: K E needs no others.
         count = len(assembly.rows) - assembly.contact_entries
         rows, columns = assembly.rows[:count], assembly.columns[:count]
-        off = rows != columns
-        entry = np.concatenate([np.arange(count), np.flatnonzero(off), [-1]])
-        to = np.concatenate([rows, columns[off], [self._ground]])
-        source = np.concatenate([columns, rows[off], [self._ground]])
-        lifted = np.abs(self._lift).max(axis=1)
-        met = np.flatnonzero(lifted[source])
-        self._entry, self._to, self._source = entry[met], to[met], source[met]
+        lifted = np.asarray(self._lift.any(axis=1))
+        lower = np.flatnonzero(lifted[columns])
+        upper = np.flatnonzero(lifted[rows] & (rows != columns))
+        ground = np.full(int(lifted[self._ground]), self._ground)
+        self._entry = np.concatenate([lower, upper, np.full(len(ground), -1)])
+        self._to = np.concatenate([rows[lower], columns[upper], ground])
+        self._source = np.concatenate([columns[lower], rows[upper], ground])
         self._grounded = np.flatnonzero((rows == self._ground) & (columns == self._ground))
 
     def system(

@@ -213,7 +213,7 @@ def test_tables_give_the_signals_of_solved_presses() -> None:
 
 @pytest.mark.slow
 def test_presses_give_the_signals_of_an_independent_solution() -> None:
-    sim = Simulator(DESIGN, "fine")
+    sim = Simulator(DESIGN, "standard")
     for name, x in (("75_30", 0.075), ("60_30", 0.060)):
         expected = np.array(json.loads(REFERENCES.read_text())[name])
         found = changes(sim, Touch(x, 0.030, 10.0))
