@@ -9,7 +9,6 @@ import numpy as np
 
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.geometry.design.support import Free, Plates, Rigid, Substrate
 from eitskin.geometry.design.surface import Surface
 from eitskin.simulator.layer.dents import ColumnField, Dents, PlacedDent
 from eitskin.simulator.mechanics import viscoelasticity as relaxation
@@ -34,8 +33,6 @@ _EDGE, _NEIGHBOUR = 0.005, 0.020
 # Largest errors of the signal found up to these distances from the edge and from another touch [m].
 _BY_EDGE = ((_EDGE, None), (math.inf, 0.04))
 _BY_NEIGHBOUR = ((_NEIGHBOUR, None), (0.030, 0.05), (math.inf, 0.04))
-# Largest errors found on each support.
-_BY_SUPPORT = {Rigid: 0.04, Plates: 0.04, Substrate: 0.04, Free: 0.08}
 # A touch to a given depth: the dent is made shallower by what the whole stack sinks.
 _SINKINGS, _SAME_DEPTH = 3, 1e-3
 
@@ -56,8 +53,8 @@ class PressedTouch:
         edge_distance: from the axis to the nearest edge of the gel [m].
         neighbour_distance: from the axis to that of the nearest other touch [m].
         signal_error: largest error of the signal, relative, that comparisons with the full model
-            found at such distances and on such a support (docs/deformation.md); None at smaller
-            distances than any comparison, and on other outlines than rectangles.
+            found at such distances (docs/deformation.md); None at smaller distances than any
+            comparison, and on other outlines than rectangles.
         caution: why the dent is less exact than a single one in the middle of the sensor; empty
             otherwise.
     """
@@ -270,14 +267,12 @@ def _signal_error(edge: float, neighbour: float, design: SensorDesign) -> float 
         next(error for limit, error in table if distance < limit or limit == math.inf)
         for distance, table in ((edge, _BY_EDGE), (neighbour, _BY_NEIGHBOUR))
     )
-    if alone is None or together is None:
-        return None
-    return max(alone, together, _BY_SUPPORT[type(design.support)])
+    return None if alone is None or together is None else max(alone, together)
 
 
 def _is_compared(design: SensorDesign) -> bool:
     """Whether presses on such a sensor were compared with independent solutions."""
-    return isinstance(design.outline, Rectangle) and type(design.support) in _BY_SUPPORT
+    return isinstance(design.outline, Rectangle)
 
 
 def _caution(edge: float, neighbour: float, design: SensorDesign) -> str:

@@ -48,8 +48,10 @@ def cases() -> list[Case]:
     found += [_at(*place) for place in CORNERS[2:]]
     found.append(Case("three", ((45.0, 30.0), (75.0, 30.0), (105.0, 30.0))))
     for angle in (20.0, 50.0):
-        for place in ((75, 30), (40, 30), (30, 15)):
-            found.append(_renamed(_at(*place, support="plates", angle=angle), "plates"))
+        # Between the plates 10 N bend the stack by twice its thickness.
+        for x, y, force in ((75, 30, 2.0), (40, 30, 10.0), (30, 15, 10.0)):
+            pressed = _at(x, y, force, support="plates", angle=angle)
+            found.append(_renamed(pressed, "plates"))
     return found
 
 
