@@ -136,7 +136,7 @@ def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> World:
             key = (case.design, case.mechanics, case.scene)
             if key not in known:
                 known[key] = modelled(case, gauges[case.design], models)
-            size = float(np.linalg.norm(_signal(case, gauges[case.design])))
+            size = float(np.linalg.norm(signal(case, gauges[case.design])))
             errors += [_compared(case, size, name, model) for name, model in known[key].items()]
             if TABULATED not in known[key]:
                 left_out.append(f"{TABULATED} at {case.name}: no table is shipped")
@@ -207,7 +207,7 @@ def modelled(case: ReferenceCase, gauge: Gauge, models: Sequence[str]) -> dict[s
     return found
 
 
-def _signal(case: ReferenceCase, gauge: Gauge) -> Array:
+def signal(case: ReferenceCase, gauge: Gauge) -> Array:
     """Changes of the reference, less those of the bend alone by its default model, (28,)."""
     if case.kind != "bent press":
         return case.changes

@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 from command_line import printed_json
 
@@ -9,7 +10,7 @@ from eitskin.benchmarks.results import read_results
 from eitskin.benchmarks.world.costs import counted
 from eitskin.benchmarks.world.models import KINEMATIC, SOLVED, TABULATED
 from eitskin.benchmarks.world.reference import KINDS, cases
-from eitskin.benchmarks.world.run import ModelError, World, sentences
+from eitskin.benchmarks.world.run import Gauge, ModelError, World, sentences, signal
 from eitskin.provenance import Provenance
 
 
@@ -37,6 +38,17 @@ def test_median_and_worst_are_of_the_tables_and_of_3d_solutions_where_there_is_n
     pressed, bent, *_ = sentences(found)
     assert "median 2.00 % (target 2 %), worst 5.00 % at b (target 4 %)" in pressed
     assert "worst 0.30 % at d" in bent
+
+
+def test_errors_of_bent_presses_are_of_what_the_presses_change() -> None:
+    found = {case.name: case for case in cases()}
+    flat, bent = found["plates_45_30"], found["plates_45_30_30deg"]
+    gauge = Gauge(bent.design, "fast")
+    assert signal(flat, gauge) is flat.changes
+    # Bent or flat, a press changes about as much; the bend alone changes ten times more.
+    pressed, touched = (np.linalg.norm(signal(case, gauge)) for case in (flat, bent))
+    assert pressed == pytest.approx(touched, rel=0.2)
+    assert np.linalg.norm(bent.changes) > 5.0 * touched
 
 
 def test_scenes_look_up_no_tables_but_their_own() -> None:
