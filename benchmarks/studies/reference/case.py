@@ -13,7 +13,7 @@ Support = Literal["rigid", "plates", "substrate", "free"]
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """Touches on a supported, possibly bent sensor.
+    """Touches, or none, on a supported, possibly bent sensor.
 
     Attributes:
         name: of the case.

@@ -47,6 +47,8 @@ def cases() -> list[Case]:
     found.append(_renamed(_at(75, 30, force=2.0, support="free"), "free"))
     found += [_at(*place) for place in CORNERS[2:]]
     found.append(Case("three", ((45.0, 30.0), (75.0, 30.0), (105.0, 30.0))))
+    for angle in (-20.0, 20.0, 50.0):
+        found.append(Case(f"bend_{angle:g}", (), 0.0, support="plates", angle=angle))
     for angle in (20.0, 50.0):
         # Between the plates 10 N bend the stack by twice its thickness.
         for x, y, force in ((75, 30, 2.0), (40, 30, 10.0), (30, 15, 10.0)):

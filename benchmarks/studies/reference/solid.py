@@ -108,14 +108,24 @@ class MixedSolid:
         """Mean stress as a coefficient function [kPa]."""
         return _SCALE * self.state.components[1]
 
-    def start(self, displacement: Any, mean_stress: Any | None = None) -> None:
-        """Take a displacement [mm] and a mean stress [kPa] as the initial guess."""
+    def start(
+        self, displacement: Any, mean_stress: Any | None = None, moved: Sequence[str] = ()
+    ) -> None:
+        """Take a displacement [mm] and a mean stress [kPa] as the initial guess.
+
+        Fixed boundaries are at rest, but for those that are `moved`.
+        """
         self.state.vec[:] = 0.0
         self.state.components[0].Set(displacement)
         if mean_stress is not None:
             self.state.components[1].Set(mean_stress / _SCALE)
-        free = np.array(list(self._space.FreeDofs()))
-        self.state.vec.FV().NumPy()[~free] = 0.0
+        values, free = self.state.vec.FV().NumPy(), np.array(list(self._space.FreeDofs()))
+        values[~free] = 0.0
+        target = self._ng.GridFunction(self._space)
+        for boundary in moved:
+            target.components[0].Set(displacement, definedon=self.mesh.Boundaries(boundary))
+            numbers = self._prescribed(boundary)
+            values[numbers] = target.vec.FV().NumPy()[numbers]
 
     def settle(self, held: Sequence[Held], report: bool = False) -> int:
         """Equilibrium under prescribed shapes and forces by Newton's method.
@@ -132,7 +142,7 @@ class MixedSolid:
             lifts = [self._lift(patch) for patch in held]
             free = ng.BitArray(self._space.FreeDofs(True))
             for patch in held:
-                for number in self._prescribed(patch):
+                for number in self._prescribed(patch.boundary):
                     free[int(number)] = False
             residual, inverse, last = state.vec.CreateVector(), None, math.inf
             for iteration in range(_MOST_ITERATIONS):
@@ -174,9 +184,9 @@ class MixedSolid:
     def _displacements(self) -> int:
         return int(self._space.components[0].ndof)
 
-    def _prescribed(self, patch: Held) -> NDArray[np.int64]:
-        """Numbers of the displacements of a patch."""
-        where = self.mesh.Boundaries(patch.boundary)
+    def _prescribed(self, boundary: str) -> NDArray[np.int64]:
+        """Numbers of the displacements of a boundary."""
+        where = self.mesh.Boundaries(boundary)
         return np.flatnonzero(np.array(list(self._space.components[0].GetDofs(where))))
 
     def _lift(self, patch: Held) -> Any:
@@ -194,7 +204,7 @@ class MixedSolid:
         target = self._ng.GridFunction(self._space)
         for patch, step in zip(held, self.steps, strict=True):
             where = self.mesh.Boundaries(patch.boundary)
-            numbers = self._prescribed(patch)
+            numbers = self._prescribed(patch.boundary)
             shift = self._ng.CoefficientFunction(tuple(step * np.array(patch.direction)))
             target.components[0].Set(patch.shape + shift, definedon=where)
             difference[numbers] = target.vec.FV().NumPy()[numbers] - now[numbers]
