@@ -30,7 +30,7 @@ _FIRST_STEP = 0.008
 _LONGEST_STEP = 0.04
 _STEP_TO_FORCE = 0.5  # step over the longest, on the way to a force
 # Likewise of a stack without a base, which moves as a whole, over the radius of contact.
-_LONGEST_UNHELD_STEP = 0.1
+_LONGEST_UNHELD_STEP = 0.5
 _LARGEST_STRETCH = 2.0  # of a held rim
 _ATTRACTORS = 24  # most radii of refinement over the band where contact may end
 

@@ -56,7 +56,7 @@ def test_a_small_press_of_a_sphere_is_hertzs() -> None:
     press = AxisymmetricPress(
         layer(0.1), Sphere(R, rough=False), finest=R / 200, band=(0.0, 0.08 * R), reach=0.1
     )
-    found = press.to_force(4e-4)
+    found = press.to_depth(1.12e-5)
     modulus = 3 * MU / (1 - 0.5**2)
     assert found.force == pytest.approx(4 / 3 * modulus * R**0.5 * found.depth**1.5, rel=5e-3)
     assert found.contact_radius == pytest.approx(np.sqrt(R * found.depth), rel=0.03)
