@@ -134,7 +134,8 @@ class Simulator:
         supported = self.supported(scene)
         if self._is_body:
             return pressed_body_touches(scene.touches, supported, self.mechanics)
-        return pressed_touches(scene.touches, supported, self.mechanics, self.touch_model)
+        bent = scene.bend.angle_deg != 0.0
+        return pressed_touches(scene.touches, supported, self.mechanics, self.touch_model, bent)
 
     def check_scene(self, scene: Scene) -> None:
         """Raise ConfigurationError for a scene that the sensor or its support does not allow.

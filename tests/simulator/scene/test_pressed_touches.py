@@ -77,6 +77,17 @@ def test_errors_of_the_signal_are_stated_on_every_support(monkeypatch) -> None:
         assert found.signal_error == 0.04
 
 
+def test_presses_over_the_gap_of_a_bent_sensor_say_so(monkeypatch) -> None:
+    unmoved = SimpleNamespace(sunk=np.zeros(1))
+    monkeypatch.setattr(presses, "solved_presses", lambda *_: unmoved)
+    design = dataclasses.replace(DESIGN, support=Plates())
+    for x, over in ((0.040, False), (0.050, True), (0.075, True)):
+        for bent in (False, True):
+            (found,) = pressed_touches((Touch(x, Y, 5.0),), design, Mechanics(), None, bent)
+            assert (found.signal_error is None) == (over and bent)
+            assert ("gap" in found.caution) == (over and bent)
+
+
 def test_presses_on_outlines_that_were_never_compared_say_so(monkeypatch) -> None:
     unmoved = SimpleNamespace(sunk=np.zeros(1))
     monkeypatch.setattr(presses, "solved_presses", lambda *_: unmoved)
