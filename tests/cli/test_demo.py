@@ -212,7 +212,7 @@ def test_a_number_that_is_not_known_is_shown_as_none():
 @pytest.mark.slow
 def test_interrupted_at_every_stage_it_goes_on_to_the_same_report(finished, tmp_path, monkeypatch):
     generate = import_module("eitskin.datasets.generation.generate")  # a function hides the module
-    monkeypatch.setattr(generate, "prepare", lambda *_: None)
+    monkeypatch.setattr(generate, "prepare", lambda *_, **__: None)
     for name in SETS:
         shutil.copytree(finished / name, tmp_path / name)
     for stage in range(1, len(STAGES)):
