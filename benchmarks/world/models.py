@@ -6,7 +6,6 @@ from functools import partial
 from eitskin.benchmarks.world.reference import ReferenceCase
 from eitskin.geometry.deformation.fixtures import Clamp, Fixture, Hinge
 from eitskin.geometry.deformation.kinematics import Composed, Deformation
-from eitskin.geometry.design.support import Plates
 from eitskin.simulator.bends import bend_store
 from eitskin.simulator.bends.bend_3d import ClampedStack
 from eitskin.simulator.layer.dents import Dents, PlacedDent
@@ -68,7 +67,7 @@ def _then_bent(case: ReferenceCase, press: Model, fixture: Fixture) -> Deformati
 
 
 def _clamped_3d(case: ReferenceCase) -> Deformation:
-    clamp = Clamp(faces="bottom" if isinstance(case.design.support, Plates) else "both")
+    clamp = bend_store.on_support(Clamp(), case.design.support)
     stack = ClampedStack(case.design, clamp, mechanics=case.mechanics)
     return next(stack.equilibria([case.scene.bend.angle_deg]))
 

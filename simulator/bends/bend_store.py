@@ -21,7 +21,7 @@ from eitskin.geometry.deformation.fixtures import Bend, Clamp, Fixture
 from eitskin.geometry.deformation.kinematics import Deformation
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.geometry.design.support import Plates
+from eitskin.geometry.design.support import Plates, Support
 from eitskin.simulator.bends import bend_table as tables
 from eitskin.simulator.bends.bend_3d import ClampedStack, Slab, clamped_lines
 from eitskin.simulator.bends.bend_table import BendTable
@@ -167,6 +167,11 @@ def prepare(
         _write(_solve(case, report), solved_files.folder() / case.name)
 
 
+def on_support(clamp: Clamp, support: Support) -> Clamp:
+    """Clamp of a supported sensor: plates that support the sensor hold its bottom face only."""
+    return dataclasses.replace(clamp, faces="bottom") if isinstance(support, Plates) else clamp
+
+
 def _absent(design: SensorDesign, clamp: Clamp, mechanics: Mechanics) -> Iterator[_Case]:
     for case, _ in _needed(design, clamp, mechanics):
         if not any((place / case.name).is_file() for place in (SHIPPED, solved_files.folder())):
@@ -174,12 +179,8 @@ def _absent(design: SensorDesign, clamp: Clamp, mechanics: Mechanics) -> Iterato
 
 
 def _needed(design: SensorDesign, clamp: Clamp, mechanics: Mechanics) -> list[tuple[_Case, float]]:
-    """Solved stacks, and their weights in the table of a design.
-
-    Plates that support the sensor hold its bottom face only.
-    """
-    if isinstance(design.support, Plates):
-        clamp = dataclasses.replace(clamp, faces="bottom")
+    """Solved stacks, and their weights in the table of a design."""
+    clamp = on_support(clamp, design.support)
     slab = Slab.of(design)
     ratio = mechanics.encapsulation.shear_modulus / mechanics.gel.shear_modulus
     wanted = {

@@ -9,7 +9,7 @@ import numpy as np
 
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.geometry.design.support import Free, Plates
+from eitskin.geometry.design.support import Plates
 from eitskin.geometry.design.surface import Surface
 from eitskin.simulator.layer.dents import ColumnField, Dents, PlacedDent
 from eitskin.simulator.mechanics import viscoelasticity as relaxation
@@ -34,8 +34,12 @@ _EDGE, _NEIGHBOUR = 0.005, 0.020
 # Largest errors of the signal found up to these distances from the edge and from another touch [m].
 _BY_EDGE = ((_EDGE, None), (math.inf, 0.04))
 _BY_NEIGHBOUR = ((_NEIGHBOUR, None), (0.030, 0.05), (math.inf, 0.04))
-# A bend stretches the free part of a stack, which then gives less (docs/deformation.md).
-_LOOSE = "over a gap of a bent sensor, where the press is solved on the flat one: 40 % off"
+# Bent sensors were compared over their plates; a bend also changes how the free part between them
+# gives, by 40 % of a signal (docs/deformation.md).
+_BENT = (
+    "on a bent sensor, where only presses over a plate of the support 'plates' were compared; "
+    "between the plates the signal may be 40 % off"
+)
 # A touch to a given depth: the dent is made shallower by what the whole stack sinks.
 _SINKINGS, _SAME_DEPTH = 3, 1e-3
 
@@ -57,7 +61,7 @@ class PressedTouch:
         neighbour_distance: from the axis to that of the nearest other touch [m].
         signal_error: largest error of the signal, relative, that comparisons with the full model
             found at such distances (docs/deformation.md); None at smaller distances than any
-            comparison, on other outlines than rectangles, and over a gap of a bent sensor.
+            comparison, on other outlines than rectangles, and on a bent sensor off its plates.
         caution: why the dent is less exact than a single one in the middle of the sensor; empty
             otherwise.
     """
@@ -212,7 +216,7 @@ def _described(
     # Without contact there is a dent, but no pressure.
     radius = dent.contact_radius if dent is not None and force > 0.0 else 0.0
     edge = _edge_distance(touch, design)
-    loose = bent and _is_over_gap(touch, design)
+    unknown = bent and not _is_on_plate(touch, design)
     return PressedTouch(
         touch=touch,
         force=force,
@@ -223,8 +227,8 @@ def _described(
         thinning=dent.thinning if dent is not None else 0.0,
         edge_distance=edge,
         neighbour_distance=neighbour,
-        signal_error=None if loose else _signal_error(edge, neighbour, design),
-        caution="; ".join(_cautions(edge, neighbour, design) + [_LOOSE] * loose),
+        signal_error=None if unknown else _signal_error(edge, neighbour, design),
+        caution="; ".join(_cautions(edge, neighbour, design) + [_BENT] * unknown),
     )
 
 
@@ -283,15 +287,13 @@ def _is_compared(design: SensorDesign) -> bool:
     return isinstance(design.outline, Rectangle)
 
 
-def _is_over_gap(touch: Touch, design: SensorDesign) -> bool:
-    """Whether a contact reaches over the gap of plates, or lies on a free membrane."""
-    if isinstance(design.support, Free):
-        return True
+def _is_on_plate(touch: Touch, design: SensorDesign) -> bool:
+    """Whether a contact lies on a plate of the support, off the gap."""
     if not isinstance(design.support, Plates):
         return False
     low, high = design.support.gap(design.outline)
     radius = touch.indenter.rims[1]
-    return low - radius < touch.x < high + radius
+    return not low - radius < touch.x < high + radius
 
 
 def _cautions(edge: float, neighbour: float, design: SensorDesign) -> list[str]:

@@ -164,7 +164,8 @@ class FiniteStack:
         for dent in dents:
             _, gradient, stress = dent.at(points)
             load += self.solid.residual_of(gradient, stress, laws)
-            load -= self._tractions(dent)
+            if not self.body.free:  # a free base is held at the sides
+                load -= self._tractions(dent)
             G += gradient
             p += stress
         self.solid.dent(G, p)

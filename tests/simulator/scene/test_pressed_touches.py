@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from eitskin.errors import ConfigurationError
-from eitskin.geometry import Bend, Clamp, Disc, Free, Hinge, Plates, SensorDesign
+from eitskin.geometry import Bend, Clamp, Disc, Free, Hinge, Plates, Rigid, SensorDesign
 from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.simulator import Cylinder, Mechanics, Profile, Scene, Simulator, Sphere, Touch
 from eitskin.simulator.layer import pressed_touches as presses
@@ -77,15 +77,23 @@ def test_errors_of_the_signal_are_stated_on_every_support(monkeypatch) -> None:
         assert found.signal_error == 0.04
 
 
-def test_presses_over_the_gap_of_a_bent_sensor_say_so(monkeypatch) -> None:
+def test_presses_on_a_bent_sensor_off_its_plates_say_so(monkeypatch) -> None:
     unmoved = SimpleNamespace(sunk=np.zeros(1))
     monkeypatch.setattr(presses, "solved_presses", lambda *_: unmoved)
-    design = dataclasses.replace(DESIGN, support=Plates())
-    for x, over in ((0.040, False), (0.050, True), (0.075, True)):
-        for bent in (False, True):
-            (found,) = pressed_touches((Touch(x, Y, 5.0),), design, Mechanics(), None, bent)
-            assert (found.signal_error is None) == (over and bent)
-            assert ("gap" in found.caution) == (over and bent)
+    for support, x, compared in (
+        (Plates(), 0.040, True),
+        (Plates(), 0.050, False),
+        (Plates(), 0.075, False),
+        (Rigid(), 0.040, False),
+    ):
+        sim = Simulator(dataclasses.replace(DESIGN, support=support))
+        touches = (Touch(x, Y, 5.0),)
+        (flat,) = sim.presses(Scene(touches=touches))
+        (bent,) = sim.presses(Scene(Bend(20.0), touches))
+        assert flat.signal_error == 0.04
+        assert "bent" not in flat.caution
+        assert bent.signal_error == (0.04 if compared else None)
+        assert ("bent" in bent.caution) != compared
 
 
 def test_presses_on_outlines_that_were_never_compared_say_so(monkeypatch) -> None:
