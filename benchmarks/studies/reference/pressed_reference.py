@@ -84,29 +84,12 @@ class ReferenceStack:
     def solve(self, report: Callable[[str], object] = lambda _: None) -> None:
         """Equilibrium of the case: bend, then press; raises SolidError where there is none."""
         self._report = report
-        if self.case.angle:
-            self._ramp(self._bent)
-            if self._patches:
-                self._mesh([self._stretched(patch) for patch in self._patches])
-                self._ramp(self._bent)
+        self._bend()
         pressed = self._pressed()
         if not self._starts_at_dents or not self._guessed(pressed):
             self._ramp(pressed)
-        if self._numerics.order > self._numerics.path_order:
-            lower = self.solid
-            self.solid = self._solid(self._numerics.order)
-            turned = ["plate"] if self.case.angle else []
-            self.solid.start(lower.displacement, lower.mean_stress, turned)
-            self.solid.steps = lower.steps
-            self._raised(pressed(1.0))
-        places = [self._local(touch) for touch in self.case.touches]
-        own = [np.argmin([math.dist(place, kept) for kept in self._kept]) for place in places]
-        self.depths = self.solid.steps[np.array(own, dtype=np.int64)]
-
-    def _raised(self, held: list[Held]) -> None:
-        """Equilibrium at the full order, from that of a lower one or else by steps of the load."""
         try:
-            self._settled(held, f"order {self._numerics.order}")
+            self._raise(pressed(1.0))
         except SolidError:
             # A sharp rim of the contact may be too far off at the lower order.
             self._report(f"order {self._numerics.order} is reached by steps of the load")
@@ -114,6 +97,34 @@ class ReferenceStack:
             if self.case.angle:
                 self._ramp(self._bent)
             self._ramp(self._pressed())
+        places = [self._local(touch) for touch in self.case.touches]
+        own = [np.argmin([math.dist(place, kept) for kept in self._kept]) for place in places]
+        self.depths = self.solid.steps[np.array(own, dtype=np.int64)]
+
+    def bend(self, report: Callable[[str], object] = lambda _: None) -> None:
+        """Equilibrium of the bend alone, on the mesh on which `solve` presses."""
+        self._report = report
+        self._bend()
+        self._raise(self._bent(1.0))
+
+    def _bend(self) -> None:
+        """Bend at the lower order; a contact has its radius on the bent top."""
+        if self.case.angle:
+            self._ramp(self._bent)
+            if self._patches:
+                self._mesh([self._stretched(patch) for patch in self._patches])
+                self._ramp(self._bent)
+
+    def _raise(self, held: list[Held]) -> None:
+        """Equilibrium at the full order, from that of the lower one; raises SolidError."""
+        if self._numerics.order <= self._numerics.path_order:
+            return
+        lower = self.solid
+        self.solid = self._solid(self._numerics.order)
+        turned = ["plate"] if self.case.angle else []
+        self.solid.start(lower.displacement, lower.mean_stress, turned)
+        self.solid.steps = lower.steps
+        self._settled(held, f"order {self._numerics.order}")
 
     def displacement_and_gradient(self, points: Array) -> tuple[Array, Array]:
         """Displacement [m] (..., 3) and gradient (..., 3, 3) at points (..., 3) of the gel [m]."""

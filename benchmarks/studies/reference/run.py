@@ -20,7 +20,8 @@ FILE is a JSON object:
   - `error`: estimated error of `changes` over the norm of `changes`, from refinement;
   - `unknowns`, `seconds`: of the solution;
   - `changes`: relative change of each of the 28 pair resistances, by `Protocol.pairwise(8)`; null
-    where the sensor does not carry the press, with the reason in `refused`.
+    where the sensor does not carry the press, with the reason in `refused`;
+  - `bend_changes`: the same without the touches, of a sensor that is bent and pressed.
 """
 
 import argparse
@@ -118,13 +119,26 @@ def solved(
             for k, (name, width) in enumerate(zip(names, widths, strict=True))
         }
         np.savez(fields / f"{case.name}.npz", **arrays)
-    return described(case) | {
-        "depth": stack.depths.tolist(),
-        "error": ERROR,
-        "unknowns": stack.solid.unknowns,
-        "seconds": round(seconds, 1),
-        "changes": changes.tolist(),
-    }
+    return (
+        described(case)
+        | {
+            "depth": stack.depths.tolist(),
+            "error": ERROR,
+            "unknowns": stack.solid.unknowns,
+            "seconds": round(seconds, 1),
+            "changes": changes.tolist(),
+        }
+        | _untouched(case, gauge, numerics)
+    )
+
+
+def _untouched(case: Case, gauge: Gauge, numerics: Numerics | None) -> dict[str, Any]:
+    """Changes by the bend alone of a case that is bent and pressed, solved on the same mesh."""
+    if not (case.angle and case.touches):
+        return {}
+    stack = ReferenceStack(case, numerics)
+    stack.bend(lambda line: print(f"  untouched, {line}", flush=True))
+    return {"bend_changes": gauge.changes(stack).tolist()}
 
 
 def write(path: Path, solutions: list[dict[str, Any]]) -> None:
