@@ -13,10 +13,11 @@ from eitskin.frame import Frame
 from eitskin.geometry.deformation.fixtures import Bend, Clamp, Fixture
 from eitskin.geometry.deformation.kinematics import Composed, Deformation
 from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.geometry.design.support import Support, require_fit
+from eitskin.geometry.design.support import Plates, Support, require_fit
 from eitskin.geometry.design.surface import Surface
 from eitskin.protocol import Protocol
 from eitskin.simulator.bends import bend_store
+from eitskin.simulator.bends.bend_3d import BentStack
 from eitskin.simulator.bodies.body_bends import bent_by
 from eitskin.simulator.bodies.body_touches import (
     pressed_body_touches,
@@ -29,9 +30,17 @@ from eitskin.simulator.electrical.model_family import ModelFamily
 from eitskin.simulator.electrical.reanalysis import Reanalysis, Tolerance, is_possible
 from eitskin.simulator.electrical.resolution import Discretisation, Resolution
 from eitskin.simulator.instrument.instrument import Instrument
+from eitskin.simulator.layer.bent_presses import BentPresses
 from eitskin.simulator.layer.deformed_layer import DeformedLayer
 from eitskin.simulator.layer.dents import Dents
-from eitskin.simulator.layer.pressed_touches import PressedTouch, TouchModel, dents, pressed_touches
+from eitskin.simulator.layer.pressed_touches import (
+    PressedTouch,
+    TouchModel,
+    bent_dents,
+    dents,
+    pressed_touches,
+    way_of,
+)
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.scene.scene import Scene
 from eitskin.simulator.scene.support_check import require_bendable
@@ -106,14 +115,18 @@ class Simulator:
         return float(np.abs(self.protocol.measure(self.model.impedance())).max())
 
     def deformation(self, scene: Scene) -> Deformation | None:
-        """Deformation by the scene, touches first, then roll, bend and twist; None where flat."""
+        """Deformation by the scene, touches first, then roll, bend and twist; None where flat.
+
+        A sensor that is bent by the plates it rests on is pressed in its bent state.
+        """
         self.check_scene(scene)
         parts: list[Deformation] = []
-        if scene.touches and (dented := self._dents(scene)) is not None:
+        dented = self._dents(scene) if scene.touches else None
+        if dented is not None:
             parts.append(dented)
         if scene.roll is not None:
             parts.append(scene.roll.deformation(self.design))
-        if scene.bend.angle_deg:
+        if scene.bend.angle_deg and not isinstance(dented, BentPresses):
             parts.append(self._flexure(scene.bend, self.supported(scene)))
         if scene.twist is not None:
             parts.append(scene.twist.deformation(self.design))
@@ -134,8 +147,31 @@ class Simulator:
         supported = self.supported(scene)
         if self._is_body:
             return pressed_body_touches(scene.touches, supported, self.mechanics)
-        bent = scene.bend.angle_deg != 0.0
-        return pressed_touches(scene.touches, supported, self.mechanics, self.touch_model, bent)
+        bent = self._bent_state(scene)
+        then = scene.bends if bent is None else scene.twist is not None
+        sensor = (supported, self.mechanics)
+        return pressed_touches(scene.touches, *sensor, self.touch_model, bent, then)
+
+    def solves_presses(self, scene: Scene) -> bool:
+        """Whether the touches of a scene are solved in 3D, which takes half a minute to minutes."""
+        if not scene.touches or self._is_body:
+            return False
+        supported = self.supported(scene)
+        way = way_of(scene.touches, supported, self.mechanics, self.touch_model)
+        return way == "solved" or self._is_pressed_bent(scene)
+
+    def _bent_state(self, scene: Scene) -> BentStack | None:
+        """State in which the scene's bend is pressed; None for a sensor that is pressed flat."""
+        if not (self._is_pressed_bent(scene) and isinstance(self.fixture, Clamp)):
+            return None
+        supported = self.supported(scene)
+        return bend_store.equilibrium(supported, self.fixture, self.mechanics, scene.bend)
+
+    def _is_pressed_bent(self, scene: Scene) -> bool:
+        """Whether plates hold and bend the sensor, so that it is pressed in its bent state."""
+        on_plates = isinstance(self.supported(scene).support, Plates)
+        bent = bool(scene.bend.angle_deg) and scene.roll is None
+        return bent and on_plates and isinstance(self.fixture, Clamp)
 
     def check_scene(self, scene: Scene) -> None:
         """Raise ConfigurationError for a scene that the sensor or its support does not allow.
@@ -258,12 +294,16 @@ class Simulator:
         """Whether the sensor is a body from a surface file, deformed on tetrahedra of its own."""
         return isinstance(self.design.outline, Surface)
 
-    def _dents(self, scene: Scene) -> Dents | TetrahedralField | None:
+    def _dents(self, scene: Scene) -> Dents | BentPresses | TetrahedralField | None:
         """Deformation by the touches; None where the dents of a body have faded."""
         if self._is_body:
             pressed = pressed_by(scene.touches, self.design, self.mechanics)
             return None if pressed is None else pressed.field
-        return dents(scene.touches, self.supported(scene), self.mechanics, self.touch_model)
+        supported, bent = self.supported(scene), self._bent_state(scene)
+        if bent is not None:
+            bend = self._flexure(scene.bend, supported)
+            return bent_dents(scene.touches, supported, self.mechanics, bend, bent)
+        return dents(scene.touches, supported, self.mechanics, self.touch_model)
 
     def conductivity(self, scene: Scene) -> Field | None:
         """Pulled-back conductivity J F^-1 sigma F^-T as a function of flat positions.

@@ -11,16 +11,19 @@ from functools import partial
 import numpy as np
 
 from eitskin.benchmarks.stability.case import Case, CaseValues
+from eitskin.geometry.deformation.fixtures import Bend, Clamp
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.support import Free, Plates, Rigid, Substrate, Support
+from eitskin.simulator.bends import bend_store
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress, Indentation
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.mechanics.materials import NeoHookean
+from eitskin.simulator.presses.contact_frame import ContactFrame
 from eitskin.simulator.presses.dent_field import DentField
 from eitskin.simulator.presses.finite_stack import FiniteStack
-from eitskin.simulator.presses.stack_mesh import Fineness, stack_mesh
+from eitskin.simulator.presses.stack_mesh import Contact, Fineness, stack_mesh
 from eitskin.simulator.scene.indenters import Cylinder
 
 FAMILY = "whole stacks"
@@ -47,6 +50,9 @@ def stacks(quick: bool) -> Iterator[Case]:
             yield _case(name, _design(0.012, support), Mechanics(), depth=depth)
     if quick:
         return
+    for angle in (-20.0, 60.0):
+        name = f"plates bent by {angle:g} deg"
+        yield _case(name, _design(0.012, Plates()), Mechanics(), depth=0.05, angle=angle)
     for nu in (0.4999, 0.49999):
         ratio = 2.0 * (1.0 + nu) / (3.0 * (1.0 - 2.0 * nu))
         yield _case(f"nu = {nu:g}", _design(0.012), Mechanics(bulk_ratio=ratio))
@@ -75,26 +81,40 @@ def _case(
     mechanics: Mechanics,
     depth: float = _DEPTH,
     thinning: float | None = None,
+    angle: float = 0.0,
 ) -> Case:
-    solve = partial(_pressed, design, mechanics, depth, thinning)
+    solve = partial(_pressed, design, mechanics, depth, thinning, angle)
     return Case(FAMILY, name, solve, None, "", invariant_limit=0.05)
 
 
 def _pressed(
-    design: SensorDesign, mechanics: Mechanics, depth: float, thinning: float | None
+    design: SensorDesign,
+    mechanics: Mechanics,
+    depth: float,
+    thinning: float | None,
+    angle: float,
 ) -> CaseValues:
-    """Press on the whole stack, to a depth over the thickness or until the gel is thinned."""
+    """Press on the whole stack, to a depth over the thickness or until the gel is thinned.
+
+    The indenter presses along the normal of a stack that is bent by an angle [deg].
+    """
     stack = mechanics.stack(design)
     punch = Cylinder(min(0.0075, stack.levels[-1]))
     dent = _dent(AxisymmetricPress(stack, punch, _CELL * punch.radius), depth, thinning)
-    contacts = [(*_PLACE, punch.radius)]
+    contacts = [Contact(*_PLACE, punch.radius)]
     body = stack_mesh(_OUTLINE, stack, mechanics, design.support, contacts, _ONE_LAYER)
-    solved = FiniteStack(body)
-    found = solved.correction([DentField(*_PLACE, punch, dent)])
+    bent, frame, normal = None, None, np.array([0.0, 0.0, 1.0])
+    if angle:
+        bent = bend_store.equilibrium(design, Clamp(), mechanics, Bend(angle))
+        frame = ContactFrame.at(bent, *_PLACE, stack.levels[-1] - stack.levels[stack.gel])
+        normal = frame.normal
+    solved = FiniteStack(body, bent=bent)
+    found = solved.correction([DentField(*_PLACE, punch, dent, frame)])
     solid = solved.solid
     nodes = len(solid.nodes)
     forces = solid.forces(found.unknowns)[: 3 * nodes].reshape(nodes, 3)
-    carried = float(forces[body.held(solid.nodes)].sum(axis=0)[2])
+    # The plates' own forces on a bent stack add up to none.
+    carried = float(forces[body.held(solid.nodes)].sum(axis=0) @ normal)
     J, weights = solid.volume_ratio(found.unknowns), solid.weights
     gel = body.gel_cells
     volume = float((J[gel] * weights[gel]).sum() / weights[gel].sum())

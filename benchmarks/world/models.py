@@ -7,9 +7,14 @@ from eitskin.benchmarks.world.reference import ReferenceCase
 from eitskin.geometry.deformation.fixtures import Clamp, Fixture, Hinge
 from eitskin.geometry.deformation.kinematics import Composed, Deformation
 from eitskin.simulator.bends import bend_store
-from eitskin.simulator.bends.bend_3d import ClampedStack
+from eitskin.simulator.bends.bend_3d import BentStack, ClampedStack
 from eitskin.simulator.layer.dents import Dents, PlacedDent
-from eitskin.simulator.layer.pressed_touches import TouchModel, dents, pressed_touches
+from eitskin.simulator.layer.pressed_touches import (
+    TouchModel,
+    bent_dents,
+    dents,
+    pressed_touches,
+)
 from eitskin.simulator.presses.correction_store import is_shipped, tabulable
 from eitskin.simulator.presses.press_store import press_table
 from eitskin.simulator.presses.solved_press import solved_presses
@@ -19,33 +24,37 @@ KINEMATIC, TABULATED, SOLVED = "kinematic", "tabulated", "solved"
 QUICK = (KINEMATIC, TABULATED)
 
 Model = Callable[[], Deformation]
-_FIXTURES: dict[str, Fixture] = {KINEMATIC: Hinge(), TABULATED: Clamp(), SOLVED: Clamp()}
 
 
 def deformations(case: ReferenceCase) -> dict[str, Model | None]:
     """Models of one case by name; None where the tables of the case are not shipped."""
     scene, sensor = case.scene, (case.design, case.mechanics)
     if case.is_bend:
-        design, materials = sensor
         return {
-            KINEMATIC: partial(bend_store.bend, design, Hinge(), materials, scene.bend),
-            TABULATED: partial(bend_store.bend, design, Clamp(), materials, scene.bend),
+            KINEMATIC: partial(bend, case, KINEMATIC),
+            TABULATED: partial(bend, case, TABULATED),
             SOLVED: partial(_clamped_3d, case),
+        }
+    if scene.bend.angle_deg:
+        return {
+            KINEMATIC: lambda: Composed(_unbounded(case), bend(case, KINEMATIC)),
+            TABULATED: None,
+            SOLVED: partial(_pressed_bent, case),
         }
     shipped = tabulable(case.design) and all(
         is_shipped(*sensor, touch.indenter) for touch in scene.touches
     )
-    found: dict[str, Model | None] = {
+    return {
         KINEMATIC: partial(_unbounded, case),
         TABULATED: partial(dents, scene.touches, *sensor, "tabulated") if shipped else None,
         SOLVED: partial(_pressed_3d, case),
     }
-    if not scene.bend.angle_deg:
-        return found
-    return {
-        name: None if press is None else partial(_then_bent, case, press, _FIXTURES[name])
-        for name, press in found.items()
-    }
+
+
+def bend(case: ReferenceCase, model: str) -> Deformation:
+    """Bend of a case by a model: by `Hinge()` or, under solved presses too, by the tables."""
+    fixture: Fixture = Hinge() if model == KINEMATIC else Clamp()
+    return bend_store.bend(case.design, fixture, case.mechanics, case.scene.bend)
 
 
 def depth(case: ReferenceCase, model: str) -> float | None:
@@ -57,13 +66,8 @@ def depth(case: ReferenceCase, model: str) -> float | None:
         found = press_table(case.design, case.mechanics, touch.indenter).at_force(touch.force)
         return float(found.depth)
     way: TouchModel = "tabulated" if model == TABULATED else "solved"
-    return pressed_touches(case.scene.touches, case.design, case.mechanics, way)[0].depth
-
-
-def _then_bent(case: ReferenceCase, press: Model, fixture: Fixture) -> Deformation:
-    """Presses on the flat sensor, then the bend."""
-    bend = bend_store.bend(case.design, fixture, case.mechanics, case.scene.bend)
-    return Composed(press(), bend)
+    sensor = (case.scene.touches, case.design, case.mechanics)
+    return pressed_touches(*sensor, way, _bent_state(case))[0].depth
 
 
 def _clamped_3d(case: ReferenceCase) -> Deformation:
@@ -75,6 +79,19 @@ def _clamped_3d(case: ReferenceCase) -> Deformation:
 def _pressed_3d(case: ReferenceCase) -> Deformation:
     solved_presses.cache_clear()
     return dents(case.scene.touches, case.design, case.mechanics, "solved")
+
+
+def _bent_state(case: ReferenceCase) -> BentStack | None:
+    if not case.scene.bend.angle_deg:
+        return None
+    return bend_store.equilibrium(case.design, Clamp(), case.mechanics, case.scene.bend)
+
+
+def _pressed_bent(case: ReferenceCase) -> Deformation:
+    solved_presses.cache_clear()
+    state = bend_store.equilibrium(case.design, Clamp(), case.mechanics, case.scene.bend)
+    sensor = (case.scene.touches, case.design, case.mechanics)
+    return bent_dents(*sensor, bend(case, SOLVED), state)
 
 
 def _unbounded(case: ReferenceCase) -> Deformation:

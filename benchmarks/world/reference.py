@@ -32,6 +32,7 @@ class ReferenceCase:
         mechanics: materials of the sensor.
         scene: touches, bend, or both.
         changes: relative changes of the 28 pair resistances, (28,).
+        by_bend: those by the bend alone where touches are compared on a bent sensor, else 0, (28,).
         error: of the changes over their norm, by estimate.
         depth: of each indenter [m].
     """
@@ -41,8 +42,14 @@ class ReferenceCase:
     mechanics: Mechanics
     scene: Scene
     changes: NDArray[np.float64]
+    by_bend: NDArray[np.float64]
     error: float
     depth: tuple[float, ...]
+
+    @property
+    def signal(self) -> NDArray[np.float64]:
+        """Changes that the touches make, or the bend of an untouched sensor, (28,)."""
+        return self.changes - self.by_bend
 
     @property
     def is_bend(self) -> bool:
@@ -96,6 +103,7 @@ def _case(solution: dict[str, Any]) -> ReferenceCase:
         mechanics=replace(materials, encapsulation=NeoHookean(modulus)),
         scene=Scene(Bend(solution["angle"]), tuple(touches)),
         changes=np.array(solution["changes"]),
+        by_bend=np.array(solution.get("bend_changes", [0.0] * len(solution["changes"]))),
         error=solution["error"],
         depth=tuple(1e-3 * depth for depth in solution["depth"]),
     )

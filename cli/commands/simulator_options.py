@@ -61,7 +61,7 @@ def on_support(scene: "Scene", support: str | None) -> "Scene":
 
 
 def announce_unsolved(simulator: "Simulator", scene: "Scene", output: Output) -> None:
-    """Note how many indenters of a scene have no solved press on this sensor yet."""
+    """Note what has to be solved for a scene's touches first: dents, or presses in 3D."""
     from eitskin.simulator.mechanics.solved_files import folder
     from eitskin.simulator.presses.press_store import is_stored
 
@@ -74,4 +74,9 @@ def announce_unsolved(simulator: "Simulator", scene: "Scene", output: Output) ->
             f"solving the presses of {missing} indenter{'s' * several} that "
             f"{'are' if several else 'is'} new to this sensor, once: from ten seconds to a few "
             f"minutes each; kept in {folder()}"
+        )
+    if simulator.solves_presses(scene):
+        output.note(
+            "solving the scene's touches in 3D, since no tables ship for them or the sensor is "
+            "pressed in its bent state: half a minute to some minutes"
         )

@@ -18,6 +18,7 @@ from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.meshing.grading import Grading, graded_lines
 from eitskin.simulator.bends.elastic_bond import ElasticBond
 from eitskin.simulator.linalg.nested_dissection import Block, by_blocks, dissected
+from eitskin.simulator.mechanics.corner_field import CornerField
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.mechanics.load_stepping import (
     ForceTerm,
@@ -75,6 +76,7 @@ class BentStack:
     Attributes:
         angle_deg: between the plates.
         displacement: of the quarter x >= 0, y >= 0 of coordinates from `centre` [m].
+        pressure: mean stress of the mixed form in that quarter [Pa].
         centre: middle of the sensor at mid-layer [m].
         offset: of the axis of the plates below `centre` [m].
         energy: stored in the whole sensor [J].
@@ -84,6 +86,7 @@ class BentStack:
 
     angle_deg: float
     displacement: QuadraticField
+    pressure: CornerField
     centre: tuple[float, float, float]
     offset: float
     energy: float
@@ -103,6 +106,11 @@ class BentStack:
         F = np.where(solved[..., None, None], F, _rotation(self._half_angle))
         quarter: Gradients = sides[..., :, None] * F * sides[..., None, :]
         return quarter
+
+    def mean_stress(self, points: Points) -> Array:
+        """Mean stress of the mixed form [Pa], (...), without the part that acts directly."""
+        place, _, solved = self._quarter(points)
+        return np.where(solved, self.pressure(place), 0.0)
 
     @property
     def _half_angle(self) -> float:
@@ -286,7 +294,10 @@ class ClampedStack:
         values = QuadraticField(self.lines, u[order].reshape(*shape, 3))
         energy = solid.energy(x) + (self._bond.energy(moved - x) if self._bond else 0.0)
         # A plate holds two of the four quarters.
-        return BentStack(angle_deg, values, self._centre, offset, 4.0 * energy, 2.0 * moment)
+        pressure = CornerField.of(solid.mesh, self.lines, solid.cell_mean_stress(x))
+        return BentStack(
+            angle_deg, values, pressure, self._centre, offset, 4.0 * energy, 2.0 * moment
+        )
 
 
 def clamped_lines(

@@ -23,7 +23,7 @@ from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.support import Plates, Support
 from eitskin.simulator.bends import bend_table as tables
-from eitskin.simulator.bends.bend_3d import ClampedStack, Slab, clamped_lines
+from eitskin.simulator.bends.bend_3d import BentStack, ClampedStack, Slab, clamped_lines
 from eitskin.simulator.bends.bend_table import BendTable
 from eitskin.simulator.mechanics import solved_files
 from eitskin.simulator.mechanics.layer_stack import Mechanics
@@ -126,6 +126,16 @@ def bend(design: SensorDesign, fixture: Fixture, mechanics: Mechanics, angle: Be
     if isinstance(fixture, Clamp):
         return bend_table(design, fixture, mechanics).at(angle.angle_deg)
     return fixture.flexure(design, angle)
+
+
+@lru_cache(maxsize=8)
+def equilibrium(design: SensorDesign, clamp: Clamp, mechanics: Mechanics, angle: Bend) -> BentStack:
+    """Equilibrium of a whole clamped stack at one angle, the state in which it is pressed.
+
+    Each takes some seconds and is not stored. Raises SolidError where there is none.
+    """
+    held = on_support(clamp, design.support)
+    return next(ClampedStack(design, held, mechanics).equilibria([angle.angle_deg]))
 
 
 def check_clamp(design: SensorDesign, clamp: Clamp, mechanics: Mechanics) -> None:

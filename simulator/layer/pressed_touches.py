@@ -7,13 +7,15 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from eitskin.geometry.deformation.kinematics import Deformation
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.geometry.design.support import Plates
 from eitskin.geometry.design.surface import Surface
+from eitskin.simulator.layer.bent_presses import BentPresses
 from eitskin.simulator.layer.dents import ColumnField, Dents, PlacedDent
 from eitskin.simulator.mechanics import viscoelasticity as relaxation
 from eitskin.simulator.mechanics.layer_stack import Mechanics
+from eitskin.simulator.presses.contact_frame import BentState
 from eitskin.simulator.presses.correction_store import (
     corrections,
     is_shipped,
@@ -22,7 +24,12 @@ from eitskin.simulator.presses.correction_store import (
 )
 from eitskin.simulator.presses.press_store import press_table
 from eitskin.simulator.presses.press_table import PressTable
-from eitskin.simulator.presses.solved_press import Press, SolvedField, solved_presses
+from eitskin.simulator.presses.solved_press import (
+    Press,
+    SolvedField,
+    contact_frame,
+    solved_presses,
+)
 from eitskin.simulator.presses.tabulated_dent import TabulatedDent
 from eitskin.simulator.scene.touch import Touch
 
@@ -34,11 +41,9 @@ _EDGE, _NEIGHBOUR = 0.005, 0.020
 # Largest errors of the signal found up to these distances from the edge and from another touch [m].
 _BY_EDGE = ((_EDGE, None), (math.inf, 0.04))
 _BY_NEIGHBOUR = ((_NEIGHBOUR, None), (0.030, 0.05), (math.inf, 0.04))
-# Bent sensors were compared over their plates; a bend also changes how the free part between them
-# gives, by 40 % of a signal (docs/deformation.md).
 _BENT = (
-    "on a bent sensor, where only presses over a plate of the support 'plates' were compared; "
-    "between the plates the signal may be 40 % off"
+    "pressed and bent, rolled or twisted then, which was not compared; a sensor on a support "
+    "'plates' that its clamp bends is pressed as one problem"
 )
 # A touch to a given depth: the dent is made shallower by what the whole stack sinks.
 _SINKINGS, _SAME_DEPTH = 3, 1e-3
@@ -116,12 +121,36 @@ def dents(
     return Dents(placed, world.corrections)
 
 
+def bent_dents(
+    touches: tuple[Touch, ...],
+    design: SensorDesign,
+    mechanics: Mechanics,
+    bend: Deformation,
+    bent: BentState,
+) -> BentPresses:
+    """Deformation of the gel by touches on a sensor in the state `bent`, its bend included."""
+    world = _world(touches, design, mechanics, None, bent)
+    placed = []
+    for one in world.pressed:
+        if one.dent is None:
+            continue
+        frame = contact_frame(_press(one.touch, one.dent), mechanics.stack(design), bent)
+        if frame is not None:
+            placed.append((frame, one.dent))
+    return BentPresses(bend, tuple(placed), Dents((), world.corrections))
+
+
 def _world(
-    touches: tuple[Touch, ...], design: SensorDesign, mechanics: Mechanics, model: TouchModel | None
+    touches: tuple[Touch, ...],
+    design: SensorDesign,
+    mechanics: Mechanics,
+    model: TouchModel | None,
+    bent: BentState | None = None,
 ) -> _World:
     """Dents of touches, and their corrections in the whole stack.
 
-    Without a model corrections are tabulated where a table comes with the package, else solved.
+    Presses on a bent stack are solved. On a flat one corrections are, without a model, tabulated
+    where a table comes with the package, else solved.
     """
     sunk = (0.0,) * len(touches)
     for _ in range(_SINKINGS):
@@ -130,7 +159,7 @@ def _world(
             for touch, below in zip(touches, sunk, strict=True)
         )
         before = sunk
-        found, sunk = _corrected(pressed, design, mechanics, model)
+        found, sunk = _corrected(pressed, design, mechanics, model, bent)
         deeper = [
             abs(a - b) / one.touch.depth
             for one, a, b in zip(pressed, sunk, before, strict=True)
@@ -146,17 +175,14 @@ def _corrected(
     design: SensorDesign,
     mechanics: Mechanics,
     model: TouchModel | None,
+    bent: BentState | None,
 ) -> tuple[tuple[ColumnField, ...], tuple[float, ...]]:
     """Corrections of dents, and how much deeper each indenter sinks [m]."""
     felt = [(k, one.touch, one.dent) for k, one in enumerate(pressed) if one.dent is not None]
     sunk = [0.0] * len(pressed)
     fields: list[ColumnField] = []
-    if model is None:
-        known = tabulable(design) and all(
-            is_shipped(design, mechanics, t.indenter) for _, t, _ in felt
-        )
-        model = "tabulated" if known else "solved"
-    if model == "tabulated":
+    way = way_of(tuple(touch for _, touch, _ in felt), design, mechanics, model)
+    if bent is None and way == "tabulated":
         for k, touch, dent in felt:
             found, sunk[k] = corrections(design, mechanics, touch.indenter).at(
                 touch.x, touch.y, dent.depth
@@ -169,12 +195,26 @@ def _corrected(
                 sunk[k] += pair[1]
                 sunk[j] += pair[1]
     elif felt:
-        presses = tuple(Press(t.x, t.y, dent.depth, t.indenter) for _, t, dent in felt)
-        solved = solved_presses(design, mechanics, presses)
+        presses = tuple(_press(t, dent) for _, t, dent in felt)
+        solved = solved_presses(design, mechanics, presses, bent)
         fields.append(SolvedField(solved))
         for (k, *_), below in zip(felt, solved.sunk.tolist(), strict=True):
             sunk[k] = below
     return tuple(fields), tuple(sunk)
+
+
+def way_of(
+    touches: tuple[Touch, ...], design: SensorDesign, mechanics: Mechanics, model: TouchModel | None
+) -> TouchModel:
+    """Way to the corrections of touches on a flat sensor: the model, or what ships."""
+    if model is not None:
+        return model
+    known = tabulable(design) and all(is_shipped(design, mechanics, t.indenter) for t in touches)
+    return "tabulated" if known else "solved"
+
+
+def _press(touch: Touch, dent: TabulatedDent) -> Press:
+    return Press(touch.x, touch.y, dent.depth, touch.indenter)
 
 
 def _pair(
@@ -195,18 +235,22 @@ def pressed_touches(
     design: SensorDesign,
     mechanics: Mechanics,
     model: TouchModel | None,
-    bent: bool = False,
+    bent: BentState | None = None,
+    bent_then: bool = False,
 ) -> tuple[PressedTouch, ...]:
-    """Depth, contact and pressure of each touch, on a flat sensor or one that is bent then."""
-    world = _world(touches, design, mechanics, model)
+    """Depth, contact and pressure of each touch, on a flat sensor or one in the state `bent`.
+
+    `bent_then` says that the pressed sensor is bent, rolled or twisted afterwards.
+    """
+    world = _world(touches, design, mechanics, model, bent)
     return tuple(
-        _described(one, below, touches, design, bent)
+        _described(one, below, touches, design, bent_then)
         for one, below in zip(world.pressed, world.sunk, strict=True)
     )
 
 
 def _described(
-    one: _Pressed, sunk: float, touches: tuple[Touch, ...], design: SensorDesign, bent: bool
+    one: _Pressed, sunk: float, touches: tuple[Touch, ...], design: SensorDesign, unknown: bool
 ) -> PressedTouch:
     touch, dent, force = one
     neighbour = min(
@@ -216,7 +260,6 @@ def _described(
     # Without contact there is a dent, but no pressure.
     radius = dent.contact_radius if dent is not None and force > 0.0 else 0.0
     edge = _edge_distance(touch, design)
-    unknown = bent and not _is_on_plate(touch, design)
     return PressedTouch(
         touch=touch,
         force=force,
@@ -285,15 +328,6 @@ def _signal_error(edge: float, neighbour: float, design: SensorDesign) -> float 
 def _is_compared(design: SensorDesign) -> bool:
     """Whether presses on such a sensor were compared with independent solutions."""
     return isinstance(design.outline, Rectangle)
-
-
-def _is_on_plate(touch: Touch, design: SensorDesign) -> bool:
-    """Whether a contact lies on a plate of the support, off the gap."""
-    if not isinstance(design.support, Plates):
-        return False
-    low, high = design.support.gap(design.outline)
-    radius = touch.indenter.rims[1]
-    return not low - radius < touch.x < high + radius
 
 
 def _cautions(edge: float, neighbour: float, design: SensorDesign) -> list[str]:

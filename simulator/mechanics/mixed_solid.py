@@ -192,7 +192,15 @@ class Solid:
         """
         cells = self.cells_of_law[law]
         found = np.full(self.mesh.p.shape[1], np.nan)
-        found[self.mesh.t.T[cells]] = self._pressure_scale * x[self._pressure_numbers[cells]]
+        found[self.mesh.t.T[cells]] = self.cell_mean_stress(x)[cells]
+        return found
+
+    def cell_mean_stress(self, x: Array) -> Array:
+        """Mean stress at the corners of each cell [Pa], (cells, corners).
+
+        The small part of kappa that acts on the displacements directly is left out.
+        """
+        found: Array = self._pressure_scale * x[self._pressure_numbers]
         return found
 
     def stress(self, x: Array) -> Array:

@@ -21,7 +21,7 @@ from eitskin.simulator.mechanics.layer_stack import Mechanics, Stack
 from eitskin.simulator.presses.dent_field import DentField
 from eitskin.simulator.presses.finite_stack import Correction, FiniteStack
 from eitskin.simulator.presses.smooth_field import Box, SmoothField
-from eitskin.simulator.presses.stack_mesh import Fineness, stack_mesh
+from eitskin.simulator.presses.stack_mesh import Contact, Fineness, stack_mesh
 from eitskin.simulator.scene.indenters import Indenter
 
 Array = NDArray[np.float64]
@@ -170,7 +170,7 @@ class _Setting:
         """Corrections of presses of rising depth at one position, each started from the last."""
         outline, radius = Rectangle(length, self.width), self.indenter.rims[1]
         body = stack_mesh(
-            outline, self.stack, self.mechanics, self.support, [(x, y, radius)], fineness
+            outline, self.stack, self.mechanics, self.support, [Contact(x, y, radius)], fineness
         )
         stack, found = FiniteStack(body), list[Correction]()
         for number, dent in enumerate(self.dents):

@@ -10,6 +10,7 @@ from scipy.interpolate import CubicSpline
 
 from eitskin.simulator.mechanics.axisymmetric_press import Indentation
 from eitskin.simulator.mechanics.quadratic_field import shape_functions
+from eitskin.simulator.presses.contact_frame import ContactFrame
 from eitskin.simulator.scene.indenters import Indenter
 
 Array = NDArray[np.float64]
@@ -55,12 +56,14 @@ class DentField:
         x, y: position of the axis [m].
         indenter: that presses.
         press: the axisymmetric solution.
+        frame: of a bent stack, to which the dent is turned; None on a flat one.
     """
 
     x: float
     y: float
     indenter: Indenter
     press: Indentation
+    frame: ContactFrame | None = None
 
     @property
     def contact_radius(self) -> float:
@@ -70,11 +73,28 @@ class DentField:
 
     def at(self, points: Array) -> FieldValues:
         """Values at points (n, 3), heights over the base of the stack [m]."""
+        return self.turned(self.level(points))
+
+    def level(self, points: Array) -> FieldValues:
+        """Values at points (n, 3) in directions of the flat stack, as the dent was solved."""
+        if self.frame is not None:
+            points = self.frame.stretched(points)
         parts = [
             self._part(points[start : start + _AT_ONCE])
             for start in range(0, max(len(points), 1), _AT_ONCE)
         ]
         return FieldValues(*(np.concatenate(each) for each in zip(*parts, strict=True)))
+
+    def turned(self, level: FieldValues) -> FieldValues:
+        """Values of the flat stack turned to the frame."""
+        if self.frame is None:
+            return level
+        u, G, p = level
+        return FieldValues(self.frame.turned(u), self.frame.gradient(G), p)
+
+    def nominal(self, stress: Array) -> Array:
+        """Stress [Pa] (..., 3, 3) of the dent as solved, turned to its frame."""
+        return stress if self.frame is None else self.frame.nominal(stress)
 
     def _part(self, points: Array) -> FieldValues:
         dx, dy = points[:, 0] - self.x, points[:, 1] - self.y

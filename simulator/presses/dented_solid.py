@@ -1,6 +1,6 @@
 """Mixed solid about a dented state, in which displacements are differences to the dents."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import skfem
@@ -39,15 +39,24 @@ class DentedSolid(Solid):
         self._given_stress = mean_stress.reshape(self.weights.shape)
         self._last = None
 
-    def residual_of(self, gradient: Array, mean_stress: Array, law_of_cell: Indices) -> Array:
-        """Residual (unknowns,) of a state G (n, 3, 3), p_0 (n,), in cells of other materials."""
+    def residual_of(
+        self,
+        gradient: Array,
+        mean_stress: Array,
+        law_of_cell: Indices,
+        nominal: Callable[[Array], Array] | None = None,
+    ) -> Array:
+        """Residual (unknowns,) of a state G (n, 3, 3), p_0 (n,), in cells of other materials.
+
+        `nominal` turns the stresses (..., 3, 3) of a state that is given in a frame of its own.
+        """
         shape = self.weights.shape
         P, dilation = np.empty((*shape, 3, 3)), np.empty(shape)
         for k in range(len(self.laws)):
             cells = law_of_cell == k
             G, p = gradient.reshape(*shape, 3, 3)[cells], mean_stress.reshape(shape)[cells]
             P[cells], dilation[cells] = self.stress_and_dilation(k, G, p)
-        return self._integrated(P, dilation, self.unknowns)
+        return self._integrated(nominal(P) if nominal else P, dilation, self.unknowns)
 
     def stress_and_dilation(self, law: int, gradient: Array, p: Array) -> tuple[Array, Array]:
         """First Piola-Kirchhoff stress [Pa] and volume error of a state G (..., 3, 3), p (...)."""

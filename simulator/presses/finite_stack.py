@@ -10,6 +10,11 @@ F_d = 1 + sum G_d of all dents, the last integral over the faces that are free i
 only: at a free base it is the reaction in the first integral, at the sides it is integrated. Under
 an indenter that sticks, c takes back what the dents of other indenters move, but for a vertical
 translation at an unchanged force.
+
+A bent stack is pressed likewise: F_d = F_b + sum R G_d, with the equilibrium F_b of the bend and
+its pressure, and dents that are turned to the bent top (`ContactFrame`). The residual of F_b joins
+the right-hand side, as that of coarse quadrature, and the contact takes back the curvature of the
+bent top.
 """
 
 from collections.abc import Sequence
@@ -25,6 +30,7 @@ from eitskin.errors import ConfigurationError
 from eitskin.simulator.linalg.nested_dissection import Block, by_blocks, dissected
 from eitskin.simulator.mechanics.load_stepping import ForceTerm, Load, SolidError, newton
 from eitskin.simulator.mechanics.quadratic_field import QuadraticField
+from eitskin.simulator.presses.contact_frame import BentState
 from eitskin.simulator.presses.dent_field import DentField
 from eitskin.simulator.presses.dented_solid import DentedSolid
 from eitskin.simulator.presses.held_contact import HeldContact
@@ -80,12 +86,13 @@ class FiniteStack:
         solid: the meshed stack about the dents.
     """
 
-    def __init__(self, body: StackMesh, presses: int = 1) -> None:
+    def __init__(self, body: StackMesh, presses: int = 1, bent: BentState | None = None) -> None:
         """Number the unknowns of a number of presses on a mesh that is refined for them.
 
-        Raises ConfigurationError for more unknowns than memory is allowed for.
+        The stack is pressed in its state `bent`, or flat. Raises ConfigurationError for more
+        unknowns than memory is allowed for.
         """
-        self.body = body
+        self.body, self._bent = body, bent
         self.solid = DentedSolid(body.mesh, body.laws, body.law_of_cell, body.stack.bulk_ratio)
         if self.solid.unknowns > _MOST_UNKNOWNS:
             raise ConfigurationError(
@@ -162,15 +169,22 @@ class FiniteStack:
         G, p = np.zeros((len(points), 3, 3)), np.zeros(len(points))
         load = np.zeros(self.solid.unknowns)
         for dent in dents:
-            _, gradient, stress = dent.at(points)
-            load += self.solid.residual_of(gradient, stress, laws)
+            level = dent.level(points)
+            load += self.solid.residual_of(level.gradient, level.mean_stress, laws, dent.nominal)
             if not self.body.free:  # a free base is held at the sides
                 load -= self._tractions(dent)
+            _, gradient, stress = dent.turned(level)
             G += gradient
             p += stress
-        self.solid.dent(G, p)
         # Reactions of the base sum to the force; tractions from the dent's stresses leave 4 % out.
         load[self._loose] = 0.0
+        if self._bent is not None:
+            here = self._in_design(points)
+            bend, pressure = self._bent.gradient(here) - np.eye(3), self._bent.mean_stress(here)
+            load += self.solid.residual_of(bend, pressure, self.body.law_of_cell)
+            G += bend
+            p += pressure
+        self.solid.dent(G, p)
         return load
 
     def _tractions(self, dent: DentField) -> Array:
@@ -179,13 +193,13 @@ class FiniteStack:
         basis = skfem.FacetBasis(self.body.mesh, self.solid.basis.elem, facets=facets, intorder=6)
         X = np.moveaxis(np.asarray(basis.global_coordinates()), 0, -1)
         normals = np.moveaxis(np.asarray(basis.normals), 0, -1)
-        _, G, p = dent.at(X.reshape(-1, 3))
+        _, G, p = dent.level(X.reshape(-1, 3))
         laws = self.body.law_of_layer_at(X[..., 2]).ravel()
         P = np.empty_like(G)
         for k in range(len(self.body.laws)):
             here = laws == k
             P[here] = self.solid.stress_and_dilation(k, G[here], p[here])[0]
-        traction = np.einsum("fqij,fqj->fqi", P.reshape(*X.shape, 3), normals)
+        traction = np.einsum("fqij,fqj->fqi", dent.nominal(P).reshape(*X.shape, 3), normals)
         traction *= np.asarray(basis.dx)[..., None]
         forces = np.zeros((len(self.solid.nodes), 3))
         for a, (function,) in enumerate(basis.basis):
@@ -194,18 +208,26 @@ class FiniteStack:
         return np.append(forces.ravel(), np.zeros(self.solid.multipliers))
 
     def _held(self, dent: DentField, others: Sequence[DentField], number: int) -> HeldContact:
+        frame = dent.frame
+
         def given(points: Array) -> Array:
-            return sum((other.at(points).displacement for other in others), np.zeros((1, 3)))
+            moved = sum((other.at(points).displacement for other in others), np.zeros((1, 3)))
+            if self._bent is None or frame is None:
+                return moved
+            bent = self._bent.positions(self._in_design(points))
+            return np.asarray(moved + bent - frame.flattened(points))
 
         mesh, top = self.body.mesh, self.body.top()
+        stretches = np.ones(2) if frame is None else frame.stretches
         corners = mesh.p[:2, mesh.facets[:, top]]
         centre, radius = np.array([dent.x, dent.y]), dent.contact_radius
         nearest = np.clip(centre[:, None], corners.min(axis=1), corners.max(axis=1))
-        near = np.linalg.norm(nearest - centre[:, None], axis=0) < radius
+        away = stretches[:, None] * (nearest - centre[:, None])
+        near = np.linalg.norm(away, axis=0) < radius
         rims = _INSIDE * radius * np.array([-1.0, 1.0])
         cells = [
-            np.diff(line)[np.searchsorted(line[1:-1], c + rims)]
-            for line, c in zip(self.body.lines, centre, strict=False)
+            stretch * np.diff(line)[np.searchsorted(line[1:-1], c + rims / stretch)]
+            for line, c, stretch in zip(self.body.lines, centre, stretches, strict=False)
         ]
         # A contact may be smaller than a cell, as those of balls are.
         held = max(radius - _WITHIN * float(np.mean(cells)), _LEAST_HELD * radius)
@@ -218,8 +240,14 @@ class FiniteStack:
             held,
             stiffness,
             number,
-            given if others else None,
+            given if others or frame is not None else None,
+            frame,
         )
+
+    def _in_design(self, points: Array) -> Array:
+        """Points (n, 3) with their heights over the gel's lower face [m]."""
+        bottom = self.body.stack.levels[self.body.stack.gel]
+        return np.asarray(points - np.array([0.0, 0.0, bottom]))
 
     def _blocks(self) -> list[Block]:
         """Blocks of free unknowns in the order of elimination."""

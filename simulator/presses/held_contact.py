@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csc_array
 
 from eitskin.simulator.mechanics.mixed_solid import Solid
+from eitskin.simulator.presses.contact_frame import ContactFrame
 from eitskin.simulator.scene.indenters import Indenter
 
 Array = NDArray[np.float64]
@@ -18,10 +19,11 @@ _PARTS = 12  # of a facet that the rim may cut, along each side, with 2 x 2 poin
 
 
 class HeldContact:
-    """Springs that hold the displacement c of a contact area at -d e_z - g.
+    """Springs that hold the displacement c of a contact area at -d n - g.
 
-    g is the displacement of the area by the dents of other indenters. The indenter neither tilts
-    nor moves sideways, and sinks by a further d under a force unchanged.
+    n is the normal of the face, and g the displacement of the area by the dents of other indenters
+    and by the curvature of a bend. The indenter neither tilts nor moves sideways, and sinks by a
+    further d under a force unchanged.
     A smooth indenter holds c along its normal only. The unknown d [m] follows those of the solid.
 
     Attributes:
@@ -38,8 +40,9 @@ class HeldContact:
         stiffness: float,
         number: int,
         given: Callable[[Array], Array] | None = None,
+        frame: ContactFrame | None = None,
     ) -> None:
-        """Integrate the springs over a circle on a level face.
+        """Integrate the springs over a circle on a face that is level before any bend.
 
         Args:
             solid: the body.
@@ -50,36 +53,39 @@ class HeldContact:
             stiffness: of the springs [Pa/m].
             number: of the contact, among those of the solid.
             given: g (n, 3) [m] at points (n, 3) of the face; none when omitted.
+            frame: of the bent face, on which the contact is a circle; of a level one when omitted.
         """
         basis = skfem.FacetBasis(
             solid.mesh, solid.basis.elem, facets=facets, quadrature=_composite_rule()
         )
         away = np.asarray(basis.global_coordinates())[:2] - centre[:, None, None]
+        turn = np.eye(3)
+        if frame is not None:
+            away, turn = away * frame.stretches[:, None, None], frame.rotation
         r = np.linalg.norm(away, axis=0)
         weights = np.asarray(basis.dx) * (r < radius)
         self.area = float(weights.sum())
         functions = [np.broadcast_to(np.asarray(f), r.shape) for (f,) in basis.basis]
         values = np.stack([*functions, np.ones_like(r)], axis=-1)
-        held = _held(indenter, away, r) * (stiffness * weights)[..., None, None]
+        held = turn @ _held(indenter, away, r) @ turn.T * (stiffness * weights)[..., None, None]
         K = np.einsum("fqa,fqij,fqb->faibj", values, held, values, optimize=True)
         dofs = basis.element_dofs.T.astype(np.int64)
-        depth = np.full((len(dofs), 3), -1)
-        depth[:, 2] = solid.unknowns + number
         numbers = (3 * dofs[:, :, None] + np.arange(3)).reshape(len(dofs), -1)
-        numbers = np.hstack([numbers, depth])
-        K = K.reshape(len(dofs), numbers.shape[1], -1)
+        numbers = np.hstack([numbers, np.full((len(dofs), 1), solid.unknowns + number)])
+        # The last of the vectors that are added up is d n.
+        sink = np.eye(3 * values.shape[-1])[:, : numbers.shape[1]]
+        sink[-3:, -1] = turn[:, 2]
+        K = sink.T @ K.reshape(len(dofs), len(sink), len(sink)) @ sink
         rows = np.broadcast_to(numbers[:, :, None], K.shape).ravel()
         columns = np.broadcast_to(numbers[:, None, :], K.shape).ravel()
-        kept = (rows >= 0) & (columns >= 0)
-        self._entries = (K.ravel()[kept], (rows[kept], columns[kept]))
+        self._entries = (K.ravel(), (rows, columns))
         self._stiffness: csc_array | None = None
         self._given: tuple[Indices, Array] | None = None
         if given is not None:
             points = np.moveaxis(np.asarray(basis.global_coordinates()), 0, -1)
             g = given(points.reshape(-1, 3)).reshape(points.shape)
-            pulled = np.einsum("fqa,fqij,fqj->fai", values, held, g, optimize=True).ravel()
-            used = numbers.ravel() >= 0
-            self._given = numbers.ravel()[used], pulled[used]
+            pulled = np.einsum("fqa,fqij,fqj->fai", values, held, g, optimize=True)
+            self._given = numbers.ravel(), (pulled.reshape(len(dofs), -1) @ sink).ravel()
 
     @property
     def multipliers(self) -> int:

@@ -17,7 +17,7 @@ from eitskin.simulator.presses.correction_table import across_strip, least_dista
 from eitskin.simulator.presses.dent_field import DentField
 from eitskin.simulator.presses.finite_stack import Correction, FiniteStack
 from eitskin.simulator.presses.smooth_field import Box, SmoothField, together
-from eitskin.simulator.presses.stack_mesh import Fineness, stack_mesh
+from eitskin.simulator.presses.stack_mesh import Contact, Fineness, stack_mesh
 from eitskin.simulator.presses.turned_field import TurnedField
 from eitskin.simulator.scene.indenters import Indenter
 
@@ -227,7 +227,7 @@ class _Setting:
         """Changes of two presses by each other at rising depths, on an outline."""
         x, y = 0.5 * apart * math.cos(angle), 0.5 * apart * math.sin(angle)
         places = [(middle[0] + way * x, middle[1] + way * y) for way in (-1.0, 1.0)]
-        contacts = [(*place, self.indenter.rims[1]) for place in places]
+        contacts = [Contact(*place, self.indenter.rims[1]) for place in places]
         body = stack_mesh(outline, self.stack, self.mechanics, Rigid(), contacts, _FINENESS)
         both, one = FiniteStack(body, 2), FiniteStack(body)
         starts: list[Array | None] = [None] * 3

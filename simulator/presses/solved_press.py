@@ -11,9 +11,10 @@ from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.surface import Surface
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress, Indentation
 from eitskin.simulator.mechanics.layer_stack import Mechanics, Stack
+from eitskin.simulator.presses.contact_frame import BentState, ContactFrame
 from eitskin.simulator.presses.dent_field import DentField
 from eitskin.simulator.presses.finite_stack import Correction, FiniteStack
-from eitskin.simulator.presses.stack_mesh import stack_mesh
+from eitskin.simulator.presses.stack_mesh import Contact, stack_mesh
 from eitskin.simulator.scene.touch import AnyIndenter
 
 Array = NDArray[np.float64]
@@ -57,9 +58,12 @@ class SolvedField:
 
 @lru_cache(maxsize=_KEPT)
 def solved_presses(
-    design: SensorDesign, mechanics: Mechanics, presses: tuple[Press, ...]
+    design: SensorDesign,
+    mechanics: Mechanics,
+    presses: tuple[Press, ...],
+    bent: BentState | None = None,
 ) -> Correction:
-    """Correction of presses on a design, solved in 3D; seconds to a minute.
+    """Correction of presses on a design, flat or bent, solved in 3D; seconds to some minutes.
 
     Raises ConfigurationError for a press that overhangs the stack, SolidError where presses are not
     carried.
@@ -69,13 +73,31 @@ def solved_presses(
     for press in presses:
         _require_on_stack(press, design, mechanics.margin)
     stack = mechanics.stack(design)
-    contacts = [(press.x, press.y, press.indenter.rims[1]) for press in presses]
+    frames = [contact_frame(press, stack, bent) for press in presses]
+    contacts = [
+        Contact(press.x, press.y, press.indenter.rims[1], _stretches(frame))
+        for press, frame in zip(presses, frames, strict=True)
+    ]
     body = stack_mesh(design.outline, stack, mechanics, design.support, contacts)
     dents = [
-        DentField(press.x, press.y, press.indenter, dent(stack, press.indenter, press.depth))
-        for press in presses
+        DentField(press.x, press.y, press.indenter, dent(stack, press.indenter, press.depth), frame)
+        for press, frame in zip(presses, frames, strict=True)
     ]
-    return FiniteStack(body, len(presses)).correction(dents)
+    return FiniteStack(body, len(presses), bent).correction(dents)
+
+
+def contact_frame(press: Press, stack: Stack, bent: BentState | None) -> ContactFrame | None:
+    """Frame of the bent top under an indenter; None on a flat stack."""
+    if bent is None:
+        return None
+    return ContactFrame.at(bent, press.x, press.y, stack.levels[-1] - stack.levels[stack.gel])
+
+
+def _stretches(frame: ContactFrame | None) -> tuple[float, float]:
+    if frame is None:
+        return 1.0, 1.0
+    along, across = frame.stretches.tolist()
+    return along, across
 
 
 def _require_on_stack(press: Press, design: SensorDesign, margin: float) -> None:

@@ -4,6 +4,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import skfem
@@ -25,6 +26,27 @@ _SAMPLES, _SPARE = 4001, 1e-6
 _FAR = 1.0 / 20.0
 _STAIRS = 0.4  # of the thickness: boxes at the rim of other outlines than rectangles
 _ROUNDED = 9  # decimals, in m, by which nodes agree
+
+
+class Contact(NamedTuple):
+    """Area under an indenter, an ellipse of the flat face.
+
+    Attributes:
+        x, y: its middle [m].
+        radius: of the indenter [m].
+        stretches: by which a bend makes it longer along x and y, to a circle.
+    """
+
+    x: float
+    y: float
+    radius: float
+    stretches: tuple[float, float] = (1.0, 1.0)
+
+    @property
+    def spans(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Middle and half-length along x and along y [m]."""
+        along, across = self.stretches
+        return (self.x, self.radius / along), (self.y, self.radius / across)
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,10 +153,10 @@ def stack_mesh(
     stack: Stack,
     mechanics: Mechanics,
     support: Support,
-    contacts: Sequence[tuple[float, float, float]],
+    contacts: Sequence[Contact],
     fineness: Fineness | None = None,
 ) -> StackMesh:
-    """Box mesh of a stack, refined around contacts (x, y, radius) [m].
+    """Box mesh of a stack, refined around contacts.
 
     Args:
         outline: of the gel. Others than rectangles are approximated by the boxes whose middles lie
@@ -142,10 +164,10 @@ def stack_mesh(
         stack: the layers.
         mechanics: margin beside the gel, and its material.
         support: of the base.
-        contacts: positions and radii of indenters.
+        contacts: of the indenters.
         fineness: at the faces, and through each layer.
     """
-    radius, height = min(r for *_, r in contacts), stack.levels[-1]
+    radius, height = min(each.radius for each in contacts), stack.levels[-1]
     boxed = not isinstance(outline, Rectangle)
     if fineness is None:
         loose = isinstance(support, Free | Plates)
@@ -164,7 +186,7 @@ def stack_mesh(
         _across(
             extent,
             mechanics.margin,
-            [(c[axis], c[2]) for c in contacts],
+            [each.spans[axis] for each in contacts],
             edges,
             grading,
             height * (fineness.ends, fineness.sides)[axis],

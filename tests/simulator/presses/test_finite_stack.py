@@ -11,7 +11,7 @@ from eitskin.simulator.mechanics.load_stepping import SolidError
 from eitskin.simulator.presses import finite_stack
 from eitskin.simulator.presses.dent_field import DentField
 from eitskin.simulator.presses.finite_stack import FiniteStack
-from eitskin.simulator.presses.stack_mesh import Fineness, StackMesh, stack_mesh
+from eitskin.simulator.presses.stack_mesh import Contact, Fineness, StackMesh, stack_mesh
 
 MECHANICS, PUNCH = Mechanics(), Cylinder()
 STACK = MECHANICS.stack(SensorDesign.reference())
@@ -28,7 +28,7 @@ def dents():
 
 
 def meshed(x=X, y=Y, support: Support | None = None, size=(LENGTH, WIDTH), rims=0.5) -> StackMesh:
-    contacts = [(x, y, PUNCH.radius)]
+    contacts = [Contact(x, y, PUNCH.radius)]
     fineness = Fineness(ends=0.0, sides=0.0, layers=1, rims=rims)
     outline = Rectangle(*size)
     return stack_mesh(outline, STACK, MECHANICS, support or Rigid(), contacts, fineness)
@@ -116,7 +116,7 @@ def test_dents_that_turn_the_stack_inside_out_are_refused(dents) -> None:
 @pytest.mark.slow
 def test_a_contact_takes_back_the_dent_of_another(dents) -> None:
     places = (0.015, 0.034)
-    contacts = [(x, Y, PUNCH.radius) for x in places]
+    contacts = [Contact(x, Y, PUNCH.radius) for x in places]
     outline, coarse = Rectangle(LENGTH, WIDTH), Fineness(ends=0.0, sides=0.0, layers=1)
     both = FiniteStack(stack_mesh(outline, STACK, MECHANICS, Rigid(), contacts, coarse), 2)
     first, second = (DentField(x, Y, PUNCH, dents[DEPTH]) for x in places)

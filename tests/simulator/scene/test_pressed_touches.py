@@ -9,7 +9,17 @@ import numpy as np
 import pytest
 
 from eitskin.errors import ConfigurationError
-from eitskin.geometry import Bend, Clamp, Disc, Free, Hinge, Plates, Rigid, SensorDesign
+from eitskin.geometry import (
+    Bend,
+    Clamp,
+    Disc,
+    Free,
+    Hinge,
+    Plates,
+    Rigid,
+    SensorDesign,
+)
+from eitskin.geometry.deformation.twist import Roll, Twist
 from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.simulator import Cylinder, Mechanics, Profile, Scene, Simulator, Sphere, Touch
 from eitskin.simulator.layer import pressed_touches as presses
@@ -77,23 +87,22 @@ def test_errors_of_the_signal_are_stated_on_every_support(monkeypatch) -> None:
         assert found.signal_error == 0.04
 
 
-def test_presses_on_a_bent_sensor_off_its_plates_say_so(monkeypatch) -> None:
+def test_presses_that_are_bent_afterwards_say_so(monkeypatch) -> None:
     unmoved = SimpleNamespace(sunk=np.zeros(1))
     monkeypatch.setattr(presses, "solved_presses", lambda *_: unmoved)
-    for support, x, compared in (
-        (Plates(), 0.040, True),
-        (Plates(), 0.050, False),
-        (Plates(), 0.075, False),
-        (Rigid(), 0.040, False),
+    touches, bend = (Touch(0.040, Y, 5.0),), Bend(5.0)
+    for support, scene, compared in (
+        (Plates(), Scene(touches=touches), True),
+        (Plates(), Scene(bend, touches), True),
+        (Plates(), Scene(bend, touches, twist=Twist(5.0)), False),
+        (Plates(), Scene(bend, touches, roll=Roll(5.0)), False),
+        (Rigid(), Scene(touches=touches), True),
+        (Rigid(), Scene(bend, touches), False),
     ):
         sim = Simulator(dataclasses.replace(DESIGN, support=support))
-        touches = (Touch(x, Y, 5.0),)
-        (flat,) = sim.presses(Scene(touches=touches))
-        (bent,) = sim.presses(Scene(Bend(20.0), touches))
-        assert flat.signal_error == 0.04
-        assert "bent" not in flat.caution
-        assert bent.signal_error == (0.04 if compared else None)
-        assert ("bent" in bent.caution) != compared
+        (found,) = sim.presses(scene)
+        assert found.signal_error == (0.04 if compared else None)
+        assert ("bent" in found.caution) != compared
 
 
 def test_presses_on_outlines_that_were_never_compared_say_so(monkeypatch) -> None:
