@@ -6,17 +6,18 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline, PPoly, make_interp_spline
-from scipy.sparse import csr_array
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.kinematics import Gradients, Points
+from eitskin.simulator.mechanics.cubic_splines import (
+    CubicSplines,
+    Indices,
+    numbers_of_products,
+    summed,
+)
 
 Array = NDArray[np.float64]
-Indices = NDArray[np.int32]
 
-_DEGREE = 3  # of the splines along x and y; F is twice less differentiable than they are
-_FUNCTIONS = _DEGREE + 1
 _AT_ONCE = 20_000  # points, per chunk, so that gathered values stay small
 _SAME = 1e-9  # [m]
 
@@ -124,36 +125,29 @@ class BentLayer:
 
     def _displacements(self, x: Array) -> Array:
         """Displacements (n, 3) at points (n, 3) of the layer."""
-        (i, a, _), (j, b, _) = self._x.functions(x[:, 0]), self._y.functions(x[:, 1])
-        sums = self._summed(self._indices(i, j), a, b)
+        (i, a, _), (j, b, _) = self._functions(x)
+        sums = self._summed(numbers_of_products(i, j, self._shape[1]), a, b)
         return np.asarray(np.einsum("npc,np->nc", sums, self._powers(x[:, 2])[0]))
 
     def _slopes(self, x: Array) -> Array:
         """Derivatives (n, 9) of the displacements at points (n, 3) of the layer."""
-        (i, a, da), (j, b, db) = self._x.functions(x[:, 0]), self._y.functions(x[:, 1])
+        (i, a, da), (j, b, db) = self._functions(x)
         powers, dpowers = self._powers(x[:, 2])
-        indices = self._indices(i, j)
+        numbers = numbers_of_products(i, j, self._shape[1])
         found = np.empty((len(x), 3, 3))
-        value = self._summed(indices, a, b)
-        found[..., 0] = np.einsum("npc,np->nc", self._summed(indices, da, b), powers)
-        found[..., 1] = np.einsum("npc,np->nc", self._summed(indices, a, db), powers)
+        value = self._summed(numbers, a, b)
+        found[..., 0] = np.einsum("npc,np->nc", self._summed(numbers, da, b), powers)
+        found[..., 1] = np.einsum("npc,np->nc", self._summed(numbers, a, db), powers)
         found[..., 2] = np.einsum("npc,np->nc", value, dpowers)
         return found.reshape(len(x), 9)
 
-    def _indices(self, i: Indices, j: Indices) -> Indices:
-        """Numbers (n, 16) of the products of splines that do not vanish at n points."""
-        each = np.arange(_FUNCTIONS, dtype=np.int32)  # as the sparse product takes them
-        offsets = self._shape[1] * each[:, None] + each
-        return np.asarray((self._shape[1] * i + j)[:, None] + offsets.ravel())
+    def _functions(self, x: Array) -> list[tuple[Indices, Array, Array]]:
+        """Splines along x and along y at points (n, 3)."""
+        return [axis.splines.functions(x[:, k]) for k, axis in enumerate((self._x, self._y))]
 
-    def _summed(self, indices: Indices, a: Array, b: Array) -> Array:
+    def _summed(self, numbers: Indices, a: Array, b: Array) -> Array:
         """Sums over the products of splines a and b, (n, powers, 3)."""
-        weights = (a[:, :, None] * b[:, None, :]).ravel()
-        ends = np.arange(0, indices.size + 1, _FUNCTIONS**2, dtype=np.int32)
-        matrix = csr_array(
-            (weights, indices.ravel(), ends), shape=(len(a), len(self._coefficients))
-        )
-        return np.asarray(matrix @ self._coefficients).reshape(len(a), *self._shape[2:])
+        return summed(numbers, a, b, self._coefficients).reshape(len(a), *self._shape[2:])
 
     def _powers(self, z: Array) -> tuple[Array, Array]:
         """Powers of the scaled height, (n, powers), and their derivatives by z [1/m]."""
@@ -167,37 +161,19 @@ class _Axis:
     """Splines along one axis, mirrored at the middle.
 
     Attributes:
+        splines: on the nodes of both halves.
         fit: spline coefficients of even and odd functions by their values at the nodes of one
             half, (2, splines, nodes).
     """
 
     def __init__(self, nodes: Array) -> None:
-        whole = np.concatenate([-nodes[:0:-1], nodes])
-        fit = make_interp_spline(whole, np.eye(len(whole)), k=_DEGREE)
+        self.splines = CubicSplines(np.concatenate([-nodes[:0:-1], nodes]))
         mirror = np.eye(len(nodes))[:0:-1]
         halves = np.stack(
             [np.concatenate([sign * mirror, np.eye(len(nodes))]) for sign in (1.0, -1.0)]
         )
         halves[1, len(nodes) - 1] = 0.0  # odd functions vanish in the middle
-        self.fit: Array = np.einsum("ij,sjk->sik", fit.c, halves)
-        knots = fit.t
-        self._breaks = knots[_DEGREE:-_DEGREE]
-        self._pieces = np.zeros((_FUNCTIONS, len(self._breaks) - 1, _FUNCTIONS))
-        for number in range(len(self._breaks) - 1):
-            for function in range(_FUNCTIONS):
-                one = np.zeros(fit.c.shape[0])
-                one[number + function] = 1.0
-                # PPoly has the highest power first.
-                pieces = PPoly.from_spline(BSpline(knots, one, _DEGREE)).c
-                self._pieces[:, number, function] = pieces[::-1, _DEGREE + number]
-
-    def functions(self, x: Array) -> tuple[Indices, Array, Array]:
-        """Number of the first spline at points (n,), values and slopes of the four, (n, 4)."""
-        found = np.searchsorted(self._breaks, x, side="right") - 1
-        piece: Indices = np.clip(found, 0, len(self._breaks) - 2).astype(np.int32)
-        t = (x - self._breaks[piece])[:, None]
-        c0, c1, c2, c3 = (power.take(piece, axis=0) for power in self._pieces)
-        return piece, ((c3 * t + c2) * t + c1) * t + c0, (3.0 * c3 * t + 2.0 * c2) * t + c1
+        self.fit: Array = np.einsum("ij,sjk->sik", self.splines.fit, halves)
 
 
 @lru_cache(maxsize=64)

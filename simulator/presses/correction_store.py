@@ -39,8 +39,8 @@ from eitskin.simulator.scene.touch import AnyIndenter
 
 Array = NDArray[np.float64]
 
-# Version of the tables: raise it whenever corrections are solved or tabulated in another way.
-_VERSION = 2
+# Versions of the tables: raise them whenever corrections are solved or tabulated in another way.
+_VERSIONS = {"corrections": 2, "strips": 2, "pairs": 3}
 _SHORTEST = 8.0  # length over the thickness of the stack, so that the ends do not feel each other
 # Steps of thickness and of the modulus ratio between solved stacks, as for the tables of presses.
 _THICKER, _STIFFER = 1.1, math.sqrt(2.0)
@@ -316,7 +316,7 @@ def _file_name(
     gel, laws = stack.sheets[stack.gel].law.shear_modulus, [sheet.law for sheet in stack.sheets]
     laws += [] if stack.gel + 1 < len(laws) else [mechanics.encapsulation]
     described = {
-        "version": _VERSION,
+        "version": _VERSIONS[kind],
         **size,
         "heights": [sheet.thickness for sheet in stack.sheets],
         "laws": [

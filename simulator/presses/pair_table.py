@@ -17,6 +17,7 @@ from eitskin.simulator.presses.correction_table import across_strip, least_dista
 from eitskin.simulator.presses.dent_field import DentField
 from eitskin.simulator.presses.finite_stack import Correction, FiniteStack
 from eitskin.simulator.presses.smooth_field import Box, SmoothField, together
+from eitskin.simulator.presses.spline_field import SplineField
 from eitskin.simulator.presses.stack_mesh import Contact, Fineness, stack_mesh
 from eitskin.simulator.presses.turned_field import TurnedField
 from eitskin.simulator.scene.indenters import Indenter
@@ -29,7 +30,10 @@ _APART = (0.25, 0.45, 0.8, 1.25, 1.9, 2.8)
 _VANISHED = 1.4  # beyond the last distance
 _REACH, _FADE, _FREE = 4.5, 1.5, 6.5  # beyond the axes: of the field, of its end, of the mesh
 _CELL = 1.0 / 40.0  # finest of the axisymmetric press, over the radius of the indenter
-_COUNTS, _STRETCH = (30, 24, 3), 1.5
+# Splines of the change on a wide stack, which varies most near the contacts: to this distance
+# beyond the axes cells are even, farther out they grow. Numbers of cells in a half, along x and y.
+_EVEN, _GROWTH, _DEGREE = 1.0, 1.5, 2
+_CELLS = ((10, 6), (6, 6))
 _FINENESS = Fineness(ends=0.0, sides=0.0, layers=1)
 
 # The part that the sides of the sensor add is smooth, and needs fewer pairs.
@@ -37,7 +41,7 @@ _BESIDE, _DEEP_BESIDE = (1, 3, 5), 1  # of the distances and depths above
 _ANGLES = 6  # directions in half a turn, of which more than a quarter turn follow by symmetry
 _ASIDE = (0.0, 0.3, 1.0)  # of the way from the nearest side to the middle
 _AROUND, _STRIP = 6.0, 9.0  # of the middle of the pair, along x: of the field, of the mesh
-_COUNTS_BESIDE, _FINER = (16, 14, 3), 2  # polynomials, and how many more are cut off
+_COUNTS_BESIDE, _STRETCH, _FINER = (16, 14, 3), 1.5, 2  # polynomials, and how many are cut off
 _SAME = 1e-9  # [m]
 
 
@@ -56,12 +60,12 @@ class PairTable:
         height: of the gel, () [m].
         apart: distances between the axes; at the last nothing changes, (r,) [m].
         depths: (d,) [m].
-        fields: coefficients in the frame of the pair, x from press to press, (r - 1, d, nx, ny, nz,
-            4).
+        fields: coefficients of `SplineField` in the frame of the pair, x from press to press,
+            (r - 1, d, nx, ny, nz, 4).
         sunk: by which each press sinks deeper, (r - 1, d) [m].
         least: distance of a solved press from a side, () [m].
-        sides: coefficients of what the sides add at one depth, by distance, direction (a quarter
-            turn) and position, (r', a, m, nx, ny, nz, 4).
+        sides: coefficients of `SmoothField`, of what the sides add at one depth, by distance,
+            direction (a quarter turn) and position, (r', a, m, nx, ny, nz, 4).
     """
 
     thickness: Array
@@ -90,8 +94,8 @@ class PairTable:
         weights = _over_depth(self.depths, deep * beside)
         near = self._near(self.apart, apart)
         fields = np.tensordot(weights, np.tensordot(near, self.fields, (0, 0)), (0, 0))
-        box = _box(max(apart, float(self.apart[0])), float(self.thickness), float(self.height))
-        wide = TurnedField(SmoothField(box, fields, _STRETCH), x, y, cos, sin)
+        nodes = _nodes(max(apart, float(self.apart[0])), float(self.thickness))
+        wide = TurnedField(SplineField(nodes, float(self.height), fields), x, y, cos, sin)
         sides = self._beside(apart, math.atan2(sin, cos), y, deep * beside).shifted(x)
         return (wide, sides), float(near @ self.sunk @ weights)
 
@@ -177,14 +181,14 @@ class _Setting:
     indenter: Indenter
     dents: tuple[Indentation, ...]
 
-    def on_wide(self, apart: float) -> tuple[list[SmoothField], list[float]]:
+    def on_wide(self, apart: float) -> tuple[list[SplineField], list[float]]:
         """Fields of pairs of rising depth on a wide stack, and by how much deeper each sinks."""
         H, height = self.stack.levels[-1], self.stack.sheets[self.stack.gel].thickness
         outline, middle = self._wide(apart, 0.0)
         fields, sunk = [], []
         for change in self._changes(outline, middle, apart, 0.0, self.dents):
             faded = _faded(change, (0.5 * apart + _REACH * H, _REACH * H), H)
-            fields.append(SmoothField.of(faded, _box(apart, H, height), _COUNTS, _STRETCH))
+            fields.append(SplineField.of(faded, _nodes(apart, H), height, _DEGREE))
             sunk.append(change.sunk)
         return fields, sunk
 
@@ -337,10 +341,15 @@ def _aside(width: float, least: float, apart: float, angle: float, y: float) -> 
     return min(max((y - low) / max(0.5 * width - low, _SAME), 0.0), 2.0)
 
 
-def _box(apart: float, thickness: float, height: float) -> Box:
-    """Box of the gel around a pair, from the middle between the presses."""
-    along, across = 0.5 * apart + _REACH * thickness, _REACH * thickness
-    return Box((-along, -across, 0.0), (along, across, height))
+def _nodes(apart: float, thickness: float) -> tuple[Array, Array]:
+    """Nodes of the splines along x and y, from the middle between the presses [m]."""
+    halves = []
+    for axis, (even, growing) in zip((0.5 * apart, 0.0), _CELLS, strict=True):
+        first, end = axis + _EVEN * thickness, axis + _REACH * thickness
+        grown = np.expm1(_GROWTH * np.linspace(0.0, 1.0, growing + 1)[1:]) / np.expm1(_GROWTH)
+        half = np.append(np.linspace(0.0, first, even + 1), first + (end - first) * grown)
+        halves.append(np.append(-half[:0:-1], half))
+    return halves[0], halves[1]
 
 
 def _strip_box(width: float, thickness: float, height: float) -> Box:

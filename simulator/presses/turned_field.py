@@ -1,11 +1,11 @@
-"""Smooth field in a frame that is turned about the vertical."""
+"""Spline field in a frame that is turned about the vertical."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.simulator.presses.smooth_field import SmoothField
+from eitskin.simulator.presses.spline_field import SplineField
 
 Array = NDArray[np.float64]
 
@@ -20,7 +20,7 @@ class TurnedField:
         cos, sin: of the angle from the sensor's x axis to the frame's.
     """
 
-    field: SmoothField
+    field: SplineField
     x: float
     y: float
     cos: float

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from eitskin.simulator.presses.smooth_field import Box, SmoothField, together
-from eitskin.simulator.presses.turned_field import TurnedField
 
 BOX = Box((-0.01, 0.0, 0.001), (0.05, 0.03, 0.004))
 
@@ -104,25 +103,6 @@ def test_mirror_images_have_mirrored_values(axis) -> None:
     signs[axis] = -1.0
     image = field.mirrored(axis, 0.07)
     assert image.values(mirrored) == pytest.approx(signs[:, None, None] * field.values(at))
-
-
-def test_a_turned_field_turns_displacements_and_slopes() -> None:
-    field = SmoothField.of(polynomial, Box((-0.03, -0.03, 0.0), (0.03, 0.03, 0.004)), (4, 3, 2))
-    turned = TurnedField(field, 0.05, 0.02, 0.6, 0.8)
-    at = columns(10, (0.001, 0.003), Box((0.04, 0.01, 0.0), (0.06, 0.03, 0.0)))
-    moved = turned.moved(at)
-    assert moved[:3] == pytest.approx(turned.values(at)[:3])
-    for axis in range(3):
-        step = 1e-6 * np.eye(3)[axis]
-        slope = (turned.values(at + step) - turned.values(at - step))[:3] / 2e-6
-        found = moved[3:].reshape(3, 3, *slope.shape[1:])[:, axis]
-        assert found == pytest.approx(slope, rel=1e-5, abs=1e-7)
-    # A vector along the frame's x axis points along (0.6, 0.8).
-    along = SmoothField.of(
-        lambda p: np.ones((*p.shape[:-1], 1)) * [1.0, 0, 0, 2.0], field.box, (2, 2, 2)
-    )
-    values = TurnedField(along, 0.05, 0.02, 0.6, 0.8).values(at)
-    assert values[:, 0, 0] == pytest.approx([0.6, 0.8, 0.0, 2.0])
 
 
 def test_fields_on_one_box_are_added_up() -> None:
