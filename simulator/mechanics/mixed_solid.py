@@ -12,25 +12,27 @@ stress is positive in tension.
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal, Self
 
 import numpy as np
 import skfem
 from numpy.typing import NDArray
-from scipy.sparse import coo_array, csc_array
+from scipy.sparse import csc_array
 
 from eitskin.errors import ConfigurationError
+from eitskin.simulator.linalg.stiffness_pattern import ElementBlocks, StiffnessPattern
 from eitskin.simulator.mechanics.materials import Law, cofactor, determinant
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Kinematics = Literal["plane strain", "axisymmetric", "solid"]
 
-# Entries of F, flattened, that displacements can change; (2, 2) is the hoop stretch.
+# Entries of F, flattened, that each displacement can change; (2, 2) is the hoop stretch.
 _COMPONENTS = {
-    "plane strain": [0, 1, 3, 4],
-    "axisymmetric": [0, 1, 3, 4, 8],
-    "solid": list(range(9)),
+    "plane strain": ([0, 1], [3, 4]),
+    "axisymmetric": ([0, 1, 8], [3, 4]),
+    "solid": ([0, 1, 2], [3, 4, 5], [6, 7, 8]),
 }
 _ELEMENTS = {
     skfem.MeshQuad1: (skfem.ElementQuad2, skfem.ElementQuad1),
@@ -214,13 +216,11 @@ class Solid:
     def linearise(self, x: Array) -> tuple[Array, csc_array]:
         """Residual (n,) and its symmetric derivative, the tangent stiffness (n, n), at x (n,)."""
         at = self._strain_state(x)
-        numbers = np.hstack([self._displacement_numbers, self._pressure_numbers])
-        values = np.concatenate([self._stiffness(law, cells, at) for law, cells in self._groups()])
-        numbers = numbers[np.concatenate([cells for _, cells in self._groups()])]
-        rows = np.broadcast_to(numbers[:, :, None], values.shape)
-        columns = np.broadcast_to(numbers[:, None, :], values.shape)
-        K = coo_array((values.ravel(), (rows.ravel(), columns.ravel())), shape=(len(x), len(x)))
-        return self._assembled(at), K.tocsc()
+        mean_stress = self._mean_stress(at)
+        elements = (
+            (cells, self._stiffness(law, cells, at, mean_stress)) for law, cells in self._groups()
+        )
+        return self._assembled(at), self._pattern.assembled(elements, len(x))
 
     def traction(self, facets: Indices, traction: Callable[[Array], Array]) -> Array:
         """Nodal forces (unknowns,) of dead tractions on boundary facets of the undeformed mesh.
@@ -295,6 +295,12 @@ class Solid:
         self.unknowns = self.nodes.size + len(kept)
         self.cells_of_law = [np.flatnonzero(law_of_cell == k) for k in range(len(self.laws))]
 
+    @cached_property
+    def _pattern(self) -> StiffnessPattern:
+        """Pattern of the stiffness, found at its first assembly."""
+        nodes = self.basis.element_dofs.T.astype(np.int64)
+        return StiffnessPattern(nodes, self._pressure_numbers - self.nodes.size, self.dim)
+
     def _groups(self) -> Iterator[tuple[Law, Indices]]:
         """Chunks of cells of one law, small enough to be assembled at once."""
         functions, points = self._slopes.shape[1:3]
@@ -303,17 +309,16 @@ class Solid:
             for start in range(0, len(cells), each):
                 yield law, cells[start : start + each]
 
-    def _strain_operator(self, cells: Indices) -> Array:
-        """Derivative of F by the displacements of a cell, (cells, q, entries, functions * dim)."""
-        slopes = self._slopes[cells].transpose(0, 2, 3, 1)  # (cells, q, J, functions)
-        dim = self.dim
-        entries = _COMPONENTS[self.kinematics]
-        B = np.zeros((*slopes.shape[:2], len(entries), slopes.shape[3], dim))
-        for i in range(dim):
-            B[:, :, i * dim : (i + 1) * dim, :, i] = slopes
+    def _strain_operators(self, cells: Indices) -> list[Array]:
+        """Derivatives of the entries of F by nodal displacements in each direction.
+
+        (cells, functions, q, entries), for the entries that the direction changes.
+        """
+        slopes = self._slopes[cells]
+        operators = [slopes] * self.dim
         if self.kinematics == "axisymmetric":
-            B[:, :, 4, :, 0] = self._hoops[cells].swapaxes(1, 2)
-        return B.reshape(*B.shape[:3], -1)
+            operators[0] = np.concatenate([slopes, self._hoops[cells][..., None]], axis=-1)
+        return operators
 
     def _assembled(self, at: StrainState) -> Array:
         """Assembled nodal forces and volume errors, (n,)."""
@@ -335,28 +340,30 @@ class Solid:
         )
         return np.asarray(residual, dtype=np.float64)
 
-    def _stiffness(self, law: Law, cells: Indices, at: StrainState) -> Array:
-        """Element matrices of displacements and pressures, (cells, unknowns, unknowns)."""
-        entries = _COMPONENTS[self.kinematics]
+    def _stiffness(
+        self, law: Law, cells: Indices, at: StrainState, mean_stress: Array
+    ) -> ElementBlocks:
+        """Element matrices, by blocks."""
+        entries = [entry for each in _COMPONENTS[self.kinematics] for entry in each]
         w, F = self.weights[cells], at.F[cells]
         H = at.H[cells].reshape(*w.shape, 9)[..., entries]
         A = law.tangent(F, entries)
         slope = _COFACTOR_SLOPE[:, entries][:, :, entries]
         curvature = np.tensordot(F.reshape(*w.shape, 9), slope, axes=1)
-        A += self._mean_stress(at)[cells][..., None, None] * curvature
+        A += mean_stress[cells][..., None, None] * curvature
         A += self._direct[cells, None, None, None] * H[..., :, None] * H[..., None, :]
         A *= w[..., None, None]
-        B = self._strain_operator(cells)
-        joined = (len(cells), -1, B.shape[-1])
-        K_uu = B.reshape(joined).swapaxes(1, 2) @ (A @ B).reshape(joined)
-        swelling = (H[..., None, :] @ B)[..., 0, :]
+        H *= w[..., None]
+        operators = self._strain_operators(cells)
+        ends = np.cumsum([len(each) for each in _COMPONENTS[self.kinematics]])
+        spans = [slice(end - B.shape[-1], end) for end, B in zip(ends, operators, strict=True)]
+        flat = [B.reshape(*B.shape[:2], -1) for B in operators]
         psi = self._pressure_scale * self._pressure_values
-        K_up = (swelling * w[..., None]).swapaxes(1, 2) @ psi.T
+        K_uu, K_up = [], []
+        for i, (rows, B) in enumerate(zip(spans, operators, strict=True)):
+            for columns, other in zip(spans[i:], operators[i:], strict=True):
+                stressed = A[..., rows, columns] @ other.transpose(0, 2, 3, 1)
+                K_uu.append(flat[i] @ stressed.reshape(len(cells), -1, B.shape[1]))
+            K_up.append(np.einsum("caqe,cqe->caq", B, H[..., rows]) @ psi.T)
         K_pp = -self._compliance[cells, None, None] * np.einsum("cq,aq,bq->cab", w, psi, psi)
-        return np.concatenate(
-            [
-                np.concatenate([K_uu, K_up], axis=2),
-                np.concatenate([K_up.swapaxes(1, 2), K_pp], axis=2),
-            ],
-            axis=1,
-        )
+        return K_uu, K_up, [K_pp]
