@@ -6,6 +6,7 @@ import inspect
 import io
 import re
 import tokenize
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -67,12 +68,18 @@ def test_every_array_that_is_returned_has_a_shape_or_a_unit(name):
         assert SHAPE_OR_UNIT.search(inspect.getdoc(NAMES[name])), inspect.getdoc(NAMES[name])
 
 
+@cache
+def parsed(path):
+    """Syntax tree of a file."""
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
 def undocumented(room):
     """Public methods without a docstring, each with its class; ruff holds all that is no method."""
     for path in sorted((ROOT / room).rglob("*.py")):
         inside = path.relative_to(ROOT).with_suffix("").parts
         module = ".".join(inside if room == "eitskin" else ("eitskin", *inside))
-        for owner in ast.parse(path.read_text(encoding="utf-8")).body:
+        for owner in parsed(path).body:
             if not isinstance(owner, ast.ClassDef) or owner.name.startswith("_"):
                 continue
             for method in owner.body:
@@ -98,9 +105,9 @@ SENTENCE_BY_OF_OR_WHAT = re.compile(r"(?:^|[.!?]\s+|\n\s*\n\s*|\n *[-*] )(?:Of|W
 PAGES = [*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("hardware/**/*.md")]
 
 
-def docstrings(source):
+def docstrings(path):
     """Docstrings of a module and of all in it, private names included."""
-    for node in ast.walk(ast.parse(source)):
+    for node in ast.walk(parsed(path)):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
             yield ast.get_docstring(node) or ""
 
@@ -121,7 +128,7 @@ def comments(source):
 def test_no_docstring_or_comment_begins_a_sentence_by_of_or_what(room):
     for path in sorted((ROOT / room).rglob("*.py")):
         source = path.read_text(encoding="utf-8")
-        for text in (*docstrings(source), *comments(source)):
+        for text in (*docstrings(path), *comments(source)):
             assert not SENTENCE_BY_OF_OR_WHAT.search(text), (path, text)
 
 
@@ -134,5 +141,5 @@ def test_no_page_begins_a_sentence_by_of_or_what():
 @pytest.mark.parametrize("room", ROOMS)
 def test_the_first_line_of_every_docstring_is_a_sentence_of_one_line(room):
     for path in sorted((ROOT / room).rglob("*.py")):
-        for text in docstrings(path.read_text(encoding="utf-8")):
+        for text in docstrings(path):
             assert not text or re.search(r"[.:!?]$", text.splitlines()[0]), (path, text)

@@ -39,11 +39,16 @@ def converged(resolution):
     return Simulator(DESIGN, CONVERGED[resolution])
 
 
+@cache
+def named(resolution):
+    return Simulator(DESIGN, resolution)
+
+
 @pytest.mark.parametrize("name", list(SCENES))
 @pytest.mark.parametrize("resolution", ["fast", pytest.param("standard", marks=pytest.mark.slow)])
 def test_signals_are_as_exact_as_promised(resolution, name) -> None:
     truth = signal(converged(resolution), SCENES[name])
-    found = signal(Simulator(DESIGN, resolution), SCENES[name])
+    found = signal(named(resolution), SCENES[name])
     assert np.linalg.norm(found - truth) < PROMISES[resolution] * np.linalg.norm(truth)
 
 
