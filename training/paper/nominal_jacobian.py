@@ -1,9 +1,13 @@
 """Relative Jacobian of the nominal sensor, flat or bent, by the adjoint method."""
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.geometry.deformation.fixtures import Bend, Hinge
+from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.protocol import Protocol
 from eitskin.simulator.electrical.resolution import Discretisation, Resolution
 from eitskin.simulator.scene.scene import Scene
 from eitskin.simulator.simulator import Simulator
@@ -34,11 +38,26 @@ def nominal_jacobian(
     Raises:
         ConfigurationError: for a bend that the hinge or the sensor does not allow.
     """
-    simulator = Simulator(layout.design, resolution, hinge, layout.protocol)
+    return _jacobian(layout.design, layout.protocol, layout.pixels, angle_deg, hinge, resolution)
+
+
+@lru_cache(maxsize=4)  # several pipelines are trained for one sensor
+def _jacobian(
+    design: SensorDesign,
+    protocol: Protocol,
+    pixels: tuple[int, int],
+    angle_deg: float,
+    hinge: Hinge | None,
+    resolution: Resolution | Discretisation,
+) -> NDArray[np.float64]:
+    """Relative Jacobian of a design."""
+    simulator = Simulator(design, resolution, hinge, protocol)
     setting, model = simulator.deformed_layer(Scene(Bend(angle_deg))), simulator.model
     electrical = (setting.conductivity, setting.area_ratio)
     sensitivity = model.sensitivity(
-        layout.protocol, electrical[0], layout.pixels, electrical[1], along=setting.conductivity
+        protocol, electrical[0], pixels, electrical[1], along=setting.conductivity
     )
-    impedance = layout.protocol.measure(model.impedance(*electrical))
-    return relative_jacobian(sensitivity, impedance, 1.0)
+    impedance = protocol.measure(model.impedance(*electrical))
+    found = relative_jacobian(sensitivity, impedance, 1.0)
+    found.flags.writeable = False  # all callers share the array
+    return found
