@@ -206,8 +206,9 @@ def changes(sim: Simulator, *touches: Touch):
 
 @pytest.mark.slow
 def test_tables_give_the_signals_of_solved_presses(monkeypatch) -> None:
-    # Cells that grow faster away from the press: half of the time, and 1 % of the signals.
-    coarser = partial(solved_press.stack_mesh, fineness=Fineness(growth=1.2))
+    # Cells that grow faster away from the press, also at the ends: half of the time, and 1 % of the
+    # signals, of which the tables differ by 1.4 %.
+    coarser = partial(solved_press.stack_mesh, fineness=Fineness(ends=0.0, growth=1.2))
     monkeypatch.setattr(solved_press, "stack_mesh", coarser)
     touch = Touch(0.062, 0.022, 8.0)
     found, solved = (
@@ -217,12 +218,16 @@ def test_tables_give_the_signals_of_solved_presses(monkeypatch) -> None:
     assert np.linalg.norm(found - solved) < 0.02 * np.linalg.norm(solved)
 
 
+@pytest.fixture(scope="module")
+def standard() -> Simulator:
+    return Simulator(DESIGN, "standard")
+
+
 @pytest.mark.slow
-def test_presses_give_the_signals_of_an_independent_solution() -> None:
-    sim = Simulator(DESIGN, "standard")
+def test_presses_give_the_signals_of_an_independent_solution(standard) -> None:
     for name, x in (("75_30", 0.075), ("60_30", 0.060)):
         expected = np.array(json.loads(REFERENCES.read_text())[name])
-        found = changes(sim, Touch(x, 0.030, 10.0))
+        found = changes(standard, Touch(x, 0.030, 10.0))
         assert np.linalg.norm(found - expected) < 0.02 * np.linalg.norm(expected), name
 
 
@@ -231,9 +236,9 @@ def test_presses_give_the_signals_of_an_independent_solution() -> None:
     ("name", "limit"),
     [("two_65_30_85_30", 0.055), ("two_60_30_90_30", 0.03), ("four_30", 0.025), ("15_15", 0.02)],
 )
-def test_presses_side_by_side_give_the_signals_of_the_reference(name, limit) -> None:
+def test_presses_side_by_side_give_the_signals_of_the_reference(standard, name, limit) -> None:
     (case,) = (case for case in cases() if case.name == name)
-    found = changes(Simulator(DESIGN, "standard"), *case.scene.touches)
+    found = changes(standard, *case.scene.touches)
     assert np.linalg.norm(found - case.changes) < limit * np.linalg.norm(case.changes)
-    (pressed, *_) = Simulator(DESIGN).presses(case.scene)
+    (pressed, *_) = standard.presses(case.scene)
     assert pressed.depth == pytest.approx(case.depth[0], rel=0.01)
