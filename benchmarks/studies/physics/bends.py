@@ -10,7 +10,7 @@ of the signal.
 import itertools
 import time
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from eitskin.geometry.deformation.fixtures import Bend, Hinge
 from eitskin.geometry.deformation.kinematics import Deformation
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.meshing.grading import Grading
-from eitskin.simulator.bends.bend_3d import BentStack, ClampedStack
+from eitskin.simulator.bends.bend_3d import BentStack, ClampedStack, bend_grading
 from eitskin.simulator.bends.bend_table import BendTable
 from eitskin.simulator.mechanics.load_stepping import SolidError
 from eitskin.simulator.simulator import Simulator
@@ -33,11 +33,11 @@ SPANS = (0.040, 0.044, 0.048)
 TRANSITIONS = (0.0, 0.004, 0.006, 0.008, 0.012)
 CONTRACTIONS = (0.0, 0.25, 0.5, 0.7, 0.8, 1.0)
 SOLVED = ("energy [mJ]", "moment about the axis [mN m]", "least and largest change of the 28")
-# The first is what is used; the others are finer in the thickness and in the plane.
+# The first is what is used; the others are finer in the thickness and at the edges of the plates.
 MESHES = (
-    Grading(finest=0.0024, coarsest=0.009, growth=0.4),
-    Grading(finest=0.0024, coarsest=0.009, growth=0.4, layers=2),
-    Grading(finest=0.0017, coarsest=0.006, growth=0.3),
+    bend_grading(0.012),
+    replace(bend_grading(0.012), layers=2),
+    Grading(finest=0.0005, coarsest=0.009, growth=0.8),
 )
 
 

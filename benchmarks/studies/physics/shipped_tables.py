@@ -1,27 +1,34 @@
-"""Tables of presses that ship with the package, solved anew.
+"""Tables of presses and bends that ship with the package, solved anew.
 
-Run by `EITSKIN_CACHE=FOLDER python -m eitskin.benchmarks.studies.physics.shipped_tables`.
+Run by `EITSKIN_CACHE=FOLDER python -m eitskin.benchmarks.studies.physics.shipped_tables [--bends]`.
 
-Solves what `FOLDER` lacks of the tables of the reference sensor and of its neighbours in thickness
-and stiffness of the encapsulation, under the 15 mm cylinder, and prints how long each took and how
-large its file is. The files belong in `simulator/presses/library`.
+Solves the tables that neither the package nor `FOLDER` has, of the reference sensor and of its
+neighbours, and prints how long they took and how large each file is: presses by the 15 mm cylinder,
+with neighbours in thickness and stiffness of the encapsulation, for `simulator/presses/library`;
+and bends by the default clamp, both faces held or the bottom, with neighbours in span and offset
+too, for `simulator/bends/library`. With `--bends`, bends only.
 """
 
+import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 
+from eitskin.geometry.deformation.fixtures import Clamp
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.provenance import Provenance
+from eitskin.simulator.bends import bend_store
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.mechanics.materials import NeoHookean
 from eitskin.simulator.mechanics.solved_files import folder
 from eitskin.simulator.presses import correction_store, press_store
 from eitskin.simulator.scene.indenters import Cylinder
 
-_VARIED = 1.02  # thickness and ratio of moduli that need all neighbours
+_VARIED = 1.02  # values that need all neighbours, relative to the nominal ones
 
 
-def main() -> None:
+def main(only_bends: bool) -> None:
     """Solve the tables and print their cost."""
     print(Provenance.now(seed=0))
     reference, materials = SensorDesign.reference(), Mechanics()
@@ -34,20 +41,45 @@ def main() -> None:
         materials,
         solved_thickness=reference.thickness,
         encapsulation=NeoHookean(_VARIED * materials.encapsulation.shear_modulus),
+        solved_ratio=materials.encapsulation.shear_modulus / materials.gel.shear_modulus,
     )
-    sensors = (("reference", reference, materials), ("neighbours", varied, stiffer))
-    for name, design, mechanics in sensors:
-        start, before = time.perf_counter(), set(folder().glob("*.npz"))
-        if design == reference:
-            press_store.press_table(design, mechanics, Cylinder())
-        correction_store.prepare(
-            design, mechanics, Cylinder(), lambda done, total: print(f"  {done} of {total}")
-        )
-        new = sorted(set(folder().glob("*.npz")) - before)
-        print(f"{name}: {len(new)} tables, {time.perf_counter() - start:.0f} s")
-        for path in new:
-            print(f"  {path.name}: {1e-3 * path.stat().st_size:.0f} kB")
+    clamp = Clamp()
+    moved = Clamp(
+        _VARIED * clamp.span,
+        _VARIED * clamp.offset,
+        solved_span=clamp.span,
+        solved_offset=clamp.offset,
+    )
+    for name, design, mechanics, fixture in (
+        ("held on both faces", reference, materials, clamp),
+        ("held below", reference, materials, replace(clamp, faces="bottom")),
+        ("neighbours in a clamp", varied, stiffer, moved),
+    ):
+        with _reported(name):
+            bend_store.prepare(design, fixture, mechanics, _progress)
+    if only_bends:
+        return
+    with _reported("reference"):
+        press_store.press_table(reference, materials, Cylinder())
+        correction_store.prepare(reference, materials, Cylinder(), _progress)
+    with _reported("neighbours"):
+        correction_store.prepare(varied, stiffer, Cylinder(), _progress)
+
+
+@contextmanager
+def _reported(name: str) -> Iterator[None]:
+    """Print the time of the tables solved within, and the sizes of their files."""
+    start, before = time.perf_counter(), set(folder().glob("*.npz"))
+    yield
+    new = sorted(set(folder().glob("*.npz")) - before)
+    print(f"{name}: {len(new)} tables, {time.perf_counter() - start:.0f} s")
+    for path in new:
+        print(f"  {path.name}: {1e-3 * path.stat().st_size:.0f} kB")
+
+
+def _progress(done: int, total: int) -> None:
+    print(f"  {done} of {total}", flush=True)
 
 
 if __name__ == "__main__":
-    main()
+    main("--bends" in sys.argv[1:])
