@@ -67,8 +67,14 @@ class HeldContact:
         self.area = float(weights.sum())
         functions = [np.broadcast_to(np.asarray(f), r.shape) for (f,) in basis.basis]
         values = np.stack([*functions, np.ones_like(r)], axis=-1)
-        held = turn @ _held(indenter, away, r) @ turn.T * (stiffness * weights)[..., None, None]
-        K = np.einsum("fqa,fqij,fqb->faibj", values, held, values, optimize=True)
+        held = turn @ _held(indenter, away, r) @ turn.T
+        shares = values * (stiffness * weights)[..., None]
+        # A rough indenter holds all directions alike, with a ninth of the work.
+        K = (
+            np.einsum("fqa,fqb,ij->faibj", shares, values, held, optimize=True)
+            if held.ndim == 2
+            else np.einsum("fqa,fqij,fqb->faibj", shares, held, values, optimize=True)
+        )
         dofs = basis.element_dofs.T.astype(np.int64)
         numbers = (3 * dofs[:, :, None] + np.arange(3)).reshape(len(dofs), -1)
         numbers = np.hstack([numbers, np.full((len(dofs), 1), solid.unknowns + number)])
@@ -84,7 +90,7 @@ class HeldContact:
         if given is not None:
             points = np.moveaxis(np.asarray(basis.global_coordinates()), 0, -1)
             g = given(points.reshape(-1, 3)).reshape(points.shape)
-            pulled = np.einsum("fqa,fqij,fqj->fai", values, held, g, optimize=True)
+            pulled = np.einsum("fqa,fqi->fai", shares, (held @ g[..., None])[..., 0])
             self._given = numbers.ravel(), (pulled.reshape(len(dofs), -1) @ sink).ravel()
 
     @property
@@ -126,9 +132,9 @@ def _composite_rule() -> tuple[Array, Array]:
 
 
 def _held(indenter: Indenter, away: Array, r: Array) -> Array:
-    """Projections (facets, q, 3, 3) on the directions in which points are held."""
+    """Projections (facets, q, 3, 3) on the directions in which points are held; (3, 3) for all."""
     if indenter.rough:
-        return np.broadcast_to(np.eye(3), (*r.shape, 3, 3))
+        return np.eye(3)
     slope = indenter.profile(r)[1]
     normal = np.stack([*(-slope * away / np.maximum(r, 1e-12)), np.ones_like(r)], axis=-1)
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
