@@ -30,6 +30,7 @@ from eitskin.simulator.presses.press_store import (
     REFERENCE_RATIO,
     SUBSTRATE_RATIO,
     indenter_samples,
+    lagrange_weights,
     scaled_heights,
     with_modulus,
 )
@@ -40,13 +41,12 @@ from eitskin.simulator.scene.touch import AnyIndenter
 Array = NDArray[np.float64]
 
 # Versions of the tables: raise them whenever corrections are solved or tabulated in another way.
-_VERSIONS = {"corrections": 2, "strips": 2, "pairs": 3}
+_VERSIONS = {"corrections": 2, "strips": 2, "fine-strips": 2, "pairs": 3}
 _SHORTEST = 8.0  # length over the thickness of the stack, so that the ends do not feel each other
 # Steps of thickness and of the modulus ratio between solved stacks, as for the tables of presses.
 _THICKER, _STIFFER = 1.1, math.sqrt(2.0)
-# Steps up to which the neighbours of the reference serve: hand-made specimens stay within. Steps
-# that count as none.
-_FAR, _AT_NODE = 2.6, 1e-9
+# Steps up to which the neighbours of the reference serve: hand-made specimens stay within.
+_FAR = 2.6
 _BEYOND = 0.02  # of the deepest solved press, by which another may be deeper
 _KEPT = 3e-4  # singular values, relative to the largest, that a stored table keeps
 _OF_FIELD = 4  # dimensions of the coefficients of one field
@@ -80,10 +80,10 @@ def missing(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -> s
 
 def _names(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -> list[str]:
     """Names of all files that a design needs."""
-    base, others = _needed(design, mechanics)
+    base, strips = _needed(design, mechanics)
     return [
         _name(design, base, mechanics, indenter),
-        *(_strip_name(design, stack, mechanics, indenter) for stack, _ in others),
+        *(_strip_name(design, strip, mechanics, indenter) for strip, _ in strips),
         _pair_name(design, base, mechanics, indenter),
     ]
 
@@ -150,35 +150,47 @@ def prepare(
 @lru_cache(maxsize=64)
 def corrections(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -> Corrections:
     """Corrections on a design that is `tabulable`; those not stored take minutes to solve."""
-    base, others = _needed(design, mechanics)
+    base, strips = _needed(design, mechanics)
     return Corrections(
         design.thickness,
         _stored(design, base, mechanics, indenter),
-        tuple((_strip(design, stack, mechanics, indenter), weight) for stack, weight in others),
+        tuple((_strip(design, strip, mechanics, indenter), weight) for strip, weight in strips),
     )
 
 
-def _needed(design: SensorDesign, mechanics: Mechanics) -> tuple[Stack, list[tuple[Stack, float]]]:
-    """Solved stack next to a design's, and neighbours with their weights.
+@dataclasses.dataclass(frozen=True, slots=True)
+class _Strip:
+    """Strip of a solved stack, and whether its mesh is good for differences of two steps."""
+
+    stack: Stack
+    fine: bool
+
+
+def _needed(design: SensorDesign, mechanics: Mechanics) -> tuple[Stack, list[tuple[_Strip, float]]]:
+    """Solved stack next to a design's, and strips of that stack and its neighbours with weights.
 
     Thickness and moduli are varied one at a time, quadratically, about the solved stack (cut-HDMR,
     Rabitz and Alis 1999): the correction is that of the solved stack plus weighted differences of
-    neighbours to it, for which presses on a strip and a coarse mesh suffice.
+    neighbours to it, for which presses on a strip and a coarse mesh suffice. The neighbours are the
+    next on both sides, for moduli beyond those the two next on one side, the farther on a finer
+    mesh.
     """
     stack = mechanics.stack(design)
     exact = _positions(stack, design, mechanics)
     nearest = tuple(0 if abs(t) < _FAR else round(t) for t in exact)
     base = _solved(stack, design, mechanics, nearest)
-    weights: dict[Stack, float] = {}
+    weights: dict[_Strip, float] = {}
     for axis, position in enumerate(exact):
         t = position - nearest[axis]
-        if abs(t) < _AT_NODE:
-            continue
-        for step, weight in ((-1, 0.5 * t * (t - 1.0)), (1, 0.5 * t * (t + 1.0))):
-            steps = tuple(n + step * (k == axis) for k, n in enumerate(nearest))
-            weights[_solved(stack, design, mechanics, steps)] = weight
-    if weights:
-        weights[base] = -sum(weights.values())
+        near = axis == 0 or abs(t) <= 1.0  # thickness comes first
+        beside = range(-1, 2) if near else range(3) if t > 0.0 else range(-2, 1)
+        for step, weight in lagrange_weights(t, beside):
+            if step:
+                steps = tuple(n + step * (k == axis) for k, n in enumerate(nearest))
+                fine = abs(step) > 1
+                weights[_Strip(_solved(stack, design, mechanics, steps), fine)] = weight
+                own = _Strip(base, fine)
+                weights[own] = weights.get(own, 0.0) - weight
     return base, list(weights.items())
 
 
@@ -247,13 +259,16 @@ def pair_table(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -
 
 
 def _strip(
-    design: SensorDesign, stack: Stack, mechanics: Mechanics, indenter: Indenter
+    design: SensorDesign, strip: _Strip, mechanics: Mechanics, indenter: Indenter
 ) -> StripTable:
-    name = _strip_name(design, stack, mechanics, indenter)
+    name = _strip_name(design, strip, mechanics, indenter)
     found = _read(StripTable, name)
     if found is None:
-        around, workers = _around(stack, mechanics), os.cpu_count() or 1
-        found = solve_strip(_rectangle(design), stack, around, design.support, indenter, workers)
+        stack, workers = strip.stack, os.cpu_count() or 1
+        around, support = _around(stack, mechanics), design.support
+        found = solve_strip(
+            _rectangle(design), stack, around, support, indenter, workers, strip.fine
+        )
         solved_files.write(solved_files.folder() / name, dict(_arrays(found)))
     return found
 
@@ -292,11 +307,12 @@ def _name(design: SensorDesign, stack: Stack, mechanics: Mechanics, indenter: In
 
 
 def _strip_name(
-    design: SensorDesign, stack: Stack, mechanics: Mechanics, indenter: Indenter
+    design: SensorDesign, strip: _Strip, mechanics: Mechanics, indenter: Indenter
 ) -> str:
     """Name of the file of a table of presses on a strip."""
     size: dict[str, object] = {"width": _rectangle(design).width, "margin": mechanics.margin}
-    return _file_name("strips", stack, mechanics, indenter, size)
+    kind = "fine-strips" if strip.fine else "strips"
+    return _file_name(kind, strip.stack, mechanics, indenter, size)
 
 
 def _pair_name(design: SensorDesign, stack: Stack, mechanics: Mechanics, indenter: Indenter) -> str:

@@ -39,6 +39,7 @@ _STRETCH = 2.5
 # Corrections vary most at the sides beside a press. Near an end the strip's mesh would cost five
 # times as much, and the difference to a strip of the same mesh needs less.
 _ON_STRIP, _AT_END = Fineness(ends=0.0, sides=0.1, layers=2), Fineness(sides=0.0, layers=1)
+_FINER = Fineness(sides=0.0, layers=2)  # the same for stacks that differ more
 _VANISHED = 2.0  # beyond the last distance from an end, over the thickness
 _SAME = 1e-9  # [m]
 
@@ -284,14 +285,17 @@ def solve_strip(
     support: Support,
     indenter: Indenter,
     workers: int = 1,
+    fine: bool = False,
 ) -> StripTable:
     """Solve presses on a strip on a coarse mesh, good for differences between stacks.
 
-    Arguments and errors as for `solve_corrections`.
+    Between stacks of moduli that differ twofold only a `fine` mesh, of three times the time, leaves
+    less than 1 % of the signal. Other arguments and errors as for `solve_corrections`.
     """
     setting, aside = _setting(outline, stack, mechanics, support, indenter)
+    fineness = _FINER if fine else _AT_END
     with processes(workers) as run:
-        strips = list(run(partial(setting.on_strip, _AT_END), aside.tolist()))
+        strips = list(run(partial(setting.on_strip, fineness), aside.tolist()))
     return StripTable(**setting.tabulated(aside, strips))
 
 

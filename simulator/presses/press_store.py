@@ -104,7 +104,7 @@ def _of_thicknesses(
     middle = round(position) if abs(position) > 1.0 else 0  # within a step three tables serve all
     return [
         (scaled_heights(stack, solved * _THICKER**p / design.thickness), weight)
-        for p, weight in _lagrange(position, range(middle - 1, middle + 2))
+        for p, weight in lagrange_weights(position, range(middle - 1, middle + 2))
     ]
 
 
@@ -132,11 +132,11 @@ def _of_moduli(
     first = math.ceil(position) - 2
     return [
         (with_modulus(stack, numbers, reference * 2.0 ** (p / _STEPS)), weight)
-        for p, weight in _lagrange(position, range(first, first + 4))
+        for p, weight in lagrange_weights(position, range(first, first + 4))
     ]
 
 
-def _lagrange(position: float, nodes: range) -> list[tuple[int, float]]:
+def lagrange_weights(position: float, nodes: range) -> list[tuple[int, float]]:
     """Lagrange weights at `position` of values at `nodes`; a single weight at a node."""
     nearest = round(position)
     if abs(position - nearest) < 1e-9:

@@ -25,7 +25,8 @@ from eitskin.simulator.mechanics.solved_files import folder
 from eitskin.simulator.presses import correction_store, press_store
 from eitskin.simulator.scene.indenters import Cylinder
 
-_VARIED = 1.02  # values that need all neighbours, relative to the nominal ones
+_VARIED = 1.02  # values that need all next neighbours, relative to the nominal ones
+_FARTHER = (0.5, 2.0)  # moduli of the encapsulation two steps away, relative to the nominal one
 
 
 def main(only_bends: bool) -> None:
@@ -64,6 +65,11 @@ def main(only_bends: bool) -> None:
         correction_store.prepare(reference, materials, Cylinder(), _progress)
     with _reported("neighbours"):
         correction_store.prepare(varied, stiffer, Cylinder(), _progress)
+    for factor in _FARTHER:
+        around = NeoHookean(factor * materials.encapsulation.shear_modulus)
+        with _reported(f"encapsulation {factor:g} times as stiff"):
+            mechanics = replace(materials, encapsulation=around)
+            correction_store.prepare(reference, mechanics, Cylinder(), _progress)
 
 
 @contextmanager

@@ -113,22 +113,48 @@ def test_pairs_are_the_same_seen_from_either_press_and_in_a_mirror(second) -> No
 # Neighbouring stacks
 
 
-@pytest.mark.parametrize("thickness", [0.0047, 0.005, 0.0054])
-@pytest.mark.parametrize("modulus", [28e3, 33e3])
+@pytest.mark.parametrize("thickness", [0.0040, 0.0047, 0.005, 0.0054, 0.0063])
+@pytest.mark.parametrize("modulus", [14e3, 18e3, 28e3, 33e3, 56e3, 65e3])
 def test_weights_of_neighbours_are_those_of_a_quadratic(thickness, modulus) -> None:
-    design = dataclasses.replace(DESIGN, thickness=thickness)
-    mechanics = Mechanics(encapsulation=NeoHookean(modulus), solved_thickness=0.005)
-    base, others = store._needed(design, mechanics)
-    assert sum(weight for _, weight in others) == pytest.approx(0.0, abs=1e-12)
+    base, strips = needed(thickness, modulus)
 
     def quadratic(stack):
         t = np.log(stack.sheets[1].thickness / 0.005)
         s = np.log(stack.sheets[0].law.shear_modulus / 28e3)
         return 1.0 + 2.0 * t - 3.0 * t**2 + 0.5 * s + 4.0 * s**2
 
-    found = quadratic(base) + sum(weight * quadratic(stack) for stack, weight in others)
+    found = quadratic(base) + sum(weight * quadratic(strip.stack) for strip, weight in strips)
     t, s = np.log(thickness / 0.005), np.log(modulus / 28e3)
     assert found == pytest.approx(1.0 + 2.0 * t - 3.0 * t**2 + 0.5 * s + 4.0 * s**2)
+    for fine in (False, True):  # differences, each of strips on one mesh
+        alike = [weight for strip, weight in strips if strip.fine == fine]
+        assert sum(alike) == pytest.approx(0.0, abs=1e-12)
+
+
+def needed(thickness, modulus):
+    design = dataclasses.replace(DESIGN, thickness=thickness)
+    mechanics = Mechanics(encapsulation=NeoHookean(modulus), solved_thickness=0.005)
+    return store._needed(design, mechanics)
+
+
+@pytest.mark.parametrize("step", [-2, -1, 1, 2])
+def test_a_solved_neighbour_takes_the_place_of_the_base(step) -> None:
+    modulus = 28e3 * 2.0 ** (step / 2)
+    base, strips = needed(0.005, modulus)
+    found = {round(strip.stack.sheets[0].law.shear_modulus): weight for strip, weight in strips}
+    assert found == pytest.approx({round(modulus): 1.0, 28000: -1.0})
+    assert base.sheets[0].law.shear_modulus == pytest.approx(28e3)
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+def test_weights_are_continuous_where_the_neighbours_change(side) -> None:
+    """A step from the base the strip there has the whole weight, from either side."""
+    before, after = (
+        dict(needed(0.005, 28e3 * 2.0 ** (0.5 * side * t))[1]) for t in (1 - 1e-6, 1 + 1e-6)
+    )
+    assert set(before) != set(after)
+    for strip in before.keys() | after.keys():
+        assert before.get(strip, 0.0) == pytest.approx(after.get(strip, 0.0), abs=1e-5)
 
 
 def test_only_presses_that_depend_on_x_near_the_ends_are_tabulated() -> None:
@@ -192,7 +218,12 @@ def test_names_of_files_depend_on_everything() -> None:
     ]
     names = {store._name(*case) for case in cases}
     assert len(names) == len(cases)
-    assert len({store._strip_name(*case) for case in cases}) == len(cases) - 1  # of any length
+    strips = {
+        store._strip_name(design, store._Strip(stack, fine), *others)
+        for design, stack, *others in cases
+        for fine in (False, True)
+    }
+    assert len(strips) == 2 * (len(cases) - 1)  # one for any length
     assert store._name(*cases[0]) == store._name(DESIGN, stack, Mechanics(), Cylinder())
 
 
