@@ -38,9 +38,7 @@ TouchModel = Literal["tabulated", "solved"]
 # Distances of the axis from the gel's edge and from another touch, below which signals are more
 # than 4 % off independent solutions, or not compared with them (docs/deformation.md) [m].
 _EDGE, _NEIGHBOUR = 0.005, 0.020
-# Largest errors of the signal found up to these distances from the edge and from another touch [m].
-_BY_EDGE = ((_EDGE, None), (math.inf, 0.04))
-_BY_NEIGHBOUR = ((_NEIGHBOUR, None), (0.030, 0.05), (math.inf, 0.04))
+_FOUND = 0.04  # largest error of the signal found beyond these distances
 _BENT = (
     "pressed and bent, rolled or twisted then, which was not compared; a sensor on a support "
     "'plates' that its clamp bends is pressed as one problem"
@@ -316,13 +314,8 @@ def _first(table: PressTable, touch: Touch, sunk: float) -> TabulatedDent:
 
 
 def _signal_error(edge: float, neighbour: float, design: SensorDesign) -> float | None:
-    if not _is_compared(design):
-        return None
-    alone, together = (
-        next(error for limit, error in table if distance < limit or limit == math.inf)
-        for distance, table in ((edge, _BY_EDGE), (neighbour, _BY_NEIGHBOUR))
-    )
-    return None if alone is None or together is None else max(alone, together)
+    compared = _is_compared(design) and edge >= _EDGE and neighbour >= _NEIGHBOUR
+    return _FOUND if compared else None
 
 
 def _is_compared(design: SensorDesign) -> bool:
