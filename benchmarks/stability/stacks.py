@@ -111,10 +111,7 @@ def _pressed(
     solved = FiniteStack(body, bent=bent)
     found = solved.correction([DentField(*_PLACE, punch, dent, frame)])
     solid = solved.solid
-    nodes = len(solid.nodes)
-    forces = solid.forces(found.unknowns)[: 3 * nodes].reshape(nodes, 3)
-    # The plates' own forces on a bent stack add up to none.
-    carried = float(forces[body.held(solid.nodes)].sum(axis=0) @ normal)
+    carried = float(solved.reaction(found) @ normal)
     J, weights = solid.volume_ratio(found.unknowns), solid.weights
     gel = body.gel_cells
     volume = float((J[gel] * weights[gel]).sum() / weights[gel].sum())

@@ -121,16 +121,18 @@ def newton(
     load: Load,
     factorise: Factorise = SparseLU,
     tolerance: float = _TOLERANCE,
+    scale: float = 0.0,
 ) -> Array:
     """Stable equilibrium near x (n,) under a load, by Newton's method.
 
     Corrections that would invert a cell, or increase the residual, are halved. `factorise` takes
     the stiffness of the free unknowns in rising order. The iteration ends with a correction below
-    `tolerance` relative to the largest unknown; the error is of the order of its square. Raises
+    `tolerance` relative to the largest unknown, or to `scale` where all unknowns are smaller; the
+    error is of the order of its square. Raises
     SolidError where no stable equilibrium is found; `follow` then takes smaller steps.
     """
     free = np.setdiff1d(np.arange(len(x)), load.fixed)
-    start = np.abs(x).max()  # where all loads are removed, x itself goes to zero
+    start = max(np.abs(x).max(), scale)  # where all loads are removed, x itself goes to zero
     constraints = sum(term.multipliers for term in terms)
     for iteration in range(_ITERATIONS):
         step, factorised, residual_norm = _correction(terms, x, load, free, factorise)

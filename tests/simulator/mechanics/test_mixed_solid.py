@@ -154,6 +154,18 @@ def test_corrections_that_would_invert_cells_are_halved() -> None:
     newton([solid], np.zeros(solid.unknowns), squeezed(solid, 3.0))
 
 
+def test_a_solid_that_hardly_moves_needs_a_scale() -> None:
+    """Rounding leaves residuals that no correction makes smaller than themselves."""
+    solid = Solid(MESHES["ring"][0], [NeoHookean(1.0)], kinematics="axisymmetric")
+    load = squeezed(solid, 1.0)
+    tiny = 1e-20 * np.random.default_rng(0).normal(size=solid.unknowns)
+    held = Load(load.fixed, load.values, solid.forces(tiny))
+    with pytest.raises(SolidError, match="does not converge"):
+        newton([solid], np.zeros(solid.unknowns), held, tolerance=1e-2)
+    found = newton([solid], np.zeros(solid.unknowns), held, tolerance=1e-2, scale=1e-6)
+    assert np.abs(found).max() < 1e-9
+
+
 def test_the_work_of_the_load_is_the_energy_stored() -> None:
     """A cylinder squeezed between rough plates, by Simpson's rule over the stroke."""
     mesh = skfem.MeshQuad.init_tensor(np.linspace(0, 1, 5), np.linspace(0, 1, 5))
