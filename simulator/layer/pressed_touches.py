@@ -38,8 +38,9 @@ TouchModel = Literal["tabulated", "solved"]
 # Distances of the axis from the gel's edge and from another touch, below which signals are more
 # than 4 % off independent solutions, or not compared with them (docs/deformation.md) [m].
 _EDGE, _NEIGHBOUR = 0.005, 0.020
-_FOUND = 0.04  # largest error of the signal found beyond these distances
-_BENT = (
+# Largest errors of the signal found beyond these distances, on a flat and on a bent sensor.
+_FLAT, _BENT = 0.04, 0.05
+_THEN = (
     "pressed and bent, rolled or twisted then, which was not compared; a sensor on a support "
     "'plates' that its clamp bends is pressed as one problem"
 )
@@ -241,15 +242,21 @@ def pressed_touches(
     `bent_then` says that the pressed sensor is bent, rolled or twisted afterwards.
     """
     world = _world(touches, design, mechanics, model, bent)
+    error = None if bent_then else _FLAT if bent is None else _BENT
     return tuple(
-        _described(one, below, touches, design, bent_then)
+        _described(one, below, touches, design, error)
         for one, below in zip(world.pressed, world.sunk, strict=True)
     )
 
 
 def _described(
-    one: _Pressed, sunk: float, touches: tuple[Touch, ...], design: SensorDesign, unknown: bool
+    one: _Pressed,
+    sunk: float,
+    touches: tuple[Touch, ...],
+    design: SensorDesign,
+    error: float | None,
 ) -> PressedTouch:
+    """Result of one touch; `error` is that found where presses were compared, None for none."""
     touch, dent, force = one
     neighbour = min(
         (math.dist((touch.x, touch.y), (t.x, t.y)) for t in touches if t is not touch),
@@ -268,8 +275,8 @@ def _described(
         thinning=dent.thinning if dent is not None else 0.0,
         edge_distance=edge,
         neighbour_distance=neighbour,
-        signal_error=None if unknown else _signal_error(edge, neighbour, design),
-        caution="; ".join(_cautions(edge, neighbour, design) + [_BENT] * unknown),
+        signal_error=error if _is_compared(design, edge, neighbour) else None,
+        caution="; ".join(_cautions(edge, neighbour, design) + [_THEN] * (error is None)),
     )
 
 
@@ -313,19 +320,14 @@ def _first(table: PressTable, touch: Touch, sunk: float) -> TabulatedDent:
     return table.at_depth(max(touch.depth - sunk, 0.5 * touch.depth))
 
 
-def _signal_error(edge: float, neighbour: float, design: SensorDesign) -> float | None:
-    compared = _is_compared(design) and edge >= _EDGE and neighbour >= _NEIGHBOUR
-    return _FOUND if compared else None
-
-
-def _is_compared(design: SensorDesign) -> bool:
-    """Whether presses on such a sensor were compared with independent solutions."""
-    return isinstance(design.outline, Rectangle)
+def _is_compared(design: SensorDesign, edge: float, neighbour: float) -> bool:
+    """Whether such presses were compared with independent solutions."""
+    return isinstance(design.outline, Rectangle) and edge >= _EDGE and neighbour >= _NEIGHBOUR
 
 
 def _cautions(edge: float, neighbour: float, design: SensorDesign) -> list[str]:
     reasons = []
-    if not _is_compared(design):
+    if not isinstance(design.outline, Rectangle):
         reasons.append("presses on this outline were not compared")
     if edge < _EDGE:
         reasons.append(f"{1e3 * edge:.1f} mm from the edge of the gel, where nothing was compared")
