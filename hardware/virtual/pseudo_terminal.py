@@ -16,6 +16,7 @@ from eitskin.hardware.virtual.fault import Unplugged
 
 _CHUNK = 4096  # bytes
 _BACKLOG = 16384  # bytes waiting to be sent, beyond which requests wait too
+_LOCK_AGAIN = 0.01  # s, from a lock refused to the next try
 
 
 class Firmware(typing.Protocol):
@@ -110,7 +111,7 @@ class PseudoTerminal(Closeable, Generic[FirmwareType]):
         self._ends: tuple[int, ...] = ()
         self._stopped = False
         self._outgoing = bytearray()
-        self._locked = False
+        self._locked = self._refused = False
         self._closing = threading.Lock()
         self._thread: threading.Thread | None = None
         self._plug_in()
@@ -224,16 +225,17 @@ class PseudoTerminal(Closeable, Generic[FirmwareType]):
 
     def _lock(self, wanted: bool) -> None:
         """Lock the port as another program would, or unlock it."""
+        self._refused = wanted and not self._locked
         if wanted != self._locked:
             import fcntl
 
             # A lock belongs to an open file: a host's lock is another than this one. While a host
-            # has the port it cannot be locked here; the next call tries again.
+            # has the port it cannot be locked here, and nothing tells when it lets go.
             with contextlib.suppress(BlockingIOError):
                 fcntl.flock(
                     self._host_end, (fcntl.LOCK_EX | fcntl.LOCK_NB) if wanted else fcntl.LOCK_UN
                 )
-                self._locked = wanted
+                self._locked, self._refused = wanted, False
 
     def _measure(self) -> None:
         """Send a frame if one is due; skip it, as a board must, while the last is unread."""
@@ -267,11 +269,11 @@ class PseudoTerminal(Closeable, Generic[FirmwareType]):
 
     def _patience(self) -> float | None:
         """Longest wait for bytes [s]; None for without end."""
-        if not self.firmware.streaming:
-            return None
-        if self._outgoing and not self.pace.period:
-            return None
-        return self.pace.remaining()
+        patience = _LOCK_AGAIN if self._refused else None
+        if not self.firmware.streaming or (self._outgoing and not self.pace.period):
+            return patience
+        left = self.pace.remaining()
+        return left if patience is None else min(left, patience)
 
     def _answer(self) -> None:
         was_streaming = self.firmware.streaming
