@@ -158,20 +158,16 @@ class Simulator:
             return False
         supported = self.supported(scene)
         way = way_of(scene.touches, supported, self.mechanics, self.touch_model)
-        return way == "solved" or self._is_pressed_bent(scene)
+        return way == "solved"
 
     def _bent_state(self, scene: Scene) -> BentStack | None:
-        """State in which the scene's bend is pressed; None for a sensor that is pressed flat."""
-        if not (self._is_pressed_bent(scene) and isinstance(self.fixture, Clamp)):
+        """State in which plates that bend the sensor hold it; None for one that is pressed flat."""
+        supported, fixture = self.supported(scene), self.fixture
+        if not (isinstance(supported.support, Plates) and isinstance(fixture, Clamp)):
             return None
-        supported = self.supported(scene)
-        return bend_store.equilibrium(supported, self.fixture, self.mechanics, scene.bend)
-
-    def _is_pressed_bent(self, scene: Scene) -> bool:
-        """Whether plates hold and bend the sensor, so that it is pressed in its bent state."""
-        on_plates = isinstance(self.supported(scene).support, Plates)
-        bent = bool(scene.bend.angle_deg) and scene.roll is None
-        return bent and on_plates and isinstance(self.fixture, Clamp)
+        if not scene.bend.angle_deg or scene.roll is not None:
+            return None
+        return bend_store.equilibrium(supported, fixture, self.mechanics, scene.bend)
 
     def check_scene(self, scene: Scene) -> None:
         """Raise ConfigurationError for a scene that the sensor or its support does not allow.
@@ -300,10 +296,11 @@ class Simulator:
             pressed = pressed_by(scene.touches, self.design, self.mechanics)
             return None if pressed is None else pressed.field
         supported, bent = self.supported(scene), self._bent_state(scene)
+        sensor = (scene.touches, supported, self.mechanics, self.touch_model)
         if bent is not None:
             bend = self._flexure(scene.bend, supported)
-            return bent_dents(scene.touches, supported, self.mechanics, bend, bent)
-        return dents(scene.touches, supported, self.mechanics, self.touch_model)
+            return bent_dents(*sensor, bend, bent)
+        return dents(*sensor)
 
     def conductivity(self, scene: Scene) -> Field | None:
         """Pulled-back conductivity J F^-1 sigma F^-T as a function of flat positions.

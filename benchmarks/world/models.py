@@ -91,7 +91,7 @@ def _pressed_bent(case: ReferenceCase) -> Deformation:
     solved_presses.cache_clear()
     state = bend_store.equilibrium(case.design, Clamp(), case.mechanics, case.scene.bend)
     sensor = (case.scene.touches, case.design, case.mechanics)
-    return bent_dents(*sensor, bend(case, SOLVED), state)
+    return bent_dents(*sensor, "solved", bend(case, SOLVED), state)
 
 
 def _unbounded(case: ReferenceCase) -> Deformation:

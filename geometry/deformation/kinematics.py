@@ -1,5 +1,6 @@
 """Kinematics: deformation map, composition, pull-back of conductivity, area ratio."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
@@ -25,13 +26,29 @@ class Deformation(Protocol):
         ...
 
 
+class OnePass(ABC):
+    """Deformation whose positions and gradients cost little more than either alone."""
+
+    __slots__ = ()
+
+    @abstractmethod
+    def mapped(self, points: Points) -> tuple[Points, Gradients]:
+        """Positions [m], (..., 3), and deformation gradients, (..., 3, 3), of flat points [m]."""
+
+    def positions(self, points: Points) -> Points:
+        """Deformed positions [m], (..., 3), of flat points [m], (..., 3)."""
+        return self.mapped(points)[0]
+
+    def gradient(self, points: Points) -> Gradients:
+        """Deformation gradient F = dx/dX, (..., 3, 3), at flat points [m], (..., 3)."""
+        return self.mapped(points)[1]
+
+
 def mapped(deformation: Deformation, points: Points) -> tuple[Points, Gradients]:
-    """Positions and deformation gradients; in one pass where the deformation has a `mapped`."""
-    at_once = getattr(deformation, "mapped", None)
-    if at_once is None:
-        return deformation.positions(points), deformation.gradient(points)
-    both: tuple[Points, Gradients] = at_once(points)
-    return both
+    """Positions and deformation gradients; in one pass where the deformation has one."""
+    if isinstance(deformation, OnePass):
+        return deformation.mapped(points)
+    return deformation.positions(points), deformation.gradient(points)
 
 
 @dataclass(frozen=True, slots=True)

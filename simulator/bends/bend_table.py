@@ -15,7 +15,9 @@ from eitskin.simulator.mechanics.load_stepping import SolidError
 
 Array = NDArray[np.float64]
 
-ANGLES_DEG = (-40.0, -30.0, -20.0, -10.0, 0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 75.0, 90.0)
+# Downwards the sensor's lower side is pressed together, and the steps are shorter towards the end:
+# from -30 degrees straight to -40 takes three times as many iterations as by way of -35.
+ANGLES_DEG = tuple(map(float, (-40, -35, *range(-30, 61, 10), 75, 90)))
 _FEWEST = 4
 _SAME = 1e-9  # [m]
 _INTERPOLATED = ("x", "y", "z", "thickness", "centre", "energies", "moments", "values")

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from eitskin.geometry.deformation.kinematics import Gradients, Points
+from eitskin.geometry.deformation.kinematics import Gradients, OnePass, Points
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -21,7 +21,7 @@ _AT_ONCE = 40_000  # points per chunk
 
 
 @dataclass(frozen=True, eq=False)
-class TetrahedralField:
+class TetrahedralField(OnePass):
     """Displacement field on tetrahedra with straight edges, quadratic in each.
 
     Points outside the mesh belong to the nearest cell, whose polynomial is continued to them.
@@ -37,14 +37,6 @@ class TetrahedralField:
     cells: Indices
     values: Array
     stress: Array
-
-    def positions(self, points: Points) -> Points:
-        """Deformed positions [m], (..., 3), of undeformed points [m], (..., 3)."""
-        return self.mapped(points)[0]
-
-    def gradient(self, points: Points) -> Gradients:
-        """Deformation gradient, (..., 3, 3); it jumps between cells of the mesh, slightly."""
-        return self.mapped(points)[1]
 
     def mapped(self, points: Points) -> tuple[Points, Gradients]:
         """Positions and deformation gradient in one pass."""

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.geometry.deformation.kinematics import Deformation, Gradients, Points, mapped
+from eitskin.geometry.deformation.kinematics import Deformation, Gradients, OnePass, Points, mapped
 from eitskin.simulator.layer.dents import Dent, Dents, PlacedDent
 from eitskin.simulator.presses.contact_frame import ContactFrame
 
@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BentPresses:
+class BentPresses(OnePass):
     """Bend of the layer, dents turned to its top, and the correction of both in the finite stack.
 
     All displacements are added up.
@@ -27,14 +27,6 @@ class BentPresses:
     bend: Deformation
     presses: tuple[tuple[ContactFrame, Dent], ...]
     correction: Dents
-
-    def positions(self, points: Points) -> Points:
-        """Deformed positions [m], (..., 3), of flat points [m], (..., 3)."""
-        return self.mapped(points)[0]
-
-    def gradient(self, points: Points) -> Gradients:
-        """Deformation gradient, (..., 3, 3)."""
-        return self.mapped(points)[1]
 
     def mapped(self, points: Points) -> tuple[Points, Gradients]:
         """Positions and deformation gradient in one pass."""

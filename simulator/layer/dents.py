@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.geometry.deformation.kinematics import Gradients, Points
+from eitskin.geometry.deformation.kinematics import Gradients, OnePass, Points
 from eitskin.simulator.presses.closed_form_dent import ClosedFormDent
 from eitskin.simulator.scene.touch import Touch
 
@@ -59,7 +59,7 @@ class PlacedDent:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Dents:
+class Dents(OnePass):
     """Deformation of the flat layer by presses: dents of the unbounded stack, and corrections.
 
     All displacements are added up.
@@ -71,14 +71,6 @@ class Dents:
 
     presses: tuple[PlacedDent, ...]
     corrections: tuple[ColumnField, ...] = ()
-
-    def positions(self, points: Points) -> Points:
-        """Deformed positions [m], (..., 3), of flat points [m], (..., 3)."""
-        return self.mapped(points)[0]
-
-    def gradient(self, points: Points) -> Gradients:
-        """Deformation gradient, (..., 3, 3)."""
-        return self.mapped(points)[1]
 
     def mapped(self, points: Points) -> tuple[Points, Gradients]:
         """Positions and deformation gradient in one pass."""

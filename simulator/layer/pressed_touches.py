@@ -65,7 +65,8 @@ class PressedTouch:
         neighbour_distance: from the axis to that of the nearest other touch [m].
         signal_error: largest error of the signal, relative, that comparisons with the full model
             found at such distances (docs/deformation.md); None at smaller distances than any
-            comparison, on other outlines than rectangles, and on a bent sensor off its plates.
+            comparison, on other outlines than rectangles, and on a sensor that is bent, rolled or
+            twisted after it is pressed.
         caution: why the dent is less exact than a single one in the middle of the sensor; empty
             otherwise.
     """
@@ -124,19 +125,22 @@ def bent_dents(
     touches: tuple[Touch, ...],
     design: SensorDesign,
     mechanics: Mechanics,
+    model: TouchModel | None,
     bend: Deformation,
     bent: BentState,
 ) -> BentPresses:
-    """Deformation of the gel by touches on a sensor in the state `bent`, its bend included."""
-    world = _world(touches, design, mechanics, None, bent)
-    placed = []
-    for one in world.pressed:
-        if one.dent is None:
-            continue
-        frame = contact_frame(_press(one.touch, one.dent), mechanics.stack(design), bent)
-        if frame is not None:
-            placed.append((frame, one.dent))
-    return BentPresses(bend, tuple(placed), Dents((), world.corrections))
+    """Deformation of the gel by touches on a sensor in the state `bent`, its bend included.
+
+    Raises ConfigurationError for presses beyond the range of the model.
+    """
+    world = _world(touches, design, mechanics, model, bent)
+    stack = mechanics.stack(design)
+    placed = tuple(
+        (contact_frame(one.touch.x, one.touch.y, stack, bent), one.dent)
+        for one in world.pressed
+        if one.dent is not None
+    )
+    return BentPresses(bend, placed, Dents((), world.corrections))
 
 
 def _world(
@@ -148,8 +152,8 @@ def _world(
 ) -> _World:
     """Dents of touches, and their corrections in the whole stack.
 
-    Presses on a bent stack are solved. On a flat one corrections are, without a model, tabulated
-    where a table comes with the package, else solved.
+    Without a model, corrections are tabulated where a table comes with the package, else solved;
+    no table is of a bent stack.
     """
     sunk = (0.0,) * len(touches)
     for _ in range(_SINKINGS):
@@ -181,7 +185,7 @@ def _corrected(
     sunk = [0.0] * len(pressed)
     fields: list[ColumnField] = []
     way = way_of(tuple(touch for _, touch, _ in felt), design, mechanics, model)
-    if bent is None and way == "tabulated":
+    if way == "tabulated":
         for k, touch, dent in felt:
             found, sunk[k] = corrections(design, mechanics, touch.indenter).at(
                 touch.x, touch.y, dent.depth
@@ -205,7 +209,7 @@ def _corrected(
 def way_of(
     touches: tuple[Touch, ...], design: SensorDesign, mechanics: Mechanics, model: TouchModel | None
 ) -> TouchModel:
-    """Way to the corrections of touches on a flat sensor: the model, or what ships."""
+    """Way to the corrections of touches: the model, or what ships."""
     if model is not None:
         return model
     known = tabulable(design) and all(is_shipped(design, mechanics, t.indenter) for t in touches)

@@ -73,7 +73,9 @@ def solved_presses(
     for press in presses:
         _require_on_stack(press, design, mechanics.margin)
     stack = mechanics.stack(design)
-    frames = [contact_frame(press, stack, bent) for press in presses]
+    frames = [
+        None if bent is None else contact_frame(press.x, press.y, stack, bent) for press in presses
+    ]
     contacts = [
         Contact(press.x, press.y, press.indenter.rims[1], _stretches(frame))
         for press, frame in zip(presses, frames, strict=True)
@@ -86,11 +88,9 @@ def solved_presses(
     return FiniteStack(body, len(presses), bent).correction(dents)
 
 
-def contact_frame(press: Press, stack: Stack, bent: BentState | None) -> ContactFrame | None:
-    """Frame of the bent top under an indenter; None on a flat stack."""
-    if bent is None:
-        return None
-    return ContactFrame.at(bent, press.x, press.y, stack.levels[-1] - stack.levels[stack.gel])
+def contact_frame(x: float, y: float, stack: Stack, bent: BentState) -> ContactFrame:
+    """Frame of the bent top under (x, y) [m]."""
+    return ContactFrame.at(bent, x, y, stack.levels[-1] - stack.levels[stack.gel])
 
 
 def _stretches(frame: ContactFrame | None) -> tuple[float, float]:

@@ -135,7 +135,7 @@ def test_a_port_in_use_is_refused_until_it_is_free():
 
 
 def is_locked(path):
-    with open(path, "rb", buffering=0) as port:
+    with Path(path).open("rb", buffering=0) as port:
         try:
             fcntl.flock(port, fcntl.LOCK_SH | fcntl.LOCK_NB)
         except BlockingIOError:
