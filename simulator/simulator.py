@@ -27,7 +27,7 @@ from eitskin.simulator.bodies.body_touches import (
 from eitskin.simulator.bodies.tetrahedral_field import TetrahedralField
 from eitskin.simulator.electrical.forward_model import AreaRatio, ForwardModel
 from eitskin.simulator.electrical.model_family import ModelFamily
-from eitskin.simulator.electrical.reanalysis import Reanalysis, Tolerance, is_possible
+from eitskin.simulator.electrical.reanalysis import TOLERANCE, Reanalysis, is_possible
 from eitskin.simulator.electrical.resolution import Discretisation, Resolution
 from eitskin.simulator.instrument.instrument import Instrument
 from eitskin.simulator.layer.bent_presses import BentPresses
@@ -50,7 +50,6 @@ Field: TypeAlias = Callable[[Array], Array]
 
 # Smallest number of touched scenes of one bend for which reanalysis pays: its preparation takes as
 # long as two scenes.
-_FEWEST_REANALYSED = 3
 
 
 class Simulator:
@@ -105,7 +104,8 @@ class Simulator:
         self.touch_model: TouchModel | None = touch_model
         self._models = ModelFamily(design, resolution, _breaks(design, self.fixture))
         self.model = self._models.base
-        self._untouched: dict[ForwardModel, tuple[Scene, NDArray[np.inexact]]] = {}
+        self._untouched: dict[tuple[ForwardModel, float], tuple[Scene, NDArray[np.inexact]]] = {}
+        self._reanalyses: dict[ForwardModel, Reanalysis] = {}
         self._last: tuple[Scene, NDArray[np.inexact]] | None = None
         self._bent: tuple[tuple[Bend, Support], Deformation] | None = None
 
@@ -243,44 +243,26 @@ class Simulator:
     def measure_all(
         self,
         scenes: Sequence[Scene],
-        tolerance: Tolerance | None = None,
+        tolerance: float = TOLERANCE,
         before_each: Callable[[], None] = lambda: None,
     ) -> NDArray[np.complex128]:
         """Noise-free measurements [ohm] of many scenes, (scenes, measurements).
 
-        Scenes that differ only in their touches share the solution without touches, by reanalysis:
-        strong changes of the conductivity are solved anew, weak ones to first order.
+        All scenes share the factors of the flat sensor, by reanalysis. A scene's measurements do
+        not depend on the other scenes.
 
         Args:
             scenes: in any order; equal scenes are solved once.
-            tolerance: of the reanalysis; docs/speed.md gives the error of the default. EXACT
-                agrees with `measure` to rounding.
+            tolerance: error of a scene's change from the flat sensor, relative; 0 for each scene
+                solved by itself, as by `measure`.
             before_each: called before each solution; may raise to stop.
         """
         found: dict[Scene, NDArray[np.complex128]] = {}
-        for base, group in _by_bend(scenes).items():
-            for model, same in self._by_model(group).items():
-                touched = [scene for scene in same if scene.touches]
-                if len(touched) < _FEWEST_REANALYSED or not is_possible(model):
-                    for scene in same:
-                        before_each()
-                        found[scene] = self.measure(scene).impedance
-                    continue
+        for group in _by_bend(scenes).values():
+            for scene in group:
                 before_each()
-                solved = Reanalysis(model, self.deformed_layer(base), tolerance)
-                self._untouched[model] = base, solved.base
-                found[base] = self._measured(self._impedance(base))
-                for scene in touched:
-                    before_each()
-                    Z = solved.impedance(self.deformed_layer(scene))
-                    found[scene] = self._measured(self._on_base_mesh(Z, model, base))
+                found[scene] = self._measured(self._impedance(scene, tolerance))
         return np.array([found[scene] for scene in scenes])
-
-    def _by_model(self, scenes: Sequence[Scene]) -> dict[ForwardModel, list[Scene]]:
-        by_model: dict[ForwardModel, list[Scene]] = {}
-        for scene in scenes:
-            by_model.setdefault(self._model_of(scene), []).append(scene)
-        return by_model
 
     def _model_of(self, scene: Scene) -> ForwardModel:
         return self._models.suited(touch.indenter for touch in scene.touches)
@@ -319,35 +301,45 @@ class Simulator:
         layer = self.deformed_layer(scene)
         return None if layer.deformation is None else layer.area_ratio
 
-    def _impedance(self, scene: Scene) -> NDArray[np.inexact]:
-        if not scene.touches:
-            return self._untouched_impedance(self.model, scene)
-        model, layer = self._model_of(scene), self.deformed_layer(scene)
-        Z = model.impedance(layer.conductivity, layer.area_ratio)
-        return self._on_base_mesh(Z, model, _untouched(scene))
+    def _impedance(self, scene: Scene, tolerance: float = 0.0) -> NDArray[np.inexact]:
+        """Impedance [ohm] on the base mesh, by reanalysis where a tolerance allows.
 
-    def _on_base_mesh(
-        self, Z: NDArray[np.inexact], model: ForwardModel, base: Scene
-    ) -> NDArray[np.inexact]:
-        """Impedance on the base mesh, plus the change from scene `base` to Z on the finer mesh.
-
-        Errors of the two meshes thus do not enter the change that touches make.
+        The change that touches of small indenters make on a finer mesh is added to the impedance
+        without touches on the base mesh, so that errors of the two meshes do not enter it.
         """
+        if not scene.touches:
+            return self._untouched_impedance(self.model, scene, tolerance)
+        model = self._model_of(scene)
+        Z = self._solved(model, scene, tolerance)
         if model is self.model:
             return Z
-        change = Z - self._untouched_impedance(model, base)
-        moved: NDArray[np.inexact] = self._untouched_impedance(self.model, base) + change
+        coarse, fine = (
+            self._untouched_impedance(each, _untouched(scene), tolerance)
+            for each in (self.model, model)
+        )
+        moved: NDArray[np.inexact] = coarse + (Z - fine)
         return moved
 
-    def _untouched_impedance(self, model: ForwardModel, base: Scene) -> NDArray[np.inexact]:
+    def _untouched_impedance(
+        self, model: ForwardModel, scene: Scene, tolerance: float
+    ) -> NDArray[np.inexact]:
         """Impedance [ohm] of a scene without touches; that of the last one is cached."""
-        last = self._untouched.get(model)
-        if last is None or last[0] != base:
-            layer = self.deformed_layer(base)
-            flat = layer.deformation is None
-            Z = model.impedance() if flat else model.impedance(layer.conductivity, layer.area_ratio)
-            self._untouched[model] = last = base, Z
+        last = self._untouched.get((model, tolerance))
+        if last is None or last[0] != scene:
+            last = scene, self._solved(model, scene, tolerance)
+            self._untouched[model, tolerance] = last
         return last[1]
+
+    def _solved(self, model: ForwardModel, scene: Scene, tolerance: float) -> NDArray[np.inexact]:
+        layer = self.deformed_layer(scene)
+        if tolerance and is_possible(model):
+            if model not in self._reanalyses:
+                flat = dataclasses.replace(layer, deformation=None, mean_stress=None)
+                self._reanalyses[model] = Reanalysis(model, flat)
+            return self._reanalyses[model].impedance(layer, tolerance)
+        if layer.deformation is None:
+            return model.impedance()
+        return model.impedance(layer.conductivity, layer.area_ratio)
 
     def deformed_layer(self, scene: Scene) -> DeformedLayer:
         """Deformed layer: pulled-back conductivity and electrode area ratio of the scene."""

@@ -230,6 +230,10 @@ class BlockFactors:
         """Keep the diagonal and sub-diagonal block of L for each block row."""
         self._block_rows, self._blocks = block_rows, blocks
 
+    def rounded(self) -> "SingleBlockFactors":
+        """The same factors in single precision."""
+        return SingleBlockFactors(self._block_rows, self._blocks)
+
     def solve(self, B: Numbers) -> Numbers:
         """A^-1 B, (n, k), by forward and backward substitution."""
         halves: list[Numbers] = []
@@ -249,6 +253,45 @@ class BlockFactors:
                 right[coupled] = right[coupled] - below.T @ after
             after = blas.dtrsm(1.0, factor, right, lower=1, trans_a=1)
             solution[block_row.unknowns] = after
+        return solution
+
+
+class SingleBlockFactors:
+    """Block Cholesky factors in single precision, for approximate solutions of many systems.
+
+    The diagonal blocks of L are inverted, so that a solution is made of matrix products alone.
+    """
+
+    def __init__(self, block_rows: list[BlockRow], blocks: list[tuple[Numbers, Numbers]]) -> None:
+        """Invert the diagonal block of L of each block row, and round to single precision."""
+        self._order = np.concatenate([row.unknowns for row in block_rows])
+        self._blocks = [
+            (lapack.dtrtri(np.tril(factor), lower=1)[0].astype(np.float32), J.astype(np.float32))
+            for factor, J in blocks
+        ]
+
+    def solve(self, B: Numbers) -> Numbers:
+        """A^-1 B, (n, k), to single precision."""
+        scale = np.abs(B).max(initial=np.finfo(np.float32).tiny)
+        x = (B[self._order] / scale).astype(np.float32)
+        strips, start = [], 0
+        before: Numbers | None = None
+        for inverse, J in self._blocks:
+            strip = x[start : start + len(inverse)]
+            if before is not None:
+                strip -= before
+            strip[:] = inverse @ strip
+            before = J @ strip[len(strip) - J.shape[1] :] if J.size else None
+            strips.append(strip)
+            start += len(inverse)
+        after: Numbers | None = None
+        for strip, (inverse, J) in zip(reversed(strips), reversed(self._blocks), strict=True):
+            if after is not None and J.size:
+                strip[len(strip) - J.shape[1] :] -= J.T @ after
+            strip[:] = inverse.T @ strip
+            after = strip
+        solution = np.empty_like(B)
+        solution[self._order] = scale * x
         return solution
 
 
