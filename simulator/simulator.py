@@ -39,6 +39,7 @@ from eitskin.simulator.layer.pressed_touches import (
     bent_dents,
     dents,
     pressed_touches,
+    require_model,
     way_of,
 )
 from eitskin.simulator.mechanics.layer_stack import Mechanics
@@ -172,7 +173,8 @@ class Simulator:
     def check_scene(self, scene: Scene) -> None:
         """Raise ConfigurationError for a scene that the sensor or its support does not allow.
 
-        Refused are touches off the layer, and bends that the support does not allow.
+        Refused are touches off the layer, tables of touches where none can be made, and bends that
+        the support does not allow.
         Forces and angles that are too large are refused later, in the solution.
         """
         outline = self.design.outline
@@ -188,6 +190,7 @@ class Simulator:
                     "are the units metres?"
                 )
         supported = self.supported(scene)
+        require_model(scene.touches, supported, self.touch_model)
         if scene.bends:
             require_bendable(supported.support, self.fixture)
         require_fit(supported.support, outline)

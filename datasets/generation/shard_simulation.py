@@ -192,11 +192,20 @@ def _solve(
         made = specimen(recipe, number)
         solved[number, Scene()] = _flat(made, recipe.resolution)[1]
         scenes = [scene for scene in distinct if scene != Scene()]
-        if scenes:
-            simulator = _simulator(made, recipe.resolution)
-            found = simulator.measure_all(scenes, before_each=before_solve)
-            solved |= {(number, scene): row for scene, row in zip(scenes, found, strict=True)}
+        for tabulated, alike in _by_touch_model(made.design, scenes).items():
+            simulator = _simulator(made, recipe.resolution, tabulated)
+            found = simulator.measure_all(alike, before_each=before_solve)
+            solved |= {(number, scene): row for scene, row in zip(alike, found, strict=True)}
     return solved
+
+
+def _by_touch_model(design: SensorDesign, scenes: Sequence[Scene]) -> dict[bool, list[Scene]]:
+    """Scenes grouped by whether presses on their support are tabulated."""
+    groups: dict[bool, list[Scene]] = {}
+    for scene in scenes:
+        supported = dataclasses.replace(design, support=scene.support or design.support)
+        groups.setdefault(tabulable(supported), []).append(scene)
+    return groups
 
 
 def _clamped(recipe: Recipe) -> Iterator[tuple[SensorDesign, Clamp, Mechanics]]:
@@ -224,13 +233,13 @@ def _pressed(recipe: Recipe) -> Iterator[tuple[SensorDesign, Mechanics]]:
 # Meshing takes as long as a few scenes, so simulators are cached, but only a few: each holds the
 # matrices of its mesh. Flat frames are small, and every shard needs those of all specimens.
 @lru_cache(maxsize=4)
-def _simulator(made: Specimen, resolution: Resolution) -> Simulator:
+def _simulator(made: Specimen, resolution: Resolution, tabulated: bool = True) -> Simulator:
     return Simulator(
         made.design,
         resolution=resolution,
         fixture=made.fixture,
         mechanics=made.mechanics,
-        touch_model="tabulated" if tabulable(made.design) else "solved",
+        touch_model="tabulated" if tabulated else "solved",
     )
 
 

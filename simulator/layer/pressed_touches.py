@@ -7,6 +7,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.kinematics import Deformation
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
@@ -204,6 +205,19 @@ def _corrected(
         for (k, *_), below in zip(felt, solved.sunk.tolist(), strict=True):
             sunk[k] = below
     return tuple(fields), tuple(sunk)
+
+
+def require_model(
+    touches: tuple[Touch, ...], design: SensorDesign, model: TouchModel | None
+) -> None:
+    """Raise ConfigurationError for tables of touches whose corrections cannot be tabulated."""
+    if touches and model == "tabulated" and not tabulable(design):
+        outline = type(design.outline).__name__.lower()
+        raise ConfigurationError(
+            "presses are tabulated on rectangles at least 8 times as long as their stack is thick, "
+            f"on the support 'rigid' or a substrate, got a {outline} on {design.support}; leave "
+            "the touch model out, or let it be 'solved'"
+        )
 
 
 def way_of(

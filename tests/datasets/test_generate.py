@@ -1,5 +1,6 @@
 """Generating: the same bytes whatever happens, and no work done twice."""
 
+import dataclasses
 import os
 import signal
 import subprocess
@@ -19,7 +20,7 @@ from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.datasets.recipe.specimen import Specimens
 from eitskin.datasets.store.shard import shard_name
 from eitskin.errors import ConfigurationError, PartialError
-from eitskin.geometry import Bend
+from eitskin.geometry import Bend, Plates
 from eitskin.simulator import Instrument, Scene, Simulator
 
 from killed_writers import killed_in_pool, was_killed
@@ -288,3 +289,17 @@ def test_interrupts_in_a_row_end_it_once_and_leave_it_resumable(tmp_path, monkey
     with pytest.raises(KeyboardInterrupt):
         generate(parse_toml(Recipe, LONG), out, progress=interrupt, resume=True)
     assert done[0] > 0  # finished shards are kept
+
+
+def test_presses_on_plates_are_solved_beside_tabulated_ones(monkeypatch):
+    asked = set()
+
+    def measured(self, scenes, **_):
+        asked.update((scene.support, self.touch_model) for scene in scenes)
+        return np.ones((len(scenes), 28))
+
+    monkeypatch.setattr(Simulator, "measure_all", measured)
+    group = SceneGroup("touch", count=1)
+    on_plates = dataclasses.replace(group, support=Plates())
+    simulate_shard(Recipe("supports", scenes=(group, on_plates)), 0)
+    assert asked == {(None, "tabulated"), (Plates(), "solved")}

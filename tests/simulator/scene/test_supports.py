@@ -67,3 +67,13 @@ def test_what_a_support_does_not_allow_is_refused(scene, fixture, message) -> No
 def test_plates_as_far_apart_as_those_of_the_fixture_may_be_bent() -> None:
     made = Simulator(SensorDesign.reference(), "fast", fixture=Hinge(span=0.03))
     made.check_scene(Scene(Bend(5.0), support=Plates(0.03)))
+
+
+@pytest.mark.parametrize("bend", [0.0, 5.0])
+def test_tables_of_presses_are_refused_on_plates(bend) -> None:
+    tabulated = Simulator(SensorDesign.reference(), "fast", touch_model="tabulated")
+    scene = Scene(Bend(bend), (TOUCH,), support=Plates())
+    with pytest.raises(ConfigurationError, match=r"got a rectangle on Plates\(span=0\.04\); leave"):
+        tabulated.presses(scene)
+    tabulated.check_scene(dataclasses.replace(scene, touches=()))
+    tabulated.check_scene(dataclasses.replace(scene, support=None))
