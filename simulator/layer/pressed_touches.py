@@ -14,6 +14,7 @@ from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.surface import Surface
 from eitskin.simulator.layer.bent_presses import BentPresses
 from eitskin.simulator.layer.dents import ColumnField, Dents, PlacedDent
+from eitskin.simulator.layer.depth_search import TOLERANCE, DepthSearch
 from eitskin.simulator.mechanics import viscoelasticity as relaxation
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.presses.contact_frame import BentState
@@ -24,7 +25,6 @@ from eitskin.simulator.presses.correction_store import (
     tabulable,
 )
 from eitskin.simulator.presses.press_store import press_table
-from eitskin.simulator.presses.press_table import PressTable
 from eitskin.simulator.presses.solved_press import (
     Press,
     SolvedField,
@@ -45,8 +45,7 @@ _THEN = (
     "pressed and bent, rolled or twisted then, which was not compared; a sensor on a support "
     "'plates' that its clamp bends is pressed as one problem"
 )
-# A touch to a given depth: the dent is made shallower by what the whole stack sinks.
-_SINKINGS, _SAME_DEPTH = 3, 1e-3
+_MOST_SEARCHED = 10  # dents that are tried for touches to a given depth
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,22 +155,20 @@ def _world(
     Without a model, corrections are tabulated where a table comes with the package, else solved;
     no table is of a bent stack.
     """
-    sunk = (0.0,) * len(touches)
-    for _ in range(_SINKINGS):
+    search = DepthSearch(touches, design)
+    for _ in range(_MOST_SEARCHED):
         pressed = tuple(
-            _Pressed(touch, *_dent(touch, below, design, mechanics))
-            for touch, below in zip(touches, sunk, strict=True)
+            _Pressed(touch, *_dent(touch, float(depth), design, mechanics))
+            for touch, depth in zip(touches, search.depths, strict=True)
         )
-        before = sunk
         found, sunk = _corrected(pressed, design, mechanics, model, bent)
-        deeper = [
-            abs(a - b) / one.touch.depth
-            for one, a, b in zip(pressed, sunk, before, strict=True)
-            if one.touch.depth
-        ]
-        if max(deeper, default=0.0) < _SAME_DEPTH:
-            break
-    return _World(pressed, found, sunk)
+        dents = [0.0 if one.dent is None else one.dent.depth for one in pressed]
+        if search.advance(np.array(dents), np.array(sunk)):
+            return _World(pressed, found, sunk)
+    raise ConfigurationError(
+        f"no dents take these indenters to their depths within {TOLERANCE:.1%}; press less deep, "
+        "or prescribe forces"
+    )
 
 
 def _corrected(
@@ -299,14 +296,14 @@ def _described(
 
 
 def _dent(
-    touch: Touch, sunk: float, design: SensorDesign, mechanics: Mechanics
+    touch: Touch, depth: float, design: SensorDesign, mechanics: Mechanics
 ) -> tuple[TabulatedDent | None, float]:
     """Dent of a touch, None where it has faded, and the force on the indenter [N].
 
-    The indenter sinks by `sunk` [m] more than into an unbounded stack.
+    `depth` is that of the first moment's dent [m] where a depth is prescribed.
     """
     table = press_table(design, mechanics, touch.indenter)
-    first = _first(table, touch, sunk)
+    first = table.at_force(touch.force) if touch.depth is None else table.at_depth(depth)
     if touch.held is None:
         return first, first.force
     prony = relaxation.mixture(
@@ -329,13 +326,6 @@ def _edge_distance(touch: Touch, design: SensorDesign) -> float:
         return math.inf
     _, depth = outline.nearest(np.array([touch.x, touch.y]))
     return float(depth)
-
-
-def _first(table: PressTable, touch: Touch, sunk: float) -> TabulatedDent:
-    """Dent of the first moment."""
-    if touch.depth is None:
-        return table.at_force(touch.force)
-    return table.at_depth(max(touch.depth - sunk, 0.5 * touch.depth))
 
 
 def _is_compared(design: SensorDesign, edge: float, neighbour: float) -> bool:

@@ -57,6 +57,44 @@ def test_a_press_to_the_depth_of_a_force_is_that_press(sim) -> None:
     assert frames[0] == pytest.approx(frames[1], rel=2e-5)
 
 
+def giving_way(monkeypatch, sunk):
+    """A touch to a depth between plates, where the stack sinks by a function of a dent's depth."""
+
+    def solved(*given):
+        return SimpleNamespace(sunk=np.array([sunk(press.depth) for press in given[2]]))
+
+    monkeypatch.setattr(presses, "solved_presses", solved)
+    design = dataclasses.replace(DESIGN, support=Plates())
+
+    def press(touch):
+        (found,) = pressed_touches((touch,), design, Mechanics(), None)
+        return found
+
+    return press
+
+
+def test_an_indenter_that_sinks_with_its_stack_reaches_its_depth(monkeypatch) -> None:
+    press = giving_way(monkeypatch, lambda depth: 9.0 * depth * (1.0 - 80.0 * depth))
+    by_force = press(Touch(0.075, Y, 6.0))
+    assert by_force.depth > 0.012  # as deep as the stack is thick
+    found = press(Touch(0.075, Y, depth=by_force.depth))
+    assert found.depth == pytest.approx(by_force.depth, rel=1e-3)
+    assert found.force == pytest.approx(6.0, rel=5e-3)
+
+
+def test_a_released_indenter_had_sunk_with_its_stack(monkeypatch) -> None:
+    touch = Touch(0.075, Y, depth=0.0056, held=10.0, released=5.0)
+    fading = giving_way(monkeypatch, lambda depth: 6.0 * depth)(touch)
+    unmoved = giving_way(monkeypatch, lambda _: 0.0)(dataclasses.replace(touch, depth=0.0008))
+    assert fading.depth == pytest.approx(7.0 * unmoved.depth, rel=3e-3)
+
+
+def test_depths_that_no_dent_reaches_are_refused(monkeypatch) -> None:
+    press = giving_way(monkeypatch, lambda _: 0.010)
+    with pytest.raises(ConfigurationError, match="prescribe forces"):
+        press(Touch(0.075, Y, depth=0.002))
+
+
 def test_presses_near_the_edge_or_each_other_say_so() -> None:
     assert "4.0 mm" in one(Touch(0.004, Y, 5.0)).caution
     near = (Touch(X, Y, 5.0), Touch(X + 0.016, Y, 5.0))
