@@ -123,11 +123,15 @@ def make_dataset(
 
 
 def _solve_missing(recipe: "Recipe", workers: int, output: Output) -> None:
-    """Solve the tables of presses and bends that are absent, with a note and a progress bar."""
+    """Solve the tables of presses and bends that are absent, with a note and a progress bar.
+
+    A note also says how many frames will be solved in 3D, one by one.
+    """
     from eitskin.datasets.generation.shard_simulation import (
         missing_bend_tables,
         missing_press_tables,
         prepare,
+        solved_frames,
     )
     from eitskin.simulator.mechanics.solved_files import folder
 
@@ -142,6 +146,13 @@ def _solve_missing(recipe: "Recipe", workers: int, output: Output) -> None:
         output.note(
             f"solving {missing} table{'s' * (missing > 1)} of presses that no sensor has needed "
             f"so far, once: from ten seconds to a few minutes each; kept in {folder()}"
+        )
+    solved = solved_frames(recipe)
+    if solved:
+        output.note(
+            f"solving the touches of up to {solved} frames in 3D, since there are no tables for "
+            "their support or outline: half a minute to some minutes each. Progress is counted in "
+            f"files of {recipe.frames_per_shard} frames; a smaller frames_per_shard shows it sooner"
         )
     if bends or missing:
         with output.progress() as bar:

@@ -1,20 +1,23 @@
 """Cost estimate of a dataset: time and size, from a small measured part."""
 
 import itertools
+import math
 import os
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from eitskin.datasets.generation.generate import free_bytes
-from eitskin.datasets.generation.shard_simulation import prepare, simulate_frames
+from eitskin.datasets.generation.shard_simulation import prepare, simulate_frames, solved_frames
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.store.shard import shard_bytes
 
 _FIRST_FRAMES = 16
+_FIRST_SOLVED = 2  # where touches are solved in 3D, in about a minute each
 _GROWTH = 4
 _RUNS = 4
-_ENOUGH_SECONDS = 1.0
+_ENOUGH_SECONDS, _LONG_SECONDS = 1.0, 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,8 +67,9 @@ def estimate_cost(recipe: Recipe, out: str | Path, workers: int = 2) -> CostEsti
     """
     prepare(recipe, workers=workers)
     most = max(len(recipe.shard_range(shard)) for shard in range(recipe.shards))
-    trials = [_run_trial(recipe, min(_FIRST_FRAMES, most))]
-    while trials[-1].frames < most and (len(trials) < 2 or trials[-1].seconds < _ENOUGH_SECONDS):
+    first = _FIRST_SOLVED if solved_frames(recipe) else _FIRST_FRAMES
+    trials = [_run_trial(recipe, min(first, most))]
+    while trials[-1].frames < most and _is_short(trials):
         trials.append(_run_trial(recipe, min(_GROWTH * trials[-1].frames, most)))
     last = trials[-1]
     once = max(0.0, trials[0].first_seconds - trials[0].seconds)
@@ -80,11 +84,23 @@ def estimate_cost(recipe: Recipe, out: str | Path, workers: int = 2) -> CostEsti
     )
 
 
+def _is_short(trials: Sequence[_Trial]) -> bool:
+    """Whether a further trial is worth its time: a second one unless the first took long."""
+    few = trials[0].frames < _FIRST_FRAMES
+    first = _LONG_SECONDS if few else math.inf
+    return trials[-1].seconds < (first if len(trials) < 2 else _ENOUGH_SECONDS)
+
+
 def _run_trial(recipe: Recipe, frames: int) -> _Trial:
-    """Time of a first run with `frames` frames, and of a second run with as many others."""
+    """Time of a first run with `frames` frames, and of a second run with as many others.
+
+    A long first run of few frames, beside which work done once counts little, is not repeated.
+    """
     start = time.perf_counter()
     data = simulate_frames(recipe, _frame_numbers(recipe, frames, 0.0))
     between = time.perf_counter()
+    if frames < _FIRST_FRAMES and between - start > _LONG_SECONDS:
+        return _Trial(frames, between - start, between - start, len(shard_bytes(data)))
     simulate_frames(recipe, _frame_numbers(recipe, frames, 0.5))
     end = time.perf_counter()
     return _Trial(frames, between - start, end - between, len(shard_bytes(data)))

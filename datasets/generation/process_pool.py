@@ -5,6 +5,7 @@ import multiprocessing
 import os
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -15,6 +16,8 @@ from eitskin.datasets.generation.shard_simulation import simulate_shard
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.store.shard import shard_name, write_shard
 
+_GRACE = 1.0  # for workers to end by themselves after Ctrl-C [s]; a scene may take minutes
+_POLL = 0.2  # [s]
 _THREAD_LIMITS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -119,10 +122,11 @@ class _Stopped(Exception):  # noqa: N818 - it is no error
 
 
 def _start_worker(stop: ctypes.c_bool) -> None:
-    """Keep the flag `stop`, which the parent sets; end the process when the parent has ended."""
+    """Keep the flag `stop`, which the parent sets; end soon after that, or with the parent."""
     global _stop  # noqa: PLW0603 - the one way to reach tasks from a pool's initializer
     _stop = stop
     threading.Thread(target=_end_with_parent, daemon=True).start()
+    threading.Thread(target=_end_when_stopped, args=(stop,), daemon=True).start()
 
 
 def _end_with_parent() -> None:
@@ -130,6 +134,14 @@ def _end_with_parent() -> None:
     if parent is not None:
         parent.join()
         os._exit(1)
+
+
+def _end_when_stopped(stop: ctypes.c_bool) -> None:
+    """End the process in the middle of a solution; a shard that is half written is made anew."""
+    while not stop.value:
+        time.sleep(_POLL)
+    time.sleep(_GRACE)
+    os._exit(1)
 
 
 def pool_task(recipe: Recipe, folder: Path, shard: int) -> int:

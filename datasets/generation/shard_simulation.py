@@ -16,6 +16,7 @@ from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.writer import touch_columns
 from eitskin.geometry.deformation.fixtures import Clamp
 from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.geometry.design.support import Support
 from eitskin.protocol import Protocol
 from eitskin.simulator.bends import bend_store
 from eitskin.simulator.electrical.resolution import Resolution
@@ -51,6 +52,21 @@ def missing_press_tables(recipe: Recipe) -> set[Path]:
         found |= press_store.missing(design, mechanics, Cylinder())
         found |= correction_store.missing(design, mechanics, Cylinder())
     return found
+
+
+def solved_frames(recipe: Recipe) -> int:
+    """Largest number of frames whose touches are solved in 3D, as no tables are made for them."""
+
+    def is_solved(support: Support | None) -> bool:
+        sensor = recipe.sensor
+        return not tabulable(dataclasses.replace(sensor, support=support or sensor.support))
+
+    touched = [group for group in recipe.scenes if group.state == "touch"]
+    frames = sum(group.frames for group in touched if is_solved(group.support))
+    episodes = [each for each in recipe.episodes if each.largest_force]
+    if is_solved(None):
+        frames += sum(each.count * each.frames for each in episodes)
+    return frames
 
 
 def prepare(recipe: Recipe, progress: Progress | None = None, workers: int = 1) -> None:

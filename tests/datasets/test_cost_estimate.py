@@ -2,14 +2,18 @@
 
 import shutil
 from collections import namedtuple
+from types import SimpleNamespace
 
 import pytest
 
 from eitskin.datasets import Recipe, generate
+from eitskin.datasets.generation import cost_estimate
 from eitskin.datasets.generation.cost_estimate import estimate_cost
 from eitskin.datasets.generation.generate import free_bytes, smallest_size
+from eitskin.datasets.generation.shard_simulation import solved_frames
 from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.errors import ConfigurationError
+from eitskin.geometry import Plates
 
 RECIPE = Recipe(
     "cheap",
@@ -40,3 +44,23 @@ def test_a_disk_without_room_is_refused_before_anything_is_made(tmp_path, monkey
     with pytest.raises(ConfigurationError, match=r"at least 0\.013 MB, got 0\.013 MB"):
         generate(RECIPE, tmp_path / "set")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_frames_whose_touches_are_solved_in_3d_are_measured_two_at_a_time(tmp_path, monkeypatch):
+    """Sixteen frames, twice, would take half an hour."""
+    touched = SceneGroup("touch", count=30, angle_deg=(10.0, 20.0), support=Plates())
+    recipe = Recipe("slow", scenes=(SceneGroup("touch", count=30), touched))
+    assert solved_frames(recipe) == 30
+    clock, runs = [0.0], []
+
+    def simulated(_recipe, numbers):
+        runs.append(len(numbers))
+        clock[0] += 50.0 * len(numbers)
+
+    monkeypatch.setattr(cost_estimate, "prepare", lambda *_, **__: None)
+    monkeypatch.setattr(cost_estimate, "simulate_frames", simulated)
+    monkeypatch.setattr(cost_estimate, "shard_bytes", lambda _: b"data")
+    monkeypatch.setattr(cost_estimate, "time", SimpleNamespace(perf_counter=lambda: clock[0]))
+    found = estimate_cost(recipe, tmp_path, workers=1)
+    assert runs == [2]
+    assert (found.measured_frames, found.seconds) == (2, pytest.approx(60 * 50.0))

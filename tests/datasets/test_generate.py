@@ -5,9 +5,11 @@ import os
 import signal
 import subprocess
 import sys
+import time
 
 import numpy as np
 import pytest
+from slow_writers import slow_but_first
 from threadpoolctl import threadpool_limits
 
 from eitskin.config import parse_toml
@@ -244,6 +246,7 @@ def test_equal_scenes_are_solved_once(monkeypatch):
 
 SCRIPT = """
 import sys
+import time
 from eitskin.datasets import Recipe, generate
 from eitskin.config import parse_toml
 
@@ -303,3 +306,14 @@ def test_presses_on_plates_are_solved_beside_tabulated_ones(monkeypatch):
     on_plates = dataclasses.replace(group, support=Plates())
     simulate_shard(Recipe("supports", scenes=(group, on_plates)), 0)
     assert asked == {(None, "tabulated"), (Plates(), "solved")}
+
+
+def test_an_interrupt_does_not_wait_for_a_scene_that_takes_minutes(tmp_path, monkeypatch):
+    def interrupt(_finished):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(processes, "pool_task", slow_but_first)
+    start = time.perf_counter()
+    with pytest.raises(KeyboardInterrupt):
+        processes.make_shards(RECIPE, tmp_path, [0, 1], 1, interrupt)
+    assert time.perf_counter() - start < 30.0
