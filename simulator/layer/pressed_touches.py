@@ -39,6 +39,8 @@ TouchModel = Literal["tabulated", "solved"]
 # Distances of the axis from the gel's edge and from another touch, below which signals are more
 # than 4 % off independent solutions, or not compared with them (docs/deformation.md) [m].
 _EDGE, _NEIGHBOUR = 0.005, 0.020
+# Depth over the thickness of the stack, to which presses were compared.
+_DEEP = 0.55
 # Largest errors of the signal found beyond these distances, on a flat and on a bent sensor.
 _FLAT, _BENT = 0.04, 0.05
 _THEN = (
@@ -64,9 +66,9 @@ class PressedTouch:
         edge_distance: from the axis to the nearest edge of the gel [m].
         neighbour_distance: from the axis to that of the nearest other touch [m].
         signal_error: largest error of the signal, relative, that comparisons with the full model
-            found at such distances (docs/deformation.md); None at smaller distances than any
-            comparison, on other outlines than rectangles, and on a sensor that is bent, rolled or
-            twisted after it is pressed.
+            found at such distances (docs/deformation.md); None at smaller distances or larger
+            depths than any comparison, on other outlines than rectangles, and on a sensor that is
+            bent, rolled or twisted after it is pressed.
         caution: why the dent is less exact than a single one in the middle of the sensor; empty
             otherwise.
     """
@@ -280,18 +282,20 @@ def _described(
     # Without contact there is a dent, but no pressure.
     radius = dent.contact_radius if dent is not None and force > 0.0 else 0.0
     edge = _edge_distance(touch, design)
+    depth = dent.depth + sunk if dent is not None else 0.0
+    cautions = _cautions(edge, neighbour, depth, design) + [_THEN] * (error is None)
     return PressedTouch(
         touch=touch,
         force=force,
-        depth=dent.depth + sunk if dent is not None else 0.0,
+        depth=depth,
         contact_radius=radius,
         mean_pressure=force / (math.pi * radius**2) if radius else 0.0,
         peak_pressure=dent.peak_pressure * force / dent.force if dent is not None else 0.0,
         thinning=dent.thinning if dent is not None else 0.0,
         edge_distance=edge,
         neighbour_distance=neighbour,
-        signal_error=error if _is_compared(design, edge, neighbour) else None,
-        caution="; ".join(_cautions(edge, neighbour, design) + [_THEN] * (error is None)),
+        signal_error=None if cautions else error,
+        caution="; ".join(cautions),
     )
 
 
@@ -328,12 +332,8 @@ def _edge_distance(touch: Touch, design: SensorDesign) -> float:
     return float(depth)
 
 
-def _is_compared(design: SensorDesign, edge: float, neighbour: float) -> bool:
-    """Whether such presses were compared with independent solutions."""
-    return isinstance(design.outline, Rectangle) and edge >= _EDGE and neighbour >= _NEIGHBOUR
-
-
-def _cautions(edge: float, neighbour: float, design: SensorDesign) -> list[str]:
+def _cautions(edge: float, neighbour: float, depth: float, design: SensorDesign) -> list[str]:
+    """Reasons why such a press was not compared with independent solutions."""
     reasons = []
     if not isinstance(design.outline, Rectangle):
         reasons.append("presses on this outline were not compared")
@@ -341,4 +341,6 @@ def _cautions(edge: float, neighbour: float, design: SensorDesign) -> list[str]:
         reasons.append(f"{1e3 * edge:.1f} mm from the edge of the gel, where nothing was compared")
     if neighbour < _NEIGHBOUR:
         reasons.append(f"{1e3 * neighbour:.1f} mm from another, where nothing was compared")
+    if depth > _DEEP * design.encapsulated_thickness:
+        reasons.append(f"{1e3 * depth:.1f} mm deep, where nothing was compared")
     return reasons

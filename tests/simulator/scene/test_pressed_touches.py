@@ -77,6 +77,9 @@ def test_an_indenter_that_sinks_with_its_stack_reaches_its_depth(monkeypatch) ->
     press = giving_way(monkeypatch, lambda depth: 9.0 * depth * (1.0 - 80.0 * depth))
     by_force = press(Touch(0.075, Y, 6.0))
     assert by_force.depth > 0.012  # as deep as the stack is thick
+    assert by_force.signal_error is None
+    assert "mm deep, where nothing was compared" in by_force.caution
+    assert press(Touch(0.075, Y, 2.0)).signal_error == 0.04
     found = press(Touch(0.075, Y, depth=by_force.depth))
     assert found.depth == pytest.approx(by_force.depth, rel=1e-3)
     assert found.force == pytest.approx(6.0, rel=5e-3)
