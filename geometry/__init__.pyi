@@ -33,6 +33,12 @@ from eitskin.geometry.deformation.fixtures import (
 from eitskin.geometry.deformation.fixtures import (
     Hinge as Hinge,
 )
+from eitskin.geometry.deformation.twist import (
+    Roll as Roll,
+)
+from eitskin.geometry.deformation.twist import (
+    Twist as Twist,
+)
 from eitskin.geometry.design.electrode import Electrode as Electrode
 from eitskin.geometry.design.outline import (
     Disc as Disc,

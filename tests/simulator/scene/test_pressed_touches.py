@@ -17,9 +17,10 @@ from eitskin.geometry import (
     Hinge,
     Plates,
     Rigid,
+    Roll,
     SensorDesign,
+    Twist,
 )
-from eitskin.geometry.deformation.twist import Roll, Twist
 from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.simulator import Cylinder, Mechanics, Profile, Scene, Simulator, Sphere, Touch
 from eitskin.simulator.layer import pressed_touches as presses

@@ -7,9 +7,19 @@ import pytest
 
 from eitskin.config import parse_toml, to_toml
 from eitskin.errors import ConfigurationError
-from eitskin.geometry import Bend, Clamp, Free, Hinge, Plates, Rigid, SensorDesign, Substrate
+from eitskin.geometry import (
+    Bend,
+    Clamp,
+    Free,
+    Hinge,
+    Plates,
+    Rigid,
+    Roll,
+    SensorDesign,
+    Substrate,
+    Twist,
+)
 from eitskin.geometry.deformation.fixtures import FreeArc
-from eitskin.geometry.deformation.twist import Roll, Twist
 from eitskin.simulator import Scene, Simulator, Touch
 
 TOUCH = Touch(0.020, 0.030, 8.0)
