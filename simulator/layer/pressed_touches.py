@@ -45,7 +45,7 @@ _DEEP = 0.55
 _FLAT, _BENT = 0.04, 0.05
 _THEN = (
     "pressed and bent, rolled or twisted then, which was not compared; a sensor on a support "
-    "'plates' that its clamp bends is pressed as one problem"
+    "'plates' that its clamp bends, without roll and twist, is pressed as one problem"
 )
 _MOST_SEARCHED = 10  # dents that are tried for touches to a given depth
 
