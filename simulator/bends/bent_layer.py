@@ -9,12 +9,7 @@ from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.kinematics import Gradients, Points
-from eitskin.simulator.mechanics.cubic_splines import (
-    CubicSplines,
-    Indices,
-    numbers_of_products,
-    summed,
-)
+from eitskin.simulator.mechanics.cubic_splines import CubicSplines, in_plane
 
 Array = NDArray[np.float64]
 
@@ -80,9 +75,7 @@ class BentLayer:
         vandermonde = np.vander(nodes.z / self._ends[2], increasing=True)
         coefficients = np.einsum("pk,ijkc->ijpc", np.linalg.inv(vandermonde), fits)
         self._shape = coefficients.shape
-        self._coefficients = np.ascontiguousarray(
-            coefficients.reshape(coefficients.shape[0] * coefficients.shape[1], -1)
-        )
+        self._coefficients = np.ascontiguousarray(coefficients.reshape(*coefficients.shape[:2], -1))
 
     def positions(self, points: Points) -> Points:
         """Deformed positions [m], (..., 3), of flat points [m], (..., 3)."""
@@ -125,29 +118,22 @@ class BentLayer:
 
     def _displacements(self, x: Array) -> Array:
         """Displacements (n, 3) at points (n, 3) of the layer."""
-        (i, a, _), (j, b, _) = self._functions(x)
-        sums = self._summed(numbers_of_products(i, j, self._shape[1]), a, b)
-        return np.asarray(np.einsum("npc,np->nc", sums, self._powers(x[:, 2])[0]))
+        value = self._in_plane(x)[:, 0]
+        return np.asarray(np.einsum("npc,np->nc", value, self._powers(x[:, 2])[0]))
 
     def _slopes(self, x: Array) -> Array:
         """Derivatives (n, 9) of the displacements at points (n, 3) of the layer."""
-        (i, a, da), (j, b, db) = self._functions(x)
-        powers, dpowers = self._powers(x[:, 2])
-        numbers = numbers_of_products(i, j, self._shape[1])
+        sums, (powers, dpowers) = self._in_plane(x), self._powers(x[:, 2])
         found = np.empty((len(x), 3, 3))
-        value = self._summed(numbers, a, b)
-        found[..., 0] = np.einsum("npc,np->nc", self._summed(numbers, da, b), powers)
-        found[..., 1] = np.einsum("npc,np->nc", self._summed(numbers, a, db), powers)
-        found[..., 2] = np.einsum("npc,np->nc", value, dpowers)
+        for k, (part, height) in enumerate(((1, powers), (2, powers), (0, dpowers))):
+            found[..., k] = np.einsum("npc,np->nc", sums[:, part], height)
         return found.reshape(len(x), 9)
 
-    def _functions(self, x: Array) -> list[tuple[Indices, Array, Array]]:
-        """Splines along x and along y at points (n, 3)."""
-        return [axis.splines.functions(x[:, k]) for k, axis in enumerate((self._x, self._y))]
-
-    def _summed(self, numbers: Indices, a: Array, b: Array) -> Array:
-        """Sums over the products of splines a and b, (n, powers, 3)."""
-        return summed(numbers, a, b, self._coefficients).reshape(len(a), *self._shape[2:])
+    def _in_plane(self, x: Array) -> Array:
+        """Polynomials over the height and their slopes by x and y, (n, 3, powers, 3)."""
+        splines = self._x.splines, self._y.splines
+        sums = in_plane(splines, self._coefficients, x[:, :2])
+        return sums.reshape(len(x), 3, *self._shape[2:])
 
     def _powers(self, z: Array) -> tuple[Array, Array]:
         """Powers of the scaled height, (n, powers), and their derivatives by z [1/m]."""

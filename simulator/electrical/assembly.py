@@ -13,13 +13,13 @@ inside an element are coupled to no other element and are eliminated in the elem
 condensation, Guyan 1965).
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 import skfem
 from numpy.typing import NDArray
 
+from eitskin.compiled import compiled
 from eitskin.geometry.design.patches import Contacts
 from eitskin.geometry.meshing.mesh import Mesh
 from eitskin.simulator.electrical.function_space import FunctionSpace, Rule
@@ -74,8 +74,6 @@ class Assembly:
         contacts: contact surfaces of the electrodes.
         points: quadrature points of the cells, (cells, q, 3) [m].
         facet_points, facet_normals: of the pieces, (pieces, q, 3) [m], (pieces, 1, 3).
-        facet_coarse_points: points of a coarser quadrature, (pieces, s, 3) [m].
-        facet_interpolation: from values at the coarse points to values at `facet_points`, (q, s).
         facet_electrode: electrode of each piece, (pieces,).
         facet_owners: element whose boundary each piece is part of, (pieces,).
         facet_numbers: unknowns of that element, (pieces, functions).
@@ -102,26 +100,10 @@ class Assembly:
     def _prepare_elements(self) -> None:
         space = self.space
         self._reference = self._products(space.rule)
-        self._coarse_reference = np.concatenate(
-            [
-                np.tensordot(values, self._reference[within], axes=(0, 0))
-                for values, within in self._interpolation()
-            ]
-        )
         by_cell = self._reference.reshape(space.element.cells, -1, *self._reference.shape[1:])
         self._cell_reference = by_cell.sum(axis=1)
         self._to_reference = tensor_map(space.inverses) * space.jacobians[:, None, None]
         self._element_rows, self._element_columns = self._lower(space.numbers)
-
-    def _interpolation(self) -> Iterator[tuple[Array, slice]]:
-        """Matrices (q, s) from values at coarse points to quadrature points, cell by cell."""
-        rule, coarse, element = self.space.rule, self.space.coarse, self.space.element
-        q, few = (len(each.weights) // element.cells for each in (rule, coarse))
-        for cell in range(element.cells):
-            within = slice(cell * q, (cell + 1) * q)
-            known = element.linear(coarse.X[:, cell * few : (cell + 1) * few])
-            values = np.linalg.solve(known, element.linear(rule.X[:, within])).T
-            yield np.asarray(values, dtype=np.float64), within
 
     def _products(self, rule: Rule) -> Array:
         """Weighted S_ab d_a phi_i d_b phi_j for six unit tensors S, (q, 6, entries).
@@ -156,14 +138,10 @@ class Assembly:
         across, along = corners[:, 1] - corners[:, 0], corners[:, -1] - corners[:, 0]
         shape = skfem.refdom.RefTri if corners.shape[1] == 3 else skfem.refdom.RefQuad
         nodes, weights = skfem.quadrature.get_quadrature(shape, 2 * space.element.face_degree)
-        few, _ = skfem.quadrature.get_quadrature(shape, 2)
-        self.facet_points, self.facet_coarse_points = (
-            corners[:, :1] + at[0][:, None] * across[:, None] + at[1][:, None] * along[:, None]
-            for at in (nodes, few)
-        )
-        linear = _linear(nodes)[: few.shape[1]]
-        self.facet_interpolation: Array = np.asarray(
-            np.linalg.solve(_linear(few), linear).T, dtype=np.float64
+        upwards = np.lexsort(nodes[::-1])  # columns of points, on which fields are faster
+        (u, v), weights = nodes[:, upwards], weights[upwards]
+        self.facet_points = (
+            corners[:, :1] + u[:, None] * across[:, None] + v[:, None] * along[:, None]
         )
         normals = np.cross(across, along)
         lengths = np.asarray(np.linalg.norm(normals, axis=1), dtype=np.float64)
@@ -185,24 +163,16 @@ class Assembly:
         """Condensed stiffness for conductivities [S/m] as in `matrices`."""
         return self.condensed(self.matrices(conductivity))
 
-    def matrices(
-        self, conductivity: Array, elements: Indices | None = None, coarse: bool = False
-    ) -> Array:
+    def matrices(self, conductivity: Array) -> Array:
         """Entries of element matrices, (elements, entries) [S].
 
         Args:
             conductivity: of the elements' cells, (cells, q or 1, 1 or 6) [S/m]. One value per cell
                 or per quadrature point; a scalar, or the entries xx, yy, zz, xy, xz, yz of a
                 tensor.
-            elements: numbers of the elements; all when omitted.
-            coarse: whether the conductivity is given at the points of the coarse rule, and linear
-                between these points.
         """
         reference = self._reference if conductivity.shape[1] > 1 else self._cell_reference
-        if coarse:
-            reference = self._coarse_reference
-        to_reference = self._to_reference if elements is None else self._to_reference[elements]
-        count = len(to_reference)
+        to_reference, count = self._to_reference, len(self._to_reference)
         if conductivity.shape[2] == 1:
             unit = to_reference[:, :3].sum(axis=1)  # the unit tensor, pulled back
             if not unit[:, 3:].any():  # diagonal, as on boxes
@@ -212,6 +182,17 @@ class Assembly:
             entries = conductivity.reshape(count, -1, 6) @ to_reference
         found: Array = entries.reshape(count, -1) @ reference.reshape(-1, reference.shape[-1])
         return found
+
+    def condensed_values(self, matrices: Array) -> Array:
+        """Values of `Stiffness` alone, from element matrices (elements, entries)."""
+        kernels = compiled("eitskin.simulator.linalg.element_kernels")
+        outer = self.space.numbers.shape[1]
+        if kernels is None:
+            return self.condensed(matrices).values
+        values = np.empty((len(matrices), len(self._pairs[0])))
+        if not kernels.condense(matrices, outer, self.space.element.inner, values):
+            return self.condensed(matrices).values
+        return values.ravel()
 
     def condensed(self, matrices: Array) -> Stiffness:
         """Static condensation of element matrices (elements, entries)."""
@@ -265,32 +246,10 @@ class Assembly:
 
     def cell_gradients(self, potentials: Numbers) -> Numbers:
         """Gradients at the quadrature points, (cells, q, 3, k), for u (elements, functions, k)."""
-        return self._gradients(potentials)
-
-    def energies(self, potentials: Array) -> Array:
-        """Energy products of potentials u at the coarse rule's points, (cells, s, 6, k, k).
-
-        Multiplied by the entries of a symmetric tensor S and summed over the points, the products
-        give int grad u_k . S grad u_l, by the full quadrature, for S linear between these points.
-        """
-        (between, _), *_ = self._interpolation()
-        weights = self.cell_weights[..., None]
-        found = []
-        for some in np.array_split(np.arange(len(potentials)), len(potentials) // 64 + 1):
-            g = np.moveaxis(self._gradients(potentials, some), 2, 0)
-            cells = some[:, None] * self.space.element.cells + np.arange(self.space.element.cells)
-            one, other = g[TENSOR_ROWS], g[TENSOR_COLUMNS] * weights[cells.ravel()]
-            products = one[..., :, None] * other[..., None, :]
-            products[3:] += other[3:, ..., :, None] * one[3:, ..., None, :]
-            found.append(np.einsum("qs,acqkl->csakl", between, products, optimize=True))
-        return np.concatenate(found)
-
-    def _gradients(self, potentials: Numbers, elements: Indices | slice = slice(None)) -> Numbers:
-        """Gradients at the quadrature points of some elements' cells, (cells, q, 3, k)."""
         rule = self.space.rule
         reference = self.space.element.gradients(rule.X)
-        gradients = np.einsum("iaq,eik->eqak", reference, potentials[elements], optimize=True)
-        inverses = self.space.inverses[elements]
+        gradients = np.einsum("iaq,eik->eqak", reference, potentials, optimize=True)
+        inverses = self.space.inverses
         gradients = np.einsum("eqak,eab->eqbk", gradients, inverses, optimize=True)
         shaped: Numbers = gradients.reshape(-1, *rule.points.shape[1:], potentials.shape[-1])
         return shaped
@@ -311,10 +270,3 @@ def tensor_map(A: Array) -> Array:
     second = A[:, a][:, :, b] * A[:, b][:, :, a]
     to_from = first + np.where(a == b, 0.0, second)
     return to_from.swapaxes(1, 2)
-
-
-def _linear(X: Array) -> Array:
-    """Functions linear along each axis, as many as reference points X (2, s), at X, (s, s)."""
-    x, y = X
-    functions = [np.ones_like(x), x, y, x * y]
-    return np.stack(functions[: 3 if X.shape[1] == 3 else 4])

@@ -58,14 +58,6 @@ class Element(Protocol):
         """Points (3, q) and weights (q,), cell by cell, for products of gradients."""
         ...
 
-    def coarse_rule(self) -> tuple[Array, Array]:
-        """Points (3, s) and weights (s,), cell by cell, for fields almost linear within cells."""
-        ...
-
-    def linear(self, X: Array) -> Array:
-        """Functions linear along each axis, one per coarse point of a cell, at X, (s, ...)."""
-        ...
-
 
 def plane_element(base: Base, order: int) -> skfem.Element:
     """Element of polynomial `order` on the unit square or triangle; raises ConfigurationError."""
@@ -223,16 +215,6 @@ class ExtrudedElement:
         heights = len(self.order)
         return self._gauss(2 * max(self.order), heights - 1 if heights > 2 else heights)
 
-    def coarse_rule(self) -> tuple[Array, Array]:
-        """Gauss points (3, s) and weights (s,), two along each direction or three of a triangle."""
-        return self._gauss(2, 2)
-
-    def linear(self, X: Array) -> Array:
-        """Functions 1, x, y and, on squares, x y; and their products with the height."""
-        one, (x, y, z) = np.ones_like(X[0]), X
-        flat = [one, x, y] if self.base == "triangle" else [one, x, y, x * y]
-        return np.stack([*flat, *(part * z / self.heights[-1] for part in flat)])
-
     def _gauss(self, degree: int, heights: int) -> tuple[Array, Array]:
         """Gauss points and weights for `degree` in the plane and `heights` heights per cell."""
         shape = skfem.refdom.RefTri if self.base == "triangle" else skfem.refdom.RefQuad
@@ -317,12 +299,3 @@ class TetrahedralElement:
         """Points (3, q) and weights (q,), exact for products of two functions."""
         points, weights = skfem.quadrature.get_quadrature(skfem.refdom.RefTet, 2 * self.order)
         return points, weights
-
-    def coarse_rule(self) -> tuple[Array, Array]:
-        """Points (3, s) and weights (s,), exact for quadratic functions."""
-        points, weights = skfem.quadrature.get_quadrature(skfem.refdom.RefTet, 2)
-        return points, weights
-
-    def linear(self, X: Array) -> Array:
-        """Functions 1, x, y and z."""
-        return np.stack([np.ones_like(X[0]), *X])

@@ -42,7 +42,6 @@ class FunctionSpace:
         inverses: dX/dx, (elements, 3, 3).
         jacobians: |det dx/dX|, (elements,).
         rule: quadrature of products of two functions' gradients.
-        coarse: quadrature with few points, for fields almost linear within cells.
     """
 
     def __init__(self, mesh: Mesh, order: tuple[int, ...]) -> None:
@@ -52,7 +51,6 @@ class FunctionSpace:
         else:
             self._columns(mesh, mesh.heights, order)
         self.rule = self._rule(*self.element.rule())
-        self.coarse = self._rule(*self.element.coarse_rule())
 
     def _tetrahedra(self, mesh: Mesh, order: tuple[int, ...]) -> None:
         if len(order) != 1:

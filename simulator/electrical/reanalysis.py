@@ -55,7 +55,7 @@ class Reanalysis:
         system = self._system(layer)
         self._lifted = system.lifted
         factors = model.solver.factorise(system.values)
-        self._potentials = factors.solve(system.coupling)
+        self._potentials: Array = np.real(factors.solve(system.coupling))
         self._factors: Factorisation = (
             factors.rounded() if isinstance(factors, BlockFactors) else factors
         )
@@ -71,17 +71,17 @@ class Reanalysis:
             tolerance: of the change from the factorised scene, relative.
         """
         system = self._system(layer)
-        whole = self._products.whole(system.values[:-1])
-        V, AV = self._potentials, self._product(system, whole, self._potentials)
-        B = system.coupling
+        values, B = np.real(system.values), np.real(system.coupling)
+        whole, ground = self._products.whole(values[:-1]), float(values[-1])
+        V, AV = self._potentials, self._product(whole, ground, self._potentials)
         combined = _galerkin(V, AV, B)
         Z: Array = np.real(system.impedance(B.T @ V @ combined))
         change = np.inf
         for _ in range(_MOST):
-            more = self._factors.solve(B - AV @ combined)
+            more = np.real(self._factors.solve(B - AV @ combined))
             self.solutions += 1
             V = np.concatenate([V, more], axis=1)
-            AV = np.concatenate([AV, self._product(system, whole, more)], axis=1)
+            AV = np.concatenate([AV, self._product(whole, ground, more)], axis=1)
             combined = _galerkin(V, AV, B)
             last, Z = Z, np.real(system.impedance(B.T @ V @ combined))
             before, change = change, float(np.linalg.norm(Z - last))
@@ -92,21 +92,22 @@ class Reanalysis:
             if change <= _ROUNDING * np.linalg.norm(Z):
                 return Z
         self._model.factorisations += 1
-        return np.real(system.impedance(self._model.solver.congruence(system.values, B)))
+        return np.real(system.impedance(self._model.solver.congruence(values, B)))
 
     def _system(self, layer: DeformedLayer) -> CemSystem:
         """Linear system of a deformed layer, electrodes in the forms of the factorised scene."""
         model, assembly = self._model, self._model.assembly
-        stiffness = assembly.stiffness(layer.entries(assembly.points))
+        matrices = assembly.matrices(layer.entries(assembly.points))
         ratio = layer.area_ratio(assembly.facet_points, assembly.facet_normals)
         contact = assembly.electrode_terms(model.contact_impedance, ratio)
-        return model.pattern.system(stiffness.values, contact, self._lifted)
+        values = assembly.condensed_values(matrices)
+        return model.pattern.system(values, contact, self._lifted)
 
-    def _product(self, system: CemSystem, whole: Array, vectors: Array) -> Array:
-        """Matrix of the system times vectors, (unknowns, k)."""
+    def _product(self, whole: Array, ground: float, vectors: Array) -> Array:
+        """Element matrices and the conductance to ground times vectors, (unknowns, k)."""
         found = self._products.product(whole, vectors)
-        ground = self._model.pattern.rows[-1]
-        found[ground] += np.real(system.values[-1]) * vectors[ground]
+        grounded = self._model.pattern.rows[-1]
+        found[grounded] += ground * vectors[grounded]
         return found
 
 

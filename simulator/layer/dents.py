@@ -7,8 +7,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from eitskin.compiled import compiled
 from eitskin.geometry.deformation.kinematics import Gradients, OnePass, Points
 from eitskin.simulator.presses.closed_form_dent import ClosedFormDent
+from eitskin.simulator.presses.tabulated_dent import TabulatedDent
 from eitskin.simulator.scene.touch import Touch
 
 Array = NDArray[np.float64]
@@ -104,7 +106,7 @@ def closed_form_dents(touches: Iterable[Touch]) -> Dents:
     )
 
 
-def _alike(presses: tuple[PlacedDent, ...]) -> Iterable[list[PlacedDent]]:
+def _alike(presses: Iterable[PlacedDent]) -> Iterable[list[PlacedDent]]:
     """Presses grouped by their dent."""
     alike: dict[int, list[PlacedDent]] = {}
     for press in presses:
@@ -114,11 +116,27 @@ def _alike(presses: tuple[PlacedDent, ...]) -> Iterable[list[PlacedDent]]:
 
 def _move(presses: tuple[PlacedDent, ...], columns: Points, moved: Array) -> None:
     """Add displacements and their derivatives, 3 and 3 x 3, to `moved` (12, h, n)."""
-    for same in _alike(presses):
+    kernels = compiled("eitskin.simulator.layer.dent_kernels")
+    plain = []
+    for press in presses:
+        if kernels is not None and isinstance(press.dent, TabulatedDent) and _are_even(columns):
+            pieces = press.dent.at_heights(columns[0, :, 2])
+            by_piece = np.ascontiguousarray(pieces.c.swapaxes(0, 1))
+            axes = columns[:, 0, 0], columns[:, 0, 1]
+            kernels.add_dent((press.x, press.y), *axes, pieces.x, by_piece, _HAIR, moved)
+        else:
+            plain.append(press)
+    for same in _alike(plain):
         for part, way, r in _around(same, columns):
             motion = same[0].dent.motion(r, columns[part, :, 2])
             upright = np.ascontiguousarray(np.moveaxis(motion, (2, 0, 3, 1), (0, 1, 2, 3)))
             _add(upright, way, r, moved[..., part])
+
+
+def _are_even(columns: Points) -> bool:
+    """Whether the heights are the same in all columns."""
+    heights = columns[..., 2]
+    return bool(len(heights)) and bool((heights == heights[:1]).all())
 
 
 def _around(

@@ -25,6 +25,8 @@ from eitskin.simulator.presses.correction_store import (
     tabulable,
 )
 from eitskin.simulator.presses.press_store import press_table
+from eitskin.simulator.presses.smooth_field import SmoothField
+from eitskin.simulator.presses.smooth_sum import SmoothSum
 from eitskin.simulator.presses.solved_press import (
     Press,
     SolvedField,
@@ -32,6 +34,7 @@ from eitskin.simulator.presses.solved_press import (
     solved_presses,
 )
 from eitskin.simulator.presses.tabulated_dent import TabulatedDent
+from eitskin.simulator.presses.turned_field import TurnedField
 from eitskin.simulator.scene.touch import Touch
 
 TouchModel = Literal["tabulated", "solved"]
@@ -184,19 +187,23 @@ def _corrected(
     felt = [(k, one.touch, one.dent) for k, one in enumerate(pressed) if one.dent is not None]
     sunk = [0.0] * len(pressed)
     fields: list[ColumnField] = []
+    smooth: list[SmoothField] = []
     way = way_of(tuple(touch for _, touch, _ in felt), design, mechanics, model)
-    if way == "tabulated":
+    if felt and way == "tabulated":
         for k, touch, dent in felt:
             found, sunk[k] = corrections(design, mechanics, touch.indenter).at(
                 touch.x, touch.y, dent.depth
             )
-            fields += found
+            smooth += found
         for (k, one, dent), (j, other, beside) in combinations(felt, 2):
             pair = _pair((one, dent.depth), (other, beside.depth), design, mechanics)
             if pair is not None:
-                fields += pair[0]
-                sunk[k] += pair[1]
-                sunk[j] += pair[1]
+                (wide, sides), deeper = pair
+                fields.append(wide)
+                smooth.append(sides)
+                sunk[k] += deeper
+                sunk[j] += deeper
+        fields.append(SmoothSum(tuple(smooth)))
     elif felt:
         presses = tuple(_press(t, dent) for _, t, dent in felt)
         solved = solved_presses(design, mechanics, presses, bent)
@@ -235,7 +242,7 @@ def _press(touch: Touch, dent: TabulatedDent) -> Press:
 
 def _pair(
     one: tuple[Touch, float], other: tuple[Touch, float], design: SensorDesign, mechanics: Mechanics
-) -> tuple[tuple[ColumnField, ...], float] | None:
+) -> tuple[tuple[TurnedField, SmoothField], float] | None:
     """Change of two dents by each other, and by how much deeper each sinks [m].
 
     Touches with their depths [m]; None where they are far apart. Between different indenters it is

@@ -7,13 +7,15 @@ from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 from scipy.sparse import csr_array
 
+from eitskin.compiled import compiled
+
 Array = NDArray[np.float64]
 Indices = NDArray[np.int32]
 
 _DEGREE = 3
-FUNCTIONS = _DEGREE + 1
-"""Number of splines that do not vanish at a point."""
-_EACH = np.arange(FUNCTIONS, dtype=np.int32)  # as sparse products take them
+_FUNCTIONS = _DEGREE + 1  # that do not vanish at a point
+_AT_ONCE = 20_000  # points, so that gathered values stay small
+_EACH = np.arange(_FUNCTIONS, dtype=np.int32)  # as sparse products take them
 
 
 class CubicSplines:
@@ -23,13 +25,14 @@ class CubicSplines:
 
     Attributes:
         nodes: rising, four or more, (n,).
+        knots: where the pieces of the splines meet, (n + 4,).
     """
 
     def __init__(self, nodes: Array) -> None:
         """Place the knots."""
         self.nodes = nodes
-        inner, ends = nodes[2:-2], (np.full(FUNCTIONS, nodes[0]), np.full(FUNCTIONS, nodes[-1]))
-        self._knots = np.concatenate([ends[0], inner, ends[1]])
+        inner, ends = nodes[2:-2], (np.full(_FUNCTIONS, nodes[0]), np.full(_FUNCTIONS, nodes[-1]))
+        self.knots: Array = np.concatenate([ends[0], inner, ends[1]])
 
     @cached_property
     def fit(self) -> Array:
@@ -41,13 +44,13 @@ class CubicSplines:
 
         Points beyond the nodes belong to the outermost intervals.
         """
-        t, last = self._knots, len(self.nodes) - 1
+        t, last = self.knots, len(self.nodes) - 1
         cell = np.clip(np.searchsorted(t, x, side="right") - 1, _DEGREE, last)
-        right = [t[cell + k] - x for k in range(1, FUNCTIONS)]
-        left = [x - t[cell + 1 - k] for k in range(1, FUNCTIONS)]
+        right = [t[cell + k] - x for k in range(1, _FUNCTIONS)]
+        left = [x - t[cell + 1 - k] for k in range(1, _FUNCTIONS)]
         lower: list[Array] = []
         values = [np.ones_like(x)]
-        for degree in range(1, FUNCTIONS):
+        for degree in range(1, _FUNCTIONS):
             lower, values = values, [np.zeros_like(x)]
             for r in range(degree):
                 part = lower[r] / (right[r] + left[degree - r - 1])
@@ -62,15 +65,42 @@ class CubicSplines:
         return first, np.stack(values, axis=-1), np.stack(slopes, axis=-1)
 
 
-def numbers_of_products(i: Indices, j: Indices, across: int) -> Indices:
+def in_plane(
+    splines: tuple[CubicSplines, CubicSplines], coefficients: Array, points: Array
+) -> Array:
+    """Sums of products of splines, and their slopes by x and by y, (m, 3, k).
+
+    Args:
+        splines: along x and along y.
+        coefficients: of the products, (nx, ny, k).
+        points: (m, 2); those beyond the nodes belong to the outermost intervals.
+    """
+    along, across = splines
+    found = np.empty((len(points), 3, coefficients.shape[2]))
+    kernels = compiled("eitskin.simulator.mechanics.spline_kernels")
+    if kernels is not None:
+        kernels.sums(along.knots, across.knots, coefficients, points, found)
+        return found
+    flat = coefficients.reshape(-1, coefficients.shape[2])
+    for start in range(0, len(points), _AT_ONCE):
+        part = slice(start, start + _AT_ONCE)
+        i, a, da = along.functions(points[part, 0])
+        j, b, db = across.functions(points[part, 1])
+        numbers = _numbers_of_products(i, j, coefficients.shape[1])
+        for k, (one, other) in enumerate(((a, b), (da, b), (a, db))):
+            found[part, k] = _summed(numbers, one, other, flat)
+    return found
+
+
+def _numbers_of_products(i: Indices, j: Indices, across: int) -> Indices:
     """Numbers (m, 16) of the products of splines that do not vanish, `across` along the second."""
     offsets = across * _EACH[:, None] + _EACH
     return np.asarray((across * i + j)[:, None] + offsets.ravel())
 
 
-def summed(numbers: Indices, a: Array, b: Array, coefficients: Array) -> Array:
+def _summed(numbers: Indices, a: Array, b: Array, coefficients: Array) -> Array:
     """Sums (m, k) of products of splines a and b (m, 4) times coefficients (products, k)."""
     weights = (a[:, :, None] * b[:, None, :]).ravel()
-    ends = np.arange(0, numbers.size + 1, FUNCTIONS**2, dtype=np.int32)
+    ends = np.arange(0, numbers.size + 1, _FUNCTIONS**2, dtype=np.int32)
     matrix = csr_array((weights, numbers.ravel(), ends), shape=(len(a), len(coefficients)))
     return np.asarray(matrix @ coefficients)

@@ -63,14 +63,14 @@ def tabulable(design: SensorDesign) -> bool:
     )
 
 
-def is_shipped(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -> bool:
+def is_shipped(design: SensorDesign, mechanics: Mechanics, indenter: AnyIndenter) -> bool:
     """Whether all tables that a design needs come with the package."""
     return tabulable(design) and all(
         (LIBRARY / name).is_file() for name in _names(design, mechanics, indenter)
     )
 
 
-def missing(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -> set[Path]:
+def missing(design: SensorDesign, mechanics: Mechanics, indenter: AnyIndenter) -> set[Path]:
     """Absent files of tables that `corrections` needs; each takes minutes to solve."""
     if not tabulable(design):
         return set()
@@ -78,14 +78,15 @@ def missing(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -> s
     return {solved_files.folder() / name for name in names if _file(name) is None}
 
 
-def _names(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -> list[str]:
+@lru_cache(maxsize=64)
+def _names(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -> tuple[str, ...]:
     """Names of all files that a design needs."""
     base, strips = _needed(design, mechanics)
-    return [
+    return (
         _name(design, base, mechanics, indenter),
         *(_strip_name(design, strip, mechanics, indenter) for strip, _ in strips),
         _pair_name(design, base, mechanics, indenter),
-    ]
+    )
 
 
 @dataclasses.dataclass(frozen=True, slots=True, eq=False)

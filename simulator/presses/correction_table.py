@@ -1,12 +1,13 @@
 """Table of corrections of a press: over its position and depth on one stack."""
 
+import math
 import multiprocessing
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -72,7 +73,8 @@ class StripTable:
     def at(self, x: float, y: float, depth: float) -> tuple[SmoothField, float]:
         """Correction of a press at (x, y) to a depth [m], and how much it sinks [m]."""
         deep, across, H = self._deep(depth), self._across(y), float(self.thickness)
-        field = self._field(self._box(-_REACH * H, _REACH * H), across, deep, self.strip, _STRETCH)
+        weights = across[:, :, None] * deep
+        field = self._field(self._box(-_REACH * H, _REACH * H), weights, self.strip, _STRETCH)
         return field.shifted(x), float(across.sum(axis=0) @ self.sunk @ deep)
 
     def _deep(self, depth: float) -> Array:
@@ -91,11 +93,11 @@ class StripTable:
     def _box(self, low: float, high: float) -> Box:
         return Box((low, 0.0, 0.0), (high, float(self.width), float(self.height)))
 
-    def _field(
-        self, box: Box, across: Array, deep: Array, solved: Array, stretch: float
-    ) -> SmoothField:
-        """Field interpolated between solved ones (m, d - 1, nx, ny, nz, 4) and mirror images."""
-        here, there = np.tensordot(across, np.tensordot(deep, solved, (0, 1)), (1, 0))
+    def _field(self, box: Box, weights: Array, solved: Array, stretch: float) -> SmoothField:
+        """Field by the weights of solved ones (..., nx, ny, nz, 4) and of their mirror images."""
+        shape = solved.shape[-4:]
+        both = weights.reshape(2, -1) @ solved.reshape(-1, math.prod(shape))
+        here, there = both.reshape(2, *shape)
         image = SmoothField(box, there, stretch).mirrored(1, 0.5 * float(self.width))
         return SmoothField(box, here + image.coefficients, stretch)
 
@@ -126,11 +128,11 @@ class CorrectionTable(StripTable):
         for far in (False, True):
             distance = length - x if far else x
             if distance < self.along[-1]:
-                near = CubicSpline(self.along, np.eye(len(self.along)))(distance)[:-1]
-                ends, more = (np.tensordot(near, e, (0, 0)) for e in (self.ends, self.sunk_more))
-                end = self._field(self._box(0.0, _ENDS * H), across, deep, ends, 0.0)
+                near = spline_weights(self.along, distance)[:-1]
+                weights = near[:, None, None] * (across[:, None, :, None] * deep)
+                end = self._field(self._box(0.0, _ENDS * H), weights, self.ends, 0.0)
                 fields.append(end.mirrored(0, 0.5 * length) if far else end)
-                sunk += float(across.sum(axis=0) @ more @ deep)
+                sunk += float((weights.sum(axis=0) * self.sunk_more).sum())
         return fields, sunk
 
     def covers(self, x: float, y: float) -> bool:
@@ -317,7 +319,7 @@ def across_strip(nodes: Array, width: float, y: float) -> Array:
     """
     middle = nodes[-1] > 0.5 * width - _SAME
     beyond = (width - nodes)[::-1][int(middle) :]
-    both = CubicSpline(np.concatenate([nodes, beyond]), np.eye(len(nodes) + len(beyond)))(y)
+    both = spline_weights(np.concatenate([nodes, beyond]), y)
     mirrored = np.zeros(len(nodes))
     mirrored[: len(beyond)] = both[len(nodes) :][::-1]
     direct = both[: len(nodes)]
@@ -325,6 +327,16 @@ def across_strip(nodes: Array, width: float, y: float) -> Array:
         direct[-1] *= 0.5
         mirrored[-1] = direct[-1]
     return np.stack([direct, mirrored])
+
+
+def spline_weights(nodes: Array, at: float) -> Array:
+    """Weights of the values at nodes in their cubic spline at one position, (n,)."""
+    return np.array(_cardinal_splines(tuple(nodes.tolist()))(at))
+
+
+@lru_cache(maxsize=64)
+def _cardinal_splines(nodes: tuple[float, ...]) -> CubicSpline:
+    return CubicSpline(nodes, np.eye(len(nodes)))
 
 
 def least_distance(stack: Stack, mechanics: Mechanics, indenter: Indenter) -> float:

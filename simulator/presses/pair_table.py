@@ -7,13 +7,17 @@ from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.support import Rigid
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress, Indentation
 from eitskin.simulator.mechanics.layer_stack import Mechanics, Stack
-from eitskin.simulator.presses.correction_table import across_strip, least_distance, processes
+from eitskin.simulator.presses.correction_table import (
+    across_strip,
+    least_distance,
+    processes,
+    spline_weights,
+)
 from eitskin.simulator.presses.dent_field import DentField
 from eitskin.simulator.presses.finite_stack import Correction, FiniteStack
 from eitskin.simulator.presses.smooth_field import Box, SmoothField, together
@@ -93,7 +97,9 @@ class PairTable:
         x, y = 0.5 * (x + x_other), 0.5 * (y + y_other)
         weights = _over_depth(self.depths, deep * beside)
         near = self._near(self.apart, apart)
-        fields = np.tensordot(weights, np.tensordot(near, self.fields, (0, 0)), (0, 0))
+        shape = self.fields.shape[2:]
+        fields = np.outer(near, weights).ravel() @ self.fields.reshape(-1, math.prod(shape))
+        fields = fields.reshape(shape)
         nodes = _nodes(max(apart, float(self.apart[0])), float(self.thickness))
         wide = TurnedField(SplineField(nodes, float(self.height), fields), x, y, cos, sin)
         sides = self._beside(apart, math.atan2(sin, cos), y, deep * beside).shifted(x)
@@ -102,8 +108,7 @@ class PairTable:
     def _near(self, nodes: Array, apart: float) -> Array:
         """Weights of solved distances but the last, at which nothing changes."""
         apart = max(apart, float(nodes[0]))
-        found: Array = CubicSpline(np.log(nodes), np.eye(len(nodes)))(np.log(apart))[:-1]
-        return found
+        return spline_weights(np.log(nodes), math.log(apart))[:-1]
 
     def _beside(self, apart: float, angle: float, y: float, product: float) -> SmoothField:
         """Field that the sides add to a pair whose middle is at (0, y) [m]."""

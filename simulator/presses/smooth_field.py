@@ -133,7 +133,7 @@ class SmoothField:
     ) -> list[Array]:
         """As `_evaluated`, at columns of equal heights."""
         n, h = columns.shape[:2]
-        heights = self._basis(2, columns[0, :, 2] if n else np.zeros(h))
+        heights = self.basis(2, columns[0, :, 2] if n else np.zeros(h))
         coefficients = self.coefficients[..., part]
         # Polynomials in the plane for the values (0) and upward derivatives (1) at each height.
         planes = [
@@ -143,13 +143,13 @@ class SmoothField:
         x, where_x = np.unique(columns[:, 0, 0], return_inverse=True)
         y, where_y = np.unique(columns[:, 0, 1], return_inverse=True)
         if len(x) * len(y) <= _PER_GRID * n:
-            grid = _in_plane(planes, self._basis(0, x), self._basis(1, y), orders)
+            grid = _in_plane(planes, self.basis(0, x), self.basis(1, y), orders)
             return [(along @ across.T)[..., where_x, where_y] for along, across in grid]
         found = [np.empty((*planes[0].shape[:2], n)) for _ in orders]
         for start in range(0, n, _AT_ONCE):
             near = slice(start, start + _AT_ONCE)
             x, y = columns[near, 0, 0], columns[near, 0, 1]
-            parts = _in_plane(planes, self._basis(0, x), self._basis(1, y), orders)
+            parts = _in_plane(planes, self.basis(0, x), self.basis(1, y), orders)
             for values, (along, across) in zip(found, parts, strict=True):
                 values[..., near] = np.einsum("mhnb,nb->mhn", along, across)
         return found
@@ -163,7 +163,7 @@ class SmoothField:
         found = [np.empty((count, len(points))) for _ in orders]
         for start in range(0, len(points), _AT_ONCE):
             some = slice(start, start + _AT_ONCE)
-            x, y, z = (self._basis(axis, points[some, axis]) for axis in range(3))
+            x, y, z = (self.basis(axis, points[some, axis]) for axis in range(3))
             columns = [
                 (each @ slabs).reshape(-1, c.shape[1], c.shape[2] * count)
                 for each in x[: 1 + max(i for i, *_ in orders)]
@@ -180,7 +180,7 @@ class SmoothField:
             s = np.sinh(self.stretch * s) / math.sinh(self.stretch)
         return 0.5 * (low + high) + 0.5 * (high - low) * s
 
-    def _basis(self, axis: int, positions: Array) -> _Basis:
+    def basis(self, axis: int, positions: Array) -> _Basis:
         low, high = self.box.low[axis], self.box.high[axis]
         s = (2.0 * positions - low - high) / (high - low)
         rate = np.full(s.shape, 2.0 / (high - low))

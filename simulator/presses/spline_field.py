@@ -7,12 +7,10 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
-from eitskin.simulator.mechanics.cubic_splines import CubicSplines, numbers_of_products, summed
+from eitskin.simulator.mechanics.cubic_splines import CubicSplines, in_plane
 from eitskin.simulator.presses.smooth_field import Box
 
 Array = NDArray[np.float64]
-
-_AT_ONCE = 20_000  # columns, so that gathered values stay small
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,50 +48,37 @@ class SplineField:
         (x, *_, x_end), (y, *_, y_end) = (each.tolist() for each in self.nodes)
         return Box((x, y, 0.0), (x_end, y_end, self.height))
 
+    @property
+    def splines(self) -> tuple[CubicSplines, CubicSplines]:
+        """Splines along x and along y."""
+        along, across = self.nodes
+        return CubicSplines(along), CubicSplines(across)
+
     def values(self, columns: Array) -> Array:
         """All components (k, h, n) at columns of points (n, h, 3) [m]."""
-        return self._in_parts(columns, self._values)
+        heights, _ = self.over_height(columns[..., 2])
+        return np.asarray(np.einsum("nzk,nhz->khn", self._in_plane(columns)[:, 0], heights))
 
     def moved(self, columns: Array) -> Array:
         """First three components and their derivatives by x, y, z, (12, h, n)."""
-        return self._in_parts(columns, self._moved)
-
-    def _in_parts(self, columns: Array, evaluated: Callable[[Array], Array]) -> Array:
-        starts = range(0, max(len(columns), 1), _AT_ONCE)
-        parts = [evaluated(columns[start : start + _AT_ONCE]) for start in starts]
-        return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=-1)
-
-    def _values(self, columns: Array) -> Array:
-        (value,) = self._in_plane(columns[:, 0], slopes=False)
-        heights, _ = self._over_height(columns[..., 2])
-        return np.asarray(np.einsum("nzk,nhz->khn", value, heights))
-
-    def _moved(self, columns: Array) -> Array:
-        value, *slopes = (each[..., :3] for each in self._in_plane(columns[:, 0], slopes=True))
-        heights, rates = self._over_height(columns[..., 2])
+        sums = self._in_plane(columns)[..., :3]
+        heights, rates = self.over_height(columns[..., 2])
         found = np.empty((4, 3, columns.shape[1], len(columns)))
-        found[0] = np.einsum("nzk,nhz->khn", value, heights)
-        for k, slope in enumerate(slopes, 1):
-            found[k] = np.einsum("nzk,nhz->khn", slope, heights)
-        found[3] = np.einsum("nzk,nhz->khn", value, rates)
+        both = ((0, heights), (1, heights), (2, heights), (0, rates))
+        for each, (part, height) in zip(found, both, strict=True):
+            each[:] = np.einsum("nzk,nhz->khn", sums[:, part], height)
         gradient = found[1:].swapaxes(0, 1).reshape(9, *found.shape[2:])
         return np.concatenate([found[0], gradient])
 
-    def _in_plane(self, points: Array, slopes: bool) -> list[Array]:
-        """Polynomials over the height (n, nz, k) at points (n, 3), and their slopes by x and y."""
-        x, y = (
-            np.clip(points[:, axis], nodes[0], nodes[-1]) for axis, nodes in enumerate(self.nodes)
-        )
-        (i, a, da), (j, b, db) = (
-            CubicSplines(nodes).functions(at) for nodes, at in zip(self.nodes, (x, y), strict=True)
-        )
+    def _in_plane(self, columns: Array) -> Array:
+        """Polynomials over the height, and their slopes by x and y, (n, 3, nz, k)."""
+        ends = np.array([(nodes[0], nodes[-1]) for nodes in self.nodes])
+        points = np.clip(columns[:, 0, :2], ends[:, 0], ends[:, 1])
         shape = self.coefficients.shape
-        numbers = numbers_of_products(i, j, shape[1])
-        flat = self.coefficients.reshape(shape[0] * shape[1], -1)
-        pairs = [(a, b), (da, b), (a, db)] if slopes else [(a, b)]
-        return [summed(numbers, *pair, flat).reshape(len(x), *shape[2:]) for pair in pairs]
+        flat = self.coefficients.reshape(*shape[:2], -1)
+        return in_plane(self.splines, flat, points).reshape(len(points), 3, *shape[2:])
 
-    def _over_height(self, z: Array) -> tuple[Array, Array]:
+    def over_height(self, z: Array) -> tuple[Array, Array]:
         """Legendre polynomials (..., nz) at heights z (...), and their derivatives [1/m]."""
         degree = self.coefficients.shape[2] - 1
         s = np.clip(2.0 * z / self.height - 1.0, -1.0, 1.0)

@@ -53,13 +53,17 @@ class TabulatedDent:
         """
         inside = np.minimum(r, self.reach)
         if len(z) and (z == z[0]).all():
-            found = _at_heights(self, tuple(z[0].tolist()))(inside)
+            found = self.at_heights(z[0])(inside)
             return np.asarray(found.reshape(*r.shape, 6, z.shape[1]))
         P = self.over_height(z)
         c, slopes = self.profile(inside)[..., :2], self.profile(inside, 1)[..., :2]
         pairs = ((P, c), (self.derivatives(P), c), (P, slopes))
         parts = [np.einsum("nhm,...nmf->...nfh", Q, v) for Q, v in pairs]
         return np.concatenate(parts, axis=-2)
+
+    def at_heights(self, z: Array) -> PPoly:
+        """Splines over r of u, w, du/dz, dw/dz, du/dr, dw/dr, (6 h,), at heights z (h,)."""
+        return _at_heights(self, tuple(z.tolist()))
 
     def mean_stress(self, r: Array, z: Array) -> Array:
         """Mean stress [Pa], positive in tension, (..., n, h) at r (..., n) and z (n, h)."""

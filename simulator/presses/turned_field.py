@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from eitskin.compiled import compiled
 from eitskin.simulator.presses.spline_field import SplineField
 
 Array = NDArray[np.float64]
@@ -34,8 +35,22 @@ class TurnedField:
 
     def moved(self, columns: Array) -> Array:
         """Displacements and their derivatives by x, y, z, (12, h, n)."""
-        near = self._near(columns)
         found = np.zeros((12, columns.shape[1], len(columns)))
+        kernels = compiled("eitskin.simulator.presses.turned_kernels")
+        if kernels is not None and (columns[..., 2] == columns[:1, :, 2]).all():
+            field, (length, width, _) = self.field, self.field.box.high
+            kernels.move(
+                (self.x, self.y, self.cos, self.sin),
+                (length, width),
+                *(axis.knots for axis in field.splines),
+                field.coefficients,
+                *field.over_height(columns[:1, :, 2].ravel()),
+                columns[:, 0, 0],
+                columns[:, 0, 1],
+                found,
+            )
+            return found
+        near = self._near(columns)
         if not near.any():
             return found
         inner = self.field.moved(self._within(columns[near]))

@@ -10,7 +10,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 ROOMS = ("geometry", "simulator", "datasets", "training", "hardware", "cli", "benchmarks")
 FOLDERS = ("eitskin", *ROOMS)
-HEAVY = {"torch", "pyvista", "matplotlib", "serial", "sklearn", "skimage"}
+HEAVY = {"torch", "numba", "pyvista", "matplotlib", "serial", "sklearn", "skimage"}
 HEAVY |= {"safetensors", "h5py", "trimesh", "pytetwild", "pyeit"}
 # Each after those above it.
 STEPS = {

@@ -1,0 +1,65 @@
+"""Compiled sums of cubic splines in the plane; the plain twin is in `cubic_splines`."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.compiled import kernel
+
+Array = NDArray[np.float64]
+
+
+@kernel
+def functions(t: Array, x: float, cell: int, values: Array, slopes: Array) -> int:
+    """Number of the first of four splines at x, after the cell that was found last.
+
+    Sets the values and the slopes of the four; `t` are the knots.
+    """
+    last = len(t) - 5
+    while cell < last and x >= t[cell + 1]:
+        cell += 1
+    while cell > 3 and x < t[cell]:
+        cell -= 1
+    r1, r2, r3 = t[cell + 1] - x, t[cell + 2] - x, t[cell + 3] - x
+    l1, l2, l3 = x - t[cell], x - t[cell - 1], x - t[cell - 2]
+    p = 1.0 / (r1 + l1)
+    a, b = r1 * p, l1 * p
+    p, q = a / (r1 + l2), b / (r2 + l1)
+    a, b, c = r1 * p, l2 * p + r2 * q, l1 * q
+    p, q, s = a / (r1 + l3), b / (r2 + l2), c / (r3 + l1)
+    values[0], values[1] = r1 * p, l3 * p + r2 * q
+    values[2], values[3] = l2 * q + r3 * s, l1 * s
+    slopes[0], slopes[1] = -3.0 * p, 3.0 * (p - q)
+    slopes[2], slopes[3] = 3.0 * (q - s), 3.0 * s
+    return cell
+
+
+@kernel
+def sums(tx: Array, ty: Array, coefficients: Array, points: Array, found: Array) -> None:
+    """Sums of products of splines and their slopes by x and y, `found` (n, 3, k).
+
+    Coefficients are (nx, ny, k), points (n, 2), tx and ty the knots.
+    """
+    k = coefficients.shape[2]
+    a, da, b, db = np.empty(4), np.empty(4), np.empty(4), np.empty(4)
+    value, slope = np.empty(k), np.empty(k)
+    i, j = 3, 3
+    for n in range(len(points)):
+        i = functions(tx, points[n, 0], i, a, da)
+        j = functions(ty, points[n, 1], j, b, db)
+        for m in range(k):
+            found[n, 0, m] = 0.0
+            found[n, 1, m] = 0.0
+            found[n, 2, m] = 0.0
+        for p in range(4):
+            for m in range(k):
+                value[m] = 0.0
+                slope[m] = 0.0
+            for q in range(4):
+                c = coefficients[i - 3 + p, j - 3 + q]
+                for m in range(k):
+                    value[m] += b[q] * c[m]
+                    slope[m] += db[q] * c[m]
+            for m in range(k):
+                found[n, 0, m] += a[p] * value[m]
+                found[n, 1, m] += da[p] * value[m]
+                found[n, 2, m] += a[p] * slope[m]
