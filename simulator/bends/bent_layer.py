@@ -7,6 +7,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from eitskin.compiled import compiled
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.kinematics import Gradients, Points
 from eitskin.simulator.mechanics.cubic_splines import CubicSplines, in_plane
@@ -15,6 +16,7 @@ Array = NDArray[np.float64]
 
 _AT_ONCE = 20_000  # points, per chunk, so that gathered values stay small
 _SAME = 1e-9  # [m]
+_QUADRATIC = 3  # coefficients over the height, of layers that are one cell thick
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,8 +125,13 @@ class BentLayer:
 
     def _slopes(self, x: Array) -> Array:
         """Derivatives (n, 9) of the displacements at points (n, 3) of the layer."""
-        sums, (powers, dpowers) = self._in_plane(x), self._powers(x[:, 2])
         found = np.empty((len(x), 3, 3))
+        kernels = compiled("eitskin.simulator.mechanics.spline_kernels")
+        if kernels is not None and self._shape[2] == _QUADRATIC:
+            knots = self._x.splines.knots, self._y.splines.knots
+            kernels.gradients(*knots, self._coefficients, x, 1.0 / self._ends[2], found)
+            return found.reshape(len(x), 9)
+        sums, (powers, dpowers) = self._in_plane(x), self._powers(x[:, 2])
         for k, (part, height) in enumerate(((1, powers), (2, powers), (0, dpowers))):
             found[..., k] = np.einsum("npc,np->nc", sums[:, part], height)
         return found.reshape(len(x), 9)

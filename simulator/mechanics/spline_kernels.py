@@ -63,3 +63,34 @@ def sums(tx: Array, ty: Array, coefficients: Array, points: Array, found: Array)
                 found[n, 0, m] += a[p] * value[m]
                 found[n, 1, m] += da[p] * value[m]
                 found[n, 2, m] += a[p] * slope[m]
+
+
+@kernel
+def gradients(
+    tx: Array, ty: Array, coefficients: Array, points: Array, scale: float, found: Array
+) -> None:
+    """Derivatives (n, 3, 3) of three fields by x, y, z, quadratic along z, at points (n, 3).
+
+    Coefficients are (nx, ny, 9): of the powers 0 to 2 of `scale` z, each of the three fields.
+    """
+    a, da, b, db = np.empty(4), np.empty(4), np.empty(4), np.empty(4)
+    sums = np.empty((3, 9))
+    i, j = 3, 3
+    for n in range(len(points)):
+        i = functions(tx, points[n, 0], i, a, da)
+        j = functions(ty, points[n, 1], j, b, db)
+        sums[:] = 0.0
+        for p in range(4):
+            row = coefficients[i - 3 + p, j - 3 : j + 1]
+            for m in range(9):  # a fixed number of turns takes half the time of any number
+                c0, c1, c2, c3 = row[0, m], row[1, m], row[2, m], row[3, m]
+                value = b[0] * c0 + b[1] * c1 + b[2] * c2 + b[3] * c3
+                slope = db[0] * c0 + db[1] * c1 + db[2] * c2 + db[3] * c3
+                sums[0, m] += a[p] * value
+                sums[1, m] += da[p] * value
+                sums[2, m] += a[p] * slope
+        z = scale * points[n, 2]
+        for k in range(3):
+            found[n, k, 0] = sums[1, k] + z * (sums[1, 3 + k] + z * sums[1, 6 + k])
+            found[n, k, 1] = sums[2, k] + z * (sums[2, 3 + k] + z * sums[2, 6 + k])
+            found[n, k, 2] = scale * (sums[0, 3 + k] + 2.0 * z * sums[0, 6 + k])

@@ -24,7 +24,7 @@ class Box(NamedTuple):
     high: tuple[float, float, float]
 
 
-class _Basis(NamedTuple):
+class Basis(NamedTuple):
     """Polynomials and their derivatives at positions along one axis, (positions, count) each."""
 
     values: Array
@@ -180,7 +180,8 @@ class SmoothField:
             s = np.sinh(self.stretch * s) / math.sinh(self.stretch)
         return 0.5 * (low + high) + 0.5 * (high - low) * s
 
-    def basis(self, axis: int, positions: Array) -> _Basis:
+    def basis(self, axis: int, positions: Array) -> Basis:
+        """Polynomials along an axis, and their derivatives, at positions (n,) [m]."""
         low, high = self.box.low[axis], self.box.high[axis]
         s = (2.0 * positions - low - high) / (high - low)
         rate = np.full(s.shape, 2.0 / (high - low))
@@ -196,7 +197,7 @@ class SmoothField:
         slopes[outside] = 0.0
         if axis == 0:
             values[outside] = 0.0
-        return _Basis(values, slopes)
+        return Basis(values, slopes)
 
 
 def together(fields: Iterable[SmoothField]) -> list[SmoothField]:
@@ -241,7 +242,7 @@ def _differentiation(axis: int, count: int) -> Array:
 
 
 def _in_plane(
-    planes: list[Array], x: _Basis, y: _Basis, orders: Sequence[tuple[int, int, int]]
+    planes: list[Array], x: Basis, y: Basis, orders: Sequence[tuple[int, int, int]]
 ) -> list[tuple[Array, Array]]:
     """Polynomials along y (k, h, positions, b) at positions x, and their basis, for each order."""
     along = {(i, k): x[i] @ planes[k] for i, _, k in orders}

@@ -15,7 +15,7 @@ _PER_COLUMN, _SMALL = 4, 2_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SmoothSum:
-    """Sum of polynomial fields whose boxes have the same sides along y.
+    """Sum of polynomial fields whose boxes have the same sides along y and z.
 
     Columns of quadrature points lie on the lines of a grid: fields are added up on the lines along
     x, evaluated along y once for all, and read at the columns at last.
@@ -66,27 +66,33 @@ class _Grid:
 
     def moved(self, fields: tuple[SmoothField, ...]) -> Array:
         """Displacement and its derivatives by x, y, z at the columns, (12, h, n)."""
-        most = max(fields, key=lambda field: field.coefficients.shape[1])
-        # Polynomials along y, of the values and the derivatives by x and z, on the lines along x.
-        lines = np.zeros((3, len(self.x), 3 * len(self.z), most.coefficients.shape[1]))
+        most = [max(field.coefficients.shape[axis] for field in fields) for axis in range(3)]
+        # Polynomials along y and z, and their derivatives by x, on the lines along x.
+        lines = np.zeros((2, most[2], 3, len(self.x), most[1]))
         for field in fields:
-            x, heights = field.basis(0, self.x), field.basis(2, self.z)
-            count = field.coefficients.shape[1]
-            upright = [
-                np.einsum("abck,hc->akhb", field.coefficients[..., :3], each).reshape(
-                    len(x[0].T), -1
-                )
-                for each in heights
-            ]
-            parts = x.values @ upright[0], x.slopes @ upright[0], x.values @ upright[1]
-            for line, part in zip(lines, parts, strict=True):
-                line[..., :count] += part.reshape(len(self.x), -1, count)
-        across = most.basis(1, self.y)
-        shape = (len(self.x), 3, len(self.z), len(self.y))
-        found = np.empty((4, 3, len(self.z), len(self.columns)))
-        both = ((0, across.values), (1, across.values), (0, across.slopes), (2, across.values))
-        for each, (part, basis) in zip(found, both, strict=True):
-            whole = (lines[part] @ basis.T).reshape(shape).transpose(1, 2, 0, 3)
-            each[:] = whole.reshape(3, len(self.z), -1)[..., self.columns]
-        gradient = found[1:].swapaxes(0, 1)
-        return np.concatenate([found[0], gradient.reshape(9, *found.shape[2:])])
+            _, ny, nz, _ = field.coefficients.shape
+            solved = np.ascontiguousarray(field.coefficients[..., :3].transpose(2, 3, 0, 1))
+            for line, along in zip(lines, field.basis(0, self.x), strict=True):
+                line[:nz, ..., :ny] += along @ solved
+        widest, highest = (
+            max(fields, key=lambda field: field.coefficients.shape[axis]) for axis in (1, 2)
+        )
+        across, upright = widest.basis(1, self.y), highest.basis(2, self.z)
+        value, by_x, by_y = (
+            (line @ basis.T).reshape(*line.shape[:2], -1)[..., self.columns]
+            for line, basis in (
+                (lines[0], across.values),
+                (lines[1], across.values),
+                (lines[0], across.slopes),
+            )
+        )
+        found = np.empty((12, len(self.z), len(self.columns)))
+        gradient = found[3:].reshape(3, 3, *found.shape[1:])
+        for whole, heights, part in (
+            (found[:3], upright.values, value),
+            (gradient[:, 0], upright.values, by_x),
+            (gradient[:, 1], upright.values, by_y),
+            (gradient[:, 2], upright.slopes, value),
+        ):
+            whole[:] = np.tensordot(heights, part, (1, 0)).swapaxes(0, 1)
+        return found

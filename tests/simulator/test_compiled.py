@@ -10,6 +10,7 @@ from eitskin.geometry.deformation import kinematics
 from eitskin.geometry.deformation.kinematics import Composed, Displaced
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import Scene, Simulator, Touch
+from eitskin.simulator.bends import bent_layer
 from eitskin.simulator.electrical import assembly
 from eitskin.simulator.layer import dents
 from eitskin.simulator.mechanics import cubic_splines
@@ -29,7 +30,7 @@ def plainly(monkeypatch):
 
     def call(evaluated, *arguments):
         with monkeypatch.context() as patch:
-            for module in (kinematics, assembly, dents, cubic_splines, turned_field):
+            for module in (kinematics, assembly, dents, cubic_splines, turned_field, bent_layer):
                 patch.setattr(module, "compiled", lambda _: None)
             return evaluated(*arguments)
 
