@@ -9,8 +9,8 @@ from eitskin.simulator.presses.smooth_field import SmoothField
 
 Array = NDArray[np.float64]
 
-# Nodes of a grid, per column and in all, up to which the grid is evaluated.
-_PER_COLUMN, _SMALL = 4, 2_000
+_PER_COLUMN = 4  # nodes of a grid per column, up to which the grid is evaluated
+_FEW = 2_000  # columns that need not lie on a grid, so that their polynomials stay small
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,28 +40,29 @@ class SmoothSum:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Grid:
-    """Grid of columns of equal heights.
+    """Columns of equal heights on the nodes of a grid, or each on a line of its own along y.
 
     Attributes:
-        x, y, z: positions on the lines and of the heights [m].
-        columns: number of each column's node, along y first, (n,).
+        x, y, z: positions of the lines and of the heights [m].
+        columns: number of each column's node, along y first, (n,); None for lines of their own.
     """
 
     x: Array
     y: Array
     z: Array
-    columns: NDArray[np.int64]
+    columns: NDArray[np.int64] | None
 
     @classmethod
     def of(cls, columns: Array) -> "_Grid | None":
-        """Grid of columns (n, h, 3); None where they lie on none, or their heights differ."""
+        """Grid of columns (n, h, 3); None where many lie on none, or where heights differ."""
         heights = columns[..., 2]
         if not (heights == heights[:1]).all():
             return None
         x, of_x = np.unique(columns[:, 0, 0], return_inverse=True)
         y, of_y = np.unique(columns[:, 0, 1], return_inverse=True)
-        if len(x) * len(y) > max(_PER_COLUMN * len(columns), _SMALL):
-            return None
+        if len(x) * len(y) > _PER_COLUMN * len(columns):
+            few = len(columns) <= _FEW
+            return cls(columns[:, 0, 0], columns[:, 0, 1], heights[0], None) if few else None
         return cls(x, y, heights[0], of_x * len(y) + of_y)
 
     def moved(self, fields: tuple[SmoothField, ...]) -> Array:
@@ -78,15 +79,10 @@ class _Grid:
             max(fields, key=lambda field: field.coefficients.shape[axis]) for axis in (1, 2)
         )
         across, upright = widest.basis(1, self.y), highest.basis(2, self.z)
-        value, by_x, by_y = (
-            (line @ basis.T).reshape(*line.shape[:2], -1)[..., self.columns]
-            for line, basis in (
-                (lines[0], across.values),
-                (lines[1], across.values),
-                (lines[0], across.slopes),
-            )
-        )
-        found = np.empty((12, len(self.z), len(self.columns)))
+        value = self._at_columns(lines[0], across.values)
+        by_x = self._at_columns(lines[1], across.values)
+        by_y = self._at_columns(lines[0], across.slopes)
+        found = np.empty((12, len(self.z), value.shape[-1]))
         gradient = found[3:].reshape(3, 3, *found.shape[1:])
         for whole, heights, part in (
             (found[:3], upright.values, value),
@@ -96,3 +92,10 @@ class _Grid:
         ):
             whole[:] = np.tensordot(heights, part, (1, 0)).swapaxes(0, 1)
         return found
+
+    def _at_columns(self, lines: Array, across: Array) -> Array:
+        """Values (nz, 3, n) of polynomials along y (nz, 3, lines, ny), by their basis."""
+        if self.columns is None:
+            return np.asarray(np.einsum("zkxb,xb->zkx", lines, across))
+        on_grid = (lines @ across.T).reshape(*lines.shape[:2], -1)
+        return np.asarray(on_grid[..., self.columns])

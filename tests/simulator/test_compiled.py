@@ -99,7 +99,9 @@ def test_fields_on_a_grid_are_summed_as_one_by_one() -> None:
     columns[..., 0], columns[..., 1] = x.reshape(-1, 1), y.reshape(-1, 1)
     columns[..., 2] = (0.001, 0.002, 0.0045)
     rng.shuffle(columns)
-    for some in (columns, columns + rng.uniform(0.0, 1e-4, columns.shape)):
+    scattered = columns.copy()
+    scattered[..., :2] += rng.uniform(0.0, 1e-3, (45, 1, 2))
+    for some in (columns, scattered, columns + rng.uniform(0.0, 1e-4, columns.shape)):
         one_by_one = sum(field.moved(some) for field in fields)
         assert SmoothSum(fields).moved(some) == pytest.approx(one_by_one, rel=1e-11, abs=1e-9)
 
