@@ -79,7 +79,7 @@ class Simulator:
 
         Args:
             design: the sensor.
-            resolution: "fast", "standard" or "fine", or element order and grading.
+            resolution: "coarse", "fast", "standard" or "fine", or element order and grading.
             fixture: that bends the sensor; the default clamp when omitted, whose bends of other
                 sensors than the reference are solved at their first use, in half a minute.
             protocol: drive and sense pairs; every pair of electrodes, which is drive and sense pair

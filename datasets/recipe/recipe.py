@@ -40,7 +40,7 @@ class Recipe:
         episodes: time series, after the scenes, one entry after the other.
         seed: of everything random.
         description: in a sentence, for readers.
-        resolution: of the simulator, "fast", "standard" or "fine".
+        resolution: of the simulator, "coarse", "fast", "standard" or "fine".
         frames_per_shard: number of frames in a file, which one worker simulates. Episodes are not
             split: a shard has as many as fit, at least one.
         sensor: nominal design. In TOML also "reference" or the path of a design file.

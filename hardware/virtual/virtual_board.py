@@ -47,7 +47,7 @@ def virtual_terminal(
 
     Args:
         speed: "real", paced as the AD5940 is, or "max", as fast as it is read.
-        resolution: resolution of the simulator: "fast", "standard" or "fine".
+        resolution: resolution of the simulator: "coarse", "fast", "standard" or "fine".
         scene: a scene, a `Script`, a function from frame number to scene, or the path of a TOML
             file that holds one of the first two; the flat untouched sensor when omitted.
         seed: seed of the instrument.

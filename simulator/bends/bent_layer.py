@@ -70,14 +70,18 @@ class BentLayer:
         self._centre, self._thickness = centre, nodes.thickness
         self._ends = np.array([nodes.x[-1], nodes.y[-1], nodes.z[-1]])
         self._x, self._y = _axis(tuple(nodes.x)), _axis(tuple(nodes.y))
-        along = np.einsum("sia,ajkc->sijkc", self._x.fit, values)
-        both = np.einsum("sijkc,tjb->stibkc", along, self._y.fit.swapaxes(1, 2))
-        # u_x is odd and the others are even along x; likewise u_y along y.
-        fits = np.stack([both[1, 0, ..., 0], both[0, 1, ..., 1], both[0, 0, ..., 2]], axis=-1)
-        vandermonde = np.vander(nodes.z / self._ends[2], increasing=True)
-        coefficients = np.einsum("pk,ijkc->ijpc", np.linalg.inv(vandermonde), fits)
+        upright = np.linalg.inv(np.vander(nodes.z / self._ends[2], increasing=True))
+        polynomials = np.moveaxis(values, 3, 0) @ upright.T
+        fits = [
+            np.tensordot(
+                np.tensordot(self._x.fit[odd_x], part, (1, 0)), self._y.fit[odd_y], (1, 1)
+            ).swapaxes(1, 2)
+            # u_x is odd and the others are even along x; likewise u_y along y.
+            for part, odd_x, odd_y in zip(polynomials, (1, 0, 0), (0, 1, 0), strict=True)
+        ]
+        coefficients = np.stack(fits, axis=-1)
         self._shape = coefficients.shape
-        self._coefficients = np.ascontiguousarray(coefficients.reshape(*coefficients.shape[:2], -1))
+        self._coefficients = coefficients.reshape(*self._shape[:2], -1)
 
     def positions(self, points: Points) -> Points:
         """Deformed positions [m], (..., 3), of flat points [m], (..., 3)."""

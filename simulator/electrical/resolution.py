@@ -11,7 +11,7 @@ from eitskin.geometry.meshing.grading import Grading
 from eitskin.geometry.meshing.mesh_design import CellKind
 from eitskin.simulator.scene.indenters import Cylinder, Indenter
 
-Resolution = Literal["fast", "standard", "fine"]
+Resolution = Literal["coarse", "fast", "standard", "fine"]
 Discretisation: TypeAlias = tuple[tuple[int, ...], Grading]
 
 
@@ -36,17 +36,20 @@ class _Named(NamedTuple):
 
 # `eitskin bench accuracy` measures cost and error of each resolution.
 _COLUMNS = {
+    "coarse": _Named((3, 3, 2), 0.2, 0.16, 3.0, 1.0),
     "fast": _Named((3, 3, 2, 1), 0.2, 0.1, 2.0, 0.62),
     "standard": _Named((4, 4, 3, 2, 2), 0.04, 0.11, 3.0, 0.68),
     "fine": _Named((5, 5, 5, 4, 3), 4e-3, 0.083, 2.0, 0.52),
 }
 # Triangles are refined around electrode edges only, not along whole lines, and can be finer.
 _PRISMS = {
+    "coarse": _Named((3, 3, 2), 0.2, 0.2, 1.8, 1.3),
     "fast": _Named((3, 3, 2, 1), 0.2, 0.133, 1.2, 0.82),
     "standard": _Named((4, 4, 3, 2, 2), 0.04, 0.15, 1.5, 0.92),
     "fine": _Named((4, 4, 4, 3, 2), 4e-3, 0.1, 1.2, 0.62),
 }
 _TETRAHEDRA = {
+    "coarse": _Named((2,), 0.4, 0.14, 1.0, math.inf),
     "fast": _Named((2,), 0.3, 0.10, 0.7, math.inf),
     "standard": _Named((2,), 0.1, 0.08, 0.7, math.inf),
     "fine": _Named((2,), 0.04, 0.08, 0.5, math.inf),

@@ -387,8 +387,8 @@ def _loaded(path: Path, changed: int) -> dict[str, Array] | None:  # noqa: ARG00
         for shape in (name for name in found if name.endswith("_shape")):
             name = shape.removesuffix("_shape")
             scales, amplitudes, modes = (found[f"{name}{part}"] for part in _PARTS[:3])
-            flat = amplitudes.astype(np.float64) @ modes
-            values[name] = flat.reshape(found[shape].tolist()) * scales
+            flat = (amplitudes @ modes).reshape(found[shape].tolist())
+            values[name] = flat * scales.astype(np.float32)
     except (KeyError, ValueError):
         return None
     return values

@@ -96,7 +96,8 @@ class StripTable:
     def _field(self, box: Box, weights: Array, solved: Array, stretch: float) -> SmoothField:
         """Field by the weights of solved ones (..., nx, ny, nz, 4) and of their mirror images."""
         shape = solved.shape[-4:]
-        both = weights.reshape(2, -1) @ solved.reshape(-1, math.prod(shape))
+        # In the precision in which fields are kept, since reading them takes all the time.
+        both = weights.reshape(2, -1).astype(solved.dtype) @ solved.reshape(-1, math.prod(shape))
         here, there = both.reshape(2, *shape)
         image = SmoothField(box, there, stretch).mirrored(1, 0.5 * float(self.width))
         return SmoothField(box, here + image.coefficients, stretch)

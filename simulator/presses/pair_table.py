@@ -98,8 +98,8 @@ class PairTable:
         weights = _over_depth(self.depths, deep * beside)
         near = self._near(self.apart, apart)
         shape = self.fields.shape[2:]
-        fields = np.outer(near, weights).ravel() @ self.fields.reshape(-1, math.prod(shape))
-        fields = fields.reshape(shape)
+        amounts = np.outer(near, weights).ravel().astype(self.fields.dtype)
+        fields = (amounts @ self.fields.reshape(-1, math.prod(shape))).reshape(shape)
         nodes = _nodes(max(apart, float(self.apart[0])), float(self.thickness))
         wide = TurnedField(SplineField(nodes, float(self.height), fields), x, y, cos, sin)
         sides = self._beside(apart, math.atan2(sin, cos), y, deep * beside).shifted(x)
@@ -118,7 +118,8 @@ class PairTable:
         across = across_strip(np.array(_ASIDE), 2.0, _aside(width, least, apart, angle, y))
         weights = deep * np.einsum("r,ka,lm->klram", near, _over_angle(angle), across)
         shape = self.sides.shape[-4:]
-        parts = weights.reshape(4, -1) @ self.sides.reshape(-1, math.prod(shape))
+        amounts = weights.reshape(4, -1).astype(self.sides.dtype)
+        parts = amounts @ self.sides.reshape(-1, math.prod(shape))
         box = _strip_box(width, float(self.thickness), float(self.height))
         half = 0.5 * width
         # The mirror image along x of a pair is that at the opposite angle. Turned by half a turn, a
