@@ -8,6 +8,12 @@ from eitskin.frame import (
 )
 from eitskin.protocol import Protocol as Protocol
 from eitskin.simulator.electrical.forward_model import ForwardModel as ForwardModel
+from eitskin.simulator.electrical.reanalysis import (
+    EXACT as EXACT,
+)
+from eitskin.simulator.electrical.reanalysis import (
+    Tolerance as Tolerance,
+)
 from eitskin.simulator.instrument.instrument import Instrument as Instrument
 from eitskin.simulator.instrument.session import Session as Session
 from eitskin.simulator.mechanics.layer_stack import Mechanics as Mechanics

@@ -49,9 +49,6 @@ from eitskin.simulator.scene.support_check import require_bendable
 Array = NDArray[np.float64]
 Field: TypeAlias = Callable[[Array], Array]
 
-# Smallest number of touched scenes of one bend for which reanalysis pays: its preparation takes as
-# long as two scenes.
-
 
 class Simulator:
     """One sensor on one fixture, meshed once; `measure` gives the frame of any scene.

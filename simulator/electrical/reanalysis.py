@@ -9,6 +9,9 @@ correction takes one solution with given factors and one product with element ma
 elimination would take as many operations as the assembled blocks have, cubed.
 """
 
+from collections.abc import Iterator
+from typing import TypeAlias
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,8 +25,12 @@ from eitskin.simulator.linalg.sparse_solvers import Factorisation
 
 Array = NDArray[np.float64]
 
-TOLERANCE = 1e-4
-"""Default error of a scene's change from the flat sensor, over the norm of that change."""
+Tolerance: TypeAlias = float
+"""Error of a scene's change from the flat sensor, over the norm of that change."""
+TOLERANCE: Tolerance = 3e-5
+"""Default tolerance of many scenes."""
+EXACT: Tolerance = 0.0
+"""Tolerance of scenes that are each solved by itself, without reanalysis."""
 _MOST = 8  # corrections, before a scene is solved by itself
 _ROUNDING = 1e-13  # change of the impedances, over the impedances, that is none
 _DEPENDENT = 1e-12  # eigenvalue, over the largest, below which vectors are linearly dependent
@@ -55,7 +62,7 @@ class Reanalysis:
         system = self._system(layer)
         self._lifted = system.lifted
         factors = model.solver.factorise(system.values)
-        self._potentials: Array = np.real(factors.solve(system.coupling))
+        self._potentials: Array = np.asarray(factors.solve(system.coupling), dtype=np.float64)
         self._factors: Factorisation = (
             factors.rounded() if isinstance(factors, BlockFactors) else factors
         )
@@ -63,7 +70,7 @@ class Reanalysis:
         self.solutions = 1
         self.base: Array = np.real(system.impedance(system.coupling.T @ self._potentials))
 
-    def impedance(self, layer: DeformedLayer, tolerance: float = TOLERANCE) -> Array:
+    def impedance(self, layer: DeformedLayer, tolerance: Tolerance = TOLERANCE) -> Array:
         """Electrode impedance matrix [ohm], (electrodes, electrodes), of the deformed `layer`.
 
         Args:
@@ -71,28 +78,38 @@ class Reanalysis:
             tolerance: of the change from the factorised scene, relative.
         """
         system = self._system(layer)
-        values, B = np.real(system.values), np.real(system.coupling)
-        whole, ground = self._products.whole(values[:-1]), float(values[-1])
-        V, AV = self._potentials, self._product(whole, ground, self._potentials)
+        change, last = np.inf, None
+        for Z in self._approximations(system):
+            if last is not None:
+                before, change = change, float(np.linalg.norm(Z - last))
+                # Changes fall geometrically, and so do the errors that remain.
+                remaining = change * min(change / before, 1.0) if before < np.inf else change
+                if remaining <= tolerance * np.linalg.norm(Z - self.base):
+                    return Z
+                if change <= _ROUNDING * np.linalg.norm(Z):
+                    return Z
+            last = Z
+        self._model.factorisations += 1
+        T = self._model.solver.congruence(system.values, system.coupling)
+        return np.real(system.impedance(T))
+
+    def approximations(self, layer: DeformedLayer) -> Iterator[Array]:
+        """Electrode impedance matrices [ohm] after 0, 1, 2, ... corrections, a limited number."""
+        return self._approximations(self._system(layer))
+
+    def _approximations(self, system: CemSystem) -> Iterator[Array]:
+        whole = self._products.whole(np.asarray(system.values[:-1], dtype=np.float64))
+        V, B = self._potentials, np.asarray(system.coupling, dtype=np.float64)
+        AV = self._product(system, whole, V)
         combined = _galerkin(V, AV, B)
-        Z: Array = np.real(system.impedance(B.T @ V @ combined))
-        change = np.inf
+        yield np.real(system.impedance(B.T @ V @ combined))
         for _ in range(_MOST):
-            more = np.real(self._factors.solve(B - AV @ combined))
+            more = np.asarray(self._factors.solve(B - AV @ combined), dtype=np.float64)
             self.solutions += 1
             V = np.concatenate([V, more], axis=1)
-            AV = np.concatenate([AV, self._product(whole, ground, more)], axis=1)
+            AV = np.concatenate([AV, self._product(system, whole, more)], axis=1)
             combined = _galerkin(V, AV, B)
-            last, Z = Z, np.real(system.impedance(B.T @ V @ combined))
-            before, change = change, float(np.linalg.norm(Z - last))
-            # Changes fall geometrically, and so do the errors that remain.
-            remaining = change * min(change / before, 1.0) if before < np.inf else change
-            if remaining <= tolerance * np.linalg.norm(Z - self.base):
-                return Z
-            if change <= _ROUNDING * np.linalg.norm(Z):
-                return Z
-        self._model.factorisations += 1
-        return np.real(system.impedance(self._model.solver.congruence(values, B)))
+            yield np.real(system.impedance(B.T @ V @ combined))
 
     def _system(self, layer: DeformedLayer) -> CemSystem:
         """Linear system of a deformed layer, electrodes in the forms of the factorised scene."""
@@ -103,11 +120,11 @@ class Reanalysis:
         values = assembly.condensed_values(matrices)
         return model.pattern.system(values, contact, self._lifted)
 
-    def _product(self, whole: Array, ground: float, vectors: Array) -> Array:
-        """Element matrices and the conductance to ground times vectors, (unknowns, k)."""
+    def _product(self, system: CemSystem, whole: Array, vectors: Array) -> Array:
+        """Matrix of the system times vectors, (unknowns, k)."""
         found = self._products.product(whole, vectors)
-        grounded = self._model.pattern.rows[-1]
-        found[grounded] += ground * vectors[grounded]
+        ground = self._model.pattern.rows[-1]
+        found[ground] += np.real(system.values[-1]) * vectors[ground]
         return found
 
 

@@ -1,6 +1,7 @@
 """Assembly and direct solvers of sparse symmetric systems.
 
 `sparse_solvers` chooses between block Cholesky and sparse LU for the forward model;
-`two_sided_elimination` caches the Schur complements that reanalysis reuses; `nested_dissection`
-serves the three-dimensional press; `stiffness_pattern` assembles what nonlinear solves factorise.
+`element_products` multiplies by matrices that are not assembled, for reanalysis;
+`nested_dissection` serves the three-dimensional press; `stiffness_pattern` assembles the matrices
+that nonlinear solves factorise.
 """

@@ -111,12 +111,9 @@ class BlockCholesky:
             for i in range(len(sizes))
         ]
 
-    def assembled(self, values: Numbers, first: int = 0, last: int | None = None) -> Numbers:
-        """Entries of block rows `first` to `last`, values of equal position added up."""
-        chosen = self.block_rows[first : None if last is None else last + 1]
-        runs = self._runs[chosen[0].entries.start : chosen[-1].entries.stop]
-        end = np.append(self._runs, len(self._gather))[chosen[-1].entries.stop]
-        entries: Numbers = np.add.reduceat(values[self._gather[runs[0] : end]], runs - runs[0])
+    def assembled(self, values: Numbers) -> Numbers:
+        """Entries of all block rows, values of equal position added up."""
+        entries: Numbers = np.add.reduceat(values[self._gather], self._runs)
         return entries
 
     def factorise(self, values: Numbers) -> "BlockFactors | ComplexBlockFactors":
@@ -171,16 +168,11 @@ class BlockRow:
     coupled: int
     next_size: int
 
-    def blocks(self, entries: Numbers, start: int = 0) -> tuple[Numbers, Numbers]:
-        """Diagonal block, lower triangle filled, and sub-diagonal block (next_size, coupled).
-
-        Args:
-            entries: assembled ones, of any block rows that include this one.
-            start: number of the first of them among all entries.
-        """
+    def blocks(self, entries: Numbers) -> tuple[Numbers, Numbers]:
+        """Diagonal block, lower triangle filled, and sub-diagonal block (next_size, coupled)."""
         size = len(self.unknowns)
         flat = np.zeros(size**2 + self.next_size * self.coupled, dtype=entries.dtype)
-        flat[self.positions] = entries[self.entries.start - start : self.entries.stop - start]
+        flat[self.positions] = entries[self.entries]
         below = flat[size**2 :].reshape(self.coupled if self.next_size else 0, self.next_size)
         return flat[: size**2].reshape(size, size).T, below.T
 

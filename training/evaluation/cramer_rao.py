@@ -17,7 +17,6 @@ from scipy.special import ellipe
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.fixtures import Bend
-from eitskin.simulator.electrical.reanalysis import EXACT
 from eitskin.simulator.instrument.instrument import Instrument
 from eitskin.simulator.scene.scene import Scene
 from eitskin.simulator.simulator import Simulator
@@ -239,7 +238,7 @@ def scene_derivatives(
         changed, factors = _stencil(simulator, scene, number, name, step)
         weights.append((slice(len(scenes), len(scenes) + len(changed)), np.array(factors) / step))
         scenes += changed
-    measured = simulator.measure_all(scenes, EXACT).real
+    measured = simulator.measure_all(scenes, tolerance=0.0).real
     logarithms = np.log(np.abs(measured))
     rows = np.array([weight @ logarithms[part] for part, weight in weights])
     return SceneDerivatives(

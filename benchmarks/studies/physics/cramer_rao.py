@@ -29,7 +29,6 @@ from eitskin.geometry.deformation.fixtures import Bend
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.provenance import Provenance
-from eitskin.simulator.electrical.reanalysis import EXACT
 from eitskin.simulator.instrument.instrument import Instrument
 from eitskin.simulator.scene.scene import Scene
 from eitskin.simulator.scene.touch import Touch
@@ -234,7 +233,7 @@ def logarithms(sim: Simulator, force: float, angle_deg: float) -> Array:
     """Logarithms of the resistances under a touch at each of the `NODES`, (y, x, measurements)."""
     x, y = NODES
     scenes = [Scene(Bend(angle_deg), (Touch(a, b, force),)) for b in y for a in x]
-    measured = sim.measure_all(scenes, EXACT).real
+    measured = sim.measure_all(scenes, tolerance=0.0).real
     found: Array = np.log(measured).reshape(len(y), len(x), -1)
     return found
 
