@@ -105,7 +105,7 @@ ALL = (
     _command("speed", 5),
     Benchmark("signals", "physics", 1, ("--pictures", "{own}"), ("--pictures", "{own}")),
     Benchmark("instrument", "boards", 1, (), ()),
-    Benchmark("left_out", "physics", 1, (), ()),
+    Benchmark("reanalysis", "physics", 1, (), ()),
     Benchmark("thickness", "physics", 3),
     Benchmark("creep", "physics", 1, (), ()),
     Benchmark("cramer_rao", "physics", 3, OWN),

@@ -1,9 +1,9 @@
 """Cramer-Rao bounds of a press on a grid of positions over the sheet.
 
-Derivatives by place and force are central differences of scenes that are solved anew where the
-press changes much (`Simulator.measure_all`): a press of 10 N changes the conductivity beneath it by
-so much that the first order of the adjoint sensitivity misses the signal altogether. The derivative
-by the angle is that of the sheet without the press. docs/layouts.md says what both leave.
+Derivatives by place and force are central differences of solved scenes (`Simulator.measure_all`): a
+press of 10 N changes the conductivity beneath it by so much that the first order of the adjoint
+sensitivity misses the signal altogether. The derivative by the angle is that of the sheet without
+the press. docs/layouts.md gives the errors of both.
 """
 
 import math

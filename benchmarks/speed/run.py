@@ -63,7 +63,7 @@ class Peer:
 
 @dataclass(frozen=True, slots=True)
 class Floor:
-    """Floating-point operations of one reanalysed touch, of its strips and matrices.
+    """Floating-point operations of one reanalysed touch, of its matrices and solutions.
 
     Attributes:
         operations: how many.
@@ -170,30 +170,39 @@ def pyeit(seed: int, count: int = 5) -> Peer | None:
 
 
 def floor(count: int = PER_BEND) -> Floor:
-    """Cost of the strips and matrices of one reanalysed touch, and its lower bound."""
+    """Cost of the matrices and solutions of one reanalysed touch, and its lower bound.
+
+    Counted are element matrices, static condensation, and for each correction a solution with the
+    factors and a product with the element matrices. The scene's fields are not.
+    """
     sim = WORKLOADS[0].simulator("fast")
-    solver, assembly = sim.model.solver, sim.model.assembly
-    if not isinstance(solver, BlockCholesky):
-        raise TypeError("the reference sensor is solved strip by strip")
     some = scenes(WORKLOADS[0], count, 5)
-    solved = Reanalysis(sim.model, sim.deformed_layer(Scene(some[0].bend)))
-    before = solved.strips, solved.resolved
+    solved = Reanalysis(sim.model, sim.deformed_layer(Scene()))
+    before = solved.solutions
     start = time.process_time()
     for scene in some:
         solved.impedance(sim.deformed_layer(scene))
     seconds = (time.process_time() - start) / count
-    strips, resolved = (
-        (now - then) / count
-        for now, then in zip((solved.strips, solved.resolved), before, strict=True)
-    )
-    w, c = (
-        float(np.mean([x for x in xs if x]))
-        for xs in zip(*((len(s.unknowns), s.coupled) for s in solver.block_rows), strict=True)
-    )
-    per_strip = w**3 / 3 + w * c**2 + w**2 * c
-    q, entries = assembly._reference.shape[0] * 6, assembly._reference.shape[2]
-    total = strips * per_strip + 2 * resolved * q * entries
+    corrections = (solved.solutions - before) / count
+    total = _operations(sim.model, corrections)
     return Floor(total, 1e3 * total / _product_rate(), 1e3 * seconds)
+
+
+def _operations(model: ForwardModel, corrections: float) -> float:
+    """Operations, multiplications and additions, for one scene with as many corrections."""
+    assembly, solver = model.assembly, model.solver
+    if not isinstance(solver, BlockCholesky):
+        raise TypeError("the reference sensor is solved strip by strip")
+    elements, outer = assembly.space.numbers.shape
+    inner, electrodes = assembly.space.element.inner, assembly.electrodes
+    points, components, entries = assembly._reference.shape
+    matrices = 2 * elements * points * components * entries
+    condensation = elements * (2 * inner**3 / 3 + 2 * inner**2 * outer + 2 * inner * outer**2)
+    product = 2 * (elements + len(assembly.facet_numbers)) * outer**2 * electrodes
+    # Inverse and sub-diagonal block of each strip, once forward and once backward.
+    blocks = sum(len(row.unknowns) ** 2 + row.coupled * row.next_size for row in solver.block_rows)
+    solution = 4 * blocks * electrodes
+    return float(matrices + condensation + product + corrections * (solution + product))
 
 
 def _product_rate(size: int = 1500) -> float:

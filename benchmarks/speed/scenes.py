@@ -21,7 +21,7 @@ from eitskin.extras import require
 from eitskin.geometry.deformation.fixtures import Bend, Hinge
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.simulator.electrical.reanalysis import EXACT, Tolerance
+from eitskin.simulator.electrical.reanalysis import TOLERANCE
 from eitskin.simulator.electrical.resolution import Resolution
 from eitskin.simulator.scene.scene import Scene
 from eitskin.simulator.scene.touch import Touch
@@ -45,7 +45,7 @@ class Workload:
         touches: lowest and highest number at once.
         per_bend: scenes that share a bend.
         resolution: of the simulator.
-        tolerance: of reanalysis; the default when omitted.
+        tolerance: of reanalysis; 0 for scenes that are each solved by itself.
         transition: of the hinge [m].
     """
 
@@ -53,7 +53,7 @@ class Workload:
     touches: tuple[int, int] = (1, 1)
     per_bend: int = PER_BEND
     resolution: Resolution = "fast"
-    tolerance: Tolerance | None = None
+    tolerance: float = TOLERANCE
     transition: float = 0.010
 
     def simulator(self, resolution: Resolution) -> Simulator:
@@ -68,7 +68,7 @@ WORKLOADS = (
     Workload("one to four touches, 32 per bend", touches=(1, 4)),
     Workload("one touch, bends of their own", per_bend=1),
     Workload("one to four touches, bends of their own", (1, 4), 1),
-    Workload("one touch, 32 per bend, `EXACT`", tolerance=EXACT),
+    Workload("one touch, 32 per bend, each solved by itself", tolerance=0.0),
     Workload("one touch, 32 per bend, resolution `standard`", resolution="standard"),
     JUMPING,
 )
@@ -145,7 +145,7 @@ def signal_errors(workload: Workload) -> Array:
 
 @cache
 def _true_signals(some: tuple[Scene, ...], transition: float) -> Array:
-    return _signals(some, Workload("", tolerance=EXACT, transition=transition), "fine")
+    return _signals(some, Workload("", tolerance=0.0, transition=transition), "fine")
 
 
 def _signals(some: Sequence[Scene], workload: Workload, resolution: Resolution) -> Array:

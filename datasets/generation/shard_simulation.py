@@ -105,8 +105,7 @@ def simulate_frames(
 ) -> Dataset:
     """Frames of a recipe with the numbers `indices`, at least one.
 
-    A frame does not depend on the others, up to the tolerance of `Simulator.measure_all` where many
-    touches share a bend.
+    A frame does not depend on the others.
     """
     samples = [sample(recipe, index) for index in indices]
     boards = [_board(recipe, number, before_solve) for number in range(recipe.specimens.count)]

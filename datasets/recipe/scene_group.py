@@ -32,7 +32,7 @@ class SceneGroup:
         spacing: least distance between the centres of two touches [m].
         positions: (x, y) [m] of single touches in turn, instead of random positions.
         repeats: number of frames for each of `positions`.
-        per_bend: number of consecutive frames with one angle, which is factorised once.
+        per_bend: number of consecutive frames with one angle, whose untouched frame is solved once.
         support: of the sensor in these scenes; the design's when omitted.
     """
 
