@@ -217,14 +217,14 @@ def test_environment_is_as_before(monkeypatch):
 
 
 def test_equal_scenes_are_solved_once(monkeypatch):
-    measured = []
-    measure = Simulator.measure
+    solved = []
+    deformed_layer = Simulator.deformed_layer
 
-    def counting(self, scene, *arguments):
-        measured.append(scene)
-        return measure(self, scene, *arguments)
+    def counting(self, scene):
+        solved.append(scene)
+        return deformed_layer(self, scene)
 
-    monkeypatch.setattr(Simulator, "measure", counting)
+    monkeypatch.setattr(Simulator, "deformed_layer", counting)
     places = ((0.05, 0.02), (0.09, 0.04))
     recipe = Recipe(
         "few scenes",
@@ -238,8 +238,8 @@ def test_equal_scenes_are_solved_once(monkeypatch):
     )
     data = simulate_shard(recipe, 0)
     assert len(data) == 100
-    assert len(measured) == 4  # flat, bent, and two touches
-    assert {scene.bend for scene in measured} == {Bend(0.0), Bend(20.0)}
+    assert len(solved) == 4  # flat, bent, and two touches
+    assert {scene.bend for scene in solved} == {Bend(0.0), Bend(20.0)}
     idle = data.impedance[data.state == State.IDLE]
     assert len(np.unique(idle[:, 0])) == 50  # each with its own noise
 
