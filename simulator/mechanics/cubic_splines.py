@@ -1,10 +1,10 @@
 """Cubic splines on nodes along one axis, and sums of products of two of them."""
 
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import make_interp_spline
+from scipy.interpolate import CubicSpline, make_interp_spline
 from scipy.sparse import csr_array
 
 from eitskin.compiled import compiled
@@ -63,6 +63,16 @@ class CubicSplines:
         ]
         first: Indices = (cell - _DEGREE).astype(np.int32)
         return first, np.stack(values, axis=-1), np.stack(slopes, axis=-1)
+
+
+def spline_weights(nodes: Array, at: float) -> Array:
+    """Weights of the values at nodes in their cubic spline at one position, (n,)."""
+    return np.array(_cardinal_splines(tuple(nodes.tolist()))(at))
+
+
+@lru_cache(maxsize=64)
+def _cardinal_splines(nodes: tuple[float, ...]) -> CubicSpline:
+    return CubicSpline(nodes, np.eye(len(nodes)))
 
 
 def in_plane(

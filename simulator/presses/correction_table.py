@@ -7,17 +7,17 @@ from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from eitskin.errors import PartialError
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.support import Support
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress, Indentation
+from eitskin.simulator.mechanics.cubic_splines import spline_weights
 from eitskin.simulator.mechanics.layer_stack import Mechanics, Stack
 from eitskin.simulator.presses.dent_field import DentField
 from eitskin.simulator.presses.finite_stack import Correction, FiniteStack
@@ -328,16 +328,6 @@ def across_strip(nodes: Array, width: float, y: float) -> Array:
         direct[-1] *= 0.5
         mirrored[-1] = direct[-1]
     return np.stack([direct, mirrored])
-
-
-def spline_weights(nodes: Array, at: float) -> Array:
-    """Weights of the values at nodes in their cubic spline at one position, (n,)."""
-    return np.array(_cardinal_splines(tuple(nodes.tolist()))(at))
-
-
-@lru_cache(maxsize=64)
-def _cardinal_splines(nodes: tuple[float, ...]) -> CubicSpline:
-    return CubicSpline(nodes, np.eye(len(nodes)))
 
 
 def least_distance(stack: Stack, mechanics: Mechanics, indenter: Indenter) -> float:

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.support import Rigid
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress, Indentation
+from eitskin.simulator.mechanics.cubic_splines import spline_weights
 from eitskin.simulator.mechanics.layer_stack import Mechanics, Stack
 from eitskin.simulator.presses.correction_table import (
     across_strip,
     least_distance,
     processes,
-    spline_weights,
 )
 from eitskin.simulator.presses.dent_field import DentField
 from eitskin.simulator.presses.finite_stack import Correction, FiniteStack
