@@ -10,6 +10,8 @@ from eitskin.simulator.presses.spline_field import SplineField
 
 Array = NDArray[np.float64]
 
+_QUADRATIC = 3  # polynomials over the height, as in all tables
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TurnedField:
@@ -37,13 +39,15 @@ class TurnedField:
         """Displacements and their derivatives by x, y, z, (12, h, n)."""
         found = np.zeros((12, columns.shape[1], len(columns)))
         kernels = compiled("eitskin.simulator.presses.turned_kernels")
-        if kernels is not None and (columns[..., 2] == columns[:1, :, 2]).all():
+        even = (columns[..., 2] == columns[:1, :, 2]).all()
+        nx, ny, nz, _ = self.field.coefficients.shape
+        if kernels is not None and even and nz == _QUADRATIC:
             field, (length, width, _) = self.field, self.field.box.high
             kernels.move(
                 (self.x, self.y, self.cos, self.sin),
                 (length, width),
                 *(axis.knots for axis in field.splines),
-                field.coefficients,
+                field.coefficients[..., :3].reshape(nx, ny, 9).astype(np.float64),
                 *field.over_height(columns[:1, :, 2].ravel()),
                 columns[:, 0, 0],
                 columns[:, 0, 1],
