@@ -9,9 +9,13 @@ from eitskin.datasets.recordings.recording import (
 from eitskin.datasets.recordings.recording import (
     read_recording as read_recording,
 )
+from eitskin.datasets.store.compaction import compact as compact
 from eitskin.datasets.store.dataset import Dataset as Dataset
 from eitskin.datasets.store.folder import (
     open_dataset as open_dataset,
+)
+from eitskin.datasets.store.folder import (
+    read_shards as read_shards,
 )
 from eitskin.datasets.store.folder import (
     save_dataset as save_dataset,

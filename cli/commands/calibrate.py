@@ -130,7 +130,7 @@ def _from_dataset(folder: Path, specimen: int) -> "tuple[list[Frame], list[float
 
     data = open_dataset(folder)
     rows = np.flatnonzero(
-        (data.specimen == specimen)
+        (data.specimen_number[data.specimen] == specimen)
         & (data.state != State.TOUCH)
         & np.isfinite(data.bend_angle_deg)
         & (data.bend_angle_deg != 0)
@@ -140,9 +140,8 @@ def _from_dataset(folder: Path, specimen: int) -> "tuple[list[Frame], list[float
             f"expected untouched frames of specimen {specimen} at known angles in {folder}, found "
             f"{len(rows)}; choose another --specimen, or record some"
         )
-    flat = Frame(
-        data.reference[specimen].astype(np.complex128), data.protocol, frequency=data.frequency
-    )
+    reference = data.reference[data.specimen[rows[0]]].astype(np.complex128)
+    flat = Frame(reference, data.protocol, frequency=data.frequency)
     return [flat, *map(data.frame, rows.tolist())], [0.0, *data.bend_angle_deg[rows].tolist()]
 
 

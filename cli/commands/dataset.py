@@ -1,4 +1,4 @@
-"""`eitskin dataset`: contents and verification of a dataset."""
+"""`eitskin dataset`: contents, verification and compaction of a dataset."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,14 +13,12 @@ from eitskin.cli.options import FramesPath, Json, Output, Quiet, Seed, Verbose
 from eitskin.errors import DataError
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from eitskin.datasets.generation.verification import DamagedFile
-    from eitskin.datasets.store.dataset import Dataset
 
-app = typer.Typer(help="Show or verify a dataset.", no_args_is_help=True)
+app = typer.Typer(help="Show, verify or compact a dataset.", no_args_is_help=True)
 
 Folder = Annotated[Path, typer.Argument(help="The dataset's folder.")]
+Workers = Annotated[int, typer.Option(min=1, help="Processes that read the shards.")]
 EXIT_DAMAGED = DataError.exit_code
 
 
@@ -34,14 +32,21 @@ def info(
     verbose: Verbose = False,
 ) -> None:
     """Show the contents of a dataset: frames, channels, states, angles, touches, origin."""
-    from eitskin.datasets.store.folder import open_dataset
+    from eitskin.datasets.store.folder import read_shards
+    from eitskin.datasets.store.summary import DatasetSummary
 
     output = Output(as_json, quiet, verbose)
-    data = open_dataset(dataset)
+    summary = DatasetSummary()
+    with output.progress() as bar:
+        task = bar.add_task("shards", total=None, rate="")
+        for part in read_shards(
+            dataset, lambda n, total: bar.update(task, completed=n, total=total)
+        ):
+            summary.add(part)
     files = [dataset] if dataset.is_file() else list(dataset.glob("shard-*.h5"))
     megabytes = sum(path.stat().st_size for path in files) / 1e6
     found = {"dataset": str(dataset), "shards": len(files), "megabytes": round(megabytes, 3)}
-    found |= _summary(data)
+    found |= summary.contents()
     table = Table(box=None, show_header=False, pad_edge=False)
     for name, value in found.items():
         if value is not None:
@@ -53,6 +58,7 @@ def info(
 def check(
     dataset: Folder,
     *,
+    workers: Workers = 2,
     seed: Seed = 0,  # noqa: ARG001 - every command takes it
     as_json: Json = False,
     quiet: Quiet = False,
@@ -64,7 +70,9 @@ def check(
     output = Output(as_json, quiet, verbose)
     with output.progress() as bar:
         task = bar.add_task("shards", total=None, rate="")
-        verdict = verify(dataset, lambda done, total: bar.update(task, completed=done, total=total))
+        verdict = verify(
+            dataset, lambda done, total: bar.update(task, completed=done, total=total), workers
+        )
     output.result(
         {
             "dataset": str(dataset),
@@ -82,58 +90,53 @@ def check(
         raise typer.Exit(EXIT_DAMAGED)
 
 
+@app.command("compact")
+def compaction(
+    dataset: Folder,
+    *,
+    out: Annotated[Path, typer.Option(help="Folder for the new dataset; new or empty.")],
+    frames_per_shard: Annotated[
+        int, typer.Option(min=0, help="Frames in a file; 0 keeps the files as they are cut.")
+    ] = 65536,
+    workers: Workers = 2,
+    seed: Seed = 0,  # noqa: ARG001 - every command takes it
+    as_json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Write a dataset anew in few large files, in the newest version of the format."""
+    from eitskin.datasets.store.compaction import compact
+
+    output = Output(as_json, quiet, verbose)
+    with output.progress() as bar:
+        task = bar.add_task("shards", total=None, rate="")
+        manifest = compact(
+            dataset,
+            out,
+            frames_per_shard or None,
+            lambda done, total: bar.update(task, completed=done, total=total),
+            workers,
+        )
+    megabytes = sum((out / entry.name).stat().st_size for entry in manifest.shards) / 1e6
+    found = {
+        "out": str(out),
+        "frames": manifest.frames,
+        "shards": len(manifest.shards),
+        "megabytes": round(megabytes, 3),
+        "format_version": manifest.format_version,
+    }
+    output.result(
+        found,
+        f"{manifest.frames} frames in {len(manifest.shards)} shards in {out}, {megabytes:.1f} MB",
+    )
+
+
 def _damage_table(damage: "tuple[DamagedFile, ...]") -> Table:
     table = Table("file", "what is wrong", box=box.SIMPLE)
     table.columns[0].no_wrap = True
     for each in damage:
         table.add_row(escape(each.file), escape(each.problem))
     return table
-
-
-def frames_by_state(data: "Dataset") -> dict[str, int]:
-    """Number of frames in each state, and of frames whose state is unknown."""
-    import numpy as np
-
-    from eitskin.datasets.store.state import State
-
-    counts = {state.name.lower(): int(np.sum(data.state == state)) for state in State}
-    return counts | {"unknown": len(data) - sum(counts.values())}
-
-
-def _summary(data: "Dataset") -> dict[str, Any]:
-    """Contents of the frames as plain data; None for what is unknown."""
-    import numpy as np
-
-    counts = frames_by_state(data)
-    touches = np.bincount(data.touch_count, minlength=1)
-    return {
-        "frames": len(data),
-        "channels": data.impedance.shape[1],
-        "electrodes": data.protocol.n_electrodes if data.protocol else None,
-        "frequency_hz": data.frequency,
-        "source": data.source,
-        "seed": data.seed if data.recipe else None,
-        "specimens": len(data.reference),
-        "episodes": len(np.unique(data.episode)),
-        "states": {name: count for name, count in counts.items() if count},
-        "touches_per_frame": {str(n): int(count) for n, count in enumerate(touches) if count},
-        "bend_angle_deg": _range(data.bend_angle_deg),
-        "touch_x_mm": _range(1e3 * data.touch_x),
-        "touch_y_mm": _range(1e3 * data.touch_y),
-        "force_n": _range(data.touch_force),
-        "impedance_ohm": _range(np.abs(data.impedance)),
-        "flagged_values": int(np.count_nonzero(data.status)),
-    }
-
-
-def _range(values: "np.ndarray[Any, Any]") -> dict[str, float] | None:
-    """Least and greatest known value; None where none is known."""
-    import numpy as np
-
-    known = values[np.isfinite(values)]
-    if not known.size:
-        return None
-    return {"from": float(f"{known.min():.4g}"), "to": float(f"{known.max():.4g}")}
 
 
 def _as_text(value: Any) -> str:

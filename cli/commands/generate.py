@@ -52,7 +52,7 @@ def command(
     output = Output(as_json, quiet, verbose)
     chosen = with_seed(_read(recipe), seed)
     if dry_run:
-        _solve_missing(chosen, workers, output)
+        _solve_missing(chosen, workers, output, shard)
         found = estimate_cost(chosen, out, workers)
         output.result(dataclasses.asdict(found), _as_text(found, chosen, workers, out))
         return
@@ -83,7 +83,7 @@ def make_dataset(
 
     by = f"the cluster of {scheduler}" if scheduler else f"{workers} workers"
     output.detail(f"{recipe.frames} frames in {recipe.shards} shards, {by}")
-    _solve_missing(recipe, workers, output)
+    _solve_missing(recipe, workers, output, shard)
     start = time.perf_counter()
     with output.progress() as bar:
         task = bar.add_task(recipe.name, total=recipe.frames, rate="")
@@ -122,12 +122,13 @@ def make_dataset(
     )
 
 
-def _solve_missing(recipe: "Recipe", workers: int, output: Output) -> None:
+def _solve_missing(recipe: "Recipe", workers: int, output: Output, shard: int | None) -> None:
     """Solve the tables of presses and bends that are absent, with a note and a progress bar.
 
     A note also says how many frames will be solved in 3D, one by one.
     """
-    from eitskin.datasets.generation.shard_simulation import (
+    from eitskin.datasets.generation.generate import needed_specimens
+    from eitskin.datasets.generation.preparation import (
         missing_bend_tables,
         missing_press_tables,
         prepare,
@@ -135,13 +136,14 @@ def _solve_missing(recipe: "Recipe", workers: int, output: Output) -> None:
     )
     from eitskin.simulator.mechanics.solved_files import folder
 
-    bends = len(missing_bend_tables(recipe))
+    specimens = needed_specimens(recipe, shard)
+    bends = len(missing_bend_tables(recipe, specimens))
     if bends:
         output.note(
             f"solving {bends} table{'s' * (bends > 1)} of bends that no clamped sensor has needed "
             f"so far, once: about half a minute each; kept in {folder()}"
         )
-    missing = len(missing_press_tables(recipe))
+    missing = len(missing_press_tables(recipe, specimens))
     if missing:
         output.note(
             f"solving {missing} table{'s' * (missing > 1)} of presses that no sensor has needed "
@@ -161,7 +163,7 @@ def _solve_missing(recipe: "Recipe", workers: int, output: Output) -> None:
             def report(done: int, total: int) -> None:
                 bar.update(task, completed=done, total=total)
 
-            prepare(recipe, report, workers)
+            prepare(recipe, report, workers, specimens)
 
 
 def _as_text(found: "CostEstimate", recipe: "Recipe", workers: int, out: Path) -> str:

@@ -5,7 +5,6 @@ from typing import Annotated
 
 import typer
 
-from eitskin.cli.commands.dataset import frames_by_state
 from eitskin.cli.options import Json, Output, Quiet, Seed, Verbose
 
 
@@ -34,6 +33,7 @@ def command(
     """Import measured voltages and labels, as a dataset for training and evaluation."""
     from eitskin.datasets.recordings.recording import RecordingNames, read_recording
     from eitskin.datasets.store.folder import save_dataset
+    from eitskin.datasets.store.summary import DatasetSummary
     from eitskin.protocol import Protocol
 
     output = Output(as_json, quiet, verbose)
@@ -45,7 +45,9 @@ def command(
     )
     output.detail(f"nothing is random in an import, seed {seed} is not used")
     save_dataset(data, out)
-    counts = frames_by_state(data)
+    summary = DatasetSummary()
+    summary.add(data)
+    counts = summary.states
     shown = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
     output.result(
         {

@@ -9,7 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from eitskin.datasets.generation.generate import free_bytes
-from eitskin.datasets.generation.shard_simulation import prepare, simulate_frames, solved_frames
+from eitskin.datasets.generation.preparation import prepare, solved_frames
+from eitskin.datasets.generation.shard_simulation import flat_impedance, simulate_frames
+from eitskin.datasets.recipe.frame_sampling import sample, specimen, specimen_numbers
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.store.shard import shard_bytes
 
@@ -43,11 +45,20 @@ class CostEstimate:
 
 @dataclass(frozen=True, slots=True)
 class _Trial:
-    """Measured part of a dataset: number of frames, seconds of two runs, size [bytes]."""
+    """Measured part of a dataset.
+
+    Attributes:
+        frames: number of frames.
+        first_seconds: of a first run, in which everything is new.
+        seconds: of a second run, for as many other frames of flat, solved specimens.
+        specimen_seconds: for each flat specimen.
+        size: of a shard [bytes].
+    """
 
     frames: int
     first_seconds: float
     seconds: float
+    specimen_seconds: float
     size: int
 
 
@@ -55,8 +66,9 @@ def estimate_cost(recipe: Recipe, out: str | Path, workers: int = 2) -> CostEsti
     """Cost of `recipe`, extrapolated from some frames simulated in memory; writes nothing.
 
     The frames come from all parts of the dataset: 16, then 64, then four times as many until a run
-    takes a second. Work done once per process (meshes, untouched specimens) counts once, the rest
-    per frame; the one or two seconds in which workers start are neglected.
+    takes a second. Work done once per process counts once, untouched specimens once for each shard
+    in which they occur, the rest per frame; the one or two seconds in which workers start are
+    neglected.
 
     Args:
         recipe: of the dataset.
@@ -73,11 +85,13 @@ def estimate_cost(recipe: Recipe, out: str | Path, workers: int = 2) -> CostEsti
         trials.append(_run_trial(recipe, min(_GROWTH * trials[-1].frames, most)))
     last = trials[-1]
     once = max(0.0, trials[0].first_seconds - trials[0].seconds)
+    shards = (specimen_numbers(recipe, recipe.shard_range(n)) for n in range(recipe.shards))
+    flat = last.specimen_seconds * sum(map(len, shards))
     at_once = min(workers, recipe.shards, os.cpu_count() or 1)
     return CostEstimate(
         frames=recipe.frames,
         shards=recipe.shards,
-        seconds=once + recipe.frames * last.seconds / last.frames / at_once,
+        seconds=once + (recipe.frames * last.seconds / last.frames + flat) / at_once,
         megabytes=_size(recipe, trials) / 1e6,
         megabytes_free=free_bytes(Path(out)) / 1e6,
         measured_frames=last.frames,
@@ -98,12 +112,18 @@ def _run_trial(recipe: Recipe, frames: int) -> _Trial:
     """
     start = time.perf_counter()
     data = simulate_frames(recipe, _frame_numbers(recipe, frames, 0.0))
-    between = time.perf_counter()
-    if frames < _FIRST_FRAMES and between - start > _LONG_SECONDS:
-        return _Trial(frames, between - start, between - start, len(shard_bytes(data)))
-    simulate_frames(recipe, _frame_numbers(recipe, frames, 0.5))
+    first = time.perf_counter()
+    if frames < _FIRST_FRAMES and first - start > _LONG_SECONDS:
+        return _Trial(frames, first - start, first - start, 0.0, len(shard_bytes(data)))
+    others = _frame_numbers(recipe, frames, 0.5)
+    specimens = {sample(recipe, index).specimen for index in others}
+    for number in specimens:
+        flat_impedance(specimen(recipe, number), recipe.resolution)
+    solved = time.perf_counter()
+    simulate_frames(recipe, others)
     end = time.perf_counter()
-    return _Trial(frames, between - start, end - between, len(shard_bytes(data)))
+    each = (solved - first) / len(specimens)
+    return _Trial(frames, first - start, end - solved, each, len(shard_bytes(data)))
 
 
 def _frame_numbers(recipe: Recipe, frames: int, shift: float) -> list[int]:

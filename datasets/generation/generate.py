@@ -8,7 +8,8 @@ from pathlib import Path
 
 from eitskin.datasets.generation import cluster
 from eitskin.datasets.generation import process_pool as processes
-from eitskin.datasets.generation.shard_simulation import prepare
+from eitskin.datasets.generation.preparation import prepare
+from eitskin.datasets.recipe.frame_sampling import specimen_numbers
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.store.folder import (
     MANIFEST,
@@ -64,8 +65,8 @@ def generate(
             reach of the presses, or the scheduler cannot be used.
         PartialError: where files cannot be written or workers died; resume after the repair.
     """
-    _check_options(recipe, workers, scheduler, shard)
-    prepare(recipe, workers=workers)
+    _check_options(workers, scheduler, shard)
+    prepare(recipe, workers=workers, specimens=needed_specimens(recipe, shard))
     folder = Path(out)
     wanted = range(recipe.shards) if shard is None else range(shard, shard + 1)
     missing = _unfinished(recipe, folder, wanted) if resume or shard is not None else list(wanted)
@@ -98,6 +99,21 @@ def generate(
     return manifest
 
 
+def needed_specimens(recipe: Recipe, shard: int | None) -> list[int] | None:
+    """Numbers of the specimens of one shard; None where all shards are wanted.
+
+    Raises ConfigurationError for a shard that the recipe has not.
+    """
+    if shard is None:
+        return None
+    if not 0 <= shard < recipe.shards:
+        raise ConfigurationError(
+            f"recipe '{recipe.name}' has shards 0 to {recipe.shards - 1}, got shard {shard}; give "
+            "one of them, or change frames_per_shard in the recipe"
+        )
+    return specimen_numbers(recipe, recipe.shard_range(shard))
+
+
 def smallest_size(recipe: Recipe, frames: int) -> int:
     """Lower bound of the size of `frames` frames on the disk [bytes]."""
     electrodes = len(recipe.sensor.electrodes)
@@ -110,14 +126,9 @@ def free_bytes(folder: Path) -> int:
     return shutil.disk_usage(existing).free
 
 
-def _check_options(recipe: Recipe, workers: int, scheduler: str | None, shard: int | None) -> None:
+def _check_options(workers: int, scheduler: str | None, shard: int | None) -> None:
     if workers < 1:
         raise ConfigurationError(f"workers must be at least 1, got {workers}")
-    if shard is not None and not 0 <= shard < recipe.shards:
-        raise ConfigurationError(
-            f"recipe '{recipe.name}' has shards 0 to {recipe.shards - 1}, got shard {shard}; give "
-            "one of them, or change frames_per_shard in the recipe"
-        )
     if shard is not None and scheduler:
         raise ConfigurationError(
             "expected a scheduler, which makes all shards, or the number of one shard, got both; "

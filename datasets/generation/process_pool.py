@@ -15,6 +15,7 @@ from pathlib import Path
 from eitskin.datasets.generation.shard_simulation import simulate_shard
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.store.shard import shard_name, write_shard
+from eitskin.datasets.store.worker_processes import end_with_parent
 
 _GRACE = 1.0  # for workers to end by themselves after Ctrl-C [s]; a scene may take minutes
 _POLL = 0.2  # [s]
@@ -125,15 +126,8 @@ def _start_worker(stop: ctypes.c_bool) -> None:
     """Keep the flag `stop`, which the parent sets; end soon after that, or with the parent."""
     global _stop  # noqa: PLW0603 - the one way to reach tasks from a pool's initializer
     _stop = stop
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    threading.Thread(target=end_with_parent, daemon=True).start()
     threading.Thread(target=_end_when_stopped, args=(stop,), daemon=True).start()
-
-
-def _end_with_parent() -> None:
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
 
 
 def _end_when_stopped(stop: ctypes.c_bool) -> None:

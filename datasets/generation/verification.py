@@ -3,13 +3,14 @@
 import hashlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 from eitskin.datasets.generation.generate import RECIPE
-from eitskin.datasets.store.dataset import Dataset
+from eitskin.datasets.store.dataset import Dataset, require_same_origin
 from eitskin.datasets.store.folder import MANIFEST, Manifest, ShardEntry, read_entry, read_manifest
+from eitskin.datasets.store.references import SpecimenReferences
 from eitskin.datasets.store.shard import read_shard
+from eitskin.datasets.store.worker_processes import each_in_turn, worthwhile
 from eitskin.errors import DataError
 
 SHARDS = "shard-*.h5"
@@ -33,59 +34,103 @@ class Verdict:
     damage: tuple[DamagedFile, ...]
 
 
-def verify(folder: str | Path, watch: Callable[[int, int], None] | None = None) -> Verdict:
+def verify(
+    folder: str | Path, watch: Callable[[int, int], None] | None = None, workers: int = 1
+) -> Verdict:
     """Check every file of a dataset, including those after a damaged one.
 
     Checks of a shard: SHA-256, the checksums within the file, format, links, shapes and values, and
     consistency with the other shards. Without a sound manifest, which is damage too, the shards in
-    the folder are checked without SHA-256.
+    the folder are checked without SHA-256. A worker holds one shard at a time.
 
     Args:
         folder: of the dataset.
         watch: called with the number of checked shards and of all shards.
+        workers: number of processes for a large dataset; more than one needs
+            `if __name__ == "__main__":` in a script.
+
+    Raises PartialError where a worker dies.
     """
     folder = Path(folder)
     damage: list[DamagedFile] = []
-    readers: dict[str, Callable[[], Dataset]]
     try:
         manifest = read_manifest(folder)
-        readers = {each.name: partial(_shard, folder, each, manifest) for each in manifest.shards}
+        origin = (manifest.source, manifest.seed, manifest.recipe_sha256)
+        shards = [_Shard(folder, entry.name, entry, origin) for entry in manifest.shards]
         damage.extend(_around(folder, manifest))
     except DataError as error:
         damage.append(DamagedFile(MANIFEST, str(error)))
-        readers = {path.name: partial(read_shard, path) for path in sorted(folder.glob(SHARDS))}
-    frames = 0
-    shared: Dataset | None = None
-    for number, (name, read) in enumerate(readers.items()):
-        if watch:
-            watch(number, len(readers))
-        try:
-            data = read()
-            if shared is None:
-                shared = data.select([])  # the data that all shards share, without frames
-            Dataset.concatenate((shared, data))
-            frames += len(data)
-        except DataError as error:
-            damage.append(DamagedFile(name, str(error)))
+        shards = [_Shard(folder, path.name) for path in sorted(folder.glob(SHARDS))]
+    sound = frames = 0
+    common = _Common()
     if watch:
-        watch(len(readers), len(readers))
-    broken = {each.file for each in damage}
-    return Verdict(len(set(readers) - broken), frames, tuple(damage))
+        watch(0, len(shards))
+    workers = worthwhile(workers, (folder / shard.name for shard in shards))
+    for number, found in enumerate(each_in_turn(_check, shards, workers), 1):
+        problem = found if isinstance(found, str) else common.problem(found.shared)
+        if problem:
+            damage.append(DamagedFile(shards[number - 1].name, problem))
+        elif isinstance(found, _Sound):
+            sound, frames = sound + 1, frames + found.frames
+        if watch:
+            watch(number, len(shards))
+    return Verdict(sound, frames, tuple(damage))
 
 
-def _shard(folder: Path, entry: ShardEntry, manifest: Manifest) -> Dataset:
-    data = read_entry(folder, entry)
-    recipe = hashlib.sha256(data.recipe.encode()).hexdigest()
-    if (data.source, data.seed, recipe) != (
-        manifest.source,
-        manifest.seed,
-        manifest.recipe_sha256,
-    ):
-        raise DataError(
-            f"{folder / entry.name} was made from another recipe or seed than {MANIFEST} says; "
-            f"{_REPAIR}"
-        )
-    return data
+@dataclass(frozen=True, slots=True)
+class _Shard:
+    """Shard to be checked, with its entry in the manifest and the manifest's origin, if any."""
+
+    folder: Path
+    name: str
+    entry: ShardEntry | None = None
+    origin: tuple[str, int, str] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _Sound:
+    """A shard that is sound by itself: its number of frames, and its data without frames."""
+
+    frames: int
+    shared: Dataset
+
+
+def _check(shard: _Shard) -> _Sound | str:
+    """Result of checking one shard by itself; the problem of a damaged one."""
+    try:
+        if shard.entry is None:
+            data = read_shard(shard.folder / shard.name)
+        else:
+            data = read_entry(shard.folder, shard.entry)
+            recipe = hashlib.sha256(data.recipe.encode()).hexdigest()
+            if (data.source, data.seed, recipe) != shard.origin:
+                return (
+                    f"{shard.folder / shard.name} was made from another recipe or seed than "
+                    f"{MANIFEST} says; {_REPAIR}"
+                )
+    except DataError as error:
+        return str(error)
+    return _Sound(len(data), data.select([]))
+
+
+class _Common:
+    """Data that all shards of a dataset have in common, from those seen so far."""
+
+    def __init__(self) -> None:
+        """Begin without shards."""
+        self._first: Dataset | None = None
+        self._references = SpecimenReferences()
+
+    def problem(self, shared: Dataset) -> str:
+        """Contradiction of a shard to those before; empty without one."""
+        if self._first is None:
+            self._first = shared
+        try:
+            require_same_origin(self._first, shared)
+            self._references.add(shared.specimen_number, shared.reference)
+        except DataError as error:
+            return str(error)
+        return ""
 
 
 def _around(folder: Path, manifest: Manifest) -> Iterator[DamagedFile]:

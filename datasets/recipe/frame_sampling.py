@@ -90,6 +90,28 @@ def specimen(recipe: Recipe, number: int) -> Specimen:
     return draw_specimen(recipe.specimens, nominal, generator(recipe, Stream.SPECIMEN, number))
 
 
+def specimen_numbers(recipe: Recipe, frames: range) -> list[int]:
+    """Numbers of the specimens that occur in `frames`, consecutive ones, rising."""
+    first, stop = frames.start, frames.stop
+    found: set[int] = set()
+    if first < recipe.snapshots:
+        order = _block_order(recipe)
+        last = min(stop, recipe.snapshots) - 1
+        edges = np.searchsorted(order.starts, (first, last), side="right")
+        found.update(_dealt(recipe, np.arange(edges[0] - 1, edges[1]), len(order.starts)).tolist())
+    if stop > recipe.snapshots:
+        episodes = _episode_order(recipe)
+        ends = (max(first, recipe.snapshots), stop - 1)
+        edges = np.searchsorted(episodes.starts, ends, side="right")
+        found.update(episodes.specimens[edges[0] - 1 : edges[1]].tolist())
+    return sorted(found)
+
+
+def _dealt(recipe: Recipe, pieces: Integers, count: int) -> Integers:
+    """Specimens of blocks or episodes `pieces` of `count`: equal shares, one after the other."""
+    return pieces * recipe.specimens.count // count
+
+
 def _snapshot(recipe: Recipe, index: int) -> Sample:
     order = _block_order(recipe)
     block = int(np.searchsorted(order.starts, index, side="right")) - 1
@@ -99,7 +121,7 @@ def _snapshot(recipe: Recipe, index: int) -> Sample:
     rng = generator(recipe, Stream.SCENE, index)
     scene = group.draw(number, bend, recipe.outline, rng)
     count, blocks = recipe.specimens.count, len(order.groups)
-    made = block * count // blocks
+    made = int(_dealt(recipe, np.array(block), blocks))
     first = int(order.starts[-(-made * blocks // count)])
     if scene.support is not None:
         widened = free_length(specimen(recipe, made).fixture) - free_length(recipe.fixture)
@@ -199,7 +221,7 @@ def _episode_order(recipe: Recipe) -> _EpisodeOrder:
     kinds = np.repeat(np.arange(len(recipe.episodes)), [each.count for each in recipe.episodes])
     frames = np.array([each.frames for each in recipe.episodes])[kinds]
     lasts = np.array([each.frames * each.period for each in recipe.episodes])[kinds]
-    specimens = np.arange(len(kinds)) * recipe.specimens.count // len(kinds)
+    specimens = _dealt(recipe, np.arange(len(kinds)), len(kinds))
     begun = np.cumsum(lasts) - lasts
     first = np.searchsorted(specimens, specimens)
     starts = recipe.snapshots + np.cumsum(frames) - frames

@@ -2,14 +2,16 @@
 
 import dataclasses
 import itertools
+import math
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from eitskin.datasets.store.references import SpecimenReferences
 from eitskin.datasets.store.schema import FIELDS, FRAME_FIELDS, LIMITS, MAX_TOUCHES
 from eitskin.datasets.store.state import UNKNOWN_STATE, State
 from eitskin.errors import ConfigurationError, DataError
@@ -44,6 +46,8 @@ class Dataset:
         recipe: TOML text of the recipe; empty for recordings.
         seed: of everything random in the frames.
         design: nominal sensor; None where unknown.
+        specimen_number: number of each specimen within the whole dataset, rising, (S,) uint32. A
+            part of a dataset may hold few of its specimens. 0 to S - 1 when omitted.
     """
 
     impedance: NDArray[np.complex64]
@@ -66,6 +70,9 @@ class Dataset:
     recipe: str = ""
     seed: int = 0
     design: SensorDesign | None = None
+    specimen_number: NDArray[np.uint32] = dataclasses.field(
+        default_factory=lambda: np.zeros(0, dtype=np.uint32)
+    )
 
     def __post_init__(self) -> None:
         """Convert the arrays to the format's types, and check shapes and values."""
@@ -74,6 +81,8 @@ class Dataset:
         for axis in ("channel", "specimen"):
             if not 1 <= sizes[axis] <= LIMITS[axis]:
                 raise DataError(f"expected 1 to {LIMITS[axis]} {axis}s, got {sizes[axis]}")
+        if np.size(self.specimen_number) == 0:
+            object.__setattr__(self, "specimen_number", np.arange(sizes["specimen"]))
         for field in FIELDS:
             values = np.ascontiguousarray(getattr(self, field.name), dtype=field.dtype)
             expected = tuple(sizes[axis] for axis in field.axes)
@@ -127,6 +136,15 @@ class Dataset:
     def __len__(self) -> int:
         """Number of frames."""
         return len(self.impedance)
+
+    @property
+    def bytes_per_frame(self) -> int:
+        """Size of one frame in memory."""
+        sizes = {"channel": self.impedance.shape[1], "touch": MAX_TOUCHES, "frame": 1}
+        return sum(
+            field.dtype.itemsize * math.prod(sizes[axis] for axis in field.axes)
+            for field in FRAME_FIELDS
+        )
 
     @property
     def reference_frames(self) -> int:
@@ -191,23 +209,69 @@ class Dataset:
             return tuple(np.flatnonzero(np.isin(self.specimen, part)) for part in parts)
         return tuple(np.sort(part) for part in _deal(rng.permutation(len(self)), shares))
 
+    def own_specimens(self) -> "Dataset":
+        """The same frames, at least one, with only the specimens that occur in them."""
+        rows = np.unique(self.specimen)
+        if len(rows) == len(self.reference):
+            return self
+        return dataclasses.replace(
+            self,
+            reference=self.reference[rows],
+            specimen_number=self.specimen_number[rows],
+            specimen=np.searchsorted(rows, self.specimen).astype(np.uint32),
+        )
+
     @classmethod
     def concatenate(cls, parts: Sequence["Dataset"]) -> "Dataset":
         """Dataset of all frames of `parts`; raises DataError for parts of different datasets."""
-        first = parts[0]
-        for part in parts[1:]:
-            same = np.array_equal(part.reference, first.reference)
-            same = same and (part.protocol, part.frequency) == (first.protocol, first.frequency)
-            if not same or (part.recipe, part.source) != (first.recipe, first.source):
-                raise DataError(
-                    "the parts of a dataset must share protocol, frequency, reference, source "
-                    "and recipe; these were not made together"
-                )
-        joined: dict[str, Any] = {
-            field.name: np.concatenate([getattr(part, field.name) for part in parts])
+        return cls.collect(parts, sum(map(len, parts)))
+
+    @classmethod
+    def collect(cls, parts: Iterable["Dataset"], frames: int) -> "Dataset":
+        """Dataset of all frames of `parts`, which are taken one at a time.
+
+        Takes the memory of the result and of one part.
+
+        Args:
+            parts: of one dataset, at least one.
+            frames: number of frames of all parts together.
+
+        Raises DataError for parts of different datasets, or another number of frames.
+        """
+        rest = iter(parts)
+        first = next(rest)
+        columns: dict[str, Any] = {
+            field.name: np.empty((frames, *getattr(first, field.name).shape[1:]), field.dtype)
             for field in FRAME_FIELDS
         }
-        return dataclasses.replace(first, **joined)
+        references = SpecimenReferences()
+        end = 0
+        for part in itertools.chain((first,), rest):
+            require_same_origin(first, part)
+            references.add(part.specimen_number, part.reference)
+            start, end = end, end + len(part)
+            if end > frames:
+                break
+            for name, column in columns.items():
+                column[start:end] = getattr(part, name)
+            columns["specimen"][start:end] = part.specimen_number[part.specimen]
+        if end != frames:
+            raise DataError(f"expected parts with {frames} frames in all, got {end}")
+        numbers, reference = references.collected()
+        columns["specimen"] = np.searchsorted(numbers, columns["specimen"]).astype(np.uint32)
+        return dataclasses.replace(first, reference=reference, specimen_number=numbers, **columns)
+
+
+def require_same_origin(one: Dataset, other: Dataset) -> None:
+    """Raise DataError where two datasets cannot be parts of one."""
+    same = one.impedance.shape[1] == other.impedance.shape[1]
+    for name in ("protocol", "frequency", "recipe", "source", "seed", "design"):
+        same = same and getattr(one, name) == getattr(other, name)
+    if not same:
+        raise DataError(
+            "the parts of a dataset must share channels, protocol, frequency, source, recipe, seed "
+            "and design; these were not made together"
+        )
 
 
 def _deal(items: NDArray[Any], shares: NDArray[np.float64]) -> list[NDArray[Any]]:
@@ -224,6 +288,12 @@ def _check_labels(data: Dataset) -> None:
         raise DataError(
             f"the protocol has {len(data.protocol)} measurements, but the frames have "
             f"{data.impedance.shape[1]} channels; give the protocol they were measured with"
+        )
+    numbers = data.specimen_number.astype(np.int64)
+    if (np.diff(numbers) <= 0).any() or numbers[-1] >= LIMITS["specimen"]:
+        raise DataError(
+            f"specimen_number must rise and stay below {LIMITS['specimen']}, got "
+            f"{np.array2string(numbers, threshold=8)}"
         )
     if len(data) == 0:
         return

@@ -1,6 +1,9 @@
 """Dataset on disk: a folder of shards with a manifest, written last."""
 
 import hashlib
+import itertools
+import os
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -8,11 +11,12 @@ import msgspec
 
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.schema import FORMAT, FORMAT_VERSION
-from eitskin.datasets.store.shard import read_shard, shard_name, write_shard
+from eitskin.datasets.store.shard import read_shard, shard_name, shard_of, write_shard
 from eitskin.errors import ConfigurationError, DataError, PartialError
 from eitskin.files import write_file
 
 MANIFEST = "manifest.json"
+Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,20 +42,42 @@ class Manifest:
     format_version: int = FORMAT_VERSION
 
 
-def open_dataset(path: str | Path) -> Dataset:
+def open_dataset(path: str | Path, progress: Progress | None = None) -> Dataset:
     """Dataset read into memory.
 
     Args:
         path: folder of a dataset, or a single shard.
+        progress: called with the number of shards read and of all shards.
 
-    Raises DataError where files are missing, damaged, newer than this eitskin, or no dataset.
+    Raises:
+        DataError: where files are missing, damaged, newer than this eitskin, or no dataset.
+        ConfigurationError: for a dataset larger than the memory of this machine.
     """
     path = Path(path)
     if path.is_file():
         return read_shard(path)
     manifest = read_manifest(path)
-    parts = [read_entry(path, entry) for entry in manifest.shards]
-    return Dataset.concatenate(parts)
+    parts = read_shards(path, progress)
+    first = next(parts)
+    _check_memory(path, manifest.frames * first.bytes_per_frame)
+    return Dataset.collect(itertools.chain((first,), parts), manifest.frames)
+
+
+def read_shards(path: str | Path, progress: Progress | None = None) -> Iterator[Dataset]:
+    """Datasets of all shards, one after the other, for datasets larger than the memory.
+
+    A shard holds only the specimens that occur in it; `specimen_number` says which of the whole
+    dataset they are. Arguments and DataError as for `open_dataset`.
+    """
+    path = Path(path)
+    if path.is_file():
+        yield read_shard(path)
+        return
+    shards = read_manifest(path).shards
+    for number, entry in enumerate(shards, 1):
+        yield read_entry(path, entry)
+        if progress:
+            progress(number, len(shards))
 
 
 def save_dataset(data: Dataset, folder: str | Path, frames_per_shard: int = 4096) -> Manifest:
@@ -157,18 +183,33 @@ def read_entry(folder: Path, entry: ShardEntry) -> Dataset:
     """
     path = folder / entry.name
     try:
-        found = hashlib.sha256(path.read_bytes()).hexdigest()
+        content = path.read_bytes()
     except OSError as error:
         raise DataError(f"cannot read {path}, which the manifest names: {error}") from error
+    found = hashlib.sha256(content).hexdigest()
     if found != entry.sha256:
         raise DataError(
             f"{path} is not the file that the manifest names: expected SHA-256 {entry.sha256}, "
             f"got {found}; copy it again, or delete it and generate with --resume"
         )
-    data = read_shard(path, entry.first_index)
+    data = shard_of(content, path, entry.first_index)
     if len(data) != entry.count:
         raise DataError(f"{path} must hold {entry.count} frames, got {len(data)}")
     return data
+
+
+def _check_memory(path: Path, needed: int) -> None:
+    """Raise ConfigurationError where `needed` bytes are more than this machine has, if it says."""
+    try:
+        memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    except (AttributeError, ValueError, OSError):
+        return
+    if needed > memory:
+        raise ConfigurationError(
+            f"{path} takes {needed / 1e9:.1f} GB in memory, expected at most the "
+            f"{memory / 1e9:.1f} GB of this machine; read it in parts with read_shards, or with "
+            "ShuffledShards"
+        )
 
 
 def _check_version(path: Path, content: bytes) -> None:

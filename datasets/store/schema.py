@@ -6,7 +6,7 @@ from typing import Any, Final
 import numpy as np
 
 FORMAT: Final = "eitskin-dataset"
-FORMAT_VERSION: Final = 1
+FORMAT_VERSION: Final = 2
 MAX_TOUCHES: Final = 4
 
 # Larger sizes are refused before memory is allocated: a foreign shard may claim any size.
@@ -27,7 +27,7 @@ class Field:
         description: one line, written into the file.
         finite: whether NaN and infinity are refused.
         missing: value for "unknown".
-        optional: whether files may lack the array, which older files do.
+        since: first version of the format whose files all hold the array.
     """
 
     name: str
@@ -38,7 +38,7 @@ class Field:
     description: str
     finite: bool = False
     missing: float = 0
-    optional: bool = False
+    since: int = 1
 
 
 def _field(
@@ -50,11 +50,11 @@ def _field(
     *,
     finite: bool = False,
     missing: float = 0,
-    optional: bool = False,
+    since: int = 1,
 ) -> Field:
     path = name.replace("touch_", "touch/", 1) if axes == "frame touch" else name
     split = tuple(axes.split())
-    return Field(name, path, np.dtype(dtype), split, units, description, finite, missing, optional)
+    return Field(name, path, np.dtype(dtype), split, units, description, finite, missing, since)
 
 
 NAN: Final = float("nan")
@@ -75,6 +75,14 @@ FIELDS: Final = (
         "ohm",
         "flat untouched sensor, free of noise where simulated",
         finite=True,
+    ),
+    _field(
+        "specimen_number",
+        "<u4",
+        "specimen",
+        "1",
+        "number of the specimen within the dataset, rising",
+        since=2,
     ),
     _field("specimen", "<u4", "frame", "1", "which sensor, a row of reference", finite=True),
     _field("state", "|u1", "frame", "1", "idle, touch or bend; 255 where unknown", missing=255),
@@ -100,6 +108,6 @@ FIELDS: Final = (
     _field("time", "<f8", "frame", "s", "since the episode began", finite=True),
     _field("status", "|u1", "frame channel", "1", "status bits of the board, 0 is good"),
     _field("episode", "<u4", "frame", "1", "frames of one episode follow each other in time"),
-    _field("number", "<u4", "frame", "1", "as counted; a gap is frames lost", optional=True),
+    _field("number", "<u4", "frame", "1", "as counted; a gap is frames lost", since=2),
 )
 FRAME_FIELDS: Final = tuple(field for field in FIELDS if field.axes[0] == "frame")

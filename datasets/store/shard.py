@@ -3,7 +3,8 @@
 import hashlib
 import json
 import threading
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from functools import cache, lru_cache
 from importlib import metadata
 from pathlib import Path
@@ -44,6 +45,8 @@ def shard_name(index: int) -> str:
 def write_shard(path: Path, data: Dataset, first_index: int = 0) -> None:
     """Write `data` as one shard; equal data give equal bytes.
 
+    Only specimens that occur in the frames are written.
+
     Args:
         path: of the file; an existing one is replaced atomically.
         data: frames of the shard.
@@ -64,13 +67,21 @@ def read_shard(path: Path, first_index: int | None = None) -> Dataset:
     Raises DataError for any violation of the format.
     """
     path = Path(path)
+    with _as_data_errors(path), h5py.File(path, "r") as file:
+        return _checked(file, first_index)
+
+
+def shard_of(content: bytes, path: Path, first_index: int | None = None) -> Dataset:
+    """Dataset of the shard whose file has this content; `path` and errors as for `read_shard`."""
+    with _as_data_errors(path), h5py.File(h5py.h5f.open_file_image(content)) as file:
+        return _checked(file, first_index)
+
+
+@contextmanager
+def _as_data_errors(path: Path) -> Iterator[None]:
+    """Raise all errors of reading a file as DataError."""
     try:
-        with h5py.File(path, "r") as file:
-            _check_format(file)
-            found = int(file.attrs["first_index"])
-            if first_index is not None and found != first_index:
-                raise DataError(f"expected frames from {first_index} on, got {found}")
-            return _read(file)
+        yield
     except DataError as error:
         raise DataError(f"{path}: {error}") from error
     except (OSError, KeyError, ValueError, TypeError, RuntimeError, AttributeError) as error:
@@ -92,7 +103,8 @@ def package_versions() -> Mapping[str, str]:
 
 
 def shard_bytes(data: Dataset, first_index: int = 0) -> bytes:
-    """Content of a shard's file; equal data give equal bytes."""
+    """Content of a shard's file, see `write_shard`; equal data give equal bytes."""
+    data = data.own_specimens()
     # HDF5 refuses two open files of one name, even in memory, as threads would open them.
     name = f"shard-{threading.get_ident()}"
     with h5py.File(name, "w", driver="core", backing_store=False) as file:
@@ -158,8 +170,17 @@ def _attach_time(file: h5py.File) -> None:
             file[field.path].dims[0].attach_scale(file["time"])
 
 
+def _checked(file: h5py.File, first_index: int | None) -> Dataset:
+    """Dataset of an open file; raises DataError for what the format does not allow."""
+    _check_format(file)
+    found = int(file.attrs["first_index"])
+    if first_index is not None and found != first_index:
+        raise DataError(f"expected frames from {first_index} on, got {found}")
+    return _read(file, dict(_plain_arrays(file)))
+
+
 def _check_format(file: h5py.File) -> None:
-    """Raise DataError for other formats, newer versions, and references to other files."""
+    """Raise DataError for other formats and newer versions."""
     found = file.attrs.get("format")
     if found != FORMAT:
         raise DataError(f"expected format '{FORMAT}', got {found!r}; this is another kind of file")
@@ -174,7 +195,6 @@ def _check_format(file: h5py.File) -> None:
             f"expected format version 1 to {FORMAT_VERSION}, got {version}, which no eitskin has "
             "written; generate or copy it again"
         )
-    _check_links(file)
     if not 0 <= int(file.attrs["count"]) <= LIMITS["frame"]:
         raise DataError(f"expected at most {LIMITS['frame']} frames, got {file.attrs['count']}")
     text = file.attrs["recipe"]
@@ -182,18 +202,19 @@ def _check_format(file: h5py.File) -> None:
         raise DataError("the recipe and its checksum disagree; make or copy the file again")
 
 
-def _check_links(group: h5py.Group, inner: bool = False) -> None:
-    """Raise DataError for links or data in other files, and for foreign filters."""
+def _plain_arrays(group: h5py.Group, inside: str = "") -> Iterator[tuple[str, h5py.Dataset]]:
+    """Arrays of a file by path; raises DataError for links, data elsewhere, foreign filters."""
     for name in group:
-        if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+        if group.id.links.get_info(name.encode()).type != h5py.h5l.TYPE_HARD:
             raise DataError(f"'{name}' is a soft or external link, and only plain data are read")
         item = group[name]
-        if isinstance(item, h5py.Group) and not inner:
-            _check_links(item, inner=True)
+        if isinstance(item, h5py.Group) and not inside:
+            yield from _plain_arrays(item, f"{name}/")
         elif not isinstance(item, h5py.Dataset) or item.is_virtual or item.external:
             raise DataError(f"'{name}' is nested, virtual or elsewhere; only plain data are read")
         else:
             _check_filters(item)
+            yield inside + name, item
 
 
 def _check_filters(dataset: h5py.Dataset) -> None:
@@ -206,22 +227,25 @@ def _check_filters(dataset: h5py.Dataset) -> None:
             raise DataError(f"'{dataset.name}' uses filter {code}; expected gzip or lzf")
 
 
-def _read(file: h5py.File) -> Dataset:
+def _read(file: h5py.File, stored: Mapping[str, h5py.Dataset]) -> Dataset:
+    version = int(file.attrs["format_version"])
     sizes = {"frame": int(file.attrs["count"]), "touch": MAX_TOUCHES}
-    sizes["channel"] = file["impedance"].shape[-1]
-    sizes["specimen"] = file["reference"].shape[0]
+    sizes["channel"] = stored["impedance"].shape[-1]
+    sizes["specimen"] = stored["reference"].shape[0]
     arrays = {
-        field.name: _read_field(file, field, sizes)
+        field.name: _read_field(stored[field.path], field, sizes)
         for field in FIELDS
-        if field.path in file or not field.optional
+        if field.path in stored or field.since <= version
     }
-    # Older files have no numbers of frames: the count within the dataset takes their place.
+    # Older files have no numbers of frames, and all specimens of the dataset: counts within the
+    # dataset take the place of the numbers.
     first = int(file.attrs["first_index"])
     arrays.setdefault("number", np.arange(first, first + sizes["frame"]))
+    arrays.setdefault("specimen_number", np.arange(sizes["specimen"]))
     design = file.attrs["design"]
     return Dataset(
         **arrays,
-        protocol=_read_protocol(file),
+        protocol=_read_protocol(stored["protocol"]) if "protocol" in stored else None,
         frequency=float(file.attrs["frequency"]),
         source=str(file.attrs["source"]),
         recipe=str(file.attrs["recipe"]),
@@ -236,9 +260,8 @@ def _read_design(text: str) -> SensorDesign:
     return parse_toml(SensorDesign, text, "attribute 'design'")
 
 
-def _read_field(file: h5py.File, field: Field, sizes: Mapping[str, int]) -> NDArray[Any]:
+def _read_field(stored: h5py.Dataset, field: Field, sizes: Mapping[str, int]) -> NDArray[Any]:
     """One array, read after checks of the shape and type that the file states."""
-    stored = file[field.path]
     expected = tuple(sizes[axis] for axis in field.axes)
     if stored.shape != expected:
         raise DataError(f"'{field.path}' must have shape {expected}, got {stored.shape}")
@@ -250,12 +273,15 @@ def _read_field(file: h5py.File, field: Field, sizes: Mapping[str, int]) -> NDAr
     return values
 
 
-def _read_protocol(file: h5py.File) -> Protocol | None:
-    if "protocol" not in file:
-        return None
-    stored = file["protocol"]
+def _read_protocol(stored: h5py.Dataset) -> Protocol:
     if stored.ndim != 2 or stored.shape[1] != 4 or stored.shape[0] > LIMITS["channel"]:
         raise DataError(f"'protocol' must have shape (channels, 4), got {stored.shape}")
     if stored.dtype != np.dtype("<i2"):
         raise DataError(f"'protocol' must hold int16, got {stored.dtype}")
-    return Protocol.from_rows(stored[()], int(stored.attrs["n_electrodes"]))
+    return _protocol(stored[()].tobytes(), int(stored.attrs["n_electrodes"]))
+
+
+@lru_cache(maxsize=8)
+def _protocol(rows: bytes, n_electrodes: int) -> Protocol:
+    """Protocol of a shard; cached, since all shards of a dataset hold the same."""
+    return Protocol.from_rows(np.frombuffer(rows, dtype="<i2").reshape(-1, 4), n_electrodes)

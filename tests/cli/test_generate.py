@@ -19,7 +19,8 @@ from eitskin.datasets.store.shard import shard_bytes
 from eitskin.errors import ConfigurationError, DataError, PartialError
 
 from shards_here import in_this_process
-from small_dataset import make
+from small_dataset import assert_same, make
+from version_one import save_version_one
 
 RECIPE = """
 name = "cheap"
@@ -208,6 +209,16 @@ def test_verify_lists_all_damage_and_exits_with_three(tmp_path):
     assert (found["sound"], found["shards"], found["frames"]) == (False, 2, 20)
     assert [each["file"] for each in found["damage"]] == ["shard-000001.h5", "shard-000003.h5"]
     assert "shard-000003.h5" in run("dataset", "verify", folder).stdout
+
+
+def test_compact_writes_the_same_frames_into_few_files(tmp_path):
+    folder = tmp_path / "set"
+    save_version_one(make(40), folder, frames_per_shard=10)
+    found = printed_json("dataset", "compact", folder, "--out", tmp_path / "new")
+    assert (found["frames"], found["shards"], found["format_version"]) == (40, 1, 2)
+    assert_same(open_dataset(tmp_path / "new"), make(40))
+    said = run("dataset", "compact", folder, "--out", tmp_path / "cut", "--frames-per-shard", 0)
+    assert "40 frames in 4 shards" in said.stdout
 
 
 # eitskin import

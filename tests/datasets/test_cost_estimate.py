@@ -10,7 +10,7 @@ from eitskin.datasets import Recipe, generate
 from eitskin.datasets.generation import cost_estimate
 from eitskin.datasets.generation.cost_estimate import estimate_cost
 from eitskin.datasets.generation.generate import free_bytes, smallest_size
-from eitskin.datasets.generation.shard_simulation import solved_frames
+from eitskin.datasets.generation.preparation import solved_frames
 from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Plates

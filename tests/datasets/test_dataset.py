@@ -9,7 +9,7 @@ from eitskin.datasets import Dataset, ShardWriter, State, open_dataset, touch_ma
 from eitskin.errors import ConfigurationError, DataError, FrameError
 from eitskin.simulator import Frame, Protocol, Status, Touch
 
-from small_dataset import make
+from small_dataset import assert_same, make
 
 # Datasets in memory
 
@@ -65,6 +65,22 @@ def test_split_refuses_what_does_not_sum_to_one():
 def test_parts_that_do_not_belong_together_are_refused():
     with pytest.raises(DataError, match="not made together"):
         Dataset.concatenate([make(), make(recipe="other")])
+
+
+def test_parts_share_the_references_of_their_specimens():
+    whole = make(60, specimens=6, specimen=np.arange(60) // 10)
+    parts = [whole.select(slice(first, first + 25)).own_specimens() for first in (0, 25, 50)]
+    assert [part.specimen_number.tolist() for part in parts] == [[0, 1, 2], [2, 3, 4], [5]]
+    assert_same(Dataset.concatenate(parts), whole)
+    later = Dataset.concatenate(parts[:0:-1])
+    assert later.specimen_number.tolist() == [2, 3, 4, 5]
+    frames = np.r_[50:60, 25:50]
+    assert np.array_equal(later.reference[later.specimen], whole.reference[whole.specimen[frames]])
+    other = dataclasses.replace(parts[1], reference=parts[1].reference * 1.01)
+    with pytest.raises(DataError, match=r"specimen 2 differs.*not made together"):
+        Dataset.concatenate([parts[0], other])
+    with pytest.raises(DataError, match="59 frames in all, got 60"):
+        Dataset.collect(parts, 59)
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,8 @@ import pytest
 
 from eitskin.datasets import Recipe, State
 from eitskin.datasets.generation.shard_simulation import simulate_shard, without_touches
-from eitskin.datasets.recipe.frame_sampling import Stream, generator, sample
+from eitskin.datasets.recipe.episode import RandomEpisodes
+from eitskin.datasets.recipe.frame_sampling import Stream, generator, sample, specimen_numbers
 from eitskin.datasets.recipe.recipe import with_seed
 from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.datasets.recipe.specimen import Specimens
@@ -155,6 +156,20 @@ def test_specimens_follow_each_other_and_begin_their_sessions_anew():
         assert mine[0].session_time == 0.0
         assert np.diff([each.session_time for each in mine]) == pytest.approx(0.297)
         assert 0.05 < np.mean([each.state == State.IDLE for each in mine]) < 0.35
+
+
+@pytest.mark.parametrize(("count", "episodes"), [(3, 0), (7, 9), (50, 4), (500, 0)])
+def test_specimens_of_a_shard_are_those_of_its_frames(count, episodes):
+    kinds = (RandomEpisodes(count=episodes, frames=5, period=0.5),) * bool(episodes)
+    recipe = dataclasses.replace(
+        GROUPED,
+        specimens=Specimens(count, conductivity=0.01),
+        frames_per_shard=11,
+        episodes=kinds,
+    )
+    for frames in (*map(recipe.shard_range, range(recipe.shards)), range(recipe.frames)):
+        drawn = {sample(recipe, index).specimen for index in frames}
+        assert specimen_numbers(recipe, frames) == sorted(drawn)
 
 
 def test_more_specimens_than_blocks_leave_some_out():

@@ -1,6 +1,7 @@
 """Shards: round trips, equal bytes, damage, hostile files, full disks."""
 
 import errno
+import hashlib
 import json
 import os
 from concurrent.futures import ThreadPoolExecutor
@@ -14,6 +15,7 @@ from eitskin.datasets import (
     Dataset,
     open_dataset,
     read_shard,
+    read_shards,
     save_dataset,
     write_shard,
 )
@@ -22,6 +24,7 @@ from eitskin.datasets.store.shard import shard_bytes
 from eitskin.errors import DataError, PartialError
 
 from small_dataset import assert_same, make
+from version_one import as_version_one, save_version_one
 
 NEWER = FORMAT_VERSION + 1
 
@@ -55,6 +58,7 @@ def test_what_is_unknown_comes_back_as_unknown(tmp_path):
 
 def test_files_from_before_frames_had_numbers_count_them(tmp_path):
     write_shard(tmp_path / "s.h5", make(5), first_index=40)
+    as_version_one(tmp_path / "s.h5", make(5))
     with h5py.File(tmp_path / "s.h5", "r+") as file:
         del file["number"]
     assert read_shard(tmp_path / "s.h5").number.tolist() == [40, 41, 42, 43, 44]
@@ -64,6 +68,38 @@ def test_folder_of_several_shards_comes_back_as_one(tmp_path):
     manifest = save_dataset(make(50), tmp_path / "set", frames_per_shard=20)
     assert [entry.count for entry in manifest.shards] == [20, 20, 10]
     assert_same(open_dataset(tmp_path / "set"), make(50))
+
+
+def test_a_shard_holds_only_its_own_specimens(tmp_path):
+    data = make(40, specimens=8, specimen=np.arange(40) // 5)
+    save_dataset(data, tmp_path / "set", frames_per_shard=20)
+    part = read_shard(tmp_path / "set" / "shard-000001.h5")
+    assert part.specimen_number.tolist() == [4, 5, 6, 7]
+    assert part.specimen.tolist() == (np.arange(20) // 5).tolist()
+    assert np.array_equal(part.reference, data.reference[4:])
+    assert_same(open_dataset(tmp_path / "set"), data)
+    lone = data.select([17])
+    write_shard(tmp_path / "one.h5", lone)
+    assert read_shard(tmp_path / "one.h5").specimen_number.tolist() == [3]
+
+
+def test_sets_of_version_one_are_read_alike(tmp_path):
+    data = make(40, specimens=8, specimen=np.arange(40) // 5)
+    save_version_one(data, tmp_path / "set", frames_per_shard=20)
+    assert len(read_shard(tmp_path / "set" / "shard-000001.h5").reference) == 8
+    assert_same(open_dataset(tmp_path / "set"), data)
+    assert [len(part) for part in read_shards(tmp_path / "set")] == [20, 20]
+
+
+def test_shards_of_both_versions_make_one_set(tmp_path):
+    data = make(40, specimens=8, specimen=np.arange(40) // 5)
+    folder = save_version_one(data, tmp_path / "set", frames_per_shard=20)
+    write_shard(folder / "shard-000001.h5", data.select(slice(20, None)), 20)
+    manifest = json.loads((folder / "manifest.json").read_text())
+    content = (folder / "shard-000001.h5").read_bytes()
+    manifest["shards"][1]["sha256"] = hashlib.sha256(content).hexdigest()
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    assert_same(open_dataset(folder), data)
 
 
 @pytest.mark.slow
@@ -199,6 +235,9 @@ FILTERED = {"data": np.zeros(40), "chunks": (40,), "scaleoffset": 3}
         (attribute("recipe", "forged"), r"recipe.*checksum"),
         (attribute("count", 2**40), "expected at most"),
         (lambda file: file.pop("touch/x"), "not a whole shard"),
+        (lambda file: file.pop("specimen_number"), "not a whole shard"),
+        (value("specimen_number", 0, 1), r"specimen_number must rise.*\[1 1\]"),
+        (value("specimen_number", 1, 2**16), r"specimen_number.* below 65536"),
         (other("time", data=np.zeros(3)), r"'time'.*\(40,\), got \(3,\)"),
         (other("impedance", data=np.ones((40, 28))), r"'impedance'.*complex64, got float64"),
         (other("time", **TEXT), r"'time'.*float64.*object"),

@@ -85,6 +85,32 @@ def test_shuffled_shards_give_every_frame_once(folder, data, workers):
     assert times != sorted(times)
 
 
+def test_specimens_are_those_of_the_set_in_every_shard(tmp_path):
+    made = make(40, specimens=8, specimen=np.arange(40) // 5)
+    save_dataset(made, tmp_path / "set", frames_per_shard=10)
+    for read in (TorchDataset(tmp_path / "set"), ShuffledShards(tmp_path / "set")):
+        for item in read:
+            number = int(item["specimen"])
+            assert number == made.specimen[round(item["time"].item() * 10)]
+            assert np.array_equal(item["reference"].numpy(), made.reference[number])
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_batches_are_the_same_frames_in_the_same_order(folder, workers):
+    single = ShuffledShards(folder, seed=3)
+    batches = ShuffledShards(folder, seed=3, batch=5)
+    loader = DataLoader(batches, batch_size=None, num_workers=workers)
+    found = list(loader)
+    assert len(batches) == len(loader) == len(found) == 6 * 2 + 1
+    assert {len(item["time"]) for item in found} == {5, 3, 2}
+    assert found[0]["impedance"].shape == (5, 28)
+    if not workers:
+        one_by_one = [item["time"].item() for item in single]
+        assert torch.cat([item["time"] for item in found]).tolist() == one_by_one
+    with pytest.raises(ConfigurationError, match="batch"):
+        ShuffledShards(folder, batch=0)
+
+
 def test_order_follows_from_seed_and_epoch(folder):
     def order(seed, epoch):
         shards = ShuffledShards(folder, names=("time",), seed=seed)

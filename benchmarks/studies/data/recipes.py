@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.benchmarks.studies.data.recipes_plot import Strength, plot_episodes, plot_statistics
-from eitskin.datasets.generation.shard_simulation import prepare, simulate_frames
+from eitskin.datasets.generation.preparation import prepare
+from eitskin.datasets.generation.shard_simulation import simulate_frames
 from eitskin.datasets.recipe.frame_sampling import Sample, sample
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.recipe.scene_group import SceneGroup

@@ -1,0 +1,151 @@
+"""Tables of presses and bends that a recipe needs, solved before the workers start."""
+
+import dataclasses
+from collections.abc import Callable, Iterator, Sequence
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from eitskin.datasets.recipe.frame_sampling import specimen
+from eitskin.datasets.recipe.recipe import Recipe
+from eitskin.datasets.recipe.specimen import Specimen, free_length
+from eitskin.geometry.deformation.fixtures import Clamp, FreeArc
+from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.geometry.design.support import Support
+from eitskin.simulator.bends import bend_store
+from eitskin.simulator.mechanics.layer_stack import Mechanics
+from eitskin.simulator.presses import correction_store, press_store
+from eitskin.simulator.presses.correction_store import corrections, tabulable
+from eitskin.simulator.scene.indenters import Cylinder
+
+Progress = Callable[[int, int], None]
+
+_ALL = 48  # specimens up to which none is left out
+_LEVELS = 6  # values of each property for which a specimen is taken
+
+
+def missing_bend_tables(recipe: Recipe, specimens: Sequence[int] | None = None) -> set[Path]:
+    """Paths of the bend tables that `prepare` would solve."""
+    found: set[Path] = set()
+    for bent in _clamped(recipe, specimens):
+        found |= bend_store.missing(*bent)
+    return found
+
+
+def missing_press_tables(recipe: Recipe, specimens: Sequence[int] | None = None) -> set[Path]:
+    """Paths of the press tables that `prepare` would solve."""
+    if not recipe.largest_force:
+        return set()
+    found: set[Path] = set()
+    for design, mechanics in _pressed(recipe, specimens):
+        found |= press_store.missing(design, mechanics, Cylinder())
+        found |= correction_store.missing(design, mechanics, Cylinder())
+    return found
+
+
+def solved_frames(recipe: Recipe) -> int:
+    """Largest number of frames whose touches are solved in 3D, as no tables are made for them."""
+
+    def is_solved(support: Support | None) -> bool:
+        sensor = recipe.sensor
+        return not tabulable(dataclasses.replace(sensor, support=support or sensor.support))
+
+    touched = [group for group in recipe.scenes if group.state == "touch"]
+    frames = sum(group.frames for group in touched if is_solved(group.support))
+    episodes = [each for each in recipe.episodes if each.largest_force]
+    if is_solved(None):
+        frames += sum(each.count * each.frames for each in episodes)
+    return frames
+
+
+def prepare(
+    recipe: Recipe,
+    progress: Progress | None = None,
+    workers: int = 1,
+    specimens: Sequence[int] | None = None,
+) -> None:
+    """Solve the tables that specimens share, and check the recipe's forces and bends on them.
+
+    Args:
+        recipe: of the dataset.
+        progress: called with the numbers of solved bends or presses and of all in the tables that
+            are being solved.
+        workers: number of processes for dents of presses.
+        specimens: their numbers; `deciding_specimens` when omitted. Others find their tables
+            solved; one that needs another table solves it when it is simulated.
+
+    Raises ConfigurationError for forces or bends out of reach on one of the specimens.
+    """
+    specimens = deciding_specimens(recipe) if specimens is None else specimens
+    for bent in _clamped(recipe, specimens):
+        bend_store.prepare(*bent, progress)
+        for angle in recipe.extreme_angles:
+            bend_store.bend_table(*bent).check(angle)
+    if recipe.largest_force:
+        press_store.prepare(_pressed(recipe, specimens), Cylinder(), progress, workers)
+        for design, mechanics in _pressed(recipe, specimens):
+            table = press_store.press_table(design, mechanics, Cylinder())
+            deepest = table.at_force(recipe.largest_force).depth
+            if tabulable(design):
+                correction_store.prepare(design, mechanics, Cylinder(), progress)
+                corrections(design, mechanics, Cylinder()).check_depth(deepest)
+
+
+@lru_cache(maxsize=4)
+def deciding_specimens(recipe: Recipe) -> tuple[int, ...]:
+    """Numbers of the specimens that decide which tables are needed, and what is within reach.
+
+    Few specimens all decide. Among many, those do that are nearest to evenly spaced values, from
+    the least to the largest, of a property on which tables depend: the time spent on tables does
+    not grow with the number of specimens.
+    """
+    count = recipe.specimens.count
+    if count <= _ALL:
+        return tuple(range(count))
+    properties = np.array([_properties(specimen(recipe, number)) for number in range(count)])
+    chosen: set[int] = set()
+    for values in properties.T:
+        levels = np.linspace(values.min(), values.max(), _LEVELS)
+        chosen.update(int(np.abs(values - level).argmin()) for level in levels)
+    return tuple(sorted(chosen))
+
+
+def _properties(made: Specimen) -> tuple[float, ...]:
+    """Properties of a specimen on which its tables and the depth of its presses depend."""
+    fixture, height = made.fixture, np.log(made.design.thickness)
+    gel = np.log(made.mechanics.gel.shear_modulus)
+    around = np.log(made.mechanics.encapsulation.shear_modulus)
+    offset = 0.0 if isinstance(fixture, FreeArc) else fixture.offset
+    # Depth over thickness depends on force over modulus times thickness squared.
+    soft = (gel + 2.0 * height, around + 2.0 * height, gel + around + 4.0 * height)
+    return (height, around - gel, free_length(fixture), offset, *soft)
+
+
+def _clamped(
+    recipe: Recipe, specimens: Sequence[int] | None
+) -> Iterator[tuple[SensorDesign, Clamp, Mechanics]]:
+    """Designs, clamps and materials of specimens on all supports on which clamps bend them."""
+    given = [group.support for group in recipe.scenes if any(group.angle_deg)]
+    given += [None for each in recipe.episodes if any(each.angles_deg)]
+    for made in _specimens(recipe, specimens) if given else ():
+        for support in dict.fromkeys(each or made.design.support for each in given):
+            if isinstance(made.fixture, Clamp):
+                design = dataclasses.replace(made.design, support=support)
+                yield design, made.fixture, made.mechanics
+
+
+def _pressed(
+    recipe: Recipe, specimens: Sequence[int] | None
+) -> Iterator[tuple[SensorDesign, Mechanics]]:
+    """Designs and materials of specimens on all supports on which they are pressed."""
+    groups = [group.support for group in recipe.scenes if group.state == "touch"]
+    given = [None] * bool(recipe.episodes) + groups
+    for made in _specimens(recipe, specimens):
+        for support in dict.fromkeys(each or made.design.support for each in given):
+            yield dataclasses.replace(made.design, support=support), made.mechanics
+
+
+def _specimens(recipe: Recipe, specimens: Sequence[int] | None) -> Iterator[Specimen]:
+    for number in deciding_specimens(recipe) if specimens is None else specimens:
+        yield specimen(recipe, number)

@@ -1,0 +1,89 @@
+"""Summary of a dataset: what its frames hold, collected shard by shard."""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.datasets.store.dataset import Dataset
+from eitskin.datasets.store.references import SpecimenReferences
+from eitskin.datasets.store.schema import MAX_TOUCHES
+from eitskin.datasets.store.state import UNKNOWN_STATE, State
+
+Values = NDArray[Any]
+
+# Quantities whose range is told, in units of daily use.
+_RANGES: dict[str, Callable[[Dataset], Values]] = {
+    "bend_angle_deg": lambda data: data.bend_angle_deg,
+    "touch_x_mm": lambda data: 1e3 * data.touch_x,
+    "touch_y_mm": lambda data: 1e3 * data.touch_y,
+    "force_n": lambda data: data.touch_force,
+    "impedance_ohm": lambda data: np.abs(data.impedance),
+}
+
+
+class DatasetSummary:
+    """Contents of a dataset, from its parts one at a time."""
+
+    def __init__(self) -> None:
+        """Begin without frames."""
+        self._first: Dataset | None = None
+        self._frames = self._flagged = 0
+        self._states = np.zeros(UNKNOWN_STATE + 1, dtype=np.int64)
+        self._touches = np.zeros(MAX_TOUCHES + 1, dtype=np.int64)
+        self._ranges = dict.fromkeys(_RANGES, (math.inf, -math.inf))
+        self._episodes: list[Values] = []
+        self._references = SpecimenReferences()
+
+    def add(self, data: Dataset) -> None:
+        """Add the frames of one part; raises DataError where its references contradict others."""
+        self._first = self._first or data.select([])
+        self._frames += len(data)
+        self._flagged += int(np.count_nonzero(data.status))
+        self._states += np.bincount(data.state, minlength=len(self._states))
+        self._touches += np.bincount(data.touch_count, minlength=len(self._touches))
+        self._episodes.append(np.unique(data.episode))
+        self._references.add(data.specimen_number, data.reference)
+        for name, values in _RANGES.items():
+            found = values(data)
+            known = found[np.isfinite(found)]
+            if known.size:
+                least, most = self._ranges[name]
+                self._ranges[name] = min(least, float(known.min())), max(most, float(known.max()))
+
+    @property
+    def states(self) -> dict[str, int]:
+        """Number of frames in each state, and of frames whose state is unknown."""
+        counts = {state.name.lower(): int(self._states[state]) for state in State}
+        return counts | {"unknown": int(self._states[UNKNOWN_STATE])}
+
+    def contents(self) -> dict[str, Any]:
+        """Contents as plain data; None for what is unknown. At least one part has been added."""
+        first = self._first
+        if first is None:
+            raise ValueError("a summary needs at least one part, got none")
+        return {
+            "frames": self._frames,
+            "channels": first.impedance.shape[1],
+            "electrodes": first.protocol.n_electrodes if first.protocol else None,
+            "frequency_hz": first.frequency,
+            "source": first.source,
+            "seed": first.seed if first.recipe else None,
+            "specimens": len(self._references),
+            "episodes": len(np.unique(np.concatenate(self._episodes))),
+            "states": {name: count for name, count in self.states.items() if count},
+            "touches_per_frame": {
+                str(number): int(count) for number, count in enumerate(self._touches) if count
+            },
+            **{name: _range(*ends) for name, ends in self._ranges.items()},
+            "flagged_values": self._flagged,
+        }
+
+
+def _range(least: float, most: float) -> dict[str, float] | None:
+    """Least and greatest known value; None where none is known."""
+    if least > most:
+        return None
+    return {"from": float(f"{least:.4g}"), "to": float(f"{most:.4g}")}
