@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import norm
 
 from eitskin.datasets import Recipe
-from eitskin.datasets.generation.shard_simulation import missing_press_tables, prepare
+from eitskin.datasets.generation.preparation import missing_press_tables, prepare
 from eitskin.datasets.recipe.frame_sampling import specimen
 from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.datasets.recipe.specimen import MAX_DEVIATIONS, Specimens, truncated_normal
