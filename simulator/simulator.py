@@ -336,7 +336,8 @@ class Simulator:
             if model not in self._reanalyses:
                 flat = dataclasses.replace(layer, deformation=None, mean_stress=None)
                 self._reanalyses[model] = Reanalysis(model, flat)
-            return self._reanalyses[model].impedance(layer, tolerance)
+            solved = self._reanalyses[model]
+            return solved.base if layer.deformation is None else solved.impedance(layer, tolerance)
         if layer.deformation is None:
             return model.impedance()
         return model.impedance(layer.conductivity, layer.area_ratio)

@@ -23,7 +23,6 @@ from eitskin.benchmarks.accuracy.truth import drops
 from eitskin.benchmarks.speed.scenes import (
     ANGLES,
     FORCES,
-    JUMPING,
     LIVE_SCENES,
     PER_BEND,
     PROCESSES,
@@ -49,7 +48,7 @@ Watch: TypeAlias = Callable[[str, Sequence[Any]], Iterable[Any]]
 
 SCENES_PER_WAY, QUICK_SCENES = 384, 32  # of each process
 FRAMES, QUICK_FRAMES = 400, 60  # of each scene through the pipeline
-QUICK_WORKLOADS = (WORKLOADS[0], JUMPING)
+QUICK_WORKLOADS = WORKLOADS[:1]
 SETTLED = 20  # frames before those whose time counts: references are taken then
 
 
@@ -78,7 +77,7 @@ class Floor:
 
 @dataclass(frozen=True, slots=True)
 class Generation:
-    """A dataset of single touches, as many to a bend, on the hinge without transition.
+    """A dataset of single touches, each on a bend of its own.
 
     Attributes:
         frames: of the dataset, made by `PROCESSES` workers.
@@ -135,7 +134,7 @@ def run(seed: int, quick: bool, watch: Watch = lambda _, items: items) -> Speed:
     workloads = QUICK_WORKLOADS if quick else WORKLOADS
     with ProcessPoolExecutor(PROCESSES, multiprocessing.get_context("spawn")) as pool:
         rates = tuple(rate(workload, count, pool) for workload in watch("workloads", workloads))
-    engine = next(each for each in rates if each.name == JUMPING.name)
+    engine = rates[0]
     with require("threadpoolctl", "bench").threadpool_limits(1):
         (other,) = (solve(seed) for solve in watch("pyEIT", [pyeit]))
         least = floor()
@@ -175,7 +174,7 @@ def floor(count: int = PER_BEND) -> Floor:
     Counted are element matrices, static condensation, and for each correction a solution with the
     factors and a product with the element matrices. The scene's fields are not.
     """
-    sim = WORKLOADS[0].simulator("fast")
+    sim = next(WORKLOADS[0].simulators(1))
     some = scenes(WORKLOADS[0], count, 5)
     solved = Reanalysis(sim.model, sim.deformed_layer(Scene()))
     before = solved.solutions
@@ -214,9 +213,9 @@ def _product_rate(size: int = 1500) -> float:
     return 2 * size**3 / (time.process_time() - start)
 
 
-def recipe(frames: int, per_bend: int = PER_BEND) -> Recipe:
-    """Recipe of single touches, as many to a bend."""
-    group = SceneGroup("touch", frames, ANGLES, force=FORCES, per_bend=per_bend)
+def recipe(frames: int) -> Recipe:
+    """Recipe of single touches, each on a bend of its own."""
+    group = SceneGroup("touch", frames, ANGLES, force=FORCES)
     return Recipe(name="rate", scenes=(group,), frames_per_shard=256)
 
 

@@ -1,24 +1,28 @@
 """Workloads of the simulator: scenes per second and errors.
 
-Random presses of 5 to 12 N on the reference sensor: single ones and up to four, many of one bend
-and each with its own, by reanalysis and one by one, on two processes at once. Errors are those of
-the presses' signals against the resolution "fine". The hinge has a transition: without, presses at
-its ends meet a jump inside cells, which no resolution gets right, as one workload shows.
+Random presses of 4 to 12 N on the reference sensor in its default clamp: single ones and up to
+four, each with a bend of its own or many of one bend, by reanalysis and one by one, on two
+processes at once; and specimens of the recipe `training`, each set up and used for some scenes.
+Errors are those of the presses' signals against the resolution "fine".
 """
 
 import dataclasses
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import cache
+from itertools import groupby, repeat
+from operator import itemgetter
 
 import numpy as np
 from numpy.typing import NDArray
 
+from eitskin.datasets.recipe.frame_sampling import specimen
+from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.recipe.touch_sampling import draw_positions
 from eitskin.extras import require
-from eitskin.geometry.deformation.fixtures import Bend, Hinge
+from eitskin.geometry.deformation.fixtures import Bend
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.simulator.electrical.reanalysis import TOLERANCE
@@ -30,9 +34,11 @@ from eitskin.simulator.simulator import Simulator
 Array = NDArray[np.float64]
 
 ANGLES = (-20.0, 50.0)
-FORCES = (5.0, 12.0)
+FORCES = (4.0, 12.0)
 PER_BEND = 32
-JUDGED = 12  # scenes of which the error is known
+PER_SPECIMEN = 22  # frames, as in the recipe `training`
+_TRUE = 1e-6  # tolerance of signals that others are judged by
+JUDGED = 50  # scenes of which the error is known
 PROCESSES = 2
 
 
@@ -45,32 +51,38 @@ class Workload:
         touches: lowest and highest number at once.
         per_bend: scenes that share a bend.
         resolution: of the simulator.
-        tolerance: of reanalysis; 0 for scenes that are each solved by itself.
-        transition: of the hinge [m].
+        tolerance: of reanalysis.
+        specimens: whether every `PER_SPECIMEN` scenes have a specimen of their own.
     """
 
     name: str
     touches: tuple[int, int] = (1, 1)
-    per_bend: int = PER_BEND
+    per_bend: int = 1
     resolution: Resolution = "fast"
     tolerance: float = TOLERANCE
-    transition: float = 0.010
+    specimens: bool = False
 
-    def simulator(self, resolution: Resolution) -> Simulator:
-        """Simulator of the reference sensor."""
-        hinge = Hinge(transition=self.transition)
-        return Simulator(SensorDesign.reference(), resolution, fixture=hinge)
+    def simulators(self, count: int) -> Iterator[Simulator]:
+        """Simulator of each scene."""
+        if not self.specimens:
+            yield from repeat(_reference(self.resolution), count)
+            return
+        recipe = Recipe.shipped("training")
+        for number in range(-(-count // PER_SPECIMEN)):
+            made = specimen(recipe, number)
+            sim = Simulator(made.design, self.resolution, made.fixture, mechanics=made.mechanics)
+            yield from repeat(sim, min(PER_SPECIMEN, count - number * PER_SPECIMEN))
 
 
-JUMPING = Workload("one touch, 32 per bend, hinge without transition", transition=0.0)
 WORKLOADS = (
-    Workload("one touch, 32 per bend"),
-    Workload("one to four touches, 32 per bend", touches=(1, 4)),
-    Workload("one touch, bends of their own", per_bend=1),
-    Workload("one to four touches, bends of their own", (1, 4), 1),
-    Workload("one touch, 32 per bend, each solved by itself", tolerance=0.0),
-    Workload("one touch, 32 per bend, resolution `standard`", resolution="standard"),
-    JUMPING,
+    Workload("one touch"),
+    Workload("one to four touches", (1, 4)),
+    Workload("one touch, 32 per bend", per_bend=PER_BEND),
+    Workload("one touch, resolution `coarse`", resolution="coarse"),
+    Workload("one to four touches, resolution `coarse`", (1, 4), resolution="coarse"),
+    Workload("one touch, resolution `standard`", resolution="standard"),
+    Workload("one touch, specimens of their own", specimens=True),
+    Workload("one touch, each solved by itself", tolerance=0.0),
 )
 
 
@@ -111,11 +123,10 @@ def scenes(workload: Workload, count: int, seed: int) -> list[Scene]:
 def work(workload: Workload, count: int, seed: int) -> tuple[float, float]:
     """Time and processor time [s] of solving `count` scenes, after meshing and a first scene."""
     with require("threadpoolctl", "bench").threadpool_limits(1):
-        sim = workload.simulator(workload.resolution)
         some = scenes(workload, count, seed)
-        sim.measure(some[0])
+        _measured(workload, some[:1])
         start = time.perf_counter(), time.process_time()
-        sim.measure_all(some, workload.tolerance)
+        _measured(workload, some)
         return time.perf_counter() - start[0], time.process_time() - start[1]
 
 
@@ -135,26 +146,40 @@ def rate(workload: Workload, count: int, pool: ProcessPoolExecutor) -> Rate:
 
 
 def signal_errors(workload: Workload) -> Array:
-    """Relative errors of the signals of some scenes, four to a bend, (JUDGED,)."""
-    some = scenes(dataclasses.replace(workload, per_bend=min(workload.per_bend, 4)), JUDGED, 99)
-    truth = _true_signals(tuple(some), workload.transition)
-    missed = _signals(some, workload, workload.resolution) - truth
+    """Relative errors of the signals of some scenes, (JUDGED,)."""
+    judged = dataclasses.replace(workload, per_bend=1, specimens=False)
+    truth = _true_signals(judged.touches)
+    missed = _signals(judged) - truth
     found: Array = np.linalg.norm(missed, axis=1) / np.linalg.norm(truth, axis=1)
     return found
 
 
 @cache
-def _true_signals(some: tuple[Scene, ...], transition: float) -> Array:
-    return _signals(some, Workload("", tolerance=0.0, transition=transition), "fine")
+def _true_signals(touches: tuple[int, int]) -> Array:
+    return _signals(Workload("", touches, resolution="fine", tolerance=_TRUE))
 
 
-def _signals(some: Sequence[Scene], workload: Workload, resolution: Resolution) -> Array:
-    """Signals of the touches [ohm], (scenes, measurements)."""
-    sim = workload.simulator(resolution)
-    both = [*some, *(Scene(scene.bend) for scene in some)]
-    measured = sim.measure_all(both, workload.tolerance).real
-    changes: Array = measured[: len(some)] - measured[len(some) :]
+def _signals(workload: Workload) -> Array:
+    """Signals of the touches of the judged scenes [ohm], (JUDGED, measurements)."""
+    some = scenes(workload, JUDGED, 99)
+    measured = _measured(workload, [*some, *(Scene(scene.bend) for scene in some)])
+    changes: Array = measured[:JUDGED] - measured[JUDGED:]
     return changes
+
+
+def _measured(workload: Workload, some: Sequence[Scene]) -> Array:
+    """Measurements [ohm] of scenes, (scenes, measurements)."""
+    pairs = zip(workload.simulators(len(some)), some, strict=True)
+    found = [
+        sim.measure_all([scene for _, scene in own], workload.tolerance)
+        for sim, own in groupby(pairs, key=itemgetter(0))
+    ]
+    return np.concatenate(found).real
+
+
+@cache
+def _reference(resolution: Resolution) -> Simulator:
+    return Simulator(SensorDesign.reference(), resolution)
 
 
 FOUR = tuple(

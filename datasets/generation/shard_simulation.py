@@ -145,7 +145,7 @@ def _solve(
         solved[number, Scene()] = flat_impedance(made, recipe.resolution)
         scenes = [scene for scene in distinct if scene != Scene()]
         for tabulated, alike in _by_touch_model(made.design, scenes).items():
-            simulator = _simulator(made, recipe.resolution, tabulated)
+            simulator = _simulator(made, recipe.resolution, tabulated=tabulated)
             found = simulator.measure_all(alike, before_each=before_solve)
             solved |= {(number, scene): row for scene, row in zip(alike, found, strict=True)}
     return solved
@@ -163,7 +163,7 @@ def _by_touch_model(design: SensorDesign, scenes: Sequence[Scene]) -> dict[bool,
 # Meshing takes as long as a few scenes, so simulators are cached, but only a few: each holds the
 # matrices of its mesh. Specimens follow each other, so that shards next to each other share one.
 @lru_cache(maxsize=4)
-def _simulator(made: Specimen, resolution: Resolution, tabulated: bool = True) -> Simulator:
+def _simulator(made: Specimen, resolution: Resolution, *, tabulated: bool) -> Simulator:
     return Simulator(
         made.design,
         resolution=resolution,
@@ -176,4 +176,5 @@ def _simulator(made: Specimen, resolution: Resolution, tabulated: bool = True) -
 @lru_cache(maxsize=64)
 def flat_impedance(made: Specimen, resolution: Resolution) -> Impedance:
     """Noise-free impedances of the flat, untouched specimen [ohm]."""
-    return _simulator(made, resolution).measure(Scene()).impedance
+    found: Impedance = _simulator(made, resolution, tabulated=True).measure_all([Scene()])[0]
+    return found

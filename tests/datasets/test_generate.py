@@ -257,17 +257,17 @@ MANY = Recipe(
 
 def test_a_shard_solves_and_holds_only_its_own_specimens(tmp_path, monkeypatch):
     flat, prepared = [], []
-    measure, prepare_bends = Simulator.measure, bend_store.prepare
+    measure_all, prepare_bends = Simulator.measure_all, bend_store.prepare
 
-    def measuring(self, scene, *arguments):
-        flat.append(scene == Scene())
-        return measure(self, scene, *arguments)
+    def measuring(self, scenes, *arguments, **options):
+        flat.append(scenes == [Scene()])
+        return measure_all(self, scenes, *arguments, **options)
 
     def preparing(*arguments):
         prepared.append(arguments)
         return prepare_bends(*arguments)
 
-    monkeypatch.setattr(Simulator, "measure", measuring)
+    monkeypatch.setattr(Simulator, "measure_all", measuring)
     monkeypatch.setattr(bend_store, "prepare", preparing)
     in_this_process(monkeypatch)
     assert generate(MANY, tmp_path / "set", shard=150) is None

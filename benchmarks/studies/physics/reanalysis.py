@@ -33,7 +33,7 @@ SEED = 3
 
 def main() -> None:
     """Print the table, and errors and solutions by the default tolerance."""
-    sim = WORKLOADS[0].simulator("fast")
+    sim = next(WORKLOADS[0].simulators(1))
     print(Provenance.now(SEED))
     print("\n| bend of the factors |", *(f"solutions: {n} |" for n in range(1, MOST + 1)))
     print("|---" * (1 + MOST) + "|")
@@ -69,7 +69,7 @@ def after_solutions(sim: Simulator, factorised_deg: float, touches: tuple[int, i
 def by_default(sim: Simulator, touches: tuple[int, int]) -> tuple[Array, Array]:
     """Relative errors of signals, and solutions of each touched scene, both (JUDGED,)."""
     solved = Reanalysis(sim.model, sim.deformed_layer(Scene()))
-    some = scenes(dataclasses.replace(WORKLOADS[0], touches=touches, per_bend=1), JUDGED, SEED)
+    some = scenes(dataclasses.replace(WORKLOADS[0], touches=touches), JUDGED, SEED)
     found, solutions = [], []
     for scene in some:
         flat = solved.impedance(sim.deformed_layer(Scene(scene.bend)))
