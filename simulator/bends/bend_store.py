@@ -11,7 +11,7 @@ import dataclasses
 import logging
 import math
 from collections.abc import Callable, Iterator
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -174,7 +174,7 @@ def prepare(
             if progress:
                 progress(before + done, each * len(cases))
 
-        _write(_solve(case, report), solved_files.folder() / case.name)
+        _kept(case, report)
 
 
 def on_support(clamp: Clamp, support: Support) -> Clamp:
@@ -270,19 +270,23 @@ def _case(
 
 def _stored(case: _Case) -> BendTable:
     """Table of a case from package or disk, or solved now and stored."""
-    found = _read(SHIPPED / case.name) or _read(solved_files.folder() / case.name)
-    if found is None:
-        log.info("solving the bends of a clamped sensor, which takes half a minute")
-        path = solved_files.folder() / case.name
-        _write(_solve(case), path)
-        found = _read(path)
-    if found is None:  # the disk cannot be written
-        found = _solve(case)
+    found = _read(SHIPPED / case.name) or _kept(case)
     length, modulus = case.scales
     scale = dict.fromkeys(_LENGTHS, length)
     scale |= dict.fromkeys(("energies", "moments"), modulus * length**3)
     arrays = tables.arrays_of(found).items()
     return BendTable(**{name: scale.get(name, 1.0) * array for name, array in arrays})
+
+
+def _kept(case: _Case, progress: Progress | None = None) -> BendTable:
+    path = solved_files.folder() / case.name
+
+    def solve() -> BendTable:
+        log.info("solving the bends of a clamped sensor, which takes half a minute")
+        return _solve(case, progress)
+
+    found = solved_files.kept(path, partial(_read, path), solve, partial(_write, path=path))
+    return _read(path) or found  # rounded as in the file, whether solved now or before
 
 
 def _solve(case: _Case, progress: Progress | None = None) -> BendTable:

@@ -82,10 +82,11 @@ _MOST_KEPT = 16  # in memory, each of some megabytes
 def _kept(path: Path, kind: type[Solved], solve: Callable[[], Solved]) -> Solved:
     """Solution from memory or disk, or solved now and stored."""
     known = _memory.get(path)
-    found = known if isinstance(known, kind) else _read(path, kind)
+    found = known if isinstance(known, kind) else None
     if found is None:
-        found = solve()
-        _write(path, found)
+        found = solved_files.kept(
+            path, lambda: _read(path, kind), solve, lambda made: _write(path, made)
+        )
     _memory.pop(path, None)
     _memory[path] = found
     while len(_memory) > _MOST_KEPT:

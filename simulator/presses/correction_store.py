@@ -3,7 +3,7 @@
 import dataclasses
 import math
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import lru_cache
 from pathlib import Path
 from typing import TypeVar
@@ -230,48 +230,38 @@ def _stored(
     indenter: Indenter,
     report: Report | None = None,
 ) -> CorrectionTable:
-    name = _name(design, stack, mechanics, indenter)
-    found = _read(CorrectionTable, name)
-    if found is None:
-        found = solve_corrections(
-            _rectangle(design),
-            stack,
-            _around(stack, mechanics),
-            design.support,
-            indenter,
-            report,
-            os.cpu_count() or 1,
+    def solve() -> CorrectionTable:
+        around, workers = _around(stack, mechanics), os.cpu_count() or 1
+        return solve_corrections(
+            _rectangle(design), stack, around, design.support, indenter, report, workers
         )
-        solved_files.write(solved_files.folder() / name, dict(_arrays(found)))
-    return found
+
+    return _kept(CorrectionTable, _name(design, stack, mechanics, indenter), solve)
 
 
 @lru_cache(maxsize=64)
 def pair_table(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -> PairTable:
     """Pairs of presses on the solved stack nearest to a design's; minutes where not stored."""
     stack, _ = _needed(design, mechanics)
-    name = _pair_name(design, stack, mechanics, indenter)
-    found = _read(PairTable, name)
-    if found is None:
+
+    def solve() -> PairTable:
         around, workers = _around(stack, mechanics), os.cpu_count() or 1
-        found = solve_pairs(_rectangle(design).width, stack, around, indenter, workers)
-        solved_files.write(solved_files.folder() / name, dict(_arrays(found)))
-    return found
+        return solve_pairs(_rectangle(design).width, stack, around, indenter, workers)
+
+    return _kept(PairTable, _pair_name(design, stack, mechanics, indenter), solve)
 
 
 def _strip(
     design: SensorDesign, strip: _Strip, mechanics: Mechanics, indenter: Indenter
 ) -> StripTable:
-    name = _strip_name(design, strip, mechanics, indenter)
-    found = _read(StripTable, name)
-    if found is None:
+    def solve() -> StripTable:
         stack, workers = strip.stack, os.cpu_count() or 1
         around, support = _around(stack, mechanics), design.support
-        found = solve_strip(
+        return solve_strip(
             _rectangle(design), stack, around, support, indenter, workers, strip.fine
         )
-        solved_files.write(solved_files.folder() / name, dict(_arrays(found)))
-    return found
+
+    return _kept(StripTable, _strip_name(design, strip, mechanics, indenter), solve)
 
 
 def _around(stack: Stack, mechanics: Mechanics) -> Mechanics:
@@ -373,6 +363,17 @@ def _read(kind: type[Table], name: str) -> Table | None:
     values = None if path is None else _loaded(path, path.stat().st_mtime_ns)
     names = {field.name for field in dataclasses.fields(kind)}
     return kind(**values) if values is not None and names == set(values) else None
+
+
+def _kept(kind: type[Table], name: str, solve: Callable[[], Table]) -> Table:
+    """Table from package or disk, or solved now and stored."""
+    path = solved_files.folder() / name
+    return solved_files.kept(
+        path,
+        lambda: _read(kind, name),
+        solve,
+        lambda table: solved_files.write(path, dict(_arrays(table))),
+    )
 
 
 # Specimens of one design share tables, and most scenes follow others of the same.

@@ -3,7 +3,7 @@
 import dataclasses
 import math
 from collections.abc import Iterable
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import repeat
 from pathlib import Path
 
@@ -168,14 +168,14 @@ def stored(stack: Stack, indenter: Indenter) -> PressTable:
     """Table of the conductive layer from the disk, or solved now and stored."""
     length, modulus = _scales(stack)
     path = _path(stack, indenter)
-    found = _read(LIBRARY / path.name) or _read(path)
-    if found is None:
-        found = tables.solve_table(
-            _scaled_stack(stack, length, modulus),
-            stack.gel,
-            _ScaledIndenter(indenter, length),
-        )
-        solved_files.write(path, _arrays(found))
+
+    def solve() -> PressTable:
+        scaled = _scaled_stack(stack, length, modulus)
+        return tables.solve_table(scaled, stack.gel, _ScaledIndenter(indenter, length))
+
+    found = _read(LIBRARY / path.name) or solved_files.kept(
+        path, partial(_read, path), solve, lambda table: solved_files.write(path, _arrays(table))
+    )
     scale = dict.fromkeys(_LENGTHS, length) | dict.fromkeys(_STRESSES, modulus)
     scale |= {"forces": modulus * length**2, "energies": modulus * length**3}
     values = {name: scale.get(name, 1.0) * array for name, array in _arrays(found).items()}
