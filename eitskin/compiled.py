@@ -1,11 +1,14 @@
-"""Compiled kernels: loops that numba compiles, used where numba is installed (extra `fast`).
+"""Compiled kernels: loops that numba compiles, used for many scenes where numba is installed.
 
-Every kernel has a plain twin in numpy beside the place where it is used, which runs without numba
-or where the environment variable EITSKIN_PLAIN is set; both agree to rounding.
+Every kernel has a plain twin in numpy beside the place where it is used, which runs for single
+scenes, without numba (extra `fast`), or where the environment variable EITSKIN_PLAIN is set. Both
+agree to rounding.
 """
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
@@ -14,13 +17,34 @@ from typing import TypeVar, cast
 
 Loop = TypeVar("Loop", bound=Callable[..., object])
 
+_wanted: ContextVar[bool] = ContextVar("_wanted", default=False)
+
+
+@contextmanager
+def kernels() -> Iterator[None]:
+    """Context in which `compiled` gives kernels.
+
+    Loading them takes half a second, as long as some scenes take without: a command that simulates
+    one scene is faster plain.
+    """
+    before = _wanted.set(True)
+    try:
+        yield
+    finally:
+        _wanted.reset(before)
+
+
+def compiled(module: str) -> ModuleType | None:
+    """Module of kernels by its name; None without numba, and outside of `kernels`."""
+    return loaded(module) if _wanted.get() else None
+
 
 @cache
-def compiled(module: str) -> ModuleType | None:
+def loaded(module: str) -> ModuleType | None:
     """Module of kernels by its name; None without numba.
 
-    numba is imported by the first call, which takes 0.2 s. The first call of a kernel compiles it;
-    what it compiles is kept on disk beside the module, or in the user's cache folder.
+    The first call of a kernel compiles it; what it compiles is kept on disk beside the module, or
+    in the user's cache folder.
     """
     if os.environ.get("EITSKIN_PLAIN") or find_spec("numba") is None:
         return None

@@ -8,6 +8,7 @@ from typing import TypeAlias, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from eitskin.compiled import kernels
 from eitskin.errors import ConfigurationError
 from eitskin.frame import Frame
 from eitskin.geometry.deformation.fixtures import Bend, Clamp, Fixture
@@ -258,10 +259,11 @@ class Simulator:
             before_each: called before each solution; may raise to stop.
         """
         found: dict[Scene, NDArray[np.complex128]] = {}
-        for group in _by_bend(scenes).values():
-            for scene in group:
-                before_each()
-                found[scene] = self._measured(self._impedance(scene, tolerance))
+        with kernels():
+            for group in _by_bend(scenes).values():
+                for scene in group:
+                    before_each()
+                    found[scene] = self._measured(self._impedance(scene, tolerance))
         return np.array([found[scene] for scene in scenes])
 
     def _model_of(self, scene: Scene) -> ForwardModel:

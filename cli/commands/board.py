@@ -22,7 +22,7 @@ SceneFile = Annotated[
     Path | None, typer.Option(help="Scene or script (TOML); flat and untouched when omitted.")
 ]
 BoardResolution = Annotated[
-    str, typer.Option(help="Resolution of the simulator: fast, standard or fine.")
+    str, typer.Option(help="Resolution of the simulator: coarse, fast, standard or fine.")
 ]
 Instrument = Annotated[
     str | None, typer.Option(help="ad5940: all terms of its chain; white noise when omitted.")

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 def command(
     *,
     sensor: SensorFile = None,
-    resolution: Annotated[str, typer.Option(help="fast, standard or fine.")] = "standard",
+    resolution: Annotated[str, typer.Option(help="coarse, fast, standard or fine.")] = "standard",
     cells: Annotated[
         str | None,
         typer.Option(help="hexahedra, prisms or tetrahedra; what suits the outline when omitted."),

@@ -43,7 +43,7 @@ def command(
     mechanics: MechanicsFile = None,
     fixture: FixtureFile = None,
     touch_model: PressModel = "",
-    resolution: Annotated[str, typer.Option(help="fast, standard or fine.")] = "standard",
+    resolution: Annotated[str, typer.Option(help="coarse, fast, standard or fine.")] = "standard",
     noise: Annotated[
         float | None, typer.Option(help="Add white noise this many dB below full scale.")
     ] = None,
