@@ -115,7 +115,7 @@ def test_goes_on_after_connecting_again(board):
         ("virtual:?simulator=x", "cannot be said in a URI"),
         ("virtual:scene.toml", r"write virtual:\?scene=scene.toml"),
         ("virtual:?speed=fast", "speed must be one of real, max, got 'fast'"),
-        ("virtual:?resolution=best", "resolution must be one of fast, standard, fine"),
+        ("virtual:?resolution=best", "resolution must be one of coarse, fast, standard, fine"),
         ("virtual:?faults=gremlins", "name among bit_flip, .*got 'gremlins'"),
         ("virtual:?scene=missing.toml", "missing.toml"),
     ],

@@ -142,7 +142,7 @@ def test_impossible_conductivities_are_refused(model, conductivity, message) -> 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"resolution": "finest"}, "fast, standard, fine"),
+        ({"resolution": "finest"}, "coarse, fast, standard, fine"),
         ({"solver": "multigrid"}, "solver must be"),
     ],
 )
