@@ -14,7 +14,8 @@ from eitskin.simulator.mechanics import solved_files
 
 pytest.importorskip("fcntl", reason="locks of files are those of POSIX")
 
-# Asks for the solution in argv[1]; says `solving`, and solves when a line comes.
+# Asks for the solution in argv[1]; says `looked` whenever it has looked for the file, and
+# `solving`, and solves when a line comes.
 ASKER = """
 import sys
 from functools import partial
@@ -27,8 +28,11 @@ def solve():
     print("solving", flush=True)
     sys.stdin.readline()
     return {"x": np.array([float(sys.argv[2])])}
-print("asking", flush=True)
-read, write = partial(solved_files.read, path), partial(solved_files.write, path)
+def read():
+    found = solved_files.read(path)
+    print("looked", flush=True)
+    return found
+write = partial(solved_files.write, path)
 print(float(solved_files.kept(path, read, solve, write)["x"][0]), flush=True)
 """
 
@@ -43,7 +47,7 @@ def ask(tmp_path):
         command = [sys.executable, "-c", ASKER, str(path), str(number)]
         pipe = subprocess.PIPE
         started.append(subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True))
-        assert started[-1].stdout.readline() == "asking\n"
+        assert started[-1].stdout.readline() == "looked\n"
         return started[-1]
 
     yield start
@@ -52,25 +56,33 @@ def ask(tmp_path):
         process.communicate()
 
 
+def said(process, lines):
+    return [process.stdout.readline().strip() for _ in range(lines)]
+
+
+def go_on(process):
+    process.stdin.write("\n")
+    process.stdin.flush()
+
+
 def test_others_wait_for_the_one_that_solves(ask, tmp_path) -> None:
     first = ask(1)
-    assert first.stdout.readline() == "solving\n"
+    assert said(first, 2) == ["looked", "solving"]
     second = ask(2)
-    first.stdin.write("\n")
-    first.stdin.flush()
-    assert first.stdout.readline() == second.stdout.readline() == "1.0\n"
+    go_on(first)
+    assert said(first, 1) == ["1.0"]
+    assert said(second, 2) == ["looked", "1.0"]
     assert {path.name for path in tmp_path.iterdir()} == {"kept.npz"}
 
 
 def test_when_the_one_that_solves_is_killed_another_solves(ask) -> None:
     first = ask(1)
-    assert first.stdout.readline() == "solving\n"
+    assert said(first, 2) == ["looked", "solving"]
     second = ask(2)
     os.kill(first.pid, signal.SIGKILL)
-    assert second.stdout.readline() == "solving\n"
-    second.stdin.write("\n")
-    second.stdin.flush()
-    assert second.stdout.readline() == "2.0\n"
+    assert said(second, 2) == ["looked", "solving"]
+    go_on(second)
+    assert said(second, 1) == ["2.0"]
 
 
 def test_a_folder_that_cannot_be_written_lets_each_solve(tmp_path) -> None:
