@@ -44,7 +44,7 @@ def ask(tmp_path):
 
     def start(number):
         path = tmp_path / "kept.npz"
-        command = [sys.executable, "-c", ASKER, str(path), str(number)]
+        command = [sys.executable, "-P", "-c", ASKER, str(path), str(number)]
         pipe = subprocess.PIPE
         started.append(subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True))
         assert started[-1].stdout.readline() == "looked\n"
