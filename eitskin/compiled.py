@@ -43,18 +43,23 @@ def compiled(module: str) -> ModuleType | None:
 def loaded(module: str) -> ModuleType | None:
     """Module of kernels by its name; None without numba.
 
-    The first call of a kernel compiles it; what it compiles is kept on disk beside the module, or
-    in the user's cache folder.
+    The first import compiles them, in some seconds; what it compiles is kept on the disk beside the
+    module, or in the user's cache folder.
     """
     if os.environ.get("EITSKIN_PLAIN") or find_spec("numba") is None:
         return None
     return import_module(module)
 
 
-def kernel(loop: Loop) -> Loop:
-    """Compile a function of arrays and numbers, at its first call for their types."""
+def kernel(types: str) -> Callable[[Loop], Loop]:
+    """Decorator that compiles a function of numbers and contiguous arrays of these types.
+
+    There is one version of every kernel: processes that compiled others at the same time could mix
+    them up on the disk.
+    """
     from numba import njit
 
     # Sums may be taken in another order and products contracted; infinities and NaN keep meaning.
     flags = {"contract", "reassoc", "nsz", "arcp"}
-    return cast("Loop", njit(cache=True, error_model="numpy", fastmath=flags)(loop))
+    made = njit(types, cache=True, error_model="numpy", fastmath=flags)
+    return cast("Callable[[Loop], Loop]", made)

@@ -173,7 +173,6 @@ def _simulator(made: Specimen, resolution: Resolution, *, tabulated: bool) -> Si
     )
 
 
-@lru_cache(maxsize=64)
 def flat_impedance(made: Specimen, resolution: Resolution) -> Impedance:
     """Noise-free impedances of the flat, untouched specimen [ohm]."""
     found: Impedance = _simulator(made, resolution, tabulated=True).measure_all([Scene()])[0]

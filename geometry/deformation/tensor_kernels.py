@@ -8,7 +8,7 @@ from eitskin.compiled import kernel
 Array = NDArray[np.float64]
 
 
-@kernel
+@kernel("f8[:,:,::1](f8[:,:,::1], f8[:,:,::1])")
 def products(second: Array, first: Array) -> Array:
     """Products of gradients, (n, 3, 3)."""
     found = np.empty((len(first), 3, 3))
@@ -20,7 +20,7 @@ def products(second: Array, first: Array) -> Array:
     return found
 
 
-@kernel
+@kernel("i8(f8[:,:,::1], f8[:,::1])")
 def pull_back(F: Array, entries: Array) -> int:
     """Number of F, (n, 3, 3), whose J is not positive; sets `entries` of J F^-1 F^-T, (n, 6).
 

@@ -10,7 +10,7 @@ from eitskin.compiled import kernel
 Array = NDArray[np.float64]
 
 
-@kernel
+@kernel("void(UniTuple(f8, 2), f8[::1], f8[::1], f8[::1], f8[:,:,::1], f8, f8[:,:,::1])")
 def add_dent(
     place: tuple[float, float],
     x: Array,

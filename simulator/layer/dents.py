@@ -122,8 +122,10 @@ def _move(presses: tuple[PlacedDent, ...], columns: Points, moved: Array) -> Non
         if kernels is not None and isinstance(press.dent, TabulatedDent) and _are_even(columns):
             pieces = press.dent.at_heights(columns[0, :, 2])
             by_piece = np.ascontiguousarray(pieces.c.swapaxes(0, 1))
-            axes = columns[:, 0, 0], columns[:, 0, 1]
-            kernels.add_dent((press.x, press.y), *axes, pieces.x, by_piece, _HAIR, moved)
+            axes = columns[:, 0, :2].T.copy()
+            kernels.add_dent(
+                (float(press.x), float(press.y)), *axes, pieces.x, by_piece, _HAIR, moved
+            )
         else:
             plain.append(press)
     for same in _alike(plain):

@@ -10,7 +10,7 @@ from eitskin.compiled import kernel
 Array = NDArray[np.float64]
 
 
-@kernel
+@kernel("boolean(f8[:,::1], i8, i8, f8[:,::1])")
 def condense(matrices: Array, outer: int, inner: int, own: Array) -> bool:
     """Static condensation of element matrices to lower triangles `own` (elements, pairs).
 

@@ -89,7 +89,8 @@ def in_plane(
     found = np.empty((len(points), 3, coefficients.shape[2]))
     kernels = compiled("eitskin.simulator.mechanics.spline_kernels")
     if kernels is not None:
-        kernels.sums(along.knots, across.knots, coefficients, points, found)
+        solid = (np.ascontiguousarray(each, np.float64) for each in (coefficients, points))
+        kernels.sums(along.knots, across.knots, *solid, found)
         return found
     flat = coefficients.reshape(-1, coefficients.shape[2])
     for start in range(0, len(points), _AT_ONCE):

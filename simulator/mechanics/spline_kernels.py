@@ -8,7 +8,7 @@ from eitskin.compiled import kernel
 Array = NDArray[np.float64]
 
 
-@kernel
+@kernel("i8(f8[::1], f8, i8, f8[::1], f8[::1])")
 def functions(t: Array, x: float, cell: int, values: Array, slopes: Array) -> int:
     """Number of the first of four splines at x, after the cell that was found last.
 
@@ -33,7 +33,7 @@ def functions(t: Array, x: float, cell: int, values: Array, slopes: Array) -> in
     return cell
 
 
-@kernel
+@kernel("void(f8[::1], f8[::1], f8[:,:,::1], f8[:,::1], f8[:,:,::1])")
 def sums(tx: Array, ty: Array, coefficients: Array, points: Array, found: Array) -> None:
     """Sums of products of splines and their slopes by x and y, `found` (n, 3, k).
 
@@ -65,7 +65,7 @@ def sums(tx: Array, ty: Array, coefficients: Array, points: Array, found: Array)
                 found[n, 2, m] += a[p] * slope[m]
 
 
-@kernel
+@kernel("void(f8[::1], f8[::1], f8[:,:,::1], f8[:,::1], f8, f8[:,:,::1])")
 def gradients(
     tx: Array, ty: Array, coefficients: Array, points: Array, scale: float, found: Array
 ) -> None:

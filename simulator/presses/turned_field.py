@@ -44,13 +44,12 @@ class TurnedField:
         if kernels is not None and even and nz == _QUADRATIC:
             field, (length, width, _) = self.field, self.field.box.high
             kernels.move(
-                (self.x, self.y, self.cos, self.sin),
+                (float(self.x), float(self.y), float(self.cos), float(self.sin)),
                 (length, width),
                 *(axis.knots for axis in field.splines),
                 field.coefficients[..., :3].reshape(nx, ny, 9).astype(np.float64),
-                *field.over_height(columns[:1, :, 2].ravel()),
-                columns[:, 0, 0],
-                columns[:, 0, 1],
+                *map(np.ascontiguousarray, field.over_height(columns[:1, :, 2].ravel())),
+                *columns[:, 0, :2].T.copy(),
                 found,
             )
             return found

@@ -9,7 +9,10 @@ from eitskin.simulator.mechanics.spline_kernels import functions
 Array = NDArray[np.float64]
 
 
-@kernel
+@kernel(
+    "void(UniTuple(f8, 4), UniTuple(f8, 2), f8[::1], f8[::1], "
+    "f8[:,:,::1], f8[:,::1], f8[:,::1], f8[::1], f8[::1], f8[:,:,::1])"
+)
 def move(
     frame: tuple[float, float, float, float],
     half: tuple[float, float],

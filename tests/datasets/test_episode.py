@@ -235,7 +235,7 @@ def test_where_nothing_moves_nothing_is_solved_twice_or_interpolated(monkeypatch
     asked = []
 
     def measure_all(self, scenes, **_options):
-        asked.extend(scenes)
+        asked.extend(scene for scene in scenes if scene != Scene())
         return linear_in_the_angle(self, scenes) + 1 / 3
 
     monkeypatch.setattr(Simulator, "measure_all", measure_all)
