@@ -14,10 +14,11 @@ from eitskin.simulator import Scene, Simulator, Touch
 from eitskin.simulator.presses.smooth_field import Box, SmoothField
 from eitskin.simulator.presses.smooth_sum import SmoothSum
 
-pytest.importorskip("numba", reason="needs the extra `fast`")
+KERNELS = "eitskin.geometry.deformation.tensor_kernels"
+if compiled.loaded(KERNELS) is None:
+    pytest.skip("needs the extra `fast`, without EITSKIN_PLAIN", allow_module_level=True)
 
 COARSE = ((2, 2, 1), Grading(2e-3, 8e-3, 3.0))
-KERNELS = "eitskin.geometry.deformation.tensor_kernels"
 PRESSED = (Touch(0.050, 0.020, 6.0), Touch(0.078, 0.034, 4.0), Touch(0.130, 0.045, 3.0))
 
 
