@@ -40,6 +40,14 @@ PressModel = Annotated[
     str, typer.Option(help="Corrections of touches: tabulated or solved; chosen when omitted.")
 ]
 Pairs = Annotated[str, typer.Option(help="pairwise, adjacent, opposite, skip:N, or a CSV file.")]
+MeasuredPairs = Annotated[
+    str | None,
+    typer.Option(
+        "--protocol",
+        help="Measurements of a frame, in order: pairwise, adjacent, opposite, skip:N or a CSV "
+        "file; a name with its number of electrodes, as in adjacent:16.",
+    ),
+]
 
 
 TRAINING = "torch sklearn skimage safetensors"  # packages of the extra of that name

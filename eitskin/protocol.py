@@ -1,8 +1,9 @@
 """Measurement protocol: drive and sense electrodes of each measurement."""
 
+import contextlib
 import csv
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
@@ -11,12 +12,13 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from eitskin.errors import ConfigurationError
+from eitskin.errors import ConfigurationError, FrameError
 from eitskin.files import atomic_file
 
 Row: TypeAlias = tuple[int, int, int, int]
 
 HEADER = ("drive_plus", "drive_minus", "sense_plus", "sense_minus")
+MOST_ELECTRODES = 255  # on the wire the number of electrodes is a byte
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,11 +90,12 @@ class Protocol:
         return cls.skip(n_electrodes, n_electrodes // 2 - 1, sense_skip=0, shared=shared)
 
     @classmethod
-    def from_file(cls, path: str | Path, n_electrodes: int) -> "Protocol":
+    def from_file(cls, path: str | Path, n_electrodes: int | None = None) -> "Protocol":
         """Read a CSV table with the header drive_plus,drive_minus,sense_plus,sense_minus.
 
-        Electrodes are counted from 0. Raises ConfigurationError, naming the line, for values that
-        are no integers, a wrong number of columns, electrodes that do not exist, and repeated
+        Electrodes are counted from 0; without `n_electrodes` the largest number in the table is
+        the last electrode. Raises ConfigurationError, naming the line, for values that are no
+        integers, a wrong number of columns, electrodes that do not exist, and repeated
         measurements.
         """
         try:
@@ -112,14 +115,15 @@ class Protocol:
         table: dict[Row, int] = {}
         for number, cells in lines[1:]:
             where = f"{path}, line {number}"
-            row = _row(cells, n_electrodes, where)
+            row = _row(cells, MOST_ELECTRODES if n_electrodes is None else n_electrodes, where)
             if row in table:
                 raise ConfigurationError(
                     f"{where}: measurement {_text(row)} is in line {table[row]} already; leave "
                     "one of them out"
                 )
             table[row] = number
-        return cls(tuple(table), n_electrodes)
+        last = max(max(row) for row in table)
+        return cls(tuple(table), last + 1 if n_electrodes is None else n_electrodes)
 
     def to_file(self, path: str | Path) -> None:
         """Write the table as a CSV file for `from_file`, atomically."""
@@ -128,29 +132,39 @@ class Protocol:
             temporary.write_text("".join(_text(row) + "\n" for row in rows), encoding="utf-8")
 
     @classmethod
-    def named(cls, text: str, n_electrodes: int) -> "Protocol":
-        """Protocol of a name (`pairwise`, `adjacent`, `opposite`, `skip:2`), or from a CSV file."""
-        simple = {"pairwise": cls.pairwise, "adjacent": cls.adjacent, "opposite": cls.opposite}
-        if text in simple:
-            return simple[text](n_electrodes)
-        if skip := re.fullmatch(r"skip:(\d{1,4})", text):
-            return cls.skip(n_electrodes, int(skip[1]))
-        if not Path(text).is_file():
-            raise ConfigurationError(
-                f"expected a protocol: {', '.join(simple)}, skip:N, or a CSV file that exists, "
-                f"got '{text}'"
-            )
-        return cls.from_file(text, n_electrodes)
+    def named(cls, text: str, n_electrodes: int | None = None) -> "Protocol":
+        """Protocol of a name or a table file, as options, URIs and recipes give it.
 
-    @classmethod
-    def from_text(cls, text: str) -> "Protocol":
-        """Protocol of a text with its number of electrodes, "pairwise:8"."""
-        match = re.fullmatch(r"pairwise:(\d{1,3})", text)
-        if match is None or int(match[1]) < 2:
+        Args:
+            text: `pairwise`, `adjacent`, `opposite`, `skip:N` or the path of a CSV file for
+                `from_file`; each may be followed by the number of electrodes, "adjacent:16".
+            n_electrodes: number of electrodes of the sensor; None where no design is known.
+
+        Raises:
+            ConfigurationError: for an unknown name, a name without number of electrodes, and a
+                number in the text other than `n_electrodes`.
+        """
+        # The pattern fits every text.
+        name, skip, file, number = _TEXT.fullmatch(text).groups()  # type: ignore[union-attr]
+        if file is not None and not Path(file).is_file():
             raise ConfigurationError(
-                f"expected a protocol as pairwise:N with the number of electrodes, got '{text}'"
+                f"expected a protocol: {', '.join(_NAMES)}, skip:N, each with :ELECTRODES where "
+                f"no sensor design gives their number, or a CSV file that exists, got '{text}'"
             )
-        return cls.pairwise(int(match[1]))
+        if number and n_electrodes not in (None, int(number)):
+            raise ConfigurationError(
+                f"protocol '{text}' is for {number} electrodes, the sensor has {n_electrodes}; "
+                f"leave ':{number}' out, or give the design of that sensor"
+            )
+        electrodes = int(number) if number else n_electrodes
+        if file is not None:
+            return cls.from_file(file, electrodes)
+        if electrodes is None:
+            raise ConfigurationError(
+                f"protocol '{text}' needs a number of electrodes, and no sensor design gives it; "
+                f"write '{text}:16' for 16 electrodes"
+            )
+        return cls.skip(electrodes, int(skip)) if skip else _NAMES[name](electrodes)
 
     @classmethod
     def from_rows(cls, rows: Iterable[Iterable[int]], n_electrodes: int) -> "Protocol":
@@ -160,6 +174,36 @@ class Protocol:
     def __len__(self) -> int:
         """Number of measurements in one frame."""
         return len(self.table)
+
+    def __str__(self) -> str:
+        """Name and size, "adjacent:16 (208 measurements)", or the beginning of another table."""
+        size = f"{len(self)} measurement{'s' * (len(self) > 1)}"
+        skip = self.table[0][1] - self.table[0][0] - 1
+        for name in (*_NAMES, f"skip:{skip}"):
+            text = f"{name}:{self.n_electrodes}"
+            with contextlib.suppress(ConfigurationError):
+                if Protocol.named(text) == self:
+                    return f"{text} ({size})"
+        first = ", ".join(self.labels[:3])
+        return f"a table for {self.n_electrodes} electrodes ({size}, first {first})"
+
+    def require_same(self, other: "Protocol", owner: str, origin: str, remedy: str) -> None:
+        """Refuse another protocol.
+
+        Args:
+            other: protocol to compare with this one.
+            owner: beginning of the message, such as "this pipeline was trained for".
+            origin: source of the other protocol, such as "the board measures".
+            remedy: end of the message.
+
+        Raises:
+            FrameError: for another protocol; the message names both and where they first differ.
+        """
+        if other == self:
+            return
+        pairs = zip(self.labels, other.labels, strict=False)
+        first = next((f" (from '{a}' against '{b}' on)" for a, b in pairs if a != b), "")
+        raise FrameError(f"{owner} {self}, {origin} {other}{first}; {remedy}")
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -205,6 +249,14 @@ class Protocol:
         a, b, c, d = np.array(self.table).T
         measured: NDArray[np.inexact] = Z[..., c, a] - Z[..., d, a] - Z[..., c, b] + Z[..., d, b]
         return measured
+
+
+_NAMES: dict[str, Callable[[int], Protocol]] = {
+    "pairwise": Protocol.pairwise,
+    "adjacent": Protocol.adjacent,
+    "opposite": Protocol.opposite,
+}
+_TEXT = re.compile(r"(pairwise|adjacent|opposite|skip:(\d{1,3})|(.*?))(?::(\d{1,3}))?", re.DOTALL)
 
 
 def _ring_pairs(n_electrodes: int, skip: int) -> list[tuple[int, int]]:

@@ -10,12 +10,10 @@ from rich.table import Table
 
 from eitskin.cli.commands.live import BoardUri, seeded
 from eitskin.cli.options import Json, Output, Quiet, Seed, Verbose
-from eitskin.errors import FrameError
 
 if TYPE_CHECKING:
     from eitskin.frame import Frame
     from eitskin.hardware.diagnosis.sensor_check import SensorCheck
-    from eitskin.protocol import Protocol
 
 ReferenceModel = Annotated[
     Path, typer.Argument(help="The trained pipeline, which has the expected impedances.")
@@ -56,7 +54,7 @@ def command(
 
     layout = Pipeline.load(model).layout
     with open_board(board, **seeded(board, seed)) as opened:
-        require_same_protocol(layout.protocol, opened.protocol)
+        layout.require_same_measurements(opened.protocol, opened.info.frequency)
         if calibrate:
             opened.calibrate()
         output.note(f"measuring {frames} frames; keep the sensor flat and untouched")
@@ -65,16 +63,6 @@ def command(
     output.result({"board": board, **_plain(check, taken)}, _shown(check, taken))
     if not check.healthy:
         raise typer.Exit(EXIT_UNHEALTHY)
-
-
-def require_same_protocol(expected: "Protocol", measured: "Protocol") -> None:
-    """Raise FrameError where a board measures by another protocol than the given one."""
-    if measured.table != expected.table:
-        raise FrameError(
-            f"this pipeline was trained for a table of {len(expected)} measurements starting with "
-            f"{expected.labels[:3]}, the board measures {len(measured)} starting with "
-            f"{measured.labels[:3]} or in another order; check with a pipeline for this sensor"
-        )
 
 
 def _plain(check: "SensorCheck", frames: "list[Frame]") -> dict[str, object]:

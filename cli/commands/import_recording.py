@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from eitskin.cli.options import Json, Output, Quiet, Seed, Verbose
+from eitskin.cli.options import Json, MeasuredPairs, Output, Quiet, Seed, Verbose
 
 
 def command(
@@ -21,9 +21,7 @@ def command(
     positions: Annotated[
         str | None, typer.Option(help="Variable with x, y of each touch, in metres.")
     ] = None,
-    protocol: Annotated[
-        str | None, typer.Option(help="Measurement protocol of the channels, such as pairwise:8.")
-    ] = None,
+    protocol: MeasuredPairs = None,
     frequency: Annotated[float, typer.Option(help="Frequency of the excitation, in hertz.")] = 40e3,
     seed: Seed = 0,
     as_json: Json = False,
@@ -40,7 +38,7 @@ def command(
     data = read_recording(
         file,
         RecordingNames(values, touch_reference, positions),
-        Protocol.from_text(protocol) if protocol else None,
+        Protocol.named(protocol) if protocol else None,
         frequency,
     )
     output.detail(f"nothing is random in an import, seed {seed} is not used")

@@ -264,6 +264,13 @@ class Dataset:
 
 def require_same_origin(one: Dataset, other: Dataset) -> None:
     """Raise DataError where two datasets cannot be parts of one."""
+    if one.protocol is not None and other.protocol is not None:
+        one.protocol.require_same(
+            other.protocol,
+            "one part of the dataset has",
+            "another has",
+            "join only parts of one protocol",
+        )
     same = one.impedance.shape[1] == other.impedance.shape[1]
     for name in ("protocol", "frequency", "recipe", "source", "seed", "design"):
         same = same and getattr(one, name) == getattr(other, name)

@@ -20,7 +20,7 @@ from eitskin.datasets.store.folder import (
 from eitskin.datasets.store.schema import MAX_TOUCHES
 from eitskin.datasets.store.shard import shard_name, write_shard
 from eitskin.datasets.store.state import UNKNOWN_STATE
-from eitskin.errors import ConfigurationError, FrameError
+from eitskin.errors import ConfigurationError
 from eitskin.frame import Frame, Status
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.simulator.scene.touch import Touch
@@ -80,11 +80,12 @@ class ShardWriter(Closeable):
     ) -> None:
         """Add one frame with its known labels; raises FrameError for another protocol."""
         protocol = self._shared.setdefault("protocol", frame.protocol)
-        if frame.protocol != protocol:
-            raise FrameError(
-                f"expected frames of one protocol with {len(protocol)} measurements, got another "
-                f"with {len(frame.protocol)}; record each protocol into its own folder"
-            )
+        protocol.require_same(
+            frame.protocol,
+            "this dataset holds frames of",
+            "the next frame has",
+            "record each protocol into its own folder",
+        )
         self._shared.setdefault("frequency", frame.frequency)
         labels: dict[str, Any] = {"state": state, "bend_angle_deg": bend_angle_deg}
         labels["touch_reference"] = (

@@ -233,5 +233,5 @@ def open_text(
         )
     if pause <= 0.0 or frequency <= 0.0:
         raise ConfigurationError(f"{uri}: pause and frequency must be positive")
-    measured = Protocol.from_text(protocol)
+    measured = Protocol.named(protocol)
     return TextBoard(connector(path, uri, baud, usb), uri, measured, mark, pause, frequency)

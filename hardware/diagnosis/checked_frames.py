@@ -139,8 +139,10 @@ def checked_frames(frames: tuple[Frame, ...], expected: Array) -> CheckedFrames:
     if not frames:
         raise FrameError("a sensor check needs at least one frame, 16 are good; got none")
     protocol = frames[0].protocol
-    if any(frame.protocol != protocol for frame in frames):
-        raise FrameError("a sensor check needs frames of one protocol; check one board at a time")
+    for frame in frames:
+        protocol.require_same(
+            frame.protocol, "the first frame has", "another has", "check one board at a time"
+        )
     if expected.shape != (len(protocol),) or not (expected > 0.0).all():
         raise ConfigurationError(
             f"expected {len(protocol)} positive resistances, one for each measurement of the "

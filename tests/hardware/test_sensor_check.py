@@ -9,7 +9,6 @@ import pytest
 from typer.testing import CliRunner
 
 from eitskin.benchmarks.studies.boards.sensor_check import FRAMES, PAIRS, cases, measured
-from eitskin.cli.commands.check import require_same_protocol
 from eitskin.cli.main import app
 from eitskin.datasets import Recipe
 from eitskin.datasets.recipe.frame_sampling import specimen
@@ -332,11 +331,6 @@ def test_the_command_names_the_faults_of_a_virtual_board(faults, expected, monke
     assert result.exit_code == (4 if expected else 0)
     if faults.endswith(":4"):
         assert said["findings"][0]["channels"] == ["0-5"]
-
-
-def test_a_board_of_another_protocol_is_refused():
-    with pytest.raises(FrameError, match=r"28 measurements .*6"):
-        require_same_protocol(PROTOCOL, Protocol.pairwise(4))
 
 
 def test_the_command_lists_ports(monkeypatch):

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from eitskin.errors import ConfigurationError
+from eitskin.errors import ConfigurationError, FrameError
 from eitskin.simulator import Protocol
 
 
@@ -13,7 +13,6 @@ def test_named_protocols_drive_and_sense_the_pairs_of_their_name() -> None:
     pairwise = Protocol.pairwise(8)
     assert len(pairwise) == 28
     assert (*pairwise.labels[:3], pairwise.labels[-1]) == ("0-1", "0-2", "0-3", "6-7")
-    assert Protocol.from_text("pairwise:8") == pairwise
     opposite = Protocol.opposite(8)
     assert {row[:2] for row in opposite.table} == {(0, 4), (1, 5), (2, 6), (3, 7)}
     assert {(d - c) % 8 for _, _, c, d in opposite.table} == {1}
@@ -66,6 +65,36 @@ def test_a_file_gives_back_what_was_written(tmp_path) -> None:
     assert list(tmp_path.iterdir()) == [path]
 
 
+def test_the_number_of_electrodes_comes_from_the_text_or_the_sensor(tmp_path) -> None:
+    assert Protocol.named("adjacent:16") == Protocol.named("adjacent", 16) == Protocol.adjacent(16)
+    assert Protocol.named("adjacent:16", 16) == Protocol.adjacent(16)
+    assert Protocol.named("skip:2:16") == Protocol.skip(16, 2)
+    path = tmp_path / "own:2.csv"
+    Protocol(((0, 1, 2, 3),), 8).to_file(path)
+    assert Protocol.named(str(path)).n_electrodes == 4
+    assert Protocol.named(f"{path}:8").n_electrodes == 8
+    assert Protocol.named(str(path), 8).n_electrodes == 8
+
+
+@pytest.mark.parametrize("name", ["pairwise:8", "adjacent:16", "opposite:8", "skip:2:16"])
+def test_a_protocol_is_written_with_the_name_that_it_is_read_by(name) -> None:
+    protocol = Protocol.named(name)
+    assert str(protocol) == f"{name} ({len(protocol)} measurements)"
+    other = Protocol(protocol.table[::-1], protocol.n_electrodes)
+    assert "a table for" in str(other)
+
+
+def test_another_protocol_is_refused_with_both_names_and_the_first_difference() -> None:
+    adjacent = Protocol.adjacent(8)
+    with pytest.raises(
+        FrameError, match=r"made for adjacent:8 .*got pairwise:8 .*'0-1/2-3' .*'0-1'.*; change"
+    ):
+        adjacent.require_same(Protocol.pairwise(8), "made for", "got", "change one")
+    with pytest.raises(FrameError, match="9 electrodes"):
+        adjacent.require_same(Protocol(adjacent.table, 9), "made for", "got", "change one")
+    adjacent.require_same(Protocol.adjacent(8), "made for", "got", "change one")
+
+
 def test_a_file_with_windows_line_ends_spaces_and_empty_lines_is_read(tmp_path) -> None:
     path = tmp_path / "protocol.csv"
     text = "\ufeffdrive_plus, drive_minus, sense_plus, sense_minus\r\n\r\n0, 1, 2, 3\r\n"
@@ -111,9 +140,15 @@ def test_what_is_wrong_with_a_file_is_said_with_its_line(tmp_path, text, message
         (lambda: Protocol.from_file("none.csv", 8), "protocol"),
         (lambda: Protocol.pairwise(8).to_file("none/protocol.csv"), "cannot write"),
         *(
-            (lambda t=t: Protocol.from_text(t), "pairwise:N")
-            for t in ("pairwise", "pairwise:1", "pairwise:x", "adjacent:8")
+            (lambda t=t: Protocol.named(t), "needs a number of electrodes.*:16")
+            for t in ("pairwise", "adjacent", "skip:2")
         ),
+        (lambda: Protocol.named("pairwise:1"), "one measurement"),
+        *(
+            (lambda t=t: Protocol.named(t), "skip:N, each with :ELECTRODES")
+            for t in ("pairwise:x", "skip:", "", "none.csv:16", "adjacent:16\n", "\0")
+        ),
+        (lambda: Protocol.named("adjacent:16", 8), "for 16 electrodes, the sensor has 8"),
         (lambda: Protocol.opposite(7), r"even.*7"),
         (lambda: Protocol.skip(8, 7), "can skip 0 to 6"),
         (lambda: Protocol.skip(8, -1), "can skip 0 to 6"),

@@ -72,11 +72,12 @@ class Evaluation:
         """
         if len(dataset) == 0:
             raise DataError("expected frames to evaluate on, got no frames; name another dataset")
-        if dataset.protocol != pipeline.layout.protocol:
+        if dataset.protocol is None:
             raise DataError(
-                f"the pipeline was trained for {len(pipeline.layout.protocol)} measurements, the "
-                "dataset has others; evaluate on a dataset of the same sensor"
+                "expected a dataset that names its protocol, got one without; import it again "
+                "with --protocol"
             )
+        pipeline.layout.require_same_measurements(dataset.protocol, dataset.frequency)
         require_on_sheet(dataset, pipeline.layout.outline)
         predictions = _perceive(pipeline, dataset)
         matches = Matches.of(dataset, predictions)

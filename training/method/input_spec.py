@@ -70,7 +70,7 @@ class InputSpec:
         """Values of a frame (measurements,) [ohm], NaN where bad, and its problems in words.
 
         Raises:
-            FrameError: for a frame of another table, electrode count or frequency.
+            FrameError: for a frame of another protocol or frequency.
             UnusableFrameError: for a frame with too few good channels.
         """
         self.require_same_measurements(frame.protocol, frame.frequency)
@@ -90,21 +90,16 @@ class InputSpec:
 
     def require_same_measurements(self, protocol: Protocol, frequency: float) -> None:
         """Refuse a protocol or frequency [Hz] other than the trained one; raises FrameError."""
-        if protocol.n_electrodes != self.protocol.n_electrodes:
-            raise FrameError(
-                f"this pipeline was trained for {self.protocol.n_electrodes} electrodes, the "
-                f"frame has {protocol.n_electrodes}; train a pipeline for this sensor"
-            )
-        if protocol.table != self.protocol.table:
-            raise FrameError(
-                f"this pipeline was trained for a table of {len(self.protocol)} measurements "
-                f"starting with {self.protocol.labels[:3]}, the frame has {len(protocol)} starting "
-                f"with {protocol.labels[:3]} or in another order; set the board to that table"
-            )
+        self.protocol.require_same(
+            protocol,
+            "this pipeline was trained for",
+            "the frames have",
+            "set the board to the first, or train a pipeline for the second",
+        )
         if abs(frequency / self.frequency - 1.0) > FREQUENCY_TOLERANCE:
             raise FrameError(
-                f"this pipeline was trained at {self.frequency:g} Hz, the frame was measured at "
-                f"{frequency:g} Hz; set the board to that frequency"
+                f"this pipeline was trained at {self.frequency:g} Hz, the frames were measured "
+                f"at {frequency:g} Hz; set the board to that frequency"
             )
 
     def require_same_sensor(self, voltages: NDArray[np.complex128]) -> None:

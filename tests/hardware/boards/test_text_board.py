@@ -208,7 +208,7 @@ def test_a_port_that_goes_away_is_one_error_and_closing_lets_go():
     ("options", "said"),
     [
         ({}, "protocol=pairwise:8"),
-        ({"protocol": "ring"}, "pairwise:N"),
+        ({"protocol": "ring"}, "a protocol: pairwise"),
         ({"protocol": "pairwise:8", "pause": 0.0}, "must be positive"),
         ({"protocol": "pairwise:8", "frequency": -1.0}, "must be positive"),
     ],
