@@ -253,12 +253,14 @@ def _nearest(key: str, known: Iterable[str]) -> str:
 def to_dict(value: Any) -> Any:
     """Convert a dataclass to plain data for TOML and JSON; fields that are None are left out.
 
-    A dataclass without fields becomes its name in lower case.
+    A dataclass without fields becomes its name in lower case, one whose method `abbreviated()`
+    gives a text that text.
     """
     if dataclasses.is_dataclass(value):
+        abbreviated = getattr(value, "abbreviated", lambda: None)()
         items = ((field.name, getattr(value, field.name)) for field in dataclasses.fields(value))
         made = {name: to_dict(item) for name, item in items if item is not None}
-        return made if dataclasses.fields(value) else _name(type(value)).lower()
+        return abbreviated or (made if dataclasses.fields(value) else _name(type(value)).lower())
     if isinstance(value, tuple | list):
         return [to_dict(item) for item in value]
     if isinstance(value, Path):

@@ -132,13 +132,14 @@ class Protocol:
             temporary.write_text("".join(_text(row) + "\n" for row in rows), encoding="utf-8")
 
     @classmethod
-    def named(cls, text: str, n_electrodes: int | None = None) -> "Protocol":
+    def named(cls, text: str, n_electrodes: int | None = None, folder: Path = Path()) -> "Protocol":
         """Protocol of a name or a table file, as options, URIs and recipes give it.
 
         Args:
             text: `pairwise`, `adjacent`, `opposite`, `skip:N` or the path of a CSV file for
                 `from_file`; each may be followed by the number of electrodes, "adjacent:16".
             n_electrodes: number of electrodes of the sensor; None where no design is known.
+            folder: start of a relative path.
 
         Raises:
             ConfigurationError: for an unknown name, a name without number of electrodes, and a
@@ -146,7 +147,7 @@ class Protocol:
         """
         # The pattern fits every text.
         name, skip, file, number = _TEXT.fullmatch(text).groups()  # type: ignore[union-attr]
-        if file is not None and not Path(file).is_file():
+        if file is not None and not (folder / file).is_file():
             raise ConfigurationError(
                 f"expected a protocol: {', '.join(_NAMES)}, skip:N, each with :ELECTRODES where "
                 f"no sensor design gives their number, or a CSV file that exists, got '{text}'"
@@ -158,7 +159,7 @@ class Protocol:
             )
         electrodes = int(number) if number else n_electrodes
         if file is not None:
-            return cls.from_file(file, electrodes)
+            return cls.from_file(folder / file, electrodes)
         if electrodes is None:
             raise ConfigurationError(
                 f"protocol '{text}' needs a number of electrodes, and no sensor design gives it; "
@@ -178,14 +179,21 @@ class Protocol:
     def __str__(self) -> str:
         """Name and size, "adjacent:16 (208 measurements)", or the beginning of another table."""
         size = f"{len(self)} measurement{'s' * (len(self) > 1)}"
+        first = ", ".join(self.labels[:3])
+        name = self.abbreviated()
+        return f"{name or f'a table for {self.n_electrodes} electrodes'} ({size}" + (
+            ")" if name else f", first {first})"
+        )
+
+    def abbreviated(self) -> str | None:
+        """Text that `named` reads back, such as "adjacent:16"; None for a table without a name."""
         skip = self.table[0][1] - self.table[0][0] - 1
         for name in (*_NAMES, f"skip:{skip}"):
             text = f"{name}:{self.n_electrodes}"
             with contextlib.suppress(ConfigurationError):
                 if Protocol.named(text) == self:
-                    return f"{text} ({size})"
-        first = ", ".join(self.labels[:3])
-        return f"a table for {self.n_electrodes} electrodes ({size}, first {first})"
+                    return text
+        return None
 
     def require_same(self, other: "Protocol", owner: str, origin: str, remedy: str) -> None:
         """Refuse another protocol.

@@ -112,6 +112,7 @@ _SCHEMES: dict[str, tuple[Callable[[str, str, dict[str, Any]], Board], Readers]]
             "resolution": str,
             "scene": str,
             "sensor": str,
+            "protocol": str,
             "seed": int,
             "snr_db": float,
             "instrument": str,

@@ -11,6 +11,7 @@ from rich.table import Table
 from eitskin.cli.options import (
     Json,
     Output,
+    Pairs,
     Quiet,
     Seed,
     SensorFile,
@@ -46,6 +47,7 @@ def command(
     *,
     scene: SceneFile = None,
     sensor: SensorFile = None,
+    protocol: Pairs = "pairwise",
     resolution: BoardResolution = "fast",
     speed: Speed = "real",
     instrument: Instrument = None,
@@ -71,6 +73,7 @@ def command(
         resolution=resolution,
         scene=scene,
         sensor=sensor,
+        protocol=protocol,
         seed=seed,
         instrument=instrument,
         period=period,

@@ -43,7 +43,7 @@ def simulate_frames(
     the result.
     """
     samples = [sample(recipe, index) for index in indices]
-    protocol = Protocol.pairwise(len(recipe.sensor.electrodes))
+    protocol = recipe.measured_protocol
     offsets = recipe.instrument.offsets(protocol)
     solved = _solve(recipe, samples, bool(offsets.any()), before_solve)
     numbers = sorted({each.specimen for each in samples})
@@ -142,10 +142,10 @@ def _solve(
     for number, distinct in wanted.items():
         made = specimen(recipe, number)
         before_solve()
-        solved[number, Scene()] = flat_impedance(made, recipe.resolution)
+        solved[number, Scene()] = flat_impedance(made, recipe.resolution, recipe.protocol)
         scenes = [scene for scene in distinct if scene != Scene()]
         for tabulated, alike in _by_touch_model(made.design, scenes).items():
-            simulator = _simulator(made, recipe.resolution, tabulated=tabulated)
+            simulator = _simulator(made, recipe.resolution, recipe.protocol, tabulated=tabulated)
             found = simulator.measure_all(alike, before_each=before_solve)
             solved |= {(number, scene): row for scene, row in zip(alike, found, strict=True)}
     return solved
@@ -163,17 +163,21 @@ def _by_touch_model(design: SensorDesign, scenes: Sequence[Scene]) -> dict[bool,
 # Meshing takes as long as a few scenes, so simulators are cached, but only a few: each holds the
 # matrices of its mesh. Specimens follow each other, so that shards next to each other share one.
 @lru_cache(maxsize=4)
-def _simulator(made: Specimen, resolution: Resolution, *, tabulated: bool) -> Simulator:
+def _simulator(
+    made: Specimen, resolution: Resolution, protocol: Protocol | None, *, tabulated: bool
+) -> Simulator:
     return Simulator(
         made.design,
         resolution=resolution,
         fixture=made.fixture,
+        protocol=protocol,
         mechanics=made.mechanics,
         touch_model="tabulated" if tabulated else "solved",
     )
 
 
-def flat_impedance(made: Specimen, resolution: Resolution) -> Impedance:
-    """Noise-free impedances of the flat, untouched specimen [ohm]."""
-    found: Impedance = _simulator(made, resolution, tabulated=True).measure_all([Scene()])[0]
+def flat_impedance(made: Specimen, resolution: Resolution, protocol: Protocol | None) -> Impedance:
+    """Noise-free impedances of the flat, untouched specimen [ohm]; all pairs without protocol."""
+    simulator = _simulator(made, resolution, protocol, tabulated=True)
+    found: Impedance = simulator.measure_all([Scene()])[0]
     return found

@@ -1,14 +1,13 @@
 """Recipe of a dataset: sensor, specimens, scenes, episodes, instrument and seed."""
 
 import dataclasses
-import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from eitskin.config import Location, from_dict, read, to_toml
+from eitskin.config import Location, read, read_toml, to_toml
 from eitskin.datasets.recipe.episode import Episodes
 from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.datasets.recipe.shipped_recipes import SHIPPED, shipped_names
@@ -44,6 +43,8 @@ class Recipe:
         frames_per_shard: number of frames in a file, which one worker simulates. Episodes are not
             split: a shard has as many as fit, at least one.
         sensor: nominal design. In TOML also "reference" or the path of a design file.
+        protocol: drive and sense electrodes of each measurement; all pairs of electrodes when
+            omitted. In TOML also a text for `Protocol.named`, as "adjacent" or "table.csv".
         fixture: that bends the sensor; the default clamp when omitted. In TOML also as the table
             `hinge` of version 0.1, which is the kinematic hinge.
         mechanics: materials of gel and encapsulation.
@@ -61,6 +62,7 @@ class Recipe:
     resolution: Resolution = "fast"
     frames_per_shard: int = 256
     sensor: SensorDesign = field(default_factory=SensorDesign.reference)
+    protocol: Protocol | None = None
     fixture: Fixture = field(default_factory=Clamp)
     mechanics: Mechanics = field(default_factory=Mechanics)
     instrument: Instrument = field(default_factory=Instrument)
@@ -78,12 +80,7 @@ class Recipe:
     @classmethod
     def from_toml(cls, path: str | Path) -> "Recipe":
         """Read a recipe; raises ConfigurationError for anything that does not fit."""
-        path = Path(path)
-        try:
-            data = tomllib.loads(path.read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-            raise ConfigurationError(f"cannot read the recipe {path}: {error}") from error
-        return from_dict(cls, _with_sensor(data, path.parent), str(path), path.parent)
+        return read_toml(cls, path)
 
     @classmethod
     def shipped(cls, name: str) -> "Recipe":
@@ -97,13 +94,27 @@ class Recipe:
 
     @classmethod
     def expanded(cls, data: Mapping[str, Any], location: Location) -> Mapping[str, Any]:
-        """TOML table `data` with the hinge of version 0.1 as fixture."""
-        if "hinge" not in data:
-            return data
-        if "fixture" in data:
+        """TOML table `data` with the sensor and protocol that it names, and an old hinge.
+
+        The hinge of version 0.1 is a fixture.
+        """
+        if "hinge" in data and "fixture" in data:
             raise location.error("expected `fixture` or `hinge`, got both; leave `hinge` out")
-        rest = {key: value for key, value in data.items() if key != "hinge"}
-        return {**rest, "fixture": read(Hinge, data["hinge"], location.under("hinge"))}
+        made = {key: value for key, value in data.items() if key != "hinge"}
+        if "hinge" in data:
+            made["fixture"] = read(Hinge, data["hinge"], location.under("hinge"))
+        if "sensor" in data:
+            made["sensor"] = _sensor(data["sensor"], location.under("sensor"))
+        if isinstance(data.get("protocol"), str):
+            design = made.get("sensor", SensorDesign.reference())
+            folder = location.folder or Path()
+            made["protocol"] = Protocol.named(data["protocol"], len(design.electrodes), folder)
+        return made
+
+    @property
+    def measured_protocol(self) -> Protocol:
+        """Protocol of all frames: `protocol`, or all pairs of electrodes."""
+        return self.protocol or Protocol.pairwise(len(self.sensor.electrodes))
 
     def to_toml(self) -> str:
         """The recipe as TOML that needs no other file; `from_toml` of it is this recipe."""
@@ -166,6 +177,7 @@ class Recipe:
                 f"reference_frames must be from 1 to {MOST_REFERENCE_FRAMES}, got "
                 f"{self.reference_frames}"
             )
+        yield from self._protocol_problems()
         yield from self.specimens.problems(self.sensor, self.fixture)
         if not self.scenes and not self.episodes:
             yield "scenes or episodes must hold at least one group"
@@ -188,6 +200,14 @@ class Recipe:
             problems += support_problems(None, self.sensor, self.fixture, bent)
             for problem in problems:
                 yield f"episodes[{number}]: {problem}"
+
+    def _protocol_problems(self) -> Iterator[str]:
+        electrodes = len(self.sensor.electrodes)
+        if self.protocol is not None and self.protocol.n_electrodes != electrodes:
+            yield (
+                f"protocol is for {self.protocol.n_electrodes} electrodes, the sensor has "
+                f"{electrodes}"
+            )
 
     def _bend_problems(self, angles_deg: tuple[float, float]) -> Iterator[str]:
         for angle in angles_deg:
@@ -214,8 +234,7 @@ class Recipe:
         return ""
 
     def _skew_problems(self, period: float) -> Iterator[str]:
-        protocol = Protocol.pairwise(len(self.sensor.electrodes))
-        last = float(self.instrument.offsets(protocol).max())
+        last = float(self.instrument.offsets(self.measured_protocol).max())
         if last > period:
             yield (
                 f"period must be at least the {last:g} s that the instrument needs for a frame, "
@@ -253,21 +272,18 @@ def _shard_ranges(recipe: Recipe) -> tuple[range, ...]:
     return tuple(ranges)
 
 
-def _with_sensor(data: Mapping[str, Any], folder: Path) -> Mapping[str, Any]:
-    """TOML table `data` with a sensor given by name or path replaced by the design."""
-    given = data.get("sensor")
+def _sensor(given: Any, location: Location) -> SensorDesign:
+    """Design in a recipe: a table, the path of a design file, or "reference"."""
     if isinstance(given, Mapping) and "file" in given:
-        raise ConfigurationError(
-            'sensor: a design file is named as sensor = "PATH.toml", got a table with the key '
-            "'file'"
+        raise location.error(
+            "a design file is named as sensor = \"PATH.toml\", got a table with the key 'file'"
         )
-    if not isinstance(given, str):
-        return data
     if given == "reference":
-        design = SensorDesign.reference()
-    else:
-        design = SensorDesign.from_toml(folder / given)
-    return {**data, "sensor": design}
+        return SensorDesign.reference()
+    if isinstance(given, str):
+        return SensorDesign.from_toml((location.folder or Path()) / given)
+    design: SensorDesign = read(SensorDesign, given, location)
+    return design
 
 
 def with_seed(recipe: Recipe, seed: int | None) -> Recipe:

@@ -20,6 +20,7 @@ from eitskin.hardware.virtual.scene_script import SceneSource, Script, Step
 from eitskin.hardware.virtual.simulated_sensor import SceneSolver, SimulatedSensor
 from eitskin.hardware.virtual.stage import Stage
 from eitskin.hardware.virtual.virtual_firmware import VirtualFirmware
+from eitskin.protocol import Protocol
 from eitskin.simulator.electrical.resolution import Resolution
 from eitskin.simulator.instrument.instrument import Instrument
 from eitskin.simulator.scene.scene import Scene
@@ -40,6 +41,7 @@ def virtual_terminal(
     faults: str | Sequence[Fault] = (),
     simulator: SceneSolver | None = None,
     sensor: str | Path | SensorDesign | None = None,
+    protocol: str | Protocol | None = None,
     period: float | None = None,
     link: str | Path | None = None,
 ) -> PseudoTerminal[VirtualFirmware]:
@@ -56,6 +58,8 @@ def virtual_terminal(
         faults: faults as text, "name@frame:index,...", or as `Fault`s.
         simulator: simulator of the sensor; one of `sensor` when omitted.
         sensor: a design, or the path of its TOML file; the reference sensor when omitted.
+        protocol: measurements of a frame, or their name or CSV file as for `Protocol.named`; all
+            pairs of electrodes when omitted.
         period: time from frame to frame [s]; the AD5940's when omitted.
         link: path of a symbolic link to the terminal, kept over a pulled and replugged cable.
 
@@ -72,9 +76,14 @@ def virtual_terminal(
             f"{period}"
         )
     if simulator is None:
-        simulator = Simulator(_design(sensor), resolution=cast("Resolution", resolution))
-    elif sensor is not None:
-        raise ConfigurationError("a simulator has its own sensor; give one of the two")
+        design = _design(sensor)
+        if isinstance(protocol, str):
+            protocol = Protocol.named(protocol, len(design.electrodes))
+        simulator = Simulator(design, cast("Resolution", resolution), protocol=protocol)
+    elif sensor is not None or protocol is not None:
+        raise ConfigurationError(
+            "a simulator has its own sensor and protocol; give the simulator or those"
+        )
     if isinstance(instrument, str):
         instrument = Instrument.named(instrument)
     elif instrument is None and np.isfinite(snr_db):

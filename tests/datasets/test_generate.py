@@ -24,7 +24,7 @@ from eitskin.datasets.recipe.specimen import Specimens
 from eitskin.datasets.store.shard import shard_name
 from eitskin.errors import ConfigurationError, PartialError
 from eitskin.geometry import Bend, Plates
-from eitskin.simulator import Instrument, Scene, Simulator
+from eitskin.simulator import Instrument, Protocol, Scene, Simulator
 from eitskin.simulator.bends import bend_store
 
 from killed_writers import killed_in_pool, was_killed
@@ -365,3 +365,29 @@ def test_an_interrupt_does_not_wait_for_a_scene_that_takes_minutes(tmp_path, mon
     with pytest.raises(KeyboardInterrupt):
         processes.make_shards(RECIPE, tmp_path, [0, 1], 1, interrupt)
     assert time.perf_counter() - start < 30.0
+
+
+def test_frames_are_measured_by_the_protocol_of_the_recipe():
+    plain = Recipe(
+        "own",
+        scenes=(SceneGroup("idle", count=1),),
+        resolution="coarse",
+        instrument=Instrument(0.0),
+    )
+    adjacent = dataclasses.replace(plain, protocol=Protocol.adjacent(8))
+    pairs, found = simulate_shard(plain, 0), simulate_shard(adjacent, 0)
+    assert found.protocol == Protocol.adjacent(8)
+    assert found.reference.shape == found.impedance.shape == (1, 40)
+    z = dict(zip(((a, b) for a, b, *_ in pairs.protocol.table), pairs.impedance[0], strict=True))
+    # Impedance of pairs, z_ab = Z_aa + Z_bb - 2 Z_ab; four terminals by superposition.
+    expected = [
+        (
+            z[min(a, d), max(a, d)]
+            + z[min(b, c), max(b, c)]
+            - z[min(a, c), max(a, c)]
+            - z[min(b, d), max(b, d)]
+        )
+        / 2.0
+        for a, b, c, d in found.protocol.table
+    ]
+    assert found.impedance[0] == pytest.approx(expected, abs=1e-3)  # single precision

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from eitskin.config import parse_toml
 from eitskin.datasets import Recipe
 from eitskin.datasets.recipe.episode import EpisodeTouch, Keyframe, RandomEpisodes, ScriptedEpisode
 from eitskin.datasets.recipe.frame_sampling import sample, specimen
@@ -13,7 +14,7 @@ from eitskin.datasets.recipe.shipped_recipes import shipped_names
 from eitskin.datasets.recipe.specimen import Specimens
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Electrode, Free, Hinge, Plates, SensorDesign, Surface
-from eitskin.simulator import Instrument, Mechanics
+from eitskin.simulator import Instrument, Mechanics, Protocol
 from eitskin.simulator.mechanics.materials import Ogden
 
 IDLE = SceneGroup("idle", count=30)
@@ -205,6 +206,33 @@ def test_misspelt_keys_and_broken_and_missing_files_are_refused(tmp_path, text, 
         Recipe.from_toml(tmp_path / "recipe.toml")
     with pytest.raises(ConfigurationError, match=message):
         Recipe.from_toml(write(tmp_path, text))
+
+
+ADJACENT = 'name = "a"\nprotocol = "{}"\n[[scenes]]\nstate = "idle"\ncount = 1\n'
+
+
+@pytest.mark.parametrize("name", ["adjacent", "adjacent:8", "pairs.csv"])
+def test_a_recipe_names_its_protocol_and_is_written_with_it(tmp_path, name):
+    Protocol.adjacent(8).to_file(tmp_path / "pairs.csv")
+    recipe = Recipe.from_toml(write(tmp_path, ADJACENT.format(name)))
+    assert recipe.measured_protocol == Protocol.adjacent(8)
+    assert 'protocol = "adjacent:8"' in recipe.to_toml()
+    assert parse_toml(Recipe, recipe.to_toml()) == recipe
+
+
+def test_a_recipe_with_a_table_of_its_own_needs_no_other_file(tmp_path):
+    table = Protocol(Protocol.adjacent(8).table[::-1], 8)
+    table.to_file(tmp_path / "pairs.csv")
+    recipe = Recipe.from_toml(write(tmp_path, ADJACENT.format("pairs.csv")))
+    assert recipe.protocol == table
+    assert parse_toml(Recipe, recipe.to_toml()) == recipe
+
+
+def test_the_protocol_of_a_recipe_fits_its_sensor(tmp_path):
+    with pytest.raises(ConfigurationError, match="for 16 electrodes, the sensor has 8"):
+        Recipe.from_toml(write(tmp_path, ADJACENT.format("adjacent:16")))
+    with pytest.raises(ConfigurationError, match="for 16 electrodes, the sensor has 8"):
+        Recipe("other", scenes=(IDLE,), protocol=Protocol.adjacent(16))
 
 
 def test_a_surface_can_be_no_sensor_of_a_recipe(tmp_path):

@@ -194,9 +194,20 @@ def test_a_board_of_another_sensor_measures_its_pairs(tmp_path):
     assert frame.impedance == pytest.approx(expected, rel=1e-6)
 
 
+def test_a_board_measures_by_the_protocol_that_is_named():
+    with open_board("virtual:?protocol=adjacent&speed=max&resolution=coarse&snr_db=inf") as board:
+        assert board.protocol == Protocol.adjacent(8)
+        frame = next(board.frames())
+    assert frame.impedance.shape == (40,)
+    with pytest.raises(ConfigurationError, match="for 16 electrodes, the sensor has 8"):
+        open_board("virtual:?protocol=adjacent:16")
+
+
 def test_a_board_has_a_sensor_or_a_simulator():
-    with pytest.raises(ConfigurationError, match="one of the two"):
+    with pytest.raises(ConfigurationError, match="give the simulator or those"):
         virtual_terminal(simulator=FakeSimulator(), sensor=SensorDesign.reference())
+    with pytest.raises(ConfigurationError, match="give the simulator or those"):
+        virtual_terminal(simulator=FakeSimulator(), protocol="adjacent")
 
 
 def test_start_with_a_count_ends_after_it():
