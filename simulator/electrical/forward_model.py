@@ -57,7 +57,8 @@ class ForwardModel:
             breaks: further positions along x with faces of a mesh of hexahedra [m].
             cells: kind of mesh; hexahedra for rectangles, prisms for other outlines and
                 tetrahedra for surfaces when omitted.
-            solver: "block Cholesky" or "sparse LU"; chosen by the shape of the body when omitted.
+            solver: "block Cholesky", "nested dissection" or "sparse LU"; one of the first two, by
+                the shape of the body, when omitted.
 
         Raises:
             ConfigurationError: for an unknown resolution, cells that do not suit the outline, or
@@ -72,9 +73,9 @@ class ForwardModel:
         self.pattern = SystemPattern(self.assembly)
         self.solver: Solver = choose_solver(
             solver,
-            self.pattern.rows,
-            self.pattern.columns,
+            (self.pattern.rows, self.pattern.columns),
             self.assembly.space.numbers,
+            self._element_middles(),
             self._end_elements(),
         )
 
@@ -83,6 +84,12 @@ class ForwardModel:
         x = self.mesh.points[self.mesh.cells, 0].min(axis=1)
         touching = np.flatnonzero(x <= x.min() + 1e-9 * np.ptp(self.mesh.points[:, 0]))
         return np.unique(touching // self.assembly.space.element.cells)
+
+    def _element_middles(self) -> Array:
+        """Means of the quadrature points of the elements, (elements, 3) [m]."""
+        points = self.assembly.points
+        middles: Array = points.reshape(len(self.assembly.space.numbers), -1, 3).mean(axis=1)
+        return middles
 
     @property
     def unknowns(self) -> int:

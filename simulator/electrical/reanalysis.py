@@ -21,6 +21,7 @@ from eitskin.simulator.electrical.forward_model import ForwardModel
 from eitskin.simulator.layer.deformed_layer import DeformedLayer
 from eitskin.simulator.linalg.block_cholesky import BlockFactors
 from eitskin.simulator.linalg.element_products import ElementProducts
+from eitskin.simulator.linalg.multifrontal_cholesky import MultifrontalFactors
 from eitskin.simulator.linalg.sparse_solvers import Factorisation
 
 Array = NDArray[np.float64]
@@ -64,7 +65,9 @@ class Reanalysis:
         factors = model.solver.factorise(system.values)
         self._potentials: Array = np.asarray(factors.solve(system.coupling), dtype=np.float64)
         self._factors: Factorisation = (
-            factors.rounded() if isinstance(factors, BlockFactors) else factors
+            factors.rounded()
+            if isinstance(factors, BlockFactors | MultifrontalFactors)
+            else factors
         )
         model.factorisations += 1
         self.solutions = 1

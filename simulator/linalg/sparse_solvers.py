@@ -1,4 +1,4 @@
-"""Solvers for the forward model: sparse LU, and the choice between sparse LU and block Cholesky.
+"""Choice of the forward model's solver: block or multifrontal Cholesky, or sparse LU.
 
 A solver is made from the positions of the matrix entries. `factorise(values)` gives a
 factorisation with `solve(B) = A^-1 B`; `congruence(values, B) = B^T A^-1 B`, all that impedances
@@ -6,19 +6,19 @@ need, keeps no factors and is cheaper. Matrices are real and positive definite, 
 symmetric with a positive definite real part, as with complex contact impedances.
 """
 
-from typing import Literal, Protocol
+from typing import Literal, Protocol, get_args
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csc_array
-from scipy.sparse.linalg import splu
 
 from eitskin.errors import ConfigurationError
 from eitskin.simulator.linalg.block_cholesky import BlockCholesky, level_structure
+from eitskin.simulator.linalg.multifrontal_cholesky import MultifrontalCholesky
+from eitskin.simulator.linalg.sparse_lu import SparseDirect
 
 Numbers = NDArray[np.inexact]
 Indices = NDArray[np.int64]
-SolverName = Literal["block Cholesky", "sparse LU"]
+SolverName = Literal["block Cholesky", "nested dissection", "sparse LU"]
 
 
 class Factorisation(Protocol):
@@ -46,96 +46,41 @@ class Solver(Protocol):
         ...
 
 
-# Sum of the cubed block sizes per matrix entry at which dense blocks and sparse LU take equally
-# long: below 5.7e3 blocks were faster, above 7.6e3 slower, on meshes of hexahedra and prisms with
-# 3,000 to 37,000 unknowns.
-_BLOCK_WORK = 7e3
+# Sum of the cubed block sizes per matrix entry at which blocks and fronts take equally long:
+# blocks were faster below 2.2e3 and fronts above 3e3, on meshes of hexahedra, prisms and tetrahedra
+# with 3,000 to 74,000 unknowns.
+_BLOCK_WORK = 2.5e3
 
 
 def choose_solver(
     name: SolverName | None,
-    rows: Indices,
-    columns: Indices,
+    positions: tuple[Indices, Indices],
     numbers: Indices,
+    middles: NDArray[np.float64],
     first: Indices,
 ) -> Solver:
     """The solver called `name`, or the one that suits the shape of the body.
 
-    Long, thin bodies have small diagonal blocks: block Cholesky then beats a sparse factorisation.
-    Compact bodies with many unknowns go to sparse LU. Raises ConfigurationError for another name.
+    Long, thin bodies have small diagonal blocks: block Cholesky then beats nested dissection.
+    Raises ConfigurationError for another name.
 
     Args:
-        name: "block Cholesky", "sparse LU" or None.
-        rows, columns: positions of the matrix values.
+        name: "block Cholesky", "nested dissection", "sparse LU" or None.
+        positions: rows and columns of the matrix values.
         numbers: unknowns of each element, (elements, functions).
+        middles: of the elements, (elements, axes) [m].
         first: elements at one end of the body, where the first strip begins.
     """
-    n = int(numbers.max()) + 1
-    if name not in (None, "block Cholesky", "sparse LU"):
+    if name is not None and name not in get_args(SolverName):
         raise ConfigurationError(
-            f"solver must be 'block Cholesky', 'sparse LU' or None, got {name!r}"
+            f"solver must be one of {get_args(SolverName)} or None, got {name!r}"
         )
     if name == "sparse LU":
-        return SparseDirect(rows, columns, n)
+        return SparseDirect(*positions, int(numbers.max()) + 1)
+    if name == "nested dissection":
+        return MultifrontalCholesky(*positions, numbers, middles)
     level = level_structure(numbers, first)
     work = float((np.bincount(level).astype(float) ** 3).sum())
-    if name is None and work > _BLOCK_WORK * len(rows):
-        return SparseDirect(rows, columns, n)
-    return BlockCholesky(rows, columns, level)
-
-
-class SparseDirect:
-    """Sparse LU factorisation (SuperLU) for any mesh, ordered once by minimum degree."""
-
-    name = "sparse LU"
-
-    def __init__(self, rows: Indices, columns: Indices, n: int) -> None:
-        """Prepare for entries at (rows >= columns) of an n x n matrix."""
-        self._n = n
-        self._off = rows != columns
-        self._rows = np.concatenate([rows, columns[self._off]])
-        self._columns = np.concatenate([columns, rows[self._off]])
-        self._order: Indices | None = None
-
-    def factorise(self, values: Numbers) -> "SparseFactors":
-        """Factorise the matrix with these values; the first call also finds the order."""
-        both = np.concatenate([values, values[self._off]])
-        shape = (self._n, self._n)
-        if self._order is None:
-            whole = csc_array((both, (self._rows, self._columns)), shape=shape)
-            found = SparseFactors(whole, np.arange(self._n), "MMD_AT_PLUS_A")
-            self._order = found.order
-            rank = np.argsort(self._order)
-            self._rows, self._columns = rank[self._rows], rank[self._columns]
-            return found
-        whole = csc_array((both, (self._rows, self._columns)), shape=shape)
-        return SparseFactors(whole, self._order, "NATURAL")
-
-    def congruence(self, values: Numbers, B: Numbers) -> Numbers:
-        """B^T A^-1 B, (k, k)."""
-        product: Numbers = B.T @ self.factorise(values).solve(B)
-        return product
-
-
-class SparseFactors:
-    """Sparse LU factors of one matrix, its unknowns permuted to `order`."""
-
-    def __init__(self, matrix: csc_array, order: Indices, ordering: str) -> None:
-        """Factorise with diagonal pivots, which keep the permutation symmetric."""
-        options = {"SymmetricMode": True}
-        self._lu = splu(matrix, permc_spec=ordering, diag_pivot_thresh=0.0, options=options)
-        self._order = order
-
-    @property
-    def order(self) -> Indices:
-        """Unknowns in the order of their elimination, (n,)."""
-        return np.argsort(self._lu.perm_c)
-
-    def solve(self, B: Numbers) -> Numbers:
-        """A^-1 B, (n, k)."""
-        solution = np.empty(B.shape, dtype=np.result_type(B, self._lu.U.dtype))
-        right = B[self._order]
-        if np.iscomplexobj(solution) and not np.iscomplexobj(right):
-            right = right.astype(complex)
-        solution[self._order] = self._lu.solve(right)
-        return solution
+    if name is None and work > _BLOCK_WORK * len(positions[0]):
+        return MultifrontalCholesky(*positions, numbers, middles)
+    return BlockCholesky(*positions, level)

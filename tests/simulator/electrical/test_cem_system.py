@@ -61,11 +61,12 @@ def test_the_whole_system_solved_densely_gives_the_same_impedances(order, layers
 
 
 @pytest.mark.parametrize("z", [1e-3, 2e-4 + 3e-4j])
-def test_block_cholesky_equals_sparse_lu(z) -> None:
+@pytest.mark.parametrize("solver", ["block Cholesky", "nested dissection"])
+def test_cholesky_equals_sparse_lu(solver, z) -> None:
     sigma = lambda x: 1 + 3 * x[..., 1]  # noqa: E731
     one, other = (
         ForwardModel(with_contacts(z), ((2, 2), COARSE), solver=name)
-        for name in ("block Cholesky", "sparse LU")
+        for name in (solver, "sparse LU")
     )
     assert one.solver.name != other.solver.name
     for _ in range(2):  # sparse LU keeps its first ordering

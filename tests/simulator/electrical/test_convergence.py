@@ -135,9 +135,7 @@ PAIRS = Protocol.pairwise(8)
     [("fast", 1.7e-2), ("standard", 1e-3), pytest.param("fine", 1e-5, marks=pytest.mark.slow)],
 )
 def test_flat_reference_sensor_matches_the_hp_solution(resolution, close, cells) -> None:
-    # Dense blocks take 6 s for fine hexahedra, on which sparse LU, the default, takes 9 s.
-    solver = "block Cholesky" if (resolution, cells) == ("fine", "hexahedra") else None
-    model = ForwardModel(with_contacts(1e-4), resolution, solver=solver, cells=cells)
+    model = ForwardModel(with_contacts(1e-4), resolution, cells=cells)
     R = PAIRS.measure(model.impedance())
     assert [*R[:7], R.sum()] == pytest.approx(HP, rel=close)
 

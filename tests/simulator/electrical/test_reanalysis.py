@@ -134,7 +134,7 @@ def test_electrodes_of_any_contact_impedance(z) -> None:
 
 
 @pytest.mark.parametrize("cells", ["prisms", "hexahedra"])
-@pytest.mark.parametrize("solver", ["block Cholesky", "sparse LU"])
+@pytest.mark.parametrize("solver", ["block Cholesky", "nested dissection", "sparse LU"])
 def test_meshes_and_solvers_of_any_kind(small, cells, solver) -> None:
     model = ForwardModel(small.design, COARSE, cells=cells, solver=solver)
     flat = small.deformed_layer(Scene())
