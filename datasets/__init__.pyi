@@ -20,12 +20,8 @@ from eitskin.datasets.store.folder import (
 from eitskin.datasets.store.folder import (
     save_dataset as save_dataset,
 )
-from eitskin.datasets.store.shard import (
-    read_shard as read_shard,
-)
-from eitskin.datasets.store.shard import (
-    write_shard as write_shard,
-)
+from eitskin.datasets.store.shard import write_shard as write_shard
+from eitskin.datasets.store.shard_reader import read_shard as read_shard
 from eitskin.datasets.store.state import (
     UNKNOWN_STATE as UNKNOWN_STATE,
 )

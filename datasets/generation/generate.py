@@ -1,8 +1,10 @@
 """Generation of a dataset from a recipe, resumable after interruptions."""
 
+import dataclasses
 import hashlib
 import shutil
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 
@@ -11,16 +13,18 @@ from eitskin.datasets.generation import process_pool as processes
 from eitskin.datasets.generation.preparation import prepare
 from eitskin.datasets.recipe.frame_sampling import specimen_numbers
 from eitskin.datasets.recipe.recipe import Recipe
-from eitskin.datasets.store.folder import (
+from eitskin.datasets.store.folder import make_folder, new_folder
+from eitskin.datasets.store.manifest import (
     MANIFEST,
     Manifest,
-    make_folder,
-    new_folder,
+    ShardEntry,
     read_manifest,
     shard_entry,
     write_manifest,
 )
-from eitskin.datasets.store.shard import read_shard, shard_name
+from eitskin.datasets.store.shard import shard_name
+from eitskin.datasets.store.shard_reader import shard_of
+from eitskin.datasets.store.worker_processes import each_in_turn, worthwhile
 from eitskin.errors import ConfigurationError, DataError, PartialError
 from eitskin.files import TEMPORARY, remove_file, remove_leftovers, write_file
 
@@ -29,6 +33,7 @@ RECIPE = "recipe.toml"
 _LEAST_BYTES_PER_CHANNEL = 4
 
 Progress = Callable[[int, int], None]
+Entries = dict[int, ShardEntry]
 
 
 def generate(
@@ -39,6 +44,7 @@ def generate(
     resume: bool = False,
     scheduler: str | None = None,
     shard: int | None = None,
+    examined: Progress | None = None,
 ) -> Manifest | None:
     """Generate the dataset of `recipe` in the folder `out`.
 
@@ -48,7 +54,8 @@ def generate(
     Args:
         recipe: of the dataset.
         out: folder; new or empty, unless `resume` or `shard`.
-        workers: number of processes; unused with `scheduler` and `shard`.
+        workers: number of processes; with `scheduler` they only look for finished shards, with
+            `shard` there are none.
         progress: called with the number of finished frames and of all frames.
         resume: keep the finished shards in `out` and simulate the others.
             Half-written files of killed writers are removed.
@@ -56,6 +63,8 @@ def generate(
         shard: number of the only shard to simulate. Any number of such calls may share a folder at
             the same time, and leave the half-written files of others alone; a call that finds all
             shards finished writes the manifest.
+        examined: called with the number of examined shards and of all, while `resume` looks for
+            finished ones.
 
     Returns:
         The manifest that was written; None with `shard` while other shards are missing.
@@ -69,7 +78,10 @@ def generate(
     prepare(recipe, workers=workers, specimens=needed_specimens(recipe, shard))
     folder = Path(out)
     wanted = range(recipe.shards) if shard is None else range(shard, shard + 1)
-    missing = _unfinished(recipe, folder, wanted) if resume or shard is not None else list(wanted)
+    kept: Entries = {}
+    if resume or shard is not None:
+        kept = _finished(recipe, folder, wanted, workers if shard is None else 1, examined)
+    missing = [number for number in wanted if number not in kept]
     _check_room(recipe, folder, missing)
     _begin(recipe, folder, resume, shared=shard is not None)
     total = _frames(recipe, wanted)
@@ -92,9 +104,13 @@ def generate(
         _make(recipe, folder, missing, make)
         if shard is None:
             remove_leftovers(folder)  # of workers killed while writing
-    if shard is not None and not _complete(recipe, folder):
+    if shard is None:
+        kept |= {number: _entry(recipe, folder, number) for number in missing}
+    else:
+        kept = _all_finished(recipe, folder)
+    if len(kept) < recipe.shards:
         return None
-    manifest = _manifest(recipe, folder)
+    manifest = _manifest(recipe, kept)
     write_manifest(folder, manifest)
     return manifest
 
@@ -180,36 +196,66 @@ def _begin(recipe: Recipe, folder: Path, resume: bool, shared: bool) -> None:
         write_file(path, text)
 
 
-def _unfinished(recipe: Recipe, folder: Path, shards: Sequence[int]) -> list[int]:
-    """Numbers of those `shards` that are missing or damaged in `folder`."""
-    checksums = _checksums(folder)
-    return [shard for shard in shards if not _finished(recipe, folder, shard, checksums)]
+def _finished(
+    recipe: Recipe,
+    folder: Path,
+    shards: Sequence[int],
+    workers: int = 1,
+    examined: Progress | None = None,
+) -> Entries:
+    """Entries of those `shards` that lie finished in `folder`, by number."""
+    text, checksums = recipe.to_toml(), _checksums(folder)
+    wanted = [_expected(recipe, shard, checksums) for shard in shards]
+    workers = worthwhile(workers, (folder / entry.name for entry in wanted))
+    found: Entries = {}
+    with closing(each_in_turn(partial(_examine, folder, text), wanted, workers)) as entries:
+        for count, (shard, entry) in enumerate(zip(shards, entries, strict=True), 1):
+            if entry is not None:
+                found[shard] = entry
+            if examined:
+                examined(count, len(wanted))
+    return found
 
 
-def _complete(recipe: Recipe, folder: Path) -> bool:
-    """Whether all shards are finished; files are read only when none is absent."""
+def _all_finished(recipe: Recipe, folder: Path) -> Entries:
+    """Entries of all shards; of none, and no file is read, where a shard is absent."""
     shards = range(recipe.shards)
     there = all((folder / shard_name(shard)).is_file() for shard in shards)
-    return there and not _unfinished(recipe, folder, shards)
+    return _finished(recipe, folder, shards) if there else {}
 
 
 def _checksums(folder: Path) -> Mapping[str, str]:
-    """SHA-256 of the shards by name from the manifest of `folder`; empty without a manifest."""
+    """SHA-256 of the shards by name from the manifest of `folder`; empty without one."""
     try:
         return {entry.name: entry.sha256 for entry in read_manifest(folder).shards}
     except DataError:
         return {}
 
 
-def _finished(recipe: Recipe, folder: Path, shard: int, checksums: Mapping[str, str]) -> bool:
+def _expected(recipe: Recipe, shard: int, checksums: Mapping[str, str]) -> ShardEntry:
+    """Entry of a shard; its checksum is empty where `checksums` has none."""
     name, frames = shard_name(shard), recipe.shard_range(shard)
+    return ShardEntry(name, frames.start, len(frames), checksums.get(name, ""))
+
+
+def _examine(folder: Path, recipe: str, wanted: ShardEntry) -> ShardEntry | None:
+    """Entry of a shard that is whole and of this recipe; None where it has to be made."""
+    path = folder / wanted.name
     try:
-        data = read_shard(folder / name, frames.start)
-    except DataError:
-        return False
-    if len(data) != len(frames) or data.recipe != recipe.to_toml():
-        return False
-    return name not in checksums or checksums[name] == shard_entry(folder, name, 0, 0).sha256
+        content = path.read_bytes()
+        found = hashlib.sha256(content).hexdigest()
+        if wanted.sha256 not in ("", found):
+            return None
+        data = shard_of(content, path, wanted.first_index)
+    except (OSError, DataError):
+        return None
+    sound = len(data) == wanted.count and data.recipe == recipe
+    return dataclasses.replace(wanted, sha256=found) if sound else None
+
+
+def _entry(recipe: Recipe, folder: Path, shard: int) -> ShardEntry:
+    frames = recipe.shard_range(shard)
+    return shard_entry(folder, shard_name(shard), frames.start, len(frames))
 
 
 def _make(
@@ -229,15 +275,11 @@ def _make(
         )
 
 
-def _manifest(recipe: Recipe, folder: Path) -> Manifest:
-    ranges = [recipe.shard_range(shard) for shard in range(recipe.shards)]
+def _manifest(recipe: Recipe, entries: Entries) -> Manifest:
     return Manifest(
         source="simulated",
         recipe_sha256=hashlib.sha256(recipe.to_toml().encode()).hexdigest(),
         seed=recipe.seed,
         frames=recipe.frames,
-        shards=tuple(
-            shard_entry(folder, shard_name(shard), frames.start, len(frames))
-            for shard, frames in enumerate(ranges)
-        ),
+        shards=tuple(entries[shard] for shard in range(recipe.shards)),
     )

@@ -3,9 +3,6 @@
 import ctypes
 import multiprocessing
 import os
-import signal
-import threading
-import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -15,10 +12,13 @@ from pathlib import Path
 from eitskin.datasets.generation.shard_simulation import simulate_shard
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.store.shard import shard_name, write_shard
-from eitskin.datasets.store.worker_processes import end_with_parent
+from eitskin.datasets.store.worker_processes import (
+    end_with_parent,
+    interrupts_held_back,
+    one_interrupt,
+)
 
 _GRACE = 1.0  # for workers to end by themselves after Ctrl-C [s]; a scene may take minutes
-_POLL = 0.2  # [s]
 _THREAD_LIMITS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -39,14 +39,14 @@ def make_shards(
     stop = context.RawValue(ctypes.c_bool, False)
     lost = set(shards)
     with (
-        _one_interrupt(stop),
+        one_interrupt(stop),
         one_thread_per_process(),
         ProcessPoolExecutor(
             min(workers, len(shards)), context, initializer=_start_worker, initargs=(stop,)
         ) as pool,
     ):
         try:
-            with _interrupts_held_back():  # workers start here and inherit the blocked signal
+            with interrupts_held_back():  # workers start here and inherit the blocked signal
                 futures = [pool.submit(pool_task, recipe, folder, shard) for shard in shards]
             for future in as_completed(futures):
                 if isinstance(future.exception(), BrokenProcessPool):
@@ -62,37 +62,6 @@ def make_shards(
             pool.shutdown(wait=True, cancel_futures=True)
             raise
     return sorted(lost)
-
-
-@contextmanager
-def _one_interrupt(stop: ctypes.c_bool) -> Iterator[None]:
-    """Let Ctrl-C stop the workers and be raised once; a second one would disturb the shutdown."""
-
-    def interrupt(number: int, frame: object) -> None:  # noqa: ARG001
-        if not stop.value:
-            stop.value = True
-            raise KeyboardInterrupt
-
-    # Only the main thread may set a signal handler, and only the main thread is interrupted.
-    before = signal.getsignal(signal.SIGINT)
-    ours = threading.current_thread() is threading.main_thread() and callable(before)
-    if ours:
-        signal.signal(signal.SIGINT, interrupt)
-    try:
-        yield
-    finally:
-        if ours:
-            signal.signal(signal.SIGINT, before)
-
-
-@contextmanager
-def _interrupts_held_back() -> Iterator[None]:
-    """Block Ctrl-C; processes started meanwhile never receive it."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextmanager
@@ -126,16 +95,7 @@ def _start_worker(stop: ctypes.c_bool) -> None:
     """Keep the flag `stop`, which the parent sets; end soon after that, or with the parent."""
     global _stop  # noqa: PLW0603 - the one way to reach tasks from a pool's initializer
     _stop = stop
-    threading.Thread(target=end_with_parent, daemon=True).start()
-    threading.Thread(target=_end_when_stopped, args=(stop,), daemon=True).start()
-
-
-def _end_when_stopped(stop: ctypes.c_bool) -> None:
-    """End the process in the middle of a solution; a shard that is half written is made anew."""
-    while not stop.value:
-        time.sleep(_POLL)
-    time.sleep(_GRACE)
-    os._exit(1)
+    end_with_parent(stop, _GRACE)
 
 
 def pool_task(recipe: Recipe, folder: Path, shard: int) -> int:

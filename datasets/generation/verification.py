@@ -7,9 +7,10 @@ from pathlib import Path
 
 from eitskin.datasets.generation.generate import RECIPE
 from eitskin.datasets.store.dataset import Dataset, require_same_origin
-from eitskin.datasets.store.folder import MANIFEST, Manifest, ShardEntry, read_entry, read_manifest
+from eitskin.datasets.store.folder import read_entry
+from eitskin.datasets.store.manifest import MANIFEST, Manifest, ShardEntry, read_manifest
 from eitskin.datasets.store.references import SpecimenReferences
-from eitskin.datasets.store.shard import read_shard
+from eitskin.datasets.store.shard_reader import read_shard
 from eitskin.datasets.store.worker_processes import each_in_turn, worthwhile
 from eitskin.errors import DataError
 

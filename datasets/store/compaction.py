@@ -1,26 +1,28 @@
 """Compaction: a dataset written anew in other shards, in the newest version of the format."""
 
+import hashlib
+from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 from eitskin.datasets.store.dataset import Dataset
-from eitskin.datasets.store.folder import (
+from eitskin.datasets.store.folder import Progress, new_folder, read_entry
+from eitskin.datasets.store.manifest import (
+    MANIFEST,
     Manifest,
-    Progress,
     ShardEntry,
-    new_folder,
-    read_entry,
+    manifest_bytes,
     read_manifest,
-    shard_entry,
-    write_manifest,
 )
 from eitskin.datasets.store.schema import LIMITS
-from eitskin.datasets.store.shard import shard_name, write_shard
+from eitskin.datasets.store.shard import shard_bytes, shard_name
 from eitskin.datasets.store.worker_processes import each_in_turn, worthwhile
-from eitskin.errors import ConfigurationError
+from eitskin.errors import ConfigurationError, PartialError
+from eitskin.files import atomic_folder
 
 FRAMES_PER_SHARD = 65536
+_REMEDY = "make room or give write permission, then compact again; nothing was left behind"
 
 
 def compact(
@@ -33,7 +35,8 @@ def compact(
     """Write the frames of a dataset of any version into a new folder; returns the manifest.
 
     Frames and labels are the same, in the same order. The bytes depend on the frames alone, not on
-    the workers. The dataset in `folder` stays as it is, and each of its shards is verified.
+    the workers. The dataset in `folder` stays as it is, and each of its shards is verified. The new
+    folder appears when it is complete: after an error or Ctrl-C nothing is left.
 
     Args:
         folder: of the dataset.
@@ -54,21 +57,26 @@ def compact(
             f"frames_per_shard must be from 1 to {LIMITS['frame']}, got {frames_per_shard}"
         )
     out = new_folder(Path(out))
+    out.rmdir()  # until it is complete
     pieces = _pieces(manifest, frames_per_shard)
     entries: list[ShardEntry] = []
     workers = worthwhile(workers, (folder / entry.name for entry in manifest.shards))
-    for entry in each_in_turn(partial(_write, folder, out), pieces, workers):
-        entries.append(entry)
-        if progress:
-            progress(len(entries), len(pieces))
-    made = Manifest(
-        source=manifest.source,
-        recipe_sha256=manifest.recipe_sha256,
-        seed=manifest.seed,
-        frames=manifest.frames,
-        shards=tuple(entries),
-    )
-    write_manifest(out, made)
+    with (
+        atomic_folder(out, PartialError, _REMEDY) as temporary,
+        closing(each_in_turn(partial(_write, folder, temporary), pieces, workers)) as written,
+    ):
+        for entry in written:
+            entries.append(entry)
+            if progress:
+                progress(len(entries), len(pieces))
+        made = Manifest(
+            source=manifest.source,
+            recipe_sha256=manifest.recipe_sha256,
+            seed=manifest.seed,
+            frames=manifest.frames,
+            shards=tuple(entries),
+        )
+        (temporary / MANIFEST).write_bytes(manifest_bytes(made))
     return made
 
 
@@ -107,8 +115,9 @@ def _write(folder: Path, out: Path, piece: _Piece) -> ShardEntry:
     parts = (_part(folder, entry, piece.frames) for entry in piece.sources)
     data = Dataset.collect(parts, len(piece.frames))
     name, first = shard_name(piece.number), piece.frames.start
-    write_shard(out / name, data, first)
-    return shard_entry(out, name, first, len(data))
+    content = shard_bytes(data, first)
+    (out / name).write_bytes(content)
+    return ShardEntry(name, first, len(data), hashlib.sha256(content).hexdigest())
 
 
 def _part(folder: Path, entry: ShardEntry, frames: range) -> Dataset:

@@ -4,9 +4,9 @@ import dataclasses
 import itertools
 import math
 import tomllib
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,6 +18,9 @@ from eitskin.errors import ConfigurationError, DataError
 from eitskin.frame import Frame, Status
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.protocol import Protocol
+
+# Attributes that all parts of a dataset share.
+ORIGIN: Final = ("protocol", "frequency", "source", "recipe", "seed", "design")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,14 +94,15 @@ class Dataset:
                     f"{field.name} must have shape {expected} ({', '.join(field.axes)}), "
                     f"got {values.shape}"
                 )
-            if field.finite and not np.isfinite(values).all():
-                row = int(np.argwhere(~np.isfinite(values))[0][0])
-                raise DataError(
-                    f"{field.name} must be finite, but {field.axes[0]} {row} is not; leave such "
-                    "frames out"
-                )
             object.__setattr__(self, field.name, values)
-        _check_labels(self)
+        check_values({field.name: getattr(self, field.name) for field in FIELDS})
+        if self.source not in ("simulated", "measured"):
+            raise DataError(f"source must be 'simulated' or 'measured', got {self.source!r}")
+        if self.protocol is not None and len(self.protocol) != self.channels:
+            raise DataError(
+                f"the protocol has {len(self.protocol)} measurements, but the frames have "
+                f"{self.channels} channels; give the protocol they were measured with"
+            )
 
     @classmethod
     def from_arrays(
@@ -138,13 +142,14 @@ class Dataset:
         return len(self.impedance)
 
     @property
+    def channels(self) -> int:
+        """Number of measurements of a frame."""
+        return int(self.impedance.shape[1])
+
+    @property
     def bytes_per_frame(self) -> int:
         """Size of one frame in memory."""
-        sizes = {"channel": self.impedance.shape[1], "touch": MAX_TOUCHES, "frame": 1}
-        return sum(
-            field.dtype.itemsize * math.prod(sizes[axis] for axis in field.axes)
-            for field in FRAME_FIELDS
-        )
+        return frame_bytes(self.channels, [field.name for field in FRAME_FIELDS])
 
     @property
     def reference_frames(self) -> int:
@@ -156,6 +161,9 @@ class Dataset:
         """Number of touches in each frame, (n,)."""
         count: NDArray[np.int64] = np.isfinite(self.touch_x).sum(axis=1)
         return count
+
+    def read(self, *names: str) -> None:
+        """Read columns that are not in memory yet, in one pass; those of a `StoredDataset` only."""
 
     def frame(self, index: int) -> Frame:
         """Frame `index` in the form of a board's frame; raises DataError without a protocol.
@@ -262,8 +270,8 @@ class Dataset:
         return dataclasses.replace(first, reference=reference, specimen_number=numbers, **columns)
 
 
-def require_same_origin(one: Dataset, other: Dataset) -> None:
-    """Raise DataError where two datasets cannot be parts of one."""
+def require_same_origin(one: Any, other: Any) -> None:
+    """Raise DataError where two datasets, or their origins, cannot be of one dataset."""
     if one.protocol is not None and other.protocol is not None:
         one.protocol.require_same(
             other.protocol,
@@ -271,46 +279,64 @@ def require_same_origin(one: Dataset, other: Dataset) -> None:
             "another has",
             "join only parts of one protocol",
         )
-    same = one.impedance.shape[1] == other.impedance.shape[1]
-    for name in ("protocol", "frequency", "recipe", "source", "seed", "design"):
-        same = same and getattr(one, name) == getattr(other, name)
-    if not same:
+    if any(getattr(one, name) != getattr(other, name) for name in (*ORIGIN, "channels")):
         raise DataError(
             "the parts of a dataset must share channels, protocol, frequency, source, recipe, seed "
             "and design; these were not made together"
         )
 
 
-def _deal(items: NDArray[Any], shares: NDArray[np.float64]) -> list[NDArray[Any]]:
-    """Consecutive parts of `items` in the proportions `shares`."""
-    edges = np.rint(np.cumsum([0.0, *shares]) * len(items)).astype(int)
-    return [items[start:stop] for start, stop in itertools.pairwise(edges)]
+def frame_bytes(channels: int, names: Collection[str]) -> int:
+    """Size in memory of the columns `names` of one frame."""
+    sizes = {"channel": channels, "touch": MAX_TOUCHES, "frame": 1}
+    return sum(
+        field.dtype.itemsize * math.prod(sizes[axis] for axis in field.axes)
+        for field in FRAME_FIELDS
+        if field.name in names
+    )
 
 
-def _check_labels(data: Dataset) -> None:
-    """Raise DataError for labels that contradict each other."""
-    if data.source not in ("simulated", "measured"):
-        raise DataError(f"source must be 'simulated' or 'measured', got {data.source!r}")
-    if data.protocol is not None and len(data.protocol) != data.impedance.shape[1]:
-        raise DataError(
-            f"the protocol has {len(data.protocol)} measurements, but the frames have "
-            f"{data.impedance.shape[1]} channels; give the protocol they were measured with"
-        )
-    numbers = data.specimen_number.astype(np.int64)
+def check_values(columns: Mapping[str, NDArray[Any]]) -> None:
+    """Raise DataError for values that the format refuses, in those columns that are given."""
+    for field in FIELDS:
+        values = columns.get(field.name)
+        if field.finite and values is not None and not np.isfinite(values).all():
+            row = int(np.argwhere(~np.isfinite(values))[0][0])
+            raise DataError(
+                f"{field.name} must be finite, but {field.axes[0]} {row} is not; leave such "
+                "frames out"
+            )
+    if "specimen_number" in columns:
+        _check_specimen_numbers(columns["specimen_number"].astype(np.int64))
+    if "specimen" in columns and "reference" in columns:
+        specimens, most = len(columns["reference"]), columns["specimen"].max(initial=0)
+        if most >= specimens:
+            raise DataError(f"specimen {most} has no reference; there are {specimens}")
+    if "state" in columns:
+        _check_states(columns["state"])
+    if "touch_x" in columns and "touch_y" in columns:
+        found = (np.isfinite(columns[name]) for name in ("touch_x", "touch_y"))
+        if not np.array_equal(*found):
+            raise DataError("a touch needs both touch_x and touch_y; one of them is NaN")
+
+
+def _check_specimen_numbers(numbers: NDArray[np.int64]) -> None:
     if (np.diff(numbers) <= 0).any() or numbers[-1] >= LIMITS["specimen"]:
         raise DataError(
             f"specimen_number must rise and stay below {LIMITS['specimen']}, got "
             f"{np.array2string(numbers, threshold=8)}"
         )
-    if len(data) == 0:
-        return
-    if data.specimen.max() >= len(data.reference):
-        raise DataError(
-            f"specimen {data.specimen.max()} has no reference; there are {len(data.reference)}"
-        )
-    wrong = set(np.unique(data.state).tolist()) - {*State, UNKNOWN_STATE}
+
+
+def _check_states(states: NDArray[np.uint8]) -> None:
+    found = np.flatnonzero(np.bincount(states, minlength=UNKNOWN_STATE + 1))
+    wrong = set(found.tolist()) - {*State, UNKNOWN_STATE}
     if wrong:
         known = ", ".join(f"{state.value} {state.name.lower()}" for state in State)
         raise DataError(f"states must be {known} or {UNKNOWN_STATE} unknown, got {sorted(wrong)}")
-    if not np.array_equal(np.isfinite(data.touch_x), np.isfinite(data.touch_y)):
-        raise DataError("a touch needs both touch_x and touch_y; one of them is NaN")
+
+
+def _deal(items: NDArray[Any], shares: NDArray[np.float64]) -> list[NDArray[Any]]:
+    """Consecutive parts of `items` in the proportions `shares`."""
+    edges = np.rint(np.cumsum([0.0, *shares]) * len(items)).astype(int)
+    return [items[start:stop] for start, stop in itertools.pairwise(edges)]

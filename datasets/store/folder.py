@@ -4,62 +4,53 @@ import hashlib
 import itertools
 import os
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
-import msgspec
-
 from eitskin.datasets.store.dataset import Dataset
-from eitskin.datasets.store.schema import FORMAT, FORMAT_VERSION
-from eitskin.datasets.store.shard import read_shard, shard_name, shard_of, write_shard
-from eitskin.errors import ConfigurationError, DataError, PartialError
-from eitskin.files import write_file
+from eitskin.datasets.store.manifest import (
+    Manifest,
+    ShardEntry,
+    read_manifest,
+    shard_content,
+    shard_entry,
+    write_manifest,
+)
+from eitskin.datasets.store.shard import shard_name, write_shard
+from eitskin.datasets.store.shard_reader import read_shard, shard_of
+from eitskin.datasets.store.stored_dataset import StoredDataset, require_memory
+from eitskin.errors import ConfigurationError, DataError
 
-MANIFEST = "manifest.json"
+READ_AT_ONCE = 64_000_000
+"""Largest size of files that `open_dataset` reads at once [bytes]: a second or two of reading."""
+
 Progress = Callable[[int, int], None]
 
 
-@dataclass(frozen=True, slots=True)
-class ShardEntry:
-    """Entry of a shard in a manifest: file name, frames, SHA-256."""
-
-    name: str
-    first_index: int
-    count: int
-    sha256: str
-
-
-@dataclass(frozen=True, slots=True)
-class Manifest:
-    """Content of a complete dataset; written after all files that it names."""
-
-    source: str
-    recipe_sha256: str
-    seed: int
-    frames: int
-    shards: tuple[ShardEntry, ...]
-    format: str = FORMAT
-    format_version: int = FORMAT_VERSION
-
-
 def open_dataset(path: str | Path, progress: Progress | None = None) -> Dataset:
-    """Dataset read into memory.
+    """Dataset of a folder, or of a single shard.
+
+    Files of up to `READ_AT_ONCE` bytes together are read into memory. A larger dataset is a
+    `StoredDataset`: only its manifest and first shard are read now, and columns when they are first
+    used. Damage of another shard is found when that shard is read.
 
     Args:
         path: folder of a dataset, or a single shard.
-        progress: called with the number of shards read and of all shards.
+        progress: called with the number of shards read and of all shards, whenever shards are read.
 
     Raises:
         DataError: where files are missing, damaged, newer than this eitskin, or no dataset.
-        ConfigurationError: for a dataset larger than the memory of this machine.
+        ConfigurationError: for columns larger than the memory of this machine.
     """
     path = Path(path)
     if path.is_file():
         return read_shard(path)
     manifest = read_manifest(path)
-    parts = read_shards(path, progress)
+    size = _disk_bytes(path, manifest)
+    parts = _shards(path, manifest, progress)
     first = next(parts)
-    _check_memory(path, manifest.frames * first.bytes_per_frame)
+    if size > READ_AT_ONCE:
+        return StoredDataset.of_folder(path, manifest, first.select([]), progress)
+    require_memory(path, manifest.frames * first.bytes_per_frame)
     return Dataset.collect(itertools.chain((first,), parts), manifest.frames)
 
 
@@ -73,11 +64,14 @@ def read_shards(path: str | Path, progress: Progress | None = None) -> Iterator[
     if path.is_file():
         yield read_shard(path)
         return
-    shards = read_manifest(path).shards
-    for number, entry in enumerate(shards, 1):
+    yield from _shards(path, read_manifest(path), progress)
+
+
+def _shards(path: Path, manifest: Manifest, progress: Progress | None) -> Iterator[Dataset]:
+    for number, entry in enumerate(manifest.shards, 1):
         yield read_entry(path, entry)
         if progress:
-            progress(number, len(shards))
+            progress(number, len(manifest.shards))
 
 
 def save_dataset(data: Dataset, folder: str | Path, frames_per_shard: int = 4096) -> Manifest:
@@ -111,47 +105,6 @@ def save_dataset(data: Dataset, folder: str | Path, frames_per_shard: int = 4096
     return manifest
 
 
-def read_manifest(folder: Path) -> Manifest:
-    """Manifest of a dataset's folder, checked; raises DataError."""
-    path = folder / MANIFEST
-    if not path.is_file():
-        found = len(list(folder.glob("shard-*.h5"))) if folder.is_dir() else 0
-        remedy = (
-            f"{found} finished shards lie there, so it was interrupted; generate it again with "
-            "--resume, or open a single shard"
-            if found
-            else "give the folder that eitskin generate or eitskin import wrote"
-        )
-        raise DataError(f"{folder} is not a complete dataset, it has no {MANIFEST}; {remedy}")
-    try:
-        content = path.read_bytes()
-        _check_version(path, content)
-        manifest = msgspec.json.decode(content, type=Manifest)
-    except (OSError, msgspec.MsgspecError) as error:
-        raise DataError(f"{path} is not a manifest: {error}; make the dataset again") from error
-    _check_shards(path, manifest)
-    return manifest
-
-
-def write_manifest(folder: Path, manifest: Manifest) -> None:
-    """Write the manifest, after all shards: a manifest marks a complete dataset."""
-    content = msgspec.json.format(msgspec.json.encode(manifest), indent=2)
-    write_file(folder / MANIFEST, content + b"\n")
-
-
-def shard_entry(folder: Path, name: str, first_index: int, count: int) -> ShardEntry:
-    """Manifest entry of a shard in `folder`; raises PartialError where the shard is missing."""
-    try:
-        content = (folder / name).read_bytes()
-    except OSError as error:
-        raise PartialError(
-            f"cannot read back {folder / name}: {error.strerror}; where workers run on other "
-            "machines, they must see the same folder under the same path; then continue with "
-            "--resume"
-        ) from error
-    return ShardEntry(name, first_index, count, hashlib.sha256(content).hexdigest())
-
-
 def new_folder(folder: Path) -> Path:
     """Create `folder`, or accept an empty one; raises ConfigurationError otherwise."""
     if make_folder(folder):
@@ -177,68 +130,22 @@ def make_folder(folder: Path) -> frozenset[str]:
 
 
 def read_entry(folder: Path, entry: ShardEntry) -> Dataset:
-    """Dataset of a shard that the manifest names; raises DataError for any damage.
-
-    A file with another checksum is not opened, because damage can crash the HDF5 library.
-    """
-    path = folder / entry.name
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise DataError(f"cannot read {path}, which the manifest names: {error}") from error
-    found = hashlib.sha256(content).hexdigest()
-    if found != entry.sha256:
-        raise DataError(
-            f"{path} is not the file that the manifest names: expected SHA-256 {entry.sha256}, "
-            f"got {found}; copy it again, or delete it and generate with --resume"
-        )
-    data = shard_of(content, path, entry.first_index)
+    """Dataset of a shard that the manifest names; raises DataError for any damage."""
+    data = shard_of(shard_content(folder, entry), folder / entry.name, entry.first_index)
     if len(data) != entry.count:
-        raise DataError(f"{path} must hold {entry.count} frames, got {len(data)}")
+        raise DataError(f"{folder / entry.name} must hold {entry.count} frames, got {len(data)}")
     return data
 
 
-def _check_memory(path: Path, needed: int) -> None:
-    """Raise ConfigurationError where `needed` bytes are more than this machine has, if it says."""
+def _disk_bytes(folder: Path, manifest: Manifest) -> int:
+    """Size of the shards on the disk; raises DataError where one is missing."""
     try:
-        memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    except (AttributeError, ValueError, OSError):
-        return
-    if needed > memory:
-        raise ConfigurationError(
-            f"{path} takes {needed / 1e9:.1f} GB in memory, expected at most the "
-            f"{memory / 1e9:.1f} GB of this machine; read it in parts with read_shards, or with "
-            "ShuffledShards"
-        )
-
-
-def _check_version(path: Path, content: bytes) -> None:
-    """Check format and version first: a newer manifest may have unknown keys."""
-    head = msgspec.json.decode(content)
-    if not isinstance(head, dict):
-        raise DataError(f"{path} is not a manifest: expected an object, got {type(head).__name__}")
-    name, version = head.get("format"), head.get("format_version")
-    if name != FORMAT:
-        raise DataError(f"{path}: expected format '{FORMAT}', got {name!r}")
-    if not isinstance(version, int) or version < 1:
-        raise DataError(f"{path}: expected a format version of 1 or more, got {version!r}")
-    if version > FORMAT_VERSION:
+        sizes = {entry.name: entry.stat().st_size for entry in os.scandir(folder)}
+        return sum(sizes[entry.name] for entry in manifest.shards)
+    except KeyError as missing:
         raise DataError(
-            f"{path}: format version {version} is newer than {FORMAT_VERSION}, the last that this "
-            "eitskin reads; upgrade with pip install --upgrade eitskin"
-        )
-
-
-def _check_shards(path: Path, manifest: Manifest) -> None:
-    """Raise DataError for shards outside the folder, gaps and overlaps."""
-    following = 0
-    for entry in manifest.shards:
-        if Path(entry.name).name != entry.name or entry.name.startswith("."):
-            raise DataError(f"{path}: a shard must lie beside the manifest, got {entry.name!r}")
-        if entry.first_index != following:
-            raise DataError(
-                f"{path}: {entry.name} must start at frame {following}, got {entry.first_index}"
-            )
-        following += entry.count
-    if not manifest.shards or following != manifest.frames:
-        raise DataError(f"{path}: expected {manifest.frames} frames, its shards hold {following}")
+            f"cannot read {folder / missing.args[0]}, which the manifest names: no such file; copy "
+            "it again, or generate with --resume"
+        ) from missing
+    except OSError as error:
+        raise DataError(f"cannot look into {folder}: {error}; give permission") from error

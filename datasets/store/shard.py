@@ -1,11 +1,13 @@
-"""Shards: HDF5 files of a dataset, built in memory, written atomically, checked when read."""
+"""Shards: HDF5 files of a dataset, built in memory and written atomically.
+
+`shard_reader` reads them.
+"""
 
 import hashlib
 import json
 import threading
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from functools import cache, lru_cache
+from collections.abc import Mapping
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -14,22 +16,10 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.config import parse_toml
 from eitskin.datasets.store.dataset import Dataset
-from eitskin.datasets.store.schema import (
-    FIELDS,
-    FORMAT,
-    FORMAT_VERSION,
-    LIMITS,
-    MAX_TOUCHES,
-    MAX_VALUES,
-    Field,
-)
+from eitskin.datasets.store.schema import FIELDS, FORMAT, FORMAT_VERSION, Field
 from eitskin.datasets.store.state import UNKNOWN_STATE, State
-from eitskin.errors import DataError
 from eitskin.files import write_file
-from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.protocol import Protocol
 
 CHUNK_FRAMES = 1024
 # Not lzf: the hash table of h5py's lzf is uninitialised, so equal data give different bytes.
@@ -55,39 +45,6 @@ def write_shard(path: Path, data: Dataset, first_index: int = 0) -> None:
     Raises PartialError where the file cannot be written.
     """
     write_file(Path(path), shard_bytes(data, first_index))
-
-
-def read_shard(path: Path, first_index: int | None = None) -> Dataset:
-    """Dataset of one shard, checked.
-
-    Args:
-        path: of the file.
-        first_index: expected number of the first frame within the whole dataset, where known.
-
-    Raises DataError for any violation of the format.
-    """
-    path = Path(path)
-    with _as_data_errors(path), h5py.File(path, "r") as file:
-        return _checked(file, first_index)
-
-
-def shard_of(content: bytes, path: Path, first_index: int | None = None) -> Dataset:
-    """Dataset of the shard whose file has this content; `path` and errors as for `read_shard`."""
-    with _as_data_errors(path), h5py.File(h5py.h5f.open_file_image(content)) as file:
-        return _checked(file, first_index)
-
-
-@contextmanager
-def _as_data_errors(path: Path) -> Iterator[None]:
-    """Raise all errors of reading a file as DataError."""
-    try:
-        yield
-    except DataError as error:
-        raise DataError(f"{path}: {error}") from error
-    except (OSError, KeyError, ValueError, TypeError, RuntimeError, AttributeError) as error:
-        raise DataError(
-            f"{path} is not a whole shard of an eitskin dataset: {error}; make or copy it again"
-        ) from error
 
 
 @cache
@@ -168,120 +125,3 @@ def _attach_time(file: h5py.File) -> None:
     for field in FIELDS:
         if field.axes[0] == "frame" and field.name != "time":
             file[field.path].dims[0].attach_scale(file["time"])
-
-
-def _checked(file: h5py.File, first_index: int | None) -> Dataset:
-    """Dataset of an open file; raises DataError for what the format does not allow."""
-    _check_format(file)
-    found = int(file.attrs["first_index"])
-    if first_index is not None and found != first_index:
-        raise DataError(f"expected frames from {first_index} on, got {found}")
-    return _read(file, dict(_plain_arrays(file)))
-
-
-def _check_format(file: h5py.File) -> None:
-    """Raise DataError for other formats and newer versions."""
-    found = file.attrs.get("format")
-    if found != FORMAT:
-        raise DataError(f"expected format '{FORMAT}', got {found!r}; this is another kind of file")
-    version = int(file.attrs["format_version"])
-    if version > FORMAT_VERSION:
-        raise DataError(
-            f"format version {version} is newer than {FORMAT_VERSION}, the last that this eitskin "
-            "reads; upgrade with pip install --upgrade eitskin"
-        )
-    if version < 1:
-        raise DataError(
-            f"expected format version 1 to {FORMAT_VERSION}, got {version}, which no eitskin has "
-            "written; generate or copy it again"
-        )
-    if not 0 <= int(file.attrs["count"]) <= LIMITS["frame"]:
-        raise DataError(f"expected at most {LIMITS['frame']} frames, got {file.attrs['count']}")
-    text = file.attrs["recipe"]
-    if hashlib.sha256(text.encode()).hexdigest() != file.attrs["recipe_sha256"]:
-        raise DataError("the recipe and its checksum disagree; make or copy the file again")
-
-
-def _plain_arrays(group: h5py.Group, inside: str = "") -> Iterator[tuple[str, h5py.Dataset]]:
-    """Arrays of a file by path; raises DataError for links, data elsewhere, foreign filters."""
-    for name in group:
-        if group.id.links.get_info(name.encode()).type != h5py.h5l.TYPE_HARD:
-            raise DataError(f"'{name}' is a soft or external link, and only plain data are read")
-        item = group[name]
-        if isinstance(item, h5py.Group) and not inside:
-            yield from _plain_arrays(item, f"{name}/")
-        elif not isinstance(item, h5py.Dataset) or item.is_virtual or item.external:
-            raise DataError(f"'{name}' is nested, virtual or elsewhere; only plain data are read")
-        else:
-            _check_filters(item)
-            yield inside + name, item
-
-
-def _check_filters(dataset: h5py.Dataset) -> None:
-    known = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
-    known.add(h5py.h5z.FILTER_LZF)
-    properties = dataset.id.get_create_plist()
-    for number in range(properties.get_nfilters()):
-        code = properties.get_filter(number)[0]
-        if code not in known:
-            raise DataError(f"'{dataset.name}' uses filter {code}; expected gzip or lzf")
-
-
-def _read(file: h5py.File, stored: Mapping[str, h5py.Dataset]) -> Dataset:
-    version = int(file.attrs["format_version"])
-    sizes = {"frame": int(file.attrs["count"]), "touch": MAX_TOUCHES}
-    sizes["channel"] = stored["impedance"].shape[-1]
-    sizes["specimen"] = stored["reference"].shape[0]
-    arrays = {
-        field.name: _read_field(stored[field.path], field, sizes)
-        for field in FIELDS
-        if field.path in stored or field.since <= version
-    }
-    # Older files have no numbers of frames, and all specimens of the dataset: counts within the
-    # dataset take the place of the numbers.
-    first = int(file.attrs["first_index"])
-    arrays.setdefault("number", np.arange(first, first + sizes["frame"]))
-    arrays.setdefault("specimen_number", np.arange(sizes["specimen"]))
-    design = file.attrs["design"]
-    return Dataset(
-        **arrays,
-        protocol=_read_protocol(stored["protocol"]) if "protocol" in stored else None,
-        frequency=float(file.attrs["frequency"]),
-        source=str(file.attrs["source"]),
-        recipe=str(file.attrs["recipe"]),
-        seed=int(file.attrs["seed"]),
-        design=_read_design(design) if design else None,
-    )
-
-
-@lru_cache(maxsize=8)
-def _read_design(text: str) -> SensorDesign:
-    """Sensor design of a shard; cached, since all shards of a dataset hold the same."""
-    return parse_toml(SensorDesign, text, "attribute 'design'")
-
-
-def _read_field(stored: h5py.Dataset, field: Field, sizes: Mapping[str, int]) -> NDArray[Any]:
-    """One array, read after checks of the shape and type that the file states."""
-    expected = tuple(sizes[axis] for axis in field.axes)
-    if stored.shape != expected:
-        raise DataError(f"'{field.path}' must have shape {expected}, got {stored.shape}")
-    if stored.dtype != field.dtype:
-        raise DataError(f"'{field.path}' must hold {field.dtype.name}, got {stored.dtype}")
-    if any(sizes[axis] > LIMITS[axis] for axis in field.axes) or stored.size > MAX_VALUES:
-        raise DataError(f"'{field.path}' claims {expected} values, above the format's limits")
-    values: NDArray[Any] = stored[()]
-    return values
-
-
-def _read_protocol(stored: h5py.Dataset) -> Protocol:
-    if stored.ndim != 2 or stored.shape[1] != 4 or stored.shape[0] > LIMITS["channel"]:
-        raise DataError(f"'protocol' must have shape (channels, 4), got {stored.shape}")
-    if stored.dtype != np.dtype("<i2"):
-        raise DataError(f"'protocol' must hold int16, got {stored.dtype}")
-    return _protocol(stored[()].tobytes(), int(stored.attrs["n_electrodes"]))
-
-
-@lru_cache(maxsize=8)
-def _protocol(rows: bytes, n_electrodes: int) -> Protocol:
-    """Protocol of a shard; cached, since all shards of a dataset hold the same."""
-    return Protocol.from_rows(np.frombuffer(rows, dtype="<i2").reshape(-1, 4), n_electrodes)

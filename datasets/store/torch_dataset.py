@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.datasets.store.dataset import Dataset
-from eitskin.datasets.store.folder import open_dataset, read_entry, read_manifest
+from eitskin.datasets.store.folder import open_dataset, read_entry
+from eitskin.datasets.store.manifest import read_manifest
 from eitskin.datasets.store.schema import FRAME_FIELDS
 from eitskin.errors import ConfigurationError
 from eitskin.extras import require
@@ -75,6 +76,7 @@ class TorchDataset:
             raise IndexError(f"frame {index} of a dataset of {self._frames}")
         if self._data is None:
             self._data = open_dataset(self.folder)
+            self._data.read(*self.names)
         return _item(self._data, index, self.names)
 
     def __getstate__(self) -> dict[str, Any]:

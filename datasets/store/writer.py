@@ -10,13 +10,8 @@ from numpy.typing import NDArray
 
 from eitskin.closeable import Closeable
 from eitskin.datasets.store.dataset import Dataset
-from eitskin.datasets.store.folder import (
-    Manifest,
-    ShardEntry,
-    new_folder,
-    shard_entry,
-    write_manifest,
-)
+from eitskin.datasets.store.folder import new_folder
+from eitskin.datasets.store.manifest import Manifest, ShardEntry, shard_entry, write_manifest
 from eitskin.datasets.store.schema import MAX_TOUCHES
 from eitskin.datasets.store.shard import shard_name, write_shard
 from eitskin.datasets.store.state import UNKNOWN_STATE

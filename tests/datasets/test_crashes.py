@@ -20,7 +20,7 @@ import pytest
 from eitskin.datasets import Recipe, generate
 from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.datasets.store.schema import FIELDS
-from eitskin.datasets.store.shard import read_shard
+from eitskin.datasets.store.shard_reader import read_shard
 from eitskin.errors import DataError, EitskinError
 
 from shards_here import in_this_process, made_here

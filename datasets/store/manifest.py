@@ -1,0 +1,132 @@
+"""Manifest of a dataset: the shards of a complete folder, with their checksums."""
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+
+from eitskin.datasets.store.schema import FORMAT, FORMAT_VERSION
+from eitskin.errors import DataError, PartialError
+from eitskin.files import write_file
+
+MANIFEST = "manifest.json"
+
+
+@dataclass(frozen=True, slots=True)
+class ShardEntry:
+    """Entry of a shard in a manifest: file name, frames, SHA-256."""
+
+    name: str
+    first_index: int
+    count: int
+    sha256: str
+
+
+@dataclass(frozen=True, slots=True)
+class Manifest:
+    """Content of a complete dataset; written after all files that it names."""
+
+    source: str
+    recipe_sha256: str
+    seed: int
+    frames: int
+    shards: tuple[ShardEntry, ...]
+    format: str = FORMAT
+    format_version: int = FORMAT_VERSION
+
+
+def read_manifest(folder: Path) -> Manifest:
+    """Manifest of a dataset's folder, checked; raises DataError."""
+    path = folder / MANIFEST
+    if not path.is_file():
+        found = len(list(folder.glob("shard-*.h5"))) if folder.is_dir() else 0
+        remedy = (
+            f"{found} finished shards lie there, so it was interrupted; generate it again with "
+            "--resume, or open a single shard"
+            if found
+            else "give the folder that eitskin generate or eitskin import wrote"
+        )
+        raise DataError(f"{folder} is not a complete dataset, it has no {MANIFEST}; {remedy}")
+    try:
+        content = path.read_bytes()
+        _check_version(path, content)
+        manifest = msgspec.json.decode(content, type=Manifest)
+    except (OSError, msgspec.MsgspecError) as error:
+        raise DataError(f"{path} is not a manifest: {error}; make the dataset again") from error
+    _check_shards(path, manifest)
+    return manifest
+
+
+def write_manifest(folder: Path, manifest: Manifest) -> None:
+    """Write the manifest, after all shards: a manifest marks a complete dataset."""
+    write_file(folder / MANIFEST, manifest_bytes(manifest))
+
+
+def manifest_bytes(manifest: Manifest) -> bytes:
+    """Content of the manifest's file."""
+    return bytes(msgspec.json.format(msgspec.json.encode(manifest), indent=2)) + b"\n"
+
+
+def shard_entry(folder: Path, name: str, first_index: int, count: int) -> ShardEntry:
+    """Manifest entry of a shard in `folder`; raises PartialError where the shard is missing."""
+    try:
+        content = (folder / name).read_bytes()
+    except OSError as error:
+        raise PartialError(
+            f"cannot read back {folder / name}: {error.strerror}; where workers run on other "
+            "machines, they must see the same folder under the same path; then continue with "
+            "--resume"
+        ) from error
+    return ShardEntry(name, first_index, count, hashlib.sha256(content).hexdigest())
+
+
+def shard_content(folder: Path, entry: ShardEntry) -> bytes:
+    """Content of a shard that the manifest names; raises DataError for another checksum.
+
+    Damage can crash the HDF5 library, which is to be given this content only.
+    """
+    path = folder / entry.name
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise DataError(f"cannot read {path}, which the manifest names: {error}") from error
+    found = hashlib.sha256(content).hexdigest()
+    if found != entry.sha256:
+        raise DataError(
+            f"{path} is not the file that the manifest names: expected SHA-256 {entry.sha256}, "
+            f"got {found}; copy it again, or delete it and generate with --resume"
+        )
+    return content
+
+
+def _check_version(path: Path, content: bytes) -> None:
+    """Check format and version first: a newer manifest may have unknown keys."""
+    head = msgspec.json.decode(content)
+    if not isinstance(head, dict):
+        raise DataError(f"{path} is not a manifest: expected an object, got {type(head).__name__}")
+    name, version = head.get("format"), head.get("format_version")
+    if name != FORMAT:
+        raise DataError(f"{path}: expected format '{FORMAT}', got {name!r}")
+    if not isinstance(version, int) or version < 1:
+        raise DataError(f"{path}: expected a format version of 1 or more, got {version!r}")
+    if version > FORMAT_VERSION:
+        raise DataError(
+            f"{path}: format version {version} is newer than {FORMAT_VERSION}, the last that this "
+            "eitskin reads; upgrade with pip install --upgrade eitskin"
+        )
+
+
+def _check_shards(path: Path, manifest: Manifest) -> None:
+    """Raise DataError for shards outside the folder, gaps and overlaps."""
+    following = 0
+    for entry in manifest.shards:
+        if Path(entry.name).name != entry.name or entry.name.startswith("."):
+            raise DataError(f"{path}: a shard must lie beside the manifest, got {entry.name!r}")
+        if entry.first_index != following:
+            raise DataError(
+                f"{path}: {entry.name} must start at frame {following}, got {entry.first_index}"
+            )
+        following += entry.count
+    if not manifest.shards or following != manifest.frames:
+        raise DataError(f"{path}: expected {manifest.frames} frames, its shards hold {following}")

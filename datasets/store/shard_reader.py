@@ -1,0 +1,312 @@
+"""Reading of shards: datasets, or single columns, of HDF5 files that are checked as they are read.
+
+h5py's low-level interface is used throughout: it opens and checks the arrays of a small file in
+half the time of the high-level one.
+"""
+
+import hashlib
+import math
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.config import parse_toml
+from eitskin.datasets.store.dataset import ORIGIN, Dataset, check_values
+from eitskin.datasets.store.schema import (
+    FIELDS,
+    FORMAT,
+    FORMAT_VERSION,
+    LIMITS,
+    MAX_TOUCHES,
+    MAX_VALUES,
+    Field,
+)
+from eitskin.errors import DataError
+from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.protocol import Protocol
+
+Columns = dict[str, NDArray[Any]]
+
+_FILTERS = {
+    h5py.h5z.FILTER_DEFLATE,
+    h5py.h5z.FILTER_SHUFFLE,
+    h5py.h5z.FILTER_FLETCHER32,
+    h5py.h5z.FILTER_LZF,
+}
+_TYPES = {field.name: h5py.h5t.py_create(field.dtype, logical=True) for field in FIELDS}
+
+
+def read_shard(path: str | Path, first_index: int | None = None) -> Dataset:
+    """Dataset of one shard, checked.
+
+    Args:
+        path: of the file.
+        first_index: expected number of the first frame within the whole dataset, where known.
+
+    Raises DataError for any violation of the format.
+    """
+    path = Path(path)
+    with _as_data_errors(path), h5py.File(path, "r") as file:
+        return OpenShard(file.id, first_index).dataset()
+
+
+def shard_of(content: bytes, path: Path, first_index: int | None = None) -> Dataset:
+    """Dataset of the shard whose file has this content; `path` and errors as for `read_shard`."""
+    with opened_shard(content, path, first_index) as shard:
+        return shard.dataset()
+
+
+@contextmanager
+def opened_shard(
+    content: bytes, path: Path, first_index: int | None = None
+) -> "Iterator[OpenShard]":
+    """Open shard whose file has this content; `path`, `first_index`, errors as for `read_shard`."""
+    with _as_data_errors(path):
+        file = h5py.h5f.open_file_image(content)
+        try:
+            yield OpenShard(file, first_index)
+        finally:
+            file.close()
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """Data that all shards of a dataset share; attributes as of `Dataset`."""
+
+    protocol: Protocol | None
+    frequency: float
+    source: str
+    recipe: str
+    seed: int
+    design: SensorDesign | None
+    channels: int
+
+
+class OpenShard:
+    """Shard whose file is open: its arrays are checked when they are read."""
+
+    def __init__(self, file: h5py.h5f.FileID, first_index: int | None) -> None:
+        """Check format, version and number of the first frame; raises DataError."""
+        self._file = file
+        self._version = _checked_version(file)
+        self._first, self._count = _integer(file, "first_index"), _integer(file, "count")
+        if not 0 <= self._count <= LIMITS["frame"]:
+            raise DataError(f"expected at most {LIMITS['frame']} frames, got {self._count}")
+        if first_index is not None and self._first != first_index:
+            raise DataError(f"expected frames from {first_index} on, got {self._first}")
+
+    def dataset(self) -> Dataset:
+        """The whole shard, in which every array of the file is checked."""
+        stored = dict(_all_arrays(self._root))
+        origin = self._origin(stored["impedance"].shape[-1], stored.get("protocol"))
+        known: dict[str, Any] = {name: getattr(origin, name) for name in ORIGIN}
+        names = [field.name for field in FIELDS]
+        return Dataset(**(known | self._columns(stored, origin.channels, names)))
+
+    def origin(self) -> Origin:
+        """Data that the shard must share with the others of its dataset."""
+        channels = _array(self._root, "impedance").shape[-1]
+        return self._origin(channels, _array(self._root, "protocol", required=False))
+
+    def columns(self, frames: int, channels: int, names: Collection[str]) -> Columns:
+        """Some columns; arrays of the file that these do not need are not looked at.
+
+        Args:
+            frames: expected number of frames.
+            channels: expected number of channels.
+            names: attributes of `Dataset`. Values that are checked together must be named together:
+                both coordinates of touches, and `specimen` with `reference`.
+
+        Raises DataError for any violation of the format in these columns.
+        """
+        if self._count != frames:
+            raise DataError(f"must hold {frames} frames, got {self._count}")
+        wanted = (field for field in FIELDS if field.name in names)
+        found = {
+            field.path: _array(self._root, field.path, required=field.since <= self._version)
+            for field in wanted
+        }
+        stored = {path: array for path, array in found.items() if array is not None}
+        columns = self._columns(stored, channels, names)
+        check_values(columns)
+        return columns
+
+    @property
+    def _root(self) -> h5py.h5g.GroupID:
+        return h5py.h5g.open(self._file, b"/")
+
+    def _origin(self, channels: int, protocol: h5py.h5d.DatasetID | None) -> Origin:
+        recipe, design = _text(self._file, "recipe"), _text(self._file, "design")
+        if hashlib.sha256(recipe.encode()).hexdigest() != _text(self._file, "recipe_sha256"):
+            raise DataError("the recipe and its checksum disagree; make or copy the file again")
+        return Origin(
+            protocol=None if protocol is None else _read_protocol(protocol),
+            frequency=float(_attribute(self._file, "frequency")),
+            source=_text(self._file, "source"),
+            recipe=recipe,
+            seed=_integer(self._file, "seed"),
+            design=_read_design(design) if design else None,
+            channels=channels,
+        )
+
+    def _columns(self, stored: Mapping[str, Any], channels: int, names: Collection[str]) -> Columns:
+        """Columns of the arrays `stored`, with the values that older files leave out."""
+        sizes = {"frame": self._count, "touch": MAX_TOUCHES, "channel": channels}
+        if "reference" in stored:
+            sizes["specimen"] = stored["reference"].shape[0]
+        arrays = {
+            field.name: _values(stored[field.path], field, sizes)
+            for field in FIELDS
+            if field.name in names and (field.path in stored or field.since <= self._version)
+        }
+        # Older files have no numbers of frames, and all specimens of the dataset: counts within the
+        # dataset take the place of the numbers.
+        first = self._first
+        if "number" in names:
+            arrays.setdefault("number", np.arange(first, first + self._count))
+        if "specimen_number" in names:
+            arrays.setdefault("specimen_number", np.arange(sizes["specimen"]))
+        return arrays
+
+
+@contextmanager
+def _as_data_errors(path: Path) -> Iterator[None]:
+    """Raise all errors of reading a file as DataError."""
+    try:
+        yield
+    except DataError as error:
+        raise DataError(f"{path}: {error}") from error
+    except (OSError, KeyError, ValueError, TypeError, RuntimeError, AttributeError) as error:
+        raise DataError(
+            f"{path} is not a whole shard of an eitskin dataset: {error}; make or copy it again"
+        ) from error
+
+
+def _checked_version(file: h5py.h5f.FileID) -> int:
+    """Format version of a file; raises DataError for other formats and newer versions."""
+    found = _attribute(file, "format") if h5py.h5a.exists(file, b"format") else None
+    if found != FORMAT:
+        raise DataError(f"expected format '{FORMAT}', got {found!r}; this is another kind of file")
+    version = _integer(file, "format_version")
+    if version > FORMAT_VERSION:
+        raise DataError(
+            f"format version {version} is newer than {FORMAT_VERSION}, the last that this eitskin "
+            "reads; upgrade with pip install --upgrade eitskin"
+        )
+    if version < 1:
+        raise DataError(
+            f"expected format version 1 to {FORMAT_VERSION}, got {version}, which no eitskin has "
+            "written; generate or copy it again"
+        )
+    return version
+
+
+def _attribute(place: Any, name: str) -> Any:
+    """Attribute of a file or array: one number, or text; errors where it is missing or longer."""
+    stored = h5py.h5a.open(place, name.encode())
+    values = np.empty(stored.shape, stored.dtype)
+    stored.read(values)
+    value = values.item()
+    return value.decode() if isinstance(value, bytes) else value
+
+
+def _integer(place: Any, name: str) -> int:
+    return int(_attribute(place, name))
+
+
+def _text(place: Any, name: str) -> str:
+    return str(_attribute(place, name))
+
+
+def _all_arrays(group: h5py.h5g.GroupID, inside: str = "") -> Iterator[tuple[str, Any]]:
+    """Arrays of a file by path; raises DataError for links, data elsewhere, foreign filters."""
+    for raw in group:
+        item, name = _plain(group, raw), raw.decode()
+        if not isinstance(item, h5py.h5g.GroupID):
+            yield inside + name, item
+        elif inside:
+            raise DataError(f"'{name}' is nested, virtual or elsewhere; only plain data are read")
+        else:
+            yield from _all_arrays(item, f"{name}/")
+
+
+def _array(root: h5py.h5g.GroupID, path: str, *, required: bool = True) -> Any:
+    """One array of a file, checked as by `_all_arrays`; None where a file need not have it."""
+    *groups, name = path.split("/")
+    for group in groups:
+        root = _plain(root, group.encode())
+    if not (required or name.encode() in root):
+        return None
+    return _plain(root, name.encode())
+
+
+def _plain(group: h5py.h5g.GroupID, name: bytes) -> Any:
+    """Group or array whose values lie in the file itself, behind known filters."""
+    if group.links.get_info(name).type != h5py.h5l.TYPE_HARD:
+        raise DataError(
+            f"'{name.decode()}' is a soft or external link, and only plain data are read"
+        )
+    item = h5py.h5o.open(group, name)
+    if isinstance(item, h5py.h5g.GroupID):
+        return item
+    properties = item.get_create_plist() if isinstance(item, h5py.h5d.DatasetID) else None
+    if (
+        properties is None
+        or properties.get_layout() == h5py.h5d.VIRTUAL
+        or properties.get_external_count()
+    ):
+        raise DataError(
+            f"'{name.decode()}' is nested, virtual or elsewhere; only plain data are read"
+        )
+    for number in range(properties.get_nfilters()):
+        code = properties.get_filter(number)[0]
+        if code not in _FILTERS:
+            raise DataError(f"'{name.decode()}' uses filter {code}; expected gzip or lzf")
+    return item
+
+
+def _values(stored: h5py.h5d.DatasetID, field: Field, sizes: Mapping[str, int]) -> NDArray[Any]:
+    """One array, read after checks of the shape and type that the file states."""
+    expected = tuple(sizes[axis] for axis in field.axes)
+    if stored.shape != expected:
+        raise DataError(f"'{field.path}' must have shape {expected}, got {stored.shape}")
+    kind = stored.get_type()
+    if kind != _TYPES[field.name] and kind.dtype != field.dtype:  # an enum is its own type
+        raise DataError(f"'{field.path}' must hold {field.dtype.name}, got {kind.dtype}")
+    too_large = any(sizes[axis] > LIMITS[axis] for axis in field.axes)
+    if too_large or math.prod(expected) > MAX_VALUES:
+        raise DataError(f"'{field.path}' claims {expected} values, above the format's limits")
+    values: NDArray[Any] = np.empty(expected, field.dtype)
+    memory = kind if isinstance(kind, h5py.h5t.TypeEnumID) else _TYPES[field.name]
+    stored.read(h5py.h5s.ALL, h5py.h5s.ALL, values, memory)
+    return values
+
+
+@lru_cache(maxsize=8)
+def _read_design(text: str) -> SensorDesign:
+    """Sensor design of a shard; cached, since all shards of a dataset hold the same."""
+    return parse_toml(SensorDesign, text, "attribute 'design'")
+
+
+def _read_protocol(stored: h5py.h5d.DatasetID) -> Protocol:
+    shape = stored.shape
+    if len(shape) != 2 or shape[1] != 4 or shape[0] > LIMITS["channel"]:
+        raise DataError(f"'protocol' must have shape (channels, 4), got {shape}")
+    if stored.dtype != np.dtype("<i2"):
+        raise DataError(f"'protocol' must hold int16, got {stored.dtype}")
+    rows = np.empty(shape, "<i2")
+    stored.read(h5py.h5s.ALL, h5py.h5s.ALL, rows)
+    return _protocol(rows.tobytes(), _integer(stored, "n_electrodes"))
+
+
+@lru_cache(maxsize=8)
+def _protocol(rows: bytes, n_electrodes: int) -> Protocol:
+    """Protocol of a shard; cached, since all shards of a dataset hold the same."""
+    return Protocol.from_rows(np.frombuffer(rows, dtype="<i2").reshape(-1, 4), n_electrodes)

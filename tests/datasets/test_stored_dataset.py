@@ -1,0 +1,157 @@
+"""Large datasets, whose columns are read when they are first used."""
+
+import copy
+import dataclasses
+import hashlib
+import json
+
+import h5py
+import numpy as np
+import pytest
+
+from eitskin.datasets import open_dataset, save_dataset
+from eitskin.datasets.store import folder as folders
+from eitskin.datasets.store import stored_dataset
+from eitskin.errors import ConfigurationError, DataError
+
+from small_dataset import assert_same, make
+from version_one import save_version_one
+
+
+@pytest.fixture
+def data():
+    return make(50, specimens=5, specimen=np.arange(50) // 10)
+
+
+@pytest.fixture
+def folder(tmp_path, data, monkeypatch):
+    monkeypatch.setattr(folders, "READ_AT_ONCE", 0)
+    save_dataset(data, tmp_path / "set", frames_per_shard=12)
+    return tmp_path / "set"
+
+
+@pytest.fixture
+def opened(monkeypatch):
+    """Names of the columns of every shard that is read."""
+    seen = []
+    read = stored_dataset.StoredDataset._part
+
+    def watched(self, entry, names):
+        seen.append((entry.name, set(names)))
+        return read(self, entry, names)
+
+    monkeypatch.setattr(stored_dataset.StoredDataset, "_part", watched)
+    return seen
+
+
+def test_opening_reads_the_first_shard_alone_and_use_reads_a_column_once(folder, data, opened):
+    seen = []
+    found = open_dataset(folder, lambda *counts: seen.append(counts))
+    assert seen == []
+    assert (len(found), found.channels, found.recipe) == (50, 28, data.recipe)
+    assert found.bytes_per_frame == data.bytes_per_frame
+    assert opened == []
+    assert np.array_equal(found.state, data.state)
+    assert [names for _, names in opened] == [{"state"}] * 5
+    assert seen == [(number, 5) for number in range(1, 6)]
+    assert found.state is found.state
+    assert len(opened) == 5
+    found.read("impedance", "time")
+    assert len(opened) == 10
+    assert_same(found, data)
+
+
+def test_all_methods_answer_as_those_of_a_dataset_in_memory(folder, data, tmp_path):
+    assert_same(open_dataset(folder), data)
+    for chosen in (slice(3, 40, 5), [45, 2, 2, -1], data.state == 1, []):
+        assert_same(open_dataset(folder).select(chosen), data.select(chosen))
+    found = open_dataset(folder)
+    assert_same(found.own_specimens(), data)
+    assert np.array_equal(found.touch_count, data.touch_count)
+    assert np.array_equal(found.frame(7).impedance, data.frame(7).impedance)
+    for mine, other in zip(found.split((0.6, 0.4)), data.split((0.6, 0.4)), strict=True):
+        assert np.array_equal(mine, other)
+    assert_same(copy.deepcopy(found), data)
+    changed = dataclasses.replace(found, seed=8)
+    assert (changed.seed, len(changed.select([1, 2]))) == (8, 2)
+    save_version_one(data, tmp_path / "old", frames_per_shard=12)
+    assert_same(open_dataset(tmp_path / "old"), data)
+    assert "50 frames" in repr(found)
+    with pytest.raises(AttributeError):
+        found.impedances  # noqa: B018
+
+
+def test_damage_is_found_when_the_shard_is_read(folder):
+    whole = (folder / "shard-000003.h5").read_bytes()
+    found = open_dataset(folder)
+    (folder / "shard-000003.h5").write_bytes(whole[:-1] + b"?")
+    with pytest.raises(DataError, match=r"shard-000003\.h5.*SHA-256"):
+        found.select([49, 40])
+    with pytest.raises(DataError, match=r"shard-000003\.h5.*SHA-256"):
+        _ = found.state
+    (folder / "shard-000003.h5").write_bytes(whole)
+    assert len(found.state) == 50
+    (folder / "shard-000001.h5").unlink()
+    with pytest.raises(DataError, match=r"shard-000001\.h5"):
+        _ = found.time
+    with pytest.raises(DataError, match=r"shard-000001\.h5.*manifest"):
+        open_dataset(folder)
+
+
+def changed(folder, number, change):
+    """A shard after `change` of its open file, to which the manifest has been made to agree."""
+    path = folder / f"shard-00000{number}.h5"
+    with h5py.File(path, "r+") as file:
+        change(file)
+    manifest = json.loads((folder / "manifest.json").read_text())
+    manifest["shards"][number]["sha256"] = hashlib.sha256(path.read_bytes()).hexdigest()
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+
+
+def value(path, place, bad):
+    return lambda file: file[path].__setitem__(place, bad)
+
+
+def attribute(name, value):
+    return lambda file: file.attrs.__setitem__(name, value)
+
+
+def removed(path):
+    return lambda file: file.pop(path)
+
+
+def link(file):
+    file.pop("time")
+    file["time"] = h5py.SoftLink("/bend_angle_deg")
+
+
+@pytest.mark.parametrize(
+    ("change", "column", "message"),
+    [
+        (attribute("seed", 8), "state", "not made together"),
+        (attribute("frequency", 1e3), "time", "not made together"),
+        (attribute("count", 11), "state", "must hold 12 frames, got 11"),
+        (attribute("first_index", 0), "state", "frames from 24 on, got 0"),
+        (value("reference", 0, 1.0), "specimen", "reference of a specimen"),
+        (value("specimen", 0, 9), "specimen", "specimen 9 has no reference"),
+        (value("impedance", (3, 4), np.nan), "impedance", "impedance must be finite"),
+        (value("state", 0, 9), "state", r"states.*got \[9\]"),
+        (value("touch/y", (0, 0), np.nan), "touch_x", "touch_x.*touch_y"),
+        (removed("status"), "status", "not a whole shard"),
+        (link, "time", "link"),
+    ],
+)
+def test_columns_that_the_format_does_not_allow_are_refused(folder, change, column, message):
+    changed(folder, 2, change)
+    found = open_dataset(folder)
+    for _ in range(2):  # not only the first time
+        with pytest.raises(DataError, match=rf"(?s)shard-000002\.h5.*{message}|{message}"):
+            getattr(found, column)
+
+
+def test_columns_beyond_the_memory_are_refused(folder, monkeypatch):
+    found = open_dataset(folder)
+    monkeypatch.setattr(stored_dataset.os, "sysconf", lambda _: 20)  # 400 bytes
+    assert len(found.state) == 50
+    with pytest.raises(ConfigurationError, match="read_shards"):
+        _ = found.impedance
