@@ -15,6 +15,7 @@ from eitskin.simulator.electrical.reanalysis import (
     Tolerance as Tolerance,
 )
 from eitskin.simulator.instrument.instrument import Instrument as Instrument
+from eitskin.simulator.instrument.meter import FourTerminalMeter as FourTerminalMeter
 from eitskin.simulator.instrument.session import Session as Session
 from eitskin.simulator.mechanics.layer_stack import Mechanics as Mechanics
 from eitskin.simulator.scene.indenters import (

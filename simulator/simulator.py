@@ -111,7 +111,16 @@ class Simulator:
     @cached_property
     def full_scale(self) -> float:
         """Largest resistance of the flat, untouched sensor [ohm]."""
-        return float(np.abs(self.protocol.measure(self.model.impedance())).max())
+        return self.full_scale_on(Instrument.ideal())
+
+    def full_scale_on(self, instrument: Instrument) -> float:
+        """Largest transfer impedance of the flat, untouched sensor on an instrument [ohm]."""
+        return float(np.abs(instrument.transfer_impedance(self._flat, self.protocol)).max())
+
+    @cached_property
+    def _flat(self) -> NDArray[np.inexact]:
+        """Impedance matrix of the flat, untouched sensor [ohm], (electrodes, electrodes)."""
+        return self.model.impedance()
 
     def deformation(self, scene: Scene) -> Deformation | None:
         """Deformation by the scene, touches first, then roll, bend and twist; None where flat.
@@ -229,14 +238,14 @@ class Simulator:
         """
         if self._last is None or self._last[0] != scene:
             self._last = (scene, self._impedance(scene))
-        impedance = self._measured(self._last[1])
+        impedance = self._measured(self._last[1], instrument)
         if instrument is not None:
             if rng is None:
                 raise ConfigurationError(
                     "an instrument needs rng=numpy.random.default_rng(seed) for its noise"
                 )
             start, noise = rng.spawn(2)
-            session = instrument.session(self.protocol, self.full_scale, start)
+            session = instrument.session(self.protocol, self.full_scale_on(instrument), start)
             (impedance,), (status,) = session.measure(impedance[None], np.zeros(1), noise)
             return Frame(impedance, self.protocol, status=status)
         return Frame(impedance=impedance, protocol=self.protocol)
@@ -246,6 +255,7 @@ class Simulator:
         scenes: Sequence[Scene],
         tolerance: float = TOLERANCE,
         before_each: Callable[[], None] = lambda: None,
+        instrument: Instrument | None = None,
     ) -> NDArray[np.complex128]:
         """Noise-free measurements [ohm] of many scenes, (scenes, measurements).
 
@@ -257,13 +267,14 @@ class Simulator:
             tolerance: error of a scene's change from the flat sensor, relative; 0 for each scene
                 solved by itself, as by `measure`.
             before_each: called before each solution; may raise to stop.
+            instrument: whose loads and leaks the sensor has; an ideal meter when omitted.
         """
         found: dict[Scene, NDArray[np.complex128]] = {}
         with kernels():
             for group in _by_bend(scenes).values():
                 for scene in group:
                     before_each()
-                    found[scene] = self._measured(self._impedance(scene, tolerance))
+                    found[scene] = self._measured(self._impedance(scene, tolerance), instrument)
         return np.array([found[scene] for scene in scenes])
 
     def _model_of(self, scene: Scene) -> ForwardModel:
@@ -352,9 +363,11 @@ class Simulator:
         stress = dented.mean_stress if dented is not None else None
         return DeformedLayer(self.design, deformation, self.mechanics.piezoresistivity, stress)
 
-    def _measured(self, impedance: NDArray[np.inexact]) -> NDArray[np.complex128]:
-        measured: NDArray[np.complex128] = self.protocol.measure(impedance).astype(np.complex128)
-        return measured
+    def _measured(
+        self, impedance: NDArray[np.inexact], instrument: Instrument | None = None
+    ) -> NDArray[np.complex128]:
+        """Noise-free measurements [ohm] of an impedance matrix, on an instrument's circuit."""
+        return (instrument or Instrument.ideal()).transfer_impedance(impedance, self.protocol)
 
 
 def _breaks(design: SensorDesign, fixture: Fixture) -> tuple[float, ...]:

@@ -26,7 +26,8 @@ BoardResolution = Annotated[
     str, typer.Option(help="Resolution of the simulator: coarse, fast, standard or fine.")
 ]
 Instrument = Annotated[
-    str | None, typer.Option(help="ad5940: all terms of its chain; white noise when omitted.")
+    str | None,
+    typer.Option(help="ideal, ad5940, or an instrument file; white noise when omitted."),
 ]
 Period = Annotated[
     float | None,

@@ -48,7 +48,8 @@ def command(
         float | None, typer.Option(help="Add white noise this many dB below full scale.")
     ] = None,
     instrument: Annotated[
-        str | None, typer.Option(help="ad5940: instrument model of that board.")
+        str | None,
+        typer.Option(help="Board that measures: ideal, ad5940, or an instrument file."),
     ] = None,
     protocol: Pairs = "pairwise",
     support: Annotated[

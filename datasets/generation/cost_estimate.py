@@ -118,7 +118,7 @@ def _run_trial(recipe: Recipe, frames: int) -> _Trial:
     others = _frame_numbers(recipe, frames, 0.5)
     specimens = {sample(recipe, index).specimen for index in others}
     for number in specimens:
-        flat_impedance(specimen(recipe, number), recipe.resolution, recipe.protocol)
+        flat_impedance(specimen(recipe, number), recipe)
     solved = time.perf_counter()
     simulate_frames(recipe, others)
     end = time.perf_counter()

@@ -142,11 +142,13 @@ def _solve(
     for number, distinct in wanted.items():
         made = specimen(recipe, number)
         before_solve()
-        solved[number, Scene()] = flat_impedance(made, recipe.resolution, recipe.protocol)
+        solved[number, Scene()] = flat_impedance(made, recipe)
         scenes = [scene for scene in distinct if scene != Scene()]
         for tabulated, alike in _by_touch_model(made.design, scenes).items():
             simulator = _simulator(made, recipe.resolution, recipe.protocol, tabulated=tabulated)
-            found = simulator.measure_all(alike, before_each=before_solve)
+            found = simulator.measure_all(
+                alike, before_each=before_solve, instrument=recipe.instrument
+            )
             solved |= {(number, scene): row for scene, row in zip(alike, found, strict=True)}
     return solved
 
@@ -176,8 +178,8 @@ def _simulator(
     )
 
 
-def flat_impedance(made: Specimen, resolution: Resolution, protocol: Protocol | None) -> Impedance:
-    """Noise-free impedances of the flat, untouched specimen [ohm]; all pairs without protocol."""
-    simulator = _simulator(made, resolution, protocol, tabulated=True)
-    found: Impedance = simulator.measure_all([Scene()])[0]
+def flat_impedance(made: Specimen, recipe: Recipe) -> Impedance:
+    """Noise-free impedances of the flat, untouched specimen on the recipe's instrument [ohm]."""
+    simulator = _simulator(made, recipe.resolution, recipe.protocol, tabulated=True)
+    found: Impedance = simulator.measure_all([Scene()], instrument=recipe.instrument)[0]
     return found

@@ -208,6 +208,12 @@ class Recipe:
                 f"protocol is for {self.protocol.n_electrodes} electrodes, the sensor has "
                 f"{electrodes}"
             )
+            return
+        if self.instrument.meter is not None:
+            try:
+                self.instrument.meter.require_fit(self.measured_protocol)
+            except ConfigurationError as error:
+                yield f"instrument: {error}"
 
     def _bend_problems(self, angles_deg: tuple[float, float]) -> Iterator[str]:
         for angle in angles_deg:

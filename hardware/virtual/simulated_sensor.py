@@ -1,7 +1,7 @@
 """Simulated sensor of a virtual board: impedances of scenes, as one instrument reads them."""
 
 import typing
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -34,6 +34,18 @@ class SceneSolver(typing.Protocol):
     def measure(self, scene: Scene) -> Frame:
         """Noise-free frame of `scene`."""
 
+    def measure_all(
+        self,
+        scenes: Sequence[Scene],
+        tolerance: float,
+        *,
+        instrument: Instrument,
+    ) -> NDArray[np.complex128]:
+        """Noise-free measurements of scenes on the circuit of an instrument [ohm]."""
+
+    def full_scale_on(self, instrument: Instrument) -> float:
+        """Largest transfer impedance of the flat, untouched sensor on an instrument [ohm]."""
+
 
 class SimulatedSensor:
     """Simulated sensor and instrument in one session; each scene is solved once.
@@ -65,9 +77,19 @@ class SimulatedSensor:
         self._period = len(self.protocol) * MEASUREMENT_TIME if period is None else period
         self._session: Session | None = None
         if instrument is not None:
-            start = self._generator(0)
-            self._session = instrument.session(self.protocol, simulator.full_scale, start)
-        self.solve = lru_cache(maxsize=1024)(lambda scene: simulator.measure(scene).impedance)
+            loaded = instrument.is_loaded
+            scale = simulator.full_scale_on(instrument) if loaded else simulator.full_scale
+            self._session = instrument.session(self.protocol, scale, self._generator(0))
+
+        def solve(scene: Scene) -> NDArray[np.complex128]:
+            if instrument is None or not instrument.is_loaded:
+                return simulator.measure(scene).impedance
+            solved: NDArray[np.complex128] = simulator.measure_all(
+                [scene], 0.0, instrument=instrument
+            )[0]
+            return solved
+
+        self.solve = lru_cache(maxsize=1024)(solve)
 
     def measure(self, impedance: NDArray[np.complex128], now: int) -> Measured:
         """Measured impedances [ohm] and status of frame `now`, (measurements,) each.

@@ -54,7 +54,8 @@ def virtual_terminal(
             file that holds one of the first two; the flat untouched sensor when omitted.
         seed: seed of the instrument.
         snr_db: full scale over noise [dB]; infinity for no noise.
-        instrument: instrument of one session, or its name; white noise of `snr_db` when omitted.
+        instrument: instrument of one session, its name, or the path of its TOML file; white noise
+            of `snr_db` when omitted.
         faults: faults as text, "name@frame:index,...", or as `Fault`s.
         simulator: simulator of the sensor; one of `sensor` when omitted.
         sensor: a design, or the path of its TOML file; the reference sensor when omitted.

@@ -1,5 +1,7 @@
 """Instrument model: noise, drift and errors that a board adds to noise-free frames.
 
 An `Instrument` states the error terms of a board; a `Session` draws what stays the same from one
-calibration to the next and measures frames; `ad5940` is the chip's signal chain.
+calibration to the next and measures frames; `ad5940` is the chip's signal chain, and `meter` a
+general four-terminal meter, whose circuit is solved in `loaded_network` and whose parameters are
+fitted to flat frames in `meter_fit`.
 """

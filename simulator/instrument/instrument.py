@@ -3,20 +3,23 @@
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
-from eitskin.config import Location
+from eitskin.config import Location, read_toml, write_toml
 from eitskin.errors import ConfigurationError
 from eitskin.protocol import Protocol
 from eitskin.simulator.instrument import ad5940
 from eitskin.simulator.instrument.drift import RandomWalk
+from eitskin.simulator.instrument.meter import FourTerminalMeter
 from eitskin.simulator.instrument.session import Session
 
 Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 Integers = NDArray[np.int64]
 
 GAIN_LIMIT = 0.0125
@@ -31,7 +34,7 @@ RANGES = {
     "reciprocity": (0.0, 0.1, "of the impedance"),
     "measurement_time": (0.0, 1.0, "s"),
 }
-SNR_RANGE_DB = (60.0, 90.0)
+SNR_RANGE_DB = (20.0, 120.0)
 MAX_STRAY = 1e-9
 CHOICES = {
     "excitation": (0.0, *ad5940.EXCITATIONS),
@@ -45,11 +48,12 @@ class Instrument:
     """Error terms of a board; 0 or False switches a term off, and each has its own random stream.
 
     The terms are the errors that remain after a calibration against the reference resistor RCAL.
-    In TOML, `board = "ad5940"` sets every term to its value in `Instrument.ad5940`, except for
-    terms given beside it. "sd" is a standard deviation.
+    In TOML, `board = "ad5940"` sets every term to its value in `Instrument.ad5940`, and
+    `board = "FILE.toml"` to its value in the instrument file, except for terms given beside it.
+    "sd" is a standard deviation.
 
     Attributes:
-        snr_db: full scale over the sd of the white noise per quadrature [dB], 60 to 90. Published
+        snr_db: full scale over the sd of the white noise per quadrature [dB], 20 to 120. Published
             EIT boards have 63 to 80.
         floor: sd of the front end's white noise, per quadrature of the voltage [V]; 1.9 uV by the
             data sheet. Divided by the excitation current, this noise becomes ohms.
@@ -78,6 +82,8 @@ class Instrument:
         stray_capacitance: lowest and highest [F]; each drive pair draws its own, uniform, per
             session. Cables and multiplexers leave 40 to 100 pF (data sheet, estimate).
         measurement_time: from one measurement of a frame to the next [s]; 10.6 ms computed.
+        meter: circuit and reading of a board that is no ideal four-terminal meter; None for an
+            ideal one.
     """
 
     snr_db: float = 75.0
@@ -94,6 +100,7 @@ class Instrument:
     rtia: float = 200.0
     stray_capacitance: tuple[float, float] = (0.0, 0.0)
     measurement_time: float = 0.0
+    meter: FourTerminalMeter | None = None
 
     def __post_init__(self) -> None:
         """Check the terms; the ConfigurationError lists everything that is wrong."""
@@ -117,23 +124,70 @@ class Instrument:
         )
 
     @classmethod
-    def named(cls, name: str) -> "Instrument":
-        """Instrument of a board, "ad5940"; raises ConfigurationError for another name."""
-        if name != "ad5940":
-            raise ConfigurationError(f"expected an instrument's name, 'ad5940', got {name!r}")
-        return cls.ad5940()
+    def ideal(cls) -> "Instrument":
+        """Instrument without noise or error."""
+        return cls(snr_db=0.0)
+
+    @classmethod
+    def from_toml(cls, path: str | Path) -> "Instrument":
+        """Read an instrument file; raises ConfigurationError where the file does not fit."""
+        return read_toml(cls, path)
+
+    def to_toml(self, path: str | Path) -> None:
+        """Write an instrument file for `from_toml`, atomically."""
+        write_toml(self, path)
+
+    @classmethod
+    def named(cls, name: str, folder: Path | None = Path()) -> "Instrument":
+        """Instrument by its name, "ideal" or "ad5940", or from an instrument file.
+
+        Args:
+            name: a name, or the path of a TOML file.
+            folder: start of relative paths; None where no file may be named.
+
+        Raises:
+            ConfigurationError: for another name, or a file that does not fit.
+        """
+        known = {"ideal": cls.ideal, "ad5940": cls.ad5940}
+        if name in known:
+            return known[name]()
+        if folder is None or not name.endswith(".toml"):
+            raise ConfigurationError(
+                "expected an instrument: the path of a TOML file, 'ideal' or 'ad5940', got "
+                f"{name!r}"
+            )
+        return cls.from_toml(folder / name)
 
     @classmethod
     def expanded(cls, data: Mapping[str, Any], location: Location) -> Mapping[str, Any]:
         """TOML table `data` with the name under `board` replaced by the terms of that board."""
         if "board" not in data:
             return data
+        where = location.under("board")
         try:
-            board = cls.named(data["board"])
+            board = cls.named(str(data["board"]), location.folder)
         except ConfigurationError as error:
-            raise location.under("board").error(error) from error
+            raise where.error(error) from error
         terms = {name: getattr(board, name) for name in cls.__slots__}
         return terms | {name: value for name, value in data.items() if name != "board"}
+
+    @property
+    def is_loaded(self) -> bool:
+        """Whether the board loads the sensor, so that its readings need the impedance matrix."""
+        return self.meter is not None and self.meter.is_loaded
+
+    def transfer_impedance(self, impedance: NDArray[np.inexact], protocol: Protocol) -> Complex:
+        """Transfer impedances on this board's circuit [ohm], (..., measurements).
+
+        Args:
+            impedance: electrode impedance matrices, (..., electrodes, electrodes) [ohm].
+            protocol: drive and sense pairs.
+
+        Raises:
+            ConfigurationError: for a meter or matrices of another number of electrodes.
+        """
+        meter = self.meter or FourTerminalMeter()
+        return meter.transfer_impedance(impedance, protocol)
 
     def deviation(self, full_scale: float) -> float:
         """Standard deviation of the white noise per quadrature [ohm] for a full scale [ohm]."""
@@ -148,13 +202,15 @@ class Instrument:
 
         Args:
             protocol: drive and sense pairs.
-            full_scale: largest resistance of the flat, untouched sensor [ohm].
+            full_scale: largest transfer impedance of the flat, untouched sensor [ohm].
             rng: random generator of the session's constant errors, and of the drifts' seeds.
 
         Raises:
             ConfigurationError: where a term depends on the impedance of a drive pair that no
-                measurement of the protocol senses.
+                measurement of the protocol senses, or where the meter is of another protocol.
         """
+        if self.meter is not None:
+            self.meter.require_fit(protocol)
         # One random stream per term, in a fixed order: no term changes the draws of another.
         gain, phase, paths, stray, electronics, gel = rng.spawn(6)
         low, high = self.stray_capacitance
@@ -179,6 +235,7 @@ class Instrument:
                 self.pga_range,
                 self.rtia,
             ),
+            meter=self.meter,
         )
 
     def _problems(self) -> Iterator[str]:

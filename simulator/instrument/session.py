@@ -6,8 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError, FrameError
+from eitskin.frame import Status
 from eitskin.simulator.instrument import ad5940
 from eitskin.simulator.instrument.drift import RandomWalk
+from eitskin.simulator.instrument.meter import FourTerminalMeter
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -28,6 +30,7 @@ class Session:
         gel_drift: of the gel, as the logarithm of a factor.
         deviation: standard deviation of the white noise per quadrature [ohm].
         front_end: signal chain from excitation to ADC.
+        meter: scale, offset, limits and codes of the readings; None for an ideal meter.
     """
 
     driven: NDArray[np.int64]
@@ -37,6 +40,7 @@ class Session:
     gel_drift: RandomWalk
     deviation: float
     front_end: ad5940.FrontEnd
+    meter: FourTerminalMeter | None = None
 
     def measure(
         self, impedance: Complex, times: Array, rng: np.random.Generator
@@ -47,7 +51,8 @@ class Session:
         depends on the times alone.
 
         Args:
-            impedance: noise-free, (frames, measurements) complex [ohm].
+            impedance: noise-free, on the circuit of the instrument, (frames, measurements) complex
+                [ohm].
             times: of the frames since the session's start, (frames,) [s].
             rng: random generator of the noise.
 
@@ -68,7 +73,12 @@ class Session:
         if self.deviation:
             noise = self.deviation * white.standard_normal((2, *Z.shape))
             Z = Z + noise[0] + 1j * noise[1]
-        return self.front_end.convert(Z, driven, floor)
+        sensed, status = self.front_end.convert(Z, driven, floor)
+        if self.meter is None:
+            return sensed, status
+        read, beyond = self.meter.reading(sensed)
+        status[beyond] |= np.uint8(Status.CLIPPED)
+        return read, status
 
     def _checked(self, impedance: Complex, times: Array) -> tuple[Complex, Array]:
         Z, times = np.asarray(impedance, np.complex128), np.asarray(times, np.float64)

@@ -1,0 +1,182 @@
+"""General four-terminal meter: loads and leaks, common mode, gains, offsets, limits, codes."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.errors import ConfigurationError
+from eitskin.protocol import Protocol
+from eitskin.simulator.instrument.loaded_network import role_potentials
+
+Complex = NDArray[np.complex128]
+Bools = NDArray[np.bool_]
+Quantity: TypeAlias = Literal["complex", "signed", "magnitude"]
+
+ROLES = ("source", "sink", "sense_plus", "sense_minus")
+LOADS = (*ROLES, "idle")
+LARGEST_LOAD = 1e3
+LARGEST_LEAD = 1e6
+
+
+@dataclass(frozen=True, slots=True)
+class FourTerminalMeter:
+    """Four-terminal meter, by its circuit and its reading; the defaults are an ideal meter.
+
+    A balanced source sends a current through source and sink, and the meter reads
+
+        scale (V+ - V- + common_mode (V+ + V-) / 2) + offset
+
+    per unit current, with the potentials V of its sense leads against ground. Admittances and
+    resistances may be complex, `[real, imaginary]` in TOML: a capacitance C is [0, 2 pi f C].
+
+    Attributes:
+        source, sink, sense_plus, sense_minus: admittance from an electrode to ground while it has
+            this role [S]. 0 is none, and 1e3 is a short: with `sink = 1e3` the source is
+            single-ended. An electrode with two roles has both.
+        idle: admittance from every electrode without a role to ground [S].
+        leaks: admittance from each electrode to ground, whatever its role [S]; empty for none.
+        leads: resistance of each electrode's lead and multiplexer path [ohm]; empty for none.
+        common_mode: reading per common-mode voltage, relative to that per difference: the inverse
+            of the common-mode rejection ratio. 2 reads sense+ and -2 reads -(sense-) alone, twice.
+        scale: reading per ohm; any other unit than the ohm, and its sign, is here.
+        offset: added to every reading.
+        channel_scale: further factor of each measurement; empty for 1.
+        channel_offset: added to each measurement; empty for 0.
+        saturation: largest reading, of either sign and in each quadrature; 0 for no limit.
+        step: distance between two codes, to which readings are rounded; 0 for none.
+        reads: "complex" for both quadratures, "signed" for the real part, "magnitude" for the
+            magnitude of both.
+    """
+
+    source: complex = 0.0
+    sink: complex = 0.0
+    sense_plus: complex = 0.0
+    sense_minus: complex = 0.0
+    idle: complex = 0.0
+    leaks: tuple[complex, ...] = ()
+    leads: tuple[complex, ...] = ()
+    common_mode: complex = 0.0
+    scale: complex = 1.0
+    offset: complex = 0.0
+    channel_scale: tuple[complex, ...] = ()
+    channel_offset: tuple[complex, ...] = ()
+    saturation: float = 0.0
+    step: float = 0.0
+    reads: Quantity = "complex"
+
+    def __post_init__(self) -> None:
+        """Check the terms; the ConfigurationError lists everything that is wrong."""
+        if problems := list(self._problems()):
+            raise ConfigurationError("no such meter: " + "; ".join(problems))
+
+    @property
+    def is_loaded(self) -> bool:
+        """Whether the circuit differs from that of an ideal meter, before the reading's scale."""
+        terms = (*(getattr(self, name) for name in LOADS), *self.leaks, *self.leads)
+        return any(terms) or self.common_mode != 0.0
+
+    def transfer_impedance(self, impedance: NDArray[np.inexact], protocol: Protocol) -> Complex:
+        """Sensed voltage per unit current, before scale and offset [ohm], (..., measurements).
+
+        Without loads, leaks and common mode this is `protocol.measure(impedance)`.
+
+        Args:
+            impedance: electrode impedance matrices Z, (..., electrodes, electrodes) [ohm].
+            protocol: drive and sense electrodes of each measurement.
+
+        Raises:
+            ConfigurationError: for leaks, leads or matrices of another number of electrodes.
+        """
+        ideal: Complex = protocol.measure(impedance).astype(np.complex128)
+        if not self.is_loaded:
+            return ideal
+        n = protocol.n_electrodes
+        leads = _filled("leads", self.leads, n, 0.0, "electrodes")
+        plus, minus = role_potentials(impedance, protocol, self.admittance(protocol), leads)
+        sensed: Complex = plus - minus + 0.5 * self.common_mode * (plus + minus)
+        return sensed
+
+    def admittance(self, protocol: Protocol) -> Complex:
+        """Admittance to ground of each electrode in each measurement, (measurements, n) [S]."""
+        n, rows = protocol.n_electrodes, np.arange(len(protocol))
+        Y = np.zeros((len(protocol), n), np.complex128)
+        has_role = np.zeros(Y.shape, bool)
+        for name, electrodes in zip(ROLES, np.array(protocol.table).T, strict=True):
+            Y[rows, electrodes] += getattr(self, name)
+            has_role[rows, electrodes] = True
+        Y[~has_role] += self.idle
+        return Y + _filled("leaks", self.leaks, n, 0.0, "electrodes")
+
+    def reading(self, sensed: Complex) -> tuple[Complex, Bools]:
+        """Readings, and whether each is beyond the limit; both of the shape of `sensed`.
+
+        Args:
+            sensed: sensed voltage per unit current, (..., measurements) [ohm].
+
+        Raises:
+            ConfigurationError: for scales or offsets of another number of measurements.
+        """
+        m = sensed.shape[-1]
+        gain = self.scale * _filled("channel_scale", self.channel_scale, m, 1.0, "measurements")
+        zero = self.offset + _filled("channel_offset", self.channel_offset, m, 0.0, "measurements")
+        value: Complex = gain * sensed + zero
+        if self.reads == "magnitude":
+            value = np.abs(value).astype(complex)
+        elif self.reads == "signed":
+            value = value.real.astype(complex)
+        parts = value.view(np.float64).reshape(*value.shape, 2)
+        beyond = np.zeros(value.shape, bool)
+        if self.saturation:
+            beyond = np.abs(parts).max(axis=-1) > self.saturation
+            parts = np.clip(parts, -self.saturation, self.saturation)
+        if self.step:
+            parts = self.step * np.round(parts / self.step)
+        return parts[..., 0] + 1j * parts[..., 1], beyond
+
+    def require_fit(self, protocol: Protocol) -> None:
+        """Raise ConfigurationError where numbers per electrode or channel do not fit."""
+        for name in ("leaks", "leads"):
+            _filled(name, getattr(self, name), protocol.n_electrodes, 0.0, "electrodes")
+        for name in ("channel_scale", "channel_offset"):
+            _filled(name, getattr(self, name), len(protocol), 0.0, "measurements")
+
+    def _problems(self) -> Iterator[str]:
+        for name, value in (
+            *((name, getattr(self, name)) for name in LOADS),
+            *((f"leaks[{k}]", value) for k, value in enumerate(self.leaks)),
+        ):
+            if not (_positive(value) and abs(value) <= LARGEST_LOAD):
+                yield (
+                    f"{name} must be an admittance from 0 to {LARGEST_LOAD:g} S, in both parts "
+                    f"not negative, got {value:g}; an impedance of Z ohm is 1 / Z"
+                )
+        for k, value in enumerate(self.leads):
+            if not (np.real(value) >= 0.0 and abs(value) <= LARGEST_LEAD):
+                yield f"leads[{k}] must be from 0 to {LARGEST_LEAD:g} ohm, got {value:g}"
+        for name in ("saturation", "step"):
+            if not getattr(self, name) >= 0.0:
+                yield f"{name} must be 0 or more, got {getattr(self, name):g}"
+        if not (self.scale and all(self.channel_scale)):
+            yield "scales must not be 0: such channels read nothing but their offset"
+        factors = (self.scale, self.offset, self.common_mode)
+        if not np.isfinite((*factors, *self.channel_scale, *self.channel_offset)).all():
+            yield "scales, offsets and common_mode must be finite"
+
+
+def _positive(value: complex) -> bool:
+    return bool(np.real(value) >= 0.0 and np.imag(value) >= 0.0)
+
+
+def _filled(
+    name: str, values: tuple[complex, ...], count: int, missing: complex, counted: str
+) -> Complex:
+    """Values as an array (count,), filled with `missing` where empty."""
+    if values and len(values) != count:
+        raise ConfigurationError(
+            f"{name} of the meter must have one value for each of {count} {counted}, got "
+            f"{len(values)}; this instrument is of another sensor or protocol"
+        )
+    return np.array(values or (missing,) * count, np.complex128)

@@ -1,0 +1,292 @@
+"""Fit of a four-terminal meter to frames of a flat, untouched sensor."""
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import least_squares
+
+from eitskin.errors import ConfigurationError, DataError
+from eitskin.protocol import Protocol
+from eitskin.simulator.instrument.meter import FourTerminalMeter, Quantity
+from eitskin.simulator.instrument.meter_parameters import (
+    USUAL,
+    MeterParameter,
+    meter_parameters,
+    meter_with,
+)
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+STARTS = 12
+UNDETERMINED = 0.5
+"""Standard error of a coordinate (half the range of a load) from which it is not identifiable."""
+NULL = 1e-5
+"""Singular value, relative to the largest, of directions that no reading depends on."""
+INVOLVED = 0.2
+"""Least component of a parameter in a null direction for it to be named."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeterFit:
+    """Fitted meter, its standard errors, and the flat frame that it explains.
+
+    Standard errors are those of linearised least squares, with a variance estimated from the
+    residuals: they hold the error of the sensor's model as far as it varies from channel to
+    channel.
+
+    Attributes:
+        meter: the fitted meter.
+        parameters: the numbers that were fitted, beside the scale.
+        values: of the parameters, (parameters,), in the parameters' units.
+        standard_errors: of the values, (parameters,); infinite for those that are not identifiable.
+        scale_error: standard error of the scale, relative.
+        tied: groups of parameters of which only a combination shows in the readings.
+        predicted: the meter's flat frame, (measurements,).
+        measured: mean of the frames that were fitted, (measurements,).
+    """
+
+    meter: FourTerminalMeter
+    parameters: tuple[MeterParameter, ...]
+    values: Array
+    standard_errors: Array
+    scale_error: float
+    tied: tuple[tuple[str, ...], ...]
+    predicted: Complex
+    measured: Complex
+
+    @property
+    def unidentifiable(self) -> tuple[MeterParameter, ...]:
+        """Parameters that the frames do not determine."""
+        lost = ~np.isfinite(self.standard_errors)
+        return tuple(p for p, gone in zip(self.parameters, lost, strict=True) if gone)
+
+
+@dataclass(frozen=True, slots=True)
+class Agreement:
+    """Agreement of a predicted flat frame with a measured one.
+
+    Attributes:
+        r: correlation coefficient over the channels.
+        residual: norm of the difference over the norm of the measured frame.
+    """
+
+    r: float
+    residual: float
+
+
+def agreement(predicted: ArrayLike, measured: ArrayLike) -> Agreement:
+    """Agreement of two frames, (measurements,) each; imaginary parts, where any, count alike."""
+    both = np.array([predicted, measured], np.complex128)
+    p, m = _parts(both) if both.imag.any() else both.real
+    spread = np.std(p) * np.std(m)
+    r = float(np.mean((p - p.mean()) * (m - m.mean())) / spread) if spread else 0.0
+    return Agreement(r, float(np.linalg.norm(p - m) / np.linalg.norm(m)))
+
+
+def fit_meter(
+    impedance: NDArray[np.inexact],
+    protocol: Protocol,
+    frames: ArrayLike,
+    terms: Sequence[str] = USUAL,
+    reads: Quantity | None = None,
+    seed: int = 0,
+    starts: int = STARTS,
+) -> MeterFit:
+    """Meter that explains frames of the flat, untouched sensor, by nonlinear least squares.
+
+    The scale is a linear parameter and is eliminated (variable projection, Golub and Pereyra 1973).
+    The loads found are relative to the sensor's: a sensor of twice the conductivity with twice the
+    loads gives the same frames at half the scale.
+
+    Args:
+        impedance: electrode impedance matrix of the flat sensor, (electrodes, electrodes) [ohm].
+        protocol: drive and sense electrodes of the channels.
+        frames: readings of the flat, untouched sensor, (frames, measurements), in any unit.
+        terms: terms to fit beside the scale, of `FITTED`; without any, the meter is ideal but for
+            its scale.
+        reads: what the readings are; when omitted "complex" where they have imaginary parts, else
+            "signed" where some are negative, else "magnitude".
+        seed: seed of the starting points.
+        starts: number of starting points; the sum of squares has several minima.
+
+    Raises:
+        ConfigurationError: for an unknown term, or as many parameters as readings.
+        DataError: for frames of another protocol, or that are not finite.
+    """
+    measured = _mean_frame(frames, protocol)
+    quantity: Quantity = reads or _quantity(measured)
+    is_complex = quantity == "complex"
+    parameters = meter_parameters(terms, protocol.n_electrodes, complex_terms=is_complex)
+    readings = len(measured) * (1 + is_complex)
+    if len(parameters) + 2 >= readings:
+        raise ConfigurationError(
+            f"{len(parameters) + 1} parameters cannot be fitted to {readings} readings; fit fewer "
+            "terms"
+        )
+    problem = _Problem(
+        FourTerminalMeter(reads=quantity),
+        parameters,
+        np.asarray(impedance),
+        protocol,
+        _parts(measured) if is_complex else measured.real,
+    )
+    coordinates = problem.minimum(np.random.default_rng(seed), starts)
+    meter = problem.meter(coordinates)
+    scale = problem.scale(problem.unscaled(coordinates))
+    meter = dataclasses.replace(meter, scale=scale, offset=scale * meter.offset)
+    errors, tied = problem.uncertainty(coordinates)
+    both = list(zip(parameters, coordinates, strict=True))
+    slopes = np.array([p.slope(float(x), problem.typical) for p, x in both])
+    predicted, _ = meter.reading(meter.transfer_impedance(impedance, protocol))
+    return MeterFit(
+        meter=meter,
+        parameters=parameters,
+        values=np.array([p.number(float(x), problem.typical) for p, x in both]),
+        standard_errors=errors[:-1] * slopes,
+        scale_error=float(errors[-1]),
+        tied=tied,
+        predicted=predicted,
+        measured=measured,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Problem:
+    """Least-squares problem in the coordinates of the parameters.
+
+    Attributes:
+        start: meter with the terms that are not fitted.
+        parameters: numbers that are fitted.
+        impedance: electrode impedance matrix of the flat sensor [ohm].
+        protocol: drive and sense electrodes of the channels.
+        target: measured readings, real and imaginary parts one after the other where complex.
+    """
+
+    start: FourTerminalMeter
+    parameters: tuple[MeterParameter, ...]
+    impedance: NDArray[np.inexact]
+    protocol: Protocol
+    target: Array
+
+    @property
+    def typical(self) -> float:
+        """Median resistance from one electrode to all others together [ohm]."""
+        return float(np.median(np.abs(np.diag(self.impedance))))
+
+    def meter(self, coordinates: Array) -> FourTerminalMeter:
+        """Meter of scale 1 for the coordinates (parameters,)."""
+        n = self.protocol.n_electrodes
+        return meter_with(self.start, self.parameters, coordinates, self.typical, n)
+
+    def unscaled(self, coordinates: Array) -> Complex:
+        """Readings of the meter of scale 1 (measurements,)."""
+        meter = self.meter(coordinates)
+        return meter.reading(meter.transfer_impedance(self.impedance, self.protocol))[0]
+
+    def scale(self, unscaled: Complex) -> complex:
+        """Scale of least squares; real and, for magnitudes, positive where readings are real."""
+        square = float(np.vdot(unscaled, unscaled).real) or 1.0
+        if self.start.reads != "complex":
+            return float(unscaled.real @ self.target) / square or 1.0
+        half = len(self.target) // 2
+        return complex(np.vdot(unscaled, self.target[:half] + 1j * self.target[half:]) / square)
+
+    def residual(self, coordinates: Array) -> Array:
+        """Residual over the norm of the target, at the scale of least squares (readings,)."""
+        unscaled = self.unscaled(coordinates)
+        difference = self._as_target(self.scale(unscaled) * unscaled) - self.target
+        return np.asarray(difference / np.linalg.norm(self.target))
+
+    def minimum(self, rng: np.random.Generator, starts: int) -> Array:
+        """Coordinates of the least minimum found from several starting points."""
+        if not self.parameters:
+            return np.zeros(0)
+        low, high = np.array([p.bounds for p in self.parameters]).T
+        share = np.array([p.is_share for p in self.parameters])
+        best, least = np.zeros(len(share)), np.inf
+        for number in range(starts):
+            # Loads over decades: most of them are far from the sensor's own impedance.
+            drawn = 10.0 ** rng.uniform(-4.0, 3.0 if number else -3.0, len(share))
+            first = np.where(
+                share, drawn / (1.0 + drawn), rng.normal(size=len(share)) * (number > 0)
+            )
+            first = np.clip(first, low + 1e-9, high - 1e-9)
+            found = least_squares(self.residual, first, bounds=(low, high), max_nfev=100)
+            if found.cost < least * (1.0 - 1e-9):
+                best, least = found.x, found.cost
+        return np.asarray(best)
+
+    def uncertainty(self, coordinates: Array) -> tuple[Array, tuple[tuple[str, ...], ...]]:
+        """Standard errors of coordinates and log scale, and groups of tied parameters.
+
+        A direction of the parameters along which the standard error is beyond `UNDETERMINED` ties
+        its parameters, whose standard errors are infinite.
+        """
+        unscaled = self.unscaled(coordinates)
+        reading = self.scale(unscaled) * unscaled
+        columns = [*self._derivatives(coordinates), reading]
+        if self.start.reads == "complex":
+            columns.append(1j * reading)  # the phase of the scale
+        norm = float(np.linalg.norm(self.target))
+        J = np.array([self._as_target(column) / norm for column in columns]).T
+        freedom = max(len(self.target) - J.shape[1], 1)
+        noise = np.linalg.norm(self.residual(coordinates)) / np.sqrt(freedom)
+        _, sizes, directions = np.linalg.svd(J, full_matrices=False)
+        spread = noise / np.maximum(sizes, np.finfo(float).tiny)
+        lost = (spread > UNDETERMINED) | (sizes < NULL * sizes[0])
+        errors = np.sqrt(((spread[~lost, None] * directions[~lost]) ** 2).sum(axis=0))
+        names = [*map(str, self.parameters), "scale", "phase of the scale"]
+        tied = []
+        for direction in directions[lost]:
+            involved = np.flatnonzero(np.abs(direction) > INVOLVED)
+            tied.append(tuple(names[k] for k in involved))
+            errors[involved] = np.inf
+        return errors[: len(self.parameters) + 1], tuple(tied)
+
+    def _derivatives(self, coordinates: Array) -> list[Complex]:
+        """Derivatives of the readings by each coordinate, by differences within the bounds."""
+        scale = self.scale(self.unscaled(coordinates))
+        found = []
+        for k, parameter in enumerate(self.parameters):
+            low, high = parameter.bounds
+            # Near a short, 1 - x sets the length over which a reading changes.
+            step = 1e-4 * (1.0 - coordinates[k] if parameter.is_share else 1.0)
+            both = np.array([coordinates, coordinates])
+            both[0, k] = max(coordinates[k] - step, low)
+            both[1, k] = min(coordinates[k] + step, high)
+            less, more = (self.unscaled(each) for each in both)
+            found.append(scale * (more - less) / (both[1, k] - both[0, k]))
+        return found
+
+    def _as_target(self, readings: Complex) -> Array:
+        return _parts(readings) if self.start.reads == "complex" else readings.real
+
+
+def _mean_frame(frames: ArrayLike, protocol: Protocol) -> Complex:
+    """Mean of the frames (measurements,); raises DataError."""
+    values = np.atleast_2d(np.asarray(frames, np.complex128))
+    if values.ndim != 2 or values.shape[1] != len(protocol) or not len(values):
+        raise DataError(
+            f"expected flat frames of {len(protocol)} channels, got shape {values.shape}; name the "
+            "protocol of the frames"
+        )
+    if not np.isfinite(values).all():
+        raise DataError("expected finite readings, got NaN or infinity; leave these frames out")
+    mean: Complex = values.mean(axis=0)
+    if not mean.any():
+        raise DataError("every reading is zero: a dead board explains any meter")
+    return mean
+
+
+def _quantity(measured: Complex) -> Quantity:
+    if measured.imag.any():
+        return "complex"
+    return "signed" if (measured.real < 0.0).any() else "magnitude"
+
+
+def _parts(values: Complex) -> Array:
+    return np.concatenate((values.real, values.imag), axis=-1)

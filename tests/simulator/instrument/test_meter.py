@@ -1,0 +1,231 @@
+"""The four-terminal meter: its circuit against networks solved by hand, then its readings."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from eitskin.errors import ConfigurationError
+from eitskin.simulator import FourTerminalMeter, Instrument, Protocol, Status
+
+FOUR = Protocol(((0, 3, 1, 2),), 4)
+RING = Protocol.adjacent(6)
+EVERY_ROLE = FourTerminalMeter(
+    source=2e-4, sink=5e-4, sense_plus=1e-4, sense_minus=3e-4, idle=2e-5, common_mode=0.3
+)
+
+
+def impedance(conductances, n):
+    """Impedance matrix of a network of conductances {(i, j): g}."""
+    Y = np.zeros((n, n))
+    for (i, j), g in conductances.items():
+        Y[[i, j], [i, j]] += g
+        Y[[i, j], [j, i]] -= g
+    return np.linalg.pinv(Y)
+
+
+def chain(*resistances):
+    """Impedance matrix of electrodes in a row, with these resistances between neighbours."""
+    links = {(k, k + 1): 1.0 / r for k, r in enumerate(resistances)}
+    return impedance(links, len(resistances) + 1)
+
+
+def random_network(n=6):
+    rng = np.random.default_rng(1)
+    links = {(i, j): rng.uniform(1e-3, 5e-3) for i in range(n) for j in range(i)}
+    return impedance(links, n)
+
+
+def sensed(meter, Z, protocol=FOUR):
+    return meter.transfer_impedance(Z, protocol)
+
+
+# ---- closed forms ----
+
+
+def test_loads_at_both_ends_of_a_resistor_are_in_series_with_each_other_and_parallel_to_it():
+    R, y_plus, y_minus = 700.0, 1e-3, 4e-4
+    two = Protocol.pairwise(2)
+    meter = FourTerminalMeter(source=0.7e-3, sense_plus=0.3e-3, sink=1e-4, sense_minus=3e-4)
+    expected = 1.0 / (1.0 / R + y_plus * y_minus / (y_plus + y_minus))
+    assert sensed(meter, chain(R), two) == pytest.approx(expected, rel=1e-12)
+
+
+def test_a_load_on_sense_plus_divides_the_current_of_a_single_ended_source():
+    a, b, c, y = 100.0, 330.0, 220.0, 2e-3
+    meter = FourTerminalMeter(sink=1e3, sense_plus=y)
+    # From sense+ the current of 1 A goes to ground through the load, and through b and c.
+    V = 1.0 / (y + 1.0 / (b + c))
+    assert sensed(meter, chain(a, b, c)) == pytest.approx(V * b / (b + c), rel=1e-5)
+    alone = dataclasses.replace(meter, common_mode=-2.0)
+    assert sensed(alone, chain(a, b, c)) == pytest.approx(-2.0 * V * c / (b + c), rel=1e-5)
+
+
+def test_a_capacitance_at_the_sense_lead_is_an_admittance_of_its_frequency():
+    a, b, c, y = 100.0, 330.0, 220.0, 2j * np.pi * 40e3 * 100e-12
+    V = 1.0 / (y + 1.0 / (b + c))
+    read = sensed(FourTerminalMeter(sink=1e3, sense_plus=y), chain(a, b, c))
+    assert read == pytest.approx(V * b / (b + c), rel=1e-5)
+
+
+def test_every_load_and_leak_is_a_conductance_to_ground_of_a_nodal_network():
+    Z = random_network()
+    leaks = tuple(1e-5 * k for k in range(6))
+    meter = dataclasses.replace(EVERY_ROLE, leaks=leaks)
+    for row, found in zip(RING.table, sensed(meter, Z, RING), strict=True):
+        nodes = np.linalg.pinv(Z) + np.diag(leaks)
+        loads = dict(zip(row, (2e-4, 5e-4, 1e-4, 3e-4), strict=True))
+        for k in range(6):
+            nodes[k, k] += loads.get(k, 2e-5)
+        source, sink, plus, minus = row
+        current = np.zeros(6)
+        current[[source, sink]] = 1.0, -1.0
+        V = np.linalg.solve(nodes, current)
+        expected = V[plus] - V[minus] + 0.3 * (V[plus] + V[minus]) / 2.0
+        assert found == pytest.approx(expected, rel=1e-9)
+
+
+def test_leads_are_in_series_with_their_electrodes_on_the_sensors_side_of_the_loads():
+    R, lead, y = 500.0, 60.0, 1e-3
+    two = Protocol.pairwise(2)
+    meter = FourTerminalMeter(leads=(lead, 0.0), source=y, sink=y)
+    expected = 1.0 / (1.0 / (R + lead) + y / 2.0)
+    assert sensed(meter, chain(R), two) == pytest.approx(expected, rel=1e-12)
+
+
+# ---- invariants ----
+
+
+def test_without_loads_and_leaks_the_meter_is_ideal():
+    Z = random_network()
+    ideal = RING.measure(Z)
+    np.testing.assert_array_equal(sensed(FourTerminalMeter(scale=3.0), Z, RING), ideal)
+    assert not FourTerminalMeter(scale=3.0, offset=1.0, step=0.1).is_loaded
+    least = FourTerminalMeter(*5 * (1e-12,), leads=6 * (1e-9,))
+    assert sensed(least, Z, RING) == pytest.approx(ideal, rel=1e-6)
+    # Leads carry no current where only they are there: four terminals do not see them.
+    assert sensed(FourTerminalMeter(leads=6 * (80.0,)), Z, RING) == pytest.approx(ideal, rel=1e-9)
+
+
+def test_one_load_alone_has_no_way_back_and_only_tells_where_ground_is():
+    Z = random_network()
+    alone = FourTerminalMeter(sense_minus=1e-3)
+    assert sensed(alone, Z, RING) == pytest.approx(RING.measure(Z), rel=1e-9)
+    grounded = dataclasses.replace(alone, common_mode=2.0)
+    assert sensed(grounded, Z, RING) == pytest.approx(2.0 * RING.measure(Z), rel=1e-9)
+
+
+def test_reciprocity_holds_where_drive_and_sense_leads_load_alike_and_only_there():
+    def both_ways(meter):
+        forth = Protocol(((0, 2, 3, 5),), 6)
+        back = Protocol(((3, 5, 0, 2),), 6)
+        Z = random_network()
+        return sensed(meter, Z, forth)[0], sensed(meter, Z, back)[0]
+
+    alike = FourTerminalMeter(1e-3, 4e-4, 1e-3, 4e-4, idle=1e-4, leaks=(0, 1e-4, 0, 0, 2e-4, 0))
+    forth, back = both_ways(alike)
+    assert forth == pytest.approx(back, rel=1e-9)
+    forth, back = both_ways(dataclasses.replace(alike, sense_plus=0.0))
+    assert abs(forth / back - 1.0) > 0.01
+
+
+def test_swapped_drives_change_the_sign_alone_where_source_and_sink_load_alike():
+    def both_ways(meter):
+        Z = random_network()
+        ways = (Protocol((row,), 6) for row in ((0, 2, 3, 5), (2, 0, 3, 5)))
+        return [sensed(meter, Z, way)[0] for way in ways]
+
+    alike = FourTerminalMeter(4e-4, 4e-4, 1e-3, 2e-4, idle=1e-4, common_mode=0.1)
+    forth, back = both_ways(alike)
+    assert forth == pytest.approx(-back, rel=1e-9)
+    forth, back = both_ways(dataclasses.replace(alike, sink=2e-3))
+    assert abs(forth / back + 1.0) > 0.01
+
+
+def test_many_matrices_give_the_rows_that_each_gives_alone():
+    Z = np.array([random_network(), 2.0 * random_network(), 1j * random_network()])
+    found = sensed(EVERY_ROLE, Z, RING)
+    assert found.shape == (3, len(RING))
+    for one, row in zip(Z, found, strict=True):
+        np.testing.assert_allclose(sensed(EVERY_ROLE, one, RING), row, rtol=1e-12)
+
+
+# ---- readings ----
+
+
+def test_readings_are_scaled_offset_limited_and_rounded_in_this_order():
+    meter = FourTerminalMeter(
+        scale=2.0,
+        offset=1.0,
+        channel_scale=(1.0, 0.5, 1.0),
+        channel_offset=(0.0, 0.0, -0.5),
+        saturation=10.0,
+        step=0.4,
+    )
+    read, beyond = meter.reading(np.array([[1.07, 1.6, -6.0 + 2.0j]]))
+    assert read == pytest.approx(np.array([[3.2, 2.4, -10.0 + 4.0j]]))
+    assert beyond.tolist() == [[False, False, True]]
+
+
+def test_a_board_may_read_signed_values_or_magnitudes():
+    voltage = np.array([-3.0 + 4.0j, 2.0 - 1.0j])
+    for reads, expected in (("signed", [-3, 2]), ("magnitude", [5, np.sqrt(5)])):
+        assert FourTerminalMeter(reads=reads).reading(voltage)[0] == pytest.approx(expected)
+
+
+def test_a_session_reads_by_its_meter_and_flags_what_saturates():
+    meter = FourTerminalMeter(scale=-0.5, saturation=20.0, reads="magnitude")
+    board = dataclasses.replace(Instrument.ideal(), meter=meter)
+    rng = np.random.default_rng(0)
+    session = board.session(Protocol.pairwise(3), 100.0, rng)
+    (read,), (status,) = session.measure(np.array([[10.0, 30.0, 60.0 + 0j]]), np.zeros(1), rng)
+    assert read == pytest.approx([5.0, 15.0, 20.0])
+    assert status.tolist() == [0, 0, Status.CLIPPED]
+
+
+# ---- refusals and files ----
+
+
+@pytest.mark.parametrize(
+    ("terms", "message"),
+    [
+        ({"source": -1e-3}, r"source.*0 to 1000 S"),
+        ({"idle": 1e4}, "idle"),
+        ({"sink": -1e-3j}, "sink"),
+        ({"leaks": (0.0, float("nan"))}, r"leaks\[1\]"),
+        ({"leads": (-1.0,)}, r"leads\[0\].*ohm"),
+        ({"step": -0.1}, "step"),
+        ({"scale": 0.0}, "scales"),
+        ({"offset": float("inf")}, "finite"),
+        ({"saturation": -1.0, "source": -1.0}, "source.*saturation"),
+    ],
+)
+def test_impossible_terms_are_refused_together(terms, message):
+    with pytest.raises(ConfigurationError, match=message):
+        FourTerminalMeter(**terms)
+
+
+def test_a_meter_of_another_sensor_or_protocol_is_refused():
+    meter = FourTerminalMeter(leaks=(0.0, 1e-6))
+    with pytest.raises(ConfigurationError, match=r"leaks.*4 electrodes, got 2"):
+        sensed(meter, chain(1.0, 1.0, 1.0))
+    board = Instrument(meter=FourTerminalMeter(channel_scale=(1.0, 2.0)))
+    with pytest.raises(ConfigurationError, match=r"channel_scale.*3 measurements, got 2"):
+        board.session(Protocol.pairwise(3), 1.0, np.random.default_rng(0))
+
+
+def test_instrument_files_are_read_back_and_named_by_their_path(tmp_path):
+    meter = dataclasses.replace(
+        EVERY_ROLE, leaks=(1e-6, 1e-6j), scale=0.1 - 2j, reads="signed", channel_offset=(1.0, 2.0)
+    )
+    board = Instrument(snr_db=62.0, meter=meter)
+    board.to_toml(tmp_path / "rig.toml")
+    assert Instrument.from_toml(tmp_path / "rig.toml") == board
+    assert Instrument.named(str(tmp_path / "rig.toml")) == board
+    (tmp_path / "quiet.toml").write_text('board = "rig.toml"\nsnr_db = 0.0\n')
+    quiet = Instrument.named("quiet.toml", tmp_path)
+    assert quiet == dataclasses.replace(board, snr_db=0.0)
+    assert Instrument.named("ideal") == Instrument(snr_db=0.0)
+    (tmp_path / "wrong.toml").write_text("[meter]\nsense_plu = 1e-3\n")
+    with pytest.raises(ConfigurationError, match=r"meter: unknown key 'sense_plu'; .*sense_plus"):
+        Instrument.named("wrong.toml", tmp_path)
