@@ -124,6 +124,25 @@ class FunctionSpace:
         X: Array = np.einsum("nab,n...b->an...", self.inverses[elements], moved)
         return X
 
+    def plane_corners(self) -> Array:
+        """Corners of the columns' triangles seen from above, (elements, 3, 2) [m]."""
+        first = self.origins[:, None, :2]
+        return np.concatenate([first, first + self._edges[:, :2, :2]], axis=1)
+
+    @property
+    def plane_degree(self) -> int:
+        """Degree in the plane to which `rule` is exact on prisms."""
+        element = self.element
+        if not isinstance(element, ExtrudedElement):
+            raise TypeError(f"expected a mesh of columns of cells, got {element}")
+        return 2 * max(element.order)
+
+    def upright_rule(self) -> tuple[Array, Array]:
+        """Heights and weights of `rule` along a column of cells, (q,) [m] each."""
+        heights, level = np.unique(self.rule.X[2], return_inverse=True)
+        # Weights of the plane add up to one half, the area of the unit triangle.
+        return heights, np.asarray(2.0 * np.bincount(level, self.rule.weights), dtype=np.float64)
+
     def in_elements(self, potentials: Numbers, inner: Array) -> Numbers:
         """Coefficients element by element, (elements, functions, k), from unknowns (unknowns, k).
 

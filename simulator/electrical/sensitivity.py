@@ -1,9 +1,12 @@
 """Energy products of potentials over pixels, for adjoint Jacobians on a regular grid."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
+import skfem
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.outline import Outline
@@ -15,6 +18,8 @@ Numbers = NDArray[np.inexact]
 Tensors = Callable[[Array], Array]
 
 _OVERLAPS = 4  # along x, integrated at once
+_AT_ONCE = 2**21  # numbers of prisms' gradients and products that are held at once
+_SAME_SIDE = 1e-9  # of a pixel, that the side of a prism may be longer without being divided
 
 
 def pixel_gram(
@@ -29,8 +34,8 @@ def pixel_gram(
 
     Pixels divide the outline's bounding box, and a pixel column has the height of the body. On
     boxes, every overlap of a cell and a pixel is integrated by itself, exactly; on other cells a
-    pixel owns the quadrature points within it, which is exact for a conductivity that is a function
-    of position constant in each pixel.
+    pixel owns the quadrature points within it. Prisms larger than a pixel are divided for that into
+    triangles of about a pixel's size, so that every pixel on the outline owns points.
 
     Args:
         assembly: of the mesh.
@@ -49,17 +54,87 @@ def pixel_gram(
     y_edges = np.linspace(0, outline.width, rows + 1)
     if mesh.cells.shape[1] == 8:
         return _boxes_gram(assembly, mesh, potentials, x_edges, y_edges, along)
-    x, y = assembly.points[..., 0], assembly.points[..., 1]
-    column = np.clip(np.searchsorted(x_edges, x, side="right") - 1, 0, columns - 1)
-    row = np.clip(np.searchsorted(y_edges, y, side="right") - 1, 0, rows - 1)
+    grid = _Pixels(x_edges, y_edges)
+    if mesh.cells.shape[1] == 6:
+        return _prisms_gram(assembly, potentials, grid, along)
     gradients = assembly.cell_gradients(potentials)
     fluxes = gradients if along is None else along(assembly.points) @ gradients
-    products = np.einsum(
-        "cq,cqbk,cqbl->cqkl", assembly.cell_weights, gradients, fluxes, optimize=True
-    )
-    total = np.zeros((rows * columns, *products.shape[2:]), dtype=products.dtype)
-    np.add.at(total, row * columns + column, products)
+    fluxes = assembly.cell_weights[..., None, None] * fluxes
+    products = (gradients.swapaxes(2, 3) @ fluxes).reshape(-1, *[potentials.shape[-1]] * 2)
+    return grid.sums(assembly.points[..., :2].reshape(-1, 2), products)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Pixels:
+    """Grid of pixels by their rising edges along x and y [m]."""
+
+    x_edges: Array
+    y_edges: Array
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Number of rows and of columns."""
+        return len(self.y_edges) - 1, len(self.x_edges) - 1
+
+    def sums(self, points: Array, values: Numbers) -> Numbers:
+        """Sums of values (n, k, k) at points (n, 2) [m] over each pixel, (pixels, k, k)."""
+        rows, columns = self.shape
+        column = np.clip(np.searchsorted(self.x_edges, points[:, 0], "right") - 1, 0, columns - 1)
+        row = np.clip(np.searchsorted(self.y_edges, points[:, 1], "right") - 1, 0, rows - 1)
+        count = len(points)
+        owned = csr_array(
+            (np.ones(count), (row * columns + column, np.arange(count))),
+            shape=(rows * columns, count),
+        )
+        total: Numbers = owned @ values.reshape(count, -1)
+        return total.reshape(-1, *values.shape[1:])
+
+
+def _prisms_gram(
+    assembly: Assembly, potentials: Numbers, pixels: _Pixels, along: Tensors | None
+) -> Numbers:
+    """Integrals on prisms: the elements' rule upwards, a rule of sub-triangles in the plane."""
+    space, side = assembly.space, min(np.diff(pixels.x_edges)[0], np.diff(pixels.y_edges)[0])
+    corners = space.plane_corners()
+    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    parts = np.maximum(np.ceil(longest / side - _SAME_SIDE), 1).astype(int)
+    heights, upright = space.upright_rule()
+    k = potentials.shape[-1]
+    total = np.zeros((np.prod(pixels.shape), k, k), potentials.dtype)
+    for n in np.unique(parts):
+        shares, weights = _subdivided(int(n), space.plane_degree)
+        chosen = np.flatnonzero(parts == n)
+        step = max(1, _AT_ONCE // (len(weights) * (3 * len(heights) + k) * k))
+        for start in range(0, len(chosen), step):
+            elements = chosen[start : start + step]
+            plane = shares @ corners[elements]
+            first = space.column_gradients(potentials, elements, plane, heights)
+            second = first if along is None else _along(along, first, plane, heights)
+            area = (space.jacobians[elements, None] * weights)[..., None] * upright
+            shape = (plane.shape[0] * plane.shape[1], -1, k)
+            first, second = (
+                np.moveaxis(g, 1, 2).reshape(shape)
+                for g in (first, area[:, None, ..., None] * second)
+            )
+            sums = pixels.sums(plane.reshape(-1, 2), first.swapaxes(1, 2) @ second)
+            np.add(total, sums, out=total)
     return total
+
+
+def _subdivided(n: int, degree: int) -> tuple[Array, Array]:
+    """Barycentric points (q, 3) and weights (q,) of a rule on n^2 equal parts of a triangle.
+
+    The whole triangle is integrated to `degree`; its parts, which are small, to the fourth.
+    """
+    (u, v), weights = skfem.quadrature.get_quadrature(
+        skfem.refdom.RefTri, degree if n == 1 else min(degree, 4)
+    )
+    i, j = (index.ravel() for index in np.meshgrid(np.arange(n), np.arange(n)))
+    upright, turned = i + j < n, i + j < n - 1
+    x = [*(i[upright, None] + u), *(i[turned, None] + 1.0 - u)]
+    y = [*(j[upright, None] + v), *(j[turned, None] + 1.0 - v)]
+    u, v = np.ravel(x) / n, np.ravel(y) / n
+    return np.stack([1.0 - u - v, u, v], axis=1), np.tile(weights, n * n) / n**2
 
 
 def _boxes_gram(
@@ -87,15 +162,20 @@ def _boxes_gram(
         gradients = assembly.space.column_gradients(potentials, elements, plane, z_nodes)
         fluxes = gradients
         if along is not None:
-            points = np.empty((*gradients.shape[:1], *gradients.shape[2:4], 3))
-            points[..., :2], points[..., 2] = plane[:, :, None], z_nodes
-            fluxes = np.moveaxis(along(points) @ np.moveaxis(gradients, 1, 3), 3, 1)
+            fluxes = _along(along, gradients, plane, z_nodes)
         weights = _pairs(x_weights[part], y_weights).prod(axis=-1)[..., None] * z_weights
         fluxes = weights[:, None, ..., None] * fluxes
         flat = (len(plane), -1, count)
         products = gradients.reshape(flat).swapaxes(1, 2) @ fluxes.reshape(flat)
         np.add.at(total, (y_pixel * columns + x_pixel[part, None]).ravel(), products)
     return total
+
+
+def _along(along: Tensors, gradients: Numbers, plane: Array, heights: Array) -> Numbers:
+    """Products of the tensors with gradients (n, 3, p, q, k) at heights above points (n, p, 2)."""
+    points = np.empty((*gradients.shape[:1], *gradients.shape[2:4], 3))
+    points[..., :2], points[..., 2] = plane[:, :, None], heights
+    return np.moveaxis(along(points) @ np.moveaxis(gradients, 1, 3), 3, 1)
 
 
 def _pairs(x: Array, y: Array) -> Array:

@@ -5,6 +5,8 @@ import pytest
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import SensorDesign
+from eitskin.geometry.design.outline import Disc
+from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.geometry.meshing.hexahedra import Grading
 from eitskin.simulator import ForwardModel, Protocol
 
@@ -47,6 +49,18 @@ def test_pixels_share_out_what_cells_have(model) -> None:
     pixels = model.sensitivity(PROTOCOL, pixels=(32, 80))
     assert pixels.shape == (3, 2560)
     assert pixels.sum(axis=1) == pytest.approx(cells, rel=1e-10)
+
+
+def test_prisms_larger_than_pixels_leave_none_out() -> None:
+    """A disc meshed coarsely: every pixel on it is felt, and pixels share out what cells have."""
+    outline = Disc(0.03)
+    design = SensorDesign(outline, 0.005, uniform(outline, 8))
+    disc = ForwardModel(design, ((2, 1), Grading(3e-3, 0.02, 1.5, layers=1)))
+    J = disc.sensitivity(PROTOCOL, pixels=(30, 30))
+    assert J.sum(axis=1) == pytest.approx(disc.sensitivity(PROTOCOL).sum(axis=1), rel=1e-6)
+    middles = 2e-3 * (np.stack(np.meshgrid(np.arange(30), np.arange(30)), axis=-1) + 0.5)
+    inside = outline.contains(middles, margin=1e-3).ravel()
+    assert (J[0, inside] < 0.0).all()
 
 
 def tensor(x):
