@@ -19,7 +19,6 @@ Tensors = Callable[[Array], Array]
 
 _OVERLAPS = 4  # along x, integrated at once
 _AT_ONCE = 2**21  # numbers of prisms' gradients and products that are held at once
-_SAME_SIDE = 1e-9  # of a pixel, that the side of a prism may be longer without being divided
 
 
 def pixel_gram(
@@ -35,7 +34,7 @@ def pixel_gram(
     Pixels divide the outline's bounding box, and a pixel column has the height of the body. On
     boxes, every overlap of a cell and a pixel is integrated by itself, exactly; on other cells a
     pixel owns the quadrature points within it. Prisms larger than a pixel are divided for that into
-    triangles of about a pixel's size, so that every pixel on the outline owns points.
+    triangles of half a pixel's side, so that every pixel on the outline owns points.
 
     Args:
         assembly: of the mesh.
@@ -97,7 +96,7 @@ def _prisms_gram(
     space, side = assembly.space, min(np.diff(pixels.x_edges)[0], np.diff(pixels.y_edges)[0])
     corners = space.plane_corners()
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
-    parts = np.maximum(np.ceil(longest / side - _SAME_SIDE), 1).astype(int)
+    parts = np.where(longest > side, np.ceil(2.0 * longest / side), 1).astype(int)
     heights, upright = space.upright_rule()
     k = potentials.shape[-1]
     total = np.zeros((np.prod(pixels.shape), k, k), potentials.dtype)
@@ -124,11 +123,9 @@ def _prisms_gram(
 def _subdivided(n: int, degree: int) -> tuple[Array, Array]:
     """Barycentric points (q, 3) and weights (q,) of a rule on n^2 equal parts of a triangle.
 
-    The whole triangle is integrated to `degree`; its parts, which are small, to the fourth.
+    The whole triangle is integrated to `degree`; its parts, which are small, to the second.
     """
-    (u, v), weights = skfem.quadrature.get_quadrature(
-        skfem.refdom.RefTri, degree if n == 1 else min(degree, 4)
-    )
+    (u, v), weights = skfem.quadrature.get_quadrature(skfem.refdom.RefTri, degree if n == 1 else 2)
     i, j = (index.ravel() for index in np.meshgrid(np.arange(n), np.arange(n)))
     upright, turned = i + j < n, i + j < n - 1
     x = [*(i[upright, None] + u), *(i[turned, None] + 1.0 - u)]

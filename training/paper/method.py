@@ -22,10 +22,10 @@ from eitskin.training.paper.bend_angle import BendAngle
 from eitskin.training.paper.bend_subspace import bend_free_projection
 from eitskin.training.paper.classifier import Classifier
 from eitskin.training.paper.missing_channels import MissingChannels
-from eitskin.training.paper.nominal_jacobian import nominal_jacobian
 from eitskin.training.paper.postprocessor import PostProcessor
 from eitskin.training.paper.reconstruction import Reconstruction, signal_to_noise
 from eitskin.training.paper.touch_regions import find_touches
+from eitskin.training.reconstruction.linear_model import linear_model
 
 Arrays = dict[str, NDArray[np.generic]]
 
@@ -103,7 +103,8 @@ class PaperMethod:
         unseen = None if validation is None else filled(validation, Observations.of(validation))
         touched = dataset.state == State.TOUCH
         snr = signal_to_noise(train.dynamic[touched], noise)
-        reconstruction = Reconstruction.fit(nominal_jacobian(layout), snr, layout.pixels)
+        model = linear_model(layout.design, layout.protocol, layout.pixels)
+        reconstruction = Reconstruction.fit(model.relative, snr, layout.pixels)
         return cls(
             reconstruction,
             _fit_classifier(train, unseen, reconstruction, settings, noise, progress),

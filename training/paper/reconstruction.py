@@ -6,9 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from eitskin.errors import ConfigurationError
-
-PRIOR_FLOOR = 0.1  # least weight of a pixel in the prior, relative to the median pixel's
-MAX_SNR = 1e4  # for noise-free training sets, whose step would otherwise be unregularised
+from eitskin.training.reconstruction.priors import gauss_newton, noser_weights
+from eitskin.training.reconstruction.regularised_inverse import MAX_SNR
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,20 +28,9 @@ class Reconstruction:
     def fit(cls, jacobian: ArrayLike, snr: float, shape: tuple[int, int]) -> "Reconstruction":
         """Reconstruction matrix for a Jacobian and a signal-to-noise ratio.
 
-        The matrix of the paper, (J^T J + lambda^2 R)^-1 J^T with NOSER's R = diag(J^T J) (Cheney
-        et al. 1990), is computed in its push-through form R^-1 J^T (J R^-1 J^T + lambda^2 I)^-1:
-        a system of the size of one frame instead of one image.
-
-        R has a floor, a tenth of its median. Behind the outermost electrodes lie a few corner
-        pixels that hardly any current passes; plain NOSER lets their conductivity vary a hundred
-        times more than elsewhere, and every image peaks there.
-
-        lambda is not tuned. The step is the MAP estimate for a prior dsigma ~ N(0, s^2 R^-1) and
-        noise of covariance n^2 I, with lambda = n / s. Under this prior signals have the
-        covariance s^2 J R^-1 J^T, so the mean square signal of the M measurements is
-        S^2 = s^2 trace(J R^-1 J^T) / M. Setting S to the root mean square of a touch gives
-        lambda = n / s = sqrt(trace(J R^-1 J^T) / M) / SNR, with SNR = S / n. Without the floor,
-        R_p = sum_m J_mp^2 and the trace is the number of pixels.
+        The matrix of the paper is (J^T J + lambda^2 R)^-1 J^T with NOSER's R = diag(J^T J), with a
+        floor (`priors.noser_weights`). lambda is not tuned but that of the signal-to-noise ratio
+        (`RegularisedInverse.of_snr`).
 
         Args:
             jacobian: relative Jacobian (measurements, pixels), dimensionless.
@@ -53,23 +41,15 @@ class Reconstruction:
             ConfigurationError: for a Jacobian of another shape, or an `snr` that is not positive.
         """
         J = np.asarray(jacobian, dtype=float)
-        measurements, pixels = J.shape
+        pixels = J.shape[1]
         if pixels != shape[0] * shape[1]:
             raise ConfigurationError(
                 f"expected a Jacobian of {shape[0] * shape[1]} columns for a "
                 f"{shape[0]} x {shape[1]} image, got {pixels}; take it for the same pixels"
             )
-        if not snr > 0:
-            raise ConfigurationError(
-                f"expected a positive snr, got {snr!r}; take that of the training frames"
-            )
-        sensitivities = np.sum(J**2, axis=0)
-        prior = np.maximum(sensitivities, PRIOR_FLOOR * np.median(sensitivities))
-        weighted = (J / prior).T  # R^-1 J^T
-        covariance = J @ weighted
-        regularisation = float(np.sqrt(np.trace(covariance) / measurements) / min(snr, MAX_SNR))
-        system = covariance + regularisation**2 * np.eye(measurements)
-        return cls(np.linalg.solve(system, weighted.T).T, shape, regularisation)
+        family = gauss_newton(J, noser_weights(J))
+        regularisation = family.of_snr(snr)
+        return cls(family.matrix(regularisation), shape, regularisation)
 
     def apply(self, difference: ArrayLike) -> NDArray[np.float64]:
         """Relative conductivity change (..., rows, columns) from dV (..., measurements)."""
@@ -91,21 +71,6 @@ class Reconstruction:
         rows, columns = (int(n) for n in arrays["shape"].astype(int))
         regularisation = float(arrays["regularisation"].astype(float))
         return cls(arrays["matrix"].astype(float), (rows, columns), regularisation)
-
-
-def relative_jacobian(
-    sensitivity: ArrayLike, impedance: ArrayLike, conductivity: float
-) -> NDArray[np.float64]:
-    """Relative Jacobian (measurements, pixels), d log R / d log sigma, dimensionless.
-
-    Args:
-        sensitivity: dR/dsigma (measurements, pixels) [ohm per S/m].
-        impedance: of the same sensor (measurements,) [ohm].
-        conductivity: at which the sensitivity was taken [S/m].
-    """
-    R = np.real(np.asarray(impedance))
-    J: NDArray[np.float64] = conductivity * np.asarray(sensitivity, dtype=float) / R[:, None]
-    return J
 
 
 def signal_to_noise(touch: ArrayLike, noise: float) -> float:

@@ -57,7 +57,7 @@ def test_prisms_larger_than_pixels_leave_none_out() -> None:
     design = SensorDesign(outline, 0.005, uniform(outline, 8))
     disc = ForwardModel(design, ((2, 1), Grading(3e-3, 0.02, 1.5, layers=1)))
     J = disc.sensitivity(PROTOCOL, pixels=(30, 30))
-    assert J.sum(axis=1) == pytest.approx(disc.sensitivity(PROTOCOL).sum(axis=1), rel=1e-6)
+    assert J.sum(axis=1) == pytest.approx(disc.sensitivity(PROTOCOL).sum(axis=1), rel=1e-4)
     middles = 2e-3 * (np.stack(np.meshgrid(np.arange(30), np.arange(30)), axis=-1) + 0.5)
     inside = outline.contains(middles, margin=1e-3).ravel()
     assert (J[0, inside] < 0.0).all()

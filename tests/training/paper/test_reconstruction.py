@@ -6,12 +6,8 @@ import pytest
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import SensorDesign
 from eitskin.simulator import ForwardModel, Protocol
-from eitskin.training.paper.reconstruction import (
-    MAX_SNR,
-    Reconstruction,
-    relative_jacobian,
-    signal_to_noise,
-)
+from eitskin.training.paper.reconstruction import MAX_SNR, Reconstruction, signal_to_noise
+from eitskin.training.reconstruction.linear_model import relative_jacobian
 
 SHAPE = (8, 16)
 

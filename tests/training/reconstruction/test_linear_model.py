@@ -8,11 +8,16 @@ from eitskin.geometry import Bend, SensorDesign
 from eitskin.geometry.meshing.hexahedra import Grading
 from eitskin.simulator import Protocol, Scene, Simulator
 from eitskin.training.method.input_spec import InputSpec
-from eitskin.training.paper.nominal_jacobian import nominal_jacobian
+from eitskin.training.reconstruction.linear_model import linear_model
 
 COARSE = ((2, 1), Grading(finest=4e-3, coarsest=8e-3, growth=1.0, layers=1))
 PROTOCOL = Protocol(((0, 1, 0, 1), (2, 6, 2, 6), (0, 4, 1, 3)), 8)
 LAYOUT = InputSpec(SensorDesign.reference(), PROTOCOL, 40e3, np.ones(3))
+
+
+def nominal_jacobian(layout, angle_deg, resolution):
+    spec = (layout.design, layout.protocol, layout.pixels, angle_deg)
+    return linear_model(*spec, resolution=resolution).relative
 
 
 @pytest.mark.parametrize("angle_deg", [0.0, 40.0])

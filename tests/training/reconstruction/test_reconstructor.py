@@ -1,0 +1,132 @@
+"""Pictures of a disc and of the reference sensor by every method."""
+
+from typing import get_args
+
+import numpy as np
+import pytest
+
+from eitskin.errors import ConfigurationError, FrameError, UnusableFrameError
+from eitskin.frame import Frame
+from eitskin.geometry import SensorDesign
+from eitskin.geometry.design.outline import Disc
+from eitskin.geometry.design.regular_layouts import uniform
+from eitskin.geometry.meshing.grading import Grading
+from eitskin.protocol import Protocol
+from eitskin.training.reconstruction.figures_of_merit import figures_of_merit
+from eitskin.training.reconstruction.reconstructor import Method, Reconstructor, back_projection
+from eitskin.training.reconstruction.regularisation import Regularisation
+
+RADIUS = 0.05
+COARSE = ((2, 1), Grading(4e-3, 0.02, 1.5, layers=1))
+OUTLINE = Disc(RADIUS)
+DESIGN = SensorDesign(OUTLINE, 0.005, uniform(OUTLINE, 16))
+PROTOCOL = Protocol.adjacent(16)
+
+
+def made(method="greit", **options):
+    return Reconstructor(DESIGN, PROTOCOL, method, pixels=625, resolution=COARSE, **options)
+
+
+@pytest.fixture(scope="module")
+def greit():
+    return made()
+
+
+@pytest.mark.parametrize("method", get_args(Method))
+def test_every_method_shows_a_change_where_it_is_and_with_its_sign(method, greit):
+    maker = made(method)
+    place = (0.065, 0.06)
+    picture = -0.1 * greit.grid.discs([place], 0.008)[0]
+    shown = maker.images(maker.jacobian @ picture)
+    assert shown.shape == maker.grid.shape
+    assert (np.isnan(shown) == ~maker.grid.inside).all()
+    found = figures_of_merit(shown[maker.grid.inside], maker.grid, place, -1e-4)
+    assert found.position_error < 0.1 * RADIUS
+
+
+def test_greit_is_even_along_the_radius(greit):
+    """A small target that moves outwards keeps amplitude and resolution, and its place."""
+    places = [(RADIUS * (1.0 + share), RADIUS) for share in (0.0, 0.2, 0.4, 0.6)]
+    targets = greit.grid.discs(places, 0.0025)
+    shown = greit.images(targets @ greit.jacobian.T)[:, greit.grid.inside]
+    figures = [
+        figures_of_merit(image, greit.grid, place, target.sum() * greit.grid.area)
+        for image, place, target in zip(shown, places, targets, strict=True)
+    ]
+    assert np.ptp([each.amplitude for each in figures]) < 0.2
+    assert max(each.position_error for each in figures) < 0.05 * RADIUS
+    assert np.ptp([each.resolution for each in figures]) < 0.08
+
+
+def test_uniform_change_is_projected_back_by_its_size(greit):
+    matrix = back_projection(greit.jacobian)
+    assert (matrix @ greit.jacobian.sum(axis=1)).mean() == pytest.approx(1.0)
+
+
+def test_data_do_not_know_the_unit_of_the_frames(greit):
+    """Nor a gain of the board: absolute differences fit one factor, relative ones need none."""
+    before = np.asarray(greit.model.impedance)
+    after = before + greit.model.sensitivity[:, 300]
+    expected = greit.data(after, before)
+    assert expected == pytest.approx(np.real(after - before) / np.sqrt(np.mean(before.real**2)))
+    for gain in (1e-3, -20.0, np.exp(0.3j)):
+        assert greit.data(gain * after, gain * before) == pytest.approx(expected)
+    relative = made(difference="relative")
+    gains = np.random.default_rng(0).uniform(0.5, 2.0, len(PROTOCOL))
+    assert relative.data(gains * after, gains * before) == pytest.approx(
+        np.real((after - before) / before)
+    )
+
+
+def test_bad_channels_are_left_out(greit):
+    before = np.asarray(greit.model.impedance)
+    after = before * (1.0 + 0.01 * np.sin(np.arange(len(PROTOCOL))))
+    status = np.zeros(len(PROTOCOL), np.uint8)
+    status[[3, 50]] = 1
+    spoiled = after.astype(complex)
+    spoiled[3] = np.nan
+    shown = greit.image(Frame(spoiled, PROTOCOL, status=status), Frame(before, PROTOCOL))
+    data = greit.data(after, before)
+    family = greit.family.without(status != 0)
+    expected = family.matrix(greit.lambda_of()) @ data[status == 0]
+    assert shown[greit.grid.inside] == pytest.approx(expected)
+    status[: len(status) // 2 + 1] = 1
+    with pytest.raises(UnusableFrameError, match="50%"):
+        greit.image(Frame(after, PROTOCOL, status=status), Frame(before, PROTOCOL))
+
+
+def test_frames_choose_lambda_by_cross_validation(greit):
+    maker = made("laplace", regularisation=Regularisation("gcv"))
+    rng = np.random.default_rng(1)
+    clean = greit.jacobian @ greit.grid.discs([(0.05, 0.07)], 0.01)[0]
+    few, many = (
+        clean + share * np.abs(clean).max() * rng.normal(size=len(clean)) for share in (0.001, 0.1)
+    )
+    assert maker.lambda_of(few[None]) < maker.lambda_of(many[None])
+    assert np.isfinite(maker.images(many)[maker.grid.inside]).all()
+
+
+def test_wrong_frames_are_refused(greit):
+    frame = Frame(np.ones(len(PROTOCOL)), PROTOCOL)
+    other = Protocol.opposite(16)
+    with pytest.raises(FrameError, match=r"208 measurements.*got"):
+        greit.image(Frame(np.ones(len(other)), other), frame)
+    with pytest.raises(FrameError, match="got shape"):
+        greit.data(np.ones(10), np.ones(208))
+    with pytest.raises(FrameError, match="got shape"):
+        greit.images(np.ones(10))
+
+
+def test_wrong_options_are_refused():
+    for wrong, message in (
+        ({"protocol": Protocol.pairwise(8)}, "protocol of 16 electrodes"),
+        ({"method": "magic"}, "expected a method of back-projection"),
+        ({"difference": "none"}, "expected a difference of relative"),
+    ):
+        with pytest.raises(ConfigurationError, match=message):
+            Reconstructor(DESIGN, **wrong)
+
+
+def test_two_terminal_frames_are_compared_channel_by_channel():
+    assert Reconstructor(SensorDesign.reference()).difference == "relative"
+    assert made().difference == "absolute"

@@ -1,0 +1,97 @@
+"""Gauss-Newton pictures against dense least squares, and the rules for lambda."""
+
+import numpy as np
+import pytest
+
+from eitskin.errors import ConfigurationError
+from eitskin.geometry.design.outline import Rectangle
+from eitskin.training.reconstruction.pixel_grid import PixelGrid
+from eitskin.training.reconstruction.priors import gauss_newton, prior_matrix
+from eitskin.training.reconstruction.regularisation import Regularisation
+
+GRID = PixelGrid.of(Rectangle(0.12, 0.06), 72)
+RNG = np.random.default_rng(0)
+# Channels feel the surroundings of one position each, more or less.
+J = -GRID.discs(RNG.uniform((0, 0), (0.12, 0.06), (15, 2)), 0.03) @ np.diag(np.geomspace(1, 3, 72))
+TRUTH = GRID.discs([(0.05, 0.03)], 0.015)[0]
+
+
+def family(name="tikhonov"):
+    return gauss_newton(J, prior_matrix(name, GRID, J))
+
+
+@pytest.mark.parametrize("name", ["tikhonov", "noser", "laplace"])
+def test_picture_is_that_of_dense_least_squares(name):
+    """|J x - y|^2 + lambda^2 x^T R x, with a root of R written out, by an independent solver."""
+    roots = {
+        "tikhonov": np.eye(72),
+        "noser": np.diag(np.linalg.norm(J, axis=0)),
+        "laplace": GRID.differences.toarray(),
+    }
+    y, parameter = RNG.normal(size=15), 0.7
+    stacked = np.concatenate([J, parameter * roots[name]])
+    expected = np.linalg.lstsq(stacked, np.concatenate([y, np.zeros(len(roots[name]))]))[0]
+    assert family(name).matrix(parameter) @ y == pytest.approx(expected, rel=1e-4, abs=1e-6)
+
+
+@pytest.mark.parametrize("name", ["tikhonov", "noser", "laplace"])
+def test_pictures_that_the_prior_can_see_are_exact_without_noise(name):
+    """Of linear data, with lambda towards zero: every picture in the range of R^-1 J^T."""
+    inverse = family(name)
+    picture = inverse.back @ RNG.normal(size=15)
+    found = inverse.matrix(1e-7 * np.sqrt(np.trace(inverse.gram))) @ (J @ picture)
+    assert found == pytest.approx(picture, rel=1e-5, abs=1e-7 * np.abs(picture).max())
+
+
+def test_missing_channels_are_those_of_a_smaller_jacobian():
+    missing = np.arange(15) % 4 == 1
+    smaller = gauss_newton(J[~missing], np.ones(72)).matrix(0.3)
+    assert family().without(missing).matrix(0.3) == pytest.approx(smaller)
+
+
+def test_noise_figure_is_that_of_drawn_noise():
+    inverse, parameter = family(), 0.9
+    response = J @ TRUTH
+    noise = np.random.default_rng(1).normal(size=(20_000, 15)) @ inverse.matrix(parameter).T
+    signal = np.abs(inverse.matrix(parameter) @ response).mean() / np.sqrt(np.mean(noise**2))
+    expected = np.abs(response).mean() / signal
+    assert inverse.noise_figure(parameter, response) == pytest.approx(expected, rel=0.01)
+    chosen = inverse.of_noise_figure(expected, response)
+    assert chosen == pytest.approx(parameter, rel=0.05)
+
+
+def test_noise_figures_that_no_lambda_has_are_refused_with_the_range():
+    with pytest.raises(ConfigurationError, match=r"between \S+ and \S+ .* got 1e-06"):
+        family().of_noise_figure(1e-6, J @ TRUTH)
+
+
+def test_cross_validation_is_least_at_its_lambda_and_near_the_best_picture():
+    rng = np.random.default_rng(3)
+    inverse = family()
+    pictures = rng.normal(size=(50, 72))
+    y = pictures @ J.T + 2.0 * rng.normal(size=(50, 15))
+
+    def score(parameter):
+        left = np.eye(15) - J @ inverse.matrix(parameter)
+        return np.sum((y @ left) ** 2) / np.trace(left) ** 2
+
+    found = inverse.of_gcv(y)
+    assert score(found) <= min(score(found * factor) for factor in (0.1, 0.9, 1.1, 10.0))
+    # The pictures are drawn from the prior with s = 1, and the noise is 2: lambda = n / s.
+    assert found == pytest.approx(2.0, rel=0.3)
+
+
+def test_misfit_is_kept():
+    y, inverse = RNG.normal(size=15), family("laplace")
+    parameter = inverse.of_misfit(1.2, y)
+    assert np.linalg.norm(y - J @ inverse.matrix(parameter) @ y) == pytest.approx(1.2, rel=1e-3)
+
+
+def test_rules_by_name():
+    assert Regularisation.named("noise-figure:0.5") == Regularisation("noise-figure", 0.5)
+    assert Regularisation.named("gcv").rule == "gcv"
+    assert Regularisation.named("lambda:3").choose(family(), TRUTH, J) == 3.0
+    assert Regularisation.named("snr:10").choose(family(), TRUTH, J) == family().of_snr(10.0)
+    for text in ("gcv:1", "snr", "snr:x", "snr:-1", "lambda:inf", "l-curve:1"):
+        with pytest.raises(ConfigurationError, match="expected a rule"):
+            Regularisation.named(text)

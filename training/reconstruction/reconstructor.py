@@ -1,0 +1,279 @@
+"""Reconstructor: pictures of the conductivity change of any design under any protocol."""
+
+from functools import cached_property
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from eitskin.errors import ConfigurationError, FrameError, UnusableFrameError
+from eitskin.frame import Frame
+from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.protocol import Protocol
+from eitskin.simulator.electrical.resolution import Discretisation, Resolution
+from eitskin.training.method.input_spec import FEWEST_CHANNELS
+from eitskin.training.method.observations import relative_difference
+from eitskin.training.reconstruction.greit import desired_radius, greit
+from eitskin.training.reconstruction.linear_model import LinearModel, linear_model
+from eitskin.training.reconstruction.pixel_grid import PIXELS, PixelGrid
+from eitskin.training.reconstruction.priors import (
+    Prior,
+    gauss_newton,
+    noser_weights,
+    prior_matrix,
+)
+from eitskin.training.reconstruction.regularisation import Regularisation
+from eitskin.training.reconstruction.regularised_inverse import RegularisedInverse
+from eitskin.training.reconstruction.total_variation import TotalVariation
+
+Array = NDArray[np.float64]
+Method = Literal["back-projection", "tikhonov", "noser", "laplace", "total-variation", "greit"]
+Difference = Literal["relative", "absolute"]
+
+SMALLEST = 1e-3  # resistance of a channel, relative to the mean, that relative differences allow
+
+
+class Reconstructor:
+    """Pictures of the relative change of conductivity between two frames, without training.
+
+    To first order in the change, data are y = J x for the picture x. The methods:
+
+    back-projection: x_p = (J^T y)_p / (J^T J)_pp, sensitivities projected back (Kotre 1989), scaled
+        so that a change of the whole sensor is shown by its size in the mean.
+    tikhonov, noser, laplace: one-step Gauss-Newton, with the prior of that name.
+    total-variation: least total variation at the misfit of the laplace picture.
+    greit: trained on simulated targets (Adler et al. 2009).
+
+    Attributes:
+        design: the nominal sensor.
+        protocol: of the frames.
+        method: name of the method.
+        regularisation: rule for lambda; back-projection has none.
+        difference: "relative" or "absolute".
+        resolution: of the forward model.
+        grid: pixels of the pictures.
+    """
+
+    def __init__(
+        self,
+        design: SensorDesign,
+        protocol: Protocol | None = None,
+        method: Method = "greit",
+        regularisation: Regularisation | None = None,
+        pixels: int = PIXELS,
+        difference: Difference | None = None,
+        resolution: Resolution | Discretisation = "fast",
+    ) -> None:
+        """Check what is given; the forward model is solved for the first picture.
+
+        Args:
+            design: the nominal sensor, with a plane outline.
+            protocol: of the frames; every pair of electrodes when omitted.
+            method: its name.
+            regularisation: rule for lambda; a noise figure of 1 when omitted.
+            pixels: about how many, in the outline's bounding box.
+            difference: "relative": of each channel, whose gain cancels; "absolute": of all channels
+                on one scale, for protocols with channels near zero. When omitted, relative where
+                every drive pair senses itself, absolute otherwise.
+            resolution: of the forward model.
+
+        Raises:
+            ConfigurationError: for a protocol of other electrodes, an unknown method or difference,
+                a surface, or a number of pixels that is out of range.
+        """
+        electrodes = len(design.electrodes)
+        self.design = design
+        self.protocol = protocol or Protocol.pairwise(electrodes)
+        if self.protocol.n_electrodes != electrodes:
+            raise ConfigurationError(
+                f"expected a protocol of {electrodes} electrodes, those of the design, got one of "
+                f"{self.protocol.n_electrodes}; name a protocol of this sensor"
+            )
+        paired = all(row[:2] == row[2:] for row in self.protocol.table)
+        self.method = method
+        self.regularisation = regularisation or Regularisation()
+        self.difference: Difference = difference or ("relative" if paired else "absolute")
+        for name, value, kind in (
+            ("method", self.method, Method),
+            ("difference", self.difference, Difference),
+        ):
+            if value not in get_args(kind):
+                raise ConfigurationError(
+                    f"expected a {name} of {', '.join(get_args(kind))}, got {value!r}"
+                )
+        self.resolution: Resolution | Discretisation = resolution
+        self.grid = PixelGrid.of(design.outline, pixels)
+
+    @cached_property
+    def model(self) -> LinearModel:
+        """Linear model of the flat sensor, for all pixels of the bounding box."""
+        return linear_model(self.design, self.protocol, self.grid.shape, resolution=self.resolution)
+
+    @cached_property
+    def jacobian(self) -> Array:
+        """Jacobian J (measurements, P) of the data by the log conductivity of the pixels inside.
+
+        Raises ConfigurationError for relative differences of channels near zero.
+        """
+        R = np.real(self.model.impedance)
+        scale = float(np.sqrt(np.mean(R**2)))
+        if self.difference == "absolute":
+            return self.grid.gathered(np.real(self.model.sensitivity)) / scale
+        small = np.abs(R) < SMALLEST * scale
+        if small.any():
+            labels = [self.protocol.labels[k] for k in np.flatnonzero(small)[:3]]
+            raise ConfigurationError(
+                f"expected channels away from zero for relative differences, got {small.sum()} "
+                f"near it, such as {', '.join(labels)}; take absolute differences"
+            )
+        return self.grid.gathered(self.model.relative)
+
+    def data(self, impedance: ArrayLike, reference: ArrayLike) -> Array:
+        """Data y (..., measurements) of frames against a reference, dimensionless; NaN where bad.
+
+        Absolute differences are divided by the factor, fitted by least squares, that takes the
+        model's resistances to the reference, and by their root mean square.
+
+        Args:
+            impedance: of the frames (..., measurements), in any unit.
+            reference: of the same sensor before the change (..., measurements), in the same unit.
+
+        Raises:
+            FrameError: for another number of measurements.
+        """
+        V, before = np.asarray(impedance), np.asarray(reference)
+        for name, values in (("frame", V), ("reference", before)):
+            if values.shape[-1:] != (len(self.protocol),):
+                raise FrameError(
+                    f"expected a {name} of the protocol's {len(self.protocol)} measurements, got "
+                    f"shape {values.shape}; name the protocol of the measurements"
+                )
+        if self.difference == "relative":
+            with np.errstate(divide="ignore"):
+                change = relative_difference(V, before)
+            return np.where(np.isfinite(change), change, np.nan)
+        R = np.real(self.model.impedance)
+        known = np.isfinite(before)
+        gain = np.sum(np.where(known, np.conj(before), 0) * R, axis=-1, keepdims=True)
+        gain = gain / np.sum(np.where(known, R**2, 0.0), axis=-1, keepdims=True)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            change = np.real((V - before) / np.conj(gain))
+        return np.where(np.isfinite(change), change, np.nan) / float(np.sqrt(np.mean(R**2)))
+
+    def image(self, frame: Frame, reference: Frame) -> Array:
+        """Picture (rows, columns) of a frame against a reference frame; NaN outside the outline.
+
+        Values are relative changes of conductivity, dimensionless. Bad channels are left out.
+
+        Raises:
+            FrameError: for a frame of another protocol.
+            UnusableFrameError: for a frame with too few good channels.
+        """
+        for each in (frame, reference):
+            if each.protocol.table != self.protocol.table:
+                raise FrameError(
+                    f"expected frames of {len(self.protocol)} measurements starting with "
+                    f"{self.protocol.labels[:3]}, got {len(each.protocol)} starting with "
+                    f"{each.protocol.labels[:3]}; name the protocol of the board"
+                )
+        V, before = (np.where(f.status == 0, f.impedance, np.nan) for f in (frame, reference))
+        return self.images(self.data(V, before))
+
+    def images(self, data: ArrayLike) -> Array:
+        """Pictures (..., rows, columns) of data (..., measurements); NaN outside the outline.
+
+        Channels that are NaN in a frame are left out of its picture.
+
+        Raises:
+            FrameError: for another number of measurements.
+            UnusableFrameError: for a frame with too few good channels.
+        """
+        y = np.asarray(data, dtype=float)
+        if y.shape[-1:] != (len(self.protocol),):
+            raise FrameError(
+                f"expected data of {len(self.protocol)} measurements, got shape {y.shape}"
+            )
+        frames = y.reshape(-1, y.shape[-1])
+        missing, group = np.unique(np.isnan(frames), axis=0, return_inverse=True)
+        values = np.empty((len(frames), len(self.grid)))
+        for number, channels in enumerate(missing):
+            if np.mean(~channels) < FEWEST_CHANNELS:
+                raise UnusableFrameError(
+                    f"expected at least {FEWEST_CHANNELS:.0%} usable channels, got "
+                    f"{np.sum(~channels)} of {channels.size}; check the cable and the electrodes"
+                )
+            mine = group.ravel() == number
+            values[mine] = self._values(frames[mine][:, ~channels], channels)
+        return self.grid.image(values.reshape(*y.shape[:-1], -1))
+
+    def lambda_of(self, data: ArrayLike | None = None) -> float:
+        """Regularisation parameter lambda of the rule; data (n, measurements) are for gcv.
+
+        Raises ConfigurationError for a noise figure that no lambda has, and for back-projection.
+        """
+        if self.method == "back-projection":
+            raise ConfigurationError("expected a method with regularisation, got back-projection")
+        frames = np.zeros((1, len(self.protocol))) if data is None else np.atleast_2d(data)
+        return self.regularisation.choose(self.family, self.response, frames)
+
+    @cached_property
+    def family(self) -> RegularisedInverse:
+        """Reconstruction matrices of the method over lambda; those of laplace for total variation.
+
+        Raises ConfigurationError for back-projection, which has one matrix.
+        """
+        if self.method == "greit":
+            radius = desired_radius(self.grid, self.protocol.rank)
+            return greit(self.grid, self.jacobian, radius)
+        if self.method == "back-projection":
+            raise ConfigurationError("expected a method with regularisation, got back-projection")
+        prior: Prior = "laplace" if self.method == "total-variation" else self.method
+        return gauss_newton(self.jacobian, prior_matrix(prior, self.grid, self.jacobian))
+
+    @cached_property
+    def response(self) -> Array:
+        """Data of a target of one pixel in the middle, to which noise figures refer (M,)."""
+        response: Array = self.jacobian[:, self.grid.middle]
+        return response
+
+    @cached_property
+    def _lambda(self) -> float:
+        """Regularisation parameter lambda of rules that need no frames."""
+        return self.lambda_of()
+
+    def _values(self, frames: Array, missing: NDArray[np.bool_]) -> Array:
+        """Values (n, P) of frames (n, good measurements) that all lack the `missing` channels."""
+        J = self.jacobian[~missing]
+        if self.method == "back-projection":
+            return frames @ back_projection(J).T
+        family = self.family.without(missing) if missing.any() else self.family
+        by_frames = self.regularisation.rule == "gcv"
+        parameter = family.of_gcv(frames) if by_frames else self._lambda
+        values = frames @ self._matrix(family, parameter, whole=not missing.any()).T
+        if self.method != "total-variation":
+            return values
+        misfits = np.linalg.norm(frames - values @ J.T, axis=1)
+        varied = TotalVariation(self.grid, J)
+        return np.array(
+            [varied.picture(y, float(misfit)) for y, misfit in zip(frames, misfits, strict=True)]
+        )
+
+    def _matrix(self, family: RegularisedInverse, parameter: float, whole: bool) -> Array:
+        """Reconstruction matrix (P, measurements); that of whole frames is kept."""
+        if not whole or self.regularisation.rule == "gcv":
+            return family.matrix(parameter)
+        return self._whole_matrix
+
+    @cached_property
+    def _whole_matrix(self) -> Array:
+        return self.family.matrix(self._lambda)
+
+
+def back_projection(jacobian: Array) -> Array:
+    """Matrix (P, measurements) that projects sensitivities back: (J^T y)_p / (J^T J)_pp, scaled.
+
+    The scale is one for all pixels: a uniform change has the mean value of its size. Pixels that
+    hardly any current passes have the floor of `noser_weights`.
+    """
+    matrix = (jacobian / noser_weights(jacobian)).T
+    return matrix / float(np.mean(matrix @ jacobian.sum(axis=1)))

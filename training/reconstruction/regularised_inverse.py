@@ -1,0 +1,149 @@
+"""Family of linear reconstructions over the regularisation parameter, and rules for choosing it."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import brentq, minimize_scalar
+
+from eitskin.errors import ConfigurationError
+
+Array = NDArray[np.float64]
+
+_RANGE = (-9.0, 6.0)  # decades of lambda about the root mean square signal that are searched
+MAX_SNR = 1e4  # for noise-free data, whose step would otherwise be unregularised
+
+
+@dataclass(frozen=True, eq=False)
+class RegularisedInverse:
+    """Reconstruction matrices B (G + lambda^2 I)^-1 of every lambda, for white noise.
+
+    One-step Gauss-Newton has this form with B = R^-1 J^T and G = J B (`priors.gauss_newton`), GREIT
+    with B = D Y^T and G = Y Y^T (`greit.greit`).
+
+    Attributes:
+        back: B (pixels, measurements).
+        gram: G (measurements, measurements), symmetric and positive semidefinite.
+    """
+
+    back: Array
+    gram: Array
+
+    def matrix(self, regularisation: float) -> Array:
+        """Reconstruction matrix (pixels, measurements) of lambda."""
+        system = self.gram + regularisation**2 * np.eye(len(self.gram))
+        solved: Array = np.asarray(np.linalg.solve(system, self.back.T).T, dtype=np.float64)
+        return solved
+
+    def picture(self, regularisation: float, data: Array) -> Array:
+        """Picture (pixels,) of lambda and data (measurements,), without the matrix."""
+        system = self.gram + regularisation**2 * np.eye(len(self.gram))
+        picture: Array = self.back @ np.linalg.solve(system, data)
+        return picture
+
+    def without(self, channels: NDArray[np.bool_]) -> "RegularisedInverse":
+        """The family for frames without some channels, a mask (measurements,)."""
+        kept = ~channels
+        return RegularisedInverse(self.back[:, kept], self.gram[np.ix_(kept, kept)])
+
+    def of_snr(self, snr: float) -> float:
+        """Regularisation parameter lambda of a signal-to-noise ratio, root mean squares.
+
+        The picture is the MAP estimate for a prior of covariance s^2 R^-1 and noise of covariance
+        n^2 I, with lambda = n / s. Under this prior signals have the covariance s^2 G, so the mean
+        square signal of the M measurements is S^2 = s^2 trace(G) / M. With S / n = snr,
+        lambda = sqrt(trace(G) / M) / snr.
+        """
+        if not snr > 0:
+            raise ConfigurationError(
+                f"expected a positive snr, got {snr!r}; take that of the frames"
+            )
+        return self._scale / min(snr, MAX_SNR)
+
+    def of_noise_figure(self, noise_figure: float, response: Array) -> float:
+        """Regularisation parameter lambda at which pictures have this noise figure.
+
+        Args:
+            noise_figure: of `noise_figure` [-]; 0.5 in GREIT (Adler et al. 2009).
+            response: noise-free data of a small target in the middle (measurements,).
+
+        Raises ConfigurationError, with the range of noise figures, for one that no lambda has.
+        """
+
+        def excess(exponent: float) -> float:
+            figure = self.noise_figure(10.0**exponent * self._scale, response)
+            return float(np.log(figure / noise_figure))
+
+        # Noise figures fall as lambda grows, except for tiny ones: the last crossing counts.
+        grid = np.arange(*_RANGE, 0.5)
+        left = np.array([excess(each) for each in grid])
+        crossings = np.flatnonzero((left[:-1] > 0.0) & (left[1:] <= 0.0))
+        if not crossings.size:
+            least, most = noise_figure * np.exp([left.min(), left.max()])
+            raise ConfigurationError(
+                f"expected a noise figure between {least:.3g} and {most:.3g} for this sensor and "
+                f"method, got {noise_figure:g}; choose one in between"
+            )
+        last = crossings[-1]
+        return float(10.0 ** brentq(excess, grid[last], grid[last + 1], xtol=1e-6)) * self._scale
+
+    def noise_figure(self, regularisation: float, response: Array) -> float:
+        """Noise figure of lambda: ratio of signal to noise in the data to that in the picture.
+
+        With white noise of unit variance in the data, NF = mean |y| / (mean |x| / s), where
+        x = R y is the picture of the response y, and s^2 = trace(R R^T) / P the mean variance of a
+        pixel (Adler and Guardo 1996, in the form of Adler et al. 2009).
+        """
+        eigenvalues, vectors, spread = self._spectrum
+        damped = 1.0 / (eigenvalues + regularisation**2)
+        picture = spread @ (damped * (vectors.T @ response))
+        variance = np.sum((spread * damped) ** 2) / len(spread)
+        return float(np.mean(np.abs(response)) * np.sqrt(variance) / np.mean(np.abs(picture)))
+
+    def of_gcv(self, data: ArrayLike) -> float:
+        """Regularisation parameter lambda of least generalised cross-validation.
+
+        The score (Golub, Heath and Wahba 1979) is |(I - A) y|^2 / trace(I - A)^2, summed over
+        frames y (n, measurements), with A = G (G + lambda^2 I)^-1.
+        """
+        eigenvalues, vectors, _ = self._spectrum
+        energy = np.sum((np.atleast_2d(np.asarray(data, dtype=float)) @ vectors) ** 2, axis=0)
+
+        def score(exponent: float) -> float:
+            left = 1.0 / (1.0 + eigenvalues / (10.0**exponent * self._scale) ** 2)
+            return float(np.log(np.sum(left**2 * energy) / np.sum(left) ** 2))
+
+        # The score may have several minima: the lowest of a coarse search is refined.
+        grid = np.arange(-6.0, 3.0, 0.25)
+        lowest = float(grid[np.argmin([score(each) for each in grid])])
+        refined = minimize_scalar(score, bounds=(lowest - 0.25, lowest + 0.25), method="bounded")
+        return float(10.0**refined.x) * self._scale
+
+    def of_misfit(self, misfit: float, data: Array) -> float:
+        """Regularisation parameter lambda whose picture of `data` (measurements,) has this misfit.
+
+        The misfit |y - J x| of a Gauss-Newton picture rises with lambda from zero to |y|.
+        """
+        eigenvalues, vectors, _ = self._spectrum
+        energy = (vectors.T @ data) ** 2
+
+        def excess(exponent: float) -> float:
+            left = 1.0 / (1.0 + eigenvalues / (10.0**exponent * self._scale) ** 2)
+            return float(np.sqrt(np.sum(left**2 * energy)) - misfit)
+
+        low, high = _RANGE
+        if excess(low) >= 0.0:
+            return float(10.0**low) * self._scale
+        return float(10.0 ** brentq(excess, low, high, xtol=1e-6)) * self._scale
+
+    @property
+    def _scale(self) -> float:
+        """Root mean square signal of the prior with s = 1."""
+        return float(np.sqrt(np.trace(self.gram) / len(self.gram)))
+
+    @cached_property
+    def _spectrum(self) -> tuple[Array, Array, Array]:
+        """Eigenvalues (M,) and eigenvectors (M, M) of G, and B times these (P, M)."""
+        eigenvalues, vectors = np.linalg.eigh(self.gram)
+        return np.maximum(eigenvalues, 0.0), vectors, self.back @ vectors
