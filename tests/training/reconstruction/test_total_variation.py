@@ -16,7 +16,8 @@ def test_step_of_one_dimension_has_its_closed_form():
     misfit = alpha * np.sqrt(1 / 10 + 1 / 30)
     found = TotalVariation(grid, np.eye(40)).picture(y, misfit)
     expected = np.where(np.arange(40) < 10, 1.0 + alpha / 10, 3.0 - alpha / 30)
-    assert found == pytest.approx(expected, abs=0.08)  # at the step; edges are rounded a little
+    assert found == pytest.approx(expected, abs=0.1)  # corners are rounded a little
+    assert found[[0, -1]] == pytest.approx(expected[[0, -1]], abs=0.015)
 
 
 def test_total_variation_falls_at_the_same_misfit():
