@@ -18,6 +18,7 @@ from eitskin.cli.commands import (
     import_recording,
     live,
     mesh,
+    reconstruct,
     simulate,
     train,
 )
@@ -67,6 +68,7 @@ def options(
 
 app.command("simulate")(simulate.command)
 app.command("mesh")(mesh.command)
+app.command("reconstruct")(reconstruct.command)
 app.command("generate")(generate.command)
 app.command("import")(import_recording.command)
 app.command("train")(train.command)

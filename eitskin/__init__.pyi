@@ -14,5 +14,6 @@ from eitskin.simulator.scene.scene import Scene as Scene
 from eitskin.simulator.scene.touch import Touch as Touch
 from eitskin.simulator.simulator import Simulator as Simulator
 from eitskin.training.pipeline.pipeline import Pipeline as Pipeline
+from eitskin.training.reconstruction.reconstructor import Reconstructor as Reconstructor
 
 __version__: str

@@ -2,7 +2,8 @@
 
 A dataset trains a method (`joint` or `paper`, both behind `method`); `pipeline` turns the frames of
 a session into estimates with it, `evaluation` scores these, `export` writes ONNX graphs.
-`positions` learns touch positions alone, from recordings without geometry.
+`positions` learns touch positions alone, from recordings without geometry; `reconstruction` makes
+pictures without training.
 """
 
 from eitskin.lazy import lazy_exports

@@ -33,3 +33,16 @@ from eitskin.training.positions.recorded_touches import (
 from eitskin.training.positions.recorded_touches import (
     RecordedTouches as RecordedTouches,
 )
+from eitskin.training.reconstruction.figures_of_merit import (
+    FiguresOfMerit as FiguresOfMerit,
+)
+from eitskin.training.reconstruction.figures_of_merit import (
+    figures_of_merit as figures_of_merit,
+)
+from eitskin.training.reconstruction.pixel_grid import PixelGrid as PixelGrid
+from eitskin.training.reconstruction.reconstructor import (
+    Reconstructor as Reconstructor,
+)
+from eitskin.training.reconstruction.regularisation import (
+    Regularisation as Regularisation,
+)

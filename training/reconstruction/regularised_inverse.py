@@ -32,15 +32,19 @@ class RegularisedInverse:
 
     def matrix(self, regularisation: float) -> Array:
         """Reconstruction matrix (pixels, measurements) of lambda."""
-        system = self.gram + regularisation**2 * np.eye(len(self.gram))
+        system = self._system(regularisation)
         solved: Array = np.asarray(np.linalg.solve(system, self.back.T).T, dtype=np.float64)
         return solved
 
     def picture(self, regularisation: float, data: Array) -> Array:
         """Picture (pixels,) of lambda and data (measurements,), without the matrix."""
-        system = self.gram + regularisation**2 * np.eye(len(self.gram))
-        picture: Array = self.back @ np.linalg.solve(system, data)
+        picture: Array = self.back @ np.linalg.solve(self._system(regularisation), data)
         return picture
+
+    def _system(self, regularisation: float) -> Array:
+        """Matrix G + lambda^2 I (measurements, measurements)."""
+        system: Array = self.gram + regularisation**2 * np.eye(len(self.gram))
+        return system
 
     def without(self, channels: NDArray[np.bool_]) -> "RegularisedInverse":
         """The family for frames without some channels, a mask (measurements,)."""

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 
 from eitskin.extras import require
+from eitskin.geometry.design.electrode import Electrode
+from eitskin.geometry.design.outline import PlaneOutline
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.surface import Surface
 
@@ -67,10 +69,13 @@ def new_figure(width: float, height: float) -> Any:
     return figure(figsize=(width, height), layout="constrained")
 
 
-def draw_sensor(axes: Any, design: SensorDesign) -> None:
-    """Draw the outline of the conductive layer and its electrodes from above, in mm."""
+def draw_sensor(axes: Any, design: SensorDesign, numbers: bool = False) -> None:
+    """Draw the outline of the conductive layer and its electrodes from above, in mm.
+
+    With `numbers`, beside each electrode stands its number.
+    """
     outline = design.outline
-    margin = 0.03 * outline.length * 1e3
+    margin = (0.07 if numbers else 0.03) * max(outline.length, outline.width) * 1e3
     if not isinstance(outline, Surface):
         around = np.sort(np.append(np.linspace(0, outline.perimeter, 241), outline.corners))
         axes.plot(*(1e3 * outline.at(around)).T, color=GREY, linewidth=1.2, zorder=1)
@@ -82,7 +87,30 @@ def draw_sensor(axes: Any, design: SensorDesign) -> None:
             axes.plot(*places.T, color=GREY, linewidth=5, solid_capstyle="butt", zorder=1)
         else:
             axes.plot(1e3 * electrode.x, 1e3 * electrode.y, "s", color=GREY, zorder=1)
+        if numbers and not isinstance(outline, Surface):
+            _number(axes, outline, electrode, str(design.electrodes.index(electrode)))
     axes.set(xlim=(-margin, 1e3 * outline.length + margin), aspect="equal")
     axes.set(ylim=(-margin, 1e3 * outline.width + margin))
     axes.grid(visible=False)
     axes.spines[:].set_visible(False)
+
+
+def _number(axes: Any, outline: PlaneOutline, electrode: Electrode, text: str) -> None:
+    """Write an electrode's number: outside the rim beside one on the side, above any other."""
+    x, y = electrode.x, electrode.y
+    away = np.array([0.0, 1.0])
+    if electrode.on == "side":
+        middle, step = outline.locate(x, y), 1e-3 * outline.perimeter
+        ahead, behind = outline.at(np.array([middle + step, middle - step]) % outline.perimeter)
+        away = np.array([1.0, -1.0]) * (ahead - behind)[::-1]
+        away /= np.linalg.norm(away)
+    axes.annotate(
+        text,
+        (1e3 * x, 1e3 * y),
+        xytext=8.0 * away,
+        textcoords="offset points",
+        ha="center",
+        va="center",
+        fontsize=7.5,
+        color=DARK,
+    )

@@ -1,0 +1,106 @@
+"""`eitskin reconstruct`: pictures of scenes, datasets and boards, and what is refused."""
+
+import numpy as np
+import pytest
+from command_line import printed_json, run
+
+from eitskin.datasets import save_dataset
+from eitskin.errors import ConfigurationError, DataError, FrameError
+
+import small_dataset
+
+FEW = ("--pixels", "200", "--resolution", "coarse")
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    data = small_dataset.make(n=6, status=np.zeros((6, 28)))
+    folder = tmp_path_factory.mktemp("data") / "set"
+    save_dataset(data, folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def anonymous(tmp_path_factory):
+    """A recording that knows neither its sensor nor its protocol."""
+    folder = tmp_path_factory.mktemp("data") / "unknown"
+    save_dataset(small_dataset.make(n=6, design=None, protocol=None), folder)
+    return folder
+
+
+def test_scene_is_pictured_where_it_is_touched(tmp_path):
+    (tmp_path / "touched.toml").write_text("[[touches]]\nx = 0.05\ny = 0.035\nforce = 5.0\n")
+    picture = tmp_path / "picture.png"
+    found = printed_json("reconstruct", tmp_path / "touched.toml", *FEW, "--out", picture)
+    (one,) = found["pictures"]
+    assert one["method"] == "greit"
+    assert one["difference"] == "relative"
+    assert one["least"] < 0.0
+    assert np.hypot(*np.subtract(one["least_at_m"], (0.05, 0.035))) < 0.01
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_frames_of_a_dataset_by_several_methods(dataset, tmp_path):
+    out = tmp_path / "pictures.npz"
+    words = ("reconstruct", dataset, *FEW, "--frames", "0,2-3", "--method", "all", "--out", out)
+    found = printed_json(*words)
+    assert len(found["pictures"]) == 18
+    with np.load(out) as written:
+        assert written["change"].shape == (6, 3, len(written["y"]), len(written["x"]))
+        assert written["frames"].tolist() == ["frame 0", "frame 2", "frame 3"]
+        inner = written["change"][..., written["inside"]]
+    assert np.isfinite(inner).all()
+    table = tmp_path / "values.csv"
+    run("reconstruct", dataset, *FEW, "--frames", "2", "--out", table, "-q")
+    assert table.read_text().startswith("x_m,y_m,frame 2\n")
+    assert np.loadtxt(table, delimiter=",", skiprows=1)[:, 2] == pytest.approx(inner[5, 1])
+
+
+def test_board_is_pictured_after_its_reference(dataset):
+    words = ("reconstruct", f"replay:{dataset}", *FEW, "--average", "3", "--frames", "2")
+    found = printed_json(*words, "--method", "noser", "--lambda", "gcv")
+    assert [one["frame"] for one in found["pictures"]] == ["frame 3", "frame 4"]
+    assert found["pictures"][0]["lambda"] is None
+    with pytest.raises(DataError, match="got none"):
+        run("reconstruct", f"replay:{dataset}", *FEW, "--average", "6")
+
+
+def test_reference_is_chosen(dataset):
+    words = ("reconstruct", dataset, *FEW, "--frames", "2", "--reference")
+    same = printed_json(*words, "2")["pictures"][0]
+    assert same["least"] == same["largest"] == 0.0
+    assert printed_json(*words, "flat") != printed_json(*words, "untouched")
+
+
+def test_sensors_and_protocols_that_do_not_fit_are_refused(dataset, anonymous, tmp_path):
+    disc = tmp_path / "disc.toml"
+    disc.write_text("outline = { radius = 0.03 }\nthickness = 0.004\n[electrodes]\ncount = 6\n")
+    eight = tmp_path / "eight.toml"
+    eight.write_text(disc.read_text().replace("6\n", "8\n"))
+    for words, error, message in (
+        ((dataset, "--sensor", disc), ConfigurationError, "protocol of 6 electrodes"),
+        ((dataset, "--protocol", "adjacent"), FrameError, r"pairwise:8.*leave --protocol out"),
+        ((anonymous,), DataError, "name the design"),
+        ((anonymous, "--sensor", eight), DataError, "--protocol, such as adjacent"),
+        ((anonymous, "--sensor", eight, "--protocol", "adjacent"), FrameError, "40 measurements"),
+    ):
+        with pytest.raises(error, match=message):
+            run("reconstruct", *words, *FEW)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--method", "best"), r"--method must be one of back-projection"),
+        (("--lambda", "small"), "expected a rule for lambda"),
+        (("--difference", "none"), "--difference must be one of relative"),
+        (("--frames", "9"), "from 0 to 5, got '9'"),
+        (("--frames", "x"), "expected frames as"),
+        (("--out", "picture.jpg"), "as .png, .npz or .csv"),
+        (("--out", "/nowhere/picture.png"), "there is no folder"),
+        (("--pixels", "1"), "pixels must be"),
+    ],
+)
+def test_what_cannot_be_is_refused(dataset, options, message):
+    with pytest.raises(ConfigurationError, match=message):
+        run("reconstruct", dataset, *options)
