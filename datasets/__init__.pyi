@@ -3,12 +3,19 @@
 from eitskin.datasets.generation.generate import generate as generate
 from eitskin.datasets.generation.verification import verify as verify
 from eitskin.datasets.recipe.recipe import Recipe as Recipe
-from eitskin.datasets.recordings.recording import (
+from eitskin.datasets.recordings.form import (
+    RecordingForm as RecordingForm,
+)
+from eitskin.datasets.recordings.form import (
     RecordingNames as RecordingNames,
+)
+from eitskin.datasets.recordings.recording import (
+    Recording as Recording,
 )
 from eitskin.datasets.recordings.recording import (
     read_recording as read_recording,
 )
+from eitskin.datasets.store.combination import combine as combine
 from eitskin.datasets.store.compaction import compact as compact
 from eitskin.datasets.store.dataset import Dataset as Dataset
 from eitskin.datasets.store.folder import (

@@ -1,4 +1,4 @@
-"""`eitskin dataset`: contents, verification and compaction of a dataset."""
+"""`eitskin dataset`: contents, verification, compaction and combination of datasets."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,7 +15,7 @@ from eitskin.errors import DataError
 if TYPE_CHECKING:
     from eitskin.datasets.generation.verification import DamagedFile
 
-app = typer.Typer(help="Show, verify or compact a dataset.", no_args_is_help=True)
+app = typer.Typer(help="Show, verify, compact or combine datasets.", no_args_is_help=True)
 
 Folder = Annotated[Path, typer.Argument(help="The dataset's folder.")]
 Workers = Annotated[int, typer.Option(min=1, help="Processes that read the shards.")]
@@ -128,6 +128,40 @@ def compaction(
     output.result(
         found,
         f"{manifest.frames} frames in {len(manifest.shards)} shards in {out}, {megabytes:.1f} MB",
+    )
+
+
+@app.command("combine")
+def combination(
+    datasets: Annotated[list[Path], typer.Argument(help="Folders of two or more datasets.")],
+    *,
+    out: Annotated[Path, typer.Option(help="Folder for the new dataset; new or empty.")],
+    magnitudes: Annotated[
+        bool, typer.Option(help="Combine magnitudes, where some recordings have no sign.")
+    ] = False,
+    seed: Seed = 0,  # noqa: ARG001 - every command takes it
+    as_json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Write the frames of different datasets, such as own presses and simulated ones, as one.
+
+    They must share protocol, sensor, frequency and kind of values; differences are listed.
+    """
+    from eitskin.datasets.store.combination import combine
+
+    output = Output(as_json, quiet, verbose)
+    with output.progress() as bar:
+        task = bar.add_task("shards", total=None, rate="")
+        manifest = combine(
+            datasets,
+            out,
+            magnitudes,
+            lambda done, total: bar.update(task, completed=done, total=total),
+        )
+    output.result(
+        {"out": str(out), "frames": manifest.frames, "source": manifest.source},
+        f"{manifest.frames} frames of {len(datasets)} datasets in {out}",
     )
 
 

@@ -1,59 +1,169 @@
 """`eitskin import`: measured voltages with labels, as a dataset."""
 
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from eitskin.cli.options import Json, MeasuredPairs, Output, Quiet, Seed, Verbose
+from eitskin.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from eitskin.datasets.recordings.recording import Recording
 
 
 def command(
-    file: Annotated[Path, typer.Argument(help="Recording: .csv, .mat, .npz or OpenEIT .txt.")],
+    file: Annotated[
+        Path,
+        typer.Argument(
+            help="Recording: .csv, .tsv, .xlsx, .parquet, .mat, .npz, .h5 or OpenEIT .txt."
+        ),
+    ],
     *,
     out: Annotated[Path, typer.Option(help="Folder for the dataset; new or empty.")],
+    sensor: Annotated[
+        Path | None,
+        typer.Option(help="Sensor design file, stored and used to check positions and units."),
+    ] = None,
+    protocol: MeasuredPairs = None,
     values: Annotated[
-        str | None, typer.Option(help="Variable (CSV: beginning of columns) with the values.")
+        str | None,
+        typer.Option(help="Variable, beginning of columns, or FIRST..LAST column of the values."),
     ] = None,
     touch_reference: Annotated[
         str | None, typer.Option(help="The same for frames just before a touch.")
     ] = None,
-    positions: Annotated[
-        str | None, typer.Option(help="Variable with x, y of each touch, in metres.")
+    rows: Annotated[
+        str,
+        typer.Option(help="frames; or before-during, during-before: rows of a press alternate."),
+    ] = "frames",
+    keep_before: Annotated[
+        bool, typer.Option("--keep-before", help="Keep readings before a press as frames, too.")
+    ] = False,
+    positions: Annotated[str | None, typer.Option(help="Variable with x, y of each touch.")] = None,
+    column: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="LABEL=PLACE",
+            help="Place of state, angle_deg, t, x, y, force, depth, radius, specimen, sensor or "
+            "session: NAME, NAME:COLUMN, NAME*FACTOR, or a number for all touches. Repeatable.",
+        ),
     ] = None,
-    protocol: MeasuredPairs = None,
+    length_unit: Annotated[
+        str, typer.Option(help="Of x, y, depth and radius in the file: m, cm, mm or um.")
+    ] = "m",
+    origin: Annotated[
+        str, typer.Option(help="Of x and y on the sensor: corner, centre, or X,Y in metres.")
+    ] = "corner",
+    quantity: Annotated[
+        str, typer.Option(help="Kind of the values: impedance, magnitude or voltage.")
+    ] = "",
+    scale: Annotated[
+        float, typer.Option(help="Factor that makes ohm of the values; 1/current for voltages.")
+    ] = 1.0,
     frequency: Annotated[float, typer.Option(help="Frequency of the excitation, in hertz.")] = 40e3,
+    bad_values: Annotated[
+        str, typer.Option(help="Empty or not finite values: refuse, mark, or drop the frame.")
+    ] = "refuse",
+    transpose: Annotated[
+        bool, typer.Option("--transpose", help="Frames are columns of the values, not rows.")
+    ] = False,
+    patterns: Annotated[
+        str | None,
+        typer.Option(help="DRIVE,SENSE: matrices of patterns in the file, instead of a protocol."),
+    ] = None,
+    sheet: Annotated[str | None, typer.Option(help="Sheet of an Excel file; the first.")] = None,
     seed: Seed = 0,
     as_json: Json = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
     """Import measured voltages and labels, as a dataset for training and evaluation."""
-    from eitskin.datasets.recordings.recording import RecordingNames, read_recording
-    from eitskin.datasets.store.folder import save_dataset
+    from eitskin.datasets.recordings.form import RecordingForm, RecordingNames
+    from eitskin.datasets.recordings.recording import Recording
+    from eitskin.datasets.store.folder import save_parts
     from eitskin.datasets.store.summary import DatasetSummary
+    from eitskin.geometry.design.sensor import SensorDesign
     from eitskin.protocol import Protocol
 
     output = Output(as_json, quiet, verbose)
-    data = read_recording(
+    design = SensorDesign.from_toml(sensor) if sensor else None
+    recording = Recording(
         file,
-        RecordingNames(values, touch_reference, positions),
-        Protocol.named(protocol) if protocol else None,
+        RecordingNames(
+            values, touch_reference, positions, _columns(column or ()), _pair(patterns), sheet
+        ),
+        Protocol.named(protocol, len(design.electrodes) if design else None) if protocol else None,
         frequency,
+        design,
+        RecordingForm(
+            rows,  # type: ignore[arg-type]
+            keep_before,
+            transpose,
+            length_unit,  # type: ignore[arg-type]
+            origin,
+            quantity,  # type: ignore[arg-type]
+            scale,
+            bad_values,  # type: ignore[arg-type]
+        ),
     )
     output.detail(f"nothing is random in an import, seed {seed} is not used")
-    save_dataset(data, out)
+    if recording.unused:
+        output.note(
+            f"not read: {', '.join(recording.unused)}; a label among them is named with "
+            "--column LABEL=NAME"
+        )
     summary = DatasetSummary()
-    summary.add(data)
-    counts = summary.states
-    shown = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
+    save_parts(summary.watched(recording.parts()), out)
+    _tell(output, out, recording, summary.contents())
+
+
+def _tell(
+    output: Output, out: Path, recording: "Recording", contents: Mapping[str, object]
+) -> None:
+    """Print what has been imported."""
+    counts = contents["states"]
+    assert isinstance(counts, Mapping)  # noqa: S101 - as `DatasetSummary` says
+    shown = ", ".join(f"{count} {name}" for name, count in counts.items())
+    for kind, names in (("specimen", recording.specimens), ("session", recording.sessions)):
+        if any(name != str(number) for name, number in names.items()):
+            told = ", ".join(f"{number} is {name}" for name, number in names.items())
+            output.note(f"numbers of {kind}s: {told}")
     output.result(
         {
             "out": str(out),
-            "frames": len(data),
-            "channels": data.impedance.shape[1],
+            "frames": contents["frames"],
+            "channels": contents["channels"],
             "states": counts,
-            "protocol": protocol,
+            "protocol": contents["protocol"],
+            "quantity": contents["quantity"],
+            "specimens": dict(recording.specimens),
+            "sessions": dict(recording.sessions),
+            "unused": list(recording.unused),
         },
-        f"{len(data)} frames of {data.impedance.shape[1]} channels ({shown}) in {out}",
+        f"{contents['frames']} frames of {contents['channels']} channels ({shown}) in {out}",
     )
+
+
+def _columns(texts: Iterable[str]) -> dict[str, str]:
+    """Places of labels by label; raises ConfigurationError."""
+    places: dict[str, str] = {}
+    for text in texts:
+        label, equals, place = (part.strip() for part in text.partition("="))
+        if not (label and equals and place) or label in places:
+            raise ConfigurationError(
+                f"expected --column LABEL=PLACE, each label once, as in force=F_N, got '{text}'"
+            )
+        places[label] = place
+    return places
+
+
+def _pair(text: str | None) -> tuple[str, str] | None:
+    """Names of drive and sense patterns; raises ConfigurationError."""
+    if text is None:
+        return None
+    drive, comma, sense = (part.strip() for part in text.partition(","))
+    if not (drive and comma and sense):
+        raise ConfigurationError(f"expected --patterns DRIVE,SENSE, got '{text}'")
+    return drive, sense

@@ -12,7 +12,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from eitskin.datasets.store.references import SpecimenReferences
-from eitskin.datasets.store.schema import FIELDS, FRAME_FIELDS, LIMITS, MAX_TOUCHES
+from eitskin.datasets.store.schema import (
+    FIELDS,
+    FRAME_FIELDS,
+    LIMITS,
+    MAX_TOUCHES,
+    QUANTITIES,
+)
 from eitskin.datasets.store.state import UNKNOWN_STATE, State
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.frame import Frame, Status
@@ -20,7 +26,7 @@ from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.protocol import Protocol
 
 # Attributes that all parts of a dataset share.
-ORIGIN: Final = ("protocol", "frequency", "source", "recipe", "seed", "design")
+ORIGIN: Final = ("protocol", "frequency", "source", "recipe", "seed", "design", "quantity")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,6 +45,8 @@ class Dataset:
         touch_x, touch_y: position on the flat sensor, (n, 4) float32 [m]; NaN where absent.
         touch_force: (n, 4) float32 [N]; NaN where absent or unknown.
         touch_radius: of the indenter, (n, 4) float32 [m]; NaN where absent or unknown.
+        touch_depth: travel of the indenter from first contact, (n, 4) float32 [m]; NaN where absent
+            or unknown, and everywhere when omitted.
         time: since the episode's start, (n,) float64 [s].
         status: `eitskin.simulator.Status` bits, (n, C) uint8.
         episode: number of the episode, whose frames follow each other in time, (n,) uint32.
@@ -51,6 +59,8 @@ class Dataset:
         design: nominal sensor; None where unknown.
         specimen_number: number of each specimen within the whole dataset, rising, (S,) uint32. A
             part of a dataset may hold few of its specimens. 0 to S - 1 when omitted.
+        quantity: kind of the values: "impedance" [ohm] with sign and phase, "magnitude" of
+            impedances [ohm], "voltage" [V]; empty where the recording does not say.
     """
 
     impedance: NDArray[np.complex64]
@@ -76,6 +86,10 @@ class Dataset:
     specimen_number: NDArray[np.uint32] = dataclasses.field(
         default_factory=lambda: np.zeros(0, dtype=np.uint32)
     )
+    touch_depth: NDArray[np.float32] = dataclasses.field(
+        default_factory=lambda: np.zeros((0, MAX_TOUCHES), dtype=np.float32)
+    )
+    quantity: str = ""
 
     def __post_init__(self) -> None:
         """Convert the arrays to the format's types, and check shapes and values."""
@@ -86,6 +100,9 @@ class Dataset:
                 raise DataError(f"expected 1 to {LIMITS[axis]} {axis}s, got {sizes[axis]}")
         if np.size(self.specimen_number) == 0:
             object.__setattr__(self, "specimen_number", np.arange(sizes["specimen"]))
+        if np.size(self.touch_depth) == 0:
+            object.__setattr__(self, "touch_depth", np.full_like(self.touch_x, np.nan))
+        object.__setattr__(self, "quantity", known_quantity(self.quantity, self.source))
         for field in FIELDS:
             values = np.ascontiguousarray(getattr(self, field.name), dtype=field.dtype)
             expected = tuple(sizes[axis] for axis in field.axes)
@@ -98,6 +115,10 @@ class Dataset:
         check_values({field.name: getattr(self, field.name) for field in FIELDS})
         if self.source not in ("simulated", "measured"):
             raise DataError(f"source must be 'simulated' or 'measured', got {self.source!r}")
+        if self.quantity not in ("", *QUANTITIES):
+            raise DataError(
+                f"quantity must be {', '.join(QUANTITIES)} or empty, got {self.quantity!r}"
+            )
         if self.protocol is not None and len(self.protocol) != self.channels:
             raise DataError(
                 f"the protocol has {len(self.protocol)} measurements, but the frames have "
@@ -279,11 +300,18 @@ def require_same_origin(one: Any, other: Any) -> None:
             "another has",
             "join only parts of one protocol",
         )
-    if any(getattr(one, name) != getattr(other, name) for name in (*ORIGIN, "channels")):
+    names = ("channels", *ORIGIN)
+    different = [name for name in names if getattr(one, name) != getattr(other, name)]
+    if different:
         raise DataError(
-            "the parts of a dataset must share channels, protocol, frequency, source, recipe, seed "
-            "and design; these were not made together"
+            f"the parts of a dataset must share its {', '.join(different)}; these were not made "
+            "together: combine different datasets with eitskin dataset combine"
         )
+
+
+def known_quantity(stated: str, source: str) -> str:
+    """Kind of a dataset's values: the stated one; simulated values are impedances in any case."""
+    return stated or ("impedance" if source == "simulated" else "")
 
 
 def frame_bytes(channels: int, names: Collection[str]) -> int:

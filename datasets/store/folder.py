@@ -3,7 +3,7 @@
 import hashlib
 import itertools
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 from eitskin.datasets.store.dataset import Dataset
@@ -87,18 +87,41 @@ def save_dataset(data: Dataset, folder: str | Path, frames_per_shard: int = 4096
     """
     if not len(data):
         raise DataError("a dataset needs at least one frame, got none")
+    starts = range(0, len(data), frames_per_shard)
+    return save_parts((data.select(slice(i, i + frames_per_shard)) for i in starts), folder)
+
+
+def save_parts(
+    parts: Iterable[Dataset], folder: str | Path, progress: Callable[[int], None] | None = None
+) -> Manifest:
+    """Write the parts of one dataset into a new or empty folder, a shard for each, as they come.
+
+    Args:
+        parts: at least one, which share what is not said of single frames.
+        folder: of the new dataset.
+        progress: called with the number of written shards.
+
+    Returns:
+        The manifest.
+
+    Raises ConfigurationError where the folder holds something, and PartialError where a file cannot
+    be written.
+    """
     folder = new_folder(Path(folder))
     entries: list[ShardEntry] = []
-    for first in range(0, len(data), frames_per_shard):
-        part = data.select(slice(first, first + frames_per_shard))
+    first = 0
+    for part in parts:
         name = shard_name(len(entries))
         write_shard(folder / name, part, first)
         entries.append(shard_entry(folder, name, first, len(part)))
+        first += len(part)
+        if progress:
+            progress(len(entries))
     manifest = Manifest(
-        source=data.source,
-        recipe_sha256=hashlib.sha256(data.recipe.encode()).hexdigest(),
-        seed=data.seed,
-        frames=len(data),
+        source=part.source,
+        recipe_sha256=hashlib.sha256(part.recipe.encode()).hexdigest(),
+        seed=part.seed,
+        frames=first,
         shards=tuple(entries),
     )
     write_manifest(folder, manifest)

@@ -27,7 +27,8 @@ class Field:
         description: one line, written into the file.
         finite: whether NaN and infinity are refused.
         missing: value for "unknown".
-        since: first version of the format whose files all hold the array.
+        since: first version of the format whose files all hold the array; None for an array that
+            only files with known values hold.
     """
 
     name: str
@@ -38,7 +39,7 @@ class Field:
     description: str
     finite: bool = False
     missing: float = 0
-    since: int = 1
+    since: int | None = 1
 
 
 def _field(
@@ -50,12 +51,14 @@ def _field(
     *,
     finite: bool = False,
     missing: float = 0,
-    since: int = 1,
+    since: int | None = 1,
 ) -> Field:
     path = name.replace("touch_", "touch/", 1) if axes == "frame touch" else name
     split = tuple(axes.split())
     return Field(name, path, np.dtype(dtype), split, units, description, finite, missing, since)
 
+
+QUANTITIES: Final = ("impedance", "magnitude", "voltage")
 
 NAN: Final = float("nan")
 FIELDS: Final = (
@@ -104,6 +107,15 @@ FIELDS: Final = (
         "m",
         "radius of the indenter; NaN where absent or unknown",
         missing=NAN,
+    ),
+    _field(
+        "touch_depth",
+        "<f4",
+        "frame touch",
+        "m",
+        "depth of a touch; NaN where absent or unknown",
+        missing=NAN,
+        since=None,
     ),
     _field("time", "<f8", "frame", "s", "since the episode began", finite=True),
     _field("status", "|u1", "frame channel", "1", "status bits of the board, 0 is good"),

@@ -67,7 +67,9 @@ def shard_bytes(data: Dataset, first_index: int = 0) -> bytes:
     with h5py.File(name, "w", driver="core", backing_store=False) as file:
         file.attrs.update(_root_attributes(data, first_index))
         for field in FIELDS:
-            _write_field(file, field, getattr(data, field.name))
+            values = getattr(data, field.name)
+            if field.since is not None or not np.isnan(values).all():
+                _write_field(file, field, values)
         if data.protocol is not None:
             table = np.array(data.protocol.table, dtype="<i2")
             _write_array(file, "protocol", table, ("channel", "electrode"))
@@ -91,6 +93,7 @@ def _root_attributes(data: Dataset, first_index: int) -> dict[str, Any]:
         "first_index": first_index,
         "count": len(data),
         "frequency": data.frequency,
+        "quantity": data.quantity,
         "design": data.design.to_toml() if data.design else "",
         "packages": json.dumps(package_versions(), sort_keys=True),
     }
@@ -123,5 +126,5 @@ def _attach_time(file: h5py.File) -> None:
     """Attach `time` as the dimension scale of every frame axis."""
     file["time"].make_scale("time")
     for field in FIELDS:
-        if field.axes[0] == "frame" and field.name != "time":
+        if field.axes[0] == "frame" and field.name != "time" and field.path in file:
             file[field.path].dims[0].attach_scale(file["time"])

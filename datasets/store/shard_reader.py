@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.config import parse_toml
-from eitskin.datasets.store.dataset import ORIGIN, Dataset, check_values
+from eitskin.datasets.store.dataset import ORIGIN, Dataset, check_values, known_quantity
 from eitskin.datasets.store.schema import (
     FIELDS,
     FORMAT,
@@ -86,6 +86,7 @@ class Origin:
     recipe: str
     seed: int
     design: SensorDesign | None
+    quantity: str
     channels: int
 
 
@@ -130,13 +131,17 @@ class OpenShard:
             raise DataError(f"must hold {frames} frames, got {self._count}")
         wanted = (field for field in FIELDS if field.name in names)
         found = {
-            field.path: _array(self._root, field.path, required=field.since <= self._version)
+            field.path: _array(self._root, field.path, required=self._holds(field))
             for field in wanted
         }
         stored = {path: array for path, array in found.items() if array is not None}
         columns = self._columns(stored, channels, names)
         check_values(columns)
         return columns
+
+    def _holds(self, field: Field) -> bool:
+        """Whether a file of this version must hold the array."""
+        return field.since is not None and field.since <= self._version
 
     @property
     def _root(self) -> h5py.h5g.GroupID:
@@ -146,13 +151,16 @@ class OpenShard:
         recipe, design = _text(self._file, "recipe"), _text(self._file, "design")
         if hashlib.sha256(recipe.encode()).hexdigest() != _text(self._file, "recipe_sha256"):
             raise DataError("the recipe and its checksum disagree; make or copy the file again")
+        source = _text(self._file, "source")
+        stated = _text(self._file, "quantity") if h5py.h5a.exists(self._file, b"quantity") else ""
         return Origin(
             protocol=None if protocol is None else _read_protocol(protocol),
             frequency=float(_attribute(self._file, "frequency")),
-            source=_text(self._file, "source"),
+            source=source,
             recipe=recipe,
             seed=_integer(self._file, "seed"),
             design=_read_design(design) if design else None,
+            quantity=known_quantity(stated, source),
             channels=channels,
         )
 
@@ -164,8 +172,12 @@ class OpenShard:
         arrays = {
             field.name: _values(stored[field.path], field, sizes)
             for field in FIELDS
-            if field.name in names and (field.path in stored or field.since <= self._version)
+            if field.name in names and (field.path in stored or self._holds(field))
         }
+        for field in FIELDS:
+            if field.name in names and field.since is None and field.name not in arrays:
+                shape = tuple(sizes[axis] for axis in field.axes)
+                arrays[field.name] = np.full(shape, field.missing, field.dtype)
         # Older files have no numbers of frames, and all specimens of the dataset: counts within the
         # dataset take the place of the numbers.
         first = self._first

@@ -1,7 +1,7 @@
 """Summary of a dataset: what its frames hold, collected shard by shard."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,8 @@ _RANGES: dict[str, Callable[[Dataset], Values]] = {
     "touch_x_mm": lambda data: 1e3 * data.touch_x,
     "touch_y_mm": lambda data: 1e3 * data.touch_y,
     "force_n": lambda data: data.touch_force,
+    "depth_mm": lambda data: 1e3 * data.touch_depth,
+    "radius_mm": lambda data: 1e3 * data.touch_radius,
     "impedance_ohm": lambda data: np.abs(data.impedance),
 }
 
@@ -53,6 +55,12 @@ class DatasetSummary:
                 least, most = self._ranges[name]
                 self._ranges[name] = min(least, float(known.min())), max(most, float(known.max()))
 
+    def watched(self, parts: Iterable[Dataset]) -> Iterator[Dataset]:
+        """Yield the parts of a dataset and add each."""
+        for part in parts:
+            self.add(part)
+            yield part
+
     @property
     def states(self) -> dict[str, int]:
         """Number of frames in each state, and of frames whose state is unknown."""
@@ -68,8 +76,10 @@ class DatasetSummary:
             "frames": self._frames,
             "channels": first.impedance.shape[1],
             "electrodes": first.protocol.n_electrodes if first.protocol else None,
+            "protocol": str(first.protocol) if first.protocol else None,
             "frequency_hz": first.frequency,
             "source": first.source,
+            "quantity": first.quantity or None,
             "seed": first.seed if first.recipe else None,
             "specimens": len(self._references),
             "episodes": len(np.unique(np.concatenate(self._episodes))),

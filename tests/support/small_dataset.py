@@ -23,6 +23,7 @@ def make(n=40, specimens=2, **changes):
         "touch_y": touches[1],
         "touch_force": touches[2],
         "touch_radius": touches[3],
+        "touch_depth": 0.1 * touches[3],
         "time": np.arange(n) * 0.1,
         "status": rng.integers(0, 64, (n, 28)),
         "episode": np.arange(n) // 10,
@@ -41,5 +42,5 @@ def assert_same(a, b):
         first, second = getattr(a, field.name), getattr(b, field.name)
         assert first.dtype == second.dtype == field.dtype
         assert np.array_equal(first, second, equal_nan=field.dtype.kind in "fc"), field.name
-    for name in ("protocol", "frequency", "source", "recipe", "seed", "design"):
+    for name in ("protocol", "frequency", "source", "recipe", "seed", "design", "quantity"):
         assert getattr(a, name) == getattr(b, name)

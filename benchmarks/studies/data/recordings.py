@@ -13,7 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from eitskin.datasets.recordings.recording import RecordingNames, read_recording
+from eitskin.datasets.recordings.form import RecordingNames
+from eitskin.datasets.recordings.recording import read_recording
 from eitskin.errors import FrameError
 from eitskin.provenance import Provenance
 from eitskin.training.pipeline.pipeline import Pipeline

@@ -1,0 +1,220 @@
+"""Labels of a recording's frames: where each stands in the file, and in which unit."""
+
+import difflib
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.datasets.recordings.source import Source, Tables
+from eitskin.datasets.store.schema import MAX_TOUCHES
+from eitskin.datasets.store.state import UNKNOWN_STATE, State
+from eitskin.errors import ConfigurationError, DataError
+
+Array = NDArray[np.float64]
+
+_FIELDS: Final = {
+    "state": "state",
+    "angle_deg": "bend_angle_deg",
+    "t": "time",
+    "x": "touch_x",
+    "y": "touch_y",
+    "force": "touch_force",
+    "depth": "touch_depth",
+    "radius": "touch_radius",
+    "specimen": "",
+    "sensor": "",
+    "session": "",
+}
+_LENGTHS: Final = ("x", "y", "depth", "radius")
+_TOUCHES: Final = (*_LENGTHS, "force")
+NAMES: Final = ("specimen", "sensor", "session")
+"""Labels that tell frames of different origin apart, by number or name."""
+
+_PLACE: Final = re.compile(r"(?P<name>.+?)(?::(?P<column>\d{1,4}))?(?:\*(?P<factor>[-+.\deE]+))?")
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Place of a label in a file: a column of a table, or one value for all frames.
+
+    Attributes:
+        table: name of the table; None for one value.
+        column: of the table; None for all its columns, one per touch.
+        factor: that makes SI units of the numbers.
+        value: of all frames that have a touch, where there is no table.
+    """
+
+    table: str | None
+    column: int | None = None
+    factor: float = 1.0
+    value: float = np.nan
+
+    @classmethod
+    def parsed(cls, text: str) -> "Place":
+        """Place of a text NAME, NAME:COLUMN, NAME*FACTOR, or a number.
+
+        Raises:
+            ConfigurationError: for another text.
+        """
+        try:
+            return cls(None, value=float(text))
+        except ValueError:
+            pass
+        match = _PLACE.fullmatch(text)
+        try:
+            if match is None:
+                raise ValueError
+            factor = float(match["factor"] or 1.0)
+        except ValueError:
+            raise ConfigurationError(
+                "expected NAME, NAME:COLUMN, NAME*FACTOR or a number as the place of a label, got "
+                f"'{text}'"
+            ) from None
+        return cls(match["name"], int(match["column"]) if match["column"] else None, factor)
+
+
+def find_labels(
+    source: Source, given: Mapping[str, str], positions: str | None
+) -> dict[str, Place]:
+    """Places of the labels that a file has, by label.
+
+    Args:
+        source: the file.
+        given: texts for `Place.parsed` by label; other labels are taken from tables of their names.
+        positions: name of the table with x and y as first columns; None where there is none.
+
+    Raises:
+        ConfigurationError: for unknown labels, and tables that the file does not have.
+    """
+    for label in given:
+        if label not in _FIELDS:
+            near = difflib.get_close_matches(label, _FIELDS, 1)
+            hint = f"; did you mean '{near[0]}'?" if near else ""
+            raise ConfigurationError(
+                f"expected a label of {', '.join(_FIELDS)}, got '{label}'{hint}"
+            )
+    places = {name: Place(name) for name in _FIELDS if name in source.names}
+    if positions:
+        places |= {"x": Place(positions, 0), "y": Place(positions, 1)}
+    places |= {label: Place.parsed(text) for label, text in given.items()}
+    for label, place in places.items():
+        if place.table is not None:
+            source.require(place.table, "positions" if label in "xy" else f"label '{label}'")
+        elif label not in _TOUCHES:
+            raise ConfigurationError(
+                f"one value for all frames is for {', '.join(_TOUCHES)}, got '{label}'; name a "
+                "column"
+            )
+    if ("x" in places) != ("y" in places):
+        alone = "x" if "x" in places else "y"
+        raise DataError(
+            f"a touch needs both touch_x and touch_y, got {alone} only; name the other with "
+            "--column, or leave both out"
+        )
+    return places
+
+
+def read_labels(tables: Tables, places: Mapping[str, Place], unit: float) -> dict[str, Any]:
+    """Labels of a block of frames under the names of `Dataset`'s attributes.
+
+    Frames with a position and without a state are touches.
+
+    Args:
+        tables: block of tables.
+        places: of the labels.
+        unit: of lengths in the file [m].
+
+    Raises:
+        DataError: for labels that are no numbers, and states that are unknown.
+    """
+    known: dict[str, Any] = {}
+    for label, place in places.items():
+        if label == "state":
+            known["state"] = _states(_column(tables, place, label))
+        elif label in _TOUCHES and place.table is not None:
+            known[_FIELDS[label]] = _touches(
+                _numbers(tables, place, label) * (unit if label in _LENGTHS else 1.0), label
+            )
+        elif label in ("angle_deg", "t"):
+            known[_FIELDS[label]] = _numbers(tables, place, label)[:, 0]
+    if "touch_x" in known:
+        touched = np.isfinite(known["touch_x"])
+        for label, place in places.items():
+            if place.table is None:
+                known[_FIELDS[label]] = np.where(touched, place.value, np.nan)
+        inferred = np.where(touched.any(axis=1), int(State.TOUCH), UNKNOWN_STATE)
+        known.setdefault("state", inferred.astype(np.uint8))
+    if "time" in known and not np.isfinite(known["time"]).all():
+        row = int(np.flatnonzero(~np.isfinite(known["time"]))[0])
+        raise DataError(f"'t' must be finite, but its value {row} is not; leave the label out")
+    return known
+
+
+def names_of_origin(tables: Tables, places: Mapping[str, Place], label: str) -> list[str]:
+    """Specimen, sensor or session of each frame of a block, as text."""
+    column = _column(tables, places[label], label)
+    if column.dtype.kind == "U":
+        return [str(cell) for cell in column.tolist()]
+    return [str(int(value)) if float(value).is_integer() else str(value) for value in column]
+
+
+def _table(tables: Tables, place: Place, label: str) -> NDArray[Any]:
+    """Table of a label, or the one column of it that is named, (rows, columns)."""
+    table = tables[str(place.table)]
+    if place.column is None:
+        return table
+    if place.column >= table.shape[1]:
+        raise DataError(
+            f"'{place.table}' has {table.shape[1]} columns, counted from 0, got column "
+            f"{place.column} for '{label}'"
+        )
+    return table[:, place.column : place.column + 1]
+
+
+def _column(tables: Tables, place: Place, label: str) -> NDArray[Any]:
+    """Table of a label that has one value per frame, (rows,)."""
+    table = _table(tables, place, label)
+    if table.shape[1] != 1:
+        raise DataError(
+            f"'{label}' must have one value for each frame, got {table.shape[1]}; name one column "
+            f"as {place.table}:0"
+        )
+    return table[:, 0]
+
+
+def _numbers(tables: Tables, place: Place, label: str) -> Array:
+    """Table of a label as numbers times the factor, NaN where empty, (rows, columns)."""
+    table = _table(tables, place, label)
+    if table.dtype.kind == "U":
+        table = np.where(np.char.strip(table) == "", "nan", table)
+    try:
+        found: Array = np.real(table).astype(np.float64) * place.factor
+    except (ValueError, TypeError) as error:
+        raise DataError(f"'{label}' must hold numbers: {error}") from error
+    return found
+
+
+def _touches(table: Array, label: str) -> Array:
+    """Values of up to four touches per frame in the format's four columns, (rows, 4)."""
+    if table.shape[1] > MAX_TOUCHES:
+        raise DataError(
+            f"'{label}' must have one column for each of at most {MAX_TOUCHES} touches, got "
+            f"{table.shape[1]} columns; name one as NAME:0"
+        )
+    columns = np.full((len(table), MAX_TOUCHES), np.nan)
+    columns[:, : table.shape[1]] = table
+    return columns
+
+
+def _states(given: NDArray[Any]) -> NDArray[np.uint8]:
+    """States from names or numbers, (n,); an empty cell is unknown."""
+    known = {state.name.lower(): int(state) for state in State}
+    known |= {str(int(state)): int(state) for state in State} | {"": UNKNOWN_STATE}
+    cells = [str(cell).strip().lower().removesuffix(".0") for cell in given.tolist()]
+    if wrong := sorted(set(cells) - set(known)):
+        raise DataError(f"'state' must be idle, touch, bend or 0, 1, 2, got {wrong[:3]}")
+    return np.array([known[cell] for cell in cells], dtype=np.uint8)

@@ -1,0 +1,180 @@
+"""Combination of datasets of one sensor design, such as own presses and simulated ones."""
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from eitskin.datasets.store.dataset import Dataset
+from eitskin.datasets.store.folder import Progress, read_entry, save_parts
+from eitskin.datasets.store.manifest import Manifest, read_manifest
+from eitskin.datasets.store.schema import LIMITS
+from eitskin.errors import ConfigurationError, DataError
+
+_LARGEST_RATIO = 5.0  # of the values of two sensors of one design, beyond which units differ
+
+
+def combine(
+    folders: Sequence[str | Path],
+    out: str | Path,
+    magnitudes: bool = False,
+    progress: Progress | None = None,
+) -> Manifest:
+    """Write the frames of different datasets into a new folder; returns the manifest.
+
+    Specimens and episodes are numbered anew, those of the first dataset first. The result counts as
+    measured where one of the datasets was, and keeps a recipe only where all datasets share one.
+    Takes the memory of one shard.
+
+    Args:
+        folders: of at least two datasets with the same protocol, design, frequency and quantity.
+        out: folder of the new dataset, new or empty.
+        magnitudes: combine the magnitudes of the values, where some recordings have no sign.
+        progress: called with the number of written shards and of all shards.
+
+    Raises:
+        DataError: for datasets that cannot be combined, with all differences, or are damaged.
+        ConfigurationError: for fewer than two datasets, and where `out` holds something.
+        PartialError: where a file cannot be written.
+    """
+    paths = [Path(folder) for folder in folders]
+    if len(paths) < 2:
+        raise ConfigurationError(f"expected at least two datasets to combine, got {len(paths)}")
+    manifests = [read_manifest(path) for path in paths]
+    _require_distinct(paths, manifests)
+    heads = [
+        _head(read_entry(path, manifest.shards[0]), magnitudes)
+        for path, manifest in zip(paths, manifests, strict=True)
+    ]
+    for path, head in zip(paths[1:], heads[1:], strict=True):
+        _require_alike(paths[0], heads[0], path, head)
+    shared = _shared(heads)
+    total = sum(len(manifest.shards) for manifest in manifests)
+    parts = _renumbered(paths, manifests, magnitudes)
+    return save_parts(
+        (dataclasses.replace(part, **shared) for part in parts),
+        out,
+        lambda done: progress(done, total) if progress else None,
+    )
+
+
+def _renumbered(
+    paths: Sequence[Path], manifests: Sequence[Manifest], magnitudes: bool
+) -> Iterator[Dataset]:
+    """Shards of all datasets in turn, with specimens and episodes that follow each other."""
+    specimens = episodes = 0
+    for path, manifest in zip(paths, manifests, strict=True):
+        next_specimen, next_episode = specimens, episodes
+        for entry in manifest.shards:
+            part = _head(read_entry(path, entry), magnitudes)
+            numbers = part.specimen_number.astype(np.int64) + specimens
+            episode = part.episode.astype(np.int64) + episodes
+            next_specimen = max(next_specimen, int(numbers[-1]) + 1)
+            next_episode = max(next_episode, int(episode.max()) + 1)
+            if next_specimen > LIMITS["specimen"] or next_episode > np.iinfo(np.uint32).max:
+                raise DataError(
+                    f"the datasets together have more than {LIMITS['specimen']} specimens or 2^32 "
+                    "episodes; combine fewer"
+                )
+            yield dataclasses.replace(
+                part, specimen_number=numbers.astype(np.uint32), episode=episode.astype(np.uint32)
+            )
+        specimens, episodes = next_specimen, next_episode
+
+
+def _head(data: Dataset, magnitudes: bool) -> Dataset:
+    """Frames as they are combined: magnitudes of the values where these are asked for."""
+    if not magnitudes or data.quantity == "voltage":
+        return data
+    values = ("impedance", "touch_reference", "reference")
+    return dataclasses.replace(
+        data, quantity="magnitude", **{name: np.abs(getattr(data, name)) for name in values}
+    )
+
+
+def _shared(heads: Sequence[Dataset]) -> dict[str, Any]:
+    """Attributes of the combined dataset that belong to none of its frames."""
+    first = heads[0]
+    same = all((head.recipe, head.seed) == (first.recipe, first.seed) for head in heads)
+    stated = {head.quantity for head in heads}
+    return {
+        "source": "simulated" if all(h.source == "simulated" for h in heads) else "measured",
+        "recipe": first.recipe if same else "",
+        "seed": first.seed if same else 0,
+        "quantity": first.quantity if len(stated) == 1 else "",
+    }
+
+
+def _require_distinct(paths: Sequence[Path], manifests: Sequence[Manifest]) -> None:
+    """Raise DataError where two datasets hold the same frames, which would train and test alike."""
+    seen: dict[str, Path] = {}
+    for path, manifest in zip(paths, manifests, strict=True):
+        for entry in manifest.shards:
+            if entry.sha256 in seen:
+                raise DataError(
+                    f"{path} and {seen[entry.sha256]} hold the same frames ({entry.name}); give "
+                    "each dataset once"
+                )
+        seen |= {entry.sha256: path for entry in manifest.shards}
+
+
+def _require_alike(path: Path, one: Dataset, other_path: Path, other: Dataset) -> None:
+    """Raise DataError, with every difference and its remedy, for datasets of different kinds."""
+    found = [text for text in _differences(one, other) if text]
+    if found:
+        raise DataError(
+            f"{other_path} cannot be combined with {path}: "
+            + "; ".join(f"{text}" for text in found)
+        )
+
+
+def _differences(one: Dataset, other: Dataset) -> Iterator[str | None]:
+    """Differences that keep two datasets from being combined, each with its remedy."""
+    if one.protocol != other.protocol or one.impedance.shape[1] != other.impedance.shape[1]:
+        yield (
+            f"its frames are of {_measured(other)}, expected {_measured(one)} (measure with that "
+            "protocol, or say it with --protocol when importing)"
+        )
+    elif (ratio := _ratio(one, other)) is not None and not 1 / _LARGEST_RATIO < ratio < (
+        _LARGEST_RATIO
+    ):
+        yield (
+            f"its values are {ratio:.3g} times the expected ones (expected 0.2 to 5: import with "
+            "the --scale that makes them ohm)"
+        )
+    if one.design != other.design:
+        yield f"its sensor differs ({_design_difference(one, other)})"
+    if one.frequency != other.frequency:
+        yield (
+            f"its frequency is {other.frequency:g} Hz, expected {one.frequency:g} Hz (import with "
+            f"--frequency {one.frequency:g} where the gel does not tell the two apart)"
+        )
+    if one.quantity and other.quantity and one.quantity != other.quantity:
+        remedy = (
+            "import voltages as impedances, with --scale 1/current"
+            if "voltage" in (one.quantity, other.quantity)
+            else "--magnitudes takes the magnitudes of both"
+        )
+        yield f"its values are of kind {other.quantity}, expected {one.quantity} ({remedy})"
+
+
+def _measured(data: Dataset) -> str:
+    known = data.protocol
+    return str(known) if known else f"{data.impedance.shape[1]} channels of no known protocol"
+
+
+def _ratio(one: Dataset, other: Dataset) -> float | None:
+    """Median ratio of the channels' magnitudes; None where too many are zero."""
+    sizes = [np.median(np.abs(data.reference), axis=0) for data in (one, other)]
+    usable = (sizes[0] > 0) & (sizes[1] > 0)
+    return float(np.median(sizes[1][usable] / sizes[0][usable])) if usable.any() else None
+
+
+def _design_difference(one: Dataset, other: Dataset) -> str:
+    if one.design is None or other.design is None:
+        return "only one of the two knows its design: import with --sensor"
+    fields = dataclasses.fields(one.design)
+    names = [f.name for f in fields if getattr(one.design, f.name) != getattr(other.design, f.name)]
+    return f"{', '.join(names)}: import with the --sensor of the other, where it is the same"
