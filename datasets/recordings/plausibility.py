@@ -13,6 +13,7 @@ from eitskin.geometry.design.surface import Surface
 
 LARGEST_FORCE: Final = 500.0  # N on a skin; more is most likely grams
 _MARGIN: Final = 0.01  # of the sensor's size, by which positions may err at the rim
+_SCATTERED, _LEAST_SPAN = 10, 200  # so many positions spread over this fraction of the sensor
 _UNIT: Final = "--length-unit mm, cm or um where they are in another unit"
 
 
@@ -93,6 +94,12 @@ def _require_positions(
         return
     points = np.stack([np.ravel(known[name]) for name in names], axis=-1)
     points = points[np.isfinite(points).all(axis=1)]
+    span = float(np.ptp(points, axis=0).max()) if len(points) else 0.0
+    if len(np.unique(points, axis=0)) >= _SCATTERED and span < extent / _LEAST_SPAN:
+        raise DataError(
+            f"{len(points)} positions on a sensor of {extent:g} m lie within {span:g} m; expected "
+            "metres: import with the --length-unit that the file has"
+        )
     outside = ~design.outline.contains(points, -_MARGIN * extent)
     if outside.any():
         first = points[int(np.flatnonzero(outside)[0])]

@@ -1,12 +1,17 @@
 """Importing measured recordings: synthetic ones in every format, and real ones where present."""
 
 import os
+import re
+import shlex
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.io import savemat
+from typer.testing import CliRunner
 
+from eitskin.cli.main import app
 from eitskin.datasets import (
     UNKNOWN_STATE,
     RecordingNames,
@@ -16,6 +21,7 @@ from eitskin.datasets import (
     save_dataset,
 )
 from eitskin.errors import ConfigurationError, DataError
+from eitskin.geometry import SensorDesign
 from eitskin.simulator import Protocol
 
 DATA = Path(os.environ.get("EITSKIN_DATA", Path(__file__).parents[3] / "shared" / "data"))
@@ -56,7 +62,8 @@ def test_csv_with_everything(tmp_path):
     assert data.frequency == 10e3
     assert np.array_equal(data.impedance, [[1, 2 + 1j, 3], [4, 5, 6], [7, 8, 9]])
     assert np.array_equal(data.touch_reference[:, 0], [10, 11, 12])
-    assert np.array_equal(data.reference, [[11, 21, 31]])
+    # The mean of the untouched readings that are not known to be bent.
+    assert np.array_equal(data.reference, [[10.5, 20.5, 30.5]])
     assert data.state.tolist() == [State.IDLE, State.TOUCH, UNKNOWN_STATE]
     assert np.array_equal(data.bend_angle_deg, np.float32([0, np.nan, -5]), equal_nan=True)
     assert np.array_equal(data.touch_x[:, 0], np.float32([np.nan, 0.05, np.nan]), equal_nan=True)
@@ -112,7 +119,7 @@ def test_openeit_lines_among_others(tmp_path):
     [
         ("a.csv", "v0,v1\n", r"header.*row"),
         ("a.csv", "v0,v1\n1\n", r"row 2.*2 cells.*1"),
-        ("a.csv", "v0,v1\n1,x\n", "columns v0 and on"),
+        ("a.csv", "v0,v1\n1,x\n", r"row 2, column v1: .*'x'"),
         ("a.csv", "v0,v1\n1,nan\n", r"impedance.*finite.*frame 0"),
         ("a.csv", "v0,state\n1,sleep\n", r"'state'.*\['sleep'\]"),
         ("a.csv", "v0,force\n1,much\n", "'force'"),
@@ -143,7 +150,7 @@ OBJECTS = np.array([{"a": 1}], dtype=object)  # pickled, so never loaded
         (BOTH, ("down", "up", "places"), ConfigurationError, "positions"),
         ({"v": PRESSED, "r": UNTOUCHED[:2]}, ("v", "r"), DataError, "shape"),
         ({"v": PRESSED, "t": np.arange(2)}, ("v",), DataError, r"'t'.*3 frames"),
-        ({"v": PRESSED, "p": PLACES[:2]}, ("v", None, "p"), DataError, r"x and y.*3 frames"),
+        ({"v": PRESSED, "p": PLACES[:2]}, ("v", None, "p"), DataError, r"'p'.*3 frames"),
         ({"v": PRESSED, "p": 1e3 * PLACES}, ("v", None, "p"), DataError, r"positions.*metres"),
     ],
 )
@@ -154,7 +161,7 @@ def test_tables_that_do_not_fit_are_refused(tmp_path, tables, names, error, mess
 
 
 def test_other_files_are_refused(tmp_path):
-    with pytest.raises(ConfigurationError, match=r"\.csv, \.mat, \.npz, \.txt"):
+    with pytest.raises(ConfigurationError, match=r"\.csv.*\.mat, \.npz.*\.txt"):
         read_recording(tmp_path / "a.xls")
     for ending in (".csv", ".mat", ".npz", ".txt"):
         with pytest.raises(DataError, match="no file"):
@@ -191,3 +198,53 @@ def test_real_openeit_frame():
     assert data.impedance.shape == (1, 28)
     assert data.frame(0).impedance[0] == 27159.125
     assert data.frame(0).impedance[27] == 22775.6875
+
+
+def documented(command):
+    """Run a command of the guide in the folder of its designs, with the real recording."""
+    words = shlex.split(command.replace("\\\n", " "))[1:]
+    words[1] = str(real(words[1]))
+    words[words.index("--out") + 1] = "set"
+    ran = CliRunner().invoke(app, words, catch_exceptions=False)
+    assert ran.exit_code == 0
+    return open_dataset("set")
+
+
+GUIDES = Path(__file__).parents[2] / "docs" / "guides"
+COMMANDS = re.findall(
+    r"^    (eitskin import [ok].*\n(?: {8}.*\n)*)",
+    (GUIDES / "own-recordings.md").read_text().split("## Three public recordings")[1],
+    re.MULTILINE,
+)
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.split()[2])
+def test_documented_commands_import_the_real_recordings(command, tmp_path, monkeypatch):
+    shutil.copytree(GUIDES / "recordings", tmp_path, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
+    data = documented(command)
+    found = (data.impedance.shape, data.protocol.n_electrodes, data.quantity)
+    assert found in (
+        ((500, 32), 8, "magnitude"),
+        ((1, 2356), 32, "impedance"),
+        ((1, 28), 8, "magnitude"),
+    )
+    if len(data) == 500:
+        assert (
+            np.unique(data.touch_depth[:, 0]).tolist() == np.float32([10e-3, 15e-3, 20e-3]).tolist()
+        )
+        assert np.abs(data.touch_x[:, 0] - 0.09).max() < 0.08
+
+
+def test_the_round_skin_drives_facing_electrodes_in_both_directions():
+    n, table = 8, []
+    for k in range(n):
+        drive = (k, (k + 4) % n)
+        table += [(*drive, (j + 1) % n, j) for j in range(n) if not {*drive} & {j, (j + 1) % n}]
+    folder = GUIDES / "recordings"
+    assert Protocol.named(str(folder / "round-skin.csv"), n) == Protocol.from_rows(table, n)
+    for k, electrode in enumerate(SensorDesign.from_toml(folder / "round-skin.toml").electrodes):
+        turn = 2 * np.pi * k / n
+        place = 0.090 + 0.085 * np.array([np.sin(turn), -np.cos(turn)])
+        assert np.allclose((electrode.x, electrode.y), place, atol=1e-6)
+    assert len(SensorDesign.from_toml(folder / "water-tank.toml").electrodes) == 32

@@ -16,7 +16,16 @@ from typer.testing import CliRunner
 from eitskin.cli import entry
 from eitskin.cli.commands import simulate
 from eitskin.cli.main import app
-from eitskin.datasets import Dataset, Recipe, State, open_dataset, read_recording, save_dataset
+from eitskin.datasets import (
+    Dataset,
+    Recipe,
+    RecordingForm,
+    State,
+    combine,
+    open_dataset,
+    read_recording,
+    save_dataset,
+)
 from eitskin.errors import DeviceError, EitskinError, PartialError
 from eitskin.extras import require, require_all
 from eitskin.files import atomic_folder
@@ -156,9 +165,17 @@ def calibrates_without_bending(_):
     Calibration((20.0,), (1.0,), (1.0,), residual_deg=20.0).require_fit(known)
 
 
-def in_millimetres(folder):
-    (folder / "a.csv").write_text("v0,v1,x,y\n1,2,15,30\n")
-    read_recording(folder / "a.csv")
+def recording(text, **more):
+    def provoke(folder):
+        (folder / "a.csv").write_text(text)
+        read_recording(folder / "a.csv", **more)
+
+    return provoke
+
+
+def combined(folder):
+    save_dataset(Dataset.from_arrays(np.ones((2, 15))), folder / "other")
+    combine([dataset(folder), folder / "other"], folder / "both")
 
 
 def no_permission(_):
@@ -214,7 +231,13 @@ PROVOKED = {
     "... is not the file that was": model(lambda path: (path / "README.md").write_text("")),
     "... has format version": model(newer_model),
     "this pipeline was trained": another_sensor,
-    "positions must be": in_millimetres,
+    "cannot find the": recording("w0,w1\n1,2\n"),
+    "positions must be": recording("v0,v1,x,y\n1,2,15,30\n"),
+    "positions must lie": recording("v0,x,y\n1,-0.01,0.01\n", design=SensorDesign.reference()),
+    "the protocol has": recording("v0,v1\n1,2\n", protocol=Protocol.pairwise(8)),
+    "impedance must be": recording("v0,v1\n1,\n"),
+    "expected rows": recording("v0\n1\n", form=RecordingForm("before-during")),
+    "... cannot be combined": combined,
     "touches of the": lambda _: require_on_sheet(touched_at(135.0), (0.15, 0.06)),
     "the frames do not fit": calibrates_without_bending,
     "...: cannot open the port: there is none": lambda _: open_board("serial:/dev/none-such"),

@@ -1,0 +1,286 @@
+"""Recordings as people have them: kinds of files, arrangements of rows, units, labels, refusals."""
+
+from importlib.util import find_spec
+
+import h5py
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from eitskin.datasets import Recording, RecordingForm, RecordingNames, State, read_recording
+from eitskin.datasets.recordings import array_files, row_files
+from eitskin.errors import ConfigurationError, DataError
+from eitskin.geometry import SensorDesign
+from eitskin.simulator import Protocol, Status
+
+PRESSED = np.arange(12.0).reshape(4, 3) + 100.0
+UNTOUCHED = PRESSED - 1.0
+X, Y = np.array([0.02, 0.05, 0.08, 0.11]), np.array([0.01, 0.02, 0.03, 0.04])
+HEADER = ["v1", "v2", "v3", "x", "y", "who"]
+ROWS = [[*PRESSED[i], X[i], Y[i], "gel A" if i < 2 else "gel B"] for i in range(4)]
+needs_excel = pytest.mark.skipif(not find_spec("openpyxl"), reason="openpyxl is not installed")
+needs_parquet = pytest.mark.skipif(not find_spec("pyarrow"), reason="pyarrow is not installed")
+
+
+def csv_file(path, header=HEADER, rows=ROWS, delimiter=","):
+    lines = [delimiter.join(str(cell) for cell in line) for line in (header, *rows)]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def german_file(path):
+    rows = [[str(cell).replace(".", ",") for cell in row] for row in ROWS]
+    csv_file(path, HEADER, rows, ";")
+
+
+def excel_file(path, sheet=None):
+    import openpyxl
+
+    book = openpyxl.Workbook()
+    page = book.active if sheet is None else book.create_sheet(sheet)
+    for line in (HEADER, *ROWS):
+        page.append(line)
+    book.save(path)
+
+
+def parquet_file(path):
+    import pyarrow
+    import pyarrow.parquet
+
+    columns = {name: [row[i] for row in ROWS] for i, name in enumerate(HEADER)}
+    lists = {"v": [row[:3] for row in ROWS], **{n: columns[n] for n in ("x", "y", "who")}}
+    pyarrow.parquet.write_table(pyarrow.table(lists), path)
+
+
+def array_file(path):
+    with h5py.File(path, "w") as file:
+        file["v"], file["x"], file["y"] = PRESSED, X, Y
+        file["who"] = [row[-1] for row in ROWS]
+        file["elsewhere"] = h5py.ExternalLink("secrets.h5", "/")
+        file["things"] = np.array([file["v"].ref], dtype=h5py.ref_dtype)
+
+
+def newest_mat_file(path):
+    with h5py.File(path, "w", userblock_size=512) as file:
+        for name, array in {"v": PRESSED, "x": X[None], "y": Y[None]}.items():
+            file[name] = array.T
+            file[name].attrs["MATLAB_class"] = np.bytes_("double")
+        file["who"] = np.array([[row[-1] == "gel B" for row in ROWS]], dtype=np.uint8)
+    content = bytearray(path.read_bytes())
+    content[:17] = b"MATLAB 7.3 MAT-fi"
+    path.write_bytes(content)
+
+
+@pytest.mark.parametrize(
+    ("name", "write"),
+    [
+        ("a.csv", csv_file),
+        ("b.csv", german_file),
+        ("a.tsv", lambda path: csv_file(path, delimiter="\t")),
+        ("a.h5", array_file),
+        ("a.mat", newest_mat_file),
+        pytest.param("a.xlsx", excel_file, marks=needs_excel),
+        pytest.param("a.parquet", parquet_file, marks=needs_parquet),
+    ],
+)
+def test_every_kind_of_file_gives_the_same_dataset(tmp_path, monkeypatch, name, write):
+    for module in (array_files, row_files):
+        monkeypatch.setattr(module, "BLOCK_ROWS", 2)
+    write(tmp_path / name)
+    names = RecordingNames("v", columns={"specimen": "who", "radius": "0.004"})
+    recording = Recording(tmp_path / name, names, Protocol.pairwise(3))
+    assert [len(part) for part in recording.parts()] == [2, 2]
+    data = read_recording(tmp_path / name, names, Protocol.pairwise(3))
+    assert np.array_equal(data.impedance, PRESSED)
+    assert np.array_equal(data.touch_x[:, 0], np.float32(X))
+    assert np.array_equal(data.touch_y[:, 0], np.float32(Y))
+    assert (data.touch_radius[:, 0] == np.float32(0.004)).all()
+    assert data.specimen.tolist() == [0, 0, 1, 1]
+    assert np.array_equal(data.reference, PRESSED[[0, 2]])
+    assert recording.specimens in ({"gel A": 0, "gel B": 1}, {"0": 0, "1": 1})
+    assert data.state.tolist() == [State.TOUCH] * 4
+
+
+@needs_excel
+def test_sheets_are_named(tmp_path):
+    excel_file(tmp_path / "a.xlsx", "presses")
+    data = read_recording(tmp_path / "a.xlsx", RecordingNames("v", sheet="presses"))
+    assert np.array_equal(data.impedance, PRESSED)
+    with pytest.raises(ConfigurationError, match=r"'pressed'.*Sheet, presses"):
+        read_recording(tmp_path / "a.xlsx", RecordingNames("v", sheet="pressed"))
+
+
+@pytest.mark.parametrize(("package", "ending"), [("openpyxl", "xlsx"), ("pyarrow", "parquet")])
+def test_a_missing_package_is_named_with_its_extra(tmp_path, monkeypatch, package, ending):
+    monkeypatch.setitem(__import__("sys").modules, package, None)
+    monkeypatch.setitem(__import__("sys").modules, f"{package}.parquet", None)
+    with pytest.raises(ImportError, match=rf"{package}.*eitskin\[{ending}\]"):
+        read_recording(tmp_path / f"a.{ending}")
+
+
+# Rows before and during a press
+
+
+@pytest.mark.parametrize("order", ["before-during", "during-before"])
+def test_rows_before_and_during_a_press_alternate(tmp_path, order):
+    pairs = (UNTOUCHED, PRESSED) if order == "before-during" else (PRESSED, UNTOUCHED)
+    rows = np.stack(pairs, axis=1).reshape(8, 3)
+    np.savez(tmp_path / "a.npz", v=rows, p=np.stack([X, Y], axis=1))
+    names = RecordingNames("v", positions="p")
+    data = read_recording(tmp_path / "a.npz", names, form=RecordingForm(order))
+    assert np.array_equal(data.impedance, PRESSED)
+    assert np.array_equal(data.touch_reference, UNTOUCHED)
+    assert np.allclose(data.reference, UNTOUCHED.mean(axis=0))
+    assert np.array_equal(data.touch_x[:, 0], np.float32(X))
+
+
+def test_readings_before_a_press_are_kept_as_idle_frames(tmp_path, monkeypatch):
+    monkeypatch.setattr(array_files, "BLOCK_ROWS", 2)
+    np.savez(tmp_path / "a.npz", v=PRESSED, r=UNTOUCHED, x=X, y=Y, session=[1, 1, 1, 2])
+    form = RecordingForm(keep_before=True)
+    data = read_recording(tmp_path / "a.npz", RecordingNames("v", "r"), form=form)
+    assert data.state.tolist() == [State.IDLE, State.TOUCH] * 4
+    assert np.array_equal(data.impedance[::2], UNTOUCHED)
+    assert np.array_equal(data.touch_reference[1::2], UNTOUCHED)
+    assert np.array_equal(data.touch_reference[2:6:2], UNTOUCHED[:2])
+    assert np.isnan(data.touch_reference[[0, 6]]).all()  # nothing was read before
+    assert np.isnan(data.touch_x[::2]).all()
+    assert data.episode.tolist() == [1] * 6 + [2] * 2
+    assert data.number.tolist() == list(range(8))
+
+
+def test_rows_without_a_partner_and_in_the_other_order_are_refused(tmp_path):
+    header = ["v0", "x", "y"]
+    csv_file(tmp_path / "odd.csv", header, [[1, "", ""], [2, 0.1, 0.1], [3, "", ""]])
+    csv_file(tmp_path / "order.csv", header, [[1, "", ""], [2, 0.1, 0.1]])
+    form = RecordingForm("during-before")
+    with pytest.raises(DataError, match="odd number of rows"):
+        read_recording(tmp_path / "odd.csv", form=form)
+    with pytest.raises(DataError, match="--rows before-during"):
+        read_recording(tmp_path / "order.csv", form=form)
+
+
+# Labels and units
+
+
+def test_labels_have_places_units_and_several_touches(tmp_path):
+    np.savez(
+        tmp_path / "a.npz",
+        v=PRESSED,
+        x=[[20, 50], [30, np.nan]] * 2,
+        y=[[10, 40], [30, np.nan]] * 2,
+        robot=np.tile([0.0, 12.0, 3.0], (4, 1)),
+        grams=[100.0] * 4,
+        board=[7, 7, 9, 9],
+    )
+    names = RecordingNames(
+        "v",
+        columns={"depth": "robot:2", "force": "grams*0.00981", "sensor": "board", "radius": "4e-3"},
+    )
+    data = read_recording(tmp_path / "a.npz", names, form=RecordingForm(length_unit="mm"))
+    assert data.touch_count.tolist() == [2, 1, 2, 1]
+    assert np.allclose(data.touch_x[0, :2], [0.02, 0.05])
+    assert np.allclose(data.touch_depth[:, 0], 0.003)
+    assert np.allclose(data.touch_force[:, 0], 0.981)
+    assert np.isfinite(data.touch_radius).sum() == 6
+    assert data.specimen_number.tolist() == [7, 9]
+
+
+def test_patterns_of_a_file_make_the_protocol_and_divide_by_the_current(tmp_path):
+    protocol = Protocol.from_rows([(0, 1, 1, 2), (0, 1, 2, 3), (2, 1, 1, 2), (2, 1, 2, 3)], 4)
+    drive = np.array([[2.0, 0], [-2, -4], [0, 4], [0, 0]])
+    sense = np.array([[0.0, 0], [1, 0], [-1, 1], [0, -1]])
+    savemat(tmp_path / "a.mat", {"U": np.full((4, 1), 8.0), "I": drive, "M": sense, "s": {"a": 1}})
+    names = RecordingNames("U", patterns=("I", "M"))
+    data = read_recording(tmp_path / "a.mat", names, form=RecordingForm(transpose=True, scale=10))
+    assert data.protocol == protocol
+    assert np.array_equal(data.impedance, [[40, 40, 20, 20]])
+    with pytest.raises(DataError, match="'s' is a MATLAB struct"):
+        read_recording(tmp_path / "a.mat", RecordingNames("s"))
+    with pytest.raises(DataError, match=r"4 measurements.*1 channels.*--transpose"):
+        read_recording(tmp_path / "a.mat", RecordingNames("U"), protocol)
+    np.savez(tmp_path / "a.npz", U=np.ones((1, 4)), I=np.ones((4, 2)), M=sense)
+    with pytest.raises(DataError, match="drive patterns of one positive"):
+        read_recording(tmp_path / "a.npz", names)
+
+
+def on_the_reference(tmp_path, x, y, form=None):
+    np.savez(tmp_path / "a.npz", v=np.ones((len(x), 28)), x=x, y=y)
+    names, design = RecordingNames("v"), SensorDesign.reference()
+    return read_recording(tmp_path / "a.npz", names, Protocol.pairwise(8), 40e3, design, form)
+
+
+def test_positions_count_from_the_centre(tmp_path):
+    form = RecordingForm(origin="centre")
+    data = on_the_reference(tmp_path, [-0.07, 0.07], [-0.02, 0.02], form)
+    assert np.allclose(data.touch_x[:, 0], [0.005, 0.145])
+    assert np.allclose(data.touch_y[:, 0], [0.010, 0.050])
+    assert data.design == SensorDesign.reference()
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "form", "message"),
+    [
+        ([20, 130], [10, 50], RecordingForm(), r"on a sensor of 0.15 m.*10 to 130.*--length-unit"),
+        ([-0.07, 0.07], [-0.02, 0.02], RecordingForm(), "--origin centre"),
+        ([0.07, 0.2], [0.02, 0.02], RecordingForm(), r"1 of 2.*\(0.2, 0.02\) m$"),
+        (np.linspace(0.02, 0.12, 12), [0.03] * 12, RecordingForm(length_unit="mm"), "lie within"),
+    ],
+)
+def test_positions_of_other_units_and_beside_the_sensor_are_refused(tmp_path, x, y, form, message):
+    with pytest.raises(DataError, match=message):
+        on_the_reference(tmp_path, x, y, form)
+
+
+# Refusals
+
+
+def test_lost_values_are_refused_marked_or_dropped(tmp_path):
+    csv_file(tmp_path / "a.csv", ["v0", "v1"], [[1, 2], [3, ""], ["inf", 6], [7, 8]])
+    with pytest.raises(DataError, match=r"channel 1 of frame 1.* 1 more.*--bad-values mark"):
+        read_recording(tmp_path / "a.csv")
+    dropped = read_recording(tmp_path / "a.csv", form=RecordingForm(bad_values="drop"))
+    assert dropped.impedance.tolist() == [[1, 2], [7, 8]]
+    marked = read_recording(tmp_path / "a.csv", form=RecordingForm(bad_values="mark"))
+    assert marked.impedance.tolist() == [[1, 2], [3, 0], [0, 6], [7, 8]]
+    assert np.argwhere(marked.status == Status.NOT_FINITE).tolist() == [[1, 1], [2, 0]]
+
+
+@pytest.mark.parametrize(
+    ("lines", "names", "error", "message"),
+    [
+        (["v0,v1,v3", "1,2,3"], {}, DataError, "after v1 comes v3"),
+        (["1,2", "3,4"], {}, DataError, "header such as v0,v1,v2"),
+        (["v0,v0", "3,4"], {}, DataError, "'v0' more than once"),
+        (["Volt0,Volt1", "3,4"], {"values": "volt"}, ConfigurationError, "did you mean 'Volt'"),
+        (["v0,F", "3,4"], {"columns": {"forse": "F"}}, ConfigurationError, "mean 'force'"),
+        (["v0,F", "3,4"], {"columns": {"force": "G"}}, ConfigurationError, "holds v, F"),
+        (["v0,F", "3,4"], {"columns": {"force": "F:2"}}, DataError, "1 columns"),
+        (["v0,F", "3,4000"], {"columns": {"force": "F"}}, DataError, "grams"),
+        (["v0,t", "3,"], {}, DataError, "'t' must be finite"),
+        (["v0,x,y,r", "3,.1,.1,20"], {"columns": {"radius": "r"}}, DataError, "--length-unit"),
+    ],
+)
+def test_files_that_do_not_fit_their_names_are_refused(tmp_path, lines, names, error, message):
+    (tmp_path / "a.csv").write_text("\n".join(lines))
+    with pytest.raises(error, match=message):
+        read_recording(tmp_path / "a.csv", RecordingNames(**names))
+
+
+def test_columns_from_one_to_another_are_the_values(tmp_path):
+    csv_file(tmp_path / "a.csv", ["t", "0-1", "0-2", "1-2", "x"], [[0, 1, 2, 3, ""]])
+    data = read_recording(tmp_path / "a.csv", RecordingNames("0-1..1-2", columns={"y": "x"}))
+    assert data.impedance.tolist() == [[1, 2, 3]]
+
+
+def test_another_protocol_is_refused_with_one_that_fits(tmp_path):
+    np.savez(tmp_path / "a.npz", v=np.ones((2, 40)))
+    with pytest.raises(DataError, match=r"28 measurements.*40 channels.*such as adjacent:8"):
+        read_recording(tmp_path / "a.npz", RecordingNames("v"), Protocol.pairwise(8))
+
+
+@pytest.mark.parametrize("name", ["a.h5", "a.mat", "a.parquet", "a.xlsx"])
+def test_damaged_files_are_refused(tmp_path, name):
+    pytest.importorskip({"a.parquet": "pyarrow", "a.xlsx": "openpyxl"}.get(name, "h5py"))
+    (tmp_path / name).write_bytes(b"MATLAB 7.3 " + bytes(2000))
+    with pytest.raises(DataError, match=r"a\.\w+: not a"):
+        read_recording(tmp_path / name, RecordingNames("v"))
