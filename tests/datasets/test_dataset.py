@@ -186,7 +186,7 @@ def test_a_recording_that_was_killed_can_be_read_up_to_its_last_shard(tmp_path):
 def test_recording_refuses_another_protocol_and_an_occupied_folder(tmp_path):
     with ShardWriter(tmp_path / "run") as writer:
         writer.append(next(frames(1)))
-        with pytest.raises(FrameError, match="one protocol"):
+        with pytest.raises(FrameError, match="own folder"):
             writer.append(next(frames(1, Protocol.pairwise(5))))
     with pytest.raises(ConfigurationError, match="not empty"):
         ShardWriter(tmp_path / "run")
