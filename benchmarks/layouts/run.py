@@ -31,7 +31,7 @@ from eitskin.benchmarks.layouts.store import Judge, Watch, judging
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.regular_layouts import uniform
-from eitskin.hardware.protocol.messages import MAX_CHANNELS
+from eitskin.hardware.protocol.frame_parts import PER_PACKET
 from eitskin.provenance import Provenance
 
 SEED = 0  # of the search without symmetry, and of pipelines; nothing else is random
@@ -120,7 +120,7 @@ class LayoutFigures:
             angle_deg=layout.angle_deg,
             measurements=len(layout.protocol),
             scan_ms=round(1e3 * layout.scan_time, 1),
-            fits_wire=len(layout.protocol) <= MAX_CHANNELS,
+            fits_wire=len(layout.protocol) <= PER_PACKET,
             place_mm=place,
             place_90_mm=place_90,
             place_worst_mm=worst,

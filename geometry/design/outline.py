@@ -20,7 +20,7 @@ from eitskin.geometry.design.surface import Surface
 
 Array = NDArray[np.float64]
 
-_ON = 1e-6  # largest distance from the rim of a position on it, relative to the outline's size
+_ON = 1e-3  # largest distance from the rim of a position on it, relative to the outline's size
 _SAME = 1e-9  # distance of points that count as one, relative to the outline's size
 
 
@@ -46,9 +46,10 @@ class _Plane:
         return depth >= margin - _SAME * self._size()
 
     def locate(self, x: float, y: float) -> float:
-        """Arc length [m] of the position (x, y) [m] on the rim.
+        """Arc length [m] of the point of the rim nearest to (x, y) [m].
 
-        Raises ConfigurationError, naming the nearest point, for a position off the rim.
+        Raises ConfigurationError, naming that point, for a position off the rim by more than a
+        thousandth of the outline's larger extent: positions may be rounded.
         """
         return _located(self, x, y)
 

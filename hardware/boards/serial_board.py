@@ -23,25 +23,30 @@ from eitskin.hardware.boards.reopenable_port import (
     ReopenablePort,
     UnrecoverableError,
 )
+from eitskin.hardware.protocol.frame_parts import (
+    PER_PACKET,
+    FrameAssembly,
+    FrameData,
+    FramePart,
+)
 from eitskin.hardware.protocol.messages import (
     Ack,
     AckStatus,
     Calibrate,
     Event,
-    FrameData,
     GetTable,
     Hello,
     Info,
     Message,
-    MessageError,
     Request,
     Start,
     Stop,
     Table,
+    TablePart,
     pack,
     unpack,
 )
-from eitskin.hardware.protocol.packets import Decoder, PacketDrop, encode
+from eitskin.hardware.protocol.packets import Decoder, MessageError, PacketDrop, encode
 from eitskin.protocol import Protocol
 
 REPLY_WITHIN = 0.5  # s
@@ -84,6 +89,7 @@ class SerialBoard(Closeable):
         self.events: deque[Event] = deque(maxlen=20)
         self._clock = clock
         self._decoder = Decoder()
+        self._assembly = FrameAssembly(self._decoder.drops)
         self._inbox: deque[Message] = deque()
         self._malformed = ""
         self._seq = 0
@@ -117,8 +123,7 @@ class SerialBoard(Closeable):
 
         Raises DeviceError where three periods pass without a frame, or the board goes away.
         """
-        self._port.clear()
-        self._inbox.clear()
+        self._discard_received()
         if not self._resuming:
             self._expected = None
         self._start()
@@ -142,7 +147,7 @@ class SerialBoard(Closeable):
         """
         self._port.reopen()
         self._decoder.restart()
-        self._inbox.clear()
+        self._discard_received()
         found = self._handshake()
         self._require_same(found)
         self._resuming = found.boot_count == self.info.boot_count
@@ -178,8 +183,28 @@ class SerialBoard(Closeable):
                 "of one sensor does not fit another, start anew"
             )
 
+    def _discard_received(self) -> None:
+        """Discard messages, parts of frames and bytes that were received before now."""
+        self._port.clear()
+        self._inbox.clear()
+        self._assembly.clear()
+
+    def _read_table(self) -> Table:
+        """Measurement table of the board, in one packet or in parts."""
+        n = self.info.n_measurements
+        if n <= PER_PACKET:
+            return self._request(GetTable(), Table)
+        table = Table(())
+        for _ in range(n):  # an answer to an earlier request may come late, and is passed over
+            part = self._request(GetTable(len(table.rows)), TablePart)
+            if part.first == len(table.rows):
+                table = Table(table.rows + part.rows)
+            if len(table.rows) >= n:
+                break
+        return table
+
     def _read_protocol(self) -> Protocol:
-        table = self._request(GetTable(), Table)
+        table = self._read_table()
         said = (self.info.n_measurements, self.info.table_crc32)
         if (len(table.rows), table.crc32) != said:
             raise DeviceError(
@@ -227,8 +252,7 @@ class SerialBoard(Closeable):
         The queues then hold the oldest frames, and the board's own queue holds one more.
         """
         if self._clock() - self._read_at > self._patience:
-            self._port.clear()
-            self._inbox.clear()
+            self._discard_received()
             lost = self._lost
             self._next_frame()
             self._skipped += 1 + self._lost - lost  # those frames did come
@@ -352,9 +376,13 @@ class SerialBoard(Closeable):
         self._read_at = self._clock()
         for packet in self._decoder.feed(self._port.read()):
             try:
-                self._inbox.append(unpack(packet))
+                message = unpack(packet)
             except MessageError as error:
                 self._drop_malformed(str(error))
+                continue
+            frame = self._assembly.add(message) if isinstance(message, FramePart) else message
+            if frame is not None:
+                self._inbox.append(frame)
 
     def _drop_malformed(self, what: str) -> None:
         self._decoder.drops[PacketDrop.MALFORMED] += 1

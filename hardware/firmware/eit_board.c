@@ -10,13 +10,19 @@ enum { AFE_ABSENT = 1, AFE_SILENT = 2, CALIBRATION_FAILED = 3 };
 
 #define FIRMWARE_SIZE 16
 #define LATE_US 1000
+#define ROWS_PER_PACKET 251 /* of TABLE in parts */
 
 /* Fewer bytes than between the ends of two packets, so that one read means one answer. */
 #define LISTEN_SIZE 8
 
-static eit_writer begin(eit_board *board, uint8_t type) {
+static eit_writer begin(eit_board *board, uint8_t version, uint8_t type) {
     return eit_begin(
-        board->outgoing + board->size, EIT_SEND_SIZE - board->size, type, board->seq);
+        board->outgoing + board->size, EIT_SEND_SIZE - board->size, version, type, board->seq);
+}
+
+/* Version of what depends on the size of the table: 2 where a frame needs several packets. */
+static uint8_t size_version(const eit_config *config) {
+    return config->n_measurements > EIT_PER_PACKET ? 2 : 1;
 }
 
 /* Send a packet whole or, without room, not at all; the host then asks again. */
@@ -28,8 +34,19 @@ static bool end(eit_board *board, eit_writer *writer) {
 }
 
 static void send_table(eit_board *board) {
-    eit_writer writer = begin(board, TABLE);
+    eit_writer writer = begin(board, 1, TABLE);
     eit_put_bytes(&writer, board->config->table, 4u * board->config->n_measurements);
+    end(board, &writer);
+}
+
+static void send_rows(eit_board *board, uint16_t first) {
+    const uint16_t n = board->config->n_measurements;
+    const uint16_t left = (uint16_t)(n - first);
+    eit_writer writer = begin(board, 2, TABLE);
+    eit_put_u16(&writer, n);
+    eit_put_u16(&writer, first);
+    eit_put_bytes(
+        &writer, board->config->table[first], 4u * (left < ROWS_PER_PACKET ? left : ROWS_PER_PACKET));
     end(board, &writer);
 }
 
@@ -42,13 +59,14 @@ static void send_info(eit_board *board) {
         firmware[i] = config->firmware[i];
     }
     board->hal->unique_id(board->hal->context, uid);
-    eit_writer writer = begin(board, INFO);
+    eit_writer writer = begin(board, size_version(config), INFO);
     eit_put_bytes(&writer, "EITS", 4);
     eit_put_bytes(&writer, firmware, sizeof firmware);
     eit_put_bytes(&writer, uid, sizeof uid);
     eit_put_u32(&writer, board->boot_count);
     eit_put_u8(&writer, config->n_electrodes);
-    eit_put_u8(&writer, config->n_measurements);
+    if (size_version(config) == 1) eit_put_u8(&writer, (uint8_t)config->n_measurements);
+    else eit_put_u16(&writer, config->n_measurements);
     eit_put_u32(&writer, eit_crc32(0, table, 4u * config->n_measurements));
     eit_put_f32(&writer, config->frequency_hz);
     eit_put_f32(&writer, eit_excitation_volt(config));
@@ -59,7 +77,7 @@ static void send_info(eit_board *board) {
 }
 
 static void send_ack(eit_board *board, const eit_packet *request, uint8_t status) {
-    eit_writer writer = begin(board, ACK);
+    eit_writer writer = begin(board, 1, ACK);
     eit_put_u16(&writer, request->seq);
     eit_put_u8(&writer, request->type);
     eit_put_u8(&writer, status);
@@ -67,7 +85,7 @@ static void send_ack(eit_board *board, const eit_packet *request, uint8_t status
 }
 
 static void send_event(eit_board *board, uint8_t level, uint16_t code, const char *text) {
-    eit_writer writer = begin(board, EVENT);
+    eit_writer writer = begin(board, 1, EVENT);
     eit_put_u8(&writer, level);
     eit_put_u16(&writer, code);
     eit_put_bytes(&writer, text, strlen(text));
@@ -78,28 +96,43 @@ static void send_absence(eit_board *board) {
     send_event(board, ERROR, AFE_ABSENT, "no AD5940 answers: check its SPI and its supply");
 }
 
-static void send_frame(eit_board *board) {
+/* Send the measurements that are held: a frame, or a part that names the part before it by the
+ * checksum of its packet. */
+static bool send_measurements(eit_board *board) {
     const eit_scan *scan = &board->scan;
-    const uint8_t n = board->config->n_measurements;
-    eit_writer writer = begin(board, FRAME);
+    const eit_config *config = board->config;
+    eit_writer writer = begin(board, size_version(config), FRAME);
     eit_put_u32(&writer, board->number);
     eit_put_u64(&writer, scan->started_us - board->booted_us);
     eit_put_u32(&writer, (uint32_t)(scan->ended_us - scan->started_us));
     eit_put_u8(&writer, 0); /* kind: the sensor */
-    eit_put_u8(&writer, n);
+    eit_put_u8(&writer, (uint8_t)scan->held);
     eit_put_u16(&writer, 0); /* flags */
-    for (uint8_t row = 0; row < n; row++) {
-        eit_put_f32(&writer, scan->impedances[row].re);
-        eit_put_f32(&writer, scan->impedances[row].im);
+    if (size_version(config) == 2) {
+        eit_put_u16(&writer, config->n_measurements);
+        eit_put_u16(&writer, scan->first);
+        eit_put_u32(&writer, scan->first > 0 ? board->part_checksum : 0);
     }
-    eit_put_bytes(&writer, scan->statuses, n);
-    if (end(board, &writer)) board->frame_end = board->size;
+    for (uint16_t i = 0; i < scan->held; i++) {
+        eit_put_f32(&writer, scan->impedances[i].re);
+        eit_put_f32(&writer, scan->impedances[i].im);
+    }
+    eit_put_bytes(&writer, scan->statuses, scan->held);
+    board->part_checksum = writer.crc;
+    if (!end(board, &writer)) return false;
+    board->frame_end = board->size;
+    return true;
 }
 
-/* Send the frame, or skip it while another waits: an old frame is worth nothing, and the gap in
- * the numbers shows the skip. */
+/* Send a frame or a part. While an old frame waits a new one is not begun, and after a part that found
+ * no room nothing more of its frame is sent; the gap in the numbers shows the skip. */
+static void finish_part(eit_board *board) {
+    if (board->scan.first == 0) board->torn = board->frame_end > 0;
+    if (!board->torn) board->torn = !send_measurements(board);
+}
+
 static void finish_frame(eit_board *board) {
-    if (board->frame_end == 0) send_frame(board);
+    finish_part(board);
     board->number++;
     if (board->left > 0 && --board->left == 0) board->streaming = false;
 }
@@ -129,6 +162,7 @@ static uint8_t calibrate(eit_board *board) {
 }
 
 static uint8_t obey(eit_board *board, const eit_packet *request) {
+    if (request->version != 1) return UNKNOWN_TYPE;
     switch (request->type) {
     case START:
         return start(board, request);
@@ -136,18 +170,38 @@ static uint8_t obey(eit_board *board, const eit_packet *request) {
         return request->size == 0 ? stop(board) : MALFORMED;
     case CALIBRATE:
         return request->size == 0 ? calibrate(board) : MALFORMED;
-    case HELLO:
-    case GET_TABLE: /* well-formed requests have been answered */
+    case HELLO: /* well-formed requests have been answered */
         return MALFORMED;
     default:
         return UNKNOWN_TYPE;
     }
 }
 
+/* Send the table, whole in version 1 and from a row on in version 2. */
+static uint8_t answer_table(eit_board *board, const eit_packet *request) {
+    const uint16_t n = board->config->n_measurements;
+    if (request->size != (request->version == 1 ? 0u : 2u)) return MALFORMED;
+    if (request->version == 1) {
+        if (n > EIT_PER_PACKET) return FAILED;
+        send_table(board);
+        return DONE;
+    }
+    const uint16_t first = eit_get_u16(request->payload);
+    if (first >= n) return MALFORMED;
+    send_rows(board, first);
+    return DONE;
+}
+
 static void answer(eit_board *board, const eit_packet *request) {
-    if (request->type == HELLO && request->size == 0) send_info(board);
-    else if (request->type == GET_TABLE && request->size == 0) send_table(board);
-    else send_ack(board, request, obey(board, request));
+    uint8_t status;
+    if (request->type == GET_TABLE) {
+        status = answer_table(board, request);
+        if (status != DONE) send_ack(board, request, status);
+    } else if (request->type == HELLO && request->version == 1 && request->size == 0) {
+        send_info(board);
+    } else {
+        send_ack(board, request, obey(board, request));
+    }
 }
 
 /* Answer at most one request; requests wait while the answer would not fit. */
@@ -174,6 +228,9 @@ static bool flush(eit_board *board) {
 static bool measure(eit_board *board) {
     const eit_outcome outcome = eit_scan_poll(&board->scan);
     switch (outcome) {
+    case EIT_PART_MEASURED:
+        finish_part(board);
+        break;
     case EIT_FRAME_MEASURED:
         finish_frame(board);
         break;

@@ -19,6 +19,8 @@ typedef struct {
     uint8_t outgoing[EIT_SEND_SIZE];
     size_t size; /* bytes that wait to be sent */
     size_t frame_end; /* bytes up to the end of a FRAME; 0 where none waits */
+    bool torn; /* a part of the present frame was not sent */
+    uint32_t part_checksum; /* of the packet with the part before */
     uint32_t boot_count, number; /* number of the next frame */
     uint32_t left; /* frames still to come, 0 for ever */
     bool streaming;

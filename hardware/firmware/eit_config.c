@@ -47,8 +47,8 @@ static uint32_t shortest_period_us(const eit_config *config) {
 }
 
 bool eit_config_is_possible(const eit_config *config) {
-    if (config->n_measurements < 1 || config->n_measurements > EIT_MAX_MEASUREMENTS) return false;
-    for (uint8_t row = 0; row < config->n_measurements; row++) {
+    if (config->n_measurements < 1) return false;
+    for (uint16_t row = 0; row < config->n_measurements; row++) {
         const uint8_t *pair = config->table[row];
         for (int i = 0; i < 4; i++) {
             if (pair[i] >= config->n_electrodes) return false;

@@ -5,7 +5,7 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-#define EIT_MAX_MEASUREMENTS 109 /* as many as fit into one FRAME */
+#define EIT_PER_PACKET 109 /* measurements in one packet: a frame, or a part of a larger one */
 
 /* Amplitude of the excitation, by the gains of the excitation amplifier and the DAC. */
 typedef enum { EIT_607_MV, EIT_121_MV, EIT_75_MV, EIT_15_MV, EIT_EXCITATIONS } eit_excitation;
@@ -29,7 +29,8 @@ typedef enum { EIT_PGA_1, EIT_PGA_1P5, EIT_PGA_2, EIT_PGA_4, EIT_PGA_9, EIT_PGAS
 typedef struct {
     const char *firmware; /* name and version, at most 16 ASCII characters */
     const uint8_t (*table)[4]; /* rows of drive+, drive-, sense+, sense- */
-    uint8_t n_measurements, n_electrodes;
+    uint16_t n_measurements;
+    uint8_t n_electrodes;
     uint8_t excitation, rtia, pga; /* eit_excitation, eit_rtia, eit_pga */
     float frequency_hz;
     float rcal_ohm;

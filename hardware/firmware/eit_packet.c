@@ -18,6 +18,8 @@ uint32_t eit_crc32(uint32_t crc, const uint8_t *data, size_t n) {
     return ~crc;
 }
 
+uint16_t eit_get_u16(const uint8_t *data) { return (uint16_t)(data[0] | data[1] << 8); }
+
 uint32_t eit_get_u32(const uint8_t *data) {
     return data[0] | (uint32_t)data[1] << 8 | (uint32_t)data[2] << 16 | (uint32_t)data[3] << 24;
 }
@@ -42,9 +44,10 @@ static bool open_packet(uint8_t *data, size_t size, eit_packet *packet) {
     if (!unstuff(data, &size) || size < HEADER_SIZE + CRC_SIZE) return false;
     size -= CRC_SIZE;
     if (eit_get_u32(data + size) != eit_crc32(0, data, size)) return false;
-    if (data[0] != EIT_VERSION) return false;
+    if (data[0] < 1 || data[0] > EIT_LAST_VERSION) return false;
+    packet->version = data[0];
     packet->type = data[1];
-    packet->seq = (uint16_t)(data[2] | data[3] << 8);
+    packet->seq = eit_get_u16(data + 2);
     packet->payload = data + HEADER_SIZE;
     packet->size = size - HEADER_SIZE;
     return true;
@@ -123,11 +126,11 @@ void eit_put_bytes(eit_writer *writer, const void *data, size_t n) {
     while (n--) eit_put_u8(writer, *bytes++);
 }
 
-eit_writer eit_begin(uint8_t *bytes, size_t room, uint8_t type, uint16_t seq) {
+eit_writer eit_begin(uint8_t *bytes, size_t room, uint8_t version, uint8_t type, uint16_t seq) {
     eit_writer writer = {.bytes = bytes, .room = room};
     put_raw(&writer, 0);
     begin_block(&writer);
-    eit_put_u8(&writer, EIT_VERSION);
+    eit_put_u8(&writer, version);
     eit_put_u8(&writer, type);
     eit_put_u16(&writer, seq);
     return writer;

@@ -1,4 +1,4 @@
-/* Packets on the wire: docs/wire-protocol.md, version 1.
+/* Packets on the wire: docs/wire-protocol.md, versions 1 and 2.
  *
  * packet = 00 | COBS(version u8, type u8, seq u16, payload, crc32 u32) | 00
  *
@@ -11,17 +11,18 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#define EIT_VERSION 1
+#define EIT_LAST_VERSION 2
 #define EIT_MAX_PACKET 1024 /* on the wire, both zeros included */
 #define EIT_MAX_STUFFED (EIT_MAX_PACKET - 2)
 
 /* CRC-32 as in zlib, of n more bytes; start with 0. */
 uint32_t eit_crc32(uint32_t crc, const uint8_t *data, size_t n);
 
+uint16_t eit_get_u16(const uint8_t *data);
 uint32_t eit_get_u32(const uint8_t *data);
 
 typedef struct {
-    uint8_t type;
+    uint8_t version, type;
     uint16_t seq;
     const uint8_t *payload; /* valid until the next byte is decoded */
     size_t size;
@@ -42,10 +43,10 @@ typedef struct {
     uint8_t *bytes;
     size_t room, size;
     size_t block; /* position of the present block's length */
-    uint32_t crc;
+    uint32_t crc; /* checksum of the packet, once all its payload is put */
 } eit_writer;
 
-eit_writer eit_begin(uint8_t *bytes, size_t room, uint8_t type, uint16_t seq);
+eit_writer eit_begin(uint8_t *bytes, size_t room, uint8_t version, uint8_t type, uint16_t seq);
 void eit_put_u8(eit_writer *writer, uint8_t value);
 void eit_put_u16(eit_writer *writer, uint16_t value);
 void eit_put_u32(eit_writer *writer, uint32_t value);

@@ -41,7 +41,7 @@ static void select_channel(eit_scan *scan, eit_channel channel) {
     enter(scan, EIT_SETTLING, scan->config->settle_us);
 }
 
-static void start_row(eit_scan *scan, uint8_t row) {
+static void start_row(eit_scan *scan, uint16_t row) {
     const uint8_t *electrodes = scan->config->table[row];
     for (int mux = EIT_DRIVE_PLUS; mux <= EIT_SENSE_MINUS; mux++) {
         scan->hal->mux_select(scan->hal->context, (eit_mux)mux, electrodes[mux]);
@@ -59,6 +59,7 @@ static void connect(eit_scan *scan, eit_target target) {
 void eit_scan_start_frame(eit_scan *scan) {
     scan->started_us = now(scan);
     scan->timeouts = 0;
+    scan->first = scan->held = 0;
     connect(scan, EIT_SENSOR);
     start_row(scan, 0);
 }
@@ -104,7 +105,7 @@ static void keep_impedance(eit_scan *scan, eit_code current) {
     const eit_complex z = multiply(ratio, scan->rtia);
     if (squared(z) > open * open) scan->status |= EIT_OPEN;
     if (!scan->calibrated) scan->status |= EIT_UNCALIBRATED;
-    scan->impedances[scan->row] = z;
+    scan->impedances[scan->held] = z;
 }
 
 /* RTIA = RCAL I / V, with gain and phase of both channels, which cancel in Z. */
@@ -128,7 +129,6 @@ static eit_outcome end_calibration(eit_scan *scan, eit_code current) {
 }
 
 static eit_outcome end_frame(eit_scan *scan) {
-    scan->ended_us = now(scan);
     /* A contact at RCAL may come back. */
     if (!scan->calibrated && ++scan->uncalibrated == UNCALIBRATED_FRAMES) {
         scan->uncalibrated = 0;
@@ -139,16 +139,21 @@ static eit_outcome end_frame(eit_scan *scan) {
 }
 
 static eit_outcome end_row(eit_scan *scan, eit_code current) {
+    if (scan->held == EIT_PER_PACKET) { /* the part before has been sent */
+        scan->first = scan->row;
+        scan->held = 0;
+    }
     if (scan->status & EIT_DFT_TIMEOUT) {
-        scan->impedances[scan->row] = (eit_complex){NAN, NAN};
+        scan->impedances[scan->held] = (eit_complex){NAN, NAN};
         scan->timeouts++;
     } else {
         keep_impedance(scan, current);
     }
-    scan->statuses[scan->row] = scan->status;
+    scan->statuses[scan->held++] = scan->status;
+    scan->ended_us = now(scan);
     if (scan->row + 1 == scan->config->n_measurements) return end_frame(scan);
-    start_row(scan, (uint8_t)(scan->row + 1));
-    return EIT_MOVED_ON;
+    start_row(scan, (uint16_t)(scan->row + 1));
+    return scan->held == EIT_PER_PACKET ? EIT_PART_MEASURED : EIT_MOVED_ON;
 }
 
 static eit_outcome end_transform(eit_scan *scan) {

@@ -31,6 +31,7 @@ typedef enum {
 typedef enum {
     EIT_NOTHING,
     EIT_MOVED_ON,
+    EIT_PART_MEASURED, /* as many measurements as a packet holds, with more to come */
     EIT_FRAME_MEASURED,
     EIT_AFE_ABSENT,
     EIT_AFE_SILENT, /* a whole frame of timeouts; the AD5940 is being reset */
@@ -44,16 +45,17 @@ typedef struct {
     uint64_t until_us; /* end of the phase */
     eit_target target;
     eit_channel channel;
-    uint8_t row, timeouts;
+    uint16_t row, timeouts;
     uint8_t status; /* status of the row so far */
     eit_code voltage;
     bool calibration_due, calibrated;
     uint8_t uncalibrated; /* frames since a calibration failed */
     bool absent; /* no AD5940 has answered since the reset */
     eit_complex rtia; /* ohm, with the phase of the whole current channel */
-    uint64_t started_us, ended_us; /* start and end of the frame */
-    eit_complex impedances[EIT_MAX_MEASUREMENTS]; /* ohm */
-    uint8_t statuses[EIT_MAX_MEASUREMENTS];
+    uint64_t started_us, ended_us; /* start of the frame, end of the newest part */
+    uint16_t first, held; /* row of the first measurement below, and how many are held */
+    eit_complex impedances[EIT_PER_PACKET]; /* ohm */
+    uint8_t statuses[EIT_PER_PACKET];
 } eit_scan;
 
 /* Start from the reset of the AD5940; a calibration follows. */

@@ -10,37 +10,34 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 
-import numpy as np
-from numpy.typing import NDArray
-
-from eitskin.errors import ConfigurationError, DeviceError
-from eitskin.hardware.protocol.packets import MAX_PAYLOAD, Packet
-from eitskin.protocol import Protocol
+from eitskin.errors import ConfigurationError
+from eitskin.hardware.protocol.frame_parts import (
+    MOST_MEASUREMENTS,
+    PER_PACKET,
+    FrameData,
+    FramePart,
+    pack_frame,
+    unpack_frame,
+    unpack_part,
+)
+from eitskin.hardware.protocol.packets import (
+    MAX_PAYLOAD,
+    MessageError,
+    MessageType,
+    Packet,
+    require_field,
+)
+from eitskin.protocol import MOST_ELECTRODES, Protocol, Row
 
 MAGIC = b"EITS"
 
 _START = struct.Struct("<I")
-_INFO = struct.Struct("<4s16s12sIBBIffffI")
+_GET_TABLE = struct.Struct("<H")
+_INFO = {1: struct.Struct("<4s16s12sIBBIffffI"), 2: struct.Struct("<4s16s12sIBHIffffI")}
 _ACK = struct.Struct("<HBB")
-_FRAME = struct.Struct("<IQIBBH")
 _EVENT = struct.Struct("<BH")
-_BYTES_PER_CHANNEL = 9  # re f32, im f32, status u8
-MAX_CHANNELS = (MAX_PAYLOAD - _FRAME.size) // _BYTES_PER_CHANNEL
-
-
-class MessageType(IntEnum):
-    """Message types: below 0x80 sent by the host, from 0x80 on by the board."""
-
-    HELLO = 0x01
-    START = 0x02
-    STOP = 0x03
-    GET_TABLE = 0x04
-    CALIBRATE = 0x05
-    INFO = 0x81
-    ACK = 0x82
-    FRAME = 0x83
-    EVENT = 0x84
-    TABLE = 0x85
+_TABLE_PART = struct.Struct("<HH")
+_ROWS_PER_PACKET = (MAX_PAYLOAD - _TABLE_PART.size) // 4
 
 
 class AckStatus(IntEnum):
@@ -51,10 +48,6 @@ class AckStatus(IntEnum):
     MALFORMED = 2
     BUSY = 3
     FAILED = 4
-
-
-class MessageError(DeviceError):
-    """A whole packet that is no message of this protocol."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +69,13 @@ class Stop:
 
 @dataclass(frozen=True, slots=True)
 class GetTable:
-    """Request for the measurement table; answered by Table."""
+    """Request for the measurement table.
+
+    Attributes:
+        first: first row of a TablePart; None asks for the whole Table, of version 1.
+    """
+
+    first: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,29 +121,6 @@ class Ack:
     status: int = AckStatus.DONE
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FrameData:
-    """One frame as measured by the board.
-
-    Attributes:
-        number: count of frames since boot, modulo 2**32.
-        time: start of the frame, since boot [s], to the microsecond.
-        duration: time taken by all measurements [s], to the microsecond.
-        impedance: (n,) complex64 [ohm]; may hold NaN and infinity.
-        status: (n,) uint8, bits of `eitskin.frame.Status`.
-        kind: 0 for a measurement of the sensor; others are reserved.
-        flags: reserved, 0.
-    """
-
-    number: int
-    time: float
-    duration: float
-    impedance: NDArray[np.complex64]
-    status: NDArray[np.uint8]
-    kind: int = 0
-    flags: int = 0
-
-
 @dataclass(frozen=True, slots=True)
 class Event:
     """Line of text from the firmware; level 0 note, 1 warning, 2 error."""
@@ -158,15 +134,15 @@ class Event:
 class Table:
     """Measurement table: rows of electrodes (drive+, drive-, sense+, sense-)."""
 
-    rows: tuple[tuple[int, int, int, int], ...]
+    rows: tuple[Row, ...]
 
     @classmethod
     def of(cls, protocol: Protocol) -> "Table":
-        """Table of `protocol`; raises ConfigurationError for more rows than one frame holds."""
-        if len(protocol) > MAX_CHANNELS:
+        """Table of `protocol`; raises ConfigurationError for more than the wire can say."""
+        if len(protocol) > MOST_MEASUREMENTS or protocol.n_electrodes > MOST_ELECTRODES:
             raise ConfigurationError(
-                f"one frame on the wire holds at most {MAX_CHANNELS} measurements, the protocol "
-                f"has {len(protocol)}; measure fewer"
+                f"on the wire a frame holds at most {MOST_MEASUREMENTS} measurements of "
+                f"{MOST_ELECTRODES} electrodes, the protocol is {protocol}; measure fewer"
             )
         return cls(protocol.table)
 
@@ -176,14 +152,36 @@ class Table:
         return zlib.crc32(_pack_table(self))
 
 
+@dataclass(frozen=True, slots=True)
+class TablePart:
+    """Rows of the measurement table from number `first` on, of `total` in all."""
+
+    total: int
+    first: int
+    rows: tuple[Row, ...]
+
+    @classmethod
+    def of(cls, table: Table, first: int) -> "TablePart":
+        """As many rows of `table` from number `first` on as one packet holds."""
+        return cls(len(table.rows), first, table.rows[first : first + _ROWS_PER_PACKET])
+
+
 Request = Hello | Start | Stop | GetTable | Calibrate
-Message = Request | Info | Ack | FrameData | Event | Table
+Message = Request | Info | Ack | FrameData | FramePart | Event | Table | TablePart
 
 
 def pack(message: Message, seq: int) -> Packet:
-    """Packet number `seq`, modulo 65536, with `message`."""
+    """Packet number `seq`, modulo 65536, with `message`; frames in parts have `frame_packets`."""
     type_, packed = _PACK[type(message)]
-    return Packet(type_, seq & 0xFFFF, packed(message))
+    return Packet(type_, seq & 0xFFFF, packed(message), _version(message))
+
+
+def _version(message: Message) -> int:
+    """Version 2 for messages about tables that are larger than a frame in one packet."""
+    if isinstance(message, Info):
+        return 2 if message.n_measurements > PER_PACKET else 1
+    paged = isinstance(message, GetTable) and message.first is not None
+    return 2 if paged or isinstance(message, TablePart) else 1
 
 
 def unpack(packet: Packet) -> Message:
@@ -194,8 +192,11 @@ def unpack(packet: Packet) -> Message:
         raise MessageError(
             f"expected a message type from 0x01 to 0x05 or 0x81 to 0x85, got {packet.type:#04x}"
         ) from None
+    unpacked = _UNPACK.get((packet.version, name))
+    if unpacked is None:
+        raise MessageError(f"version {packet.version} of the protocol has no {name.name}")
     try:
-        return _UNPACK[name](packet.payload)
+        return unpacked(packet)
     except (struct.error, UnicodeDecodeError) as error:
         raise MessageError(
             f"{name.name} of {len(packet.payload)} bytes does not fit: {error}"
@@ -203,7 +204,7 @@ def unpack(packet: Packet) -> Message:
 
 
 def _pack_info(info: Info) -> bytes:
-    return _INFO.pack(
+    return _INFO[_version(info)].pack(
         MAGIC,
         info.firmware.encode("ascii"),
         info.uid,
@@ -219,44 +220,24 @@ def _pack_info(info: Info) -> bytes:
     )
 
 
-def _unpack_info(payload: bytes) -> Info:
-    magic, name, uid, boots, n_el, n_meas, crc, *analog, period_us = _INFO.unpack(payload)
+def _unpack_info(packet: Packet) -> Info:
+    form = _INFO[packet.version]
+    magic, name, uid, boots, n_el, n_meas, crc, *analog, period_us = form.unpack(packet.payload)
     firmware = name.rstrip(b"\0").decode("ascii")
     frequency, amplitude, rtia, rcal = analog
     period = period_us * 1e-6
     info = Info(firmware, uid, boots, n_el, n_meas, crc, frequency, amplitude, rtia, rcal, period)
-    _require("INFO", "magic", magic == MAGIC, f"{MAGIC!r}", magic)
-    _require("INFO", "n_el", info.n_electrodes >= 2, "at least 2", info.n_electrodes)
-    n = info.n_measurements
-    _require("INFO", "n_meas", 1 <= n <= MAX_CHANNELS, f"1 to {MAX_CHANNELS}", n)
+    require_field("INFO", "magic", magic == MAGIC, f"{MAGIC!r}", magic)
+    require_field("INFO", "n_el", info.n_electrodes >= 2, "at least 2", info.n_electrodes)
+    least, most = (1, PER_PACKET) if packet.version == 1 else (PER_PACKET + 1, MOST_MEASUREMENTS)
+    require_field("INFO", "n_meas", least <= n_meas <= most, f"{least} to {most}", n_meas)
     for name in ("frequency", "amplitude", "rtia", "rcal"):
         value = getattr(info, name)
-        _require("INFO", name, math.isfinite(value) and value > 0, "finite and positive", value)
-    _require("INFO", "period_us", period_us > 0, "at least 1", period_us)
+        require_field(
+            "INFO", name, math.isfinite(value) and value > 0, "finite and positive", value
+        )
+    require_field("INFO", "period_us", period_us > 0, "at least 1", period_us)
     return info
-
-
-def _pack_frame(frame: FrameData) -> bytes:
-    n = len(frame.impedance)
-    times = round(frame.time * 1e6), round(frame.duration * 1e6)
-    head = _FRAME.pack(frame.number & 0xFFFFFFFF, *times, frame.kind, n, frame.flags)
-    return head + frame.impedance.astype("<c8").tobytes() + frame.status.tobytes()
-
-
-def _unpack_frame(payload: bytes) -> FrameData:
-    number, time_us, duration_us, kind, n, flags = _FRAME.unpack_from(payload)
-    expected = _FRAME.size + _BYTES_PER_CHANNEL * n
-    _require("FRAME", "length", len(payload) == expected, f"{expected} for n = {n}", len(payload))
-    _require("FRAME", "n", n >= 1, "at least 1", n)
-    return FrameData(
-        number=number,
-        time=time_us * 1e-6,
-        duration=duration_us * 1e-6,
-        impedance=np.frombuffer(payload, "<c8", n, _FRAME.size),
-        status=np.frombuffer(payload, np.uint8, n, _FRAME.size + 8 * n),
-        kind=kind,
-        flags=flags,
-    )
 
 
 def _pack_event(event: Event) -> bytes:
@@ -264,7 +245,8 @@ def _pack_event(event: Event) -> bytes:
     return _EVENT.pack(event.level, event.code) + text
 
 
-def _unpack_event(payload: bytes) -> Event:
+def _unpack_event(packet: Packet) -> Event:
+    payload = packet.payload
     level, code = _EVENT.unpack_from(payload)
     # The text is for people: a damaged letter is no reason to lose the other letters.
     return Event(level, code, payload[_EVENT.size :].decode("utf-8", errors="replace"))
@@ -274,47 +256,66 @@ def _pack_table(table: Table) -> bytes:
     return bytes(electrode for row in table.rows for electrode in row)
 
 
-def _unpack_table(payload: bytes) -> Table:
+def _unpack_table(packet: Packet) -> Table:
+    return Table(_rows(packet.payload))
+
+
+def _pack_table_part(part: TablePart) -> bytes:
+    return _TABLE_PART.pack(part.total, part.first) + _pack_table(Table(part.rows))
+
+
+def _unpack_table_part(packet: Packet) -> TablePart:
+    total, first = _TABLE_PART.unpack_from(packet.payload)
+    part = TablePart(total, first, _rows(packet.payload[_TABLE_PART.size :]))
+    end = first + len(part.rows)
+    require_field("TABLE", "first", end <= total, f"up to {total}", end)
+    return part
+
+
+def _rows(payload: bytes) -> tuple[Row, ...]:
     whole = len(payload) > 0 and len(payload) % 4 == 0
-    _require("TABLE", "length", whole, "a positive multiple of 4", len(payload))
-    return Table(tuple(struct.iter_unpack("<4B", payload)))
+    require_field("TABLE", "length", whole, "a positive multiple of 4", len(payload))
+    return tuple(struct.iter_unpack("<4B", payload))
 
 
-def _empty(message: Callable[[], Message]) -> Callable[[bytes], Message]:
-    def unpack_nothing(payload: bytes) -> Message:
+def _empty(message: Callable[[], Message]) -> Callable[[Packet], Message]:
+    def unpack_nothing(packet: Packet) -> Message:
         name = getattr(message, "__name__", "")
-        _require(name, "length", payload == b"", "0", len(payload))
+        require_field(name, "length", packet.payload == b"", "0", len(packet.payload))
         return message()
 
     return unpack_nothing
-
-
-def _require(message: str, name: str, good: bool, expected: str, got: object) -> None:
-    if not good:
-        raise MessageError(f"{message}: {name} must be {expected}, got {got!r}")
 
 
 _PACK: dict[type, tuple[MessageType, Callable[..., bytes]]] = {
     Hello: (MessageType.HELLO, lambda _: b""),
     Start: (MessageType.START, lambda start: _START.pack(start.frames)),
     Stop: (MessageType.STOP, lambda _: b""),
-    GetTable: (MessageType.GET_TABLE, lambda _: b""),
+    GetTable: (
+        MessageType.GET_TABLE,
+        lambda asked: b"" if asked.first is None else _GET_TABLE.pack(asked.first),
+    ),
     Calibrate: (MessageType.CALIBRATE, lambda _: b""),
     Info: (MessageType.INFO, _pack_info),
     Ack: (MessageType.ACK, lambda ack: _ACK.pack(ack.request, ack.type, ack.status)),
-    FrameData: (MessageType.FRAME, _pack_frame),
+    FrameData: (MessageType.FRAME, pack_frame),
     Event: (MessageType.EVENT, _pack_event),
     Table: (MessageType.TABLE, _pack_table),
+    TablePart: (MessageType.TABLE, _pack_table_part),
 }
-_UNPACK: dict[MessageType, Callable[[bytes], Message]] = {
-    MessageType.HELLO: _empty(Hello),
-    MessageType.START: lambda payload: Start(*_START.unpack(payload)),
-    MessageType.STOP: _empty(Stop),
-    MessageType.GET_TABLE: _empty(GetTable),
-    MessageType.CALIBRATE: _empty(Calibrate),
-    MessageType.INFO: _unpack_info,
-    MessageType.ACK: lambda payload: Ack(*_ACK.unpack(payload)),
-    MessageType.FRAME: _unpack_frame,
-    MessageType.EVENT: _unpack_event,
-    MessageType.TABLE: _unpack_table,
+_UNPACK: dict[tuple[int, MessageType], Callable[[Packet], Message]] = {
+    (1, MessageType.HELLO): _empty(Hello),
+    (1, MessageType.START): lambda packet: Start(*_START.unpack(packet.payload)),
+    (1, MessageType.STOP): _empty(Stop),
+    (1, MessageType.GET_TABLE): _empty(GetTable),
+    (1, MessageType.CALIBRATE): _empty(Calibrate),
+    (1, MessageType.INFO): _unpack_info,
+    (1, MessageType.ACK): lambda packet: Ack(*_ACK.unpack(packet.payload)),
+    (1, MessageType.FRAME): unpack_frame,
+    (1, MessageType.EVENT): _unpack_event,
+    (1, MessageType.TABLE): _unpack_table,
+    (2, MessageType.GET_TABLE): lambda packet: GetTable(*_GET_TABLE.unpack(packet.payload)),
+    (2, MessageType.INFO): _unpack_info,
+    (2, MessageType.FRAME): unpack_part,
+    (2, MessageType.TABLE): _unpack_table_part,
 }

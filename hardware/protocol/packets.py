@@ -11,12 +11,13 @@ import zlib
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
-from enum import StrEnum
+from enum import IntEnum, StrEnum
 
-from eitskin.errors import ConfigurationError
+from eitskin.errors import ConfigurationError, DeviceError
 from eitskin.extras import require
 
-VERSION = 1
+VERSIONS = (1, 2)
+"""Versions of the wire protocol; version 2 adds frames of several packets."""
 MAX_PACKET = 1024
 """Longest packet on the wire, both zeros included [bytes]."""
 
@@ -26,6 +27,31 @@ _MAX_STUFFED = MAX_PACKET - 2
 # A stuffed byte string is longer by one byte per 254, rounded up.
 MAX_PAYLOAD = _MAX_STUFFED - (_MAX_STUFFED + 254) // 255 - _HEADER.size - _CRC.size
 """Longest payload that fits into a packet [bytes]."""
+
+
+class MessageType(IntEnum):
+    """Message types: below 0x80 sent by the host, from 0x80 on by the board."""
+
+    HELLO = 0x01
+    START = 0x02
+    STOP = 0x03
+    GET_TABLE = 0x04
+    CALIBRATE = 0x05
+    INFO = 0x81
+    ACK = 0x82
+    FRAME = 0x83
+    EVENT = 0x84
+    TABLE = 0x85
+
+
+class MessageError(DeviceError):
+    """A whole packet that is no message of this protocol."""
+
+
+def require_field(message: str, name: str, good: bool, expected: str, got: object) -> None:
+    """Raise MessageError for a field of a message that is not as expected."""
+    if not good:
+        raise MessageError(f"{message}: {name} must be {expected}, got {got!r}")
 
 
 class PacketDrop(StrEnum):
@@ -38,6 +64,7 @@ class PacketDrop(StrEnum):
     VERSION = "other version"
     MALFORMED = "malformed message"
     STALE = "repeated or late frame"
+    PART = "part of an incomplete frame"
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,22 +75,34 @@ class Packet:
         type: message type of the payload.
         seq: number of the request, or of the packet from the board, 0 to 65535.
         payload: the packed message.
+        version: of the wire protocol that the payload is written in.
     """
 
     type: int
     seq: int
     payload: bytes = b""
+    version: int = 1
+
+    @property
+    def checksum(self) -> int:
+        """CRC-32 that the packet ends with."""
+        return zlib.crc32(self.content)
+
+    @property
+    def content(self) -> bytes:
+        """Bytes that the checksum is of: header and payload."""
+        return _HEADER.pack(self.version, self.type, self.seq) + self.payload
 
 
-def encode(packet: Packet, version: int = VERSION) -> bytes:
+def encode(packet: Packet) -> bytes:
     """Bytes of `packet` on the wire; raises ConfigurationError for a payload too long."""
     if len(packet.payload) > MAX_PAYLOAD:
         raise ConfigurationError(
-            f"a packet carries at most {MAX_PAYLOAD} bytes, got {len(packet.payload)}; measure "
-            "fewer channels in one frame"
+            f"a packet carries at most {MAX_PAYLOAD} bytes, got {len(packet.payload)}; split the "
+            "message"
         )
-    body = _HEADER.pack(version, packet.type, packet.seq) + packet.payload
-    stuffed: bytes = require("cobs.cobs", "hardware").encode(body + _CRC.pack(zlib.crc32(body)))
+    whole = packet.content + _CRC.pack(packet.checksum)
+    stuffed: bytes = require("cobs.cobs", "hardware").encode(whole)
     return b"\0" + stuffed + b"\0"
 
 
@@ -135,6 +174,6 @@ class Decoder:
         if _CRC.pack(zlib.crc32(content)) != checksum:
             return PacketDrop.CHECKSUM
         version, type_, seq = _HEADER.unpack_from(content)
-        if version != VERSION:
+        if version not in VERSIONS:
             return PacketDrop.VERSION
-        return Packet(type_, seq, content[_HEADER.size :])
+        return Packet(type_, seq, content[_HEADER.size :], version)

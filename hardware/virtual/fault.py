@@ -132,7 +132,8 @@ class Fault:
         if effect is None or (now < self.frame and hook not in AT_START):
             return value
         self.since, self.info, self.protocol = now - self.frame, info, protocol
-        return effect(value, self)
+        with np.errstate(invalid="ignore"):  # values may be infinite by another fault
+            return effect(value, self)
 
     def over(self, now: int) -> bool:
         """Whether the fault is to be removed before frame `now`."""

@@ -4,7 +4,7 @@ A fault is written `name@frame:index`, such as `bit_flip@5:12`. From that frame 
 channel that is NaN) or acts once (a lost frame), by its nature. Faults of replies count requests
 instead of frames: `no_reply@0:2` leaves the first two unanswered.
 
-To add a fault, add a row to one of the tables at the end of this file: `WIRE_FAULTS` for bytes and
+To add a fault, add a row to one of the tables: `WIRE_FAULTS` in `line_faults.py` for bytes and
 times of frames, `BOARD_FAULTS` for answers, identity and cable, `SENSOR_FAULTS` for values.
 """
 
@@ -19,16 +19,16 @@ from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError
 from eitskin.frame import Status
-from eitskin.hardware.protocol.messages import Ack, AckStatus, MessageType, pack
-from eitskin.hardware.protocol.packets import MAX_PACKET, Decoder, encode
+from eitskin.hardware.protocol.messages import Ack, AckStatus, pack
+from eitskin.hardware.protocol.packets import Decoder, MessageType, encode
 from eitskin.hardware.virtual.fault import Effect, Fault, FaultKind, Hook, Unplugged
+from eitskin.hardware.virtual.line_faults import WIRE_FAULTS, held_back, two_frames
 
 Array = NDArray[Any]
 """Impedances [ohm], or status bits, of one frame, (measurements,)."""
 
 NAN = complex(np.nan, np.nan)
-TEXT = b"\r\nRzMag: 612.034000 Ohm , RzPhase: -0.120000\r\n"
-OTHER_VERSION = 2
+OTHER_VERSION = 99
 STRAY_CAPACITANCE = 100e-12  # F, measured at an open lead
 SHORT = 2.0  # ohm, leads of a shorted pair
 CLIPPED_TO = 0.7  # of the impedance, where a sine is cut off
@@ -56,50 +56,6 @@ def _read_fault(text: str) -> Fault:
     return Fault(match[1], kind, int(match[2] or kind.frame), int(match[3] or 0))
 
 
-# ---- on the line ----
-
-
-def _put(packet: bytes, f: Fault, count: int, new: bytes = b"") -> bytes:
-    """Packet with `new` in place of `count` bytes from byte `index` on, modulo its length."""
-    start = f.index % len(packet)
-    return packet[:start] + new + packet[start + count :]
-
-
-def _bit_flip(packet: bytes, f: Fault) -> bytes:
-    wrong = bytearray(packet)
-    wrong[f.index // 8 % len(packet)] ^= 1 << f.index % 8
-    return bytes(wrong)
-
-
-def _merged(packet: bytes, f: Fault) -> bytes:
-    if f.memory.pop("without end", False):
-        return packet.lstrip(b"\0")
-    if not packet or f.since:
-        return packet
-    f.memory["without end"] = True
-    return packet.rstrip(b"\0")
-
-
-def _reordered(packet: bytes, f: Fault) -> bytes:
-    if not packet or f.since:
-        return packet + bytes(f.memory.pop("held", b""))
-    f.memory["held"] = packet
-    return b""
-
-
-def _held_back(data: bytes, f: Fault) -> bytes:
-    """Nothing while the fault acts, then all at once."""
-    held = bytes(f.memory.pop("held", b"")) + data
-    if f.since >= f.amount:
-        return held
-    f.memory["held"] = held
-    return b""
-
-
-def _wrong_baud(data: bytes, f: Fault) -> bytes:
-    return f.rng.randbytes(len(data) + f.rng.randrange(len(data) // 2 + 1))
-
-
 # ---- of the board ----
 
 
@@ -113,7 +69,8 @@ def _negative_ack(reply: bytes, f: Fault) -> bytes:
 
 
 def _wrong_version(data: bytes, _: Fault) -> bytes:
-    return b"".join(encode(packet, OTHER_VERSION) for packet in Decoder().feed(data))
+    packets = Decoder().feed(data)
+    return b"".join(encode(replace(packet, version=OTHER_VERSION)) for packet in packets)
 
 
 def _pull(sent: bytes) -> NoReturn:
@@ -170,20 +127,6 @@ def _swapped(z: Array, f: Fault) -> Array:
 # ---- the table ----
 
 
-def _two_frames(_: int) -> int:
-    """The first frame and the one after, which some faults of one frame have a part in."""
-    return 2
-
-
-def _damage(meaning: str, damaged: Effect, unit: str = "") -> FaultKind:
-    """Row of a fault that changes the packet of one frame, where there is one."""
-
-    def effect(packet: bytes, f: Fault) -> bytes:
-        return damaged(packet, f) if packet and f.since == 0 else packet
-
-    return FaultKind(meaning, {Hook.PACKET: effect}, unit, stays=_two_frames)
-
-
 def _reply(meaning: str, effect: Effect) -> FaultKind:
     """Row of a fault that changes the answers to `index` requests, one for 0."""
     return FaultKind(meaning, {Hook.REPLY: effect}, "requests", default=1, frame=0)
@@ -194,81 +137,11 @@ def _values(meaning: str, effect: Effect, unit: str = "") -> FaultKind:
     return FaultKind(meaning, {Hook.IMPEDANCE: effect}, unit)
 
 
-DAMAGE_FAULTS = {
-    "bit_flip": _damage("Bit `index` of the packet is turned over.", _bit_flip, "bit"),
-    "dropped_byte": _damage(
-        "Byte `index` of the packet is missing.", lambda packet, f: _put(packet, f, 1), "byte"
-    ),
-    "inserted_byte": _damage(
-        "A byte too many comes before byte `index`.",
-        lambda packet, f: _put(packet, f, 0, b"\x55"),
-        "byte",
-    ),
-    "burst": _damage(
-        "16 bytes from byte `index` on are noise.",
-        lambda packet, f: _put(packet, f, 16, f.rng.randbytes(16)),
-        "byte",
-    ),
-    "truncated": _damage(
-        "The packet ends at byte `index`, at its middle for 0.",
-        lambda packet, f: packet[: f.index % len(packet) or len(packet) // 2],
-        "byte",
-    ),
-    "merged": FaultKind(
-        "The zero that ends the packet is missing, and the one that begins the next.",
-        {Hook.PACKET: _merged},
-        stays=_two_frames,
-    ),
-    "duplicated": _damage("The packet is sent twice.", lambda packet, _: packet + packet),
-    "lost_frame": _damage("The frame is measured and never sent.", lambda *_: b""),
-    "reordered": FaultKind(
-        "The frame comes after the one that follows it.",
-        {Hook.PACKET: _reordered},
-        stays=_two_frames,
-    ),
-    "garbage": _damage(
-        "100 bytes of noise come before the packet.",
-        lambda packet, f: f.rng.randbytes(100) + packet,
-        "seed",
-    ),
-    "text": _damage("A line of text comes before the packet.", lambda packet, _: TEXT + packet),
-    "oversized": _damage(
-        "Twice as many bytes as a packet may have come before it.",
-        lambda packet, _: b"\0" + b"\xaa" * 2 * MAX_PACKET + packet,
-    ),
-}
-WIRE_FAULTS = DAMAGE_FAULTS | {
-    "back_pressure": FaultKind(
-        "From the frame on the line takes nothing for `index` frames, two for 0; then all at once.",
-        {Hook.PACKET: _held_back},
-        "frames",
-        default=2,
-        stays=lambda frames: frames + 1,
-    ),
-    "stall": FaultKind(
-        "After the frame nothing comes for `index` periods, five for 0.",
-        {Hook.DELAY: lambda delay, f: delay + f.amount * f.info.period},
-        "periods",
-        default=5,
-        stays=lambda _: 1,
-    ),
-    "jitter": FaultKind(
-        "From the frame on each is late by up to one period, at random; `index` is the seed.",
-        {Hook.DELAY: lambda delay, f: delay + f.rng.random() * f.info.period},
-        "seed",
-    ),
-    "wrong_baud": FaultKind(
-        "From the frame on the line runs at another speed: every byte is another, and some are "
-        "two.",
-        {Hook.LINE: _wrong_baud},
-        "seed",
-    ),
-}
 BOARD_FAULTS = {
     "no_reply": _reply(
         "A request is not answered.", lambda reply, f: b"" if f.since < f.amount else reply
     ),
-    "late_reply": _reply("An answer comes only with that to the request after it.", _held_back),
+    "late_reply": _reply("An answer comes only with that to the request after it.", held_back),
     "negative_ack": _reply(
         "A request that is answered by an ACK is refused as if the board were busy.", _negative_ack
     ),
@@ -291,7 +164,7 @@ BOARD_FAULTS = {
     "reboot": FaultKind(
         "The board starts anew instead of measuring the frame.",
         {Hook.REBOOTS: lambda already, f: already or f.since == 0},
-        stays=_two_frames,
+        stays=two_frames,
     ),
     "counter_wrap": FaultKind(
         "The board starts anew, with a frame number that wraps after `index` frames, three for 0.",
@@ -301,7 +174,7 @@ BOARD_FAULTS = {
         },
         "frames",
         default=3,
-        stays=_two_frames,
+        stays=two_frames,
     ),
     "unplug": FaultKind(
         "The cable is pulled before the frame is sent, and stays so until this is cleared.",
@@ -319,7 +192,7 @@ BOARD_FAULTS = {
         {Hook.PACKET: _replug},
         "periods",
         default=1,
-        stays=_two_frames,
+        stays=two_frames,
     ),
     "port_in_use": FaultKind(
         "Another program has the port open, from the frame on.",

@@ -6,24 +6,24 @@ from typing import TypeVar
 
 import numpy as np
 
+from eitskin.hardware.protocol.frame_parts import PER_PACKET, FrameData, frame_packets
 from eitskin.hardware.protocol.messages import (
     Ack,
     AckStatus,
     Calibrate,
     Event,
-    FrameData,
     GetTable,
     Hello,
     Info,
     Message,
-    MessageError,
     Start,
     Stop,
     Table,
+    TablePart,
     pack,
     unpack,
 )
-from eitskin.hardware.protocol.packets import Decoder, Packet, encode
+from eitskin.hardware.protocol.packets import Decoder, MessageError, Packet, encode
 from eitskin.hardware.virtual.fault import Fault, Hook
 from eitskin.hardware.virtual.simulated_sensor import Measure, noise_free
 from eitskin.hardware.virtual.stage import Stage
@@ -120,13 +120,13 @@ class VirtualFirmware:
             impedance=self._changed(Hook.IMPEDANCE, impedance.astype(np.complex64), now, faults),
             status=self._changed(Hook.STATUS, status, now, faults),
         )
-        packet = encode(pack(data, self._seq))
-        self._seq += 1
+        packets = frame_packets(data, self._seq)
+        self._seq += len(packets)
         self.skip()
         self.delay = self._changed(Hook.DELAY, 0.0, now, faults)
         self._late += self.delay
-        packet = self._changed(Hook.PACKET, packet, now, faults)
-        return self._changed(Hook.LINE, packet, now)
+        sent = self._changed(Hook.PACKET, b"".join(map(encode, packets)), now, faults)
+        return self._changed(Hook.LINE, sent, now)
 
     def skip(self) -> None:
         """Leave out one frame, for which the host is too slow."""
@@ -156,8 +156,8 @@ class VirtualFirmware:
         match message:
             case Hello():
                 return self._packed(self._changed(Hook.INFO, self.info))
-            case GetTable():
-                return self._packed(self._table)
+            case GetTable(first):
+                return self._table_answer(packet, first)
             case Start(frames):
                 self._left, self.streaming = frames, True
             case Stop():
@@ -167,6 +167,17 @@ class VirtualFirmware:
             case _:
                 return self._acknowledge(packet, AckStatus.UNKNOWN_TYPE)
         return self._acknowledge(packet, AckStatus.DONE)
+
+    def _table_answer(self, packet: Packet, first: int | None) -> bytes:
+        """Answer to GET_TABLE: the table of version 1, or its rows from `first` on."""
+        rows = len(self._table.rows)
+        if first is None and rows <= PER_PACKET:
+            return self._packed(self._table)
+        if first is None:
+            return self._acknowledge(packet, AckStatus.FAILED)
+        if first < rows:
+            return self._packed(TablePart.of(self._table, first))
+        return self._acknowledge(packet, AckStatus.MALFORMED)
 
     def _acknowledge(self, packet: Packet, status: AckStatus) -> bytes:
         return self._packed(Ack(packet.seq, packet.type, status))

@@ -59,7 +59,7 @@ class Slab:
         if not isinstance(outline, Rectangle):
             raise ConfigurationError(
                 f"a clamp bends sensors of rectangular outline, got {type(outline).__name__}; "
-                "choose a kinematic fixture, fixture=Hinge(...) or fixture=FreeArc(...)"
+                'choose a kinematic fixture, Hinge or FreeArc (in a recipe fixture = "hinge")'
             )
         return cls(outline, design.thickness, design.encapsulated_thickness)
 

@@ -94,12 +94,21 @@ def test_clockwise_points_are_turned_around_their_first():
         (lambda: Disc(1e-7), "5 mm is 0.005"),
         (lambda: Rectangle(0.1, 0.05).locate(0.02, 0.01), r"0\.01 m off .* is \(0\.02, 0\) m"),
         (lambda: Disc(0.05).locate(0.11, 0.05), r"0\.01 m off .* is \(0\.1, 0\.05\) m"),
+        (lambda: Disc(0.05).locate(0.1002, 0.05), r"0\.0002 m off"),
         (lambda: Rectangle(0.1, 0.05).locate(math.nan, 0.0), "off the outline"),
     ],
 )
 def test_sizes_that_cannot_be_and_places_off_the_outline_are_refused(make, message):
     with pytest.raises(ConfigurationError, match=message):
         make()
+
+
+@pytest.mark.parametrize("decimals", [4, 5, 6])
+@pytest.mark.parametrize("outline", [Disc(0.05), L_SHAPE], ids=["disc", "polygon"])
+def test_rounded_positions_are_those_of_the_nearest_point(outline, decimals):
+    s = outline.perimeter * np.arange(16) / 16
+    located = [outline.locate(x, y) for x, y in np.round(outline.at(s), decimals)]
+    assert located == pytest.approx(s, abs=10.0**-decimals)
 
 
 @pytest.mark.parametrize(

@@ -16,8 +16,8 @@ from pathlib import Path
 import pytest
 
 from eitskin import hardware
-from eitskin.hardware.protocol.messages import Ack, Info, MessageType, Start, pack, unpack
-from eitskin.hardware.protocol.packets import Decoder, encode
+from eitskin.hardware.protocol.messages import Ack, Info, Start, pack, unpack
+from eitskin.hardware.protocol.packets import Decoder, MessageType, encode
 from eitskin.hardware.virtual.pseudo_terminal import Pace, PseudoTerminal
 
 from loopback import FLAT, PROTOCOL
@@ -65,7 +65,7 @@ def library():
         ("shim_unsent", size, pointer),
         ("shim_number", c.c_uint32, pointer),
         ("shim_set_number", None, pointer, c.c_uint32),
-        ("shim_encode", size, c.c_uint8, c.c_uint16, c.c_char_p, size, pointer, size),
+        ("shim_encode", size, c.c_uint8, c.c_uint8, c.c_uint16, c.c_char_p, size, pointer, size),
         ("shim_decode", size, c.c_char_p, size, pointer),
     ):
         function = getattr(loaded, name)
@@ -95,7 +95,7 @@ class Config(c.Structure):
     _fields_ = (
         ("firmware", c.c_char_p),
         ("table", c.c_void_p),
-        ("n_measurements", c.c_uint8),
+        ("n_measurements", c.c_uint16),
         ("n_electrodes", c.c_uint8),
         ("excitation", c.c_uint8),
         ("rtia", c.c_uint8),
@@ -290,3 +290,13 @@ def frames(board, count):
     taken = [message for _ in range(count) for message in messages(board.frame())]
     assert not board.streaming
     return taken
+
+
+def fuzzer():
+    """The firmware as a program; with the compiler's sanitizers, if it has them."""
+    try:
+        return build(
+            "firmware_fuzz.c", "-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover"
+        )
+    except AssertionError:
+        return build("firmware_fuzz.c", "-O1")

@@ -62,14 +62,36 @@ static void idle(void *context, uint64_t until_us) {
     if (until_us != EIT_FOREVER && until_us > m->clock) m->clock = until_us;
 }
 
-int main(void) {
+/* Adjacent protocol of 32 electrodes, in several packets. */
+static eit_config large_config(void) {
+    static uint8_t table[928][4];
+    uint16_t n = 0;
+    for (uint8_t drive = 0; drive < 32; drive++) {
+        for (uint8_t next = 2; next < 31; next++) {
+            const uint8_t sense = (uint8_t)((drive + next) % 32);
+            const uint8_t row[4] = {
+                drive, (uint8_t)((drive + 1) % 32), sense, (uint8_t)((sense + 1) % 32)};
+            memcpy(table[n++], row, sizeof row);
+        }
+    }
+    eit_config config = eit_pairwise_8;
+    config.table = (const uint8_t (*)[4])table;
+    config.n_measurements = n;
+    config.n_electrodes = 32;
+    config.period_us = 928u * 10600u;
+    return config;
+}
+
+int main(int argc, char **argv) {
+    (void)argv;
+    const eit_config config = argc > 1 ? large_config() : eit_pairwise_8;
     machine m = {.noise = 2463534242u};
     const eit_hal hal = {
         &m,         spi_transfer, afe_reset, afe_interrupt,   mux_select, uart_read,
         uart_write, clock_us,     unique_id, next_boot_count, idle,
     };
     static eit_board board;
-    if (!eit_boot(&board, &hal, &eit_pairwise_8)) return 1;
+    if (!eit_boot(&board, &hal, &config)) return 1;
     while (!m.ended || board.size > 0) {
         eit_poll(&board);
         if (m.ended) board.streaming = false; /* or there is no end to it */

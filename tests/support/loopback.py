@@ -78,9 +78,9 @@ class Loopback:
         self.closed = True
 
 
-def firmware(faults=(), sensor=lambda _: FLAT, **changes):
+def firmware(faults=(), sensor=lambda _: FLAT, protocol=PROTOCOL, **changes):
     stage = Stage(lambda _: FLAT, faults=faults)
-    board = VirtualFirmware(stage, PROTOCOL, lambda _, now: noise_free(sensor(now), now))
+    board = VirtualFirmware(stage, protocol, lambda _, now: noise_free(sensor(now), now))
     board.info = dataclasses.replace(board.info, **changes)
     return board
 

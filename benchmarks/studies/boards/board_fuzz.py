@@ -27,7 +27,8 @@ from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.hardware.boards.board import Board
 from eitskin.hardware.boards.connection import Connection
 from eitskin.hardware.virtual.fault import Fault, Hook
-from eitskin.hardware.virtual.fault_table import DAMAGE_FAULTS, FAULTS, SENSOR_FAULTS
+from eitskin.hardware.virtual.fault_table import FAULTS, SENSOR_FAULTS
+from eitskin.hardware.virtual.line_faults import DAMAGE_FAULTS
 from eitskin.hardware.virtual.virtual_board import VirtualBoard, open_virtual
 from eitskin.provenance import Provenance
 from eitskin.simulator.scene.scene import Scene

@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from eitskin.hardware.protocol.messages import FrameData, MessageError, pack, unpack
-from eitskin.hardware.protocol.packets import MAX_PACKET, Decoder, encode
+from eitskin.hardware.protocol.frame_parts import FrameData
+from eitskin.hardware.protocol.messages import pack, unpack
+from eitskin.hardware.protocol.packets import MAX_PACKET, Decoder, MessageError, encode
 
 
 @dataclass

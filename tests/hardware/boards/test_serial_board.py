@@ -10,8 +10,9 @@ import serial
 
 from eitskin.errors import DeviceError
 from eitskin.hardware import SerialBoard
-from eitskin.hardware.protocol.messages import Ack, Event, FrameData, MessageType, pack
-from eitskin.hardware.protocol.packets import Packet, encode
+from eitskin.hardware.protocol.frame_parts import FrameData
+from eitskin.hardware.protocol.messages import Ack, Event, pack
+from eitskin.hardware.protocol.packets import MessageType, Packet, encode
 from eitskin.hardware.virtual.virtual_board import virtual_terminal
 
 from loopback import FakeSimulator, Loopback, connected, firmware, take, virtual
@@ -129,7 +130,7 @@ def answering(response):
 @pytest.mark.parametrize(
     ("response", "complaint"),
     [
-        (encode(Packet(MessageType.INFO, 0), version=2), "another version of the protocol"),
+        (encode(Packet(MessageType.INFO, 0, version=3)), "another version of the protocol"),
         (encode(Packet(MessageType.INFO, 0, b"hello")), "it sent INFO of 5 bytes"),
         (b"\0RzMag: 600.0 Ohm\0", "bad stuffing.*baud rate"),
         (encode(pack(Ack(1, MessageType.HELLO, 3), 0)), "refused HELLO: busy"),

@@ -26,6 +26,7 @@ packets = st.builds(
     st.binary(max_size=MAX_PAYLOAD)
     | st.integers(0, MAX_PAYLOAD).map(lambda n: b"\x01" * n)
     | st.integers(0, MAX_PAYLOAD).map(bytes),
+    st.sampled_from([1, 2]),
 )
 
 
@@ -33,21 +34,27 @@ def encoded_in_c(packet, room=MAX_PACKET):
     out = bytearray(b"\xaa" * (room + 1))
     buffer = (ctypes.c_char * len(out)).from_buffer(out)
     size = library().shim_encode(
-        packet.type, packet.seq, packet.payload, len(packet.payload), buffer, room
+        packet.version,
+        packet.type,
+        packet.seq,
+        packet.payload,
+        len(packet.payload),
+        buffer,
+        room,
     )
     assert out[room] == 0xAA, "written past the end"
     return bytes(out[:size])
 
 
 def decoded_in_c(stream):
-    found = (ctypes.c_char * (len(stream) + 16))()
+    found = (ctypes.c_char * (2 * len(stream) + 16))()
     size = library().shim_decode(stream, len(stream), found)
     rest = found.raw[:size]
     decoded = []
     while rest:
-        type_, seq, size = struct.unpack_from("<BHH", rest)
-        decoded.append(Packet(type_, seq, rest[5 : 5 + size]))
-        rest = rest[5 + size :]
+        version, type_, seq, size = struct.unpack_from("<BBHH", rest)
+        decoded.append(Packet(type_, seq, rest[6 : 6 + size], version))
+        rest = rest[6 + size :]
     return decoded
 
 
@@ -73,4 +80,4 @@ def test_a_packet_without_room_is_not_written():
 def test_a_packet_too_long_is_dropped_and_the_next_is_read():
     stream = b"x" * (MAX_PACKET - 1) + encode(pack(Hello(), 5))
     assert [packet.seq for packet in decoded_in_c(stream)] == [5]
-    assert decoded_in_c(encode(Packet(1, 1), version=2)) == []
+    assert decoded_in_c(encode(Packet(1, 1, version=3))) == []

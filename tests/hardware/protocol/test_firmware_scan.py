@@ -3,21 +3,20 @@
 import numpy as np
 import pytest
 
+from eitskin.hardware.protocol.frame_parts import FrameData
 from eitskin.hardware.protocol.messages import (
     Ack,
     AckStatus,
     Calibrate,
     Event,
-    FrameData,
     GetTable,
     Info,
-    MessageType,
     Start,
     Stop,
     Table,
     pack,
 )
-from eitskin.hardware.protocol.packets import encode
+from eitskin.hardware.protocol.packets import MessageType, encode
 from eitskin.simulator import Protocol, Status
 from eitskin.simulator.instrument.ad5940 import CODES, FrontEnd
 

@@ -12,17 +12,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from eitskin.errors import ConfigurationError
+from eitskin.hardware.protocol.frame_parts import MOST_MEASUREMENTS, PER_PACKET, FrameData
 from eitskin.hardware.protocol.messages import (
-    MAX_CHANNELS,
     Ack,
     Calibrate,
     Event,
-    FrameData,
     GetTable,
     Hello,
     Info,
-    MessageError,
-    MessageType,
     Start,
     Stop,
     Table,
@@ -33,6 +30,8 @@ from eitskin.hardware.protocol.packets import (
     MAX_PACKET,
     MAX_PAYLOAD,
     Decoder,
+    MessageError,
+    MessageType,
     Packet,
     PacketDrop,
     encode,
@@ -125,7 +124,7 @@ def test_buffer_is_bounded_and_the_decoder_recovers():
         (b"\0" + cobs.encode(b"1234567") + b"\0", PacketDrop.TOO_SHORT),
         (b"\0" + cobs.encode(b"12345678") + b"\0", PacketDrop.CHECKSUM),
         (b"\0" + b"y" * MAX_PACKET + b"\0", PacketDrop.TOO_LONG),
-        (encode(Packet(1, 1), version=2), PacketDrop.VERSION),
+        (encode(Packet(1, 1, version=3)), PacketDrop.VERSION),
     ],
 )
 def test_every_drop_is_counted_by_its_reason(bytes_, reason):
@@ -190,13 +189,13 @@ def mutated(rng, packet):
         st.binary(min_size=12, max_size=12),
         u32,
         st.integers(2, 255),
-        st.integers(1, MAX_CHANNELS),
+        st.integers(1, PER_PACKET),
         u32,
         *[positive] * 4,
         st.integers(1, 2**32 - 1).map(lambda us: us * 1e-6),
     )
     | st.builds(
-        Table, st.lists(st.tuples(u8, u8, u8, u8), min_size=1, max_size=MAX_CHANNELS).map(tuple)
+        Table, st.lists(st.tuples(u8, u8, u8, u8), min_size=1, max_size=PER_PACKET).map(tuple)
     ),
     u16,
 )
@@ -210,7 +209,7 @@ def test_messages_survive_the_wire(message, seq):
     u32,
     microseconds,
     microseconds.filter(lambda s: s < 4000),
-    st.integers(1, MAX_CHANNELS),
+    st.integers(1, PER_PACKET),
     st.data(),
 )
 def test_frames_survive_the_wire_bit_for_bit(number, time, duration, n, data):
@@ -260,7 +259,9 @@ def test_info_numbers_must_be_positive_and_finite(name, value):
         unpack(wrong)
 
 
-def test_a_table_too_long_for_a_frame_is_refused_by_name():
-    assert MAX_CHANNELS == 109
-    with pytest.raises(ConfigurationError, match="at most 109 measurements"):
-        Table.of(Protocol.pairwise(16))
+def test_a_table_longer_than_the_wire_can_say_is_refused():
+    assert PER_PACKET == 109
+    assert len(Table.of(Protocol.adjacent(32)).rows) == 928
+    table = Protocol(((0, 1, 2, 3),) * (MOST_MEASUREMENTS + 1), 4)
+    with pytest.raises(ConfigurationError, match="at most 65535 measurements of 255 electrodes"):
+        Table.of(table)

@@ -14,7 +14,7 @@ from eitskin.hardware import Connection, SerialBoard, open_board
 from eitskin.hardware.protocol.packets import Decoder
 from eitskin.hardware.virtual.fault_table import FAULTS, read_faults
 from eitskin.hardware.virtual.virtual_board import virtual_terminal
-from eitskin.simulator import Status
+from eitskin.simulator import Protocol, Status
 
 from loopback import FLAT, PROTOCOL, FakeSimulator, Loopback, connected, firmware, virtual
 
@@ -29,6 +29,10 @@ DAMAGE = {  # numbers that are missing, those lost, and what was dropped why
     "duplicated@4": ([], 0, {"repeated or late frame"}),
     "lost_frame@4": ([4], 1, set()),
     "reordered@4": ([4], 1, {"repeated or late frame"}),
+    "lost_part@4": ([4], 1, set()),  # these frames are one packet each
+    "duplicated_part@4": ([], 0, {"repeated or late frame"}),
+    "reordered_parts@4": ([], 0, set()),
+    "merged_frames@4": ([5], 1, set()),
     "garbage@4": ([], 0, {"bad checksum", "bad stuffing", "too short"}),
     "text@4": ([], 0, {"bad stuffing", "too short", "bad checksum"}),
     "oversized@4": ([], 0, {"too long"}),
@@ -55,6 +59,50 @@ def test_damage_costs_what_was_damaged_and_no_more(text):
     assert bool(board.counts.dropped) == bool(reasons)
     assert set(board.counts.dropped) <= reasons
     assert all(np.allclose(frame.impedance, FLAT) for frame in frames)
+
+
+LARGE = Protocol.adjacent(32)  # 928 measurements, nine packets
+PART_DAMAGE = {  # damage of frame 4: numbers that are missing, those lost, and what was dropped why
+    "bit_flip@4:10000": ([4], 1, {"bad checksum", "part of an incomplete frame"}),
+    "truncated@4": ([4], 1, {"bad checksum", "bad stuffing", "part of an incomplete frame"}),
+    "merged@4": ([4, 5], 2, {"too long", "bad stuffing", "part of an incomplete frame"}),
+    "duplicated@4": ([], 0, {"repeated or late frame"}),
+    "lost_frame@4": ([4], 1, set()),
+    "reordered@4": ([4], 1, {"repeated or late frame"}),
+    "lost_part@4": ([4], 1, {"part of an incomplete frame"}),
+    "lost_part@4:4": ([4], 1, {"part of an incomplete frame"}),
+    "lost_part@4:8": ([4], 1, {"part of an incomplete frame"}),
+    "duplicated_part@4": ([], 0, {"part of an incomplete frame"}),
+    "duplicated_part@4:5": ([], 0, {"part of an incomplete frame"}),
+    "reordered_parts@4": ([4], 1, {"part of an incomplete frame"}),
+    "reordered_parts@4:3": ([4], 1, {"part of an incomplete frame"}),
+    "merged_frames@4": ([4, 5], 2, {"part of an incomplete frame"}),
+    "merged_frames@4:6": ([4, 5], 2, {"part of an incomplete frame"}),
+    "back_pressure@4:2": ([], 0, set()),
+    "already_streaming": ([], 0, set()),
+    "no_reply@1:2": ([], 0, set()),
+    "late_reply@1:2": ([], 0, set()),
+}
+
+
+@pytest.mark.parametrize("text", PART_DAMAGE)
+def test_damage_of_frames_in_parts_costs_those_frames_and_never_gives_a_wrong_one(text):
+    missing, lost, reasons = PART_DAMAGE[text]
+    board, _ = connected(firmware(read_faults(text), of_its_number, LARGE))
+    assert board.protocol == LARGE
+    frames = list(itertools.islice(board.frames(), 8))
+    first = frames[0].number
+    expected = [number for number in range(first, 99) if number not in missing][:8]
+    assert [frame.number for frame in frames] == expected
+    assert board.lost == lost
+    assert bool(board.counts.dropped) == bool(reasons)
+    assert set(board.counts.dropped) <= reasons
+    assert all(np.array_equal(frame.impedance, of_its_number(frame.number)) for frame in frames)
+
+
+def of_its_number(number):
+    """Impedances of a frame that differ from those of all others."""
+    return 100.0 * number + np.arange(len(LARGE)) / 16.0
 
 
 def test_a_stall_is_a_stale_stream_and_the_next_frames_are_later():

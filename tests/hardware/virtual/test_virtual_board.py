@@ -10,13 +10,13 @@ from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend, Rectangle, SensorDesign
 from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.hardware import Script, Step, open_board
-from eitskin.hardware.protocol.messages import Ack, MessageType, pack, unpack
-from eitskin.hardware.protocol.packets import Decoder, Packet, encode
+from eitskin.hardware.protocol.messages import Ack, GetTable, pack, unpack
+from eitskin.hardware.protocol.packets import Decoder, MessageType, Packet, encode
 from eitskin.hardware.virtual.pseudo_terminal import Pace, PseudoTerminal
 from eitskin.hardware.virtual.simulated_sensor import SimulatedSensor
 from eitskin.hardware.virtual.stage import Stage
 from eitskin.hardware.virtual.virtual_board import virtual_terminal
-from eitskin.simulator import Instrument, Protocol, Scene, Simulator, Status, Touch
+from eitskin.simulator import Frame, Instrument, Protocol, Scene, Simulator, Status, Touch
 
 from loopback import FLAT, PROTOCOL, FakeSimulator, firmware, take, virtual
 
@@ -201,6 +201,37 @@ def test_a_board_measures_by_the_protocol_that_is_named():
     assert frame.impedance.shape == (40,)
     with pytest.raises(ConfigurationError, match="for 16 electrodes, the sensor has 8"):
         open_board("virtual:?protocol=adjacent:16")
+
+
+class LargeSimulator:
+    """32 electrodes, adjacent: frames of 928 measurements."""
+
+    protocol = Protocol.adjacent(32)
+    full_scale = 60.0
+
+    def measure(self, scene):
+        return Frame(np.linspace(-20.0, 60.0, 928) * (1.0 + scene.bend.angle_deg), self.protocol)
+
+
+def test_928_measurements_come_whole_through_a_pseudo_terminal():
+    large = LargeSimulator()
+    scenes = {number: Scene(bend=Bend(float(number))) for number in range(20)}
+    with open_board(
+        "virtual:?speed=max&snr_db=inf", simulator=large, scene=lambda now: scenes[now % 20]
+    ) as board:
+        assert board.protocol == Protocol.adjacent(32)
+        frames = take(board, 12)
+        assert (board.lost, board.counts.dropped) == (0, {})
+    for frame in frames:
+        expected = large.measure(scenes[frame.number % 20]).impedance
+        assert np.allclose(frame.impedance, expected, rtol=1e-6)
+        assert np.array_equal(frame.impedance, expected.astype(np.complex64))
+
+
+def test_a_board_of_large_frames_refuses_the_whole_table():
+    large = firmware(protocol=LargeSimulator.protocol)
+    assert answers(large, pack(GetTable(), 3)) == [Ack(3, MessageType.GET_TABLE, 4)]
+    assert answers(large, pack(GetTable(928), 3)) == [Ack(3, MessageType.GET_TABLE, 2)]
 
 
 def test_a_board_has_a_sensor_or_a_simulator():
