@@ -98,8 +98,19 @@ def make_dataset(
             speed = bar.tasks[task].speed  # of late; the time left is reckoned from it
             bar.update(task, rate=f"{speed:.0f}/s" if speed else "")
 
+        def show_examined(count: int, total: int) -> None:
+            bar.update(looking, completed=count, total=total, visible=count < total)
+
+        looking = bar.add_task("finished shards", total=None, rate="", visible=False)
         manifest = generate(
-            recipe, out, workers, progress=show, resume=resume, scheduler=scheduler, shard=shard
+            recipe,
+            out,
+            workers,
+            progress=show,
+            resume=resume,
+            scheduler=scheduler,
+            shard=shard,
+            examined=show_examined,
         )
     seconds = time.perf_counter() - start
     made = finished - kept[0]

@@ -1,11 +1,15 @@
 """Datasets written anew in other shards."""
 
+import errno
+import os
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from eitskin.datasets import compact, open_dataset, read_shard, save_dataset, verify
 from eitskin.datasets.store import worker_processes
-from eitskin.errors import ConfigurationError, DataError
+from eitskin.errors import ConfigurationError, DataError, PartialError
 
 from shards_here import contents
 from small_dataset import assert_same, make
@@ -61,4 +65,27 @@ def test_damage_and_occupied_folders_are_refused_and_nothing_counts_as_complete(
     (tmp_path / "set" / "shard-000002.h5").write_bytes(b"rubbish")
     with pytest.raises(DataError, match=r"shard-000002\.h5.*SHA-256"):
         compact(tmp_path / "set", tmp_path / "new", 12)
-    assert not (tmp_path / "new" / "manifest.json").exists()
+    assert [path.name for path in tmp_path.iterdir()] == ["set"]
+
+
+def test_an_interrupt_or_a_full_disk_leaves_nothing(tmp_path, data, monkeypatch):
+    save_dataset(data, tmp_path / "set", frames_per_shard=12)
+
+    def interrupt(done, _total):
+        if done == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        compact(tmp_path / "set", tmp_path / "new", 12, interrupt)
+    assert [path.name for path in tmp_path.iterdir()] == ["set"]
+    write, room = Path.write_bytes, iter(range(3))
+
+    def full(path, content):
+        if next(room, None) is None:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return write(path, content)
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(PartialError, match=r"new: No space left.*compact again"):
+        compact(tmp_path / "set", tmp_path / "new", 12)
+    assert [path.name for path in tmp_path.iterdir()] == ["set"]

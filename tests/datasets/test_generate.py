@@ -2,6 +2,7 @@
 
 import dataclasses
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -21,6 +22,7 @@ from eitskin.datasets.recipe.frame_sampling import sample, specimen
 from eitskin.datasets.recipe.recipe import with_seed
 from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.datasets.recipe.specimen import Specimens
+from eitskin.datasets.store import worker_processes
 from eitskin.datasets.store.shard import shard_name
 from eitskin.errors import ConfigurationError, PartialError
 from eitskin.geometry import Bend, Plates
@@ -156,7 +158,28 @@ def test_damaged_and_lost_shards_are_made_again(whole, tmp_path, monkeypatch):
         (folder / name).write_bytes(content)
     (folder / shard_name(1)).write_bytes(b"rubbish")
     (folder / shard_name(3)).unlink()
-    generate(RECIPE, folder, resume=True)
+    seen, reports = [], []
+    generate(
+        RECIPE,
+        folder,
+        progress=lambda *counts: reports.append(counts),
+        resume=True,
+        examined=lambda *counts: seen.append(counts),
+    )
+    assert contents(folder) == contents(whole)
+    assert seen == [(number + 1, RECIPE.shards) for number in range(RECIPE.shards)]
+    assert len(reports) == 3
+
+
+@pytest.mark.slow
+def test_finished_shards_are_examined_by_workers_too(whole, tmp_path, monkeypatch):
+    in_this_process(monkeypatch)
+    monkeypatch.setattr(worker_processes, "_SMALL", 0)
+    folder = tmp_path / "set"
+    shutil.copytree(whole, folder)
+    (folder / "manifest.json").unlink()
+    (folder / shard_name(2)).write_bytes((whole / shard_name(1)).read_bytes())
+    generate(RECIPE, folder, resume=True, workers=2)
     assert contents(folder) == contents(whole)
 
 

@@ -23,6 +23,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 
 from eitskin.datasets.generation.generate import RECIPE, generate
@@ -105,37 +106,56 @@ def made_up(shards: int) -> Recipe:
 
 
 def write_made_up(recipe: Recipe, folder: Path) -> None:
-    """Write shards of noise, as `generate` would have named and recorded them."""
+    """Write shards of noise, as `generate` would have named and listed them.
+
+    The shards differ in their specimen and the numbers of their frames; the noise is the same.
+    """
     folder.mkdir(parents=True)
     text, entries = recipe.to_toml(), []
     (folder / RECIPE).write_text(text)
-    rng, protocol = np.random.default_rng(0), Protocol.pairwise(len(recipe.sensor.electrodes))
-    count, size = recipe.specimens.count, (MADE_UP_FRAMES, len(protocol))
-    shards = -(-recipe.frames // MADE_UP_FRAMES)
+    pattern = shard_bytes(_noise(recipe, text))
+    shards = recipe.frames // MADE_UP_FRAMES
     for shard in range(shards):
-        first, specimen = shard * MADE_UP_FRAMES, shard * count // shards
-        data = Dataset.from_arrays(
-            500.0 + rng.normal(size=size) + 1j * rng.normal(size=size),
-            np.full(len(protocol), 500.0 + specimen),
-            touch_reference=500.0 + rng.normal(size=size),
-            specimen_number=np.array([specimen]),
-            state=rng.integers(0, 3, MADE_UP_FRAMES),
-            bend_angle_deg=rng.uniform(-20.0, 50.0, MADE_UP_FRAMES),
-            number=np.arange(first, first + MADE_UP_FRAMES),
-            episode=np.arange(first, first + MADE_UP_FRAMES),
-            protocol=protocol,
-            source="simulated",
-            recipe=text,
-            seed=recipe.seed,
-            design=recipe.sensor,
-        )
-        content = shard_bytes(data, first)
+        first, specimen = shard * MADE_UP_FRAMES, shard * recipe.specimens.count // shards
+        with _writable(pattern) as file:
+            file.attrs["first_index"] = first
+            file["specimen_number"][0] = specimen
+            file["reference"][0] += specimen
+            file["number"][:] += first
+            file.flush()
+            content = file.id.get_file_image()
         (folder / shard_name(shard)).write_bytes(content)
         checksum = hashlib.sha256(content).hexdigest()
         entries.append(ShardEntry(shard_name(shard), first, MADE_UP_FRAMES, checksum))
     digest = hashlib.sha256(text.encode()).hexdigest()
     write_manifest(
         folder, Manifest("simulated", digest, recipe.seed, recipe.frames, tuple(entries))
+    )
+
+
+def _writable(content: bytes) -> h5py.File:
+    """HDF5 file in memory with this content at first."""
+    access = h5py.h5p.create(h5py.h5p.FILE_ACCESS)
+    access.set_fapl_core(backing_store=False)
+    access.set_file_image(content)
+    return h5py.File(h5py.h5f.open(b"made_up", flags=h5py.h5f.ACC_RDWR, fapl=access))
+
+
+def _noise(recipe: Recipe, text: str) -> Dataset:
+    """Frames of one shard."""
+    rng, protocol = np.random.default_rng(0), Protocol.pairwise(len(recipe.sensor.electrodes))
+    size = (MADE_UP_FRAMES, len(protocol))
+    return Dataset.from_arrays(
+        500.0 + rng.normal(size=size) + 1j * rng.normal(size=size),
+        np.full(len(protocol), 500.0),
+        touch_reference=500.0 + rng.normal(size=size),
+        state=rng.integers(0, 3, MADE_UP_FRAMES),
+        bend_angle_deg=rng.uniform(-20.0, 50.0, MADE_UP_FRAMES),
+        protocol=protocol,
+        source="simulated",
+        recipe=text,
+        seed=recipe.seed,
+        design=recipe.sensor,
     )
 
 

@@ -1,0 +1,42 @@
+"""Worker processes that read shards: order, errors, Ctrl-C."""
+
+import os
+import signal
+import threading
+import time
+
+import pytest
+
+from eitskin.datasets.store.worker_processes import each_in_turn
+from eitskin.errors import PartialError
+
+pytestmark = pytest.mark.slow
+
+
+def test_results_come_in_order_and_an_error_of_a_task_is_raised():
+    assert list(each_in_turn(abs, [-3, 2, -1], 1)) == [3, 2, 1]
+    results = each_in_turn(len, ["three", "to", 5, "four"], 2)
+    assert [next(results), next(results)] == [5, 2]
+    with pytest.raises(TypeError):
+        next(results)
+    with pytest.raises(PartialError, match="fewer workers"):
+        list(each_in_turn(os._exit, [1, 1, 1], 2))
+
+
+def test_an_interrupt_ends_tasks_that_would_take_long_once_and_leaves_no_process():
+    """As Ctrl-C twice: the second interrupt does not disturb the end."""
+    before = signal.getsignal(signal.SIGINT)
+
+    def interrupt():
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.01)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    results = each_in_turn(time.sleep, [0.0, 600.0, 600.0], 2)
+    assert next(results) is None
+    threading.Timer(0.1, interrupt).start()
+    start = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        next(results)
+    assert time.monotonic() - start < 10
+    assert signal.getsignal(signal.SIGINT) is before
