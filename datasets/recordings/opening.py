@@ -5,14 +5,10 @@ from pathlib import Path
 from typing import Final
 
 from eitskin.datasets.recordings.array_files import Hdf5Source, MatSource, NpzSource
-from eitskin.datasets.recordings.row_files import (
-    CsvSource,
-    OpenEitSource,
-    ParquetSource,
-    SpreadsheetSource,
-)
 from eitskin.datasets.recordings.source import Source
-from eitskin.errors import ConfigurationError
+from eitskin.datasets.recordings.table_files import ParquetSource, SpreadsheetSource
+from eitskin.datasets.recordings.text_files import OPENEIT, CsvSource, OpenEitSource
+from eitskin.errors import ConfigurationError, DataError
 
 _HDF5_MARK: Final = b"MATLAB 7.3"
 
@@ -49,6 +45,17 @@ def _open_mat(path: Path) -> Source:
     return Hdf5Source(path) if newest else MatSource(path)
 
 
+def _open_text(path: Path) -> Source:
+    """OpenEIT's lines where there are any, else columns."""
+    try:
+        return OpenEitSource(path)
+    except DataError:
+        with path.open(encoding="utf-8") as file:
+            if any(line.lstrip().startswith(OPENEIT) for line in file):
+                raise
+        return CsvSource(path)
+
+
 _SHEETS: Final = (".xlsx", ".xlsm")
 _SOURCES: Final[Mapping[str, Callable[[Path], Source]]] = {
     ".csv": CsvSource,
@@ -60,5 +67,6 @@ _SOURCES: Final[Mapping[str, Callable[[Path], Source]]] = {
     ".npz": NpzSource,
     ".h5": Hdf5Source,
     ".hdf5": Hdf5Source,
-    ".txt": OpenEitSource,
+    ".txt": _open_text,
+    ".dat": CsvSource,
 }

@@ -77,8 +77,8 @@ class Recording:
         """Read the file once, and check all of it.
 
         Args:
-            path: .csv or .tsv with a header, .xlsx, .parquet, .mat, .npz without pickled objects,
-                .h5, or .txt with OpenEIT's "magnitudes : a , b , ..." lines.
+            path: .csv, .tsv, .dat or .txt with columns, .xlsx, .parquet, .mat, .npz without pickled
+                objects, .h5, or .txt with OpenEIT's "magnitudes : a , b , ..." lines.
             names: of the tables in the file.
             protocol: drive and sense pairs of the channels; None where unknown.
             frequency: of the excitation [Hz].

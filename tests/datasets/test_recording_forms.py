@@ -8,7 +8,7 @@ import pytest
 from scipy.io import savemat
 
 from eitskin.datasets import Recording, RecordingForm, RecordingNames, State, read_recording
-from eitskin.datasets.recordings import array_files, row_files
+from eitskin.datasets.recordings import array_files, row_source, table_files
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.geometry import SensorDesign
 from eitskin.simulator import Protocol, Status
@@ -83,7 +83,7 @@ def newest_mat_file(path):
     ],
 )
 def test_every_kind_of_file_gives_the_same_dataset(tmp_path, monkeypatch, name, write):
-    for module in (array_files, row_files):
+    for module in (array_files, row_source, table_files):
         monkeypatch.setattr(module, "BLOCK_ROWS", 2)
     write(tmp_path / name)
     names = RecordingNames("v", columns={"specimen": "who", "radius": "0.004"})
@@ -249,7 +249,7 @@ def test_lost_values_are_refused_marked_or_dropped(tmp_path):
     ("lines", "names", "error", "message"),
     [
         (["v0,v1,v3", "1,2,3"], {}, DataError, "after v1 comes v3"),
-        (["1,2", "3,4"], {}, DataError, "header such as v0,v1,v2"),
+        (["1,2", "3,4"], {}, ConfigurationError, "holds c .*no header"),
         (["v0,v0", "3,4"], {}, DataError, "'v0' more than once"),
         (["Volt0,Volt1", "3,4"], {"values": "volt"}, ConfigurationError, "did you mean 'Volt'"),
         (["v0,F", "3,4"], {"columns": {"forse": "F"}}, ConfigurationError, "mean 'force'"),
@@ -264,6 +264,21 @@ def test_files_that_do_not_fit_their_names_are_refused(tmp_path, lines, names, e
     (tmp_path / "a.csv").write_text("\n".join(lines))
     with pytest.raises(error, match=message):
         read_recording(tmp_path / "a.csv", RecordingNames(**names))
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["% by a robot\n1 2 3  .1\n4 5 6  .2 \n", "# v0,v1,v2,t\n1,2,3,.1\n4,5,6,.2\n"],
+)
+def test_files_without_a_header_have_numbered_columns_or_those_of_a_comment(tmp_path, text):
+    (tmp_path / "a.txt").write_text(text)
+    first = "c" if text[0] == "%" else "v"
+    columns = {"t": "c:3"} if first == "c" else {}
+    data = read_recording(
+        tmp_path / "a.txt", RecordingNames(f"{first}0..{first}2", columns=columns)
+    )
+    assert data.impedance.tolist() == [[1, 2, 3], [4, 5, 6]]
+    assert data.time.tolist() == [0.1, 0.2]
 
 
 def test_columns_from_one_to_another_are_the_values(tmp_path):

@@ -125,7 +125,7 @@ def test_openeit_lines_among_others(tmp_path):
         ("a.csv", "v0,force\n1,much\n", "'force'"),
         ("a.csv", "v0,x\n1,0.1\n", r"touch_x.*touch_y"),
         ("a.csv", "v0,v1,x,y\n1,2,15,30\n1,2,135,\n", r"metres.*10 m.*15 to 135"),
-        ("a.txt", "nothing here\n", "'magnitudes :'"),
+        ("a.txt", "nothing\n", "header and at least one row"),
         ("a.txt", "magnitudes : 1, 2\nmagnitudes : 1\n", "line 2: expected 2 values"),
         ("a.txt", "magnitudes : 1, oops\n", "line 1"),
         ("a.mat", "MATLAB? no\n", "not a MATLAB file"),
