@@ -58,6 +58,10 @@ class Element(Protocol):
         """Points (3, q) and weights (q,), cell by cell, for products of gradients."""
         ...
 
+    def full_rule(self) -> tuple[Array, Array]:
+        """Points and weights that leave no product of gradients out in the plane."""
+        ...
+
 
 def plane_element(base: Base, order: int) -> skfem.Element:
     """Element of polynomial `order` on the unit square or triangle; raises ConfigurationError."""
@@ -208,18 +212,24 @@ class ExtrudedElement:
     def rule(self) -> tuple[Array, Array]:
         """Gauss points (3, q) and weights (q,), cell by cell upwards.
 
-        Upwards there are as many heights as the degree, one less than exactness needs. Reduced
-        integration loses no rank, since it is exact in the plane, and halves to thirds the error of
-        a sheared layer, where full integration is too stiff (Zienkiewicz, Taylor and Too 1971).
+        Along each axis there are as many as the degree, one less than exactness needs, which keeps
+        the order of convergence (Ciarlet 1978) and halves the points. Upwards it halves to thirds
+        the error of a sheared layer, where full integration is too stiff (Zienkiewicz, Taylor and
+        Too 1971). In the plane of squares one function per degree of the height then has no energy;
+        `Assembly` gives it some, by `full_rule`.
         """
-        heights = len(self.order)
-        return self._gauss(2 * max(self.order), heights - 1 if heights > 2 else heights)
+        return self._gauss(2 * max(self.order) - (self.base == "quadrilateral"))
 
-    def _gauss(self, degree: int, heights: int) -> tuple[Array, Array]:
-        """Gauss points and weights for `degree` in the plane and `heights` heights per cell."""
+    def full_rule(self) -> tuple[Array, Array]:
+        """Gauss points (3, q) and weights (q,), exact in the plane and as in `rule` upwards."""
+        return self._gauss(2 * max(self.order))
+
+    def _gauss(self, degree: int) -> tuple[Array, Array]:
+        """Gauss points and weights for `degree` in the plane, in each cell upwards."""
         shape = skfem.refdom.RefTri if self.base == "triangle" else skfem.refdom.RefQuad
         plane, plane_weights = skfem.quadrature.get_quadrature(shape, degree)
-        nodes, weights = legendre.leggauss(heights)
+        heights = len(self.order)
+        nodes, weights = legendre.leggauss(heights - 1 if heights > 2 else heights)
         points, shares = [], []
         for low, high in zip(self.heights, self.heights[1:], strict=False):
             z = low + 0.5 * (nodes + 1.0) * (high - low)
@@ -299,3 +309,7 @@ class TetrahedralElement:
         """Points (3, q) and weights (q,), exact for products of two functions."""
         points, weights = skfem.quadrature.get_quadrature(skfem.refdom.RefTet, 2 * self.order)
         return points, weights
+
+    def full_rule(self) -> tuple[Array, Array]:
+        """Points (3, q) and weights (q,) of `rule`."""
+        return self.rule()

@@ -42,6 +42,7 @@ class FunctionSpace:
         inverses: dX/dx, (elements, 3, 3).
         jacobians: |det dx/dX|, (elements,).
         rule: quadrature of products of two functions' gradients.
+        full_rule: the same, without reduction in the plane.
     """
 
     def __init__(self, mesh: Mesh, order: tuple[int, ...]) -> None:
@@ -51,6 +52,7 @@ class FunctionSpace:
         else:
             self._columns(mesh, mesh.heights, order)
         self.rule = self._rule(*self.element.rule())
+        self.full_rule = self._rule(*self.element.full_rule())
 
     def _tetrahedra(self, mesh: Mesh, order: tuple[int, ...]) -> None:
         if len(order) != 1:

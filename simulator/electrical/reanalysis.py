@@ -33,6 +33,7 @@ TOLERANCE: Tolerance = 3e-5
 EXACT: Tolerance = 0.0
 """Tolerance of scenes that are each solved by itself, without reanalysis."""
 _MOST = 8  # corrections, before a scene is solved by itself
+_FALLS = 0.25  # ratio of two changes of the impedances in turn, of corrections that converge
 _ROUNDING = 1e-13  # change of the impedances, over the impedances, that is none
 _DEPENDENT = 1e-12  # eigenvalue, over the largest, below which vectors are linearly dependent
 
@@ -85,11 +86,12 @@ class Reanalysis:
         for Z in self._approximations(system):
             if last is not None:
                 before, change = change, float(np.linalg.norm(Z - last))
-                # Changes fall geometrically, and so do the errors that remain.
-                remaining = change * min(change / before, 1.0) if before < np.inf else change
-                if remaining <= tolerance * np.linalg.norm(Z - self.base):
-                    return Z
                 if change <= _ROUNDING * np.linalg.norm(Z):
+                    return Z
+                # Changes that fall geometrically leave errors that do; others tell nothing.
+                falls = change / before
+                wanted = tolerance * np.linalg.norm(Z - self.base)
+                if 0.0 < falls < _FALLS and falls * change <= wanted:
                     return Z
             last = Z
         self._model.factorisations += 1

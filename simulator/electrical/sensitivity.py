@@ -32,9 +32,10 @@ def pixel_gram(
     """Integrals of grad u_k . S grad u_l over pixel columns, (rows * columns, k, k).
 
     Pixels divide the outline's bounding box, and a pixel column has the height of the body. On
-    boxes, every overlap of a cell and a pixel is integrated by itself, exactly; on other cells a
-    pixel owns the quadrature points within it. Prisms larger than a pixel are divided for that into
-    triangles of half a pixel's side, so that every pixel on the outline owns points.
+    boxes, every overlap of a cell and a pixel is integrated by itself, exactly, and has its share
+    of the energy that the cell's matrix leaves out; on other cells a pixel owns the quadrature
+    points within it. Prisms larger than a pixel are divided for that into triangles of half a
+    pixel's side, so that every pixel on the outline owns points.
 
     Args:
         assembly: of the mesh.
@@ -148,6 +149,11 @@ def _boxes_gram(
     x_nodes, x_weights, x_cell, x_pixel = _overlaps(x, x_edges, order)
     y_nodes, y_weights, y_cell, y_pixel = _overlaps(y, y_edges, order)
     z_nodes, z_weights = (part.ravel() for part in _overlaps(z, z[[0, -1]], order)[:2])
+    x_shares, y_shares = (
+        weights.sum(axis=1, keepdims=True) / np.diff(faces)[cell][:, None]
+        for weights, faces, cell in ((x_weights, x, x_cell), (y_weights, y, y_cell))
+    )
+    unseen = _unseen(assembly, potentials, along)
     count, columns = potentials.shape[-1], len(x_edges) - 1
     total = np.zeros((columns * (len(y_edges) - 1), count, count), dtype=potentials.dtype)
     # A few overlaps along x at a time bound the memory.
@@ -164,6 +170,8 @@ def _boxes_gram(
         fluxes = weights[:, None, ..., None] * fluxes
         flat = (len(plane), -1, count)
         products = gradients.reshape(flat).swapaxes(1, 2) @ fluxes.reshape(flat)
+        shares = _pairs(x_shares[part], y_shares).prod(axis=-1)
+        products -= shares[..., None] * unseen[elements]
         np.add.at(total, (y_pixel * columns + x_pixel[part, None]).ravel(), products)
     return total
 
@@ -173,6 +181,17 @@ def _along(along: Tensors, gradients: Numbers, plane: Array, heights: Array) -> 
     points = np.empty((*gradients.shape[:1], *gradients.shape[2:4], 3))
     points[..., :2], points[..., 2] = plane[:, :, None], heights
     return np.moveaxis(along(points) @ np.moveaxis(gradients, 1, 3), 3, 1)
+
+
+def _unseen(assembly: Assembly, potentials: Numbers, along: Tensors | None) -> Numbers:
+    """Energy products that the matrices of columns of cells leave out, (elements, k, k)."""
+    tensors = None
+    if along is not None:
+        weights = assembly.cell_weights[..., None, None]
+        tensors = (weights * along(assembly.points)).sum(axis=1) / weights.sum(axis=1)
+    unseen = assembly.unseen_gram(potentials, tensors)
+    by_cell = unseen.reshape(-1, assembly.space.element.cells, *unseen.shape[1:])
+    return np.asarray(by_cell.sum(axis=1))
 
 
 def _pairs(x: Array, y: Array) -> Array:

@@ -25,11 +25,19 @@ def whole_matrices(model, sigma):
     space, element, outer = assembly.space, assembly.space.element, assembly.unknowns
     inner = outer + np.arange(len(space.numbers) * element.inner).reshape(len(space.numbers), -1)
     numbers = np.concatenate([space.numbers, inner], axis=1)
-    X, weights = element.rule()
-    shape = np.einsum("iaq,cab->cqib", element.gradients(X), space.inverses)
-    points = assembly.points.reshape(len(numbers), -1, 3)
-    scale = sigma(points) * weights * space.jacobians[:, None]
-    cells = np.einsum("cq,cqib,cqjb->cij", scale, shape, shape, optimize=True)
+
+    def summed(rule, scale):
+        shape = np.einsum("iaq,cab->cqib", element.gradients(rule.X), space.inverses)
+        scale = scale * rule.weights * space.jacobians[:, None]
+        return np.einsum("cq,cqib,cqjb->cij", scale, shape, shape, optimize=True)
+
+    # A tenth of the energy between the reduced points, for the mean in each of the cells.
+    found = sigma(assembly.points)
+    means = np.average(found, axis=1, weights=space.rule.weights.reshape(element.cells, -1)[0])
+    cells = summed(space.rule, found.reshape(len(numbers), -1))
+    for rule, sign in ((space.full_rule, 0.1), (space.rule, -0.1)):
+        each = np.repeat(means, rule.points.shape[1]).reshape(len(numbers), -1)
+        cells += sign * summed(rule, each)
     K = np.zeros((numbers.max() + 1,) * 2)
     np.add.at(K, (numbers[:, :, None], numbers[:, None, :]), cells)
     return K, assembly
