@@ -2,10 +2,12 @@
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import combinations
 from typing import Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.kinematics import Deformation
@@ -26,17 +28,18 @@ from eitskin.simulator.presses.correction_store import (
 )
 from eitskin.simulator.presses.press_store import press_table
 from eitskin.simulator.presses.smooth_field import SmoothField
-from eitskin.simulator.presses.smooth_sum import SmoothSum
 from eitskin.simulator.presses.solved_press import (
     Press,
     SolvedField,
     contact_frame,
     solved_presses,
 )
+from eitskin.simulator.presses.spline_field import spline_sum
 from eitskin.simulator.presses.tabulated_dent import TabulatedDent
 from eitskin.simulator.presses.turned_field import TurnedField
 from eitskin.simulator.scene.touch import Touch
 
+Array = NDArray[np.float64]
 TouchModel = Literal["tabulated", "solved"]
 
 # Distances of the axis from the gel's edge and from another touch, below which signals are more
@@ -50,6 +53,7 @@ _THEN = (
     "pressed and bent, rolled or twisted then, which was not compared; a sensor on a support "
     "'plates' that its clamp bends, without roll and twist, is pressed as one problem"
 )
+_NODES, _FEWEST = 0.18, 12  # of splines for corrections, over the thickness of the stack
 _MOST_SEARCHED = 10  # dents that are tried for touches to a given depth
 
 
@@ -203,7 +207,7 @@ def _corrected(
                 smooth.append(sides)
                 sunk[k] += deeper
                 sunk[j] += deeper
-        fields.append(SmoothSum(tuple(smooth)))
+        fields.append(spline_sum(smooth, _nodes(design)))
     elif felt:
         presses = tuple(_press(t, dent) for _, t, dent in felt)
         solved = solved_presses(design, mechanics, presses, bent)
@@ -271,6 +275,17 @@ def pressed_touches(
         _described(one, below, touches, design, error)
         for one, below in zip(world.pressed, world.sunk, strict=True)
     )
+
+
+@lru_cache(maxsize=64)
+def _nodes(design: SensorDesign) -> tuple[Array, Array]:
+    """Nodes of splines for corrections along x and y [m], denser towards the long sides."""
+    size, outline = _NODES * design.encapsulated_thickness, design.outline
+    along, across = (
+        max(_FEWEST, math.ceil(extent / size)) for extent in (outline.length, outline.width)
+    )
+    turned = 0.5 * (1.0 - np.cos(np.linspace(0.0, math.pi, across + 1)))
+    return np.linspace(0.0, outline.length, along + 1), outline.width * turned
 
 
 def _described(

@@ -65,6 +65,12 @@ class CubicSplines:
         return first, np.stack(values, axis=-1), np.stack(slopes, axis=-1)
 
 
+@lru_cache(maxsize=64)
+def cubic_splines(nodes: tuple[float, ...]) -> CubicSplines:
+    """Splines on nodes, made once."""
+    return CubicSplines(np.array(nodes))
+
+
 def spline_weights(nodes: Array, at: float) -> Array:
     """Weights of the values at nodes in their cubic spline at one position, (n,)."""
     return np.array(_cardinal_splines(tuple(nodes.tolist()))(at))

@@ -7,7 +7,7 @@ from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from eitskin.errors import PartialError
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.support import Support
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress, Indentation
-from eitskin.simulator.mechanics.cubic_splines import spline_weights
+from eitskin.simulator.mechanics.cubic_splines import CubicSplines, spline_weights
 from eitskin.simulator.mechanics.layer_stack import Mechanics, Stack
 from eitskin.simulator.presses.dent_field import DentField
 from eitskin.simulator.presses.finite_stack import Correction, FiniteStack
@@ -129,17 +129,33 @@ class CorrectionTable(StripTable):
         for far in (False, True):
             distance = length - x if far else x
             if distance < self.along[-1]:
-                near = spline_weights(self.along, distance)[:-1]
+                splines, ends, sunk_more = _along(self)
+                (first,), (near,), _ = splines.functions(np.array([distance]))
+                felt = slice(first, first + len(near))
                 weights = near[:, None, None] * (across[:, None, :, None] * deep)
-                end = self._field(self._box(0.0, _ENDS * H), weights, self.ends, 0.0)
+                end = self._field(self._box(0.0, _ENDS * H), weights, ends[felt], 0.0)
                 fields.append(end.mirrored(0, 0.5 * length) if far else end)
-                sunk += float((weights.sum(axis=0) * self.sunk_more).sum())
+                sunk += float((weights.sum(axis=0) * sunk_more[felt]).sum())
         return fields, sunk
 
     def covers(self, x: float, y: float) -> bool:
         """Whether (x, y) is among the solved positions, at which the contact is on the stack."""
         x, y = min(x, float(self.length) - x), min(y, float(self.width) - y)
         return bool(x >= self.along[0] - _SAME and y >= self.aside[0] - _SAME)
+
+
+@lru_cache(maxsize=16)
+def _along(table: CorrectionTable) -> tuple[CubicSplines, Array, Array]:
+    """Splines over the distance from an end, and coefficients of `ends` and of `sunk_more`.
+
+    Four splines do not vanish at a distance, so that less than half of a table is read.
+    """
+    splines = CubicSplines(table.along)
+    fit = splines.fit[:, :-1]  # the last distance has no difference
+    ends, sunk = (
+        np.tensordot(fit.astype(each.dtype), each, (1, 0)) for each in (table.ends, table.sunk_more)
+    )
+    return splines, ends, sunk
 
 
 Report = Callable[[int, int], None]

@@ -1,16 +1,20 @@
 """Spline fields on a box: cubic splines in the plane, Legendre polynomials over the height."""
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
-from eitskin.simulator.mechanics.cubic_splines import CubicSplines, in_plane
-from eitskin.simulator.presses.smooth_field import Box
+from eitskin.compiled import compiled
+from eitskin.simulator.mechanics.cubic_splines import CubicSplines, cubic_splines, in_plane
+from eitskin.simulator.presses.smooth_field import Box, SmoothField
 
 Array = NDArray[np.float64]
+
+_UPRIGHT = 4  # polynomials over the height, at most in all tables
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,7 +41,7 @@ class SplineField:
         levels = legendre.leggauss(degree + 1)[0]
         z = 0.5 * height * (levels + 1.0)
         values = field(np.stack(np.meshgrid(*nodes, z, indexing="ij"), axis=-1))
-        along, across = (CubicSplines(each).fit for each in nodes)
+        along, across = (cubic_splines(tuple(each.tolist())).fit for each in nodes)
         upright = np.linalg.inv(legendre.legvander(levels, degree))
         fitted = np.einsum("ai,bj,cl,ijlk->abck", along, across, upright, values, optimize=True)
         return cls(nodes, height, np.ascontiguousarray(fitted))
@@ -52,7 +56,7 @@ class SplineField:
     def splines(self) -> tuple[CubicSplines, CubicSplines]:
         """Splines along x and along y."""
         along, across = self.nodes
-        return CubicSplines(along), CubicSplines(across)
+        return cubic_splines(tuple(along.tolist())), cubic_splines(tuple(across.tolist()))
 
     def values(self, columns: Array) -> Array:
         """All components (k, h, n) at columns of points (n, h, 3) [m]."""
@@ -61,6 +65,9 @@ class SplineField:
 
     def moved(self, columns: Array) -> Array:
         """First three components and their derivatives by x, y, z, (12, h, n)."""
+        found = self.in_frame((0.0, 0.0, 1.0, 0.0), (math.inf, math.inf), self._inside(columns))
+        if found is not None:
+            return found
         sums = self._in_plane(columns)[..., :3]
         heights, rates = self.over_height(columns[..., 2])
         found = np.empty((4, 3, columns.shape[1], len(columns)))
@@ -70,10 +77,43 @@ class SplineField:
         gradient = found[1:].swapaxes(0, 1).reshape(9, *found.shape[2:])
         return np.concatenate([found[0], gradient])
 
+    def in_frame(
+        self, frame: tuple[float, float, float, float], half: tuple[float, float], columns: Array
+    ) -> Array | None:
+        """First three components and their derivatives, (12, h, n), of the field in a frame.
+
+        By compiled kernels; None without, where heights differ, and for higher polynomials.
+
+        Args:
+            frame: x, y [m], cosine and sine of the angle from the x axis to the frame's.
+            half: half the length and width beyond which the field is left out [m].
+            columns: of points (n, h, 3) [m].
+        """
+        kernels = compiled("eitskin.simulator.presses.spline_field_kernels")
+        nx, ny, nz, _ = self.coefficients.shape
+        even = bool((columns[..., 2] == columns[:1, :, 2]).all())
+        if kernels is None or not even or nz > _UPRIGHT:
+            return None
+        cubic = np.zeros((nx, ny, _UPRIGHT, 3))
+        cubic[:, :, :nz] = self.coefficients[..., :3]
+        upright = np.zeros((2, columns.shape[1], _UPRIGHT))
+        for each, given in zip(upright, self.over_height(columns[:1, :, 2].ravel()), strict=True):
+            each[:, :nz] = given
+        found = np.zeros((12, columns.shape[1], len(columns)))
+        knots = (axis.knots for axis in self.splines)
+        places = columns[:, 0, :2].T.copy()
+        kernels.move(frame, half, *knots, cubic.reshape(nx, ny, -1), *upright, *places, found)
+        return found
+
+    def _inside(self, columns: Array) -> Array:
+        """Columns moved onto the box along x and y."""
+        (x, x_end), (y, y_end) = ((each[0], each[-1]) for each in self.nodes)
+        low, high = np.array([x, y, -math.inf]), np.array([x_end, y_end, math.inf])
+        return np.asarray(np.clip(columns, low, high))
+
     def _in_plane(self, columns: Array) -> Array:
         """Polynomials over the height, and their slopes by x and y, (n, 3, nz, k)."""
-        ends = np.array([(nodes[0], nodes[-1]) for nodes in self.nodes])
-        points = np.clip(columns[:, 0, :2], ends[:, 0], ends[:, 1])
+        points = self._inside(columns[:, :1])[:, 0, :2]
         shape = self.coefficients.shape
         flat = self.coefficients.reshape(*shape[:2], -1)
         return in_plane(self.splines, flat, points).reshape(len(points), 3, *shape[2:])
@@ -86,3 +126,27 @@ class SplineField:
         slope = legendre.legder(np.eye(degree + 1))
         rates: Array = values[..., : len(slope)] @ slope * (2.0 / self.height)
         return values, rates
+
+
+def spline_sum(fields: Iterable[SmoothField], nodes: tuple[Array, Array]) -> SplineField:
+    """Sum of polynomial fields whose boxes have the same sides along y and z, as splines.
+
+    One evaluation serves all fields, at points that need not lie on a grid.
+
+    Args:
+        fields: one or more.
+        nodes: of the splines along x and along y, (nx,) and (ny,) [m].
+    """
+    along, across = (cubic_splines(tuple(each.tolist())).fit for each in nodes)
+    fields = list(fields)
+    ny, nz, k = (max(field.coefficients.shape[axis] for field in fields) for axis in (1, 2, 3))
+    lines = np.zeros((len(nodes[0]), ny, nz, k))
+    for field in fields:
+        nx, *shape = field.coefficients.shape
+        values = field.basis(0, nodes[0]).values @ field.coefficients.reshape(nx, -1)
+        lines[:, : shape[0], : shape[1]] += values.reshape(-1, *shape)
+    widest = max(fields, key=lambda field: field.coefficients.shape[1])
+    fitted = (along @ lines.reshape(len(lines), -1)).reshape(len(along), ny, -1)
+    coefficients = (across @ widest.basis(1, nodes[1]).values) @ fitted
+    height = fields[0].box.high[2]
+    return SplineField(nodes, height, coefficients.reshape(len(along), len(across), nz, k))

@@ -84,10 +84,10 @@ def _at_heights(dent: TabulatedDent, heights: tuple[float, ...]) -> PPoly:
     """Splines over r of u, w and their derivatives along z and r at heights, (6 h,)."""
     P = dent.over_height(np.array(heights))
     c = dent.profile.c[..., :2]
-    values = [np.einsum("pkmf,hm->pkfh", c, Q, optimize=True) for Q in (P, dent.derivatives(P))]
-    outward = np.zeros_like(values[0])
-    outward[1:] = values[0][:-1] * np.array([3.0, 2.0, 1.0])[:, None, None, None]
-    splines = np.concatenate([*values, outward], axis=2)
-    return PPoly.construct_fast(
-        np.ascontiguousarray(splines.reshape(*splines.shape[:2], -1)), dent.profile.x
-    )
+    both = np.concatenate([P, dent.derivatives(P)]).T
+    splines = np.zeros((*c.shape[:2], 6, len(P)))
+    for k in range(2):
+        values = c[..., k] @ both
+        splines[:, :, k], splines[:, :, 2 + k] = values[..., : len(P)], values[..., len(P) :]
+    splines[1:, :, 4:] = splines[:-1, :, :2] * np.array([3.0, 2.0, 1.0])[:, None, None, None]
+    return PPoly.construct_fast(splines.reshape(*splines.shape[:2], -1), dent.profile.x)

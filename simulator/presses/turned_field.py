@@ -5,12 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.compiled import compiled
 from eitskin.simulator.presses.spline_field import SplineField
 
 Array = NDArray[np.float64]
-
-_QUADRATIC = 3  # polynomials over the height, as in all tables
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,22 +34,12 @@ class TurnedField:
 
     def moved(self, columns: Array) -> Array:
         """Displacements and their derivatives by x, y, z, (12, h, n)."""
+        length, width, _ = self.field.box.high
+        turn = (float(self.x), float(self.y), float(self.cos), float(self.sin))
+        compiled = self.field.in_frame(turn, (length, width), columns)
+        if compiled is not None:
+            return compiled
         found = np.zeros((12, columns.shape[1], len(columns)))
-        kernels = compiled("eitskin.simulator.presses.turned_kernels")
-        even = (columns[..., 2] == columns[:1, :, 2]).all()
-        nx, ny, nz, _ = self.field.coefficients.shape
-        if kernels is not None and even and nz == _QUADRATIC:
-            field, (length, width, _) = self.field, self.field.box.high
-            kernels.move(
-                (float(self.x), float(self.y), float(self.cos), float(self.sin)),
-                (length, width),
-                *(axis.knots for axis in field.splines),
-                field.coefficients[..., :3].reshape(nx, ny, 9).astype(np.float64),
-                *map(np.ascontiguousarray, field.over_height(columns[:1, :, 2].ravel())),
-                *columns[:, 0, :2].T.copy(),
-                found,
-            )
-            return found
         near = self._near(columns)
         if not near.any():
             return found

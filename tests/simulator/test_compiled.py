@@ -12,7 +12,7 @@ from eitskin.geometry.deformation.kinematics import Composed, Displaced
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import Scene, Simulator, Touch
 from eitskin.simulator.presses.smooth_field import Box, SmoothField
-from eitskin.simulator.presses.smooth_sum import SmoothSum
+from eitskin.simulator.presses.spline_field import spline_sum
 
 KERNELS = "eitskin.geometry.deformation.tensor_kernels"
 if compiled.loaded(KERNELS) is None:
@@ -81,23 +81,33 @@ def test_deformations_inside_out_are_refused_by_both() -> None:
             call(kinematics.pulled_back_entries, F)
 
 
-def test_fields_on_a_grid_are_summed_as_one_by_one() -> None:
-    rng = np.random.default_rng(1)
+def test_fields_are_summed_as_splines() -> None:
+    """Four cells of a box a thickness high leave little, and half the size a sixteenth of that."""
     boxes = [Box((0.0, 0.0, 0.0), (0.1, 0.06, 0.005)), Box((-0.03, 0.0, 0.0), (0.09, 0.06, 0.005))]
+    rng = np.random.default_rng(1)
     fields = (
         SmoothField(boxes[0], rng.normal(size=(5, 4, 3, 4))),
-        SmoothField(boxes[1], rng.normal(size=(7, 6, 2, 4)), 2.0),
+        SmoothField(boxes[1], rng.normal(size=(7, 6, 2, 4)), 1.0),
     )
-    x, y = np.meshgrid(np.linspace(-0.02, 0.12, 9), np.linspace(0.001, 0.059, 5), indexing="ij")
     columns = np.empty((45, 3, 3))
-    columns[..., 0], columns[..., 1] = x.reshape(-1, 1), y.reshape(-1, 1)
+    columns[..., 0] = rng.uniform(0.0, 0.09, (45, 1))
+    columns[..., 1] = rng.uniform(0.0, 0.06, (45, 1))
     columns[..., 2] = (0.001, 0.002, 0.0045)
-    rng.shuffle(columns)
-    scattered = columns.copy()
-    scattered[..., :2] += rng.uniform(0.0, 1e-3, (45, 1, 2))
-    for some in (columns, scattered, columns + rng.uniform(0.0, 1e-4, columns.shape)):
-        one_by_one = sum(field.moved(some) for field in fields)
-        assert SmoothSum(fields).moved(some) == pytest.approx(one_by_one, rel=1e-11, abs=1e-9)
+    one_by_one = sum(field.moved(columns) for field in fields)
+    parts, errors = (slice(3), slice(3, 12)), []
+    scale = np.array([np.abs(one_by_one[part]).max() for part in parts])
+    for cells in (20, 40):
+        nodes = np.linspace(0.0, 0.09, cells + 1), np.linspace(0.0, 0.06, cells + 1)
+        total = spline_sum(fields, nodes)
+        plain, found = total.moved(columns), with_kernels(total.moved, columns)
+        assert found == pytest.approx(plain, rel=1e-11, abs=1e-9)
+        # Third order for the slopes, fourth for the field.
+        errors.append([np.abs(plain[part] - one_by_one[part]).max() for part in parts] / scale)
+    coarse, fine = np.array(errors)
+    assert (coarse / fine > (12.0, 6.0)).all()
+    assert (
+        fine < 1e-3 * np.array([np.abs(one_by_one[k]).max() for k in (slice(3), slice(3, 12))])
+    ).all()
 
 
 def test_without_numba_there_are_no_kernels(monkeypatch) -> None:

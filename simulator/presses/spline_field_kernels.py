@@ -1,4 +1,4 @@
-"""Compiled sums of turned spline fields over columns; the plain twin is in `turned_field`."""
+"""Compiled spline fields at columns of points; plain twins: `spline_field`, `turned_field`."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,13 +31,13 @@ def move(
         frame: x, y [m], cosine and sine of the angle of the field's frame.
         half: half the length and width of the field's box [m].
         tx, ty: knots of the splines.
-        coefficients: of three polynomials over the height of the displacement, (nx, ny, 9).
-        heights, rates: polynomials at the heights of the columns, and their derivatives, (h, 3).
+        coefficients: of four polynomials over the height of the displacement, (nx, ny, 12).
+        heights, rates: polynomials at the heights of the columns, and their derivatives, (h, 4).
         x, y: of the columns, (n,) [m].
         moved: zeros.
     """
     a, da, b, db = np.empty(4), np.empty(4), np.empty(4), np.empty(4)
-    sums, slope, u = np.empty((3, 9)), np.empty((3, 3)), np.empty(3)
+    sums, slope, u = np.empty((3, 12)), np.empty((3, 3)), np.empty(3)
     ox, oy, c, s = frame
     i, j = 3, 3
     for n in range(len(x)):
@@ -50,7 +50,7 @@ def move(
         sums[:] = 0.0
         for p in range(4):
             row = coefficients[i - 3 + p, j - 3 : j + 1]
-            for m in range(9):  # a fixed number of turns takes half the time of any number
+            for m in range(12):  # a fixed number of turns takes half the time of any number
                 c0, c1, c2, c3 = row[0, m], row[1, m], row[2, m], row[3, m]
                 value = b[0] * c0 + b[1] * c1 + b[2] * c2 + b[3] * c3
                 by_y = db[0] * c0 + db[1] * c1 + db[2] * c2 + db[3] * c3
@@ -58,13 +58,14 @@ def move(
                 sums[1, m] += da[p] * value
                 sums[2, m] += a[p] * by_y
         for level in range(len(heights)):
-            p0, p1, p2 = heights[level]
-            r0, r1, r2 = rates[level]
+            up, rate = heights[level], rates[level]
             for k in range(3):
-                u[k] = p0 * sums[0, k] + p1 * sums[0, 3 + k] + p2 * sums[0, 6 + k]
-                slope[k, 0] = p0 * sums[1, k] + p1 * sums[1, 3 + k] + p2 * sums[1, 6 + k]
-                slope[k, 1] = p0 * sums[2, k] + p1 * sums[2, 3 + k] + p2 * sums[2, 6 + k]
-                slope[k, 2] = r0 * sums[0, k] + r1 * sums[0, 3 + k] + r2 * sums[0, 6 + k]
+                u[k] = slope[k, 0] = slope[k, 1] = slope[k, 2] = 0.0
+                for m in range(4):
+                    u[k] += up[m] * sums[0, 3 * m + k]
+                    slope[k, 0] += up[m] * sums[1, 3 * m + k]
+                    slope[k, 1] += up[m] * sums[2, 3 * m + k]
+                    slope[k, 2] += rate[m] * sums[0, 3 * m + k]
             moved[0, level, n] = c * u[0] - s * u[1]
             moved[1, level, n] = s * u[0] + c * u[1]
             moved[2, level, n] = u[2]
