@@ -10,7 +10,7 @@ from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from eitskin.errors import ConfigurationError
 from eitskin.simulator.bends.bend_3d import BentStack, ClampedStack
-from eitskin.simulator.bends.bent_layer import BentLayer, Nodes
+from eitskin.simulator.bends.bent_layer import BentLayer, Nodes, spline_coefficients
 from eitskin.simulator.mechanics.load_stepping import SolidError
 
 Array = NDArray[np.float64]
@@ -80,6 +80,11 @@ class BendTable:
                     raise
         return _tabulated([found[angle] for angle in sorted(found)], stack)
 
+    @property
+    def nodes(self) -> Nodes:
+        """Nodes of a quarter of the gel."""
+        return Nodes(self.x, self.y, self.z, float(self.thickness))
+
     def check(self, angle_deg: float) -> None:
         """Raise ConfigurationError for an angle outside the table [deg]."""
         first, last = self.angles_deg[[0, -1]]
@@ -98,7 +103,7 @@ class BendTable:
         self.check(angle_deg)
         over_angle, energy = _over_angle(self)
         return BentLayer(
-            Nodes(self.x, self.y, self.z, float(self.thickness)),
+            self.nodes,
             over_angle(angle_deg),
             self.centre,
             float(angle_deg),
@@ -109,9 +114,13 @@ class BendTable:
 
 @lru_cache(maxsize=64)
 def _over_angle(table: BendTable) -> tuple[CubicSpline, CubicHermiteSpline]:
-    """Splines of displacements [m] and energy [J] over the angle [deg]; moments are its slopes."""
+    """Splines of `spline_coefficients` [m] and energy [J] over the angle [deg].
+
+    Moments are the slopes of the energy.
+    """
+    coefficients = [spline_coefficients(table.nodes, values) for values in table.values]
     return (
-        CubicSpline(table.angles_deg, table.values),
+        CubicSpline(table.angles_deg, np.stack(coefficients)),
         CubicHermiteSpline(table.angles_deg, table.energies, np.radians(table.moments)),
     )
 

@@ -52,17 +52,17 @@ class BentLayer:
     def __init__(
         self,
         nodes: Nodes,
-        values: Array,
+        coefficients: Array,
         centre: Array,
         angle_deg: float,
         energy: float,
         moment: float,
     ) -> None:
-        """Fit the splines.
+        """Keep the splines.
 
         Args:
             nodes: of a quarter of the layer.
-            values: displacements of the nodes [m], (nx, ny, nz, 3).
+            coefficients: `spline_coefficients` of the displacements at the nodes.
             centre: middle of the layer [m], (3,).
             angle_deg, energy, moment: see the attributes.
         """
@@ -70,16 +70,6 @@ class BentLayer:
         self._centre, self._thickness = centre, nodes.thickness
         self._ends = np.array([nodes.x[-1], nodes.y[-1], nodes.z[-1]])
         self._x, self._y = _axis(tuple(nodes.x)), _axis(tuple(nodes.y))
-        upright = np.linalg.inv(np.vander(nodes.z / self._ends[2], increasing=True))
-        polynomials = np.moveaxis(values, 3, 0) @ upright.T
-        fits = [
-            np.tensordot(
-                np.tensordot(self._x.fit[odd_x], part, (1, 0)), self._y.fit[odd_y], (1, 1)
-            ).swapaxes(1, 2)
-            # u_x is odd and the others are even along x; likewise u_y along y.
-            for part, odd_x, odd_y in zip(polynomials, (1, 0, 0), (0, 1, 0), strict=True)
-        ]
-        coefficients = np.stack(fits, axis=-1)
         self._shape = coefficients.shape
         self._coefficients = coefficients.reshape(*self._shape[:2], -1)
 
@@ -152,6 +142,22 @@ class BentLayer:
         slopes = np.zeros_like(powers)
         slopes[:, 1:] = powers[:, :-1] * np.arange(1, self._shape[2]) / self._ends[2]
         return powers, slopes
+
+
+def spline_coefficients(nodes: Nodes, values: Array) -> Array:
+    """Coefficients of splines and powers of the scaled height, (splines, splines, nz, 3) [m].
+
+    Linear in the displacements of the nodes of a quarter [m], `values` (nx, ny, nz, 3).
+    """
+    upright = np.linalg.inv(np.vander(nodes.z / nodes.z[-1], increasing=True))
+    polynomials = np.moveaxis(values, 3, 0) @ upright.T
+    along, across = _axis(tuple(nodes.x)).fit, _axis(tuple(nodes.y)).fit
+    fits = [
+        np.tensordot(np.tensordot(along[odd_x], part, (1, 0)), across[odd_y], (1, 1))
+        # u_x is odd and the others are even along x; likewise u_y along y.
+        for part, odd_x, odd_y in zip(polynomials, (1, 0, 0), (0, 1, 0), strict=True)
+    ]
+    return np.ascontiguousarray(np.stack(fits, axis=-1).swapaxes(1, 2))
 
 
 class _Axis:

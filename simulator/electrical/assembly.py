@@ -57,14 +57,21 @@ class ElectrodeTerms:
     """Electrode terms of one scene, complex where a contact impedance is complex.
 
     Attributes:
-        values: int 1/z phi_i phi_j, one per entry of `Assembly.rows` after those of the stiffness.
+        matrices: int 1/z phi_i phi_j of each piece, (pieces, functions, functions) [S].
         coupling: B, int_{E_l} phi_i / z_l, (unknowns, electrodes) [S].
         admittance: diagonal of D, int_{E_l} 1 / z_l, (electrodes,) [S].
     """
 
-    values: Numbers
+    matrices: Numbers
     coupling: Numbers
     admittance: Numbers
+
+    @property
+    def values(self) -> Numbers:
+        """One per entry of `Assembly.rows` after those of the stiffness."""
+        i, j = np.tril_indices(self.matrices.shape[1])
+        lower: Numbers = self.matrices[:, i, j].ravel()
+        return lower
 
 
 class Assembly:
@@ -193,16 +200,19 @@ class Assembly:
         found: Array = entries.reshape(count, -1) @ reference.reshape(-1, reference.shape[-1])
         return found
 
-    def condensed_values(self, matrices: Array) -> Array:
-        """Values of `Stiffness` alone, from element matrices (elements, entries)."""
+    def condensed_matrices(self, matrices: Array) -> Array:
+        """Symmetric matrices of the outer functions, (elements, outer, outer), as `condensed`."""
         kernels = compiled("eitskin.simulator.linalg.element_kernels")
         outer = self.space.numbers.shape[1]
-        if kernels is None:
-            return self.condensed(matrices).values
-        values = np.empty((len(matrices), len(self._pairs[0])))
-        if not kernels.condense(matrices, outer, self.space.element.inner, values):
-            return self.condensed(matrices).values
-        return values.ravel()
+        if kernels is not None:
+            whole = np.empty((len(matrices), outer, outer))
+            if kernels.condense(matrices, outer, self.space.element.inner, whole):
+                return whole
+        lower = self.condensed(matrices).values.reshape(len(matrices), -1)
+        i, j = self._pairs
+        whole = np.empty((len(matrices), outer, outer))
+        whole[:, i, j] = whole[:, j, i] = lower
+        return whole
 
     def condensed(self, matrices: Array) -> Stiffness:
         """Static condensation of element matrices (elements, entries)."""
@@ -231,11 +241,11 @@ class Assembly:
         """
         conductance = self.facet_weights * area_ratio / impedance[self.facet_electrode][:, None]
         L = self.electrodes
-        weighted, (i, j) = self.facet_shape * conductance[:, None], self._pairs
+        weighted = self.facet_shape * conductance[:, None]
         loads = weighted.sum(axis=2)
         positions = self.facet_numbers * L + self.facet_electrode[:, None]
         return ElectrodeTerms(
-            values=(weighted @ self.facet_shape.swapaxes(1, 2))[:, i, j].ravel(),
+            matrices=weighted @ self.facet_shape.swapaxes(1, 2),
             coupling=scatter_sum(positions, loads, self.unknowns * L).reshape(self.unknowns, L),
             admittance=scatter_sum(self.facet_electrode, conductance.sum(axis=1), L),
         )

@@ -53,17 +53,22 @@ class CemSystem:
         return np.asarray(self.lift.any(axis=0))
 
     def impedance(self, T: Numbers) -> Numbers:
-        """Impedance matrix Z [ohm] with zero row and column sums, from T = B^T A^-1 B.
+        """Impedance matrix Z [ohm] from T = B^T A^-1 B."""
+        return impedance_matrix(self.admittance, T)
 
-        U = (D - T)^-1 I. Written as D^-1 + D^-1 T (D - T)^-1, the contact impedance of an insulated
-        electrode is separate from the body's share, which keeps its digits. Subtracting the means
-        restricts Z to currents that sum to zero.
-        """
-        T = 0.5 * (T + T.T)
-        own = np.linalg.inv(self.admittance)
-        Z = zero_sums(own) + zero_sums(own @ T @ np.linalg.inv(self.admittance - T))
-        symmetric: Numbers = 0.5 * (Z + Z.T)
-        return symmetric
+
+def impedance_matrix(D: Numbers, T: Numbers) -> Numbers:
+    """Impedance matrix Z [ohm] with zero row and column sums, from D and T = B^T A^-1 B.
+
+    U = (D - T)^-1 I. Written as D^-1 + D^-1 T (D - T)^-1, the contact impedance of an insulated
+    electrode is separate from the body's share, which keeps its digits. Subtracting the means
+    restricts Z to currents that sum to zero.
+    """
+    T = 0.5 * (T + T.T)
+    own = np.linalg.inv(D)
+    Z = zero_sums(own) + zero_sums(own @ T @ np.linalg.inv(D - T))
+    symmetric: Numbers = 0.5 * (Z + Z.T)
+    return symmetric
 
 
 class SystemPattern:

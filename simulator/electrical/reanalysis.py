@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError
-from eitskin.simulator.electrical.cem_system import CemSystem
+from eitskin.simulator.electrical.assembly import ElectrodeTerms
+from eitskin.simulator.electrical.cem_system import impedance_matrix
 from eitskin.simulator.electrical.forward_model import ForwardModel
 from eitskin.simulator.layer.deformed_layer import DeformedLayer
 from eitskin.simulator.linalg.block_cholesky import BlockFactors
@@ -56,13 +57,18 @@ class Reanalysis:
                 f"expected real contact impedances, got {model.contact_impedance.dtype} ones; use "
                 "ForwardModel.impedance"
             )
-        assembly = model.assembly
+        assembly, pattern = model.assembly, model.pattern
         self._model = model
-        numbers = np.concatenate([assembly.space.numbers, assembly.facet_numbers])
-        self._products = ElementProducts(numbers, assembly.unknowns)
-        self._lifted: NDArray[np.bool_] | None = None
-        system = self._system(layer)
-        self._lifted = system.lifted
+        self._products = ElementProducts(assembly.space.numbers, assembly.unknowns)
+        stiffness = assembly.stiffness(layer.entries(assembly.points))
+        system = pattern.system(stiffness.values, self._contact(layer))
+        self._lift = system.lift
+        moved = np.asarray(self._lift.any(axis=1))
+        touched = moved[assembly.space.numbers].any(axis=1)
+        self._lifting = np.flatnonzero(touched)  # elements in which the lifting is not zero
+        numbers = assembly.space.numbers[self._lifting]
+        self._lifted_products = ElementProducts(numbers, assembly.unknowns)
+        self._ground = int(pattern.rows[-1]), float(np.real(system.values[-1]))
         factors = model.solver.factorise(system.values)
         self._potentials: Array = np.asarray(factors.solve(system.coupling), dtype=np.float64)
         self._factors: Factorisation = (
@@ -81,9 +87,8 @@ class Reanalysis:
             layer: of any scene; one that differs too much from the factorised scene is factorised.
             tolerance: of the change from the factorised scene, relative.
         """
-        system = self._system(layer)
         change, last = np.inf, None
-        for Z in self._approximations(system):
+        for Z in self.approximations(layer):
             if last is not None:
                 before, change = change, float(np.linalg.norm(Z - last))
                 if change <= _ROUNDING * np.linalg.norm(Z):
@@ -94,42 +99,44 @@ class Reanalysis:
                 if 0.0 < falls < _FALLS and falls * change <= wanted:
                     return Z
             last = Z
-        self._model.factorisations += 1
-        T = self._model.solver.congruence(system.values, system.coupling)
-        return np.real(system.impedance(T))
+        return np.real(self._model.impedance(layer.conductivity, layer.area_ratio))
 
     def approximations(self, layer: DeformedLayer) -> Iterator[Array]:
         """Electrode impedance matrices [ohm] after 0, 1, 2, ... corrections, a limited number."""
-        return self._approximations(self._system(layer))
-
-    def _approximations(self, system: CemSystem) -> Iterator[Array]:
-        whole = self._products.whole(np.asarray(system.values[:-1], dtype=np.float64))
-        V, B = self._potentials, np.asarray(system.coupling, dtype=np.float64)
-        AV = self._product(system, whole, V)
-        combined = _galerkin(V, AV, B)
-        yield np.real(system.impedance(B.T @ V @ combined))
-        for _ in range(_MOST):
-            more = np.asarray(self._factors.solve(B - AV @ combined), dtype=np.float64)
-            self.solutions += 1
-            V = np.concatenate([V, more], axis=1)
-            AV = np.concatenate([AV, self._product(system, whole, more)], axis=1)
-            combined = _galerkin(V, AV, B)
-            yield np.real(system.impedance(B.T @ V @ combined))
-
-    def _system(self, layer: DeformedLayer) -> CemSystem:
-        """Linear system of a deformed layer, electrodes in the forms of the factorised scene."""
-        model, assembly = self._model, self._model.assembly
+        assembly = self._model.assembly
         matrices = assembly.matrices(layer.entries(assembly.points))
-        ratio = layer.area_ratio(assembly.facet_points, assembly.facet_normals)
-        contact = assembly.electrode_terms(model.contact_impedance, ratio)
-        values = assembly.condensed_values(matrices)
-        return model.pattern.system(values, contact, self._lifted)
+        matrices = assembly.condensed_matrices(matrices)
+        contact = self._contact(layer)
+        B, D = np.asarray(contact.coupling, dtype=np.float64), np.diag(contact.admittance)
+        lifted = self._lift.any(axis=0)
+        if lifted.any():
+            KE = self._lifted_products.product(matrices[self._lifting], self._lift)
+            ground, conductance = self._ground
+            KE[ground] += conductance * self._lift[ground]
+            B = np.where(lifted, -KE, B)
+            D = np.where(np.outer(lifted, lifted), self._lift.T @ KE, np.where(lifted, 0.0, D))
+        for owner, each in zip(assembly.facet_owners, contact.matrices, strict=True):
+            matrices[owner] += each
+        space = _Subspace(B)
+        potentials = self._potentials
+        for _ in range(_MOST + 1):
+            space.extend(potentials, self._product(matrices, potentials))
+            T, residual = space.solve()
+            yield np.real(impedance_matrix(D, T))
+            potentials = np.asarray(self._factors.solve(residual), dtype=np.float64)
+            self.solutions += 1
 
-    def _product(self, system: CemSystem, whole: Array, vectors: Array) -> Array:
-        """Matrix of the system times vectors, (unknowns, k)."""
-        found = self._products.product(whole, vectors)
-        ground = self._model.pattern.rows[-1]
-        found[ground] += np.real(system.values[-1]) * vectors[ground]
+    def _contact(self, layer: DeformedLayer) -> ElectrodeTerms:
+        """Electrode terms of a deformed layer."""
+        model, assembly = self._model, self._model.assembly
+        ratio = layer.area_ratio(assembly.facet_points, assembly.facet_normals)
+        return assembly.electrode_terms(model.contact_impedance, ratio)
+
+    def _product(self, matrices: Array, vectors: Array) -> Array:
+        """Sum of element matrices times vectors, (unknowns, k), grounded as the base is."""
+        found = self._products.product(matrices, vectors)
+        ground, conductance = self._ground
+        found[ground] += conductance * vectors[ground]
         return found
 
 
@@ -138,15 +145,39 @@ def is_possible(model: ForwardModel) -> bool:
     return bool(np.isrealobj(model.contact_impedance))
 
 
-def _galerkin(V: Array, AV: Array, B: Array) -> Array:
-    """Coefficients c, (m, k), of the Galerkin solutions V c of A x = B in the space of V (n, m).
+class _Subspace:
+    """Space of vectors in which A x = B, (n, k), is solved by Galerkin projection."""
 
-    Vectors may be linearly dependent: potentials of all electrodes add up to a constant.
-    """
-    G = V.T @ AV
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(G), np.finfo(float).tiny))
-    values, vectors = np.linalg.eigh(0.5 * (G + G.T) * np.outer(scale, scale))
-    kept = values > _DEPENDENT * values[-1]
-    basis = scale[:, None] * vectors[:, kept]
-    found: Array = basis @ ((basis.T @ (V.T @ B)) / values[kept, None])
-    return found
+    def __init__(self, B: Array) -> None:
+        self._B = B
+        self._blocks: list[tuple[Array, Array]] = []
+        self._gram = np.zeros((0, 0))
+        self._loads = np.zeros((0, B.shape[1]))
+
+    def extend(self, V: Array, AV: Array) -> None:
+        """Add the vectors V (n, m), given their products with A."""
+        self._blocks.append((V, AV))
+        own, size = len(self._gram), len(self._gram) + V.shape[1]
+        gram = np.zeros((size, size))
+        gram[:own, :own] = self._gram
+        column = np.concatenate([each.T @ AV for each, _ in self._blocks])
+        gram[:, own:], gram[own:] = column, column.T
+        self._gram = gram
+        self._loads = np.concatenate([self._loads, V.T @ self._B])
+
+    def solve(self) -> tuple[Array, Array]:
+        """B^T x, (k, k), and the residual B - A x of the Galerkin solution x.
+
+        Vectors may be linearly dependent: potentials of all electrodes add up to a constant.
+        """
+        G = self._gram
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(G), np.finfo(float).tiny))
+        values, vectors = np.linalg.eigh(0.5 * (G + G.T) * np.outer(scale, scale))
+        kept = values > _DEPENDENT * values[-1]
+        basis = scale[:, None] * vectors[:, kept]
+        found = basis @ ((basis.T @ self._loads) / values[kept, None])
+        residual, start = self._B.copy(), 0
+        for V, AV in self._blocks:
+            residual -= AV @ found[start : start + V.shape[1]]
+            start += V.shape[1]
+        return self._loads.T @ found, residual

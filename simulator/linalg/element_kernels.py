@@ -10,9 +10,9 @@ from eitskin.compiled import kernel
 Array = NDArray[np.float64]
 
 
-@kernel("boolean(f8[:,::1], i8, i8, f8[:,::1])")
+@kernel("boolean(f8[:,::1], i8, i8, f8[:,:,::1])")
 def condense(matrices: Array, outer: int, inner: int, own: Array) -> bool:
-    """Static condensation of element matrices to lower triangles `own` (elements, pairs).
+    """Static condensation of element matrices to symmetric ones, `own` (elements, outer, outer).
 
     Matrices have the lower triangle of the outer functions, the rows of the inner ones by the
     outer ones, and those by each other. False where a matrix is not positive definite.
@@ -43,13 +43,15 @@ def condense(matrices: Array, outer: int, inner: int, own: Array) -> bool:
             f = 1.0 / L[a, a]
             for o in range(outer):
                 J[a, o] *= f
-        p = 0
+        p, whole = 0, own[e]
         for i in range(outer):
             for j in range(i + 1):
-                own[e, p + j] = row[p + j]
+                whole[i, j] = row[p + j]
             for k in range(inner):
                 f = J[k, i]
                 for j in range(i + 1):
-                    own[e, p + j] -= f * J[k, j]
+                    whole[i, j] -= f * J[k, j]
+            for j in range(i):
+                whole[j, i] = whole[i, j]
             p += i + 1
     return True

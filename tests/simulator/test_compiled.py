@@ -57,16 +57,16 @@ def test_frames_are_those_of_plain_numpy(sim) -> None:
 def test_condensed_matrices_are_those_of_plain_numpy(sim) -> None:
     model = sim.model.assembly
     matrices = model.matrices(sim.deformed_layer(Scene(Bend(30.0))).entries(model.points))
-    plain = model.condensed(matrices).values
-    found = with_kernels(model.condensed_values, matrices)
+    plain = model.condensed_matrices(matrices)
+    found = with_kernels(model.condensed_matrices, matrices)
     assert found == pytest.approx(plain, rel=1e-11, abs=1e-15)
 
 
 def test_matrices_without_cholesky_factors_are_condensed_plainly(sim) -> None:
     model = sim.model.assembly
     matrices = -model.matrices(np.ones((len(model.points), 1, 1)))
-    found = with_kernels(model.condensed_values, matrices)
-    assert np.array_equal(found, model.condensed(matrices).values)
+    found = with_kernels(model.condensed_matrices, matrices)
+    assert np.array_equal(found, model.condensed_matrices(matrices))
 
 
 def test_deformations_inside_out_are_refused_by_both() -> None:
