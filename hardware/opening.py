@@ -113,6 +113,8 @@ _SCHEMES: dict[str, tuple[Callable[[str, str, dict[str, Any]], Board], Readers]]
             "scene": str,
             "sensor": str,
             "protocol": str,
+            "fixture": str,
+            "mechanics": str,
             "seed": int,
             "snr_db": float,
             "instrument": str,

@@ -9,7 +9,9 @@ import typer
 from rich.table import Table
 
 from eitskin.cli.options import (
+    FixtureFile,
     Json,
+    MechanicsFile,
     Output,
     Pairs,
     Quiet,
@@ -49,6 +51,8 @@ def command(
     scene: SceneFile = None,
     sensor: SensorFile = None,
     protocol: Pairs = "pairwise",
+    fixture: FixtureFile = None,
+    mechanics: MechanicsFile = None,
     resolution: BoardResolution = "fast",
     speed: Speed = "real",
     instrument: Instrument = None,
@@ -75,6 +79,8 @@ def command(
         scene=scene,
         sensor=sensor,
         protocol=protocol,
+        fixture=fixture,
+        mechanics=mechanics,
         seed=seed,
         instrument=instrument,
         period=period,

@@ -9,7 +9,9 @@ from typing import Any, cast, get_args
 
 import numpy as np
 
+from eitskin.config import read_toml
 from eitskin.errors import ConfigurationError, DeviceError
+from eitskin.geometry.deformation.fixtures import Fixture
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.hardware.boards.port import SerialPort, open_port
 from eitskin.hardware.boards.serial_board import SerialBoard
@@ -23,6 +25,7 @@ from eitskin.hardware.virtual.virtual_firmware import VirtualFirmware
 from eitskin.protocol import Protocol
 from eitskin.simulator.electrical.resolution import Resolution
 from eitskin.simulator.instrument.instrument import Instrument
+from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.scene.scene import Scene
 from eitskin.simulator.simulator import Simulator
 
@@ -42,6 +45,8 @@ def virtual_terminal(
     simulator: SceneSolver | None = None,
     sensor: str | Path | SensorDesign | None = None,
     protocol: str | Protocol | None = None,
+    fixture: str | Path | Fixture | None = None,
+    mechanics: str | Path | Mechanics | None = None,
     period: float | None = None,
     link: str | Path | None = None,
 ) -> PseudoTerminal[VirtualFirmware]:
@@ -61,6 +66,9 @@ def virtual_terminal(
         sensor: a design, or the path of its TOML file; the reference sensor when omitted.
         protocol: measurements of a frame, or their name or CSV file as for `Protocol.named`; all
             pairs of electrodes when omitted.
+        fixture: what bends the sensor, or the path of its TOML file; the default clamp when
+            omitted.
+        mechanics: materials, or the path of their TOML file; gel in Ecoflex when omitted.
         period: time from frame to frame [s]; the AD5940's when omitted.
         link: path of a symbolic link to the terminal, kept over a pulled and replugged cable.
 
@@ -68,22 +76,18 @@ def virtual_terminal(
     """
     if speed not in SPEEDS:
         raise ConfigurationError(f"speed must be one of {', '.join(SPEEDS)}, got {speed!r}")
-    if resolution not in get_args(Resolution):
-        known = ", ".join(get_args(Resolution))
-        raise ConfigurationError(f"resolution must be one of {known}, got {resolution!r}")
     if period is not None and not 1e-6 <= period <= LONGEST_PERIOD:
         raise ConfigurationError(
             f"period must be from 1e-06 to {LONGEST_PERIOD:g} s, as the wire can say it, got "
             f"{period}"
         )
+    given = (sensor, protocol, fixture, mechanics)
     if simulator is None:
-        design = _design(sensor)
-        if isinstance(protocol, str):
-            protocol = Protocol.named(protocol, len(design.electrodes))
-        simulator = Simulator(design, cast("Resolution", resolution), protocol=protocol)
-    elif sensor is not None or protocol is not None:
+        simulator = _simulator(resolution, *given)
+    elif any(each is not None for each in given):
         raise ConfigurationError(
-            "a simulator has its own sensor and protocol; give the simulator or those"
+            "a simulator has its own sensor, protocol, fixture and mechanics; give the simulator "
+            "or those"
         )
     if isinstance(instrument, str):
         instrument = Instrument.named(instrument)
@@ -140,10 +144,28 @@ def open_virtual(uri: str = "virtual:", **options: Any) -> VirtualBoard:
     return VirtualBoard(virtual_terminal(**options), uri)
 
 
-def _design(sensor: str | Path | SensorDesign | None) -> SensorDesign:
+def _simulator(
+    resolution: str,
+    sensor: str | Path | SensorDesign | None,
+    protocol: str | Protocol | None,
+    fixture: str | Path | Fixture | None,
+    mechanics: str | Path | Mechanics | None,
+) -> Simulator:
+    """Simulator of objects or of files that describe them."""
+    if resolution not in get_args(Resolution):
+        known = ", ".join(get_args(Resolution))
+        raise ConfigurationError(f"resolution must be one of {known}, got {resolution!r}")
     if sensor is None:
-        return SensorDesign.reference()
-    return sensor if isinstance(sensor, SensorDesign) else SensorDesign.from_toml(sensor)
+        sensor = SensorDesign.reference()
+    elif isinstance(sensor, str | Path):
+        sensor = SensorDesign.from_toml(sensor)
+    if isinstance(protocol, str):
+        protocol = Protocol.named(protocol, len(sensor.electrodes))
+    if isinstance(fixture, str | Path):
+        fixture = read_toml(cast("type[Fixture]", Fixture), fixture)
+    if isinstance(mechanics, str | Path):
+        mechanics = read_toml(Mechanics, mechanics)
+    return Simulator(sensor, cast("Resolution", resolution), fixture, protocol, mechanics)
 
 
 def _scenes(scene: str | Path | Scene | SceneSource | None) -> SceneSource | None:

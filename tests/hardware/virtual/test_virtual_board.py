@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from eitskin.errors import ConfigurationError
-from eitskin.geometry import Bend, Rectangle, SensorDesign
+from eitskin.geometry import Bend, Disc, Hinge, Rectangle, SensorDesign
 from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.hardware import Script, Step, open_board
 from eitskin.hardware.protocol.messages import Ack, GetTable, pack, unpack
@@ -232,6 +232,20 @@ def test_a_board_of_large_frames_refuses_the_whole_table():
     large = firmware(protocol=LargeSimulator.protocol)
     assert answers(large, pack(GetTable(), 3)) == [Ack(3, MessageType.GET_TABLE, 4)]
     assert answers(large, pack(GetTable(928), 3)) == [Ack(3, MessageType.GET_TABLE, 2)]
+
+
+def test_a_round_sensor_bends_on_the_fixture_that_is_given(tmp_path):
+    disc = SensorDesign(Disc(0.05), 0.005, uniform(Disc(0.05), 8))
+    disc.to_toml(tmp_path / "disc.toml")
+    (tmp_path / "hinge.toml").write_text("span = 0.040\ngive = 0.0\n")
+    uri = f"virtual:?sensor={tmp_path}/disc.toml&resolution=coarse&speed=max&snr_db=inf"
+    with open_board(uri) as board, pytest.raises(ConfigurationError, match="rectangular"):
+        board.stage.set(Scene(bend=Bend(20.0)))
+    with open_board(f"{uri}&fixture={tmp_path}/hinge.toml") as board:
+        board.stage.set(Scene(bend=Bend(20.0)))
+        frame = next(board.frames())
+    expected = Simulator(disc, "coarse", Hinge(0.040, give=0.0)).measure(Scene(bend=Bend(20.0)))
+    assert frame.impedance == pytest.approx(expected.impedance, rel=1e-6)
 
 
 def test_a_board_has_a_sensor_or_a_simulator():
