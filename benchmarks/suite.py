@@ -126,7 +126,7 @@ ALL = (
     Benchmark("live_rate", "boards", 4, (), ("--frames", "60"), seeded=True),
     Benchmark("realtime", "boards", 3, OWN, (*OWN, "--speed", "max"), seeded=True),
     Benchmark(
-        "board_fuzz", "boards", 8, (), ("--bytes", "100000", "--rounds", "1", "--cables", "3")
+        "board_fuzz", "boards", 14, (), ("--bytes", "100000", "--rounds", "1", "--cables", "3")
     ),
     _command("paper", 40, "--seeds", "2", "--paper-seeds", "1", seeded=False),
     Benchmark(

@@ -7,7 +7,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from eitskin.hardware.protocol.frame_parts import FrameData
+from eitskin.hardware.protocol.frame_parts import (
+    FrameAssembly,
+    FrameData,
+    FramePart,
+    frame_packets,
+)
 from eitskin.hardware.protocol.messages import pack, unpack
 from eitskin.hardware.protocol.packets import MAX_PACKET, Decoder, MessageError, encode
 
@@ -24,6 +29,8 @@ class Codec:
         longest: most bytes ever held back.
         regained: how many good frames it took after damage until one came out, how often.
         drops: byte strings thrown away, by reason.
+        joined: frames of several packets that came out whole and had been sent.
+        mixed: frames of several packets that came out and had not been sent.
     """
 
     fed: int = 0
@@ -33,6 +40,8 @@ class Codec:
     longest: int = 0
     regained: Counter[int] = field(default_factory=Counter)
     drops: Counter[str] = field(default_factory=Counter)
+    joined: int = 0
+    mixed: int = 0
 
 
 def fuzz_codec(total: int, seed: int) -> Codec:
@@ -48,7 +57,38 @@ def fuzz_codec(total: int, seed: int) -> Codec:
                 found.regained[good] += 1
                 break
     found.drops = Counter({reason.value: count for reason, count in decoder.drops.items()})
+    _fuzz_parts(total, rng, found)
     return found
+
+
+def _fuzz_parts(total: int, rng: random.Random, found: Codec) -> None:
+    """Feed so many bytes of frames in parts, with packets lost, repeated, reordered, damaged."""
+    frames = [_frame(number, 928) for number in range(16)]
+    sent = {(each.number, each.impedance.tobytes()) for each in frames}
+    decoder = Decoder()
+    assembly = FrameAssembly(decoder.drops)
+    packets = [encode(packet) for each in frames for packet in frame_packets(each, 0)]
+    fed = 0
+    while fed < total:
+        for each in _rearranged(rng, packets):
+            fed += len(each)
+            for packet in decoder.feed(each):
+                part = unpack(packet)
+                whole = assembly.add(part) if isinstance(part, FramePart) else None
+                if whole is not None:
+                    known = (whole.number, whole.impedance.tobytes()) in sent
+                    found.joined, found.mixed = found.joined + known, found.mixed + (not known)
+
+
+def _rearranged(rng: random.Random, packets: list[bytes]) -> list[bytes]:
+    """Packets of several frames, one in twenty of them not as it was sent."""
+    result: list[bytes] = []
+    for place, packet in enumerate(packets):
+        other = rng.choice(packets)
+        choices = [[], [packet, packet], [other], [other, packet], [packets[place - 1], packet]]
+        choices.append([_damaged(rng, packet)])
+        result += rng.choice(choices) if rng.random() < 0.05 else [packet]
+    return result
 
 
 def _feed(
@@ -76,11 +116,14 @@ def _feed(
 
 
 def _packet(number: int) -> bytes:
+    return encode(pack(_frame(number, 28), number))
+
+
+def _frame(number: int, n: int) -> FrameData:
     rng = np.random.default_rng(number)
-    values = rng.normal(600, 100, 28) + 1j * rng.normal(0, 10, 28)
-    status = np.zeros(28, np.uint8)
-    data = FrameData(number, number * 0.3, 0.297, values.astype(np.complex64), status)
-    return encode(pack(data, number))
+    values = rng.normal(600, 100, n) + 1j * rng.normal(0, 10, n)
+    status = np.zeros(n, np.uint8)
+    return FrameData(number, number * 0.3, 0.297, values.astype(np.complex64), status)
 
 
 def _damaged(rng: random.Random, packet: bytes) -> bytes:
