@@ -73,8 +73,8 @@ class LargeSensor:
 
     def measure(self, scene: Scene) -> Frame:
         """Frame of a scene; each degree of bend adds an ohm to all measurements."""
-        values = np.linspace(20.0, 60.0, len(self.protocol)) + scene.bend.angle_deg + 0j
-        return Frame(values, self.protocol)
+        values = np.linspace(20.0, 60.0, len(self.protocol)) + scene.bend.angle_deg
+        return Frame(values.astype(np.complex128), self.protocol)
 
     def measure_all(
         self,
