@@ -8,8 +8,10 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from eitskin.config import from_dict
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.errors import DataError
+from eitskin.protocol import Protocol
 from eitskin.training.method.observations import fingerprint
 from eitskin.training.pipeline.model_card import position_card
 from eitskin.training.pipeline.saved_form import (
@@ -52,6 +54,7 @@ class RecordedTouches:
         position: regressor from ratios |V / ref| to positions.
         examples: ratios by which a saved copy is checked (k, channels).
         trained_on: fingerprint of the recording and number of frames trained with.
+        protocol: of the recording's frames; None where unknown.
         metrics: results of an evaluation, written by the evaluating code.
     """
 
@@ -60,6 +63,7 @@ class RecordedTouches:
     position: PositionRegressor
     examples: NDArray[np.float64]
     trained_on: Mapping[str, Any]
+    protocol: Protocol | None = None
     metrics: dict[str, Any] = field(default_factory=dict)
 
     @classmethod
@@ -79,10 +83,21 @@ class RecordedTouches:
                 "frames": len(train),
                 "source": dataset.source,
             },
+            dataset.protocol,
         )
 
     def held_out(self, dataset: Dataset) -> NDArray[np.int64]:
-        """Frames (n,) not trained with: the last of the own recording, all of another."""
+        """Frames (n,) not trained with: the last of the own recording, all of another.
+
+        Raises FrameError for a dataset of another protocol, where both are known.
+        """
+        if self.protocol is not None and dataset.protocol is not None:
+            self.protocol.require_same(
+                dataset.protocol,
+                "these touch positions were learned from frames of",
+                "the dataset has",
+                "train on recordings of this protocol",
+            )
         touches = _touches(dataset)
         own = fingerprint(dataset) == self.trained_on["sha256"]
         return touches[self.trained_on["frames"] :] if own else touches
@@ -119,6 +134,8 @@ class RecordedTouches:
             "trained_on": dict(self.trained_on),
             "metrics": self.metrics,
         }
+        if self.protocol is not None:
+            document["protocol"] = asdict(self.protocol)
         golden = {
             "input.ratio": self.examples,
             "output.place": self.position.apply(self.examples),
@@ -136,7 +153,10 @@ class RecordedTouches:
         try:
             position = PositionRegressor.from_arrays(dict(saved.weights))
             document, examples = saved.document, saved.golden["input.ratio"]
-            loaded = cls(position, examples, document["trained_on"], dict(document["metrics"]))
+            told = document.get("protocol")
+            protocol = None if told is None else from_dict(Protocol, told, "protocol")
+            metrics = dict(document["metrics"])
+            loaded = cls(position, examples, document["trained_on"], protocol, metrics)
             saved.require_golden({"place": position.apply(examples)})
         except DataError:
             raise

@@ -1,13 +1,15 @@
 """Touch positions by Gaussian-process regression, on a toy skin and on a measured one."""
 
+import dataclasses
 import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from eitskin.datasets import RecordingNames, read_recording
-from eitskin.errors import DataError
+from eitskin.datasets import Dataset, RecordingNames, State, read_recording
+from eitskin.errors import DataError, FrameError
+from eitskin.simulator import Protocol
 from eitskin.training import RecordedTouches
 from eitskin.training.positions.position_regressor import PositionRegressor
 
@@ -50,6 +52,22 @@ def test_touch_position_is_scikit_learns_prediction():
     np.testing.assert_allclose(
         process.predict(directions) + stage.centre, stage.apply(ratio), atol=1e-9
     )
+
+
+def test_learned_positions_keep_the_protocol_of_their_recording(tmp_path):
+    ratio, (x, y) = recorded(40)[0], recorded(40)[1].T
+    touches = {name: np.full((40, 4), np.nan) for name in ("touch_x", "touch_y")}
+    touches["touch_x"][:, 0], touches["touch_y"][:, 0] = x, y
+    touches["state"] = np.full(40, State.TOUCH)
+    table = Protocol(Protocol.skip(8, 1).table[:8], 8)
+    recording = Dataset.from_arrays(ratio, np.ones(8), protocol=table, **touches)
+    loaded = RecordedTouches.load(RecordedTouches.fit(recording).save(tmp_path / "a.eitmodel"))
+    assert loaded.protocol == table
+    unknown = dataclasses.replace(recording, protocol=None)
+    assert loaded.evaluate(unknown).frames == 8
+    other = dataclasses.replace(recording, protocol=Protocol(table.table[::-1], 8))
+    with pytest.raises(FrameError, match=r"learned from .* the dataset has"):
+        loaded.evaluate(other)
 
 
 def test_touch_position_edges():
