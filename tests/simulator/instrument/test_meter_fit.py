@@ -60,7 +60,7 @@ def test_loads_of_a_board_of_magnitudes_are_found_with_their_errors(skin):
 def test_standard_errors_are_the_scatter_of_fits_to_different_noise(skin):
     terms, rig = ("sink", "idle"), dataclasses.replace(RIG, sense_plus=0.0)
     fits = [
-        fit_meter(skin, BOTH, flat_frames(rig, skin, 2e-4, seed, 1), terms, starts=1)
+        fit_meter(skin, BOTH, flat_frames(rig, skin, 3e-5, seed, 1), terms, starts=1)
         for seed in range(20)
     ]
     mean_error = np.mean([each.standard_errors for each in fits], axis=0)
