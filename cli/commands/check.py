@@ -1,6 +1,7 @@
-"""`eitskin check`: diagnosis of the sensor on a board, and a list of serial ports."""
+"""`eitskin check`: diagnosis of boards and recordings, and a list of serial ports."""
 
 import dataclasses
+from collections.abc import Sequence
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -9,14 +10,25 @@ import typer
 from rich.table import Table
 
 from eitskin.cli.commands.live import BoardUri, seeded
-from eitskin.cli.options import Json, Output, Quiet, Seed, Verbose
+from eitskin.cli.options import Json, MeasuredPairs, Output, Quiet, Seed, Verbose
+from eitskin.cli.recorded_frames import Values
+from eitskin.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from eitskin.frame import Frame
-    from eitskin.hardware.diagnosis.sensor_check import SensorCheck
+    from eitskin.hardware.diagnosis.finding import Finding
+    from eitskin.hardware.diagnosis.reading_check import LawCheck
+    from eitskin.protocol import Protocol
 
 ReferenceModel = Annotated[
-    Path, typer.Argument(help="The trained pipeline, which has the expected impedances.")
+    Path | None,
+    typer.Argument(
+        help="The trained pipeline, which has the expected impedances; reference.eitmodel, where "
+        "the board measures by its protocol, when omitted."
+    ),
+]
+Recording = Annotated[
+    Path | None,
+    typer.Option(help="Check a dataset or a file as `import` reads it, instead of a board."),
 ]
 FrameCount = Annotated[int, typer.Option(min=1, help="Number of frames to measure.")]
 Calibrate = Annotated[
@@ -25,13 +37,17 @@ Calibrate = Annotated[
 List = Annotated[bool, typer.Option("--list", help="Only list the serial ports of this machine.")]
 
 EXIT_UNHEALTHY = 4
+SHIPPED = Path("reference.eitmodel")
 
 
 def command(
-    model: ReferenceModel = Path("reference.eitmodel"),
+    model: ReferenceModel = None,
     *,
     board: BoardUri = "virtual:",
     frames: FrameCount = 16,
+    recording: Recording = None,
+    values: Values = None,
+    protocol: MeasuredPairs = None,
     calibrate: Calibrate = False,
     list_ports: List = False,
     seed: Seed = 0,
@@ -39,54 +55,105 @@ def command(
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Diagnose the flat, untouched sensor on a board; exit code 4 where there are findings.
+    """Diagnose the flat, untouched sensor on a board, or any recording; exit code 4 for findings.
 
-    Finds open, loose, shorted and swapped electrodes, bad contacts, faulty channels and boards.
-    See docs/boards.md.
+    Finds open, loose, shorted and swapped electrodes, bad contacts, faulty channels and boards; in
+    a recording dead, stuck and clipped channels, and boards that are no ideal meters. See
+    docs/boards.md.
     """
     output = Output(as_json, quiet, verbose)
     if list_ports:
         _list(output)
-        return
+    elif recording is not None:
+        if model is not None:
+            raise ConfigurationError(
+                f"a recording is checked without a model, got {model}; leave MODEL or --recording "
+                "out"
+            )
+        _check_recording(recording, values, protocol, output)
+    else:
+        if values or protocol:
+            raise ConfigurationError("--values and --protocol describe a --recording; name one")
+        _check_board(model, board, frames, output, calibrate=calibrate, seed=seed)
+
+
+def _check_board(
+    model: Path | None, board: str, frames: int, output: Output, *, calibrate: bool, seed: int
+) -> None:
+    from eitskin.hardware.diagnosis.reading_check import LAW_FINDINGS, check_frames
     from eitskin.hardware.diagnosis.sensor_check import check_sensor
     from eitskin.hardware.opening import open_board
     from eitskin.training.pipeline.pipeline import Pipeline
 
-    layout = Pipeline.load(model).layout
+    spec = Pipeline.load(model or SHIPPED).layout
     with open_board(board, **seeded(board, seed)) as opened:
-        layout.require_same_measurements(opened.protocol, opened.info.frequency)
+        suits = model is not None or opened.protocol == spec.protocol
+        if suits:
+            spec.require_same_measurements(opened.protocol, opened.info.frequency)
+        else:
+            output.note(
+                f"{SHIPPED} is for {spec.protocol}, the board measures {opened.protocol}: checking "
+                "without a model; name a pipeline for this sensor to check its values, too"
+            )
         if calibrate:
             opened.calibrate()
         output.note(f"measuring {frames} frames; keep the sensor flat and untouched")
         taken = list(islice(opened.frames(), frames))
-    check = check_sensor(taken, layout.reference)
-    output.result({"board": board, **_plain(check, taken)}, _shown(check, taken))
-    if not check.healthy:
+    readings = check_frames(taken)
+    findings = readings.findings
+    if suits:
+        known = check_sensor(taken, spec.reference).findings
+        findings = (*known, *(each for each in findings if each.what in LAW_FINDINGS))
+    _report({"board": board}, findings, readings.laws, taken[0].protocol, len(taken), output)
+
+
+def _check_recording(path: Path, values: str | None, protocol: str | None, output: Output) -> None:
+    from eitskin.cli.recorded_frames import read_recorded, required_protocol
+    from eitskin.hardware.diagnosis.reading_check import check_readings
+
+    data = read_recorded(path, values, protocol)
+    table = required_protocol(data)
+    readings = check_readings(data.impedance, table, data.status)
+    source = {"recording": str(path)}
+    _report(source, readings.findings, readings.laws, table, len(data), output)
+
+
+def _report(
+    source: dict[str, str],
+    findings: "Sequence[Finding]",
+    laws: "Sequence[LawCheck]",
+    protocol: "Protocol",
+    frames: int,
+    output: Output,
+) -> None:
+    """Print the findings, or that there are none; raises Exit where there are."""
+    for law in laws:
+        output.note(
+            f"{law.kind}: {law.relations} compared, median difference "
+            f"{100.0 * law.median:.2g} %, largest {100.0 * law.largest:.2g} %"
+        )
+    if not laws:
+        output.note(
+            "this protocol measures nothing twice: neither reciprocity, swapped pairs nor loop sums"
+        )
+    healthy = f"healthy: nothing was found in {frames} frames"
+    shown = "\n".join(each.message for each in findings) or healthy
+    checked = [{**dataclasses.asdict(law), "kind": str(law.kind)} for law in laws]
+    plain = [_plain(each, protocol) for each in findings]
+    result = {"healthy": not findings, "frames": frames, "laws": checked, "findings": plain}
+    output.result(source | result, shown)
+    if findings:
         raise typer.Exit(EXIT_UNHEALTHY)
 
 
-def _plain(check: "SensorCheck", frames: "list[Frame]") -> dict[str, object]:
-    """Findings as plain data, channels by their labels."""
-    labels = frames[0].protocol.labels
+def _plain(finding: "Finding", protocol: "Protocol") -> dict[str, object]:
+    """Finding as plain data, channels by their labels."""
     return {
-        "healthy": check.healthy,
-        "frames": len(frames),
-        "findings": [
-            {
-                "what": str(each.what),
-                "electrodes": list(each.electrodes),
-                "channels": [labels[k] for k in each.channels],
-                "message": each.message,
-            }
-            for each in check.findings
-        ],
+        "what": str(finding.what),
+        "electrodes": list(finding.electrodes),
+        "channels": [protocol.labels[k] for k in finding.channels],
+        "message": finding.message,
     }
-
-
-def _shown(check: "SensorCheck", frames: "list[Frame]") -> str:
-    if check.healthy:
-        return f"healthy: nothing was found in {len(frames)} frames"
-    return "\n".join(each.message for each in check.findings)
 
 
 def _list(output: Output) -> None:

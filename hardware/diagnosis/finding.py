@@ -26,6 +26,11 @@ class FindingKind(StrEnum):
     SWAPPED = "swapped"
     BAD_CONTACT = "bad contact"
     MISFIT = "misfit"
+    DEAD = "dead"
+    RECIPROCITY = "reciprocity"
+    DRIVE_SWAP = "swapped drives"
+    SENSE_SWAP = "swapped senses"
+    LOOP = "loop sum"
 
 
 @dataclass(frozen=True, slots=True)

@@ -67,7 +67,7 @@ def check_sensor(frames: Sequence[Frame], expected: ArrayLike) -> SensorCheck:
     checked = checked_frames(tuple(frames), np.asarray(expected, dtype=np.float64))
     opened = checked.opened
     rest = checked.usable & ~opened
-    findings = [*_flags(checked), *frozen(checked)]
+    findings = [*board_flags(checked), *frozen(checked)]
     if opened.all():
         findings.append(_open(range(checked.protocol.n_electrodes), opened))
         return SensorCheck(tuple(findings))
@@ -81,7 +81,7 @@ def check_sensor(frames: Sequence[Frame], expected: ArrayLike) -> SensorCheck:
     return SensorCheck(tuple(findings))
 
 
-def _flags(checked: CheckedFrames) -> Iterator[Finding]:
+def board_flags(checked: CheckedFrames) -> Iterator[Finding]:
     """Findings of values that are not finite and of status bits."""
     if (wrong := ~checked.finite.all(axis=0) & ~checked.opened).any():
         remedy = "the board divides by a current of zero: check these wires, then the firmware"

@@ -127,7 +127,7 @@ class FourTerminalMeter:
             value = np.abs(value).astype(complex)
         elif self.reads == "signed":
             value = value.real.astype(complex)
-        parts = value.view(np.float64).reshape(*value.shape, 2)
+        parts = np.stack([value.real, value.imag], axis=-1)
         beyond = np.zeros(value.shape, bool)
         if self.saturation:
             beyond = np.abs(parts).max(axis=-1) > self.saturation

@@ -1,0 +1,70 @@
+"""Frames of a recording, from a dataset of eitskin or a file of any other program."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from eitskin.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from eitskin.datasets.store.dataset import Dataset
+    from eitskin.protocol import Protocol
+
+Recorded = Annotated[
+    Path,
+    typer.Argument(help="Recording: a dataset's folder or shard, or a file as `import` reads it."),
+]
+Values = Annotated[
+    str | None,
+    typer.Option(help="Variable (CSV: beginning of columns) with the values, in another file."),
+]
+
+
+def read_recorded(path: Path, values: str | None, protocol: str | None) -> "Dataset":
+    """Dataset of a recording.
+
+    Args:
+        path: folder or shard of a dataset, or a recording of another format.
+        values: name of the values in such a recording.
+        protocol: text of the option --protocol; None for the dataset's own.
+
+    Raises:
+        ConfigurationError: for names or protocols that do not fit, or an unknown kind of file.
+        DataError: where the recording cannot be used.
+        FrameError: for another protocol than the dataset's.
+    """
+    from eitskin.datasets.recordings.recording import RecordingNames, read_recording
+    from eitskin.datasets.store.folder import open_dataset
+    from eitskin.protocol import Protocol
+
+    named = Protocol.named(protocol) if protocol else None
+    if not (path.is_dir() or path.suffix.lower() in (".h5", ".hdf5")):
+        return read_recording(path, RecordingNames(values), named)
+    if values is not None:
+        raise ConfigurationError(
+            f"--values names a variable of a file that is no dataset, got {path}; leave it out"
+        )
+    data = open_dataset(path)
+    return data if named is None else _with_protocol(data, named)
+
+
+def required_protocol(data: "Dataset") -> "Protocol":
+    """Protocol of a recording; raises ConfigurationError where it has none."""
+    if data.protocol is None:
+        raise ConfigurationError(
+            "the recording does not say which electrodes its channels drive and sense; give "
+            "--protocol"
+        )
+    return data.protocol
+
+
+def _with_protocol(data: "Dataset", protocol: "Protocol") -> "Dataset":
+    import dataclasses
+
+    if data.protocol is None:
+        return dataclasses.replace(data, protocol=protocol)
+    data.protocol.require_same(
+        protocol, "the recording is of", "--protocol names", "leave --protocol out"
+    )
+    return data

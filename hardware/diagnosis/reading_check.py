@@ -1,0 +1,289 @@
+"""Check of readings without any model of the sensor: dead channels, and laws of linear circuits."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from eitskin.errors import DataError, FrameError
+from eitskin.frame import Frame
+from eitskin.hardware.diagnosis.checked_frames import FLAGGED, Bools, CheckedFrames
+from eitskin.hardware.diagnosis.finding import (
+    Finding,
+    FindingKind,
+    channel_names,
+    channel_numbers,
+    findings_by_electrode,
+)
+from eitskin.hardware.diagnosis.linear_relations import Relation, RelationKind, linear_relations
+from eitskin.hardware.diagnosis.sensor_check import board_flags
+from eitskin.hardware.diagnosis.variation import frozen
+from eitskin.protocol import Protocol
+
+Complex = NDArray[np.complex128]
+
+UNEQUAL = 0.03
+"""Relative difference of two readings that an ideal meter gives alike; boards have 0.4 %."""
+UNEQUAL_SMALL = 0.002
+"""The same, as a share of the median reading, below which a difference counts for nothing."""
+SIGNIFICANT = 6.0
+"""Difference over its standard error beyond which it is no noise."""
+MOST = 0.5
+"""Share of violated relations from which the board, and not a channel, is at fault."""
+DEAD = 1e-6
+"""Reading over the median channel's below which a channel is dead."""
+FEWEST_VALUES = 8
+"""Least number of different values of a channel, beside its limit, that is not stuck there."""
+
+_LAWS = {
+    RelationKind.DRIVE_SWAP: (
+        FindingKind.DRIVE_SWAP,
+        "exchanging the two drive electrodes",
+        "source and sink load the sensor differently",
+    ),
+    RelationKind.SENSE_SWAP: (
+        FindingKind.SENSE_SWAP,
+        "exchanging the two sense electrodes",
+        "the two sense inputs load the sensor differently, or there is an offset",
+    ),
+    RelationKind.RECIPROCITY: (
+        FindingKind.RECIPROCITY,
+        "exchanging drive and sense pair",
+        "source and sense inputs load the sensor differently",
+    ),
+    RelationKind.LOOP: (
+        FindingKind.LOOP,
+        "going around a closed loop of pairs",
+        "gains or offsets differ from channel to channel, or the inputs load the sensor",
+    ),
+}
+LAW_FINDINGS = frozenset(kind for kind, *_ in _LAWS.values())
+"""Kinds of findings about the laws of an ideal meter."""
+
+
+@dataclass(frozen=True, slots=True)
+class LawCheck:
+    """Outcome of one law for all relations that the protocol allows.
+
+    Attributes:
+        kind: law.
+        relations: number of relations.
+        violated: number of those that readings violate beyond tolerance and noise.
+        median: median difference, relative to the largest reading of each relation.
+        largest: largest of these differences.
+    """
+
+    kind: RelationKind
+    relations: int
+    violated: int
+    median: float
+    largest: float
+
+
+@dataclass(frozen=True, slots=True)
+class ReadingCheck:
+    """Findings of a check of readings, and the laws that were checked.
+
+    Attributes:
+        findings: faults, in words.
+        laws: outcome of every law that the protocol allows to check; empty where it allows none.
+        magnitudes: whether the readings are magnitudes, whose laws are weaker: pairs have equal
+            magnitudes, and the largest of a loop is at most the sum of the others.
+    """
+
+    findings: tuple[Finding, ...]
+    laws: tuple[LawCheck, ...]
+    magnitudes: bool
+
+    @property
+    def healthy(self) -> bool:
+        """Whether there are no findings."""
+        return not self.findings
+
+
+def check_readings(
+    impedance: ArrayLike, protocol: Protocol, status: NDArray[np.uint8] | None = None
+) -> ReadingCheck:
+    """Findings that need no model of the sensor, which may be bent, pressed and of any shape.
+
+    Args:
+        impedance: readings, (frames, measurements), of any unit and of one sensor.
+        protocol: drive and sense electrodes of the measurements.
+        status: `Status` bits, (frames, measurements); none set when omitted.
+
+    Raises:
+        DataError: for readings of another shape.
+    """
+    values = np.array(impedance, np.complex128)
+    if values.ndim != 2 or values.shape[1] != len(protocol) or not len(values):
+        raise DataError(
+            f"expected readings of {len(protocol)} channels, one row for each frame, got shape "
+            f"{values.shape}; name the protocol of the recording"
+        )
+    values[~np.isfinite(values)] = np.nan
+    bits = np.zeros(values.shape, np.uint8) if status is None else np.asarray(status, np.uint8)
+    checked = CheckedFrames(protocol, values, bits, np.ones(len(protocol)))
+    typical = np.maximum(np.abs(checked.value), np.finfo(float).tiny)
+    checked = CheckedFrames(protocol, values, bits, typical)
+    dead = _dead(checked)
+    limited = _at_a_limit(checked) & ~dead
+    good = checked.usable & ~dead & ~limited
+    findings = [*board_flags(checked), *_dead_findings(dead, checked), *_limited(limited, checked)]
+    findings += [
+        each for each in frozen(checked) if not set(each.channels) <= set(channel_numbers(dead))
+    ]
+    magnitudes = _are_magnitudes(values)
+    relations = [each for each in linear_relations(protocol) if good[list(each.channels)].all()]
+    laws = []
+    for kind in RelationKind:
+        chosen = [each for each in relations if each.kind == kind]
+        if chosen:
+            law, found = _check_law(kind, chosen, checked, magnitudes=magnitudes)
+            laws.append(law)
+            findings += found
+    return ReadingCheck(tuple(findings), tuple(laws), magnitudes)
+
+
+def check_frames(frames: Sequence[Frame]) -> ReadingCheck:
+    """Check of the readings of frames of one protocol, as by `check_readings`.
+
+    Raises FrameError for no frames, or frames of several protocols.
+    """
+    if len({frame.protocol for frame in frames}) != 1:
+        raise FrameError(
+            f"a check needs frames of one protocol, got {len(frames)} frames; check one board at a "
+            "time"
+        )
+    impedance = np.array([frame.impedance for frame in frames])
+    return check_readings(impedance, frames[0].protocol, np.array([f.status for f in frames]))
+
+
+def _are_magnitudes(values: Complex) -> bool:
+    finite = values[np.isfinite(values)]
+    return bool(not finite.imag.any() and (finite.real >= 0.0).all())
+
+
+def _dead(checked: CheckedFrames) -> Bools:
+    """Channels that never read anything but zero, (measurements,)."""
+    filled = np.where(checked.finite, np.abs(checked.impedance), 0.0)
+    largest = filled.max(axis=0)
+    return np.asarray((largest <= DEAD * np.median(largest)) & checked.finite.any(axis=0))
+
+
+def _dead_findings(dead: Bools, checked: CheckedFrames) -> Iterator[Finding]:
+    if dead.any():
+        remedy = "its value is always zero: check its multiplexer path and its wires"
+        yield from findings_by_electrode(FindingKind.DEAD, dead, checked, "is dead", remedy)
+
+
+def _at_a_limit(checked: CheckedFrames) -> Bools:
+    """Channels that stay at the board's largest value, unlike a measurement, (measurements,).
+
+    The largest value of the recording is a limit where a channel repeats it exactly, in more than
+    a few frames, and takes many other values beside, or where several channels do.
+    """
+    parts = np.stack([checked.impedance.real, checked.impedance.imag])
+    sizes = np.where(np.isfinite(parts), np.abs(parts), 0.0).max(axis=0)
+    limit = sizes.max()
+    if not limit or len(sizes) < FEWEST_VALUES:
+        return np.zeros(sizes.shape[1], bool)
+    there = (sizes == limit).mean(axis=0) > FLAGGED
+    varied = np.array([len(np.unique(column)) > FEWEST_VALUES for column in sizes.T])
+    return np.asarray(there if there.sum() > 1 else there & varied)
+
+
+def _limited(limited: Bools, checked: CheckedFrames) -> Iterator[Finding]:
+    if limited.any():
+        remedy = "it repeats the board's largest value: lower the current or the gain"
+        yield from findings_by_electrode(
+            FindingKind.CLIPPED, limited, checked, "is clipped", remedy
+        )
+
+
+def _check_law(
+    kind: RelationKind, relations: list[Relation], checked: CheckedFrames, *, magnitudes: bool
+) -> tuple[LawCheck, list[Finding]]:
+    """Outcome of one law, and its findings."""
+    median = float(np.median(np.abs(checked.value)))
+    differences, wrong, ratios, signs = [], [], [], 0
+    for each in relations:
+        readings = checked.impedance[:, list(each.channels)]
+        difference, noise = _difference(readings, each, magnitudes=magnitudes)
+        sizes = np.abs(np.nanmean(readings, axis=0))
+        largest = float(sizes.max()) or 1.0
+        differences.append(difference / largest)
+        too_large = difference > UNEQUAL * largest + UNEQUAL_SMALL * median
+        wrong.append(bool(too_large and difference > SIGNIFICANT * noise))
+        if wrong[-1]:
+            ratios.append(largest / max(float(sizes.min()), UNEQUAL_SMALL * median))
+            signs += len(sizes) == 2 and float(np.ptp(sizes)) < UNEQUAL * largest
+    law = LawCheck(
+        kind, len(relations), sum(wrong), float(np.median(differences)), max(differences)
+    )
+    if not any(wrong):
+        return law, []
+    channels = _suspects(relations, np.array(wrong), len(checked.expected))
+    text = _law_text(law, float(np.median(ratios)), signs, channels, checked)
+    return law, [Finding(_LAWS[kind][0], (), channel_numbers(channels), text)]
+
+
+def _suspects(relations: Sequence[Relation], wrong: Bools, count: int) -> Bools:
+    """Channels that keep no relation, or without any all of the violated ones, (count,)."""
+    takes_part = np.zeros((len(relations), count), bool)
+    for row, each in zip(takes_part, relations, strict=True):
+        row[list(each.channels)] = True
+    violated = takes_part[wrong].any(axis=0)
+    only = violated & ~takes_part[~wrong].any(axis=0)
+    return np.asarray(only if only.any() else violated)
+
+
+def _difference(readings: Complex, relation: Relation, *, magnitudes: bool) -> tuple[float, float]:
+    """Violation of a relation by the mean frame, and its standard error.
+
+    Args:
+        readings: of the relation's channels, (frames, channels).
+        relation: signed sum that is to be zero.
+        magnitudes: whether only magnitudes are known.
+    """
+    if magnitudes:
+        sizes = np.abs(readings)
+        largest = int(np.nanmean(sizes, axis=0).argmax())
+        sums: Complex = 2.0 * sizes[:, largest] - sizes.sum(axis=1) + 0j
+        mean = max(float(np.nanmean(sums.real)), 0.0)
+    else:
+        sums = readings @ np.array(relation.signs)
+        mean = float(np.abs(np.nanmean(sums)))
+    count = int(np.isfinite(sums).sum())
+    spread = float(np.nanstd(sums)) if count > 1 else 0.0
+    return mean, spread / np.sqrt(max(count, 1))
+
+
+def _law_text(
+    law: LawCheck, ratio: float, signs: int, channels: Bools, checked: CheckedFrames
+) -> str:
+    """Violation in words, with its likely cause and the remedy."""
+    _, exchange, cause = _LAWS[law.kind]
+    names = channel_names(channels, checked)
+    if signs == law.violated and law.kind != RelationKind.LOOP:
+        return (
+            f"{exchange} gives the wrong sign in {law.violated} of {law.relations} cases "
+            f"({names}): the table of the protocol has two electrodes of a pair exchanged there, "
+            "or the board leaves signs out"
+        )
+    if law.kind == RelationKind.LOOP:
+        seen = (
+            f"voltages do not add up {exchange} in {law.violated} of {law.relations} cases, by up "
+            f"to {100.0 * law.largest:.0f} % of their largest"
+        )
+    else:
+        seen = (
+            f"{exchange} changes {law.violated} of {law.relations} readings, by a factor of "
+            f"{ratio:.2g} in the median, where an ideal meter reads the same"
+        )
+    if law.violated <= MOST * law.relations:
+        return f"{seen}: check the paths of {names}"
+    return (
+        f"{seen}: {cause}, or the order of the channels is not that of the protocol; compare the "
+        "table, or fit the board with 'eitskin instrument fit'"
+    )
