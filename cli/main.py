@@ -16,6 +16,7 @@ from eitskin.cli.commands import (
     export,
     generate,
     import_recording,
+    instrument,
     live,
     mesh,
     reconstruct,
@@ -81,6 +82,7 @@ app.command("demo")(demo.command)
 app.add_typer(dataset.app, name="dataset")
 app.add_typer(bench.app, name="bench")
 app.add_typer(export.app, name="export")
+app.add_typer(instrument.app, name="instrument")
 
 
 def run() -> None:

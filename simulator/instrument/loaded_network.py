@@ -33,6 +33,49 @@ def role_potentials(
             [S].
         leads: resistance in series with each electrode, (electrodes,) [ohm].
     """
+    system, right = _equations(impedance, protocol, admittance, leads)
+    V = np.linalg.solve(system, right)[..., 0]
+    rows, (_, _, plus, minus) = np.arange(len(protocol)), np.array(protocol.table).T
+    return V[..., rows, plus].astype(complex), V[..., rows, minus].astype(complex)
+
+
+def potential_derivatives(
+    impedance: NDArray[np.inexact],
+    protocol: Protocol,
+    admittance: Complex,
+    leads: Complex,
+    weights: tuple[complex, complex],
+) -> tuple[Complex, Complex]:
+    """Derivatives of a weighted sum of the sensed potentials, by the adjoint method.
+
+    Returns the derivatives by the admittance [ohm/S] and by the lead [1] of each electrode in each
+    measurement, (measurements, electrodes) both. Where all admittances of a measurement are zero,
+    ground is held at the mean of the electrodes.
+
+    Args:
+        impedance: electrode impedance matrix Z, (electrodes, electrodes) [ohm].
+        protocol, admittance, leads: as for `role_potentials`.
+        weights: of the potentials of sense+ and sense-.
+    """
+    n, (source, sink, plus, minus) = protocol.n_electrodes, np.array(protocol.table).T
+    system, right = _equations(impedance, protocol, admittance, leads)
+    rows, sensed = np.arange(len(protocol)), np.zeros((len(protocol), n + 1, 1), np.complex128)
+    sensed[rows, plus, 0], sensed[rows, minus, 0] = weights
+    V = np.linalg.solve(system, right)[:, :n, 0]
+    adjoint = np.linalg.solve(np.swapaxes(system, 1, 2), sensed)[..., 0]
+    total = admittance.sum(axis=1, keepdims=True)
+    grounded = np.where(total == 0.0, 0.0, adjoint[:, n:] / np.where(total == 0.0, 1.0, total))
+    back = adjoint[:, :n] @ (np.asarray(impedance) + np.diag(leads)) + grounded
+    current = -admittance * V
+    current[rows, source] += 1.0
+    current[rows, sink] -= 1.0
+    return (-back * V).astype(complex), (adjoint[:, :n] * current).astype(complex)
+
+
+def _equations(
+    impedance: NDArray[np.inexact], protocol: Protocol, admittance: Complex, leads: Complex
+) -> tuple[NDArray[np.inexact], NDArray[np.inexact]]:
+    """Matrices (..., measurements, n + 1, n + 1) and right sides of V and c."""
     n = protocol.n_electrodes
     drive, _ = protocol.patterns()
     Z = np.asarray(impedance) + np.diag(_real_where_possible(leads))
@@ -48,9 +91,7 @@ def role_potentials(
     system[..., n, :n] = ground
     right = np.zeros((*system.shape[:-1], 1), kind)
     right[..., :n, 0] = np.swapaxes(Z @ drive, -1, -2)
-    V = np.linalg.solve(system, right)[..., 0]
-    rows, (_, _, plus, minus) = np.arange(len(protocol)), np.array(protocol.table).T
-    return V[..., rows, plus].astype(complex), V[..., rows, minus].astype(complex)
+    return system, right
 
 
 def _real_where_possible(values: Complex) -> NDArray[np.inexact]:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError
 from eitskin.protocol import Protocol
-from eitskin.simulator.instrument.loaded_network import role_potentials
+from eitskin.simulator.instrument.loaded_network import potential_derivatives, role_potentials
 
 Complex = NDArray[np.complex128]
 Bools = NDArray[np.bool_]
@@ -101,14 +101,24 @@ class FourTerminalMeter:
 
     def admittance(self, protocol: Protocol) -> Complex:
         """Admittance to ground of each electrode in each measurement, (measurements, n) [S]."""
-        n, rows = protocol.n_electrodes, np.arange(len(protocol))
-        Y = np.zeros((len(protocol), n), np.complex128)
-        has_role = np.zeros(Y.shape, bool)
-        for name, electrodes in zip(ROLES, np.array(protocol.table).T, strict=True):
-            Y[rows, electrodes] += getattr(self, name)
-            has_role[rows, electrodes] = True
-        Y[~has_role] += self.idle
-        return Y + _filled("leaks", self.leaks, n, 0.0, "electrodes")
+        leaks = _filled("leaks", self.leaks, protocol.n_electrodes, 0.0, "electrodes")
+        loads = ((getattr(self, name), at) for name, at in electrodes_by_role(protocol).items())
+        return leaks + sum((load * at for load, at in loads), np.zeros(1, np.complex128))
+
+    def derivatives(
+        self, impedance: NDArray[np.inexact], protocol: Protocol
+    ) -> tuple[Complex, Complex]:
+        """Derivatives of the transfer impedances by admittance [ohm/S] and lead [1].
+
+        Both are by the number of each electrode in each measurement, (measurements, electrodes).
+
+        Args:
+            impedance: electrode impedance matrix Z, (electrodes, electrodes) [ohm].
+            protocol: drive and sense electrodes of each measurement.
+        """
+        leads = _filled("leads", self.leads, protocol.n_electrodes, 0.0, "electrodes")
+        weights = (1.0 + 0.5 * self.common_mode, -1.0 + 0.5 * self.common_mode)
+        return potential_derivatives(impedance, protocol, self.admittance(protocol), leads, weights)
 
     def reading(self, sensed: Complex) -> tuple[Complex, Bools]:
         """Readings, and whether each is beyond the limit; both of the shape of `sensed`.
@@ -164,6 +174,14 @@ class FourTerminalMeter:
         factors = (self.scale, self.offset, self.common_mode)
         if not np.isfinite((*factors, *self.channel_scale, *self.channel_offset)).all():
             yield "scales, offsets and common_mode must be finite"
+
+
+def electrodes_by_role(protocol: Protocol) -> dict[str, Bools]:
+    """Electrodes in each role of `LOADS` during each measurement, (measurements, electrodes)."""
+    numbers = np.arange(protocol.n_electrodes)
+    columns = np.array(protocol.table).T[..., None]
+    found = dict(zip(ROLES, columns == numbers, strict=True))
+    return found | {"idle": ~np.any(list(found.values()), axis=0)}
 
 
 def _positive(value: complex) -> bool:

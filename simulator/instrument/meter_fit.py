@@ -10,7 +10,8 @@ from scipy.optimize import least_squares
 
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.protocol import Protocol
-from eitskin.simulator.instrument.meter import FourTerminalMeter, Quantity
+from eitskin.simulator.instrument.instrument import SNR_RANGE_DB
+from eitskin.simulator.instrument.meter import FourTerminalMeter, Quantity, electrodes_by_role
 from eitskin.simulator.instrument.meter_parameters import (
     USUAL,
     MeterParameter,
@@ -22,6 +23,8 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 STARTS = 12
+MOST_STEPS = 80
+"""Most steps from one starting point; more are taken only along what readings hardly show."""
 UNDETERMINED = 0.5
 """Standard error of a coordinate (half the range of a load) from which it is not identifiable."""
 NULL = 1e-5
@@ -87,6 +90,25 @@ def agreement(predicted: ArrayLike, measured: ArrayLike) -> Agreement:
     return Agreement(r, float(np.linalg.norm(p - m) / np.linalg.norm(m)))
 
 
+def snr_db(frames: ArrayLike) -> float:
+    """Full scale over the white noise of flat frames [dB], as `Instrument.snr_db`.
+
+    The noise is that of differences between successive frames, which slow drifts leave alone; 0
+    for fewer than three frames, or frames without noise.
+
+    Args:
+        frames: readings of the flat, untouched sensor, (frames, measurements).
+    """
+    values = np.asarray(frames, np.complex128)
+    steps = np.diff(values, axis=0)
+    if len(steps) < 2 or not steps.any():
+        return 0.0
+    quadratures = 2.0 if values.imag.any() else 1.0
+    noise = np.sqrt(np.mean(np.abs(steps) ** 2) / (2.0 * quadratures))
+    full_scale = np.abs(values.mean(axis=0)).max()
+    return float(np.clip(20.0 * np.log10(full_scale / noise), *SNR_RANGE_DB))
+
+
 def fit_meter(
     impedance: NDArray[np.inexact],
     protocol: Protocol,
@@ -127,7 +149,7 @@ def fit_meter(
             f"{len(parameters) + 1} parameters cannot be fitted to {readings} readings; fit fewer "
             "terms"
         )
-    problem = _Problem(
+    problem = MeterProblem(
         FourTerminalMeter(reads=quantity),
         parameters,
         np.asarray(impedance),
@@ -155,7 +177,7 @@ def fit_meter(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Problem:
+class MeterProblem:
     """Least-squares problem in the coordinates of the parameters.
 
     Attributes:
@@ -215,7 +237,9 @@ class _Problem:
                 share, drawn / (1.0 + drawn), rng.normal(size=len(share)) * (number > 0)
             )
             first = np.clip(first, low + 1e-9, high - 1e-9)
-            found = least_squares(self.residual, first, bounds=(low, high), max_nfev=100)
+            found = least_squares(
+                self.residual, first, self.jacobian, bounds=(low, high), max_nfev=MOST_STEPS
+            )
             if found.cost < least * (1.0 - 1e-9):
                 best, least = found.x, found.cost
         return np.asarray(best)
@@ -228,7 +252,8 @@ class _Problem:
         """
         unscaled = self.unscaled(coordinates)
         reading = self.scale(unscaled) * unscaled
-        columns = [*self._derivatives(coordinates), reading]
+        scale = self.scale(unscaled)
+        columns = [*(scale * each for each in self._changes(coordinates)), reading]
         if self.start.reads == "complex":
             columns.append(1j * reading)  # the phase of the scale
         norm = float(np.linalg.norm(self.target))
@@ -247,20 +272,58 @@ class _Problem:
             errors[involved] = np.inf
         return errors[: len(self.parameters) + 1], tuple(tied)
 
-    def _derivatives(self, coordinates: Array) -> list[Complex]:
-        """Derivatives of the readings by each coordinate, by differences within the bounds."""
-        scale = self.scale(self.unscaled(coordinates))
+    def jacobian(self, coordinates: Array) -> Array:
+        """Derivatives of `residual` by the coordinates, (readings, parameters)."""
+        unscaled = self.unscaled(coordinates)
+        scale, square = self.scale(unscaled), np.vdot(unscaled, unscaled).real
+        half = len(unscaled)
+        target = self.target.astype(complex)
+        if self.start.reads == "complex":
+            target = self.target[:half] + 1j * self.target[half:]
+        columns = []
+        for change in self._changes(coordinates):
+            # d (u^H t / u^H u) with the readings u at scale 1 and the target t.
+            turn = (np.vdot(change, target) - 2.0 * scale * np.vdot(unscaled, change).real) / square
+            columns.append(self._as_target(scale * change + turn * unscaled))
+        return np.asarray(np.transpose(columns) / np.linalg.norm(self.target))
+
+    def _changes(self, coordinates: Array) -> list[Complex]:
+        """Derivatives of the readings at scale 1 by each coordinate, (measurements,) each."""
+        meter = self.meter(coordinates)
+        sensed = meter.transfer_impedance(self.impedance, self.protocol) + meter.offset
+        by_admittance, by_lead = meter.derivatives(self.impedance, self.protocol)
+        roles = electrodes_by_role(self.protocol)
         found = []
-        for k, parameter in enumerate(self.parameters):
-            low, high = parameter.bounds
-            # Near a short, 1 - x sets the length over which a reading changes.
-            step = 1e-4 * (1.0 - coordinates[k] if parameter.is_share else 1.0)
-            both = np.array([coordinates, coordinates])
-            both[0, k] = max(coordinates[k] - step, low)
-            both[1, k] = min(coordinates[k] + step, high)
-            less, more = (self.unscaled(each) for each in both)
-            found.append(scale * (more - less) / (both[1, k] - both[0, k]))
+        for parameter, x in zip(self.parameters, coordinates, strict=True):
+            if parameter.term == "common_mode":
+                change = self._common_mode(meter)
+            elif parameter.term == "offset":
+                change = np.ones(len(sensed), np.complex128)
+            elif parameter.electrode is None:
+                change = (by_admittance * roles[parameter.term]).sum(axis=1)
+            else:
+                by = by_lead if parameter.term == "leads" else by_admittance
+                change = by[:, parameter.electrode]
+            slope = parameter.slope(float(x), self.typical) * (1j if parameter.imaginary else 1.0)
+            found.append(self._read(slope * change, sensed))
         return found
+
+    def _common_mode(self, meter: FourTerminalMeter) -> Complex:
+        """Common-mode voltage per unit current [ohm], (measurements,)."""
+        both = (dataclasses.replace(meter, common_mode=mode) for mode in (1.0, 0.0))
+        with_mode, without = (
+            each.transfer_impedance(self.impedance, self.protocol) for each in both
+        )
+        return with_mode - without
+
+    def _read(self, change: Complex, sensed: Complex) -> Complex:
+        """Change of the readings for a change of the sensed voltages."""
+        if self.start.reads == "complex":
+            return change
+        if self.start.reads == "magnitude":
+            size = np.maximum(np.abs(sensed), np.finfo(float).tiny)
+            change = change * np.conj(sensed) / size
+        return change.real.astype(complex)
 
     def _as_target(self, readings: Complex) -> Array:
         return _parts(readings) if self.start.reads == "complex" else readings.real
