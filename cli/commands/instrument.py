@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
+from rich.console import Group
 from rich.table import Table
 
 from eitskin.cli.options import Json, MeasuredPairs, Output, Quiet, Seed, Verbose, one_of
@@ -34,6 +35,9 @@ Terms = Annotated[
         "idle, common_mode, offset, leaks, leads; the first six when omitted."
     ),
 ]
+KeepAll = Annotated[
+    bool, typer.Option("--keep-all", help="Keep also the terms that the frames do not call for.")
+]
 First = Annotated[
     int | None,
     typer.Option(min=1, help="Fit to the first so many flat frames, and judge on the others."),
@@ -54,6 +58,7 @@ def fit(
     protocol: MeasuredPairs = None,
     values: Values = None,
     terms: Terms = None,
+    keep_all: KeepAll = False,
     first: First = None,
     reads: Reads = None,
     resolution: Detail = "coarse",
@@ -74,6 +79,7 @@ def fit(
     from eitskin.simulator.instrument.meter import Quantity
     from eitskin.simulator.instrument.meter_fit import agreement, fit_meter, snr_db
     from eitskin.simulator.instrument.meter_parameters import USUAL
+    from eitskin.simulator.instrument.meter_selection import select_meter
 
     output = Output(as_json, quiet, verbose)
     detail = cast("Resolution", one_of("--resolution", resolution, Resolution))
@@ -92,7 +98,8 @@ def fit(
     Z = ForwardModel(sensor, resolution=detail).impedance()
     chosen = tuple(terms.split(",")) if terms is not None else USUAL
     quantity = quantity or ("magnitude" if data.quantity == "magnitude" else None)
-    found = fit_meter(Z, table, fitted, chosen, quantity, seed)
+    fit_terms = fit_meter if keep_all else select_meter
+    found = fit_terms(Z, table, fitted, chosen, quantity, seed)
     ideal = fit_meter(Z, table, fitted, (), quantity, seed)
     judged = {"fitted": fitted.mean(axis=0)}
     if len(others):
@@ -103,7 +110,7 @@ def fit(
     }
     Instrument(snr_db=snr_db(fitted), meter=found.meter).to_toml(out)
     output.result(_plain(found, agreements, len(fitted), out), _table(found, agreements))
-    for sentence in _remarks(found):
+    for sentence in _remarks(found, chosen):
         output.note(sentence)
     output.note(f"instrument: {out}")
 
@@ -161,31 +168,34 @@ def _rows(found: "MeterFit") -> list[tuple[str, float, float | None, str]]:
     return [*rows, ("scale", scale, error if math.isfinite(error) else None, "per ohm")]
 
 
-def _table(found: "MeterFit", agreements: "dict[str, dict[str, Agreement]]") -> Table:
+def _table(found: "MeterFit", agreements: "dict[str, dict[str, Agreement]]") -> Group:
     lines = [
         f"{name} frames: ideal meter r = {both['ideal'].r:.3f}, residual "
         f"{100.0 * both['ideal'].residual:.1f} %; fitted r = {both['meter'].r:.3f}, residual "
         f"{100.0 * both['meter'].residual:.1f} %"
         for name, both in agreements.items()
     ]
-    table = Table("parameter", "value", "standard error", "unit", caption="\n".join(lines))
+    table = Table("parameter", "value", "standard error", "unit")
     for name, value, error, unit in _rows(found):
         shown = "not identifiable" if error is None else f"{error:.2g}"
         table.add_row(name, f"{value:.4g}", shown, unit)
-    return table
+    return Group(table, *lines)
 
 
-def _remarks(found: "MeterFit") -> list[str]:
-    """Sentences about what the frames do not determine."""
+def _remarks(found: "MeterFit", terms: tuple[str, ...]) -> list[str]:
+    """Sentences about what the frames do not call for, and what they do not determine."""
+    fitted = {each.term for each in found.parameters}
+    left_out = ", ".join(term for term in terms if term not in fitted)
+    said = [f"not called for by these frames, and left out: {left_out}"] if left_out else []
     single = [names[0] for names in found.tied if len(names) == 1]
-    said = [
+    said += [
         f"not identifiable: of {', '.join(names)} only a combination shows in these frames"
         for names in found.tied
         if len(names) > 1
     ]
     if single:
         said.append(f"not identifiable: {', '.join(single)} does not show in these frames")
-    if said:
+    if found.tied:
         said.append(
             "parameters that are not identifiable do no harm to flat frames; fit fewer --terms to "
             "get numbers with errors"

@@ -1,0 +1,81 @@
+"""`eitskin instrument fit`: a board's instrument from flat frames, used again in simulation."""
+
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from eitskin.cli.main import app
+from eitskin.datasets import Dataset, State, save_dataset
+from eitskin.errors import ConfigurationError, DataError
+from eitskin.geometry import SensorDesign
+from eitskin.simulator import FourTerminalMeter, Instrument, Protocol, Scene, Simulator
+
+RING = Protocol.adjacent(8, shared=True)
+RIG = FourTerminalMeter(sink=4e-3, idle=6e-4, common_mode=0.2, scale=3.0, reads="signed")
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory):
+    """Folder with the reference sensor's design, its protocol, and flat frames on a rig."""
+    folder = tmp_path_factory.mktemp("rig")
+    design = SensorDesign.reference()
+    design.to_toml(folder / "sensor.toml")
+    RING.to_file(folder / "ring.csv")
+    sim = Simulator(design, "coarse", protocol=RING)
+    flat, _ = RIG.reading(RIG.transfer_impedance(sim.model.impedance(), RING))
+    noise = np.random.default_rng(0).standard_normal((20, len(RING)))
+    np.savez(folder / "flat.npz", u=flat.real + 1e-4 * np.abs(flat).max() * noise)
+    return folder, flat
+
+
+def run(folder, *arguments):
+    options = ("instrument", "fit", str(folder / "sensor.toml"))
+    return CliRunner().invoke(app, [*options, *map(str, arguments)])
+
+
+def test_a_rig_is_fitted_and_simulated_as_it_reads(rig, tmp_path):
+    folder, flat = rig
+    out = tmp_path / "rig.toml"
+    source = (folder / "flat.npz", "--values", "u", "--protocol", folder / "ring.csv")
+    terms = ("--terms", "source,sink,idle,common_mode", "--first", 15)
+    result = run(folder, *source, *terms, "--out", out, "--json")
+    assert result.exit_code == 0, result.output
+    said = json.loads(result.stdout)
+    found = {each["name"]: each for each in said["parameters"]}
+    assert "source" not in found
+    assert "left out: source" in result.stderr
+    for name, true in (("sink", 4e-3), ("idle", 6e-4), ("common_mode", 0.2), ("scale", 3.0)):
+        error = abs(found[name]["value"] - true)
+        assert error < 5.0 * found[name]["standard_error"] < 0.5 * true
+    for frames in said["agreement"].values():
+        assert frames["meter"]["residual"] < 1e-3
+        assert frames["ideal"]["residual"] > 0.1
+    board = Instrument.from_toml(out)
+    assert board.snr_db == pytest.approx(80.0, abs=1.0)
+    sim = Simulator(SensorDesign.reference(), "coarse", protocol=RING)
+    frame = sim.measure(Scene(), board, np.random.default_rng(0))
+    assert frame.impedance.real == pytest.approx(flat.real, abs=2e-3 * np.abs(flat).max())
+    assert not frame.impedance.imag.any()
+
+
+def test_flat_frames_of_a_dataset_are_those_before_touches_or_idle(rig, tmp_path):
+    folder, flat = rig
+    state = np.array([State.TOUCH, State.IDLE])
+    frames = np.array([1.1 * flat, flat])
+    save_dataset(Dataset.from_arrays(frames, protocol=RING, state=state), tmp_path / "idle")
+    options = ("--terms", "sink", "--keep-all", "--out", tmp_path / "rig.toml")
+    result = run(folder, tmp_path / "idle", *options)
+    assert "1 flat frames (idle)" in result.stderr
+    assert "not identifiable" in result.stdout  # one load has no way back
+    save_dataset(Dataset.from_arrays(frames, protocol=RING, state=state[[0, 0]]), tmp_path / "x")
+    assert isinstance(run(folder, tmp_path / "x", *options).exception, DataError)
+
+
+def test_protocols_that_are_not_known_or_do_not_fit_are_refused(rig, tmp_path):
+    folder, _ = rig
+    values = (folder / "flat.npz", "--values", "u", "--out", tmp_path / "rig.toml")
+    for protocol in ((), ("--protocol", "adjacent:6")):
+        error = run(folder, *values, *protocol).exception
+        assert isinstance(error, ConfigurationError | DataError), error
