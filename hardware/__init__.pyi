@@ -9,6 +9,12 @@ from eitskin.hardware.boards.board import (
 from eitskin.hardware.boards.connection import Connection as Connection
 from eitskin.hardware.boards.replay_board import ReplayBoard as ReplayBoard
 from eitskin.hardware.boards.serial_board import SerialBoard as SerialBoard
+from eitskin.hardware.diagnosis.reading_check import (
+    ReadingCheck as ReadingCheck,
+)
+from eitskin.hardware.diagnosis.reading_check import (
+    check_readings as check_readings,
+)
 from eitskin.hardware.diagnosis.sensor_check import (
     SensorCheck as SensorCheck,
 )

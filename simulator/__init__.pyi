@@ -16,6 +16,13 @@ from eitskin.simulator.electrical.reanalysis import (
 )
 from eitskin.simulator.instrument.instrument import Instrument as Instrument
 from eitskin.simulator.instrument.meter import FourTerminalMeter as FourTerminalMeter
+from eitskin.simulator.instrument.meter_fit import (
+    MeterFit as MeterFit,
+)
+from eitskin.simulator.instrument.meter_fit import (
+    fit_meter as fit_meter,
+)
+from eitskin.simulator.instrument.meter_selection import select_meter as select_meter
 from eitskin.simulator.instrument.session import Session as Session
 from eitskin.simulator.mechanics.layer_stack import Mechanics as Mechanics
 from eitskin.simulator.scene.indenters import (
