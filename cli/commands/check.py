@@ -10,8 +10,8 @@ import typer
 from rich.table import Table
 
 from eitskin.cli.commands.live import BoardUri, seeded
+from eitskin.cli.commands.recorded_frames import Values
 from eitskin.cli.options import Json, MeasuredPairs, Output, Quiet, Seed, Verbose
-from eitskin.cli.recorded_frames import Values
 from eitskin.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -108,7 +108,7 @@ def _check_board(
 
 
 def _check_recording(path: Path, values: str | None, protocol: str | None, output: Output) -> None:
-    from eitskin.cli.recorded_frames import read_recorded, required_protocol
+    from eitskin.cli.commands.recorded_frames import read_recorded, required_protocol
     from eitskin.hardware.diagnosis.reading_check import check_readings
 
     data = read_recorded(path, values, protocol)

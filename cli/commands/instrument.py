@@ -9,8 +9,8 @@ import typer
 from rich.console import Group
 from rich.table import Table
 
+from eitskin.cli.commands.recorded_frames import Recorded, Values, read_recorded, required_protocol
 from eitskin.cli.options import Json, MeasuredPairs, Output, Quiet, Seed, Verbose, one_of
-from eitskin.cli.recorded_frames import Recorded, Values, read_recorded, required_protocol
 from eitskin.errors import ConfigurationError, DataError
 
 if TYPE_CHECKING:
