@@ -37,20 +37,22 @@ def command(
 ) -> None:
     """Mesh a sensor: number of cells, their quality, and a picture."""
     from eitskin.geometry.design.sensor import SensorDesign
-    from eitskin.geometry.meshing.mesh_design import CellKind, mesh_design, natural_cells
-    from eitskin.simulator.electrical.resolution import discretisation
+    from eitskin.geometry.meshing.mesh_design import CellKind, mesh_design
+    from eitskin.simulator.electrical.resolution import discretisation, suited_cells
     from eitskin.simulator.view.render import require_picture
 
     output = Output(json, quiet, verbose)
     design = SensorDesign.from_toml(sensor) if sensor else SensorDesign.reference()
-    kind = cast("CellKind", one_of("--cells", cells, CellKind)) if cells else natural_cells(design)
+    named = cast("Resolution", resolution)
+    suited = suited_cells(named, design)
+    kind = cast("CellKind", one_of("--cells", cells, CellKind)) if cells else suited
     pair = None if drive is None else _pair(drive, len(design.electrodes))
     if pair is not None and view is None:
         raise ConfigurationError("--drive says what to draw; name the picture with --view")
     if view is not None:
         require_picture(view)
     start = time.perf_counter()
-    _, grading = discretisation(cast("Resolution", resolution), design, kind)
+    _, grading = discretisation(named, design, kind)
     mesh = mesh_design(design, grading, kind)
     data = _numbers(design, mesh, kind, time.perf_counter() - start)
     output.result(data, _as_table(data))

@@ -1,10 +1,9 @@
-"""Graded triangulation of plane outlines: Delaunay refinement, then subdivision."""
+"""Graded triangulation of plane outlines by Delaunay refinement."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import skfem
 from numpy.typing import NDArray
 from scipy.spatial import Delaunay, cKDTree
 
@@ -15,31 +14,30 @@ Array = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
-# Subdivision starts from edges of a sixteenth of the outline, or of the coarsest size where that
-# is more, and angles of 28 degrees. Circumradius over shortest edge is 1 / (2 sin) of the
-# smallest angle.
-_COARSE = 16.0
+# Circumradius over shortest edge is 1 / (2 sin) of the smallest angle, here 28 degrees.
 _WORST_RATIO = 0.5 / np.sin(np.radians(28.0))
 _CHORDS = 24  # fewest chords of a circle
 _MOST_ROUNDS = 300
 _MOST_POINTS = 500_000
+_PER_SIZE = 1.0 / np.sqrt(3.0)  # points in twice the square of an edge, of equilateral triangles
 _SAME = 1e-9  # relative distance of points and lengths that count as equal
 
 
 def triangulated(
-    outline: PlaneOutline, fixed: Array, coarsest: float, size: Callable[[Array], Array]
+    outline: PlaneOutline, fixed: Array, size: Callable[[Array], Array]
 ) -> tuple[Array, Numbers]:
-    """Graded triangulation of an outline with no edge longer than `size`.
+    """Graded Delaunay triangulation of an outline with no edge longer than `size`.
 
-    A coarse Delaunay triangulation with angles of at least 28 degrees is subdivided where it is
-    too coarse, by halving edges, the longest of a triangle first ("red-green-blue"; angles stay
-    above 14 degrees, and nearly always above 25). The same input gives the same triangles.
+    Circumcentres of too large or too thin triangles are inserted into a Delaunay triangulation;
+    chords of the rim that such a point encroaches upon are halved instead (Ruppert 1995). Next to
+    corners below 60 degrees chords are split at distances that are powers of two, and triangles
+    across such a corner keep their angles (Miller, Pav & Walkington 2003). All other angles are at
+    least 28 degrees. The same input gives the same triangles.
 
     Args:
         outline: of the layer. On a disc all points of the rim are on the circle.
         fixed: arc lengths of required points of the rim, besides the corners, (k,) [m].
-        coarsest: the largest size [m].
-        size: largest edge lengths (n,) [m] at points (n, 2) [m].
+        size: largest edge lengths (n,) [m] at the middles of triangles, (n, 2) [m].
 
     Returns:
         points: (n, 2), by rising x [m].
@@ -48,51 +46,22 @@ def triangulated(
     Raises ConfigurationError for more than half a million points, and where electrode ends and
     corners allow no triangulation.
     """
-    points, triangles = coarse_triangulation(outline, fixed, coarsest)
-    mesh = skfem.MeshTri(np.ascontiguousarray(points.T), np.ascontiguousarray(triangles.T))
-    while True:
-        corners = mesh.p.T[mesh.t.T]
-        longest = _edges(corners).max(axis=1)
-        large = np.flatnonzero(longest > size(corners.mean(axis=1)) * (1.0 + _SAME))
-        if not len(large):
-            clockwise = _doubled_areas(corners) < 0.0
-            triangles = mesh.t.T.astype(np.int64)
-            triangles[clockwise] = triangles[clockwise][:, ::-1]
-            return numbered_along_x(mesh.p.T, triangles)
-        # Each large triangle adds at least one edge midpoint, shared with one other triangle.
-        _require_few(mesh.p.shape[1] + len(large) // 2)
-        mesh = mesh.refined(large)
-        if isinstance(outline, Disc):
-            rim = mesh.boundary_nodes()
-            arc, _ = outline.nearest(mesh.p.T[rim])
-            mesh.p[:, rim] = outline.at(arc).T
-
-
-def coarse_triangulation(
-    outline: PlaneOutline, fixed: Array, coarsest: float
-) -> tuple[Array, Numbers]:
-    """Delaunay refinement of an outline, the coarse start of `triangulated`.
-
-    Circumcentres of too large or too thin triangles are inserted into a Delaunay triangulation;
-    chords of the rim that such a point encroaches upon are halved instead (Ruppert 1995). Next to
-    corners below 60 degrees chords are split at distances that are powers of two, and triangles
-    across such a corner keep their angles (Miller, Pav & Walkington 2003).
-    """
-    longest = max(coarsest, max(outline.length, outline.width) / _COARSE)
     rim, inner = _Rim.of(outline, fixed), np.empty((0, 2))
     for _ in range(_MOST_ROUNDS):
-        rim = rim.clear_of(inner, longest)
+        rim = rim.clear_of(inner)
         points = np.concatenate([rim.positions, inner])
         triangles = _inside(outline, points)
         corners = points[triangles]
         centres, radii = _circumcircles(corners)
         edges = _edges(corners)
+        largest = size(corners.mean(axis=1))
+        _require_few(_PER_SIZE * float((_doubled_areas(corners) / largest**2).sum()))
         poor = radii > _WORST_RATIO * edges.min(axis=1)
         poor &= ~rim.across_acute_corner(triangles, edges)
-        poor |= edges.max(axis=1) > longest
+        poor |= edges.max(axis=1) > largest * (1.0 + _SAME)
         if not poor.any():
-            return points, triangles
-        chosen = np.flatnonzero(poor)[_far_apart(triangles[poor], centres[poor], radii[poor])]
+            return numbered_along_x(points, triangles)
+        chosen = np.flatnonzero(poor)[_far_apart(centres[poor], radii[poor])]
         rim, accepted = rim.split_by(centres[chosen])
         inner = np.concatenate([inner, accepted])
     raise ConfigurationError(
@@ -137,8 +106,8 @@ class _Rim:
         """Positions of the points, (n, 2) [m]."""
         return self.outline.at(self.arc)
 
-    def clear_of(self, inner: Array, longest: float) -> "_Rim":
-        """Halve chords until none is too long or has a point within its diametral circle.
+    def clear_of(self, inner: Array) -> "_Rim":
+        """Halve chords until none has a point within its diametral circle.
 
         All chords are then edges of the Delaunay triangulation.
         """
@@ -147,10 +116,9 @@ class _Rim:
             middle, radius = rim._circles()
             nearest, _ = cKDTree(np.concatenate([rim.positions, inner])).query(middle)
             close = nearest < radius * (1.0 - 1e-6)
-            wrong = close | (2.0 * radius > longest)
-            if not wrong.any():
+            if not close.any():
                 return rim
-            rim = rim._split(wrong)
+            rim = rim._split(close)
             _require_few(len(rim.arc))
 
     def split_by(self, centres: Array) -> tuple["_Rim", Array]:
@@ -241,19 +209,16 @@ def _edges(corners: Array) -> Array:
     return lengths
 
 
-def _far_apart(triangles: Numbers, centres: Array, radii: Array) -> Numbers:
-    """Circumcentres that can be inserted at once, larger circles before smaller ones."""
-    rank = np.empty(len(radii), dtype=np.int64)
-    rank[np.argsort(-radii, kind="stable")] = np.arange(len(radii))
-    best = np.full(triangles.max() + 1, len(rank))
-    np.minimum.at(best, triangles.ravel(), np.repeat(rank, 3))
-    first = np.flatnonzero((best[triangles] == rank[:, None]).all(axis=1))
-    # Circumcentres of thin triangles are far from them and may be close to each other.
-    near = np.arange(min(5, len(first))) + 1
-    distance, other = cKDTree(centres[first]).query(centres[first], k=near)
-    beaten = (distance < radii[first][:, None]) & (rank[first][other] < rank[first][:, None])
-    chosen: Numbers = first[~beaten.any(axis=1)]
-    return chosen
+def _far_apart(centres: Array, radii: Array) -> Numbers:
+    """Circumcentres that can be inserted at once, larger circles before smaller ones.
+
+    No chosen centre lies in the circle of a smaller one that is chosen.
+    """
+    within = cKDTree(centres).query_ball_point(centres, radii * (1.0 - _SAME))
+    chosen = np.zeros(len(radii), dtype=bool)
+    for number in np.argsort(-radii, kind="stable"):
+        chosen[number] = not chosen[within[number]].any()
+    return np.flatnonzero(chosen)
 
 
 def numbered_along_x(points: Array, cells: Numbers) -> tuple[Array, Numbers]:
@@ -264,7 +229,7 @@ def numbered_along_x(points: Array, cells: Numbers) -> tuple[Array, Numbers]:
     return points[order], number[cells]
 
 
-def _require_few(count: int) -> None:
+def _require_few(count: float) -> None:
     if count > _MOST_POINTS:
         raise ConfigurationError(
             f"a triangulation of more than {_MOST_POINTS} points was asked for; choose a larger "

@@ -33,15 +33,10 @@ def structured_mesh(design: SensorDesign, grading: Grading, breaks: Sequence[flo
             "structured hexahedra need a rectangular outline, got "
             f"{type(design.outline).__name__}; use prisms or tetrahedra"
         )
-    # An edge of an electrode lies on lines through both ends of its bounding box.
-    boxes = [
-        contact.edges(np.inf)
-        for contact in placed(design.electrodes, design.outline, design.thickness)
-    ]
-    ends = np.concatenate([[box.min(axis=0), box.max(axis=0)] for box in boxes])
+    along, across = electrode_lines(design)
     lines = (
-        graded_lines(design.outline.length, set(ends[:, 0].round(12)), breaks, grading),
-        graded_lines(design.outline.width, set(ends[:, 1].round(12)), (), grading),
+        graded_lines(design.outline.length, along, breaks, grading),
+        graded_lines(design.outline.width, across, (), grading),
         layer_heights(design, grading),
     )
     shape = tuple(len(line) for line in lines)
@@ -56,3 +51,14 @@ def structured_mesh(design: SensorDesign, grading: Grading, breaks: Sequence[flo
     ]
     cells = np.stack(corners, axis=-1).reshape(-1, 8)
     return Mesh(points, cells, electrode_contacts(points, cells, design.patches()), lines[2])
+
+
+def electrode_lines(design: SensorDesign) -> tuple[set[float], set[float]]:
+    """Positions along x and y [m] of lines through both ends of the electrodes' bounding boxes.
+
+    The edges of the electrodes lie on these lines.
+    """
+    contacts = placed(design.electrodes, design.outline, design.thickness)
+    boxes = [contact.edges(np.inf) for contact in contacts]
+    ends = np.concatenate([[box.min(axis=0), box.max(axis=0)] for box in boxes]).round(12)
+    return set(ends[:, 0].tolist()), set(ends[:, 1].tolist())

@@ -44,7 +44,7 @@ def triangulated_mesh(design: SensorDesign, grading: Grading) -> Mesh:
         distance, _ = edges.query(points)
         return grading.size(distance)
 
-    plane, triangles = triangulated(outline, ends, grading.coarsest, size)
+    plane, triangles = triangulated(outline, ends, size)
     heights = layer_heights(design, grading)
     count = len(heights)
     points = np.column_stack([np.repeat(plane, count, axis=0), np.tile(heights, len(plane))])

@@ -13,7 +13,7 @@ from eitskin.geometry.design.outline import Disc, Outline
 from eitskin.geometry.design.patches import boundary_faces, electrode_contacts
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.surface import Surface
-from eitskin.geometry.meshing.delaunay import coarse_triangulation, numbered_along_x
+from eitskin.geometry.meshing.delaunay import numbered_along_x, triangulated
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.geometry.meshing.mesh import Mesh
 from eitskin.geometry.meshing.quality import volumes
@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 
 _CHORDS = 60  # of a circle, before points of its rim are put on it
+_FACES = 16.0  # least edges of triangles along the body's longer side
 _SPACING = 2.0  # of points along electrode edges, relative to the finest size
 _AT_EDGES = 0.7  # of the size along electrode edges, where fTetWild gives 1.4 times as much
 # fTetWild samples the surface at distances of its envelope, so that a small one takes long: the
@@ -91,7 +92,10 @@ def _surface(outline: Outline, thickness: float) -> tuple[Array, Numbers]:
     if isinstance(outline, Surface):
         return outline.triangles()
     rim = np.arange(_CHORDS if isinstance(outline, Disc) else 0) / _CHORDS
-    plane, lower = coarse_triangulation(outline, rim * outline.perimeter, np.inf)
+    longest = max(outline.length, outline.width) / _FACES
+    plane, lower = triangulated(
+        outline, rim * outline.perimeter, lambda middles: np.full(len(middles), longest)
+    )
     count = len(plane)
     bottom, top = (np.column_stack([plane, np.full(count, z)]) for z in (0.0, thickness))
     # The rim's edges are those that no other triangle runs through the other way.

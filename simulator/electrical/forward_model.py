@@ -10,11 +10,16 @@ from numpy.typing import ArrayLike, NDArray
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.meshing.mesh import Mesh
-from eitskin.geometry.meshing.mesh_design import CellKind, mesh_design, natural_cells
+from eitskin.geometry.meshing.mesh_design import CellKind, mesh_design
 from eitskin.protocol import Protocol
 from eitskin.simulator.electrical.assembly import TENSOR_COLUMNS, TENSOR_ROWS, Assembly, Stiffness
 from eitskin.simulator.electrical.cem_system import CemSystem, SystemPattern, zero_sums
-from eitskin.simulator.electrical.resolution import Discretisation, Resolution, discretisation
+from eitskin.simulator.electrical.resolution import (
+    Discretisation,
+    Resolution,
+    discretisation,
+    suited_cells,
+)
 from eitskin.simulator.electrical.sensitivity import Tensors, pixel_gram
 from eitskin.simulator.linalg.sparse_solvers import Solver, SolverName, choose_solver
 
@@ -55,8 +60,8 @@ class ForwardModel:
             design: the sensor.
             resolution: a name, or element order and grading.
             breaks: further positions along x with faces of a mesh of hexahedra [m].
-            cells: kind of mesh; hexahedra for rectangles, prisms for other outlines and
-                tetrahedra for surfaces when omitted.
+            cells: kind of mesh; when omitted hexahedra for rectangles with few electrodes, prisms
+                for other plane outlines and tetrahedra for surfaces.
             solver: "block Cholesky", "nested dissection" or "sparse LU"; one of the first two, by
                 the shape of the body, when omitted.
 
@@ -64,7 +69,7 @@ class ForwardModel:
             ConfigurationError: for an unknown resolution, cells that do not suit the outline, or
                 an unknown solver.
         """
-        cells = cells or natural_cells(design)
+        cells = cells or suited_cells(resolution, design, breaks)
         order, grading = discretisation(resolution, design, cells)
         self.design = design
         self.mesh: Mesh = mesh_design(design, grading, cells, breaks)

@@ -3,13 +3,13 @@
 from collections.abc import Iterable, Sequence
 
 from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.geometry.meshing.mesh_design import natural_cells
 from eitskin.simulator.electrical.forward_model import ForwardModel
 from eitskin.simulator.electrical.resolution import (
     Discretisation,
     Resolution,
     discretisation,
     press_length,
+    suited_cells,
 )
 from eitskin.simulator.scene.indenters import Indenter
 
@@ -29,9 +29,9 @@ class ModelFamily:
     ) -> None:
         """Mesh the base model; arguments as of `ForwardModel`."""
         self._design, self._resolution, self._breaks = design, resolution, breaks
-        self._cells = natural_cells(design)
+        self._cells = suited_cells(resolution, design, breaks)
         coarsest = discretisation(resolution, design, self._cells)
-        self.base = ForwardModel(design, coarsest, breaks)
+        self.base = ForwardModel(design, coarsest, breaks, self._cells)
         self._models = {coarsest: self.base}
 
     def suited(self, indenters: Iterable[Indenter]) -> ForwardModel:
@@ -45,5 +45,5 @@ class ModelFamily:
         smallest = min(indenters, key=lambda i: press_length(self._design, i), default=None)
         wanted = discretisation(self._resolution, self._design, self._cells, smallest)
         if wanted not in self._models:
-            self._models[wanted] = ForwardModel(self._design, wanted, self._breaks)
+            self._models[wanted] = ForwardModel(self._design, wanted, self._breaks, self._cells)
         return self._models[wanted]

@@ -1,6 +1,7 @@
 """Named resolutions: polynomial orders and cell sizes for any design and indenter."""
 
 import math
+from collections.abc import Sequence
 from typing import Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
@@ -8,7 +9,8 @@ import numpy as np
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.meshing.grading import Grading
-from eitskin.geometry.meshing.mesh_design import CellKind
+from eitskin.geometry.meshing.hexahedra import electrode_lines
+from eitskin.geometry.meshing.mesh_design import CellKind, natural_cells
 from eitskin.simulator.scene.indenters import Cylinder, Indenter
 
 Resolution = Literal["coarse", "fast", "standard", "fine"]
@@ -43,8 +45,8 @@ _COLUMNS = {
 }
 # Triangles are refined around electrode edges only, not along whole lines, and can be finer.
 _PRISMS = {
-    "coarse": _Named((3, 3, 2), 0.2, 0.2, 1.8, 1.3),
-    "fast": _Named((3, 3, 2, 1), 0.2, 0.133, 1.2, 0.82),
+    "coarse": _Named((4, 3, 2), 0.16, 0.23, 1.8, 1.4),
+    "fast": _Named((4, 3, 2, 1), 0.2, 0.16, 1.4, 0.89),
     "standard": _Named((4, 4, 3, 2, 2), 0.04, 0.15, 1.5, 0.92),
     "fine": _Named((4, 4, 4, 3, 2), 4e-3, 0.1, 1.2, 0.62),
 }
@@ -55,6 +57,10 @@ _TETRAHEDRA = {
     "fine": _Named((2,), 0.04, 0.08, 0.5, math.inf),
 }
 _NAMED = {"hexahedra": _COLUMNS, "prisms": _PRISMS, "tetrahedra": _TETRAHEDRA}
+
+# Crossings of lines through electrode ends up to which hexahedra have as few unknowns as prisms.
+_MOST_CROSSINGS = 50
+_SAME = 1e-9  # [m]
 
 _NEAR_TIP = 1e-3  # height over an indenter's lowest point at which the radius is measured [m]
 _SUFFICIENT = 0.9  # of the wanted cell size over the size of a mesh that is still used
@@ -73,6 +79,27 @@ def press_length(design: SensorDesign, indenter: Indenter) -> float:
     r = np.linspace(0.0, widest, 65)
     radius = float(r[indenter.profile(r)[0] <= _NEAR_TIP][-1])
     return cover + 0.5 * design.thickness + 0.5 * radius
+
+
+def suited_cells(
+    resolution: Resolution | Discretisation, design: SensorDesign, breaks: Sequence[float] = ()
+) -> CellKind:
+    """Kind of mesh of a resolution for a design.
+
+    Electrodes on the sides of a rectangle that are not opposite each other have lines of hexahedra
+    for each. At named resolutions triangles take their place where that makes too many. Meshes with
+    `breaks`, further faces across x, have hexahedra.
+    """
+    kind = natural_cells(design)
+    on_sides = all(electrode.on == "side" for electrode in design.electrodes)
+    if kind != "hexahedra" or not isinstance(resolution, str) or breaks or not on_sides:
+        return kind
+    extents = design.outline.length, design.outline.width
+    along, across = (
+        sum(_SAME < at < extent - _SAME for at in lines)
+        for lines, extent in zip(electrode_lines(design), extents, strict=True)
+    )
+    return "prisms" if along * across > _MOST_CROSSINGS else kind
 
 
 def discretisation(

@@ -10,11 +10,13 @@ import pytest
 from eitskin.benchmarks.accuracy.deformed import sheared
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Rectangle, SensorDesign
-from eitskin.geometry.design.regular_layouts import uniform
+from eitskin.geometry.design.regular_layouts import grid, uniform
 from eitskin.geometry.meshing.grading import Grading
-from eitskin.simulator import ForwardModel, Scene, Simulator, Touch
+from eitskin.simulator import ForwardModel, Protocol, Scene, Simulator, Touch
 from eitskin.simulator.electrical.memory import estimated_memory
-from eitskin.simulator.electrical.resolution import discretisation, press_length
+from eitskin.simulator.electrical.resolution import discretisation, press_length, suited_cells
+from eitskin.simulator.layer.deformed_layer import DeformedLayer
+from eitskin.simulator.mechanics.layer_stack import Piezoresistivity
 from eitskin.simulator.scene.indenters import Cylinder, Sphere
 
 DESIGN = SensorDesign.reference()
@@ -120,3 +122,37 @@ def test_the_estimate_is_near_the_memory_that_is_taken(order, size, cells) -> No
     finally:
         tracemalloc.stop()
     assert peak / 2.0 < estimated_memory(model.assembly.space) < 2.5 * peak
+
+
+# Kinds of cells
+
+
+def test_many_electrodes_have_prisms_and_as_many_unknowns_as_they_need() -> None:
+    """Lines of hexahedra through 32 electrodes would make ten times the reference's unknowns."""
+    models = [
+        ForwardModel(dataclasses.replace(DESIGN, electrodes=uniform(DESIGN.outline, n)), "coarse")
+        for n in (16, 32)
+    ]
+    few = ForwardModel(DESIGN, "coarse")
+    assert [model.mesh.cells.shape[1] for model in (few, *models)] == [8, 6, 6]
+    assert models[0].unknowns < 2.0 * few.unknowns
+    assert models[1].unknowns < 2.0 * models[0].unknowns
+
+
+def test_hexahedra_stay_where_they_are_needed_or_asked_for() -> None:
+    many = dataclasses.replace(DESIGN, electrodes=uniform(DESIGN.outline, 16))
+    assert suited_cells(((3, 2, 1), Grading(1e-3, 6e-3, 2.0)), many) == "hexahedra"
+    assert suited_cells("coarse", many, (0.055,)) == "hexahedra"
+    pads = dataclasses.replace(DESIGN, electrodes=grid(DESIGN.outline, 4, 8, 0.005))
+    assert suited_cells("coarse", pads) == "hexahedra"
+
+
+@pytest.mark.parametrize("resolution", ["coarse", "fast"])
+def test_prisms_are_as_exact_as_promised(resolution) -> None:
+    truth = converged_signal(CONVERGED[resolution], "sheared")
+    model = ForwardModel(DESIGN, resolution, cells="prisms")
+    layer = DeformedLayer(DESIGN, SCENES["sheared"], Piezoresistivity())
+    bent, flat = model.impedance(layer.conductivity, layer.area_ratio), model.impedance()
+    pairs = Protocol.pairwise(8)
+    found = (pairs.measure(bent) / pairs.measure(flat)).real - 1.0
+    assert np.linalg.norm(found - truth) < PROMISES[resolution] * np.linalg.norm(truth)
