@@ -45,9 +45,9 @@ _COLUMNS = {
 }
 # Triangles are refined around electrode edges only, not along whole lines, and can be finer.
 _PRISMS = {
-    "coarse": _Named((4, 3, 2), 0.16, 0.23, 1.8, 1.4),
-    "fast": _Named((4, 3, 2, 1), 0.2, 0.16, 1.4, 0.89),
-    "standard": _Named((4, 4, 3, 2, 2), 0.04, 0.15, 1.5, 0.92),
+    "coarse": _Named((4, 3, 2), 0.12, 0.23, 1.7, 1.4),
+    "fast": _Named((4, 3, 2, 1), 0.2, 0.16, 1.3, 0.89),
+    "standard": _Named((4, 4, 3, 2, 2), 0.04, 0.15, 1.6, 0.89),
     "fine": _Named((4, 4, 4, 3, 2), 4e-3, 0.1, 1.2, 0.62),
 }
 _TETRAHEDRA = {
