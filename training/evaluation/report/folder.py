@@ -18,6 +18,7 @@ from eitskin.training.evaluation.report.curves import (
 )
 from eitskin.training.evaluation.report.drawing import EXTRA, CaptionedFigure, NoFigure, style
 from eitskin.training.evaluation.report.maps import touch_maps_by_angle, touch_maps_by_count
+from eitskin.training.evaluation.report.pictures import pictures_by_count
 from eitskin.training.evaluation.report.positions import error_vectors, localisation_errors
 from eitskin.training.evaluation.report.table import HEADINGS, table_rows
 from eitskin.training.evaluation.scores import SSIM_DEFINITION
@@ -31,6 +32,7 @@ PICTURES: Mapping[str, Callable[[Evaluation], CaptionedFigure | NoFigure]] = {
     "bend_sequence.png": bend_sequence,
     "touch_maps_angles.png": touch_maps_by_angle,
     "touch_maps_counts.png": touch_maps_by_count,
+    "pictures.png": pictures_by_count,
     "error_vectors.png": error_vectors,
     "localisation_errors.png": localisation_errors,
 }
