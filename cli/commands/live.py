@@ -8,7 +8,7 @@ from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 from rich.console import Group, RenderableType
@@ -16,7 +16,16 @@ from rich.live import Live
 from rich.text import Text
 
 from eitskin.cli.commands.live_recording import FrameRecording, MessageRecording, Recording
-from eitskin.cli.options import Json, Model, Output, Quiet, Seed, Verbose, ended_by_signals
+from eitskin.cli.options import (
+    Json,
+    Model,
+    Output,
+    Quiet,
+    Seed,
+    Verbose,
+    ended_by_signals,
+    one_of,
+)
 from eitskin.errors import PartialError
 
 if TYPE_CHECKING:
@@ -25,8 +34,9 @@ if TYPE_CHECKING:
 
     from eitskin.cli.page.live_page import LivePage
     from eitskin.frame import Frame
+    from eitskin.hardware.boards.board import Board
     from eitskin.hardware.boards.connection import Connection
-    from eitskin.hardware.live import Reading
+    from eitskin.hardware.live import FramePipeline, Reading
 
 BoardUri = Annotated[
     str, typer.Option("--board", help="serial:PORT, text:PORT, virtual: or replay:DIRECTORY.")
@@ -50,6 +60,11 @@ PagePort = Annotated[
     int, typer.Option(min=0, max=65535, help="Port of the page; 0 for a free one.")
 ]
 
+PictureMethod = Annotated[
+    str | None,
+    typer.Option(help="Also picture every frame by this method, such as greit, for the page."),
+]
+
 REFRESH = 10  # per second
 CHECKED = 16  # frames of a session's beginning that say how the sensor is
 SHORTEST_SILENCE = 1.0  # s, before what is shown is called old
@@ -65,6 +80,7 @@ def command(
     every_frame: EveryFrame = False,
     page: ShowPage = False,
     page_port: PagePort = 8940,
+    picture: PictureMethod = None,
     seed: Seed = 0,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -107,7 +123,20 @@ def command(
             )
             output.note(f"page: {session.page.url}")
         newest = not (every_frame or recordings)
-        session.follow(run_live(session.connection, pipeline, newest=newest), frames)
+        followed = pipeline if picture is None else _pictured(pipeline, opened, picture)
+        session.follow(run_live(session.connection, followed, newest=newest), frames)
+
+
+def _pictured(pipeline: "FramePipeline", board: "Board", method: str) -> "FramePipeline":
+    """Pipeline with a picture of each frame, of the sensor that the pipeline was trained for."""
+    from eitskin.cli.live_pictures import LivePictures, PicturedPipeline
+    from eitskin.geometry.design.sensor import SensorDesign
+    from eitskin.training.reconstruction.reconstructor import Method
+
+    layout = getattr(pipeline, "layout", None)
+    design = SensorDesign.reference() if layout is None else layout.design
+    name = cast("Method", one_of("--picture", method, Method))
+    return PicturedPipeline(pipeline, LivePictures.of(design, board.protocol, name))
 
 
 def _tell_losses(recordings: Sequence[Recording], _: object, ended: object, __: object) -> None:

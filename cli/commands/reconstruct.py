@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, Annotated, cast, get_args
 
 import typer
 
+from eitskin.cli.commands.live import PagePort, ShowPage
+from eitskin.cli.commands.reconstruct_live import picture_live
 from eitskin.cli.commands.reconstruct_output import (
     as_data,
     as_table,
@@ -24,6 +26,8 @@ from eitskin.cli.options import (
 )
 
 if TYPE_CHECKING:
+    from eitskin.geometry.design.sensor import SensorDesign
+    from eitskin.protocol import Protocol
     from eitskin.simulator.electrical.resolution import Resolution
     from eitskin.training.reconstruction.reconstructor import Difference, Method
 
@@ -77,6 +81,8 @@ def command(
     pixels: Annotated[int, typer.Option(help="Pixels of the bounding box, about.")] = 2250,
     resolution: Annotated[str, typer.Option(help="coarse, fast, standard or fine.")] = "fast",
     out: Out = None,
+    page: ShowPage = False,
+    page_port: PagePort = 8940,
     seed: Seed = 0,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -95,23 +101,27 @@ def command(
     compared = None if difference is None else one_of("--difference", difference, Difference)
     detail = cast("Resolution", one_of("--resolution", resolution, Resolution))
     require_out(out)
-    taken = pictured_frames(
-        source, sensor, protocol, frames, reference, average, detail, seed, output
-    )
-    makers, pictures = [], []
-    impedance, before = np.array(taken.impedance), np.array(taken.reference)
-    for name in names:
-        maker = Reconstructor(
-            taken.design,
-            taken.protocol,
+
+    def maker(design: "SensorDesign", protocol: "Protocol", name: str) -> Reconstructor:
+        return Reconstructor(
+            design,
+            protocol,
             cast("Method", name),
             chosen_rule,
             pixels,
             cast("Difference | None", compared),
             detail,
         )
-        makers.append(maker)
-        pictures.append(maker.images(maker.data(impedance, before)))
+
+    if page:
+        picture_live(source, sensor, protocol, names, maker, page_port, seed, output)
+        return
+    taken = pictured_frames(
+        source, sensor, protocol, frames, reference, average, detail, seed, output
+    )
+    impedance, before = np.array(taken.impedance), np.array(taken.reference)
+    makers = [maker(taken.design, taken.protocol, name) for name in names]
+    pictures = [each.images(each.data(impedance, before)) for each in makers]
     output.result(as_data(source, taken, makers, pictures, out), as_table(taken, makers, pictures))
     if out is not None:
         write_pictures(out, taken, makers, pictures)

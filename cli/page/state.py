@@ -18,6 +18,7 @@ from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.surface import Surface
 
 if TYPE_CHECKING:
+    from eitskin.cli.live_pictures import Picture
     from eitskin.hardware.boards.board import Board, Counts
     from eitskin.hardware.live import Estimate, Reading
     from eitskin.simulator.scene.scene import Scene
@@ -122,6 +123,7 @@ class PageContent:
             "angle": _known(estimate.bend_angle_deg, 3),
             "deviation": _known(getattr(estimate, "bend_deviation_deg", math.nan), 3),
             "map": pixels(estimate.touch_map),
+            "picture": signed_pixels(getattr(estimate, "picture", None)),
             "touches": [
                 {
                     "x": _known(x, 5),
@@ -183,6 +185,17 @@ def pixels(touch_map: NDArray[np.floating]) -> dict[str, Any] | None:
     levels = np.rint(255.0 * np.clip(values, 0.0, 1.0)).astype(np.uint8)
     rows, columns = levels.shape
     return {"rows": rows, "columns": columns, "data": base64.b64encode(levels.tobytes()).decode()}
+
+
+def signed_pixels(picture: "Picture | None") -> dict[str, Any] | None:
+    """Picture as bytes in base64, first row first: 1 to 255, 128 for no change or outside."""
+    if picture is None:
+        return None
+    share = np.nan_to_num(picture.values) / picture.limit
+    levels = np.rint(128.0 + 127.0 * np.clip(share, -1.0, 1.0)).astype(np.uint8)
+    rows, columns = levels.shape
+    data = base64.b64encode(levels.tobytes()).decode()
+    return {"rows": rows, "columns": columns, "data": data, "limit": _known(picture.limit, 8)}
 
 
 def _scene(scene: "Scene") -> dict[str, Any]:

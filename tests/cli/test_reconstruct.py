@@ -65,6 +65,15 @@ def test_board_is_pictured_after_its_reference(dataset):
         run("reconstruct", f"replay:{dataset}", *FEW, "--average", "6")
 
 
+def test_boards_are_pictured_on_the_page(dataset):
+    """A recording of fewer frames than the reference has, which ends by itself."""
+    words = ("reconstruct", f"replay:{dataset}", *FEW, "--page", "--page-port", "0")
+    assert "page: http://127.0.0.1:" in run(*words).stderr
+    for source, method in ((dataset, "greit"), (f"replay:{dataset}", "all")):
+        with pytest.raises(ConfigurationError, match="--page is for one method on a board"):
+            run("reconstruct", source, *FEW, "--page", "--method", method)
+
+
 def test_reference_is_chosen(dataset):
     words = ("reconstruct", dataset, *FEW, "--frames", "2", "--reference")
     same = printed_json(*words, "2")["pictures"][0]

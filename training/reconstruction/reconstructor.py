@@ -170,14 +170,18 @@ class Reconstructor:
             UnusableFrameError: for a frame with too few good channels.
         """
         for each in (frame, reference):
-            if each.protocol.table != self.protocol.table:
-                raise FrameError(
-                    f"expected frames of {len(self.protocol)} measurements starting with "
-                    f"{self.protocol.labels[:3]}, got {len(each.protocol)} starting with "
-                    f"{each.protocol.labels[:3]}; name the protocol of the board"
-                )
+            self.require_same_protocol(each)
         V, before = (np.where(f.status == 0, f.impedance, np.nan) for f in (frame, reference))
         return self.images(self.data(V, before))
+
+    def require_same_protocol(self, frame: Frame) -> None:
+        """Refuse a frame of another protocol; raises FrameError."""
+        self.protocol.require_same(
+            frame.protocol,
+            "the pictures are those of",
+            "the frame has",
+            "name the protocol of the board or recording",
+        )
 
     def images(self, data: ArrayLike) -> Array:
         """Pictures (..., rows, columns) of data (..., measurements); NaN outside the outline.

@@ -86,7 +86,8 @@ function draw(data) {
     deviation: estimate ? estimate.deviation : null,
     truth: truth ? truth.bend_deg : null,
   });
-  parts.map.show(estimate && estimate.map, estimate ? estimate.touches : [], truth ? truth.touches : []);
+  parts.map.show(
+    estimate && estimate.map, estimate ? estimate.touches : [], truth ? truth.touches : [], picture(estimate));
   if (estimate) parts.sensor.show(estimate.points, estimate.map);
   parts.channels.show(data.channels, data.bad);
   numbers(data);
@@ -95,6 +96,15 @@ function draw(data) {
   const others = (estimate ? estimate.problems : []).filter((text) => !((known.exec(text) || [])[1] in data.bad));
   problems(data.problem ? [data.problem, ...others] : others);
   if (parts.controls && stage) parts.controls.show(stage);
+}
+
+// The picture to show, where one comes with the estimate and is chosen.
+function picture(estimate) {
+  const made = estimate && estimate.picture;
+  $("picture-choice").hidden = !made;
+  if (!made) return null;
+  say($("picture-scale"), `Picture: conductivity, blue −${(100 * made.limit).toPrecision(2)} % to red +${(100 * made.limit).toPrecision(2)} %`);
+  return $("picture").checked ? made : null;
 }
 
 function angle(estimate, truth) {

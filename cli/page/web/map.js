@@ -1,5 +1,5 @@
 // The touch map: what is found on the flat sensor, what is true, and the fingers that press it.
-import { Surface, bytes, colour, palette } from "./colours.js";
+import { Surface, bytes, colour, diverging, palette } from "./colours.js";
 
 const INDENTER = 0.0075; // radius of what presses a virtual board [m]
 const GRID = 0.015; // between two lines, as on the drawn sensor [m]
@@ -20,16 +20,18 @@ export class TouchMap {
     this.picture = document.createElement("canvas");
     this.empty = true;
     this.shown = "";
+    this.colourOf = palette;
     this.surface = new Surface(canvas, (c, w, h) => this.draw(c, w, h));
     if (press) this.listen();
   }
 
-  show(map, found, truth) {
-    const shown = JSON.stringify([found, truth]);
-    if (map === null && this.empty && shown === this.shown) return;
-    Object.assign(this, { found, truth, shown });
-    this.empty = map === null;
-    if (map) this.paint(map);
+  // `picture` is shown instead of the map where there is one.
+  show(map, found, truth, picture) {
+    const shown = JSON.stringify([found, truth, Boolean(picture)]), image = picture || map;
+    if (!image && this.empty && shown === this.shown) return;
+    Object.assign(this, { found, truth, shown, colourOf: picture ? diverging : palette });
+    this.empty = !image;
+    if (image) this.paint(image);
     this.surface.paint();
   }
 
@@ -42,7 +44,7 @@ export class TouchMap {
     for (let row = 0; row < rows; row++) { // rows grow with y, a picture's downwards
       for (let column = 0; column < columns; column++) {
         const from = 4 * levels[(rows - 1 - row) * columns + column], to = 4 * (row * columns + column);
-        for (let k = 0; k < 4; k++) this.pixels.data[to + k] = palette[from + k];
+        for (let k = 0; k < 4; k++) this.pixels.data[to + k] = this.colourOf[from + k];
       }
     }
     this.picture.getContext("2d").putImageData(this.pixels, 0, 0);

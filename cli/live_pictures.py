@@ -1,0 +1,156 @@
+"""Pipelines of the live loop that make pictures without training, alone or beside another one."""
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.errors import ConfigurationError, UnusableFrameError
+from eitskin.frame import Frame
+from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.protocol import Protocol
+from eitskin.training.reconstruction.reconstructor import Method, Reconstructor
+
+if TYPE_CHECKING:
+    from eitskin.hardware.live import FramePipeline
+
+Array = NDArray[np.float64]
+
+REFERENCE = 16  # first frames of a session, untouched, whose mean is the reference
+CALM = 6.0  # least end of the colour scale, over the standard deviation of an untouched picture
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Picture:
+    """Picture of one frame, with its colour scale.
+
+    Attributes:
+        values: relative change of conductivity (rows, columns), dimensionless; NaN outside.
+        limit: magnitude at both ends of the colour scale.
+    """
+
+    values: Array
+    limit: float
+
+
+class LivePictures:
+    """Pictures of a session's frames against the mean of its first ones.
+
+    Attributes:
+        maker: of the pictures.
+        taken: number of frames in the session's reference so far, at most `REFERENCE`.
+    """
+
+    def __init__(self, maker: Reconstructor) -> None:
+        """Solve the sensor's linear model, so that no frame has to wait for that."""
+        if maker.method == "total-variation":
+            linear = ", ".join(each for each in get_args(Method) if each != maker.method)
+            raise ConfigurationError(
+                f"total variation takes seconds for a picture; name one of {linear} for live ones"
+            )
+        self.maker, self.taken = maker, 0
+        self._session: int | None = None
+        self._first: list[NDArray[np.complex128]] = []
+        self._reference = np.zeros(0, np.complex128)
+        self._floor = 0.0
+        maker.images(np.zeros(len(maker.protocol)))
+
+    @classmethod
+    def of(cls, design: SensorDesign, protocol: Protocol, method: Method) -> "LivePictures":
+        """Pictures of a sensor by the defaults of a method."""
+        return cls(Reconstructor(design, protocol, method))
+
+    def picture(self, frame: Frame) -> Picture | None:
+        """Picture of a frame; None while frames still go into the reference.
+
+        Raises FrameError for a frame of another protocol, UnusableFrameError for one with too few
+        good channels.
+        """
+        self.maker.require_same_protocol(frame)
+        if frame.session != self._session:
+            self._session, self.taken, self._first = frame.session, 0, []
+        values = np.where(frame.status == 0, frame.impedance, np.nan)
+        if self.taken < REFERENCE:
+            self._first.append(values)
+            self.taken += 1
+            if self.taken == REFERENCE:
+                self._finish_reference()
+            return None
+        picture = self.maker.images(self.maker.data(values, self._reference))
+        return Picture(picture, max(self._floor, float(np.nanmax(np.abs(picture)))) or 1.0)
+
+    def _finish_reference(self) -> None:
+        """Mean of the first frames, and the noise of their pictures."""
+        first = np.array(self._first)
+        known = np.isfinite(first)
+        count = np.maximum(known.sum(axis=0), 1)
+        mean = np.where(known, first, 0.0).sum(axis=0) / count
+        self._reference = np.where(known.any(axis=0), mean, np.nan)
+        data = self.maker.data(first, self._reference)
+        noise = self.maker.images(np.where(np.isfinite(data), data, 0.0))
+        self._floor = CALM * float(np.sqrt(np.nanmean(noise**2)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PictureEstimate:
+    """Estimate of a live loop that only makes pictures.
+
+    Attributes:
+        state: "picture", or how much of the reference is there.
+        picture: None while the reference is taken.
+        touch_map: share of the colour scale by which pixels conduct less (rows, columns), 0 to 1.
+        problems: none.
+    """
+
+    state: str
+    picture: Picture | None
+    touch_map: Array
+    probabilities: tuple[float, float, float] = (math.nan, math.nan, math.nan)
+    bend_angle_deg: float = math.nan
+    touches: tuple[tuple[float, float, float], ...] = ()
+    problems: tuple[str, ...] = ()
+
+
+class PicturePipeline:
+    """Pipeline of the live loop that makes pictures and estimates nothing else."""
+
+    def __init__(self, pictures: LivePictures) -> None:
+        """A pipeline around the pictures of a sensor."""
+        self._pictures = pictures
+
+    def process(self, frame: Frame) -> PictureEstimate:
+        """Picture of `frame` as an estimate."""
+        picture = self._pictures.picture(frame)
+        if picture is None:
+            state = f"reference {self._pictures.taken}/{REFERENCE}"
+            return PictureEstimate(state, None, np.zeros(self._pictures.maker.grid.shape))
+        less = np.clip(-np.nan_to_num(picture.values) / picture.limit, 0.0, 1.0)
+        return PictureEstimate("picture", picture, less)
+
+
+class PicturedPipeline:
+    """Another pipeline whose estimates carry a picture each, as `picture`."""
+
+    def __init__(self, pipeline: "FramePipeline", pictures: LivePictures) -> None:
+        """A pipeline around another."""
+        self._pipeline, self._pictures = pipeline, pictures
+
+    def process(self, frame: Frame) -> Any:
+        """Estimate of the other pipeline for `frame`, with a picture."""
+        estimate = self._pipeline.process(frame)
+        try:
+            return _Pictured(estimate, self._pictures.picture(frame))
+        except UnusableFrameError:
+            return estimate
+
+
+class _Pictured:
+    """An estimate with a picture; all else is that of the estimate."""
+
+    def __init__(self, estimate: Any, picture: Picture | None) -> None:
+        self._estimate, self.picture = estimate, picture
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._estimate, name)
