@@ -1,6 +1,6 @@
 """`eitskin import`: measured voltages with labels, as a dataset."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,13 +11,15 @@ from eitskin.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from eitskin.datasets.recordings.recording import Recording
+    from eitskin.datasets.store.summary import DatasetSummary
 
 
 def command(
-    file: Annotated[
-        Path,
+    files: Annotated[
+        list[Path],
         typer.Argument(
-            help="Recording: .csv, .tsv, .xlsx, .parquet, .mat, .npz, .h5 or OpenEIT .txt."
+            help="Recording, or several of one form, each a session: .csv, .tsv, .xlsx, .parquet, "
+            ".mat, .npz, .h5 or OpenEIT .txt."
         ),
     ],
     *,
@@ -90,7 +92,7 @@ def command(
     output = Output(as_json, quiet, verbose)
     design = SensorDesign.from_toml(sensor) if sensor else None
     recording = Recording(
-        file,
+        files,
         RecordingNames(
             values, touch_reference, positions, _columns(column or ()), _pair(patterns), sheet
         ),
@@ -116,16 +118,13 @@ def command(
         )
     summary = DatasetSummary()
     save_parts(summary.watched(recording.parts()), out)
-    _tell(output, out, recording, summary.contents())
+    _tell(output, out, recording, summary)
 
 
-def _tell(
-    output: Output, out: Path, recording: "Recording", contents: Mapping[str, object]
-) -> None:
+def _tell(output: Output, out: Path, recording: "Recording", summary: "DatasetSummary") -> None:
     """Print what has been imported."""
-    counts = contents["states"]
-    assert isinstance(counts, Mapping)  # noqa: S101 - as `DatasetSummary` says
-    shown = ", ".join(f"{count} {name}" for name, count in counts.items())
+    contents, counts = summary.contents(), summary.states
+    shown = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
     for kind, names in (("specimen", recording.specimens), ("session", recording.sessions)):
         if any(name != str(number) for name, number in names.items()):
             told = ", ".join(f"{number} is {name}" for name, number in names.items())

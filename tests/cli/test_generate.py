@@ -233,3 +233,22 @@ def test_an_imported_recording_is_opened_like_any_other_set(tmp_path):
     assert (found["channels"], found["source"], found["electrodes"]) == (5, "measured", None)
     assert run("dataset", "verify", tmp_path / "set").exit_code == 0
     assert np.allclose(open_dataset(tmp_path / "set").impedance[7], values[7])
+
+
+def test_presses_are_imported_by_name_and_combined(tmp_path):
+    rng = np.random.default_rng(0)
+    for name in ("one", "two"):
+        rows = [",".join(f"{v:.2f}" for v in rng.normal(100, 1, 28)) + ",20,30,4" for _ in range(3)]
+        header = ",".join(f"ch{i}" for i in range(1, 29)) + ",px,py,N"
+        (tmp_path / f"{name}.csv").write_text("\n".join([header, *rows]))
+        places = [f"--column={label}" for label in ("x=px", "y=py", "force=N", "radius=0.004")]
+        imported = ["--values", "ch", "--protocol", "pairwise:8", "--length-unit", "mm"]
+        out = ["--out", tmp_path / name, "--json"]
+        found = json.loads(run("import", tmp_path / f"{name}.csv", *imported, *places, *out).stdout)
+        assert (found["states"]["touch"], found["unused"]) == (3, [])
+    run("dataset", "combine", tmp_path / "one", tmp_path / "two", "--out", tmp_path / "both")
+    both = open_dataset(tmp_path / "both")
+    assert (len(both), len(both.reference)) == (6, 2)
+    assert np.allclose(both.touch_x[:, 0], 0.020)
+    with pytest.raises(ConfigurationError, match="LABEL=PLACE"):
+        run("import", tmp_path / "one.csv", "--out", tmp_path / "new", "--column", "force")

@@ -231,6 +231,20 @@ def test_positions_of_other_units_and_beside_the_sensor_are_refused(tmp_path, x,
         on_the_reference(tmp_path, x, y, form)
 
 
+def test_several_files_are_sessions_of_one_recording(tmp_path):
+    for day in (1, 2):
+        csv_file(tmp_path / f"day{day}.csv", ["v0", "v1", "state"], [[day, 3, "idle"]] * 2)
+    recording = Recording([tmp_path / "day1.csv", tmp_path / "day2.csv"])
+    (first, second) = recording.parts()
+    assert (first.episode.tolist(), second.episode.tolist()) == ([0, 0], [1, 1])
+    assert second.number.tolist() == [2, 3]
+    assert np.array_equal(second.reference, [[1.5, 3]])  # of the one sensor, on both days
+    assert [name[-8:] for name in recording.sessions] == ["day1.csv", "day2.csv"]
+    csv_file(tmp_path / "day3.csv", ["v0"], [[1]])
+    with pytest.raises(DataError, match=r"day3.csv: expected 2 channels.*got 1"):
+        Recording([tmp_path / "day1.csv", tmp_path / "day3.csv"])
+
+
 # Refusals
 
 
@@ -257,6 +271,7 @@ def test_lost_values_are_refused_marked_or_dropped(tmp_path):
         (["v0,F", "3,4"], {"columns": {"force": "F:2"}}, DataError, "1 columns"),
         (["v0,F", "3,4000"], {"columns": {"force": "F"}}, DataError, "grams"),
         (["v0,t", "3,"], {}, DataError, "'t' must be finite"),
+        (["v0,specimen", "3,a", "4,"], {}, DataError, "empty cell"),
         (["v0,x,y,r", "3,.1,.1,20"], {"columns": {"radius": "r"}}, DataError, "--length-unit"),
     ],
 )
