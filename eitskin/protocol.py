@@ -5,6 +5,7 @@ import csv
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import combinations
 from pathlib import Path
 from typing import TypeAlias
@@ -216,9 +217,7 @@ class Protocol:
     @property
     def labels(self) -> tuple[str, ...]:
         """Labels of the measurements, '0-1' for equal drive and sense pairs, else '0-1/2-3'."""
-        return tuple(
-            f"{a}-{b}" if (a, b) == (c, d) else f"{a}-{b}/{c}-{d}" for a, b, c, d in self.table
-        )
+        return _labels(self.table)
 
     @property
     def rank(self) -> int:
@@ -265,6 +264,11 @@ _NAMES: dict[str, Callable[[int], Protocol]] = {
     "opposite": Protocol.opposite,
 }
 _TEXT = re.compile(r"(pairwise|adjacent|opposite|skip:(\d{1,3})|(.*?))(?::(\d{1,3}))?", re.DOTALL)
+
+
+@lru_cache(maxsize=16)  # live loops ask for every frame
+def _labels(table: tuple[Row, ...]) -> tuple[str, ...]:
+    return tuple(f"{a}-{b}" if (a, b) == (c, d) else f"{a}-{b}/{c}-{d}" for a, b, c, d in table)
 
 
 def _ring_pairs(n_electrodes: int, skip: int) -> list[tuple[int, int]]:

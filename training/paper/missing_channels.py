@@ -31,7 +31,8 @@ class MissingChannels:
         """dV (n, C) with gaps (not finite) replaced by E[bad | good] = C_bg C_gg^-1 good."""
         dV = np.array(difference, dtype=float)
         gaps = ~np.isfinite(dV)
-        for pattern in np.unique(gaps[gaps.any(axis=1)], axis=0):
+        patterns = {row.tobytes(): row for row in gaps[gaps.any(axis=1)]}
+        for pattern in patterns.values():
             rows = (gaps == pattern).all(axis=1)
             good = ~pattern
             weights = np.linalg.solve(self.covariance[np.ix_(good, good)], dV[rows][:, good].T)
