@@ -83,6 +83,7 @@ def simulate_frames(
         number=np.array([each.index for each in samples]),
         protocol=protocol,
         source="simulated",
+        quantity="magnitude" if recipe.instrument.reads == "magnitude" else "impedance",
         recipe=recipe.to_toml(),
         seed=recipe.seed,
         design=recipe.sensor,

@@ -15,7 +15,7 @@ from eitskin.errors import ConfigurationError
 from eitskin.protocol import Protocol
 from eitskin.simulator.instrument import ad5940
 from eitskin.simulator.instrument.drift import RandomWalk
-from eitskin.simulator.instrument.meter import FourTerminalMeter
+from eitskin.simulator.instrument.meter import FourTerminalMeter, Quantity
 from eitskin.simulator.instrument.session import Session
 
 Array = NDArray[np.float64]
@@ -175,6 +175,11 @@ class Instrument:
     def is_loaded(self) -> bool:
         """Whether the board loads the sensor, so that its readings need the impedance matrix."""
         return self.meter is not None and self.meter.is_loaded
+
+    @property
+    def reads(self) -> Quantity:
+        """Kind of the readings: "complex", "signed" or "magnitude"."""
+        return "complex" if self.meter is None else self.meter.reads
 
     def transfer_impedance(self, impedance: NDArray[np.inexact], protocol: Protocol) -> Complex:
         """Transfer impedances on this board's circuit [ohm], (..., measurements).

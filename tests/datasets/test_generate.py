@@ -17,7 +17,7 @@ from eitskin.config import parse_toml
 from eitskin.datasets import Recipe, State, generate, open_dataset, read_shard
 from eitskin.datasets.generation import process_pool as processes
 from eitskin.datasets.generation.preparation import deciding_specimens
-from eitskin.datasets.generation.shard_simulation import simulate_shard
+from eitskin.datasets.generation.shard_simulation import simulate_frames, simulate_shard
 from eitskin.datasets.recipe.frame_sampling import sample, specimen
 from eitskin.datasets.recipe.recipe import with_seed
 from eitskin.datasets.recipe.scene_group import SceneGroup
@@ -26,7 +26,7 @@ from eitskin.datasets.store import worker_processes
 from eitskin.datasets.store.shard import shard_name
 from eitskin.errors import ConfigurationError, PartialError
 from eitskin.geometry import Bend, Plates
-from eitskin.simulator import Instrument, Protocol, Scene, Simulator
+from eitskin.simulator import FourTerminalMeter, Instrument, Protocol, Scene, Simulator
 from eitskin.simulator.bends import bend_store
 
 from killed_writers import killed_in_pool, was_killed
@@ -66,6 +66,28 @@ def test_two_workers_make_the_same_bytes_and_report_every_shard(whole, tmp_path)
     assert sorted(reports) == reports
     assert reports[-1] == (14, 14)
     assert contents(tmp_path / "set") == contents(whole)
+
+
+def test_frames_of_a_board_that_is_no_ideal_meter_are_its_readings():
+    meter = FourTerminalMeter(sink=2e-3, idle=1e-3, scale=-4.0, step=0.25, reads="magnitude")
+    recipe = Recipe(
+        "loaded",
+        resolution="coarse",
+        protocol=Protocol.opposite(8),
+        instrument=Instrument(snr_db=0.0, meter=meter),
+        scenes=(SceneGroup("idle", count=1),),
+    )
+    data = simulate_frames(recipe, [0])
+    made = specimen(recipe, 0)
+    Z = Simulator(made.design, "coarse", made.fixture).model.impedance()
+    read, _ = meter.reading(meter.transfer_impedance(Z, recipe.protocol))
+    assert data.impedance[0] == pytest.approx(read, abs=0.26)  # a step of rounding
+    assert data.reference[0] == pytest.approx(data.impedance[0])
+    assert data.quantity == "magnitude"
+    assert parse_toml(Recipe, data.recipe).instrument == recipe.instrument
+    leaking = Instrument(meter=FourTerminalMeter(leaks=(1e-6,)))
+    with pytest.raises(ConfigurationError, match=r"instrument: leaks.*8 electrodes, got 1"):
+        dataclasses.replace(recipe, instrument=leaking)
 
 
 def test_dataset_holds_what_the_recipe_says(whole):

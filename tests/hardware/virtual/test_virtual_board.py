@@ -1,5 +1,6 @@
 """The virtual board: its script, noise and pace, and its firmware."""
 
+import dataclasses
 import threading
 import time
 
@@ -16,7 +17,16 @@ from eitskin.hardware.virtual.pseudo_terminal import Pace, PseudoTerminal
 from eitskin.hardware.virtual.simulated_sensor import SimulatedSensor
 from eitskin.hardware.virtual.stage import Stage
 from eitskin.hardware.virtual.virtual_board import virtual_terminal
-from eitskin.simulator import Frame, Instrument, Protocol, Scene, Simulator, Status, Touch
+from eitskin.simulator import (
+    FourTerminalMeter,
+    Frame,
+    Instrument,
+    Protocol,
+    Scene,
+    Simulator,
+    Status,
+    Touch,
+)
 
 from loopback import FLAT, PROTOCOL, FakeSimulator, firmware, take, virtual
 
@@ -89,6 +99,26 @@ def test_the_virtual_board_sends_the_status_of_its_instrument():
     with virtual(instrument=small) as board:
         (frame,) = take(board, 1)
     assert (frame.status == Status.CLIPPED).all()
+
+
+def test_a_virtual_board_loads_its_sensor_as_its_instrument_does():
+    sim = Simulator(SensorDesign.reference(), "coarse")
+    meter = FourTerminalMeter(sink=2e-3, idle=1e-3, scale=4.0)
+    sensor = SimulatedSensor(sim, dataclasses.replace(Instrument.ideal(), meter=meter))
+    loaded = meter.transfer_impedance(sim.model.impedance(), sim.protocol)
+    measured, status = sensor.measure(sensor.solve(Scene()), 0)
+    assert measured == pytest.approx(4.0 * loaded, rel=1e-9)
+    assert np.abs(loaded / sim.measure(Scene()).impedance - 1.0).min() > 0.05
+    assert not status.any()
+
+
+def test_an_instrument_file_may_be_named_where_the_board_is(tmp_path):
+    meter = FourTerminalMeter(scale=0.5, reads="magnitude")
+    Instrument(snr_db=0.0, meter=meter).to_toml(tmp_path / "rig.toml")
+    uri = f"virtual:?speed=max&instrument={tmp_path}/rig.toml"
+    with open_board(uri, simulator=FakeSimulator()) as board:
+        (frame,) = take(board, 1)
+    assert frame.impedance == pytest.approx(0.5 * np.abs(FLAT), rel=1e-6)
 
 
 def test_an_instrument_may_be_named_where_the_board_is():
