@@ -43,7 +43,7 @@ Array = NDArray[np.float64]
 
 
 def left_out(Z: Array, protocol: Protocol, frame: Array, terms: Sequence[str]) -> float:
-    """Correlation of the channels with what fits to all other channels say of them."""
+    """Residual of the channels, each against a fit to all others, relative to the frame."""
     said = []
     for channel in range(len(protocol)):
         others = np.arange(len(protocol)) != channel
@@ -52,16 +52,16 @@ def left_out(Z: Array, protocol: Protocol, frame: Array, terms: Sequence[str]) -
         fit = fit_meter(Z, less, frame[others], terms, "magnitude", starts=LEFT_OUT_STARTS)
         whole, _ = fit.meter.reading(fit.meter.transfer_impedance(Z, protocol))
         said.append(whole[channel])
-    return agreement(said, frame).r
+    return agreement(said, frame).residual
 
 
-def row(name: str, fit: MeterFit, frames: Array, left_out_r: float) -> str:
+def row(name: str, fit: MeterFit, frames: Array, left_out_residual: float) -> str:
     """Markdown row of one fitted meter."""
     cells = []
     for part in (frames[:FIRST], frames[FIRST:]):
         found = agreement(fit.predicted, part.mean(axis=0))
         cells += [f"{found.r:.3f}", f"{100.0 * found.residual:.1f}"]
-    return f"| {name} | {1 + len(fit.parameters)} | {' | '.join(cells)} | {left_out_r:.3f} |"
+    return f"| {name} | {1 + len(fit.parameters)} | {' | '.join(cells)} | {100.0 * left_out_residual:.1f} |"
 
 
 def main() -> None:
@@ -78,7 +78,9 @@ def main() -> None:
     print(f"{Provenance.now(0)}\n")
     for law in check_readings(frames, protocol).laws:
         print(f"- {law.kind}, compared and violated: {law.relations}, {law.violated}")
-    print("\n| meter | numbers | r | residual, % | r, later | residual, later, % | r, left out |")
+    print(
+        "\n| meter | numbers | r | residual, % | r, later | residual, later, % | residual, left out, % |"
+    )
     print("| --- | --- | --- | --- | --- | --- | --- |")
     frame = frames[:FIRST].mean(axis=0)
     chosen = select_meter(Z, protocol, frame, USUAL, "magnitude")
