@@ -61,7 +61,8 @@ def row(name: str, fit: MeterFit, frames: Array, left_out_residual: float) -> st
     for part in (frames[:FIRST], frames[FIRST:]):
         found = agreement(fit.predicted, part.mean(axis=0))
         cells += [f"{found.r:.3f}", f"{100.0 * found.residual:.1f}"]
-    return f"| {name} | {1 + len(fit.parameters)} | {' | '.join(cells)} | {100.0 * left_out_residual:.1f} |"
+    cells.append(f"{100.0 * left_out_residual:.1f}")
+    return f"| {name} | {1 + len(fit.parameters)} | {' | '.join(cells)} |"
 
 
 def main() -> None:
@@ -78,9 +79,7 @@ def main() -> None:
     print(f"{Provenance.now(0)}\n")
     for law in check_readings(frames, protocol).laws:
         print(f"- {law.kind}, compared and violated: {law.relations}, {law.violated}")
-    print(
-        "\n| meter | numbers | r | residual, % | r, later | residual, later, % | residual, left out, % |"
-    )
+    print("\n| meter | numbers | r | residual, % | r, later | later, % | left out, % |")
     print("| --- | --- | --- | --- | --- | --- | --- |")
     frame = frames[:FIRST].mean(axis=0)
     chosen = select_meter(Z, protocol, frame, USUAL, "magnitude")
