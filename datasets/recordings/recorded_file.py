@@ -74,7 +74,11 @@ class RecordedFile:
             raise DataError(f"{self.path}: {error}") from error
         except FileNotFoundError as error:
             raise DataError(f"there is no file {self.path}") from error
-        except (OSError, UnicodeDecodeError, csv.Error) as error:
+        except UnicodeDecodeError as error:
+            raise DataError(
+                f"cannot read {self.path}: {error}; save it as text in UTF-8"
+            ) from error
+        except (OSError, csv.Error) as error:
             raise DataError(f"cannot read {self.path}: {error}") from error
 
     def _open(self) -> None:

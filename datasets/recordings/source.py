@@ -75,7 +75,8 @@ class Source(ABC):
             raise DataError(
                 f"'{name}' is {self.unread[name]}; expected an array of plain numbers or text"
             )
-        near = difflib.get_close_matches(name, self.names, 1, 0.6)
+        near = [each for each in self.names if each.casefold() == name.casefold()]
+        near = near or difflib.get_close_matches(name, self.names, 1)
         hint = f"; did you mean '{near[0]}'?" if near else ""
         raise ConfigurationError(
             f"cannot find the {meaning}: there is no '{name}'; {self.holds()}{hint}"

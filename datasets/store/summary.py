@@ -14,6 +14,12 @@ from eitskin.datasets.store.state import UNKNOWN_STATE, State
 
 Values = NDArray[Any]
 
+
+def _sizes(data: Dataset, wanted: bool) -> Values:
+    """Magnitudes of all values where they are of the wanted quantity, else none."""
+    return np.abs(data.impedance) if wanted else np.zeros(0)
+
+
 # Quantities whose range is told, in units of daily use.
 _RANGES: dict[str, Callable[[Dataset], Values]] = {
     "bend_angle_deg": lambda data: data.bend_angle_deg,
@@ -22,7 +28,8 @@ _RANGES: dict[str, Callable[[Dataset], Values]] = {
     "force_n": lambda data: data.touch_force,
     "depth_mm": lambda data: 1e3 * data.touch_depth,
     "radius_mm": lambda data: 1e3 * data.touch_radius,
-    "impedance_ohm": lambda data: np.abs(data.impedance),
+    "impedance_ohm": lambda data: _sizes(data, data.quantity != "voltage"),
+    "voltage_v": lambda data: _sizes(data, data.quantity == "voltage"),
 }
 
 
