@@ -27,9 +27,9 @@ from eitskin.simulator.bodies.body_touches import (
 )
 from eitskin.simulator.bodies.tetrahedral_field import TetrahedralField
 from eitskin.simulator.electrical.forward_model import AreaRatio, ForwardModel
-from eitskin.simulator.electrical.model_family import ModelFamily
-from eitskin.simulator.electrical.reanalysis import TOLERANCE, Reanalysis, is_possible
+from eitskin.simulator.electrical.reanalysis import TOLERANCE
 from eitskin.simulator.electrical.resolution import Discretisation, Resolution
+from eitskin.simulator.electrical.sensor_impedances import SensorImpedances, untouched
 from eitskin.simulator.instrument.instrument import Instrument
 from eitskin.simulator.layer.bent_presses import BentPresses
 from eitskin.simulator.layer.deformed_layer import DeformedLayer
@@ -60,8 +60,6 @@ class Simulator:
         protocol: drive and sense pairs of the measurements.
         mechanics: materials of gel and encapsulation.
         touch_model: "tabulated" or "solved", the way to the corrections of presses; None chooses.
-        model: the forward model of scenes without small indenters; `model.factorisations` counts
-            the work done.
     """
 
     def __init__(
@@ -72,8 +70,9 @@ class Simulator:
         protocol: Protocol | None = None,
         mechanics: Mechanics | None = None,
         touch_model: TouchModel | None = None,
+        nominal: SensorDesign | None = None,
     ) -> None:
-        """Mesh the sensor, with faces where the fixture clamps it.
+        """Prepare the sensor; its mesh has faces where the fixture clamps it.
 
         Args:
             design: the sensor.
@@ -87,6 +86,9 @@ class Simulator:
                 each stack and indenter, which takes minutes, or "solved" for each scene, which
                 takes seconds. When omitted they are tabulated where a table comes with the package
                 (the reference sensor's), and solved otherwise.
+            nominal: sensor whose mesh and factors `measure_all` takes, where this one differs from
+                it in electrode positions along the sides of a rectangle, in thickness, conductivity
+                and contacts: many such sensors share them.
 
         Raises:
             ConfigurationError: for an unknown resolution or touch model, or a fixture that does not
@@ -101,12 +103,17 @@ class Simulator:
                 f"touch_model must be one of {get_args(TouchModel)}, got {touch_model!r}"
             )
         self.touch_model: TouchModel | None = touch_model
-        self._models = ModelFamily(design, resolution, _breaks(design, self.fixture))
-        self.model = self._models.base
-        self._untouched: dict[tuple[ForwardModel, float], tuple[Scene, NDArray[np.inexact]]] = {}
-        self._reanalyses: dict[ForwardModel, Reanalysis] = {}
+        breaks = _breaks(design, self.fixture)
+        self._impedances = SensorImpedances(
+            design, resolution, breaks, nominal, self.deformed_layer
+        )
         self._last: tuple[Scene, NDArray[np.inexact]] | None = None
         self._bent: tuple[tuple[Bend, Support], Deformation] | None = None
+
+    @property
+    def model(self) -> ForwardModel:
+        """Forward model of scenes without small indenters, which counts its factorisations."""
+        return self._impedances.own.base
 
     @cached_property
     def full_scale(self) -> float:
@@ -237,7 +244,7 @@ class Simulator:
                 instrument without a random generator.
         """
         if self._last is None or self._last[0] != scene:
-            self._last = (scene, self._impedance(scene))
+            self._last = (scene, self._impedances.at(scene))
         impedance = self._measured(self._last[1], instrument)
         if instrument is not None:
             if rng is None:
@@ -274,11 +281,8 @@ class Simulator:
             for group in _by_bend(scenes).values():
                 for scene in group:
                     before_each()
-                    found[scene] = self._measured(self._impedance(scene, tolerance), instrument)
+                    found[scene] = self._measured(self._impedances.at(scene, tolerance), instrument)
         return np.array([found[scene] for scene in scenes])
-
-    def _model_of(self, scene: Scene) -> ForwardModel:
-        return self._models.suited(touch.indenter for touch in scene.touches)
 
     @property
     def _is_body(self) -> bool:
@@ -314,47 +318,6 @@ class Simulator:
         layer = self.deformed_layer(scene)
         return None if layer.deformation is None else layer.area_ratio
 
-    def _impedance(self, scene: Scene, tolerance: float = 0.0) -> NDArray[np.inexact]:
-        """Impedance [ohm] on the base mesh, by reanalysis where a tolerance allows.
-
-        The change that touches of small indenters make on a finer mesh is added to the impedance
-        without touches on the base mesh, so that errors of the two meshes do not enter it.
-        """
-        if not scene.touches:
-            return self._untouched_impedance(self.model, scene, tolerance)
-        model = self._model_of(scene)
-        Z = self._solved(model, scene, tolerance)
-        if model is self.model:
-            return Z
-        coarse, fine = (
-            self._untouched_impedance(each, _untouched(scene), tolerance)
-            for each in (self.model, model)
-        )
-        moved: NDArray[np.inexact] = coarse + (Z - fine)
-        return moved
-
-    def _untouched_impedance(
-        self, model: ForwardModel, scene: Scene, tolerance: float
-    ) -> NDArray[np.inexact]:
-        """Impedance [ohm] of a scene without touches; that of the last one is cached."""
-        last = self._untouched.get((model, tolerance))
-        if last is None or last[0] != scene:
-            last = scene, self._solved(model, scene, tolerance)
-            self._untouched[model, tolerance] = last
-        return last[1]
-
-    def _solved(self, model: ForwardModel, scene: Scene, tolerance: float) -> NDArray[np.inexact]:
-        layer = self.deformed_layer(scene)
-        if tolerance and is_possible(model):
-            if model not in self._reanalyses:
-                flat = dataclasses.replace(layer, deformation=None, mean_stress=None)
-                self._reanalyses[model] = Reanalysis(model, flat)
-            solved = self._reanalyses[model]
-            return solved.base if layer.deformation is None else solved.impedance(layer, tolerance)
-        if layer.deformation is None:
-            return model.impedance()
-        return model.impedance(layer.conductivity, layer.area_ratio)
-
     def deformed_layer(self, scene: Scene) -> DeformedLayer:
         """Deformed layer: pulled-back conductivity and electrode area ratio of the scene."""
         deformation = self.deformation(scene)
@@ -382,9 +345,5 @@ def _by_bend(scenes: Sequence[Scene]) -> dict[Scene, list[Scene]]:
     """Different scenes, grouped by the scene without touches."""
     groups: dict[Scene, list[Scene]] = {}
     for scene in dict.fromkeys(scenes):
-        groups.setdefault(_untouched(scene), []).append(scene)
+        groups.setdefault(untouched(scene), []).append(scene)
     return groups
-
-
-def _untouched(scene: Scene) -> Scene:
-    return dataclasses.replace(scene, touches=())

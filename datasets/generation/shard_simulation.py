@@ -146,7 +146,9 @@ def _solve(
         solved[number, Scene()] = flat_impedance(made, recipe)
         scenes = [scene for scene in distinct if scene != Scene()]
         for tabulated, alike in _by_touch_model(made.design, scenes).items():
-            simulator = _simulator(made, recipe.resolution, recipe.protocol, tabulated=tabulated)
+            simulator = _simulator(
+                made, recipe.sensor, recipe.resolution, recipe.protocol, tabulated=tabulated
+            )
             found = simulator.measure_all(
                 alike, before_each=before_solve, instrument=recipe.instrument
             )
@@ -167,8 +169,14 @@ def _by_touch_model(design: SensorDesign, scenes: Sequence[Scene]) -> dict[bool,
 # matrices of its mesh. Specimens follow each other, so that shards next to each other share one.
 @lru_cache(maxsize=4)
 def _simulator(
-    made: Specimen, resolution: Resolution, protocol: Protocol | None, *, tabulated: bool
+    made: Specimen,
+    nominal: SensorDesign,
+    resolution: Resolution,
+    protocol: Protocol | None,
+    *,
+    tabulated: bool,
 ) -> Simulator:
+    """Simulator of a specimen, which shares the meshes and factors of the nominal sensor."""
     return Simulator(
         made.design,
         resolution=resolution,
@@ -176,11 +184,12 @@ def _simulator(
         protocol=protocol,
         mechanics=made.mechanics,
         touch_model="tabulated" if tabulated else "solved",
+        nominal=nominal,
     )
 
 
 def flat_impedance(made: Specimen, recipe: Recipe) -> Impedance:
     """Noise-free impedances of the flat, untouched specimen on the recipe's instrument [ohm]."""
-    simulator = _simulator(made, recipe.resolution, recipe.protocol, tabulated=True)
+    simulator = _simulator(made, recipe.sensor, recipe.resolution, recipe.protocol, tabulated=True)
     found: Impedance = simulator.measure_all([Scene()], instrument=recipe.instrument)[0]
     return found

@@ -116,6 +116,12 @@ class SensorDesign:
         contacts = placed(self.electrodes, self.outline, self.thickness)
         return tuple(contact.patch() for contact in contacts)
 
+    @property
+    def contact_impedance(self) -> NDArray[np.inexact]:
+        """Contact impedances [ohm m2], (electrodes,); complex where any electrode's is."""
+        z = np.array([electrode.contact_impedance for electrode in self.electrodes])
+        return z if np.any(np.imag(z)) else np.real(z)
+
     def edges(self, spacing: float | None = None) -> Array:
         """Points (k, 3) [m] along the electrodes' edges, where potentials are singular.
 

@@ -102,7 +102,10 @@ class ForwardModel:
         return self.assembly.unknowns
 
     def impedance(
-        self, conductivity: Conductivity | None = None, area_ratio: AreaRatio | None = None
+        self,
+        conductivity: Conductivity | None = None,
+        area_ratio: AreaRatio | None = None,
+        contact_impedance: Numbers | None = None,
     ) -> Numbers:
         """Electrode impedance matrix Z [ohm], (electrodes, electrodes).
 
@@ -114,11 +117,12 @@ class ForwardModel:
                 giving (...) or (..., 3, 3); the design's own when omitted.
             area_ratio: f(x, normal), both (..., 3), giving the ratio of deformed to flat area of
                 the electrodes, (...); one when omitted.
+            contact_impedance: of the electrodes, (electrodes,) [ohm m2]; the design's when omitted.
 
         Raises:
             ConfigurationError: for a conductivity of another shape, or not positive.
         """
-        _, system = self._system(conductivity, area_ratio)
+        _, system = self._system(conductivity, area_ratio, contact_impedance)
         return system.impedance(self.solver.congruence(system.values, system.coupling))
 
     def sensitivity(
@@ -260,18 +264,21 @@ class ForwardModel:
     @property
     def contact_impedance(self) -> Numbers:
         """Contact impedances [ohm m2], (electrodes,); complex where any electrode's is."""
-        z = np.array([e.contact_impedance for e in self.design.electrodes])
-        return z if np.any(np.imag(z)) else np.real(z)
+        return self.design.contact_impedance
 
     def _system(
-        self, conductivity: Conductivity | None, area_ratio: AreaRatio | None
+        self,
+        conductivity: Conductivity | None,
+        area_ratio: AreaRatio | None,
+        contact_impedance: Numbers | None = None,
     ) -> tuple[Stiffness, CemSystem]:
         """Stiffness and linear system of one scene; counts as a factorisation."""
         assembly = self.assembly
         ratio = (
             1.0 if area_ratio is None else area_ratio(assembly.facet_points, assembly.facet_normals)
         )
-        contact = assembly.electrode_terms(self.contact_impedance, ratio)
+        z = self.contact_impedance if contact_impedance is None else contact_impedance
+        contact = assembly.electrode_terms(z, ratio)
         stiffness = assembly.stiffness(self._conductivity(conductivity))
         self.factorisations += 1
         return stiffness, self.pattern.system(stiffness.values, contact)

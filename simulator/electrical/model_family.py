@@ -1,9 +1,11 @@
 """Forward models of one design whose cells suit the indenters that press the sensor."""
 
 from collections.abc import Iterable, Sequence
+from functools import lru_cache
 
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.simulator.electrical.forward_model import ForwardModel
+from eitskin.simulator.electrical.reanalysis import Reanalysis
 from eitskin.simulator.electrical.resolution import (
     Discretisation,
     Resolution,
@@ -11,6 +13,8 @@ from eitskin.simulator.electrical.resolution import (
     press_length,
     suited_cells,
 )
+from eitskin.simulator.layer.deformed_layer import DeformedLayer
+from eitskin.simulator.mechanics.layer_stack import Piezoresistivity
 from eitskin.simulator.scene.indenters import Indenter
 
 
@@ -33,6 +37,7 @@ class ModelFamily:
         coarsest = discretisation(resolution, design, self._cells)
         self.base = ForwardModel(design, coarsest, breaks, self._cells)
         self._models = {coarsest: self.base}
+        self._reanalyses: dict[ForwardModel, Reanalysis] = {}
 
     def suited(self, indenters: Iterable[Indenter]) -> ForwardModel:
         """Forward model whose cells suit the smallest of the indenters.
@@ -47,3 +52,16 @@ class ModelFamily:
         if wanted not in self._models:
             self._models[wanted] = ForwardModel(self._design, wanted, self._breaks, self._cells)
         return self._models[wanted]
+
+    def reanalysis(self, model: ForwardModel) -> Reanalysis:
+        """Reanalysis with the factors of the flat sensor, for one of the models."""
+        if model not in self._reanalyses:
+            flat = DeformedLayer(self._design, None, Piezoresistivity())
+            self._reanalyses[model] = Reanalysis(model, flat)
+        return self._reanalyses[model]
+
+
+@lru_cache(maxsize=4)
+def shared_family(design: SensorDesign, resolution: Resolution | Discretisation) -> ModelFamily:
+    """Forward models that several sensors share, with their factors."""
+    return ModelFamily(design, resolution)

@@ -10,6 +10,7 @@ elimination would take as many operations as the assembled blocks have, cubed.
 """
 
 from collections.abc import Iterator
+from copy import copy
 from typing import TypeAlias
 
 import numpy as np
@@ -35,6 +36,7 @@ EXACT: Tolerance = 0.0
 """Tolerance of scenes that are each solved by itself, without reanalysis."""
 _MOST = 8  # corrections, before a scene is solved by itself
 _FALLS = 0.25  # ratio of two changes of the impedances in turn, of corrections that converge
+_BASE = 1e-6  # change of the impedances of a base by its last correction, over the impedances
 _ROUNDING = 1e-13  # change of the impedances, over the impedances, that is none
 _DEPENDENT = 1e-12  # eigenvalue, over the largest, below which vectors are linearly dependent
 
@@ -99,10 +101,29 @@ class Reanalysis:
                 if 0.0 < falls < _FALLS and falls * change <= wanted:
                     return Z
             last = Z
-        return np.real(self._model.impedance(layer.conductivity, layer.area_ratio))
+        found = self._model.impedance(layer.conductivity, layer.area_ratio, layer.contact_impedance)
+        return np.real(found)
+
+    def specimen(self, layer: DeformedLayer) -> "Reanalysis | None":
+        """Forward model with the same factors, but with `layer` as the base of others.
+
+        None for a layer that differs too much from the factorised scene.
+        """
+        last = None
+        for Z, potentials in self._approximations(layer):
+            if last is not None and np.linalg.norm(Z - last) < _BASE * np.linalg.norm(Z):
+                made = copy(self)
+                made.base, made._potentials, made.solutions = Z, potentials, 0
+                return made
+            last = Z
+        return None
 
     def approximations(self, layer: DeformedLayer) -> Iterator[Array]:
         """Electrode impedance matrices [ohm] after 0, 1, 2, ... corrections, a limited number."""
+        return (Z for Z, _ in self._approximations(layer))
+
+    def _approximations(self, layer: DeformedLayer) -> Iterator[tuple[Array, Array]]:
+        """Impedance matrices and potentials (unknowns, electrodes) after 0, 1, ... corrections."""
         assembly = self._model.assembly
         matrices = assembly.matrices(layer.entries(assembly.points))
         matrices = assembly.condensed_matrices(matrices)
@@ -121,16 +142,16 @@ class Reanalysis:
         potentials = self._potentials
         for _ in range(_MOST + 1):
             space.extend(potentials, self._product(matrices, potentials))
-            T, residual = space.solve()
-            yield np.real(impedance_matrix(D, T))
+            found, T, residual = space.solve()
+            yield np.real(impedance_matrix(D, T)), found
             potentials = np.asarray(self._factors.solve(residual), dtype=np.float64)
             self.solutions += 1
 
     def _contact(self, layer: DeformedLayer) -> ElectrodeTerms:
         """Electrode terms of a deformed layer."""
-        model, assembly = self._model, self._model.assembly
+        assembly = self._model.assembly
         ratio = layer.area_ratio(assembly.facet_points, assembly.facet_normals)
-        return assembly.electrode_terms(model.contact_impedance, ratio)
+        return assembly.electrode_terms(layer.contact_impedance, ratio)
 
     def _product(self, matrices: Array, vectors: Array) -> Array:
         """Sum of element matrices times vectors, (unknowns, k), grounded as the base is."""
@@ -165,8 +186,8 @@ class _Subspace:
         self._gram = gram
         self._loads = np.concatenate([self._loads, V.T @ self._B])
 
-    def solve(self) -> tuple[Array, Array]:
-        """B^T x, (k, k), and the residual B - A x of the Galerkin solution x.
+    def solve(self) -> tuple[Array, Array, Array]:
+        """Galerkin solution x, (n, k), B^T x, (k, k), and the residual B - A x.
 
         Vectors may be linearly dependent: potentials of all electrodes add up to a constant.
         """
@@ -176,8 +197,10 @@ class _Subspace:
         kept = values > _DEPENDENT * values[-1]
         basis = scale[:, None] * vectors[:, kept]
         found = basis @ ((basis.T @ self._loads) / values[kept, None])
-        residual, start = self._B.copy(), 0
+        x, residual, start = np.zeros_like(self._B), self._B.copy(), 0
         for V, AV in self._blocks:
-            residual -= AV @ found[start : start + V.shape[1]]
+            own = found[start : start + V.shape[1]]
+            x += V @ own
+            residual -= AV @ own
             start += V.shape[1]
-        return self._loads.T @ found, residual
+        return x, self._loads.T @ found, residual

@@ -6,7 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.geometry.deformation.kinematics import Deformation, area_ratio, pulled_back_entries
+from eitskin.geometry.deformation.electrode_shift import ElectrodeShift
+from eitskin.geometry.deformation.kinematics import (
+    Composed,
+    Deformation,
+    area_ratio,
+    pulled_back_entries,
+)
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.simulator.mechanics.layer_stack import Piezoresistivity
 
@@ -22,28 +28,52 @@ class DeformedLayer:
         deformation: of the flat layer; None where the layer stays flat.
         piezoresistivity: of the gel.
         mean_stress: function of flat points, positive in tension [Pa]; zero when omitted.
+        shift: map from a nominal sensor, on whose points all else is then given; none when omitted.
     """
 
     design: SensorDesign
     deformation: Deformation | None
     piezoresistivity: Piezoresistivity
     mean_stress: Callable[[Array], Array] | None = None
+    shift: ElectrodeShift | None = None
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether neither the sensor is deformed nor its electrodes are shifted."""
+        return self.deformation is None and self.shift is None
+
+    @property
+    def contact_impedance(self) -> NDArray[np.inexact]:
+        """Contact impedances [ohm m2], (electrodes,); complex where any electrode's is."""
+        return self.design.contact_impedance
 
     def entries(self, x: Array) -> Array:
         """Entries xx, yy, zz, xy, xz, yz of J F^-1 sigma F^-T [S/m], (..., 6).
 
         At flat points x (..., 3) [m].
         """
-        sigma = self.design.conductivity_at(x)
-        if self.deformation is None:
+        own = x if self.shift is None else self.shift.positions(x)
+        sigma = self.design.conductivity_at(own)
+        F = self._gradient(x)
+        if F is None:
             unit: Array = sigma[..., None] * np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
             return unit
-        F = self.deformation.gradient(x)
-        if self.piezoresistivity != Piezoresistivity():
-            stress = self.mean_stress(x) if self.mean_stress else 0.0
-            sigma = sigma * self.piezoresistivity.factor(np.linalg.det(F), stress)
+        if self.deformation is not None and self.piezoresistivity != Piezoresistivity():
+            stress = self.mean_stress(own) if self.mean_stress else 0.0
+            J = np.linalg.det(F)
+            if self.shift is not None:
+                J = J / np.linalg.det(self.shift.gradient(x))
+            sigma = sigma * self.piezoresistivity.factor(J, stress)
         found: Array = sigma[..., None] * pulled_back_entries(F)
         return found
+
+    def _gradient(self, x: Array) -> Array | None:
+        """Gradient of the map from nominal to deformed points, (..., 3, 3); None for none."""
+        if self.deformation is None:
+            return None if self.shift is None else self.shift.gradient(x)
+        if self.shift is None:
+            return self.deformation.gradient(x)
+        return Composed(self.shift, self.deformation).gradient(x)
 
     def conductivity(self, x: Array) -> Array:
         """Tensors J F^-1 sigma F^-T [S/m], (..., 3, 3), at flat points (..., 3) [m]."""
@@ -51,6 +81,5 @@ class DeformedLayer:
 
     def area_ratio(self, x: Array, normal: Array) -> Array:
         """Deformed over flat area of surfaces at flat points with unit normals (..., 3), (...)."""
-        if self.deformation is None:
-            return np.ones(x.shape[:-1])
-        return area_ratio(self.deformation.gradient(x), normal)
+        F = self._gradient(x)
+        return np.ones(x.shape[:-1]) if F is None else area_ratio(F, normal)

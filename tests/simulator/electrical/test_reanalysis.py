@@ -161,6 +161,8 @@ def test_other_sensors_are_off_by_no_more(monkeypatch) -> None:
 class Layer:
     """Layer of a conductivity `sigma` (n, 3) -> (n,) and flat electrodes."""
 
+    contact_impedance = SensorDesign.reference().contact_impedance
+
     def __init__(self, sigma):
         self.sigma = sigma
 
@@ -260,3 +262,38 @@ def test_complex_contacts_are_refused_but_simulated() -> None:
         Reanalysis(sim.model, sim.deformed_layer(Scene()))
     some = scenes()[:2]
     assert sim.measure_all(some) == pytest.approx(plainly(sim, some), rel=1e-12)
+
+
+# Specimens on the mesh of a nominal sensor
+
+
+def test_specimens_share_a_mesh_and_factors(small) -> None:
+    """Signals are those of the specimen's own mesh, within what either mesh leaves."""
+    nominal = small.design
+    electrodes = tuple(
+        dataclasses.replace(
+            e,
+            x=e.x + (1e-3 if e.y in (0.0, 0.06) and 0.0 < e.x < 0.15 else 0.0) * (-1) ** k,
+            contact_impedance=e.contact_impedance * (1.0 + 0.2 * k),
+        )
+        for k, e in enumerate(nominal.electrodes)
+    )
+    specimen = dataclasses.replace(
+        nominal, electrodes=electrodes, thickness=0.0052, conductivity=1.3 * nominal.conductivity
+    )
+    smooth = Hinge(transition=0.01)
+    own = Simulator(specimen, COARSE, smooth)
+    shared = Simulator(specimen, COARSE, smooth, nominal=nominal)
+    twin = Simulator(specimen, COARSE, smooth, nominal=nominal)
+    some = [Scene(Bend(20.0)), Scene(Bend(-10.0))]
+    flat, *bent = shared.measure_all([Scene(), *some]).real
+    exact, *plain = own.measure_all([Scene(), *some]).real
+    assert flat == pytest.approx(exact, rel=0.03)
+    for one, other in zip(bent, plain, strict=True):
+        signal = other / exact - 1.0
+        assert np.linalg.norm(one / flat - 1.0 - signal) < 0.02 * np.linalg.norm(signal)
+    family = shared._impedances._shared
+    assert family is twin._impedances._shared
+    before = family.base.factorisations
+    assert np.array_equal(twin.measure_all(some[::-1])[::-1].real, bent)
+    assert family.base.factorisations == before == 1

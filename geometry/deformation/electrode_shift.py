@@ -1,0 +1,115 @@
+"""Map from a nominal sensor to one of its specimens, whose electrodes are moved along the rim."""
+
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.geometry.deformation.kinematics import Gradients, OnePass, Points
+from eitskin.geometry.design.electrode import Electrode
+from eitskin.geometry.design.outline import Rectangle
+from eitskin.geometry.design.sensor import SensorDesign
+
+Array = NDArray[np.float64]
+
+_KEPT = 4  # sets of points whose images are kept: those of cells and contacts of two meshes
+_SAME = 1e-9  # [m]
+
+
+class ElectrodeShift(OnePass):
+    """Map of a rectangular layer onto itself that moves side electrodes and scales the thickness.
+
+    Along each side the map is linear between the edges of electrodes, and blended linearly across
+    the layer (transfinite interpolation, Gordon and Hall 1973). Its gradient jumps only at the
+    nominal edges, where meshes have faces.
+    """
+
+    def __init__(self, sides: dict[str, tuple[Array, Array]], size: Array, thicker: float) -> None:
+        """Keep the map.
+
+        Args:
+            sides: nominal and moved positions [m] along "bottom", "top", "left" and "right", each
+                rising from corner to corner.
+            size: length and width [m].
+            thicker: thickness of the specimen over the nominal one.
+        """
+        self._sides, self._size, self._thicker = sides, size, thicker
+        self._images: dict[int, tuple[Points, Points, Gradients]] = {}
+
+    def mapped(self, points: Points) -> tuple[Points, Gradients]:
+        """Positions [m], (..., 3), and gradients, (..., 3, 3), of nominal points [m].
+
+        Images of the last sets of points are kept, since all scenes share them.
+        """
+        known = self._images.get(id(points))
+        if known is None:
+            while len(self._images) >= _KEPT:
+                self._images.pop(next(iter(self._images)))
+            known = self._images[id(points)] = (points, *self._evaluated(points))
+        return known[1], known[2]
+
+    def _evaluated(self, points: Points) -> tuple[Points, Gradients]:
+        x, y = points[..., 0], points[..., 1]
+        across, along = y / self._size[1], x / self._size[0]
+        bottom, left = self._moved("bottom", x), self._moved("left", y)
+        top, right = self._moved("top", x), self._moved("right", y)
+        moved, F = self._thicker * points, np.zeros((*points.shape, 3))
+        moved[..., 0] = (1.0 - across) * bottom[0] + across * top[0]
+        moved[..., 1] = (1.0 - along) * left[0] + along * right[0]
+        F[..., 0, 0] = (1.0 - across) * bottom[1] + across * top[1]
+        F[..., 0, 1] = (top[0] - bottom[0]) / self._size[1]
+        F[..., 1, 0] = (right[0] - left[0]) / self._size[0]
+        F[..., 1, 1] = (1.0 - along) * left[1] + along * right[1]
+        F[..., 2, 2] = self._thicker
+        return moved, F
+
+    def _moved(self, side: str, at: Array) -> tuple[Array, Array]:
+        """Moved positions along a side and their derivatives."""
+        nominal, moved = self._sides[side]
+        slopes = np.diff(moved) / np.diff(nominal)
+        piece = np.clip(np.searchsorted(nominal, at, side="right") - 1, 0, len(slopes) - 1)
+        return moved[piece] + slopes[piece] * (at - nominal[piece]), slopes[piece]
+
+
+def electrode_shift(nominal: SensorDesign, design: SensorDesign) -> ElectrodeShift | None:
+    """Map from a nominal sensor to a design that differs in electrode positions and thickness.
+
+    None for designs that differ otherwise in shape, are no rectangles, or have electrodes that are
+    not as high as the layer or meet a corner. Conductivities and contact impedances are free.
+    """
+    outline = nominal.outline
+    if not isinstance(outline, Rectangle) or outline != design.outline:
+        return None
+    if len(nominal.electrodes) != len(design.electrodes):
+        return None
+    sides: dict[str, list[tuple[float, float, float, float]]] = {}
+    for one, other in zip(nominal.electrodes, design.electrodes, strict=True):
+        side = _side(one, outline)
+        whole = all(e.on == "side" and e.height is None for e in (one, other))
+        if not whole or side is None or side != _side(other, outline) or one.width != other.width:
+            return None
+        at, moved = (e.x if side in ("bottom", "top") else e.y for e in (one, other))
+        half = 0.5 * one.width
+        sides.setdefault(side, []).append((at - half, at + half, moved - half, moved + half))
+    size = np.array([outline.length, outline.width])
+    maps = {}
+    for side, length in zip(("bottom", "top", "left", "right"), size[[0, 0, 1, 1]], strict=True):
+        edges = sorted(sides.get(side, []))
+        both = np.array([[0.0, 0.0], *(e[i::2] for e in edges for i in (0, 1)), [length, length]])
+        if any((after <= before).any() for before, after in pairwise(both)):
+            return None
+        maps[side] = both[:, 0], both[:, 1]
+    return ElectrodeShift(maps, size, design.thickness / nominal.thickness)
+
+
+def _side(electrode: Electrode, outline: Rectangle) -> str | None:
+    """Side of a rectangle on which an electrode lies, clear of corners; None on none."""
+    x, y, half = electrode.x, electrode.y, 0.5 * electrode.width
+    if half < x < outline.length - half:
+        near = {"bottom": abs(y), "top": abs(y - outline.width)}
+    elif half < y < outline.width - half:
+        near = {"left": abs(x), "right": abs(x - outline.length)}
+    else:
+        return None
+    side = min(near, key=lambda name: near[name])
+    return side if near[side] < _SAME else None
