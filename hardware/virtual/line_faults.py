@@ -68,7 +68,8 @@ def _reordered_parts(sent: bytes, f: Fault) -> bytes:
 
 def _merged_frames(sent: bytes, f: Fault) -> bytes:
     packets = _packets(sent)
-    return b"".join(packets[f.amount :] if f.since else packets[: f.amount])
+    cut = f.amount % max(len(packets), 1) or 1
+    return b"".join(packets[cut:] if f.since else packets[:cut])
 
 
 def two_frames(_: int) -> int:
