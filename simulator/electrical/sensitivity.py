@@ -15,6 +15,7 @@ from eitskin.simulator.electrical.assembly import Assembly
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.inexact]
+Indices = NDArray[np.int64]
 Tensors = Callable[[Array], Array]
 
 _OVERLAPS = 4  # along x, integrated at once
@@ -76,18 +77,34 @@ class _Pixels:
         """Number of rows and of columns."""
         return len(self.y_edges) - 1, len(self.x_edges) - 1
 
-    def sums(self, points: Array, values: Numbers) -> Numbers:
-        """Sums of values (n, k, k) at points (n, 2) [m] over each pixel, (pixels, k, k)."""
+    def sums(self, points: Array, values: Numbers, sizes: Array | float = 0.0) -> Numbers:
+        """Sums of values (n, k, k) at points (n, 2) [m] over each pixel, (pixels, k, k).
+
+        A point stands for a square of side `sizes` (n,) [m], at most a pixel's, about it; pixels
+        share the value by the areas of the square that lie in them.
+        """
         rows, columns = self.shape
-        column = np.clip(np.searchsorted(self.x_edges, points[:, 0], "right") - 1, 0, columns - 1)
-        row = np.clip(np.searchsorted(self.y_edges, points[:, 1], "right") - 1, 0, rows - 1)
+        across = _shares(points[:, 0], self.x_edges, sizes)
+        along = _shares(points[:, 1], self.y_edges, sizes)
+        pixel = [row * columns + column for row, _ in along for column, _ in across]
+        share = [up * right for _, up in along for _, right in across]
         count = len(points)
         owned = csr_array(
-            (np.ones(count), (row * columns + column, np.arange(count))),
+            (np.concatenate(share), (np.concatenate(pixel), np.tile(np.arange(count), 4))),
             shape=(rows * columns, count),
         )
         total: Numbers = owned @ values.reshape(count, -1)
         return total.reshape(-1, *values.shape[1:])
+
+
+def _shares(x: Array, edges: Array, sizes: Array | float) -> list[tuple[Indices, Array]]:
+    """Two neighbouring intervals and shares in these of segments of `sizes` about x, (n,) each."""
+    last = len(edges) - 2
+    low = np.clip(np.searchsorted(edges, x - 0.5 * sizes, side="right") - 1, 0, last)
+    high = np.minimum(low + 1, last)
+    beyond = (x + 0.5 * sizes - edges[low + 1]) / np.maximum(sizes, np.finfo(float).tiny)
+    share = np.where(high > low, np.clip(beyond, 0.0, 1.0), 0.0)
+    return [(low, 1.0 - share), (high, share)]
 
 
 def _prisms_gram(
@@ -116,7 +133,9 @@ def _prisms_gram(
                 np.moveaxis(g, 1, 2).reshape(shape)
                 for g in (first, area[:, None, ..., None] * second)
             )
-            sums = pixels.sums(plane.reshape(-1, 2), first.swapaxes(1, 2) @ second)
+            sizes = np.sqrt(space.jacobians[elements, None] * weights).ravel() * (n > 1)
+            products = first.swapaxes(1, 2) @ second
+            sums = pixels.sums(plane.reshape(-1, 2), products, sizes)
             np.add(total, sums, out=total)
     return total
 
