@@ -133,6 +133,7 @@ ALL = (
     Benchmark(
         "ablation", "data", 2, ("{out}/paper/seed-1/unseen-touch",), needs="{out}/paper/seed-1"
     ),
+    Benchmark("large_sets", "data", 25, OWN, (*OWN, "--frames", "4000", "--shards", "40")),
     Benchmark("layouts", "", 90, OWN, (*OWN, "--quick"), report="layouts.md"),
 )
 

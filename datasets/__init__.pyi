@@ -35,6 +35,7 @@ from eitskin.datasets.store.state import (
 from eitskin.datasets.store.state import (
     State as State,
 )
+from eitskin.datasets.store.stored_dataset import StoredDataset as StoredDataset
 from eitskin.datasets.store.torch_dataset import (
     ShuffledShards as ShuffledShards,
 )

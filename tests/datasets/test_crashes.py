@@ -106,7 +106,7 @@ def workers_of(run):
     try:
         children = Path(f"/proc/{run.pid}/task/{run.pid}/children").read_text().split()
         lines = {int(child): Path(f"/proc/{child}/cmdline").read_bytes() for child in children}
-    except FileNotFoundError:  # one has ended meanwhile
+    except (FileNotFoundError, ProcessLookupError):  # one has ended meanwhile
         return []
     return [child for child, line in lines.items() if b"multiprocessing.spawn" in line]
 

@@ -182,6 +182,24 @@ def test_flipped_bytes_are_noticed_everywhere_or_without_a_manifest_in_values(sh
             read_shard(shard)
 
 
+def test_chunks_that_a_flipped_bit_would_leave_compressed_are_refused(shard):
+    """The list of filters has another type of message; a chunk is marked as raw."""
+    whole = shard.read_bytes()
+    pipeline = bytes.fromhex("0b00500001000000")  # type of message, size, flags
+    places = [place for place in range(len(whole)) if whole[place : place + 8] == pipeline]
+    assert len(places) >= len(FIELDS) - 1
+    for broken in flipped(whole, 0x10, places):
+        shard.write_bytes(broken)
+        with pytest.raises(DataError, match="damaged"):
+            read_shard(shard)
+    shard.write_bytes(whole)
+    with h5py.File(shard, "r+") as file:
+        raw = np.zeros((40, 28), "u1").tobytes()
+        file["status"].id.write_direct_chunk((0, 0), raw, filter_mask=7)
+    with pytest.raises(DataError, match=r"'status'.*damaged"):
+        read_shard(shard)
+
+
 @pytest.mark.parametrize("length", [0, 100, 5000, -1])
 def test_cut_files_are_refused(shard, length):
     shard.write_bytes(shard.read_bytes()[:length])

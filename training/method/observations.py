@@ -112,4 +112,4 @@ def frame_noise(dataset: Dataset, observations: Observations) -> float:
 
 def fingerprint(dataset: Dataset) -> str:
     """SHA-256 of all frames in their order, by which a pipeline knows its own training set."""
-    return hashlib.sha256(np.ascontiguousarray(dataset.impedance).tobytes()).hexdigest()
+    return hashlib.sha256(np.ascontiguousarray(dataset.impedance).view(np.uint8).data).hexdigest()
