@@ -5,6 +5,7 @@ half the time of the high-level one.
 """
 
 import hashlib
+import itertools
 import math
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
@@ -286,19 +287,26 @@ def _plain(group: h5py.h5g.GroupID, name: bytes) -> Any:
 
 
 def _check_chunks(array: h5py.h5d.DatasetID, path: str) -> None:
-    """Raise DataError where a flipped bit of the file's tables would make chunks pass unfiltered.
+    """Raise DataError where a flipped bit of the file's tables would change values unnoticed.
 
     Tables have no checksum. Where the list of filters is lost, or a chunk is marked as one to which
-    some were not applied, compressed bytes would pass for values.
+    some were not applied, compressed bytes would pass for values; where a chunk is listed at
+    another place, values would be missing.
     """
     properties = array.get_create_plist()
     if properties.get_layout() != h5py.h5d.CHUNKED:
         return
-    masks: list[int] = []
-    array.chunk_iter(lambda chunk: masks.append(chunk.filter_mask))
-    size = math.prod(properties.get_chunk()) * array.get_type().get_size()
+    found: list[Any] = []
+    array.chunk_iter(found.append)
+    shape = properties.get_chunk()
+    grid = [range(0, size, step) for size, step in zip(array.shape, shape, strict=True)]
+    complete = len(found) == math.prod(map(len, grid)) and {
+        chunk.chunk_offset for chunk in found
+    } == set(itertools.product(*grid))
+    size = math.prod(shape) * array.get_type().get_size()
     raw = not properties.get_nfilters()
-    if any(masks) or (raw and array.get_storage_size() != len(masks) * size):
+    sound = all(not chunk.filter_mask and (not raw or chunk.size == size) for chunk in found)
+    if found and not (complete and sound):
         raise DataError(f"'{path}' is stored in other chunks than its filters make; it is damaged")
 
 

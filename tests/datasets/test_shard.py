@@ -4,6 +4,7 @@ import errno
 import hashlib
 import json
 import os
+import re
 from concurrent.futures import ThreadPoolExecutor
 
 import h5py
@@ -183,7 +184,7 @@ def test_flipped_bytes_are_noticed_everywhere_or_without_a_manifest_in_values(sh
 
 
 def test_chunks_that_a_flipped_bit_would_leave_compressed_are_refused(shard):
-    """The list of filters has another type of message; a chunk is marked as raw."""
+    """The list of filters has another type; a chunk lies elsewhere, or is marked as raw."""
     whole = shard.read_bytes()
     pipeline = bytes.fromhex("0b00500001000000")  # type of message, size, flags
     places = [place for place in range(len(whole)) if whole[place : place + 8] == pipeline]
@@ -192,6 +193,12 @@ def test_chunks_that_a_flipped_bit_would_leave_compressed_are_refused(shard):
         shard.write_bytes(broken)
         with pytest.raises(DataError, match="damaged"):
             read_shard(shard)
+    for tree in re.finditer(b"TREE\x01\x00\x01\x00", whole):  # then two addresses and the first key
+        for bit in (0x01, 0x20):
+            place = tree.end() + 16 + 8
+            shard.write_bytes(next(flipped(whole, bit, [place])))
+            with pytest.raises(DataError, match=r"damaged|not a whole shard"):
+                read_shard(shard)
     shard.write_bytes(whole)
     with h5py.File(shard, "r+") as file:
         raw = np.zeros((40, 28), "u1").tobytes()
