@@ -80,9 +80,9 @@ def _row(scene: Scene, readings: Sequence["Reading"]) -> dict[str, Any]:
     names = [str(getattr(e.state, "name", e.state)).lower() for e in estimates]
     truth = "touch" if scene.touches else "bend" if scene.bend.angle_deg else "idle"
     true = [(touch.x, touch.y) for touch in scene.touches]
-    found = [(float(x), float(y)) for x, y, _ in estimates[-1].touches]
+    found = [(float(x), float(y)) for x, y, _ in estimates[-1].touches or ()]
     errors = matching.localisation([(np.array(true).reshape(-1, 2), found)]).errors if true else []
-    angles = [float(e.bend_angle_deg) for e in estimates]
+    angles = [np.nan if e.bend_angle_deg is None else e.bend_angle_deg for e in estimates]
     latencies = [1e3 * float(reading.latency) for reading in readings]
     return {
         "true_state": truth,

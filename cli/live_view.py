@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from eitskin.hardware.boards.board import Counts
     from eitskin.hardware.live import Estimate, Reading
 
+NOT_ESTIMATED = "not estimated by this pipeline"
 SHOWN = 0.3  # least value of the touch map that is drawn
 
 
@@ -28,7 +29,7 @@ def plain(reading: "Reading", counts: "Counts") -> dict[str, Any]:
         **(_nothing(reading) if estimate is None else _perceived(estimate)),
         "bad_channels": bad_channels(frame),
         "latency_ms": reading.latency * 1e3,
-        "rate_hz": _known(reading.rate),
+        "rate_hz": known(reading.rate),
         "lost": counts.lost,
         "skipped": counts.skipped,
         "unusable": reading.unusable,
@@ -40,9 +41,11 @@ def plain(reading: "Reading", counts: "Counts") -> dict[str, Any]:
 def _perceived(estimate: "Estimate") -> dict[str, Any]:
     return {
         "state": state_name(estimate),
-        "probabilities": [_known(p) for p in np.asarray(estimate.probabilities).tolist()],
-        "bend_angle_deg": _known(estimate.bend_angle_deg),
-        "touches": [[_known(value) for value in touch] for touch in estimate.touches],
+        "probabilities": [known(p) for p in np.asarray(estimate.probabilities).tolist()],
+        "bend_angle_deg": known(estimate.bend_angle_deg),
+        "touches": None
+        if estimate.touches is None
+        else [[known(value) for value in touch] for touch in estimate.touches],
         "problems": list(estimate.problems),
     }
 
@@ -88,6 +91,8 @@ def draw(reading: "Reading", counts: "Counts", silence: str = "") -> RenderableT
         return numbers
     if estimate.problems:
         numbers.add_row("problems", Text("; ".join(estimate.problems), style="red"))
+    if estimate.touch_map is None:
+        return numbers
     # Rules and no frame: the 80 columns of the map are all that a plain terminal has.
     return Group(
         numbers, Rule("touch map, y up, x right"), touch_picture(estimate.touch_map), Rule()
@@ -97,12 +102,15 @@ def draw(reading: "Reading", counts: "Counts", silence: str = "") -> RenderableT
 def _add_estimate(numbers: Table, estimate: "Estimate", stale: bool) -> None:
     """Add state, angle and touches, dimmed where the reading is old."""
     style = "dim" if stale else ""
-    numbers.add_row("state", Text(state_name(estimate), style=style or "bold"))
-    angle = estimate.bend_angle_deg
-    shown = f"{angle:+.1f} deg" if math.isfinite(angle) else "unknown"
+    state, angle, touches = state_name(estimate), estimate.bend_angle_deg, estimate.touches
+    numbers.add_row("state", Text(state or NOT_ESTIMATED, style=style or "bold"))
+    shown = NOT_ESTIMATED
+    if angle is not None:
+        shown = f"{angle:+.1f} deg" if math.isfinite(angle) else "unknown"
     numbers.add_row("bend", Text(shown, style=style))
-    places = [f"({x * 1e3:.0f}, {y * 1e3:.0f}) mm {s:.2f}" for x, y, s in estimate.touches]
-    numbers.add_row("touches", Text(", ".join(places) or "none", style=style))
+    places = [f"({x * 1e3:.0f}, {y * 1e3:.0f}) mm {s:.2f}" for x, y, s in touches or ()]
+    none = NOT_ESTIMATED if touches is None else "none"
+    numbers.add_row("touches", Text(", ".join(places) or none, style=style))
 
 
 def touch_picture(touch_map: NDArray[np.floating]) -> Text:
@@ -130,9 +138,11 @@ def losses(counts: "Counts", unusable: int) -> str:
     )
 
 
-def state_name(estimate: "Estimate") -> str:
-    """Name of the state in lower case."""
+def state_name(estimate: "Estimate") -> str | None:
+    """Name of the state in lower case; None where the pipeline does not estimate it."""
     state = estimate.state
+    if state is None:
+        return None
     return (state if isinstance(state, str) else state.name).lower()
 
 
@@ -143,6 +153,6 @@ def _status_text(bits: int) -> str:
     return ", ".join(names) or f"status {bits:#04x}"
 
 
-def _known(value: float) -> float | None:
-    """`value`, None where it is not finite, which JSON cannot say."""
-    return float(value) if math.isfinite(value) else None
+def known(value: float | None) -> float | None:
+    """`value`, None where it is unknown or not finite, which JSON cannot say."""
+    return float(value) if value is not None and math.isfinite(value) else None

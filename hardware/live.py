@@ -15,26 +15,26 @@ from eitskin.frame import Frame
 
 
 class Estimate(typing.Protocol):
-    """Result of a pipeline for one frame."""
+    """Result of a pipeline for one frame; None where the pipeline does not estimate a quantity."""
 
     @property
-    def state(self) -> State | str:
+    def state(self) -> State | str | None:
         """State: idle, touched or bent."""
 
     @property
     def probabilities(self) -> Sequence[float] | NDArray[np.floating]:
-        """Probabilities of the states, in their order, summing to one, (3,)."""
+        """Probabilities of the states, in their order, (3,); NaN for those not told apart."""
 
     @property
-    def bend_angle_deg(self) -> float:
+    def bend_angle_deg(self) -> float | None:
         """Bend angle [deg]; NaN where unknown."""
 
     @property
-    def touch_map(self) -> NDArray[np.floating]:
-        """Touch map, (32, 80), 0 to 1; rows and columns grow with y and x."""
+    def touch_map(self) -> NDArray[np.floating] | None:
+        """Touch map, (rows, columns), 0 to 1; rows and columns grow with y and x."""
 
     @property
-    def touches(self) -> Sequence[tuple[float, float, float]]:
+    def touches(self) -> Sequence[tuple[float, float, float]] | None:
         """Touches as (x [m], y [m], strength)."""
 
     @property

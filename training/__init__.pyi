@@ -21,7 +21,7 @@ from eitskin.training.method.settings import (
 from eitskin.training.method.settings import (
     TrainingSettings as TrainingSettings,
 )
-from eitskin.training.pipeline.pipeline import (
+from eitskin.training.pipeline.estimate import (
     Estimate as Estimate,
 )
 from eitskin.training.pipeline.pipeline import (

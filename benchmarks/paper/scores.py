@@ -19,7 +19,8 @@ from eitskin.training.evaluation.metrics import (
     root_mean_square,
 )
 from eitskin.training.evaluation.scores import TouchScore
-from eitskin.training.pipeline.pipeline import Estimate, Pipeline
+from eitskin.training.pipeline.estimate import Estimate
+from eitskin.training.pipeline.pipeline import Pipeline
 
 Array = NDArray[np.float64]
 Figures = dict[str, float]
@@ -165,7 +166,8 @@ def _touches(name: str, score: TouchScore) -> Figures:
 
 def _distances(data: Dataset, row: int, estimate: Estimate) -> list[float]:
     true = np.stack([data.touch_x[row], data.touch_y[row]], axis=1)
-    return match_distances(true[np.isfinite(true[:, 0])], estimate.found.place)
+    found = () if estimate.found is None else estimate.found.place
+    return match_distances(true[np.isfinite(true[:, 0])], found)
 
 
 def _given(name: str, value: float | None) -> Figures:

@@ -9,6 +9,7 @@ import numpy as np
 from eitskin.cli.commands.train import train_positions
 from eitskin.cli.demo.pictures import found_presses, two_sensors
 from eitskin.cli.demo.results import StageResult, as_pictures
+from eitskin.cli.live_view import state_name
 from eitskin.datasets.recordings.form import RecordingNames
 from eitskin.datasets.recordings.recording import read_recording
 from eitskin.errors import DataError, FrameError
@@ -85,7 +86,7 @@ def _board_frame(path: Path, out: Path, pipeline: "Pipeline") -> StageResult:  #
         answer["refused"] = str(error)
         remark = f"{path.name}: the pipeline refuses it: {error}"
     else:
-        answer |= {"state": estimate.state.name.lower(), "problems": list(estimate.problems)}
+        answer |= {"state": state_name(estimate), "problems": list(estimate.problems)}
         remark = f"{path.name}: {answer['state']}, {'; '.join(estimate.problems)}"
     drawn = two_sensors(own, measured, pipeline.layout.protocol.labels, path.name)
     pictures = as_pictures({"board_frame": (drawn, "A real board's frame beside the trained one")})

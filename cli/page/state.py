@@ -116,27 +116,27 @@ class PageContent:
         }
 
     def _estimate(self, estimate: "Estimate") -> dict[str, Any]:
-        presses = found_presses(estimate)
+        presses, touches = found_presses(estimate), estimate.touches
+        angle = math.nan if estimate.bend_angle_deg is None else float(estimate.bend_angle_deg)
         return {
             "state": state_name(estimate),
             "probabilities": [_known(float(p), 4) for p in estimate.probabilities],
-            "angle": _known(estimate.bend_angle_deg, 3),
-            "deviation": _known(getattr(estimate, "bend_deviation_deg", math.nan), 3),
-            "map": pixels(estimate.touch_map),
+            "angle": _known(angle, 3),
+            "deviation": _known(getattr(estimate, "bend_deviation_deg", None), 3),
+            "map": None if estimate.touch_map is None else pixels(estimate.touch_map),
             "picture": signed_pixels(getattr(estimate, "picture", None)),
-            "touches": [
+            "touches": touches
+            and [
                 {
                     "x": _known(x, 5),
                     "y": _known(y, 5),
                     "strength": _known(strength, 3),
                     "force": _known(press[2], 2),
                 }
-                for (x, y, strength), press in zip(estimate.touches, presses, strict=True)
+                for (x, y, strength), press in zip(touches, presses, strict=True)
             ],
             "problems": list(estimate.problems),
-            "points": ""
-            if self.drawing is None
-            else self.drawing.points(float(estimate.bend_angle_deg), presses),
+            "points": "" if self.drawing is None else self.drawing.points(angle, presses),
         }
 
     def stage(self, number: int | None = None) -> dict[str, Any] | None:
@@ -172,9 +172,10 @@ def relative_change(frame: Frame, reference: Frame) -> list[float | None]:
 
 def found_presses(estimate: "Estimate") -> list[DrawnPress]:
     """x [m], y [m] and force [N] of each estimated touch; NaN where the force is not estimated."""
+    touches = estimate.touches or ()
     forces = getattr(getattr(estimate, "found", None), "force", None)
-    known = [math.nan] * len(estimate.touches) if forces is None else [float(f) for f in forces]
-    return [(float(x), float(y), f) for (x, y, _), f in zip(estimate.touches, known, strict=True)]
+    known = [math.nan] * len(touches) if forces is None else [float(f) for f in forces]
+    return [(float(x), float(y), f) for (x, y, _), f in zip(touches, known, strict=True)]
 
 
 def pixels(touch_map: NDArray[np.floating]) -> dict[str, Any] | None:
@@ -228,6 +229,6 @@ def _rounded(values: NDArray[np.float64], digits: int) -> list[Any]:
     return rounded
 
 
-def _known(value: float, digits: int) -> float | None:
-    """`value` in few digits, None where it is not finite, which JSON cannot say."""
-    return round(float(value), digits) if math.isfinite(value) else None
+def _known(value: float | None, digits: int) -> float | None:
+    """`value` in few digits, None where it is unknown or not finite, which JSON cannot say."""
+    return round(float(value), digits) if value is not None and math.isfinite(value) else None

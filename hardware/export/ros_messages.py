@@ -65,13 +65,25 @@ class RosMessages:
     def of(self, reading: Reading, stamp: int) -> dict[str, Any]:
         """Messages of one reading at `stamp` [ns], by topic.
 
-        A reading without estimate has no topics of estimates. The stamp is the time of the frame,
+        A reading without estimate has no topics of estimates, and a quantity that the pipeline does
+        not estimate has none. The stamp is the time of the frame,
         not of the estimate, which is ready a little later.
         """
         frame, estimate = reading.frame, reading.estimate
         header = self._header(stamp)
         said = {"/eitskin/impedance": self._impedance(frame)}
         if estimate is not None:
+            said |= self._estimated(header, estimate)
+        statuses = [self._sensor_status(reading), self._channel_status(frame)]
+        said["/diagnostics"] = self._make(
+            "diagnostic_msgs/msg/DiagnosticArray", header=header, status=statuses
+        )
+        return said
+
+    def _estimated(self, header: Any, estimate: Estimate) -> dict[str, Any]:
+        """Messages of the quantities that the pipeline estimates, by topic."""
+        said = {}
+        if estimate.bend_angle_deg is not None:
             said["/eitskin/bend"] = self._make(
                 "sensor_msgs/msg/JointState",
                 header=header,
@@ -80,12 +92,10 @@ class RosMessages:
                 velocity=np.zeros(0),
                 effort=np.zeros(0),
             )
+        if estimate.touch_map is not None:
             said["/eitskin/touch_map"] = self._image(header, estimate.touch_map)
+        if estimate.touches is not None:
             said["/eitskin/touches"] = self._points(header, touch_rows(estimate))
-        statuses = [self._sensor_status(reading), self._channel_status(frame)]
-        said["/diagnostics"] = self._make(
-            "diagnostic_msgs/msg/DiagnosticArray", header=header, status=statuses
-        )
         return said
 
     def _make(self, kind: str, **fields: Any) -> Any:
@@ -157,10 +167,12 @@ class RosMessages:
         }
         level, message = (_ERROR, reading.problem) if reading.problem else (_OK, "not estimated")
         if estimate is not None:
-            state = getattr(estimate.state, "name", str(estimate.state)).lower()
             level = _WARN if estimate.problems else _OK
+            state = "state not estimated"
+            if estimate.state is not None:
+                state = getattr(estimate.state, "name", str(estimate.state)).lower()
+                values["state"] = state
             message = "; ".join((state, *estimate.problems))
-            values["state"] = state
             values["bend angle [deg]"] = estimate.bend_angle_deg
             values["bend deviation [deg]"] = getattr(estimate, "bend_deviation_deg", math.nan)
             values |= {
@@ -169,7 +181,7 @@ class RosMessages:
         known = {
             name: value
             for name, value in values.items()
-            if not (isinstance(value, float) and math.isnan(value))
+            if not (value is None or (isinstance(value, float) and math.isnan(value)))
         }
         return self._status("eitskin: sensor", level, message, known)
 
@@ -201,9 +213,10 @@ class RosMessages:
 
 def touch_rows(estimate: Estimate) -> NDArray[np.float32]:
     """Touches as rows of `TOUCH_FIELDS`, (touches, 6); NaN where the pipeline gives no value."""
-    rows = np.full((len(estimate.touches), len(TOUCH_FIELDS)), np.nan, dtype="<f4")
+    touches = estimate.touches or ()
+    rows = np.full((len(touches), len(TOUCH_FIELDS)), np.nan, dtype="<f4")
     found = getattr(estimate, "found", None)
-    for row, (x, y, strength) in zip(rows, estimate.touches, strict=True):
+    for row, (x, y, strength) in zip(rows, touches, strict=True):
         row[:4] = x, y, 0.0, strength
     if found is not None:
         rows[:, 4], rows[:, 5] = found.force, found.deviation

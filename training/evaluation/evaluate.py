@@ -25,6 +25,7 @@ from eitskin.training.evaluation.scores import (
 )
 from eitskin.training.method.observations import Observations
 from eitskin.training.method.predictions import Predictions
+from eitskin.training.method.targets import with_implied_labels
 from eitskin.training.paper.method import PaperMethod
 from eitskin.training.pipeline.pipeline import Pipeline
 
@@ -48,7 +49,8 @@ class Evaluation:
         matches: found touches matched to the true ones.
         similarity: SSIM of each frame's images (n,), by image: "touch_map" and, for a method that
             reconstructs, "static" and "dynamic"; and "empty", the SSIM of an image of zeros. NaN
-            in untouched frames and where a radius is not known.
+            in untouched frames and where a radius is not known. Empty for a pipeline that does not
+            estimate touches.
         report: the figures.
     """
 
@@ -79,18 +81,21 @@ class Evaluation:
             )
         pipeline.layout.require_same_measurements(dataset.protocol, dataset.frequency)
         require_on_sheet(dataset, pipeline.layout.outline)
+        dataset, targets = with_implied_labels(dataset), pipeline.targets
         predictions = _perceive(pipeline, dataset)
         matches = Matches.of(dataset, predictions)
-        similarity = _similarities(pipeline, dataset, predictions)
+        located = targets.touches
+        similarity = _similarities(pipeline, dataset, predictions) if located else {}
         report = Report(
             len(dataset),
-            _state_score(dataset, predictions),
+            _state_score(dataset, predictions, targets.states),
             _bend_score(dataset, predictions),
-            _touch_scores(dataset, matches, similarity),
-            _untouched_score(dataset, matches),
+            _touch_scores(dataset, matches, similarity) if located else {},
+            _untouched_score(dataset, matches) if located else None,
             _force_score(matches),
             metrics.consistency(matches.error, matches.deviation),
             _latency(pipeline, dataset),
+            targets.missing,
         )
         return cls(pipeline, dataset, predictions, matches, similarity, report)
 
@@ -160,10 +165,13 @@ def _similarities(
     return values
 
 
-def _state_score(dataset: Dataset, predictions: Predictions) -> StateScore:
-    known = np.isin(dataset.state, list(State))
+def _state_score(
+    dataset: Dataset, predictions: Predictions, told_apart: tuple[State, ...]
+) -> StateScore:
+    """Score of the frames whose true state is one that the pipeline tells apart."""
+    known = np.isin(dataset.state, told_apart)
     counts = metrics.confusion(dataset.state[known], predictions.state[known])
-    bent = (dataset.state == State.TOUCH) & _bent(dataset)
+    bent = known & (dataset.state == State.TOUCH) & _bent(dataset)
     right = predictions.state == dataset.state
     idle = counts[State.IDLE]
     return StateScore(
@@ -174,11 +182,12 @@ def _state_score(dataset: Dataset, predictions: Predictions) -> StateScore:
         _share(right[bent].sum(), bent.sum()),
         _share(idle[State.TOUCH], idle.sum()),
         counts.tolist(),
+        int(np.isin(dataset.state, list(State)).sum() - known.sum()),
     )
 
 
 def _bend_score(dataset: Dataset, predictions: Predictions) -> BendScore:
-    known = np.isfinite(dataset.bend_angle_deg)
+    known = np.isfinite(dataset.bend_angle_deg) & np.isfinite(predictions.bend_angle_deg)
     bent, touched = (known & (dataset.state == state) for state in (State.BEND, State.TOUCH))
     true, estimated = dataset.bend_angle_deg.astype(float), predictions.bend_angle_deg
     error = estimated - true

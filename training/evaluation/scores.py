@@ -23,12 +23,14 @@ class StateScore:
         idle_as_touch: share of the idle frames that are classified as touch.
         confusion: confusion matrix, rows the true and columns the estimated state: idle, touch,
             bend.
+        left_out: number of frames of a state that the pipeline does not tell apart.
     """
 
     accuracy: dict[str, float | None]
     bent_touch_accuracy: float | None
     idle_as_touch: float | None
     confusion: list[list[int]]
+    left_out: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,11 +120,13 @@ class Report:
 
     Attributes:
         frames: number of frames.
-        states, bend, latency: of all frames.
+        states, bend, latency: of all frames; None inside where the pipeline does not estimate
+            them.
         touches: of frames with "1" to "4" touches, with "several", and with any on a "bent" sensor.
         untouched: of untouched frames; None without any.
         force: None for forces that are not known or not estimated.
         place_calibration: consistency of the standard errors of positions; None without any.
+        not_estimated: quantities that the pipeline does not estimate, in words; not judged.
     """
 
     frames: int
@@ -133,6 +137,7 @@ class Report:
     force: ForceScore | None
     place_calibration: Consistency | None
     latency: LatencyScore
+    not_estimated: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """The report as JSON takes it."""

@@ -13,7 +13,10 @@ from eitskin.training.export.onnx_graph import (
     relative_difference,
 )
 from eitskin.training.method.observations import Observations
+from eitskin.training.paper.bend_angle import BendAngle
+from eitskin.training.paper.classifier import Classifier
 from eitskin.training.paper.method import PaperMethod
+from eitskin.training.paper.postprocessor import PostProcessor
 
 WHAT = (
     "The whole of the paper's method for n frames without bad channels: state, bend angle and "
@@ -46,24 +49,37 @@ def paper_graph(method: PaperMethod, frames: Observations) -> ExportedGraph:
     def build(impedance: Value, static_reference: Value, dynamic_reference: Value) -> list[Value]:
         static = relative_difference(impedance, static_reference)
         dynamic = relative_difference(impedance, dynamic_reference)
-        probabilities = _probabilities(method, static)
-        state = probabilities.op("ArgMax", axis=1, keepdims=0)
-        touched = state.op("Equal", np.int64(State.TOUCH))
-        angle = _angle(method, static, dynamic, touched)
         pictures = [_picture(method, difference) for difference in (static, dynamic)]
-        return [probabilities, state, angle, _touch_map(method, pictures[1], touched), *pictures]
+        shape = method.reconstruction.shape
+        outputs: list[Value] = []
+        touched: Value | None = None
+        if method.classifier:
+            probabilities = _probabilities(method.classifier, static)
+            number = probabilities.op("ArgMax", axis=1, keepdims=0)
+            states = np.array(method.classifier.states, dtype=np.int64)
+            state = static.graph.node("Gather", states, number, axis=0)
+            outputs, touched = [probabilities, state], state.op("Equal", np.int64(State.TOUCH))
+        if method.bend_angle:
+            outputs.append(_angle(method.bend_angle, static, dynamic, touched))
+        if method.postprocessor and touched:
+            outputs.append(_touch_map(method.postprocessor, pictures[1], shape, touched))
+        return [*outputs, *pictures]
 
-    predictions = method.perceive(frames)
+    predictions, targets = method.perceive(frames), method.targets
     reconstruct = method.reconstruction.apply
-    expected: dict[str, NDArray[Any]] = {
-        "probabilities": predictions.probabilities,
-        "state": predictions.state.astype(np.int64),
-        "bend_angle_deg": predictions.bend_angle_deg,
-        "touch_map": predictions.touch_map,
-        "static_picture": reconstruct(frames.static),
-        "dynamic_picture": reconstruct(frames.dynamic),
-    }
-    return ExportedGraph.of("paper", WHAT, build, frames_as_inputs(frames), expected, UNITS)
+    expected: dict[str, NDArray[Any]] = {}
+    if targets.states:
+        expected["probabilities"] = predictions.probabilities[:, targets.states]
+        expected["state"] = predictions.state.astype(np.int64)
+    if targets.angle:
+        expected["bend_angle_deg"] = predictions.bend_angle_deg
+    if targets.touches:
+        expected["touch_map"] = predictions.touch_map
+    expected["static_picture"] = reconstruct(frames.static)
+    expected["dynamic_picture"] = reconstruct(frames.dynamic)
+    names = ", ".join(state.name.lower() for state in targets.states)
+    units = UNITS | {"probabilities": f"of {names}"}
+    return ExportedGraph.of("paper", WHAT, build, frames_as_inputs(frames), expected, units)
 
 
 def frames_as_inputs(frames: Observations) -> dict[str, NDArray[np.float64]]:
@@ -75,20 +91,23 @@ def frames_as_inputs(frames: Observations) -> dict[str, NDArray[np.float64]]:
     return dict(zip(FRAME_UNITS, parts, strict=True))
 
 
-def _probabilities(method: PaperMethod, static: Value) -> Value:
-    stage = method.classifier
+def _probabilities(stage: Classifier, static: Value) -> Value:
+    """Probabilities (n, states) of the states that were trained for."""
     maps, pixels, channels = stage.embedding.shape
     embedded = static @ stage.embedding.reshape(maps * pixels, channels).T
     value = embedded.op("Reshape", [-1, maps, *stage.shape]).cast("float")
     value = value.op("Asinh") if stage.compress else value
-    return network(stage.network.layers, value).cast("double").op("Softmax", axis=1)
+    logits = network(stage.network.layers, value).cast("double")
+    states = np.array(stage.states, dtype=np.int64)
+    return logits.op("Gather", states, axis=1).op("Softmax", axis=1)
 
 
-def _angle(method: PaperMethod, static: Value, dynamic: Value, touched: Value) -> Value:
+def _angle(stage: BendAngle, static: Value, dynamic: Value, touched: Value | None) -> Value:
     """The angle of a touched frame is that of its dynamic reference."""
-    stage = method.bend_angle
-    reference = (static + 1.0) / (dynamic + 1.0) - 1.0
-    difference = touched.op("Unsqueeze", [1]).op("Where", reference, static)
+    difference = static
+    if touched:
+        reference = (static + 1.0) / (dynamic + 1.0) - 1.0
+        difference = touched.op("Unsqueeze", [1]).op("Where", reference, static)
     features = difference.op("Concat", difference * difference, axis=1)
     return features.op("Gather", stage.features, axis=1) @ stage.coefficients + stage.intercept
 
@@ -98,9 +117,10 @@ def _picture(method: PaperMethod, difference: Value) -> Value:
     return (difference @ stage.matrix.T).op("Reshape", [-1, *stage.shape])
 
 
-def _touch_map(method: PaperMethod, picture: Value, touched: Value) -> Value:
+def _touch_map(
+    stage: PostProcessor, picture: Value, shape: tuple[int, int], touched: Value
+) -> Value:
     """Zero where a frame is not touched."""
-    stage, shape = method.postprocessor, method.reconstruction.shape
     maps = (picture / stage.scale).op("Reshape", [-1, 1, *shape]).cast("float")
     size = maps.op("Shape", start=0, end=1).op("Concat", [2, *shape], axis=0)
     place = maps.graph.node("Expand", stage.network.place.numpy(), size)

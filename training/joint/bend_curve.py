@@ -169,6 +169,19 @@ class BendCurvePrior:
         ends = (min(0.0, float(angle_deg.min())), max(0.0, float(angle_deg.max())))
         return cls(mean.reshape(shape), covariance, ends)
 
+    @classmethod
+    def flat(cls, features: int, channels: int) -> "BendCurvePrior":
+        """Curves of sensors that are never bent: no change at the one angle of 0 deg."""
+        size = RANDOM_POWERS * channels
+        mean = np.zeros((1 + features, MEAN_POWERS, channels))
+        return cls(mean, np.zeros((size, size)), (0.0, 0.0))
+
+    @property
+    def bends(self) -> bool:
+        """Whether the curves were learned from bent sensors."""
+        low, high = self.angle_deg
+        return low < high
+
     def of(self, features: ArrayLike) -> BendCurve:
         """Prior of the curve of a specimen with features (P,)."""
         p = np.concatenate([[1.0], np.asarray(features, dtype=float)])

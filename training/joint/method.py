@@ -8,6 +8,8 @@ from typing import Protocol as Interface
 import numpy as np
 from numpy.typing import NDArray
 
+from eitskin.datasets.store.state import State
+from eitskin.errors import ConfigurationError
 from eitskin.protocol import Protocol
 from eitskin.simulator.instrument.drift import DRIFT_TIME
 from eitskin.training.joint.angle_estimate import (
@@ -30,6 +32,7 @@ from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.learning_curve import LearningCurve
 from eitskin.training.method.observations import UNKNOWN_AGE, Observations
 from eitskin.training.method.predictions import FoundTouches, Predictions
+from eitskin.training.method.targets import Targets
 
 Array = NDArray[np.float64]
 Arrays = dict[str, NDArray[np.generic]]
@@ -49,6 +52,9 @@ class _Stored(Interface):
 @dataclass(frozen=True, slots=True, eq=False)
 class JointMethod:
     """A learned model of the sensors of one design, and its fit to frames.
+
+    Without bend curves (`BendCurvePrior.bends`) the sensor is taken to stay flat: neither the bend
+    angle nor the state bend is estimated.
 
     log V = log V_flat + bend curve + sum of touch responses + common drift + noise. Every term is
     learned (`joint/training.py`). Differences between specimens that their flat resistances do not
@@ -98,6 +104,13 @@ class JointMethod:
         rows = CandidateRows(self.response, self.places, self.bend_prior.angle_deg)
         object.__setattr__(self, "_rows", rows)
 
+    @property
+    def targets(self) -> Targets:
+        """Quantities that the method estimates."""
+        if self.bend_prior.bends:
+            return Targets()
+        return Targets((State.IDLE, State.TOUCH), angle=False)
+
     def perceive(self, observations: Observations) -> Predictions:
         """Predictions for n frames, each independent of the others."""
         frames = (observations[i : i + 1] for i in range(len(observations)))
@@ -113,7 +126,8 @@ class JointMethod:
         static, dynamic = _log1p(frame.static[0]), _log1p(frame.dynamic[0])
         static_share, dynamic_share = 1.0 / frame.static_frames[0], 1.0 / frame.dynamic_frames[0]
         reference = AngleEstimate(0.0, 0.0, 0.0)
-        if np.nanmax(np.abs(static - dynamic), initial=0.0) > 0:
+        bends = self.bend_prior.bends
+        if bends and np.nanmax(np.abs(static - dynamic), initial=0.0) > 0:
             noise = self._noise(static_share + dynamic_share, frame.age[0])
             reference = specimen.angle(static - dynamic, noise)
         reference_deg = reference.angle_deg
@@ -132,7 +146,9 @@ class JointMethod:
         found = fit_frame(objective, specimen.candidates(reference_deg), proposed, specimen.faults)
         for fault in found.faults:
             static[list(fault.members)] = np.nan
-        if len(found.touches):
+        if not bends:
+            bend = AngleEstimate(np.nan, np.nan, 0.0)
+        elif len(found.touches):
             deviation = float(np.hypot(found.angle_deviation_deg, reference.deviation_deg))
             bend = replace(reference, angle_deg=found.angle_deg, deviation_deg=deviation)
         else:
@@ -164,7 +180,7 @@ class JointMethod:
         )
 
     def _probabilities(self, found: FrameFit, angle_deg: float, deviation_deg: float) -> Array:
-        """Probabilities of idle, touch and bend (3,).
+        """Probabilities of idle, touch and bend (3,); NaN for bend where bends were not learned.
 
         Touch follows from the evidence of the first touch. Flat or bent by an angle uniform over
         those learned follows from Bayes' rule for one normal measurement.
@@ -172,6 +188,8 @@ class JointMethod:
         # A rejected touch must not make touch the most probable state.
         evidence = found.evidence if len(found.touches) else min(found.evidence, REJECTED)
         touched = 1.0 / (1.0 + np.exp(-np.clip(0.5 * (evidence - TOUCH_THRESHOLD), -30, 30)))
+        if not self.bend_prior.bends:
+            return np.array([1 - touched, touched, np.nan])
         low, high = self.bend_prior.angle_deg
         bent = deviation_deg * np.sqrt(2 * np.pi) / (high - low)
         bent *= np.exp(np.minimum(0.5 * (angle_deg / deviation_deg) ** 2, 700.0))
@@ -229,6 +247,8 @@ class JointMethod:
         training specimens; hinge, layers and contacts act on it together. The known angles are
         taken to be exact.
         """
+        if not self.bend_prior.bends:
+            raise ConfigurationError("expected a method with bend curves, got one without")
         p = self.features.apply(known.flat)
         prior = self.bend_prior.of(p)
         count, channels = known.change.shape

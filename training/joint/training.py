@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 PITCH = 0.004  # m, between positions that are tried for touches
+FEWEST = 100  # frames of each kind
 HOLD_OUT = 8  # every how many-th specimen is held out to estimate the mismatch
 
 
@@ -42,6 +43,7 @@ def fit_joint(
 ) -> JointMethod:
     """Learn features, response, bend curves, priors and proposals from all frames of a dataset.
 
+    A dataset without any bend gives a method without bend curves, for a sensor that stays flat.
     Raises DataError where it holds too few touches of known position and force, untouched frames at
     known angles, or idle frames.
     """
@@ -54,7 +56,11 @@ def fit_joint(
     noise = _noise(data, images)
     touch_prior, ranges = _touch_prior(data, spec), _ranges(data, spec)
     progress("bend curve", 0, 1)
-    curves = _curves(data, features, images, noise, settings.drift)
+    curves = (
+        _curves(data, features, images, noise, settings.drift)
+        if data.bend_angle_deg.any()
+        else BendCurvePrior.flat(len(features.directions), len(noise))
+    )
     progress("bend curve", 1, 1)
     response, response_curve = _response(
         data, features, images, ranges, noise, settings, seed, progress
@@ -90,18 +96,28 @@ def _usable(dataset: Dataset) -> Dataset:
     _, number, length = np.unique(data.episode, return_inverse=True, return_counts=True)
     single = length[number] == 1
     data = data.select(single) if single.mean() > 0.5 else data
+    bent = int(np.sum(data.bend_angle_deg != 0))
+    if not bent:
+        data = _with_flat_references(data)
     found = {
         "touched frames with known places, forces and radii": int(_is_touched(data).sum()),
-        "bent frames": int(np.sum(data.bend_angle_deg != 0)),
+        "bent frames": bent,
         "untouched frames with a reference": int(_is_untouched(data).sum()),
     }
-    if min(found.values()) < 100:
+    if min(count for kind, count in found.items() if bent or kind != "bent frames") < FEWEST:
         counts = ", ".join(f"{count} {kind}" for kind, count in found.items())
         raise DataError(
-            f"the joint method needs at least 100 frames of each kind, got {counts}; generate "
-            "more, or train the paper's method"
+            f"the joint method needs at least {FEWEST} frames of each kind (or no bent one), got "
+            f"{counts}; generate more, or train another method with --preset quick"
         )
     return data
+
+
+def _with_flat_references(data: Dataset) -> Dataset:
+    """Frames of a sensor that is never bent: the flat reference where no other is known."""
+    known = np.isfinite(data.touch_reference).all(axis=1, keepdims=True)
+    flat = data.reference[data.specimen]
+    return replace(data, touch_reference=np.where(known, data.touch_reference, flat))
 
 
 def _is_touched(data: Dataset) -> NDArray[np.bool_]:

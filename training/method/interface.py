@@ -9,6 +9,7 @@ from eitskin.training.method.calibration import Calibration, KnownBends
 from eitskin.training.method.learning_curve import LearningCurve
 from eitskin.training.method.observations import Observations
 from eitskin.training.method.predictions import Predictions
+from eitskin.training.method.targets import Targets
 
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -27,6 +28,11 @@ class Method(Protocol):
         ...
 
     @property
+    def targets(self) -> Targets:
+        """Quantities that the method estimates."""
+        ...
+
+    @property
     def learning_curves(self) -> Mapping[str, LearningCurve]:
         """Losses of the networks during training, by name of the network."""
         ...
@@ -36,7 +42,10 @@ class Method(Protocol):
         ...
 
     def adapted(self, known: KnownBends) -> "tuple[Method, Calibration]":
-        """The method calibrated to one sensor, and the errors before and after."""
+        """The method calibrated to one sensor, and the errors before and after.
+
+        Raises ConfigurationError for a method that does not estimate the angle.
+        """
         ...
 
     def outputs(self, observations: Observations) -> Arrays:

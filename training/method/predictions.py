@@ -6,6 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from eitskin.training.method.targets import most_probable
+
 Array = NDArray[np.float64]
 
 
@@ -63,15 +65,17 @@ class FoundTouches:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Predictions:
-    """Predictions of a method for n frames.
+    """Predictions of a method for n frames; `Method.targets` tells which it estimates.
 
     Attributes:
-        probabilities: of the three states, in the order of `State` (n, 3).
-        bend_angle_deg: (n,) [deg].
+        probabilities: of the three states, in the order of `State` (n, 3); NaN for a state that is
+            not told apart.
+        bend_angle_deg: (n,) [deg]; NaN where the method does not estimate it.
         bend_deviation_deg: standard error of the angle (n,) [deg]; NaN where the method does not
             estimate it.
-        touch_map: (n, rows, columns), 0 to 1; zero in frames that are not touched.
-        touches: of each frame.
+        touch_map: (n, rows, columns), 0 to 1; zero in frames that are not touched, NaN where the
+            method does not estimate touches.
+        touches: of each frame; none where the method does not estimate touches.
         problems: of each frame, reasons to doubt its predictions, in words.
     """
 
@@ -96,9 +100,8 @@ class Predictions:
 
     @property
     def state(self) -> NDArray[np.int64]:
-        """The most probable `State` of each frame (n,)."""
-        state: NDArray[np.int64] = self.probabilities.argmax(axis=1)
-        return state
+        """The most probable `State` of each frame (n,); `UNKNOWN_STATE` where none is estimated."""
+        return most_probable(self.probabilities)
 
 
 Perceived = Predictions

@@ -3,7 +3,12 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.datasets.store.dataset import Dataset
 from eitskin.errors import ConfigurationError
+from eitskin.training.method.hold_out import hold_out
 
 METHODS = ("joint", "paper")
 
@@ -77,6 +82,8 @@ class TrainingSettings:
         compressed_maps: whether the classifier sees asinh of maps instead of standardised maps.
         bend_squares: whether the regression of the angle may also select squares of dV.
         seed: of the split, the initial weights, the order of frames and added noise.
+        whole_specimens: whether a fifth of the specimens is held out, at least one, in place of
+            `fractions`; see `hold_out`.
     """
 
     method: str = "paper"
@@ -87,6 +94,7 @@ class TrainingSettings:
     compressed_maps: bool = True
     bend_squares: bool = True
     seed: int = 0
+    whole_specimens: bool = False
 
     def __post_init__(self) -> None:
         """Check the method."""
@@ -102,6 +110,16 @@ class TrainingSettings:
         The paper's method uses the paper's 60/20/20, the joint method 80/10/10.
         """
         return (0.8, 0.1, 0.1) if self.method == "joint" else (0.6, 0.2, 0.2)
+
+    def split(self, dataset: Dataset) -> tuple[NDArray[np.int64], ...]:
+        """Frames (n,) of the training, validation and test part of a dataset.
+
+        With `whole_specimens` the validation part is the test part: losses on it select nothing.
+        """
+        if not self.whole_specimens:
+            return dataset.split(self.fractions, self.seed)
+        kept, held_out = hold_out(dataset, self.seed)
+        return kept, held_out, held_out
 
     @classmethod
     def preset(cls, name: str, seed: int = 0) -> "TrainingSettings":

@@ -1,5 +1,6 @@
 """Classifier of idle, touch and bend: the paper's encoder-decoder network."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,6 +29,7 @@ class Classifier:
         shape: rows and columns of a map.
         compress: whether asinh is taken of the maps.
         history: losses in training.
+        states: that were trained for; the others have no probability.
     """
 
     def __init__(
@@ -37,6 +39,7 @@ class Classifier:
         shape: tuple[int, int],
         compress: bool,
         history: LearningCurve | None = None,
+        states: Sequence[State] = tuple(State),
     ) -> None:
         """A classifier around a trained network."""
         self.network = network
@@ -44,6 +47,7 @@ class Classifier:
         self.shape = shape
         self.compress = compress
         self.history = history or LearningCurve()
+        self.states = tuple(states)
 
     @classmethod
     def fit(
@@ -109,10 +113,14 @@ class Classifier:
             lambda done, total: progress("state classifier", done, total),
             None if validation is None else samples(*validation, 0.0),
         )
-        return cls(network, scaled, shape, compress, history)
+        present = [state for state in State if np.any(states == state)]
+        return cls(network, scaled, shape, compress, history, present)
 
     def apply(self, difference: ArrayLike) -> NDArray[np.float64]:
-        """Probabilities (n, 3) of idle, touch and bend for dV (n, measurements)."""
+        """Probabilities (n, 3) of idle, touch and bend for dV (n, measurements).
+
+        NaN for a state that was not trained for.
+        """
         from eitskin.training.paper.networks import logits_of
 
         dV = np.asarray(difference, dtype=float)
@@ -120,8 +128,10 @@ class Classifier:
         if self.compress:
             maps = np.arcsinh(maps)
         logits = logits_of(self.network, maps.reshape(len(dV), -1, *self.shape))
-        odds = np.exp(logits - logits.max(axis=1, keepdims=True))
-        probabilities: NDArray[np.float64] = odds / odds.sum(axis=1, keepdims=True)
+        known = logits[:, self.states]
+        odds = np.exp(known - known.max(axis=1, keepdims=True))
+        probabilities = np.full(logits.shape, np.nan)
+        probabilities[:, self.states] = odds / odds.sum(axis=1, keepdims=True)
         return probabilities
 
     def arrays(self) -> dict[str, NDArray[np.generic]]:
@@ -131,6 +141,7 @@ class Classifier:
         return {
             "embedding": self.embedding,
             "compress": np.array(self.compress),
+            "states": np.array(self.states, dtype=np.int64),
             **self.history.arrays(),
             **weights_of(self.network),
         }
@@ -146,7 +157,8 @@ class Classifier:
         embedding = arrays["embedding"].astype(float)
         network = with_weights(StateNetwork(shape, len(embedding)), arrays)
         compress = bool(arrays["compress"])
-        return cls(network, embedding, shape, compress, LearningCurve.from_arrays(arrays))
+        states = [State(int(state)) for state in arrays.get("states", np.arange(len(State)))]
+        return cls(network, embedding, shape, compress, LearningCurve.from_arrays(arrays), states)
 
 
 def _scaled(

@@ -11,13 +11,19 @@ from numpy.typing import NDArray
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.state import UNKNOWN_STATE, State
 from eitskin.datasets.store.touch_map import touch_maps
-from eitskin.errors import DataError
+from eitskin.errors import ConfigurationError
 from eitskin.training.method.calibration import Calibration, KnownBends
 from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.learning_curve import LearningCurve
 from eitskin.training.method.observations import Observations, frame_noise
 from eitskin.training.method.predictions import FoundTouches, Predictions
 from eitskin.training.method.settings import Progress, TrainingSettings, silent
+from eitskin.training.method.targets import (
+    Targets,
+    most_probable,
+    require_targets,
+    untouched_angles,
+)
 from eitskin.training.paper.bend_angle import BendAngle
 from eitskin.training.paper.bend_subspace import bend_free_projection
 from eitskin.training.paper.classifier import Classifier
@@ -51,9 +57,11 @@ class PaperMethod:
 
     Attributes:
         reconstruction: one-step Gauss-Newton, for either reference.
-        classifier: of the state, from the static reference.
-        bend_angle: regression of the angle, from the static reference.
-        postprocessor: from reconstruction to touch map, with the dynamic reference.
+        classifier: of the state, from the static reference; None for frames of one state.
+        bend_angle: regression of the angle, from the static reference; None for frames without
+            known angles.
+        postprocessor: from reconstruction to touch map, with the dynamic reference; None for frames
+            without touches of known position.
         missing_static, missing_dynamic: imputation of bad channels of dV from either reference.
         outline: length and width that the maps cover [m].
     """
@@ -62,9 +70,9 @@ class PaperMethod:
     AVERAGES: ClassVar[bool] = False
 
     reconstruction: Reconstruction
-    classifier: Classifier
-    bend_angle: BendAngle
-    postprocessor: PostProcessor
+    classifier: Classifier | None
+    bend_angle: BendAngle | None
+    postprocessor: PostProcessor | None
     missing_static: MissingChannels
     missing_dynamic: MissingChannels
     outline: tuple[float, float]
@@ -78,18 +86,12 @@ class PaperMethod:
         progress: Progress = silent,
         validation: Dataset | None = None,
     ) -> "PaperMethod":
-        """Training of every stage on all frames of `dataset`.
+        """Training, on all frames of `dataset`, of the stages that it has labels for.
 
         Losses on `validation` are recorded and change nothing. Raises DataError for a dataset
-        without frames of some state, or without touches of known position.
+        without labels, or without idle frames.
         """
-        counts = {state: int(np.sum(dataset.state == state)) for state in State}
-        if not all(counts.values()):
-            found = ", ".join(f"{count} {state.name.lower()}" for state, count in counts.items())
-            raise DataError(
-                f"expected idle, touch and bend frames to train on, got {found}; "
-                "add the missing ones"
-            )
+        targets = require_targets(dataset)
         observations = Observations.of(dataset)
         noise = frame_noise(dataset, observations)
         missing_static = MissingChannels.fit(observations.static, noise)
@@ -102,20 +104,31 @@ class PaperMethod:
         train = filled(dataset, observations)
         unseen = None if validation is None else filled(validation, Observations.of(validation))
         touched = dataset.state == State.TOUCH
-        snr = signal_to_noise(train.dynamic[touched], noise)
+        signal = train.dynamic[touched] if touched.any() else train.static
+        snr = signal_to_noise(signal, noise)
         model = linear_model(layout.design, layout.protocol, layout.pixels)
         reconstruction = Reconstruction.fit(model.relative, snr, layout.pixels)
         return cls(
             reconstruction,
-            _fit_classifier(train, unseen, reconstruction, settings, noise, progress),
-            _fit_bend_angle(train, settings),
+            _fit_classifier(train, unseen, reconstruction, settings, noise, progress)
+            if targets.states
+            else None,
+            _fit_bend_angle(train, settings) if targets.angle else None,
             _fit_postprocessor(
                 train, unseen, layout.outline, reconstruction, settings, noise, progress
-            ),
+            )
+            if State.TOUCH in targets.states
+            else None,
             missing_static,
             missing_dynamic,
             layout.outline,
         )
+
+    @property
+    def targets(self) -> Targets:
+        """Quantities that the trained stages estimate; forces never are."""
+        states = self.classifier.states if self.classifier else ()
+        return Targets(states, self.bend_angle is not None, self.postprocessor is not None, False)
 
     def perceive(self, observations: Observations) -> Predictions:
         """Estimates for n frames.
@@ -132,29 +145,34 @@ class PaperMethod:
     def _perceive(self, observations: Observations) -> Predictions:
         flat = self.missing_static.fill(observations.static)
         free = self.missing_dynamic.fill(observations.dynamic)
-        probabilities = self.classifier.apply(flat)
-        touched = probabilities.argmax(axis=1) == State.TOUCH
+        count = len(flat)
+        unknown = np.full(count, np.nan)
+        probabilities = np.full((count, len(State)), np.nan)
+        if self.classifier:
+            probabilities = self.classifier.apply(flat)
+        touched = most_probable(probabilities) == State.TOUCH
         untouched_dV = np.where(touched[:, None], (1 + flat) / (1 + free) - 1, flat)
-        maps = np.zeros((len(flat), *self.reconstruction.shape), np.float32)
-        if touched.any():
-            maps[touched] = self.postprocessor.apply(self.reconstruction.apply(free[touched]))
+        maps = np.full((count, *self.reconstruction.shape), np.nan, np.float32)
+        if self.postprocessor:
+            maps[~touched] = 0.0
+            if touched.any():
+                pictures = self.reconstruction.apply(free[touched])
+                maps[touched] = self.postprocessor.apply(pictures)
         found = (find_touches(touch_map, self.outline) for touch_map in maps)
         return Predictions(
             probabilities,
-            self.bend_angle.apply(untouched_dV),
-            np.full(len(flat), np.nan),
+            self.bend_angle.apply(untouched_dV) if self.bend_angle else unknown,
+            unknown,
             maps,
             tuple(FoundTouches.of([t[:2] for t in each], [t[2] for t in each]) for each in found),
-            ((),) * len(flat),
+            ((),) * count,
         )
 
     @property
     def learning_curves(self) -> Mapping[str, LearningCurve]:
         """Losses of the networks in training, by their names."""
-        return {
-            "state classifier": self.classifier.history,
-            "touch map": self.postprocessor.history,
-        }
+        networks = {"state classifier": self.classifier, "touch map": self.postprocessor}
+        return {name: network.history for name, network in networks.items() if network}
 
     def adapted(self, known: KnownBends) -> "tuple[PaperMethod, Calibration]":
         """The method for one sensor: angles times the least-squares factor to the known angles.
@@ -162,6 +180,8 @@ class PaperMethod:
         The paper has no calibration; a factor is what a regression through zero can learn from a
         few angles. The stated errors are the root mean squares over the calibration frames.
         """
+        if self.bend_angle is None:
+            raise ConfigurationError("expected a method with a bend angle, got one without")
         flat_dV = np.expm1(self.missing_static.fill(known.change))
         estimated = self.bend_angle.apply(flat_dV)
         factor = float(estimated @ known.angle_deg) / float(estimated @ estimated)
@@ -184,28 +204,31 @@ class PaperMethod:
         """Outputs of every stage for n frames, each stage by itself; see `Method.outputs`."""
         static = self.missing_static.fill(observations.static)
         dynamic = self.reconstruction.apply(self.missing_dynamic.fill(observations.dynamic))
-        return {
-            "picture": dynamic,
-            "probabilities": self.classifier.apply(static),
-            "bend_angle_deg": self.bend_angle.apply(static),
-            "touch_map": self.postprocessor.apply(dynamic),
-        }
+        outputs: Arrays = {"picture": dynamic}
+        if self.classifier:
+            outputs["probabilities"] = self.classifier.apply(static)
+        if self.bend_angle:
+            outputs["bend_angle_deg"] = self.bend_angle.apply(static)
+        if self.postprocessor:
+            outputs["touch_map"] = self.postprocessor.apply(dynamic)
+        return outputs
 
     def arrays(self) -> Arrays:
         """Trained arrays of all stages, as `from_arrays` takes them."""
         stages = {
-            "reconstruction": self.reconstruction.arrays(),
-            "classifier": self.classifier.arrays(),
-            "bend_angle": self.bend_angle.arrays(),
-            "postprocessor": self.postprocessor.arrays(),
+            "reconstruction": self.reconstruction,
+            "classifier": self.classifier,
+            "bend_angle": self.bend_angle,
+            "postprocessor": self.postprocessor,
         }
         return {
             "missing_static.covariance": self.missing_static.covariance,
             "missing_dynamic.covariance": self.missing_dynamic.covariance,
             **{
                 f"{stage}.{name}": array
-                for stage, arrays in stages.items()
-                for name, array in arrays.items()
+                for stage, trained in stages.items()
+                if trained is not None
+                for name, array in trained.arrays().items()
             },
         }
 
@@ -213,18 +236,22 @@ class PaperMethod:
     def from_arrays(
         cls, arrays: Mapping[str, NDArray[np.generic]], layout: InputSpec
     ) -> "PaperMethod":
-        """The method with the trained `arrays`; raises KeyError for an array that is missing."""
+        """The method with the trained `arrays`; raises KeyError for an array that is missing.
+
+        A stage without any array was not trained.
+        """
 
         def stage(name: str) -> Arrays:
             mine = (key for key in arrays if key.startswith(f"{name}."))
             return {key.removeprefix(f"{name}."): arrays[key] for key in mine}
 
         reconstruction = Reconstruction.from_arrays(stage("reconstruction"))
+        classifier, angle, maps = (stage(s) for s in ("classifier", "bend_angle", "postprocessor"))
         return cls(
             reconstruction,
-            Classifier.from_arrays(stage("classifier"), reconstruction.shape),
-            BendAngle.from_arrays(stage("bend_angle")),
-            PostProcessor.from_arrays(stage("postprocessor"), reconstruction.shape),
+            Classifier.from_arrays(classifier, reconstruction.shape) if classifier else None,
+            BendAngle.from_arrays(angle) if angle else None,
+            PostProcessor.from_arrays(maps, reconstruction.shape) if maps else None,
             MissingChannels(arrays["missing_static.covariance"].astype(float)),
             MissingChannels(arrays["missing_dynamic.covariance"].astype(float)),
             layout.outline,
@@ -272,8 +299,8 @@ def _fit_classifier(
     state = train.dataset.state
     known = state != UNKNOWN_STATE
     maps = [reconstruction.matrix]
-    if settings.bend_free_map:
-        idle, bend = (train.static[state == s] for s in (State.IDLE, State.BEND))
+    idle, bend = (train.static[state == s] for s in (State.IDLE, State.BEND))
+    if settings.bend_free_map and len(idle) and len(bend):
         idle_noise = float(np.sqrt(np.mean(idle**2)))
         maps.append(reconstruction.matrix @ bend_free_projection(bend, idle_noise))
     return Classifier.fit(
@@ -292,14 +319,12 @@ def _fit_classifier(
 
 def _fit_bend_angle(train: LabelledFrames, settings: TrainingSettings) -> BendAngle:
     """Regression of the angle on all untouched frames; an idle sensor is flat."""
-    data = train.dataset
-    idle = data.state == State.IDLE
-    angle = np.where(idle, 0.0, data.bend_angle_deg)
-    usable = (idle | (data.state == State.BEND)) & np.isfinite(angle)
+    angle = untouched_angles(train.dataset)
+    usable = np.isfinite(angle)
     return BendAngle.fit(
         train.static[usable],
         angle[usable],
-        data.specimen[usable],
+        train.dataset.specimen[usable],
         settings.seed,
         squares=settings.bend_squares,
     )
@@ -313,13 +338,11 @@ def _fit_postprocessor(
     settings: TrainingSettings,
     noise: float,
     progress: Progress,
-) -> PostProcessor:
+) -> PostProcessor | None:
+    """Post-processor of the touch map; None where no touched frame has a position."""
     placed = train.touches(outline, reconstruction.shape)
     if placed is None:
-        raise DataError(
-            "expected touch frames with known positions, from which the touch map is learned, got "
-            "none; record or generate some"
-        )
+        return None
     return PostProcessor.fit(
         *placed,
         reconstruction,

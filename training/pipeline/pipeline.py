@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from eitskin.config import from_dict
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.state import State
-from eitskin.errors import DataError
+from eitskin.errors import ConfigurationError, DataError
 from eitskin.frame import Frame
 from eitskin.training.method.calibration import Calibration, KnownBends
 from eitskin.training.method.input_spec import InputSpec
@@ -22,8 +22,15 @@ from eitskin.training.method.observations import (
     frame_noise,
     relative_difference,
 )
-from eitskin.training.method.predictions import FoundTouches, Predictions
+from eitskin.training.method.predictions import Predictions
 from eitskin.training.method.settings import Progress, TrainingSettings, silent
+from eitskin.training.method.targets import (
+    Targets,
+    require_targets,
+    with_implied_labels,
+    with_usual_radius,
+)
+from eitskin.training.pipeline.estimate import Estimate
 from eitskin.training.pipeline.methods import fit_method, method_from_arrays
 from eitskin.training.pipeline.model_card import perception_card
 from eitskin.training.pipeline.references import References, RunningMean, Voltages
@@ -38,40 +45,6 @@ KIND = "perception"
 LONGEST_HELD = 8  # frames of an unchanged touch in the mean; more would lag behind its creep
 LONGEST_GAP = 5.0  # s without frames after which the dynamic reference may be out of date
 GOLDEN_PER_STATE = 2
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Estimate:
-    """State, bend angle and touches of one frame.
-
-    Attributes:
-        state: idle, touch or bend; touch for a bent sensor that is touched.
-        probabilities: of the three states, in the order of `State`, (3,).
-        bend_angle_deg: bend angle [deg], positive convex on the touched side; in a touched frame
-            the paper's method gives the angle just before the touch.
-        bend_deviation_deg: standard error of the angle [deg]; NaN for a method without one.
-        touch_map: probability of each pixel to be touched, (rows, columns), 0 to 1; rows and
-            columns grow with y and x. Zero unless the state is touch.
-        found: the touches, with forces and standard errors where the method gives them.
-        problems: faults of the frame or the references, in words; empty without any.
-        number: number of the frame.
-        time: time of the frame [s].
-    """
-
-    state: State
-    probabilities: NDArray[np.float64]
-    bend_angle_deg: float
-    bend_deviation_deg: float
-    touch_map: NDArray[np.float32]
-    found: FoundTouches
-    problems: tuple[str, ...]
-    number: int
-    time: float
-
-    @property
-    def touches(self) -> tuple[tuple[float, float, float], ...]:
-        """x [m], y [m] and strength, 0 to 1, of each touch, strongest first."""
-        return self.found.triples
 
 
 @dataclass(eq=False)
@@ -122,16 +95,19 @@ class Pipeline:
     ) -> "Pipeline":
         """A pipeline trained on the training part of a dataset; `held_out` gives the test part.
 
-        Losses on the validation part are recorded and select nothing. The result is reproducible
-        on one machine with the same seed and number of torch threads.
+        The pipeline estimates what the dataset has labels for (`targets`). Losses on the validation
+        part are recorded and select nothing. The result is reproducible on one machine with the
+        same seed and number of torch threads.
 
         Args:
-            dataset: frames with states, angles and touches, of a known design and protocol.
+            dataset: frames of two states and more or at several bend angles, of a known design and
+                protocol, with positions of touches where these are to be learned.
             settings: of the training; the defaults when omitted.
             progress: called with a stage, steps done and steps in all.
 
         Raises:
-            DataError: for a dataset without design or protocol, or with too few frames of a kind.
+            DataError: for a dataset without design or protocol, with positions alone, or with too
+                few frames of a kind.
         """
         settings = settings or TrainingSettings()
         if dataset.design is None or dataset.protocol is None:
@@ -139,11 +115,18 @@ class Pipeline:
                 "expected a dataset that names its sensor's design and table of measurements, got "
                 "one without; learn touch positions from it, or save it with a design"
             )
-        seen, unseen, _ = dataset.split(settings.fractions, settings.seed)
+        design, protocol = dataset.design, dataset.protocol
+        dataset = with_usual_radius(with_implied_labels(dataset))
+        if require_targets(dataset).positions_only:
+            raise DataError(
+                "expected untouched frames beside the touched ones, got positions of touches alone;"
+                " learn these with RecordedTouches.fit, as eitskin train does"
+            )
+        seen, unseen, _ = settings.split(dataset)
         train, validation = dataset.select(seen), dataset.select(unseen)
         specimens = np.unique(train.specimen)
         reference = np.median(np.abs(dataset.reference[specimens]), axis=0).astype(float)
-        layout = InputSpec(dataset.design, dataset.protocol, dataset.frequency, reference)
+        layout = InputSpec(design, protocol, dataset.frequency, reference)
         observations = Observations.of(train)
         chosen = np.concatenate(
             [np.flatnonzero(train.state == state)[:GOLDEN_PER_STATE] for state in State]
@@ -157,10 +140,15 @@ class Pipeline:
             observations[chosen],
         )
 
+    @property
+    def targets(self) -> Targets:
+        """Quantities that the pipeline estimates."""
+        return self.method.targets
+
     def held_out(self, dataset: Dataset) -> NDArray[np.int64]:
         """Test frames (n,): the test part of the training set, all frames of another dataset."""
         if fingerprint(dataset) == self.trained_on["sha256"]:
-            return dataset.split(self.settings.fractions, self.settings.seed)[2]
+            return self.settings.split(with_implied_labels(dataset))[2]
         return np.arange(len(dataset))
 
     def calibrate(self, frames: Sequence[Frame], angles_deg: ArrayLike) -> Calibration:
@@ -174,9 +162,14 @@ class Pipeline:
             angles_deg: their bend angles (n,) [deg], 0 among them.
 
         Raises:
-            ConfigurationError, DataError, FrameError: for frames or angles that cannot calibrate;
-                the pipeline is unchanged then.
+            ConfigurationError, DataError, FrameError: for frames or angles that cannot calibrate,
+                or a pipeline that does not estimate the angle; the pipeline is unchanged then.
         """
+        if not self.targets.angle:
+            raise ConfigurationError(
+                "expected a pipeline that estimates the bend angle, got one trained without bends; "
+                "train it on frames at known angles"
+            )
         known = KnownBends.of(frames, angles_deg, self.layout)
         adapted, calibration = self.method.adapted(known)
         calibration.require_fit(known)
@@ -212,25 +205,15 @@ class Pipeline:
             self._begun = self._renewed = frame.time
         held, count = self._held_touch(voltages)
         perceived = self.method.perceive(self._observed(held, count, frame))
-        state = State(int(perceived.state[0]))
-        self._touched = state is State.TOUCH
-        if state is State.TOUCH:
+        self._touched = int(perceived.state[0]) == State.TOUCH
+        if self._touched:
             references.freeze()
         elif not first:
             references.follow(voltages)
             self._outdated, self._renewed = False, frame.time
         self._last = frame
-        return Estimate(
-            state=state,
-            probabilities=perceived.probabilities[0],
-            bend_angle_deg=float(perceived.bend_angle_deg[0]),
-            bend_deviation_deg=float(perceived.bend_deviation_deg[0]),
-            touch_map=perceived.touch_map[0],
-            found=perceived.touches[0],
-            problems=(*problems, *perceived.problems[0], *self._reference_problems(state)),
-            number=frame.number,
-            time=frame.time,
-        )
+        problems = (*problems, *perceived.problems[0], *self._reference_problems())
+        return Estimate.of(perceived, self.targets, problems, frame)
 
     def perceive(self, dataset: Dataset) -> Predictions:
         """Estimates for all frames of a dataset, each by itself.
@@ -277,12 +260,12 @@ class Pipeline:
         elif frame.time - last.time > LONGEST_GAP:
             self._outdated = True
 
-    def _reference_problems(self, state: State) -> tuple[str, ...]:
+    def _reference_problems(self) -> tuple[str, ...]:
         problems = []
         for i in np.flatnonzero(~np.isfinite(self.references.bend)):
             label = self.layout.protocol.labels[i]
             problems.append(f"channel {label} is left out: it was bad when the session began")
-        if self._outdated and state is State.TOUCH:
+        if self._outdated and self._touched:
             problems.append(
                 f"no frames came for more than {LONGEST_GAP:g} s before this touch: its position "
                 "is wrong if the sensor has been bent since"
@@ -306,6 +289,7 @@ class Pipeline:
             "layout": self.layout.document(),
             "noise": self.noise,
             "settings": asdict(self.settings),
+            "estimates": self.targets.as_dict(),
             "trained_on": dict(self.trained_on),
             "metrics": self.metrics,
             "calibration": self.calibration,

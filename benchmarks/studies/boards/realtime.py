@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from eitskin.benchmarks.results import write_table
+from eitskin.cli.live_view import state_name
 from eitskin.datasets.recipe.frame_sampling import sample, specimen
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.store.state import State
@@ -187,7 +188,8 @@ def _moment(name: str, readings: Sequence[Reading], scenes: Sequence[Scene]) -> 
     estimates = [reading.estimate for reading in readings if reading.estimate is not None]
     found = [np.array(e.touches)[:, :2] if e.touches else np.empty((0, 2)) for e in estimates]
     score = matching.localisation([(true, places) for places in found])
-    wrong = [e.bend_angle_deg - scenes[0].bend.angle_deg for e in estimates]
+    angles = [e.bend_angle_deg for e in estimates if e.bend_angle_deg is not None]
+    wrong = [angle - scenes[0].bend.angle_deg for angle in angles]
     expected = len(true) * len(readings)
     return Moment(
         name=name,
@@ -255,6 +257,12 @@ def _times(runs: dict[str, EpisodeRun]) -> list[str]:
     ]
 
 
+def _angle(reading: Reading) -> float | str:
+    """Estimated angle in few digits [deg]; empty where there is none."""
+    angle = None if reading.estimate is None else reading.estimate.bend_angle_deg
+    return "" if angle is None else round(angle, 3)
+
+
 def write(runs: dict[str, EpisodeRun], folder: Path, seed: int) -> None:
     """Write the frames as CSV and the plot."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -263,9 +271,9 @@ def write(runs: dict[str, EpisodeRun], folder: Path, seed: int) -> None:
             "run": name,
             "time_s": round(moment, 3),
             "true_angle_deg": round(scene.bend.angle_deg, 3),
-            "angle_deg": round(reading.estimate.bend_angle_deg, 3) if reading.estimate else "",
+            "angle_deg": _angle(reading),
             "true_state": _state(scene).name.lower(),
-            "state": State(int(reading.estimate.state)).name.lower() if reading.estimate else "",
+            "state": (reading.estimate and state_name(reading.estimate)) or "",
             "latency_ms": round(1e3 * reading.latency, 2),
         }
         for name, run in runs.items()

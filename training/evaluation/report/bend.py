@@ -30,9 +30,10 @@ def bend_angles(evaluation: Evaluation) -> CaptionedFigure | NoFigure:
     data = evaluation.dataset
     true = data.bend_angle_deg.astype(float)
     estimated = evaluation.predictions.bend_angle_deg
+    known = _known(true) & _known(estimated)
     groups = {
-        "bent, untouched": (_known(true) & (data.state == State.BEND), BLUE),
-        "touched, flat or bent": (_known(true) & (data.state == State.TOUCH), ORANGE),
+        "bent, untouched": (known & (data.state == State.BEND), BLUE),
+        "touched, flat or bent": (known & (data.state == State.TOUCH), ORANGE),
     }
     groups = {name: group for name, group in groups.items() if group[0].any()}
     every = np.concatenate([true[mask] for mask, _ in groups.values()] or [np.zeros(1)])
@@ -113,7 +114,8 @@ def bend_sequence(evaluation: Evaluation) -> CaptionedFigure | NoFigure:
 def _longest_sequence(evaluation: Evaluation) -> NDArray[np.int64] | None:
     """Frames of the longest moving episode in order of time; None if all are too short."""
     data = evaluation.dataset
-    usable = np.flatnonzero(_known(data.bend_angle_deg))
+    estimated = evaluation.predictions.bend_angle_deg
+    usable = np.flatnonzero(_known(data.bend_angle_deg) & _known(estimated))
     episodes, sizes = np.unique(data.episode[usable], return_counts=True)
     longest_first = np.argsort(-sizes, kind="stable")
     for episode in episodes[longest_first][: np.sum(sizes >= SHORTEST_SEQUENCE)]:

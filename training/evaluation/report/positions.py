@@ -25,6 +25,8 @@ Array = NDArray[np.float64]
 
 def error_vectors(evaluation: Evaluation) -> CaptionedFigure | NoFigure:
     """Error vectors of all single touches, from true to found position."""
+    if not evaluation.pipeline.targets.touches:
+        return NoFigure("the pipeline does not estimate positions of touches")
     data, matches = evaluation.dataset, evaluation.matches
     single = np.flatnonzero(data.touch_count == 1)[:MOST_VECTORS]
     if not single.size:

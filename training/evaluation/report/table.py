@@ -7,6 +7,7 @@ from eitskin.training.evaluation.scores import Report, TouchScore
 
 Row = tuple[str, str, str]
 
+NOTHING = "-"  # where a figure has no value
 HEADINGS: Row = ("experiment", "paper", "here")
 COUNTS = {"1": "one touch", "2": "two touches", "3": "three touches", "4": "four touches"}
 GROUPS = {**COUNTS, "bent": "bent and touched"}
@@ -21,10 +22,13 @@ PICTURES = {
 
 
 def table_rows(report: Report) -> Iterator[Row]:
-    """Rows of experiment, result of the paper and result of `report`."""
-    yield from _touch_rows(report)
-    yield from _state_rows(report)
-    yield from _bend_rows(report)
+    """Rows of experiment, result of the paper and result of `report`, for all that was judged."""
+    rows = (*_touch_rows(report), *_state_rows(report), *_bend_rows(report))
+    yield from (row for row in rows if row[2] != NOTHING)
+    if left_out := report.states.left_out:
+        yield "frames of states not told apart", NOTHING, f"{left_out}, left out of the states"
+    if report.not_estimated:
+        yield "not estimated", NOTHING, ", ".join(report.not_estimated)
     latency = report.latency
     # The paper's 606.6 ms hold 303 ms of acquisition.
     times = f"{latency.p50_ms:.1f} ms (p99 {latency.p99_ms:.1f} ms)"
@@ -73,18 +77,18 @@ def _bend_rows(report: Report) -> Iterator[Row]:
 
 def _errors(score: TouchScore) -> str:
     if score.mean_error_mm is None:
-        return "-"
+        return NOTHING
     return f"{score.mean_error_mm:.2f} +- {score.deviation_mm:.2f} mm"
 
 
 def _quantiles(score: TouchScore) -> str:
     if score.median_error_mm is None:
-        return "-"
+        return NOTHING
     return f"{score.median_error_mm:.2f} mm, {score.p95_error_mm:.2f} mm"
 
 
 def _angle(rmse: float | None, bias: float | None) -> str:
-    return "-" if rmse is None else f"{rmse:.2f} deg (bias {bias:+.2f})"
+    return NOTHING if rmse is None else f"{rmse:.2f} deg (bias {bias:+.2f})"
 
 
 def _consistency(found: Consistency) -> str:
@@ -93,4 +97,4 @@ def _consistency(found: Consistency) -> str:
 
 def _figure(value: float | None, form: str) -> str:
     """`value` in a format; a dash for none."""
-    return "-" if value is None else form.format(value)
+    return NOTHING if value is None else form.format(value)

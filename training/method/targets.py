@@ -1,0 +1,149 @@
+"""Targets of learning: quantities that a dataset has labels for, and that a pipeline estimates."""
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.datasets.store.dataset import Dataset
+from eitskin.datasets.store.state import UNKNOWN_STATE, State
+from eitskin.errors import DataError
+from eitskin.training.method.calibration import FLAT_DEG
+
+NOMINAL_RADIUS = 0.0075  # m, of indenters whose radius no frame tells; the paper's cylinder
+
+
+@dataclass(frozen=True, slots=True)
+class Targets:
+    """Quantities that frames have labels for, or that a method estimates.
+
+    Attributes:
+        states: states that are told apart, in the order of `State`; empty, or two and more.
+        angle: whether the bend angle is one.
+        touches: whether positions of touches are.
+        force: whether forces of touches are.
+    """
+
+    states: tuple[State, ...] = tuple(State)
+    angle: bool = True
+    touches: bool = True
+    force: bool = True
+
+    @classmethod
+    def of(cls, dataset: Dataset) -> "Targets":
+        """Quantities that a dataset has labels for.
+
+        A state needs a frame of its own and one of another state; the angle two different angles
+        of the untouched sensor; a position or force one frame that has it.
+        """
+        states = tuple(state for state in State if np.any(dataset.state == state))
+        angles = untouched_angles(dataset)
+        angles = angles[np.isfinite(angles)]
+        placed = np.isfinite(dataset.touch_x)
+        return cls(
+            states if len(states) > 1 else (),
+            len(angles) > 1 and float(np.ptp(angles)) > FLAT_DEG,
+            bool(placed.any()),
+            bool((placed & np.isfinite(dataset.touch_force)).any()),
+        )
+
+    @property
+    def positions_only(self) -> bool:
+        """Whether positions of touches are the only target, apart from forces."""
+        return self.touches and not (self.states or self.angle)
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """Quantities that are no target, in words."""
+        absent = [state.name.lower() for state in State if state not in self.states]
+        found = {
+            "the state": not self.states,
+            f"the state {' or '.join(absent)}": bool(self.states and absent),
+            "the bend angle": not self.angle,
+            "positions of touches": not self.touches,
+            "forces": self.touches and not self.force,
+        }
+        return tuple(words for words, missing in found.items() if missing)
+
+    def shared_with(self, other: "Targets") -> "Targets":
+        """Targets that both have."""
+        states = tuple(state for state in self.states if state in other.states)
+        return Targets(
+            states if len(states) > 1 else (),
+            self.angle and other.angle,
+            self.touches and other.touches,
+            self.force and other.force,
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain data for JSON."""
+        return {
+            **dataclasses.asdict(self),
+            "states": [state.name.lower() for state in self.states],
+        }
+
+
+def untouched_angles(dataset: Dataset) -> NDArray[np.float64]:
+    """Bend angle of the untouched frames (n,) [deg]: 0 in idle frames, NaN in all others."""
+    bent = np.where(dataset.state == State.BEND, dataset.bend_angle_deg.astype(float), np.nan)
+    angles: NDArray[np.float64] = np.where(dataset.state == State.IDLE, 0.0, bent)
+    return angles
+
+
+def most_probable(probabilities: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Most probable `State` of each frame (n,) from probabilities (n, 3), NaN where not estimated.
+
+    `UNKNOWN_STATE` where no state has a probability.
+    """
+    known = np.isfinite(probabilities)
+    best = np.where(known, probabilities, -1.0).argmax(axis=1)
+    state: NDArray[np.int64] = np.where(known.any(axis=1), best, UNKNOWN_STATE)
+    return state
+
+
+def with_implied_labels(dataset: Dataset) -> Dataset:
+    """The dataset with states and angles that follow from its other labels.
+
+    - A frame of unknown state with a touch is touched. Where no frame of the dataset has a touch,
+      one of unknown state and known angle is idle or bent.
+    - Where no frame is bent, unknown angles are 0 deg.
+    """
+    state, angle = dataset.state.copy(), dataset.bend_angle_deg.copy()
+    unknown, placed = state == UNKNOWN_STATE, dataset.touch_count > 0
+    bent = np.abs(angle) > FLAT_DEG
+    state[unknown & placed] = State.TOUCH
+    if not np.any(state == State.TOUCH):
+        known = unknown & np.isfinite(angle)
+        state[known & bent], state[known & ~bent] = State.BEND, State.IDLE
+    if not (bent.any() or np.any(state == State.BEND)):
+        angle[:] = 0.0
+    return dataclasses.replace(dataset, state=state, bend_angle_deg=angle)
+
+
+def with_usual_radius(dataset: Dataset) -> Dataset:
+    """The dataset with the median radius of its indenters where a touch has none.
+
+    `NOMINAL_RADIUS` where no radius is known.
+    """
+    radius = dataset.touch_radius
+    known = radius[np.isfinite(radius)]
+    usual = float(np.median(known)) if known.size else NOMINAL_RADIUS
+    lacking = np.isfinite(dataset.touch_x) & ~np.isfinite(radius)
+    return dataclasses.replace(dataset, touch_radius=np.where(lacking, usual, radius))
+
+
+def require_targets(dataset: Dataset) -> Targets:
+    """Quantities that a dataset has labels for; raises DataError where there are none."""
+    targets = Targets.of(dataset)
+    if not (targets.states or targets.angle or targets.touches):
+        counts = ", ".join(
+            f"{int(np.sum(dataset.state == state))} {state.name.lower()}" for state in State
+        )
+        raise DataError(
+            "expected frames of two states, at several angles, or with positions of touches, to "
+            f"learn from, got {counts} frames of {len(dataset)} and no positions; label them, or "
+            "record frames of another state"
+        )
+    return targets

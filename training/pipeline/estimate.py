@@ -1,0 +1,70 @@
+"""Estimate of one frame: state, bend angle and touches, as far as they are estimated."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.datasets.store.state import UNKNOWN_STATE, State
+from eitskin.frame import Frame
+from eitskin.training.method.predictions import FoundTouches, Predictions
+from eitskin.training.method.targets import Targets
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Estimate:
+    """State, bend angle and touches of one frame; None where a pipeline does not estimate them.
+
+    Attributes:
+        state: idle, touch or bend; touch for a bent sensor that is touched.
+        probabilities: of the three states, in the order of `State`, (3,); NaN for a state that the
+            pipeline does not tell apart.
+        bend_angle_deg: bend angle [deg], positive convex on the touched side; in a touched frame
+            the paper's method gives the angle just before the touch.
+        bend_deviation_deg: standard error of the angle [deg]; None for a method without one.
+        touch_map: probability of each pixel to be touched, (rows, columns), 0 to 1; rows and
+            columns grow with y and x. Zero unless the state is touch.
+        found: the touches, with forces and standard errors where the method gives them.
+        problems: faults of the frame or the references, in words; empty without any.
+        number: number of the frame.
+        time: time of the frame [s].
+    """
+
+    state: State | None
+    probabilities: NDArray[np.float64]
+    bend_angle_deg: float | None
+    bend_deviation_deg: float | None
+    touch_map: NDArray[np.float32] | None
+    found: FoundTouches | None
+    problems: tuple[str, ...]
+    number: int
+    time: float
+
+    @classmethod
+    def of(
+        cls, predictions: Predictions, targets: Targets, problems: tuple[str, ...], frame: Frame
+    ) -> "Estimate":
+        """The first of some predictions, made for `frame` by a method with these targets."""
+        state = int(predictions.state[0])
+        return cls(
+            None if state == UNKNOWN_STATE else State(state),
+            predictions.probabilities[0],
+            _known(predictions.bend_angle_deg[0]),
+            _known(predictions.bend_deviation_deg[0]),
+            predictions.touch_map[0] if targets.touches else None,
+            predictions.touches[0] if targets.touches else None,
+            problems,
+            frame.number,
+            frame.time,
+        )
+
+    @property
+    def touches(self) -> tuple[tuple[float, float, float], ...] | None:
+        """x [m], y [m] and strength, 0 to 1, of each touch, strongest first; None if unknown."""
+        return None if self.found is None else self.found.triples
+
+
+def _known(value: float) -> float | None:
+    """`value`, None where it is not a number."""
+    return float(value) if math.isfinite(value) else None
