@@ -95,7 +95,7 @@ class Evaluation:
             _force_score(matches),
             metrics.consistency(matches.error, matches.deviation),
             _latency(pipeline, dataset),
-            targets.missing,
+            targets,
         )
         return cls(pipeline, dataset, predictions, matches, similarity, report)
 
@@ -166,10 +166,10 @@ def _similarities(
 
 
 def _state_score(
-    dataset: Dataset, predictions: Predictions, told_apart: tuple[State, ...]
+    dataset: Dataset, predictions: Predictions, told_apart: tuple[str, ...]
 ) -> StateScore:
     """Score of the frames whose true state is one that the pipeline tells apart."""
-    known = np.isin(dataset.state, told_apart)
+    known = np.isin(dataset.state, [metrics.STATES.index(name) for name in told_apart])
     counts = metrics.confusion(dataset.state[known], predictions.state[known])
     bent = known & (dataset.state == State.TOUCH) & _bent(dataset)
     right = predictions.state == dataset.state

@@ -1,9 +1,10 @@
 """Scores of a pipeline in an evaluation, and the report that holds them all."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from eitskin.training.evaluation.metrics import Consistency
+from eitskin.training.method.targets import Targets
 
 SSIM_DEFINITION = (
     "SSIM: scikit-image's structural_similarity with its 7 x 7 window and data_range 1, between a "
@@ -126,7 +127,7 @@ class Report:
         untouched: of untouched frames; None without any.
         force: None for forces that are not known or not estimated.
         place_calibration: consistency of the standard errors of positions; None without any.
-        not_estimated: quantities that the pipeline does not estimate, in words; not judged.
+        estimates: quantities that the pipeline estimates; only these are judged.
     """
 
     frames: int
@@ -137,8 +138,8 @@ class Report:
     force: ForceScore | None
     place_calibration: Consistency | None
     latency: LatencyScore
-    not_estimated: tuple[str, ...] = ()
+    estimates: Targets = field(default_factory=Targets)
 
     def as_dict(self) -> dict[str, Any]:
         """The report as JSON takes it."""
-        return asdict(self)
+        return {**asdict(self), "estimates": self.estimates.as_dict()}

@@ -68,8 +68,8 @@ def paper_graph(method: PaperMethod, frames: Observations) -> ExportedGraph:
     predictions, targets = method.perceive(frames), method.targets
     reconstruct = method.reconstruction.apply
     expected: dict[str, NDArray[Any]] = {}
-    if targets.states:
-        expected["probabilities"] = predictions.probabilities[:, targets.states]
+    if method.classifier:
+        expected["probabilities"] = predictions.probabilities[:, method.classifier.states]
         expected["state"] = predictions.state.astype(np.int64)
     if targets.angle:
         expected["bend_angle_deg"] = predictions.bend_angle_deg
@@ -77,8 +77,7 @@ def paper_graph(method: PaperMethod, frames: Observations) -> ExportedGraph:
         expected["touch_map"] = predictions.touch_map
     expected["static_picture"] = reconstruct(frames.static)
     expected["dynamic_picture"] = reconstruct(frames.dynamic)
-    names = ", ".join(state.name.lower() for state in targets.states)
-    units = UNITS | {"probabilities": f"of {names}"}
+    units = UNITS | {"probabilities": f"of {', '.join(targets.states)}"}
     return ExportedGraph.of("paper", WHAT, build, frames_as_inputs(frames), expected, units)
 
 

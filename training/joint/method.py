@@ -8,7 +8,6 @@ from typing import Protocol as Interface
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.datasets.store.state import State
 from eitskin.errors import ConfigurationError
 from eitskin.protocol import Protocol
 from eitskin.simulator.instrument.drift import DRIFT_TIME
@@ -109,7 +108,7 @@ class JointMethod:
         """Quantities that the method estimates."""
         if self.bend_prior.bends:
             return Targets()
-        return Targets((State.IDLE, State.TOUCH), angle=False)
+        return Targets(("idle", "touch"), angle=False)
 
     def perceive(self, observations: Observations) -> Predictions:
         """Predictions for n frames, each independent of the others."""

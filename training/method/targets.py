@@ -15,18 +15,22 @@ from eitskin.training.method.calibration import FLAT_DEG
 NOMINAL_RADIUS = 0.0075  # m, of indenters whose radius no frame tells; the paper's cylinder
 
 
+STATE_NAMES = tuple(state.name.lower() for state in State)
+
+
 @dataclass(frozen=True, slots=True)
 class Targets:
     """Quantities that frames have labels for, or that a method estimates.
 
     Attributes:
-        states: states that are told apart, in the order of `State`; empty, or two and more.
+        states: names of the states that are told apart, in the order of `State`; empty, or two and
+            more.
         angle: whether the bend angle is one.
         touches: whether positions of touches are.
         force: whether forces of touches are.
     """
 
-    states: tuple[State, ...] = tuple(State)
+    states: tuple[str, ...] = STATE_NAMES
     angle: bool = True
     touches: bool = True
     force: bool = True
@@ -38,7 +42,7 @@ class Targets:
         A state needs a frame of its own and one of another state; the angle two different angles
         of the untouched sensor; a position or force one frame that has it.
         """
-        states = tuple(state for state in State if np.any(dataset.state == state))
+        states = tuple(STATE_NAMES[state] for state in State if np.any(dataset.state == state))
         angles = untouched_angles(dataset)
         angles = angles[np.isfinite(angles)]
         placed = np.isfinite(dataset.touch_x)
@@ -57,7 +61,7 @@ class Targets:
     @property
     def missing(self) -> tuple[str, ...]:
         """Quantities that are no target, in words."""
-        absent = [state.name.lower() for state in State if state not in self.states]
+        absent = [name for name in STATE_NAMES if name not in self.states]
         found = {
             "the state": not self.states,
             f"the state {' or '.join(absent)}": bool(self.states and absent),
@@ -79,10 +83,7 @@ class Targets:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain data for JSON."""
-        return {
-            **dataclasses.asdict(self),
-            "states": [state.name.lower() for state in self.states],
-        }
+        return {**dataclasses.asdict(self), "states": list(self.states)}
 
 
 def untouched_angles(dataset: Dataset) -> NDArray[np.float64]:

@@ -19,6 +19,7 @@ from eitskin.training.method.observations import Observations, frame_noise
 from eitskin.training.method.predictions import FoundTouches, Predictions
 from eitskin.training.method.settings import Progress, TrainingSettings, silent
 from eitskin.training.method.targets import (
+    STATE_NAMES,
     Targets,
     most_probable,
     require_targets,
@@ -117,7 +118,7 @@ class PaperMethod:
             _fit_postprocessor(
                 train, unseen, layout.outline, reconstruction, settings, noise, progress
             )
-            if State.TOUCH in targets.states
+            if "touch" in targets.states
             else None,
             missing_static,
             missing_dynamic,
@@ -127,7 +128,8 @@ class PaperMethod:
     @property
     def targets(self) -> Targets:
         """Quantities that the trained stages estimate; forces never are."""
-        states = self.classifier.states if self.classifier else ()
+        told_apart = self.classifier.states if self.classifier else ()
+        states = tuple(STATE_NAMES[state] for state in told_apart)
         return Targets(states, self.bend_angle is not None, self.postprocessor is not None, False)
 
     def perceive(self, observations: Observations) -> Predictions:

@@ -142,8 +142,9 @@ class Pipeline:
 
     @property
     def targets(self) -> Targets:
-        """Quantities that the pipeline estimates."""
-        return self.method.targets
+        """Quantities that the pipeline estimates; all for a method that does not tell."""
+        targets: Targets = getattr(self.method, "targets", Targets())
+        return targets
 
     def held_out(self, dataset: Dataset) -> NDArray[np.int64]:
         """Test frames (n,): the test part of the training set, all frames of another dataset."""
