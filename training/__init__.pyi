@@ -21,11 +21,17 @@ from eitskin.training.method.settings import (
 from eitskin.training.method.settings import (
     TrainingSettings as TrainingSettings,
 )
+from eitskin.training.method.targets import (
+    Targets as Targets,
+)
 from eitskin.training.pipeline.estimate import (
     Estimate as Estimate,
 )
 from eitskin.training.pipeline.pipeline import (
     Pipeline as Pipeline,
+)
+from eitskin.training.positions.opening import (
+    open_pipeline as open_pipeline,
 )
 from eitskin.training.positions.recorded_touches import (
     PositionScore as PositionScore,

@@ -31,22 +31,21 @@ def command(
     from eitskin.errors import ConfigurationError
     from eitskin.training.evaluation.evaluate import Evaluation
     from eitskin.training.evaluation.report.folder import require_report_folder
-    from eitskin.training.pipeline.pipeline import Pipeline
-    from eitskin.training.pipeline.saved_form import read_pipeline
+    from eitskin.training.positions.opening import open_pipeline
     from eitskin.training.positions.recorded_touches import RecordedTouches
 
     output = Output(as_json, quiet, verbose)
     output.detail(f"nothing is random in an evaluation, seed {seed} is not used")
     data = open_dataset(dataset)
-    if read_pipeline(pipeline).kind == RecordedTouches.KIND:
+    trained = open_pipeline(pipeline)
+    if isinstance(trained, RecordedTouches):
         if out is not None:
             raise ConfigurationError(
                 f"{pipeline} estimates touch positions only, which have no report; leave out --out"
             )
-        score = RecordedTouches.load(pipeline).evaluate(data)
+        score = trained.evaluate(data)
         output.result(score.as_dict(), position_table(score))
         return
-    trained = Pipeline.load(pipeline)
     if out is not None:
         require_report_folder(out)
     frames = trained.held_out(data)

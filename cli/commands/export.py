@@ -175,9 +175,9 @@ def _readings(board: "ReplayBoard", model: Path | None) -> "Iterator[Reading]":
 
     if model is None:
         return (Reading(frame, None, math.nan, math.nan) for frame in board.frames())
-    from eitskin.training.pipeline.pipeline import Pipeline
+    from eitskin.training.positions.opening import open_pipeline
 
-    return run_live(board, Pipeline.load(model), newest=False, clock=lambda: math.nan)
+    return run_live(board, open_pipeline(model), newest=False, clock=lambda: math.nan)
 
 
 def _require_empty(folder: Path) -> None:

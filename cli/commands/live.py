@@ -26,17 +26,21 @@ from eitskin.cli.options import (
     ended_by_signals,
     one_of,
 )
-from eitskin.errors import PartialError
+from eitskin.errors import ConfigurationError, PartialError
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
     from eitskin.cli.page.live_page import LivePage
+    from eitskin.cli.page.region import Region
     from eitskin.frame import Frame
+    from eitskin.geometry.design.sensor import SensorDesign
     from eitskin.hardware.boards.board import Board
     from eitskin.hardware.boards.connection import Connection
     from eitskin.hardware.live import FramePipeline, Reading
+    from eitskin.training.pipeline.pipeline import Pipeline
+    from eitskin.training.positions.recorded_touches import RecordedTouches
 
 BoardUri = Annotated[
     str, typer.Option("--board", help="serial:PORT, text:PORT, virtual: or replay:DIRECTORY.")
@@ -65,6 +69,7 @@ PictureMethod = Annotated[
     typer.Option(help="Also picture every frame by this method, such as greit, for the page."),
 ]
 
+MARGIN = 0.0075  # m, shown around the positions on a sensor of unknown geometry
 REFRESH = 10  # per second
 CHECKED = 16  # frames of a session's beginning that say how the sensor is
 SHORTEST_SILENCE = 1.0  # s, before what is shown is called old
@@ -94,10 +99,11 @@ def command(
     from eitskin.hardware.boards.connection import Connection
     from eitskin.hardware.live import run_live
     from eitskin.hardware.opening import open_board
-    from eitskin.training.pipeline.pipeline import Pipeline
+    from eitskin.training.positions.opening import open_pipeline
 
     output = Output(as_json, quiet, verbose)
-    pipeline = Pipeline.load(model)
+    pipeline = open_pipeline(model)
+    tell_missing(pipeline, output)
     recordings: list[Recording] = []
     with ExitStack() as stack:
         # Asked last, when all are closed: most sessions are ended by Ctrl-C.
@@ -115,11 +121,9 @@ def command(
             session.expected = layout.reference
         if page:
             from eitskin.cli.page.live_page import LivePage
-            from eitskin.geometry.design.sensor import SensorDesign
 
-            design = SensorDesign.reference() if layout is None else layout.design
             session.page = stack.enter_context(
-                closing(LivePage(session.connection, design, page_port))
+                closing(LivePage(session.connection, _sheet(pipeline), page_port))
             )
             output.note(f"page: {session.page.url}")
         newest = not (every_frame or recordings)
@@ -137,6 +141,33 @@ def _pictured(pipeline: "FramePipeline", board: "Board", method: str) -> "FrameP
     design = SensorDesign.reference() if layout is None else layout.design
     name = cast("Method", one_of("--picture", method, Method))
     return PicturedPipeline(pipeline, LivePictures.of(design, board.protocol, name))
+
+
+def tell_missing(pipeline: "Pipeline | RecordedTouches", output: Output) -> None:
+    """Note what a pipeline does not estimate."""
+    targets = getattr(pipeline, "targets", None)
+    if targets is not None and targets.missing:
+        output.note(f"this pipeline does not estimate {', '.join(targets.missing)}")
+
+
+def _sheet(pipeline: "Pipeline | RecordedTouches") -> "SensorDesign | Region":
+    """Sensor of a pipeline, or the region of the positions that it was trained with.
+
+    Raises ConfigurationError where a pipeline tells neither.
+    """
+    from eitskin.cli.page.region import Region
+    from eitskin.training.positions.recorded_touches import RecordedTouches
+
+    if not isinstance(pipeline, RecordedTouches):
+        return pipeline.layout.design
+    if pipeline.design is not None:
+        return pipeline.design
+    if pipeline.extent is None:
+        raise ConfigurationError(
+            "expected a pipeline that knows its sensor, for the page, got touch positions of "
+            "version 0.1; leave out --page, or train them again"
+        )
+    return Region.of_positions(pipeline.extent, MARGIN)
 
 
 def _tell_losses(recordings: Sequence[Recording], _: object, ended: object, __: object) -> None:

@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 
 from eitskin.cli.episode import STEPS
+from eitskin.cli.page.region import Region
 from eitskin.config import from_dict
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.fixtures import Bend
@@ -86,7 +87,7 @@ class PlayCommand:
     play: bool
 
 
-def execute(board: "Board", design: SensorDesign, path: str, body: bytes) -> None:
+def execute(board: "Board", sheet: SensorDesign | Region, path: str, body: bytes) -> None:
     """Execute the command that was posted to `path`.
 
     Raises ConfigurationError for invalid or impossible commands, KeyError for an unknown path.
@@ -98,24 +99,24 @@ def execute(board: "Board", design: SensorDesign, path: str, body: bytes) -> Non
         raise ConfigurationError(f"expected JSON, got what is not: {error}") from error
     if not isinstance(data, Mapping):
         raise ConfigurationError(f"expected a JSON object, got {type(data).__name__}")
-    act(board, design, from_dict(command, data, path.lstrip("/")))
+    act(board, sheet, from_dict(command, data, path.lstrip("/")))
 
 
-def _set_scene(board: "Board", design: SensorDesign, command: SceneCommand) -> None:
+def _set_scene(board: "Board", sheet: SensorDesign | Region, command: SceneCommand) -> None:
     for press in command.touches:
-        _require_inside(design, press)
+        _require_inside(sheet, press)
     touches = tuple(Touch(press.x, press.y, press.force) for press in command.touches)
     _stage(board).set(Scene(Bend(command.bend_deg), touches))
 
 
-def _break(board: "Board", design: SensorDesign, command: FaultCommand) -> None:  # noqa: ARG001
+def _break(board: "Board", sheet: SensorDesign | Region, command: FaultCommand) -> None:  # noqa: ARG001
     if command.clear:
         _stage(board).clear()
     else:
         _stage(board).inject(command.fault)
 
 
-def _play(board: "Board", design: SensorDesign, command: PlayCommand) -> None:  # noqa: ARG001
+def _play(board: "Board", sheet: SensorDesign | Region, command: PlayCommand) -> None:  # noqa: ARG001
     from eitskin.hardware.virtual.scene_script import Script, Step
 
     if not command.play:
@@ -125,7 +126,7 @@ def _play(board: "Board", design: SensorDesign, command: PlayCommand) -> None:  
     _stage(board).play(Script(tuple(Step(scene, frames) for scene in STEPS)))
 
 
-COMMANDS: dict[str, tuple[Any, Callable[["Board", SensorDesign, Any], None]]] = {
+COMMANDS: dict[str, tuple[Any, Callable[["Board", SensorDesign | Region, Any], None]]] = {
     "/scene": (SceneCommand, _set_scene),
     "/fault": (FaultCommand, _break),
     "/play": (PlayCommand, _play),
@@ -136,15 +137,15 @@ def _stage(board: "Board") -> Any:
     return getattr(board, "stage", None)
 
 
-def _require_inside(design: SensorDesign, press: PageTouch) -> None:
-    outline = design.outline
-    if isinstance(outline, Surface):
-        inside = 0.0 <= press.x <= outline.length and 0.0 <= press.y <= outline.width
+def _require_inside(sheet: SensorDesign | Region, press: PageTouch) -> None:
+    region = sheet if isinstance(sheet, Region) else Region.around(sheet)
+    if isinstance(sheet, Region) or isinstance(sheet.outline, Surface):
+        inside = region.contains(press.x, press.y)
     else:
-        inside = bool(outline.contains(np.array([press.x, press.y])))
+        inside = bool(sheet.outline.contains(np.array([press.x, press.y])))
     if not inside:
         raise ConfigurationError(
-            f"touches are on the sensor, {outline.length:g} x {outline.width:g} m, got one at "
+            f"touches are on the sensor, {region.length:g} x {region.width:g} m, got one at "
             f"({press.x:g}, {press.y:g}) m"
         )
 

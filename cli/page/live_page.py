@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from eitskin.cli.page.commands import execute
+from eitskin.cli.page.region import Region
 from eitskin.cli.page.server import HOST, ClientLimits, Server
 from eitskin.cli.page.state import PageContent, Snapshot, filled
 from eitskin.cli.page.stream import LatestMessage
@@ -40,7 +41,7 @@ class LivePage(Closeable):
     def __init__(
         self,
         connection: "Connection",
-        design: SensorDesign,
+        sheet: SensorDesign | Region,
         port: int = 0,
         limits: ClientLimits | None = None,
         clock: Callable[[], float] = time.monotonic,
@@ -50,7 +51,7 @@ class LivePage(Closeable):
         Args:
             connection: to the board whose readings will be published; a virtual one can be
                 commanded by the page.
-            design: of its sensor.
+            sheet: design of its sensor, or the region of positions where that is not known.
             port: of 127.0.0.1; 0 for any that is free.
             limits: with browsers.
             clock: [s].
@@ -59,7 +60,7 @@ class LivePage(Closeable):
         """
         board = connection.board
         self._connection, self._clock = connection, clock
-        self._content = PageContent.of(board, design)
+        self._content = PageContent.of(board, sheet)
         self._published: tuple[Reading, Counts, float] | None = None
         self._reference: Frame | None = None
         self._arrived = self._closed = False
@@ -70,7 +71,7 @@ class LivePage(Closeable):
             port,
             self._events,
             hello,
-            lambda path, body: execute(board, design, path, body),
+            lambda path, body: execute(board, sheet, path, body),
             getattr(board, "stage", None) is not None,
             limits or ClientLimits(),
         )

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from eitskin.cli.live_view import bad_channels, state_name
 from eitskin.cli.page.commands import LARGEST, LEAST, MOST_TOUCHES
+from eitskin.cli.page.region import Region
 from eitskin.cli.page.shape import COLUMNS, ROWS, DrawnPress, GelDrawing, electrode_corners
 from eitskin.frame import Frame
 from eitskin.geometry.design.outline import Disc, Rectangle
@@ -47,32 +48,35 @@ class PageContent:
 
     Attributes:
         board: source of the readings.
-        design: its sensor.
+        sheet: its sensor, or the region of positions on one of unknown geometry.
         drawing: three-dimensional drawing of the sensor; None for other outlines.
     """
 
     board: "Board"
-    design: SensorDesign
+    sheet: "SensorDesign | Region"
     drawing: GelDrawing | None
 
     @classmethod
-    def of(cls, board: "Board", design: SensorDesign) -> "PageContent":
+    def of(cls, board: "Board", sheet: "SensorDesign | Region") -> "PageContent":
         """Contents for a board with a sensor."""
-        return cls(board, design, GelDrawing.of(design))
+        return cls(board, sheet, None if isinstance(sheet, Region) else GelDrawing.of(sheet))
 
     def sensor(self) -> dict[str, Any]:
         """Plain data of the sensor, which does not change while the page is open."""
-        design, board = self.design, self.board
-        outline, corners = design.outline, electrode_corners(design)
+        sheet, board = self.sheet, self.board
+        known = None if isinstance(sheet, Region) else sheet
+        region = sheet if isinstance(sheet, Region) else Region.around(sheet)
+        electrodes = electrode_corners(known).mean(axis=1)[:, :2] if known else np.zeros((0, 2))
         return {
             "uri": board.uri,
             "firmware": board.info.firmware,
             "period": _known(board.info.period, 6),
-            "length": outline.length,
-            "width": outline.width,
-            "thickness": design.thickness,
-            "outline": _rounded(_rim(design), 5),
-            "electrodes": _rounded(corners.mean(axis=1)[:, :2], 5),
+            "origin": list(region.low),
+            "length": region.length,
+            "width": region.width,
+            "thickness": known and known.thickness,
+            "outline": _rounded(_rim(known) if known else region.corners, 5),
+            "electrodes": _rounded(electrodes, 5),
             "labels": list(board.protocol.labels),
             "shape": None
             if self.drawing is None

@@ -74,19 +74,7 @@ class InputSpec:
             UnusableFrameError: for a frame with too few good channels.
         """
         self.require_same_measurements(frame.protocol, frame.frequency)
-        good = np.isfinite(frame.impedance) & (frame.status == 0) & (frame.impedance != 0)
-        labels = self.protocol.labels
-        problems = tuple(
-            f"channel {labels[i]} is left out: "
-            + (f"board status {frame.status[i]}" if frame.status[i] else f"{frame.impedance[i]}")
-            for i in np.flatnonzero(~good)
-        )
-        if good.mean() < FEWEST_CHANNELS:
-            raise UnusableFrameError(
-                f"expected at least {FEWEST_CHANNELS:.0%} usable channels, got {good.sum()} of "
-                f"{good.size}; {problems[0]}; check the cable and the electrodes"
-            )
-        return np.where(good, frame.impedance, np.nan), problems
+        return usable_values(frame)
 
     def require_same_measurements(self, protocol: Protocol, frequency: float) -> None:
         """Refuse a protocol or frequency [Hz] other than the trained one; raises FrameError."""
@@ -128,3 +116,23 @@ class InputSpec:
                 f"{np.exp(common):.3g}), most of all {worst}: another sensor, a bad contact, or "
                 "electrodes in another order; check the wiring, or train a pipeline for it"
             )
+
+
+def usable_values(frame: Frame) -> tuple[NDArray[np.complex128], tuple[str, ...]]:
+    """Values of a frame (measurements,) [ohm], NaN where bad, and its problems in words.
+
+    Raises UnusableFrameError for a frame with too few good channels.
+    """
+    good = np.isfinite(frame.impedance) & (frame.status == 0) & (frame.impedance != 0)
+    labels = frame.protocol.labels
+    problems = tuple(
+        f"channel {labels[i]} is left out: "
+        + (f"board status {frame.status[i]}" if frame.status[i] else f"{frame.impedance[i]}")
+        for i in np.flatnonzero(~good)
+    )
+    if good.mean() < FEWEST_CHANNELS:
+        raise UnusableFrameError(
+            f"expected at least {FEWEST_CHANNELS:.0%} usable channels, got {good.sum()} of "
+            f"{good.size}; {problems[0]}; check the cable and the electrodes"
+        )
+    return np.where(good, frame.impedance, np.nan), problems

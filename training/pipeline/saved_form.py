@@ -42,6 +42,10 @@ MADE_WITH = ("numpy", "scikit-learn", "scipy", "torch")
 Arrays = Mapping[str, NDArray[Any]]
 
 
+class OtherKindError(DataError):
+    """A saved pipeline of another kind than the one expected."""
+
+
 @dataclass(frozen=True, slots=True)
 class SavedPipeline:
     """Contents of the folder.
@@ -137,9 +141,9 @@ def read_pipeline(path: str | Path) -> SavedPipeline:
 
 
 def require_kind(saved: SavedPipeline, kind: str, path: str | Path) -> None:
-    """Check the kind of a saved pipeline; raises DataError."""
+    """Check the kind of a saved pipeline; raises OtherKindError."""
     if saved.kind != kind:
-        raise DataError(
+        raise OtherKindError(
             f"expected a '{kind}' pipeline, got a '{saved.kind}' one: {path}; name another"
         )
 

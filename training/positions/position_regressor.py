@@ -84,11 +84,7 @@ class PositionRegressor:
         Raises DataError for another number of channels.
         """
         logs = log_ratio(ratio)
-        if logs.shape[-1] != len(self.channel_scale):
-            raise DataError(
-                f"these touch positions were learned from {len(self.channel_scale)} channels, "
-                f"got {logs.shape[-1]}; train on recordings of this sensor"
-            )
+        self.require_channels(logs.shape[-1])
         directions = _directions(logs / self.channel_scale)
         inner = directions @ self.directions.T
         square = np.sum(directions**2, axis=1)[:, None] + np.sum(self.directions**2, axis=1)
@@ -96,6 +92,24 @@ class PositionRegressor:
         covariance = self.variance * (1.0 + d + d**2 / 3.0) * np.exp(-d)
         places: NDArray[np.float64] = covariance @ self.weights + self.centre
         return places
+
+    def strength(self, ratio: ArrayLike) -> NDArray[np.float64]:
+        """Strength (n,) of the changes |V / ref| (n, C), relative to the touches trained with.
+
+        Root mean square over the channels, each in units of its `channel_scale`.
+        """
+        strength: NDArray[np.float64] = np.sqrt(
+            np.mean((log_ratio(ratio) / self.channel_scale) ** 2, axis=-1)
+        )
+        return strength
+
+    def require_channels(self, channels: int) -> None:
+        """Refuse another number of channels than the trained one; raises DataError."""
+        if channels != len(self.channel_scale):
+            raise DataError(
+                f"these touch positions were learned from {len(self.channel_scale)} channels, "
+                f"got {channels}; train on recordings of this sensor"
+            )
 
     def arrays(self) -> dict[str, NDArray[np.generic]]:
         """Arrays from which `from_arrays` restores the regressor, by name."""

@@ -1,5 +1,6 @@
 """Touch positions learned from a recording without geometry: training, scoring and saving."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -8,12 +9,20 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.config import from_dict
+from eitskin.config import from_dict, to_dict
 from eitskin.datasets.store.dataset import Dataset
-from eitskin.errors import DataError
+from eitskin.datasets.store.state import State
+from eitskin.errors import DataError, FrameError
+from eitskin.frame import Frame
+from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.protocol import Protocol
+from eitskin.training.method.input_spec import FREQUENCY_TOLERANCE, usable_values
 from eitskin.training.method.observations import fingerprint
+from eitskin.training.method.predictions import FoundTouches
+from eitskin.training.method.targets import Targets
+from eitskin.training.pipeline.estimate import Estimate
 from eitskin.training.pipeline.model_card import position_card
+from eitskin.training.pipeline.references import References
 from eitskin.training.pipeline.saved_form import (
     SavedPipeline,
     read_pipeline,
@@ -22,6 +31,8 @@ from eitskin.training.pipeline.saved_form import (
 )
 from eitskin.training.positions.position_regressor import PositionRegressor
 
+STILL = 0.1  # rms change of a still sensor, relative to that of the usual touch; see `References`
+WEAKEST = 0.2  # of the usual touch; the direction of a smaller change is mostly noise
 TRAINING_SHARE = 0.8  # the first part in time; neighbours in time are too similar to test on
 GOLDEN = 5
 
@@ -46,9 +57,12 @@ class PositionScore:
         return asdict(self)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class RecordedTouches:
-    """Touch positions learned from a recording of one sensor.
+    """Touch positions learned from a recording of one sensor, and the reference of a session.
+
+    `evaluate` takes the frames of a dataset, each with its own reference, `process` those of a
+    session one after another. Neither state nor bend angle nor force is estimated.
 
     Attributes:
         position: regressor from ratios |V / ref| to positions.
@@ -56,6 +70,10 @@ class RecordedTouches:
         trained_on: fingerprint of the recording and number of frames trained with.
         protocol: of the recording's frames; None where unknown.
         metrics: results of an evaluation, written by the evaluating code.
+        frequency: of the excitation [Hz]; not known without a protocol.
+        design: of the sensor; None where the recording has none.
+        extent: smallest and largest x and y of the positions trained with (2, 2) [m]; None in
+            pipelines of version 0.1.
     """
 
     KIND: ClassVar[str] = "touch position"
@@ -65,6 +83,21 @@ class RecordedTouches:
     trained_on: Mapping[str, Any]
     protocol: Protocol | None = None
     metrics: dict[str, Any] = field(default_factory=dict)
+    frequency: float = math.nan
+    design: SensorDesign | None = None
+    extent: NDArray[np.float64] | None = None
+    references: References = field(init=False, repr=False)
+    _last: Frame | None = field(init=False, repr=False, default=None)
+
+    def __post_init__(self) -> None:
+        """A session without a reference."""
+        usual = float(np.sqrt(np.mean(self.position.channel_scale**2)))
+        self.references = References(STILL * usual)
+
+    @property
+    def targets(self) -> Targets:
+        """Quantities that are estimated: positions alone."""
+        return Targets((), angle=False, force=False)
 
     @classmethod
     def fit(cls, dataset: Dataset) -> "RecordedTouches":
@@ -74,17 +107,76 @@ class RecordedTouches:
         """
         touches = _touches(dataset)
         train = touches[: round(TRAINING_SHARE * len(touches))]
-        ratios = _ratios(dataset, train)
+        ratios, places = _ratios(dataset, train), _places(dataset, train)
+        trained_on = {
+            "sha256": fingerprint(dataset),
+            "frames": len(train),
+            "source": dataset.source,
+        }
         return cls(
-            PositionRegressor.fit(ratios, _places(dataset, train)),
+            PositionRegressor.fit(ratios, places),
             ratios[:GOLDEN],
-            {
-                "sha256": fingerprint(dataset),
-                "frames": len(train),
-                "source": dataset.source,
-            },
+            trained_on,
             dataset.protocol,
+            frequency=dataset.frequency if dataset.protocol else math.nan,
+            design=dataset.design,
+            extent=np.array([places.min(axis=0), places.max(axis=0)]),
         )
+
+    def reset(self) -> None:
+        """Begin a new session; its first frame must be of the untouched sensor."""
+        self.references.drop()
+        self._last = None
+
+    def process(self, frame: Frame) -> Estimate:
+        """The estimate for the next frame of a session: the position of one touch.
+
+        The first frame becomes the reference: the sensor must then be untouched, in the shape in
+        which it will be touched. Up to 32 further frames that change by less than a fifth of the
+        usual touch are averaged into it. A later frame that changes by less has no touch; whether a
+        frame that changes by more is touched is not known. A frame of another session, or a number
+        or time that runs backwards, begins a new session.
+
+        Raises:
+            FrameError: for a frame with other measurements; the session is unchanged then.
+            UnusableFrameError: for a frame with too few good channels.
+        """
+        self._require_same_measurements(frame)
+        voltages, problems = usable_values(frame)
+        last = self._last
+        if last and (
+            frame.session != last.session or frame.number < last.number or frame.time < last.time
+        ):
+            self.reset()
+        self.references.follow(voltages)
+        self._last = frame
+        with np.errstate(invalid="ignore"):  # NaN marks a bad channel
+            ratio = np.abs(voltages / self.references.bend)[None]
+        strength = self.position.strength(ratio)
+        touched = strength >= WEAKEST
+        found = FoundTouches.of(
+            self.position.apply(ratio)[touched], np.minimum(strength[touched], 1.0)
+        )
+        unknown = np.full(len(State), np.nan)
+        return Estimate(None, unknown, None, None, None, found, problems, frame.number, frame.time)
+
+    def _require_same_measurements(self, frame: Frame) -> None:
+        """Refuse a frame with other measurements than the recording's; raises FrameError."""
+        try:
+            self.position.require_channels(len(frame.protocol))
+        except DataError as error:
+            raise FrameError(str(error)) from error
+        if self.protocol is not None and frame.protocol != self.protocol:
+            raise FrameError(
+                f"these touch positions were learned from channels {self.protocol.labels[:3]} and "
+                f"so on, the frame has {frame.protocol.labels[:3]} or another order; set the board "
+                "to that table"
+            )
+        if abs(frame.frequency / self.frequency - 1.0) > FREQUENCY_TOLERANCE:
+            raise FrameError(
+                f"these touch positions were learned at {self.frequency:g} Hz, the frame was "
+                f"measured at {frame.frequency:g} Hz; set the board to that frequency"
+            )
 
     def held_out(self, dataset: Dataset) -> NDArray[np.int64]:
         """Frames (n,) not trained with: the last of the own recording, all of another.
@@ -131,6 +223,11 @@ class RecordedTouches:
         document = {
             "channels": self.examples.shape[1],
             "units": {"ratio": "1", "place": "m"},
+            "estimates": self.targets.as_dict(),
+            "protocol": None if self.protocol is None else asdict(self.protocol),
+            "frequency": None if math.isnan(self.frequency) else self.frequency,
+            "design": None if self.design is None else to_dict(self.design),
+            "extent": None if self.extent is None else self.extent.tolist(),
             "trained_on": dict(self.trained_on),
             "metrics": self.metrics,
         }
@@ -153,10 +250,19 @@ class RecordedTouches:
         try:
             position = PositionRegressor.from_arrays(dict(saved.weights))
             document, examples = saved.document, saved.golden["input.ratio"]
-            told = document.get("protocol")
-            protocol = None if told is None else from_dict(Protocol, told, "protocol")
-            metrics = dict(document["metrics"])
-            loaded = cls(position, examples, document["trained_on"], protocol, metrics)
+            protocol, frequency, design, extent = (
+                document.get(name) for name in ("protocol", "frequency", "design", "extent")
+            )
+            loaded = cls(
+                position,
+                examples,
+                document["trained_on"],
+                protocol and from_dict(Protocol, protocol, "protocol"),
+                dict(document["metrics"]),
+                math.nan if frequency is None else float(frequency),
+                design and from_dict(SensorDesign, design, "design"),
+                extent and np.array(extent),
+            )
             saved.require_golden({"place": position.apply(examples)})
         except DataError:
             raise

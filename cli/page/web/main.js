@@ -7,6 +7,7 @@ import { Trace } from "./trace.js";
 
 const SILENT = 2000; // ms without any event after which the server is gone
 const LATE = 1000; // ms by which an event may come later than the fastest one
+const UNKNOWN = "not estimated";
 const STATES = ["idle", "touch", "bend"];
 
 const $ = (id) => document.getElementById(id);
@@ -70,9 +71,11 @@ function draw(data) {
     session = data.session;
     parts.trace.clear();
   }
-  say($("state"), estimate ? estimate.state : unusable);
-  $("state").dataset.state = estimate ? estimate.state : "";
+  const known = estimate && estimate.state !== null;
+  say($("state"), known ? estimate.state : estimate ? UNKNOWN : unusable);
+  $("state").dataset.state = known ? estimate.state : "";
   $("state").classList.toggle("words", !estimate);
+  $("state").classList.toggle("unknown", Boolean(estimate) && !known);
   parts.bars.forEach(({ bar, share }, i) => {
     const p = estimate ? estimate.probabilities[i] : null;
     bar.style.transform = `scaleX(${p ?? 0})`;
@@ -87,7 +90,7 @@ function draw(data) {
     truth: truth ? truth.bend_deg : null,
   });
   parts.map.show(
-    estimate && estimate.map, estimate ? estimate.touches : [], truth ? truth.touches : [], picture(estimate));
+    estimate && estimate.map, (estimate && estimate.touches) || [], truth ? truth.touches : [], picture(estimate));
   if (estimate) parts.sensor.show(estimate.points, estimate.map);
   parts.channels.show(data.channels, data.bad);
   numbers(data);
@@ -109,7 +112,8 @@ function picture(estimate) {
 
 function angle(estimate, truth) {
   const value = estimate ? estimate.angle : null;
-  say($("angle"), value === null ? "–" : `${signed(value, 1)}°`);
+  say($("angle"), value !== null ? `${signed(value, 1)}°` : estimate ? UNKNOWN : "–");
+  $("angle").classList.toggle("unknown", value === null && estimate !== null);
   const deviation = estimate ? estimate.deviation : null;
   say($("deviation"), deviation === null ? "" : `± ${deviation.toFixed(deviation < 0.095 ? 2 : 1)}°`);
   const real = truth ? truth.bend_deg : null;
@@ -118,6 +122,7 @@ function angle(estimate, truth) {
 }
 
 function touches(found) {
+  if (found === null) return say($("touches"), UNKNOWN);
   const places = found.map(({ x, y, force, strength }) =>
     `${(1e3 * x).toFixed(0)}, ${(1e3 * y).toFixed(0)} mm: ${force === null ? strength.toFixed(2) : `${force.toFixed(1)} N`}`);
   say($("touches"), places.join("  ·  ") || "no touch");

@@ -52,9 +52,9 @@ export class TouchMap {
 
   // Metres of the sensor to pixels of the canvas and back.
   place(width, height) {
-    const { length, width: across } = this.sensor;
+    const { length, width: across, origin: [x0, y0] } = this.sensor;
     const scale = Math.min((width - 44) / length, (height - 44) / across);
-    const left = (width - scale * length) / 2, bottom = (height + scale * across) / 2;
+    const left = (width - scale * length) / 2 - scale * x0, bottom = (height + scale * across) / 2 + scale * y0;
     return {
       scale,
       x: (metres) => left + scale * metres,
@@ -65,7 +65,7 @@ export class TouchMap {
 
   draw(c, width, height) {
     const at = this.place(width, height);
-    const { length, width: across, outline } = this.sensor;
+    const { length, width: across, outline, origin: [x0, y0] } = this.sensor;
     c.beginPath();
     for (const [x, y] of outline) c.lineTo(at.x(x), at.y(y));
     c.closePath();
@@ -73,7 +73,7 @@ export class TouchMap {
     c.clip();
     c.fillStyle = `rgb(${palette.slice(0, 3).join(",")})`;
     c.fillRect(0, 0, width, height);
-    if (!this.empty) c.drawImage(this.picture, at.x(0), at.y(across), at.scale * length, at.scale * across);
+    if (!this.empty) c.drawImage(this.picture, at.x(x0), at.y(y0 + across), at.scale * length, at.scale * across);
     this.grid(c, at);
     c.restore();
     c.strokeStyle = "#3a4a5c";
@@ -87,10 +87,10 @@ export class TouchMap {
   }
 
   grid(c, at) {
-    const { length, width: across } = this.sensor;
+    const { length, width: across, origin: [x0, y0] } = this.sensor;
     c.fillStyle = "#ffffff12";
-    for (let x = GRID; x < length - GRID / 2; x += GRID) c.fillRect(Math.round(at.x(x)), at.y(across), 1, at.scale * across);
-    for (let y = GRID; y < across - GRID / 2; y += GRID) c.fillRect(at.x(0), Math.round(at.y(y)), at.scale * length, 1);
+    for (let x = GRID; x < length - GRID / 2; x += GRID) c.fillRect(Math.round(at.x(x0 + x)), at.y(y0 + across), 1, at.scale * across);
+    for (let y = GRID; y < across - GRID / 2; y += GRID) c.fillRect(at.x(x0), Math.round(at.y(y0 + y)), at.scale * length, 1);
   }
 
   drawElectrodes(c, at) {
@@ -131,7 +131,7 @@ export class TouchMap {
     const label = force === null ? strength.toFixed(2) : `${force.toFixed(1)} N`;
     c.font = "600 14px system-ui, sans-serif";
     c.textBaseline = "middle";
-    const right = px < at.x(this.sensor.length) - 90, aside = INDENTER * at.scale + 7;
+    const right = px < at.x(this.sensor.origin[0] + this.sensor.length) - 90, aside = INDENTER * at.scale + 7;
     c.textAlign = right ? "left" : "right";
     c.lineWidth = 3;
     c.strokeStyle = "#0a0e13cc";
@@ -173,8 +173,8 @@ export class TouchMap {
   }
 
   inside({ x, y }) {
-    const { length, width } = this.sensor, rim = 0.001;
-    return { x: Math.min(length - rim, Math.max(rim, x)), y: Math.min(width - rim, Math.max(rim, y)) };
+    const { length, width, origin: [x0, y0] } = this.sensor, rim = 0.001;
+    return { x: Math.min(x0 + length - rim, Math.max(x0 + rim, x)), y: Math.min(y0 + width - rim, Math.max(y0 + rim, y)) };
   }
 
   pointed(event) {

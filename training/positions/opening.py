@@ -1,0 +1,21 @@
+"""Opening of saved pipelines, whatever their kind."""
+
+from pathlib import Path
+
+from eitskin.training.pipeline.pipeline import Pipeline
+from eitskin.training.pipeline.saved_form import OtherKindError
+from eitskin.training.positions.recorded_touches import RecordedTouches
+
+
+def open_pipeline(path: str | Path) -> Pipeline | RecordedTouches:
+    """A saved pipeline of either kind: `targets` tells what its `process(frame)` estimates.
+
+    "reference.eitmodel", unless a folder of that name exists, is the pipeline that comes with
+    eitskin.
+
+    Raises DataError for a pipeline that is damaged, changed, or newer than this eitskin.
+    """
+    try:
+        return Pipeline.load(path)
+    except OtherKindError:
+        return RecordedTouches.load(path)
