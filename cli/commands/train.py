@@ -5,6 +5,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich.console import Group
+from rich.table import Table
 
 from eitskin.cli.commands.evaluate import save_report
 from eitskin.cli.options import TRAINING, Json, Output, Quiet, Seed, Verbose
@@ -12,9 +14,12 @@ from eitskin.extras import require_all
 
 if TYPE_CHECKING:
     from eitskin.datasets.store.dataset import Dataset
-    from eitskin.training.evaluation.evaluate import Evaluation
+    from eitskin.training.evaluation.evaluate import Evaluation, Report
+    from eitskin.training.evaluation.selection import Selection
     from eitskin.training.pipeline.pipeline import Pipeline
     from eitskin.training.positions.recorded_touches import RecordedTouches
+
+AUTO = "auto"
 
 
 def command(
@@ -27,10 +32,11 @@ def command(
     preset: Annotated[
         str,
         typer.Option(
-            help="joint: a learned model fitted to each frame; paper: the paper's stages, trained "
-            "as published; quick: the same, trained faster."
+            help="auto: joint or quick, whichever errs less on held-out specimens; joint: a "
+            "learned model fitted to each frame; paper: the paper's stages, trained as published; "
+            "quick: the same, trained faster."
         ),
-    ] = "joint",
+    ] = AUTO,
     report: Annotated[
         Path | None,
         typer.Option(help="Folder for a report with pictures; an earlier report is replaced."),
@@ -40,59 +46,92 @@ def command(
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Train on 60 % of a dataset and evaluate on 20 % that were held out.
+    """Train on a part of a dataset and evaluate on specimens that were held out.
 
-    Where the dataset does not know its sensor's geometry, only touch positions are learned, from
-    the first 80 % in time.
+    What the dataset has no labels for is not estimated. From positions of touches alone, and where
+    the sensor's geometry is not known, only positions are learned, from the first 80 % in time.
     """
     from eitskin.datasets.store.folder import open_dataset
+    from eitskin.training.evaluation.selection import data_warnings
     from eitskin.training.pipeline.saved_form import require_writable
 
     output = Output(as_json, quiet, verbose)
     require_all(training=TRAINING)
     require_writable(out)
     data = open_dataset(dataset)
+    alone = _positions_alone(data)
     if report is not None:
-        _require_reportable(data, report)
+        _require_reportable(alone, report)
     start = time.perf_counter()
     trained: Pipeline | RecordedTouches
-    evaluation = None
-    if data.design is None:
-        output.note("no geometry in this dataset: learning touch positions only")
+    evaluation: Evaluation | None = None
+    warnings: tuple[str, ...] = ()
+    if alone:
+        output.note(f"{alone}: learning touch positions only")
         trained = train_positions(data)
         found = f"mean error {trained.metrics['mean_error_mm']:.2f} mm"
     else:
         evaluation = train_and_measure(data, preset, epochs, seed, output)
-        trained = evaluation.pipeline
-        shares = evaluation.report.states.accuracy.items()
-        found = ", ".join(f"{name} {share:.1%}" for name, share in shares if share is not None)
+        trained, warnings = evaluation.pipeline, data_warnings(data, evaluation)
+        found = _summary(evaluation.report)
     seconds = time.perf_counter() - start
     saved = trained.save(out)
     if evaluation is not None and report is not None:
         save_report(evaluation, report, output)
-    frames = trained.trained_on["frames"]
+    for warning in warnings:
+        output.note(f"warning: {warning}")
+    frames, missing = trained.trained_on["frames"], trained.targets.missing
+    if missing:
+        output.note(f"not estimated, for lack of labels or by the method: {', '.join(missing)}")
     output.result(
         {
             "out": str(saved),
             "frames": frames,
             "seconds": round(seconds, 3),
             "metrics": trained.metrics,
+            "estimates": trained.targets.as_dict(),
+            "warnings": list(warnings),
         },
         f"{saved}: trained on {frames} frames in {seconds:.0f} s; on frames never seen: {found}",
     )
 
 
-def _require_reportable(data: "Dataset", report: Path) -> None:
+def _positions_alone(data: "Dataset") -> str:
+    """Reason why only positions of touches can be learned; empty where more can be."""
+    from eitskin.training.method.targets import Targets, with_implied_labels
+
+    if data.design is None:
+        return "no geometry in this dataset"
+    if data.protocol is None:
+        return "no table of measurements in this dataset"
+    if Targets.of(with_implied_labels(data)).positions_only:
+        return "neither untouched frames nor bend angles in this dataset"
+    return ""
+
+
+def _require_reportable(alone: str, report: Path) -> None:
     """Refuse a report that could not be written, before the training."""
     from eitskin.errors import ConfigurationError
     from eitskin.training.evaluation.report.folder import require_report_folder
 
-    if data.design is None:
+    if alone:
         raise ConfigurationError(
-            "a dataset without geometry trains touch positions only, which have no report; "
-            "leave out --report"
+            f"{alone}, which trains touch positions only, and these have no report; leave out "
+            "--report"
         )
     require_report_folder(report)
+
+
+def _summary(report: "Report") -> str:
+    """States, position and angle of a report in a line."""
+    shares = report.states.accuracy.items()
+    found = [f"{name} {share:.1%}" for name, share in shares if share is not None]
+    single = report.touches.get("1")
+    if single is not None and single.mean_error_mm is not None:
+        found.append(f"one touch {single.mean_error_mm:.2f} mm off")
+    if report.bend.rmse_deg is not None:
+        found.append(f"bends {report.bend.rmse_deg:.2f} deg off")
+    return ", ".join(found)
 
 
 def train_pipeline(
@@ -107,12 +146,13 @@ def train_and_measure(
 ) -> "Evaluation":
     """Evaluation of a newly trained pipeline on its held-out frames."""
     from eitskin.training.evaluation.evaluate import Evaluation
+    from eitskin.training.evaluation.selection import Selection
     from eitskin.training.method.settings import TrainingSettings
     from eitskin.training.pipeline.pipeline import Pipeline
 
-    settings = TrainingSettings.preset(preset, seed)
-    if epochs is not None:
-        settings = settings.with_epochs(epochs)
+    def adjusted(settings: TrainingSettings) -> TrainingSettings:
+        return settings if epochs is None else settings.with_epochs(epochs)
+
     start = time.perf_counter()
     with output.progress() as bar:
         tasks: dict[str, Any] = {}
@@ -122,11 +162,48 @@ def train_and_measure(
                 tasks[stage] = bar.add_task(stage, total=total, rate="")
             bar.update(tasks[stage], completed=done)
 
-        pipeline = Pipeline.fit(data, settings, show)
+        if preset == AUTO:
+            selection = Selection.of(data, seed, adjust=adjusted, progress=show)
+        else:
+            settings = adjusted(TrainingSettings.preset(preset, seed))
+            pipeline = Pipeline.fit(data, settings, show)
     output.detail(f"trained in {time.perf_counter() - start:.0f} s, measuring")
-    evaluation = Evaluation.of(pipeline, data.select(pipeline.held_out(data)))
-    pipeline.metrics.update(evaluation.report.as_dict())
+    if preset == AUTO:
+        output.show(_comparison(selection))
+        evaluation = selection.evaluation
+    else:
+        evaluation = Evaluation.of(pipeline, data.select(pipeline.held_out(data)))
+    evaluation.pipeline.metrics.update(evaluation.report.as_dict())
     return evaluation
+
+
+def _comparison(selection: "Selection") -> Group:
+    """Table of the candidates on the held-out frames, and the choice."""
+    forms = {
+        "states": "{:.1%}",
+        "error_mm": "{:.2f} mm",
+        "found": "{:.1%}",
+        "false_per_touch": "{:.1%}",
+        "angle_rmse_deg": "{:.2f} deg",
+    }
+    judged = selection.evaluation.dataset
+    table = Table(
+        *("method", "states", "touch error", "found", "false", "bend error", "loss", "time"),
+        title=f"{len(judged)} held-out frames of {len(set(judged.specimen.tolist()))} specimens",
+        caption="loss: mean of the relative errors of states, touches and bends; 1 for guesses",
+    )
+    refusals = []
+    for trial in selection.trials:
+        figures = [trial.figures.get(name) for name in forms]
+        shown = [
+            "-" if figure is None else form.format(figure)
+            for form, figure in zip(forms.values(), figures, strict=True)
+        ]
+        loss = f"{trial.loss:.3f}" if trial.losses else "-"
+        table.add_row(trial.preset, *shown, loss, f"{trial.seconds:.0f} s")
+        if trial.refusal:
+            refusals.append(f"{trial.preset} cannot be trained here: {trial.refusal}")
+    return Group(table, *refusals, f"chosen: {selection.preset}")
 
 
 def train_positions(data: "Dataset") -> "RecordedTouches":

@@ -72,6 +72,22 @@ def match(true: ArrayLike, found: ArrayLike, gate: float = GATE) -> tuple[Rows, 
     return rows[near], columns[near]
 
 
+def ospa(true: ArrayLike, found: ArrayLike, cutoff: float = GATE) -> float:
+    """OSPA distance [m] of the true and found positions of one frame (touches, 2) [m].
+
+    Optimal subpattern assignment of order 1 (Schuhmacher et al. 2008): the mean distance of the
+    best assignment, distances above `cutoff` [m] and touches without a partner counting as
+    `cutoff`. 0 where there is neither a true nor a found touch.
+    """
+    a, b = _positions(true), _positions(found)
+    most = max(len(a), len(b))
+    if most == 0:
+        return 0.0
+    distance = np.minimum(np.linalg.norm(a[:, None] - b[None], axis=2), cutoff)
+    assigned = float(distance[linear_sum_assignment(distance)].sum())
+    return (assigned + cutoff * abs(len(a) - len(b))) / most
+
+
 def _positions(values: ArrayLike) -> Array:
     return np.asarray(values, dtype=float).reshape(-1, 2)
 

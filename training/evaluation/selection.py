@@ -1,0 +1,237 @@
+"""Selection of the method by held-out specimens."""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from eitskin.datasets.store.dataset import Dataset
+from eitskin.datasets.store.state import State
+from eitskin.errors import DataError
+from eitskin.training.evaluation.evaluate import Evaluation
+from eitskin.training.evaluation.matching import GATE, ospa
+from eitskin.training.evaluation.metrics import STATES
+from eitskin.training.evaluation.scores import Report
+from eitskin.training.method.settings import Progress, TrainingSettings, silent
+from eitskin.training.method.targets import Targets, with_implied_labels
+from eitskin.training.pipeline.pipeline import Pipeline
+
+CANDIDATES = ("joint", "quick")
+FEW_SPECIMENS = 10  # below, a choice of other held-out specimens may give other figures
+FEW_FRAMES = 100  # of a state
+WRONG_ERRORS = 2.0  # ratio of errors and their standard errors from which it is reported
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trial:
+    """Candidate of a selection.
+
+    Attributes:
+        preset: name of its settings.
+        seconds: time of its training and evaluation [s].
+        refusal: reason why it cannot be trained on the dataset; empty otherwise.
+        evaluation: on the held-out frames; None for one that is refused.
+        losses: of each target, 0 for no error to 1 for a guess; see `losses_of`.
+    """
+
+    preset: str
+    seconds: float
+    refusal: str
+    evaluation: Evaluation | None
+    losses: dict[str, float]
+
+    @property
+    def loss(self) -> float:
+        """Mean of the losses; infinite for a candidate that is refused."""
+        return float(np.mean(list(self.losses.values()))) if self.losses else float("inf")
+
+    @property
+    def figures(self) -> dict[str, float | None]:
+        """Figures that are compared; None where not judged.
+
+        Mean share of recognised frames over the states, mean distance of matched touches [mm],
+        shares of true touches found and of false ones, root mean square error of the angle [deg].
+        """
+        if self.evaluation is None:
+            return {}
+        report, matches = self.evaluation.report, self.evaluation.matches
+        shares = [share for share in report.states.accuracy.values() if share is not None]
+        touches = int(self.evaluation.dataset.touch_count.sum()) if report.touches else 0
+        error = matches.error
+        return {
+            "states": float(np.mean(shares)) if shares else None,
+            "error_mm": 1e3 * float(error.mean()) if len(error) else None,
+            "found": len(error) / touches if touches else None,
+            "false_per_touch": float(matches.false.sum()) / touches if touches else None,
+            "angle_rmse_deg": report.bend.rmse_deg,
+        }
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain data for JSON."""
+        return {
+            "preset": self.preset,
+            "seconds": round(self.seconds, 1),
+            "refusal": self.refusal,
+            "loss": self.loss if self.losses else None,
+            "losses": self.losses,
+            "figures": self.figures,
+        }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Selection:
+    """Candidates and the one of the smallest loss.
+
+    Attributes:
+        trials: of all candidates.
+        evaluation: of the chosen one, whose pipeline is trained.
+        preset: name of the chosen one's settings.
+    """
+
+    trials: tuple[Trial, ...]
+    evaluation: Evaluation
+    preset: str
+
+    @classmethod
+    def of(
+        cls,
+        dataset: Dataset,
+        seed: int = 0,
+        presets: Sequence[str] = CANDIDATES,
+        adjust: Callable[[TrainingSettings], TrainingSettings] = lambda settings: settings,
+        progress: Progress = silent,
+    ) -> "Selection":
+        """Train every candidate on one part of the specimens and judge it on the others.
+
+        All candidates see the same frames (`hold_out`). The chosen pipeline is the one that was
+        judged; its figures are of frames that it was chosen by, which favours it a little.
+
+        Args:
+            dataset: as `Pipeline.fit` takes it.
+            seed: of the held-out part and of the training.
+            presets: names of the candidates.
+            adjust: change of the settings of every candidate.
+            progress: called with a stage, steps done and steps in all.
+
+        Raises DataError where no candidate can be trained on the dataset.
+        """
+        labels = Targets.of(with_implied_labels(dataset))
+        trials = tuple(
+            _trial(
+                dataset,
+                preset,
+                adjust(replace(TrainingSettings.preset(preset, seed), whole_specimens=True)),
+                labels,
+                progress,
+            )
+            for preset in presets
+        )
+        best = min(trials, key=lambda trial: trial.loss)
+        if best.evaluation is None:
+            reasons = "; ".join(f"{trial.preset}: {trial.refusal}" for trial in trials)
+            raise DataError(f"no method can be trained on this dataset: {reasons}")
+        best.evaluation.pipeline.metrics["selection"] = [trial.as_dict() for trial in trials]
+        return cls(trials, best.evaluation, best.preset)
+
+
+def _trial(
+    dataset: Dataset,
+    preset: str,
+    settings: TrainingSettings,
+    labels: Targets,
+    progress: Progress,
+) -> Trial:
+    """The candidate, trained and judged, or refused."""
+    start = time.perf_counter()
+
+    def named(stage: str, done: int, total: int) -> None:
+        progress(f"{preset}: {stage}", done, total)
+
+    try:
+        pipeline = Pipeline.fit(dataset, settings, named)
+    except DataError as error:
+        return Trial(preset, time.perf_counter() - start, str(error), None, {})
+    evaluation = Evaluation.of(pipeline, dataset.select(pipeline.held_out(dataset)))
+    losses = losses_of(evaluation, labels)
+    return Trial(preset, time.perf_counter() - start, "", evaluation, losses)
+
+
+def losses_of(evaluation: Evaluation, labels: Targets) -> dict[str, float]:
+    """Loss of each quantity that the frames have labels for, 0 to 1; 1 where it is not estimated.
+
+    - "state": one minus the mean share of recognised frames over the states (balanced error rate).
+    - "touches": OSPA distance of found and true touches over its cut-off, mean of the frames with
+      either.
+    - "angle": root mean square error over the standard deviation of the angles, at most 1.
+    """
+    report, estimated = evaluation.report, evaluation.pipeline.targets.shared_with(labels)
+    losses: dict[str, float] = {}
+    if labels.states:
+        losses["state"] = _state_loss(report, labels.states) if estimated.states else 1.0
+    if labels.touches:
+        losses["touches"] = _touch_loss(evaluation) if estimated.touches else 1.0
+    if labels.angle:
+        losses["angle"] = _angle_loss(evaluation) if estimated.angle else 1.0
+    return losses
+
+
+def _state_loss(report: Report, states: Sequence[str]) -> float:
+    """Balanced error rate; a state that is not told apart is never recognised."""
+    accuracy, told_apart = report.states.accuracy, report.estimates.states
+    shares = [accuracy[name] if name in told_apart else 0.0 for name in states]
+    return 1.0 - float(np.mean([share for share in shares if share is not None] or [0.0]))
+
+
+def _touch_loss(evaluation: Evaluation) -> float:
+    data = evaluation.dataset
+    truth = np.stack([data.touch_x, data.touch_y], axis=2).astype(float)
+    distances = []
+    for places, touches in zip(truth, evaluation.predictions.touches, strict=True):
+        true = places[np.isfinite(places[:, 0])]
+        if len(true) or len(touches):
+            distances.append(ospa(true, touches.place) / GATE)
+    return float(np.mean(distances)) if distances else 0.0
+
+
+def _angle_loss(evaluation: Evaluation) -> float:
+    angles = evaluation.dataset.bend_angle_deg[evaluation.dataset.state == State.BEND]
+    spread, rmse = float(np.nanstd(angles)) if len(angles) else 0.0, evaluation.report.bend.rmse_deg
+    if rmse is None or spread == 0.0:
+        return 1.0
+    return min(1.0, rmse / spread)
+
+
+def data_warnings(dataset: Dataset, evaluation: Evaluation) -> tuple[str, ...]:
+    """Reasons why the figures of an evaluation may not hold for another sensor, in words.
+
+    Args:
+        dataset: all frames, of training and evaluation.
+        evaluation: of the held-out frames.
+    """
+    data, report = with_implied_labels(dataset), evaluation.report
+    warnings = []
+    specimens, judged = (len(np.unique(each.specimen)) for each in (data, evaluation.dataset))
+    if specimens == 1:
+        warnings.append(
+            "all frames are of one sensor: the figures hold for this one, another may err by far "
+            "more; record or generate further specimens"
+        )
+    elif specimens < FEW_SPECIMENS:
+        warnings.append(
+            f"{specimens} specimens are few, {judged} of them held out: other ones would give "
+            f"other figures; {FEW_SPECIMENS} and more make them reliable"
+        )
+    for state, name in zip(State, STATES, strict=True):
+        count = int(np.sum(data.state == state))
+        if 0 < count < FEW_FRAMES:
+            warnings.append(f"{count} frames of the state {name} are few; {FEW_FRAMES} are better")
+    stated = {"positions": report.place_calibration, "the bend angle": report.bend.calibration}
+    for name, found in stated.items():
+        if found is not None and found.rms_ratio > WRONG_ERRORS:
+            warnings.append(
+                f"errors of {name} are {found.rms_ratio:.1f} times their standard errors: do not "
+                "rely on these; train on more specimens"
+            )
+    return tuple(warnings)
