@@ -17,15 +17,12 @@ pickled objects.
 measurements a frame at {frequency:g} kHz, values in ohm. Frames of another table
 or frequency are refused, and so are sensors whose values are far from those of training.
 
-**Estimates** the state (idle, touched or bent), the bend angle in degrees, and the positions of
-touches in metres from the corner of the conductive layer.
+**Estimates** {estimates}.
 
 **Trained on** {frames} {source} frames, seed {seed}, by the {method} method. Conditions absent from
 these frames (other indenters, wear) are untested.
 
-**Limits.** A session must begin with the sensor flat and untouched. The gain of an uncalibrated
-angle errs by 10 % and more between sensors of one design: calibrate for angles. For a touched
-sensor the paper's method gives the angle before the touch.
+**Limits.** A session must begin with the sensor flat and untouched.{limits}
 
 ## Metrics
 
@@ -33,6 +30,13 @@ sensor the paper's method gives the angle before the touch.
 {metrics}
 ```
 """
+
+ANGLE_LIMITS = """ The gain of an uncalibrated
+angle errs by 10 % and more between sensors of one design: calibrate for angles. For a touched
+sensor the paper's method gives the angle before the touch."""
+CORNER = "the corner of the conductive layer"
+FLAT_LIMITS = """ It was trained without bends:
+a sensor that is bent later may be taken for a touched one."""
 
 POSITION = """\
 # Touch positions for a recorded electrical-impedance skin
@@ -46,7 +50,9 @@ metres.
 
 **Trained on** {frames} {source} frames with one touch each.
 
-**Limits.** The estimate is one position for every frame, touched or not.
+**Limits.** A session must begin with the sensor untouched. Whether it is touched later is not
+estimated: a change of at least a fifth of the usual touch is given a position. Neither bends nor
+forces are estimated.
 
 ## Metrics
 
@@ -67,6 +73,8 @@ def perception_card(document: Mapping[str, Any]) -> str:
         measurements=len(layout["protocol"]["table"]),
         frequency=layout["frequency"] / 1e3,
         seed=document["settings"]["seed"],
+        estimates=_estimates(document["estimates"]),
+        limits=ANGLE_LIMITS if document["estimates"]["angle"] else FLAT_LIMITS,
         method=document["method"],
         **_training(document),
     )
@@ -75,6 +83,17 @@ def perception_card(document: Mapping[str, Any]) -> str:
 def position_card(document: Mapping[str, Any]) -> str:
     """Markdown for learned touch positions described by `document`."""
     return POSITION.format(channels=document["channels"], **_training(document))
+
+
+def _estimates(targets: Mapping[str, Any]) -> str:
+    """The quantities that are estimated, as a list in words."""
+    parts = {
+        f"the state ({' or '.join(targets['states'])})": bool(targets["states"]),
+        "the bend angle in degrees": targets["angle"],
+        f"the positions of touches in metres from {CORNER}": targets["touches"],
+        "their forces in newtons": targets["force"],
+    }
+    return ", ".join(words for words, estimated in parts.items() if estimated)
 
 
 def _training(document: Mapping[str, Any]) -> dict[str, Any]:

@@ -64,7 +64,8 @@ def _state_rows(report: Report) -> Iterator[Row]:
         yield "  taken for a touch", NOTHING, _figure(states.idle_as_touch, "{:.1%}")
     if "touch" in told_apart:
         yield "touch recognised", "99 %", _figure(states.accuracy["touch"], "{:.1%}")
-        yield "  on a bent sensor", NOTHING, _figure(states.bent_touch_accuracy, "{:.1%}")
+        if "bend" in told_apart or states.bent_touch_accuracy is not None:
+            yield "  on a bent sensor", NOTHING, _figure(states.bent_touch_accuracy, "{:.1%}")
     if "bend" in told_apart:
         yield "bend recognised", NOTHING, _figure(states.accuracy["bend"], "{:.1%}")
     if states.left_out:

@@ -1,0 +1,214 @@
+"""Pipelines of sets without bends, without touches, or of angles alone."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+from eitskin.cli.commands import train
+from eitskin.datasets import State, save_dataset
+from eitskin.errors import ConfigurationError, DataError
+from eitskin.simulator import Frame
+from eitskin.training import NetworkSettings, Pipeline, TrainingSettings, evaluate, open_pipeline
+from eitskin.training.evaluation import selection
+from eitskin.training.evaluation.evaluate import Evaluation
+from eitskin.training.evaluation.report.table import table_rows
+from eitskin.training.evaluation.selection import Selection, data_warnings, losses_of
+from eitskin.training.method import input_spec
+from eitskin.training.method.targets import Targets
+from eitskin.training.paper import method as paper_method
+from eitskin.training.paper.networks import single_thread
+
+from small_dataset import make
+
+BRIEF = NetworkSettings(1e-3, epochs=1, batch=32)
+SETTINGS = TrainingSettings(classifier=BRIEF, postprocessor=BRIEF, bend_squares=False)
+FLAT = np.linspace(400.0, 820.0, 28)
+
+
+def frames(kept, n=48, **changes):
+    """Idle, touched and bent frames of three specimens of which only some states are kept."""
+    rng = np.random.default_rng(0)
+    state = np.tile([State.IDLE, State.TOUCH, State.BEND], n // 3)
+    angle = np.where(state == State.BEND, rng.uniform(-20.0, 50.0, n), 0.0)
+    moved = 1e-3 * np.outer(angle, np.linspace(-1, 1, 28)) + 2e-2 * (state == State.TOUCH)[:, None]
+    touches = np.full((4, n, 4), np.nan)
+    touches[:, state == State.TOUCH, 0] = np.array([0.05, 0.02, 8.0, 0.0075])[:, None]
+    names = ("touch_x", "touch_y", "touch_force", "touch_radius")
+    noise = 1e-4 * rng.standard_normal((2, n, 28))
+    made = make(
+        n,
+        3,
+        state=state,
+        specimen=np.arange(n) // 3 % 3,
+        bend_angle_deg=angle,
+        status=np.zeros((n, 28)),
+        **dict(zip(names, touches, strict=True)),
+    )
+    bend = np.where(state == State.TOUCH, 0.0, 1.0)[:, None] * moved
+    made = dataclasses.replace(
+        made,
+        impedance=FLAT * (1 + moved + noise[0]),
+        touch_reference=FLAT * (1 + bend + noise[1]),
+        reference=np.tile(FLAT, (3, 1)),
+    )
+    return dataclasses.replace(made.select(np.isin(made.state, kept)), **changes)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _quick():
+    """Maps of few pixels, and a Jacobian of nothing in particular in place of a simulated one."""
+    jacobian = np.random.default_rng(1).standard_normal((28, 8 * 16))
+    with pytest.MonkeyPatch.context() as patch, single_thread():
+        patch.setattr(input_spec, "PIXELS", 160)
+        patch.setattr(paper_method, "nominal_jacobian", lambda _: jacobian)
+        yield
+
+
+@pytest.fixture(scope="module")
+def never_bent(tmp_path_factory):
+    data = frames([State.IDLE, State.TOUCH], bend_angle_deg=np.full(32, np.nan))
+    return trained(data, tmp_path_factory.mktemp("never-bent"))
+
+
+@pytest.fixture(scope="module")
+def never_touched(tmp_path_factory):
+    return trained(frames([State.IDLE, State.BEND]), tmp_path_factory.mktemp("never-touched"))
+
+
+def trained(data, folder):
+    """Pipeline of a set, as it is after saving and loading."""
+    path = folder / "some.eitmodel"
+    Pipeline.fit(data, SETTINGS).save(path)
+    return open_pipeline(path)
+
+
+def session(pipeline, data):
+    """Estimates of a session that begins flat."""
+    values = [FLAT, *data.impedance]
+    return [
+        pipeline.process(Frame(value.astype(complex), data.protocol, i, i, 0, data.frequency))
+        for i, value in enumerate(values)
+    ]
+
+
+def test_a_gel_that_is_never_bent(never_bent, tmp_path):
+    pipeline, data = never_bent, frames([State.IDLE, State.TOUCH])
+    assert pipeline.targets == Targets(("idle", "touch"), angle=False, force=False)
+    for estimate in session(pipeline, data)[:4]:
+        assert estimate.bend_angle_deg is None
+        assert estimate.bend_deviation_deg is None
+        assert np.isnan(estimate.probabilities[State.BEND])
+        assert estimate.probabilities[:2].sum() == pytest.approx(1.0)
+        assert estimate.state in {State.IDLE, State.TOUCH}
+        assert estimate.touches is not None
+        assert estimate.touch_map.shape == (8, 16)
+    pipeline.save(tmp_path / "some.eitmodel")
+    document = json.loads((tmp_path / "some.eitmodel" / "pipeline.json").read_text())
+    assert document["estimates"]["states"] == ["idle", "touch"]
+    card = (tmp_path / "some.eitmodel" / "README.md").read_text()
+    assert "(idle or touch)" in card
+    assert "bend angle" not in card
+    with pytest.raises(ConfigurationError, match="trained without bends"):
+        pipeline.calibrate([], [])
+
+
+def test_only_what_is_estimated_is_judged(never_bent):
+    report = evaluate(never_bent, frames(list(State)))
+    assert report.states.left_out == 16
+    assert report.states.accuracy["bend"] is None
+    assert report.bend.rmse_deg is None
+    assert report.as_dict()["estimates"]["angle"] is False
+    rows = {name.strip(): here for name, _, here in table_rows(report)}
+    assert rows["not estimated"] == "the state bend, the bend angle, forces"
+    assert rows["frames of another state"] == "16, not judged"
+    assert not any("bend" in name for name in rows)
+
+
+def test_a_gel_that_is_never_touched(never_touched):
+    pipeline, data = never_touched, frames([State.IDLE, State.BEND])
+    assert pipeline.targets.missing == ("the state touch", "positions of touches")
+    estimates = session(pipeline, data)
+    for estimate, angle in zip(estimates[1:], data.bend_angle_deg, strict=True):
+        assert estimate.bend_angle_deg == pytest.approx(angle, abs=3.0)
+        assert (estimate.touches, estimate.touch_map, estimate.found) == (None, None, None)
+    report = evaluate(pipeline, data)
+    assert report.bend.rmse_deg < 3.0
+    assert (report.touches, report.untouched) == ({}, None)
+
+
+def test_angles_alone(tmp_path):
+    unknown = np.full(16, 255)
+    pipeline = trained(frames([State.BEND], state=unknown), tmp_path)
+    assert pipeline.targets == Targets((), touches=False, force=False)
+    estimate = session(pipeline, frames([State.BEND]))[1]
+    assert estimate.state is None
+    assert np.isnan(estimate.probabilities).all()
+    assert estimate.bend_angle_deg is not None
+    with pytest.raises(DataError, match="angles, or with positions"):
+        Pipeline.fit(frames([State.IDLE]), SETTINGS)
+
+
+def test_the_method_is_chosen_by_held_out_specimens(monkeypatch):
+    """The joint method is refused for so few frames; what is left is chosen, and doubted."""
+    data, told = frames([State.IDLE, State.TOUCH]), []
+    found = Selection.of(
+        data,
+        seed=2,
+        adjust=lambda settings: settings.with_epochs(1),
+        progress=lambda stage, *_: told.append(stage),
+    )
+    assert found.preset == "quick"
+    assert "at least 100 frames" in found.trials[0].refusal
+    assert set(told) == {"quick: state classifier", "quick: touch map"}
+    pipeline = found.evaluation.pipeline
+    assert len(np.unique(data.specimen[pipeline.held_out(data)])) == 1
+    assert pipeline.metrics["selection"][1]["losses"].keys() == {"state", "touches"}
+    assert json.dumps(pipeline.metrics["selection"], allow_nan=False)
+    warnings = data_warnings(data, found.evaluation)
+    assert "3 specimens are few, 1 of them held out" in warnings[0]
+    assert "16 frames of the state idle are few" in warnings[1]
+
+    losses = {"joint": 0.2, "quick": 0.1, "paper": 0.3}
+
+    def trial(_, preset, *__):
+        return dataclasses.replace(found.trials[1], preset=preset, losses={"x": losses[preset]})
+
+    monkeypatch.setattr(selection, "_trial", trial)
+    assert Selection.of(data, presets=("joint", "quick", "paper")).preset == "quick"
+    losses["joint"] = 0.05
+    assert Selection.of(data).preset == "joint"
+
+
+def test_what_is_not_estimated_counts_as_guessed(never_touched):
+    data = frames(list(State))
+    losses = losses_of(Evaluation.of(never_touched, data), Targets.of(data))
+    assert losses["touches"] == 1.0
+    assert losses["angle"] < 0.2
+    assert losses["state"] >= 1 / 3  # no touch is recognised
+
+
+def test_no_method_for_a_set_is_told(monkeypatch):
+    data = frames([State.IDLE, State.TOUCH])
+
+    def refused(*_):
+        raise DataError("too few")
+
+    monkeypatch.setattr(Pipeline, "fit", refused)
+    with pytest.raises(DataError, match="joint: too few; quick: too few"):
+        Selection.of(data)
+
+
+def test_the_command_compares_and_warns(tmp_path, capsys):
+    data = frames([State.IDLE, State.TOUCH])
+    save_dataset(data, tmp_path / "data")
+    train.command(tmp_path / "data", out=tmp_path / "a.eitmodel", epochs=1)
+    said = capsys.readouterr()
+    shown, noted = (" ".join(text.split()) for text in said)
+    assert "joint cannot be trained here" in shown
+    assert "chosen: quick" in shown
+    assert "warning: 3 specimens are few" in noted
+    assert "the state bend, the bend angle, forces" in noted
+    metrics = Pipeline.load(tmp_path / "a.eitmodel").metrics
+    assert [trial["preset"] for trial in metrics["selection"]] == ["joint", "quick"]
