@@ -123,7 +123,7 @@ def command(
             from eitskin.cli.page.live_page import LivePage
 
             session.page = stack.enter_context(
-                closing(LivePage(session.connection, _sheet(pipeline), page_port))
+                closing(LivePage(session.connection, sheet_of(pipeline), page_port))
             )
             output.note(f"page: {session.page.url}")
         newest = not (every_frame or recordings)
@@ -150,7 +150,7 @@ def tell_missing(pipeline: "Pipeline | RecordedTouches", output: Output) -> None
         output.note(f"this pipeline does not estimate {', '.join(targets.missing)}")
 
 
-def _sheet(pipeline: "Pipeline | RecordedTouches") -> "SensorDesign | Region":
+def sheet_of(pipeline: "Pipeline | RecordedTouches") -> "SensorDesign | Region":
     """Sensor of a pipeline, or the region of the positions that it was trained with.
 
     Raises ConfigurationError where a pipeline tells neither.

@@ -48,8 +48,9 @@ def command(
 ) -> None:
     """Train on a part of a dataset and evaluate on specimens that were held out.
 
-    What the dataset has no labels for is not estimated. From positions of touches alone, and where
-    the sensor's geometry is not known, only positions are learned, from the first 80 % in time.
+    A quantity without labels in the dataset is not estimated. From positions of touches alone, and
+    where the sensor's geometry is not known, only positions are learned, from the first 80 % in
+    time.
     """
     from eitskin.datasets.store.folder import open_dataset
     from eitskin.training.evaluation.selection import data_warnings

@@ -52,6 +52,17 @@ def test_the_terminal_shows_state_angle_touches_losses_and_health(run):
     assert "3 frames processed" in result.stderr
 
 
+def test_what_a_pipeline_does_not_estimate_is_null_and_said(run):
+    unknown = Estimate(None, (np.nan, 0.9, 0.1), None, None, None)
+    pipeline, board = FakePipeline(unknown), ("--board", "virtual:?speed=max", "--frames", "1")
+    line = json.loads(run(pipeline, *board, "--json").stdout)
+    assert [line[name] for name in ("state", "bend_angle_deg", "touches")] == [None] * 3
+    assert line["probabilities"] == [None, 0.9, 0.1]
+    shown = run(pipeline, *board).stdout
+    assert shown.count("not estimated by this pipeline") == 3
+    assert "touch map" not in shown
+
+
 def test_quiet_says_nothing_but_works(run):
     pipeline = FakePipeline()
     result = run(pipeline, "--board", "virtual:?speed=max", "--frames", "3", "-q")

@@ -105,6 +105,16 @@ def test_frames_come_back_to_the_last_bit(tmp_path) -> None:
     assert about[0]["frequency_Hz"] == data.frequency
 
 
+def test_what_is_not_estimated_has_no_topic(tmp_path) -> None:
+    unknown = {"bend_angle_deg": None, "bend_deviation_deg": None, "touch_map": None}
+    estimate = an_estimate(state=None, probabilities=np.full(3, UNKNOWN), **unknown, found=None)
+    found = written(tmp_path / "run.mcap", Reading(a_frame(), estimate, 0.004, 3.3))
+    assert set(found) == {"/eitskin/sensor", "/eitskin/impedance", "/diagnostics"}
+    _, text, values = values_of(found["/diagnostics"][0][1], "eitskin: sensor")
+    assert text == "state not estimated"
+    assert not {"state", "bend angle [deg]", "probability 0"} & values.keys()
+
+
 def test_estimates_come_back_to_the_last_bit(tmp_path) -> None:
     estimate = an_estimate(problems=("channel 0-1 is left out",))
     path = tmp_path / "run.mcap"

@@ -166,11 +166,12 @@ class RecordedTouches:
             self.position.require_channels(len(frame.protocol))
         except DataError as error:
             raise FrameError(str(error)) from error
-        if self.protocol is not None and frame.protocol != self.protocol:
-            raise FrameError(
-                f"these touch positions were learned from channels {self.protocol.labels[:3]} and "
-                f"so on, the frame has {frame.protocol.labels[:3]} or another order; set the board "
-                "to that table"
+        if self.protocol is not None:
+            self.protocol.require_same(
+                frame.protocol,
+                "these touch positions were learned from",
+                "the frame has",
+                "set the board to the first",
             )
         if abs(frame.frequency / self.frequency - 1.0) > FREQUENCY_TOLERANCE:
             raise FrameError(

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from eitskin.cli.page.live_page import LivePage, event
+from eitskin.cli.page.region import Region
 from eitskin.cli.page.server import ASSETS, MOST_CLIENTS, ClientLimits
 from eitskin.cli.page.stream import LatestMessage
 from eitskin.errors import ConfigurationError
@@ -18,7 +19,7 @@ from eitskin.hardware import Reading
 from eitskin.simulator import Frame
 from eitskin.training.method.predictions import FoundTouches
 
-from page_fakes import DESIGN, PROTOCOL, FakeEstimate, Info, Stream, ask, port_of, reading
+from page_fakes import DESIGN, PROTOCOL, FakeEstimate, Info, Stream, ask, port_of, post, reading
 
 
 @pytest.fixture
@@ -51,6 +52,31 @@ def test_the_stream_begins_with_the_sensor_and_goes_on_with_frames(page, stream)
         "bend_deg": 20.0,
         "touches": [{"x": 0.05, "y": 0.03, "force": 10.0}],
     }
+
+
+def test_what_is_not_estimated_is_sent_as_null(page, stream) -> None:
+    class NothingFound:
+        state = bend_angle_deg = touch_map = touches = found = None
+        probabilities, problems = (np.nan,) * 3, ()
+
+    page.publish(reading(estimate=NothingFound()))
+    estimate = stream.until("frame")["estimate"]
+    unknown = ("state", "angle", "deviation", "map", "touches")
+    assert [estimate[name] for name in unknown] == [None] * 5
+    assert estimate["probabilities"] == [None] * 3
+
+
+def test_a_sensor_of_unknown_geometry_is_a_rectangle(connection) -> None:
+    region = Region((-0.05, -0.04), (0.05, 0.06))
+    with LivePage(connection, region) as page, closing(Stream(page)) as stream:
+        sensor = stream.until("sensor")
+        assert (sensor["origin"], sensor["electrodes"]) == ([-0.05, -0.04], [])
+        assert (sensor["length"], sensor["width"]) == pytest.approx((0.1, 0.1))
+        assert sensor["outline"] == [[-0.05, -0.04], [0.05, -0.04], [0.05, 0.06], [-0.05, 0.06]]
+        assert sensor["thickness"] is sensor["shape"] is None
+        assert post(page, "/scene", {"touches": [{"x": -0.04, "y": 0.0, "force": 8}]})[0] < 300
+        status, answer = post(page, "/scene", {"touches": [{"x": 0.07, "y": 0.0, "force": 8}]})
+        assert (status, "on the sensor" in answer["error"]) == (400, True)
 
 
 def test_a_damaged_frame_is_sent_without_nan(page, stream) -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from eitskin.training.evaluation.matching import GATE, localisation, match, match_distances
+from eitskin.training.evaluation.matching import GATE, localisation, match, match_distances, ospa
 
 
 def test_matching_minimises_the_total_distance_not_the_nearest_first():
@@ -41,3 +41,12 @@ def test_misses_and_false_touches_are_counted_apart():
     score = localisation(frames)
     assert score.errors == pytest.approx((0.001, GATE * 0.99))
     assert (score.true, score.missed, score.false) == (4, 2, 2)
+
+
+def test_ospa_distance_counts_misses_and_false_touches_as_the_cutoff():
+    true = [(0.0, 0.0), (0.1, 0.0)]
+    assert ospa([], []) == 0.0
+    assert ospa(true, true[::-1]) == 0.0
+    assert ospa(true, [(0.004, 0.0)]) == pytest.approx((0.004 + 0.015) / 2)
+    assert ospa([], true) == pytest.approx(0.015)
+    assert ospa(true, [(0.05, 0.0), (0.101, 0.0)], cutoff=0.02) == pytest.approx(0.021 / 2)

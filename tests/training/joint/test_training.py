@@ -1,12 +1,13 @@
 """Training of the joint method on frames of a sensor in closed form."""
 
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from eitskin.datasets import Dataset, State
-from eitskin.errors import DataError
+from eitskin.errors import ConfigurationError, DataError
 from eitskin.geometry import SensorDesign
 from eitskin.training.joint import (
     proposal_training as proposal_network,
@@ -21,6 +22,7 @@ from eitskin.training.joint.training import fit_joint
 from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.observations import Observations
 from eitskin.training.method.settings import JointSettings, NetworkSettings
+from eitskin.training.method.targets import Targets
 from eitskin.training.paper.networks import single_thread
 
 from smooth_sensor import (
@@ -75,16 +77,23 @@ def dataset(count=900, specimens=24, seed=0):
     )
 
 
-@pytest.fixture(scope="module")
-def trained():
-    """Method with smaller networks, trained for seconds."""
-    said = []
+@contextmanager
+def small_networks(steps=40):
+    """Context with smaller networks, and fewer steps of the proposals in an epoch."""
     with single_thread(), pytest.MonkeyPatch.context() as patch:
         patch.setattr(response_network, "HIDDEN", 48)
         patch.setattr(response_network, "LAYERS", 2)
         patch.setattr(proposal_network, "HIDDEN", (96, 96))
-        patch.setattr(proposal_network, "STEPS_PER_EPOCH", 40)
+        patch.setattr(proposal_network, "STEPS_PER_EPOCH", steps)
         patch.setattr(joint_training, "PITCH", 0.008)
+        yield
+
+
+@pytest.fixture(scope="module")
+def trained():
+    """Method with smaller networks, trained for seconds."""
+    said = []
+    with small_networks():
         settings = JointSettings(
             response=NetworkSettings(1e-2, epochs=18, batch=48),
             proposals=NetworkSettings(1e-2, epochs=2, batch=64),
@@ -124,6 +133,30 @@ def test_learned_method_perceives_frames_never_seen(trained):
         true = [unseen.touch_x[i, 0], unseen.touch_y[i, 0]]
         away.append(np.hypot(*(found - true).T).min() if len(found) else np.inf)
     assert np.median(away) < 0.005
+
+
+def test_a_sensor_that_is_never_bent():
+    """No bend curve, no references either: the flat sensor is the reference of every frame."""
+    data = dataset(700)
+    data = data.select(data.bend_angle_deg == 0)
+    data = replace(data, touch_reference=np.full_like(data.touch_reference, np.nan))
+    settings = JointSettings(
+        response=NetworkSettings(1e-2, epochs=4, batch=48),
+        proposals=NetworkSettings(1e-2, epochs=1, batch=32),
+    )
+    with small_networks(steps=4):
+        method = fit_joint(data, LAYOUT, settings)
+    method = type(method).from_arrays(method.arrays(), LAYOUT)
+    assert method.targets == Targets(("idle", "touch"), angle=False)
+    unseen = data.select(slice(30))
+    said = method.perceive(Observations.of(unseen))
+    assert np.mean(said.state == unseen.state) > 0.8
+    for unknown in (said.bend_angle_deg, said.bend_deviation_deg, said.probabilities[:, 2]):
+        assert np.isnan(unknown).all()
+    assert np.isfinite(said.probabilities[:, :2]).all()
+    assert all(np.isfinite(found.force).all() for found in said.touches)
+    with pytest.raises(ConfigurationError, match="bend curves"):
+        method.adapted(None)
 
 
 def test_too_little_to_learn_from_is_told():

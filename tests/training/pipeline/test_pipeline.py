@@ -280,11 +280,13 @@ def test_real_frame_of_another_board_is_refused(pipeline):
         pipeline.process(scaled)
 
 
-def test_training_needs_geometry_and_all_states(dataset):
+def test_training_needs_geometry_and_labels(dataset):
     with pytest.raises(DataError, match=r"design and table.*touch positions"):
         Pipeline.fit(dataclasses.replace(dataset, design=None))
     with pytest.raises(DataError, match="0 touch"):
-        Pipeline.fit(dataset.select(dataset.state != State.TOUCH))
+        Pipeline.fit(dataset.select(dataset.state == State.IDLE))
+    with pytest.raises(DataError, match="positions of touches alone"):
+        Pipeline.fit(dataset.select((dataset.state == State.TOUCH) & (dataset.touch_count > 0)))
 
 
 @pytest.mark.slow

@@ -1,0 +1,138 @@
+"""Learned touch positions in a session: live, on a replay, saved and opened."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+from eitskin.cli.commands import evaluate, live, train
+from eitskin.datasets import Dataset, State, save_dataset
+from eitskin.errors import DataError, FrameError, UnusableFrameError
+from eitskin.geometry import SensorDesign
+from eitskin.simulator import Frame, Protocol
+from eitskin.training import open_pipeline
+
+PROTOCOL = Protocol.pairwise(6)
+OWN = 0.05 * np.stack([np.cos(np.arange(15)), np.sin(np.arange(15))], axis=1)
+FLAT = np.linspace(100.0, 300.0, 15)
+PRESS = (0.021, -0.012)
+
+
+def pressed(places, strength=1.0):
+    """Values of a toy skin, each channel sensitive near its own position."""
+    distance = np.linalg.norm(np.atleast_2d(places)[:, None] - OWN, axis=2)
+    return FLAT * (1.0 + 0.05 * strength * np.exp(-((distance / 0.03) ** 2)))
+
+
+def recording(**known):
+    """Presses alone: no untouched frame, no bend, no force."""
+    places = np.random.default_rng(0).uniform(-0.04, 0.04, (60, 2))
+    x, y = np.full((2, 60, 4), np.nan)
+    x[:, 0], y[:, 0] = places.T
+    labels = {"state": np.full(60, State.TOUCH), "specimen": np.zeros(60)}
+    labels |= {"touch_x": x, "touch_y": y, "time": np.arange(60.0), "episode": np.zeros(60)}
+    return Dataset.from_arrays(pressed(places), FLAT, **labels | {"protocol": PROTOCOL} | known)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    made = tmp_path_factory.mktemp("presses")
+    save_dataset(recording(), made / "data")
+    train.command(made / "data", out=made / "skin.eitmodel", quiet=True)
+    return made
+
+
+@pytest.fixture
+def learned(folder):
+    return open_pipeline(folder / "skin.eitmodel")
+
+
+def frame(values, number, **changes):
+    values = np.asarray(values, dtype=complex).reshape(-1)
+    return Frame(values, PROTOCOL, 0.1 * number, number, **changes)
+
+
+def test_a_press_has_a_position_and_nothing_else(learned):
+    assert learned.targets.missing == ("the state", "the bend angle", "forces")
+    noise = 1.0 + 1e-4 * np.random.default_rng(1).standard_normal((5, 15))
+    for number, values in enumerate(FLAT * noise):
+        assert learned.process(frame(values, number)).touches == ()
+    estimate = learned.process(frame(pressed(PRESS), 5))
+    ((x, y, strength),) = estimate.touches
+    assert np.hypot(x - PRESS[0], y - PRESS[1]) < 0.004
+    assert 0.2 < strength <= 1.0
+    unknown = (estimate.state, estimate.bend_angle_deg, estimate.touch_map)
+    assert unknown == (None, None, None)
+    assert np.isnan(estimate.probabilities).all()
+    assert np.isnan(estimate.found.force).all()
+    assert learned.process(frame(FLAT, 6)).touches == ()
+
+
+def test_a_new_session_has_a_new_reference(learned):
+    learned.process(frame(FLAT, 0))
+    assert len(learned.process(frame(pressed(PRESS), 1)).touches) == 1
+    assert learned.process(frame(pressed(PRESS), 0, session=1)).touches == ()
+    learned.reset()
+    assert learned.process(frame(pressed(PRESS), 2)).touches == ()
+
+
+def test_bad_channels_are_left_out_and_other_frames_refused(learned):
+    learned.process(frame(FLAT, 0))
+    values = pressed(PRESS)
+    values[0, 3] = np.nan
+    estimate = learned.process(frame(values, 1))
+    assert "channel 0-4 is left out" in estimate.problems[0]
+    assert np.hypot(estimate.touches[0][0] - PRESS[0], estimate.touches[0][1] - PRESS[1]) < 0.01
+    with pytest.raises(UnusableFrameError):
+        learned.process(frame(np.full(15, np.nan), 2))
+    with pytest.raises(FrameError, match="15 channels, got 28"):
+        learned.process(Frame(np.ones(28), Protocol.pairwise(8)))
+    table = Protocol((PROTOCOL.table[1], PROTOCOL.table[0], *PROTOCOL.table[2:]), 6)
+    with pytest.raises(FrameError, match="learned from"):
+        learned.process(Frame(FLAT, table))
+    with pytest.raises(FrameError, match="40000 Hz"):
+        learned.process(frame(FLAT, 3, frequency=1e3))
+
+
+def test_commands_run_it_live_and_evaluate_it(folder, capsys):
+    model, data = folder / "skin.eitmodel", folder / "data"
+    live.command(model, board=f"replay:{data}", frames=4, as_json=True)
+    said = capsys.readouterr()
+    lines = [json.loads(line) for line in said.out.splitlines()]
+    assert "does not estimate the state, the bend angle, forces" in " ".join(said.err.split())
+    assert [line["state"] for line in lines] == [None] * 4
+    assert lines[0]["probabilities"] == [None] * 3
+    assert lines[0]["touches"] == []
+    assert len(lines[-1]["touches"]) == 1
+    live.command(model, board=f"replay:{data}", frames=2)
+    assert "not estimated by this pipeline" in capsys.readouterr().out
+    evaluate.command(model, data, as_json=True)
+    assert json.loads(capsys.readouterr().out)["frames"] == 12
+
+
+def test_the_page_shows_the_region_of_the_positions(learned):
+    sheet = live.sheet_of(learned)
+    assert sheet.low[0] < -0.03
+    assert sheet.high[1] > 0.03
+    assert sheet.contains(0.0, 0.0)
+    assert not sheet.contains(0.2, 0.0)
+    design = SensorDesign.reference()
+    assert live.sheet_of(dataclasses.replace(learned, design=design)) is design
+    with pytest.raises(Exception, match="leave out --page"):
+        live.sheet_of(dataclasses.replace(learned, extent=None))
+
+
+def test_what_is_known_of_the_sensor_is_saved(learned, tmp_path):
+    known = dataclasses.replace(learned, design=SensorDesign.reference())
+    opened = open_pipeline(known.save(tmp_path / "a.eitmodel"))
+    assert opened.design == SensorDesign.reference()
+    assert (opened.protocol, opened.frequency) == (PROTOCOL, 40e3)
+    np.testing.assert_array_equal(opened.extent, known.extent)
+    alone = dataclasses.replace(learned, protocol=None, frequency=float("nan"), extent=None)
+    opened = open_pipeline(alone.save(tmp_path / "b.eitmodel"))
+    assert (opened.protocol, opened.extent) == (None, None)
+    table = Protocol((PROTOCOL.table[1], PROTOCOL.table[0], *PROTOCOL.table[2:]), 6)
+    assert opened.process(Frame(FLAT, table, frequency=1e3)).touches == ()
+    with pytest.raises(DataError, match="no pipeline"):
+        open_pipeline(tmp_path / "none.eitmodel")
