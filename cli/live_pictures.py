@@ -108,8 +108,8 @@ class PictureEstimate:
     picture: Picture | None
     touch_map: Array
     probabilities: tuple[float, float, float] = (math.nan, math.nan, math.nan)
-    bend_angle_deg: float = math.nan
-    touches: tuple[tuple[float, float, float], ...] = ()
+    bend_angle_deg: None = None
+    touches: None = None
     problems: tuple[str, ...] = ()
 
 

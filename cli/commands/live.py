@@ -131,16 +131,22 @@ def command(
         session.follow(run_live(session.connection, followed, newest=newest), frames)
 
 
-def _pictured(pipeline: "FramePipeline", board: "Board", method: str) -> "FramePipeline":
+def _pictured(
+    pipeline: "Pipeline | RecordedTouches", board: "Board", method: str
+) -> "FramePipeline":
     """Pipeline with a picture of each frame, of the sensor that the pipeline was trained for."""
     from eitskin.cli.live_pictures import LivePictures, PicturedPipeline
-    from eitskin.geometry.design.sensor import SensorDesign
+    from eitskin.cli.page.region import Region
     from eitskin.training.reconstruction.reconstructor import Method
 
-    layout = getattr(pipeline, "layout", None)
-    design = SensorDesign.reference() if layout is None else layout.design
+    sheet = sheet_of(pipeline)
+    if isinstance(sheet, Region):
+        raise ConfigurationError(
+            "expected a pipeline that knows its sensor's geometry, for pictures, got one trained "
+            "without; leave out --picture, or train it on a recording imported with --sensor"
+        )
     name = cast("Method", one_of("--picture", method, Method))
-    return PicturedPipeline(pipeline, LivePictures.of(design, board.protocol, name))
+    return PicturedPipeline(pipeline, LivePictures.of(sheet, board.protocol, name))
 
 
 def tell_missing(pipeline: "Pipeline | RecordedTouches", output: Output) -> None:

@@ -232,8 +232,6 @@ class RecordedTouches:
             "trained_on": dict(self.trained_on),
             "metrics": self.metrics,
         }
-        if self.protocol is not None:
-            document["protocol"] = asdict(self.protocol)
         golden = {
             "input.ratio": self.examples,
             "output.place": self.position.apply(self.examples),

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -62,7 +63,8 @@ def _quick():
     jacobian = np.random.default_rng(1).standard_normal((28, 8 * 16))
     with pytest.MonkeyPatch.context() as patch, single_thread():
         patch.setattr(input_spec, "PIXELS", 160)
-        patch.setattr(paper_method, "nominal_jacobian", lambda _: jacobian)
+        model = SimpleNamespace(relative=jacobian)
+        patch.setattr(paper_method, "linear_model", lambda *_: model)
         yield
 
 
