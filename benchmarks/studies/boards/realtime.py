@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from eitskin.benchmarks.results import write_table
-from eitskin.cli.live_view import state_name
 from eitskin.datasets.recipe.frame_sampling import sample, specimen
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.store.state import State
@@ -273,7 +272,7 @@ def write(runs: dict[str, EpisodeRun], folder: Path, seed: int) -> None:
             "true_angle_deg": round(scene.bend.angle_deg, 3),
             "angle_deg": _angle(reading),
             "true_state": _state(scene).name.lower(),
-            "state": (reading.estimate and state_name(reading.estimate)) or "",
+            "state": str(getattr(reading.estimate and reading.estimate.state, "name", "")).lower(),
             "latency_ms": round(1e3 * reading.latency, 2),
         }
         for name, run in runs.items()
