@@ -59,7 +59,7 @@ def real_recordings(data: Path | None, out: Path, pipeline: "Pipeline") -> Stage
 
 
 def _presses(path: Path, out: Path, pipeline: "Pipeline") -> StageResult:  # noqa: ARG001
-    """500 robot presses on a round hydrogel skin with 32 channels of unknown order."""
+    """500 robot presses on a round hydrogel skin of 32 channels."""
     recording = read_recording(path, RecordingNames("responsedowns", "responseups", "positions"))
     learned = train_positions(recording)
     learned.save(out / "presses.eitmodel")

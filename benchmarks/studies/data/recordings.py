@@ -2,8 +2,8 @@
 
 Run by `python -m eitskin.benchmarks.studies.data.recordings FOLDER`.
 
-FOLDER holds `ohmc8.mat`, 500 presses of a robot on a round hydrogel skin with 32 channels of
-unknown order, and `openeit_background_8.txt`, a frame of all 28 pairs of another board. Prints, as
+FOLDER holds `ohmc8.mat`, 500 presses of a robot on a round hydrogel skin of 32 channels, and
+`openeit_background_8.txt`, a frame of all 28 pairs of another board. Prints, as
 Markdown, how far places learned from the first presses are off on the last, and how large the other
 board's values are beside those that the shipped pipeline was trained with.
 """
