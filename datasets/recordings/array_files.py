@@ -205,7 +205,7 @@ def _numbers(array: NDArray[Any], name: str) -> NDArray[Any]:
     if array.dtype.names == _MATLAB_COMPLEX:
         found: NDArray[Any] = array["real"] + 1j * array["imag"]
         return found
-    if array.dtype.kind not in "biufcU":
+    if array.dtype.kind not in "biufcUM":
         raise DataError(f"'{name}' must hold plain numbers, got {array.dtype}")
     return array
 

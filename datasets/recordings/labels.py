@@ -1,5 +1,6 @@
 """Labels of a recording's frames: where each stands in the file, and in which unit."""
 
+import contextlib
 import difflib
 import re
 from collections.abc import Mapping
@@ -9,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from eitskin.datasets.recordings.row_source import is_number
 from eitskin.datasets.recordings.source import Source, Tables
 from eitskin.datasets.store.schema import MAX_TOUCHES
 from eitskin.datasets.store.state import UNKNOWN_STATE, State
@@ -139,8 +141,10 @@ def read_labels(tables: Tables, places: Mapping[str, Place], unit: float) -> dic
             known[_FIELDS[label]] = _touches(
                 _numbers(tables, place, label) * (unit if label in _LENGTHS else 1.0), label
             )
-        elif label in ("angle_deg", "t"):
-            known[_FIELDS[label]] = _numbers(tables, place, label)[:, 0]
+        elif label == "t":
+            known["time"] = _times(tables, place)
+        elif label == "angle_deg":
+            known["bend_angle_deg"] = _single(_numbers(tables, place, label), place, label)
     if "touch_x" in known:
         touched = np.isfinite(known["touch_x"])
         for label, place in places.items():
@@ -177,13 +181,31 @@ def _table(tables: Tables, place: Place, label: str) -> NDArray[Any]:
 
 def _column(tables: Tables, place: Place, label: str) -> NDArray[Any]:
     """Table of a label that has one value per frame, (rows,)."""
-    table = _table(tables, place, label)
+    return _single(_table(tables, place, label), place, label)
+
+
+def _single(table: NDArray[Any], place: Place, label: str) -> NDArray[Any]:
+    """The only column of a table, (rows,); raises DataError for more."""
     if table.shape[1] != 1:
         raise DataError(
             f"'{label}' must have one value for each frame, got {table.shape[1]}; name one column "
             f"as {place.table}:0"
         )
-    return table[:, 0]
+    column: NDArray[Any] = table[:, 0]
+    return column
+
+
+def _times(tables: Tables, place: Place) -> Array:
+    """Times (rows,) [s]; those of dates since the beginning of 1970."""
+    column = _column(tables, place, "t")
+    with contextlib.suppress(ValueError):
+        if column.dtype.kind == "U" and not is_number(str(column[0])):
+            column = column.astype("datetime64[us]")
+    if column.dtype.kind == "M":
+        since = column.astype("datetime64[us]") - np.datetime64(0, "us")
+        seconds: Array = since / np.timedelta64(1, "s")
+        return seconds
+    return _single(_numbers(tables, place, "t"), place, "t")
 
 
 def _numbers(tables: Tables, place: Place, label: str) -> Array:

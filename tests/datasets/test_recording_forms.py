@@ -296,6 +296,16 @@ def test_files_without_a_header_have_numbered_columns_or_those_of_a_comment(tmp_
     assert data.time.tolist() == [0.1, 0.2]
 
 
+def test_dates_are_seconds(tmp_path):
+    dates = ["2026-11-23 14:00:00", "2026-11-23 14:00:01.5"]
+    csv_file(tmp_path / "a.csv", ["v0", "t"], [[1, dates[0]], [2, dates[1]]])
+    time = read_recording(tmp_path / "a.csv").time
+    assert np.array_equal(time - time[0], [0, 1.5])
+    csv_file(tmp_path / "a.csv", ["v0", "t"], [[1, "noon"]])
+    with pytest.raises(DataError, match="'t' must hold numbers"):
+        read_recording(tmp_path / "a.csv")
+
+
 def test_columns_from_one_to_another_are_the_values(tmp_path):
     csv_file(tmp_path / "a.csv", ["t", "0-1", "0-2", "1-2", "x"], [[0, 1, 2, 3, ""]])
     data = read_recording(tmp_path / "a.csv", RecordingNames("0-1..1-2", columns={"y": "x"}))
