@@ -71,7 +71,7 @@ class Recipe:
 
     def __post_init__(self) -> None:
         """Check the recipe; the ConfigurationError lists everything that is wrong."""
-        problems = list(self._problems())
+        problems = list(dict.fromkeys(self._problems()))
         if problems:
             raise ConfigurationError(
                 f"recipe '{self.name}' cannot be made:\n- " + "\n- ".join(problems)

@@ -283,10 +283,10 @@ def report(total: int, rounds: int, cables: int, seed: int) -> Iterator[str]:
     yield f"| time | {time.perf_counter() - began:.0f} s |\n"
     sensor = Simulator(SensorDesign.reference(), resolution="fast")
     yield from _struck_table("fault", FAULTS, lambda name: strike(name, rounds, seed, sensor))
-    yield ""
+    yield "\n**928 measurements**\n"
     large, bends = LargeSensor(), [Scene(bend=Bend(float(angle))) for angle in range(50)]
     yield from _struck_table(
-        "fault, 928 measurements",
+        "fault",
         LARGE,
         lambda name: strike(name, rounds, seed, large, lambda now: bends[now % len(bends)]),
     )
