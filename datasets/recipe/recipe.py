@@ -7,6 +7,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from eitskin.config import Location, read, read_toml, to_toml
 from eitskin.datasets.recipe.episode import Episodes
 from eitskin.datasets.recipe.scene_group import SceneGroup
@@ -208,6 +210,10 @@ class Recipe:
                 f"protocol is for {self.protocol.n_electrodes} electrodes, the sensor has "
                 f"{electrodes}"
             )
+        try:
+            self.instrument.session(self.measured_protocol, 1.0, np.random.default_rng(0))
+        except ConfigurationError as error:
+            yield f"instrument: {error}"
             return
         if self.instrument.meter is not None:
             try:

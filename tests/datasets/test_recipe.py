@@ -235,6 +235,16 @@ def test_the_protocol_of_a_recipe_fits_its_sensor(tmp_path):
         Recipe("other", scenes=(IDLE,), protocol=Protocol.adjacent(16))
 
 
+def test_an_instrument_that_cannot_measure_the_protocol_is_refused_before_the_work():
+    with pytest.raises(ConfigurationError, match="instrument: measurement 0-1/2-3 drives 0-1"):
+        Recipe(
+            "board",
+            scenes=(IDLE,),
+            protocol=Protocol.adjacent(8),
+            instrument=Instrument.ad5940(),
+        )
+
+
 def test_a_surface_can_be_no_sensor_of_a_recipe(tmp_path):
     import trimesh
 
