@@ -284,7 +284,7 @@ def test_frames_that_do_not_belong_together():
     with pytest.raises(FrameError, match="at least one"):
         check_sensor([], expected())
     other = Frame(np.ones(1), Protocol.pairwise(2))
-    with pytest.raises(FrameError, match="one protocol"):
+    with pytest.raises(FrameError, match="check one board at a time"):
         check_sensor([*frames(flat(), count=1), other], expected())
 
 

@@ -5,8 +5,10 @@ Run by `python -m eitskin.benchmarks.studies.boards.round_skin FOLDER`.
 FOLDER holds `ohmc8.mat` (DSHardman/HydrogelEIT): 500 frames of the untouched skin, each before a
 press, of a board that reads magnitudes with facing electrodes as drive, in both directions. Meters
 are fitted to the mean of the first 400 frames and judged on the mean of the last 100, and on each
-channel when it is left out of the fit. Prints, as Markdown, how well each explains the channels,
-its parameters with standard errors, and what the laws of an ideal meter say of the board.
+channel when it is left out of the fit. Beside them stand the means of the channels that are alike by
+the symmetry of skin and electrodes: no instrument that is the same for all electrodes can explain
+more. Prints, as Markdown, how well each explains the channels, parameters with standard errors, and
+what the laws of an ideal meter say of the board.
 """
 
 import argparse
@@ -14,7 +16,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from eitskin.datasets.recordings.form import RecordingNames
 from eitskin.datasets.recordings.recording import read_recording
@@ -37,6 +39,7 @@ METERS: dict[str, tuple[str, ...]] = {
     "and a lead per electrode": (*USUAL, "leads"),
 }
 CHOSEN = "loads and common mode, chosen"
+BY_SYMMETRY = "means of channels alike by symmetry"
 LEFT_OUT_STARTS = 3
 
 Array = NDArray[np.float64]
@@ -55,14 +58,26 @@ def left_out(Z: Array, protocol: Protocol, frame: Array, terms: Sequence[str]) -
     return agreement(said, frame).residual
 
 
-def row(name: str, fit: MeterFit, frames: Array, left_out_residual: float) -> str:
-    """Markdown row of one fitted meter."""
+def means_by_symmetry(protocol: Protocol, frame: Array) -> tuple[Array, Array, int]:
+    """Mean of the channels alike by rotation: with each channel, without it, and their number."""
+    table, n = np.array(protocol.table), protocol.n_electrodes
+    turned = (table - table[:, :1]) % n
+    kinds, kind = np.unique(turned, axis=0, return_inverse=True)
+    alike = np.equal.outer(kind.ravel(), kind.ravel()).astype(float)
+    count, total = alike.sum(axis=1), alike @ frame
+    return total / count, (total - frame) / (count - 1.0), len(kinds)
+
+
+def row(
+    name: str, numbers: int, predicted: ArrayLike, frames: Array, left_out_residual: float
+) -> str:
+    """Markdown row of one explanation of the flat frame."""
     cells = []
     for part in (frames[:FIRST], frames[FIRST:]):
-        found = agreement(fit.predicted, part.mean(axis=0))
+        found = agreement(predicted, part.mean(axis=0))
         cells += [f"{found.r:.3f}", f"{100.0 * found.residual:.1f}"]
     cells.append(f"{100.0 * left_out_residual:.1f}")
-    return f"| {name} | {1 + len(fit.parameters)} | {' | '.join(cells)} |"
+    return f"| {name} | {numbers} | {' | '.join(cells)} |"
 
 
 def main() -> None:
@@ -86,7 +101,10 @@ def main() -> None:
     fits = {name: fit_meter(Z, protocol, frame, terms) for name, terms in METERS.items()}
     terms = METERS | {CHOSEN: tuple(dict.fromkeys(each.term for each in chosen.parameters))}
     for name, fit in (fits | {CHOSEN: chosen}).items():
-        print(row(name, fit, frames, left_out(Z, protocol, frame, terms[name])), flush=True)
+        unseen = left_out(Z, protocol, frame, terms[name])
+        print(row(name, 1 + len(fit.parameters), fit.predicted, frames, unseen), flush=True)
+    means, others, kinds = means_by_symmetry(protocol, frame)
+    print(row(BY_SYMMETRY, kinds, means, frames, agreement(others, frame).residual))
     print("\n| parameter, chosen | value | standard error |\n| --- | --- | --- |")
     for parameter, value, error in zip(
         chosen.parameters, chosen.values, chosen.standard_errors, strict=True
