@@ -187,6 +187,12 @@ def _remarks(found: "MeterFit", terms: tuple[str, ...]) -> list[str]:
     fitted = {each.term for each in found.parameters}
     left_out = ", ".join(term for term in terms if term not in fitted)
     said = [f"not called for by these frames, and left out: {left_out}"] if left_out else []
+    numbers = 1 + len(found.parameters)
+    if found.distinct_readings <= numbers:
+        said.append(
+            f"by the symmetry of the sensor only {found.distinct_readings} readings differ, which "
+            f"{numbers} numbers fit whatever the board: the agreement is no evidence for them"
+        )
     single = [names[0] for names in found.tied if len(names) == 1]
     said += [
         f"not identifiable: of {', '.join(names)} only a combination shows in these frames"

@@ -29,6 +29,8 @@ UNDETERMINED = 0.5
 """Standard error of a coordinate (half the range of a load) from which it is not identifiable."""
 NULL = 1e-5
 """Singular value, relative to the largest, of directions that no reading depends on."""
+ALIKE = 0.005
+"""Difference of predicted readings, relative to the largest, below which they are alike."""
 INVOLVED = 0.2
 """Least component of a parameter in a null direction for it to be named."""
 
@@ -66,6 +68,17 @@ class MeterFit:
         """Parameters that the frames do not determine."""
         lost = ~np.isfinite(self.standard_errors)
         return tuple(p for p, gone in zip(self.parameters, lost, strict=True) if gone)
+
+    @property
+    def distinct_readings(self) -> int:
+        """Number of different predicted readings; symmetry of the sensor makes many alike.
+
+        As many parameters explain any such readings, whatever the board.
+        """
+        sizes = np.sort(
+            _parts(self.predicted) if self.predicted.imag.any() else self.predicted.real
+        )
+        return 1 + int((np.diff(sizes) > ALIKE * np.abs(sizes).max()).sum())
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,10 +5,10 @@ Run by `python -m eitskin.benchmarks.studies.boards.round_skin FOLDER`.
 FOLDER holds `ohmc8.mat` (DSHardman/HydrogelEIT): 500 frames of the untouched skin, each before a
 press, of a board that reads magnitudes with facing electrodes as drive, in both directions. Meters
 are fitted to the mean of the first 400 frames and judged on the mean of the last 100, and on each
-channel when it is left out of the fit. Beside them stand the means of the channels that are alike by
-the symmetry of skin and electrodes: no instrument that is the same for all electrodes can explain
-more. Prints, as Markdown, how well each explains the channels, parameters with standard errors, and
-what the laws of an ideal meter say of the board.
+channel when it is left out of the fit. Beside them stand the means of the channels that are alike
+by the symmetry of skin and electrodes: no instrument that is the same for all electrodes can
+explain more. Prints, as Markdown, how well each explains the channels, parameters with standard
+errors, and what the laws of an ideal meter say of the board.
 """
 
 import argparse
@@ -25,7 +25,7 @@ from eitskin.hardware.diagnosis.reading_check import check_readings
 from eitskin.protocol import Protocol
 from eitskin.provenance import Provenance
 from eitskin.simulator.electrical.forward_model import ForwardModel
-from eitskin.simulator.instrument.meter_fit import MeterFit, agreement, fit_meter
+from eitskin.simulator.instrument.meter_fit import agreement, fit_meter
 from eitskin.simulator.instrument.meter_parameters import USUAL
 from eitskin.simulator.instrument.meter_selection import select_meter
 

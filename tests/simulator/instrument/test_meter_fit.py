@@ -133,6 +133,17 @@ def test_terms_that_the_frames_do_not_call_for_are_left_out(skin):
     assert np.isfinite(found.standard_errors).all()
 
 
+def test_readings_that_symmetry_makes_alike_are_counted():
+    ring = np.array(
+        [[1.0 / (1.0 + min(abs(i - j), 6 - abs(i - j))) for j in range(6)] for i in range(6)]
+    )
+    turned = Protocol.opposite(6)
+    Z = ring - ring.mean(axis=0) - ring.mean(axis=1)[:, None] + ring.mean()
+    frame = np.random.default_rng(0).uniform(1.0, 2.0, len(turned))
+    found = fit_meter(Z, turned, frame, ("sink",), reads="magnitude", starts=1)
+    assert found.distinct_readings <= 2 < len(turned)
+
+
 def test_frames_and_terms_that_do_not_fit_are_refused(skin):
     frames = flat_frames(RIG, skin)
     with pytest.raises(ConfigurationError, match=r"among .*source.*, got souce"):
