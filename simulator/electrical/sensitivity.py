@@ -36,7 +36,7 @@ def pixel_gram(
     boxes, every overlap of a cell and a pixel is integrated by itself, exactly, and has its share
     of the energy that the cell's matrix leaves out; on other cells a pixel owns the quadrature
     points within it. Prisms larger than a pixel are divided for that into triangles of half a
-    pixel's side, so that every pixel on the outline owns points.
+    pixel's side, and neighbouring pixels share the surroundings of each point.
 
     Args:
         assembly: of the mesh.
