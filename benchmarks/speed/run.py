@@ -31,6 +31,7 @@ from eitskin.benchmarks.speed.scenes import (
     rate,
     scenes,
 )
+from eitskin.compiled import kernels
 from eitskin.datasets.generation.generate import generate
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.recipe.scene_group import SceneGroup
@@ -177,11 +178,13 @@ def floor(count: int = PER_BEND) -> Floor:
     sim = next(WORKLOADS[0].simulators(1))
     some = scenes(WORKLOADS[0], count, 5)
     solved = Reanalysis(sim.model, sim.deformed_layer(Scene()))
-    before = solved.solutions
-    start = time.process_time()
-    for scene in some:
-        solved.impedance(sim.deformed_layer(scene))
-    seconds = (time.process_time() - start) / count
+    with kernels():
+        solved.impedance(sim.deformed_layer(some[0]))
+        before = solved.solutions
+        start = time.process_time()
+        for scene in some:
+            solved.impedance(sim.deformed_layer(scene))
+        seconds = (time.process_time() - start) / count
     corrections = (solved.solutions - before) / count
     total = _operations(sim.model, corrections)
     return Floor(total, 1e3 * total / _product_rate(), 1e3 * seconds)

@@ -70,7 +70,13 @@ class Workload:
         recipe = Recipe.shipped("training")
         for number in range(-(-count // PER_SPECIMEN)):
             made = specimen(recipe, number)
-            sim = Simulator(made.design, self.resolution, made.fixture, mechanics=made.mechanics)
+            sim = Simulator(
+                made.design,
+                self.resolution,
+                made.fixture,
+                mechanics=made.mechanics,
+                nominal=recipe.sensor,
+            )
             yield from repeat(sim, min(PER_SPECIMEN, count - number * PER_SPECIMEN))
 
 
@@ -82,6 +88,7 @@ WORKLOADS = (
     Workload("one to four touches, resolution `coarse`", (1, 4), resolution="coarse"),
     Workload("one touch, resolution `standard`", resolution="standard"),
     Workload("one touch, specimens of their own", specimens=True),
+    Workload("one touch, specimens, resolution `coarse`", resolution="coarse", specimens=True),
     Workload("one touch, each solved by itself", tolerance=0.0),
 )
 

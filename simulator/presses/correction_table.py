@@ -79,10 +79,10 @@ class StripTable:
 
     def _deep(self, depth: float) -> Array:
         """Weights of the solved depths in the polynomial through them and no press at 0."""
-        others = [np.delete(self.depths, k) for k in range(1, len(self.depths))]
+        nodes = self.depths.tolist()
         weights = [
-            np.prod((depth - other) / (own - other))
-            for own, other in zip(self.depths[1:], others, strict=True)
+            math.prod((depth - other) / (own - other) for other in nodes if other != own)
+            for own in nodes[1:]
         ]
         return np.array(weights)
 

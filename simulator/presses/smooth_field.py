@@ -86,12 +86,7 @@ class SmoothField:
 
     def mirrored(self, axis: int, at: float) -> "SmoothField":
         """Mirror image in the plane x or y = `at` [m], of displacements and further scalars."""
-        signs = np.ones(self.coefficients.shape[-1])
-        signs[axis] = -1.0
-        odd = (-1.0) ** np.arange(self.coefficients.shape[axis])
-        shape = [1, 1, 1, 1]
-        shape[axis] = -1
-        coefficients = self.coefficients * odd.reshape(shape) * signs
+        coefficients = self.coefficients * _mirror(axis, self.coefficients)
         low, high = list(self.box.low), list(self.box.high)
         low[axis], high[axis] = 2.0 * at - high[axis], 2.0 * at - low[axis]
         box = Box((low[0], low[1], low[2]), (high[0], high[1], high[2]))
@@ -198,6 +193,21 @@ class SmoothField:
         if axis == 0:
             values[outside] = 0.0
         return Basis(values, slopes)
+
+
+def _mirror(axis: int, coefficients: Array) -> Array:
+    """Factors of coefficients (nx, ny, nz, k) that mirror a field along x (0) or y (1)."""
+    return _signs(axis, coefficients.shape[axis], coefficients.shape[-1], coefficients.dtype.char)
+
+
+@lru_cache(maxsize=64)
+def _signs(axis: int, count: int, components: int, kind: str) -> Array:
+    """Signs of odd polynomials and of displacements along the axis, in the precision of fields."""
+    signs = np.ones((1, 1, 1, components))
+    signs[..., axis] = -1.0
+    shape = [1, 1, 1, 1]
+    shape[axis] = -1
+    return (signs * ((-1.0) ** np.arange(count)).reshape(shape)).astype(kind)
 
 
 def together(fields: Iterable[SmoothField]) -> list[SmoothField]:
