@@ -69,6 +69,7 @@ def command(
     if (board is None) == (dataset is None):
         raise ConfigurationError("give either --board or --dataset, the sensor to calibrate for")
     pipeline = Pipeline.load(model)
+    pipeline.require_bends()
     if dataset is not None:
         taken, known = _from_dataset(dataset, specimen)
     else:

@@ -166,11 +166,7 @@ class Pipeline:
             ConfigurationError, DataError, FrameError: for frames or angles that cannot calibrate,
                 or a pipeline that does not estimate the angle; the pipeline is unchanged then.
         """
-        if not self.targets.angle:
-            raise ConfigurationError(
-                "expected a pipeline that estimates the bend angle, got one trained without bends; "
-                "train it on frames at known angles"
-            )
+        self.require_bends()
         known = KnownBends.of(frames, angles_deg, self.layout)
         adapted, calibration = self.method.adapted(known)
         calibration.require_fit(known)
@@ -178,6 +174,14 @@ class Pipeline:
         self.calibration = calibration.as_dict()
         self.reset()
         return calibration
+
+    def require_bends(self) -> None:
+        """Refuse a pipeline that does not estimate the angle; raises ConfigurationError."""
+        if not self.targets.angle:
+            raise ConfigurationError(
+                "expected a pipeline that estimates the bend angle, got one trained without bends; "
+                "train it on frames at known angles"
+            )
 
     def reset(self) -> None:
         """Begin a new session; its first frame must be of the flat, untouched sensor."""

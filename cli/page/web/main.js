@@ -71,11 +71,11 @@ function draw(data) {
     session = data.session;
     parts.trace.clear();
   }
-  const known = estimate && estimate.state !== null;
-  say($("state"), known ? estimate.state : estimate ? UNKNOWN : unusable);
-  $("state").dataset.state = known ? estimate.state : "";
+  const told = Boolean(estimate) && estimate.state !== null;
+  say($("state"), told ? estimate.state : estimate ? UNKNOWN : unusable);
+  $("state").dataset.state = told ? estimate.state : "";
   $("state").classList.toggle("words", !estimate);
-  $("state").classList.toggle("unknown", Boolean(estimate) && !known);
+  $("state").classList.toggle("unknown", Boolean(estimate) && !told);
   parts.bars.forEach(({ bar, share }, i) => {
     const p = estimate ? estimate.probabilities[i] : null;
     bar.style.transform = `scaleX(${p ?? 0})`;
