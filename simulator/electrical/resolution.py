@@ -58,8 +58,8 @@ _TETRAHEDRA = {
 }
 _NAMED = {"hexahedra": _COLUMNS, "prisms": _PRISMS, "tetrahedra": _TETRAHEDRA}
 
-# Crossings of lines through electrode ends up to which hexahedra have as few unknowns as prisms.
-_MOST_CROSSINGS = 50
+# Crossings of lines through electrode ends up to which hexahedra are as fast as prisms.
+_MOST_CROSSINGS = {"coarse": 300, "fast": 50, "standard": 50, "fine": 50}
 _SAME = 1e-9  # [m]
 
 _NEAR_TIP = 1e-3  # height over an indenter's lowest point at which the radius is measured [m]
@@ -99,7 +99,7 @@ def suited_cells(
         sum(_SAME < at < extent - _SAME for at in lines)
         for lines, extent in zip(electrode_lines(design), extents, strict=True)
     )
-    return "prisms" if along * across > _MOST_CROSSINGS else kind
+    return "prisms" if along * across > _MOST_CROSSINGS.get(resolution, 0) else kind
 
 
 def discretisation(

@@ -17,6 +17,8 @@ Indices = NDArray[np.int64]
 _ITERATIONS = 20
 _FULL_STEPS = 6
 _TOLERANCE = 1e-7  # last correction over the largest unknown; the error is its square
+_CHORDS = 4  # most corrections by the factors of an earlier iterate
+_CONTRACTION = 0.1  # largest ratio of such a correction to the one before
 _HALVINGS = 6  # of a correction that would turn a cell inside out
 _SMALLEST_STEP = 1.0 / 200.0
 
@@ -122,14 +124,20 @@ def newton(
     factorise: Factorise = SparseLU,
     tolerance: float = _TOLERANCE,
     scale: float = 0.0,
+    chords: bool = False,
 ) -> Array:
     """Stable equilibrium near x (n,) under a load, by Newton's method.
 
     Corrections that would invert a cell, or increase the residual, are halved. `factorise` takes
     the stiffness of the free unknowns in rising order. The iteration ends with a correction below
     `tolerance` relative to the largest unknown, or to `scale` where all unknowns are smaller; the
-    error is of the order of its square. Raises
-    SolidError where no stable equilibrium is found; `follow` then takes smaller steps.
+    error is of the order of its square.
+
+    With `chords`, corrections by the factors of the iterate before follow each iteration, where
+    they contract tenfold: they take the place of the last factorisation. A
+    stiffness whose factors contract has their inertia.
+
+    Raises SolidError where no stable equilibrium is found; `follow` then takes smaller steps.
     """
     free = np.setdiff1d(np.arange(len(x)), load.fixed)
     start = max(np.abs(x).max(), scale)  # where all loads are removed, x itself goes to zero
@@ -139,13 +147,45 @@ def newton(
         # Full steps find the contact area quickly at first; later steps must not cycle.
         limit = np.inf if iteration < _FULL_STEPS else residual_norm
         x = _corrected(terms, x, step, load.forces, free, limit)
-        if np.abs(step).max() <= tolerance * max(start, np.abs(x).max()):
+        found = x if np.abs(step).max() <= tolerance * max(start, np.abs(x).max()) else None
+        if found is None and chords:
+            least = _CONTRACTION * tolerance**2 * max(start, float(np.abs(x).max()))
+            found = _by_chords(terms, x, load.forces, free, factorised, np.abs(step).max(), least)
+        if found is not None:
             # The potential has a minimum over displacements, given the constraints, where there
             # are as many negative pivots as multipliers (Sylvester's law of inertia).
             if factorised.negative != constraints:
                 raise SolidError("the equilibrium is unstable: it would buckle or crease")
-            return x
+            return found
     raise SolidError(f"Newton's method does not converge in {_ITERATIONS} iterations")
+
+
+def _by_chords(
+    terms: Sequence[ForceTerm],
+    x: Array,
+    loads: Array,
+    free: Indices,
+    factorised: Factorised,
+    last: float,
+    least: float,
+) -> Array | None:
+    """Equilibrium near x with an error below `least`, by given factors; None where they are poor.
+
+    `last` is the largest entry of the correction before.
+    """
+    for _ in range(_CHORDS):
+        residual = sum((term.forces(x) for term in terms), start=-loads)
+        step = np.zeros_like(x)
+        step[free] = factorised.solve(-residual[free])
+        size = float(np.abs(step).max())
+        contraction, last = size / last, size
+        x = x + step
+        # NaN fails this comparison, too.
+        if not contraction <= _CONTRACTION or not all(term.admissible(x) for term in terms):
+            return None
+        if contraction * size <= least:
+            return x
+    return None
 
 
 def _solved_step(

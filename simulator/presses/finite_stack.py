@@ -145,7 +145,7 @@ class FiniteStack:
     def _equilibrium(self, x: Array, load: Array) -> Array:
         terms: list[ForceTerm] = [self.solid, *self._contacts]
         held = Load(self._fixed, np.zeros(len(self._fixed)), load)
-        return newton(terms, x, held, self._eliminate, _TOLERANCE, self._scale)
+        return newton(terms, x, held, self._eliminate, _TOLERANCE, self._scale, chords=True)
 
     def _stepped(self) -> Array:
         """Equilibrium by load stepping from the dents, which are one under forces of their own."""

@@ -5,7 +5,7 @@ import pytest
 import skfem
 
 from eitskin.errors import ConfigurationError
-from eitskin.simulator.mechanics.load_stepping import Load, SolidError, follow, newton
+from eitskin.simulator.mechanics.load_stepping import Load, SolidError, SparseLU, follow, newton
 from eitskin.simulator.mechanics.materials import NeoHookean, Ogden, cofactor
 from eitskin.simulator.mechanics.mixed_solid import Solid
 
@@ -152,6 +152,23 @@ def squeezed(solid, height):
 def test_corrections_that_would_invert_cells_are_halved() -> None:
     solid = Solid(MESHES["ring"][0], [NeoHookean(1.0)], kinematics="axisymmetric")
     newton([solid], np.zeros(solid.unknowns), squeezed(solid, 3.0))
+
+
+def test_earlier_factors_take_the_place_of_the_last_factorisation() -> None:
+    solid = Solid(MESHES["ring"][0], [NeoHookean(1.0)], kinematics="axisymmetric")
+    none, load, factorised = np.zeros(solid.unknowns), squeezed(solid, 0.95), []
+
+    def counted(matrix):
+        factorised.append(len(factorised))
+        return SparseLU(matrix)
+
+    exact = newton([solid], none, load, tolerance=1e-10)
+    counts = []
+    for chords in (False, True):
+        found = newton([solid], none, load, counted, 1e-2, chords=chords)
+        assert np.abs(found - exact).max() < 1e-4 * np.abs(exact).max()
+        counts.append(len(factorised))
+    assert counts[1] - counts[0] < counts[0]
 
 
 def test_a_solid_that_hardly_moves_needs_a_scale() -> None:
