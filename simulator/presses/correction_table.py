@@ -1,19 +1,13 @@
 """Table of corrections of a press: over its position and depth on one stack."""
 
 import math
-import multiprocessing
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.errors import PartialError
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.support import Support
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress, Indentation
@@ -21,6 +15,7 @@ from eitskin.simulator.mechanics.cubic_splines import CubicSplines, spline_weigh
 from eitskin.simulator.mechanics.layer_stack import Mechanics, Stack
 from eitskin.simulator.presses.dent_field import DentField
 from eitskin.simulator.presses.finite_stack import Correction, FiniteStack
+from eitskin.simulator.presses.processes import processes
 from eitskin.simulator.presses.smooth_field import Box, SmoothField
 from eitskin.simulator.presses.stack_mesh import Contact, Fineness, stack_mesh
 from eitskin.simulator.scene.indenters import Indenter
@@ -349,23 +344,6 @@ def across_strip(nodes: Array, width: float, y: float) -> Array:
 def least_distance(stack: Stack, mechanics: Mechanics, indenter: Indenter) -> float:
     """Distance of a press from a side of the gel, at which its contact is just on the stack [m]."""
     return max(indenter.rims[1] - mechanics.margin + _LEAST * stack.levels[-1], 0.0)
-
-
-@contextmanager
-def processes(workers: int) -> Iterator[Callable[..., Iterable[Any]]]:
-    """Map over arguments in this process, or in several; raises PartialError where one dies."""
-    if workers == 1:
-        yield map
-        return
-    context = multiprocessing.get_context("spawn")
-    try:
-        with ProcessPoolExecutor(workers, mp_context=context) as pool:
-            yield pool.map
-    except BrokenProcessPool as error:
-        raise PartialError(
-            "a process died while tables were solved. Look for lack of memory, or, in a script, "
-            "for a missing if __name__ == '__main__'; then run it again"
-        ) from error
 
 
 def _dents(stack: Stack, indenter: Indenter, depths: Sequence[float]) -> list[Indentation]:

@@ -16,10 +16,10 @@ from eitskin.simulator.mechanics.layer_stack import Mechanics, Stack
 from eitskin.simulator.presses.correction_table import (
     across_strip,
     least_distance,
-    processes,
 )
 from eitskin.simulator.presses.dent_field import DentField
 from eitskin.simulator.presses.finite_stack import Correction, FiniteStack
+from eitskin.simulator.presses.processes import processes
 from eitskin.simulator.presses.smooth_field import Box, SmoothField, together
 from eitskin.simulator.presses.spline_field import SplineField
 from eitskin.simulator.presses.stack_mesh import Contact, Fineness, stack_mesh
