@@ -1,7 +1,7 @@
 """Estimate of one frame: state, bend angle and touches, as far as they are estimated."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +10,7 @@ from eitskin.datasets.store.state import UNKNOWN_STATE, State
 from eitskin.frame import Frame
 from eitskin.training.method.predictions import FoundTouches, Predictions
 from eitskin.training.method.targets import Targets
+from eitskin.training.pipeline.stored_reference import Zero
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,6 +30,7 @@ class Estimate:
         problems: faults of the frame or the references, in words; empty without any.
         number: number of the frame.
         time: time of the frame [s].
+        zero: state of the sensor that angle and touches are relative to.
     """
 
     state: State | None
@@ -40,10 +42,16 @@ class Estimate:
     problems: tuple[str, ...]
     number: int
     time: float
+    zero: Zero = Zero.FIRST_FRAMES
 
     @classmethod
     def of(
-        cls, predictions: Predictions, targets: Targets, problems: tuple[str, ...], frame: Frame
+        cls,
+        predictions: Predictions,
+        targets: Targets,
+        problems: tuple[str, ...],
+        frame: Frame,
+        zero: Zero = Zero.FIRST_FRAMES,
     ) -> "Estimate":
         """The first of some predictions, made for `frame` by a method with these targets."""
         state = int(predictions.state[0])
@@ -57,6 +65,21 @@ class Estimate:
             problems,
             frame.number,
             frame.time,
+            zero,
+        )
+
+    def of_unknown_start(self) -> "Estimate":
+        """The estimate where it is unknown whether the session began flat and untouched.
+
+        A touch since then is known; idle, bend and the angle are not.
+        """
+        unknown = np.where(np.arange(len(State)) == State.TOUCH, self.probabilities, np.nan)
+        return replace(
+            self,
+            state=self.state if self.state is State.TOUCH else None,
+            probabilities=unknown,
+            bend_angle_deg=None,
+            bend_deviation_deg=None,
         )
 
     @property

@@ -20,7 +20,6 @@ from eitskin.training.method.observations import (
     Observations,
     fingerprint,
     frame_noise,
-    relative_difference,
 )
 from eitskin.training.method.predictions import Predictions
 from eitskin.training.method.settings import Progress, TrainingSettings, silent
@@ -31,19 +30,20 @@ from eitskin.training.method.targets import (
     with_usual_radius,
 )
 from eitskin.training.pipeline.estimate import Estimate
+from eitskin.training.pipeline.flat_sensors import FlatSensors
 from eitskin.training.pipeline.methods import fit_method, method_from_arrays
 from eitskin.training.pipeline.model_card import perception_card
-from eitskin.training.pipeline.references import References, RunningMean, Voltages
+from eitskin.training.pipeline.references import References
 from eitskin.training.pipeline.saved_form import (
     SavedPipeline,
     read_pipeline,
     require_kind,
     write_pipeline,
 )
+from eitskin.training.pipeline.session import Session
+from eitskin.training.pipeline.stored_reference import StoredReference, Zero
 
 KIND = "perception"
-LONGEST_HELD = 8  # frames of an unchanged touch in the mean; more would lag behind its creep
-LONGEST_GAP = 5.0  # s without frames after which the dynamic reference may be out of date
 GOLDEN_PER_STATE = 2
 
 
@@ -63,6 +63,8 @@ class Pipeline:
         examples: a few training frames, by which a saved pipeline is checked.
         metrics: results of evaluations, as whoever evaluates writes them here.
         calibration: result of `calibrate`, as `Calibration.as_dict` gives it; empty before.
+        flat_sensors: distribution of flat, untouched sensors, by which a session's start is judged;
+            None where training had too few specimens.
     """
 
     layout: InputSpec
@@ -73,18 +75,12 @@ class Pipeline:
     examples: Observations
     metrics: dict[str, Any] = field(default_factory=dict)
     calibration: dict[str, Any] = field(default_factory=dict)
-    references: References = field(init=False, repr=False)
-    _last: Frame | None = field(init=False, repr=False, default=None)
-    _outdated: bool = field(init=False, repr=False, default=False)
-    _held: RunningMean = field(init=False, repr=False)
-    _touched: bool = field(init=False, repr=False, default=False)
-    _begun: float = field(init=False, repr=False, default=0.0)
-    _renewed: float = field(init=False, repr=False, default=0.0)
+    flat_sensors: FlatSensors | None = None
+    _session: Session = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         """A session without references."""
-        self.references = References(self.noise)
-        self._held = RunningMean(self.noise, longest=LONGEST_HELD)
+        self.use(None)
 
     @classmethod
     def fit(
@@ -138,6 +134,7 @@ class Pipeline:
             settings,
             {"sha256": fingerprint(dataset), "frames": len(train), "source": dataset.source},
             observations[chosen],
+            flat_sensors=FlatSensors.of(train),
         )
 
     @property
@@ -183,42 +180,103 @@ class Pipeline:
                 "train it on frames at known angles"
             )
 
+    @property
+    def references(self) -> References:
+        """Static and dynamic reference of the session."""
+        return self._session.references
+
+    @property
+    def stored(self) -> StoredReference | None:
+        """Stored reference in use; None where a session's first frames are the zero."""
+        return self._session.stored
+
+    def tare(
+        self, frames: Sequence[Frame], zero: Zero = Zero.FLAT, board: str = "", source: str = ""
+    ) -> StoredReference:
+        """A stored reference from untouched frames of one sensor, which is used from now on.
+
+        Args:
+            frames: frames of the still, untouched sensor.
+            zero: `Zero.FLAT`, or `Zero.MOUNTED` for a sensor mounted on a curved body: its shape
+                there is then the zero of the bend angle.
+            board: unique number of the board in hexadecimal digits, where known.
+            source: of the frames, where known.
+
+        Raises:
+            ConfigurationError: for no frames.
+            FrameError: for a frame of another sensor, table or frequency, or with too few good
+                channels.
+            DataError: for a sensor that moves, or, with `Zero.FLAT`, does not look flat and
+                untouched. The pipeline is unchanged then, as after the other errors.
+        """
+        voltages = [self.layout.voltages(frame)[0] for frame in frames]
+        frequency = self.layout.frequency
+        reference = StoredReference.of(
+            voltages, self.layout.protocol, frequency, zero, self.noise, board, source
+        )
+        self.layout.require_same_sensor(reference.impedance)
+        if zero is Zero.FLAT and (doubt := self.doubt(reference.impedance)):
+            raise DataError(
+                f"{doubt}; straighten and release it, or, where its shape now is to be the zero, "
+                "take the reference as mounted (--mounted)"
+            )
+        self.use(reference)
+        return reference
+
+    def use(self, reference: StoredReference | None) -> None:
+        """Use a stored reference as the zero of all estimates; None for a session's first frames.
+
+        The session begins anew.
+
+        Raises FrameError for a reference of another sensor, table or frequency.
+        """
+        if reference is not None:
+            self.layout.require_same_measurements(reference.protocol, reference.frequency)
+            self.layout.require_same_sensor(reference.impedance)
+        self._session = Session(self.noise, self.method.AVERAGES, reference)
+
+    def doubt(self, impedance: ArrayLike) -> str:
+        """Reason why an impedance (measurements,) [ohm] is not that of a flat, untouched sensor.
+
+        Empty where it may be, or where the pipeline has no `flat_sensors` to compare with.
+        """
+        return "" if self.flat_sensors is None else self.flat_sensors.judge(impedance).doubt
+
     def reset(self) -> None:
-        """Begin a new session; its first frame must be of the flat, untouched sensor."""
-        self.references.drop()
-        self._held = RunningMean(self.noise, longest=LONGEST_HELD)
-        self._last, self._outdated, self._touched = None, False, False
+        """Begin a new session.
+
+        Its first frame must be of the flat, untouched sensor unless a stored reference is in use.
+        """
+        self.use(self.stored)
 
     def process(self, frame: Frame) -> Estimate:
         """The estimate for the next frame of a session.
 
-        The first frame becomes the static and the dynamic reference: the sensor must then be flat
-        and untouched. Up to 32 further such frames are averaged into the references. A frame of
-        another session, or a number or time that runs backwards, begins a new session.
+        Without a stored reference the first frame becomes the static and the dynamic reference:
+        the sensor must then be flat and untouched. Up to 32 further such frames are averaged into
+        the references. Where the first frame is implausible for a flat, untouched sensor, angle,
+        idle and bend are unknown throughout the session, and `problems` says so. A frame of
+        another session or with a smaller number begins a new session, which is told; a time that
+        runs backwards or jumps is told and changes nothing.
 
         Raises:
             FrameError: for a frame of another sensor, table or frequency, or with too few good
-                channels; the session is unchanged then.
+                channels; the references are unchanged then.
         """
         voltages, problems = self.layout.voltages(frame)
-        self._notice_session(frame)
-        references = self.references
-        first = references.empty
-        if first:
+        session = self._session
+        problems += session.follow(frame)
+        if first := session.references.empty:
             self.layout.require_same_sensor(voltages)
-            references.follow(voltages)
-            self._begun = self._renewed = frame.time
-        held, count = self._held_touch(voltages)
-        perceived = self.method.perceive(self._observed(held, count, frame))
-        self._touched = int(perceived.state[0]) == State.TOUCH
-        if self._touched:
-            references.freeze()
-        elif not first:
-            references.follow(voltages)
-            self._outdated, self._renewed = False, frame.time
-        self._last = frame
-        problems = (*problems, *perceived.problems[0], *self._reference_problems())
-        return Estimate.of(perceived, self.targets, problems, frame)
+            session.references.follow(voltages)
+            session.doubt = self.doubt(voltages)
+        perceived = self.method.perceive(session.observed(voltages))
+        touched = int(perceived.state[0]) == State.TOUCH
+        if touched or not first:
+            session.renew(voltages, touched)
+        problems += (*perceived.problems[0], *session.problems(self.layout.protocol.labels))
+        estimate = Estimate.of(perceived, self.targets, problems, frame, session.zero)
+        return estimate.of_unknown_start() if session.doubt else estimate
 
     def perceive(self, dataset: Dataset) -> Predictions:
         """Estimates for all frames of a dataset, each by itself.
@@ -227,55 +285,6 @@ class Pipeline:
         `touch_reference`. The session of `process` is unchanged.
         """
         return self.method.perceive(Observations.of(dataset))
-
-    def _held_touch(self, voltages: Voltages) -> tuple[Voltages, int]:
-        """Mean over the frames of an unchanged touch, and their number; else the frame and 1.
-
-        Frames of an unchanged touch differ by noise only. Untouched frames are not averaged: the
-        angle would lag behind a slow bend.
-        """
-        departed = self._held.add(voltages)
-        if self.method.AVERAGES and self._touched and not departed and self._held.mean is not None:
-            return np.where(np.isfinite(voltages), self._held.mean, np.nan), self._held.count
-        self._held.restart(voltages)
-        return voltages, 1
-
-    def _observed(self, voltages: Voltages, count: int, frame: Frame) -> Observations:
-        """Relative differences of one frame, or a mean of `count`, to both references."""
-        references = self.references
-        rows = {
-            "static": relative_difference(voltages, references.bend),
-            "dynamic": relative_difference(voltages, references.touch),
-            "flat": np.abs(references.bend),
-            "frames": float(count),
-            "static_frames": float(references.bend_frames),
-            "dynamic_frames": float(references.touch_frames),
-            "age": frame.time - self._begun,
-            "dynamic_age": frame.time - self._renewed,
-        }
-        return Observations(**{name: np.asarray(value)[None] for name, value in rows.items()})
-
-    def _notice_session(self, frame: Frame) -> None:
-        """Reset for a frame of a new session; mark the dynamic reference outdated after a gap."""
-        last = self._last
-        if last is None:
-            return
-        if frame.session != last.session or frame.number < last.number or frame.time < last.time:
-            self.reset()
-        elif frame.time - last.time > LONGEST_GAP:
-            self._outdated = True
-
-    def _reference_problems(self) -> tuple[str, ...]:
-        problems = []
-        for i in np.flatnonzero(~np.isfinite(self.references.bend)):
-            label = self.layout.protocol.labels[i]
-            problems.append(f"channel {label} is left out: it was bad when the session began")
-        if self._outdated and self._touched:
-            problems.append(
-                f"no frames came for more than {LONGEST_GAP:g} s before this touch: its position "
-                "is wrong if the sensor has been bent since"
-            )
-        return tuple(problems)
 
     def save(self, path: str | Path) -> Path:
         """Write the folder NAME.eitmodel, replacing a pipeline there; returns its path.
@@ -289,6 +298,9 @@ class Pipeline:
         }
         golden |= {f"output.{name}": array for name, array in outputs.items()}
         weights = {**self.method.arrays(), "layout.reference": self.layout.reference}
+        if self.flat_sensors is not None:
+            arrays = self.flat_sensors.arrays()
+            weights |= {f"flat_sensors.{name}": array for name, array in arrays.items()}
         document = {
             "method": self.method.KIND,
             "layout": self.layout.document(),
@@ -328,6 +340,7 @@ class Pipeline:
                 Observations(**inputs),
                 dict(document["metrics"]),
                 dict(document.get("calibration", {})),
+                FlatSensors.among(weights, "flat_sensors."),
             )
             saved.require_golden(pipeline.method.outputs(pipeline.examples))
         except DataError:

@@ -59,13 +59,18 @@ class References:
 
     `bend` is static: the flat, untouched sensor, averaged while it is still at the session's start.
     `touch` is dynamic: it follows the sensor while nothing touches it, averaged while the sensor is
-    still, and is frozen during a touch.
+    still, and is frozen during a touch. Both begin with the stored reference where one is in use,
+    and the static one stays that.
 
     Attributes:
         noise: rms relative difference of two frames of a still sensor.
+        stored: stored reference (measurements,) [ohm], NaN where a channel was bad; None without.
+        stored_frames: number of frames averaged into the stored reference.
     """
 
     noise: float
+    stored: Voltages | None = None
+    stored_frames: int = 0
     _opening: RunningMean = field(init=False)
     _latest: RunningMean = field(init=False)
     _is_opening: bool = field(init=False, default=True)
@@ -75,13 +80,19 @@ class References:
         self.drop()
 
     def drop(self) -> None:
-        """Forget both references, for a new session."""
-        self._opening, self._latest = RunningMean(self.noise), RunningMean(self.noise)
-        self._is_opening = True
+        """Forget both references but the stored one, for a new session."""
+        self._opening, self._latest = self._first_mean(), self._first_mean()
+        self._is_opening = self.stored is None
+
+    def _first_mean(self) -> RunningMean:
+        """Mean of the session's first frames, or of those of the stored reference."""
+        if self.stored is None:
+            return RunningMean(self.noise)
+        return RunningMean(self.noise, self.stored.copy(), min(self.stored_frames, LONGEST_MEAN))
 
     @property
     def empty(self) -> bool:
-        """Whether the session has no frame yet."""
+        """Whether there is no reference yet."""
         return self._latest.mean is None
 
     @property

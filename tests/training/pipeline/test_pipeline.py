@@ -14,7 +14,7 @@ from eitskin.simulator import Frame, Protocol, Status
 from eitskin.training import Pipeline, RecordedTouches, evaluate
 from eitskin.training.method.input_spec import LARGEST_SCALE
 from eitskin.training.method.observations import Observations
-from eitskin.training.pipeline.pipeline import LONGEST_GAP
+from eitskin.training.pipeline.session_order import LONGEST_GAP
 
 from linear_sensor import SETTINGS, linear_sensor, trained_pipeline
 
@@ -136,13 +136,25 @@ def test_stages_alone_say_what_the_session_says(pipeline, session, sensor):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("change", [{"session": 1}, {"number": 0}, {"time": 0.0}])
-def test_new_session_begins_with_new_references(session, change):
+@pytest.mark.parametrize("change", [{"session": 1}, {"number": 0}])
+def test_new_session_begins_with_new_references_and_is_told(session, change):
     session()
     assert session(30.0).state is State.BEND
     again = session(30.0, **change)
     assert again.state is State.IDLE
     assert again.bend_angle_deg == pytest.approx(0.0, abs=1.0)
+    assert "a new session begins" in again.problems[0]
+
+
+@pytest.mark.slow
+def test_clock_that_runs_back_changes_no_reference(session):
+    session()
+    assert session(30.0).state is State.BEND
+    again = session(30.0, time=0.0)
+    assert again.state is State.BEND
+    assert again.bend_angle_deg == pytest.approx(30.0, abs=1.0)
+    (problem,) = again.problems
+    assert "the clock ran back by 0.3 s" in problem
 
 
 @pytest.mark.slow

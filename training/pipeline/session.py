@@ -1,0 +1,130 @@
+"""Session of a pipeline: references, a held touch, and doubts about both."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from eitskin.frame import Frame
+from eitskin.training.method.observations import Observations, relative_difference
+from eitskin.training.pipeline.references import References, RunningMean, Voltages
+from eitskin.training.pipeline.session_order import LONGEST_GAP, SessionOrder
+from eitskin.training.pipeline.stored_reference import StoredReference, Zero
+
+LONGEST_HELD = 8  # frames of an unchanged touch in the mean; more would lag behind its creep
+STORED_AGE = 24 * 3600.0  # s; assumed age of a stored reference when a session begins
+START_REMEDY = (
+    "angle, idle and bend are unknown; straighten and release it and begin anew, or use its stored "
+    "reference (eitskin tare, --reference)"
+)
+
+
+@dataclass
+class Session:
+    """References of consecutive frames of one sensor, and the memory of a held touch.
+
+    Attributes:
+        noise: rms relative difference of two frames of a still sensor.
+        averages: whether frames of a held touch are averaged.
+        stored: stored reference, the zero of all estimates; None where the first frames are.
+        references: static and dynamic.
+        touched: whether the latest frame was touched.
+        doubt: reason why the first frame is not that of a flat, untouched sensor; empty without.
+    """
+
+    noise: float
+    averages: bool
+    stored: StoredReference | None = None
+    references: References = field(init=False)
+    touched: bool = field(init=False, default=False)
+    doubt: str = field(init=False, default="")
+    _order: SessionOrder = field(init=False, default_factory=SessionOrder)
+    _held: RunningMean = field(init=False)
+    _outdated: bool = field(init=False, default=False)
+    _renewed: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        """A session that waits for its first frame."""
+        stored = None if self.stored is None else self.stored.impedance
+        frames = 0 if self.stored is None else self.stored.frames
+        self.references = References(self.noise, stored, frames)
+        self._begin()
+
+    def _begin(self) -> None:
+        self.references.drop()
+        self._held = RunningMean(self.noise, longest=LONGEST_HELD)
+        self.touched, self._outdated, self.doubt = False, False, ""
+        self._renewed = -self._age_at_start
+
+    @property
+    def zero(self) -> Zero:
+        """State of the sensor that estimates are relative to."""
+        return Zero.FIRST_FRAMES if self.stored is None else self.stored.zero
+
+    @property
+    def _age_at_start(self) -> float:
+        """Age of the static reference when the session begins [s]."""
+        return 0.0 if self.stored is None else STORED_AGE
+
+    def follow(self, frame: Frame) -> tuple[str, ...]:
+        """Take the next frame's session, number and time; begin anew where they say so.
+
+        Returns faults of number and time, and the beginning of a session, in words.
+        """
+        step = self._order.follow(frame)
+        if step.new_session:
+            self._begin()
+        self._outdated = self._outdated or step.gap
+        return step.problems
+
+    def observed(self, voltages: Voltages) -> Observations:
+        """Relative differences of a frame (measurements,) [ohm] to both references.
+
+        Instead of a frame of an unchanged touch the mean of these frames is taken.
+        """
+        references, elapsed = self.references, self._order.elapsed
+        held, count = self._held_touch(voltages)
+        rows = {
+            "static": relative_difference(held, references.bend),
+            "dynamic": relative_difference(held, references.touch),
+            "flat": np.abs(references.bend),
+            "frames": float(count),
+            "static_frames": float(references.bend_frames),
+            "dynamic_frames": float(references.touch_frames),
+            "age": elapsed + self._age_at_start,
+            "dynamic_age": elapsed - self._renewed,
+        }
+        return Observations(**{name: np.asarray(value)[None] for name, value in rows.items()})
+
+    def _held_touch(self, voltages: Voltages) -> tuple[Voltages, int]:
+        """Mean over the frames of an unchanged touch, and their number; else the frame and 1.
+
+        Frames of an unchanged touch differ by noise only. Untouched frames are not averaged: the
+        angle would lag behind a slow bend.
+        """
+        departed = self._held.add(voltages)
+        if self.averages and self.touched and not departed and self._held.mean is not None:
+            return np.where(np.isfinite(voltages), self._held.mean, np.nan), self._held.count
+        self._held.restart(voltages)
+        return voltages, 1
+
+    def renew(self, voltages: Voltages, touched: bool) -> None:
+        """Renew the references by an untouched frame (measurements,) [ohm]; freeze them else."""
+        self.touched = touched
+        if touched:
+            self.references.freeze()
+        else:
+            self.references.follow(voltages)
+            self._outdated, self._renewed = False, self._order.elapsed
+
+    def problems(self, labels: tuple[str, ...]) -> tuple[str, ...]:
+        """Faults of the references in words; `labels` are those of the measurements."""
+        problems = [f"{self.doubt}; {START_REMEDY}"] if self.doubt else []
+        when = "the session began" if self.stored is None else "the stored reference was taken"
+        bad = np.flatnonzero(~np.isfinite(self.references.bend))
+        problems += [f"channel {labels[i]} is left out: it was bad when {when}" for i in bad]
+        if self._outdated and self.touched:
+            problems.append(
+                f"no frames came for more than {LONGEST_GAP:g} s before this touch: its position "
+                "is wrong if the sensor has been bent since"
+            )
+        return tuple(problems)
