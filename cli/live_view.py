@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from eitskin.hardware.boards.board import Counts
     from eitskin.hardware.live import Estimate, Reading
 
-NOT_ESTIMATED = "not estimated by this pipeline"
+NOT_ESTIMATED = "not estimated"
 SHOWN = 0.3  # least value of the touch map that is drawn
 
 
@@ -46,8 +46,14 @@ def _perceived(estimate: "Estimate") -> dict[str, Any]:
         "touches": None
         if estimate.touches is None
         else [[known(value) for value in touch] for touch in estimate.touches],
+        "zero": zero_name(estimate),
         "problems": list(estimate.problems),
     }
+
+
+def zero_name(estimate: "Estimate") -> str:
+    """State of the sensor that an estimate is relative to, in words."""
+    return str(getattr(estimate, "zero", "first frames"))
 
 
 def _nothing(reading: "Reading") -> dict[str, Any]:
@@ -57,6 +63,7 @@ def _nothing(reading: "Reading") -> dict[str, Any]:
         "probabilities": None,
         "bend_angle_deg": None,
         "touches": None,
+        "zero": None,
         "problems": [reading.problem],
     }
 
@@ -110,6 +117,8 @@ def _add_estimate(numbers: Table, estimate: "Estimate", stale: bool) -> None:
     numbers.add_row("bend", Text(shown, style=style))
     places = [f"({x * 1e3:.0f}, {y * 1e3:.0f}) mm {s:.2f}" for x, y, s in touches or ()]
     none = NOT_ESTIMATED if touches is None else "none"
+    zero = zero_name(estimate)
+    numbers.add_row("zero", zero if zero == "first frames" else f"stored reference, {zero}")
     numbers.add_row("touches", Text(", ".join(places) or none, style=style))
 
 

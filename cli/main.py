@@ -21,6 +21,7 @@ from eitskin.cli.commands import (
     mesh,
     reconstruct,
     simulate,
+    tare,
     train,
 )
 from eitskin.cli.commands.bench import group as bench
@@ -74,6 +75,7 @@ app.command("generate")(generate.command)
 app.command("import")(import_recording.command)
 app.command("train")(train.command)
 app.command("evaluate")(evaluate.command)
+app.command("tare")(tare.command)
 app.command("calibrate")(calibrate.command)
 app.command("check")(check.command)
 app.command("board")(board.command)

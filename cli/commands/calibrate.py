@@ -8,6 +8,7 @@ import typer
 from rich.table import Table
 
 from eitskin.cli.commands.live import seeded
+from eitskin.cli.commands.stored_references import ReferenceFile, use_reference
 from eitskin.cli.options import Json, Model, Output, Quiet, Seed, Verbose
 from eitskin.errors import ConfigurationError
 
@@ -48,6 +49,7 @@ def command(
     board: BoardOption = None,
     dataset: DatasetOption = None,
     specimen: Specimen = 0,
+    reference: ReferenceFile = None,
     angles: Angles = "-20,-2.5,15,32.5,50",
     frames: PerAngle = 8,
     no_prompt: NoPrompt = False,
@@ -59,10 +61,12 @@ def command(
     """Adapt a trained pipeline to the sensor at hand, from a flat reference and known angles.
 
     With a board: bring the sensor to each angle when asked, hold it still and untouched, and press
-    Enter. With a dataset: its untouched frames of one specimen are taken.
+    Enter. With a dataset: its untouched frames of one specimen are taken. With --reference the
+    angles count from the stored state, and the sensor is not asked to be flat.
     """
     from eitskin.training.pipeline.pipeline import Pipeline
     from eitskin.training.pipeline.saved_form import require_writable
+    from eitskin.training.pipeline.session import STORED_AGE
 
     output = Output(as_json, quiet, verbose)
     require_writable(out)
@@ -70,14 +74,23 @@ def command(
         raise ConfigurationError("give either --board or --dataset, the sensor to calibrate for")
     pipeline = Pipeline.load(model)
     pipeline.require_bends()
+    if reference is not None:
+        use_reference(pipeline, reference, None, output)
     if dataset is not None:
         taken, known = _from_dataset(dataset, specimen)
     else:
-        wanted = [0.0, *_angles(angles)]
+        wanted = ([0.0] if pipeline.stored is None else []) + _angles(angles)
         taken = list(
             _from_board(str(board), pipeline.layout, wanted, frames, no_prompt, seed, output)
         )
         known = [angle for angle in wanted for _ in range(frames)]
+    if pipeline.stored is not None:
+        bent = [pair for pair in zip(taken, known, strict=True) if pair[1]]
+        begun = taken[0].time - STORED_AGE
+        taken = [pipeline.stored.frame(begun), *(frame for frame, _ in bent)]
+        known = [0.0, *(angle for _, angle in bent)]
+    elif doubt := pipeline.doubt(pipeline.layout.voltages(taken[0])[0]):
+        output.note(f"{doubt}; calibrating nevertheless, since you said that it is flat")
     calibration = pipeline.calibrate(taken, known)
     saved = pipeline.save(out)
     output.result({"out": str(saved), **calibration.as_dict()}, _table(calibration))

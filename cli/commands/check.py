@@ -11,13 +11,16 @@ from rich.table import Table
 
 from eitskin.cli.commands.live import BoardUri, seeded
 from eitskin.cli.commands.recorded_frames import Values
+from eitskin.cli.commands.stored_references import ReferenceFile, tell_unjudged, use_reference
 from eitskin.cli.options import Json, MeasuredPairs, Output, Quiet, Seed, Verbose
 from eitskin.errors import ConfigurationError
 
 if TYPE_CHECKING:
+    from eitskin.frame import Frame
     from eitskin.hardware.diagnosis.finding import Finding
     from eitskin.hardware.diagnosis.reading_check import LawCheck
     from eitskin.protocol import Protocol
+    from eitskin.training.pipeline.pipeline import Pipeline
 
 ReferenceModel = Annotated[
     Path | None,
@@ -48,6 +51,7 @@ def command(
     recording: Recording = None,
     values: Values = None,
     protocol: MeasuredPairs = None,
+    reference: ReferenceFile = None,
     calibrate: Calibrate = False,
     list_ports: List = False,
     seed: Seed = 0,
@@ -57,9 +61,9 @@ def command(
 ) -> None:
     """Diagnose the flat, untouched sensor on a board, or any recording; exit code 4 for findings.
 
-    Finds open, loose, shorted and swapped electrodes, bad contacts, faulty channels and boards; in
-    a recording dead, stuck and clipped channels, and boards that are no ideal meters. See
-    docs/boards.md.
+    Tells a sensor that is bent, and with its stored reference one that is pressed. Finds open,
+    loose, shorted and swapped electrodes, bad contacts, faulty channels and boards; in a recording
+    dead, stuck and clipped channels, and boards that are no ideal meters. See docs/boards.md.
     """
     output = Output(as_json, quiet, verbose)
     if list_ports:
@@ -74,18 +78,26 @@ def command(
     else:
         if values or protocol:
             raise ConfigurationError("--values and --protocol describe a --recording; name one")
-        _check_board(model, board, frames, output, calibrate=calibrate, seed=seed)
+        _check_board(model, board, frames, output, reference, calibrate=calibrate, seed=seed)
 
 
 def _check_board(
-    model: Path | None, board: str, frames: int, output: Output, *, calibrate: bool, seed: int
+    model: Path | None,
+    board: str,
+    frames: int,
+    output: Output,
+    reference: Path | None,
+    *,
+    calibrate: bool,
+    seed: int,
 ) -> None:
     from eitskin.hardware.diagnosis.reading_check import LAW_FINDINGS, check_frames
     from eitskin.hardware.diagnosis.sensor_check import check_sensor
     from eitskin.hardware.opening import open_board
     from eitskin.training.pipeline.pipeline import Pipeline
 
-    spec = Pipeline.load(model or SHIPPED).layout
+    pipeline = Pipeline.load(model or SHIPPED)
+    spec = pipeline.layout
     with open_board(board, **seeded(board, seed)) as opened:
         suits = model is not None or opened.protocol == spec.protocol
         if suits:
@@ -95,6 +107,8 @@ def _check_board(
                 f"{SHIPPED} is for {spec.protocol}, the board measures {opened.protocol}: checking "
                 "without a model; name a pipeline for this sensor to check its values, too"
             )
+        if reference is not None:
+            use_reference(pipeline, reference, opened.info, output)
         if calibrate:
             opened.calibrate()
         output.note(f"measuring {frames} frames; keep the sensor flat and untouched")
@@ -102,9 +116,36 @@ def _check_board(
     readings = check_frames(taken)
     findings = readings.findings
     if suits:
-        known = check_sensor(taken, spec.reference).findings
+        stored = pipeline.stored
+        expected = spec.reference if stored is None else stored.magnitudes(spec.reference)
+        known = check_sensor(taken, expected).findings
         findings = (*known, *(each for each in findings if each.what in LAW_FINDINGS))
+        # Other faults make a sensor look bent or pressed.
+        findings = findings or _not_flat(pipeline, taken, output)
     _report({"board": board}, findings, readings.laws, taken[0].protocol, len(taken), output)
+
+
+def _not_flat(
+    pipeline: "Pipeline", frames: "Sequence[Frame]", output: Output
+) -> "tuple[Finding, ...]":
+    """Finding of a sensor that is bent or pressed, by its stored reference or by other sensors."""
+    from eitskin.datasets.store.state import State
+    from eitskin.hardware.diagnosis.finding import Finding, FindingKind
+
+    tell_unjudged(pipeline, output)
+    estimate = [pipeline.process(frame) for frame in frames][-1]
+    if pipeline.stored is None:
+        doubt = next((text for text in estimate.problems if "look flat" in text), "")
+    elif estimate.state is State.IDLE:
+        doubt = ""
+    else:
+        shown = "unknown" if estimate.bend_angle_deg is None else f"{estimate.bend_angle_deg:+.1f}"
+        doubt = (
+            f"the sensor is not as its reference was taken, {pipeline.stored.zero}: bent by {shown}"
+            f" deg from it, {len(estimate.touches or ())} touches; release it for the check, or "
+            "take the reference again (eitskin tare)"
+        )
+    return (Finding(FindingKind.NOT_FLAT, (), (), doubt),) if doubt else ()
 
 
 def _check_recording(path: Path, values: str | None, protocol: str | None, output: Output) -> None:

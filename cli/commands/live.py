@@ -16,6 +16,7 @@ from rich.live import Live
 from rich.text import Text
 
 from eitskin.cli.commands.live_recording import FrameRecording, MessageRecording, Recording
+from eitskin.cli.commands.stored_references import ReferenceFile, tell_unjudged, use_reference
 from eitskin.cli.options import (
     Json,
     Model,
@@ -40,6 +41,8 @@ if TYPE_CHECKING:
     from eitskin.hardware.boards.connection import Connection
     from eitskin.hardware.live import FramePipeline, Reading
     from eitskin.training.pipeline.pipeline import Pipeline
+    from eitskin.training.pipeline.session_order import SessionOrder
+    from eitskin.training.pipeline.stored_reference import StoredReference
     from eitskin.training.positions.recorded_touches import RecordedTouches
 
 BoardUri = Annotated[
@@ -85,6 +88,7 @@ def command(
     every_frame: EveryFrame = False,
     page: ShowPage = False,
     page_port: PagePort = 8940,
+    reference: ReferenceFile = None,
     picture: PictureMethod = None,
     seed: Seed = 0,
     as_json: Json = False,
@@ -94,7 +98,8 @@ def command(
     """Show state, angle and touches of a board's sensor; with --json, one JSON object per frame.
 
     The sensor must be flat and untouched when a session begins: at the start, and whenever the
-    board has started anew. A board that goes away is connected to again until it is back.
+    board has started anew; with its stored reference it may be bent and touched. A board that goes
+    away is connected to again until it is back.
     """
     from eitskin.hardware.boards.connection import Connection
     from eitskin.hardware.live import run_live
@@ -113,12 +118,18 @@ def command(
             recordings.append(stack.enter_context(closing(each)))
         opened = stack.enter_context(open_board(board, **seeded(board, seed)))
         output.detail(f"{opened.uri}: firmware {opened.info.firmware}, {opened.protocol.labels}")
+        if reference is not None:
+            use_reference(pipeline, reference, opened.info, output)
+        tell_unjudged(pipeline, output)
         session = LiveSession(Connection(opened), output, recordings)
+        session.stored = getattr(pipeline, "stored", None)
         session.connection.tell = session.say
         layout = getattr(pipeline, "layout", None)
         # A recording was checked when it was made, and need not begin flat.
         if layout is not None and not board.startswith("replay:"):
             session.expected = layout.reference
+            if session.stored is not None:
+                session.expected = session.stored.magnitudes(layout.reference)
         if page:
             from eitskin.cli.page.live_page import LivePage
 
@@ -212,6 +223,8 @@ class LiveSession:
     recordings: Sequence[Recording] = ()
     page: "LivePage | None" = None
     expected: "NDArray[np.float64] | None" = None
+    stored: "StoredReference | None" = None
+    order: "SessionOrder | None" = None
     clock: Callable[[], float] = time.monotonic
     processed: int = 0
     latencies: deque[float] = field(default_factory=lambda: deque(maxlen=10_000))
@@ -264,12 +277,17 @@ class LiveSession:
 
     def notice_session(self, frame: "Frame") -> None:
         """Note the beginning of a session, and findings on the sensor there."""
-        last = self.newest.frame if self.newest is not None else None
-        if last is not None and frame.session != last.session:
-            self.say(
-                f"session {frame.session} begins: the board has started anew, and the sensor must "
-                "be flat and untouched now"
-            )
+        from eitskin.training.pipeline.session_order import SessionOrder
+
+        self.order = self.order or SessionOrder()
+        step = self.order.follow(frame)
+        for problem in step.problems:
+            self.say(problem)
+        if step.new_session:
+            zero = "the sensor must be flat and untouched now"
+            if self.stored is not None:
+                zero = "the stored reference stays in use"
+            self.say(f"session {frame.session} begins: the board has started anew, and {zero}")
             self.beginning = []
         if self.expected is None or len(self.beginning) >= CHECKED:
             return

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.cli.live_view import bad_channels, state_name
+from eitskin.cli.live_view import bad_channels, state_name, zero_name
 from eitskin.cli.page.commands import LARGEST, LEAST, MOST_TOUCHES
 from eitskin.cli.page.region import Region
 from eitskin.cli.page.shape import COLUMNS, ROWS, DrawnPress, GelDrawing, electrode_corners
@@ -139,6 +139,7 @@ class PageContent:
                 }
                 for (x, y, strength), press in zip(touches, presses, strict=True)
             ],
+            "zero": zero_name(estimate),
             "problems": list(estimate.problems),
             "points": "" if self.drawing is None else self.drawing.points(angle, presses),
         }

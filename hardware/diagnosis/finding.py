@@ -26,6 +26,7 @@ class FindingKind(StrEnum):
     SWAPPED = "swapped"
     BAD_CONTACT = "bad contact"
     MISFIT = "misfit"
+    NOT_FLAT = "not flat"
     DEAD = "dead"
     RECIPROCITY = "reciprocity"
     DRIVE_SWAP = "swapped drives"

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from eitskin.config import from_dict
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.files import atomic_file
+from eitskin.frame import Frame
 from eitskin.protocol import Protocol
 from eitskin.training.method.observations import relative_difference
 from eitskin.training.pipeline.references import RunningMean
@@ -96,6 +97,16 @@ class StoredReference:
             noise = math.sqrt(2.0 * float(np.nanmean(departures**2)) * count / (count - 1))
         taken = datetime.now(UTC).isoformat(timespec="seconds")
         return cls(average, protocol, frequency, zero, count, noise, taken, board, source)
+
+    def magnitudes(self, usual: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Magnitudes (measurements,) [ohm]; `usual` ones, scaled, where a channel was bad."""
+        known = np.isfinite(self.impedance)
+        scale = np.median(np.abs(self.impedance[known]) / usual[known])
+        return np.where(known, np.abs(self.impedance), scale * usual)
+
+    def frame(self, time: float = 0.0) -> Frame:
+        """The reference as a frame at a time [s]; bad channels are NaN."""
+        return Frame(self.impedance, self.protocol, time, frequency=self.frequency)
 
     def write(self, path: str | Path) -> Path:
         """Write the file, whole or not at all; returns its path.

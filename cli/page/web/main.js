@@ -139,6 +139,7 @@ function numbers(data) {
   number("dropped", dropped || "0", true);
   number("reconnects", data.reconnections, true);
   number("session", data.session);
+  number("zero", data.estimate ? data.estimate.zero : "–");
   number("frame", data.number);
 }
 

@@ -1,0 +1,113 @@
+"""Judgement of session starts: false alarms on flat sensors, and bent and pressed ones told.
+
+Run by `python -m eitskin.benchmarks.studies.data.session_starts`, for `docs/pipeline.md`.
+
+Simulates flat specimens of the recipe `training`, each on an AD5940 of its own, and held-out ones
+flat, bent and pressed. Prints, as Markdown, the share of each that is doubted, for several numbers
+of known specimens. `--store` writes the distribution of all known specimens, with the bend curve
+that the pipeline has learned, into a saved joint pipeline; nothing else there changes.
+"""
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.datasets.recipe.frame_sampling import specimen
+from eitskin.datasets.recipe.recipe import Recipe
+from eitskin.geometry.deformation.fixtures import Bend
+from eitskin.protocol import Protocol
+from eitskin.provenance import Provenance
+from eitskin.simulator.instrument.instrument import Instrument
+from eitskin.simulator.scene.scene import Scene
+from eitskin.simulator.scene.touch import Touch
+from eitskin.simulator.simulator import Simulator
+from eitskin.training.joint.method import JointMethod
+from eitskin.training.pipeline.flat_sensors import FlatSensors
+from eitskin.training.pipeline.pipeline import Pipeline
+from eitskin.training.pipeline.saved_form import SHIPPED, read_pipeline, write_pipeline
+
+FIRST_HELD_OUT = 2000
+PLACES = ((0.02, 0.012), (0.13, 0.048))
+ANGLES_DEG = np.linspace(-20.0, 50.0, 29)
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+PROTOCOL = Protocol.pairwise(8)
+
+
+def scenes(number: int) -> dict[str, Scene]:
+    """Starts of one held-out specimen, by name."""
+    rng = np.random.default_rng([1, number])
+    (x, y), (u, v) = rng.uniform(*PLACES, size=(2, 2)).tolist()
+    bends = {f"{angle:+d} deg": Scene(Bend(float(angle))) for angle in (-10, 10, 20, 30)}
+    presses = {f"{f} N": Scene(touches=(Touch(x=x, y=y, force=float(f)),)) for f in (3, 9)}
+    both = Scene(Bend(30.0), (Touch(x=u, y=v, force=9.0),))
+    return {"flat": Scene()} | bends | presses | {"+30 deg, 9 N": both}
+
+
+def measured(recipe: Recipe, number: int, chosen: dict[str, Scene]) -> Iterator[Complex]:
+    """First frame of each scene on one specimen, all by the same board (measurements,) [ohm]."""
+    drawn = specimen(recipe, number)
+    simulator = Simulator(
+        drawn.design, recipe.resolution, fixture=drawn.fixture, mechanics=drawn.mechanics
+    )
+    rng = np.random.default_rng([2, number])
+    session = Instrument.ad5940().session(PROTOCOL, simulator.full_scale, rng)
+    for scene in chosen.values():
+        truth = simulator.measure(scene).impedance
+        yield session.measure(truth[None].astype(complex), np.zeros(1), rng)[0][0]
+
+
+def bend_curve(pipeline: Pipeline) -> Array:
+    """Learned mean change of the logarithms at `ANGLES_DEG` (angles, measurements)."""
+    method = pipeline.method
+    if not isinstance(method, JointMethod):
+        raise SystemExit("expected a pipeline of the joint method, which has a bend curve")
+    return method.bend_prior.of(np.zeros(len(method.features.directions))).value(ANGLES_DEG)
+
+
+def store(path: Path, known: FlatSensors) -> None:
+    """Write the distribution into a saved pipeline."""
+    saved = read_pipeline(path)
+    arrays = {f"flat_sensors.{name}": array for name, array in known.arrays().items()}
+    write_pipeline(path, replace(saved, weights={**saved.weights, **arrays}))
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--specimens", type=int, default=600)
+    parser.add_argument("--held-out", type=int, default=60)
+    parser.add_argument("--store", type=Path, help="saved joint pipeline")
+    options = parser.parse_args()
+    recipe, change = Recipe.shipped("training"), bend_curve(Pipeline.load(options.store or SHIPPED))
+    flat = np.array(
+        [next(measured(recipe, n, {"flat": Scene()})) for n in range(options.specimens)]
+    )
+    held: dict[str, list[Complex]] = {}
+    for number in range(FIRST_HELD_OUT, FIRST_HELD_OUT + options.held_out):
+        chosen = scenes(number)
+        for name, values in zip(chosen, measured(recipe, number, chosen), strict=True):
+            held.setdefault(name, []).append(values)
+    print("| specimens known | " + " | ".join(held) + " | others flat |")
+    print("|---" * (len(held) + 2) + "|")
+    for count in sorted({8, 16, 40, 100, 200, options.specimens}):
+        known = FlatSensors.fit(flat[:count], ANGLES_DEG, change)
+        if count > options.specimens or known is None:
+            continue
+        shares = [np.mean([bool(known.judge(v).doubt) for v in values]) for values in held.values()]
+        rest = [bool(known.judge(values).doubt) for values in flat[count:]]
+        others = f"{sum(rest)} of {len(rest)}" if rest else "-"
+        cells = [str(count), *(f"{100 * share:.0f} %" for share in shares), others]
+        print("| " + " | ".join(cells) + " |", flush=True)
+        if count == options.specimens and options.store:
+            store(options.store, known)
+    print("\n", Provenance.now(recipe.seed))
+
+
+if __name__ == "__main__":
+    main()

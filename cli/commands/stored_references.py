@@ -1,0 +1,63 @@
+"""Option `--reference` of commands, and the use of stored references."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from eitskin.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from eitskin.cli.options import Output
+    from eitskin.hardware.protocol.messages import Info
+    from eitskin.training.pipeline.pipeline import Pipeline
+    from eitskin.training.positions.recorded_touches import RecordedTouches
+
+ReferenceFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--reference",
+        help="Stored reference of this sensor, from eitskin tare: the session need not begin flat.",
+    ),
+]
+
+
+def board_number(info: "Info") -> str:
+    """Unique number of a board in hexadecimal digits; empty where it has none."""
+    return info.uid.hex() if any(info.uid) else ""
+
+
+def use_reference(
+    pipeline: "Pipeline | RecordedTouches", path: Path, info: "Info | None", output: "Output"
+) -> None:
+    """Use the reference in a file; note its zero, and another board than this one.
+
+    Raises ConfigurationError for a pipeline without references, and the errors of
+    `StoredReference.read` and `Pipeline.use`.
+    """
+    from eitskin.training.pipeline.pipeline import Pipeline
+    from eitskin.training.pipeline.stored_reference import StoredReference
+
+    if not isinstance(pipeline, Pipeline):
+        raise ConfigurationError(
+            "expected a pipeline of states, bends or touches with --reference, got one of recorded "
+            "touch positions, which takes a session's first frames; leave --reference out"
+        )
+    reference = StoredReference.read(path)
+    pipeline.use(reference)
+    output.note(f"zero: the sensor {reference.zero}, as stored in {path} at {reference.taken}")
+    number = "" if info is None else board_number(info)
+    if number and reference.board and number != reference.board:
+        output.note(
+            f"the reference was taken with board {reference.board}, this is board {number}, whose "
+            "channels differ by some tenths of a percent: take it again with this board"
+        )
+
+
+def tell_unjudged(pipeline: "Pipeline | RecordedTouches", output: "Output") -> None:
+    """Note where a pipeline cannot judge whether a session begins flat and untouched."""
+    if getattr(pipeline, "flat_sensors", None) is None and not getattr(pipeline, "stored", None):
+        output.note(
+            "this pipeline cannot judge whether the sensor is flat and untouched: it knows too few "
+            "specimens; see to that, or give --reference"
+        )

@@ -1,0 +1,109 @@
+"""`eitskin tare`: a stored reference of one sensor, the zero of its estimates."""
+
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from eitskin.cli.commands.live import seeded
+from eitskin.cli.commands.stored_references import board_number, tell_unjudged
+from eitskin.cli.options import Json, Model, Output, Quiet, Seed, Verbose
+from eitskin.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from eitskin.frame import Frame
+    from eitskin.training.method.input_spec import InputSpec
+
+BoardOption = Annotated[
+    str | None,
+    typer.Option("--board", help="serial:PORT, text:PORT, virtual: or replay:DIRECTORY."),
+]
+DatasetOption = Annotated[
+    Path | None, typer.Option("--dataset", help="Instead of a board: the reference of a specimen.")
+]
+Specimen = Annotated[int, typer.Option(min=0, help="Number of the specimen in the dataset.")]
+FrameCount = Annotated[int, typer.Option(min=1, help="Number of frames that are averaged.")]
+Mounted = Annotated[
+    bool,
+    typer.Option(
+        "--mounted",
+        help="The sensor is curved by what it is mounted on: its shape now is the zero.",
+    ),
+]
+
+
+def command(
+    model: Model,
+    *,
+    out: Annotated[Path, typer.Option(help="File of the reference, NAME.json.")],
+    board: BoardOption = None,
+    dataset: DatasetOption = None,
+    specimen: Specimen = 0,
+    frames: FrameCount = 32,
+    mounted: Mounted = False,
+    seed: Seed = 0,
+    as_json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Store the still, untouched sensor as the zero of later sessions (live, check, calibrate).
+
+    The sensor must lie flat, or, with --mounted, be as it is mounted. A recording is a board, too:
+    replay:DIRECTORY gives its first frames.
+    """
+    from eitskin.training.pipeline.pipeline import Pipeline
+    from eitskin.training.pipeline.stored_reference import Zero
+
+    output = Output(as_json, quiet, verbose)
+    if (board is None) == (dataset is None):
+        raise ConfigurationError("give either --board or --dataset, the sensor of the reference")
+    pipeline = Pipeline.load(model)
+    zero = Zero.MOUNTED if mounted else Zero.FLAT
+    if zero is Zero.FLAT:
+        tell_unjudged(pipeline, output)
+    if dataset is not None:
+        taken, number = [reference_frame(dataset, specimen)], ""
+    else:
+        taken, number = _from_board(str(board), pipeline.layout, frames, zero, seed, output)
+    reference = pipeline.tare(taken, zero, number, str(dataset or board))
+    reference.write(out)
+    facts = {"frames": reference.frames, "noise": reference.noise, "taken": reference.taken}
+    result = {"out": str(out), "zero": str(zero), **facts, "board": number}
+    output.result(result, f"{out}: the sensor {zero}, mean of {reference.frames} frames")
+    output.note(f"use it by --reference {out}, with this sensor on this board only")
+
+
+def _from_board(
+    uri: str, spec: "InputSpec", frames: int, zero: str, seed: int, output: Output
+) -> "tuple[list[Frame], str]":
+    """Frames of a board, and its number."""
+    from eitskin.hardware.opening import open_board
+
+    with open_board(uri, **seeded(uri, seed)) as board:
+        spec.require_same_measurements(board.protocol, board.info.frequency)
+        output.note(f"measuring {frames} frames; keep the sensor {zero}, still and untouched")
+        return list(islice(board.frames(), frames)), board_number(board.info)
+
+
+def reference_frame(folder: Path, specimen: int) -> "Frame":
+    """Frame of the flat, untouched specimen of a dataset.
+
+    Raises DataError where the dataset has no such specimen, or no protocol.
+    """
+    import numpy as np
+
+    from eitskin.datasets.store.folder import open_dataset
+    from eitskin.errors import DataError
+    from eitskin.frame import Frame
+
+    data = open_dataset(folder)
+    rows = np.flatnonzero(data.specimen_number == specimen)
+    if not len(rows) or data.protocol is None:
+        raise DataError(
+            f"expected specimen {specimen} and a protocol in {folder}, found specimens "
+            f"{data.specimen_number[:8].tolist()}, protocol {data.protocol}; choose another "
+            "--specimen, or import the recording with --protocol"
+        )
+    reference = data.reference[rows[0]].astype(np.complex128)
+    return Frame(reference, data.protocol, frequency=data.frequency)
