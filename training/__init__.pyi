@@ -30,6 +30,12 @@ from eitskin.training.pipeline.estimate import (
 from eitskin.training.pipeline.pipeline import (
     Pipeline as Pipeline,
 )
+from eitskin.training.pipeline.stored_reference import (
+    StoredReference as StoredReference,
+)
+from eitskin.training.pipeline.stored_reference import (
+    Zero as Zero,
+)
 from eitskin.training.positions.opening import (
     open_pipeline as open_pipeline,
 )

@@ -1,7 +1,7 @@
 """Perception pipeline: estimates from the frames of a session, training, calibration, saving."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -276,7 +276,11 @@ class Pipeline:
             session.renew(voltages, touched)
         problems += (*perceived.problems[0], *session.problems(self.layout.protocol.labels))
         estimate = Estimate.of(perceived, self.targets, problems, frame, session.zero)
-        return estimate.of_unknown_start() if session.doubt else estimate
+        if session.doubt:
+            return estimate.of_unknown_start()
+        if session.zero is Zero.MOUNTED and not self.calibration:
+            return replace(estimate, bend_deviation_deg=None)  # trained on bends of flat sensors
+        return estimate
 
     def perceive(self, dataset: Dataset) -> Predictions:
         """Estimates for all frames of a dataset, each by itself.

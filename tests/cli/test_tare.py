@@ -1,0 +1,98 @@
+"""`eitskin tare`, and the commands that use its reference or tell a start that is not flat."""
+
+import json
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from eitskin.cli.commands.tare import reference_frame
+from eitskin.cli.main import app
+from eitskin.datasets import ShardWriter
+from eitskin.errors import ConfigurationError, DataError
+from eitskin.hardware.virtual import virtual_board as virtual
+from eitskin.simulator import Frame, Protocol, Simulator
+from eitskin.training import StoredReference, Zero
+
+FLAT = "virtual:?speed=max"
+kept_simulator = lru_cache(Simulator)  # of the sensor that all of the boards have
+
+
+@pytest.fixture(autouse=True)
+def one_simulator(monkeypatch):
+    monkeypatch.setattr(virtual, "Simulator", kept_simulator)
+
+
+@pytest.fixture
+def bent(tmp_path):
+    path = tmp_path / "bent.toml"
+    path.write_text("[bend]\nangle_deg = 30.0\n[[touches]]\nx = 0.06\ny = 0.03\nforce = 9.0\n")
+    return f"{FLAT}&scene={path}"
+
+
+def run(*arguments, code=0):
+    result = CliRunner().invoke(app, [*map(str, arguments)])
+    assert result.exit_code == code, result.output
+    return result
+
+
+def tare(path, board, *options, code=0):
+    return run("tare", "reference.eitmodel", "--board", board, "--out", path, *options, code=code)
+
+
+@pytest.fixture
+def reference(tmp_path):
+    path = tmp_path / "mine.json"
+    tare(path, FLAT, "--frames", 8)
+    return path
+
+
+def test_the_reference_knows_its_board_and_zero(reference):
+    stored = StoredReference.read(reference)
+    assert (stored.zero, stored.frames, stored.source) == (Zero.FLAT, 8, FLAT)
+    assert bytes.fromhex(stored.board) == b"eitskin-0000"
+    assert 0 < stored.noise < 2e-3
+
+
+def test_a_bent_sensor_is_no_flat_reference_but_a_mounted_one(bent, tmp_path):
+    path = tmp_path / "mounted.json"
+    with pytest.raises(DataError, match="--mounted"):
+        raise tare(path, bent, code=1).exception
+    assert not path.exists()
+    said = json.loads(tare(path, bent, "--mounted", "--json", "--frames", 4).stdout)
+    assert (said["zero"], said["frames"]) == ("as mounted", 4)
+
+
+def test_check_tells_a_sensor_that_does_not_start_flat(bent, reference):
+    check = ("check", "--frames", 4, "--json", "--board")
+    (finding,) = json.loads(run(*check, bent, code=4).stdout)["findings"]
+    assert finding["what"] == "not flat"
+    assert "eitskin tare" in finding["message"]
+    (finding,) = json.loads(run(*check, bent, "--reference", reference, code=4).stdout)["findings"]
+    assert "1 touch" in finding["message"]
+    assert run(*check, FLAT, "--reference", reference)
+
+
+def test_live_estimates_a_bent_start_by_its_reference(bent, reference):
+    live = ("live", "reference.eitmodel", "--board", bent, "--frames", 2, "--every-frame", "--json")
+    lines = [json.loads(line) for line in run(*live).stdout.splitlines()]
+    assert {(line["state"], line["bend_angle_deg"]) for line in lines} == {(None, None)}
+    assert "does not look flat" in lines[0]["problems"][0]
+    lines = run(*live, "--reference", reference).stdout.splitlines()
+    known = json.loads(lines[-1])
+    assert (known["state"], known["zero"], known["problems"]) == ("touch", "flat", [])
+    assert known["bend_angle_deg"] == pytest.approx(30.0, abs=4.0)
+
+
+def test_the_reference_of_a_dataset_and_none(tmp_path):
+    path = tmp_path / "r.json"
+    flat = np.linspace(400.0, 800.0, 28)
+    with ShardWriter(tmp_path / "run") as writer:
+        writer.append(Frame(flat, Protocol.pairwise(8)))
+    frame = reference_frame(tmp_path / "run", 0)
+    np.testing.assert_allclose(frame.impedance, flat, rtol=1e-6)
+    with pytest.raises(DataError, match="expected specimen 7"):
+        reference_frame(tmp_path / "run", 7)
+    with pytest.raises(ConfigurationError, match="--dataset"):
+        raise run("tare", "reference.eitmodel", "--out", path, code=1).exception

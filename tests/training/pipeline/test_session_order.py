@@ -1,0 +1,62 @@
+"""Order of frames: sessions and numbers begin sessions, clocks are told."""
+
+import numpy as np
+import pytest
+
+from eitskin.simulator import Frame, Protocol
+from eitskin.training.pipeline.session_order import SessionOrder
+
+PROTOCOL = Protocol.pairwise(3)
+
+
+def followed(*frames):
+    """Last step of frames given as (number, time) or (number, time, session)."""
+    order = SessionOrder()
+    for each in frames:
+        number, time, *session = each
+        step = order.follow(Frame(np.ones(3), PROTOCOL, time, number, *session))
+    return order, step
+
+
+STEADY = tuple((n, 0.3 * n) for n in range(5))
+
+
+def test_frames_in_order_are_no_event():
+    order, step = followed(*STEADY)
+    assert (step.new_session, step.gap, step.problems) == (False, False, ())
+    assert order.elapsed == pytest.approx(1.2)
+
+
+@pytest.mark.parametrize(
+    ("last", "said"), [((5, 1.5, 1), "session 1 follows session 0"), ((2, 1.5), "2 follows 4")]
+)
+def test_sessions_and_numbers_begin_a_session_and_are_told(last, said):
+    order, step = followed(*STEADY, last)
+    assert step.new_session
+    assert said in step.problems[0]
+    assert order.elapsed == 0.0
+
+
+@pytest.mark.parametrize("numbers", [(4, 4), (2**32 - 1, 0), (4, 900)])
+def test_equal_wrapped_and_lost_numbers_go_on(numbers):
+    assert not followed(*zip(numbers, (1.0, 1.3), strict=True))[1].new_session
+
+
+def test_a_clock_that_runs_back_is_told_and_begins_nothing():
+    order, step = followed(*STEADY, (5, 0.2))
+    assert not step.new_session
+    assert step.problems == (
+        "frame 5: the clock ran back by 1 s; the references stay as they were",
+    )
+    assert order.elapsed == pytest.approx(1.2)
+
+
+def test_a_clock_that_jumps_ahead_is_told():
+    _, step = followed(*STEADY, (5, 3600.0))
+    assert step.gap
+    assert "jumped ahead" in step.problems[0]
+
+
+@pytest.mark.parametrize("last", [(24, 7.2), (5, 4.0)])
+def test_lost_frames_and_short_pauses_are_no_jump(last):
+    assert followed(*STEADY, last)[1].problems == ()

@@ -1,0 +1,187 @@
+"""Stored references: their file, and sessions of the shipped pipeline that begin with one."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+from eitskin.datasets import State
+from eitskin.errors import ConfigurationError, DataError, FrameError
+from eitskin.geometry import Bend, SensorDesign
+from eitskin.simulator import Frame, Protocol, Scene, Simulator, Touch
+from eitskin.training import Pipeline, StoredReference, Zero
+from eitskin.training.pipeline.stored_reference import FORMAT_VERSION
+
+NOISE = 1e-4
+PROTOCOL = Protocol.pairwise(8)
+
+
+@pytest.fixture(scope="module")
+def pipeline():
+    return Pipeline.load("reference.eitmodel")
+
+
+@pytest.fixture(scope="module")
+def simulator():
+    return Simulator(SensorDesign.reference(), resolution="fast")
+
+
+@pytest.fixture(scope="module")
+def truth(simulator):
+    """Noise-free values by name."""
+    touch = (Touch(0.05, 0.02, force=9.0),)
+    scenes = {
+        "flat": Scene(),
+        "bent": Scene(Bend(30.0)),
+        "pressed": Scene(Bend(30.0), touch),
+        "further": Scene(Bend(40.0)),
+    }
+    return {name: simulator.measure(scene).impedance for name, scene in scenes.items()}
+
+
+def frames(values, count=8, first=0, seed=0):
+    rng = np.random.default_rng(seed)
+    noisy = values * (1 + NOISE * rng.normal(size=(count, 28)))
+    return [Frame(z, PROTOCOL, 0.3 * n, n) for n, z in enumerate(noisy, first)]
+
+
+def last(pipeline, given):
+    return [pipeline.process(frame) for frame in given][-1]
+
+
+# ---- starts without a reference ----
+
+
+def test_a_flat_start_is_not_doubted(pipeline, truth):
+    pipeline.use(None)
+    estimate = last(pipeline, frames(truth["flat"]))
+    assert (estimate.state, estimate.problems, estimate.zero) == (
+        State.IDLE,
+        (),
+        Zero.FIRST_FRAMES,
+    )
+
+
+@pytest.mark.parametrize("name", ["bent", "pressed"])
+def test_a_bent_start_is_told_and_its_angle_unknown(pipeline, truth, name):
+    pipeline.use(None)
+    estimate = last(pipeline, frames(truth[name]))
+    assert estimate.state is None
+    assert estimate.bend_angle_deg is estimate.bend_deviation_deg is None
+    assert np.isnan(estimate.probabilities[[State.IDLE, State.BEND]]).all()
+    (problem,) = estimate.problems
+    assert "does not look flat" in problem
+    assert "eitskin tare" in problem
+
+
+def test_a_pipeline_that_knows_too_few_specimens_does_not_judge(pipeline, truth):
+    naive = dataclasses.replace(pipeline, flat_sensors=None)
+    estimate = last(naive, frames(truth["bent"]))
+    assert (estimate.state, estimate.problems) == (State.IDLE, ())
+
+
+# ---- with a reference ----
+
+
+@pytest.mark.parametrize(
+    ("name", "state", "touches"),
+    [("flat", State.IDLE, 0), ("bent", State.BEND, 0), ("pressed", State.TOUCH, 1)],
+)
+def test_with_a_reference_any_start_is_estimated(pipeline, truth, name, state, touches):
+    pipeline.use(None)
+    pipeline.tare(frames(truth["flat"]))
+    estimate = last(pipeline, frames(1.01 * truth[name], seed=1))
+    assert (estimate.state, len(estimate.touches)) == (state, touches)
+    assert estimate.bend_angle_deg == pytest.approx(0.0 if name == "flat" else 30.0, abs=3.0)
+    assert (estimate.zero, estimate.problems) == (Zero.FLAT, ())
+    if touches:
+        assert estimate.touches[0][:2] == pytest.approx((0.05, 0.02), abs=5e-3)
+
+
+def test_a_new_session_keeps_the_reference(pipeline, truth):
+    pipeline.tare(frames(truth["flat"]))
+    given = frames(truth["bent"], 2)
+    pipeline.process(given[0])
+    again = pipeline.process(dataclasses.replace(given[1], session=1))
+    assert again.state is State.BEND
+    pipeline.reset()
+    assert pipeline.process(given[0]).state is State.BEND
+
+
+def test_a_mounted_sensor_is_estimated_from_its_own_shape(pipeline, truth):
+    with pytest.raises(DataError, match="--mounted"):
+        pipeline.tare(frames(truth["bent"]))
+    pipeline.tare(frames(truth["bent"]), Zero.MOUNTED)
+    estimate = last(pipeline, frames(truth["bent"], seed=2))
+    assert (estimate.state, estimate.zero, estimate.problems) == (State.IDLE, Zero.MOUNTED, ())
+    estimate = last(pipeline, frames(truth["further"], first=8))
+    assert estimate.state is State.BEND
+    assert estimate.bend_angle_deg == pytest.approx(10.0, abs=9.0)
+    assert estimate.bend_deviation_deg is None
+
+
+def test_a_moving_sensor_gives_no_reference(pipeline, truth):
+    before = pipeline.stored
+    moving = [*frames(truth["flat"], 3), *frames(truth["bent"], 3, first=3)]
+    with pytest.raises(DataError, match="moves in frame 4 of 6"):
+        pipeline.tare(moving)
+    with pytest.raises(ConfigurationError, match="got none"):
+        pipeline.tare([])
+    assert pipeline.stored is before
+
+
+def test_a_reference_of_another_sensor_is_refused(pipeline, truth):
+    reference = pipeline.tare(frames(truth["flat"]))
+    with pytest.raises(FrameError, match="times those"):
+        pipeline.use(dataclasses.replace(reference, impedance=40.0 * reference.impedance))
+    assert pipeline.stored is reference
+
+
+# ---- the file ----
+
+
+@pytest.fixture
+def reference(pipeline, truth):
+    return pipeline.tare(frames(truth["flat"]), board="0102", source="virtual:")
+
+
+def test_the_file_brings_everything_back(reference, tmp_path):
+    impedance = reference.impedance.copy()
+    impedance[4] = np.nan
+    kept = dataclasses.replace(reference, impedance=impedance)
+    again = StoredReference.read(kept.write(tmp_path / "r.json"))
+    np.testing.assert_array_equal(again.impedance[5:], impedance[5:])
+    assert np.isnan(again.impedance[4])
+    others = StoredReference.__slots__[1:]
+    assert [getattr(again, name) for name in others] == [getattr(kept, name) for name in others]
+    assert reference.noise == pytest.approx(NOISE * np.sqrt(2), rel=0.3)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"format": "other"}, "is no reference"),
+        ({"format_version": FORMAT_VERSION + 1}, "newer eitskin"),
+        ({"real": [1.0]}, "expected 28 real"),
+        ({"real": [None] * 28}, "good channel"),
+        ({"zero": "bent"}, "bent"),
+        ({"zero": "first frames"}, "expected zero"),
+        ({"taken": "yesterday"}, "yesterday"),
+        ({"frames": 0}, "positive"),
+        ({"colour": 1}, "colour"),
+    ],
+)
+def test_a_changed_file_is_refused(reference, tmp_path, change, said):
+    path = reference.write(tmp_path / "r.json")
+    path.write_text(json.dumps({**json.loads(path.read_text()), **change}))
+    with pytest.raises(DataError, match=said):
+        StoredReference.read(path)
+
+
+def test_files_that_are_no_reference_are_refused(tmp_path):
+    with pytest.raises(DataError, match="eitskin tare"):
+        StoredReference.read(tmp_path / "none.json")
+    (tmp_path / "cut.json").write_text('{"format": "eitskin-refe')
+    with pytest.raises(DataError, match="no whole reference"):
+        StoredReference.read(tmp_path / "cut.json")
