@@ -34,7 +34,7 @@ from eitskin.geometry.meshing.grading import Grading
 from eitskin.hardware import open_board
 from eitskin.hardware.boards.port import remedy
 from eitskin.simulator import ForwardModel, Frame, Protocol, Scene
-from eitskin.training import Pipeline
+from eitskin.training import Pipeline, StoredReference
 from eitskin.training.evaluation.evaluate import require_on_sheet
 from eitskin.training.method.calibration import Calibration, KnownBends
 from eitskin.training.pipeline.saved_form import SHIPPED, SUMS, read_pipeline
@@ -165,6 +165,25 @@ def calibrates_without_bending(_):
     Calibration((20.0,), (1.0,), (1.0,), residual_deg=20.0).require_fit(known)
 
 
+def bent_reference(_):
+    pipeline = Pipeline.load("reference.eitmodel")
+    known = pipeline.flat_sensors
+    bent = np.exp(known.mean + 50.0 / 45.0 * known.bend[0] + (50.0 / 45.0) ** 2 * known.bend[1])
+    scale = np.median(pipeline.layout.reference / bent)
+    pipeline.tare([Frame(scale * bent, pipeline.layout.protocol)])
+
+
+def moving_reference(_):
+    pipeline = Pipeline.load("reference.eitmodel")
+    still, protocol = pipeline.layout.reference, pipeline.layout.protocol
+    pipeline.tare([Frame(still, protocol), Frame(1.1 * still, protocol, number=1)])
+
+
+def damaged_reference(folder):
+    (folder / "r.json").write_text("{")
+    StoredReference.read(folder / "r.json")
+
+
 def recording(text, **more):
     def provoke(folder):
         (folder / "a.csv").write_text(text)
@@ -239,6 +258,9 @@ PROVOKED = {
     "expected rows": recording("v0\n1\n", form=RecordingForm("before-during")),
     "... cannot be combined": combined,
     "touches of the": lambda _: require_on_sheet(touched_at(135.0), (0.15, 0.06)),
+    "the sensor does not look flat": bent_reference,
+    "expected frames of a still": moving_reference,
+    "... is no whole reference": damaged_reference,
     "the frames do not fit": calibrates_without_bending,
     "...: cannot open the port: there is none": lambda _: open_board("serial:/dev/none-such"),
     "...: cannot open the port: ...; check": plain_file,
