@@ -157,6 +157,11 @@ class FlatSensors:
         covariance: Array = (vectors * np.maximum(values, BOARD_ERROR**2)) @ vectors.T
         return covariance
 
+    @cached_property
+    def _precision(self) -> Array:
+        """Inverse of the covariance of all channels, blind to their common factor."""
+        return _blind_inverse(self.covariance)
+
     def judge(self, impedance: ArrayLike) -> Start:
         """Judgement of a sensor that is said to be flat and untouched.
 
@@ -168,9 +173,9 @@ class FlatSensors:
         count = len(known) - 1  # the common factor is unknown
         if count < 2:
             return Start(0.0, 1.0, math.nan, math.nan, 1.0)
-        precision = np.linalg.inv(self.covariance[np.ix_(known, known)])
-        total = precision.sum(axis=1)
-        precision -= np.outer(total, total) / total.sum()  # blind to the common factor
+        whole = len(known) == len(self.mean)
+        part = np.ix_(known, known)
+        precision = self._precision if whole else _blind_inverse(self.covariance[part])
         departure = np.log(magnitudes[known]) - self.mean[known]
         distance = float(departure @ precision @ departure)
         chance = float(fdtrc(count, self.freedom, distance / count))
@@ -179,7 +184,7 @@ class FlatSensors:
             return Start(distance, chance, math.nan, math.nan, 1.0)
         angles = np.linspace(low, high, round(high - low) + 1)
         rest = departure - _powers(angles) @ self.bend[:, known]
-        left = np.einsum("ij,jk,ik->i", rest, precision, rest)
+        left = np.sum((rest @ precision) * rest, axis=1)
         best = int(left.argmin())
         slopes = np.array([1.0, 2.0 * angles[best] / ANGLE_UNIT_DEG]) / ANGLE_UNIT_DEG
         slope = slopes @ self.bend[:, known]
@@ -232,12 +237,9 @@ def _cross_validated(fitted: FlatSensors, logs: Array) -> float:
     ratios = []
     for fold in range(folds.max() + 1):
         seen = logs[folds != fold]
+        mean, components = _moments(seen)
         without = replace(
-            fitted,
-            mean=_moments(seen)[0],
-            components=_moments(seen)[1],
-            specimens=len(seen),
-            inflation=1.0,
+            fitted, mean=mean, components=components, specimens=len(seen), inflation=1.0
         )
         for start in map(without.judge, np.exp(logs[folds == fold])):
             bend = (
@@ -245,6 +247,14 @@ def _cross_validated(fitted: FlatSensors, logs: Array) -> float:
             )
             ratios.append((start.distance / (logs.shape[1] - 1), bend))
     return float(max(1.0, *np.mean(ratios, axis=0)))
+
+
+def _blind_inverse(covariance: Array) -> Array:
+    """Inverse of a covariance (C, C), blind to a factor common to all channels."""
+    precision = np.linalg.inv(covariance)
+    total = precision.sum(axis=1)
+    blind: Array = precision - np.outer(total, total) / total.sum()
+    return blind
 
 
 def _powers(angle_deg: Array) -> Array:
