@@ -27,7 +27,7 @@ PRESS = Scene(Bend(20.0), (Touch(0.040, 0.020, 8.0),))
 @pytest.fixture(scope="module")
 def sim():
     """A simulator of few cells: nothing here depends on how exact the resistances are."""
-    return Simulator(SensorDesign.reference(), ((2, 1), Grading(2e-3, 8e-3, 1.0)))
+    return Simulator(SensorDesign.reference(), ((3, 2), Grading(2e-3, 8e-3, 1.0)))
 
 
 @pytest.fixture(scope="module")
@@ -232,7 +232,7 @@ def test_halving_the_steps_changes_little(sim, derivatives):
     fine, coarse = scene_derivatives(sim, PRESS, halved).bound(1e-3), derivatives.bound(1e-3)
     assert coarse.distance == pytest.approx(fine.distance, rel=0.02)
     assert coarse.force == pytest.approx(fine.force, rel=0.02)
-    assert coarse.angle_deg == pytest.approx(fine.angle_deg, rel=0.001)
+    assert coarse.angle_deg == pytest.approx(fine.angle_deg, rel=0.003)
 
 
 @pytest.mark.slow
