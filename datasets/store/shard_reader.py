@@ -316,13 +316,15 @@ def _values(stored: h5py.h5d.DatasetID, field: Field, sizes: Mapping[str, int]) 
     if stored.shape != expected:
         raise DataError(f"'{field.path}' must have shape {expected}, got {stored.shape}")
     kind = stored.get_type()
-    if kind != _TYPES[field.name] and kind.dtype != field.dtype:  # an enum is its own type
+    enumerated = isinstance(kind, h5py.h5t.TypeEnumID)
+    # Not by numpy's type alone, which leaves out how the bits of a number are laid out.
+    if (kind.get_super() if enumerated else kind) != _TYPES[field.name]:
         raise DataError(f"'{field.path}' must hold {field.dtype.name}, got {kind.dtype}")
     too_large = any(sizes[axis] > LIMITS[axis] for axis in field.axes)
     if too_large or math.prod(expected) > MAX_VALUES:
         raise DataError(f"'{field.path}' claims {expected} values, above the format's limits")
     values: NDArray[Any] = np.empty(expected, field.dtype)
-    memory = kind if isinstance(kind, h5py.h5t.TypeEnumID) else _TYPES[field.name]
+    memory = kind if enumerated else _TYPES[field.name]
     stored.read(h5py.h5s.ALL, h5py.h5s.ALL, values, memory)
     return values
 
