@@ -96,3 +96,16 @@ def test_the_reference_of_a_dataset_and_none(tmp_path):
         reference_frame(tmp_path / "run", 7)
     with pytest.raises(ConfigurationError, match="--dataset"):
         raise run("tare", "reference.eitmodel", "--out", path, code=1).exception
+
+
+def test_calibration_with_a_reference_needs_no_flat_sensor(reference, tmp_path):
+    angles = [-20, 15, 30, 50]
+    script = tmp_path / "bends.toml"
+    step = "[[steps]]\nframes = 2\n[steps.scene.bend]\nangle_deg = {:.1f}\n"
+    script.write_text("repeat = false\n" + "".join(step.format(angle) for angle in angles))
+    mine = tmp_path / "mine.eitmodel"
+    named = ("--angles", ",".join(map(str, angles)), "--frames", 2, "--no-prompt", "--out", mine)
+    board = ("--board", f"{FLAT}&scene={script}", "--reference", reference, "--json")
+    said = json.loads(run("calibrate", "reference.eitmodel", *named, *board).stdout)
+    assert said["residual_deg"] < 0.5
+    assert max(said["error_after_deg"]) < 0.6 * max(said["error_before_deg"])
