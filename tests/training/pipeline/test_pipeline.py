@@ -306,7 +306,7 @@ def test_evaluation_of_other_measurements_is_refused(trained, dataset):
     with pytest.raises(DataError, match="no frames"):
         evaluate(trained, dataset.select(slice(0)))
     other = dataclasses.replace(dataset, protocol=None)
-    with pytest.raises(DataError, match="others"):
+    with pytest.raises(DataError, match="names its protocol"):
         evaluate(trained, other)
 
 
