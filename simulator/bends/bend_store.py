@@ -143,7 +143,7 @@ def check_clamp(design: SensorDesign, clamp: Clamp, mechanics: Mechanics) -> Non
     clamped_lines(Slab.of(design), clamp, mechanics)
 
 
-@lru_cache(maxsize=128)
+@lru_cache(maxsize=16)
 def bend_table(design: SensorDesign, clamp: Clamp, mechanics: Mechanics) -> BendTable:
     """Bend table of a clamped sensor; the first time takes half a minute."""
     found = [(_stored(case), weight) for case, weight in _needed(design, clamp, mechanics)]

@@ -112,7 +112,7 @@ class BendTable:
         )
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=8)
 def _over_angle(table: BendTable) -> tuple[CubicSpline, CubicHermiteSpline]:
     """Splines of `spline_coefficients` [m] and energy [J] over the angle [deg].
 

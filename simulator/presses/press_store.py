@@ -35,7 +35,7 @@ _LENGTHS = ("depths", "contact_radii", "thickness", "knots", "moved")
 _STRESSES = ("peak_pressures", "stressed")
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=16)
 def press_table(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -> PressTable:
     """Press table of a sensor and an indenter; the first time takes seconds to a minute.
 

@@ -120,7 +120,7 @@ class _OverDepth(NamedTuple):
     profiles: CubicSpline
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=16)
 def _over_depth(table: PressTable) -> _OverDepth:
     scaled_depths = (table.depths / table.depths[-1]) ** (1.0 / _SPACING)
     # On the axis u is odd, w and the stress are even; at the last knot all slopes are zero.

@@ -135,7 +135,7 @@ def test_many_electrodes_have_prisms_and_as_many_unknowns_as_they_need() -> None
     ]
     few = ForwardModel(DESIGN, "fast")
     assert [model.mesh.cells.shape[1] for model in (few, *models)] == [8, 6, 6]
-    assert models[0].unknowns < 2.0 * few.unknowns
+    assert models[0].unknowns < 3.0 * few.unknowns
     assert models[1].unknowns < 1.5 * models[0].unknowns
 
 
