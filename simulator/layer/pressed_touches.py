@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.kinematics import Deformation
-from eitskin.geometry.design.outline import Rectangle
+from eitskin.geometry.design.outline import Disc, Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.surface import Surface
 from eitskin.simulator.layer.bent_presses import BentPresses
@@ -191,23 +191,21 @@ def _corrected(
     felt = [(k, one.touch, one.dent) for k, one in enumerate(pressed) if one.dent is not None]
     sunk = [0.0] * len(pressed)
     fields: list[ColumnField] = []
-    smooth: list[SmoothField] = []
     way = way_of(tuple(touch for _, touch, _ in felt), design, mechanics, model)
     if felt and way == "tabulated":
         for k, touch, dent in felt:
             found, sunk[k] = corrections(design, mechanics, touch.indenter).at(
                 touch.x, touch.y, dent.depth
             )
-            smooth += found
+            fields += found
         for (k, one, dent), (j, other, beside) in combinations(felt, 2):
             pair = _pair((one, dent.depth), (other, beside.depth), design, mechanics)
             if pair is not None:
-                (wide, sides), deeper = pair
-                fields.append(wide)
-                smooth.append(sides)
+                changes, deeper = pair
+                fields += changes
                 sunk[k] += deeper
                 sunk[j] += deeper
-        fields.append(spline_sum(smooth, _nodes(design)))
+        fields = _summed(fields, design)
     elif felt:
         presses = tuple(_press(t, dent) for _, t, dent in felt)
         solved = solved_presses(design, mechanics, presses, bent)
@@ -217,6 +215,13 @@ def _corrected(
     return tuple(fields), tuple(sunk)
 
 
+def _summed(fields: list[ColumnField], design: SensorDesign) -> list[ColumnField]:
+    """Fields of the same sum, the polynomials among them as one field of splines."""
+    smooth = [field for field in fields if isinstance(field, SmoothField)]
+    others = [field for field in fields if not isinstance(field, SmoothField)]
+    return [*others, spline_sum(smooth, _nodes(design))] if smooth else others
+
+
 def require_model(
     touches: tuple[Touch, ...], design: SensorDesign, model: TouchModel | None
 ) -> None:
@@ -224,9 +229,10 @@ def require_model(
     if touches and model == "tabulated" and not tabulable(design):
         outline = type(design.outline).__name__.lower()
         raise ConfigurationError(
-            "presses are tabulated on rectangles at least 8 times as long as their stack is thick, "
-            f"on the support 'rigid' or a substrate, got a {outline} on {design.support}; leave "
-            "the touch model out, or let it be 'solved'"
+            "presses are tabulated on rectangles at least 8 times as long as their stack is thick "
+            "and on discs of at least its thickness in radius, on the support 'rigid' or a "
+            f"substrate, got a {outline} on {design.support}; leave the touch model out, or let it "
+            "be 'solved'"
         )
 
 
@@ -249,9 +255,11 @@ def _pair(
 ) -> tuple[tuple[TurnedField, SmoothField], float] | None:
     """Change of two dents by each other, and by how much deeper each sinks [m].
 
-    Touches with their depths [m]; None where they are far apart. Between different indenters it is
-    the change by those of the smaller one's kind.
+    Touches with their depths [m]; None where they are far apart, and on discs. Between different
+    indenters it is the change by those of the smaller one's kind.
     """
+    if isinstance(design.outline, Disc):
+        return None
     (a, deep), (b, beside) = one, other
     indenter = min(a.indenter, b.indenter, key=lambda each: each.rims[1])
     return pair_table(design, mechanics, indenter).at((a.x, a.y, deep), (b.x, b.y, beside))

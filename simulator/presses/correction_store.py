@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError
-from eitskin.geometry.design.outline import Rectangle
+from eitskin.geometry.design.outline import Disc, Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.support import Rigid, Substrate
 from eitskin.simulator.mechanics import solved_files
@@ -24,6 +24,8 @@ from eitskin.simulator.presses.correction_table import (
     solve_corrections,
     solve_strip,
 )
+from eitskin.simulator.presses.corrections import Corrections, DiscCorrections
+from eitskin.simulator.presses.disc_table import DiscTable, solve_disc
 from eitskin.simulator.presses.pair_table import PairTable, solve_pairs
 from eitskin.simulator.presses.press_store import (
     LIBRARY,
@@ -34,33 +36,36 @@ from eitskin.simulator.presses.press_store import (
     scaled_heights,
     with_modulus,
 )
-from eitskin.simulator.presses.smooth_field import SmoothField, together
 from eitskin.simulator.scene.indenters import Indenter
 from eitskin.simulator.scene.touch import AnyIndenter
 
 Array = NDArray[np.float64]
 
 # Versions of the tables: raise them whenever corrections are solved or tabulated in another way.
-_VERSIONS = {"corrections": 2, "strips": 2, "fine-strips": 2, "pairs": 3}
-_SHORTEST = 8.0  # length over the thickness of the stack, so that the ends do not feel each other
+_VERSIONS = {"corrections": 2, "strips": 2, "fine-strips": 2, "pairs": 3, "discs": 1}
+# Over the thickness of the stack: length of a rectangle, so that its ends do not feel each other,
+# and radius of a disc, so that there are several distances from the rim.
+_SHORTEST, _SMALLEST = 8.0, 1.0
 # Steps of thickness and of the modulus ratio between solved stacks, as for the tables of presses.
 _THICKER, _STIFFER = 1.1, math.sqrt(2.0)
 # Steps up to which the neighbours of the reference serve: hand-made specimens stay within.
 _FAR = 2.6
-_BEYOND = 0.02  # of the deepest solved press, by which another may be deeper
 _KEPT = 3e-4  # singular values, relative to the largest, that a stored table keeps
 _OF_FIELD = 4  # dimensions of the coefficients of one field
 _PARTS = ("_scales", "_amplitudes", "_modes", "_shape")
 
 
 def tabulable(design: SensorDesign) -> bool:
-    """Whether corrections on a design can be tabulated: they must not depend on x off the ends."""
-    outline = design.outline
-    return (
-        isinstance(outline, Rectangle)
-        and isinstance(design.support, Rigid | Substrate)
-        and outline.length >= _SHORTEST * design.encapsulated_thickness
-    )
+    """Whether corrections on a design can be tabulated: on discs, and on long rectangles.
+
+    Corrections on a rectangle must not depend on x off its ends, those on a disc on the azimuth.
+    """
+    outline, thickness = design.outline, design.encapsulated_thickness
+    if not isinstance(design.support, Rigid | Substrate):
+        return False
+    if isinstance(outline, Disc):
+        return outline.radius >= _SMALLEST * thickness
+    return isinstance(outline, Rectangle) and outline.length >= _SHORTEST * thickness
 
 
 def is_shipped(design: SensorDesign, mechanics: Mechanics, indenter: AnyIndenter) -> bool:
@@ -81,6 +86,9 @@ def missing(design: SensorDesign, mechanics: Mechanics, indenter: AnyIndenter) -
 @lru_cache(maxsize=64)
 def _names(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -> tuple[str, ...]:
     """Names of all files that a design needs."""
+    if isinstance(design.outline, Disc):
+        _, weights = _of_disc(design, mechanics)
+        return tuple(_name(design, stack, mechanics, indenter) for stack in weights)
     base, strips = _needed(design, mechanics)
     return (
         _name(design, base, mechanics, indenter),
@@ -89,58 +97,17 @@ def _names(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -> tu
     )
 
 
-@dataclasses.dataclass(frozen=True, slots=True, eq=False)
-class Corrections:
-    """Corrections of presses on one sensor: those of a solved stack, and how others differ.
-
-    Attributes:
-        height: of the gel [m].
-        base: table of the solved stack.
-        strips: tables of neighbouring stacks, with their weights, which add up to 0.
-    """
-
-    height: float
-    base: CorrectionTable
-    strips: tuple[tuple[StripTable, float], ...]
-
-    def at(self, x: float, y: float, depth: float) -> tuple[tuple[SmoothField, ...], float]:
-        """Fields of the correction of a press at (x, y) to a depth [m], and how much it sinks [m].
-
-        Raises ConfigurationError for a press that overhangs the stack or is deeper than the tables.
-        """
-        self.check_depth(depth)
-        if not self.base.covers(x, y):
-            raise ConfigurationError(
-                f"a touch must keep {1e3 * self.base.along[0]:.1f} mm from the edge of the gel, so "
-                f"that its contact stays on the stack, got ({x:g}, {y:g}) m; press farther in"
-            )
-        higher = self.height / float(self.base.height)
-        ends, sunk = self.base.near_ends(x, y, depth / higher)
-        fields, sunk = [end.raised(higher) for end in ends], sunk * higher
-        for table, weight in ((self.base, 1.0), *self.strips):
-            higher = self.height / float(table.height)
-            field, more = table.at(x, y, depth / higher)
-            fields.append(field.scaled(weight).raised(higher))
-            sunk += weight * higher * more
-        return tuple(together(fields)), sunk
-
-    def check_depth(self, depth: float) -> None:
-        """Raise ConfigurationError for a depth [m] beyond the tables."""
-        deepest = self.height / float(self.base.height) * float(self.base.depths[-1])
-        if depth > deepest * (1.0 + _BEYOND):
-            raise ConfigurationError(
-                f"touches are tabulated to a depth of {1e3 * deepest:.2f} mm, got "
-                f"{1e3 * depth:.2f} mm; press less, or solve scenes with touch_model='solved'"
-            )
-
-
 def prepare(
     design: SensorDesign, mechanics: Mechanics, indenter: AnyIndenter, report: Report | None = None
 ) -> None:
     """Solve and store the absent tables of a design that is `tabulable`.
 
-    `report` is called with the numbers of solved presses and of all presses of the base table.
+    `report` is called with the numbers of solved positions and of all positions of a base table.
     """
+    if isinstance(design.outline, Disc):
+        for stack in _of_disc(design, mechanics)[1]:
+            _disc(design, stack, mechanics, indenter, report)
+        return
     base, _ = _needed(design, mechanics)
     if _file(_name(design, base, mechanics, indenter)) is None:
         _stored(design, base, mechanics, indenter, report)
@@ -149,8 +116,15 @@ def prepare(
 
 
 @lru_cache(maxsize=64)
-def corrections(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -> Corrections:
+def corrections(
+    design: SensorDesign, mechanics: Mechanics, indenter: Indenter
+) -> Corrections | DiscCorrections:
     """Corrections on a design that is `tabulable`; those not stored take minutes to solve."""
+    if isinstance(design.outline, Disc):
+        base, weights = _of_disc(design, mechanics)
+        tables = {stack: _disc(design, stack, mechanics, indenter) for stack in weights}
+        weighted = tuple((tables[stack], weight) for stack, weight in weights.items())
+        return DiscCorrections(design.thickness, tables[base], weighted)
     base, strips = _needed(design, mechanics)
     return Corrections(
         design.thickness,
@@ -193,6 +167,15 @@ def _needed(design: SensorDesign, mechanics: Mechanics) -> tuple[Stack, list[tup
                 own = _Strip(base, fine)
                 weights[own] = weights.get(own, 0.0) - weight
     return base, list(weights.items())
+
+
+def _of_disc(design: SensorDesign, mechanics: Mechanics) -> tuple[Stack, dict[Stack, float]]:
+    """Solved stack next to a disc's, and weights of that stack and its neighbours, of sum 1."""
+    base, strips = _needed(design, mechanics)
+    weights = {base: 1.0}
+    for strip, weight in strips:
+        weights[strip.stack] = weights.get(strip.stack, 0.0) + weight
+    return base, weights
 
 
 def _positions(stack: Stack, design: SensorDesign, mechanics: Mechanics) -> tuple[float, ...]:
@@ -239,6 +222,23 @@ def _stored(
     return _kept(CorrectionTable, _name(design, stack, mechanics, indenter), solve)
 
 
+def _disc(
+    design: SensorDesign,
+    stack: Stack,
+    mechanics: Mechanics,
+    indenter: Indenter,
+    report: Report | None = None,
+) -> DiscTable:
+    def solve() -> DiscTable:
+        outline, around = design.outline, _around(stack, mechanics)
+        if not isinstance(outline, Disc):
+            raise TypeError(f"expected a disc, got {outline}")
+        workers = os.cpu_count() or 1
+        return solve_disc(outline, stack, around, design.support, indenter, report, workers)
+
+    return _kept(DiscTable, _name(design, stack, mechanics, indenter), solve)
+
+
 @lru_cache(maxsize=64)
 def pair_table(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -> PairTable:
     """Pairs of presses on the solved stack nearest to a design's; minutes where not stored."""
@@ -275,8 +275,8 @@ def _rectangle(design: SensorDesign) -> Rectangle:
     if isinstance(design.outline, Rectangle):
         return design.outline
     raise ConfigurationError(
-        f"corrections are tabulated on rectangles, got a {type(design.outline).__name__.lower()}; "
-        "use touch_model='solved'"
+        f"these tables are of rectangles, got a {type(design.outline).__name__.lower()}; use "
+        "touch_model='solved'"
     )
 
 
@@ -288,7 +288,10 @@ def _file(name: str) -> Path | None:
 
 
 def _name(design: SensorDesign, stack: Stack, mechanics: Mechanics, indenter: Indenter) -> str:
-    """Name of the file of a table of corrections."""
+    """Name of the file of a table of corrections on a rectangle or a disc."""
+    if isinstance(design.outline, Disc):
+        disc: dict[str, object] = {"radius": design.outline.radius, "margin": mechanics.margin}
+        return _file_name("discs", stack, mechanics, indenter, disc)
     outline = _rectangle(design)
     size: dict[str, object] = {
         "outline": [outline.length, outline.width],
@@ -337,7 +340,7 @@ def _file_name(
     return solved_files.file_name(kind, described)
 
 
-def _arrays(table: StripTable | PairTable) -> Iterator[tuple[str, Array]]:
+def _arrays(table: StripTable | PairTable | DiscTable) -> Iterator[tuple[str, Array]]:
     """Arrays of a file: fields as amplitudes and modes (proper orthogonal decomposition)."""
     for field in dataclasses.fields(table):
         array = getattr(table, field.name)
@@ -354,7 +357,7 @@ def _arrays(table: StripTable | PairTable) -> Iterator[tuple[str, Array]]:
         yield f"{field.name}_modes", modes[:rank].astype(np.float32)
 
 
-Table = TypeVar("Table", CorrectionTable, StripTable, PairTable)
+Table = TypeVar("Table", CorrectionTable, StripTable, PairTable, DiscTable)
 
 
 def _read(kind: type[Table], name: str) -> Table | None:

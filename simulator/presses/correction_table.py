@@ -17,13 +17,13 @@ from eitskin.simulator.presses.dent_field import DentField
 from eitskin.simulator.presses.finite_stack import Correction, FiniteStack
 from eitskin.simulator.presses.processes import processes
 from eitskin.simulator.presses.smooth_field import Box, SmoothField
-from eitskin.simulator.presses.stack_mesh import Contact, Fineness, stack_mesh
+from eitskin.simulator.presses.stack_mesh import Contact, Fineness, StackMesh, stack_mesh
 from eitskin.simulator.scene.indenters import Indenter
 
 Array = NDArray[np.float64]
 
 # Lengths over the thickness of the stack.
-_DEPTHS = (0.1, 0.2, 0.32)
+DEPTHS = (0.1, 0.2, 0.32)
 _ALONG = (0.0, 0.2, 0.45, 0.8, 1.25, 1.8, 2.5, 3.4, 4.5, 6.2)  # from a side, beyond the least
 _REACH, _FADE = 9.0, 2.0  # of a correction along x, and the length over which it is faded out
 _ENDS = 11.0  # length of the field at an end
@@ -37,7 +37,7 @@ _STRETCH = 2.5
 _ON_STRIP, _AT_END = Fineness(ends=0.0, sides=0.1, layers=2), Fineness(sides=0.0, layers=1)
 _FINER = Fineness(sides=0.0, layers=2)  # the same for stacks that differ more
 _VANISHED = 2.0  # beyond the last distance from an end, over the thickness
-_SAME = 1e-9  # [m]
+SAME = 1e-9  # [m]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,19 +67,11 @@ class StripTable:
 
     def at(self, x: float, y: float, depth: float) -> tuple[SmoothField, float]:
         """Correction of a press at (x, y) to a depth [m], and how much it sinks [m]."""
-        deep, across, H = self._deep(depth), self._across(y), float(self.thickness)
+        deep, across = weights_over_depth(self.depths, depth), self._across(y)
+        H = float(self.thickness)
         weights = across[:, :, None] * deep
         field = self._field(self._box(-_REACH * H, _REACH * H), weights, self.strip, _STRETCH)
         return field.shifted(x), float(across.sum(axis=0) @ self.sunk @ deep)
-
-    def _deep(self, depth: float) -> Array:
-        """Weights of the solved depths in the polynomial through them and no press at 0."""
-        nodes = self.depths.tolist()
-        weights = [
-            math.prod((depth - other) / (own - other) for other in nodes if other != own)
-            for own in nodes[1:]
-        ]
-        return np.array(weights)
 
     def _across(self, y: float) -> Array:
         """Weights of the solved distances from either long side, (2, m)."""
@@ -119,7 +111,7 @@ class CorrectionTable(StripTable):
     def near_ends(self, x: float, y: float, depth: float) -> tuple[list[SmoothField], float]:
         """Differences to the strip near either end, and how much deeper a press sinks [m]."""
         length, H = float(self.length), float(self.thickness)
-        deep, across = self._deep(depth), self._across(y)
+        deep, across = weights_over_depth(self.depths, depth), self._across(y)
         fields, sunk = [], 0.0
         for far in (False, True):
             distance = length - x if far else x
@@ -136,7 +128,7 @@ class CorrectionTable(StripTable):
     def covers(self, x: float, y: float) -> bool:
         """Whether (x, y) is among the solved positions, at which the contact is on the stack."""
         x, y = min(x, float(self.length) - x), min(y, float(self.width) - y)
-        return bool(x >= self.along[0] - _SAME and y >= self.aside[0] - _SAME)
+        return bool(x >= self.along[0] - SAME and y >= self.aside[0] - SAME)
 
 
 @lru_cache(maxsize=16)
@@ -187,13 +179,7 @@ class _Setting:
         body = stack_mesh(
             outline, self.stack, self.mechanics, self.support, [Contact(x, y, radius)], fineness
         )
-        stack, found = FiniteStack(body), list[Correction]()
-        for number, dent in enumerate(self.dents):
-            start = None
-            if found:
-                start = found[-1].unknowns * dent.depth / self.dents[number - 1].depth
-            found.append(stack.correction([DentField(x, y, self.indenter, dent)], start))
-        return found
+        return rising_corrections(body, x, y, self.indenter, self.dents)
 
     def on_strip(self, fineness: Fineness, y: float) -> Solved:
         """Press at y on a long strip."""
@@ -318,10 +304,33 @@ def _setting(
 ) -> tuple[_Setting, Array]:
     """Setting that all positions share, and the distances of presses from a side [m]."""
     H = stack.levels[-1]
-    dents = _dents(stack, indenter, [part * H for part in _DEPTHS])
+    dents = dents_to(stack, indenter, [part * H for part in DEPTHS])
     setting = _Setting(outline.width, stack, mechanics, support, indenter, tuple(dents))
     least = least_distance(stack, mechanics, indenter)
-    return setting, _distances(least, H, 0.5 * outline.width)
+    return setting, distances_from_side(least, H, 0.5 * outline.width)
+
+
+def rising_corrections(
+    body: StackMesh, x: float, y: float, indenter: Indenter, dents: Sequence[Indentation]
+) -> list[Correction]:
+    """Corrections of presses of rising depth at (x, y) [m], each started from the last."""
+    stack, found = FiniteStack(body), list[Correction]()
+    for number, dent in enumerate(dents):
+        start = None
+        if found:
+            start = found[-1].unknowns * dent.depth / dents[number - 1].depth
+        found.append(stack.correction([DentField(x, y, indenter, dent)], start))
+    return found
+
+
+def weights_over_depth(nodes: Array, depth: float) -> Array:
+    """Weights of the solved depths but 0 in the polynomial through them and no press at 0."""
+    return np.array(
+        [
+            math.prod((depth - other) / (own - other) for other in nodes.tolist() if other != own)
+            for own in nodes[1:].tolist()
+        ]
+    )
 
 
 def across_strip(nodes: Array, width: float, y: float) -> Array:
@@ -329,7 +338,7 @@ def across_strip(nodes: Array, width: float, y: float) -> Array:
 
     (2, m), of the spline through all of them.
     """
-    middle = nodes[-1] > 0.5 * width - _SAME
+    middle = nodes[-1] > 0.5 * width - SAME
     beyond = (width - nodes)[::-1][int(middle) :]
     both = spline_weights(np.concatenate([nodes, beyond]), y)
     mirrored = np.zeros(len(nodes))
@@ -346,12 +355,13 @@ def least_distance(stack: Stack, mechanics: Mechanics, indenter: Indenter) -> fl
     return max(indenter.rims[1] - mechanics.margin + _LEAST * stack.levels[-1], 0.0)
 
 
-def _dents(stack: Stack, indenter: Indenter, depths: Sequence[float]) -> list[Indentation]:
+def dents_to(stack: Stack, indenter: Indenter, depths: Sequence[float]) -> list[Indentation]:
+    """Axisymmetric presses to depths [m] on the unbounded stack."""
     press = AxisymmetricPress(stack, indenter, finest=_CELL * indenter.rims[1])
     return [press.to_depth(depth) for depth in depths]
 
 
-def _distances(least: float, thickness: float, middle: float) -> Array:
+def distances_from_side(least: float, thickness: float, middle: float) -> Array:
     """Distances from a side up to the middle, wider apart farther in [m]."""
     found = least + thickness * np.array(_ALONG)
     return np.append(found[found < middle - 0.25 * thickness], middle)

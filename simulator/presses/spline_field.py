@@ -58,6 +58,16 @@ class SplineField:
         along, across = self.nodes
         return cubic_splines(tuple(along.tolist())), cubic_splines(tuple(across.tolist()))
 
+    def scaled(self, factor: float) -> "SplineField":
+        """The field times a factor."""
+        return SplineField(self.nodes, self.height, factor * self.coefficients)
+
+    def raised(self, factor: float) -> "SplineField":
+        """The displacement field of a box `factor` times as high."""
+        upward = np.ones(self.coefficients.shape[-1])
+        upward[2] = factor
+        return SplineField(self.nodes, factor * self.height, self.coefficients * upward)
+
     def values(self, columns: Array) -> Array:
         """All components (k, h, n) at columns of points (n, h, 3) [m]."""
         heights, _ = self.over_height(columns[..., 2])

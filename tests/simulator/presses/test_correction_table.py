@@ -10,7 +10,7 @@ import pytest
 
 from eitskin.benchmarks.world.reference import cases
 from eitskin.errors import ConfigurationError
-from eitskin.geometry import Disc, Plates, Rectangle, SensorDesign, Substrate
+from eitskin.geometry import Plates, Polygon, Rectangle, SensorDesign, Substrate
 from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.simulator import Cylinder, Mechanics, Scene, Simulator, Touch
 from eitskin.simulator.mechanics import solved_files
@@ -158,11 +158,11 @@ def test_weights_are_continuous_where_the_neighbours_change(side) -> None:
 
 
 def test_only_presses_that_depend_on_x_near_the_ends_are_tabulated() -> None:
-    disc = Disc(0.05)
+    triangle = Polygon(((0.0, 0.0), (0.2, 0.0), (0.1, 0.1)))
     assert store.tabulable(DESIGN)
     assert store.tabulable(dataclasses.replace(DESIGN, support=Substrate(0.01, 5e3)))
     assert not store.tabulable(dataclasses.replace(DESIGN, support=Plates()))
-    assert not store.tabulable(SensorDesign(disc, 0.005, uniform(disc, 4)))
+    assert not store.tabulable(SensorDesign(triangle, 0.005, uniform(triangle, 4)))
     assert not store.is_shipped(DESIGN, MECHANICS, Cylinder(0.006))
 
 
