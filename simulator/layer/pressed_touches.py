@@ -53,6 +53,7 @@ _THEN = (
     "pressed and bent, rolled or twisted then, which was not compared; a sensor on a support "
     "'plates' that its clamp bends, without roll and twist, is pressed as one problem"
 )
+_SEPARATE = "tables of discs leave out how touches change each other's dents"
 _NODES, _FEWEST = 0.18, 12  # of splines for corrections, over the thickness of the stack
 _MOST_SEARCHED = 10  # dents that are tried for touches to a given depth
 
@@ -279,8 +280,11 @@ def pressed_touches(
     """
     world = _world(touches, design, mechanics, model, bent)
     error = None if bent_then else _FLAT if bent is None else _BENT
+    way = way_of(touches, design, mechanics, model)
+    apart = len(touches) > 1 and way == "tabulated" and isinstance(design.outline, Disc)
+    known = [_SEPARATE] * apart + [_THEN] * bent_then
     return tuple(
-        _described(one, below, touches, design, error)
+        _described(one, below, touches, design, error, known)
         for one, below in zip(world.pressed, world.sunk, strict=True)
     )
 
@@ -302,8 +306,13 @@ def _described(
     touches: tuple[Touch, ...],
     design: SensorDesign,
     error: float | None,
+    known: list[str],
 ) -> PressedTouch:
-    """Result of one touch; `error` is that found where presses were compared, None for none."""
+    """Result of one touch.
+
+    `error` is that found where presses were compared, None for none; `known` are cautions that
+    hold for all touches of the scene.
+    """
     touch, dent, force = one
     neighbour = min(
         (math.dist((touch.x, touch.y), (t.x, t.y)) for t in touches if t is not touch),
@@ -313,7 +322,7 @@ def _described(
     radius = dent.contact_radius if dent is not None and force > 0.0 else 0.0
     edge = _edge_distance(touch, design)
     depth = dent.depth + sunk if dent is not None else 0.0
-    cautions = _cautions(edge, neighbour, depth, design) + [_THEN] * (error is None)
+    cautions = _cautions(edge, neighbour, depth, design) + known
     return PressedTouch(
         touch=touch,
         force=force,

@@ -25,7 +25,7 @@ from eitskin.simulator.presses.correction_table import (
     solve_strip,
 )
 from eitskin.simulator.presses.corrections import Corrections, DiscCorrections
-from eitskin.simulator.presses.disc_table import DiscTable, solve_disc
+from eitskin.simulator.presses.disc_table import DiscTable, in_series, solve_disc
 from eitskin.simulator.presses.pair_table import PairTable, solve_pairs
 from eitskin.simulator.presses.press_store import (
     LIBRARY,
@@ -52,7 +52,10 @@ _THICKER, _STIFFER = 1.1, math.sqrt(2.0)
 _FAR = 2.6
 _KEPT = 3e-4  # singular values, relative to the largest, that a stored table keeps
 _OF_FIELD = 4  # dimensions of the coefficients of one field
+_WORKERS = os.cpu_count() or 1
 _PARTS = ("_scales", "_amplitudes", "_modes", "_shape")
+
+Shape = TypeVar("Shape", Rectangle, Disc)
 
 
 def tabulable(design: SensorDesign) -> bool:
@@ -102,11 +105,15 @@ def prepare(
 ) -> None:
     """Solve and store the absent tables of a design that is `tabulable`.
 
-    `report` is called with the numbers of solved positions and of all positions of a base table.
+    `report` is called with the numbers of solved positions and of all that take long.
     """
     if isinstance(design.outline, Disc):
-        for stack in _of_disc(design, mechanics)[1]:
-            _disc(design, stack, mechanics, indenter, report)
+        _, weights = _of_disc(design, mechanics)
+        names = {stack: _name(design, stack, mechanics, indenter) for stack in weights}
+        stacks = [stack for stack in weights if _file(names[stack]) is None]
+        for number, stack in enumerate(stacks):
+            own = in_series(report, number, len(stacks))
+            _disc(design, stack, mechanics, indenter, own)
         return
     base, _ = _needed(design, mechanics)
     if _file(_name(design, base, mechanics, indenter)) is None:
@@ -123,7 +130,7 @@ def corrections(
     if isinstance(design.outline, Disc):
         base, weights = _of_disc(design, mechanics)
         tables = {stack: _disc(design, stack, mechanics, indenter) for stack in weights}
-        weighted = tuple((tables[stack], weight) for stack, weight in weights.items())
+        weighted = tuple(zip(tables.values(), weights.values(), strict=True))
         return DiscCorrections(design.thickness, tables[base], weighted)
     base, strips = _needed(design, mechanics)
     return Corrections(
@@ -214,10 +221,8 @@ def _stored(
     report: Report | None = None,
 ) -> CorrectionTable:
     def solve() -> CorrectionTable:
-        around, workers = _around(stack, mechanics), os.cpu_count() or 1
-        return solve_corrections(
-            _rectangle(design), stack, around, design.support, indenter, report, workers
-        )
+        outline, around = _outline(design, Rectangle), _around(stack, mechanics)
+        return solve_corrections(outline, stack, around, design.support, indenter, report, _WORKERS)
 
     return _kept(CorrectionTable, _name(design, stack, mechanics, indenter), solve)
 
@@ -230,11 +235,8 @@ def _disc(
     report: Report | None = None,
 ) -> DiscTable:
     def solve() -> DiscTable:
-        outline, around = design.outline, _around(stack, mechanics)
-        if not isinstance(outline, Disc):
-            raise TypeError(f"expected a disc, got {outline}")
-        workers = os.cpu_count() or 1
-        return solve_disc(outline, stack, around, design.support, indenter, report, workers)
+        outline, around = _outline(design, Disc), _around(stack, mechanics)
+        return solve_disc(outline, stack, around, design.support, indenter, report, _WORKERS)
 
     return _kept(DiscTable, _name(design, stack, mechanics, indenter), solve)
 
@@ -245,8 +247,8 @@ def pair_table(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -
     stack, _ = _needed(design, mechanics)
 
     def solve() -> PairTable:
-        around, workers = _around(stack, mechanics), os.cpu_count() or 1
-        return solve_pairs(_rectangle(design).width, stack, around, indenter, workers)
+        width, around = _outline(design, Rectangle).width, _around(stack, mechanics)
+        return solve_pairs(width, stack, around, indenter, _WORKERS)
 
     return _kept(PairTable, _pair_name(design, stack, mechanics, indenter), solve)
 
@@ -255,11 +257,9 @@ def _strip(
     design: SensorDesign, strip: _Strip, mechanics: Mechanics, indenter: Indenter
 ) -> StripTable:
     def solve() -> StripTable:
-        stack, workers = strip.stack, os.cpu_count() or 1
-        around, support = _around(stack, mechanics), design.support
-        return solve_strip(
-            _rectangle(design), stack, around, support, indenter, workers, strip.fine
-        )
+        outline, around = _outline(design, Rectangle), _around(strip.stack, mechanics)
+        support, fine = design.support, strip.fine
+        return solve_strip(outline, strip.stack, around, support, indenter, _WORKERS, fine)
 
     return _kept(StripTable, _strip_name(design, strip, mechanics, indenter), solve)
 
@@ -271,13 +271,11 @@ def _around(stack: Stack, mechanics: Mechanics) -> Mechanics:
     return dataclasses.replace(mechanics, encapsulation=stack.sheets[-1].law)
 
 
-def _rectangle(design: SensorDesign) -> Rectangle:
-    if isinstance(design.outline, Rectangle):
+def _outline(design: SensorDesign, kind: type[Shape]) -> Shape:
+    if isinstance(design.outline, kind):
         return design.outline
-    raise ConfigurationError(
-        f"these tables are of rectangles, got a {type(design.outline).__name__.lower()}; use "
-        "touch_model='solved'"
-    )
+    found, wanted = type(design.outline).__name__.lower(), kind.__name__.lower()
+    raise ConfigurationError(f"table of a {wanted}, got a {found}; use touch_model='solved'")
 
 
 def _file(name: str) -> Path | None:
@@ -292,7 +290,7 @@ def _name(design: SensorDesign, stack: Stack, mechanics: Mechanics, indenter: In
     if isinstance(design.outline, Disc):
         disc: dict[str, object] = {"radius": design.outline.radius, "margin": mechanics.margin}
         return _file_name("discs", stack, mechanics, indenter, disc)
-    outline = _rectangle(design)
+    outline = _outline(design, Rectangle)
     size: dict[str, object] = {
         "outline": [outline.length, outline.width],
         "margin": mechanics.margin,
@@ -304,15 +302,17 @@ def _strip_name(
     design: SensorDesign, strip: _Strip, mechanics: Mechanics, indenter: Indenter
 ) -> str:
     """Name of the file of a table of presses on a strip."""
-    size: dict[str, object] = {"width": _rectangle(design).width, "margin": mechanics.margin}
     kind = "fine-strips" if strip.fine else "strips"
-    return _file_name(kind, strip.stack, mechanics, indenter, size)
+    return _file_name(kind, strip.stack, mechanics, indenter, _across(design, mechanics))
 
 
 def _pair_name(design: SensorDesign, stack: Stack, mechanics: Mechanics, indenter: Indenter) -> str:
     """Name of the file of a table of pairs."""
-    size: dict[str, object] = {"width": _rectangle(design).width, "margin": mechanics.margin}
-    return _file_name("pairs", stack, mechanics, indenter, size)
+    return _file_name("pairs", stack, mechanics, indenter, _across(design, mechanics))
+
+
+def _across(design: SensorDesign, mechanics: Mechanics) -> dict[str, object]:
+    return {"width": _outline(design, Rectangle).width, "margin": mechanics.margin}
 
 
 def _file_name(

@@ -143,6 +143,17 @@ def solve_disc(
     )
 
 
+def in_series(report: Report | None, number: int, tables: int) -> Report | None:
+    """Report of one table, by its number, among several of about the same length."""
+    if report is None:
+        return None
+
+    def whole(done: int, total: int) -> None:
+        report(number * total + done, tables * total)
+
+    return whole
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Setting:
     """Stack and presses that all positions share."""

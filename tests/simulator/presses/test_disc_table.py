@@ -209,7 +209,7 @@ def test_presses_are_solved_from_the_rim_to_the_middle(monkeypatch) -> None:
     monkeypatch.setattr(disc_table, "dents_to", lambda *_: [Dent(0.001), Dent(0.002)])
     seen = []
 
-    def solved(body, x, y, indenter, dents):
+    def solved(_body, x, y, _indenter, dents):
         seen.append((x, y))
         return [Found(x, dent.depth) for dent in dents]
 
