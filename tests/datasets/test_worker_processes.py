@@ -23,6 +23,15 @@ def test_results_come_in_order_and_an_error_of_a_task_is_raised():
         list(each_in_turn(os._exit, [1, 1, 1], 2))
 
 
+@pytest.fixture
+def heard():
+    """SIGINT is heard also where the tests run in the background of a shell, which ignores it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("heard")
 def test_an_interrupt_ends_tasks_that_would_take_long_once_and_leaves_no_process():
     """As Ctrl-C twice: the second interrupt does not disturb the end."""
     before = signal.getsignal(signal.SIGINT)
