@@ -14,6 +14,7 @@ from eitskin.simulator.electrical.model_family import ModelFamily, shared_family
 from eitskin.simulator.electrical.reanalysis import Reanalysis, is_possible
 from eitskin.simulator.electrical.resolution import Discretisation, Resolution
 from eitskin.simulator.layer.deformed_layer import DeformedLayer
+from eitskin.simulator.mechanics.layer_stack import Piezoresistivity
 from eitskin.simulator.scene.scene import Scene
 
 Numbers = NDArray[np.inexact]
@@ -106,8 +107,9 @@ class SensorImpedances:
         if model not in self._reanalyses:
             found: Reanalysis | None = self._shared.reanalysis(model)
             if found is not None and self._shift is not None:
-                layer = self._layer_of(Scene())
-                found = found.specimen(dataclasses.replace(layer, shift=self._shift))
+                unstrained = Piezoresistivity()
+                flat = DeformedLayer(self._design, None, unstrained, shift=self._shift)
+                found = found.specimen(flat)
             self._reanalyses[model] = found
         return self._reanalyses[model]
 

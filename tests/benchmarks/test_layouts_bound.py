@@ -48,7 +48,7 @@ def test_derivatives_agree_with_a_difference_of_fourth_order_of_whole_solutions(
         ]
         slope = (logs[0] - 8 * logs[1] + 8 * logs[2] - logs[3]) / (12 * h)
         error = np.abs(derivatives[place].by_touch[0, row] - slope).max() / np.abs(slope).max()
-        assert error < 0.03, name
+        assert error < 0.05, name  # `fast` leaves 1 % of signals and more of their slopes
 
 
 @pytest.mark.slow

@@ -14,9 +14,8 @@ from slow_writers import slow_but_first
 from threadpoolctl import threadpool_limits
 
 from eitskin.config import parse_toml
-from eitskin.datasets import Recipe, State, generate, open_dataset, read_shard
+from eitskin.datasets import Recipe, State, generate, open_dataset
 from eitskin.datasets.generation import process_pool as processes
-from eitskin.datasets.generation.preparation import deciding_specimens
 from eitskin.datasets.generation.shard_simulation import simulate_frames, simulate_shard
 from eitskin.datasets.recipe.frame_sampling import sample, specimen
 from eitskin.datasets.recipe.recipe import with_seed
@@ -27,7 +26,6 @@ from eitskin.datasets.store.shard import shard_name
 from eitskin.errors import ConfigurationError, PartialError
 from eitskin.geometry import Bend, Plates
 from eitskin.simulator import FourTerminalMeter, Instrument, Protocol, Scene, Simulator
-from eitskin.simulator.bends import bend_store
 
 from killed_writers import killed_in_pool, was_killed
 from shards_here import contents, in_this_process, made_here
@@ -289,52 +287,6 @@ def test_equal_scenes_are_solved_once(monkeypatch):
     assert {scene.bend for scene in solved} == {Bend(0.0), Bend(20.0)}
     idle = data.impedance[data.state == State.IDLE]
     assert len(np.unique(idle[:, 0])) == 50  # each with its own noise
-
-
-MANY = Recipe(
-    "many specimens",
-    seed=4,
-    frames_per_shard=6,
-    specimens=Specimens(count=400, conductivity=0.05, thickness=0.02, gel_modulus=0.1),
-    scenes=(SceneGroup("bend", count=1200, angle_deg=(-20.0, 30.0)),),
-)
-
-
-def test_a_shard_solves_and_holds_only_its_own_specimens(tmp_path, monkeypatch):
-    flat, prepared = [], []
-    measure_all, prepare_bends = Simulator.measure_all, bend_store.prepare
-
-    def measuring(self, scenes, *arguments, **options):
-        flat.append(scenes == [Scene()])
-        return measure_all(self, scenes, *arguments, **options)
-
-    def preparing(*arguments):
-        prepared.append(arguments)
-        return prepare_bends(*arguments)
-
-    monkeypatch.setattr(Simulator, "measure_all", measuring)
-    monkeypatch.setattr(bend_store, "prepare", preparing)
-    in_this_process(monkeypatch)
-    assert generate(MANY, tmp_path / "set", shard=150) is None
-    data = read_shard(tmp_path / "set" / shard_name(150))
-    assert data.specimen_number.tolist() == [300, 301]
-    assert sum(flat) == len(prepared) == 2
-    assert data.specimen.tolist() == [0, 0, 0, 1, 1, 1]
-    numbers = data.specimen_number[data.specimen].tolist()
-    assert numbers == [sample(MANY, index).specimen for index in MANY.shard_range(150)]
-    assert len(np.unique(data.reference, axis=0)) == 2
-
-
-def test_few_specimens_decide_for_many_which_tables_are_needed():
-    assert deciding_specimens(RECIPE) == (0, 1)
-    chosen = deciding_specimens(MANY)
-    assert len(chosen) <= 48
-    thickness = [specimen(MANY, number).design.thickness for number in range(400)]
-    modulus = [specimen(MANY, number).mechanics.gel.shear_modulus for number in range(400)]
-    for values in (thickness, modulus):
-        assert {int(np.argmin(values)), int(np.argmax(values))} <= set(chosen)
-    wider = dataclasses.replace(MANY, specimens=dataclasses.replace(MANY.specimens, count=4000))
-    assert len(deciding_specimens(wider)) <= 48
 
 
 SCRIPT = """
