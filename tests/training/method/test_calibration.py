@@ -162,7 +162,7 @@ def test_another_sensor_is_refused_before_anything_is_asked(saved, tmp_path):
     )
     done = run(saved, "--board", f"virtual:?sensor={design}", "--out", tmp_path / "mine.eitmodel")
     assert isinstance(done.exception, FrameError)
-    assert "trained for 8 electrodes" in str(done.exception)
+    assert "trained for pairwise:8" in str(done.exception)
     assert not done.output
 
 
