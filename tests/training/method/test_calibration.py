@@ -135,7 +135,7 @@ def test_the_command_calibrates_from_labelled_frames(saved, sensor, tmp_path):
 def test_the_command_asks_for_each_angle_of_a_board(saved, tmp_path):
     """The virtual board's sensor stays flat at every angle asked for."""
     out = tmp_path / "mine.eitmodel"
-    board = "virtual:?speed=max"
+    board = "virtual:?speed=max&instrument=ideal"
     done = run(
         saved, "--board", board, "--angles", "10,20", "--frames", 2, "--out", out, input="\n\n\n"
     )
