@@ -188,7 +188,7 @@ def _add_lower(front: Array, rows: Indices, complement: Array) -> None:
 def _complement(corner: Array, rows: Array, inverse: tuple[Array, Array]) -> Array:
     """Schur complement: the lower triangle of corner - rows^T D^-1 rows."""
     scaled = _apply_inverse(inverse, rows)
-    found = np.empty_like(corner)
+    found = np.zeros_like(corner)  # runs of rows are added with the triangle above, as numbers
     for first in range(0, len(corner), _STRIP):
         strip = slice(first, first + _STRIP), slice(first + _STRIP)
         found[strip] = corner[strip] - rows[:, strip[0]].T @ scaled[:, strip[1]]
