@@ -19,6 +19,11 @@ Json = Annotated[bool, typer.Option("--json", help="Print the result as one JSON
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress, only the result.")]
 Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Print more about the work.")]
 
+BoardOption = Annotated[
+    str | None,
+    typer.Option("--board", help="serial:PORT, text:PORT, virtual: or replay:DIRECTORY."),
+]
+Specimen = Annotated[int, typer.Option(min=0, help="Number of the specimen in the dataset.")]
 Model = Annotated[Path, typer.Argument(help="The trained pipeline, NAME.eitmodel.")]
 FramesPath = Annotated[Path, typer.Argument(help="The dataset's folder, or one shard.")]
 SceneFile = Annotated[

@@ -9,7 +9,7 @@ from rich.table import Table
 
 from eitskin.cli.commands.live import seeded
 from eitskin.cli.commands.stored_references import ReferenceFile, use_reference
-from eitskin.cli.options import Json, Model, Output, Quiet, Seed, Verbose
+from eitskin.cli.options import BoardOption, Json, Model, Output, Quiet, Seed, Specimen, Verbose
 from eitskin.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -30,14 +30,9 @@ NoPrompt = Annotated[
         "--no-prompt", help="Do not wait: the board goes through the angles by itself, in turn."
     ),
 ]
-BoardOption = Annotated[
-    str | None,
-    typer.Option("--board", help="serial:PORT, text:PORT, virtual: or replay:DIRECTORY."),
-]
 DatasetOption = Annotated[
     Path | None, typer.Option("--dataset", help="Instead of a board: untouched, labelled frames.")
 ]
-Specimen = Annotated[int, typer.Option(min=0, help="Number of the specimen in the dataset.")]
 
 STALE = 2  # frames after a prompt that may have begun before it was answered
 

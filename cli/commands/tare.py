@@ -8,21 +8,16 @@ import typer
 
 from eitskin.cli.commands.live import seeded
 from eitskin.cli.commands.stored_references import board_number, tell_unjudged
-from eitskin.cli.options import Json, Model, Output, Quiet, Seed, Verbose
+from eitskin.cli.options import BoardOption, Json, Model, Output, Quiet, Seed, Specimen, Verbose
 from eitskin.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from eitskin.frame import Frame
     from eitskin.training.method.input_spec import InputSpec
 
-BoardOption = Annotated[
-    str | None,
-    typer.Option("--board", help="serial:PORT, text:PORT, virtual: or replay:DIRECTORY."),
-]
 DatasetOption = Annotated[
     Path | None, typer.Option("--dataset", help="Instead of a board: the reference of a specimen.")
 ]
-Specimen = Annotated[int, typer.Option(min=0, help="Number of the specimen in the dataset.")]
 FrameCount = Annotated[int, typer.Option(min=1, help="Number of frames that are averaged.")]
 Mounted = Annotated[
     bool,
