@@ -42,6 +42,11 @@ def graphs_of(pipeline: Pipeline) -> tuple[list[ExportedGraph], tuple[str, ...]]
     if isinstance(method, PaperMethod):
         return [onnx_paper.paper_graph(method, frames)], onnx_paper.NOT_IN_GRAPH
     if isinstance(method, JointMethod):
+        if not method.touches:
+            raise ConfigurationError(
+                "expected a pipeline that estimates touches, got one of the bend alone, which has "
+                "no networks to export; its bend curve is in the arrays of the saved pipeline"
+            )
         graphs = (onnx_joint.proposals_graph, onnx_joint.response_graph)
         return [graph(method, frames) for graph in graphs], onnx_joint.NOT_IN_GRAPH
     raise ConfigurationError(

@@ -53,7 +53,7 @@ class JointMethod:
     """A learned model of the sensors of one design, and its fit to frames.
 
     Without bend curves (`BendCurvePrior.bends`) the sensor is taken to stay flat: neither the bend
-    angle nor the state bend is estimated.
+    angle nor the state bend is estimated. Without `places` it is taken to stay untouched.
 
     log V = log V_flat + bend curve + sum of touch responses + common drift + noise. Every term is
     learned (`joint/training.py`). Differences between specimens that their flat resistances do not
@@ -67,7 +67,7 @@ class JointMethod:
         touch_prior: of positions, forces and distances.
         noise: standard deviation of log V in one frame (C,).
         drift: standard deviation after four hours of the factor common to all measurements.
-        places: positions that are tried for touches (n, 2) [m].
+        places: positions that are tried for touches (n, 2) [m]; none where no touch was learned.
         radius: of the indenters [m].
         size: length and width of the sensor [m].
         shape: rows and columns of touch maps.
@@ -75,6 +75,7 @@ class JointMethod:
         learning_curves: losses of the networks during training, by the names in `NETWORKS`.
         calibrated: bend curve of the calibrated specimen, if any.
         calibrated_flat: magnitudes of that specimen, flat and untouched (C,) [ohm].
+        forces: whether touches have forces; else these are strengths, relative to the usual touch.
     """
 
     KIND: ClassVar[str] = "joint"
@@ -95,6 +96,7 @@ class JointMethod:
     learning_curves: Mapping[str, LearningCurve] = field(default_factory=dict)
     calibrated: BendCurve | None = None
     calibrated_flat: Array | None = None
+    forces: bool = True
     _specimens: dict[bytes, SpecimenModel] = field(default_factory=dict, init=False, repr=False)
     _rows: CandidateRows = field(init=False, repr=False)
 
@@ -106,9 +108,15 @@ class JointMethod:
     @property
     def targets(self) -> Targets:
         """Quantities that the method estimates."""
-        if self.bend_prior.bends:
-            return Targets()
-        return Targets(("idle", "touch"), angle=False)
+        bends, touches = self.bend_prior.bends, self.touches
+        known = {"idle": True, "touch": touches, "bend": bends}
+        states = tuple(name for name, told in known.items() if told)
+        return Targets(states, bends, touches, touches and self.forces)
+
+    @property
+    def touches(self) -> bool:
+        """Whether touches were learned."""
+        return bool(len(self.places))
 
     def perceive(self, observations: Observations) -> Predictions:
         """Predictions for n frames, each independent of the others."""
@@ -130,10 +138,7 @@ class JointMethod:
             noise = self._noise(static_share + dynamic_share, frame.age[0])
             reference = specimen.angle(static - dynamic, noise)
         reference_deg = reference.angle_deg
-        proposed = self.proposals.places(
-            network_inputs(dynamic, np.sqrt(2.0) * self.noise, reference_deg, specimen.features),
-            self.touch_prior.separation,
-        )
+        proposed = self._proposed(dynamic, reference_deg, specimen) if self.touches else None
         objective = TouchObjective.of(
             dynamic,
             self._noise(1.0 / frame.frames[0] + dynamic_share, frame.dynamic_age[0]),
@@ -158,28 +163,39 @@ class JointMethod:
             bend = specimen.angle(static, noise)
         return self._prediction(found, bend, specimen.problems)
 
+    def _proposed(self, dynamic: Array, reference_deg: float, specimen: SpecimenModel) -> Array:
+        """Positions (k, 2) [m] from which the fit starts."""
+        deviation = np.sqrt(2.0) * self.noise
+        inputs = network_inputs(dynamic, deviation, reference_deg, specimen.features)
+        return self.proposals.places(inputs, self.touch_prior.separation)
+
     def _prediction(
         self, found: FrameFit, bend: AngleEstimate, problems: tuple[str, ...]
     ) -> Predictions:
         """One frame's predictions from its fit."""
         angle_deg, deviation_deg = bend.angle_deg, bend.deviation_deg
         spread = np.sqrt(np.trace(found.covariance[:, :2, :2], axis1=1, axis2=2))
-        map_ = disc_map(
-            found.touches[:, :2], spread / np.sqrt(2.0), self.radius, self.size, self.shape
+        map_ = (
+            disc_map(
+                found.touches[:, :2], spread / np.sqrt(2.0), self.radius, self.size, self.shape
+            )
+            if self.touches
+            else np.full(self.shape, np.nan, np.float32)
         )
         surplus = np.maximum(found.gains - TOUCH_THRESHOLD, 0.0)
         strength = 1.0 - 0.5 * np.exp(-surplus / (2 * TOUCH_THRESHOLD))
+        force = found.touches[:, 2] if self.forces else None
         return Predictions(
             self._probabilities(found, angle_deg, deviation_deg)[None],
             np.array([angle_deg]),
             np.array([deviation_deg]),
             map_[None],
-            (FoundTouches.of(found.touches[:, :2], strength, found.touches[:, 2], spread),),
-            (problems + _fit_problems(found, bend),),
+            (FoundTouches.of(found.touches[:, :2], strength, force, spread),),
+            (problems + _fit_problems(found, bend, self.touches),),
         )
 
     def _probabilities(self, found: FrameFit, angle_deg: float, deviation_deg: float) -> Array:
-        """Probabilities of idle, touch and bend (3,); NaN for bend where bends were not learned.
+        """Probabilities of idle, touch and bend (3,); NaN for touch or bend where not learned.
 
         Touch follows from the evidence of the first touch. Flat or bent by an angle uniform over
         those learned follows from Bayes' rule for one normal measurement.
@@ -193,6 +209,8 @@ class JointMethod:
         bent = deviation_deg * np.sqrt(2 * np.pi) / (high - low)
         bent *= np.exp(np.minimum(0.5 * (angle_deg / deviation_deg) ** 2, 700.0))
         flat = 1.0 / (1.0 + bent)
+        if not self.touches:
+            return np.array([flat, np.nan, 1 - flat])
         return np.array([(1 - touched) * flat, touched, (1 - touched) * (1 - flat)])
 
     def _calibration_problems(self, flat: Array) -> tuple[str, ...]:
@@ -289,6 +307,7 @@ class JointMethod:
             "scalars": np.array([self.drift, self.radius, prior.separation, *prior.force]),
             "bounds": np.array([prior.low, prior.high]),
             "places": self.places,
+            "forces": np.array(self.forces),
         }
         parts: dict[str, _Stored] = {
             "features": self.features,
@@ -337,6 +356,7 @@ class JointMethod:
             {name: LearningCurve.from_arrays(part(name)) for name in NETWORKS},
             BendCurve.from_arrays(calibrated) if calibrated else None,
             arrays["calibrated_flat"].astype(float) if calibrated else None,
+            bool(arrays.get("forces", True)),
         )
 
 
@@ -347,8 +367,11 @@ def _log1p(difference: Array) -> Array:
     return np.where(np.isfinite(change), change, np.nan)
 
 
-def _fit_problems(found: FrameFit, bend: AngleEstimate) -> tuple[str, ...]:
-    """Warnings about faulty measurements and poor fits, in words."""
+def _fit_problems(found: FrameFit, bend: AngleEstimate, touches: bool) -> tuple[str, ...]:
+    """Warnings about faulty measurements and poor fits, in words.
+
+    Whether `touches` were learned: else the poor fit of the angle says all there is to say.
+    """
     problems = [
         f"{fault.name} and was left out: look at its contact and wire" for fault in found.faults
     ]
@@ -362,7 +385,7 @@ def _fit_problems(found: FrameFit, bend: AngleEstimate) -> tuple[str, ...]:
             f"no angle explains this frame ({bend.misfit_sigma:.0f} standard deviations off): do "
             "not rely on it, and begin a new session with the flat sensor"
         )
-    if misfit_sigma(found.misfit, found.degrees_of_freedom) >= REPORTED_SIGMA:
+    if touches and misfit_sigma(found.misfit, found.degrees_of_freedom) >= REPORTED_SIGMA:
         problems.append(
             f"no bend and up to {MOST_TOUCHES} touches explain this frame (misfit "
             f"{found.misfit:.0f}, expected about {found.degrees_of_freedom}): touches of another "

@@ -113,7 +113,8 @@ def _fit(
         evidence = _gain(objective, untouched, started)
         if evidence > TOUCH_THRESHOLD:
             found = started
-    while len(found.unknowns.touches) < MOST_TOUCHES and _may_gain(found):
+    most = MOST_TOUCHES if len(candidates.places) else 0  # none where no touch was learned
+    while len(found.unknowns.touches) < most and _may_gain(found):
         starts = single_starts(objective, found, candidates, START_THRESHOLD * TOUCH_THRESHOLD)
         if not starts:
             break
@@ -127,7 +128,7 @@ def _fit(
             break
         found = more
     found = _pruned(objective, found)
-    if found.misfit_sigma > CHI2_HIGH_SIGMA and len(found.unknowns.touches) < MOST_TOUCHES:
+    if found.misfit_sigma > CHI2_HIGH_SIGMA and len(found.unknowns.touches) < most:
         found = _split(objective, found, candidates)
     return untouched, found, evidence
 

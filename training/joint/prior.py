@@ -98,6 +98,17 @@ class TouchPrior:
             separation, (mean, deviation), np.array(low, dtype=float), np.array(high, dtype=float)
         )
 
+    @classmethod
+    def anywhere(cls, outline: tuple[float, float], radius: float) -> "TouchPrior":
+        """Prior of unit touches anywhere on a sensor, for a method that never saw one.
+
+        Args:
+            outline: length and width of the sensor [m].
+            radius: of the indenters [m].
+        """
+        low, high = (0.0, 0.0, FORCE_MARGINS[0]), (*outline, FORCE_MARGINS[1])
+        return cls(2 * radius, (1.0, SENSITIVITY_STD), np.array(low), np.array(high))
+
     def add_to(self, products: Array, touches: Array, motion_deg: float) -> None:
         """Add the negative log prior to the normal equations.
 

@@ -132,6 +132,19 @@ class TouchResponse:
         rows[:, 3] += by_force
         return rows
 
+    @classmethod
+    def none(cls, features: int, channels: int, size: tuple[float, float]) -> "TouchResponse":
+        """Response that is zero everywhere, for a method that never saw a touch.
+
+        Args:
+            features: number of features of a specimen.
+            channels: number of measurements.
+            size: length and width of the sensor [m].
+        """
+        ranges = InputRanges(size, (1.0, 1.0), (0.0, 0.0))
+        output, latent = np.zeros((1 + features, channels, 2)), np.zeros((0, channels, 2))
+        return cls((np.zeros((1, 4)),), (np.zeros(1),), output, latent, 1.0, ranges, 0.0)
+
     @property
     def _unit(self) -> float:
         """Factor of a touch divided by its force [1/N]."""

@@ -16,6 +16,7 @@ from eitskin.simulator.instrument.drift import DRIFT_TIME
 from eitskin.training.joint.bend_curve import BendCurvePrior
 from eitskin.training.joint.method import JointMethod
 from eitskin.training.joint.prior import TouchPrior
+from eitskin.training.joint.proposal_model import ProposalNetwork
 from eitskin.training.joint.specimen_features import SpecimenFeatures
 from eitskin.training.joint.symmetry import Mirror, mirrors
 from eitskin.training.joint.touch_response import InputRanges, TouchResponse
@@ -23,6 +24,7 @@ from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.learning_curve import LearningCurve
 from eitskin.training.method.observations import UNKNOWN_AGE
 from eitskin.training.method.settings import JointSettings, Progress, silent
+from eitskin.training.method.targets import NOMINAL_RADIUS
 
 if TYPE_CHECKING:
     from eitskin.training.joint.response_training import TouchFrames
@@ -31,6 +33,7 @@ Array = NDArray[np.float64]
 
 PITCH = 0.004  # m, between positions that are tried for touches
 FEWEST = 100  # frames of each kind
+WEAKEST = 0.1  # least strength of a touch, in units of the noise
 HOLD_OUT = 8  # every how many-th specimen is held out to estimate the mismatch
 
 
@@ -43,14 +46,19 @@ def fit_joint(
 ) -> JointMethod:
     """Learn features, response, bend curves, priors and proposals from all frames of a dataset.
 
-    A dataset without any bend gives a method without bend curves, for a sensor that stays flat.
-    Raises DataError where it holds too few touches of known position and force, untouched frames at
-    known angles, or idle frames.
+    A dataset without any bend gives a method without bend curves, for a sensor that stays flat; one
+    without positions of touches a method of the bend alone, and one without forces a method whose
+    touches have a strength instead (`_with_strengths`). Raises DataError where it holds too few
+    touches of known position, untouched frames at known angles, or idle frames.
     """
     require("torch", "training")
+
+    forces = bool(np.isfinite(dataset.touch_force).any())
+    data = _usable(dataset)
+    if not _is_touched(data).any():
+        return _bend_method(data, spec, settings, progress)
     from eitskin.training.joint.proposal_training import SyntheticFrames, fit_proposals
 
-    data = _usable(dataset)
     images = mirrors(spec.design, spec.protocol)
     features = SpecimenFeatures.fit(np.abs(data.reference[np.unique(data.specimen)]), images)
     noise = _noise(data, images)
@@ -83,6 +91,34 @@ def fit_joint(
         spec.pixels,
         spec.protocol,
         {"response": response_curve, "proposals": proposals_curve},
+        forces=forces,
+    )
+
+
+def _bend_method(
+    data: Dataset, spec: InputSpec, settings: JointSettings, progress: Progress
+) -> JointMethod:
+    """Method of a sensor that is never touched: its bend curves, and nothing of touches."""
+    images = mirrors(spec.design, spec.protocol)
+    features = SpecimenFeatures.fit(np.abs(data.reference[np.unique(data.specimen)]), images)
+    noise = _noise(data, images)
+    progress("bend curve", 0, 1)
+    curves = _curves(data, features, images, noise, settings.drift)
+    progress("bend curve", 1, 1)
+    return JointMethod(
+        features,
+        TouchResponse.none(len(features.directions), len(noise), spec.outline),
+        curves,
+        ProposalNetwork((), (), np.zeros(0), np.zeros(0)),
+        TouchPrior.anywhere(spec.outline, NOMINAL_RADIUS),
+        noise,
+        settings.drift,
+        np.zeros((0, 2)),
+        NOMINAL_RADIUS,
+        spec.outline,
+        spec.pixels,
+        spec.protocol,
+        forces=False,
     )
 
 
@@ -99,15 +135,18 @@ def _usable(dataset: Dataset) -> Dataset:
     bent = int(np.sum(data.bend_angle_deg != 0))
     if not bent:
         data = _with_flat_references(data)
-    found = {
-        "touched frames with known places, forces and radii": int(_is_touched(data).sum()),
-        "bent frames": bent,
-        "untouched frames with a reference": int(_is_untouched(data).sum()),
-    }
-    if min(count for kind, count in found.items() if bent or kind != "bent frames") < FEWEST:
+    if not np.isfinite(data.touch_force).any():
+        data = _with_strengths(data)
+    found = {"untouched frames with a reference": int(_is_untouched(data).sum())}
+    if touched := bool(np.isfinite(data.touch_x).any()):
+        kind = "touched frames with known places, forces, radii and a reference"
+        found[kind] = int(_is_touched(data).sum())
+    if bent or not touched:
+        found["bent frames"] = bent
+    if min(found.values()) < FEWEST:
         counts = ", ".join(f"{count} {kind}" for kind, count in found.items())
         raise DataError(
-            f"the joint method needs at least {FEWEST} frames of each kind (or no bent one), got "
+            f"the joint method needs at least {FEWEST} frames of each kind that a set has, got "
             f"{counts}; generate more, or train another method with --preset quick"
         )
     return data
@@ -118,6 +157,23 @@ def _with_flat_references(data: Dataset) -> Dataset:
     known = np.isfinite(data.touch_reference).all(axis=1, keepdims=True)
     flat = data.reference[data.specimen]
     return replace(data, touch_reference=np.where(known, data.touch_reference, flat))
+
+
+def _with_strengths(data: Dataset) -> Dataset:
+    """Frames with the strength of each touch in place of its force, which no frame tells.
+
+    The strength of a frame is the root mean square of its change of log V, less that of the
+    untouched frames, over the median of the touched frames. k touches at a time share it as equal
+    and independent ones do, each 1 / sqrt k.
+    """
+    square = np.mean(_log(data.impedance, data.touch_reference) ** 2, axis=1)
+    quiet, placed = square[_is_untouched(data)], np.isfinite(data.touch_x)
+    noise = float(np.mean(quiet)) if len(quiet) else 0.0
+    strength = np.sqrt(np.maximum(square - noise, WEAKEST**2 * noise))
+    strength /= np.sqrt(np.maximum(data.touch_count, 1))
+    usual = np.nanmedian(np.where(placed.any(axis=1), strength, np.nan)) if placed.any() else 1.0
+    force = np.where(placed, strength[:, None] / usual, np.nan)
+    return replace(data, touch_force=force.astype(np.float32))
 
 
 def _is_touched(data: Dataset) -> NDArray[np.bool_]:

@@ -159,10 +159,92 @@ def test_a_sensor_that_is_never_bent():
         method.adapted(None)
 
 
+def restored(method):
+    return type(method).from_arrays(method.arrays(), LAYOUT)
+
+
+def without_forces(data):
+    return replace(data, touch_force=np.full_like(data.touch_force, np.nan))
+
+
+BRIEF = JointSettings(
+    response=NetworkSettings(1e-2, epochs=8, batch=48),
+    proposals=NetworkSettings(1e-2, epochs=1, batch=32),
+)
+
+
+@pytest.mark.slow
+def test_touches_without_forces():
+    """Places are learned with a strength in place of the force, which is never told as a force."""
+    with small_networks(steps=10):
+        method = restored(fit_joint(without_forces(dataset()), LAYOUT, BRIEF))
+    assert method.targets == Targets(force=False)
+    unseen = dataset(60, seed=1)
+    said = method.perceive(Observations.of(unseen))
+    assert np.mean(said.state == unseen.state) > 0.9
+    single = np.flatnonzero((unseen.touch_count == 1) & [len(t) > 0 for t in said.touches])
+    assert len(single) > 10
+    true = np.stack([unseen.touch_x, unseen.touch_y], axis=2)[single, 0]
+    found = np.array([said.touches[i].place[0] for i in single])
+    assert np.median(np.hypot(*(found - true).T)) < 0.008
+    assert all(np.isnan(touches.force).all() for touches in said.touches)
+
+
+def test_strength_of_touches_follows_their_force_and_number():
+    """Of noise-free touches at one place: proportional to the force, and shared by equal ones."""
+    place, force = [0.04, 0.02], np.array([2.0, 4.0, 8.0])
+    touch = np.array([[*place, f] for f in force])
+    log = np.concatenate([touch_change(touch), np.zeros((1, 28))])
+    x = np.full((4, 4), np.nan)
+    x[:3, 0] = 0.04
+    data = replace(
+        dataset(8).select(slice(4)),
+        impedance=(FLAT * np.exp(log)).astype(np.complex64),
+        touch_reference=np.tile(FLAT, (4, 1)).astype(np.complex64),
+        touch_x=x,
+        touch_y=x / 2,
+        state=np.array([State.TOUCH] * 3 + [State.IDLE], np.int8),
+    )
+    strength = joint_training._with_strengths(data).touch_force
+    np.testing.assert_allclose(strength[:3, 0], force / 4.0, rtol=1e-3)
+    assert np.isnan(strength[:, 1]).all()
+    assert np.isnan(strength[3]).all()
+    x[0, 1] = 0.09
+    pair = joint_training._with_strengths(replace(data, touch_x=x, touch_y=x / 2)).touch_force
+    np.testing.assert_allclose(pair[0, 0] / pair[2, 0], 0.25 / np.sqrt(2.0), rtol=1e-3)
+    assert pair[0, 0] == pair[0, 1]
+
+
+def test_a_sensor_that_is_never_touched():
+    """Idle or bent, and the angle; nothing of touches, with no network."""
+    data = dataset(600)
+    data = data.select(data.state != State.TOUCH)
+    method = restored(fit_joint(data, LAYOUT, BRIEF))
+    assert method.targets == Targets(("idle", "bend"), touches=False, force=False)
+    unseen = dataset(90, seed=1)
+    unseen = unseen.select(unseen.state != State.TOUCH)
+    said = method.perceive(Observations.of(unseen))
+    clear = np.abs(unseen.bend_angle_deg) > 5.0
+    assert (said.state[clear] == State.BEND).all()
+    assert np.mean(said.state[unseen.state == State.IDLE] == State.IDLE) > 0.9
+    assert np.sqrt(np.mean((said.bend_angle_deg - unseen.bend_angle_deg) ** 2)) < 1.5
+    assert np.isnan(said.probabilities[:, State.TOUCH]).all()
+    assert np.isnan(said.touch_map).all()
+    assert not any(len(touches) for touches in said.touches)
+    changed = unseen.impedance * np.where(np.arange(28) == 5, 1.3, 1.0)
+    told = method.perceive(Observations.of(replace(unseen, impedance=changed))).problems
+    assert all(any(PROTOCOL.labels[5] in problem for problem in each) for each in told)
+
+
 def test_too_little_to_learn_from_is_told():
     data = dataset()
     with pytest.raises(DataError, match="at least 100 frames"):
         fit_joint(data.select(slice(60)), LAYOUT, JointSettings())
-    blind = replace(data, touch_force=np.full_like(data.touch_force, np.nan))
-    with pytest.raises(DataError, match="0 touched frames"):
-        fit_joint(blind, LAYOUT, JointSettings())
+    some = without_forces(data).touch_force.copy()
+    first = np.flatnonzero(data.state == State.TOUCH)[:5]
+    some[first] = data.touch_force[first]
+    with pytest.raises(DataError, match="5 touched frames"):
+        fit_joint(replace(data, touch_force=some), LAYOUT, JointSettings())
+    still = data.select((data.state == State.IDLE) & (data.bend_angle_deg == 0))
+    with pytest.raises(DataError, match="0 bent frames"):
+        fit_joint(still, LAYOUT, JointSettings())
