@@ -98,13 +98,13 @@ def deciding_specimens(recipe: Recipe) -> tuple[int, ...]:
 
     Few specimens all decide. Among many, those do that are nearest to evenly spaced values, from
     the least to the largest, of a property on which tables depend: the time spent on tables does
-    not grow with the number of specimens.
+    not grow with the number of specimens of one mount.
     """
     count = recipe.specimens.count
     if count <= _ALL:
         return tuple(range(count))
     properties = np.array([_properties(specimen(recipe, number)) for number in range(count)])
-    chosen: set[int] = set()
+    chosen = set(range(min(recipe.mounts.count, count)))  # every mount has tables of its own
     for values in properties.T:
         levels = np.linspace(values.min(), values.max(), _LEVELS)
         chosen.update(int(np.abs(values - level).argmin()) for level in levels)

@@ -86,8 +86,8 @@ def sample(recipe: Recipe, index: int) -> Sample:
 @lru_cache(maxsize=256)
 def specimen(recipe: Recipe, number: int) -> Specimen:
     """Specimen `number` of the recipe."""
-    nominal = Specimen(recipe.sensor, recipe.fixture, recipe.mechanics)
-    return draw_specimen(recipe.specimens, nominal, generator(recipe, Stream.SPECIMEN, number))
+    rng = generator(recipe, Stream.SPECIMEN, number)
+    return draw_specimen(recipe.specimens, recipe.nominal(number), rng)
 
 
 def specimen_numbers(recipe: Recipe, frames: range) -> list[int]:
@@ -124,7 +124,8 @@ def _snapshot(recipe: Recipe, index: int) -> Sample:
     made = int(_dealt(recipe, np.array(block), blocks))
     first = int(order.starts[-(-made * blocks // count)])
     if scene.support is not None:
-        widened = free_length(specimen(recipe, made).fixture) - free_length(recipe.fixture)
+        nominal = recipe.nominal(made).fixture
+        widened = free_length(specimen(recipe, made).fixture) - free_length(nominal)
         scene = dataclasses.replace(scene, support=with_wider_gap(scene.support, widened))
     return Sample(
         index=index,

@@ -11,9 +11,10 @@ import numpy as np
 
 from eitskin.config import Location, read, read_toml, to_toml
 from eitskin.datasets.recipe.episode import Episodes
+from eitskin.datasets.recipe.mounts import Mounts
 from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.datasets.recipe.shipped_recipes import SHIPPED, shipped_names
-from eitskin.datasets.recipe.specimen import Specimens
+from eitskin.datasets.recipe.specimen import Specimen, Specimens
 from eitskin.datasets.recipe.support_problems import support_problems
 from eitskin.datasets.store.schema import LIMITS
 from eitskin.errors import ConfigurationError
@@ -52,6 +53,7 @@ class Recipe:
         mechanics: materials of gel and encapsulation.
         instrument: errors and noise of the board; each specimen has one board and one session.
         specimens: number of sensors and standard deviations between them.
+        mounts: clamps and stiffnesses that specimens have in turn, in place of `fixture`.
         reference_frames: number of frames of the untouched sensor, each with its noise, averaged
             for a frame's `touch_reference`, as a pipeline does while a sensor is still.
     """
@@ -69,6 +71,7 @@ class Recipe:
     mechanics: Mechanics = field(default_factory=Mechanics)
     instrument: Instrument = field(default_factory=Instrument)
     specimens: Specimens = field(default_factory=Specimens)
+    mounts: Mounts = field(default_factory=Mounts)
     reference_frames: int = 1
 
     def __post_init__(self) -> None:
@@ -133,6 +136,14 @@ class Recipe:
             )
         return outline
 
+    def nominal(self, specimen: int) -> Specimen:
+        """Sensor, fixture and materials from which a specimen deviates."""
+        if not self.mounts.count:
+            return Specimen(self.sensor, self.fixture, self.mechanics)
+        mount = specimen % self.mounts.count
+        mechanics = self.mounts.mechanics(mount, self.mechanics)
+        return Specimen(self.sensor, self.mounts.clamp(mount), mechanics)
+
     @property
     def snapshots(self) -> int:
         """Number of frames of `scenes`, which come before the episodes."""
@@ -180,7 +191,9 @@ class Recipe:
                 f"{self.reference_frames}"
             )
         yield from self._protocol_problems()
-        yield from self.specimens.problems(self.sensor, self.fixture)
+        if self.mounts.count and self.fixture != Clamp():
+            yield "mounts take the place of the fixture, got both; leave one out"
+        yield from self._specimen_problems()
         if not self.scenes and not self.episodes:
             yield "scenes or episodes must hold at least one group"
         try:
@@ -202,6 +215,18 @@ class Recipe:
             problems += support_problems(None, self.sensor, self.fixture, bent)
             for problem in problems:
                 yield f"episodes[{number}]: {problem}"
+
+    def _specimen_problems(self) -> Iterator[str]:
+        impossible = list(self.mounts.problems())
+        impossible = impossible or list(self.mounts.unclampable(self.sensor, self.mechanics))
+        yield from impossible
+        for fixture in (self.fixture,) if impossible else self._fixtures:
+            yield from self.specimens.problems(self.sensor, fixture)
+
+    @property
+    def _fixtures(self) -> tuple[Fixture, ...]:
+        """Fixtures of all mounts, or the one of the recipe."""
+        return tuple(map(self.mounts.clamp, range(self.mounts.count))) or (self.fixture,)
 
     def _protocol_problems(self) -> Iterator[str]:
         electrodes = len(self.sensor.electrodes)

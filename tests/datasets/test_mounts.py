@@ -1,0 +1,92 @@
+"""Mounts: clamps that fill their ranges evenly, shared by specimens, and never impossible."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from eitskin.config import Location, read
+from eitskin.datasets import Recipe
+from eitskin.datasets.generation.preparation import deciding_specimens, missing_bend_tables
+from eitskin.datasets.recipe.frame_sampling import specimen
+from eitskin.datasets.recipe.mounts import Mounts
+from eitskin.datasets.recipe.scene_group import SceneGroup
+from eitskin.datasets.recipe.specimen import Specimens
+from eitskin.errors import ConfigurationError
+from eitskin.geometry import Clamp, Hinge
+from eitskin.simulator import Mechanics
+
+MOUNTS = Mounts(12, (0.025, 0.060), (0.004, 0.014), (0.5, 2.0), ("both", "bottom"))
+
+
+def recipe(mounts=MOUNTS, specimens=60, **changes) -> Recipe:
+    scenes = (SceneGroup("bend", count=specimens, angle_deg=(-20.0, 50.0)),)
+    made = Specimens(specimens, conductivity=0.1)
+    return Recipe("mounts", scenes=scenes, specimens=made, mounts=mounts, **changes)
+
+
+def test_the_mounts_fill_their_ranges_evenly():
+    many = dataclasses.replace(MOUNTS, count=64)
+    clamps = [many.clamp(number) for number in range(64)]
+    ratios = [
+        many.mechanics(number, Mechanics()).encapsulation.shear_modulus for number in range(64)
+    ]
+    for values, (low, high) in (
+        ([clamp.span for clamp in clamps], many.span),
+        ([clamp.offset for clamp in clamps], many.offset),
+        (np.log2(ratios), tuple(np.log2(28e3 * np.array(many.stiffness)))),
+    ):
+        counts, _ = np.histogram(values, 8, (low, high))
+        assert counts.sum() == 64
+        assert counts.min() >= 5
+    places = np.array([[clamp.span, clamp.offset] for clamp in clamps])
+    assert abs(np.corrcoef(places.T)[0, 1]) < 0.1
+    assert {clamp.faces for clamp in clamps} == {"both", "bottom"}
+
+
+def test_specimens_have_the_mounts_in_turn_and_deviate_from_them():
+    asked = recipe()
+    made = [specimen(asked, number) for number in range(24)]
+    assert [each.fixture for each in made[:12]] == [each.fixture for each in made[12:]]
+    assert len({each.fixture for each in made}) == 12
+    assert len({each.design.conductivity for each in made}) == 24
+    # What a specimen is besides does not depend on the mounts.
+    without = recipe(Mounts())
+    assert [specimen(without, number).design for number in range(24)] == [x.design for x in made]
+    assert specimen(without, 3).fixture == Clamp()
+
+
+def test_each_mount_is_solved_once():
+    assert set(range(12)) <= set(deciding_specimens(recipe()))
+    assert len(missing_bend_tables(recipe())) == 12
+    assert len(missing_bend_tables(recipe(specimens=5))) == 5
+
+
+def test_a_recipe_with_mounts_is_written_and_read_again():
+    asked = recipe()
+    data = {"count": 12, "span": [0.025, 0.06], "offset": [0.004, 0.014], "stiffness": [0.5, 2.0]}
+    given = read(Mounts, data | {"faces": ["both", "bottom"]}, Location("here"))
+    assert given == MOUNTS
+    assert 'faces = ["both", "bottom"]' in asked.to_toml()
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"count": -1},
+        {"span": (0.06, 0.03)},
+        {"span": (0.0, 0.03)},
+        {"span": (0.03, 0.2)},
+        {"offset": (0.0, float("nan"))},
+        {"stiffness": (0.0, 1.0)},
+        {"faces": ()},
+    ],
+)
+def test_impossible_mounts_are_refused(wrong):
+    with pytest.raises(ConfigurationError, match="mounts"):
+        recipe(dataclasses.replace(MOUNTS, **wrong))
+
+
+def test_a_fixture_beside_mounts_is_refused():
+    with pytest.raises(ConfigurationError, match="mounts"):
+        recipe(fixture=Hinge())
