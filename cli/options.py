@@ -6,13 +6,16 @@ import signal
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, get_args
+from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
 from rich.console import Console, RenderableType
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from eitskin.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from eitskin.training.method.interface import Method
 
 Seed = Annotated[int, typer.Option(help="Seed of everything random; same seed, same result.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")]
@@ -25,6 +28,15 @@ BoardOption = Annotated[
 ]
 Specimen = Annotated[int, typer.Option(min=0, help="Number of the specimen in the dataset.")]
 Model = Annotated[Path, typer.Argument(help="The trained pipeline, NAME.eitmodel.")]
+MethodCode = Annotated[
+    str | None,
+    typer.Option(
+        "--method",
+        metavar="CODE",
+        help="Method of your own, whose code is run: FILE.py:CLASS, or the name of an installed "
+        "one.",
+    ),
+]
 FramesPath = Annotated[Path, typer.Argument(help="The dataset's folder, or one shard.")]
 SceneFile = Annotated[
     Path,
@@ -56,6 +68,13 @@ MeasuredPairs = Annotated[
 
 
 TRAINING = "torch sklearn skimage safetensors"  # packages of the extra of that name
+
+
+def own_method(code: str | None) -> "type[Method] | None":
+    """Class of the method of the user's own whose code is named; None where none is."""
+    from eitskin.training.pipeline.own_methods import named_method
+
+    return None if code is None else named_method(code)
 
 
 def one_of(option: str, text: str, kind: Any) -> str:

@@ -6,6 +6,9 @@ from eitskin.training.evaluation.evaluate import (
 from eitskin.training.evaluation.evaluate import (
     evaluate as evaluate,
 )
+from eitskin.training.method.input_spec import InputSpec as InputSpec
+from eitskin.training.method.interface import Method as Method
+from eitskin.training.method.observations import Observations as Observations
 from eitskin.training.method.predictions import (
     FoundTouches as FoundTouches,
 )
@@ -23,6 +26,9 @@ from eitskin.training.method.settings import (
 )
 from eitskin.training.method.targets import (
     Targets as Targets,
+)
+from eitskin.training.method.training_frames import (
+    TrainingFrames as TrainingFrames,
 )
 from eitskin.training.pipeline.estimate import (
     Estimate as Estimate,

@@ -9,7 +9,18 @@ from rich.table import Table
 
 from eitskin.cli.commands.live import seeded
 from eitskin.cli.commands.stored_references import ReferenceFile, use_reference
-from eitskin.cli.options import BoardOption, Json, Model, Output, Quiet, Seed, Specimen, Verbose
+from eitskin.cli.options import (
+    BoardOption,
+    Json,
+    MethodCode,
+    Model,
+    Output,
+    Quiet,
+    Seed,
+    Specimen,
+    Verbose,
+    own_method,
+)
 from eitskin.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -48,6 +59,7 @@ def command(
     angles: Angles = "-20,-2.5,15,32.5,50",
     frames: PerAngle = 8,
     no_prompt: NoPrompt = False,
+    method: MethodCode = None,
     seed: Seed = 0,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -67,7 +79,7 @@ def command(
     require_writable(out)
     if (board is None) == (dataset is None):
         raise ConfigurationError("give either --board or --dataset, the sensor to calibrate for")
-    pipeline = Pipeline.load(model)
+    pipeline = Pipeline.load(model, own_method(method))
     pipeline.require_bends()
     if reference is not None:
         use_reference(pipeline, reference, None, output)

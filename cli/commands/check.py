@@ -12,7 +12,16 @@ from rich.table import Table
 from eitskin.cli.commands.live import BoardUri, seeded
 from eitskin.cli.commands.recorded_frames import Values
 from eitskin.cli.commands.stored_references import ReferenceFile, tell_unjudged, use_reference
-from eitskin.cli.options import Json, MeasuredPairs, Output, Quiet, Seed, Verbose
+from eitskin.cli.options import (
+    Json,
+    MeasuredPairs,
+    MethodCode,
+    Output,
+    Quiet,
+    Seed,
+    Verbose,
+    own_method,
+)
 from eitskin.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -52,6 +61,7 @@ def command(
     values: Values = None,
     protocol: MeasuredPairs = None,
     reference: ReferenceFile = None,
+    method: MethodCode = None,
     calibrate: Calibrate = False,
     list_ports: List = False,
     seed: Seed = 0,
@@ -65,6 +75,8 @@ def command(
     loose, shorted and swapped electrodes, bad contacts, faulty channels and boards; in a recording
     dead, stuck and clipped channels, and boards that are no ideal meters. See docs/boards.md.
     """
+    from eitskin.training.pipeline.pipeline import Pipeline
+
     output = Output(as_json, quiet, verbose)
     if list_ports:
         _list(output)
@@ -78,28 +90,38 @@ def command(
     else:
         if values or protocol:
             raise ConfigurationError("--values and --protocol describe a --recording; name one")
-        _check_board(model, board, frames, output, reference, calibrate=calibrate, seed=seed)
+        pipeline = Pipeline.load(model or SHIPPED, own_method(method))
+        _check_board(
+            pipeline,
+            board,
+            frames,
+            output,
+            reference,
+            named=model is not None,
+            calibrate=calibrate,
+            seed=seed,
+        )
 
 
 def _check_board(
-    model: Path | None,
+    pipeline: "Pipeline",
     board: str,
     frames: int,
     output: Output,
     reference: Path | None,
     *,
+    named: bool,
     calibrate: bool,
     seed: int,
 ) -> None:
+    """Check a board by a pipeline, which was `named`, or is the shipped one."""
     from eitskin.hardware.diagnosis.reading_check import LAW_FINDINGS, check_frames
     from eitskin.hardware.diagnosis.sensor_check import check_sensor
     from eitskin.hardware.opening import open_board
-    from eitskin.training.pipeline.pipeline import Pipeline
 
-    pipeline = Pipeline.load(model or SHIPPED)
     spec = pipeline.layout
     with open_board(board, **seeded(board, seed)) as opened:
-        suits = model is not None or opened.protocol == spec.protocol
+        suits = named or opened.protocol == spec.protocol
         if suits:
             spec.require_same_measurements(opened.protocol, opened.info.frequency)
         else:

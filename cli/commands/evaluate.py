@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.table import Table
 
-from eitskin.cli.options import Json, Output, Quiet, Seed, Verbose
+from eitskin.cli.options import Json, MethodCode, Output, Quiet, Seed, Verbose, own_method
 
 if TYPE_CHECKING:
     from eitskin.training.evaluation.evaluate import Evaluation, Report
@@ -21,6 +21,7 @@ def command(
         Path | None,
         typer.Option(help="Folder for a report with pictures; an earlier report is replaced."),
     ] = None,
+    method: MethodCode = None,
     seed: Seed = 0,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -37,7 +38,7 @@ def command(
     output = Output(as_json, quiet, verbose)
     output.detail(f"nothing is random in an evaluation, seed {seed} is not used")
     data = open_dataset(dataset)
-    trained = open_pipeline(pipeline)
+    trained = open_pipeline(pipeline, own_method(method))
     if isinstance(trained, RecordedTouches):
         if out is not None:
             raise ConfigurationError(

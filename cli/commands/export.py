@@ -16,6 +16,7 @@ from eitskin.cli.options import (
     FramesPath,
     Json,
     MechanicsFile,
+    MethodCode,
     Model,
     Output,
     Pairs,
@@ -25,6 +26,7 @@ from eitskin.cli.options import (
     Seed,
     SensorFile,
     Verbose,
+    own_method,
 )
 from eitskin.errors import ConfigurationError
 
@@ -47,6 +49,7 @@ def export_mcap(
     model: Annotated[
         Path | None, typer.Option(help="Also write this pipeline's estimate of every frame.")
     ] = None,
+    method: MethodCode = None,
     seed: Seed = 0,  # noqa: ARG001 - every command takes it
     as_json: Json = False,
     quiet: Quiet = False,
@@ -62,7 +65,7 @@ def export_mcap(
     output = Output(as_json, quiet, verbose)
     require_new(out)
     board, start = ReplayBoard(str(recording)), time.perf_counter()
-    readings, frames, estimates = _readings(board, model), 0, 0
+    readings, frames, estimates = _readings(board, model, method), 0, 0
     writer = McapWriter(out)
     try:
         with output.progress() as bar:
@@ -169,7 +172,7 @@ def export_vtu(
     )
 
 
-def _readings(board: "ReplayBoard", model: Path | None) -> "Iterator[Reading]":
+def _readings(board: "ReplayBoard", model: Path | None, method: str | None) -> "Iterator[Reading]":
     """Readings of all recorded frames, with estimates where there is a model; latency unknown."""
     from eitskin.hardware.live import Reading, run_live
 
@@ -177,7 +180,8 @@ def _readings(board: "ReplayBoard", model: Path | None) -> "Iterator[Reading]":
         return (Reading(frame, None, math.nan, math.nan) for frame in board.frames())
     from eitskin.training.positions.opening import open_pipeline
 
-    return run_live(board, open_pipeline(model), newest=False, clock=lambda: math.nan)
+    pipeline = open_pipeline(model, own_method(method))
+    return run_live(board, pipeline, newest=False, clock=lambda: math.nan)
 
 
 def _require_empty(folder: Path) -> None:

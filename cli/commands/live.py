@@ -19,6 +19,7 @@ from eitskin.cli.commands.live_recording import FrameRecording, MessageRecording
 from eitskin.cli.commands.stored_references import ReferenceFile, tell_unjudged, use_reference
 from eitskin.cli.options import (
     Json,
+    MethodCode,
     Model,
     Output,
     Quiet,
@@ -26,6 +27,7 @@ from eitskin.cli.options import (
     Verbose,
     ended_by_signals,
     one_of,
+    own_method,
 )
 from eitskin.errors import ConfigurationError, PartialError
 
@@ -89,6 +91,7 @@ def command(
     page: ShowPage = False,
     page_port: PagePort = 8940,
     reference: ReferenceFile = None,
+    method: MethodCode = None,
     picture: PictureMethod = None,
     seed: Seed = 0,
     as_json: Json = False,
@@ -107,7 +110,7 @@ def command(
     from eitskin.training.positions.opening import open_pipeline
 
     output = Output(as_json, quiet, verbose)
-    pipeline = open_pipeline(model)
+    pipeline = open_pipeline(model, own_method(method))
     tell_missing(pipeline, output)
     recordings: list[Recording] = []
     with ExitStack() as stack:

@@ -8,7 +8,18 @@ import typer
 
 from eitskin.cli.commands.live import seeded
 from eitskin.cli.commands.stored_references import board_number, tell_unjudged
-from eitskin.cli.options import BoardOption, Json, Model, Output, Quiet, Seed, Specimen, Verbose
+from eitskin.cli.options import (
+    BoardOption,
+    Json,
+    MethodCode,
+    Model,
+    Output,
+    Quiet,
+    Seed,
+    Specimen,
+    Verbose,
+    own_method,
+)
 from eitskin.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -37,6 +48,7 @@ def command(
     specimen: Specimen = 0,
     frames: FrameCount = 32,
     mounted: Mounted = False,
+    method: MethodCode = None,
     seed: Seed = 0,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -53,7 +65,7 @@ def command(
     output = Output(as_json, quiet, verbose)
     if (board is None) == (dataset is None):
         raise ConfigurationError("give either --board or --dataset, the sensor of the reference")
-    pipeline = Pipeline.load(model)
+    pipeline = Pipeline.load(model, own_method(method))
     zero = Zero.MOUNTED if mounted else Zero.FLAT
     if zero is Zero.FLAT:
         tell_unjudged(pipeline, output)

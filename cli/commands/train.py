@@ -1,6 +1,9 @@
 """`eitskin train`: a pipeline from a dataset."""
 
+import json
 import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -9,17 +12,38 @@ from rich.console import Group
 from rich.table import Table
 
 from eitskin.cli.commands.evaluate import save_report
-from eitskin.cli.options import TRAINING, Json, Output, Quiet, Seed, Verbose
+from eitskin.cli.options import (
+    TRAINING,
+    Json,
+    MethodCode,
+    Output,
+    Quiet,
+    Seed,
+    Verbose,
+    own_method,
+)
+from eitskin.errors import ConfigurationError
 from eitskin.extras import require_all
 
 if TYPE_CHECKING:
     from eitskin.datasets.store.dataset import Dataset
     from eitskin.training.evaluation.evaluate import Evaluation, Report
     from eitskin.training.evaluation.selection import Selection
+    from eitskin.training.method.interface import Method
+    from eitskin.training.method.settings import TrainingSettings
     from eitskin.training.pipeline.pipeline import Pipeline
     from eitskin.training.positions.recorded_touches import RecordedTouches
 
 AUTO = "auto"
+
+MethodOptions = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="NAME=VALUE",
+        help="Hyper-parameter of the method; may be given several times.",
+    ),
+]
 
 
 def command(
@@ -30,13 +54,15 @@ def command(
         int | None, typer.Option(min=1, help="Passes over the frames, instead of the preset's.")
     ] = None,
     preset: Annotated[
-        str,
+        str | None,
         typer.Option(
-            help="auto: joint or quick, whichever errs less on held-out specimens; joint: a "
-            "learned model fitted to each frame; paper: the paper's stages, trained as published; "
+            help="auto, the default: joint or quick, whichever errs less on held-out specimens; "
+            "joint: a learned model fitted to each frame; paper: the paper's stages, trained as published; "
             "quick: the same, trained faster."
         ),
-    ] = AUTO,
+    ] = None,
+    method: MethodCode = None,
+    settings: MethodOptions = None,
     report: Annotated[
         Path | None,
         typer.Option(help="Folder for a report with pictures; an earlier report is replaced."),
@@ -63,6 +89,11 @@ def command(
     alone = _positions_alone(data)
     if report is not None:
         _require_reportable(alone, report)
+    choice = choose(preset, method, settings, epochs, seed)
+    if alone and choice.method:
+        raise ConfigurationError(
+            f"{alone}: touch positions are learned as docs/pipeline.md says; leave out --method"
+        )
     start = time.perf_counter()
     trained: Pipeline | RecordedTouches
     evaluation: Evaluation | None = None
@@ -72,7 +103,7 @@ def command(
         trained = train_positions(data)
         found = f"mean error {trained.metrics['mean_error_mm']:.2f} mm"
     else:
-        evaluation = train_and_measure(data, preset, epochs, seed, output)
+        evaluation = train_and_measure(data, choice, output)
         trained, warnings = evaluation.pipeline, data_warnings(data, evaluation)
         found = _summary(evaluation.report)
     seconds = time.perf_counter() - start
@@ -112,7 +143,6 @@ def _positions_alone(data: "Dataset") -> str:
 
 def _require_reportable(alone: str, report: Path) -> None:
     """Refuse a report that could not be written, before the training."""
-    from eitskin.errors import ConfigurationError
     from eitskin.training.evaluation.report.folder import require_report_folder
 
     if alone:
@@ -135,24 +165,84 @@ def _summary(report: "Report") -> str:
     return ", ".join(found)
 
 
-def train_pipeline(
-    data: "Dataset", preset: str, epochs: int | None, seed: int, output: Output
-) -> "Pipeline":
+@dataclass(frozen=True)
+class Choice:
+    """Choice of what is trained, from the options of the command.
+
+    Attributes:
+        settings: of the training; None where the method is selected by held-out specimens.
+        method: one of the user's own, in place of the one that the settings name.
+        seed: of the training.
+        epochs: passes over the frames; None for those of the settings.
+    """
+
+    settings: "TrainingSettings | None"
+    method: "type[Method] | None"
+    seed: int
+    epochs: int | None
+
+    def adjusted(self, settings: "TrainingSettings") -> "TrainingSettings":
+        """Settings with the wanted number of epochs."""
+        return settings if self.epochs is None else settings.with_epochs(self.epochs)
+
+
+def choose(
+    preset: str | None = None,
+    method: str | None = None,
+    options: Sequence[str] | None = None,
+    epochs: int | None = None,
+    seed: int = 0,
+) -> Choice:
+    """Choice by preset, or by the code of an own method; raises ConfigurationError for both."""
+    from eitskin.training.method.settings import TrainingSettings
+
+    if method is not None and preset is not None:
+        raise ConfigurationError(
+            f"expected --preset or --method, got both, {preset} and {method}; leave one out"
+        )
+    values = read_options(options or ())
+    own = own_method(method)
+    if own is not None:
+        settings = TrainingSettings(method=own.KIND, seed=seed, options=values)
+    elif preset in (None, AUTO):
+        if values:
+            raise ConfigurationError(
+                "--set is for one method, got it with --preset auto, which tries several; name one"
+            )
+        return Choice(None, None, seed, epochs)
+    else:
+        settings = replace(TrainingSettings.preset(str(preset), seed), options=values)
+    choice = Choice(settings, own, seed, epochs)
+    return replace(choice, settings=choice.adjusted(settings))
+
+
+def read_options(texts: Sequence[str]) -> dict[str, Any]:
+    """Values by name from texts NAME=VALUE; a value that is no JSON is text.
+
+    Raises ConfigurationError for a text without a name.
+    """
+    values: dict[str, Any] = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        if not (name and equals):
+            raise ConfigurationError(f"expected --set NAME=VALUE, got '{text}'")
+        try:
+            values[name] = json.loads(value, parse_constant=str)
+        except ValueError:
+            values[name] = value
+    return values
+
+
+def train_pipeline(data: "Dataset", choice: Choice, output: Output) -> "Pipeline":
     """Trained pipeline with its metrics on held-out frames; shows a bar per network."""
-    return train_and_measure(data, preset, epochs, seed, output).pipeline
+    return train_and_measure(data, choice, output).pipeline
 
 
-def train_and_measure(
-    data: "Dataset", preset: str, epochs: int | None, seed: int, output: Output
-) -> "Evaluation":
+def train_and_measure(data: "Dataset", choice: Choice, output: Output) -> "Evaluation":
     """Evaluation of a newly trained pipeline on its held-out frames."""
     from eitskin.training.evaluation.evaluate import Evaluation
     from eitskin.training.evaluation.selection import Selection
-    from eitskin.training.method.settings import TrainingSettings
     from eitskin.training.pipeline.pipeline import Pipeline
-
-    def adjusted(settings: TrainingSettings) -> TrainingSettings:
-        return settings if epochs is None else settings.with_epochs(epochs)
 
     start = time.perf_counter()
     with output.progress() as bar:
@@ -163,13 +253,12 @@ def train_and_measure(
                 tasks[stage] = bar.add_task(stage, total=total, rate="")
             bar.update(tasks[stage], completed=done)
 
-        if preset == AUTO:
-            selection = Selection.of(data, seed, adjust=adjusted, progress=show)
+        if choice.settings is None:
+            selection = Selection.of(data, choice.seed, adjust=choice.adjusted, progress=show)
         else:
-            settings = adjusted(TrainingSettings.preset(preset, seed))
-            pipeline = Pipeline.fit(data, settings, show)
+            pipeline = Pipeline.fit(data, choice.settings, show, choice.method)
     output.detail(f"trained in {time.perf_counter() - start:.0f} s, measuring")
-    if preset == AUTO:
+    if choice.settings is None:
         output.show(_comparison(selection))
         evaluation = selection.evaluation
     else:

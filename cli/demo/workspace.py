@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eitskin.cli.commands.generate import make_dataset
-from eitskin.cli.commands.train import train_pipeline
+from eitskin.cli.commands.train import choose, train_pipeline
 from eitskin.cli.episode import FRAMES
 from eitskin.cli.options import Output
 from eitskin.datasets.recipe.recipe import Recipe, with_seed
@@ -122,7 +122,11 @@ class Workspace:
     def _train(self) -> None:
         start = time.perf_counter()
         plan = self.plan
-        pipeline = train_pipeline(self.sets["quick"], "quick", plan.epochs, plan.seed, self.output)
+        pipeline = train_pipeline(
+            self.sets["quick"],
+            choose("quick", epochs=plan.epochs, seed=plan.seed),
+            self.output,
+        )
         seconds = round(time.perf_counter() - start, 1)
         pipeline.metrics["training"] = {"made_from": self._training_inputs, "seconds": seconds}
         self.output.show(f"saved pipeline: {pipeline.save(self.model)}")

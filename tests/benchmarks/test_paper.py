@@ -27,7 +27,9 @@ from eitskin.training import FoundTouches, Pipeline, Predictions, TrainingSettin
 from eitskin.training.evaluation.cramer_rao import scene_derivatives
 from eitskin.training.method.calibration import Calibration
 from eitskin.training.method.input_spec import InputSpec
+from eitskin.training.method.interface import Method
 from eitskin.training.method.observations import Observations
+from eitskin.training.method.targets import Targets
 
 FLAT = np.linspace(400.0, 820.0, 28)
 NOISE, SIGNAL = 1e-4, 1e-2  # of a frame and of a touch, relative
@@ -90,15 +92,15 @@ def made(_folder, seed, *_args):
 
 
 @dataclasses.dataclass
-class Known:
+class Known(Method):
     """A method that knows every frame, and is wrong by as much as it is told."""
 
-    KIND: ClassVar[str] = "known"
-    AVERAGES: ClassVar[bool] = False
+    targets: ClassVar[Targets] = Targets()
+    fit = from_arrays = arrays = None
     place: float  # m, along x
     angle_deg: float
 
-    def perceive(self, observations):
+    def predict(self, observations):
         return Predictions.joined([self._one(row) for row in observations.static])
 
     def _one(self, static):

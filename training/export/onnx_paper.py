@@ -44,7 +44,7 @@ PHASE = np.exp(0.1j)  # of the impedances that check the graph; it cancels in re
 
 
 def paper_graph(method: PaperMethod, frames: Observations) -> ExportedGraph:
-    """`PaperMethod.perceive` without centroids, and the reconstructions; checked on `frames`."""
+    """`PaperMethod.predict` without centroids, and the reconstructions; checked on `frames`."""
 
     def build(impedance: Value, static_reference: Value, dynamic_reference: Value) -> list[Value]:
         static = relative_difference(impedance, static_reference)
@@ -65,7 +65,7 @@ def paper_graph(method: PaperMethod, frames: Observations) -> ExportedGraph:
             outputs.append(_touch_map(method.postprocessor, pictures[1], shape, touched))
         return [*outputs, *pictures]
 
-    predictions, targets = method.perceive(frames), method.targets
+    predictions, targets = method.predict(frames), method.targets
     reconstruct = method.reconstruction.apply
     expected: dict[str, NDArray[Any]] = {}
     if method.classifier:

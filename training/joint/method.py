@@ -26,12 +26,16 @@ from eitskin.training.joint.specimen_features import SpecimenFeatures
 from eitskin.training.joint.specimen_model import CandidateRows, SpecimenModel
 from eitskin.training.joint.touch_map import disc_map
 from eitskin.training.joint.touch_response import TouchResponse
+from eitskin.training.joint.training import fit_joint
 from eitskin.training.method.calibration import Calibration, KnownBends
 from eitskin.training.method.input_spec import InputSpec
+from eitskin.training.method.interface import Method
 from eitskin.training.method.learning_curve import LearningCurve
 from eitskin.training.method.observations import UNKNOWN_AGE, Observations
 from eitskin.training.method.predictions import FoundTouches, Predictions
+from eitskin.training.method.settings import Progress, TrainingSettings
 from eitskin.training.method.targets import Targets
+from eitskin.training.method.training_frames import TrainingFrames
 
 Array = NDArray[np.float64]
 Arrays = dict[str, NDArray[np.generic]]
@@ -49,7 +53,7 @@ class _Stored(Interface):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class JointMethod:
+class JointMethod(Method):
     """A learned model of the sensors of one design, and its fit to frames.
 
     Without bend curves (`BendCurvePrior.bends`) the sensor is taken to stay flat: neither the bend
@@ -105,6 +109,12 @@ class JointMethod:
         rows = CandidateRows(self.response, self.places, self.bend_prior.angle_deg)
         object.__setattr__(self, "_rows", rows)
 
+    @classmethod
+    def fit(
+        cls, frames: TrainingFrames, settings: TrainingSettings, progress: Progress
+    ) -> "JointMethod":
+        return fit_joint(cls, frames.dataset, frames.spec, settings.joint, settings.seed, progress)
+
     @property
     def targets(self) -> Targets:
         """Quantities that the method estimates."""
@@ -118,12 +128,12 @@ class JointMethod:
         """Whether touches were learned."""
         return bool(len(self.places))
 
-    def perceive(self, observations: Observations) -> Predictions:
+    def predict(self, observations: Observations) -> Predictions:
         """Predictions for n frames, each independent of the others."""
         frames = (observations[i : i + 1] for i in range(len(observations)))
-        return Predictions.joined([self._perceive(frame) for frame in frames])
+        return Predictions.joined([self._predict(frame) for frame in frames])
 
-    def _perceive(self, frame: Observations) -> Predictions:
+    def _predict(self, frame: Observations) -> Predictions:
         """Predictions for one frame.
 
         The angle of the dynamic reference comes first, then touches and motion since that
@@ -292,7 +302,7 @@ class JointMethod:
 
     def outputs(self, observations: Observations) -> Arrays:
         """Arrays of predictions for n frames, by which a saved copy is checked."""
-        predictions = self.perceive(observations)
+        predictions = self.predict(observations)
         return {
             "probabilities": predictions.probabilities,
             "bend_angle_deg": predictions.bend_angle_deg,
@@ -327,9 +337,11 @@ class JointMethod:
 
     @classmethod
     def from_arrays(
-        cls, arrays: Mapping[str, NDArray[np.generic]], spec: InputSpec
+        cls,
+        arrays: Mapping[str, NDArray[np.generic]],
+        spec: InputSpec,
+        settings: TrainingSettings | None = None,  # noqa: ARG003  the arrays say all
     ) -> "JointMethod":
-        """Restore the method that `arrays` came from; raises KeyError where some are missing."""
 
         def part(name: str) -> dict[str, NDArray[np.generic]]:
             mine = (key for key in arrays if key.startswith(f"{name}."))

@@ -1,8 +1,8 @@
 """Training of the joint method: its model of the sensor, learned from a dataset."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,6 @@ from eitskin.extras import require
 from eitskin.geometry.design.surface import Surface
 from eitskin.simulator.instrument.drift import DRIFT_TIME
 from eitskin.training.joint.bend_curve import BendCurvePrior
-from eitskin.training.joint.method import JointMethod
 from eitskin.training.joint.prior import TouchPrior
 from eitskin.training.joint.proposal_model import ProposalNetwork
 from eitskin.training.joint.specimen_features import SpecimenFeatures
@@ -30,6 +29,7 @@ if TYPE_CHECKING:
     from eitskin.training.joint.response_training import TouchFrames
 
 Array = NDArray[np.float64]
+Made = TypeVar("Made")
 
 PITCH = 0.004  # m, between positions that are tried for touches
 FEWEST = 100  # frames of each kind
@@ -38,13 +38,16 @@ HOLD_OUT = 8  # every how many-th specimen is held out to estimate the mismatch
 
 
 def fit_joint(
+    make: Callable[..., Made],
     dataset: Dataset,
     spec: InputSpec,
     settings: JointSettings,
     seed: int = 0,
     progress: Progress = silent,
-) -> JointMethod:
+) -> Made:
     """Learn features, response, bend curves, priors and proposals from all frames of a dataset.
+
+    They make the method: `make`, `JointMethod`, is called with its fields in their order.
 
     A dataset without any bend gives a method without bend curves, for a sensor that stays flat; one
     without positions of touches a method of the bend alone, and one without forces a method whose
@@ -56,7 +59,7 @@ def fit_joint(
     forces = bool(np.isfinite(dataset.touch_force).any())
     data = _usable(dataset)
     if not _is_touched(data).any():
-        return _bend_method(data, spec, settings, progress)
+        return _bend_method(make, data, spec, settings, progress)
     from eitskin.training.joint.proposal_training import SyntheticFrames, fit_proposals
 
     images = mirrors(spec.design, spec.protocol)
@@ -77,7 +80,7 @@ def fit_joint(
         SyntheticFrames(response, curves, touch_prior, noise), settings.proposals, seed, progress
     )
     radius = float(np.nanmedian(data.touch_radius))
-    return JointMethod(
+    return make(
         features,
         response,
         curves,
@@ -96,8 +99,12 @@ def fit_joint(
 
 
 def _bend_method(
-    data: Dataset, spec: InputSpec, settings: JointSettings, progress: Progress
-) -> JointMethod:
+    make: Callable[..., Made],
+    data: Dataset,
+    spec: InputSpec,
+    settings: JointSettings,
+    progress: Progress,
+) -> Made:
     """Method of a sensor that is never touched: its bend curves, and nothing of touches."""
     images = mirrors(spec.design, spec.protocol)
     features = SpecimenFeatures.fit(np.abs(data.reference[np.unique(data.specimen)]), images)
@@ -105,7 +112,7 @@ def _bend_method(
     progress("bend curve", 0, 1)
     curves = _curves(data, features, images, noise, settings.drift)
     progress("bend curve", 1, 1)
-    return JointMethod(
+    return make(
         features,
         TouchResponse.none(len(features.directions), len(noise), spec.outline),
         curves,

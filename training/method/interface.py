@@ -1,57 +1,115 @@
-"""Interface of a perception method: observations in, predictions out, without memory."""
+"""Interface of a perception method: fitted to frames, it turns observations into predictions."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import Any, Protocol
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
+import numpy as np
 from numpy.typing import NDArray
 
+from eitskin.errors import ConfigurationError
 from eitskin.training.method.calibration import Calibration, KnownBends
+from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.learning_curve import LearningCurve
 from eitskin.training.method.observations import Observations
 from eitskin.training.method.predictions import Predictions
+from eitskin.training.method.settings import Progress, TrainingSettings
 from eitskin.training.method.targets import Targets
+from eitskin.training.method.training_frames import TrainingFrames
 
 Arrays = Mapping[str, NDArray[Any]]
 
+FILE_MODULE = "eitskin_method_file_"
+"""Prefix of the module name of a file that a user names as the code of a method."""
 
-class Method(Protocol):
-    """Interface of a perception method, which keeps no state between frames."""
 
-    @property
-    def KIND(self) -> str:  # noqa: N802  a constant of the class
-        """Name of the method in settings and saved pipelines."""
-        ...
+class Method(ABC):
+    """Base of perception methods, which keep no state between frames.
 
-    @property
-    def AVERAGES(self) -> bool:  # noqa: N802  a constant of the class
-        """Whether frames of a held touch are averaged for this method."""
-        ...
+    A method of your own defines `fit`, `predict`, `targets`, `arrays` and `from_arrays`; the rest
+    is optional. docs/own-method.md shows one.
+    """
 
-    @property
-    def targets(self) -> Targets:
-        """Quantities that the method estimates."""
-        ...
+    KIND: ClassVar[str]
+    """Name of the method in settings and saved pipelines; MODULE:CLASS unless the class has one."""
 
-    @property
-    def learning_curves(self) -> Mapping[str, LearningCurve]:
-        """Losses of the networks during training, by name of the network."""
-        ...
+    AVERAGES: ClassVar[bool] = False
+    """Whether frames of a held touch are averaged for this method."""
 
-    def perceive(self, observations: Observations) -> Predictions:
-        """Predictions for n frames, each independent of the others."""
-        ...
+    if TYPE_CHECKING:  # fields, properties or constants of the class, as suits the method
 
-    def adapted(self, known: KnownBends) -> "tuple[Method, Calibration]":
+        @property
+        def targets(self) -> Targets:
+            """Quantities that the method estimates."""
+
+        @property
+        def learning_curves(self) -> Mapping[str, LearningCurve]:
+            """Losses of the networks during training, by name of the network."""
+
+    else:
+        learning_curves = MappingProxyType({})
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Name a class that has no name of its own by its module and itself."""
+        super().__init_subclass__(**options)
+        if "KIND" not in vars(cls):
+            cls.KIND = f"{cls.__module__.removeprefix(FILE_MODULE)}:{cls.__qualname__}"
+
+    @classmethod
+    @abstractmethod
+    def fit(cls, frames: TrainingFrames, settings: TrainingSettings, progress: Progress) -> Self:
+        """Fit the method to labelled frames.
+
+        Args:
+            frames: observations, and the dataset with their labels.
+            settings: `settings.options` are the hyper-parameters that the user has set, by name,
+                `settings.seed` is the seed of everything random.
+            progress: called with a stage, steps done and steps in all.
+
+        Raises DataError for frames that the method cannot learn from.
+        """
+
+    @abstractmethod
+    def predict(self, observations: Observations) -> Predictions:
+        """Predictions for n frames, each independent of the others; see `Predictions.of`."""
+
+    @abstractmethod
+    def arrays(self) -> Arrays:
+        """Arrays of numbers from which `from_arrays` restores the method, by name."""
+
+    @classmethod
+    @abstractmethod
+    def from_arrays(cls, arrays: Arrays, spec: InputSpec, settings: TrainingSettings) -> Self:
+        """Restore the method that `arrays` came from.
+
+        Args:
+            arrays: as `arrays` gave them.
+            spec: sensor, measurements and units.
+            settings: of the training, with the same `options`.
+
+        Raises KeyError where an array is missing.
+        """
+
+    def adapted(self, known: KnownBends) -> "tuple[Method, Calibration]":  # noqa: ARG002
         """The method calibrated to one sensor, and the errors before and after.
 
-        Raises ConfigurationError for a method that does not estimate the angle.
+        Raises ConfigurationError for a method that cannot be calibrated, which is the default.
         """
-        ...
+        raise ConfigurationError(
+            f"expected a method that can be calibrated, got '{self.KIND}', which has no `adapted`; "
+            "use the pipeline as it is, or train the joint or the paper's method"
+        )
 
     def outputs(self, observations: Observations) -> Arrays:
-        """Outputs for n frames, by which a saved copy is checked."""
-        ...
-
-    def arrays(self) -> Arrays:
-        """Arrays from which `method_from_arrays` restores the method, by name."""
-        ...
+        """Outputs for n frames, by which a saved copy is checked: its predictions, as arrays."""
+        said = self.predict(observations)
+        places = np.full((len(said.touches), max(map(len, said.touches), default=0), 2), np.nan)
+        for row, touches in enumerate(said.touches):
+            places[row, : len(touches)] = touches.place
+        return {
+            "probabilities": said.probabilities,
+            "bend_angle_deg": said.bend_angle_deg,
+            "touch_map": said.touch_map,
+            "places": places,
+        }

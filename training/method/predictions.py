@@ -1,14 +1,19 @@
 """Output of a perception method: state, bend angle, touches and touch map of n frames."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from eitskin.training.method.targets import most_probable
+from eitskin.datasets.store.state import State
+from eitskin.datasets.store.touch_map import touch_maps
+from eitskin.training.method.input_spec import InputSpec
+from eitskin.training.method.targets import NOMINAL_RADIUS, STATE_NAMES, Targets, most_probable
 
 Array = NDArray[np.float64]
+
+PROBABILITY_ERROR = 1e-3  # of their sum; networks compute in single precision
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,6 +92,67 @@ class Predictions:
     problems: tuple[tuple[str, ...], ...]
 
     @classmethod
+    def of(
+        cls,
+        count: int,
+        spec: InputSpec,
+        *,
+        probabilities: ArrayLike | None = None,
+        bend_angle_deg: ArrayLike | None = None,
+        places: ArrayLike | None = None,
+        strength: ArrayLike | None = None,
+        force: ArrayLike | None = None,
+        radius: float = NOMINAL_RADIUS,
+    ) -> "Predictions":
+        """Predictions from tables of numbers; what is not given is not estimated.
+
+        Frames whose most probable state is not touch have no touches. The touch map shows a disc
+        at every touch.
+
+        Args:
+            count: number of frames n.
+            spec: sensor, whose outline and pixels the map has.
+            probabilities: of the three states (n, 3).
+            bend_angle_deg: (n,) [deg].
+            places: x and y of up to N touches (n, N, 2) [m]; NaN where there are fewer.
+            strength: 0 to 1, (n, N); 1 when omitted.
+            force: (n, N) [N].
+            radius: of the discs in the map [m].
+        """
+        unknown = np.full(count, np.nan)
+        state = np.full((count, len(State)), np.nan)
+        if probabilities is not None:
+            state = np.asarray(probabilities, dtype=float)
+        angle = unknown if bend_angle_deg is None else np.asarray(bend_angle_deg, dtype=float)
+        none = FoundTouches.of((), ())
+        said = cls(
+            state,
+            angle,
+            unknown,
+            np.full((count, *spec.pixels), np.nan, np.float32),
+            (none,) * count,
+            ((),) * count,
+        )
+        if places is None:
+            return said
+        xy = np.array(places, dtype=float).reshape(count, -1, 2)
+        if probabilities is not None:
+            xy[most_probable(state) != State.TOUCH] = np.nan
+        there = np.isfinite(xy).all(axis=2)
+        size = np.ones(there.shape) if strength is None else np.asarray(strength, dtype=float)
+        newton = np.full(there.shape, np.nan) if force is None else np.asarray(force, dtype=float)
+        discs = np.where(there, radius, np.nan)
+        x, y = (np.where(there, xy[..., axis], np.nan) for axis in (0, 1))
+        return replace(
+            said,
+            touch_map=touch_maps(x, y, discs, spec.outline, spec.pixels),
+            touches=tuple(
+                FoundTouches.of(xy[row, mine], size[row, mine], newton[row, mine])
+                for row, mine in enumerate(there)
+            ),
+        )
+
+    @classmethod
     def joined(cls, parts: "Sequence[Predictions]") -> "Predictions":
         """Concatenate the frames of all parts, in their order."""
         return cls(
@@ -102,6 +168,49 @@ class Predictions:
     def state(self) -> NDArray[np.int64]:
         """The most probable `State` of each frame (n,); `UNKNOWN_STATE` where none is estimated."""
         return most_probable(self.probabilities)
+
+    def touched(self, targets: Targets) -> bool:
+        """Whether the first frame is touched: by its state, or by its touches without states."""
+        if targets.states or not targets.touches:
+            return int(self.state[0]) == State.TOUCH
+        return len(self.touches[0]) > 0
+
+    def faults(self, targets: Targets, count: int, pixels: tuple[int, int]) -> Iterator[str]:
+        """Differences, in words, from what a method with these `targets` gives for n frames.
+
+        Args:
+            targets: quantities that the method says it estimates.
+            count: number of frames n.
+            pixels: rows and columns of touch maps.
+        """
+        shapes: dict[str, tuple[int, ...]] = {
+            "probabilities": (count, len(State)),
+            "bend_angle_deg": (count,),
+            "bend_deviation_deg": (count,),
+            "touch_map": (count, *pixels),
+        }
+        for name, expected in shapes.items():
+            if np.shape(getattr(self, name)) != expected:
+                yield f"{name} of shape {np.shape(getattr(self, name))}, expected {expected}"
+                return
+        if not len(self.touches) == len(self.problems) == count:
+            yield f"touches of {len(self.touches)} frames, expected those of {count}"
+        told_apart = np.array([name in targets.states for name in STATE_NAMES])
+        known = np.isfinite(self.probabilities)
+        if not (known == told_apart).all():
+            yield (
+                "probabilities that are not finite for the states that targets names "
+                f"({', '.join(targets.states) or 'none'}), and NaN for all others"
+            )
+        elif targets.states:
+            p = self.probabilities[:, told_apart]
+            if p.min() < 0.0 or np.abs(p.sum(axis=1) - 1.0).max() > PROBABILITY_ERROR:
+                yield "probabilities that are negative or do not add up to 1"
+        if not (np.isfinite(self.bend_angle_deg) == targets.angle).all():
+            wanted = "finite" if targets.angle else "NaN"
+            yield f"bend angles that are not {wanted}, as targets has them"
+        if not targets.touches and any(map(len, self.touches)):
+            yield "touches, which targets does not have"
 
 
 Perceived = Predictions

@@ -1,7 +1,8 @@
 """Settings of a training run: method, hyper-parameters of the networks, seed."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from eitskin.errors import ConfigurationError
 from eitskin.training.method.hold_out import hold_out
 
 METHODS = ("joint", "paper")
+"""Names of the methods that come with eitskin; those of others have a colon in their name."""
 
 Progress = Callable[[str, int, int], None]
 """Callback with the name of a stage, the steps done and their total number."""
@@ -73,8 +75,8 @@ class TrainingSettings:
     """Settings of a pipeline's training.
 
     Attributes:
-        method: "joint", which fits a learned model of the sensor to each frame, or "paper", the
-            stages of the paper.
+        method: "joint", which fits a learned model of the sensor to each frame, "paper", the
+            stages of the paper, or MODULE:CLASS, one of the user's own.
         joint: of the joint method.
         classifier: of the paper's classifier of states.
         postprocessor: of the paper's touch map network.
@@ -84,6 +86,7 @@ class TrainingSettings:
         seed: of the split, the initial weights, the order of frames and added noise.
         whole_specimens: whether a fifth of the specimens is held out, at least one, in place of
             `fractions`; see `hold_out`.
+        options: hyper-parameters of a method of the user's own, by name, as JSON has them.
     """
 
     method: str = "paper"
@@ -95,12 +98,18 @@ class TrainingSettings:
     bend_squares: bool = True
     seed: int = 0
     whole_specimens: bool = False
+    options: dict[str, Any] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
-        """Check the method."""
-        if self.method not in METHODS:
+        """Check the method, and options where it has none."""
+        if self.method not in METHODS and ":" not in self.method:
             raise ConfigurationError(
                 f"method must be one of {', '.join(METHODS)}, got '{self.method}'"
+            )
+        if self.options and self.method in ("joint", "paper"):
+            raise ConfigurationError(
+                f"the method '{self.method}' has no options, got {', '.join(self.options)}; its "
+                "hyper-parameters are those of the settings"
             )
 
     @property
@@ -145,7 +154,12 @@ class TrainingSettings:
         raise ConfigurationError(f"preset must be 'joint', 'quick' or 'paper', got '{name}'")
 
     def with_epochs(self, epochs: int) -> "TrainingSettings":
-        """Settings with another number of epochs for all networks but the proposals."""
+        """Settings with another number of epochs for all networks but the proposals.
+
+        Methods with options get it as the option `epochs`.
+        """
+        if self.method not in ("joint", "paper"):
+            return replace(self, options={**self.options, "epochs": epochs})
         return replace(
             self,
             joint=replace(self.joint, response=replace(self.joint.response, epochs=epochs)),

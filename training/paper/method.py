@@ -14,21 +14,22 @@ from eitskin.datasets.store.touch_map import touch_maps
 from eitskin.errors import ConfigurationError
 from eitskin.training.method.calibration import Calibration, KnownBends
 from eitskin.training.method.input_spec import InputSpec
+from eitskin.training.method.interface import Method
 from eitskin.training.method.learning_curve import LearningCurve
-from eitskin.training.method.observations import Observations, frame_noise
+from eitskin.training.method.missing_channels import MissingChannels
+from eitskin.training.method.observations import Observations
 from eitskin.training.method.predictions import FoundTouches, Predictions
 from eitskin.training.method.settings import Progress, TrainingSettings, silent
 from eitskin.training.method.targets import (
     STATE_NAMES,
     Targets,
     most_probable,
-    require_targets,
     untouched_angles,
 )
+from eitskin.training.method.training_frames import TrainingFrames
 from eitskin.training.paper.bend_angle import BendAngle
 from eitskin.training.paper.bend_subspace import bend_free_projection
 from eitskin.training.paper.classifier import Classifier
-from eitskin.training.paper.missing_channels import MissingChannels
 from eitskin.training.paper.postprocessor import PostProcessor
 from eitskin.training.paper.reconstruction import Reconstruction, signal_to_noise
 from eitskin.training.paper.touch_regions import find_touches
@@ -38,7 +39,7 @@ Arrays = dict[str, NDArray[np.generic]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PaperMethod:
+class PaperMethod(Method):
     """Trained stages of the paper's method.
 
     The preset "paper" follows sections II and III of the paper. Choices that the paper leaves open:
@@ -51,7 +52,7 @@ class PaperMethod:
       fully connected layer (64), and a last layer from 16 features to three states.
     - k of SelectKBest comes from cross-validation (`BendAngle`). Idle frames, at 0 degrees, are
       regressed upon beside the bent ones. A touched frame has the angle that its dynamic reference
-      had, see `perceive`.
+      had, see `predict`.
     - The whole post-processor, its loss and its training. Touches are connected components of its
       map with weighted centroids; the paper takes one centroid of the image of a single touch.
     - Bad channels are replaced by their conditional mean (`MissingChannels`).
@@ -80,21 +81,15 @@ class PaperMethod:
 
     @classmethod
     def fit(
-        cls,
-        dataset: Dataset,
-        layout: InputSpec,
-        settings: TrainingSettings,
-        progress: Progress = silent,
-        validation: Dataset | None = None,
+        cls, frames: TrainingFrames, settings: TrainingSettings, progress: Progress = silent
     ) -> "PaperMethod":
-        """Training, on all frames of `dataset`, of the stages that it has labels for.
+        """Training, on all frames, of the stages that they have labels for.
 
-        Losses on `validation` are recorded and change nothing. Raises DataError for a dataset
-        without labels, or without idle frames.
+        Losses on `frames.validation` are recorded and change nothing. Raises DataError for too few
+        frames of a kind.
         """
-        targets = require_targets(dataset)
-        observations = Observations.of(dataset)
-        noise = frame_noise(dataset, observations)
+        dataset, layout, targets = frames.dataset, frames.spec, frames.targets
+        observations, noise, validation = frames.observations, frames.noise, frames.validation
         missing_static = MissingChannels.fit(observations.static, noise)
         missing_dynamic = MissingChannels.fit(observations.dynamic, noise)
 
@@ -132,7 +127,7 @@ class PaperMethod:
         states = tuple(STATE_NAMES[state] for state in told_apart)
         return Targets(states, self.bend_angle is not None, self.postprocessor is not None, False)
 
-    def perceive(self, observations: Observations) -> Predictions:
+    def predict(self, observations: Observations) -> Predictions:
         """Estimates for n frames.
 
         A touch changes the channels that determine the angle by more than a degree of bend does,
@@ -142,9 +137,9 @@ class PaperMethod:
         from eitskin.training.paper.networks import single_thread
 
         with single_thread():  # networks this small are slower on several
-            return self._perceive(observations)
+            return self._predict(observations)
 
-    def _perceive(self, observations: Observations) -> Predictions:
+    def _predict(self, observations: Observations) -> Predictions:
         flat = self.missing_static.fill(observations.static)
         free = self.missing_dynamic.fill(observations.dynamic)
         count = len(flat)
@@ -236,7 +231,10 @@ class PaperMethod:
 
     @classmethod
     def from_arrays(
-        cls, arrays: Mapping[str, NDArray[np.generic]], layout: InputSpec
+        cls,
+        arrays: Mapping[str, NDArray[np.generic]],
+        spec: InputSpec,
+        settings: TrainingSettings | None = None,  # noqa: ARG003  the arrays say all
     ) -> "PaperMethod":
         """The method with the trained `arrays`; raises KeyError for an array that is missing.
 
@@ -256,7 +254,7 @@ class PaperMethod:
             PostProcessor.from_arrays(maps, reconstruction.shape) if maps else None,
             MissingChannels(arrays["missing_static.covariance"].astype(float)),
             MissingChannels(arrays["missing_dynamic.covariance"].astype(float)),
-            layout.outline,
+            spec.outline,
         )
 
 

@@ -10,7 +10,7 @@ from eitskin.geometry.design.sensor import SensorDesign
 PERCEPTION = """\
 # A perception pipeline for electrical-impedance robot skin
 
-Load it with `eitskin.training.Pipeline.load`; it needs eitskin and no other code, and holds no
+Load it with `eitskin.training.Pipeline.load`; it needs eitskin and {code}, and holds no
 pickled objects.
 
 **Made for** a {length:g} x {width:g} mm sensor with {electrodes} electrodes, {measurements}
@@ -76,6 +76,7 @@ def perception_card(document: Mapping[str, Any]) -> str:
         estimates=_estimates(document["estimates"]),
         limits=ANGLE_LIMITS if document["estimates"]["angle"] else FLAT_LIMITS,
         method=document["method"],
+        code=f"the code of {document['method']}" if ":" in document["method"] else "no other code",
         **_training(document),
     )
 

@@ -1,6 +1,7 @@
 """Perception pipeline: estimates from the frames of a session, training, calibration, saving."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -16,11 +17,7 @@ from eitskin.frame import Frame
 from eitskin.training.method.calibration import Calibration, KnownBends
 from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.interface import Method
-from eitskin.training.method.observations import (
-    Observations,
-    fingerprint,
-    frame_noise,
-)
+from eitskin.training.method.observations import Observations, fingerprint
 from eitskin.training.method.predictions import Predictions
 from eitskin.training.method.settings import Progress, TrainingSettings, silent
 from eitskin.training.method.targets import (
@@ -29,10 +26,12 @@ from eitskin.training.method.targets import (
     with_implied_labels,
     with_usual_radius,
 )
+from eitskin.training.method.training_frames import TrainingFrames
 from eitskin.training.pipeline.estimate import Estimate
 from eitskin.training.pipeline.flat_sensors import FlatSensors
-from eitskin.training.pipeline.methods import fit_method, method_from_arrays
+from eitskin.training.pipeline.methods import method_class
 from eitskin.training.pipeline.model_card import perception_card
+from eitskin.training.pipeline.own_methods import MethodCodeError, require_sound, told_errors
 from eitskin.training.pipeline.references import References
 from eitskin.training.pipeline.saved_form import (
     SavedPipeline,
@@ -44,6 +43,8 @@ from eitskin.training.pipeline.session import Session
 from eitskin.training.pipeline.stored_reference import StoredReference, Zero
 
 KIND = "perception"
+FLAT_SENSORS = "flat_sensors."
+FOREIGN = ("layout.", FLAT_SENSORS)  # beginnings of names of arrays that are not the method's
 GOLDEN_PER_STATE = 2
 
 
@@ -88,6 +89,7 @@ class Pipeline:
         dataset: Dataset,
         settings: TrainingSettings | None = None,
         progress: Progress = silent,
+        method: type[Method] | None = None,
     ) -> "Pipeline":
         """A pipeline trained on the training part of a dataset; `held_out` gives the test part.
 
@@ -100,12 +102,16 @@ class Pipeline:
                 protocol, with positions of touches where these are to be learned.
             settings: of the training; the defaults when omitted.
             progress: called with a stage, steps done and steps in all.
+            method: one of your own, in place of the method that the settings name.
 
         Raises:
             DataError: for a dataset without design or protocol, with positions alone, or with too
                 few frames of a kind.
+            ConfigurationError: for a method of your own whose predictions or arrays are wrong.
         """
         settings = settings or TrainingSettings()
+        if method is not None:
+            settings = replace(settings, method=method.KIND)
         if dataset.design is None or dataset.protocol is None:
             raise DataError(
                 "expected a dataset that names its sensor's design and table of measurements, got "
@@ -123,25 +129,28 @@ class Pipeline:
         specimens = np.unique(train.specimen)
         reference = np.median(np.abs(dataset.reference[specimens]), axis=0).astype(float)
         layout = InputSpec(design, protocol, dataset.frequency, reference)
-        observations = Observations.of(train)
+        frames = TrainingFrames.of(train, layout, validation)
         chosen = np.concatenate(
             [np.flatnonzero(train.state == state)[:GOLDEN_PER_STATE] for state in State]
         )
+        examples = frames.observations[chosen]
+        fitted = method_class(settings.method, method).fit(frames, settings, progress)
+        if method is not None:
+            require_sound(fitted, examples, layout, settings, FOREIGN)
         return cls(
             layout,
-            fit_method(train, layout, settings, progress, validation),
-            frame_noise(train, observations),
+            fitted,
+            frames.noise,
             settings,
             {"sha256": fingerprint(dataset), "frames": len(train), "source": dataset.source},
-            observations[chosen],
+            examples,
             flat_sensors=FlatSensors.of(train),
         )
 
     @property
     def targets(self) -> Targets:
-        """Quantities that the pipeline estimates; all for a method that does not tell."""
-        targets: Targets = getattr(self.method, "targets", Targets())
-        return targets
+        """Quantities that the pipeline estimates."""
+        return self.method.targets
 
     def held_out(self, dataset: Dataset) -> NDArray[np.int64]:
         """Test frames (n,): the test part of the training set, all frames of another dataset."""
@@ -270,8 +279,8 @@ class Pipeline:
             self.layout.require_same_sensor(voltages)
             session.references.follow(voltages)
             session.doubt = self.doubt(voltages)
-        perceived = self.method.perceive(session.observed(voltages))
-        touched = int(perceived.state[0]) == State.TOUCH
+        perceived = self.method.predict(session.observed(voltages))
+        touched = perceived.touched(self.targets)
         if touched or not first:
             session.renew(voltages, touched)
         problems += (*perceived.problems[0], *session.problems(self.layout.protocol.labels))
@@ -288,7 +297,7 @@ class Pipeline:
         The static reference of a frame is its specimen's flat reference, the dynamic one its own
         `touch_reference`. The session of `process` is unchanged.
         """
-        return self.method.perceive(Observations.of(dataset))
+        return self.method.predict(Observations.of(dataset))
 
     def save(self, path: str | Path) -> Path:
         """Write the folder NAME.eitmodel, replacing a pipeline there; returns its path.
@@ -304,7 +313,7 @@ class Pipeline:
         weights = {**self.method.arrays(), "layout.reference": self.layout.reference}
         if self.flat_sensors is not None:
             arrays = self.flat_sensors.arrays()
-            weights |= {f"flat_sensors.{name}": array for name, array in arrays.items()}
+            weights |= {f"{FLAT_SENSORS}{name}": array for name, array in arrays.items()}
         document = {
             "method": self.method.KIND,
             "layout": self.layout.document(),
@@ -319,13 +328,20 @@ class Pipeline:
         return write_pipeline(path, saved)
 
     @classmethod
-    def load(cls, path: str | Path) -> "Pipeline":
+    def load(cls, path: str | Path, method: type[Method] | None = None) -> "Pipeline":
         """A saved pipeline, checked by the outputs that were saved with it.
 
         "reference.eitmodel", unless a folder of that name exists, is the pipeline that comes with
         eitskin, trained on the recipe `training` for the reference sensor.
 
+        Args:
+            path: of the folder.
+            method: code of the method of your own that the pipeline was trained with; opening a
+                pipeline runs no other.
+
         Raises:
+            ConfigurationError: for a pipeline of somebody's own method without its code, or with
+                other code.
             DataError: for a pipeline that is damaged, changed, newer than this eitskin, or whose
                 outputs here differ from the saved ones.
         """
@@ -334,20 +350,27 @@ class Pipeline:
         try:
             document, weights = saved.document, saved.weights
             layout = InputSpec.from_document(document["layout"], weights["layout.reference"])
+            settings = from_dict(TrainingSettings, document["settings"], "settings")
             inputs = {name: saved.golden[f"input.{name}"] for name in Observations.__slots__}
+            examples = Observations(**inputs)
+            arrays = {n: array for n, array in weights.items() if not n.startswith(FOREIGN)}
+            code = method_class(document["method"], method)
+            with nullcontext() if method is None else told_errors(code.KIND):
+                restored = code.from_arrays(arrays, layout, settings)
+                outputs = restored.outputs(examples)
             pipeline = cls(
                 layout,
-                method_from_arrays(document["method"], weights, layout),
+                restored,
                 float(document["noise"]),
-                from_dict(TrainingSettings, document["settings"], "settings"),
+                settings,
                 dict(document["trained_on"]),
-                Observations(**inputs),
+                examples,
                 dict(document["metrics"]),
                 dict(document.get("calibration", {})),
-                FlatSensors.among(weights, "flat_sensors."),
+                FlatSensors.among(weights, FLAT_SENSORS),
             )
-            saved.require_golden(pipeline.method.outputs(pipeline.examples))
-        except DataError:
+            saved.require_golden(outputs)
+        except (DataError, MethodCodeError):
             raise
         except (KeyError, TypeError, ValueError, IndexError) as error:
             raise DataError(f"{path} is not whole: {error}; save the pipeline again") from error

@@ -86,7 +86,7 @@ def variants(method: JointMethod) -> Iterator[tuple[str, Places]]:
 
 def fitted(method: JointMethod) -> Places:
     """Touches found by the method."""
-    return lambda frame: method.perceive(frame).touches[0].place
+    return lambda frame: method.predict(frame).touches[0].place
 
 
 def proposed(method: JointMethod) -> Places:
@@ -124,7 +124,7 @@ def stages(method: JointMethod, data: Dataset) -> dict[str, list[float]]:
     """Seconds of each stage, frame by frame."""
     observations = Observations.of(data)
     seconds: dict[str, list[float]] = {"proposals": [], "map of touches": [], "whole frame": []}
-    propose, whole = proposed(method), method.perceive
+    propose, whole = proposed(method), method.predict
     for i in range(len(data)):
         frame = observations[i : i + 1]
         whole(frame)

@@ -20,22 +20,23 @@ from eitskin.training.evaluation.report.drawing import draw_sensor, new_figure
 from eitskin.training.evaluation.report.folder import PICTURES, require_report_folder, write_report
 from eitskin.training.evaluation.report.table import table_rows
 from eitskin.training.method.input_spec import InputSpec
+from eitskin.training.method.interface import Method
 from eitskin.training.method.observations import Observations
+from eitskin.training.method.targets import Targets
 
 FLAT = np.linspace(400.0, 820.0, 28)
 NAN = float("nan")
 
 
 @dataclasses.dataclass
-class Told:
+class Told(Method):
     """A method that says what it was told to, whatever it is shown."""
 
-    KIND: ClassVar[str] = "told"
-    AVERAGES: ClassVar[bool] = False
-    learning_curves: ClassVar[dict] = {}
+    targets: ClassVar[Targets] = Targets()
+    fit = from_arrays = arrays = None
     says: Predictions
 
-    def perceive(self, observations):
+    def predict(self, observations):
         if len(observations) == len(self.says.touches):
             return self.says
         return chosen(self.says, range(len(observations)))

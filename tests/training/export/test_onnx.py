@@ -22,12 +22,12 @@ from eitskin.training.export.onnx_export import DOCUMENT, checked, export_onnx, 
 from eitskin.training.export.onnx_graph import OPSET, Graph, Value, network
 from eitskin.training.export.onnx_paper import frames_as_inputs
 from eitskin.training.method.input_spec import InputSpec
+from eitskin.training.method.missing_channels import MissingChannels
 from eitskin.training.method.network_training import seeded_network
 from eitskin.training.method.observations import Observations, relative_difference
 from eitskin.training.paper.bend_angle import BendAngle
 from eitskin.training.paper.classifier import Classifier
 from eitskin.training.paper.method import PaperMethod
-from eitskin.training.paper.missing_channels import MissingChannels
 from eitskin.training.paper.networks import StateNetwork, TouchMapNetwork
 from eitskin.training.paper.postprocessor import PostProcessor
 from eitskin.training.paper.reconstruction import Reconstruction
@@ -94,7 +94,7 @@ def joint() -> Pipeline:
 def test_the_paper_graph_gives_what_the_method_gives(paper) -> None:
     (graph,), _ = graphs_of(paper)
     said = run_graph(graph.model, graph.feeds)
-    known = paper.method.perceive(paper.examples)
+    known = paper.method.predict(paper.examples)
     assert {State.TOUCH, State.BEND} <= set(known.state.tolist())  # both ways through the graph
     assert np.array_equal(said["state"], known.state)
     assert said["probabilities"] == pytest.approx(known.probabilities, abs=1e-6)

@@ -97,14 +97,14 @@ def broken(good, bad):
 
 def test_idle_bent_and_touched_frames(method):
     rng = np.random.default_rng(1)
-    idle = method.perceive(observed(method, rng=rng))
+    idle = method.predict(observed(method, rng=rng))
     assert idle.state[0] == State.IDLE
     assert abs(idle.bend_angle_deg[0]) < 4 * idle.bend_deviation_deg[0]
-    bent = method.perceive(observed(method, angle_deg=30.0, rng=rng))
+    bent = method.predict(observed(method, angle_deg=30.0, rng=rng))
     assert bent.state[0] == State.BEND
     assert bent.bend_angle_deg[0] == pytest.approx(30.0, abs=4 * bent.bend_deviation_deg[0])
     for angle in (0.0, 30.0):
-        said = method.perceive(observed(method, [TOUCH, (0.110, 0.040, 9.0)], angle, rng))
+        said = method.predict(observed(method, [TOUCH, (0.110, 0.040, 9.0)], angle, rng))
         assert said.state[0] == State.TOUCH
         assert said.bend_angle_deg[0] == pytest.approx(angle, abs=4 * said.bend_deviation_deg[0])
         (found,) = said.touches
@@ -122,7 +122,7 @@ def test_idle_bent_and_touched_frames(method):
 
 
 def test_touch_map_is_where_the_touch_is(method):
-    said = method.perceive(observed(method, [TOUCH]))
+    said = method.predict(observed(method, [TOUCH]))
     row, column = np.unravel_index(said.touch_map[0].argmax(), (32, 80))
     x, y = (column + 0.5) * 0.150 / 80, (row + 0.5) * 0.060 / 32
     assert np.hypot(x - TOUCH[0], y - TOUCH[1]) < 0.0075
@@ -132,10 +132,10 @@ def test_touch_map_is_where_the_touch_is(method):
 
 def test_probabilities_add_up_and_follow_the_evidence(method):
     """Probabilities rise with the force of a touch and with the angle of a bend."""
-    still = method.perceive(observed(method)).probabilities[0]
+    still = method.predict(observed(method)).probabilities[0]
     assert still.sum() == pytest.approx(1.0)
     bends = [
-        method.perceive(observed(method, angle_deg=a)).probabilities[0, State.BEND]
+        method.predict(observed(method, angle_deg=a)).probabilities[0, State.BEND]
         for a in (0.0, 0.3, 1.0, 3.0)
     ]
     assert bends == sorted(bends)
@@ -150,14 +150,14 @@ def test_state_and_touches_agree(method):
         one = method.response.of(method.features.apply(FLAT))
         wrong = factor * one(np.array([TOUCH]), 0.0)[0]
         for _ in range(5):
-            said = method.perceive(observed(method, rng=rng, wrong=wrong))
+            said = method.predict(observed(method, rng=rng, wrong=wrong))
             assert (said.state[0] == State.TOUCH) == (len(said.touches[0]) > 0)
             assert said.touch_map.any() == (len(said.touches[0]) > 0)
 
 
 def test_older_reference_makes_the_angle_less_sure(method):
     ages = [
-        method.perceive(observed(method, angle_deg=20.0, age=age)).bend_deviation_deg[0]
+        method.predict(observed(method, angle_deg=20.0, age=age)).bend_deviation_deg[0]
         for age in (0.0, 600.0, 4 * 3600.0)
     ]
     assert ages == sorted(ages)
@@ -167,11 +167,11 @@ def test_older_reference_makes_the_angle_less_sure(method):
 def test_drift_of_all_channels_is_no_bend_and_no_touch(method):
     """Drift of a percent in four hours since the static reference, not the dynamic one."""
     aged = observed(method, angle_deg=20.0, age=4 * 3600.0)
-    said = method.perceive(replace(aged, static=(1.0 + aged.static) * 1.01 - 1.0))
+    said = method.predict(replace(aged, static=(1.0 + aged.static) * 1.01 - 1.0))
     assert said.bend_angle_deg[0] == pytest.approx(20.0, abs=2.0)
     assert said.state[0] == State.BEND
     fresh = observed(method, angle_deg=20.0, age=0.0)
-    wrong = method.perceive(replace(fresh, static=(1.0 + fresh.static) * 1.01 - 1.0))
+    wrong = method.predict(replace(fresh, static=(1.0 + fresh.static) * 1.01 - 1.0))
     assert abs(wrong.bend_angle_deg[0] - 20.0) > 2.0
 
 
@@ -184,10 +184,10 @@ def test_drift_of_all_channels_is_no_bend_and_no_touch(method):
 def test_bad_channels_are_done_without(method, bad):
     rng = np.random.default_rng(3)
     for angle in (0.0, 25.0):
-        still = method.perceive(broken(observed(method, angle_deg=angle, rng=rng), bad))
+        still = method.predict(broken(observed(method, angle_deg=angle, rng=rng), bad))
         assert still.state[0] == (State.BEND if angle else State.IDLE)
         assert still.bend_angle_deg[0] == pytest.approx(angle, abs=1.0)
-        touched = method.perceive(broken(observed(method, [TOUCH], angle, rng), bad))
+        touched = method.predict(broken(observed(method, [TOUCH], angle, rng), bad))
         assert touched.state[0] == State.TOUCH
         (found,) = touched.touches
         assert len(found) == 1
@@ -197,7 +197,7 @@ def test_bad_channels_are_done_without(method, bad):
 def test_channel_that_was_bad_in_the_flat_sensor_is_done_without(method):
     flat = FLAT.copy()
     flat[7] = np.nan
-    said = method.perceive(broken(observed(method, [TOUCH], 20.0, flat=flat), [7]))
+    said = method.predict(broken(observed(method, [TOUCH], 20.0, flat=flat), [7]))
     assert said.state[0] == State.TOUCH
     assert len(said.touches[0]) == 1
     assert np.isfinite(said.probabilities).all()
@@ -208,8 +208,8 @@ def test_values_without_a_logarithm_are_bad_channels(method):
     static, dynamic = good.static.copy(), good.dynamic.copy()
     static[0, 3] = dynamic[0, 3] = -1.0  # nothing measured
     static[0, 9] = dynamic[0, 9] = -2.5  # the other sign
-    said = method.perceive(replace(good, static=static, dynamic=dynamic))
-    expected = method.perceive(broken(good, [3, 9]))
+    said = method.predict(replace(good, static=static, dynamic=dynamic))
+    expected = method.predict(broken(good, [3, 9]))
     np.testing.assert_array_equal(said.touches[0].place, expected.touches[0].place)
     np.testing.assert_array_equal(said.bend_angle_deg, expected.bend_angle_deg)
 
@@ -219,7 +219,7 @@ def test_wrong_channel_is_told_and_is_no_touch(method, size):
     rng = np.random.default_rng(4)
     for channel, angle in ((2, 0.0), (13, 25.0)):
         wrong = size * (np.arange(28) == channel)
-        said = method.perceive(observed(method, (), angle, rng, wrong=wrong))
+        said = method.predict(observed(method, (), angle, rng, wrong=wrong))
         assert said.state[0] == (State.BEND if angle else State.IDLE)
         assert len(said.touches[0]) == 0
         assert said.bend_angle_deg[0] == pytest.approx(angle, abs=1.0)
@@ -237,7 +237,7 @@ def test_nonsense_is_told_and_never_without_numbers(method, kind):
         "swapped": V[[1, 0, 3, 2, *range(4, 28)]],
         "huge": V * np.exp(3.0 * rng.standard_normal(28)),
     }[kind]
-    said = method.perceive(observed(method, (), 20.0, wrong=np.log(nonsense / V)))
+    said = method.predict(observed(method, (), 20.0, wrong=np.log(nonsense / V)))
     assert said.problems[0]
     for values in (said.probabilities, said.bend_angle_deg, said.bend_deviation_deg):
         assert np.isfinite(values).all()
@@ -307,7 +307,7 @@ def test_calibration_makes_angles_right_and_surer(method):
     frame = observed(method, angle_deg=35.0)
     own = np.exp(1e-3 * 35.0 / 50.0)
     frame = replace(frame, static=(1.0 + frame.static) * own - 1.0)
-    before, after = method.perceive(frame), one.perceive(frame)
+    before, after = method.predict(frame), one.predict(frame)
     assert abs(after.bend_angle_deg[0] - 35.0) < 0.3 * abs(before.bend_angle_deg[0] - 35.0)
     assert after.bend_deviation_deg[0] < before.bend_deviation_deg[0]
     assert np.array(told.error_after_deg).max() < np.array(told.error_before_deg).max()
@@ -328,12 +328,12 @@ def test_drift_during_calibration_is_not_taken_for_the_curve(method):
 
 def test_other_sensor_than_the_calibrated_one_is_told(method):
     one, _ = calibrated(method)
-    assert one.perceive(observed(method)).problems == ((),)
+    assert one.predict(observed(method)).problems == ((),)
     rng = np.random.default_rng(8)
     other = observed(method, flat=FLAT * np.exp(0.02 * rng.standard_normal(28)))
-    assert "calibrated for" in one.perceive(other).problems[0][0]
+    assert "calibrated for" in one.predict(other).problems[0][0]
     gain = observed(method, flat=1.3 * FLAT)
-    assert one.perceive(gain).problems == ((),)
+    assert one.predict(gain).problems == ((),)
 
 
 def test_a_contact_that_changed_since_the_session_began_bends_nothing(method):
@@ -343,14 +343,14 @@ def test_a_contact_that_changed_since_the_session_began_bends_nothing(method):
     wrong[ELECTRODE] = np.log1p(size * np.median(FLAT) / FLAT[ELECTRODE])
     right = observed(method, angle_deg=30.0, rng=np.random.default_rng(5))
     shifted = replace(right, static=np.expm1(np.log1p(right.static) + wrong))
-    said = method.perceive(shifted)
+    said = method.predict(shifted)
     assert said.bend_angle_deg[0] == pytest.approx(30.0, abs=4 * said.bend_deviation_deg[0])
     assert any("electrode 3" in problem for problem in said.problems[0])
-    assert method.perceive(right).problems == ((),)
+    assert method.predict(right).problems == ((),)
 
 
 def test_a_static_reference_that_nothing_explains_is_told(method):
     right = observed(method, angle_deg=30.0)
     noise = 0.01 * np.random.default_rng(6).standard_normal(28)
-    said = method.perceive(replace(right, static=np.expm1(np.log1p(right.static) + noise)))
+    said = method.predict(replace(right, static=np.expm1(np.log1p(right.static) + noise)))
     assert any("no angle explains" in problem for problem in said.problems[0])

@@ -18,6 +18,7 @@ from eitskin.training.joint import (
 from eitskin.training.joint import (
     training as joint_training,
 )
+from eitskin.training.joint.method import JointMethod
 from eitskin.training.joint.training import fit_joint
 from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.observations import Observations
@@ -98,7 +99,9 @@ def trained():
             response=NetworkSettings(1e-2, epochs=18, batch=48),
             proposals=NetworkSettings(1e-2, epochs=2, batch=64),
         )
-        method = fit_joint(dataset(), LAYOUT, settings, 0, lambda *told: said.append(told))
+        method = fit_joint(
+            JointMethod, dataset(), LAYOUT, settings, 0, lambda *told: said.append(told)
+        )
     return method, said
 
 
@@ -123,7 +126,7 @@ def test_what_is_learned_is_the_sensor(trained):
 @pytest.mark.slow
 def test_learned_method_perceives_frames_never_seen(trained):
     unseen = dataset(150, 24, seed=1)
-    said = trained[0].perceive(Observations.of(unseen))
+    said = trained[0].predict(Observations.of(unseen))
     assert np.mean(said.state == unseen.state) > 0.9
     free = unseen.state != State.TOUCH
     assert np.sqrt(np.mean((said.bend_angle_deg - unseen.bend_angle_deg)[free] ** 2)) < 1.5
@@ -145,11 +148,11 @@ def test_a_sensor_that_is_never_bent():
         proposals=NetworkSettings(1e-2, epochs=1, batch=32),
     )
     with small_networks(steps=4):
-        method = fit_joint(data, LAYOUT, settings)
+        method = fit_joint(JointMethod, data, LAYOUT, settings)
     method = type(method).from_arrays(method.arrays(), LAYOUT)
     assert method.targets == Targets(("idle", "touch"), angle=False)
     unseen = data.select(slice(30))
-    said = method.perceive(Observations.of(unseen))
+    said = method.predict(Observations.of(unseen))
     assert np.mean(said.state == unseen.state) > 0.8
     for unknown in (said.bend_angle_deg, said.bend_deviation_deg, said.probabilities[:, 2]):
         assert np.isnan(unknown).all()
@@ -177,10 +180,10 @@ BRIEF = JointSettings(
 def test_touches_without_forces():
     """Places are learned with a strength in place of the force, which is never told as a force."""
     with small_networks(steps=10):
-        method = restored(fit_joint(without_forces(dataset()), LAYOUT, BRIEF))
+        method = restored(fit_joint(JointMethod, without_forces(dataset()), LAYOUT, BRIEF))
     assert method.targets == Targets(force=False)
     unseen = dataset(60, seed=1)
-    said = method.perceive(Observations.of(unseen))
+    said = method.predict(Observations.of(unseen))
     assert np.mean(said.state == unseen.state) > 0.9
     single = np.flatnonzero((unseen.touch_count == 1) & [len(t) > 0 for t in said.touches])
     assert len(single) > 10
@@ -219,11 +222,11 @@ def test_a_sensor_that_is_never_touched():
     """Idle or bent, and the angle; nothing of touches, with no network."""
     data = dataset(600)
     data = data.select(data.state != State.TOUCH)
-    method = restored(fit_joint(data, LAYOUT, BRIEF))
+    method = restored(fit_joint(JointMethod, data, LAYOUT, BRIEF))
     assert method.targets == Targets(("idle", "bend"), touches=False, force=False)
     unseen = dataset(90, seed=1)
     unseen = unseen.select(unseen.state != State.TOUCH)
-    said = method.perceive(Observations.of(unseen))
+    said = method.predict(Observations.of(unseen))
     clear = np.abs(unseen.bend_angle_deg) > 5.0
     assert (said.state[clear] == State.BEND).all()
     assert np.mean(said.state[unseen.state == State.IDLE] == State.IDLE) > 0.9
@@ -232,19 +235,19 @@ def test_a_sensor_that_is_never_touched():
     assert np.isnan(said.touch_map).all()
     assert not any(len(touches) for touches in said.touches)
     changed = unseen.impedance * np.where(np.arange(28) == 5, 1.3, 1.0)
-    told = method.perceive(Observations.of(replace(unseen, impedance=changed))).problems
+    told = method.predict(Observations.of(replace(unseen, impedance=changed))).problems
     assert all(any(PROTOCOL.labels[5] in problem for problem in each) for each in told)
 
 
 def test_too_little_to_learn_from_is_told():
     data = dataset()
     with pytest.raises(DataError, match="at least 100 frames"):
-        fit_joint(data.select(slice(60)), LAYOUT, JointSettings())
+        fit_joint(JointMethod, data.select(slice(60)), LAYOUT, JointSettings())
     some = without_forces(data).touch_force.copy()
     first = np.flatnonzero(data.state == State.TOUCH)[:5]
     some[first] = data.touch_force[first]
     with pytest.raises(DataError, match="5 touched frames"):
-        fit_joint(replace(data, touch_force=some), LAYOUT, JointSettings())
+        fit_joint(JointMethod, replace(data, touch_force=some), LAYOUT, JointSettings())
     still = data.select((data.state == State.IDLE) & (data.bend_angle_deg == 0))
     with pytest.raises(DataError, match="0 bent frames"):
-        fit_joint(still, LAYOUT, JointSettings())
+        fit_joint(JointMethod, still, LAYOUT, JointSettings())

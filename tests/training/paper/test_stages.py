@@ -8,10 +8,10 @@ import pytest
 import torch
 
 from eitskin.errors import ConfigurationError, DataError
+from eitskin.training.method.missing_channels import MissingChannels
 from eitskin.training.method.settings import NetworkSettings, TrainingSettings
 from eitskin.training.paper.bend_subspace import bend_free_projection
 from eitskin.training.paper.classifier import Classifier
-from eitskin.training.paper.missing_channels import MissingChannels
 from eitskin.training.paper.networks import single_thread, weights_of
 from eitskin.training.paper.postprocessor import PostProcessor
 from eitskin.training.paper.reconstruction import Reconstruction

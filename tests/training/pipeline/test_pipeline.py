@@ -129,7 +129,7 @@ def test_stages_alone_say_what_the_session_says(pipeline, session, sensor):
     references = pipeline.references
     static, dynamic = (np.real(V / ref - 1)[None] for ref in (references.bend, references.touch))
     flat, one = np.abs(references.bend)[None], np.ones(1)
-    alone = pipeline.method.perceive(Observations(static, dynamic, flat, one, one, one, one, one))
+    alone = pipeline.method.predict(Observations(static, dynamic, flat, one, one, one, one, one))
     said = pipeline.process(Frame(V, sensor.protocol, 9.0, 9))
     np.testing.assert_allclose(said.touch_map, alone.touch_map[0], atol=1e-6)
     assert said.bend_angle_deg == pytest.approx(alone.bend_angle_deg[0])
