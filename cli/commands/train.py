@@ -57,8 +57,8 @@ def command(
         str | None,
         typer.Option(
             help="auto, the default: joint or quick, whichever errs less on held-out specimens; "
-            "joint: a learned model fitted to each frame; paper: the paper's stages, trained as published; "
-            "quick: the same, trained faster."
+            "joint: a learned model fitted to each frame; paper: the paper's stages, trained as "
+            "published; quick: the same, trained faster."
         ),
     ] = None,
     method: MethodCode = None,

@@ -76,7 +76,7 @@ class Method(ABC):
 
     @abstractmethod
     def arrays(self) -> Arrays:
-        """Arrays of numbers from which `from_arrays` restores the method, by name."""
+        """Arrays of numbers, of any shape (...,), from which `from_arrays` restores the method."""
 
     @classmethod
     @abstractmethod
@@ -102,7 +102,7 @@ class Method(ABC):
         )
 
     def outputs(self, observations: Observations) -> Arrays:
-        """Outputs for n frames, by which a saved copy is checked: its predictions, as arrays."""
+        """Outputs (n, ...) for n frames, by which a saved copy is checked: its predictions."""
         said = self.predict(observations)
         places = np.full((len(said.touches), max(map(len, said.touches), default=0), 2), np.nan)
         for row, touches in enumerate(said.touches):

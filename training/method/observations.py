@@ -87,7 +87,7 @@ class Observations:
         return Observations(*(getattr(self, field.name)[rows] for field in fields(self)))
 
     def arrays(self) -> dict[str, Array]:
-        """Attributes by name."""
+        """Attributes by name, (n, C) and (n,)."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
 

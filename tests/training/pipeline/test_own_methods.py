@@ -1,0 +1,262 @@
+"""Methods of a user's own: fitted, saved, and opened by code that the user names."""
+
+import dataclasses
+import importlib.metadata
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import printed_json, run
+
+from eitskin.datasets import save_dataset
+from eitskin.errors import ConfigurationError, DataError
+from eitskin.training import (
+    Method,
+    Pipeline,
+    Predictions,
+    Targets,
+    TrainingSettings,
+    evaluate,
+    open_pipeline,
+)
+from eitskin.training.method.settings import METHODS
+from eitskin.training.pipeline import own_methods
+from eitskin.training.pipeline.methods import SHIPPED_METHODS, method_class
+from eitskin.training.pipeline.own_methods import MethodCodeError, named_method
+
+from made_up_sensor import FLAT, frames
+
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "own-method.md"
+
+
+class Strongest(Method):
+    """Place of the training touch whose frame is most alike; nothing else."""
+
+    targets = Targets((), angle=False, force=False)
+
+    def __init__(self, known, places, spec):
+        self.known, self.places, self.spec = known, places, spec
+
+    @classmethod
+    def fit(cls, frames, settings, progress):
+        one = frames.dataset.touch_count == 1
+        x, y = (values[one, 0] for values in (frames.dataset.touch_x, frames.dataset.touch_y))
+        progress("one pass", 1, 1)
+        kept = settings.options.get("kept", 1000)
+        return cls(frames.observations.dynamic[one][:kept], np.stack([x, y], 1)[:kept], frames.spec)
+
+    def predict(self, observations):
+        dV = np.nan_to_num(observations.dynamic)
+        nearest = np.linalg.norm(dV[:, None] - self.known, axis=2).argmin(axis=1)
+        places = np.where(np.abs(dV).max(axis=1) > 1e-4, self.places[nearest].T, np.nan).T
+        return Predictions.of(len(dV), self.spec, places=places[:, None])
+
+    def arrays(self):
+        return {"known": self.known, "places": self.places}
+
+    @classmethod
+    def from_arrays(cls, arrays, spec, settings):
+        assert settings.options == {"kept": 30}
+        return cls(arrays["known"], arrays["places"], spec)
+
+
+KEPT = TrainingSettings(options={"kept": 30}, method="any:name")
+
+
+@pytest.fixture(scope="module")
+def dataset():
+    return frames()
+
+
+@pytest.fixture(scope="module")
+def pipeline(dataset):
+    return Pipeline.fit(dataset, KEPT, method=Strongest)
+
+
+@pytest.fixture(scope="module")
+def folder(pipeline, tmp_path_factory):
+    return pipeline.save(tmp_path_factory.mktemp("own") / "own.eitmodel")
+
+
+def test_a_saved_pipeline_keeps_name_options_and_arrays(pipeline, folder, dataset):
+    document = json.loads((folder / "pipeline.json").read_text())
+    assert document["method"] == document["settings"]["method"] == Strongest.KIND
+    assert document["settings"]["options"] == {"kept": 30}
+    loaded = open_pipeline(folder, Strongest)
+    assert np.array_equal(loaded.method.known, pipeline.method.known)
+    assert evaluate(loaded, dataset).touches == evaluate(pipeline, dataset).touches
+
+
+def test_opening_runs_no_code_that_the_user_does_not_name(folder):
+    with pytest.raises(ConfigurationError, match=r"runs no code by itself.*--method .*:Strongest"):
+        Pipeline.load(folder)
+
+
+def test_other_code_is_refused(folder):
+    class Other(Strongest):
+        pass
+
+    with pytest.raises(ConfigurationError, match=r"by .*:Strongest, got the code of .*Other"):
+        Pipeline.load(folder, Other)
+    with pytest.raises(ConfigurationError, match="comes with eitskin"):
+        Pipeline.load("reference.eitmodel", Strongest)
+
+
+def test_code_that_has_changed_is_refused(folder, monkeypatch):
+    monkeypatch.setattr(Strongest, "predict", shifted)
+    with pytest.raises(DataError, match="does not compute"):
+        Pipeline.load(folder, Strongest)
+    monkeypatch.setattr(Strongest, "predict", lambda _self, _seen: 1 / 0)
+    with pytest.raises(ConfigurationError, match=r"ZeroDivisionError.*line"):
+        Pipeline.load(folder, Strongest)
+
+
+def shifted(method, observations):
+    places = np.full((len(observations), 1, 2), 0.03)
+    return Predictions.of(len(observations), method.spec, places=places)
+
+
+def test_what_is_not_estimated_is_none(pipeline, dataset):
+    pipeline.reset()
+    estimates = [pipeline.process(dataset.frame(row)) for row in range(3)]
+    for each in estimates:
+        assert each.state is None
+        assert each.bend_angle_deg is None
+        assert np.isnan(each.probabilities).all()
+    report = evaluate(pipeline, dataset)
+    assert report.bend.rmse_deg is None
+    assert not any(report.states.accuracy.values())
+
+
+def test_a_method_without_states_keeps_its_reference_while_touched(pipeline, dataset):
+    """A held touch does not become the reference that it is measured against."""
+    idle = dataset.frame(0)
+    row = int(np.flatnonzero((dataset.touch_count == 1) & (dataset.bend_angle_deg == 0))[0])
+    pipeline.reset()
+    pipeline.process(dataclasses.replace(idle, impedance=FLAT.astype(complex), number=0))
+    for number in range(1, 40):
+        frame = dataclasses.replace(dataset.frame(row), number=number, time=0.1 * number, session=0)
+        held = pipeline.process(frame)
+    assert len(held.touches) == 1
+    pipeline.reset()
+
+
+def faulty(**members):
+    return type("Strongest", (Strongest,), {"__module__": __name__, **members})
+
+
+def says(**what):
+    return lambda self, seen: Predictions.of(
+        len(seen), self.spec, **{k: f(len(seen)) for k, f in what.items()}
+    )
+
+
+WRONG = {
+    "shape": ({"predict": says(probabilities=lambda n: np.ones((n, 2)) / 2)}, "shape"),
+    "states": ({"targets": Targets(angle=False, force=False)}, "probabilities"),
+    "sum": (
+        {
+            "targets": Targets(angle=False, touches=False, force=False),
+            "predict": says(probabilities=lambda n: np.ones((n, 3))),
+        },
+        "add up",
+    ),
+    "angle": ({"predict": says(bend_angle_deg=np.zeros)}, "bend angles"),
+    "touches": ({"targets": Targets((), False, False, False)}, "touches, which"),
+    "objects": ({"arrays": lambda _self: {"a": np.array([None])}}, "arrays of numbers"),
+    "names": (
+        {"arrays": lambda _self: {"layout.reference": np.zeros(3)}},
+        "name that eitskin uses",
+    ),
+    "lost": ({"arrays": lambda self: {"known": self.known}}, "KeyError"),
+    "other": (
+        {"arrays": lambda self: {"known": self.known, "places": self.places + 0.01}},
+        "restore",
+    ),
+}
+
+
+@pytest.mark.parametrize(("members", "message"), WRONG.values(), ids=WRONG)
+def test_a_method_that_is_wrong_is_refused_when_it_is_fitted(dataset, members, message):
+    with pytest.raises(MethodCodeError, match=message):
+        Pipeline.fit(dataset, KEPT, method=faulty(**members))
+
+
+def test_code_that_is_no_method_is_told(tmp_path):
+    def code(text):
+        (tmp_path / "my.py").write_text(text)
+        return f"{tmp_path / 'my.py'}:Net"
+
+    for text, message in {
+        "class Other: pass": "no class 'Net'; it has Other",
+        "Net = 3": "derived from eitskin.training.Method, got 3",
+        "def Net(:": r"SyntaxError.*my\.py, line 1",
+        "\nimport not_there": r"ModuleNotFoundError.*line 2",
+        "from eitskin.training import Method\nclass Net(Method): pass": "lacks arrays, fit, fro",
+    }.items():
+        with pytest.raises(MethodCodeError, match=message):
+            named_method(code(text))
+    with pytest.raises(MethodCodeError, match="no file"):
+        named_method(str(tmp_path / "none.py:Net"))
+    with pytest.raises(MethodCodeError, match=r"FILE\.py:CLASS or an installed method \(none"):
+        named_method("Net")
+
+
+def test_a_file_sees_what_lies_beside_it(tmp_path):
+    (tmp_path / "beside_it.py").write_text("from eitskin.training import Method as Base")
+    (tmp_path / "my.py").write_text(
+        "from beside_it import Base\nclass Net(Base): fit = predict = arrays = from_arrays = None"
+    )
+    assert named_method(f"{tmp_path / 'my.py'}:Net").KIND == "my:Net"
+
+
+def test_an_installed_method_is_imported_only_when_it_is_named(monkeypatch):
+    entries = [
+        importlib.metadata.EntryPoint("net", f"{__name__}:Strongest", own_methods.GROUP),
+        importlib.metadata.EntryPoint("evil", "not.there:Bomb", own_methods.GROUP),
+    ]
+    monkeypatch.setattr(importlib.metadata, "entry_points", lambda **_group: entries)
+    monkeypatch.setattr(
+        importlib.metadata.EntryPoint, "load", lambda entry: {"net": Strongest}[entry.name]
+    )
+    assert named_method("net") is Strongest
+    with pytest.raises(MethodCodeError, match="evil, net here"):
+        named_method("nett")
+
+
+def test_names_of_shipped_methods_are_those_of_the_settings():
+    assert set(SHIPPED_METHODS) == set(METHODS)
+    with pytest.raises(DataError, match="newer"):
+        method_class("newest")
+    with pytest.raises(ConfigurationError, match="no options"):
+        TrainingSettings(method="joint", options={"a": 1})
+
+
+@pytest.mark.slow
+def test_the_method_of_the_page_goes_through_the_commands(tmp_path):
+    """Trained, evaluated and run live, as docs/own-method.md says."""
+    (code,) = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
+    (tmp_path / "my.py").write_text(code)
+    save_dataset(frames(600), tmp_path / "data")
+    own, model = ("--method", f"{tmp_path / 'my.py'}:Net"), tmp_path / "my.eitmodel"
+    trained = printed_json("train", tmp_path / "data", *own, "--set", "width=48", "--out", model)
+    report = trained["metrics"]
+    shares = [share for share in report["states"]["accuracy"].values() if share is not None]
+    assert min(shares) > 0.9
+    assert report["touches"]["1"]["mean_error_mm"] < 12
+    assert report["bend"]["rmse_deg"] < 6
+    assert report["force"] is None
+    settings = json.loads((model / "pipeline.json").read_text())["settings"]
+    assert settings["options"] == {"width": 48}
+    assert printed_json("evaluate", model, tmp_path / "data", *own)["frames"] == 102
+    live = run("live", model, "--board", f"replay:{tmp_path / 'data'}", "--json", *own)
+    states = [json.loads(line)["state"] for line in live.stdout.splitlines()]
+    assert states[:3] == ["idle", "touch", "bend"]
+    with pytest.raises(ConfigurationError, match=r"--method my\.py:Net"):
+        run("evaluate", model, tmp_path / "data")
+    with pytest.raises(ConfigurationError, match="leave one out"):
+        run("train", tmp_path / "data", *own, "--preset", "quick", "--out", model)
+    with pytest.raises(ConfigurationError, match="NAME=VALUE"):
+        run("train", tmp_path / "data", *own, "--set", "width", "--out", model)
