@@ -15,6 +15,7 @@ from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.fixtures import Bend
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.surface import Surface
+from eitskin.simulator.bodies.upper_side import require_above
 from eitskin.simulator.scene.scene import Scene
 from eitskin.simulator.scene.touch import Touch
 
@@ -139,8 +140,11 @@ def _stage(board: "Board") -> Any:
 
 def _require_inside(sheet: SensorDesign | Region, press: PageTouch) -> None:
     region = sheet if isinstance(sheet, Region) else Region.around(sheet)
-    if isinstance(sheet, Region) or isinstance(sheet.outline, Surface):
+    if isinstance(sheet, Region):
         inside = region.contains(press.x, press.y)
+    elif isinstance(sheet.outline, Surface):
+        require_above(sheet.outline, Touch(press.x, press.y, press.force))
+        return
     else:
         inside = bool(sheet.outline.contains(np.array([press.x, press.y])))
     if not inside:

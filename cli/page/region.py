@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.geometry.design.surface import Surface
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +23,11 @@ class Region:
     @classmethod
     def around(cls, design: SensorDesign) -> "Region":
         """Bounding rectangle of a design's outline."""
-        return cls((0.0, 0.0), (design.outline.length, design.outline.width))
+        outline = design.outline
+        if isinstance(outline, Surface):
+            low, high = outline.bounds[:, :2].tolist()
+            return cls(tuple(low), tuple(high))
+        return cls((0.0, 0.0), (outline.length, outline.width))
 
     @classmethod
     def of_positions(cls, extent: ArrayLike, margin: float) -> "Region":

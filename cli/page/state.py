@@ -11,20 +11,17 @@ from numpy.typing import NDArray
 
 from eitskin.cli.live_view import bad_channels, state_name, zero_name
 from eitskin.cli.page.commands import LARGEST, LEAST, MOST_TOUCHES
+from eitskin.cli.page.plan import electrodes_of, grid_of, outline_of
 from eitskin.cli.page.region import Region
-from eitskin.cli.page.shape import COLUMNS, ROWS, DrawnPress, GelDrawing, electrode_corners
+from eitskin.cli.page.shape import DrawnPress, GelDrawing
 from eitskin.frame import Frame
-from eitskin.geometry.design.outline import Disc, Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.geometry.design.surface import Surface
 
 if TYPE_CHECKING:
     from eitskin.cli.live_pictures import Picture
     from eitskin.hardware.boards.board import Board, Counts
     from eitskin.hardware.live import Estimate, Reading
     from eitskin.simulator.scene.scene import Scene
-
-_RIM = 96  # points of an outline without corners
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,7 +46,7 @@ class PageContent:
     Attributes:
         board: source of the readings.
         sheet: its sensor, or the region of positions on one of unknown geometry.
-        drawing: three-dimensional drawing of the sensor; None for other outlines.
+        drawing: three-dimensional drawing of the sensor; None where its geometry is unknown.
     """
 
     board: "Board"
@@ -66,7 +63,7 @@ class PageContent:
         sheet, board = self.sheet, self.board
         known = None if isinstance(sheet, Region) else sheet
         region = sheet if isinstance(sheet, Region) else Region.around(sheet)
-        electrodes = electrode_corners(known).mean(axis=1)[:, :2] if known else np.zeros((0, 2))
+        outline = outline_of(known) if known else region.corners
         return {
             "uri": board.uri,
             "firmware": board.info.firmware,
@@ -75,12 +72,18 @@ class PageContent:
             "length": region.length,
             "width": region.width,
             "thickness": known and known.thickness,
-            "outline": _rounded(_rim(known) if known else region.corners, 5),
-            "electrodes": _rounded(electrodes, 5),
+            "outline": _rounded(outline, 5),
+            "grid": grid_of(region.length, region.width),
+            "electrodes": [
+                {
+                    "path": _rounded(each.path, 5),
+                    "closed": each.closed,
+                    "outward": _rounded(each.outward, 3),
+                }
+                for each in (electrodes_of(known) if known else ())
+            ],
             "labels": list(board.protocol.labels),
-            "shape": None
-            if self.drawing is None
-            else {"columns": COLUMNS, "rows": ROWS, "unit": self.drawing.unit},
+            "shape": None if self.drawing is None else self.drawing.as_dict(),
             "controls": self._controls(),
         }
 
@@ -217,16 +220,6 @@ def _scene(scene: "Scene") -> dict[str, Any]:
             for touch in touches
         ],
     }
-
-
-def _rim(design: SensorDesign) -> NDArray[np.float64]:
-    """Vertices of the outline (k, 2) [m]; for a surface, of its bounding rectangle."""
-    outline = design.outline
-    if isinstance(outline, Surface):
-        outline = Rectangle(outline.length, outline.width)
-    if isinstance(outline, Disc):
-        return outline.at(np.arange(_RIM) * (outline.perimeter / _RIM))
-    return outline.vertices
 
 
 def _rounded(values: NDArray[np.float64], digits: int) -> list[Any]:

@@ -2,13 +2,16 @@
 import { Surface, bytes, colour, diverging, palette } from "./colours.js";
 
 const INDENTER = 0.0075; // radius of what presses a virtual board [m]
-const GRID = 0.015; // between two lines, as on the drawn sensor [m]
+const WIDEST = 17 / 8.2; // shape of the map, as in style.css
+const RIM = 0.001; // least distance of a finger from the rim [m]
 const STEP = 0.002; // of the keyboard's finger [m]
 
 export class TouchMap {
   // `press(touches)` is called with what the fingers do; null where nothing can be pressed.
   constructor(canvas, sensor, press) {
     Object.assign(this, { canvas, sensor, press });
+    const aspect = Math.min(WIDEST, Math.max(1, sensor.length / sensor.width));
+    canvas.parentElement.style.setProperty("--aspect", aspect); // on a phone
     this.colours = { text: colour("text"), truth: colour("truth"), dim: colour("dim"), edge: colour("edge"), ground: colour("raised") };
     this.found = [];
     this.truth = [];
@@ -87,25 +90,38 @@ export class TouchMap {
   }
 
   grid(c, at) {
-    const { length, width: across, origin: [x0, y0] } = this.sensor;
+    const { length, width: across, origin: [x0, y0], grid } = this.sensor;
     c.fillStyle = "#ffffff12";
-    for (let x = GRID; x < length - GRID / 2; x += GRID) c.fillRect(Math.round(at.x(x0 + x)), at.y(y0 + across), 1, at.scale * across);
-    for (let y = GRID; y < across - GRID / 2; y += GRID) c.fillRect(at.x(x0), Math.round(at.y(y0 + y)), at.scale * length, 1);
+    for (let x = grid; x < length - grid / 2; x += grid) c.fillRect(Math.round(at.x(x0 + x)), at.y(y0 + across), 1, at.scale * across);
+    for (let y = grid; y < across - grid / 2; y += grid) c.fillRect(at.x(x0), Math.round(at.y(y0 + y)), at.scale * length, 1);
   }
 
   drawElectrodes(c, at) {
-    const { length, width: across, electrodes } = this.sensor;
     c.font = "600 12px system-ui, sans-serif";
     c.textAlign = "center";
     c.textBaseline = "middle";
-    electrodes.forEach(([x, y], number) => {
-      const side = [y, length - x, across - y, x], nearest = side.indexOf(Math.min(...side));
-      const [dx, dy] = [[0, -1], [1, 0], [0, 1], [-1, 0]][nearest];
-      const px = at.x(x), py = at.y(y), long = Math.max(8, 0.005 * at.scale);
-      c.fillStyle = "#d9b070";
-      if (dy) c.fillRect(px - long / 2, py - 2.5, long, 5);
-      else c.fillRect(px - 2.5, py - long / 2, 5, long);
-      c.fillText(number, px + 13 * dx, py - 13 * dy);
+    c.fillStyle = c.strokeStyle = "#d9b070";
+    c.lineWidth = 5;
+    this.sensor.electrodes.forEach(({ path, closed, outward: [dx, dy] }, number) => {
+      const x = path.map((point) => at.x(point[0])), y = path.map((point) => at.y(point[1]));
+      c.beginPath();
+      path.forEach((_, i) => c.lineTo(x[i], y[i]));
+      const mean = (values) => values.reduce((sum, value) => sum + value, 0) / values.length;
+      const middle = [mean(x), mean(y)];
+      if (!closed) {
+        // The line's middle, which in a bow is not the mean; a line is at least 8 pixels long.
+        middle.splice(0, 2, x[x.length >> 1], y[y.length >> 1]);
+        const short = 8 - Math.hypot(x[0] - x[x.length - 1], y[0] - y[y.length - 1]);
+        if (short > 0) {
+          c.moveTo(middle[0] - 4 * dy, middle[1] - 4 * dx);
+          c.lineTo(middle[0] + 4 * dy, middle[1] + 4 * dx);
+        }
+        c.stroke();
+      } else {
+        c.fill();
+      }
+      const level = closed && !dx && !dy, above = level ? middle[1] - Math.min(...y) + 9 : 0;
+      c.fillText(number, middle[0] + 13 * dx, middle[1] - 13 * dy - above);
     });
   }
 
@@ -172,9 +188,29 @@ export class TouchMap {
     this.canvas.onfocus = this.canvas.onblur = () => this.surface.paint();
   }
 
+  // The place itself, or the nearest one on the sensor; a corner takes a step for each side.
   inside({ x, y }) {
-    const { length, width, origin: [x0, y0] } = this.sensor, rim = 0.001;
-    return { x: Math.min(x0 + length - rim, Math.max(x0 + rim, x)), y: Math.min(y0 + width - rim, Math.max(y0 + rim, y)) };
+    for (let turn = 0; turn < 3; turn++) {
+      const [rim, away, within] = this.nearest(x, y);
+      if (within && away >= RIM) break;
+      [x, y] = rim;
+    }
+    return { x, y };
+  }
+
+  // The nearest point at `RIM` from the outline, the distance from the outline, and whether (x, y) is within it.
+  nearest(x, y) {
+    const { outline } = this.sensor;
+    let best = [null, Infinity], within = false;
+    outline.forEach(([ax, ay], i) => {
+      const [bx, by] = outline[(i + 1) % outline.length], dx = bx - ax, dy = by - ay, size = Math.hypot(dx, dy);
+      const share = Math.min(1, Math.max(0, ((x - ax) * dx + (y - ay) * dy) / size ** 2));
+      const [px, py] = [ax + share * dx, ay + share * dy], away = Math.hypot(x - px, y - py);
+      // Counter-clockwise: inwards is to the left.
+      if (away < best[1]) best = [[px - RIM * dy / size, py + RIM * dx / size], away];
+      if ((ay > y) !== (by > y) && x < ax + (y - ay) / dy * dx) within = !within;
+    });
+    return [...best, within];
   }
 
   pointed(event) {
@@ -225,8 +261,8 @@ export class TouchMap {
   }
 
   key(event) {
-    const { length, width } = this.sensor;
-    this.cursor ||= { x: length / 2, y: width / 2 };
+    const { length, width, origin: [x0, y0] } = this.sensor;
+    this.cursor ||= this.inside({ x: x0 + length / 2, y: y0 + width / 2 });
     const step = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[event.key];
     if (step) {
       this.cursor = this.inside({ x: this.cursor.x + STEP * step[0], y: this.cursor.y + STEP * step[1] });

@@ -32,10 +32,11 @@ void main() {
   if (dot(n, toEye) < 0.0) n = -n;
   vec3 light = normalize(vec3(-0.45, 0.7, 0.6));
   vec3 base = vec3(0.17, 0.25, 0.34);
-  float gloss = 0.30;
+  float gloss = 0.30, covers = 1.0;
   if (material > 1.5) {
     base = vec3(0.82, 0.64, 0.36);
     gloss = 0.6;
+    if (material > 2.5) covers = 0.4;
   } else if (material > 0.5) {
     float level = texture(map, at).r;
     vec3 touched = texture(colours, vec2(level, 0.5)).rgb;
@@ -47,15 +48,18 @@ void main() {
   float lit = 0.10 + 0.90 * max(dot(n, light), 0.0) + 0.42 * max(dot(n, toEye), 0.0);
   float shine = pow(max(dot(reflect(-light, n), toEye), 0.0), 24.0);
   float rim = pow(1.0 - max(dot(n, toEye), 0.0), 3.0);
-  colour = vec4(base * lit + gloss * shine + 0.10 * rim, 1.0);
+  colour = covers * vec4(base * lit + gloss * shine + 0.10 * rim, 1.0);
 }`;
 
 const FIELD = 26 * Math.PI / 180;
 const FIRST = { yaw: -0.42, pitch: 0.62 };
-const LIFT = 0.0002; // of electrodes over the side that they are on [m]
+const LIFT = 0.0013; // of electrodes over the side that they are on, and
+const AWAY = 0.04; // of their numbers, in lengths of the sensor's longer side
+const MARGIN = 1.04; // around the sensor
+const SAG = 0.12; // height that a bend takes, in lengths of the sensor
 const SOFTWARE = 0.75; // pixels for each of the screen's where the processor has to draw them
 const SAME = 64; // of 255 levels of the touch map
-const GEL = 0, FACE = 1, METAL = 2;
+const METAL = 2; // and above; the gel is 0, where the touch map lies 1, what is inside 3
 
 // Whether there is no graphics card: then a picture must be small to be in time.
 function software() {
@@ -78,7 +82,7 @@ export class Sensor {
     const gl = sensor.shape && canvas.getContext("webgl2", { antialias: !slow, alpha: true });
     if (!gl) {
       note.textContent = sensor.shape ? "The 3D view is not available: this browser has no WebGL 2."
-        : "The 3D view is drawn for rectangular sensors only.";
+        : "The 3D view needs the sensor’s design, which these positions were learned without.";
       note.hidden = false;
       canvas.hidden = true;
       return;
@@ -87,7 +91,8 @@ export class Sensor {
     this.angles = { ...FIRST };
     this.drawn = "";
     this.levels = [];
-    this.sheets = this.layout();
+    this.size = Math.max(sensor.length, sensor.width);
+    this.mesh = this.decoded(sensor.shape);
     this.prepare();
     this.listen();
     this.spans = sensor.electrodes.map((_, i) => labels.appendChild(Object.assign(document.createElement("span"), { textContent: i })));
@@ -100,28 +105,17 @@ export class Sensor {
     }).observe(canvas);
   }
 
-  // Grids of points that make the body: each lists the server's points that it is made of.
-  layout() {
-    const { columns, rows } = this.sensor.shape, face = columns * rows, bottom = [face, face + columns];
-    const row = (start, count, step = 1) => Array.from({ length: count }, (_, i) => start + i * step);
-    const sheets = [{ kind: FACE, rows, points: row(0, face) }];
-    sheets.push({ kind: GEL, rows: 2, points: [...row(bottom[0], columns), ...row(0, columns)] });
-    sheets.push({ kind: GEL, rows: 2, points: [...row(bottom[1], columns), ...row(face - columns, columns)] });
-    sheets.push({ kind: GEL, rows: 2, points: [...row(bottom[0], columns), ...row(bottom[1], columns)] });
-    for (const end of [0, columns - 1]) {
-      // The bottom's short edges are straight: its corners, repeated, meet each point above.
-      const under = row(0, rows).map((i) => [bottom[0] + end, bottom[1] + end, i / (rows - 1)]);
-      sheets.push({ kind: GEL, rows: 2, points: [...under, ...row(end, rows, columns)] });
-    }
-    this.sensor.electrodes.forEach((_, i) => {
-      const first = face + 2 * columns + 4 * i;
-      sheets.push({ kind: METAL, rows: 2, points: [first, first + 1, first + 3, first + 2] });
-    });
-    return sheets;
+  // Triangles between vertices, each at one of the points that the server sends.
+  decoded({ points, vertices, kinds, faces, electrodes, opaque }) {
+    const numbers = (text, Kind) => new Kind(bytes(text).buffer);
+    return {
+      flat: numbers(points, Int16Array), vertices: numbers(vertices, Uint16Array), kinds: bytes(kinds),
+      faces: numbers(faces, Uint16Array), opaque: 3 * opaque, electrodes,
+    };
   }
 
   prepare() {
-    const gl = this.gl, { columns, rows } = this.sensor.shape;
+    const gl = this.gl, { flat, vertices, kinds, faces } = this.mesh, { length, width, shape, grid } = this.sensor;
     const program = gl.createProgram();
     for (const [kind, source] of [[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, FRAGMENT]]) {
       const shader = gl.createShader(kind);
@@ -134,27 +128,13 @@ export class Sensor {
     gl.useProgram(program);
     this.uniform = (name) => gl.getUniformLocation(program, name);
 
-    const kinds = [], places = [], indices = [];
-    let count = 0;
-    for (const sheet of this.sheets) {
-      const wide = sheet.points.length / sheet.rows;
-      sheet.first = count;
-      sheet.wide = wide;
-      sheet.points.forEach((_, i) => {
-        kinds.push(sheet.kind);
-        places.push((i % wide) / (wide - 1), Math.floor(i / wide) / (sheet.rows - 1));
-      });
-      for (let r = 0; r + 1 < sheet.rows; r++) {
-        for (let k = 0; k + 1 < wide; k++) {
-          const a = count + r * wide + k, b = a + wide;
-          indices.push(a, a + 1, b, b, a + 1, b + 1);
-        }
-      }
-      count += sheet.points.length;
-    }
-    this.positions = new Float32Array(3 * count);
-    this.normals = new Float32Array(3 * count);
-    this.count = indices.length;
+    const places = new Float32Array(2 * vertices.length);
+    vertices.forEach((point, i) => {
+      places[2 * i] = flat[3 * point] * shape.unit / length;
+      places[2 * i + 1] = flat[3 * point + 1] * shape.unit / width;
+    });
+    this.positions = new Float32Array(3 * vertices.length);
+    this.normals = new Float32Array(3 * vertices.length);
 
     const attribute = (name, size, data, usage) => {
       const buffer = gl.createBuffer(), where = gl.getAttribLocation(program, name);
@@ -165,18 +145,18 @@ export class Sensor {
       return buffer;
     };
     attribute("kind", 1, new Float32Array(kinds), gl.STATIC_DRAW);
-    attribute("flat_place", 2, new Float32Array(places), gl.STATIC_DRAW);
+    attribute("flat_place", 2, places, gl.STATIC_DRAW);
     this.placeBuffer = attribute("place", 3, this.positions, gl.DYNAMIC_DRAW);
     this.normalBuffer = attribute("normal", 3, this.normals, gl.DYNAMIC_DRAW);
     gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
-    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, new Uint16Array(indices), gl.STATIC_DRAW);
+    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, faces, gl.STATIC_DRAW);
 
     this.mapTexture = this.texture(0, "map");
     this.level(1, 1, new Uint8Array(1));
     this.texture(1, "colours");
     gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, 256, 1, 0, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(palette));
-    gl.uniform2f(this.uniform("lines"), this.sensor.length / 0.015, this.sensor.width / 0.015);
-    gl.enable(gl.DEPTH_TEST);
+    gl.uniform2f(this.uniform("lines"), length / grid, width / grid);
+    gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
     gl.clearColor(0, 0, 0, 0);
   }
 
@@ -213,25 +193,17 @@ export class Sensor {
   }
 
   move(steps) {
-    const { unit } = this.sensor.shape, { length, width } = this.sensor;
-    const p = this.positions;
+    const { length, width, shape: { unit } } = this.sensor, { vertices } = this.mesh, p = this.positions;
     let low = Infinity, high = -Infinity;
     for (let i = 2; i < steps.length; i += 3) {
       low = Math.min(low, steps[i]);
       high = Math.max(high, steps[i]);
     }
     const middle = [length / 2, width / 2, (low + high) / 2 * unit];
-    const coordinate = (index, axis) => steps[3 * index + axis] * unit - middle[axis];
-    for (const sheet of this.sheets) {
-      sheet.points.forEach((point, i) => {
-        const to = 3 * (sheet.first + i);
-        for (let axis = 0; axis < 3; axis++) {
-          if (typeof point === "number") p[to + axis] = coordinate(point, axis);
-          else p[to + axis] = (1 - point[2]) * coordinate(point[0], axis) + point[2] * coordinate(point[1], axis);
-        }
-      });
-      this.face(sheet);
+    for (let i = 0; i < vertices.length; i++) {
+      for (let axis = 0; axis < 3; axis++) p[3 * i + axis] = steps[3 * vertices[i] + axis] * unit - middle[axis];
     }
+    this.face();
     const gl = this.gl;
     gl.bindBuffer(gl.ARRAY_BUFFER, this.placeBuffer);
     gl.bufferSubData(gl.ARRAY_BUFFER, 0, this.positions);
@@ -239,33 +211,34 @@ export class Sensor {
     gl.bufferSubData(gl.ARRAY_BUFFER, 0, this.normals);
   }
 
-  // Normals of a grid: the cross product of its central differences.
-  face({ first, rows, wide, kind }) {
-    const p = this.positions, n = this.normals;
-    for (let r = 0; r < rows; r++) {
-      const low = Math.max(r - 1, 0), high = Math.min(r + 1, rows - 1);
-      for (let k = 0; k < wide; k++) {
-        const at = (row, column) => 3 * (first + row * wide + column);
-        const to = at(r, k), w = at(r, Math.max(k - 1, 0)), e = at(r, Math.min(k + 1, wide - 1));
-        const s = at(low, k), t = at(high, k);
-        const ux = p[e] - p[w], uy = p[e + 1] - p[w + 1], uz = p[e + 2] - p[w + 2];
-        const vx = p[t] - p[s], vy = p[t + 1] - p[s + 1], vz = p[t + 2] - p[s + 2];
-        const x = uy * vz - uz * vy, y = uz * vx - ux * vz, z = ux * vy - uy * vx;
-        const size = Math.hypot(x, y, z) || 1;
-        n[to] = x / size; n[to + 1] = y / size; n[to + 2] = z / size;
+  // Normals: means of the triangles around each vertex, larger ones counting more.
+  face() {
+    const p = this.positions, n = this.normals, { faces, kinds } = this.mesh;
+    n.fill(0);
+    for (let i = 0; i < faces.length; i += 3) {
+      const a = 3 * faces[i], b = 3 * faces[i + 1], c = 3 * faces[i + 2];
+      const ux = p[b] - p[a], uy = p[b + 1] - p[a + 1], uz = p[b + 2] - p[a + 2];
+      const vx = p[c] - p[a], vy = p[c + 1] - p[a + 1], vz = p[c + 2] - p[a + 2];
+      const x = uy * vz - uz * vy, y = uz * vx - ux * vz, z = ux * vy - uy * vx;
+      for (const to of [a, b, c]) { n[to] += x; n[to + 1] += y; n[to + 2] += z; }
+    }
+    for (let i = 0; i < n.length; i += 3) {
+      const size = Math.hypot(n[i], n[i + 1], n[i + 2]) || 1, lift = kinds[i / 3] === METAL ? LIFT * this.size : 0;
+      for (let axis = i; axis < i + 3; axis++) {
+        n[axis] /= size;
+        p[axis] += lift * n[axis];
       }
     }
-    if (kind !== METAL) return;
-    for (let i = 3 * first; i < 3 * (first + 4); i++) p[i] += LIFT * n[i];
   }
 
   paint() {
     if (!this.drawn || !this.width) return;
     const gl = this.gl, { yaw, pitch } = this.angles;
-    const aspect = this.width / this.height, { length, width } = this.sensor;
-    const radius = 0.53 * Math.hypot(length, width), slope = Math.tan(FIELD / 2);
-    const far = Math.max(0.56 * length / aspect, 0.25 * length) / slope + 0.25 * length;
-    const f = 1 / slope, [near, end] = [far - 2 * radius, far + 2 * radius];
+    const aspect = this.width / this.height, { length, width, thickness } = this.sensor;
+    const radius = 0.53 * Math.hypot(length, width, thickness), slope = Math.tan(FIELD / 2);
+    const across = this.extent(1, 0) / aspect, upwards = this.extent(0, 1);
+    const far = MARGIN * Math.max(across, upwards) / 2 / slope + 0.4 * this.extent(0, 0, 1);
+    const f = 1 / slope, [near, end] = [Math.max(far - 2 * radius, 0.01 * far), far + 2 * radius];
     const depth = [(end + near) / (near - end), 2 * end * near / (near - end)];
     const projection = [f / aspect, 0, 0, 0, 0, f, 0, 0, 0, 0, depth[0], -1, 0, 0, depth[1], 0];
     const [cy, sy, cp, sp] = [Math.cos(yaw), Math.sin(yaw), Math.cos(pitch), Math.sin(pitch)];
@@ -275,21 +248,37 @@ export class Sensor {
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     gl.uniformMatrix4fv(this.uniform("projection"), false, projection);
     gl.uniformMatrix4fv(this.uniform("view"), false, view);
-    gl.drawElements(gl.TRIANGLES, this.count, gl.UNSIGNED_SHORT, 0);
+    const { faces, opaque } = this.mesh;
+    gl.enable(gl.DEPTH_TEST);
+    gl.drawElements(gl.TRIANGLES, opaque, gl.UNSIGNED_SHORT, 0);
+    if (opaque < faces.length) { // electrodes inside shine through
+      gl.disable(gl.DEPTH_TEST);
+      gl.enable(gl.BLEND);
+      gl.drawElements(gl.TRIANGLES, faces.length - opaque, gl.UNSIGNED_SHORT, 2 * opaque);
+      gl.disable(gl.BLEND);
+    }
     this.number(view, projection);
+  }
+
+  // Extent of the sensor as it is first seen, across, upwards and away [m].
+  extent(across, upwards, away = 0) {
+    const { length, width, thickness } = this.sensor;
+    const [c, s] = [Math.cos(FIRST.yaw), Math.abs(Math.sin(FIRST.yaw))];
+    const deep = length * s + width * c, rise = Math.cos(FIRST.pitch), back = Math.sin(FIRST.pitch);
+    return across * (length * c + width * s) + upwards * (back * deep + rise * (thickness + SAG * length)) + away * rise * deep;
   }
 
   // Each electrode's number, a little outside it; faint where it is behind.
   number(m, projection) {
     this.spans.forEach((span, i) => {
-      const first = 3 * this.sheets[this.sheets.length - this.spans.length + i].first;
-      const corner = (axis) => {
+      const [first, count] = this.mesh.electrodes[i];
+      const mean = (values, axis) => {
         let sum = 0;
-        for (let k = 0; k < 4; k++) sum += this.positions[first + 3 * k + axis] / 4;
-        return sum + 0.006 * this.normals[first + axis];
+        for (let k = first; k < first + count; k++) sum += values[3 * k + axis] / count;
+        return sum;
       };
-      const [x, y, z] = [corner(0), corner(1), corner(2)];
-      const n = [0, 1, 2].map((axis) => this.normals[first + axis]);
+      const n = [0, 1, 2].map((axis) => mean(this.normals, axis));
+      const [x, y, z] = [0, 1, 2].map((axis) => mean(this.positions, axis) + AWAY * this.size * n[axis]);
       const see = (row) => m[row] * x + m[4 + row] * y + m[8 + row] * z + m[12 + row];
       const away = m[2] * n[0] + m[6] * n[1] + m[10] * n[2] < 0;
       const deep = -see(2);
