@@ -11,6 +11,7 @@ from eitskin.errors import ConfigurationError, UnusableFrameError
 from eitskin.frame import Frame
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.protocol import Protocol
+from eitskin.training.method.input_spec import usable_values
 from eitskin.training.reconstruction.reconstructor import Method, Reconstructor
 
 if TYPE_CHECKING:
@@ -71,7 +72,7 @@ class LivePictures:
         self.maker.require_same_protocol(frame)
         if frame.session != self._session:
             self._session, self.taken, self._first = frame.session, 0, []
-        values = np.where(frame.status == 0, frame.impedance, np.nan)
+        values, _ = usable_values(frame)
         if self.taken < REFERENCE:
             self._first.append(values)
             self.taken += 1

@@ -130,9 +130,20 @@ def usable_values(frame: Frame) -> tuple[NDArray[np.complex128], tuple[str, ...]
         + (f"board status {frame.status[i]}" if frame.status[i] else f"{frame.impedance[i]}")
         for i in np.flatnonzero(~good)
     )
-    if good.mean() < FEWEST_CHANNELS:
-        raise UnusableFrameError(
-            f"expected at least {FEWEST_CHANNELS:.0%} usable channels, got {good.sum()} of "
-            f"{good.size}; {problems[0]}; check the cable and the electrodes"
-        )
+    require_usable(good, *problems[:1])
     return np.where(good, frame.impedance, np.nan), problems
+
+
+def require_usable(good: NDArray[np.bool_], *problems: str) -> None:
+    """Refuse a frame with too few good channels (measurements,); raises UnusableFrameError.
+
+    Args:
+        good: whether each channel is usable.
+        problems: of the channels, for the message.
+    """
+    if good.mean() < FEWEST_CHANNELS:
+        count = f"got {good.sum()} of {good.size}"
+        raise UnusableFrameError(
+            f"expected at least {FEWEST_CHANNELS:.0%} usable channels, "
+            + "; ".join([count, *problems, "check the cable and the electrodes"])
+        )

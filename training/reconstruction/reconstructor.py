@@ -6,12 +6,12 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from eitskin.errors import ConfigurationError, FrameError, UnusableFrameError
+from eitskin.errors import ConfigurationError, FrameError
 from eitskin.frame import Frame
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.protocol import Protocol
 from eitskin.simulator.electrical.resolution import Discretisation, Resolution
-from eitskin.training.method.input_spec import FEWEST_CHANNELS
+from eitskin.training.method.input_spec import require_usable, usable_values
 from eitskin.training.method.observations import relative_difference
 from eitskin.training.reconstruction.greit import desired_radius, greit
 from eitskin.training.reconstruction.linear_model import LinearModel, linear_model
@@ -142,12 +142,8 @@ class Reconstructor:
             FrameError: for another number of measurements.
         """
         V, before = np.asarray(impedance), np.asarray(reference)
-        for name, values in (("frame", V), ("reference", before)):
-            if values.shape[-1:] != (len(self.protocol),):
-                raise FrameError(
-                    f"expected a {name} of the protocol's {len(self.protocol)} measurements, got "
-                    f"shape {values.shape}; name the protocol of the measurements"
-                )
+        for values in (V, before):
+            self._require_measurements(values)
         if self.difference == "relative":
             with np.errstate(divide="ignore"):
                 change = relative_difference(V, before)
@@ -171,7 +167,7 @@ class Reconstructor:
         """
         for each in (frame, reference):
             self.require_same_protocol(each)
-        V, before = (np.where(f.status == 0, f.impedance, np.nan) for f in (frame, reference))
+        V, before = (usable_values(each)[0] for each in (frame, reference))
         return self.images(self.data(V, before))
 
     def require_same_protocol(self, frame: Frame) -> None:
@@ -183,6 +179,13 @@ class Reconstructor:
             "name the protocol of the board or recording",
         )
 
+    def _require_measurements(self, values: NDArray[np.generic]) -> None:
+        if values.shape[-1:] != (len(self.protocol),):
+            raise FrameError(
+                f"expected values of the {len(self.protocol)} measurements of {self.protocol}, got "
+                f"shape {values.shape}; name the protocol of the board or recording"
+            )
+
     def images(self, data: ArrayLike) -> Array:
         """Pictures (..., rows, columns) of data (..., measurements); NaN outside the outline.
 
@@ -193,19 +196,12 @@ class Reconstructor:
             UnusableFrameError: for a frame with too few good channels.
         """
         y = np.asarray(data, dtype=float)
-        if y.shape[-1:] != (len(self.protocol),):
-            raise FrameError(
-                f"expected data of {len(self.protocol)} measurements, got shape {y.shape}"
-            )
+        self._require_measurements(y)
         frames = y.reshape(-1, y.shape[-1])
         missing, group = np.unique(np.isnan(frames), axis=0, return_inverse=True)
         values = np.empty((len(frames), len(self.grid)))
         for number, channels in enumerate(missing):
-            if np.mean(~channels) < FEWEST_CHANNELS:
-                raise UnusableFrameError(
-                    f"expected at least {FEWEST_CHANNELS:.0%} usable channels, got "
-                    f"{np.sum(~channels)} of {channels.size}; check the cable and the electrodes"
-                )
+            require_usable(~channels)
             mine = group.ravel() == number
             values[mine] = self._values(frames[mine][:, ~channels], channels)
         return self.grid.image(values.reshape(*y.shape[:-1], -1))
