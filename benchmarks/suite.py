@@ -110,6 +110,7 @@ ALL = (
     Benchmark("creep", "physics", 1, (), ()),
     Benchmark("cramer_rao", "physics", 3, OWN),
     Benchmark("bends", "physics", 8),
+    Benchmark("electrodes", "physics", 6, (), ("coarse",)),
     Benchmark("tank", "data", 3, ("{data}",), needs="{data}/ktc2023_ref.mat"),
     Benchmark(
         "pictures",
@@ -133,6 +134,8 @@ ALL = (
     Benchmark(
         "ablation", "data", 2, ("{out}/paper/seed-1/unseen-touch",), needs="{out}/paper/seed-1"
     ),
+    Benchmark("session_starts", "data", 9, (), ("--specimens", "40", "--held-out", "4")),
+    Benchmark("stored_references", "data", 4, (), ("--specimens", "2", "--mounted", "1")),
     Benchmark("large_sets", "data", 25, OWN, (*OWN, "--frames", "4000", "--shards", "40")),
     Benchmark("layouts", "", 90, OWN, (*OWN, "--quick"), report="layouts.md"),
 )

@@ -214,7 +214,9 @@ def _smoothed(part: Triangles) -> tuple[Numbers, Numbers, NDArray[np.bool_]]:
     areas = area_vectors(part.points[part.faces])
     normals = areas / np.maximum(np.linalg.norm(areas, axis=1), np.finfo(float).tiny)[:, None]
     found: dict[int, list[tuple[Array, int]]] = {}
-    points, up, faces = [], [], np.empty_like(part.faces)
+    points: list[int] = []
+    up: list[bool] = []
+    faces = np.empty_like(part.faces)
     for face, column, point in _corners(part.faces):
         normal = normals[face]
         around = found.setdefault(point, [])
@@ -223,7 +225,7 @@ def _smoothed(part: Triangles) -> tuple[Numbers, Numbers, NDArray[np.bool_]]:
         if vertex == len(points):
             around.append((normal, vertex))
             points.append(point)
-            up.append(normal[2] > _UPWARD)
+            up.append(bool(normal[2] > _UPWARD))
         faces[face, column] = vertex
     return np.array(points), faces, np.array(up)
 

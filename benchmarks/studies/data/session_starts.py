@@ -9,7 +9,6 @@ that the pipeline has learned, into a saved joint pipeline; nothing else there c
 """
 
 import argparse
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 
 from eitskin.datasets.recipe.frame_sampling import specimen
 from eitskin.datasets.recipe.recipe import Recipe
+from eitskin.frame import Frame
 from eitskin.geometry.deformation.fixtures import Bend
 from eitskin.protocol import Protocol
 from eitskin.provenance import Provenance
@@ -49,17 +49,29 @@ def scenes(number: int) -> dict[str, Scene]:
     return {"flat": Scene()} | bends | presses | {"+30 deg, 9 N": both}
 
 
-def measured(recipe: Recipe, number: int, chosen: dict[str, Scene]) -> Iterator[Complex]:
-    """First frame of each scene on one specimen, all by the same board (measurements,) [ohm]."""
-    drawn = specimen(recipe, number)
-    simulator = Simulator(
-        drawn.design, recipe.resolution, fixture=drawn.fixture, mechanics=drawn.mechanics
-    )
-    rng = np.random.default_rng([2, number])
-    session = Instrument.ad5940().session(PROTOCOL, simulator.full_scale, rng)
-    for scene in chosen.values():
-        truth = simulator.measure(scene).impedance
-        yield session.measure(truth[None].astype(complex), np.zeros(1), rng)[0][0]
+class SimulatedSensor:
+    """One specimen on a board of its own, every term of the AD5940 included."""
+
+    def __init__(self, recipe: Recipe, number: int) -> None:
+        drawn = specimen(recipe, number)
+        self._simulator = Simulator(
+            drawn.design, recipe.resolution, fixture=drawn.fixture, mechanics=drawn.mechanics
+        )
+        self._rng = np.random.default_rng([2, number])
+        full_scale = self._simulator.full_scale
+        self._session = Instrument.ad5940().session(PROTOCOL, full_scale, self._rng)
+
+    def frames(self, scene: Scene, count: int, conductivity: float = 1.0) -> list[Frame]:
+        """Frames 0.3 s apart of a still scene, the conductivity of all of it times a factor."""
+        truth = (self._simulator.measure(scene).impedance / conductivity).astype(complex)
+        rows = (
+            self._session.measure(truth[None], np.zeros(1), self._rng)[0][0] for _ in range(count)
+        )
+        return [Frame(row, PROTOCOL, 0.3 * n, n) for n, row in enumerate(rows)]
+
+    def first(self, scene: Scene) -> Complex:
+        """Impedances of the first frame of a scene (measurements,) [ohm]."""
+        return self.frames(scene, 1)[0].impedance
 
 
 def bend_curve(pipeline: Pipeline) -> Array:
@@ -80,19 +92,18 @@ def store(path: Path, known: FlatSensors) -> None:
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--specimens", type=int, default=600)
+    parser.add_argument("--specimens", type=int, default=500)
     parser.add_argument("--held-out", type=int, default=60)
     parser.add_argument("--store", type=Path, help="saved joint pipeline")
     options = parser.parse_args()
     recipe, change = Recipe.shipped("training"), bend_curve(Pipeline.load(options.store or SHIPPED))
-    flat = np.array(
-        [next(measured(recipe, n, {"flat": Scene()})) for n in range(options.specimens)]
-    )
+    numbers = range(options.specimens)
+    flat = np.array([SimulatedSensor(recipe, n).first(Scene()) for n in numbers])
     held: dict[str, list[Complex]] = {}
     for number in range(FIRST_HELD_OUT, FIRST_HELD_OUT + options.held_out):
-        chosen = scenes(number)
-        for name, values in zip(chosen, measured(recipe, number, chosen), strict=True):
-            held.setdefault(name, []).append(values)
+        sensor = SimulatedSensor(recipe, number)
+        for name, scene in scenes(number).items():
+            held.setdefault(name, []).append(sensor.first(scene))
     print("| specimens known | " + " | ".join(held) + " | others flat |")
     print("|---" * (len(held) + 2) + "|")
     for count in sorted({8, 16, 40, 100, 200, options.specimens}):

@@ -2,10 +2,10 @@
 
 Run by `python -m eitskin.benchmarks.studies.physics.electrodes [RESOLUTION ...]`.
 
-Prints, as Markdown, for rectangles, discs and a polygon: cells, unknowns, seconds of set-up and of
-the flat sensor's factors, milliseconds of a touched scene by reanalysis, stage by stage, and errors
-of signals (median, largest) against a converged mesh. Times are processor times. Dents of the
-unbounded stack press here, without their corrections, which are not tabulated on all outlines.
+Prints, as Markdown, a table for each resolution, of rectangles, discs and a polygon: cells,
+unknowns, set-up and factors of the flat sensor, a touched scene by reanalysis, stage by stage, and
+errors of signals (median, largest) against a converged mesh. Times are processor times. Dents of
+the unbounded stack press here, without their corrections, which are not tabulated on all outlines.
 """
 
 import dataclasses
@@ -50,16 +50,20 @@ def _sensor(outline: PlaneOutline, count: int) -> SensorDesign:
 
 SENSORS: dict[str, tuple[SensorDesign, CellKind]] = {
     "rectangle, 8 electrodes": (_REFERENCE, "hexahedra"),
-    "rectangle, 16, prisms": (_sensor(_SLAB, 16), "prisms"),
+    "rectangle, 16": (_sensor(_SLAB, 16), "prisms"),
     "rectangle, 16, hexahedra": (_sensor(_SLAB, 16), "hexahedra"),
-    "rectangle, 32, prisms": (_sensor(_SLAB, 32), "prisms"),
+    "rectangle, 32": (_sensor(_SLAB, 32), "prisms"),
     "rectangle, 32, hexahedra": (_sensor(_SLAB, 32), "hexahedra"),
     "disc of 100 mm, 16": (_sensor(Disc(0.050), 16), "prisms"),
     "disc of 100 mm, 32": (_sensor(Disc(0.050), 32), "prisms"),
-    "polygon, 12": (_sensor(_L_SHAPE, 12), "prisms"),
+    "L-shaped polygon, 12": (_sensor(_L_SHAPE, 12), "prisms"),
 }
 CONVERGED: Discretisation = ((4, 4, 4, 3, 2), Grading(1e-4, 6e-3, 1.0))
 SCENES, SEED = 10, 0
+HEAD = """\
+| sensor | cells | unknowns | set-up, factors [s] | ms a scene | fields, matrices, solutions [ms] \
+| error, median, largest [%] |
+|---|---|---|---|---|---|---|"""
 _FORCES = (4.0, 12.0)  # [N]
 _EDGE = 0.0065  # least distance of a press from the rim [m]
 
@@ -89,10 +93,7 @@ def main() -> None:
     print(Provenance.now(SEED))
     truths: dict[SensorDesign, Array] = {}
     for resolution in cast("list[Resolution]", sys.argv[1:] or ["coarse", "fast"]):
-        print(f"\n| `{resolution}` | cells | unknowns | set-up, factors [s] | ms a scene |", end="")
-        print(
-            " fields, matrices, solutions [ms] | error, median, largest [%] |\n" + "|---" * 7 + "|"
-        )
+        print(f"\n## {resolution}\n\n{HEAD}")
         for name, (design, cells) in SENSORS.items():
             layers = pressed_layers(design)
             if design not in truths:
