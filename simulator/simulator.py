@@ -243,9 +243,7 @@ class Simulator:
             ConfigurationError: for a touch off the layer, an angle that cannot be reached, or an
                 instrument without a random generator.
         """
-        if self._last is None or self._last[0] != scene:
-            self._last = (scene, self._impedances.at(scene))
-        impedance = self._measured(self._last[1], instrument)
+        matrix = self.impedance_matrix(scene)
         if instrument is not None:
             if rng is None:
                 raise ConfigurationError(
@@ -253,9 +251,19 @@ class Simulator:
                 )
             start, noise = rng.spawn(2)
             session = instrument.session(self.protocol, self.full_scale_on(instrument), start)
-            (impedance,), (status,) = session.measure(impedance[None], np.zeros(1), noise)
+            both = instrument.terminal_impedances(matrix, self.protocol)
+            (impedance,), (status,) = session.measure(both[None], np.zeros(1), noise)
             return Frame(impedance, self.protocol, status=status)
-        return Frame(impedance=impedance, protocol=self.protocol)
+        return Frame(self._measured(matrix), self.protocol)
+
+    def impedance_matrix(self, scene: Scene) -> NDArray[np.inexact]:
+        """Impedance matrix of the sensor in a scene [ohm], (electrodes, electrodes).
+
+        The solution of the last scene is cached. Raises ConfigurationError as `measure` does.
+        """
+        if self._last is None or self._last[0] != scene:
+            self._last = (scene, self._impedances.at(scene))
+        return self._last[1]
 
     def measure_all(
         self,
@@ -266,6 +274,8 @@ class Simulator:
     ) -> NDArray[np.complex128]:
         """Noise-free measurements [ohm] of many scenes, (scenes, measurements).
 
+        With an instrument these are its `terminal_impedances`, (scenes, 2, measurements).
+
         All scenes share the factors of the flat sensor, by reanalysis. A scene's measurements do
         not depend on the other scenes.
 
@@ -274,7 +284,7 @@ class Simulator:
             tolerance: error of a scene's change from the flat sensor, relative; 0 for each scene
                 solved by itself, as by `measure`.
             before_each: called before each solution; may raise to stop.
-            instrument: whose loads and leaks the sensor has; an ideal meter when omitted.
+            instrument: whose circuit the sensor is part of; an ideal meter when omitted.
         """
         found: dict[Scene, NDArray[np.complex128]] = {}
         with kernels():
@@ -329,8 +339,10 @@ class Simulator:
     def _measured(
         self, impedance: NDArray[np.inexact], instrument: Instrument | None = None
     ) -> NDArray[np.complex128]:
-        """Noise-free measurements [ohm] of an impedance matrix, on an instrument's circuit."""
-        return (instrument or Instrument.ideal()).transfer_impedance(impedance, self.protocol)
+        """Noise-free measurements [ohm] of an impedance matrix, or terminal ones on a circuit."""
+        if instrument is not None:
+            return instrument.terminal_impedances(impedance, self.protocol)
+        return Instrument.ideal().transfer_impedance(impedance, self.protocol)
 
 
 def _breaks(design: SensorDesign, fixture: Fixture) -> tuple[float, ...]:

@@ -87,7 +87,7 @@ def command(
     detail = cast("Resolution", one_of("--resolution", resolution, Resolution))
     sim = simulator(design, detail, fixture, protocol, mechanics, touch_model)
     sim.check_scene(what)  # before its presses are solved, which takes minutes
-    flat = sim.measure(Scene())
+    flat = sim.measure(Scene(), _noise_free(board), np.random.default_rng(seed))
     announce_unsolved(sim, what, output)
     start = time.perf_counter()
     frame = sim.measure(what, board, np.random.default_rng(seed))
@@ -110,6 +110,15 @@ def _instrument(noise: float | None, name: str | None) -> "Instrument | None":
         return None if noise is None else Instrument(noise)
     board = Instrument.named(name)
     return board if noise is None else dataclasses.replace(board, snr_db=noise)
+
+
+def _noise_free(board: "Instrument | None") -> "Instrument | None":
+    """Circuit and reading of a board, by which the flat sensor's values are those of its frames."""
+    from eitskin.simulator.instrument.instrument import Instrument
+
+    if board is None or board.meter is None:
+        return None
+    return Instrument(snr_db=0.0, meter=board.meter)
 
 
 def _colours(

@@ -59,7 +59,8 @@ def simulate_frames(
     def measure(each: Sample) -> tuple[Impedance, NDArray[np.uint8]]:
         """Frame, and mean of its untouched reference frames, with the status of both."""
         count = recipe.reference_frames
-        free = np.broadcast_to(clean(each, without_touches), (count, len(offsets)))
+        untouched = clean(each, without_touches)
+        free = np.broadcast_to(untouched, (count, *untouched.shape))
         both = np.concatenate([clean(each, _unchanged)[None], free])
         rng = generator(recipe, Stream.NOISE, each.index)
         times = np.full(1 + count, each.session_time)
@@ -117,8 +118,8 @@ class _Board:
 
 
 def _board(recipe: Recipe, protocol: Protocol, number: int, flat: Impedance) -> _Board:
-    """Board of specimen `number`, whose flat and untouched impedance is `flat` [ohm]."""
-    full_scale = float(np.abs(flat).max())
+    """Board of specimen `number`, whose flat and untouched impedances are `flat` [ohm]."""
+    full_scale = float(np.abs(flat[0]).max())
 
     def session(instrument: Instrument) -> Session:
         return instrument.session(protocol, full_scale, generator(recipe, Stream.SESSION, number))
@@ -132,7 +133,10 @@ def _board(recipe: Recipe, protocol: Protocol, number: int, flat: Impedance) -> 
 def _solve(
     recipe: Recipe, samples: Sequence[Sample], skewed: bool, before_solve: Callable[[], None]
 ) -> Solved:
-    """Noise-free impedance [ohm] of every different scene of every specimen, solved once."""
+    """Noise-free impedances of every different scene of every specimen, solved once.
+
+    They are those of the instrument's terminals, (2, measurements) [ohm].
+    """
     wanted: dict[int, dict[Scene, None]] = {}
     for each in samples:
         # The scene at a frame's end matters only for frames scanned during a movement.
@@ -189,7 +193,10 @@ def _simulator(
 
 
 def flat_impedance(made: Specimen, recipe: Recipe) -> Impedance:
-    """Noise-free impedances of the flat, untouched specimen on the recipe's instrument [ohm]."""
+    """Noise-free impedances of the flat, untouched specimen on the recipe's instrument.
+
+    They are those of the instrument's terminals, (2, measurements) [ohm].
+    """
     simulator = _simulator(made, recipe.sensor, recipe.resolution, recipe.protocol, tabulated=True)
     found: Impedance = simulator.measure_all([Scene()], instrument=recipe.instrument)[0]
     return found

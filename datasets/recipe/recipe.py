@@ -239,12 +239,6 @@ class Recipe:
             self.instrument.session(self.measured_protocol, 1.0, np.random.default_rng(0))
         except ConfigurationError as error:
             yield f"instrument: {error}"
-            return
-        if self.instrument.meter is not None:
-            try:
-                self.instrument.meter.require_fit(self.measured_protocol)
-            except ConfigurationError as error:
-                yield f"instrument: {error}"
 
     def _bend_problems(self, angles_deg: tuple[float, float]) -> Iterator[str]:
         for angle in angles_deg:

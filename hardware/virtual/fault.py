@@ -16,6 +16,7 @@ from eitskin.protocol import Protocol
 class Hook(Enum):
     """Points at which the board consults its faults; each comment names the value that passes."""
 
+    NETWORK = auto()  # (electrodes, electrodes) [ohm]: impedance matrix of the sensor
     IMPEDANCE = auto()  # (measurements,) complex64 [ohm], of one frame
     STATUS = auto()  # (measurements,) bits of `Status`, of one frame
     PACKET = auto()  # bytes of one frame; the effect may raise Unplugged
@@ -120,10 +121,14 @@ class Fault:
         return self.index % len(self.protocol)
 
     @property
+    def electrode(self) -> int:
+        """Number of the electrode `index`, modulo their count."""
+        return self.index % self.protocol.n_electrodes
+
+    @property
     def pairs(self) -> NDArray[np.bool_]:
-        """Measurements that electrode `index` (modulo their count) takes part in, (n,)."""
-        electrode = self.index % self.protocol.n_electrodes
-        involved: NDArray[np.bool_] = (np.array(self.protocol.table) == electrode).any(axis=1)
+        """Measurements that the electrode takes part in, (n,)."""
+        involved: NDArray[np.bool_] = (np.array(self.protocol.table) == self.electrode).any(axis=1)
         return involved
 
     def change(self, hook: Hook, value: Any, now: int, info: Info, protocol: Protocol) -> Any:

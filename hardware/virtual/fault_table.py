@@ -5,12 +5,12 @@ channel that is NaN) or acts once (a lost frame), by its nature. Faults of repli
 instead of frames: `no_reply@0:2` leaves the first two unanswered.
 
 To add a fault, add a row to one of the tables: `WIRE_FAULTS` in `line_faults.py` for bytes and
-times of frames, `BOARD_FAULTS` for answers, identity and cable, `SENSOR_FAULTS` for values.
+times of frames, `BOARD_FAULTS` for answers, identity and cable, `SENSOR_FAULTS` for the network
+between the electrodes and the values.
 """
 
 import difflib
 import re
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NoReturn
 
@@ -25,14 +25,14 @@ from eitskin.hardware.virtual.fault import Effect, Fault, FaultKind, Hook, Unplu
 from eitskin.hardware.virtual.line_faults import WIRE_FAULTS, held_back, two_frames
 
 Array = NDArray[Any]
-"""Impedances [ohm], or status bits, of one frame, (measurements,)."""
+"""Impedances [ohm], or status bits, of one frame, (measurements,); or an impedance matrix."""
 
 NAN = complex(np.nan, np.nan)
 OTHER_VERSION = 99
 STRAY_CAPACITANCE = 100e-12  # F, measured at an open lead
 SHORT = 2.0  # ohm, leads of a shorted pair
 CLIPPED_TO = 0.7  # of the impedance, where a sine is cut off
-LOST_PER_FRAME = 0.05  # growth of a failing contact's pairs in one frame
+LOST_PER_FRAME = 0.05  # of the resistance of a failing contact's pairs, in one frame
 GAIN_STEP = 1.02
 WRONG_RTIA = 5.0  # the next resistor of the AD5940, 1 kohm where 200 ohm are meant
 DRIFT_PER_FRAME = 1e-4
@@ -93,35 +93,54 @@ def _with(array: Array, where: Any, value: Any) -> Array:
     return changed
 
 
-def _stray_impedance(frequency: float) -> complex:
-    """Impedance [ohm] of an open lead at `frequency` [Hz]."""
-    return 1.0 / (2j * np.pi * frequency * STRAY_CAPACITANCE)
+# ---- of the network between the electrodes ----
+
+
+def _opened(z: Array, f: Fault) -> Array:
+    """Network whose electrode hangs on its stray capacitance alone, as a lead that is off does.
+
+    The lead neither carries current into the sensor nor follows its potential. Ground is the mean
+    potential of the electrodes that are left.
+    """
+    rest = np.arange(len(z)) != f.electrode
+    row = z[rest].mean(axis=0)
+    opened: Array = (z - row - row[:, None] + row[rest].mean()).astype(np.complex128)
+    opened[f.electrode] = opened[:, f.electrode] = 0.0
+    opened[f.electrode, f.electrode] = 1.0 / (2j * np.pi * f.info.frequency * STRAY_CAPACITANCE)
+    return opened
 
 
 def _shorted(z: Array, f: Fault) -> Array:
-    """Both electrodes measure as the better of the two, their own pair as nearly nothing."""
-    table = f.protocol.table
-    one, other = table[f.channel][:2]
-    number = {frozenset(row[:2]): i for i, row in enumerate(table)}
-    for third in set(range(f.protocol.n_electrodes)) - {one, other}:
-        both = [number.get(frozenset((end, third))) for end in (one, other)]
-        rows = [row for row in both if row is not None]
-        z = _with(z, rows, min(z[rows], key=abs, default=0.0))
-    return _with(z, f.channel, SHORT)
+    """Network with a resistor between the two electrodes that the channel drives.
+
+    Its admittance grows by b b^T / R with b = e_i - e_j; by the formula of Sherman and Morrison
+    its impedance falls by Z b b^T Z / (R + b^T Z b).
+    """
+    one, other = f.protocol.table[f.channel][:2]
+    between = z[:, one] - z[:, other]
+    shorted: Array = z - np.outer(between, between) / (SHORT + between[one] - between[other])
+    return shorted
 
 
 def _swapped(z: Array, f: Fault) -> Array:
-    """Each row measures what the row with the swapped electrodes should."""
-    table, n = f.protocol.table, f.protocol.n_electrodes
-    one, other = f.index % n, (f.index + 1) % n
-    swapped = {one: other, other: one}
+    """Network with two electrodes exchanged."""
+    order = np.arange(len(z))
+    one, other = f.electrode, (f.electrode + 1) % len(z)
+    order[[one, other]] = other, one
+    swapped: Array = z[np.ix_(order, order)]
+    return swapped
 
-    def pairs(row: Sequence[int]) -> tuple[frozenset[int], frozenset[int]]:
-        return frozenset(row[:2]), frozenset(row[2:])
 
-    number = {pairs(row): i for i, row in enumerate(table)}
-    exchanged = [pairs([swapped.get(e, e) for e in row]) for row in table]
-    return z[[number.get(pair, i) for i, pair in enumerate(exchanged)]]
+def _losing(z: Array, f: Fault) -> Array:
+    """Network with a growing resistance in series with the electrode.
+
+    It grows by a share of the mean resistance of the electrode's pairs.
+    """
+    k, diagonal = f.electrode, np.diagonal(z)
+    pairs = np.delete(diagonal[k] + diagonal - 2.0 * z[k], k)
+    lost = z.copy()
+    lost[k, k] += LOST_PER_FRAME * f.since * pairs.real.mean()
+    return lost
 
 
 # ---- the table ----
@@ -130,6 +149,11 @@ def _swapped(z: Array, f: Fault) -> Array:
 def _reply(meaning: str, effect: Effect) -> FaultKind:
     """Row of a fault that changes the answers to `index` requests, one for 0."""
     return FaultKind(meaning, {Hook.REPLY: effect}, "requests", default=1, frame=0)
+
+
+def _network(meaning: str, effect: Effect, unit: str) -> FaultKind:
+    """Row of a fault that changes the network between the electrodes."""
+    return FaultKind(meaning, {Hook.NETWORK: effect}, unit)
 
 
 def _values(meaning: str, effect: Effect, unit: str = "") -> FaultKind:
@@ -224,24 +248,24 @@ SENSOR_FAULTS = {
         "channel",
     ),
     "open_electrode": FaultKind(
-        "Electrode `index` has lost contact: its pairs see its stray capacitance, and are marked.",
+        "The lead of electrode `index` is off: it sees stray capacitance; what needs it is marked.",
         {
-            Hook.IMPEDANCE: lambda z, f: _with(z, f.pairs, _stray_impedance(f.info.frequency)),
+            Hook.NETWORK: _opened,
             Hook.STATUS: lambda bits, f: _with(bits, f.pairs, bits[f.pairs] | Status.OPEN),
         },
         "electrode",
     ),
-    "shorted_pair": _values(
-        "The electrodes of channel `index` touch each other; they and all others see that.",
+    "shorted_pair": _network(
+        "The electrodes that channel `index` drives touch each other; all others see that.",
         _shorted,
         "channel",
     ),
-    "swapped_electrodes": _values(
+    "swapped_electrodes": _network(
         "The wires of electrodes `index` and the next are swapped.", _swapped, "electrode"
     ),
-    "contact_loss": _values(
+    "contact_loss": _network(
         "Electrode `index` loses contact slowly: its resistance grows frame by frame.",
-        lambda z, f: _with(z, f.pairs, z[f.pairs] * (1.0 + LOST_PER_FRAME * f.since)),
+        _losing,
         "electrode",
     ),
     "wrong_rtia": _values(

@@ -1,23 +1,22 @@
 """Simulated sensor of a virtual board: impedances of scenes, as one instrument reads them."""
 
 import typing
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.frame import Frame
 from eitskin.protocol import Protocol
 from eitskin.simulator.instrument.ad5940 import MEASUREMENT_TIME
 from eitskin.simulator.instrument.instrument import Instrument
-from eitskin.simulator.instrument.session import Session
 from eitskin.simulator.scene.scene import Scene
 
-Measured = tuple[NDArray[np.complex128], NDArray[np.uint8]]
+Complex = NDArray[np.complex128]
+Measured = tuple[Complex, NDArray[np.uint8]]
 """Impedances [ohm] and `Status` bits of one frame, (measurements,) each."""
-Measure = Callable[[NDArray[np.complex128], int], Measured]
-"""Measured values of noise-free impedances, (measurements,) [ohm], in a frame, by its number."""
+Measure = Callable[[NDArray[np.inexact], int], Measured]
+"""Measured values of an impedance matrix, (electrodes, electrodes) [ohm], in a frame by number."""
 
 
 class SceneSolver(typing.Protocol):
@@ -27,24 +26,8 @@ class SceneSolver(typing.Protocol):
     def protocol(self) -> Protocol:
         """Stimulation and measurement pattern."""
 
-    @property
-    def full_scale(self) -> float:
-        """Largest resistance of the flat, untouched sensor [ohm]."""
-
-    def measure(self, scene: Scene) -> Frame:
-        """Noise-free frame of `scene`."""
-
-    def measure_all(
-        self,
-        scenes: Sequence[Scene],
-        tolerance: float,
-        *,
-        instrument: Instrument,
-    ) -> NDArray[np.complex128]:
-        """Noise-free measurements of scenes on the circuit of an instrument [ohm]."""
-
-    def full_scale_on(self, instrument: Instrument) -> float:
-        """Largest transfer impedance of the flat, untouched sensor on an instrument [ohm]."""
+    def impedance_matrix(self, scene: Scene) -> NDArray[np.inexact]:
+        """Impedance matrix of the sensor in a scene [ohm], (electrodes, electrodes)."""
 
 
 class SimulatedSensor:
@@ -52,7 +35,7 @@ class SimulatedSensor:
 
     Attributes:
         protocol: stimulation and measurement pattern.
-        solve: noise-free impedances of a scene, (measurements,) [ohm].
+        solve: impedance matrix of a scene, (electrodes, electrodes) [ohm].
     """
 
     def __init__(
@@ -73,41 +56,30 @@ class SimulatedSensor:
                 omitted.
         """
         self.protocol = simulator.protocol
+        self.solve = lru_cache(maxsize=1024)(simulator.impedance_matrix)
         self._seed = seed
         self._period = len(self.protocol) * MEASUREMENT_TIME if period is None else period
-        self._session: Session | None = None
-        if instrument is not None:
-            loaded = instrument.is_loaded
-            scale = simulator.full_scale_on(instrument) if loaded else simulator.full_scale
-            self._session = instrument.session(self.protocol, scale, self._generator(0))
+        self._instrument = instrument or Instrument.ideal()
+        flat = self._instrument.transfer_impedance(self.solve(Scene()), self.protocol)
+        full_scale = float(np.abs(flat).max())
+        self._session = self._instrument.session(self.protocol, full_scale, self._generator(0))
+        # A scene that stays is one matrix, whose measurements need not be computed anew.
+        self._last: tuple[NDArray[np.inexact], Complex] | None = None
 
-        def solve(scene: Scene) -> NDArray[np.complex128]:
-            if instrument is None or not instrument.is_loaded:
-                return simulator.measure(scene).impedance
-            solved: NDArray[np.complex128] = simulator.measure_all(
-                [scene], 0.0, instrument=instrument
-            )[0]
-            return solved
-
-        self.solve = lru_cache(maxsize=1024)(solve)
-
-    def measure(self, impedance: NDArray[np.complex128], now: int) -> Measured:
+    def measure(self, impedance: NDArray[np.inexact], now: int) -> Measured:
         """Measured impedances [ohm] and status of frame `now`, (measurements,) each.
 
         Args:
-            impedance: noise-free impedances, (measurements,) [ohm].
+            impedance: impedance matrix of the sensor, (electrodes, electrodes) [ohm].
             now: number of the frame, counted from the session's start.
         """
-        if self._session is None:
-            return noise_free(impedance, now)
+        if self._last is None or self._last[0] is not impedance:
+            both = self._instrument.terminal_impedances(impedance, self.protocol)
+            self._last = (impedance, both)
         times = np.array([now * self._period])
-        measured, status = self._session.measure(impedance[None], times, self._generator(1, now))
+        terminals = self._last[1][None]
+        measured, status = self._session.measure(terminals, times, self._generator(1, now))
         return measured[0], status[0]
 
     def _generator(self, *key: int) -> np.random.Generator:
         return np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=key))
-
-
-def noise_free(impedance: NDArray[np.complex128], now: int) -> Measured:  # noqa: ARG001
-    """Impedances unchanged, (measurements,) [ohm], and a status without any bit."""
-    return impedance, np.zeros(len(impedance), np.uint8)

@@ -15,9 +15,10 @@ from eitskin.simulator.scene.scene import Scene
 REMEMBERED = 4096
 """Number of newest frames whose scene is remembered."""
 
-Solve = Callable[[Scene], NDArray[np.complex128]]
-Solved = tuple[Scene, NDArray[np.complex128]]
-"""Scene and its noise-free impedances, (measurements,) [ohm]."""
+Matrix = NDArray[np.inexact]
+"""Impedance matrix of the sensor, (electrodes, electrodes) [ohm]."""
+Solve = Callable[[Scene], Matrix]
+Solved = tuple[Scene, Matrix]
 
 
 class Stage:
@@ -38,7 +39,7 @@ class Stage:
         """Begin with a script and faults.
 
         Args:
-            solve: noise-free impedances of a scene, (measurements,) [ohm].
+            solve: impedance matrix of a scene, (electrodes, electrodes) [ohm].
             scenes: a `Script`, or any function from frame number to scene; flat and untouched when
                 omitted. The scenes of a script are solved now.
             faults: faults from the first frame on.
@@ -84,8 +85,8 @@ class Stage:
         first = self.frames
         self._source = told
 
-    def measured(self, now: int) -> NDArray[np.complex128]:
-        """Noise-free impedances of frame `now`, counted since the board was made, (n,) [ohm]."""
+    def measured(self, now: int) -> Matrix:
+        """Impedance matrix of frame `now`, counted since the board was made, (n, n) [ohm]."""
         self._newest, impedance = self._source(now)
         return impedance
 
@@ -141,6 +142,6 @@ class Stage:
 
         return solved
 
-    def _solved(self, scene: Scene) -> NDArray[np.complex128]:
+    def _solved(self, scene: Scene) -> Matrix:
         with self._solving:
             return self._solve(scene)

@@ -25,7 +25,7 @@ from eitskin.hardware.protocol.messages import (
 )
 from eitskin.hardware.protocol.packets import Decoder, MessageError, Packet, encode
 from eitskin.hardware.virtual.fault import Fault, Hook
-from eitskin.hardware.virtual.simulated_sensor import Measure, noise_free
+from eitskin.hardware.virtual.simulated_sensor import Measure
 from eitskin.hardware.virtual.stage import Stage
 from eitskin.protocol import Protocol
 from eitskin.simulator.instrument.ad5940 import MEASUREMENT_TIME
@@ -47,7 +47,7 @@ class VirtualFirmware:
         self,
         stage: Stage,
         protocol: Protocol,
-        measure: Measure = noise_free,
+        measure: Measure,
         period: float | None = None,
     ) -> None:
         """Build a board that has not booted yet.
@@ -55,7 +55,7 @@ class VirtualFirmware:
         Args:
             stage: scene and faults of the board.
             protocol: stimulation and measurement pattern.
-            measure: measured values of noise-free impedances, by frames since the board was made.
+            measure: measured values of an impedance matrix, by frames since the board was made.
             period: time from frame to frame [s]; 10.6 ms for each measurement when omitted.
         """
         self.stage = stage
@@ -111,7 +111,8 @@ class VirtualFirmware:
         if self._changed(Hook.REBOOTS, False, now, faults):
             self.stage.frames += 1
             return self.boot()
-        impedance, status = self._measure(self.stage.measured(now), now)
+        network = self._changed(Hook.NETWORK, self.stage.measured(now), now, faults)
+        impedance, status = self._measure(network, now)
         self.stage.record_truth(self.number)
         data = FrameData(
             number=self.number,

@@ -181,6 +181,20 @@ class Instrument:
         """Kind of the readings: "complex", "signed" or "magnitude"."""
         return "complex" if self.meter is None else self.meter.reads
 
+    @property
+    def needs_drive(self) -> bool:
+        """Whether readings depend on the current, and so on the impedance of the drive pair."""
+        _, stray = self.stray_capacitance
+        return bool(stray or self.floor or self.quantisation or self.clipping)
+
+    def terminal_impedances(self, impedance: NDArray[np.inexact], protocol: Protocol) -> Complex:
+        """Transfer and drive-pair impedances on this board's circuit [ohm], for `Session.measure`.
+
+        The shape is (..., 2, measurements). Arguments and errors are those of `transfer_impedance`.
+        """
+        meter = self.meter or FourTerminalMeter()
+        return meter.terminal_impedances(impedance, protocol)
+
     def transfer_impedance(self, impedance: NDArray[np.inexact], protocol: Protocol) -> Complex:
         """Transfer impedances on this board's circuit [ohm], (..., measurements).
 
@@ -211,23 +225,21 @@ class Instrument:
             rng: random generator of the session's constant errors, and of the drifts' seeds.
 
         Raises:
-            ConfigurationError: where a term depends on the impedance of a drive pair that no
-                measurement of the protocol senses, or where the meter is of another protocol.
+            ConfigurationError: for a meter of another protocol.
         """
         if self.meter is not None:
             self.meter.require_fit(protocol)
         # One random stream per term, in a fixed order: no term changes the draws of another.
         gain, phase, paths, stray, electronics, gel = rng.spawn(6)
         low, high = self.stray_capacitance
-        driven = np.arange(len(protocol))
-        if high or self.floor or self.quantisation or self.clipping:
-            driven = _drive_measurements(protocol)
+        pairs, sensed = _drive_measurements(protocol)
         error = 1.0 + _truncated_normal(gain, self.gain, GAIN_LIMIT)
         turn = np.deg2rad(_truncated_normal(phase, self.phase_deg, PHASE_LIMIT_DEG))
         mismatch = self.reciprocity / np.sqrt(2.0) * paths.standard_normal(len(protocol))
         return Session(
-            driven=driven,
-            capacitance=stray.uniform(low, high, len(protocol))[driven],
+            pairs=pairs,
+            unsensed=None if sensed.all() or not self.needs_drive else int(sensed.argmin()),
+            capacitance=stray.uniform(low, high, len(protocol))[pairs],
             factor=error * np.exp(1j * turn) * (1.0 + mismatch),
             drift=RandomWalk(self.drift, int(electronics.integers(2**63))),
             gel_drift=RandomWalk(self.gel_drift, int(gel.integers(2**63))),
@@ -274,18 +286,15 @@ def _truncated_normal(rng: np.random.Generator, deviation: float, limit: float) 
 
 
 @lru_cache(maxsize=64)
-def _drive_measurements(protocol: Protocol) -> Integers:
-    """Number of the measurement that senses each measurement's drive pair, (measurements,)."""
+def _drive_measurements(protocol: Protocol) -> tuple[Integers, NDArray[np.bool_]]:
+    """Number of one measurement of each measurement's drive pair, and whether it senses that pair.
+
+    Both are (measurements,); where no measurement senses a drive pair, the first that drives it is
+    told.
+    """
+    driven = [frozenset(row[:2]) for row in protocol.table]
+    first = {pair: number for number, pair in reversed(list(enumerate(driven)))}
     own = {row[:2]: number for number, row in enumerate(protocol.table) if row[:2] == row[2:]}
-    found = []
-    for each, row in enumerate(protocol.table):
-        number = own.get(row[:2], own.get(row[1::-1]))
-        if number is None:
-            raise ConfigurationError(
-                f"measurement {protocol.labels[each]} drives {row[0]}-{row[1]}, whose own "
-                "impedance decides over the current, and no measurement of the protocol senses "
-                "this pair; add measurements that sense their drive pair, or switch off floor, "
-                "quantisation, clipping and stray_capacitance"
-            )
-        found.append(number)
-    return np.array(found)
+    found = [own.get(row[:2], own.get(row[1::-1])) for row in protocol.table]
+    pairs = [first[pair] if at is None else at for pair, at in zip(driven, found, strict=True)]
+    return np.array(pairs), np.array([at is not None for at in found])

@@ -21,10 +21,10 @@ Complex = NDArray[np.complex128]
 
 def role_potentials(
     impedance: NDArray[np.inexact], protocol: Protocol, admittance: Complex, leads: Complex
-) -> tuple[Complex, Complex]:
-    """Potentials of sense+ and sense- against ground per unit current [ohm].
+) -> Complex:
+    """Potentials of source, sink, sense+ and sense- against ground per unit current [ohm].
 
-    Both have the shape (..., measurements).
+    The shape is (4, ..., measurements).
 
     Args:
         impedance: electrode impedance matrices Z, (..., electrodes, electrodes) [ohm].
@@ -35,8 +35,9 @@ def role_potentials(
     """
     system, right = _equations(impedance, protocol, admittance, leads)
     V = np.linalg.solve(system, right)[..., 0]
-    rows, (_, _, plus, minus) = np.arange(len(protocol)), np.array(protocol.table).T
-    return V[..., rows, plus].astype(complex), V[..., rows, minus].astype(complex)
+    rows = np.arange(len(protocol))
+    by_role = [V[..., rows, electrodes] for electrodes in np.array(protocol.table).T]
+    return np.array(by_role, np.complex128)
 
 
 def potential_derivatives(

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -81,7 +82,17 @@ class FourTerminalMeter:
     def transfer_impedance(self, impedance: NDArray[np.inexact], protocol: Protocol) -> Complex:
         """Sensed voltage per unit current, before scale and offset [ohm], (..., measurements).
 
-        Without loads, leaks and common mode this is `protocol.measure(impedance)`.
+        Without loads, leaks and common mode this is `protocol.measure(impedance)`. The arguments
+        and errors are those of `terminal_impedances`.
+        """
+        sensed: Complex = self.terminal_impedances(impedance, protocol)[..., 0, :]
+        return sensed
+
+    def terminal_impedances(self, impedance: NDArray[np.inexact], protocol: Protocol) -> Complex:
+        """Sensed and driving voltage per unit current [ohm], (..., 2, measurements).
+
+        The first is the transfer impedance, the second the impedance of the drive pair, as the
+        source sees it: with its contacts, leads and loads.
 
         Args:
             impedance: electrode impedance matrices Z, (..., electrodes, electrodes) [ohm].
@@ -90,14 +101,17 @@ class FourTerminalMeter:
         Raises:
             ConfigurationError: for leaks, leads or matrices of another number of electrodes.
         """
-        ideal: Complex = protocol.measure(impedance).astype(np.complex128)
+        transfer = protocol.measure(impedance)
         if not self.is_loaded:
-            return ideal
+            own = _drive_pairs(protocol).measure(impedance)
+            return np.stack([transfer, own], axis=-2).astype(np.complex128)
         n = protocol.n_electrodes
         leads = _filled("leads", self.leads, n, 0.0, "electrodes")
-        plus, minus = role_potentials(impedance, protocol, self.admittance(protocol), leads)
-        sensed: Complex = plus - minus + 0.5 * self.common_mode * (plus + minus)
-        return sensed
+        source, sink, plus, minus = role_potentials(
+            impedance, protocol, self.admittance(protocol), leads
+        )
+        sensed = plus - minus + 0.5 * self.common_mode * (plus + minus)
+        return np.stack([sensed, source - sink], axis=-2).astype(np.complex128)
 
     def admittance(self, protocol: Protocol) -> Complex:
         """Admittance to ground of each electrode in each measurement, (measurements, n) [S]."""
@@ -182,6 +196,13 @@ def electrodes_by_role(protocol: Protocol) -> dict[str, Bools]:
     columns = np.array(protocol.table).T[..., None]
     found = dict(zip(ROLES, columns == numbers, strict=True))
     return found | {"idle": ~np.any(list(found.values()), axis=0)}
+
+
+@lru_cache(maxsize=64)
+def _drive_pairs(protocol: Protocol) -> Protocol:
+    """Protocol that senses the drive pair of each measurement."""
+    rows = tuple((row[0], row[1], row[0], row[1]) for row in protocol.table)
+    return Protocol(rows, protocol.n_electrodes)
 
 
 def _positive(value: complex) -> bool:

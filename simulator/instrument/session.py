@@ -23,7 +23,10 @@ class Session:
     """Errors of an `Instrument` that are constant in a session; `measure` adds noise and drift.
 
     Attributes:
-        driven: number of the measurement of each measurement's drive pair, (measurements,).
+        pairs: number of one measurement of each measurement's drive pair, the one that senses it
+            where there is one, (measurements,).
+        unsensed: number of a measurement whose drive pair decides over its reading and is sensed by
+            none; None where there is no such one.
         capacitance: stray, across the drive pairs, (measurements,) [F].
         factor: gain, phase and path errors together, (measurements,) complex.
         drift: of the electronics, as the logarithm of a factor.
@@ -33,7 +36,8 @@ class Session:
         meter: scale, offset, limits and codes of the readings; None for an ideal meter.
     """
 
-    driven: NDArray[np.int64]
+    pairs: NDArray[np.int64]
+    unsensed: int | None
     capacitance: Array
     factor: Complex
     drift: RandomWalk
@@ -51,23 +55,25 @@ class Session:
         depends on the times alone.
 
         Args:
-            impedance: noise-free, on the circuit of the instrument, (frames, measurements) complex
-                [ohm].
+            impedance: noise-free, on the circuit of the instrument, transfer and drive-pair
+                impedances of `Instrument.terminal_impedances`, (frames, 2, measurements) complex
+                [ohm]; or the former alone, (frames, measurements), where the protocol senses its
+                drive pairs or no term depends on them.
             times: of the frames since the session's start, (frames,) [s].
             rng: random generator of the noise.
 
         Raises:
             FrameError: where the shapes do not fit, or an impedance is not finite.
-            ConfigurationError: for a time before the session, or a year after its start.
+            ConfigurationError: for a time before the session, or a year after its start, or where
+                a term depends on the impedance of a drive pair that is not given.
         """
-        Z, times = self._checked(impedance, times)
+        both, times = self._checked(impedance, times)
         white, floor = rng.spawn(2)
         if self.gel_drift.deviation:
-            Z = Z * np.exp(self.gel_drift(times))[:, None]
+            both = both * np.exp(self.gel_drift(times))[:, None, None]
         if self.capacitance.any():
-            Z = ad5940.with_stray_capacitance(Z, Z[:, self.driven], self.capacitance)
-        driven = Z[:, self.driven]
-        Z = Z * self.factor
+            both = ad5940.with_stray_capacitance(both, both[:, 1:], self.capacitance)
+        Z, driven = both[:, 0] * self.factor, both[:, 1]
         if self.drift.deviation:
             Z = Z * np.exp(self.drift(times))[:, None]
         if self.deviation:
@@ -80,13 +86,26 @@ class Session:
         status[beyond] |= np.uint8(Status.CLIPPED)
         return read, status
 
+    def _with_drive(self, transfer: Complex) -> Complex:
+        """Transfer impedances (frames, m), and those among them that are of their drive pairs."""
+        if self.unsensed is not None:
+            raise ConfigurationError(
+                f"measurement {self.unsensed} is read by a current over which its drive pair "
+                "decides, and no measurement of the protocol senses that pair; give transfer and "
+                "drive-pair impedances, as Instrument.terminal_impedances does"
+            )
+        return np.stack([transfer, transfer[:, self.pairs]], axis=1)
+
     def _checked(self, impedance: Complex, times: Array) -> tuple[Complex, Array]:
         Z, times = np.asarray(impedance, np.complex128), np.asarray(times, np.float64)
-        if Z.shape != (*times.shape, len(self.driven)) or times.ndim != 1:
+        frames, m = times.shape, len(self.pairs)
+        if Z.shape not in ((*frames, m), (*frames, 2, m)) or times.ndim != 1:
             raise FrameError(
-                f"expected impedances of shape (frames, {len(self.driven)}) and a time for each "
-                f"frame, got {Z.shape} and {times.shape}"
+                f"expected impedances of shape (frames, {m}) or (frames, 2, {m}) and a time for "
+                f"each frame, got {Z.shape} and {times.shape}"
             )
+        if Z.ndim == 2:
+            Z = self._with_drive(Z)
         if not np.isfinite(Z).all():
             raise FrameError(
                 "expected finite impedances, got NaN or infinity; leave these frames out"

@@ -12,15 +12,16 @@ from eitskin.hardware import Counts
 from eitskin.simulator import Frame, Protocol
 from eitskin.training import Pipeline
 
+from loopback import matrix_of_pairs
+
 PROTOCOL = Protocol.pairwise(8)
 
 
 class FakeSimulator:
     protocol = PROTOCOL
-    full_scale = 820.0
 
-    def measure(self, scene):
-        return Frame(np.linspace(400.0, 820.0, 28) + scene.bend.angle_deg, PROTOCOL)
+    def impedance_matrix(self, scene):
+        return matrix_of_pairs(np.linspace(400.0, 820.0, 28) + scene.bend.angle_deg)
 
 
 @dataclass

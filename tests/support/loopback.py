@@ -7,27 +7,32 @@ import numpy as np
 
 from eitskin.hardware import SerialBoard, open_board
 from eitskin.hardware.protocol.packets import Decoder
-from eitskin.hardware.virtual.simulated_sensor import noise_free
 from eitskin.hardware.virtual.stage import Stage
 from eitskin.hardware.virtual.virtual_firmware import VirtualFirmware
-from eitskin.simulator import Frame, Protocol
+from eitskin.simulator import Protocol
 
 PROTOCOL = Protocol.pairwise(8)
 FLAT = np.linspace(400.0, 820.0, 28)
+
+
+def matrix_of_pairs(resistances):
+    """Impedance matrix (8, 8) whose pairs have these resistances (28,)."""
+    matrix = np.zeros((8, 8))
+    matrix[np.triu_indices(8, 1)] = -0.5 * np.asarray(resistances)
+    return matrix + matrix.T
 
 
 class FakeSimulator:
     """Simulator whose impedances depend on the bend angle alone; counts computed scenes."""
 
     protocol = PROTOCOL
-    full_scale = 820.0
 
     def __init__(self):
         self.computed = 0
 
-    def measure(self, scene):
+    def impedance_matrix(self, scene):
         self.computed += 1
-        return Frame(FLAT * (1.0 + 1e-3 * scene.bend.angle_deg), PROTOCOL)
+        return matrix_of_pairs(FLAT * (1.0 + 1e-3 * scene.bend.angle_deg))
 
 
 def virtual(**options):
@@ -79,8 +84,13 @@ class Loopback:
 
 
 def firmware(faults=(), sensor=lambda _: FLAT, protocol=PROTOCOL, **changes):
-    stage = Stage(lambda _: FLAT, faults=faults)
-    board = VirtualFirmware(stage, protocol, lambda _, now: noise_free(sensor(now), now))
+    def measure(matrix, now):
+        changed = PROTOCOL.measure(matrix) - FLAT if protocol == PROTOCOL else 0.0
+        values = sensor(now) + changed
+        return values.astype(complex), np.zeros(len(values), np.uint8)
+
+    stage = Stage(lambda _: matrix_of_pairs(FLAT), faults=faults)
+    board = VirtualFirmware(stage, protocol, measure)
     board.info = dataclasses.replace(board.info, **changes)
     return board
 

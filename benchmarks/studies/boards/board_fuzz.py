@@ -14,7 +14,7 @@ import random
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -36,7 +36,6 @@ from eitskin.hardware.virtual.simulated_sensor import SceneSolver
 from eitskin.hardware.virtual.virtual_board import VirtualBoard, open_virtual
 from eitskin.protocol import Protocol
 from eitskin.provenance import Provenance
-from eitskin.simulator.instrument.instrument import Instrument
 from eitskin.simulator.scene.scene import Scene
 from eitskin.simulator.simulator import Simulator
 
@@ -61,34 +60,23 @@ LARGE = (*WIRE_FAULTS, "reboot", "counter_wrap", "unplug_mid_frame", "replug")
 
 
 class LargeSensor:
-    """Sensor of 32 electrodes whose frames of 928 measurements differ by the bend of their scene.
+    """Sensor of 32 electrodes whose frames of 928 measurements are multiples of the flat one.
 
     Attributes:
         protocol: adjacent drive and sense pairs.
-        full_scale: largest resistance [ohm].
     """
 
     protocol = Protocol.adjacent(32)
-    full_scale = 60.0
 
-    def measure(self, scene: Scene) -> Frame:
-        """Frame of a scene; each degree of bend adds an ohm to all measurements."""
-        values = np.linspace(20.0, 60.0, len(self.protocol)) + scene.bend.angle_deg
-        return Frame(values.astype(np.complex128), self.protocol)
+    def __init__(self) -> None:
+        """Draw the flat sensor's impedance matrix."""
+        root = np.random.default_rng(0).standard_normal((32, 32))
+        self._flat = root @ root.T
 
-    def measure_all(
-        self,
-        scenes: Sequence[Scene],
-        tolerance: float,  # noqa: ARG002
-        *,
-        instrument: Instrument,  # noqa: ARG002
-    ) -> np.ndarray:
-        """Measurements of scenes [ohm]; no instrument loads this sensor."""
-        return np.array([self.measure(scene).impedance for scene in scenes])
-
-    def full_scale_on(self, instrument: Instrument) -> float:  # noqa: ARG002
-        """Largest resistance [ohm], that of every instrument."""
-        return self.full_scale
+    def impedance_matrix(self, scene: Scene) -> np.ndarray:
+        """Impedance matrix of a scene [ohm]; each degree of bend adds the flat one once more."""
+        matrix: np.ndarray = self._flat * (1.0 + scene.bend.angle_deg)
+        return matrix
 
 
 @dataclass
@@ -126,7 +114,7 @@ def strike(
     """Inject a fault at random times into a board that streams through a pseudo-terminal."""
     rng = random.Random(f"{seed}{name}")  # noqa: S311
     found = Struck()
-    flat = sensor.measure(Scene()).impedance
+    flat = sensor.protocol.measure(sensor.impedance_matrix(Scene()))
     for _ in range(rounds):
         found.rounds += 1
         try:
@@ -172,10 +160,10 @@ def _judge(frames: list[Frame], flat: np.ndarray, name: str, found: Struck) -> N
             found.false += 1
         if name in SENSOR_FAULTS:
             continue
-        # Frames of a `LargeSensor` differ from the flat one by whole ohms, all measurements alike.
-        change = frame.impedance - flat
-        step_ohm = np.round(np.mean(change.real))
-        right = bool((np.abs(change - step_ohm) <= 5e-3 * np.abs(flat)).all())
+        # Frames of a `LargeSensor` are whole multiples of the flat one; others are the flat one.
+        times = np.round(np.vdot(flat, frame.impedance).real / np.vdot(flat, flat).real)
+        error = np.abs(frame.impedance - times * flat)
+        right = bool((error <= 5e-3 * times * np.abs(flat).max()).all())
         found.false += not right
 
 

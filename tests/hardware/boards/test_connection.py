@@ -248,11 +248,11 @@ def test_the_board_never_waits_for_whoever_sets_a_scene():
     begun, go_on = threading.Event(), threading.Event()
 
     class Slow(FakeSimulator):
-        def measure(self, scene):
+        def impedance_matrix(self, scene):
             if scene.bend.angle_deg:
                 begun.set()
                 assert go_on.wait(20.0)
-            return super().measure(scene)
+            return super().impedance_matrix(scene)
 
     with open_board("virtual:?speed=max", simulator=Slow()) as board:
         script = Script((Step(Scene(bend=Bend(20.0)), 2),))
@@ -282,10 +282,10 @@ def test_the_scene_changes_while_the_board_runs_and_is_known_for_each_frame():
 
 def test_an_impossible_scene_is_refused_where_it_is_set_and_the_board_goes_on():
     class Brittle(FakeSimulator):
-        def measure(self, scene):
+        def impedance_matrix(self, scene):
             if scene.bend.angle_deg > 60:
                 raise ConfigurationError("bend")
-            return super().measure(scene)
+            return super().impedance_matrix(scene)
 
     with open_board("virtual:?speed=max", simulator=Brittle()) as board:
         with pytest.raises(ConfigurationError, match="bend"):

@@ -19,7 +19,6 @@ from eitskin.hardware.virtual.stage import Stage
 from eitskin.hardware.virtual.virtual_board import virtual_terminal
 from eitskin.simulator import (
     FourTerminalMeter,
-    Frame,
     Instrument,
     Protocol,
     Scene,
@@ -28,7 +27,9 @@ from eitskin.simulator import (
     Touch,
 )
 
-from loopback import FLAT, PROTOCOL, FakeSimulator, firmware, take, virtual
+from loopback import FLAT, PROTOCOL, FakeSimulator, firmware, matrix_of_pairs, take, virtual
+
+FLAT_MATRIX = matrix_of_pairs(FLAT)
 
 # ---- virtual boards ----
 
@@ -51,7 +52,7 @@ def test_a_script_without_repeat_stays_at_its_last_scene():
 
 def test_scenes_may_come_from_any_function():
     stage = Stage(SimulatedSensor(FakeSimulator()).solve, lambda now: Scene(bend=Bend(float(now))))
-    assert np.allclose(stage.measured(30), FLAT * 1.03)
+    assert np.allclose(PROTOCOL.measure(stage.measured(30)), FLAT * 1.03)
 
 
 def test_scripts_and_single_scenes_are_read_from_toml(tmp_path):
@@ -70,19 +71,21 @@ def test_scripts_and_single_scenes_are_read_from_toml(tmp_path):
 
 def test_noise_is_that_of_the_seed_and_of_the_frame():
     sensors = [SimulatedSensor(FakeSimulator(), Instrument(60.0), seed) for seed in (3, 3, 4)]
-    one, same, other = (sensor.measure(FLAT, 5)[0] for sensor in sensors)
+    one, same, other = (sensor.measure(FLAT_MATRIX, 5)[0] for sensor in sensors)
     assert np.array_equal(one, same)
     assert not np.array_equal(one, other)
-    assert not np.array_equal(one, sensors[0].measure(FLAT, 6)[0])
-    residual = np.array([sensors[0].measure(FLAT, number)[0] - FLAT for number in range(300)])
+    assert not np.array_equal(one, sensors[0].measure(FLAT_MATRIX, 6)[0])
+    residual = np.array(
+        [sensors[0].measure(FLAT_MATRIX, number)[0] - FLAT for number in range(300)]
+    )
     assert residual.real.std() == pytest.approx(820.0 * 1e-3, rel=0.03)
 
 
 def test_a_virtual_board_is_one_session_of_its_instrument_and_drifts_along_its_frames():
     steady = Instrument(snr_db=0.0, gain=0.002, reciprocity=0.004)
     sensor = SimulatedSensor(FakeSimulator(), steady, seed=3)
-    first, _ = sensor.measure(FLAT, 0)
-    assert np.array_equal(sensor.measure(FLAT, 1000)[0], first)
+    first, _ = sensor.measure(FLAT_MATRIX, 0)
+    assert np.array_equal(sensor.measure(FLAT_MATRIX, 1000)[0], first)
     assert not np.allclose(first, FLAT, rtol=1e-4)
     drifting = Instrument(snr_db=0.0, drift=0.002)
     sensor = SimulatedSensor(FakeSimulator(), drifting, seed=3, period=0.5)
@@ -91,7 +94,7 @@ def test_a_virtual_board_is_one_session_of_its_instrument_and_drifts_along_its_f
     )
     factor = np.exp(session.drift(np.array([500.0]))[0])
     assert abs(factor - 1.0) > 1e-5
-    assert np.allclose(sensor.measure(FLAT, 1000)[0], FLAT * factor, rtol=1e-12)
+    assert np.allclose(sensor.measure(FLAT_MATRIX, 1000)[0], FLAT * factor, rtol=1e-12)
 
 
 def test_the_virtual_board_sends_the_status_of_its_instrument():
@@ -237,10 +240,10 @@ class LargeSimulator:
     """32 electrodes, adjacent: frames of 928 measurements."""
 
     protocol = Protocol.adjacent(32)
-    full_scale = 60.0
 
-    def measure(self, scene):
-        return Frame(np.linspace(-20.0, 60.0, 928) * (1.0 + scene.bend.angle_deg), self.protocol)
+    def impedance_matrix(self, scene):
+        root = np.random.default_rng(0).standard_normal((32, 32))
+        return root @ root.T * (1.0 + scene.bend.angle_deg)
 
 
 def test_928_measurements_come_whole_through_a_pseudo_terminal():
@@ -253,7 +256,7 @@ def test_928_measurements_come_whole_through_a_pseudo_terminal():
         frames = take(board, 12)
         assert (board.lost, board.counts.dropped) == (0, {})
     for frame in frames:
-        expected = large.measure(scenes[frame.number % 20]).impedance
+        expected = large.protocol.measure(large.impedance_matrix(scenes[frame.number % 20]))
         assert np.allclose(frame.impedance, expected, rtol=1e-6)
         assert np.array_equal(frame.impedance, expected.astype(np.complex64))
 

@@ -211,10 +211,10 @@ def test_measurements_that_share_a_drive_pair_share_its_capacitance_and_current(
 
 def test_terms_that_need_the_drive_pairs_impedance_ask_for_it():
     neighbours = Protocol.adjacent(8)
-    for term in ({"floor": 1e-6}, {"quantisation": True}, {"clipping": True}):
-        with pytest.raises(ConfigurationError, match="drives 0-1"):
-            started(only(**term), protocol=neighbours)
     Z = np.full(len(neighbours), 50.0)
+    for term in ({"floor": 1e-6}, {"quantisation": True}, {"clipping": True}):
+        with pytest.raises(ConfigurationError, match="terminal_impedances"):
+            read(only(**term), Z, protocol=neighbours)
     assert np.isfinite(read(Instrument(), Z, protocol=neighbours)[0]).all()
     with_own = Protocol.adjacent(8, shared=True)
     assert np.isfinite(read(ALL, np.full(len(with_own), 50.0), protocol=with_own)[0]).all()
