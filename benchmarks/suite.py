@@ -131,6 +131,7 @@ ALL = (
         "board_fuzz", "boards", 14, (), ("--bytes", "100000", "--rounds", "1", "--cables", "3")
     ),
     _command("paper", 40, "--seeds", "2", "--paper-seeds", "1", seeded=False),
+    _command("transfer", 8),
     Benchmark(
         "ablation", "data", 2, ("{out}/paper/seed-1/unseen-touch",), needs="{out}/paper/seed-1"
     ),

@@ -2,7 +2,16 @@
 
 import typer
 
-from eitskin.cli.commands.bench import accuracy, layouts, paper, speed, stability, suite, world
+from eitskin.cli.commands.bench import (
+    accuracy,
+    layouts,
+    paper,
+    speed,
+    stability,
+    suite,
+    transfer,
+    world,
+)
 
 app = typer.Typer(help="Measure errors and run times.", no_args_is_help=True)
 app.command("paper")(paper.command)
@@ -12,3 +21,4 @@ app.command("all")(suite.run_all)
 app.command("accuracy")(accuracy.command)
 app.command("stability")(stability.command)
 app.command("world")(world.command)
+app.command("transfer")(transfer.command)

@@ -1,0 +1,1 @@
+"""Pipelines on sensors of worlds that they were not trained in: `eitskin bench transfer`."""

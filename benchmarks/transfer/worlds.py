@@ -1,0 +1,141 @@
+"""Worlds of `bench transfer`: how the sensors there differ from those of the recipe "training"."""
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+
+from eitskin.benchmarks.paper.sets import KNOWN_DEG, Progress
+from eitskin.datasets.generation.generate import generate
+from eitskin.datasets.recipe.mounts import Mounts
+from eitskin.datasets.recipe.recipe import Recipe
+from eitskin.datasets.recipe.scene_group import SceneGroup
+from eitskin.datasets.recipe.specimen import Specimens
+from eitskin.datasets.store.dataset import Dataset
+from eitskin.datasets.store.folder import open_dataset
+from eitskin.simulator.instrument.instrument import Instrument
+from eitskin.simulator.instrument.meter import FourTerminalMeter
+
+SENSORS, QUICK_SENSORS = 16, 2
+SEED = 4000  # added to seeds, which keeps test sensors apart from those of training sets
+SENSOR_FRAMES = (
+    SceneGroup("idle", count=3),
+    SceneGroup("bend", count=3, angle_deg=(-20.0, -5.0)),
+    SceneGroup("bend", count=9, angle_deg=(5.0, 50.0)),
+    SceneGroup("touch", count=6, force=(4.0, 12.0)),
+    SceneGroup("touch", count=6, force=(4.0, 12.0), angle_deg=(-20.0, 50.0), per_bend=3),
+)
+"""Frames of each sensor. The state of bends below 5 deg, which are nearly flat, is not asked."""
+
+
+def _as_trained(recipe: Recipe) -> Recipe:
+    return recipe
+
+
+def _other_clamps(recipe: Recipe) -> Recipe:
+    """Clamps with other spans, axes and held faces, without a spread about each."""
+    still = _without_own_bends(recipe.specimens)
+    mounts = Mounts(8, (0.028, 0.057), (0.005, 0.013), faces=("both", "bottom"))
+    return dataclasses.replace(recipe, specimens=still, mounts=mounts)
+
+
+def _other_stiffness(recipe: Recipe) -> Recipe:
+    """Encapsulations half to twice as stiff, in clamps as in training."""
+    still = _without_own_bends(recipe.specimens)
+    mounts = Mounts(4, stiffness=(0.5, 2.0))
+    return dataclasses.replace(recipe, specimens=still, mounts=mounts)
+
+
+def _rough_electrodes(recipe: Recipe) -> Recipe:
+    """Electrodes placed within 1 mm, contacts that differ by a factor of 2 between them."""
+    rough = dataclasses.replace(
+        recipe.specimens, conductivity=0.5, contact_impedance=0.8, electrode_place=0.001
+    )
+    return dataclasses.replace(recipe, specimens=rough)
+
+
+def _other_board(recipe: Recipe) -> Recipe:
+    """Board with loads to ground of its source, its sink and its idle electrodes."""
+    meter = FourTerminalMeter(source=2e-5, sink=2e-4, idle=2e-5, common_mode=0.01)
+    return dataclasses.replace(recipe, instrument=Instrument(snr_db=72.0, meter=meter))
+
+
+def _without_own_bends(spread: Specimens) -> Specimens:
+    """Spread whose specimens share the bends of their mounts."""
+    return dataclasses.replace(
+        spread,
+        thickness=0.0,
+        gel_modulus=0.0,
+        encapsulation_modulus=0.0,
+        hinge_span=0.0,
+        hinge_offset=0.0,
+    )
+
+
+WORLDS: dict[str, Callable[[Recipe], Recipe]] = {
+    "as trained": _as_trained,
+    "other clamps": _other_clamps,
+    "other stiffness": _other_stiffness,
+    "rough electrodes": _rough_electrodes,
+    "other board": _other_board,
+}
+"""Recipe of each world, from one with the sensors and the instrument of "training"."""
+
+
+@dataclasses.dataclass(frozen=True, slots=True, eq=False)
+class World:
+    """Frames of the sensors of one world.
+
+    Attributes:
+        name: of the world.
+        frames: flat, bent and touched, to be judged.
+        known: the same sensors in the same sessions, flat and at `KNOWN_DEG`.
+    """
+
+    name: str
+    frames: Dataset
+    known: Dataset
+
+
+def make(folder: Path, seed: int, quick: bool, workers: int, progress: Progress) -> list[World]:
+    """Generate the frames that `folder` does not have yet, and read all of them.
+
+    Raises ConfigurationError where `folder` holds frames of other recipes.
+    """
+    made = []
+    for name in WORLDS:
+        frames, known = recipes(name, seed, quick)
+        sets = []
+        for recipe in (frames, known):
+            place = folder / recipe.name.replace(" ", "-").replace(",", "")
+
+            def show(done: int, total: int, name: str = recipe.name) -> None:
+                progress(f"frames: {name}", done, total)
+
+            generate(recipe, place, workers, show, resume=(place / "recipe.toml").is_file())
+            sets.append(open_dataset(place))
+        made.append(World(name, *sets))
+    return made
+
+
+def recipes(world: str, seed: int, quick: bool) -> tuple[Recipe, Recipe]:
+    """Recipes of the frames to be judged and of the known angles of a world."""
+    count = QUICK_SENSORS if quick else SENSORS
+    training = Recipe.shipped("training")
+    spread: Specimens = dataclasses.replace(training.specimens, count=count)
+    base = dataclasses.replace(
+        training,
+        name=world,
+        description="",
+        seed=SEED + seed,
+        specimens=spread,
+        reference_frames=8,
+        scenes=tuple(_times(group, count) for group in SENSOR_FRAMES),
+    )
+    frames = WORLDS[world](base)
+    angles = (SceneGroup("bend", count=count, angle_deg=(angle, angle)) for angle in KNOWN_DEG)
+    scenes = (SceneGroup("idle", count=count), *angles)
+    return frames, dataclasses.replace(frames, name=f"{world}, known", scenes=scenes)
+
+
+def _times(group: SceneGroup, count: int) -> SceneGroup:
+    return dataclasses.replace(group, count=group.count * count)

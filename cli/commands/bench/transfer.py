@@ -1,0 +1,63 @@
+"""`eitskin bench transfer`: pipelines on sensors of worlds that they were not trained in."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich import box
+from rich.table import Table
+
+from eitskin.cli.commands.bench.accuracy import Out, Quick
+from eitskin.cli.options import TRAINING, Json, Output, Quiet, Seed, Verbose
+from eitskin.errors import ConfigurationError
+from eitskin.extras import require_all
+
+
+def command(
+    pipelines: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            help="Pipelines, NAME.eitmodel; the one that comes with eitskin if omitted."
+        ),
+    ] = None,
+    out: Out = Path("build/bench"),
+    *,
+    quick: Quick = False,
+    seed: Seed = 0,
+    workers: Annotated[int, typer.Option(min=1, help="Processes that make frames.")] = 2,
+    as_json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Measure pipelines on sensors with other clamps, layers, contacts and boards.
+
+    Each as it is, and calibrated by one and by five known angles. Frames are kept.
+    """
+    from eitskin.benchmarks.paper.run import REFERENCE
+    from eitskin.benchmarks.transfer.report import HEADINGS, NAME, figures, table, write
+    from eitskin.benchmarks.transfer.run import run
+    from eitskin.datasets.store.folder import make_folder
+
+    output = Output(as_json, quiet, verbose)
+    require_all(training=TRAINING)
+    named = {path.stem: path for path in pipelines or [REFERENCE]}
+    if len(named) < len(pipelines or []):
+        raise ConfigurationError("expected pipelines of different names; rename one")
+    make_folder(out / NAME)
+    with output.progress() as bar:
+        tasks: dict[str, Any] = {}
+
+        def show(part: str, done: int, total: int) -> None:
+            if part not in tasks:
+                tasks[part] = bar.add_task(part, total=total, rate="")
+            bar.update(tasks[part], completed=done, total=total)
+
+        found = run(named, out / NAME, seed, quick, workers, show)
+    paths = [str(path) for path in write(found, out)]
+    drawn = Table(*HEADINGS, box=box.SIMPLE, pad_edge=False)
+    for column in drawn.columns[2:]:
+        column.justify = "right"
+    for row in table(found):
+        drawn.add_row(*row)
+    output.result({"figures": dict(figures(found)), "files": paths}, drawn)
+    output.note("written: " + ", ".join(paths))
