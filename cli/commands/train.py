@@ -58,7 +58,7 @@ def command(
         typer.Option(
             help="auto, the default: joint or quick, whichever errs less on held-out specimens; "
             "joint: a learned model fitted to each frame; paper: the paper's stages, trained as "
-            "published; quick: the same, trained faster."
+            "published; quick: the same, trained faster; ridge, mlp, extra-trees, greit: baselines."
         ),
     ] = None,
     method: MethodCode = None,

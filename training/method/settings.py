@@ -11,8 +11,13 @@ from eitskin.datasets.store.dataset import Dataset
 from eitskin.errors import ConfigurationError
 from eitskin.training.method.hold_out import hold_out
 
-METHODS = ("joint", "paper")
+BASELINES = ("ridge", "mlp", "extra-trees", "greit")
+"""Names of methods to compare others with, and of their presets."""
+
+METHODS = ("joint", "paper", *BASELINES)
 """Names of the methods that come with eitskin; those of others have a colon in their name."""
+
+PRESETS = ("joint", "quick", "paper", *BASELINES)
 
 Progress = Callable[[str, int, int], None]
 """Callback with the name of a stage, the steps done and their total number."""
@@ -76,7 +81,7 @@ class TrainingSettings:
 
     Attributes:
         method: "joint", which fits a learned model of the sensor to each frame, "paper", the
-            stages of the paper, or MODULE:CLASS, one of the user's own.
+            stages of the paper, one of `BASELINES`, or MODULE:CLASS, one of the user's own.
         joint: of the joint method.
         classifier: of the paper's classifier of states.
         postprocessor: of the paper's touch map network.
@@ -86,7 +91,8 @@ class TrainingSettings:
         seed: of the split, the initial weights, the order of frames and added noise.
         whole_specimens: whether a fifth of the specimens is held out, at least one, in place of
             `fractions`; see `hold_out`.
-        options: hyper-parameters of a method of the user's own, by name, as JSON has them.
+        options: hyper-parameters of a baseline or of a method of the user's own, by name, as JSON
+            has them.
     """
 
     method: str = "paper"
@@ -132,7 +138,7 @@ class TrainingSettings:
 
     @classmethod
     def preset(cls, name: str, seed: int = 0) -> "TrainingSettings":
-        """Settings by name: "joint", "quick" or "paper".
+        """Settings by name: "joint", "quick", "paper", or one of `BASELINES`.
 
         "paper" follows the paper in every stage; `PaperMethod` lists its open choices. "quick" has
         the same stages, trained faster: the classifier also sees a map insensitive to bending, both
@@ -151,7 +157,9 @@ class TrainingSettings:
                 bend_squares=False,
                 seed=seed,
             )
-        raise ConfigurationError(f"preset must be 'joint', 'quick' or 'paper', got '{name}'")
+        if name in BASELINES:
+            return cls(method=name, seed=seed)
+        raise ConfigurationError(f"preset must be one of {', '.join(PRESETS)}, got '{name}'")
 
     def with_epochs(self, epochs: int) -> "TrainingSettings":
         """Settings with another number of epochs for all networks but the proposals.

@@ -223,7 +223,7 @@ def test_single_thread_gives_the_threads_back():
 def test_settings_refuse_nonsense():
     with pytest.raises(ConfigurationError, match="must be positive"):
         NetworkSettings(0.0, epochs=1)
-    with pytest.raises(ConfigurationError, match=r"'quick' or 'paper'.*'best'"):
+    with pytest.raises(ConfigurationError, match=r"joint, quick, paper.*'best'"):
         TrainingSettings.preset("best")
 
 

@@ -1,0 +1,195 @@
+"""Baselines: each regression against a plain twin, and as pipelines that are saved and opened."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from sklearn.ensemble import ExtraTreesRegressor
+from sklearn.linear_model import Ridge
+
+from eitskin.datasets import State
+from eitskin.errors import ConfigurationError, DataError
+from eitskin.training import InputSpec, Observations, Pipeline, TrainingSettings, evaluate
+from eitskin.training.baselines.extra_trees import ExtraTreesMethod, TreeOptions
+from eitskin.training.baselines.features import Features
+from eitskin.training.baselines.greit_centroid import best_threshold
+from eitskin.training.baselines.mlp import MlpMethod, MlpOptions
+from eitskin.training.baselines.ridge import PARAMETERS, RidgeMethod, RidgeOptions
+from eitskin.training.method.settings import silent
+from eitskin.training.method.training_frames import TrainingFrames
+
+from linear_sensor import linear_sensor
+from made_up_sensor import FLAT, frames, touch_change
+
+SMALL = {"ridge": {}, "mlp": {"epochs": 25, "width": 64}, "extra-trees": {"trees": 10}}
+
+
+@pytest.fixture(scope="module")
+def dataset():
+    return frames(420)
+
+
+def settings(name):
+    return replace(TrainingSettings.preset(name), options=SMALL[name])
+
+
+@pytest.mark.parametrize("name", SMALL)
+def test_a_baseline_learns_states_angles_and_touches(dataset, name, tmp_path):
+    pipeline = Pipeline.fit(dataset, settings(name))
+    unseen = frames(120, seed=3)
+    report = evaluate(pipeline, unseen)
+    assert min(report.states.accuracy.values()) > 0.9
+    assert report.bend.rmse_deg < 4.0
+    assert report.touches["1"].mean_error_mm < 8.0
+    assert {len(each) for each in pipeline.perceive(unseen).touches} == {0, 1, 2}
+    loaded = Pipeline.load(pipeline.save(tmp_path / "a.eitmodel"))
+    said, again = (each.perceive(unseen) for each in (pipeline, loaded))
+    np.testing.assert_allclose(again.bend_angle_deg, said.bend_angle_deg, rtol=1e-6)
+    assert loaded.targets == pipeline.targets
+    assert loaded.targets.force
+
+
+def test_it_estimates_only_what_has_labels(dataset):
+    flat = dataset.select(dataset.state != State.BEND)
+    flat = replace(
+        flat,
+        bend_angle_deg=np.zeros_like(flat.bend_angle_deg),
+        touch_force=np.full_like(flat.touch_force, np.nan),
+    )
+    said = Pipeline.fit(flat, settings("ridge")).perceive(flat)
+    assert np.isnan(said.bend_angle_deg).all()
+    assert np.isnan(said.probabilities[:, State.BEND]).all()
+    assert all(np.isnan(touches.force).all() for touches in said.touches)
+    untouched = dataset.select(dataset.state != State.TOUCH)
+    pipeline = Pipeline.fit(untouched, settings("ridge"))
+    assert pipeline.targets.states == ("idle", "bend")
+    assert np.isnan(pipeline.perceive(untouched).touch_map).all()
+
+
+def test_a_bad_channel_is_filled_in(dataset):
+    pipeline = Pipeline.fit(dataset, settings("ridge"))
+    status = np.zeros_like(dataset.status)
+    status[:, 5] = 1
+    angles = pipeline.perceive(replace(dataset, status=status)).bend_angle_deg
+    assert np.sqrt(np.mean((angles - dataset.bend_angle_deg) ** 2)) < 5.0
+
+
+def test_force_changes_the_direction_of_a_touch_little(dataset):
+    spec = InputSpec(dataset.design, dataset.protocol, dataset.frequency, FLAT)
+    fitted = Features.fit(TrainingFrames.of(dataset, spec))
+    light, firm = (touch_change([[0.05, 0.03]], force) for force in (0.5, 2.0))
+    one = np.ones(2)
+    dV = np.stack([light, firm])
+    table = fitted.apply(Observations(dV, dV, np.stack([FLAT, FLAT]), one, one, one, one, one))
+    raw = table * fitted.scale + fitted.mean
+    np.testing.assert_allclose(raw[0, 28:56], raw[1, 28:56], atol=1e-3)
+    assert raw[1, -1] - raw[0, -1] == pytest.approx(np.log(4.0), rel=0.01)
+
+
+@pytest.fixture
+def table():
+    rng = np.random.default_rng(0)
+    features = rng.normal(size=(150, 6))
+    truth = np.stack([features[:, 0] + 0.3 * rng.normal(size=150), np.sin(features[:, 1])], axis=1)
+    return features, truth - truth.mean(axis=0)
+
+
+def test_ridge_is_that_of_scikit_learn_at_the_least_generalised_error(table):
+    features, truth = table
+    errors, fits = [], []
+    for parameter in len(features) * PARAMETERS:
+        model = Ridge(alpha=parameter).fit(features, truth)
+        X = features - features.mean(axis=0)
+        hat = X @ np.linalg.solve(X.T @ X + parameter * np.eye(6), X.T)
+        misfit = np.sum((truth - model.predict(features)) ** 2)
+        errors.append(misfit / (len(X) - np.trace(hat)) ** 2)
+        fits.append(model)
+    best = fits[int(np.argmin(errors))]
+    arrays = RidgeMethod.learn(features, truth, RidgeOptions(squares=False), 0, silent)
+    np.testing.assert_allclose(
+        RidgeMethod.apply(arrays, features), best.predict(features), atol=1e-9
+    )
+
+
+def test_trees_are_those_of_scikit_learn(table):
+    features, truth = table
+    features = np.round(features, 1)  # many values on thresholds' own ground
+    for wanted in (truth, truth[:, :1]):
+        arrays = ExtraTreesMethod.learn(features, wanted, TreeOptions(7, 3), 4, silent)
+        forest = ExtraTreesRegressor(7, min_samples_leaf=3, random_state=4)
+        forest.fit(features, wanted if wanted.shape[1] > 1 else wanted[:, 0])
+        unseen = np.round(np.random.default_rng(1).normal(size=(200, 6)), 1)
+        expected = forest.predict(unseen).reshape(200, -1)
+        np.testing.assert_allclose(ExtraTreesMethod.apply(arrays, unseen), expected, atol=1e-6)
+
+
+def test_a_network_is_applied_as_torch_does(table):
+    import torch
+
+    features, truth = table
+    arrays = MlpMethod.learn(features, truth, MlpOptions(width=8, layers=3, epochs=2), 0, silent)
+    network = torch.nn.Sequential(
+        *(
+            layer
+            for a, b in ((6, 8), (8, 8), (8, 8))
+            for layer in (torch.nn.Linear(a, b), torch.nn.ReLU())
+        ),
+        torch.nn.Linear(8, 2),
+    )
+    network.load_state_dict({name: torch.tensor(array) for name, array in arrays.items()})
+    with torch.inference_mode():
+        expected = network(torch.tensor(features, dtype=torch.float32)).numpy()
+    np.testing.assert_allclose(MlpMethod.apply(arrays, features), expected, atol=1e-5)
+
+
+def test_a_threshold_splits_at_the_least_balanced_error():
+    sizes = np.array([1.0, 2.0, 3.0, 4.0, 10.0, 11.0])
+    above = np.array([False, False, False, True, True, True])
+    assert best_threshold(sizes, above) == 3.5
+    rng = np.random.default_rng(2)
+    mixed = rng.normal(size=200) + 1.5 * (above := rng.random(200) < 0.2)
+    rates = [np.mean(mixed[above] <= t) + np.mean(mixed[~above] > t) for t in mixed]
+    found = best_threshold(mixed, above)
+    error = np.mean(mixed[above] <= found) + np.mean(mixed[~above] > found)
+    assert error == pytest.approx(min(rates))
+
+
+@pytest.mark.slow
+def test_centroids_of_pictures_are_where_the_touches_are(tmp_path):
+    data = linear_sensor().dataset()
+    pipeline = Pipeline.fit(data, TrainingSettings.preset("greit"))
+    report = evaluate(pipeline, data.select(pipeline.held_out(data)))
+    assert report.touches["1"].mean_error_mm < 7.0
+    assert report.touches["1"].found > 0.8
+    assert report.bend.rmse_deg is None
+    loaded = Pipeline.load(pipeline.save(tmp_path / "greit.eitmodel"))
+    loaded.reset()
+    estimate = loaded.process(data.frame(0))
+    assert estimate.state is State.IDLE
+    assert estimate.bend_angle_deg is None
+    with pytest.raises(DataError, match="finds touches"):
+        Pipeline.fit(data.select(data.state != State.TOUCH), TrainingSettings.preset("greit"))
+
+
+def test_options_that_are_unknown_or_impossible_are_told(dataset):
+    for name, options, message in (
+        ("mlp", {"widht": 3}, "widht"),
+        ("mlp", {"width": 0}, "width of 1"),
+        ("ridge", {"epochs": 3}, "epochs"),
+        ("greit", {"trees": 3}, "no options"),
+    ):
+        with pytest.raises(ConfigurationError, match=message):
+            Pipeline.fit(dataset, replace(TrainingSettings.preset(name), options=options))
+
+
+def test_a_value_on_a_threshold_goes_left():
+    arrays = {
+        "roots": np.array([0]),
+        "left": np.array([1, -1, -1]),
+        "right": np.array([2, -1, -1]),
+        "feature": np.array([0, -2, -2]),
+        "threshold": np.array([0.5, -2.0, -2.0]),
+        "value": np.array([[0.0], [1.0], [2.0]]),
+    }
+    found = ExtraTreesMethod.apply(arrays, np.array([[0.5], [0.5001]]))
+    assert found.tolist() == [[1.0], [2.0]]

@@ -1,0 +1,171 @@
+"""Centroids of GREIT pictures, without learning but two thresholds and a sign."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.datasets.store.state import State
+from eitskin.errors import ConfigurationError, DataError
+from eitskin.training.method.input_spec import InputSpec
+from eitskin.training.method.interface import Method
+from eitskin.training.method.missing_channels import MissingChannels
+from eitskin.training.method.observations import Observations
+from eitskin.training.method.predictions import Predictions
+from eitskin.training.method.settings import Progress, TrainingSettings
+from eitskin.training.method.targets import STATE_NAMES, Targets
+from eitskin.training.method.training_frames import TrainingFrames
+from eitskin.training.paper.touch_regions import find_touches
+from eitskin.training.reconstruction.reconstructor import Reconstructor
+
+Array = NDArray[np.float64]
+Arrays = Mapping[str, NDArray[Any]]
+
+HALF = 0.5  # of a picture's largest value, above which it shows touches
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GreitMethod(Method):
+    """Touches as the regions above half the maximum of a GREIT picture, at their centroids.
+
+    The picture is that of dV from the dynamic reference. The sizes of dV from both references,
+    against thresholds, tell the state. Neither angles nor forces are estimated.
+
+    Attributes:
+        matrix: picture of each channel's dV (C, rows, columns); 0 outside the outline.
+        static, dynamic: imputation of bad channels.
+        thresholds: of the sizes of dV from the dynamic reference, above which a frame is touched,
+            and from the static one, above which another is bent (2,); infinite for states that are
+            not told apart.
+        spec: sensor.
+        radius: of the indenters [m].
+        states: that are told apart.
+    """
+
+    KIND: ClassVar[str] = "greit"
+
+    matrix: Array
+    static: MissingChannels
+    dynamic: MissingChannels
+    thresholds: Array
+    spec: InputSpec
+    radius: float
+    states: tuple[int, ...]
+
+    @classmethod
+    def fit(
+        cls, frames: TrainingFrames, settings: TrainingSettings, progress: Progress
+    ) -> "GreitMethod":
+        """Pictures of the design, and thresholds from labelled frames."""
+        if settings.options:
+            raise ConfigurationError(
+                f"the method greit has no options, got {', '.join(settings.options)}"
+            )
+        data, seen, spec = frames.dataset, frames.observations, frames.spec
+        if "touch" not in frames.targets.states or not frames.targets.touches:
+            raise DataError(
+                "the method greit finds touches, got no touched frames with places beside untouched"
+                " ones; record or generate some"
+            )
+        progress(cls.KIND, 0, 1)
+        pictures = Reconstructor(spec.design, spec.protocol, "greit").images(
+            np.eye(len(spec.protocol))
+        )
+        matrix = np.nan_to_num(pictures)
+        still = MissingChannels.fit(seen.static, frames.noise)
+        moving = MissingChannels.fit(seen.dynamic, frames.noise)
+        static, dynamic = still.fill(seen.static), moving.fill(seen.dynamic)
+        touched, bent = data.state == State.TOUCH, data.state == State.BEND
+        states = tuple(STATE_NAMES.index(name) for name in frames.targets.states)
+        bent_above = np.inf if State.BEND not in states else 0.0
+        if State.BEND in states and State.IDLE in states:
+            bent_above = best_threshold(size_of(static[~touched]), bent[~touched])
+        thresholds = np.array([best_threshold(size_of(dynamic), touched), bent_above])
+        progress(cls.KIND, 1, 1)
+        radius = float(np.nanmedian(data.touch_radius))
+        sign = sign_of(np.tensordot(dynamic[touched], matrix, 1))
+        return cls(sign * matrix, still, moving, thresholds, spec, radius, states)
+
+    @property
+    def targets(self) -> Targets:
+        """States, and places of touches."""
+        return Targets(tuple(STATE_NAMES[s] for s in self.states), angle=False, force=False)
+
+    def predict(self, observations: Observations) -> Predictions:
+        """Predictions for n frames; probabilities are 0 or 1."""
+        dynamic = self.dynamic.fill(observations.dynamic)
+        touched = size_of(dynamic) > self.thresholds[0]
+        bent = size_of(self.static.fill(observations.static)) > self.thresholds[1]
+        state = np.where(touched, State.TOUCH, np.where(bent, State.BEND, State.IDLE))
+        probabilities = np.full((len(state), len(State)), np.nan)
+        probabilities[:, self.states] = state[:, None] == self.states
+        found = {row: self._touches(dynamic[row]) for row in np.flatnonzero(touched).tolist()}
+        most = max(map(len, found.values()), default=0)
+        placed = np.full((len(state), most, 3), np.nan)
+        for row, touches in found.items():
+            placed[row, : len(touches)] = np.reshape(touches, (-1, 3))
+        return Predictions.of(
+            len(state),
+            self.spec,
+            probabilities=probabilities,
+            places=placed[..., :2],
+            strength=placed[..., 2],
+            radius=self.radius,
+        )
+
+    def _touches(self, difference: Array) -> tuple[tuple[float, float, float], ...]:
+        """Touches (x [m], y [m], strength) of one frame's dV (C,)."""
+        picture = np.tensordot(difference, self.matrix, 1)
+        return find_touches(picture / max(float(picture.max()), 1e-300), self.spec.outline, HALF)
+
+    def arrays(self) -> Arrays:
+        return {
+            "matrix": self.matrix,
+            "static": self.static.covariance,
+            "dynamic": self.dynamic.covariance,
+            "thresholds": self.thresholds,
+            "radius": np.array(self.radius),
+            "states": np.array(self.states, dtype=np.int64),
+        }
+
+    @classmethod
+    def from_arrays(
+        cls,
+        arrays: Arrays,
+        spec: InputSpec,
+        settings: TrainingSettings,  # noqa: ARG003  the arrays say all
+    ) -> "GreitMethod":
+        return cls(
+            arrays["matrix"],
+            MissingChannels(arrays["static"]),
+            MissingChannels(arrays["dynamic"]),
+            arrays["thresholds"],
+            spec,
+            float(arrays["radius"]),
+            tuple(arrays["states"].tolist()),
+        )
+
+
+def size_of(difference: Array) -> Array:
+    """Norms (n,) of dV (n, C)."""
+    size: Array = np.linalg.norm(difference, axis=1)
+    return size
+
+
+def sign_of(pictures: Array) -> float:
+    """Sign of the largest values of pictures (n, rows, columns), of most of them."""
+    flat = pictures.reshape(len(pictures), -1)
+    largest = flat[np.arange(len(flat)), np.abs(flat).argmax(axis=1)]
+    return 1.0 if np.sum(largest > 0) >= len(flat) / 2 else -1.0
+
+
+def best_threshold(sizes: Array, above: NDArray[np.bool_]) -> float:
+    """Threshold of the least balanced error rate between sizes (n,) that are `above` and others."""
+    order = np.argsort(sizes)
+    ranked, hit = sizes[order], above[order]
+    missed = np.cumsum(hit) / max(hit.sum(), 1)  # of those above, up to here
+    false = 1.0 - np.cumsum(~hit) / max((~hit).sum(), 1)
+    best = int(np.argmin(missed + false))
+    return float(np.mean(ranked[best : best + 2]))

@@ -1,0 +1,213 @@
+"""Base of methods that regress targets on features, table by table."""
+
+from abc import abstractmethod
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.config import from_dict
+from eitskin.datasets.store.dataset import Dataset
+from eitskin.datasets.store.state import UNKNOWN_STATE, State
+from eitskin.errors import DataError
+from eitskin.training.baselines.features import Features
+from eitskin.training.method.input_spec import InputSpec
+from eitskin.training.method.interface import Method
+from eitskin.training.method.observations import Observations
+from eitskin.training.method.predictions import Predictions
+from eitskin.training.method.settings import Progress, TrainingSettings
+from eitskin.training.method.targets import STATE_NAMES, Targets, most_probable
+from eitskin.training.method.training_frames import TrainingFrames
+
+Array = NDArray[np.float64]
+Arrays = Mapping[str, NDArray[Any]]
+
+FEWEST = 20  # frames of a table
+STATE, ANGLE, COUNT, TOUCH = "state", "angle", "count", "touch"
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """One regression of a method.
+
+    Attributes:
+        name: "state" and "count" are indicators of classes (regression on an indicator matrix,
+            Hastie et al. 2009, section 4.2), "angle" is [deg], and "touch2" x and y [m] and, where
+            known, force [N] of two touches, in the order of x.
+        rows: frames (m,) that have labels.
+        truth: (m, K).
+    """
+
+    name: str
+    rows: NDArray[np.int64]
+    truth: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TableMethod(Method):
+    """A method that regresses state, angle, number and places of touches on `Features`.
+
+    A derived class has a `KIND`, `OPTIONS` and the regression: `learn` and `apply`. Touches are
+    those of the most probable number, in frames whose most probable state is touch. A number of
+    touches with fewer than 20 training frames is not learned.
+
+    Attributes:
+        features: of a frame.
+        tasks: fitted arrays of each regression, by its name, and `mean` and `scale` of its targets.
+        spec: sensor.
+        states: that are told apart.
+        counts: numbers of touches that are told apart.
+        radius: of the indenters [m].
+    """
+
+    OPTIONS: ClassVar[type[Any]]
+    """Dataclass of the options."""
+
+    features: Features
+    tasks: Mapping[str, Arrays]
+    spec: InputSpec
+    states: tuple[int, ...]
+    counts: tuple[int, ...]
+    radius: float
+
+    @classmethod
+    @abstractmethod
+    def learn(
+        cls, features: Array, truth: Array, options: Any, seed: int, progress: Progress
+    ) -> Arrays:
+        """Arrays of a regression of targets (m, K), standardised, on features (m, F)."""
+
+    @staticmethod
+    @abstractmethod
+    def apply(arrays: Arrays, features: Array) -> Array:
+        """Targets (n, K) of features (n, F)."""
+
+    @classmethod
+    def fit(cls, frames: TrainingFrames, settings: TrainingSettings, progress: Progress) -> Self:
+        options = from_dict(cls.OPTIONS, settings.options, f"options of the method {cls.KIND}")
+        features = Features.fit(frames)
+        table, data = features.apply(frames.observations), frames.dataset
+        tasks, found = list(_tasks(data, frames.targets)), {}
+        for number, task in enumerate(tasks):
+            progress(cls.KIND, number, len(tasks))
+            mean, scale = task.truth.mean(axis=0), task.truth.std(axis=0)
+            scale = np.where(scale > 0, scale, 1.0)
+            learned = cls.learn(
+                table[task.rows], (task.truth - mean) / scale, options, settings.seed, progress
+            )
+            found[task.name] = {**learned, "mean": mean, "scale": scale}
+        progress(cls.KIND, len(tasks), len(tasks))
+        if not found:
+            raise DataError(
+                f"the method {cls.KIND} needs at least {FEWEST} frames of a kind, got "
+                f"{len(frames)} in all; generate more"
+            )
+        counts = tuple(int(n.removeprefix(TOUCH)) for n in found if n.startswith(TOUCH))
+        states = tuple(STATE_NAMES.index(name) for name in frames.targets.states)
+        radius = float(np.nanmedian(data.touch_radius)) if counts else 0.0
+        return cls(features, found, frames.spec, states, counts, radius)
+
+    @property
+    def targets(self) -> Targets:
+        """Quantities that the tables had labels for."""
+        touches, fewest = bool(self.counts), min(self.counts, default=0)
+        force = touches and len(self.tasks[f"{TOUCH}{fewest}"]["mean"]) == 3 * fewest
+        states = tuple(STATE_NAMES[state] for state in self.states)
+        return Targets(states, ANGLE in self.tasks, touches, force)
+
+    def predict(self, observations: Observations) -> Predictions:
+        table = self.features.apply(observations)
+        count, targets = len(table), self.targets
+        probabilities = np.full((count, len(State)), np.nan)
+        if self.states:
+            probabilities[:, self.states] = _shares(self._values(STATE, table))
+        placed = np.full((count, max(self.counts, default=0), 3), np.nan)
+        touched = np.flatnonzero(most_probable(probabilities) == State.TOUCH)
+        if targets.touches and len(touched):
+            numbers = np.full(len(touched), self.counts[0])
+            if COUNT in self.tasks:
+                likely = self._values(COUNT, table[touched]).argmax(axis=1)
+                numbers = np.array(self.counts)[likely]
+            for number in np.unique(numbers):
+                rows = touched[numbers == number]
+                values = self._values(f"{TOUCH}{number}", table[rows])
+                values = values.reshape(len(rows), number, -1)
+                placed[rows, :number, : values.shape[2]] = values
+        return Predictions.of(
+            count,
+            self.spec,
+            probabilities=probabilities if self.states else None,
+            bend_angle_deg=self._values(ANGLE, table)[:, 0] if targets.angle else None,
+            places=placed[..., :2] if targets.touches else None,
+            force=placed[..., 2],
+            radius=self.radius,
+        )
+
+    def _values(self, task: str, table: Array) -> Array:
+        """Targets (n, K) of one regression, in their units."""
+        arrays = self.tasks[task]
+        values: Array = self.apply(arrays, table) * arrays["scale"] + arrays["mean"]
+        return values
+
+    def arrays(self) -> Arrays:
+        kept: dict[str, NDArray[Any]] = {
+            "states": np.array(self.states, dtype=np.int64),
+            "counts": np.array(self.counts, dtype=np.int64),
+            "radius": np.array(self.radius),
+        }
+        parts = {"features": self.features.arrays(), **self.tasks}
+        return kept | {
+            f"{part}.{name}": array for part, mine in parts.items() for name, array in mine.items()
+        }
+
+    @classmethod
+    def from_arrays(
+        cls,
+        arrays: Arrays,
+        spec: InputSpec,
+        settings: TrainingSettings,  # noqa: ARG003  the arrays say all
+    ) -> Self:
+        parts: dict[str, dict[str, NDArray[Any]]] = {}
+        for name, array in arrays.items():
+            part, dot, rest = name.partition(".")
+            if dot:
+                parts.setdefault(part, {})[rest] = array
+        features = Features.from_arrays(parts.pop("features"))
+        states, counts = (tuple(arrays[name].tolist()) for name in ("states", "counts"))
+        return cls(features, parts, spec, states, counts, float(arrays["radius"]))
+
+
+def _shares(values: Array) -> Array:
+    """Probabilities (n, K) from regressed indicators: at least 0, adding up to 1."""
+    positive = np.clip(values, 1e-6, None)
+    shares: Array = positive / positive.sum(axis=1, keepdims=True)
+    return shares
+
+
+def _tasks(data: Dataset, targets: Targets) -> Iterator[Task]:
+    """Regressions that a dataset has at least `FEWEST` frames for."""
+    if targets.states:
+        rows = np.flatnonzero(data.state != UNKNOWN_STATE)
+        classes = [STATE_NAMES.index(name) for name in targets.states]
+        yield Task(STATE, rows, (data.state[rows, None] == classes).astype(float))
+    angle = data.bend_angle_deg.astype(float)
+    rows = np.flatnonzero(np.isfinite(angle))
+    if targets.angle and len(rows) >= FEWEST:
+        yield Task(ANGLE, rows, angle[rows, None])
+    if "touch" not in targets.states or not targets.touches:
+        return
+    columns = [data.touch_x, data.touch_y, *([data.touch_force] if targets.force else [])]
+    values = np.stack(columns, axis=2).astype(float)
+    known = np.isfinite(values).all(axis=2).sum(axis=1)
+    known = np.where(known == data.touch_count, known, 0)
+    counts = [int(n) for n in np.unique(known[known > 0]) if np.sum(known == n) >= FEWEST]
+    if len(counts) > 1:
+        rows = np.flatnonzero(np.isin(known, counts))
+        yield Task(COUNT, rows, (known[rows, None] == counts).astype(float))
+    for number in counts:
+        rows = np.flatnonzero(known == number)
+        order = np.argsort(values[rows, :, 0], axis=1)[:, :number]  # NaN last
+        ordered = np.take_along_axis(values[rows], order[..., None], axis=1)
+        yield Task(f"{TOUCH}{number}", rows, ordered.reshape(len(rows), -1))
