@@ -33,6 +33,7 @@ def info(
 ) -> None:
     """Show the contents of a dataset: frames, channels, states, angles, touches, origin."""
     from eitskin.datasets.store.folder import read_shards
+    from eitskin.datasets.store.manifest import read_manifest
     from eitskin.datasets.store.summary import DatasetSummary
 
     output = Output(as_json, quiet, verbose)
@@ -47,6 +48,12 @@ def info(
     megabytes = sum(path.stat().st_size for path in files) / 1e6
     found = {"dataset": str(dataset), "shards": len(files), "megabytes": round(megabytes, 3)}
     found |= summary.contents()
+    if not dataset.is_file():
+        names = read_manifest(dataset).names
+        found |= {
+            "specimen_names": names.specimens or None,
+            "session_names": names.sessions or None,
+        }
     table = Table(box=None, show_header=False, pad_edge=False)
     for name, value in found.items():
         if value is not None:

@@ -29,6 +29,7 @@ def command(
 ) -> None:
     """Evaluate a pipeline; on its own training dataset, only on the held-out frames."""
     from eitskin.datasets.store.folder import open_dataset
+    from eitskin.datasets.store.summary import specimens_in_words
     from eitskin.errors import ConfigurationError
     from eitskin.training.evaluation.evaluate import Evaluation
     from eitskin.training.evaluation.report.folder import require_report_folder
@@ -51,7 +52,8 @@ def command(
         require_report_folder(out)
     frames = trained.held_out(data)
     if len(frames) < len(data):
-        output.note(f"trained on this dataset: only the {len(frames)} frames never seen count")
+        held_out = f"{len(frames)} frames never seen, of {specimens_in_words(data.select(frames))}"
+        output.note(f"trained on this dataset: only the {held_out}, count")
     evaluation = Evaluation.of(trained, data.select(frames))
     if out is not None:
         save_report(evaluation, out, output)

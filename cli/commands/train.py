@@ -276,10 +276,12 @@ def _comparison(selection: "Selection") -> Group:
         "false_per_touch": "{:.1%}",
         "angle_rmse_deg": "{:.2f} deg",
     }
+    from eitskin.datasets.store.summary import specimens_in_words
+
     judged = selection.evaluation.dataset
     table = Table(
         *("method", "states", "touch error", "found", "false", "bend error", "loss", "time"),
-        title=f"{len(judged)} held-out frames of {len(set(judged.specimen.tolist()))} specimens",
+        title=f"{len(judged)} held-out frames of {specimens_in_words(judged)}",
         caption="loss: mean of the relative errors of states, touches and bends; 1 for guesses",
     )
     refusals = []

@@ -11,6 +11,7 @@ from eitskin.datasets.recordings.form import RecordingForm, RecordingNames
 from eitskin.datasets.recordings.recorded_file import RecordedFile
 from eitskin.datasets.recordings.references import ReferenceMeans, numbered
 from eitskin.datasets.store.dataset import Dataset
+from eitskin.datasets.store.names import Names
 from eitskin.datasets.store.schema import LIMITS
 from eitskin.datasets.store.state import State
 from eitskin.errors import ConfigurationError, DataError
@@ -164,3 +165,4 @@ class Recording:
         self.frames *= 2 if self._form.keep_before else 1
         self.specimens = numbered(self._references.names, LIMITS["specimen"])
         self.sessions = numbered(sessions, _MOST_EPISODES)
+        self._shared["names"] = Names.of(self.specimens, self.sessions)

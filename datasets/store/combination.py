@@ -10,6 +10,7 @@ import numpy as np
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.folder import Progress, read_entry, save_parts
 from eitskin.datasets.store.manifest import Manifest, read_manifest
+from eitskin.datasets.store.names import Names
 from eitskin.datasets.store.schema import LIMITS
 from eitskin.errors import ConfigurationError, DataError
 
@@ -24,7 +25,8 @@ def combine(
 ) -> Manifest:
     """Write the frames of different datasets into a new folder; returns the manifest.
 
-    Specimens and episodes are numbered anew, those of the first dataset first. The result counts as
+    Specimens and episodes are numbered anew, those of the first dataset first, and keep names;
+    a measured specimen without a name has that of its folder from now on. The result counts as
     measured where one of the datasets was, and keeps a recipe only where all datasets share one.
     Takes the memory of one shard.
 
@@ -79,9 +81,20 @@ def _renumbered(
                     "episodes; combine fewer"
                 )
             yield dataclasses.replace(
-                part, specimen_number=numbers.astype(np.uint32), episode=episode.astype(np.uint32)
+                part,
+                specimen_number=numbers.astype(np.uint32),
+                episode=episode.astype(np.uint32),
+                names=_names(path, manifest, part).shifted(specimens, episodes),
             )
         specimens, episodes = next_specimen, next_episode
+
+
+def _names(path: Path, manifest: Manifest, part: Dataset) -> Names:
+    """Names of a dataset, and of the measured specimens of a part that have none."""
+    if part.source != "measured":
+        return manifest.names
+    by_folder = {n: f"{path.resolve().name} {n}" for n in part.specimen_number.tolist()}
+    return manifest.names.joined(Names(by_folder))
 
 
 def _head(data: Dataset, magnitudes: bool) -> Dataset:

@@ -75,6 +75,7 @@ def compact(
             seed=manifest.seed,
             frames=manifest.frames,
             shards=tuple(entries),
+            names=manifest.names,
         )
         (temporary / MANIFEST).write_bytes(manifest_bytes(made))
     return made

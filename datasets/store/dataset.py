@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from eitskin.datasets.store.names import Names
 from eitskin.datasets.store.references import SpecimenReferences
 from eitskin.datasets.store.schema import (
     FIELDS,
@@ -61,6 +62,7 @@ class Dataset:
             part of a dataset may hold few of its specimens. 0 to S - 1 when omitted.
         quantity: kind of the values: "impedance" [ohm] with sign and phase, "magnitude" of
             impedances [ohm], "voltage" [V]; empty where the recording does not say.
+        names: of specimens and sessions, as a recording gave them.
     """
 
     impedance: NDArray[np.complex64]
@@ -90,6 +92,7 @@ class Dataset:
         default_factory=lambda: np.zeros((0, MAX_TOUCHES), dtype=np.float32)
     )
     quantity: str = ""
+    names: Names = dataclasses.field(default_factory=Names)
 
     def __post_init__(self) -> None:
         """Convert the arrays to the format's types, and check shapes and values."""
@@ -182,6 +185,12 @@ class Dataset:
         """Number of touches in each frame, (n,)."""
         count: NDArray[np.int64] = np.isfinite(self.touch_x).sum(axis=1)
         return count
+
+    @property
+    def specimen_names(self) -> tuple[str, ...]:
+        """Names of the specimens of these frames; the number of one that has no name."""
+        numbers = self.specimen_number[np.unique(self.specimen)]
+        return tuple(self.names.specimen(int(number)) for number in numbers)
 
     def read(self, *names: str) -> None:
         """Read columns that are not in memory yet, in one pass; those of a `StoredDataset` only."""

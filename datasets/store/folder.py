@@ -1,5 +1,6 @@
 """Dataset on disk: a folder of shards with a manifest, written last."""
 
+import dataclasses
 import hashlib
 import itertools
 import os
@@ -15,6 +16,7 @@ from eitskin.datasets.store.manifest import (
     shard_entry,
     write_manifest,
 )
+from eitskin.datasets.store.names import Names
 from eitskin.datasets.store.shard import shard_name, write_shard
 from eitskin.datasets.store.shard_reader import read_shard, shard_of
 from eitskin.datasets.store.stored_dataset import StoredDataset, require_memory
@@ -47,7 +49,7 @@ def open_dataset(path: str | Path, progress: Progress | None = None) -> Dataset:
     manifest = read_manifest(path)
     size = _disk_bytes(path, manifest)
     parts = _shards(path, manifest, progress)
-    first = next(parts)
+    first = dataclasses.replace(next(parts), names=manifest.names)
     if size > READ_AT_ONCE:
         return StoredDataset.of_folder(path, manifest, first.select([]), progress)
     require_memory(path, manifest.frames * first.bytes_per_frame)
@@ -109,8 +111,9 @@ def save_parts(
     """
     folder = new_folder(Path(folder))
     entries: list[ShardEntry] = []
-    first = 0
+    first, names = 0, Names()
     for part in parts:
+        names = names.joined(part.names)
         name = shard_name(len(entries))
         write_shard(folder / name, part, first)
         entries.append(shard_entry(folder, name, first, len(part)))
@@ -123,6 +126,7 @@ def save_parts(
         seed=part.seed,
         frames=first,
         shards=tuple(entries),
+        names=names,
     )
     write_manifest(folder, manifest)
     return manifest

@@ -1,11 +1,12 @@
 """Manifest of a dataset: the shards of a complete folder, with their checksums."""
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import msgspec
 
+from eitskin.datasets.store.names import Names
 from eitskin.datasets.store.schema import FORMAT, FORMAT_VERSION
 from eitskin.errors import DataError, PartialError
 from eitskin.files import write_file
@@ -25,7 +26,10 @@ class ShardEntry:
 
 @dataclass(frozen=True, slots=True)
 class Manifest:
-    """Content of a complete dataset; written after all files that it names."""
+    """Content of a complete dataset; written after all files that it names.
+
+    Names of specimens and sessions are in the file where there are any.
+    """
 
     source: str
     recipe_sha256: str
@@ -34,6 +38,7 @@ class Manifest:
     shards: tuple[ShardEntry, ...]
     format: str = FORMAT
     format_version: int = FORMAT_VERSION
+    names: Names = field(default_factory=Names)
 
 
 def read_manifest(folder: Path) -> Manifest:
@@ -65,7 +70,10 @@ def write_manifest(folder: Path, manifest: Manifest) -> None:
 
 def manifest_bytes(manifest: Manifest) -> bytes:
     """Content of the manifest's file."""
-    return bytes(msgspec.json.format(msgspec.json.encode(manifest), indent=2)) + b"\n"
+    document = msgspec.to_builtins(manifest, str_keys=True)
+    if not manifest.names:
+        del document["names"]
+    return bytes(msgspec.json.format(msgspec.json.encode(document), indent=2)) + b"\n"
 
 
 def shard_entry(folder: Path, name: str, first_index: int, count: int) -> ShardEntry:

@@ -61,6 +61,7 @@ class StoredDataset(Dataset):
         made: StoredDataset = object.__new__(cls)
         known = {"_folder": folder, "_manifest": manifest, "_head": head, "_progress": progress}
         known |= {"_held": set(), "_compared": set()}
+        known["names"] = head.names
         for name, value in (known | {name: getattr(head, name) for name in ORIGIN}).items():
             object.__setattr__(made, name, value)
         return made
@@ -133,6 +134,7 @@ class StoredDataset(Dataset):
                     column[places] = part[name][rows[places] - entry.first_index]
         known: dict[str, Any] = {name: getattr(self, name) for name in ORIGIN}
         known |= {"reference": self.reference, "specimen_number": self.specimen_number}
+        known["names"] = self.names
         return Dataset(**(known | columns))
 
     def _empty(self, frames: int, names: Collection[str]) -> Columns:

@@ -99,6 +99,16 @@ class DatasetSummary:
         }
 
 
+def specimens_in_words(data: Dataset, most: int = 8) -> str:
+    """Number of the specimens of a dataset's frames, and the names of the first few named ones."""
+    told = data.specimen_names
+    counted = f"{len(told)} specimen{'s' * (len(told) != 1)}"
+    if not data.names.specimens:
+        return counted
+    rest = f" and {len(told) - most} more" if len(told) > most else ""
+    return f"{counted} ({', '.join(told[:most])}{rest})"
+
+
 def _range(least: float, most: float) -> dict[str, float] | None:
     """Least and greatest known value; None where none is known."""
     if least > most:

@@ -6,6 +6,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from eitskin.datasets.store.summary import specimens_in_words
 from eitskin.errors import ConfigurationError, PartialError
 from eitskin.extras import require
 from eitskin.files import atomic_file
@@ -114,8 +115,8 @@ def provenance(evaluation: Evaluation) -> dict[str, Any]:
         "trained on": f"{pipeline.trained_on['frames']} {pipeline.trained_on['source']} frames of "
         f"the dataset {pipeline.trained_on['sha256']}",
         "training seed": str(pipeline.settings.seed),
-        "measured on": f"{len(data)} {data.source} frames of {len(set(data.specimen.tolist()))} "
-        "specimens, frames " + fingerprint(data),
+        "measured on": f"{len(data)} {data.source} frames of {specimens_in_words(data)}, frames "
+        + fingerprint(data),
         "seed of these frames": str(data.seed),
     }
 
