@@ -71,15 +71,16 @@ def command(
     Enter. With a dataset: its untouched frames of one specimen are taken. With --reference the
     angles count from the stored state, and the sensor is not asked to be flat.
     """
-    from eitskin.training.pipeline.pipeline import Pipeline
     from eitskin.training.pipeline.saved_form import require_writable
     from eitskin.training.pipeline.session import STORED_AGE
+    from eitskin.training.positions.opening import open_perception
 
     output = Output(as_json, quiet, verbose)
     require_writable(out)
     if (board is None) == (dataset is None):
         raise ConfigurationError("give either --board or --dataset, the sensor to calibrate for")
-    pipeline = Pipeline.load(model, own_method(method))
+    purpose = "a calibration needs a pipeline that estimates the bend angle"
+    pipeline = open_perception(model, purpose, own_method(method))
     pipeline.require_bends()
     if reference is not None:
         use_reference(pipeline, reference, None, output)

@@ -25,11 +25,15 @@ from eitskin.cli.options import (
 from eitskin.errors import ConfigurationError
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from eitskin.frame import Frame
     from eitskin.hardware.diagnosis.finding import Finding
     from eitskin.hardware.diagnosis.reading_check import LawCheck
     from eitskin.protocol import Protocol
     from eitskin.training.pipeline.pipeline import Pipeline
+    from eitskin.training.positions.recorded_touches import RecordedTouches
 
 ReferenceModel = Annotated[
     Path | None,
@@ -75,7 +79,7 @@ def command(
     loose, shorted and swapped electrodes, bad contacts, faulty channels and boards; in a recording
     dead, stuck and clipped channels, and boards that are no ideal meters. See docs/boards.md.
     """
-    from eitskin.training.pipeline.pipeline import Pipeline
+    from eitskin.training.positions.opening import open_pipeline
 
     output = Output(as_json, quiet, verbose)
     if list_ports:
@@ -90,7 +94,7 @@ def command(
     else:
         if values or protocol:
             raise ConfigurationError("--values and --protocol describe a --recording; name one")
-        pipeline = Pipeline.load(model or SHIPPED, own_method(method))
+        pipeline = open_pipeline(model or SHIPPED, own_method(method))
         _check_board(
             pipeline,
             board,
@@ -104,7 +108,7 @@ def command(
 
 
 def _check_board(
-    pipeline: "Pipeline",
+    pipeline: "Pipeline | RecordedTouches",
     board: str,
     frames: int,
     output: Output,
@@ -118,8 +122,9 @@ def _check_board(
     from eitskin.hardware.diagnosis.reading_check import LAW_FINDINGS, check_frames
     from eitskin.hardware.diagnosis.sensor_check import check_sensor
     from eitskin.hardware.opening import open_board
+    from eitskin.training.pipeline.pipeline import Pipeline
 
-    spec = pipeline.layout
+    spec = pipeline.layout if isinstance(pipeline, Pipeline) else pipeline
     with open_board(board, **seeded(board, seed)) as opened:
         suits = named or opened.protocol == spec.protocol
         if suits:
@@ -137,14 +142,34 @@ def _check_board(
         taken = list(islice(opened.frames(), frames))
     readings = check_frames(taken)
     findings = readings.findings
-    if suits:
-        stored = pipeline.stored
-        expected = spec.reference if stored is None else stored.magnitudes(spec.reference)
+    expected = _expected(pipeline) if suits else None
+    if suits and expected is None:
+        output.note(
+            "touch positions tell no impedances: checking without expected values; give a stored "
+            "--reference (eitskin tare) to compare with"
+        )
+    if expected is not None:
         known = check_sensor(taken, expected).findings
         findings = (*known, *(each for each in findings if each.what in LAW_FINDINGS))
         # Other faults make a sensor look bent or pressed.
-        findings = findings or _not_flat(pipeline, taken, output)
+        if isinstance(pipeline, Pipeline):
+            findings = findings or _not_flat(pipeline, taken, output)
     _report({"board": board}, findings, readings.laws, taken[0].protocol, len(taken), output)
+
+
+def _expected(pipeline: "Pipeline | RecordedTouches") -> "NDArray[np.float64] | None":
+    """Expected magnitudes (measurements,) [ohm], as stored or as trained; None where unknown."""
+    import numpy as np
+
+    from eitskin.training.pipeline.pipeline import Pipeline
+
+    stored = pipeline.stored
+    if isinstance(pipeline, Pipeline):
+        usual = pipeline.layout.reference
+        return usual if stored is None else stored.magnitudes(usual)
+    if stored is None or not np.isfinite(stored.impedance).all():
+        return None
+    return np.abs(stored.impedance)
 
 
 def _not_flat(

@@ -9,8 +9,9 @@ from rich.table import Table
 from eitskin.cli.options import Json, MethodCode, Output, Quiet, Seed, Verbose, own_method
 
 if TYPE_CHECKING:
+    from eitskin.datasets.store.dataset import Dataset
     from eitskin.training.evaluation.evaluate import Evaluation, Report
-    from eitskin.training.positions.recorded_touches import PositionScore
+    from eitskin.training.positions.recorded_touches import PositionScore, RecordedTouches
 
 
 def command(
@@ -30,7 +31,6 @@ def command(
     """Evaluate a pipeline; on its own training dataset, only on the held-out frames."""
     from eitskin.datasets.store.folder import open_dataset
     from eitskin.datasets.store.summary import specimens_in_words
-    from eitskin.errors import ConfigurationError
     from eitskin.training.evaluation.evaluate import Evaluation
     from eitskin.training.evaluation.report.folder import require_report_folder
     from eitskin.training.positions.opening import open_pipeline
@@ -40,16 +40,14 @@ def command(
     output.detail(f"nothing is random in an evaluation, seed {seed} is not used")
     data = open_dataset(dataset)
     trained = open_pipeline(pipeline, own_method(method))
-    if isinstance(trained, RecordedTouches):
-        if out is not None:
-            raise ConfigurationError(
-                f"{pipeline} estimates touch positions only, which have no report; leave out --out"
-            )
-        score = trained.evaluate(data)
-        output.result(score.as_dict(), position_table(score))
-        return
     if out is not None:
         require_report_folder(out)
+    if isinstance(trained, RecordedTouches):
+        score = trained.evaluate(data)
+        if out is not None:
+            save_position_report(trained, data, out, output)
+        output.result(score.as_dict(), position_table(score))
+        return
     frames = trained.held_out(data)
     if len(frames) < len(data):
         held_out = f"{len(frames)} frames never seen, of {specimens_in_words(data.select(frames))}"
@@ -62,17 +60,33 @@ def command(
 
 def save_report(evaluation: "Evaluation", folder: Path, output: Output) -> None:
     """Write the report folder, with machine, versions and date."""
-    from eitskin.provenance import Provenance
     from eitskin.training.evaluation.report.folder import write_report
 
-    made = Provenance.now(evaluation.pipeline.settings.seed)
+    made_with = _made_with(evaluation.pipeline.settings.seed)
+    output.note(f"report: {write_report(evaluation, folder, made_with)}")
+
+
+def save_position_report(
+    touches: "RecordedTouches", data: "Dataset", folder: Path, output: Output
+) -> None:
+    """Write the report folder of touch positions, with machine, versions and date."""
+    from eitskin.training.evaluation.report.position_report import write_position_report
+
+    written = write_position_report(touches, data, folder, _made_with(0))
+    output.note(f"report: {written}")
+
+
+def _made_with(seed: int) -> dict[str, str]:
+    """Machine, versions and date."""
+    from eitskin.provenance import Provenance
+
+    made = Provenance.now(seed)
     versions = ", ".join(f"{name} {made.packages[name]}" for name in ("eitskin", "numpy", "scipy"))
-    made_with = {
+    return {
         "machine": made.machine,
         "versions": f"Python {made.python}, {versions}",
         "date": made.date,
     }
-    output.note(f"report: {write_report(evaluation, folder, made_with)}")
 
 
 def paper_table(report: "Report") -> Table:

@@ -103,11 +103,12 @@ def export_onnx(
 ) -> None:
     """Write the networks of a pipeline as ONNX graphs, checked against the pipeline itself."""
     from eitskin.training.export import onnx_export
-    from eitskin.training.pipeline.pipeline import Pipeline
+    from eitskin.training.positions.opening import open_perception
 
     output = Output(as_json, quiet, verbose)
     _require_empty(out)
-    document = onnx_export.export_onnx(Pipeline.load(model), out)
+    wanted = "graphs are of the networks of a pipeline of states, bends or touches"
+    document = onnx_export.export_onnx(open_perception(model, wanted), out)
     table = Table("graph", "output", "largest difference", "allowed", box=box.SIMPLE)
     for graph in document["graphs"]:
         output.detail(f"{graph['file']}: {graph['what']}")

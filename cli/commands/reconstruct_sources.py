@@ -75,6 +75,11 @@ def pictured_frames(
         return _from_board(source, design, protocol, frames, average, seed, output)
     if Path(source).suffix == ".toml":
         return _from_scene(Path(source), design, protocol, reference, resolution, output)
+    if Path(source).suffix == ".eitmodel":
+        raise ConfigurationError(
+            "pictures are of the frames of a dataset, a scene (.toml) or a board, and need no "
+            f"trained pipeline of any kind, got the pipeline {source}"
+        )
     return _from_dataset(Path(source), design, protocol, frames, reference)
 
 

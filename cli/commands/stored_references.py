@@ -5,8 +5,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from eitskin.errors import ConfigurationError
-
 if TYPE_CHECKING:
     from eitskin.cli.options import Output
     from eitskin.hardware.protocol.messages import Info
@@ -32,17 +30,10 @@ def use_reference(
 ) -> None:
     """Use the reference in a file; note its zero, and another board than this one.
 
-    Raises ConfigurationError for a pipeline without references, and the errors of
-    `StoredReference.read` and `Pipeline.use`.
+    Raises the errors of `StoredReference.read` and of the pipeline's `use`.
     """
-    from eitskin.training.pipeline.pipeline import Pipeline
     from eitskin.training.pipeline.stored_reference import StoredReference
 
-    if not isinstance(pipeline, Pipeline):
-        raise ConfigurationError(
-            "expected a pipeline of states, bends or touches with --reference, got one of recorded "
-            "touch positions, which takes a session's first frames; leave --reference out"
-        )
     reference = StoredReference.read(path)
     pipeline.use(reference)
     output.note(f"zero: the sensor {reference.zero}, as stored in {path} at {reference.taken}")
@@ -56,8 +47,10 @@ def use_reference(
 
 def tell_unjudged(pipeline: "Pipeline | RecordedTouches", output: "Output") -> None:
     """Note where a pipeline cannot judge whether a session begins flat and untouched."""
-    if getattr(pipeline, "flat_sensors", None) is None and not getattr(pipeline, "stored", None):
+    few = "it knows too few specimens"
+    if pipeline.stored is None and getattr(pipeline, "flat_sensors", None) is None:
+        known = "it knows touch positions only" if pipeline.targets.positions_only else few
         output.note(
-            "this pipeline cannot judge whether the sensor is flat and untouched: it knows too few "
-            "specimens; see to that, or give --reference"
+            "this pipeline cannot judge whether the sensor is flat and untouched: "
+            f"{known}; see to that, or give --reference"
         )

@@ -25,6 +25,7 @@ from eitskin.errors import ConfigurationError
 if TYPE_CHECKING:
     from eitskin.frame import Frame
     from eitskin.training.method.input_spec import InputSpec
+    from eitskin.training.positions.recorded_touches import RecordedTouches
 
 DatasetOption = Annotated[
     Path | None, typer.Option("--dataset", help="Instead of a board: the reference of a specimen.")
@@ -61,18 +62,20 @@ def command(
     """
     from eitskin.training.pipeline.pipeline import Pipeline
     from eitskin.training.pipeline.stored_reference import Zero
+    from eitskin.training.positions.opening import open_pipeline
 
     output = Output(as_json, quiet, verbose)
     if (board is None) == (dataset is None):
         raise ConfigurationError("give either --board or --dataset, the sensor of the reference")
-    pipeline = Pipeline.load(model, own_method(method))
+    pipeline = open_pipeline(model, own_method(method))
+    spec = pipeline.layout if isinstance(pipeline, Pipeline) else pipeline
     zero = Zero.MOUNTED if mounted else Zero.FLAT
     if zero is Zero.FLAT:
         tell_unjudged(pipeline, output)
     if dataset is not None:
         taken, number = [reference_frame(dataset, specimen)], ""
     else:
-        taken, number = _from_board(str(board), pipeline.layout, frames, zero, seed, output)
+        taken, number = _from_board(str(board), spec, frames, zero, seed, output)
     reference = pipeline.tare(taken, zero, number, str(dataset or board))
     reference.write(out)
     facts = {"frames": reference.frames, "noise": reference.noise, "taken": reference.taken}
@@ -82,7 +85,7 @@ def command(
 
 
 def _from_board(
-    uri: str, spec: "InputSpec", frames: int, zero: str, seed: int, output: Output
+    uri: str, spec: "InputSpec | RecordedTouches", frames: int, zero: str, seed: int, output: Output
 ) -> "tuple[list[Frame], str]":
     """Frames of a board, and its number."""
     from eitskin.hardware.opening import open_board

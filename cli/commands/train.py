@@ -11,7 +11,7 @@ import typer
 from rich.console import Group
 from rich.table import Table
 
-from eitskin.cli.commands.evaluate import save_report
+from eitskin.cli.commands.evaluate import save_position_report, save_report
 from eitskin.cli.options import (
     TRAINING,
     Json,
@@ -79,8 +79,10 @@ def command(
     time.
     """
     from eitskin.datasets.store.folder import open_dataset
+    from eitskin.training.evaluation.report.folder import require_report_folder
     from eitskin.training.evaluation.selection import data_warnings
     from eitskin.training.pipeline.saved_form import require_writable
+    from eitskin.training.positions.recorded_touches import RecordedTouches
 
     output = Output(as_json, quiet, verbose)
     require_all(training=TRAINING)
@@ -88,7 +90,7 @@ def command(
     data = open_dataset(dataset)
     alone = _positions_alone(data)
     if report is not None:
-        _require_reportable(alone, report)
+        require_report_folder(report)
     choice = choose(preset, method, settings, epochs, seed)
     if alone and choice.method:
         raise ConfigurationError(
@@ -108,8 +110,10 @@ def command(
         found = _summary(evaluation.report)
     seconds = time.perf_counter() - start
     saved = trained.save(out)
-    if evaluation is not None and report is not None:
+    if report is not None and evaluation is not None:
         save_report(evaluation, report, output)
+    elif report is not None and isinstance(trained, RecordedTouches):
+        save_position_report(trained, data, report, output)
     for warning in warnings:
         output.note(f"warning: {warning}")
     frames, missing = trained.trained_on["frames"], trained.targets.missing
@@ -139,18 +143,6 @@ def _positions_alone(data: "Dataset") -> str:
     if Targets.of(with_implied_labels(data)).positions_only:
         return "neither untouched frames nor bend angles in this dataset"
     return ""
-
-
-def _require_reportable(alone: str, report: Path) -> None:
-    """Refuse a report that could not be written, before the training."""
-    from eitskin.training.evaluation.report.folder import require_report_folder
-
-    if alone:
-        raise ConfigurationError(
-            f"{alone}, which trains touch positions only, and these have no report; leave out "
-            "--report"
-        )
-    require_report_folder(report)
 
 
 def _summary(report: "Report") -> str:

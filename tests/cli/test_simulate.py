@@ -68,6 +68,18 @@ def test_an_instrument_measures_and_its_noise_may_be_another(tmp_path) -> None:
         simulate(flat, "--noise", "10")
 
 
+def test_changes_are_from_the_flat_sensor_on_the_same_meter(scene, tmp_path) -> None:
+    """The untouched sensor differs from its flat self by nothing, in the units of any meter."""
+    flat = written(tmp_path / "flat.toml", "")
+    rig = written(
+        tmp_path / "rig.toml",
+        'snr_db = 0.0\n[meter]\nsink = 3e-4\nidle = 5e-5\nscale = 12.0\nreads = "magnitude"\n',
+    )
+    board = ("--protocol", "opposite", "--instrument", str(rig))
+    assert simulate(flat, *board)["change_ohm"] == pytest.approx([0.0] * 16, abs=1e-9)
+    assert 1e-3 < max(map(abs, simulate(scene, *board)["relative_change"])) < 0.2
+
+
 def test_adjacent_values_are_sums_of_pairwise_ones(scene, tmp_path) -> None:
     Protocol(((0, 1, 2, 3),), 8).to_file(tmp_path / "one.csv")
     pairs = simulate(scene)

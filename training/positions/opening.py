@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from eitskin.errors import ConfigurationError
 from eitskin.training.method.interface import Method
 from eitskin.training.pipeline.pipeline import Pipeline
 from eitskin.training.pipeline.saved_form import OtherKindError
@@ -27,3 +28,19 @@ def open_pipeline(
         return Pipeline.load(path, method)
     except OtherKindError:
         return RecordedTouches.load(path)
+
+
+def open_perception(path: str | Path, wanted: str, method: type[Method] | None = None) -> Pipeline:
+    """A saved pipeline of states, bends or touches, for what touch positions alone cannot do.
+
+    Args:
+        path: of the folder.
+        wanted: in words, what the pipeline is needed for, as "a calibration needs ...".
+        method: as `Pipeline.load` takes it.
+
+    Raises ConfigurationError for a pipeline of touch positions, and the errors of `open_pipeline`.
+    """
+    opened = open_pipeline(path, method)
+    if isinstance(opened, RecordedTouches):
+        raise ConfigurationError(f"{wanted}, got {path}, which estimates touch positions only")
+    return opened

@@ -1,7 +1,7 @@
 """Touch positions learned from a recording without geometry: training, scoring and saving."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from eitskin.config import from_dict, to_dict
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.state import State
-from eitskin.errors import DataError, FrameError
+from eitskin.errors import ConfigurationError, DataError, FrameError
 from eitskin.frame import Frame
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.protocol import Protocol
@@ -29,6 +29,7 @@ from eitskin.training.pipeline.saved_form import (
     require_kind,
     write_pipeline,
 )
+from eitskin.training.pipeline.stored_reference import StoredReference, Zero
 from eitskin.training.positions.position_regressor import PositionRegressor
 
 STILL = 0.1  # rms change of a still sensor, relative to that of the usual touch; see `References`
@@ -72,6 +73,7 @@ class RecordedTouches:
         metrics: results of an evaluation, written by the evaluating code.
         frequency: of the excitation [Hz]; not known without a protocol.
         design: of the sensor; None where the recording has none.
+        stored: stored reference in use; None where a session's first frames are the zero.
         extent: smallest and largest x and y of the positions trained with (2, 2) [m]; None in
             pipelines of version 0.1.
     """
@@ -86,13 +88,13 @@ class RecordedTouches:
     frequency: float = math.nan
     design: SensorDesign | None = None
     extent: NDArray[np.float64] | None = None
+    stored: StoredReference | None = field(init=False, repr=False, default=None)
     references: References = field(init=False, repr=False)
     _last: Frame | None = field(init=False, repr=False, default=None)
 
     def __post_init__(self) -> None:
         """A session without a reference."""
-        usual = float(np.sqrt(np.mean(self.position.channel_scale**2)))
-        self.references = References(STILL * usual)
+        self.use(None)
 
     @property
     def targets(self) -> Targets:
@@ -123,6 +125,47 @@ class RecordedTouches:
             extent=np.array([places.min(axis=0), places.max(axis=0)]),
         )
 
+    @property
+    def still(self) -> float:
+        """Largest rms relative difference of two frames of a still, untouched sensor."""
+        return STILL * float(np.sqrt(np.mean(self.position.channel_scale**2)))
+
+    def use(self, reference: StoredReference | None) -> None:
+        """Use a stored reference as the zero of all estimates; None for a session's first frames.
+
+        The session begins anew. Raises FrameError for a reference of other measurements.
+        """
+        if reference is not None:
+            self.require_same_measurements(reference.protocol, reference.frequency)
+        self.stored = reference
+        values, frames = (reference.impedance, reference.frames) if reference else (None, 0)
+        self.references = References(self.still, values, frames)
+        self._last = None
+
+    def tare(
+        self, frames: Sequence[Frame], zero: Zero = Zero.FLAT, board: str = "", source: str = ""
+    ) -> StoredReference:
+        """A stored reference from untouched frames of the sensor, which is used from now on.
+
+        Positions are relative to the shape in which the sensor was taken; whether that was flat is
+        not judged. Arguments as for `Pipeline.tare`.
+
+        Raises:
+            ConfigurationError: for no frames.
+            FrameError: for a frame with other measurements, or with too few good channels.
+            DataError: for a sensor that moves.
+        """
+        if not len(frames):
+            raise ConfigurationError("expected frames of the untouched sensor, got none; give some")
+        for frame in frames:
+            self.require_same_measurements(frame.protocol, frame.frequency)
+        voltages, first = [usable_values(frame)[0] for frame in frames], frames[0]
+        reference = StoredReference.of(
+            voltages, first.protocol, first.frequency, zero, self.still, board, source
+        )
+        self.use(reference)
+        return reference
+
     def reset(self) -> None:
         """Begin a new session; its first frame must be of the untouched sensor."""
         self.references.drop()
@@ -131,17 +174,17 @@ class RecordedTouches:
     def process(self, frame: Frame) -> Estimate:
         """The estimate for the next frame of a session: the position of one touch.
 
-        The first frame becomes the reference: the sensor must then be untouched, in the shape in
-        which it will be touched. Up to 32 further frames that change by less than a fifth of the
-        usual touch are averaged into it. A later frame that changes by less has no touch; whether a
-        frame that changes by more is touched is not known. A frame of another session, or a number
-        or time that runs backwards, begins a new session.
+        Without a stored reference the first frame becomes it: the sensor must then be untouched,
+        in the shape in which it will be touched. Up to 32 further frames that change by less than a
+        fifth of the usual touch are averaged into it. A later frame that changes by less has no
+        touch; whether a frame that changes by more is touched is not known. A frame of
+        another session, or a number or time that runs backwards, begins a new session.
 
         Raises:
             FrameError: for a frame with other measurements; the session is unchanged then.
             UnusableFrameError: for a frame with too few good channels.
         """
-        self._require_same_measurements(frame)
+        self.require_same_measurements(frame.protocol, frame.frequency)
         voltages, problems = usable_values(frame)
         last = self._last
         if last and (
@@ -158,25 +201,28 @@ class RecordedTouches:
             self.position.apply(ratio)[touched], np.minimum(strength[touched], 1.0)
         )
         unknown = np.full(len(State), np.nan)
-        return Estimate(None, unknown, None, None, None, found, problems, frame.number, frame.time)
+        zero = Zero.FIRST_FRAMES if self.stored is None else self.stored.zero
+        return Estimate(
+            None, unknown, None, None, None, found, problems, frame.number, frame.time, zero
+        )
 
-    def _require_same_measurements(self, frame: Frame) -> None:
-        """Refuse a frame with other measurements than the recording's; raises FrameError."""
+    def require_same_measurements(self, protocol: Protocol, frequency: float) -> None:
+        """Refuse other measurements than the recording's; raises FrameError."""
         try:
-            self.position.require_channels(len(frame.protocol))
+            self.position.require_channels(len(protocol))
         except DataError as error:
             raise FrameError(str(error)) from error
         if self.protocol is not None:
             self.protocol.require_same(
-                frame.protocol,
+                protocol,
                 "these touch positions were learned from",
                 "the frame has",
                 "set the board to the first",
             )
-        if abs(frame.frequency / self.frequency - 1.0) > FREQUENCY_TOLERANCE:
+        if abs(frequency / self.frequency - 1.0) > FREQUENCY_TOLERANCE:
             raise FrameError(
                 f"these touch positions were learned at {self.frequency:g} Hz, the frame was "
-                f"measured at {frame.frequency:g} Hz; set the board to that frequency"
+                f"measured at {frequency:g} Hz; set the board to that frequency"
             )
 
     def held_out(self, dataset: Dataset) -> NDArray[np.int64]:

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -73,18 +74,6 @@ def write_report(evaluation: Evaluation, folder: str | Path, made_with: Mapping[
         ConfigurationError: as `require_report_folder`.
         PartialError: for a folder that can no longer be written to; its files are whole.
     """
-    folder = Path(folder)
-    require_report_folder(folder)
-    captions, left_out = {}, {}
-    with style():
-        for name, draw in PICTURES.items():
-            drawn = draw(evaluation)
-            if isinstance(drawn, NoFigure):
-                left_out[name] = drawn.why
-                continue
-            with atomic_file(folder / name, PartialError, _REMEDY) as path:
-                drawn.figure.savefig(path)
-            captions[name] = drawn.caption
     document = {
         "provenance": {**provenance(evaluation), **made_with},
         "report": evaluation.report.as_dict(),
@@ -92,11 +81,41 @@ def write_report(evaluation: Evaluation, folder: str | Path, made_with: Mapping[
         "losses": {
             name: asdict(each) for name, each in learning_curves(evaluation.pipeline).items()
         },
-        "pictures": captions,
-        "left_out": left_out,
     }
-    _write(folder / DOCUMENT, json.dumps(document, indent=1, allow_nan=False) + "\n")
-    _write(folder / TEXT, markdown(evaluation, document))
+    drawings = {name: partial(draw, evaluation) for name, draw in PICTURES.items()}
+    return write_folder(Path(folder), drawings, document, partial(markdown, evaluation))
+
+
+def write_folder(
+    folder: Path,
+    drawings: Mapping[str, Callable[[], CaptionedFigure | NoFigure]],
+    document: Mapping[str, Any],
+    text: Callable[[Mapping[str, Any]], str],
+) -> Path:
+    """Write pictures, report.json and report.md; returns the folder.
+
+    Args:
+        folder: made if missing.
+        drawings: pictures by file name.
+        document: of report.json, to which captions and reasons of missing pictures are added.
+        text: of report.md, from that document.
+
+    Raises errors as `write_report`.
+    """
+    require_report_folder(folder)
+    captions, left_out = {}, {}
+    with style():
+        for name, draw in drawings.items():
+            drawn = draw()
+            if isinstance(drawn, NoFigure):
+                left_out[name] = drawn.why
+                continue
+            with atomic_file(folder / name, PartialError, _REMEDY) as path:
+                drawn.figure.savefig(path)
+            captions[name] = drawn.caption
+    whole = {**document, "pictures": captions, "left_out": left_out}
+    _write(folder / DOCUMENT, json.dumps(whole, indent=1, allow_nan=False) + "\n")
+    _write(folder / TEXT, text(whole))
     for name in left_out:
         (folder / name).unlink(missing_ok=True)  # of an earlier report
     return folder
@@ -132,13 +151,20 @@ def markdown(evaluation: Evaluation, document: Mapping[str, Any]) -> str:
         "Errors of positions are those of touches matched by the Hungarian method within 15 mm.",
         "",
     ]
+    lines += picture_lines(document)
+    if evaluation.dataset.recipe:
+        lines += ["Recipe of the frames, with instrument and specimens:", ""]
+        lines += ["```toml", evaluation.dataset.recipe.rstrip(), "```", ""]
+    return "\n".join(lines)
+
+
+def picture_lines(document: Mapping[str, Any]) -> list[str]:
+    """Lines of report.md with the pictures, and the reasons of those left out."""
+    lines: list[str] = []
     for name, caption in document["pictures"].items():
         lines += [f"![{name.removesuffix('.png').replace('_', ' ')}]({name})", "", caption, ""]
     if document["left_out"]:
         lines += ["Left out:", ""]
         lines += [f"- {name}: {why}" for name, why in document["left_out"].items()]
         lines.append("")
-    if evaluation.dataset.recipe:
-        lines += ["Recipe of the frames, with instrument and specimens:", ""]
-        lines += ["```toml", evaluation.dataset.recipe.rstrip(), "```", ""]
-    return "\n".join(lines)
+    return lines

@@ -1,0 +1,144 @@
+"""Pipelines of touch positions in every command that takes a saved pipeline."""
+
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from eitskin.cli.main import app
+from eitskin.datasets import Dataset, State, save_dataset
+from eitskin.errors import ConfigurationError
+from eitskin.geometry import SensorDesign
+from eitskin.hardware.virtual import virtual_board
+from eitskin.simulator import Protocol
+from eitskin.training import RecordedTouches, StoredReference
+
+from loopback import FLAT, FakeSimulator
+
+PROTOCOL = Protocol.pairwise(8)
+BOARD = "virtual:?speed=max"
+
+
+def presses(n=60):
+    """Presses of one sensor whose channels change smoothly with the place."""
+    rng = np.random.default_rng(0)
+    places = rng.uniform([0.02, 0.01], [0.13, 0.05], (n, 2))
+    phase = np.linspace(0.0, 3.0, 28)
+    change = 0.01 * np.cos(20.0 * places[:, :1] + phase) + 0.01 * np.sin(
+        40.0 * places[:, 1:] * phase
+    )
+    x, y = np.full((2, n, 4), np.nan)
+    x[:, 0], y[:, 0] = places.T
+    return Dataset.from_arrays(
+        FLAT * (1.0 + change),
+        FLAT,
+        touch_reference=np.tile(FLAT, (n, 1)),
+        specimen=np.zeros(n),
+        state=np.full(n, State.TOUCH),
+        touch_x=x,
+        touch_y=y,
+        time=np.arange(n),
+        protocol=PROTOCOL,
+        design=SensorDesign.reference(),
+    )
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Dataset `mine` and its pipeline `mine.eitmodel`."""
+    made = tmp_path_factory.mktemp("positions")
+    data = presses()
+    save_dataset(data, made / "mine")
+    RecordedTouches.fit(data).save(made / "mine.eitmodel")
+    return made
+
+
+@pytest.fixture(autouse=True)
+def _fake_sensor(monkeypatch):
+    monkeypatch.setattr(virtual_board, "Simulator", lambda *_, **__: FakeSimulator())
+
+
+def run(*arguments, code=0):
+    result = CliRunner().invoke(app, [*map(str, arguments)])
+    assert result.exit_code == code, result.output
+    return result
+
+
+def refused(*arguments):
+    result = CliRunner().invoke(app, [*map(str, arguments)])
+    assert isinstance(result.exception, ConfigurationError)
+    return str(result.exception)
+
+
+@pytest.mark.slow
+def test_evaluate_and_train_write_a_report(folder, tmp_path):
+    model, data = folder / "mine.eitmodel", folder / "mine"
+    run("evaluate", model, data, "--out", tmp_path / "report")
+    report = json.loads((tmp_path / "report" / "report.json").read_text())
+    assert report["report"]["frames"] == 12
+    assert report["report"]["mean_error_mm"] < report["report"]["guess_error_mm"]
+    assert set(report["pictures"]) == {"error_vectors.png", "localisation_errors.png"}
+    assert all((tmp_path / "report" / name).stat().st_size > 5000 for name in report["pictures"])
+    assert "mean error [mm]" in (tmp_path / "report" / "report.md").read_text()
+    run("train", data, "--out", tmp_path / "again.eitmodel", "--report", tmp_path / "report")
+    again = json.loads((tmp_path / "report" / "report.json").read_text())
+    assert again["report"] == report["report"]
+
+
+def test_the_zero_of_a_session_may_be_stored(folder, tmp_path):
+    zero = tmp_path / "zero.json"
+    run("tare", folder / "mine.eitmodel", "--board", BOARD, "--out", zero, "--frames", 8)
+    assert np.allclose(StoredReference.read(zero).impedance, FLAT, rtol=1e-3)
+    pressed = presses().frame(40)
+    pipeline = RecordedTouches.load(folder / "mine.eitmodel")
+    assert not pipeline.process(pressed).touches  # the first frame is the zero
+    pipeline.use(StoredReference.read(zero))
+    estimate = pipeline.process(pressed)
+    (touch,) = estimate.touches
+    true = presses().touch_x[40, 0], presses().touch_y[40, 0]
+    assert np.hypot(touch[0] - true[0], touch[1] - true[1]) < 0.01
+    assert estimate.zero == "flat"
+    options = ("--board", BOARD, "--reference", zero, "--frames", 2, "--json")
+    assert '"touches": []' in run("live", folder / "mine.eitmodel", *options).stdout
+    pipeline.use(None)
+    assert not pipeline.process(pressed).touches
+
+
+def test_check_compares_with_a_stored_reference_alone(folder, tmp_path):
+    model, zero = folder / "mine.eitmodel", tmp_path / "zero.json"
+    said = run("check", model, "--board", BOARD)
+    assert "without expected values" in said.output
+    run("tare", model, "--board", BOARD, "--out", zero)
+    run("check", model, "--board", BOARD, "--reference", zero)
+    broken = f"{BOARD}&faults=shorted_pair@0:3"
+    said = run("check", model, "--board", broken, "--reference", zero, "--json", "-q", code=4)
+    found = json.loads(said.stdout)["findings"]
+    assert any(PROTOCOL.labels[3] in each["channels"] for each in found)
+
+
+def test_mcap_has_the_estimates(folder, tmp_path):
+    pytest.importorskip("rosbags")
+    out = tmp_path / "mine.mcap"
+    told = run("export", "mcap", folder / "mine", "--model", folder / "mine.eitmodel",
+               "--out", out, "--json", "-q")  # fmt: skip
+    assert json.loads(told.stdout)["estimates"] == 60
+
+
+@pytest.mark.parametrize(
+    ("arguments", "needs"),
+    [
+        (("calibrate", "mine.eitmodel", "--board", BOARD, "--out", "b.eitmodel"), "bend angle"),
+        (("export", "onnx", "mine.eitmodel", "--out", "graphs"), "states, bends or touches"),
+    ],
+)
+def test_what_positions_cannot_do_is_refused_in_a_sentence(folder, tmp_path, arguments, needs):
+    places = {"mine.eitmodel": folder / "mine.eitmodel"}
+    places |= {name: tmp_path / name for name in ("b.eitmodel", "graphs")}
+    said = refused(*(places.get(each, each) for each in arguments))
+    assert needs in said
+    assert "estimates touch positions only" in said
+
+
+def test_pictures_need_no_pipeline(folder):
+    assert "need no trained pipeline" in refused("reconstruct", folder / "mine.eitmodel")
