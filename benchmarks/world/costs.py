@@ -26,7 +26,7 @@ _TOUCHES = (Touch(0.060, 0.030), Touch(0.090, 0.030))
 _LOOKED_UP = {
     "press tables": press_store.press_table,
     "correction tables": correction_store.corrections,
-    "pair tables": correction_store.pair_table,
+    "pair tables": correction_store.pair_corrections,
     "bend tables": bend_store.bend_table,
 }
 

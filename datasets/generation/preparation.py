@@ -40,7 +40,9 @@ def missing_press_tables(recipe: Recipe, specimens: Sequence[int] | None = None)
     found: set[Path] = set()
     for design, mechanics in _pressed(recipe, specimens):
         found |= press_store.missing(design, mechanics, Cylinder())
-        found |= correction_store.missing(design, mechanics, Cylinder())
+        found |= correction_store.missing(
+            design, mechanics, Cylinder(), pairs=_touches_together(recipe)
+        )
     return found
 
 
@@ -88,8 +90,15 @@ def prepare(
             table = press_store.press_table(design, mechanics, Cylinder())
             deepest = table.at_force(recipe.largest_force).depth
             if tabulable(design):
-                correction_store.prepare(design, mechanics, Cylinder(), progress)
+                pairs = _touches_together(recipe)
+                correction_store.prepare(design, mechanics, Cylinder(), progress, pairs=pairs)
                 corrections(design, mechanics, Cylinder()).check_depth(deepest)
+
+
+def _touches_together(recipe: Recipe) -> bool:
+    """Whether any frame may show several touches at once."""
+    groups = any(max(group.touches) > 1 for group in recipe.scenes if group.state == "touch")
+    return groups or bool(recipe.episodes)
 
 
 @lru_cache(maxsize=4)

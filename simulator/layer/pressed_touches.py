@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.kinematics import Deformation
-from eitskin.geometry.design.outline import Disc, Rectangle
+from eitskin.geometry.design.outline import Polygon, Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.surface import Surface
 from eitskin.simulator.layer.bent_presses import BentPresses
@@ -23,9 +23,10 @@ from eitskin.simulator.presses.contact_frame import BentState
 from eitskin.simulator.presses.correction_store import (
     corrections,
     is_shipped,
-    pair_table,
+    pair_corrections,
     tabulable,
 )
+from eitskin.simulator.presses.edge_field import re_entrant_distance
 from eitskin.simulator.presses.press_store import press_table
 from eitskin.simulator.presses.smooth_field import SmoothField
 from eitskin.simulator.presses.solved_press import (
@@ -47,13 +48,15 @@ TouchModel = Literal["tabulated", "solved"]
 _EDGE, _NEIGHBOUR = 0.005, 0.020
 # Depth over the thickness of the stack, to which presses were compared.
 _DEEP = 0.55
+# Distance from a re-entrant corner, over the thickness of the stack, within which sums over sides
+# leave more than 4 %.
+_CORNER = 1.0
 # Largest errors of the signal found beyond these distances, on a flat and on a bent sensor.
 _FLAT, _BENT = 0.04, 0.05
 _THEN = (
     "pressed and bent, rolled or twisted then, which was not compared; a sensor on a support "
     "'plates' that its clamp bends, without roll and twist, is pressed as one problem"
 )
-_SEPARATE = "tables of discs leave out how touches change each other's dents"
 _NODES, _FEWEST = 0.18, 12  # of splines for corrections, over the thickness of the stack
 _MOST_SEARCHED = 10  # dents that are tried for touches to a given depth
 
@@ -75,8 +78,9 @@ class PressedTouch:
         neighbour_distance: from the axis to that of the nearest other touch [m].
         signal_error: largest error of the signal, relative, that comparisons with the full model
             found at such distances (docs/deformation.md); None at smaller distances or larger
-            depths than any comparison, on other outlines than rectangles, and on a sensor that is
-            bent, rolled or twisted after it is pressed.
+            depths than any comparison, beside re-entrant corners, on other outlines than
+            rectangles and polygons, and on a sensor that is bent, rolled or twisted after it is
+            pressed.
         caution: why the dent is less exact than a single one in the middle of the sensor; empty
             otherwise.
     """
@@ -200,12 +204,10 @@ def _corrected(
             )
             fields += found
         for (k, one, dent), (j, other, beside) in combinations(felt, 2):
-            pair = _pair((one, dent.depth), (other, beside.depth), design, mechanics)
-            if pair is not None:
-                changes, deeper = pair
-                fields += changes
-                sunk[k] += deeper
-                sunk[j] += deeper
+            changes, deeper = _pair((one, dent.depth), (other, beside.depth), design, mechanics)
+            fields += changes
+            sunk[k] += deeper
+            sunk[j] += deeper
         fields = _summed(fields, design)
     elif felt:
         presses = tuple(_press(t, dent) for _, t, dent in felt)
@@ -230,10 +232,9 @@ def require_model(
     if touches and model == "tabulated" and not tabulable(design):
         outline = type(design.outline).__name__.lower()
         raise ConfigurationError(
-            "presses are tabulated on rectangles at least 8 times as long as their stack is thick "
-            "and on discs of at least its thickness in radius, on the support 'rigid' or a "
-            f"substrate, got a {outline} on {design.support}; leave the touch model out, or let it "
-            "be 'solved'"
+            "presses are tabulated on plane outlines of at least twice the thickness of their "
+            f"stack, on the support 'rigid' or a substrate, got a {outline} on {design.support}; "
+            "leave the touch model out, or let it be 'solved'"
         )
 
 
@@ -243,7 +244,10 @@ def way_of(
     """Way to the corrections of touches: the model, or what ships."""
     if model is not None:
         return model
-    known = tabulable(design) and all(is_shipped(design, mechanics, t.indenter) for t in touches)
+    pairs = len(touches) > 1
+    known = tabulable(design) and all(
+        is_shipped(design, mechanics, t.indenter, pairs=pairs) for t in touches
+    )
     return "tabulated" if known else "solved"
 
 
@@ -253,17 +257,16 @@ def _press(touch: Touch, dent: TabulatedDent) -> Press:
 
 def _pair(
     one: tuple[Touch, float], other: tuple[Touch, float], design: SensorDesign, mechanics: Mechanics
-) -> tuple[tuple[TurnedField, SmoothField], float] | None:
+) -> tuple[tuple[TurnedField | SmoothField, ...], float]:
     """Change of two dents by each other, and by how much deeper each sinks [m].
 
-    Touches with their depths [m]; None where they are far apart, and on discs. Between different
-    indenters it is the change by those of the smaller one's kind.
+    Touches with their depths [m]. Between different indenters it is the change by those of the
+    smaller one's kind.
     """
-    if isinstance(design.outline, Disc):
-        return None
     (a, deep), (b, beside) = one, other
     indenter = min(a.indenter, b.indenter, key=lambda each: each.rims[1])
-    return pair_table(design, mechanics, indenter).at((a.x, a.y, deep), (b.x, b.y, beside))
+    pairs = pair_corrections(design, mechanics, indenter)
+    return pairs.at((a.x, a.y, deep), (b.x, b.y, beside))
 
 
 def pressed_touches(
@@ -280,9 +283,7 @@ def pressed_touches(
     """
     world = _world(touches, design, mechanics, model, bent)
     error = None if bent_then else _FLAT if bent is None else _BENT
-    way = way_of(touches, design, mechanics, model)
-    apart = len(touches) > 1 and way == "tabulated" and isinstance(design.outline, Disc)
-    known = [_SEPARATE] * apart + [_THEN] * bent_then
+    known = [_THEN] * bent_then
     return tuple(
         _described(one, below, touches, design, error, known)
         for one, below in zip(world.pressed, world.sunk, strict=True)
@@ -322,7 +323,7 @@ def _described(
     radius = dent.contact_radius if dent is not None and force > 0.0 else 0.0
     edge = _edge_distance(touch, design)
     depth = dent.depth + sunk if dent is not None else 0.0
-    cautions = _cautions(edge, neighbour, depth, design) + known
+    cautions = _cautions(touch, edge, neighbour, depth, design) + known
     return PressedTouch(
         touch=touch,
         force=force,
@@ -371,15 +372,20 @@ def _edge_distance(touch: Touch, design: SensorDesign) -> float:
     return float(depth)
 
 
-def _cautions(edge: float, neighbour: float, depth: float, design: SensorDesign) -> list[str]:
+def _cautions(
+    touch: Touch, edge: float, neighbour: float, depth: float, design: SensorDesign
+) -> list[str]:
     """Reasons why such a press was not compared with independent solutions."""
     reasons = []
-    if not isinstance(design.outline, Rectangle):
+    outline, thickness = design.outline, design.encapsulated_thickness
+    if not isinstance(outline, Rectangle | Polygon):
         reasons.append("presses on this outline were not compared")
+    elif re_entrant_distance(outline, touch.x, touch.y) < _CORNER * thickness:
+        reasons.append("beside a re-entrant corner, where nothing was compared")
     if edge < _EDGE:
         reasons.append(f"{1e3 * edge:.1f} mm from the edge of the gel, where nothing was compared")
     if neighbour < _NEIGHBOUR:
         reasons.append(f"{1e3 * neighbour:.1f} mm from another, where nothing was compared")
-    if depth > _DEEP * design.encapsulated_thickness:
+    if depth > _DEEP * thickness:
         reasons.append(f"{1e3 * depth:.1f} mm deep, where nothing was compared")
     return reasons

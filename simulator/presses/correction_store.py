@@ -3,7 +3,6 @@
 import dataclasses
 import math
 import os
-from collections.abc import Callable, Iterator
 from functools import lru_cache
 from pathlib import Path
 from typing import TypeVar
@@ -12,11 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError
-from eitskin.geometry.design.outline import Disc, Rectangle
+from eitskin.geometry.design.outline import Disc, Polygon, Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.geometry.design.support import Rigid, Substrate
+from eitskin.geometry.design.surface import Surface
 from eitskin.simulator.mechanics import solved_files
 from eitskin.simulator.mechanics.layer_stack import Mechanics, Stack
+from eitskin.simulator.presses import table_files
 from eitskin.simulator.presses.correction_table import (
     CorrectionTable,
     Report,
@@ -24,120 +25,187 @@ from eitskin.simulator.presses.correction_table import (
     solve_corrections,
     solve_strip,
 )
-from eitskin.simulator.presses.corrections import Corrections, DiscCorrections
+from eitskin.simulator.presses.corrections import (
+    AnyCorrections,
+    Corrections,
+    DiscCorrections,
+    PairCorrections,
+    SideCorrections,
+)
 from eitskin.simulator.presses.disc_table import DiscTable, in_series, solve_disc
+from eitskin.simulator.presses.edge_table import EdgeTable, solve_edge
+from eitskin.simulator.presses.pair_sides import PairSides, solve_pair_sides
 from eitskin.simulator.presses.pair_table import PairTable, solve_pairs
 from eitskin.simulator.presses.press_store import (
-    LIBRARY,
     REFERENCE_RATIO,
     SUBSTRATE_RATIO,
-    indenter_samples,
     lagrange_weights,
     scaled_heights,
     with_modulus,
 )
+from eitskin.simulator.presses.table_files import file_name, found_file, kept
 from eitskin.simulator.scene.indenters import Indenter
 from eitskin.simulator.scene.touch import AnyIndenter
 
 Array = NDArray[np.float64]
 
-# Versions of the tables: raise them whenever corrections are solved or tabulated in another way.
-_VERSIONS = {"corrections": 2, "strips": 2, "fine-strips": 2, "pairs": 3, "discs": 1}
 # Over the thickness of the stack: length of a rectangle, so that its ends do not feel each other,
-# and radius of a disc, so that there are several distances from the rim.
-_SHORTEST, _SMALLEST = 8.0, 1.0
+# radius of a disc, so that there are several distances from the rim, and extent of other outlines.
+_SHORTEST, _SMALLEST, _NARROWEST = 8.0, 1.0, 2.0
 # Steps of thickness and of the modulus ratio between solved stacks, as for the tables of presses.
 _THICKER, _STIFFER = 1.1, math.sqrt(2.0)
 # Steps up to which the neighbours of the reference serve: hand-made specimens stay within.
 _FAR = 2.6
-_KEPT = 3e-4  # singular values, relative to the largest, that a stored table keeps
-_OF_FIELD = 4  # dimensions of the coefficients of one field
 _WORKERS = os.cpu_count() or 1
-_PARTS = ("_scales", "_amplitudes", "_modes", "_shape")
 
 Shape = TypeVar("Shape", Rectangle, Disc)
 
 
 def tabulable(design: SensorDesign) -> bool:
-    """Whether corrections on a design can be tabulated: on discs, and on long rectangles.
+    """Whether corrections on a design can be tabulated: on plane outlines on an even base.
 
-    Corrections on a rectangle must not depend on x off its ends, those on a disc on the azimuth.
+    Both extents of an outline must be some times the thickness of its stack.
     """
     outline, thickness = design.outline, design.encapsulated_thickness
-    if not isinstance(design.support, Rigid | Substrate):
+    if isinstance(outline, Surface) or not isinstance(design.support, Rigid | Substrate):
         return False
     if isinstance(outline, Disc):
         return outline.radius >= _SMALLEST * thickness
-    return isinstance(outline, Rectangle) and outline.length >= _SHORTEST * thickness
+    return not _by_sides(design) or min(outline.length, outline.width) >= _NARROWEST * thickness
 
 
-def is_shipped(design: SensorDesign, mechanics: Mechanics, indenter: AnyIndenter) -> bool:
-    """Whether all tables that a design needs come with the package."""
+def is_shipped(
+    design: SensorDesign, mechanics: Mechanics, indenter: AnyIndenter, *, pairs: bool = True
+) -> bool:
+    """Whether all tables that a design needs come with the package, those of pairs if wanted."""
     return tabulable(design) and all(
-        (LIBRARY / name).is_file() for name in _names(design, mechanics, indenter)
+        table_files.is_shipped(name) for name in _all_names(design, mechanics, indenter, pairs)
     )
 
 
-def missing(design: SensorDesign, mechanics: Mechanics, indenter: AnyIndenter) -> set[Path]:
-    """Absent files of tables that `corrections` needs; each takes minutes to solve."""
+def missing(
+    design: SensorDesign, mechanics: Mechanics, indenter: AnyIndenter, *, pairs: bool = True
+) -> set[Path]:
+    """Absent files of tables that `prepare` would solve; each takes minutes."""
     if not tabulable(design):
         return set()
-    names = _names(design, mechanics, indenter)
-    return {solved_files.folder() / name for name in names if _file(name) is None}
+    names = _all_names(design, mechanics, indenter, pairs)
+    return {solved_files.folder() / name for name in names if found_file(name) is None}
 
 
-@lru_cache(maxsize=64)
 def _names(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -> tuple[str, ...]:
-    """Names of all files that a design needs."""
-    if isinstance(design.outline, Disc):
-        _, weights = _of_disc(design, mechanics)
+    """Names of all files that a single touch on a design needs."""
+    if _is_whole(design):
+        _, weights = _weighted(design, mechanics)
         return tuple(_name(design, stack, mechanics, indenter) for stack in weights)
     base, strips = _needed(design, mechanics)
     return (
         _name(design, base, mechanics, indenter),
         *(_strip_name(design, strip, mechanics, indenter) for strip, _ in strips),
-        _pair_name(design, base, mechanics, indenter),
     )
 
 
+@lru_cache(maxsize=64)
+def _all_names(
+    design: SensorDesign, mechanics: Mechanics, indenter: Indenter, pairs: bool
+) -> tuple[str, ...]:
+    """Names of all files that a design needs, those of several touches among them if wanted."""
+    names = _names(design, mechanics, indenter)
+    if not pairs:
+        return names
+    base, _ = _needed(design, mechanics)
+    names += (_pair_name(base, mechanics, indenter),)
+    sides = () if _is_whole(design) else (_pair_sides_name(design, base, mechanics, indenter),)
+    return names + sides
+
+
 def prepare(
-    design: SensorDesign, mechanics: Mechanics, indenter: AnyIndenter, report: Report | None = None
+    design: SensorDesign,
+    mechanics: Mechanics,
+    indenter: AnyIndenter,
+    report: Report | None = None,
+    *,
+    pairs: bool = True,
 ) -> None:
-    """Solve and store the absent tables of a design that is `tabulable`.
+    """Solve and store the absent tables of a design that is `tabulable`, those of pairs if wanted.
 
     `report` is called with the numbers of solved positions and of all that take long.
     """
-    if isinstance(design.outline, Disc):
-        _, weights = _of_disc(design, mechanics)
+    if _is_whole(design):
+        _, weights = _weighted(design, mechanics)
         names = {stack: _name(design, stack, mechanics, indenter) for stack in weights}
-        stacks = [stack for stack in weights if _file(names[stack]) is None]
+        stacks = [stack for stack in weights if found_file(names[stack]) is None]
         for number, stack in enumerate(stacks):
             own = in_series(report, number, len(stacks))
-            _disc(design, stack, mechanics, indenter, own)
-        return
-    base, _ = _needed(design, mechanics)
-    if _file(_name(design, base, mechanics, indenter)) is None:
-        _stored(design, base, mechanics, indenter, report)
-    corrections(design, mechanics, indenter)
-    pair_table(design, mechanics, indenter)
+            if _by_sides(design):
+                _edge(design, stack, mechanics, indenter, own)
+            else:
+                _disc(design, stack, mechanics, indenter, own)
+    else:
+        base, _ = _needed(design, mechanics)
+        if found_file(_name(design, base, mechanics, indenter)) is None:
+            _stored(design, base, mechanics, indenter, report)
+        corrections(design, mechanics, indenter)
+    if pairs:
+        pair_corrections(design, mechanics, indenter)
 
 
 @lru_cache(maxsize=64)
-def corrections(
-    design: SensorDesign, mechanics: Mechanics, indenter: Indenter
-) -> Corrections | DiscCorrections:
+def corrections(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -> AnyCorrections:
     """Corrections on a design that is `tabulable`; those not stored take minutes to solve."""
-    if isinstance(design.outline, Disc):
-        base, weights = _of_disc(design, mechanics)
-        tables = {stack: _disc(design, stack, mechanics, indenter) for stack in weights}
-        weighted = tuple(zip(tables.values(), weights.values(), strict=True))
-        return DiscCorrections(design.thickness, tables[base], weighted)
+    height, given = design.thickness, (mechanics, indenter)
+    if _is_whole(design):
+        base, weights = _weighted(design, mechanics)
+        if isinstance(design.outline, Disc):
+            discs = [(_disc(design, stack, *given), weights[stack]) for stack in weights]
+            return DiscCorrections(height, _disc(design, base, *given), tuple(discs))
+        own, thickness = _edge(design, base, *given), design.encapsulated_thickness
+        edges = [(_edge(design, stack, *given).resampled(own), weights[stack]) for stack in weights]
+        return SideCorrections(height, thickness, _straight(design), own, tuple(edges))
     base, strips = _needed(design, mechanics)
     return Corrections(
         design.thickness,
         _stored(design, base, mechanics, indenter),
         tuple((_strip(design, strip, mechanics, indenter), weight) for strip, weight in strips),
     )
+
+
+@lru_cache(maxsize=64)
+def pair_corrections(
+    design: SensorDesign, mechanics: Mechanics, indenter: Indenter
+) -> PairCorrections:
+    """Changes of pairs on the solved stack nearest to a design's; minutes where not stored.
+
+    The part of the sides is of long rectangles.
+    """
+    stack, _ = _needed(design, mechanics)
+    around = _around(stack, mechanics)
+
+    def solve() -> PairTable:
+        return solve_pairs(stack, around, indenter, _WORKERS)
+
+    def solve_sides() -> PairSides:
+        width = _outline(design, Rectangle).width
+        return solve_pair_sides(width, stack, around, indenter, _WORKERS)
+
+    wide = kept(PairTable, _pair_name(stack, mechanics, indenter), solve)
+    if _is_whole(design):
+        return PairCorrections(wide, None)
+    name = _pair_sides_name(design, stack, mechanics, indenter)
+    return PairCorrections(wide, kept(PairSides, name, solve_sides))
+
+
+def _is_whole(design: SensorDesign) -> bool:
+    """Whether corrections are interpolated between whole tables of stacks, not strips."""
+    return isinstance(design.outline, Disc) or _by_sides(design)
+
+
+def _by_sides(design: SensorDesign) -> bool:
+    """Whether corrections are sums over the sides of the outline."""
+    outline = design.outline
+    if isinstance(outline, Rectangle):
+        return outline.length < _SHORTEST * design.encapsulated_thickness
+    return isinstance(outline, Polygon)
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -176,8 +244,8 @@ def _needed(design: SensorDesign, mechanics: Mechanics) -> tuple[Stack, list[tup
     return base, list(weights.items())
 
 
-def _of_disc(design: SensorDesign, mechanics: Mechanics) -> tuple[Stack, dict[Stack, float]]:
-    """Solved stack next to a disc's, and weights of that stack and its neighbours, of sum 1."""
+def _weighted(design: SensorDesign, mechanics: Mechanics) -> tuple[Stack, dict[Stack, float]]:
+    """Solved stack next to a design's, and weights of it and its neighbours, of sum 1."""
     base, strips = _needed(design, mechanics)
     weights = {base: 1.0}
     for strip, weight in strips:
@@ -224,7 +292,7 @@ def _stored(
         outline, around = _outline(design, Rectangle), _around(stack, mechanics)
         return solve_corrections(outline, stack, around, design.support, indenter, report, _WORKERS)
 
-    return _kept(CorrectionTable, _name(design, stack, mechanics, indenter), solve)
+    return kept(CorrectionTable, _name(design, stack, mechanics, indenter), solve)
 
 
 def _disc(
@@ -238,19 +306,21 @@ def _disc(
         outline, around = _outline(design, Disc), _around(stack, mechanics)
         return solve_disc(outline, stack, around, design.support, indenter, report, _WORKERS)
 
-    return _kept(DiscTable, _name(design, stack, mechanics, indenter), solve)
+    return kept(DiscTable, _name(design, stack, mechanics, indenter), solve)
 
 
-@lru_cache(maxsize=64)
-def pair_table(design: SensorDesign, mechanics: Mechanics, indenter: Indenter) -> PairTable:
-    """Pairs of presses on the solved stack nearest to a design's; minutes where not stored."""
-    stack, _ = _needed(design, mechanics)
+def _edge(
+    design: SensorDesign,
+    stack: Stack,
+    mechanics: Mechanics,
+    indenter: Indenter,
+    report: Report | None = None,
+) -> EdgeTable:
+    def solve() -> EdgeTable:
+        around = _around(stack, mechanics)
+        return solve_edge(stack, around, design.support, indenter, report, _WORKERS)
 
-    def solve() -> PairTable:
-        width, around = _outline(design, Rectangle).width, _around(stack, mechanics)
-        return solve_pairs(width, stack, around, indenter, _WORKERS)
-
-    return _kept(PairTable, _pair_name(design, stack, mechanics, indenter), solve)
+    return kept(EdgeTable, _name(design, stack, mechanics, indenter), solve)
 
 
 def _strip(
@@ -261,7 +331,7 @@ def _strip(
         support, fine = design.support, strip.fine
         return solve_strip(outline, strip.stack, around, support, indenter, _WORKERS, fine)
 
-    return _kept(StripTable, _strip_name(design, strip, mechanics, indenter), solve)
+    return kept(StripTable, _strip_name(design, strip, mechanics, indenter), solve)
 
 
 def _around(stack: Stack, mechanics: Mechanics) -> Mechanics:
@@ -271,6 +341,13 @@ def _around(stack: Stack, mechanics: Mechanics) -> Mechanics:
     return dataclasses.replace(mechanics, encapsulation=stack.sheets[-1].law)
 
 
+def _straight(design: SensorDesign) -> Polygon | Rectangle:
+    """Outline of straight sides of a design that has one."""
+    if isinstance(design.outline, Polygon):
+        return design.outline
+    return _outline(design, Rectangle)
+
+
 def _outline(design: SensorDesign, kind: type[Shape]) -> Shape:
     if isinstance(design.outline, kind):
         return design.outline
@@ -278,24 +355,17 @@ def _outline(design: SensorDesign, kind: type[Shape]) -> Shape:
     raise ConfigurationError(f"table of a {wanted}, got a {found}; use touch_model='solved'")
 
 
-def _file(name: str) -> Path | None:
-    return next(
-        (place / name for place in (LIBRARY, solved_files.folder()) if (place / name).is_file()),
-        None,
-    )
-
-
 def _name(design: SensorDesign, stack: Stack, mechanics: Mechanics, indenter: Indenter) -> str:
-    """Name of the file of a table of corrections on a rectangle or a disc."""
+    """Name of the file of a table of corrections of single presses."""
+    size: dict[str, object] = {"margin": mechanics.margin}
+    if _by_sides(design):
+        return file_name("edges", stack, mechanics, indenter, size)
     if isinstance(design.outline, Disc):
-        disc: dict[str, object] = {"radius": design.outline.radius, "margin": mechanics.margin}
-        return _file_name("discs", stack, mechanics, indenter, disc)
+        size["radius"] = design.outline.radius
+        return file_name("discs", stack, mechanics, indenter, size)
     outline = _outline(design, Rectangle)
-    size: dict[str, object] = {
-        "outline": [outline.length, outline.width],
-        "margin": mechanics.margin,
-    }
-    return _file_name("corrections", stack, mechanics, indenter, size)
+    size["outline"] = [outline.length, outline.width]
+    return file_name("corrections", stack, mechanics, indenter, size)
 
 
 def _strip_name(
@@ -303,96 +373,20 @@ def _strip_name(
 ) -> str:
     """Name of the file of a table of presses on a strip."""
     kind = "fine-strips" if strip.fine else "strips"
-    return _file_name(kind, strip.stack, mechanics, indenter, _across(design, mechanics))
+    return file_name(kind, strip.stack, mechanics, indenter, _across(design, mechanics))
 
 
-def _pair_name(design: SensorDesign, stack: Stack, mechanics: Mechanics, indenter: Indenter) -> str:
-    """Name of the file of a table of pairs."""
-    return _file_name("pairs", stack, mechanics, indenter, _across(design, mechanics))
+def _pair_name(stack: Stack, mechanics: Mechanics, indenter: Indenter) -> str:
+    """Name of the file of a table of pairs on a wide stack."""
+    return file_name("pairs", stack, mechanics, indenter, {})
+
+
+def _pair_sides_name(
+    design: SensorDesign, stack: Stack, mechanics: Mechanics, indenter: Indenter
+) -> str:
+    """Name of the file of a table of what the sides of a strip add to pairs."""
+    return file_name("pair-sides", stack, mechanics, indenter, _across(design, mechanics))
 
 
 def _across(design: SensorDesign, mechanics: Mechanics) -> dict[str, object]:
     return {"width": _outline(design, Rectangle).width, "margin": mechanics.margin}
-
-
-def _file_name(
-    kind: str,
-    stack: Stack,
-    mechanics: Mechanics,
-    indenter: Indenter,
-    size: dict[str, object],
-) -> str:
-    """Name of the file of a table, by everything that it depends on."""
-    gel, laws = stack.sheets[stack.gel].law.shear_modulus, [sheet.law for sheet in stack.sheets]
-    laws += [] if stack.gel + 1 < len(laws) else [mechanics.encapsulation]
-    described = {
-        "version": _VERSIONS[kind],
-        **size,
-        "heights": [sheet.thickness for sheet in stack.sheets],
-        "laws": [
-            [type(law).__name__, law.shear_modulus / gel, getattr(law, "alpha", 2.0)]
-            for law in laws
-        ],
-        "bulk_ratio": stack.bulk_ratio,
-        "substrate": stack.substrate,
-        "indenter": indenter_samples(indenter),
-    }
-    return solved_files.file_name(kind, described)
-
-
-def _arrays(table: StripTable | PairTable | DiscTable) -> Iterator[tuple[str, Array]]:
-    """Arrays of a file: fields as amplitudes and modes (proper orthogonal decomposition)."""
-    for field in dataclasses.fields(table):
-        array = getattr(table, field.name)
-        if array.ndim <= _OF_FIELD:
-            yield field.name, array
-            continue
-        scales = np.sqrt(np.mean(array**2, axis=tuple(range(array.ndim - 1))))
-        flat = (array / scales).reshape(-1, np.prod(array.shape[-_OF_FIELD:]))
-        left, singular, modes = np.linalg.svd(flat, full_matrices=False)
-        rank = max(1, int(np.count_nonzero(singular > _KEPT * singular[0])))
-        yield f"{field.name}_scales", scales
-        yield f"{field.name}_shape", np.array(array.shape)
-        yield f"{field.name}_amplitudes", (left[:, :rank] * singular[:rank]).astype(np.float32)
-        yield f"{field.name}_modes", modes[:rank].astype(np.float32)
-
-
-Table = TypeVar("Table", CorrectionTable, StripTable, PairTable, DiscTable)
-
-
-def _read(kind: type[Table], name: str) -> Table | None:
-    """Table in a file; None where there is none or it is incomplete."""
-    path = _file(name)
-    values = None if path is None else _loaded(path, path.stat().st_mtime_ns)
-    names = {field.name for field in dataclasses.fields(kind)}
-    return kind(**values) if values is not None and names == set(values) else None
-
-
-def _kept(kind: type[Table], name: str, solve: Callable[[], Table]) -> Table:
-    """Table from package or disk, or solved now and stored."""
-    path = solved_files.folder() / name
-    return solved_files.kept(
-        path,
-        lambda: _read(kind, name),
-        solve,
-        lambda table: solved_files.write(path, dict(_arrays(table))),
-    )
-
-
-# Specimens of one design share tables, and most scenes follow others of the same.
-@lru_cache(maxsize=16)
-def _loaded(path: Path, changed: int) -> dict[str, Array] | None:  # noqa: ARG001
-    """Arrays of a table in a file, read again where the file has changed."""
-    found = solved_files.read(path)
-    if found is None:
-        return None
-    values = {name: array for name, array in found.items() if not name.endswith(_PARTS)}
-    try:
-        for shape in (name for name in found if name.endswith("_shape")):
-            name = shape.removesuffix("_shape")
-            scales, amplitudes, modes = (found[f"{name}{part}"] for part in _PARTS[:3])
-            flat = (amplitudes @ modes).reshape(found[shape].tolist())
-            values[name] = flat * scales.astype(np.float32)
-    except (KeyError, ValueError):
-        return None
-    return values

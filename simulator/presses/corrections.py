@@ -2,10 +2,18 @@
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from eitskin.errors import ConfigurationError
-from eitskin.simulator.presses.correction_table import CorrectionTable, StripTable
+from eitskin.geometry.design.outline import Polygon, Rectangle
+from eitskin.simulator.presses.correction_table import SAME, CorrectionTable, StripTable
 from eitskin.simulator.presses.disc_table import DiscTable
+from eitskin.simulator.presses.edge_field import EdgeField, sides_of
+from eitskin.simulator.presses.edge_table import EdgeTable
+from eitskin.simulator.presses.pair_sides import PairSides
+from eitskin.simulator.presses.pair_table import PairTable, Place
 from eitskin.simulator.presses.smooth_field import SmoothField, together
+from eitskin.simulator.presses.spline_field import SplineField
 from eitskin.simulator.presses.turned_field import TurnedField
 
 _BEYOND = 0.02  # of the deepest solved press, by which another may be deeper
@@ -82,16 +90,103 @@ class DiscCorrections:
         _require_depth(depth, self.height, self.base)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class SideCorrections:
+    """Corrections of presses on an outline of straight sides: sums over the sides in reach.
+
+    Attributes:
+        height: of the gel [m].
+        thickness: of the whole stack [m].
+        outline: of the gel.
+        base: table of the solved stack nearest to the sensor's.
+        tables: of solved stacks with their weights, which add up to 1.
+    """
+
+    height: float
+    thickness: float
+    outline: Polygon | Rectangle
+    base: EdgeTable
+    tables: tuple[tuple[EdgeTable, float], ...]
+
+    def at(self, x: float, y: float, depth: float) -> tuple[tuple[EdgeField, ...], float]:
+        """Fields of the correction of a press at (x, y) to a depth [m], and how much it sinks [m].
+
+        Raises ConfigurationError for a press that overhangs the stack or is deeper than the tables.
+        """
+        self.check_depth(depth)
+        least = float(self.base.aside[0])
+        if float(self.outline.nearest(np.array([x, y]))[1]) < least - SAME:
+            raise _uncovered(x, y, least)
+        fields, sunk = [], 0.0
+        for side in sides_of(self.outline, x, y, self.base.reach):
+            field, more = self._beside(side.aside, depth)
+            found = EdgeField.of(field, side, float(self.base.middle), self.thickness)
+            fields.append(found)
+            sunk += more * found.weight_at(x, y)
+        return tuple(fields), sunk
+
+    def _beside(self, aside: float, depth: float) -> tuple[SplineField, float]:
+        """Correction at a distance from a side without ends, and how much a press sinks [m]."""
+        coefficients, sunk = np.zeros(self.base.fields.shape[2:]), 0.0
+        for table, weight in self.tables:
+            higher = self.height / float(table.height)
+            field, more = table.at(aside, depth / higher)
+            coefficients += field.raised(higher).scaled(weight).coefficients
+            sunk += weight * higher * more
+        return SplineField((self.base.along, self.base.inward), self.height, coefficients), sunk
+
+    def check_depth(self, depth: float) -> None:
+        """Raise ConfigurationError for a depth [m] beyond the tables."""
+        _require_depth(depth, self.height, self.base)
+
+
+AnyCorrections = Corrections | DiscCorrections | SideCorrections
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PairCorrections:
+    """Change of two presses by each other on one sensor.
+
+    Attributes:
+        wide: on a wide stack.
+        sides: what the sides add; None where they are left out.
+    """
+
+    wide: PairTable
+    sides: PairSides | None
+
+    def at(
+        self, first: Place, second: Place
+    ) -> tuple[tuple[TurnedField | SmoothField, ...], float]:
+        """Fields of presses (x, y, depth) [m], and by how much deeper each sinks [m].
+
+        No fields where the presses do not feel each other.
+        """
+        found = self.wide.at(first, second)
+        if found is None:
+            return (), 0.0
+        field, sunk = found
+        beside = None if self.sides is None else self.sides.at(first, second)
+        return (field,) if beside is None else (field, beside), sunk
+
+
+def _uncovered(x: float, y: float, least: float) -> ConfigurationError:
+    """Error of a press at (x, y) that is nearer to the edge than the least distance [m]."""
+    return ConfigurationError(
+        f"a touch must keep {1e3 * least:.1f} mm from the edge of the gel, so that "
+        f"its contact stays on the stack, got ({x:g}, {y:g}) m; press farther in"
+    )
+
+
 def _require_covered(x: float, y: float, table: CorrectionTable | DiscTable) -> None:
     """Raise ConfigurationError unless the contact of a press at (x, y) [m] is on the stack."""
     if not table.covers(x, y):
-        raise ConfigurationError(
-            f"a touch must keep {1e3 * table.aside[0]:.1f} mm from the edge of the gel, so that "
-            f"its contact stays on the stack, got ({x:g}, {y:g}) m; press farther in"
-        )
+        raise _uncovered(x, y, float(table.aside[0]))
 
 
-def _require_depth(depth: float, height: float, table: CorrectionTable | DiscTable) -> None:
+def _require_depth(
+    depth: float, height: float, table: CorrectionTable | DiscTable | EdgeTable
+) -> None:
     """Raise ConfigurationError for a depth [m] beyond a table, on a gel of a height [m]."""
     deepest = height / float(table.height) * float(table.depths[-1])
     if depth > deepest * (1.0 + _BEYOND):

@@ -10,7 +10,7 @@ import numpy as np
 import skfem
 from numpy.typing import NDArray
 
-from eitskin.geometry.design.outline import PlaneOutline, Rectangle
+from eitskin.geometry.design.outline import Disc, PlaneOutline, Rectangle
 from eitskin.geometry.design.support import Free, Plates, Support
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator.mechanics.layer_stack import Mechanics, Stack
@@ -159,8 +159,8 @@ def stack_mesh(
     """Box mesh of a stack, refined around contacts.
 
     Args:
-        outline: of the gel. Others than rectangles are approximated by the boxes whose middles lie
-            within, those of gel and those of its margin.
+        outline: of the gel. Boxes follow sides along x and y; other sides are approximated by the
+            boxes whose middles lie within, those of gel and those of its margin.
         stack: the layers.
         mechanics: margin beside the gel, and its material.
         support: of the base.
@@ -168,10 +168,13 @@ def stack_mesh(
         fineness: at the faces, and through each layer.
     """
     radius, height = min(each.radius for each in contacts), stack.levels[-1]
-    boxed = not isinstance(outline, Rectangle)
+    faces = _faces(outline)
+    boxed = faces is None
     if fineness is None:
         loose = isinstance(support, Free | Plates)
-        fineness = Fineness(0.0, 0.0, 1) if boxed else _LOOSE if loose else Fineness()
+        layers = 2 if isinstance(outline, Rectangle) else 1
+        even = Fineness(layers=layers)
+        fineness = Fineness(0.0, 0.0, 1) if boxed else _LOOSE if loose else even
     far = max(height, _UNDER * radius, _FAR * outline.length)
     coarsest = _STAIRS * height if boxed else far
     finest = min(fineness.rims * radius, 0.5 * height, coarsest)
@@ -188,6 +191,7 @@ def stack_mesh(
             mechanics.margin,
             [each.spans[axis] for each in contacts],
             edges,
+            [] if faces is None else faces[axis],
             grading,
             height * (fineness.ends, fineness.sides)[axis],
         )
@@ -197,7 +201,7 @@ def stack_mesh(
     steps = [np.linspace(a, b, fineness.layers + 1)[1:] for a, b in itertools.pairwise(ends)]
     heights = np.concatenate([ends[:1], *steps])
     mesh = skfem.MeshHex.init_tensor(x, y, heights)
-    if boxed:
+    if not isinstance(outline, Rectangle):
         middles = mesh.p[:2, mesh.t].mean(axis=1).T
         mesh = mesh.restrict(np.flatnonzero(outline.contains(middles, -mechanics.margin)))
     middles = mesh.p[:, mesh.t].mean(axis=1)
@@ -213,17 +217,48 @@ def _pairs_of(count: int) -> list[tuple[int, int]]:
     return [(k, (k + 1) % count) for k in range(count)]
 
 
+def _faces(outline: PlaneOutline) -> list[list[tuple[float, float]]] | None:
+    """Sides across x and across y within the extent, each with its outward direction.
+
+    None for an outline that has others.
+    """
+    if isinstance(outline, Disc):
+        return None
+    corners = outline.vertices
+    steps = np.roll(corners, -1, axis=0) - corners
+    along = np.abs(steps) > _SAME
+    if (along.sum(axis=1) != 1).any():
+        return None
+    # Counter-clockwise, the outward normal of a side (dx, dy) is (dy, -dx).
+    normals = np.sign(np.where(along, steps, 0.0)[:, ::-1] * np.array([1.0, -1.0]))
+    found: list[list[tuple[float, float]]] = [[], []]
+    for corner, normal in zip(corners, normals, strict=True):
+        axis = int(np.abs(normal).argmax())
+        at, extent = float(corner[axis]), (outline.length, outline.width)[axis]
+        if _SAME < at < extent - _SAME:
+            found[axis].append((at, float(normal[axis])))
+    return found
+
+
 def _across(
     extent: float,
     margin: float,
     contacts: Sequence[tuple[float, float]],
     edges: Sequence[float],
+    inner: Sequence[tuple[float, float]],
     grading: Grading,
     side: float,
 ) -> Array:
-    """Grid lines across the sensor, fine under contacts (position, radius), at edges and sides."""
+    """Grid lines across the sensor, fine under contacts (position, radius), at edges and sides.
+
+    Sides within the extent, `inner`, come with their outward direction, 1 or -1; their margin has
+    grid lines too.
+    """
     rims = [at + way * radius for at, radius in contacts for way in (-1.0, 1.0)]
-    whole, faces = extent + 2.0 * margin, np.array([margin, margin + extent])
+    whole = extent + 2.0 * margin
+    faces = margin + np.array([0.0, extent, *(at for at, _ in inner)])
+    ends = margin + np.array([at + way * margin for at, way in inner])
+    ends = ends[(ends > _SAME) & (ends < whole - _SAME)]
     near = [x + margin for x in (*rims, *edges) if -margin < x < extent + margin]
     samples = np.linspace(0.0, whole, _SAMPLES)
     middles = 0.5 * (samples[1:] + samples[:-1])
@@ -233,14 +268,14 @@ def _across(
         size = np.minimum(size, beside.size(np.abs(middles[:, None] - faces).min(axis=1)))
     # Grid lines are at equal steps of the cumulative number of cells.
     count = np.append(0.0, np.cumsum(np.diff(samples) / size))
-    fixed = np.unique(np.round([0.0, whole, *faces, *near], 12))
+    fixed = np.unique(np.round([0.0, whole, *faces, *ends, *near], 12))
     parts = [fixed[:1]]
     for start, end in itertools.pairwise(fixed):
         first, last = np.interp([start, end], samples, count)
         cells = max(1, math.ceil(last - first - _SPARE))
         parts.append(np.interp(np.linspace(first, last, cells + 1), count, samples)[1:])
         parts[-1][-1] = end
-    kept = np.array([0.0, *faces, whole])
+    kept = np.array([0.0, *faces, *ends, whole])
     return (
         _without_slivers(np.concatenate(parts), kept, 0.25 * min(grading.finest, side or 1.0))
         - margin

@@ -40,7 +40,7 @@ class TurnedField:
         if compiled is not None:
             return compiled
         found = np.zeros((12, columns.shape[1], len(columns)))
-        near = self._near(columns)
+        near = self.near(columns)
         if not near.any():
             return found
         inner = self.field.moved(self._within(columns[near]))
@@ -55,7 +55,7 @@ class TurnedField:
     def _turn(self) -> Array:
         return np.array([[self.cos, -self.sin, 0.0], [self.sin, self.cos, 0.0], [0.0, 0.0, 1.0]])
 
-    def _near(self, columns: Array) -> NDArray[np.bool_]:
+    def near(self, columns: Array) -> NDArray[np.bool_]:
         """Columns in the box of the field."""
         at, high = self._within(columns[:, :1])[:, 0], self.field.box.high
         near: NDArray[np.bool_] = (np.abs(at[:, 0]) < high[0]) & (np.abs(at[:, 1]) < high[1])

@@ -16,7 +16,7 @@ from eitskin.datasets.recipe.specimen import MAX_DEVIATIONS, Specimens, truncate
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Clamp, Electrode, Hinge, Layer, SensorDesign
 from eitskin.simulator import Cylinder, Mechanics
-from eitskin.simulator.presses import correction_store, press_store
+from eitskin.simulator.presses import press_store, table_files
 from eitskin.simulator.presses.press_table import PressTable
 
 DESIGN = SensorDesign.reference()
@@ -34,7 +34,8 @@ SPREAD = Specimens(
 
 
 def recipe(spread, **changes) -> Recipe:
-    scenes = (SceneGroup("touch", count=spread.count, angle_deg=(0.0, 30.0)),)
+    touched = SceneGroup("touch", count=spread.count, angle_deg=(0.0, 30.0), touches=(1, 2))
+    scenes = (touched,)
     return Recipe("specimens", scenes=scenes, seed=5, specimens=spread, **changes)
 
 
@@ -187,17 +188,17 @@ def test_a_short_hinge_is_refused_with_the_span_that_it_may_lose():
 
 def test_specimens_share_what_is_solved(monkeypatch, tmp_path):
     monkeypatch.setenv("EITSKIN_CACHE", str(tmp_path))
-    for store in (press_store, correction_store):
+    for store in (press_store, table_files):
         monkeypatch.setattr(store, "LIBRARY", tmp_path / "none")
-    # Dents, their corrections, and pairs.
-    assert len(missing_press_tables(recipe(Specimens(30)))) == 3
+    # Dents, their corrections, pairs, and what the sides add to those.
+    assert len(missing_press_tables(recipe(Specimens(30)))) == 4
     # Dents of three thicknesses, and strips of as many.
-    assert len(missing_press_tables(recipe(Specimens(30, thickness=0.03)))) == 3 + 3 + 2
+    assert len(missing_press_tables(recipe(Specimens(30, thickness=0.03)))) == 3 + 3 + 3
     # Stiffness ratios of 1.4 times 0.66 to 1.53 lie within one step of half an octave, or two:
     # four tables of dents about each place, from two or three below to three above.
-    assert len(missing_press_tables(recipe(Specimens(30, gel_modulus=0.1)))) - 5 in (5, 6, 7)
+    assert len(missing_press_tables(recipe(Specimens(30, gel_modulus=0.1)))) - 6 in (5, 6, 7)
     both = Specimens(30, gel_modulus=0.1, thickness=0.03)
-    assert len(missing_press_tables(recipe(both))) <= 3 * 7 + 5 + 2
+    assert len(missing_press_tables(recipe(both))) <= 3 * 7 + 5 + 3
     untouched = Recipe("flat", scenes=(SceneGroup("idle", count=1),), specimens=SPREAD)
     assert missing_press_tables(untouched) == set()
 

@@ -10,13 +10,13 @@ import pytest
 
 from eitskin.benchmarks.world.reference import cases
 from eitskin.errors import ConfigurationError
-from eitskin.geometry import Plates, Polygon, Rectangle, SensorDesign, Substrate
+from eitskin.geometry import Disc, Plates, Polygon, Rectangle, SensorDesign, Substrate
 from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.simulator import Cylinder, Mechanics, Scene, Simulator, Touch
 from eitskin.simulator.mechanics import solved_files
 from eitskin.simulator.mechanics.materials import NeoHookean
 from eitskin.simulator.presses import correction_store as store
-from eitskin.simulator.presses import solved_press
+from eitskin.simulator.presses import solved_press, table_files
 from eitskin.simulator.presses.correction_table import CorrectionTable
 from eitskin.simulator.presses.pair_table import PairTable
 from eitskin.simulator.presses.stack_mesh import Fineness
@@ -74,8 +74,8 @@ def test_presses_beyond_the_tables_are_refused(shipped) -> None:
 
 def pair(first, second):
     """Fields of what two presses (x, y, depth) change of each other, and their sinking."""
-    found = store.pair_table(DESIGN, MECHANICS, PUNCH).at(first, second)
-    assert found is not None
+    found = store.pair_corrections(DESIGN, MECHANICS, PUNCH).at(first, second)
+    assert len(found[0]) == 2
     return found
 
 
@@ -86,9 +86,22 @@ def test_pairs_feel_each_other_less_farther_apart() -> None:
         found = pair((0.075 - half, 0.03, DEPTH), (0.075 + half, 0.03, DEPTH))
         sizes.append(np.abs(total(found, points)[:, :3]).max())
     assert sizes[0] > sizes[1] > sizes[2]
-    table = store.pair_table(DESIGN, MECHANICS, PUNCH)
-    far = float(table.apart[-1])
-    assert table.at((0.01, 0.03, DEPTH), (0.01 + far, 0.03, DEPTH)) is None
+    table = store.pair_corrections(DESIGN, MECHANICS, PUNCH)
+    far = float(table.wide.apart[-1])
+    assert table.at((0.01, 0.03, DEPTH), (0.01 + far, 0.03, DEPTH)) == ((), 0.0)
+
+
+def test_pairs_on_other_outlines_are_those_of_a_wide_stack() -> None:
+    """At the same distance the changes are those of the reference but for what its sides add."""
+    outline = Disc(0.05)
+    disc = SensorDesign(outline, 0.005, uniform(outline, 8))
+    touches = (0.04, 0.05, DEPTH), (0.065, 0.05, DEPTH)
+    wide = store.pair_corrections(disc, MECHANICS, PUNCH).at(*touches)
+    reference = store.pair_corrections(DESIGN, MECHANICS, PUNCH).at(*touches)
+    points = np.random.default_rng(2).uniform((0, 0, 0), (0.1, 0.1, 0.005), (60, 3))
+    assert len(wide[0]) == 1
+    assert total(wide, points) == pytest.approx(total((reference[0][:1], 0.0), points))
+    assert wide[1] == reference[1]
 
 
 @pytest.mark.parametrize("second", [(0.085, 0.03), (0.068, 0.047), (0.06, 0.045), (0.075, 0.012)])
@@ -157,12 +170,15 @@ def test_weights_are_continuous_where_the_neighbours_change(side) -> None:
         assert before.get(strip, 0.0) == pytest.approx(after.get(strip, 0.0), abs=1e-5)
 
 
-def test_only_presses_that_depend_on_x_near_the_ends_are_tabulated() -> None:
+def test_presses_on_an_even_base_are_tabulated_on_outlines_of_some_size() -> None:
     triangle = Polygon(((0.0, 0.0), (0.2, 0.0), (0.1, 0.1)))
     assert store.tabulable(DESIGN)
     assert store.tabulable(dataclasses.replace(DESIGN, support=Substrate(0.01, 5e3)))
     assert not store.tabulable(dataclasses.replace(DESIGN, support=Plates()))
-    assert not store.tabulable(SensorDesign(triangle, 0.005, uniform(triangle, 4)))
+    assert store.tabulable(SensorDesign(triangle, 0.005, uniform(triangle, 4)))
+    assert not store.tabulable(
+        SensorDesign(triangle, 0.005, uniform(triangle, 4), encapsulated_thickness=0.06)
+    )
     assert not store.is_shipped(DESIGN, MECHANICS, Cylinder(0.006))
 
 
@@ -191,16 +207,16 @@ def test_a_stored_table_is_read_back_and_a_damaged_one_is_none(
     table, tmp_path, monkeypatch
 ) -> None:
     monkeypatch.setenv("EITSKIN_CACHE", str(tmp_path))
-    assert store._read(CorrectionTable, "table.npz") is None
+    assert table_files.read(CorrectionTable, "table.npz") is None
     path = tmp_path / "table.npz"
-    solved_files.write(path, dict(store._arrays(table)))
-    found = store._read(CorrectionTable, "table.npz")
+    solved_files.write(path, dict(table_files._arrays(table)))
+    found = table_files.read(CorrectionTable, "table.npz")
     for field in dataclasses.fields(CorrectionTable):
         own = getattr(table, field.name)
         assert getattr(found, field.name) == pytest.approx(own, abs=2e-3), field.name
-    assert store._read(PairTable, "table.npz") is None
+    assert table_files.read(PairTable, "table.npz") is None
     path.write_bytes(path.read_bytes()[:1000])
-    assert store._read(CorrectionTable, "table.npz") is None
+    assert table_files.read(CorrectionTable, "table.npz") is None
 
 
 def test_names_of_files_depend_on_everything() -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from eitskin.errors import ConfigurationError
-from eitskin.geometry import Free, Plates, Rectangle, Rigid, SensorDesign, Support
+from eitskin.geometry import Free, Plates, Polygon, Rectangle, Rigid, SensorDesign, Support
 from eitskin.simulator import Cylinder, Mechanics, Sphere
 from eitskin.simulator.mechanics.axisymmetric_press import AxisymmetricPress
 from eitskin.simulator.mechanics.load_stepping import SolidError
@@ -42,6 +42,21 @@ def stack() -> FiniteStack:
 @pytest.fixture(scope="module")
 def pressed(stack, dents):
     return stack.correction([DentField(X, Y, PUNCH, dents[DEPTH])])
+
+
+def test_boxes_follow_the_sides_of_an_outline_along_x_and_y() -> None:
+    """Gel and margin have the volumes of the L shape and of its surroundings."""
+    end, leg, margin = 0.06, 0.035, MECHANICS.margin
+    outline = Polygon(((0, 0), (end, 0), (end, leg), (leg, leg), (leg, end), (0, end)))
+    contacts = [Contact(0.02, 0.02, PUNCH.radius)]
+    coarse = Fineness(ends=0.0, sides=0.0, layers=1)
+    body = stack_mesh(outline, STACK, MECHANICS, Rigid(), contacts, coarse)
+    corners = body.mesh.p[:, body.mesh.t]
+    volumes = np.prod(corners.max(axis=1) - corners.min(axis=1), axis=0)
+    area = end**2 - (end - leg) ** 2
+    assert volumes[body.gel_cells].sum() == pytest.approx(0.005 * area, rel=1e-9)
+    around = (end + 2.0 * margin) ** 2 - (end - leg) ** 2
+    assert volumes.sum() == pytest.approx(TOP * around, rel=0.01)  # corners of the margin are round
 
 
 def test_the_base_carries_the_force_of_the_indenter(stack, pressed, dents) -> None:
