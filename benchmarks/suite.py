@@ -133,6 +133,14 @@ ALL = (
     _command("paper", 40, "--seeds", "2", "--paper-seeds", "1", seeded=False),
     _command("transfer", 8),
     Benchmark(
+        "methods",
+        "data",
+        10,
+        OWN,
+        (*OWN, "--frames", "300", "--specimens", "6", "--presets", "ridge"),
+        seeded=True,
+    ),
+    Benchmark(
         "ablation", "data", 2, ("{out}/paper/seed-1/unseen-touch",), needs="{out}/paper/seed-1"
     ),
     Benchmark("session_starts", "data", 9, (), ("--specimens", "40", "--held-out", "4")),

@@ -1,15 +1,16 @@
 """Plots of `bench paper`: errors of touches, and error against time."""
 
 from collections.abc import Sequence
+from itertools import cycle
 from pathlib import Path
 
 import numpy as np
 
-from eitskin.benchmarks.paper.run import COLUMNS, PaperComparison
+from eitskin.benchmarks.paper.run import PaperComparison
 from eitskin.benchmarks.paper.scores import Figures
 from eitskin.extras import require
 
-_COLOURS = ("#9aa7b3", "#b8860b", "#1f5fa8")
+_COLOURS = ("#9aa7b3", "#b8860b", "#1f5fa8", "#5b8c5a", "#8a5a8c", "#c46a4a", "#4a9aa0", "#777777")
 _TOUCHES = {
     "indentation.error_mm": ("one, flat\n27 places", 4.8),
     "touch.1.error_mm": ("one,\n-10 to 50 deg", None),
@@ -23,13 +24,14 @@ def plot_touches(found: PaperComparison, path: Path) -> None:
     """Plot localisation errors by experiment, beside the paper's and the bounds."""
     figure = require("matplotlib.figure", "bench").Figure(figsize=(9.0, 4.4), layout="constrained")
     axes = figure.subplots()
-    width = 0.8 / len(COLUMNS)
+    columns = [name for name, seeds in found.figures.items() if seeds]
+    width = 0.8 / len(columns)
     places = np.arange(len(_TOUCHES))
-    for number, (column, colour) in enumerate(zip(COLUMNS, _COLOURS, strict=True)):
+    for number, (column, colour) in enumerate(zip(columns, cycle(_COLOURS))):
         means, spreads = zip(
             *(_over_seeds(found.figures[column], n) for n in _TOUCHES), strict=True
         )
-        at = places + (number - 1) * width
+        at = places + (number - (len(columns) - 1) / 2) * width
         axes.bar(at, means, 0.9 * width, yerr=spreads, color=colour, label=column, capsize=2)
     for place, (name, (_, paper)) in zip(places, _TOUCHES.items(), strict=True):
         ends = (place - 0.42, place + 0.42)

@@ -13,31 +13,40 @@ from eitskin.benchmarks import markdown_tables
 from eitskin.benchmarks.paper.limits import SignalToNoise
 from eitskin.benchmarks.paper.lines import LINES, TableLine
 from eitskin.benchmarks.paper.plot import plot_time, plot_touches
-from eitskin.benchmarks.paper.run import COLUMNS, OURS, OWN, PaperComparison
+from eitskin.benchmarks.paper.run import OURS, OWN, PaperComparison
 from eitskin.benchmarks.paper.scores import Figures
 from eitskin.benchmarks.results import Results, write_results
 from eitskin.training.evaluation.matching import GATE
 from eitskin.training.evaluation.scores import SSIM_DEFINITION
 
-HEADINGS = ("experiment", "paper", *COLUMNS, "to reach", "bound", "ours / bound")
 BOUND = "Cramer-Rao bound"
 NAME = "paper"
 _DIGITS = {"mm": 2, "deg": 2, "%": 2, "ms": 2, "": 3}
 
 
+def columns(found: PaperComparison) -> list[str]:
+    """Columns that have figures."""
+    return [name for name, seeds in found.figures.items() if seeds]
+
+
+def headings(found: PaperComparison) -> tuple[str, ...]:
+    """Heads of the table's columns."""
+    return ("experiment", "paper", *columns(found), "to reach", "bound", "ours / bound")
+
+
 def table(found: PaperComparison) -> Iterator[tuple[str, ...]]:
-    """Rows of cells under `HEADINGS`: mean and standard deviation over the seeds.
+    """Rows of cells under `headings`: mean and standard deviation over the seeds.
 
     Indented lines that no column has a figure for are left out; others head what follows them.
     """
     for line in LINES:
-        columns = [_values(found.figures[name], line) for name in COLUMNS]
+        cells_of = [_values(found.figures[name], line) for name in columns(found)]
         bound = _values(found.bounds, line)
-        if line.text.startswith(" ") and not any(columns):
+        if line.text.startswith(" ") and not any(cells_of):
             continue
         ours = _values(found.figures[OURS], line)
         multiple = f"{np.mean(ours) / np.mean(bound):.1f}" if ours and bound else ""
-        cells = (_cell(values, line.unit) for values in columns)
+        cells = (_cell(values, line.unit) for values in cells_of)
         text = f"{line.text} [{line.unit}]" if line.unit else line.text
         yield text, line.paper, *cells, line.target, _cell(bound, line.unit), multiple
 
@@ -71,6 +80,13 @@ def sentences(found: PaperComparison) -> Iterator[str]:
         "sensors never seen; ours is one pipeline, on the same unseen sensors. Training meshes are "
         "coarser than the test frames'."
     )
+    if found.contenders:
+        names = ", ".join(each.name for each in found.contenders)
+        yield (
+            f"{names}: trained on the frames of the paper's pipeline, of one sensor, with the same "
+            "seeds; ours has learned from other frames, of many sensors. An empty cell is a "
+            "quantity that a method does not estimate."
+        )
     yield SSIM_DEFINITION
     yield (
         f"Places: touches matched by the Hungarian method within {1e3 * GATE:g} mm; what is not "
@@ -137,7 +153,8 @@ def write(found: PaperComparison, out: Path) -> list[Path]:
     results = Results(
         name=NAME,
         command=f"eitskin bench paper --seeds {seeds} --paper-seeds {trained}"
-        + " --quick" * found.quick,
+        + " --quick" * found.quick
+        + "".join(f" {each.option}" for each in found.contenders),
         provenance=dataclasses.replace(found.provenance, seed=found.seeds[0]),
         seconds=found.seconds,
         quick=found.quick,
@@ -158,7 +175,8 @@ def _write_text(text: str, path: Path) -> None:
 
 def markdown(found: PaperComparison) -> str:
     """Markdown of the table and its sentences."""
-    rows = [HEADINGS, ("---",) * len(HEADINGS), *table(found)]
+    heads = headings(found)
+    rows = [heads, ("---",) * len(heads), *table(found)]
     lines = ["| " + " | ".join(cell.replace("  ", "&emsp;") for cell in row) + " |" for row in rows]
     return "\n".join([*lines, "", *(f"- {each}" for each in sentences(found)), ""])
 

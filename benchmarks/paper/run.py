@@ -1,7 +1,7 @@
 """Run of the paper's experiments with its own pipeline and with another: `eitskin bench paper`."""
 
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +16,7 @@ from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.provenance import Provenance
+from eitskin.training.method.interface import Method
 from eitskin.training.method.observations import fingerprint
 from eitskin.training.method.settings import TrainingSettings
 from eitskin.training.pipeline.pipeline import Pipeline
@@ -24,10 +25,43 @@ REFERENCE = Path(__file__).parents[2] / "training" / "reference.eitmodel"
 """The pipeline that comes with the package."""
 BOUNDED, BOUNDED_QUICK = 12, 4  # frames of each kind whose bound is computed
 
-OWN, UNSEEN, OURS = "paper's, own sensor", "paper's, unseen", "ours, unseen"
-COLUMNS = (OWN, UNSEEN, OURS)
+PAPER = "paper's"
+OWN, UNSEEN, OURS = f"{PAPER}, own sensor", f"{PAPER}, unseen", "ours, unseen"
+"""Columns; each further method has two like the paper's, after ours."""
 
 Variants = Callable[[Pipeline], Sequence[tuple[str, Pipeline]]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Contender:
+    """Further method of the table, trained on the frames of the paper's pipeline.
+
+    Attributes:
+        preset: of its settings; empty for a method of the user's own.
+        method: of the user's own; None for a preset.
+    """
+
+    preset: str = ""
+    method: type[Method] | None = None
+
+    def settings(self, seed: int) -> TrainingSettings:
+        """Settings of its training."""
+        if self.method is None:
+            return TrainingSettings.preset(self.preset, seed)
+        return TrainingSettings(method=self.method.KIND, seed=seed)
+
+    @property
+    def option(self) -> str:
+        """Option of the command."""
+        if self.method is None:
+            return f"--preset {self.preset}"
+        module, _, name = self.name.rpartition(":")
+        return f"--method {module}.py:{name}"
+
+    @property
+    def name(self) -> str:
+        """Name in the table."""
+        return self.preset if self.method is None else self.method.KIND
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,10 +88,12 @@ class PaperComparison:
         quick: whether a tenth of the frames had to do.
         pipeline: what "ours" is.
         recipe: of the last seed's frames on unseen sensors: instrument, sensors.
-        figures: by column; of the paper's pipeline of as many seeds as it was trained for.
+        figures: by column, in the order of the table; of the paper's pipeline of as many seeds as
+            it was trained for, perhaps none.
         bounds: of figures, by their names.
         signal_to_noise: of the touches on unseen sensors.
         variants: for the plot of error against time.
+        contenders: further methods.
     """
 
     provenance: Provenance
@@ -70,6 +106,7 @@ class PaperComparison:
     bounds: tuple[Figures, ...]
     signal_to_noise: tuple[SignalToNoise, ...]
     variants: tuple[Variant, ...]
+    contenders: tuple[Contender, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,6 +134,7 @@ def run(
     progress: Progress = lambda *_: None,
     variants: Variants = no_variants,
     paper_seeds: int | None = None,
+    contenders: Sequence[Contender] = (),
 ) -> PaperComparison:
     """Measure the paper's pipeline, trained here for each seed, and the one at `pipeline`.
 
@@ -110,6 +148,7 @@ def run(
         variants: of the pipeline, by name, for the plot of error against time.
         paper_seeds: of how many seeds the paper's pipeline is trained, which takes ten minutes or
             more each; of all when omitted.
+        contenders: further methods, trained like the paper's pipeline for each seed.
 
     Raises ConfigurationError for no seeds, no pipeline, or a folder with frames of other recipes.
     """
@@ -126,10 +165,19 @@ def run(
     for seed in range(seeds):
         place = folder / f"{'quick-' if quick else ''}seed-{seed}"
         sets = make(place, seed, quick, workers, progress)
-        paper = None
+        trained = {}
         if paper_seeds is None or seed < paper_seeds:
-            paper = _paper_pipeline(sets.training, place / "paper.eitmodel", seed, progress)
-        parts.append(_measured(sets, paper, ours, variants(ours), seed, quick, progress))
+            trained[PAPER] = _paper_pipeline(
+                sets.training, place / "paper.eitmodel", seed, progress
+            )
+        for each in contenders:
+            kept = place / f"{each.name.replace(':', '-')}.eitmodel"
+            trained[each.name] = _pipeline(
+                sets.training, kept, each.settings(seed), progress, each.method
+            )
+        parts.append(_measured(sets, trained, ours, variants(ours), seed, quick, progress))
+    columns = [OWN, UNSEEN, OURS]
+    columns += [column for each in contenders for column in columns_of(each.name)]
     names = list(parts[0].variants)
     return PaperComparison(
         provenance=Provenance.now(seeds - 1),
@@ -140,7 +188,7 @@ def run(
         recipe=parts[-1].recipe,
         figures={
             column: tuple(part.figures[column] for part in parts if column in part.figures)
-            for column in COLUMNS
+            for column in columns
         },
         bounds=tuple(part.bounds for part in parts),
         signal_to_noise=tuple(part.signal_to_noise for part in parts),
@@ -148,12 +196,13 @@ def run(
             Variant(n, tuple(part.variants[n] for part in parts if n in part.variants))
             for n in names
         ),
+        contenders=tuple(contenders),
     )
 
 
 def _measured(
     sets: Sets,
-    paper: Pipeline | None,
+    trained: Mapping[str, Pipeline],
     ours: Pipeline,
     variants: Iterable[tuple[str, Pipeline]],
     seed: int,
@@ -161,28 +210,28 @@ def _measured(
     progress: Progress,
 ) -> _Measured:
     def said(what: str, done: int) -> None:
-        progress(f"measuring, seed {seed}: {what}", done, 5)
+        progress(f"measuring, seed {seed}: {what}", done, len(trained) + 4)
 
-    said(OWN, 0)
-    figures = {}
-    measured = [(OURS, ours)]
-    if paper is not None:
-        figures[OWN] = paper_scores.scores(paper, sets.own)
-        measured.insert(0, (UNSEEN, paper))
-    for number, (column, pipeline) in enumerate(measured, 1):
-        said(column, number)
+    figures, unseen = {}, {OURS: ours}
+    for number, (name, pipeline) in enumerate(trained.items()):
+        own_sensor, others_sensors = columns_of(name)
+        said(own_sensor, number)
+        figures[own_sensor] = paper_scores.scores(pipeline, sets.own)
+        unseen[others_sensors] = pipeline
+    for column, pipeline in unseen.items():
+        said(column, len(trained))
         calibrated = paper_scores.calibrated_scores(pipeline, sets.unseen, sets.calibration)
         figures[column] = paper_scores.scores(pipeline, sets.unseen) | calibrated
-    said("variants", 3)
+    said("variants", len(trained) + 1)
     others = {
         name: paper_scores.touch_scores(pipeline, sets.unseen["touch"])
         for name, pipeline in variants
     }
-    said("bounds", 4)
+    said("bounds", len(trained) + 2)
     count = BOUNDED_QUICK if quick else BOUNDED
     bounds = paper_limits.bounds(sets.unseen, sets.recipe, count, seed)
-    said("done", 5)
-    stages = {"paper's stages": figures[UNSEEN]} if paper is not None else {}
+    said("done", len(trained) + 4)
+    stages = {"paper's stages": figures[UNSEEN]} if PAPER in trained else {}
     return _Measured(
         sets.recipe,
         figures,
@@ -194,12 +243,27 @@ def _measured(
 
 def _paper_pipeline(data: Dataset, place: Path, seed: int, progress: Progress) -> Pipeline:
     """Pipeline trained as published on `data`, or loaded from `place` if it is there and valid."""
-    settings = TrainingSettings.preset("paper", seed)
-    with suppress(DataError):
-        kept = Pipeline.load(place)
+    return _pipeline(data, place, TrainingSettings.preset("paper", seed), progress)
+
+
+def columns_of(name: str) -> tuple[str, str]:
+    """Columns of a method that is trained here: on the sensor of its training, and on others."""
+    return f"{name}, own sensor", f"{name}, unseen"
+
+
+def _pipeline(
+    data: Dataset,
+    place: Path,
+    settings: TrainingSettings,
+    progress: Progress,
+    method: type[Method] | None = None,
+) -> Pipeline:
+    """Pipeline trained on `data`, or loaded from `place` if it is there, valid and the same."""
+    with suppress(DataError, ConfigurationError):
+        kept = Pipeline.load(place, method)
         if kept.trained_on["sha256"] == fingerprint(data) and kept.settings == settings:
             return kept
-    pipeline = Pipeline.fit(data, settings, progress)
+    pipeline = Pipeline.fit(data, settings, progress, method)
     pipeline.save(place)
     return pipeline
 

@@ -30,9 +30,8 @@ Figures = dict[str, float]
 def scores(pipeline: Pipeline, sets: Mapping[str, Dataset]) -> Figures:
     """All figures of the experiments, without the calibrated ones."""
     found = touch_scores(pipeline, sets["touch"])
-    found |= _touches(
-        "indentation", Evaluation.of(pipeline, sets["indentation"]).report.touches["1"]
-    )
+    single = Evaluation.of(pipeline, sets["indentation"]).report.touches.get("1")
+    found |= {} if single is None else _touches("indentation", single)
     found |= state_scores(pipeline, sets["states"])
     found |= bend_scores(pipeline, sets["bending"])
     found |= demo_scores(pipeline, sets["demo"])
@@ -65,6 +64,8 @@ def state_scores(pipeline: Pipeline, data: Dataset) -> Figures:
 
 def bend_scores(pipeline: Pipeline, data: Dataset) -> Figures:
     """Scores of the bend angle, of single frames and of a sequence as it comes."""
+    if not pipeline.targets.angle:
+        return {}
     alone = data.select(~in_episode(data) & (data.state == State.BEND))
     angle = alone.bend_angle_deg.astype(float)
     said = pipeline.perceive(alone).bend_angle_deg
@@ -84,18 +85,20 @@ def demo_scores(pipeline: Pipeline, data: Dataset) -> Figures:
     """Scores of the demonstration: states, angles, and touches at each of its steps."""
     estimates = list(replayed(pipeline, data))
     right = np.array([each.state for each in estimates]) == data.state
-    said = np.array([each.bend_angle_deg for each in estimates])
-    found = {
-        "demo.state": float(right.mean()),
-        "demo.angle_deg": root_mean_square(said - data.bend_angle_deg),
-    }
+    found: Figures = {"demo.state": float(right.mean())} if pipeline.targets.states else {}
+    if pipeline.targets.angle:
+        said = np.array([each.bend_angle_deg for each in estimates], dtype=float)
+        found["demo.angle_deg"] = root_mean_square(said - data.bend_angle_deg)
+    if not pipeline.targets.touches:
+        return found
     counts = data.touch_count
     steps = dict.fromkeys(zip(data.bend_angle_deg.tolist(), counts.tolist(), strict=True))
     for angle, count in (step for step in steps if step[1]):
         rows = np.flatnonzero((data.bend_angle_deg == angle) & (counts == count))
         distances = [d for row in rows for d in _distances(data, int(row), estimates[row])]
         name = f"demo.{angle:g}deg.{count}"
-        found[f"{name}.state"] = float(right[rows].mean())
+        if pipeline.targets.states:
+            found[f"{name}.state"] = float(right[rows].mean())
         found[f"{name}.found"] = len(distances) / (count * len(rows))
         if distances:
             found[f"{name}.error_mm"] = 1e3 * float(np.mean(distances))
@@ -105,7 +108,12 @@ def demo_scores(pipeline: Pipeline, data: Dataset) -> Figures:
 def calibrated_scores(
     pipeline: Pipeline, sets: Mapping[str, Dataset], known: Mapping[str, Dataset]
 ) -> Figures:
-    """Scores of the angle once the pipeline is calibrated to each sensor by frames in `known`."""
+    """Scores of the angle once the pipeline is calibrated to each sensor by frames in `known`.
+
+    None for a method that cannot be calibrated.
+    """
+    if not (pipeline.targets.angle and pipeline.method.calibrates):
+        return {}
     bending, touch = sets["bending"], sets["touch"]
     alone = bending.select(~in_episode(bending) & (bending.state == State.BEND))
     free = _calibrated_angles(pipeline, alone, known["bending"])

@@ -125,11 +125,22 @@ class Known(Method):
         return better, Calibration(KNOWN_DEG, (1.0,) * 5, (0.1,) * 5, 0.1)
 
 
-def pipeline(place, angle_deg):
+class WithoutAngle(Known):
+    """The same, without an angle and without calibration."""
+
+    targets: ClassVar[Targets] = Targets(angle=False)
+    adapted = Method.adapted
+
+    def predict(self, observations):
+        said = super().predict(observations)
+        return dataclasses.replace(said, bend_angle_deg=np.full(len(observations), np.nan))
+
+
+def pipeline(place, angle_deg, kind=Known):
     layout = InputSpec(SensorDesign.reference(), Protocol.pairwise(8), 40e3, FLAT)
     said = {"frames": 7, "source": "simulated", "sha256": ""}
     examples = Observations.of(dataset([(0, 0)], 77))
-    return Pipeline(layout, Known(place, angle_deg), NOISE, TrainingSettings(), said, examples)
+    return Pipeline(layout, kind(place, angle_deg), NOISE, TrainingSettings(), said, examples)
 
 
 @pytest.fixture(scope="module")
@@ -141,9 +152,12 @@ def folder(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(paper, "make", made)
         patch.setattr(paper, "_paper_pipeline", lambda *_args: pipeline(5e-3, 2.0))
+        further = pipeline(3e-3, 0.0, WithoutAngle)
+        patch.setattr(paper, "_pipeline", lambda *_args: further)
         patch.setattr(paper.Pipeline, "load", lambda _path: pipeline(1e-3, 0.5))
         patch.setattr(paper_limits, "bounds", lambda *_args: limits)
         options = ("--pipeline", str(out / "ours.eitmodel"), "--seeds", "2", "--quick", "--json")
+        options = (*options, "--preset", "ridge")
         ran = CliRunner().invoke(app, ["bench", "paper", "--out", str(out), *options, "--quiet"])
     if ran.exception is not None:
         raise ran.exception
@@ -172,6 +186,19 @@ def test_figures_are_what_the_pipelines_are_known_to_do(folder):
     assert ours["calibrated.touched_deg"] == pytest.approx(0.05, rel=1e-3)
     assert "calibrated.angle_deg" not in printed["figures"][paper.OWN][0]
     assert printed["variants"]["ours"] == printed["figures"][paper.OURS]
+
+
+@pytest.mark.slow
+def test_a_further_method_has_columns_and_no_figures_of_what_it_does_not_estimate(folder):
+    printed = json.loads((folder / "printed.json").read_text())
+    for column in ("ridge, own sensor", "ridge, unseen"):
+        for figures in printed["figures"][column]:
+            assert figures["touch.1.error_mm"] == pytest.approx(3.0, rel=1e-4)
+            assert figures["demo.20deg.3.found"] == 1
+            assert not [name for name in figures if name.endswith(("_deg", ".r2"))]
+    heads = (folder / "paper.md").read_text().splitlines()[0]
+    assert "ours, unseen | ridge, own sensor | ridge, unseen | to reach" in heads
+    assert "--preset ridge" in read_results(folder / "results.json").command
 
 
 @pytest.mark.slow

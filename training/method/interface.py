@@ -91,6 +91,11 @@ class Method(ABC):
         Raises KeyError where an array is missing.
         """
 
+    @property
+    def calibrates(self) -> bool:
+        """Whether the method defines `adapted`."""
+        return type(self).adapted is not Method.adapted
+
     def adapted(self, known: KnownBends) -> "tuple[Method, Calibration]":  # noqa: ARG002
         """The method calibrated to one sensor, and the errors before and after.
 

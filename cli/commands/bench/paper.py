@@ -7,11 +7,21 @@ import typer
 from rich import box
 from rich.table import Table
 
-from eitskin.cli.options import TRAINING, Json, Output, Quiet, Verbose
+from eitskin.cli.options import TRAINING, Json, Output, Quiet, Verbose, own_method
 from eitskin.extras import require_all
 
 if TYPE_CHECKING:
     from eitskin.benchmarks.paper.run import PaperComparison
+
+MethodCodes = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--method",
+        metavar="CODE",
+        help="Also a method of your own, whose code is run: FILE.py:CLASS, or the name of an "
+        "installed one; may be given several times.",
+    ),
+]
 
 
 def command(
@@ -27,23 +37,38 @@ def command(
     workers: Annotated[int, typer.Option(min=1, help="Processes that make frames.")] = 2,
     paper_seeds: Annotated[
         int | None,
-        typer.Option(min=1, help="Seeds that the paper's pipeline is trained for; all if omitted."),
+        typer.Option(
+            min=0,
+            help="Seeds that the paper's pipeline is trained for; all if omitted, 0 for none.",
+        ),
     ] = None,
+    preset: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Also ridge, mlp, extra-trees, greit or quick, trained here; may be given several "
+            "times."
+        ),
+    ] = None,
+    method: MethodCodes = None,
     quick: Annotated[bool, typer.Option("--quick", help="A tenth of the frames.")] = False,
     as_json: Json = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
 ) -> None:
-    """Repeat the paper's experiments: published, its pipeline trained here, and ours.
+    """Repeat the paper's experiments: published, its pipeline trained here, ours, and others.
 
     Frames are kept; a run that was stopped goes on from them.
     """
     from eitskin.benchmarks.paper.report import NAME, as_data, sentences, write
-    from eitskin.benchmarks.paper.run import REFERENCE, run
+    from eitskin.benchmarks.paper.run import REFERENCE, Contender, run
     from eitskin.datasets.store.folder import make_folder
 
     output = Output(as_json, quiet, verbose)
     require_all(training=TRAINING, bench="matplotlib")
+    contenders = [Contender(each) for each in preset or ()]
+    contenders += [Contender(method=own_method(each)) for each in method or ()]
+    for each in contenders:
+        each.settings(0)  # unknown names are told before the work
     make_folder(out / NAME)
     with output.progress() as bar:
         tasks: dict[str, Any] = {}
@@ -55,7 +80,14 @@ def command(
             bar.update(tasks[name], completed=done, total=total, rate=rest)
 
         found = run(
-            pipeline or REFERENCE, out / NAME, seeds, quick, workers, show, paper_seeds=paper_seeds
+            pipeline or REFERENCE,
+            out / NAME,
+            seeds,
+            quick,
+            workers,
+            show,
+            paper_seeds=paper_seeds,
+            contenders=contenders,
         )
     paths = write(found, out)
     output.result(as_data(found) | {"files": [str(path) for path in paths]}, _as_table(found))
@@ -65,9 +97,9 @@ def command(
 
 
 def _as_table(found: "PaperComparison") -> Table:
-    from eitskin.benchmarks.paper.report import HEADINGS, table
+    from eitskin.benchmarks.paper.report import headings, table
 
-    drawn = Table(*HEADINGS, box=box.SIMPLE, pad_edge=False)
+    drawn = Table(*headings(found), box=box.SIMPLE, pad_edge=False)
     for column in drawn.columns[1:]:
         column.justify = "right"
     for row in table(found):
