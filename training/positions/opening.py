@@ -27,6 +27,11 @@ def open_pipeline(
     try:
         return Pipeline.load(path, method)
     except OtherKindError:
+        if method is not None:
+            raise ConfigurationError(
+                f"expected no code for {path}, which has learned touch positions as eitskin does, "
+                f"got {method.KIND}; leave --method out"
+            ) from None
         return RecordedTouches.load(path)
 
 
