@@ -17,10 +17,10 @@ def bound(layout: Layout, spacing: float) -> SheetBound:
     return sheet_bound(layout, Sampling(spacing, margin=0.010))
 
 
-# On a coarse grid of 7 x 3 places, for the sake of time.
+# On a coarse grid of 4 x 2 places, for the sake of time.
 least = {}
 for layout in (eight, twelve):
-    found = bound(layout, 0.025)
+    found = bound(layout, 0.040)
     # As many frames as the time of one of the paper's allows, or the fraction of one.
     paced = np.median(found.place) * np.sqrt(layout.scan_time / eight.scan_time)
     least[layout.name] = (np.median(found.place), paced)

@@ -9,16 +9,16 @@ from eitskin.simulator import Protocol, Scene, Simulator, Touch
 
 from style import circle, figure, save, sensor, wanted
 
-# A patch of 80 x 30 mm with electrodes in the middles of the short sides and two on each long
+# A patch of 50 x 30 mm with electrodes in the middles of the short sides and two on each long
 # side. Everything else is as with the reference sensor, which keeps its presses solved.
-places = [(0.02, 0.0), (0.06, 0.0), (0.08, 0.015), (0.06, 0.03), (0.02, 0.03), (0.0, 0.015)]
+places = [(0.01, 0.0), (0.04, 0.0), (0.05, 0.015), (0.04, 0.03), (0.01, 0.03), (0.0, 0.015)]
 patch = SensorDesign(
-    outline=Rectangle(0.080, 0.030),
+    outline=Rectangle(0.050, 0.030),
     thickness=0.005,
     electrodes=tuple(Electrode(x, y, width=0.006) for x, y in places),
 )
 sim = Simulator(patch, resolution="fast")
-touch = Touch(x=0.025, y=0.015, force=8.0)
+touch = Touch(x=0.02, y=0.015, force=8.0)
 felt = sim.measure(Scene(touches=(touch,))).impedance.real
 flat = sim.measure(Scene()).impedance.real
 strongest = int(np.abs(felt / flat - 1.0).argmax())

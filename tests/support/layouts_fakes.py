@@ -9,7 +9,7 @@ from eitskin.benchmarks.layouts.candidates import with_electrodes
 from eitskin.geometry import SensorDesign
 
 FEW = Sampling(0.0675)  # 3 x 2 places
-FEWEST = Sampling(0.135)  # 2 x 2 places
+FEWEST = Sampling(0.135, resolution="coarse")  # 2 x 2 places
 
 
 def moved(first=0.02):
