@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from eitskin.training.joint.symmetry import Mirror
+from eitskin.training.method.symmetry import Mirror
 
 Array = NDArray[np.float64]
 

@@ -17,12 +17,12 @@ from eitskin.training.joint.bend_curve import BendCurvePrior
 from eitskin.training.joint.prior import TouchPrior
 from eitskin.training.joint.proposal_model import ProposalNetwork
 from eitskin.training.joint.specimen_features import SpecimenFeatures
-from eitskin.training.joint.symmetry import Mirror, mirrors
 from eitskin.training.joint.touch_response import InputRanges, TouchResponse
 from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.learning_curve import LearningCurve
 from eitskin.training.method.observations import UNKNOWN_AGE
 from eitskin.training.method.settings import JointSettings, Progress, silent
+from eitskin.training.method.symmetry import Mirror, mirrors
 from eitskin.training.method.targets import NOMINAL_RADIUS
 
 if TYPE_CHECKING:

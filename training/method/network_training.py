@@ -68,7 +68,8 @@ def train_network(
     """
     generator = torch.Generator().manual_seed(seed)
     optimiser = torch.optim.Adam(network.parameters(), lr=settings.learning_rate)
-    steps = settings.epochs * -(-count // settings.batch)
+    batch_size = settings.batch_of(count)
+    steps = settings.epochs * -(-count // batch_size)
     # Only where asked for: creating the schedule already lowers the learning rate.
     anneal = (
         torch.optim.lr_scheduler.OneCycleLR(optimiser, settings.learning_rate, steps)
@@ -79,7 +80,7 @@ def train_network(
     for epoch in range(settings.epochs):
         network.train()
         total = 0.0
-        for chosen in torch.split(torch.randperm(count, generator=generator), settings.batch):
+        for chosen in torch.split(torch.randperm(count, generator=generator), batch_size):
             inputs, targets = batch(chosen, generator)
             optimiser.zero_grad(set_to_none=True)
             value = loss(network(inputs), targets)

@@ -16,6 +16,10 @@ UNKNOWN_AGE = 5.0
 """Assumed age of a dataset's static references, which carry no time [s]."""
 
 
+MEDIAN_FRAMES = 4  # of the median channel, which each channel's noise is estimated with
+NOISE_FLOOR = 1e-3  # least noise of a channel, of the rms of all
+
+
 def relative_difference(impedance: ArrayLike, reference: ArrayLike) -> NDArray[np.float64]:
     """Real part of dV = (V - ref) / ref per channel, dimensionless.
 
@@ -99,15 +103,41 @@ def frame_noise(dataset: Dataset, observations: Observations) -> float:
 
     Raises DataError where the dataset has no such frames.
     """
-    known = np.isfinite(dataset.touch_reference).all(axis=1)
-    idle = dataset.state == State.IDLE
-    quiet = idle | ((dataset.state == State.BEND) & known)
+    quiet = _quiet(dataset)
     if not quiet.any():
         raise DataError(
             "a pipeline learns the noise from idle frames, and this dataset has none; record or "
             "generate some"
         )
     return float(np.sqrt(np.nanmean(observations.dynamic[quiet] ** 2)))
+
+
+def _quiet(dataset: Dataset) -> NDArray[np.bool_]:
+    """Frames (n,) that differ from their dynamic reference by noise alone."""
+    known = np.isfinite(dataset.touch_reference).all(axis=1)
+    quiet: NDArray[np.bool_] = (dataset.state == State.IDLE) | (
+        (dataset.state == State.BEND) & known
+    )
+    return quiet
+
+
+def channel_noise(dataset: Dataset, observations: Observations) -> Array:
+    """Rms relative difference of two frames of an untouched sensor, for each channel (C,).
+
+    White noise is the larger part of a reading the smaller that is, as between neighbours far from
+    the driven electrodes. Few frames are helped out by the median channel, which counts as
+    `MEDIAN_FRAMES` more; a channel that never differs has a floor.
+
+    Raises DataError where the dataset has no such frames.
+    """
+    overall = frame_noise(dataset, observations)
+    quiet = observations.dynamic[_quiet(dataset)]
+    known = np.isfinite(quiet)
+    total, count = np.sum(np.where(known, quiet, 0.0) ** 2, axis=0), known.sum(axis=0)
+    usual = float(np.median((total / np.maximum(count, 1))[count > 0]))
+    variance = (total + MEDIAN_FRAMES * usual) / (count + MEDIAN_FRAMES)
+    noise: Array = np.sqrt(np.maximum(variance, (NOISE_FLOOR * overall) ** 2))
+    return noise
 
 
 def fingerprint(dataset: Dataset) -> str:

@@ -37,6 +37,8 @@ class NetworkSettings:
         batch: frames per step.
         one_cycle: warm up to the learning rate and anneal to zero.
         noise: rms noise added to dV in every step, relative to the noise of the frames.
+        fewest_steps: of the whole training; where frames are few, batches are smaller, down to a
+            quarter.
     """
 
     learning_rate: float
@@ -44,6 +46,12 @@ class NetworkSettings:
     batch: int = 64
     one_cycle: bool = True
     noise: float = 0.0
+    fewest_steps: int = 0
+
+    def batch_of(self, count: int) -> int:
+        """Number of frames per step where there are `count` frames."""
+        wanted = count * self.epochs // self.fewest_steps if self.fewest_steps else self.batch
+        return min(self.batch, max(self.batch // 4, wanted, 1))
 
     def __post_init__(self) -> None:
         if not (self.learning_rate > 0 and self.epochs > 0 and self.batch > 0 and self.noise >= 0):
@@ -88,6 +96,8 @@ class TrainingSettings:
         bend_free_map: whether the classifier also sees a map that is insensitive to bending.
         compressed_maps: whether the classifier sees asinh of maps instead of standardised maps.
         bend_squares: whether the regression of the angle may also select squares of dV.
+        weighted: whether pictures weigh each channel by its own noise, in place of one for all.
+        mirrored: whether the touch map is also learned from mirror images of a symmetric sensor.
         seed: of the split, the initial weights, the order of frames and added noise.
         whole_specimens: whether a fifth of the specimens is held out, at least one, in place of
             `fractions`; see `hold_out`.
@@ -98,10 +108,14 @@ class TrainingSettings:
     method: str = "paper"
     joint: JointSettings = JointSettings()
     classifier: NetworkSettings = NetworkSettings(1e-3, epochs=25, noise=0.5)
-    postprocessor: NetworkSettings = NetworkSettings(3e-3, epochs=40, batch=32, noise=0.5)
+    postprocessor: NetworkSettings = NetworkSettings(
+        3e-3, epochs=40, batch=32, noise=0.5, fewest_steps=800
+    )
     bend_free_map: bool = True
     compressed_maps: bool = True
     bend_squares: bool = True
+    weighted: bool = True
+    mirrored: bool = True
     seed: int = 0
     whole_specimens: bool = False
     options: dict[str, Any] = field(default_factory=dict, hash=False)
@@ -141,8 +155,9 @@ class TrainingSettings:
         """Settings by name: "joint", "quick", "paper", or one of `BASELINES`.
 
         "paper" follows the paper in every stage; `PaperMethod` lists its open choices. "quick" has
-        the same stages, trained faster: the classifier also sees a map insensitive to bending, both
-        compressed, and the angle may be quadratic in dV.
+        the same stages, trained faster: pictures weigh each channel by its noise, the classifier
+        also sees a map insensitive to bending, both compressed, the angle may be quadratic in dV,
+        and touches are also learned from mirror images of a symmetric sensor.
         """
         if name == "joint":
             return cls(method="joint", seed=seed)
@@ -155,6 +170,8 @@ class TrainingSettings:
                 bend_free_map=False,
                 compressed_maps=False,
                 bend_squares=False,
+                weighted=False,
+                mirrored=False,
                 seed=seed,
             )
         if name in BASELINES:

@@ -57,7 +57,7 @@ class Classifier:
         embedding: ArrayLike,
         shape: tuple[int, int],
         settings: NetworkSettings,
-        noise: float = 0.0,
+        noise: ArrayLike = 0.0,
         seed: int = 0,
         progress: Progress = silent,
         validation: tuple[ArrayLike, ArrayLike] | None = None,
@@ -73,7 +73,7 @@ class Classifier:
                 trained.
             shape: rows and columns of a map.
             settings: of the training.
-            noise: rms noise of dV, the unit of `settings.noise`.
+            noise: rms noise of dV, of all or of each channel, the unit of `settings.noise`.
             seed: of initial weights, order and added noise.
             progress: called after every epoch.
             validation: dV and states of other frames, whose loss is recorded after every epoch.
@@ -94,7 +94,7 @@ class Classifier:
         scale = torch.asinh if compress else torch.nn.Identity()
         network = seeded_network(lambda: StateNetwork(shape, len(scaled)), seed)
 
-        def samples(dV: ArrayLike, truth: ArrayLike, rms: float) -> Samples:
+        def samples(dV: ArrayLike, truth: ArrayLike, rms: ArrayLike) -> Samples:
             maps = noisy_maps(dV, scaled, shape, rms)
             targets = torch.as_tensor(np.asarray(truth, dtype=np.int64))
             return Samples(
@@ -102,7 +102,7 @@ class Classifier:
                 len(targets),
             )
 
-        fitted = samples(difference, states, settings.noise * noise)
+        fitted = samples(difference, states, settings.noise * np.asarray(noise))
         history = train_network(
             network,
             fitted.batch,

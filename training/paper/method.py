@@ -17,9 +17,10 @@ from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.interface import Method
 from eitskin.training.method.learning_curve import LearningCurve
 from eitskin.training.method.missing_channels import MissingChannels
-from eitskin.training.method.observations import Observations
+from eitskin.training.method.observations import Observations, channel_noise
 from eitskin.training.method.predictions import FoundTouches, Predictions
 from eitskin.training.method.settings import Progress, TrainingSettings, silent
+from eitskin.training.method.symmetry import mirrors
 from eitskin.training.method.targets import (
     STATE_NAMES,
     Targets,
@@ -90,6 +91,9 @@ class PaperMethod(Method):
         """
         dataset, layout, targets = frames.dataset, frames.spec, frames.targets
         observations, noise, validation = frames.observations, frames.noise, frames.validation
+        rms = np.full(observations.dynamic.shape[1], noise)
+        if settings.weighted:
+            rms = channel_noise(dataset, observations)
         missing_static = MissingChannels.fit(observations.static, noise)
         missing_dynamic = MissingChannels.fit(observations.dynamic, noise)
 
@@ -101,18 +105,17 @@ class PaperMethod(Method):
         unseen = None if validation is None else filled(validation, Observations.of(validation))
         touched = dataset.state == State.TOUCH
         signal = train.dynamic[touched] if touched.any() else train.static
-        snr = signal_to_noise(signal, noise)
+        unit = np.where(rms > 0, rms, 1.0)  # a set without noise weighs all channels alike
+        snr = signal_to_noise(signal / unit, float(noise > 0))
         model = linear_model(layout.design, layout.protocol, layout.pixels)
-        reconstruction = Reconstruction.fit(model.relative, snr, layout.pixels)
+        reconstruction = Reconstruction.fit(model.relative, snr, layout.pixels, unit)
         return cls(
             reconstruction,
-            _fit_classifier(train, unseen, reconstruction, settings, noise, progress)
+            _fit_classifier(train, unseen, reconstruction, settings, rms, progress)
             if targets.states
             else None,
             _fit_bend_angle(train, settings) if targets.angle else None,
-            _fit_postprocessor(
-                train, unseen, layout.outline, reconstruction, settings, noise, progress
-            )
+            _fit_postprocessor(train, unseen, layout, reconstruction, settings, rms, progress)
             if "touch" in targets.states
             else None,
             missing_static,
@@ -288,7 +291,7 @@ def _fit_classifier(
     unseen: LabelledFrames | None,
     reconstruction: Reconstruction,
     settings: TrainingSettings,
-    noise: float,
+    noise: NDArray[np.float64],
     progress: Progress,
 ) -> Classifier:
     """Classifier on the reconstruction and, with `bend_free_map`, on one without the bend.
@@ -333,16 +336,17 @@ def _fit_bend_angle(train: LabelledFrames, settings: TrainingSettings) -> BendAn
 def _fit_postprocessor(
     train: LabelledFrames,
     unseen: LabelledFrames | None,
-    outline: tuple[float, float],
+    layout: InputSpec,
     reconstruction: Reconstruction,
     settings: TrainingSettings,
-    noise: float,
+    noise: NDArray[np.float64],
     progress: Progress,
 ) -> PostProcessor | None:
     """Post-processor of the touch map; None where no touched frame has a position."""
-    placed = train.touches(outline, reconstruction.shape)
+    placed = train.touches(layout.outline, reconstruction.shape)
     if placed is None:
         return None
+    flips = [each.flips for each in mirrors(layout.design, layout.protocol)]
     return PostProcessor.fit(
         *placed,
         reconstruction,
@@ -350,5 +354,6 @@ def _fit_postprocessor(
         noise,
         settings.seed,
         progress,
-        unseen.touches(outline, reconstruction.shape) if unseen else None,
+        unseen.touches(layout.outline, reconstruction.shape) if unseen else None,
+        flips if settings.mirrored else flips[:1],
     )

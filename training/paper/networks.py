@@ -3,7 +3,7 @@
 The stages import this module inside the functions that need it, so that torch stays optional.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor, nn  # noqa: TID253  see above
 
 from eitskin.errors import DataError
-from eitskin.training.method.network_training import EVALUATED_AT_ONCE
+from eitskin.training.method.network_training import EVALUATED_AT_ONCE, Batch
 
 Network = TypeVar("Network", bound=nn.Module)
 Maps = Callable[[Tensor, torch.Generator], Tensor]
@@ -88,7 +88,7 @@ def _dilated(width: int, dilation: int) -> nn.Module:
 
 
 def noisy_maps(
-    difference: ArrayLike, embedding: ArrayLike, shape: tuple[int, int], noise: float
+    difference: ArrayLike, embedding: ArrayLike, shape: tuple[int, int], noise: ArrayLike
 ) -> Maps:
     """Source of maps of chosen frames, with new noise at every call.
 
@@ -96,18 +96,41 @@ def noisy_maps(
         difference: dV (n, measurements).
         embedding: linear, from dV to the maps (maps, pixels, measurements).
         shape: of a map.
-        noise: rms, in units of dV.
+        noise: rms, of all or of each channel, in units of dV.
     """
     dV = torch.as_tensor(np.asarray(difference, dtype=np.float32))
     layers = torch.as_tensor(np.asarray(embedding, dtype=np.float32))
+    rms = torch.as_tensor(np.asarray(noise, dtype=np.float32))
 
     def maps(chosen: Tensor, generator: torch.Generator) -> Tensor:
         rows = dV[chosen]
-        if noise > 0:
-            rows = rows + noise * torch.randn(rows.shape, generator=generator)
+        if rms.any():
+            rows = rows + rms * torch.randn(rows.shape, generator=generator)
         return torch.einsum("nm,kpm->nkp", rows, layers).reshape(len(rows), -1, *shape)
 
     return maps
+
+
+def mirrored(batch: Batch, flips: Sequence[tuple[bool, bool]]) -> Batch:
+    """Source of samples that shows each one as a mirror image drawn from `flips`.
+
+    Args:
+        batch: maps and targets (n, maps, rows along y, columns along x).
+        flips: whether x and whether y is reversed, for each mirror image.
+    """
+    if len(flips) < 2:
+        return batch
+
+    def drawn(chosen: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+        pair = batch(chosen, generator)
+        image = torch.randint(len(flips), (len(chosen),), generator=generator)
+        for number, (x, y) in enumerate(flips):
+            axes = [axis for axis, flip in ((-1, x), (-2, y)) if flip]
+            for maps in pair:
+                maps[image == number] = maps[image == number].flip(axes)
+        return pair
+
+    return drawn
 
 
 def logits_of(network: nn.Module, maps: ArrayLike) -> NDArray[np.float64]:

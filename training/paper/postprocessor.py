@@ -1,5 +1,6 @@
 """Convolutional post-processor, from a blurred reconstruction to the touch map."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -39,10 +40,11 @@ class PostProcessor:
         touch_map: ArrayLike,
         reconstruction: Reconstruction,
         settings: NetworkSettings,
-        noise: float = 0.0,
+        noise: ArrayLike = 0.0,
         seed: int = 0,
         progress: Progress = silent,
         validation: tuple[ArrayLike, ArrayLike] | None = None,
+        flips: Sequence[tuple[bool, bool]] = ((False, False),),
     ) -> "PostProcessor":
         """Training with binary cross-entropy per pixel and Adam.
 
@@ -51,33 +53,35 @@ class PostProcessor:
             touch_map: true maps (n, rows, columns), 1 under an indenter and 0 elsewhere.
             reconstruction: linear layer before the network; not trained.
             settings: of the training.
-            noise: rms noise of dV, the unit of `settings.noise`.
+            noise: rms noise of dV, of all or of each channel, the unit of `settings.noise`.
             seed: of initial weights, order and added noise.
             progress: called after every epoch.
             validation: dV and touch maps of other frames, whose loss is recorded after every
                 epoch.
+            flips: mirror images of each frame, of which one is drawn whenever it is used: whether
+                x and whether y is reversed.
         """
         require("torch", "training")
         import torch
 
         from eitskin.training.method.network_training import Samples, seeded_network, train_network
-        from eitskin.training.paper.networks import TouchMapNetwork, noisy_maps
+        from eitskin.training.paper.networks import TouchMapNetwork, mirrored, noisy_maps
 
         scale = float(np.std(reconstruction.apply(difference))) or 1.0
         network = seeded_network(lambda: TouchMapNetwork(reconstruction.shape), seed)
         layer = reconstruction.matrix[None] / scale
 
-        def samples(dV: ArrayLike, truth: ArrayLike, rms: float) -> Samples:
+        def samples(dV: ArrayLike, truth: ArrayLike, rms: ArrayLike) -> Samples:
             maps = noisy_maps(dV, layer, reconstruction.shape, rms)
             targets = torch.as_tensor(np.asarray(truth, dtype=np.float32))[:, None]
             return Samples(
                 lambda chosen, generator: (maps(chosen, generator), targets[chosen]), len(targets)
             )
 
-        fitted = samples(difference, touch_map, settings.noise * noise)
+        fitted = samples(difference, touch_map, settings.noise * np.asarray(noise))
         history = train_network(
             network,
-            fitted.batch,
+            mirrored(fitted.batch, flips),
             torch.nn.functional.binary_cross_entropy_with_logits,
             fitted.count,
             settings,

@@ -25,7 +25,9 @@ class Reconstruction:
     regularisation: float
 
     @classmethod
-    def fit(cls, jacobian: ArrayLike, snr: float, shape: tuple[int, int]) -> "Reconstruction":
+    def fit(
+        cls, jacobian: ArrayLike, snr: float, shape: tuple[int, int], noise: ArrayLike = 1.0
+    ) -> "Reconstruction":
         """Reconstruction matrix for a Jacobian and a signal-to-noise ratio.
 
         The matrix of the paper is (J^T J + lambda^2 R)^-1 J^T with NOSER's R = diag(J^T J), with a
@@ -36,6 +38,8 @@ class Reconstruction:
             jacobian: relative Jacobian (measurements, pixels), dimensionless.
             snr: signal-to-noise ratio of a touch, root mean squares; see `signal_to_noise`.
             shape: of an image, (rows along y, columns along x).
+            noise: rms noise of each channel's dV (measurements,) in a common unit; channels count
+                by its inverse, equally for a single number.
 
         Raises:
             ConfigurationError: for a Jacobian of another shape, or an `snr` that is not positive.
@@ -47,9 +51,11 @@ class Reconstruction:
                 f"expected a Jacobian of {shape[0] * shape[1]} columns for a "
                 f"{shape[0]} x {shape[1]} image, got {pixels}; take it for the same pixels"
             )
-        family = gauss_newton(J, noser_weights(J))
+        rms = np.broadcast_to(np.asarray(noise, dtype=float), J.shape[:1])
+        whitened = J / rms[:, None]
+        family = gauss_newton(whitened, noser_weights(whitened))
         regularisation = family.of_snr(snr)
-        return cls(family.matrix(regularisation), shape, regularisation)
+        return cls(family.matrix(regularisation) / rms, shape, regularisation)
 
     def apply(self, difference: ArrayLike) -> NDArray[np.float64]:
         """Relative conductivity change (..., rows, columns) from dV (..., measurements)."""

@@ -6,7 +6,7 @@ import pytest
 from eitskin.geometry import SensorDesign
 from eitskin.simulator import Protocol
 from eitskin.training.joint.specimen_features import COUNT, SpecimenFeatures
-from eitskin.training.joint.symmetry import mirrors
+from eitskin.training.method.symmetry import mirrors
 
 IMAGES = mirrors(SensorDesign.reference(), Protocol.pairwise(8))
 TRIVIAL = IMAGES[:1]

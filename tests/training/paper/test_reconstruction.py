@@ -41,6 +41,20 @@ def test_regularisation_gives_a_touch_the_size_that_the_prior_expects(jacobian):
     assert np.std(pictures @ jacobian.T) == pytest.approx(20.0 * noise, rel=0.02)
 
 
+def test_noise_of_channels_weighs_them_as_in_the_map_estimate(jacobian):
+    noise = np.geomspace(1e-4, 1e-1, 12)
+    made = Reconstruction.fit(jacobian, 20.0, SHAPE, noise)
+    precision = np.diag(noise**-2)
+    seen = np.einsum("mp,mn,np->p", jacobian, precision, jacobian)
+    prior = np.diag(np.maximum(seen, 0.1 * np.median(seen)))
+    gram = jacobian.T @ precision @ jacobian + made.regularisation**2 * prior
+    expected = np.linalg.solve(gram, jacobian.T @ precision)
+    np.testing.assert_allclose(made.matrix, expected, rtol=1e-6, atol=1e-9)
+    alike = Reconstruction.fit(jacobian, 20.0, SHAPE, np.full(12, 0.3)).matrix
+    plain = Reconstruction.fit(jacobian, 20.0, SHAPE).matrix
+    np.testing.assert_allclose(alike, plain, rtol=1e-9)
+
+
 def test_pixel_that_nothing_sees_stays_zero(jacobian):
     jacobian[:, 5] = 0.0
     picture = Reconstruction.fit(jacobian, snr=20.0, shape=SHAPE).apply(np.ones(12))

@@ -12,7 +12,7 @@ from eitskin.training.method.missing_channels import MissingChannels
 from eitskin.training.method.settings import NetworkSettings, TrainingSettings
 from eitskin.training.paper.bend_subspace import bend_free_projection
 from eitskin.training.paper.classifier import Classifier
-from eitskin.training.paper.networks import single_thread, weights_of
+from eitskin.training.paper.networks import mirrored, single_thread, weights_of
 from eitskin.training.paper.postprocessor import PostProcessor
 from eitskin.training.paper.reconstruction import Reconstruction
 from eitskin.training.paper.touch_regions import find_touches
@@ -192,6 +192,24 @@ def test_postprocessor_sharpens(presses, reconstruction):
         find_touches(touch_map, OUTLINE, threshold=0.2, smallest=1)[0][:2] for touch_map in made
     ]
     assert np.mean(np.linalg.norm(places - centres[240:], axis=1)) < 0.006
+
+
+def test_mirror_images_are_drawn_with_their_targets():
+    maps = torch.arange(12.0).reshape(2, 1, 2, 3)
+    flips = [(False, False), (True, False), (False, True), (True, True)]
+    seen = set()
+
+    def batch(chosen, generator):  # noqa: ARG001
+        return maps[chosen].clone(), 10.0 * maps[chosen]
+
+    draw, generator = mirrored(batch, flips), torch.Generator().manual_seed(0)
+    for _ in range(40):
+        pictures, targets = draw(torch.tensor([1]), generator)
+        assert torch.equal(targets, 10.0 * pictures)
+        seen.add(tuple(pictures.ravel().tolist()))
+    assert seen == {(6, 7, 8, 9, 10, 11), (8, 7, 6, 11, 10, 9), (9, 10, 11, 6, 7, 8),
+                    (11, 10, 9, 8, 7, 6)}  # fmt: skip
+    assert mirrored(batch, flips[:1]) is batch
 
 
 def test_networks_survive_their_arrays(presses, reconstruction, embedding):
