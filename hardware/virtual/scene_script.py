@@ -2,7 +2,7 @@
 
 import tomllib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from eitskin.config import read_toml
@@ -15,9 +15,9 @@ SceneSource = Callable[[int], Scene]
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """Scene that lasts for a number of frames."""
+    """Scene that lasts for a number of frames; the flat, untouched sensor when omitted."""
 
-    scene: Scene
+    scene: Scene = field(default_factory=Scene)
     frames: int = 1
 
     def __post_init__(self) -> None:

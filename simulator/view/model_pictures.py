@@ -91,10 +91,13 @@ def _cells(mesh: Mesh) -> Panel:
 
 
 def _cells_at(mesh: Mesh, electrode: int) -> Panel:
+    """Panel of the cells around an electrode; those above one inside are taken off."""
+    height = shapes.height_inside(mesh, electrode)
+    title = f"cells at electrode {electrode}"
     return Panel(
-        f"cells at electrode {electrode}",
+        title if height is None else f"{title}, those above it taken off",
         _around(mesh, electrode),
-        lambda plotter: shapes.add_cells(plotter, mesh, 1.2),
+        lambda plotter: shapes.add_cells(plotter, mesh, 1.2, height),
         direction=in_front(mesh, electrode),
     )
 
@@ -181,8 +184,13 @@ def _around(mesh: Mesh, electrode: int) -> Array:
 
 
 def in_front(mesh: Mesh, electrode: int) -> Array:
-    """Direction to the viewer, in front of an electrode, never straight above or below."""
+    """Direction to the viewer, in front of an electrode, never straight above or below.
+
+    Below the body for an electrode at its bottom.
+    """
     _, normal = shapes.electrode_corners(mesh, electrode)
     right = np.cross([0.0, 0.0, 1.0], normal)
     eye: Array = normal + 0.3 * right + [0.0, 0.0, 0.7]
-    return DIRECTION.copy() if np.linalg.norm(eye[:2]) < 0.3 else eye / np.linalg.norm(eye)
+    if np.linalg.norm(eye[:2]) < 0.3:
+        return DIRECTION * [1.0, 1.0, -1.0 if normal[2] < -0.5 else 1.0]
+    return eye / np.linalg.norm(eye)

@@ -100,10 +100,27 @@ def electrode_plate(mesh: Mesh, electrode: int, lift: float = _LIFT) -> Any:
     return pv.PolyData(corners.reshape(-1, 3), faces.ravel())
 
 
-def add_cells(plotter: Any, mesh: Mesh, line: float) -> None:
-    """Add all cells of the surface, with edges `line` pixels wide, and the electrodes."""
+def height_inside(mesh: Mesh, electrode: int) -> float | None:
+    """Height of an electrode that lies level inside the body [m]; None for all others."""
+    heights = electrode_corners(mesh, electrode)[0][..., 2]
+    low, high = mesh.points[:, 2].min(), mesh.points[:, 2].max()
+    edge = 1e-6 * (high - low)
+    inside = np.ptp(heights) < edge and low + edge < heights.mean() < high - edge
+    return float(heights.mean()) if inside else None
+
+
+def add_cells(plotter: Any, mesh: Mesh, line: float, below: float | None = None) -> None:
+    """Add the cells' surface, with edges `line` pixels wide, and the electrodes.
+
+    All cells, or those below a height [m].
+    """
     edges = {"show_edges": True, "edge_color": EDGE, "line_width": line}
-    plotter.add_mesh(surface(mesh), color=GEL, **edges, **MATT)
+    drawn = surface(mesh)
+    if below is not None:
+        cells = volume(mesh)
+        low = np.flatnonzero(cells.cell_centers().points[:, 2] < below)
+        drawn = cells.extract_cells(low).extract_surface(algorithm="dataset_surface")
+    plotter.add_mesh(drawn, color=GEL, **edges, **MATT)
     for electrode in range(len(mesh.electrode_facets)):
         plotter.add_mesh(electrode_plate(mesh, electrode), color=METAL, **edges, **MATT)
 

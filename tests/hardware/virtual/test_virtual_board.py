@@ -58,10 +58,12 @@ def test_scenes_may_come_from_any_function():
 def test_scripts_and_single_scenes_are_read_from_toml(tmp_path):
     (tmp_path / "scene.toml").write_text("[bend]\nangle_deg = 20.0\n")
     (tmp_path / "script.toml").write_text(
-        "repeat = false\n[[steps]]\nframes = 2\n[steps.scene.bend]\nangle_deg = 20.0\n"
+        "repeat = false\n[[steps]]\nframes = 3\n"  # flat and untouched where nothing is said
+        "[[steps]]\nframes = 2\n[steps.scene.bend]\nangle_deg = 20.0\n"
     )
     step = Step(Scene(bend=Bend(20.0)), 2)
-    assert Script.from_toml(tmp_path / "script.toml") == Script((step,), repeat=False)
+    script = Script((Step(Scene(), 3), step), repeat=False)
+    assert Script.from_toml(tmp_path / "script.toml") == script
     assert Script.from_toml(tmp_path / "scene.toml")(5) == step.scene
     with pytest.raises(ConfigurationError, match="one step"):
         Script(())

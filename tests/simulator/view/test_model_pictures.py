@@ -9,7 +9,12 @@ from eitskin.geometry.meshing.grading import Grading
 from eitskin.geometry.meshing.mesh_design import mesh_design
 from eitskin.simulator import ForwardModel, Protocol
 from eitskin.simulator.view import shapes
-from eitskin.simulator.view.model_pictures import draw_drive, draw_mesh, model_for_pictures
+from eitskin.simulator.view.model_pictures import (
+    draw_drive,
+    draw_mesh,
+    in_front,
+    model_for_pictures,
+)
 
 from pictured_bar import bar_between_electrodes, colours
 
@@ -80,6 +85,17 @@ def test_potential_and_current_of_a_drive_pair_are_drawn(tmp_path) -> None:
     assert blue.sum() > 3000
     # The current enters on the left, where the potential is high.
     assert np.nonzero(red)[1].mean() < np.nonzero(blue)[1].mean()
+
+
+def test_electrodes_inside_and_below_are_looked_at_where_they_are() -> None:
+    places = ((0.010, "top"), (0.030, "bottom"))
+    pads = tuple(Electrode(x, 0.020, 0.008, on=on) for x, on in places)
+    sheet = Electrode(0.020, 0.030, 0.008, on="inside", z=0.001)
+    design = SensorDesign(Disc(0.020), 0.004, (*pads, sheet))
+    mesh = mesh_design(design, Grading(2e-3, 8e-3, 1.0))
+    heights = [shapes.height_inside(mesh, electrode) for electrode in range(3)]
+    assert heights == [None, None, pytest.approx(0.001)]
+    assert [np.sign(in_front(mesh, electrode)[2]) for electrode in range(3)] == [1.0, -1.0, 1.0]
 
 
 def test_electrodes_that_do_not_exist_are_refused(tmp_path) -> None:
