@@ -83,12 +83,13 @@ class Specimens:
                 f"specimens: hinge_span must be less than a third of the span of {span:g} m, "
                 f"got {self.hinge_span}"
             )
-        free = _clearance(design)
+        free, between = _clearance(design)
         if MAX_DEVIATIONS * self.electrode_place > free:
+            least = max(0.0, free / MAX_DEVIATIONS)
             yield (
-                f"specimens: electrode_place must be at most {free / MAX_DEVIATIONS:.3g} m, three "
-                "of which bring electrodes to each other or to a corner, got "
-                f"{self.electrode_place}"
+                f"specimens: electrode_place must be at most {least:.3g} m, three of which are the "
+                f"{1e3 * max(0.0, free):.3g} mm that {between} leave, got {self.electrode_place}; "
+                "lower it, or place these elsewhere, as by `start` of a layout"
             )
 
     def extremes(
@@ -245,17 +246,29 @@ def _moved_along_rim(electrode: Electrode, distance: float, design: SensorDesign
     return dataclasses.replace(electrode, x=x, y=y)
 
 
-def _clearance(design: SensorDesign) -> float:
-    """Distance that every side electrode may move without reaching others or corners [m]."""
-    outline, electrodes = design.outline, [e for e in design.electrodes if e.on == "side"]
-    if isinstance(outline, Surface) or not electrodes:
-        return math.inf
+def _clearance(design: SensorDesign) -> tuple[float, str]:
+    """Distance that every side electrode may move without reaching others or corners [m].
+
+    With the electrodes, or the electrode and the corner, that leave so little; negative where an
+    electrode goes around a corner.
+    """
+    outline = design.outline
+    numbers = np.array([k for k, e in enumerate(design.electrodes) if e.on == "side"])
+    if isinstance(outline, Surface) or not len(numbers):
+        return math.inf, ""
+    electrodes = [design.electrodes[k] for k in numbers]
     half = 0.5 * np.array([electrode.width for electrode in electrodes])
     places = np.array([outline.locate(e.x, e.y) for e in electrodes])
     order = np.argsort(places)
+    after = np.roll(order, -1)
     around = np.diff(places[order], append=places[order[0]] + outline.perimeter)
-    free = [*(0.5 * (around - half[order] - half[np.roll(order, -1)]))]
+    gaps = 0.5 * (around - half[order] - half[after])
+    nearest = int(gaps.argmin())
+    pair = f"electrodes {numbers[order[nearest]]} and {numbers[after[nearest]]}"
+    found = [(float(gaps[nearest]), pair)]
     if isinstance(outline, Rectangle):
         corners = np.append(outline.corners, outline.perimeter)
-        free += [*(np.abs(places[:, None] - corners).min(axis=1) - half)]
-    return max(0.0, float(min(free)))
+        gaps = np.abs(places[:, None] - corners).min(axis=1) - half
+        nearest = int(gaps.argmin())
+        found.append((float(gaps[nearest]), f"electrode {numbers[nearest]} and a corner"))
+    return min(found)

@@ -150,6 +150,20 @@ def test_conductivities_of_layers_scatter_together():
     assert 0.05 < np.log(conductivity[:, 0] / 0.5).std() < 0.15
 
 
+def test_the_electrodes_that_cannot_move_are_named():
+    """Those at a corner, around it, or beside each other."""
+    spread = Specimens(electrode_place=0.0005)
+    for x, culprits in ((0.0735, "electrodes 0 and 2"), (0.147, "electrode 2 and a corner")):
+        pads = (Electrode(0.068, 0.0), Electrode(0.05, 0.03, on="top"), Electrode(x, 0.0))
+        design = dataclasses.replace(DESIGN, electrodes=pads)
+        (problem,) = spread.problems(design, Clamp())
+        assert culprits in problem
+    around = dataclasses.replace(DESIGN, electrodes=(Electrode(0.03, 0.0), Electrode(0.149, 0.0)))
+    (problem,) = spread.problems(around, Clamp())
+    assert "at most 0 m" in problem
+    assert "electrode 1 and a corner" in problem
+
+
 @pytest.mark.parametrize(
     ("spread", "message"),
     [
