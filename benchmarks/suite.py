@@ -146,6 +146,7 @@ ALL = (
     Benchmark("session_starts", "data", 9, (), ("--specimens", "40", "--held-out", "4")),
     Benchmark("stored_references", "data", 4, (), ("--specimens", "2", "--mounted", "1")),
     Benchmark("large_sets", "data", 25, OWN, (*OWN, "--frames", "4000", "--shards", "40")),
+    Benchmark("chains", "data", 20, OUT, own_results=True),
     Benchmark("layouts", "", 90, OWN, (*OWN, "--quick"), report="layouts.md"),
 )
 
