@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.config import from_dict, to_dict
+from eitskin.datasets.store.dataset import Dataset
 from eitskin.errors import FrameError, UnusableFrameError
 from eitskin.frame import Frame
 from eitskin.geometry.design.sensor import SensorDesign
@@ -16,6 +17,10 @@ from eitskin.protocol import Protocol
 FREQUENCY_TOLERANCE = 0.01  # relative
 LARGEST_SCALE = 5.0  # factor common to all values; gels scatter by less, wrong units by more
 LARGEST_SPREAD = 0.10  # of log ratios; contacts that scatter by 50 % give 0.07, wrong wiring 0.15
+# Readings of neighbours depend far more on the places of electrodes: between 32 on a rim they
+# scatter by 0.12 where these do by 0.5 mm, and wrong wiring gives 1.
+SPREAD_MARGIN = 1.5  # times the largest spread of the specimens trained with
+WIDEST_SPREAD = 0.5
 PIXELS = 2560  # of a map; on the reference sensor 32 x 80 squares of 1.875 mm
 FEWEST_CHANNELS = 0.5  # share of a frame that must be usable
 
@@ -30,12 +35,26 @@ class InputSpec:
         frequency: of the excitation [Hz].
         reference: magnitudes of the flat, untouched sensor (measurements,) [ohm]; median over the
             specimens trained with.
+        spread: largest root mean square of the logarithms of a sensor's magnitudes over
+            `reference`, less a common factor, that is taken for a sensor of this design.
     """
 
     design: SensorDesign
     protocol: Protocol
     frequency: float
     reference: NDArray[np.float64]
+    spread: float = LARGEST_SPREAD
+
+    @classmethod
+    def of(cls, dataset: Dataset, design: SensorDesign, protocol: Protocol) -> "InputSpec":
+        """Specification for the sensors of a training set."""
+        magnitudes = np.abs(dataset.reference[np.unique(dataset.specimen)]).astype(float)
+        reference = np.median(magnitudes, axis=0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            logs = np.log(magnitudes / reference)
+        found = [_spread(each[np.isfinite(each)])[0] for each in logs]
+        spread = min(max(LARGEST_SPREAD, SPREAD_MARGIN * max(found)), WIDEST_SPREAD)
+        return cls(design, protocol, dataset.frequency, reference, spread)
 
     def document(self) -> dict[str, Any]:
         """Plain data for JSON, without `reference`."""
@@ -43,6 +62,7 @@ class InputSpec:
             "design": to_dict(self.design),
             "protocol": asdict(self.protocol),
             "frequency": self.frequency,
+            "spread": self.spread,
             "units": {"impedance": "ohm", "frequency": "Hz", "length": "m", "angle": "degree"},
         }
 
@@ -51,7 +71,8 @@ class InputSpec:
         """Restore the specification; raises ConfigurationError where `document` is not valid."""
         design = from_dict(SensorDesign, document["design"], "layout.design")
         protocol = from_dict(Protocol, document["protocol"], "layout.protocol")
-        return cls(design, protocol, float(document["frequency"]), reference.astype(float))
+        frequency, spread = float(document["frequency"]), document.get("spread", LARGEST_SPREAD)
+        return cls(design, protocol, frequency, reference.astype(float), float(spread))
 
     @property
     def outline(self) -> tuple[float, float]:
@@ -95,13 +116,12 @@ class InputSpec:
 
         The median of the log ratios to the trained reference is a common factor, the gel's
         conductivity or the board's gain; `LARGEST_SCALE` limits it. The remainder is due to
-        contacts and geometry; `LARGEST_SPREAD` limits its root mean square. (A median would
+        contacts and geometry; `spread` limits its root mean square. (A median would
         overlook two swapped electrodes, which leave most channels unchanged.)
         """
         known = np.flatnonzero(np.isfinite(voltages))
         logs = np.log(np.abs(voltages[known] / self.reference[known]))
-        common = float(np.median(logs))
-        spread = float(np.sqrt(np.mean((logs - common) ** 2)))
+        spread, common = _spread(logs)
         worst = self.protocol.labels[known[np.abs(logs - common).argmax()]]
         if abs(common) > np.log(LARGEST_SCALE):
             raise FrameError(
@@ -109,15 +129,23 @@ class InputSpec:
                 f"trained for (expected {1 / LARGEST_SCALE:g} to {LARGEST_SCALE:g}): another "
                 "sensor, or other units than ohm; train a pipeline for it"
             )
-        if spread > LARGEST_SPREAD:
+        if spread > self.spread:
             raise FrameError(
                 f"the channels scatter by {spread:.0%} against the sensor this pipeline was "
-                f"trained for (expected up to {LARGEST_SPREAD:.0%}, after one common factor of "
+                f"trained for (expected up to {self.spread:.0%}, after one common factor of "
                 f"{np.exp(common):.3g}), most of all {worst}: another sensor, a board that loads "
                 "it otherwise, a bad contact, or electrodes in another order; check the wiring, or "
                 "train a pipeline for it (own frames go together with simulated ones: eitskin "
                 "dataset combine)"
             )
+
+
+def _spread(logs: NDArray[np.float64]) -> tuple[float, float]:
+    """Root mean square of log ratios (m,) about their median, and that median; 0 without any."""
+    if not logs.size:
+        return 0.0, 0.0
+    common = float(np.median(logs))
+    return float(np.sqrt(np.mean((logs - common) ** 2))), common
 
 
 def usable_values(frame: Frame) -> tuple[NDArray[np.complex128], tuple[str, ...]]:

@@ -126,9 +126,7 @@ class Pipeline:
             )
         seen, unseen, _ = settings.split(dataset)
         train, validation = dataset.select(seen), dataset.select(unseen)
-        specimens = np.unique(train.specimen)
-        reference = np.median(np.abs(dataset.reference[specimens]), axis=0).astype(float)
-        layout = InputSpec(design, protocol, dataset.frequency, reference)
+        layout = InputSpec.of(train, design, protocol)
         frames = TrainingFrames.of(train, layout, validation)
         chosen = np.concatenate(
             [np.flatnonzero(train.state == state)[:GOLDEN_PER_STATE] for state in State]

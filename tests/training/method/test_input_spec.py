@@ -1,0 +1,39 @@
+"""Sensors that a pipeline takes for its own, by how its training specimens scatter."""
+
+import numpy as np
+import pytest
+
+from eitskin.datasets import Dataset
+from eitskin.errors import FrameError
+from eitskin.geometry import SensorDesign
+from eitskin.simulator import Protocol
+from eitskin.training.method.input_spec import LARGEST_SPREAD, InputSpec
+
+PROTOCOL = Protocol.pairwise(8)
+FLAT = np.linspace(400.0, 800.0, 28)
+
+
+def of_specimens(scatter):
+    """Specification for eight specimens whose channels scatter by so much, and the generator."""
+    rng = np.random.default_rng(0)
+    reference = FLAT * np.exp(scatter * rng.normal(size=(8, 28)))
+    data = Dataset.from_arrays(reference, reference, specimen=np.arange(8), state=np.zeros(8))
+    return InputSpec.of(data, SensorDesign.reference(), PROTOCOL), rng
+
+
+def test_sensors_that_scatter_as_those_trained_with_are_taken():
+    spec, rng = of_specimens(0.15)
+    assert 1.5 * 0.15 < spec.spread < 0.5
+    spec.require_same_sensor((3.0 * FLAT * np.exp(0.15 * rng.normal(size=28))).astype(complex))
+    with pytest.raises(FrameError, match="scatter by"):
+        spec.require_same_sensor((FLAT * np.exp(0.6 * rng.normal(size=28))).astype(complex))
+
+
+def test_the_limit_is_never_lower_than_of_sensors_that_hardly_scatter_and_is_saved():
+    spec, _ = of_specimens(0.01)
+    assert spec.spread == LARGEST_SPREAD
+    for each in (spec, of_specimens(0.15)[0]):
+        again = InputSpec.from_document(each.document(), each.reference)
+        assert again.spread == each.spread
+    old = {key: value for key, value in spec.document().items() if key != "spread"}
+    assert InputSpec.from_document(old, spec.reference).spread == LARGEST_SPREAD
