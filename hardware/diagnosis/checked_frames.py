@@ -76,7 +76,11 @@ class CheckedFrames:
     @cached_property
     def opened(self) -> Bools:
         """Channels without a current, (measurements,)."""
-        times = self.ratio / max(self._scale, np.finfo(float).tiny)
+        # Small values between neighbours change manifold with the places of electrodes.
+        least = SHORT * float(np.sqrt(np.mean(self.expected**2)))
+        floor = np.where(self.senses_where_it_drives, self.expected, least)
+        times = np.abs(self.value) / np.maximum(self.expected, floor)
+        times /= max(self._scale, np.finfo(float).tiny)
         large = (times > INSULATED) | ((times > OPEN) & self._capacitive)
         return np.asarray(self._reported_open | (self.usable & large))
 

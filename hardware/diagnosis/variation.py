@@ -27,7 +27,7 @@ SIGNIFICANT = 6.0
 NOISY, NOISE = 4.0, 0.001
 """Noise of a noisy channel: in units of the median channel's noise, and relative to its value."""
 NOISY_BOARD = 0.005
-"""Relative noise of the median channel from which all values are noisy."""
+"""Noise of the median channel, relative to the rms of all, from which all values are noisy."""
 FEWEST_FOR_NOISE = 8
 
 
@@ -57,7 +57,8 @@ def unsteady(checked: CheckedFrames, rest: Bools) -> Iterator[Finding]:
     value, noise = np.abs(checked.value), checked.noise
     relative = noise / np.maximum(value, SHORT * checked.expected)
     usual = float(np.median(noise[rest]))
-    if (whole := float(np.median(relative[rest]))) > NOISY_BOARD:
+    # White noise is that of the largest values, and far above many of those between neighbours.
+    if (whole := usual / float(np.sqrt(np.mean(value[rest] ** 2)))) > NOISY_BOARD:
         text = (
             f"all values scatter by {100 * whole:.1f} % from frame to frame: check ground, shield "
             "and supply of the board, and that nothing moves"

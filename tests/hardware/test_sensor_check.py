@@ -341,3 +341,23 @@ def test_the_command_lists_ports(monkeypatch):
     assert "0483:0001" in run("--list").stdout
     monkeypatch.setattr(port, "serial_ports", lambda: ())
     assert "no serial port" in run("--list").stdout
+
+
+def test_small_readings_between_neighbours_are_no_fault():
+    """Those far from the driven electrodes lie in the noise, and depend on where electrodes are."""
+    protocol = Protocol.adjacent(16)
+    expected, rng = np.geomspace(54.0, 0.002, len(protocol)), np.random.default_rng(0)
+    truth = expected * np.exp(0.1 * rng.normal(size=len(protocol)))
+    truth[-5:] = 0.2  # a hundred times as much
+    noise = 54.0 * 10 ** (-75 / 20)
+
+    def frames(noise):
+        return [Frame(truth + noise * rng.normal(size=len(truth)), protocol) for _ in range(FRAMES)]
+
+    assert check_sensor(frames(noise), expected).healthy
+    truth[10] *= 60.0
+    (finding,) = check_sensor(frames(noise), expected).findings
+    assert (finding.what, finding.channels) == (FindingKind.OPEN, (10,))
+    truth[10] /= 60.0
+    (finding,) = check_sensor(frames(30.0 * noise), expected).findings
+    assert finding.what == FindingKind.NOISY
