@@ -192,5 +192,6 @@ def in_front(mesh: Mesh, electrode: int) -> Array:
     right = np.cross([0.0, 0.0, 1.0], normal)
     eye: Array = normal + 0.3 * right + [0.0, 0.0, 0.7]
     if np.linalg.norm(eye[:2]) < 0.3:
-        return DIRECTION * [1.0, 1.0, -1.0 if normal[2] < -0.5 else 1.0]
+        above_or_below: Array = DIRECTION * [1.0, 1.0, -1.0 if normal[2] < -0.5 else 1.0]
+        return above_or_below
     return eye / np.linalg.norm(eye)
