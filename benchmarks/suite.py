@@ -122,6 +122,7 @@ ALL = (
         needs="{data}/ktc2023_ref.mat",
     ),
     Benchmark("round_skin", "boards", 3, ("{data}",), needs="{data}/ohmc8.mat"),
+    Benchmark("twin", "data", 20, ("{data}",), needs="{data}/ohmc8.mat"),
     Benchmark("recordings", "data", 1, ("{data}",), needs="{data}/ohmc8.mat"),
     Benchmark("recipes", "data", 6, OWN, (*OWN, "--frames", "10", "--only", "paper_demo")),
     Benchmark("sensor_check", "boards", 5, (), ("--specimens", "10", "--faulty", "2"), seeded=True),

@@ -23,6 +23,7 @@ from eitskin.cli.commands import (
     simulate,
     tare,
     train,
+    twin,
 )
 from eitskin.cli.commands.bench import group as bench
 from eitskin.cli.demo import command as demo
@@ -85,6 +86,7 @@ app.add_typer(dataset.app, name="dataset")
 app.add_typer(bench.app, name="bench")
 app.add_typer(export.app, name="export")
 app.add_typer(instrument.app, name="instrument")
+app.add_typer(twin.app, name="twin")
 
 
 def run() -> None:

@@ -286,13 +286,37 @@ class Simulator:
             before_each: called before each solution; may raise to stop.
             instrument: whose circuit the sensor is part of; an ideal meter when omitted.
         """
-        found: dict[Scene, NDArray[np.complex128]] = {}
+        return self._measured(self.impedances(scenes, tolerance, before_each), instrument)
+
+    def impedances(
+        self,
+        scenes: Sequence[Scene],
+        tolerance: float = TOLERANCE,
+        before_each: Callable[[], None] = lambda: None,
+    ) -> NDArray[np.inexact]:
+        """Electrode impedance matrices [ohm] of many scenes, (scenes, electrodes, electrodes).
+
+        Args:
+            scenes, tolerance, before_each: as for `measure_all`.
+        """
+        found: dict[Scene, NDArray[np.inexact]] = {}
         with kernels():
             for group in _by_bend(scenes).values():
                 for scene in group:
                     before_each()
-                    found[scene] = self._measured(self._impedances.at(scene, tolerance), instrument)
+                    found[scene] = self._impedances.at(scene, tolerance)
         return np.array([found[scene] for scene in scenes])
+
+    def contact_sensitivities(
+        self, scenes: Sequence[Scene], tolerance: float = TOLERANCE
+    ) -> NDArray[np.float64]:
+        """Derivatives of `impedances` by the contact impedances [1/m2], by the adjoint method.
+
+        Shape (scenes, electrodes, electrodes, contacts). Raises ConfigurationError for complex
+        contact impedances.
+        """
+        with kernels():
+            return np.array([self._impedances.contact_sensitivity(s, tolerance) for s in scenes])
 
     @property
     def _is_body(self) -> bool:

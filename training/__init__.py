@@ -3,7 +3,7 @@
 A dataset trains a method (`joint` or `paper`, both behind `method`); `pipeline` turns the frames of
 a session into estimates with it, `evaluation` scores these, `export` writes ONNX graphs.
 `positions` learns touch positions alone, from recordings without geometry; `reconstruction` makes
-pictures without training.
+pictures without training; `twin` finds the physical numbers behind one sensor.
 """
 
 from eitskin.lazy import lazy_exports

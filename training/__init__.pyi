@@ -64,3 +64,5 @@ from eitskin.training.reconstruction.reconstructor import (
 from eitskin.training.reconstruction.regularisation import (
     Regularisation as Regularisation,
 )
+from eitskin.training.twin.parameters import TwinPrior as TwinPrior
+from eitskin.training.twin.twin import Twin as Twin

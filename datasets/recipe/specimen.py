@@ -27,7 +27,7 @@ _Fixed = TypeVar("_Fixed", Hinge, FreeArc, Clamp, Hinge | FreeArc, Fixture)
 MAX_DEVIATIONS = 3.0
 """Truncation of all normal draws, in standard deviations."""
 
-_RANGES = {
+RANGES = {
     "conductivity": (1.0, ""),
     "thickness": (0.05, ""),
     "gel_modulus": (0.3, ""),
@@ -74,7 +74,7 @@ class Specimens:
         """Impossible values for sensors like `design` on a `fixture`, a sentence each."""
         if not 1 <= self.count <= LIMITS["specimen"]:
             yield f"specimens: count must be from 1 to {LIMITS['specimen']}, got {self.count}"
-        for name, (limit, unit) in _RANGES.items():
+        for name, (limit, unit) in RANGES.items():
             if not 0.0 <= (value := getattr(self, name)) <= limit:
                 yield f"specimens: {name} must be from 0 to {limit:g}{unit}, got {value}"
         span = free_length(fixture)
@@ -83,7 +83,7 @@ class Specimens:
                 f"specimens: hinge_span must be less than a third of the span of {span:g} m, "
                 f"got {self.hinge_span}"
             )
-        free, between = _clearance(design)
+        free, between = clearance(design)
         if MAX_DEVIATIONS * self.electrode_place > free:
             least = max(0.0, free / MAX_DEVIATIONS)
             yield (
@@ -96,11 +96,11 @@ class Specimens:
         self, design: SensorDesign, fixture: KinematicFixture
     ) -> Iterator[tuple[SensorDesign, KinematicFixture]]:
         """Sensors and fixtures with the largest possible deviations from the nominal ones."""
-        thick = _scaled_thickness(design, lognormal(self.thickness, MAX_DEVIATIONS))
+        thick = scaled_thickness(design, lognormal(self.thickness, MAX_DEVIATIONS))
         ends = (-MAX_DEVIATIONS, MAX_DEVIATIONS)
         for one, other in itertools.product(ends, ends):
             moved = (one * self.hinge_span, other * self.hinge_offset)
-            yield thick, _moved_fixture(fixture, *moved)
+            yield thick, moved_fixture(fixture, *moved)
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +127,7 @@ def draw_specimen(spread: Specimens, nominal: Specimen, rng: np.random.Generator
 
     electrodes = tuple(
         dataclasses.replace(
-            _moved_along_rim(electrode, spread.electrode_place * place, design),
+            moved_along_rim(electrode, spread.electrode_place * place, design),
             contact_impedance=electrode.contact_impedance * factor("contact_impedance", contact),
         )
         for electrode, contact, place in zip(design.electrodes, contacts, places, strict=True)
@@ -136,9 +136,9 @@ def draw_specimen(spread: Specimens, nominal: Specimen, rng: np.random.Generator
     made = dataclasses.replace(
         design, electrodes=electrodes, support=with_wider_gap(design.support, widened)
     )
-    made = _scaled_conductivity(made, factor("conductivity", conductivity))
+    made = scaled_conductivity(made, factor("conductivity", conductivity))
     if spread.thickness:
-        made = _scaled_thickness(made, factor("thickness", thickness))
+        made = scaled_thickness(made, factor("thickness", thickness))
         mechanics = dataclasses.replace(
             mechanics, solved_thickness=mechanics.solved_thickness or design.thickness
         )
@@ -146,11 +146,11 @@ def draw_specimen(spread: Specimens, nominal: Specimen, rng: np.random.Generator
         fixture, mechanics = _sharing_bends(spread, fixture, mechanics)
     return Specimen(
         made,
-        _moved_fixture(fixture, widened, spread.hinge_offset * offset),
+        moved_fixture(fixture, widened, spread.hinge_offset * offset),
         dataclasses.replace(
             mechanics,
-            gel=_scaled_modulus(mechanics.gel, factor("gel_modulus", gel)),
-            encapsulation=_scaled_modulus(
+            gel=scaled_modulus(mechanics.gel, factor("gel_modulus", gel)),
+            encapsulation=scaled_modulus(
                 mechanics.encapsulation, factor("encapsulation_modulus", around)
             ),
         ),
@@ -169,7 +169,7 @@ def free_length(fixture: Fixture) -> float:
     return fixture.length if isinstance(fixture, FreeArc) else fixture.span
 
 
-def _moved_fixture(fixture: _Fixed, span: float, offset: float) -> _Fixed:
+def moved_fixture(fixture: _Fixed, span: float, offset: float) -> _Fixed:
     """Fixture of a longer span and a deeper axis, by `span` and `offset` [m]."""
     if isinstance(fixture, FreeArc):
         return dataclasses.replace(fixture, length=fixture.length + span)
@@ -206,7 +206,7 @@ def truncated_normal(rng: np.random.Generator, size: int) -> Array:
     return drawn
 
 
-def _scaled_conductivity(design: SensorDesign, factor: float) -> SensorDesign:
+def scaled_conductivity(design: SensorDesign, factor: float) -> SensorDesign:
     """Design with every conductivity times `factor`."""
     if not design.layers:
         return dataclasses.replace(design, conductivity=factor * design.conductivity)
@@ -214,7 +214,7 @@ def _scaled_conductivity(design: SensorDesign, factor: float) -> SensorDesign:
     return dataclasses.replace(design, layers=tuple(layers))
 
 
-def _scaled_thickness(design: SensorDesign, factor: float) -> SensorDesign:
+def scaled_thickness(design: SensorDesign, factor: float) -> SensorDesign:
     """Design with every height times `factor`."""
     layers = (dataclasses.replace(x, thickness=factor * x.thickness) for x in design.layers)
     return dataclasses.replace(
@@ -233,11 +233,12 @@ def _scaled_height(electrode: Electrode, factor: float) -> Electrode:
     return dataclasses.replace(electrode, z=z, height=height)
 
 
-def _scaled_modulus(law: NeoHookean | Ogden, factor: float) -> NeoHookean | Ogden:
+def scaled_modulus(law: NeoHookean | Ogden, factor: float) -> NeoHookean | Ogden:
+    """Law with its shear modulus times `factor`."""
     return dataclasses.replace(law, shear_modulus=factor * law.shear_modulus)
 
 
-def _moved_along_rim(electrode: Electrode, distance: float, design: SensorDesign) -> Electrode:
+def moved_along_rim(electrode: Electrode, distance: float, design: SensorDesign) -> Electrode:
     """Side electrode moved `distance` [m] along the rim, counter-clockwise; others stay."""
     outline = design.outline
     if electrode.on != "side" or not distance or isinstance(outline, Surface):
@@ -246,7 +247,7 @@ def _moved_along_rim(electrode: Electrode, distance: float, design: SensorDesign
     return dataclasses.replace(electrode, x=x, y=y)
 
 
-def _clearance(design: SensorDesign) -> tuple[float, str]:
+def clearance(design: SensorDesign) -> tuple[float, str]:
     """Distance that every side electrode may move without reaching others or corners [m].
 
     With the electrodes, or the electrode and the corner, that leave so little; negative where an

@@ -1,5 +1,7 @@
 """Map from a nominal sensor to one of its specimens, whose electrodes are moved along the rim."""
 
+import dataclasses
+import math
 from itertools import pairwise
 
 import numpy as np
@@ -9,6 +11,7 @@ from eitskin.geometry.deformation.kinematics import Gradients, OnePass, Points
 from eitskin.geometry.design.electrode import Electrode
 from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.geometry.design.surface import Surface
 
 Array = NDArray[np.float64]
 
@@ -29,7 +32,7 @@ class ElectrodeShift(OnePass):
 
         Args:
             sides: nominal and moved positions [m] along "bottom", "top", "left" and "right", each
-                rising from corner to corner.
+                rising from corner to corner; none for a map that scales the thickness alone.
             size: length and width [m].
             thicker: thickness of the specimen over the nominal one.
         """
@@ -49,6 +52,9 @@ class ElectrodeShift(OnePass):
         return known[1], known[2]
 
     def _evaluated(self, points: Points) -> tuple[Points, Gradients]:
+        if not self._sides:
+            scales = np.array([1.0, 1.0, self._thicker])
+            return scales * points, np.broadcast_to(np.diag(scales), (*points.shape, 3)).copy()
         x, y = points[..., 0], points[..., 1]
         across, along = y / self._size[1], x / self._size[0]
         bottom, left = self._moved("bottom", x), self._moved("left", y)
@@ -74,13 +80,16 @@ class ElectrodeShift(OnePass):
 def electrode_shift(nominal: SensorDesign, design: SensorDesign) -> ElectrodeShift | None:
     """Map from a nominal sensor to a design that differs in electrode positions and thickness.
 
-    None for designs that differ otherwise in shape, are no rectangles, or have electrodes that are
-    not as high as the layer or meet a corner. Conductivities and contact impedances are free.
+    None for designs that differ otherwise in shape. Electrodes can be moved on rectangles, those
+    that are as high as the layer and meet no corner. Conductivities and contact impedances are
+    free.
     """
-    outline = nominal.outline
-    if not isinstance(outline, Rectangle) or outline != design.outline:
+    outline, thicker = nominal.outline, design.thickness / nominal.thickness
+    if outline != design.outline or isinstance(outline, Surface):
         return None
-    if len(nominal.electrodes) != len(design.electrodes):
+    if _same_places(nominal, design, thicker):
+        return ElectrodeShift({}, np.array([outline.length, outline.width]), thicker)
+    if not isinstance(outline, Rectangle) or len(nominal.electrodes) != len(design.electrodes):
         return None
     sides: dict[str, list[tuple[float, float, float, float]]] = {}
     for one, other in zip(nominal.electrodes, design.electrodes, strict=True):
@@ -99,7 +108,29 @@ def electrode_shift(nominal: SensorDesign, design: SensorDesign) -> ElectrodeShi
         if any((after <= before).any() for before, after in pairwise(both)):
             return None
         maps[side] = both[:, 0], both[:, 1]
-    return ElectrodeShift(maps, size, design.thickness / nominal.thickness)
+    return ElectrodeShift(maps, size, thicker)
+
+
+def _same_places(nominal: SensorDesign, design: SensorDesign, thicker: float) -> bool:
+    """Whether all electrodes are alike but for contact impedances and the sensor's thickness."""
+    if len(nominal.electrodes) != len(design.electrodes):
+        return False
+    for one, other in zip(nominal.electrodes, design.electrodes, strict=True):
+        free = dataclasses.replace(
+            other, contact_impedance=one.contact_impedance, z=one.z, height=one.height
+        )
+        upright = thicker if one.on == "side" else 1.0
+        heights = _same(one.z, other.z, thicker), _same(one.height, other.height, upright)
+        if free != one or not all(heights):
+            return False
+    return True
+
+
+def _same(one: float | None, other: float | None, factor: float) -> bool:
+    """Whether one length times a factor is the other, or neither is given."""
+    if one is None or other is None:
+        return one is other
+    return math.isclose(factor * one, other, rel_tol=0.0, abs_tol=_SAME)
 
 
 def _side(electrode: Electrode, outline: Rectangle) -> str | None:

@@ -250,6 +250,24 @@ class Assembly:
             admittance=scatter_sum(self.facet_electrode, conductance.sum(axis=1), L),
         )
 
+    def contact_gram(
+        self, drops: Numbers, impedance: Numbers, area_ratio: Array | float = 1.0
+    ) -> Numbers:
+        """Integrals int_{E_l} j_k j_m over each contact, (k, k, electrodes) [1/m2].
+
+        Args:
+            drops: potential drops across the contacts per unit current, (pieces, q, k), which are
+                the current densities j times the contact impedances.
+            impedance, area_ratio: as in `electrode_terms`.
+        """
+        electrode = self.facet_electrode
+        j = drops / impedance[electrode][:, None, None]
+        weights = self.facet_weights * area_ratio
+        pieces = np.einsum("fq,fqk,fql->fkl", weights, j, j, optimize=True)
+        gram = np.zeros((self.electrodes, *pieces.shape[1:]), dtype=pieces.dtype)
+        np.add.at(gram, electrode, pieces)
+        return np.moveaxis(gram, 0, 2)
+
     def cell_gram(self, potentials: Numbers) -> Numbers:
         """Integrals int_cell grad u_k . grad u_l, (cells, k, k), for u (elements, functions, k).
 

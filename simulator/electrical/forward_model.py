@@ -171,16 +171,31 @@ class ForwardModel:
         d V_m / d z_l = int_{E_l} j_drive j_sense with the current densities
         j = (U_l - u) / z_l (Vilhunen et al. 2002), exact for the discrete model.
         """
-        assembly, z = self.assembly, self.contact_impedance
-        electrode = assembly.facet_electrode
-        _, system, w, U = self._solve(conductivity)
-        j = self.contact_drops(w, U, system.lift) / z[electrode][:, None, None]
-        pieces = np.einsum("fq,fqk,fql->fkl", assembly.facet_weights, j, j, optimize=True)
-        gram = np.zeros((len(z), *pieces.shape[1:]), dtype=pieces.dtype)
-        np.add.at(gram, electrode, pieces)
+        gram = self.contact_gram(conductivity)
         drive, sense = protocol.patterns()
-        J: Numbers = np.einsum("em,lef,fm->ml", drive, gram, sense, optimize=True)
+        J: Numbers = np.einsum("em,efl,fm->ml", drive, gram, sense, optimize=True)
         return J
+
+    def contact_gram(
+        self,
+        conductivity: Conductivity | None = None,
+        area_ratio: AreaRatio | None = None,
+        contact_impedance: Numbers | None = None,
+    ) -> Numbers:
+        """Derivatives of the impedance matrix by each contact impedance [1/m2].
+
+        Shape (electrodes, electrodes, electrodes), the contact last.
+
+        Args:
+            conductivity, area_ratio, contact_impedance: as in `impedance`.
+        """
+        assembly = self.assembly
+        z = self.contact_impedance if contact_impedance is None else contact_impedance
+        _, system, w, U = self._solve(conductivity, area_ratio, contact_impedance)
+        ratio: Array | float = 1.0
+        if area_ratio is not None:
+            ratio = area_ratio(assembly.facet_points, assembly.facet_normals)
+        return assembly.contact_gram(self.contact_drops(w, U, system.lift), z, ratio)
 
     def contact_drops(self, w: Numbers, U: Numbers, lift: Array) -> Numbers:
         """Potential drop U - u across the contacts, (pieces, q, k), for u = w + lift U."""
@@ -284,13 +299,16 @@ class ForwardModel:
         return stiffness, self.pattern.system(stiffness.values, contact)
 
     def _solve(
-        self, conductivity: Conductivity | None, area_ratio: AreaRatio | None = None
+        self,
+        conductivity: Conductivity | None,
+        area_ratio: AreaRatio | None = None,
+        contact_impedance: Numbers | None = None,
     ) -> tuple[Stiffness, CemSystem, Numbers, Numbers]:
         """Stiffness, system, w (unknowns, electrodes) and U, per unit electrode current [V/A].
 
         The currents leave through all electrodes in equal parts.
         """
-        stiffness, system = self._system(conductivity, area_ratio)
+        stiffness, system = self._system(conductivity, area_ratio, contact_impedance)
         per_potential = self.solver.factorise(system.values).solve(system.coupling)
         T = system.coupling.T @ per_potential
         U = np.linalg.solve(system.admittance - 0.5 * (T + T.T), zero_sums(np.eye(len(T))))

@@ -11,14 +11,14 @@ elimination would take as many operations as the assembled blocks have, cubed.
 
 from collections.abc import Iterator
 from copy import copy
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError
 from eitskin.simulator.electrical.assembly import ElectrodeTerms
-from eitskin.simulator.electrical.cem_system import impedance_matrix
+from eitskin.simulator.electrical.cem_system import impedance_matrix, zero_sums
 from eitskin.simulator.electrical.forward_model import ForwardModel
 from eitskin.simulator.layer.deformed_layer import DeformedLayer
 from eitskin.simulator.linalg.block_cholesky import BlockFactors
@@ -89,20 +89,49 @@ class Reanalysis:
             layer: of any scene; one that differs too much from the factorised scene is factorised.
             tolerance: of the change from the factorised scene, relative.
         """
+        found = self._accepted(layer, tolerance)
+        if found is not None:
+            return found.impedance
+        exact = self._model.impedance(layer.conductivity, layer.area_ratio, layer.contact_impedance)
+        return np.real(exact)
+
+    def contact_sensitivity(self, layer: DeformedLayer, tolerance: Tolerance = TOLERANCE) -> Array:
+        """Derivatives of the impedance matrix by each contact impedance [1/m2].
+
+        Shape (electrodes, electrodes, electrodes), the contact last; by the adjoint method, as
+        `ForwardModel.contact_sensitivity`.
+
+        Args:
+            layer, tolerance: as for `impedance`.
+        """
+        found = self._accepted(layer, tolerance)
+        model, z = self._model, np.real(layer.contact_impedance)
+        assembly = model.assembly
+        ratio = layer.area_ratio(assembly.facet_points, assembly.facet_normals)
+        if found is None:
+            return np.real(
+                model.contact_gram(layer.conductivity, layer.area_ratio, layer.contact_impedance)
+            )
+        U = np.linalg.solve(found.admittance - found.response, zero_sums(np.eye(len(z))))
+        drops = model.contact_drops(found.potentials @ U, U, self._lift)
+        return np.real(assembly.contact_gram(drops, z, ratio))
+
+    def _accepted(self, layer: DeformedLayer, tolerance: Tolerance) -> "_Approximation | None":
+        """First approximation within the tolerance; None for a layer that differs too much."""
         change, last = np.inf, None
-        for Z in self.approximations(layer):
+        for each in self._approximations(layer):
+            Z = each.impedance
             if last is not None:
                 before, change = change, float(np.linalg.norm(Z - last))
                 if change <= _ROUNDING * np.linalg.norm(Z):
-                    return Z
+                    return each
                 # Changes that fall geometrically leave errors that do; others tell nothing.
                 falls = change / before
                 wanted = tolerance * np.linalg.norm(Z - self.base)
                 if 0.0 < falls < _FALLS and falls * change <= wanted:
-                    return Z
+                    return each
             last = Z
-        found = self._model.impedance(layer.conductivity, layer.area_ratio, layer.contact_impedance)
-        return np.real(found)
+        return None
 
     def specimen(self, layer: DeformedLayer) -> "Reanalysis | None":
         """Forward model with the same factors, but with `layer` as the base of others.
@@ -110,20 +139,21 @@ class Reanalysis:
         None for a layer that differs too much from the factorised scene.
         """
         last = None
-        for Z, potentials in self._approximations(layer):
+        for each in self._approximations(layer):
+            Z = each.impedance
             if last is not None and np.linalg.norm(Z - last) < _BASE * np.linalg.norm(Z):
                 made = copy(self)
-                made.base, made._potentials, made.solutions = Z, potentials, 0
+                made.base, made._potentials, made.solutions = Z, each.potentials, 0
                 return made
             last = Z
         return None
 
     def approximations(self, layer: DeformedLayer) -> Iterator[Array]:
         """Electrode impedance matrices [ohm] after 0, 1, 2, ... corrections, a limited number."""
-        return (Z for Z, _ in self._approximations(layer))
+        return (each.impedance for each in self._approximations(layer))
 
-    def _approximations(self, layer: DeformedLayer) -> Iterator[tuple[Array, Array]]:
-        """Impedance matrices and potentials (unknowns, electrodes) after 0, 1, ... corrections."""
+    def _approximations(self, layer: DeformedLayer) -> Iterator["_Approximation"]:
+        """Solutions after 0, 1, 2, ... corrections."""
         assembly = self._model.assembly
         matrices = assembly.matrices(layer.entries(assembly.points))
         matrices = assembly.condensed_matrices(matrices)
@@ -143,7 +173,7 @@ class Reanalysis:
         for _ in range(_MOST + 1):
             space.extend(potentials, self._product(matrices, potentials))
             found, T, residual = space.solve()
-            yield np.real(impedance_matrix(D, T)), found
+            yield _Approximation(np.real(impedance_matrix(D, T)), found, D, 0.5 * (T + T.T))
             potentials = np.asarray(self._factors.solve(residual), dtype=np.float64)
             self.solutions += 1
 
@@ -164,6 +194,15 @@ class Reanalysis:
 def is_possible(model: ForwardModel) -> bool:
     """Whether reanalysis applies: real contact impedances."""
     return bool(np.isrealobj(model.contact_impedance))
+
+
+class _Approximation(NamedTuple):
+    """Solution of one scene: Z, potentials (unknowns, electrodes) per electrode potential, D, T."""
+
+    impedance: Array
+    potentials: Array
+    admittance: Array
+    response: Array
 
 
 class _Subspace:

@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.electrode_shift import ElectrodeShift, electrode_shift
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.simulator.electrical.forward_model import ForwardModel
@@ -17,6 +18,7 @@ from eitskin.simulator.layer.deformed_layer import DeformedLayer
 from eitskin.simulator.mechanics.layer_stack import Piezoresistivity
 from eitskin.simulator.scene.scene import Scene
 
+Array = NDArray[np.float64]
 Numbers = NDArray[np.inexact]
 
 
@@ -78,6 +80,22 @@ class SensorImpedances:
         )
         moved: Numbers = coarse + (Z - fine)
         return moved
+
+    def contact_sensitivity(self, scene: Scene, tolerance: float) -> Array:
+        """Derivatives of the impedance [ohm] by each contact impedance [1/m2], the contact last.
+
+        Shape (electrodes, electrodes, electrodes), on the mesh that suits the scene's indenters.
+        Raises ConfigurationError for complex contact impedances.
+        """
+        model = self._suited(self._shared, scene)
+        solved = self.reanalysis(model) if is_possible(model) else None
+        if solved is None:
+            raise ConfigurationError(
+                "derivatives by contact impedances need real ones, and a sensor near its nominal "
+                f"one; got {self._design.contact_impedance}"
+            )
+        layer = dataclasses.replace(self._layer_of(scene), shift=self._shift)
+        return solved.contact_sensitivity(layer, tolerance)
 
     def _suited(self, family: ModelFamily, scene: Scene) -> ForwardModel:
         return family.suited(touch.indenter for touch in scene.touches)

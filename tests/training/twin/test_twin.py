@@ -1,0 +1,203 @@
+"""Twins of simulated sensors whose numbers are known."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from eitskin.datasets import Dataset, State
+from eitskin.datasets.recipe.recipe import Recipe
+from eitskin.datasets.recipe.specimen import Specimen
+from eitskin.errors import ConfigurationError, DataError
+from eitskin.geometry import SensorDesign
+from eitskin.geometry.deformation.fixtures import Bend, Clamp, Hinge
+from eitskin.protocol import Protocol
+from eitskin.simulator import Mechanics, Scene, Touch
+from eitskin.training.twin.files import as_plain, recipe, write_twin
+from eitskin.training.twin.forward import TwinForward
+from eitskin.training.twin.labelled_frames import FLAT, labelled_frames
+from eitskin.training.twin.laplace import Problem
+from eitskin.training.twin.parameters import (
+    TwinParameter,
+    TwinPrior,
+    instrument_parameters,
+    sensor_parameters,
+)
+from eitskin.training.twin.sensor import centred
+from eitskin.training.twin.twin import Twin
+
+DESIGN = SensorDesign.reference()
+NOMINAL = centred(Specimen(DESIGN, Clamp(), Mechanics()))
+ADJACENT = Protocol.adjacent(8, shared=True)
+TERMS = ("sink", "idle")
+PARAMETERS = (
+    *sensor_parameters(NOMINAL, TwinPrior()),
+    TwinParameter("gain", 1.0, 1.01),
+    *instrument_parameters(TERMS, 8, TwinPrior(), 350.0),
+)
+ON_IDEAL = tuple(each for each in PARAMETERS if each.meter is None)
+
+
+def forward(parameters=PARAMETERS, protocol=ADJACENT):
+    return TwinForward(NOMINAL, parameters, protocol, "signed", "coarse")
+
+
+def hidden(seed):
+    """Coordinates of a sensor whose contacts, places, conductivity and thickness are off."""
+    rng = np.random.default_rng(seed)
+    size = {
+        "thickness": 0.3,
+        "gain": 1.0,
+        "contact_impedance": 0.5,
+        "electrode_place": 0.67,
+        "conductivity": 0.2,
+    }
+    x = np.clip(rng.standard_normal(len(PARAMETERS)), -2.0, 2.0)
+    # Bends of fixtures and materials near the reference's come with the package.
+    x *= [0.3 if each.meter else size.get(each.name, 0.05) for each in PARAMETERS]
+    return np.where([each.meter is not None for each in PARAMETERS], np.abs(x), x)
+
+
+def flat_frames(parameters, x, snr_db=75.0, count=10):
+    rng = np.random.default_rng(3)
+    clean = forward(parameters).readings(x, [FLAT])[0]
+    noise = np.abs(clean).max() * 10 ** (-snr_db / 20) * rng.standard_normal((count, len(clean)))
+    states = np.full(count, State.IDLE)
+    return Dataset.from_arrays(clean + noise, protocol=ADJACENT, state=states, quantity="impedance")
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    """Twin of a flat frame of the reference sensor."""
+    return Twin.fit(DESIGN, flat_frames(ON_IDEAL, hidden(3)[: len(ON_IDEAL)]))
+
+
+@pytest.mark.slow
+def test_flat_numbers_on_a_board_with_loads_are_found_within_their_standard_errors():
+    x = hidden(3)
+    twin = Twin.fit(DESIGN, flat_frames(PARAMETERS, x), terms=TERMS)
+    assert [str(each) for each in twin.parameters] == [str(each) for each in PARAMETERS]
+    # Loads are relative to the nominal sensor's impedance, which the fit takes from its mesh.
+    true = np.array([each.number(v) for each, v in zip(PARAMETERS, x, strict=True)])
+    off = (twin.values - true) / twin.standard_errors
+    assert np.sqrt(np.mean(off**2)) < 1.3
+    assert np.abs(off).max() < 4.0
+    shown = {str(each): n for each, n in zip(twin.parameters, twin.narrowing, strict=True)}
+    assert shown["contact_impedance[1]"] < 0.05
+    assert shown["electrode_place[1]"] < 0.3
+    assert twin.agreements["flat"].residual < 1e-3
+    assert set(twin.agreements) == {"flat"}
+
+
+@pytest.mark.slow
+def test_numbers_that_no_frame_shows_stay_at_their_prior(fitted):
+    twin = fitted
+    for name in ("span", "offset", "gel_modulus", "encapsulation_modulus"):
+        k = [each.name for each in twin.parameters].index(name)
+        assert twin.posterior.x[k] == 0.0
+        assert twin.narrowing[k] == pytest.approx(1.0)
+        assert (name,) in twin.undetermined
+
+
+@pytest.mark.slow
+def test_every_step_lowers_the_objective(fitted):
+    twin = fitted
+    assert twin.posterior.objectives
+    assert all(after < before for before, after in twin.posterior.objectives)
+
+
+def test_readings_change_as_their_derivatives_say():
+    x, scenes = hidden(1), [FLAT]
+    model = forward()
+    J = model.jacobian(x, scenes)
+    names = [str(each) for each in PARAMETERS]
+    for name in ("conductivity", "contact_impedance[2]", "electrode_place[4]", "gain", "idle"):
+        k, h = names.index(name), 0.01
+        ends = [np.where(np.arange(len(x)) == k, x + sign * h, x) for sign in (1, -1)]
+        one, other = (forward().readings(end, scenes) for end in ends)
+        assert J[..., k] == pytest.approx(
+            (one - other) / (2 * h), abs=2e-3 * np.abs(J[..., k]).max()
+        )
+    assert not J[..., names.index("span")].any()
+
+
+@pytest.mark.slow
+def test_a_twin_is_written_as_files_that_other_commands_read(fitted, tmp_path):
+    twin = fitted
+    write_twin(twin, tmp_path / "twin")
+    made = Recipe.from_toml(tmp_path / "twin" / "recipe.toml")
+    assert made == recipe(twin)
+    assert made.sensor == SensorDesign.from_toml(tmp_path / "twin" / "design.toml")
+    assert made.specimens.hinge_span > 0.005
+    assert 0.0 < made.specimens.contact_impedance < 0.3
+    rows = (tmp_path / "twin" / "residuals.csv").read_text().splitlines()
+    assert len(rows) == 1 + len(ADJACENT)
+    assert as_plain(twin)["scenes"] == {"flat": 1, "bend": 0, "touch": 0}
+    with pytest.raises(ConfigurationError):
+        write_twin(twin, tmp_path / "twin")
+
+
+def test_frames_are_grouped_by_their_labels():
+    n = len(ADJACENT)
+    level = np.arange(1.0, n + 1)
+    values = np.array([level, level + 0.5, level + 2, level + 3, level + 5, level])
+    nan = np.full((6, 4), np.nan)
+    x, y, force, before = nan.copy(), nan.copy(), nan.copy(), np.full((6, n), np.nan)
+    x[4, 0], y[4, 0], force[4, 0] = 0.05, 0.03, 7.5
+    before[4] = level + 1
+    state = [State.IDLE, State.IDLE, State.BEND, State.BEND, State.TOUCH, State.TOUCH]
+    data = Dataset.from_arrays(
+        values,
+        protocol=ADJACENT,
+        state=np.array(state),
+        bend_angle_deg=np.array([0, 0, 20, np.nan, 0, 0]),
+        touch_x=x,
+        touch_y=y,
+        touch_force=force,
+        touch_reference=before,
+        quantity="impedance",
+    )
+    found = labelled_frames(data)
+    touch = Scene(touches=(Touch(0.05, 0.03, 7.5),))
+    assert found.scenes == (FLAT, Scene(bend=Bend(20.0)), touch)
+    assert found.left_out == 2  # a bend without angle, a touch without place
+    assert found.values == pytest.approx(np.array([level + 0.5, 1.5 + 0 * level, 4 + 0 * level]))
+    assert found.variance == pytest.approx([1 / 3, 1 + 1 / 3, 2.0])
+    assert list(found.base) == [-1, 0, 0]
+
+
+def test_recordings_without_flat_frames_or_protocol_are_refused():
+    bent = Dataset.from_arrays(
+        np.ones((2, len(ADJACENT))), protocol=ADJACENT, bend_angle_deg=np.array([10.0, 20.0])
+    )
+    with pytest.raises(DataError):
+        labelled_frames(bent)
+    with pytest.raises(ConfigurationError):
+        labelled_frames(dataclasses.replace(bent, protocol=None))
+    with pytest.raises(ConfigurationError):
+        Twin.fit(DESIGN, bent, fixture=Hinge())
+    with pytest.raises(ConfigurationError):
+        TwinPrior(thickness=0.1)
+
+
+@pytest.mark.slow
+def test_span_and_offset_are_found_from_known_angles():
+    pairs = Protocol.pairwise(8)
+    free = ("span", "offset", "electrode_place", "contact_impedance")
+    parameters = tuple(each for each in PARAMETERS if each.meter is None)
+    model, rng = forward(parameters, pairs), np.random.default_rng(5)
+    x = np.array([0.2 * rng.standard_normal() if each.name in free else 0 for each in parameters])
+    angles = np.array([0.0] * 10 + [-10.0, 20.0, 40.0])
+    clean = model.readings(x, [Scene(bend=Bend(float(angle))) for angle in angles])
+    noise = 1.8e-4 * clean.max() * rng.standard_normal(clean.shape)
+    state = np.where(angles == 0.0, State.IDLE, State.BEND)
+    data = Dataset.from_arrays(
+        clean + noise, protocol=pairs, state=state, bend_angle_deg=angles, quantity="impedance"
+    )
+    twin = Twin.fit(DESIGN, data)
+    off = (twin.posterior.x - x) / twin.narrowing
+    assert np.sqrt(np.mean(off**2)) < 1.3
+    names = [each.name for each in twin.parameters]
+    assert twin.narrowing[names.index("span")] < 0.1
+    assert twin.narrowing[names.index("offset")] < 0.1
+    assert Problem(model, labelled_frames(data)).predicted(x).shape == (4, 28)

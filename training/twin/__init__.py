@@ -1,0 +1,1 @@
+"""Twin: the physical numbers behind one sensor, fitted to labelled frames, with standard errors."""

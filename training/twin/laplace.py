@@ -1,0 +1,201 @@
+"""MAP estimate of standard normal coordinates by Gauss-Newton steps, and its Laplace posterior."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.errors import ConfigurationError, EitskinError
+from eitskin.training.twin.forward import TwinForward
+from eitskin.training.twin.labelled_frames import KINDS, LabelledFrames
+
+Array = NDArray[np.float64]
+
+MOST_STEPS = 25
+_LONGEST = 1.5  # step of one coordinate, in standard deviations of the prior
+_SAME_SLOPES = 0.3  # change of every coordinate within which derivatives are taken again
+_HALVINGS = 8
+_DONE = 0.05  # length of the last step, in standard deviations of the posterior
+_FIRST_ERROR = 0.1  # first guess of the unexplained part, over the values
+_LEAST_FREEDOM = 0.1  # share of the values that counts as free whatever is fitted
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Laplace:
+    """Normal approximation of a posterior about its maximum, n rows of C channels.
+
+    Attributes:
+        x: coordinates of the maximum, (parameters,).
+        covariance: of the coordinates, (parameters, parameters); the identity is the prior.
+        predicted: rows at the maximum, (n, C).
+        error: standard deviation of the rows of each kind that is left, (kinds,).
+        objectives: of each accepted step, before and after; the errors change between steps.
+        log_evidence: logarithm of the marginal likelihood, by Laplace's formula.
+    """
+
+    x: Array
+    covariance: Array
+    predicted: Array
+    error: Array
+    objectives: tuple[tuple[float, float], ...]
+    log_evidence: float
+
+
+@dataclass(slots=True)
+class Problem:
+    """Posterior of a twin's coordinates given labelled frames.
+
+    Attributes:
+        forward: from coordinates to readings.
+        frames: measured.
+        progress: called before each Gauss-Newton step with its number.
+    """
+
+    forward: TwinForward
+    frames: LabelledFrames
+    progress: Callable[[int], None] = lambda _: None
+    _slopes: tuple[Array, Array] | None = field(default=None, init=False)
+
+    def predicted(self, x: Array) -> Array:
+        """Rows at coordinates (parameters,), (rows, channels)."""
+        return self.frames.changes(self.forward.readings(x, self.frames.scenes))
+
+    def slopes(self, x: Array) -> Array:
+        """Derivatives of the rows by the coordinates, (rows, channels, parameters)."""
+        J = self.forward.jacobian(x, self.frames.scenes)
+        flat = self.frames.changes(J.reshape(len(J), -1))
+        return flat.reshape(len(flat), *J.shape[1:])
+
+    def objective(self, x: Array, deviation: Array) -> float:
+        """Half of chi^2 plus that of the prior; infinite for numbers that cannot be.
+
+        Args:
+            x: coordinates (parameters,).
+            deviation: standard deviation of each row's values, (rows,).
+        """
+        try:
+            left = (self.frames.values - self.predicted(x)) / deviation[:, None]
+        except EitskinError:
+            return np.inf
+        return 0.5 * float((left**2).sum() + x @ x)
+
+    def estimate(self, start: Array, steps: int = MOST_STEPS) -> Laplace:
+        """MAP estimate from a starting point, after a number of steps at most.
+
+        The standard deviation of each kind of row is that of what the twin leaves, at least the
+        noise of the frames: residuals over the degrees of freedom, found again before each step.
+
+        Raises ConfigurationError where the starting point itself cannot be.
+        """
+        x, taken = np.array(start, dtype=float), []
+        error = self._first_error()
+        low, high = np.array([each.bounds for each in self.forward.parameters]).T
+        x = np.clip(x, low, high)
+        if not np.isfinite(self.objective(x, self._deviation(error))):
+            raise ConfigurationError("the design's own numbers cannot be simulated")
+        J = at = None
+        for step_number in range(steps):
+            self.progress(step_number)
+            left = self.frames.values - self.predicted(x)
+            if J is None or at is None or np.abs(x - at).max() > _SAME_SLOPES:
+                J, at = self.slopes(x), x.copy()
+            before, error = error, self._error(left, J, error)
+            deviation = self._deviation(error)
+            step, A = _step(left, J, deviation, x, low, high)
+            length = float(np.sqrt(max(step @ A @ step, 0.0)))
+            settled = np.allclose(np.log(before), np.log(error), atol=0.05)
+            if length < _DONE * np.sqrt(len(x)) and settled:
+                break
+            moved, both = self._searched(x, step, deviation, low, high)
+            if both is not None:
+                taken.append(both)
+            elif at is not None and np.array_equal(at, x) and settled:
+                break
+            elif both is None:
+                J = None
+            x = moved
+        if J is None or at is None or np.abs(x - at).max() > _SAME_SLOPES:
+            J = self.slopes(x)
+        return self._laplace(x, J, error, tuple(taken))
+
+    def _searched(
+        self, x: Array, step: Array, deviation: Array, low: Array, high: Array
+    ) -> tuple[Array, tuple[float, float] | None]:
+        """Point along the step where the objective is lower, with both; `x` where none is."""
+        start = self.objective(x, deviation)
+        share = min(1.0, _LONGEST / max(float(np.abs(step).max()), 1e-300))
+        for _ in range(_HALVINGS):
+            trial = np.clip(x + share * step, low, high)
+            value = self.objective(trial, deviation)
+            if value < start:
+                return trial, (start, value)
+            share *= 0.5
+        return x, None
+
+    def _laplace(
+        self, x: Array, J: Array, error: Array, taken: tuple[tuple[float, float], ...]
+    ) -> Laplace:
+        predicted = self.predicted(x)
+        left = self.frames.values - predicted
+        error = self._error(left, J, error)
+        deviation = self._deviation(error)
+        A = _information(J, deviation)
+        covariance = np.linalg.inv(A)
+        fit = ((left / deviation[:, None]) ** 2).sum() + x @ x
+        size = 2.0 * left.shape[1] * np.log(deviation).sum() + left.size * np.log(2.0 * np.pi)
+        evidence = -0.5 * (fit + size + np.linalg.slogdet(A)[1])
+        return Laplace(x, covariance, predicted, error, taken, float(evidence))
+
+    def _deviation(self, error: Array) -> Array:
+        """Standard deviation of each row's values, (rows,), from that of each kind."""
+        noise = self.frames.noise * np.sqrt(self.frames.variance)
+        return np.maximum(error[self.frames.kind], noise)
+
+    def _first_error(self) -> Array:
+        values, kind = self.frames.values, self.frames.kind
+        sizes = [
+            np.sqrt(np.mean(values[kind == k] ** 2)) if (kind == k).any() else 1.0
+            for k in range(len(KINDS))
+        ]
+        return _FIRST_ERROR * np.maximum(sizes, 1e-12)
+
+    def _error(self, left: Array, J: Array, error: Array) -> Array:
+        """Standard deviation of each kind's residuals over their degrees of freedom, (kinds,)."""
+        deviation = self._deviation(error)
+        covariance = np.linalg.inv(_information(J, deviation))
+        scaled = J / deviation[:, None, None]
+        leverage = np.einsum("rcp,pq,rcq->r", scaled, covariance, scaled, optimize=True)
+        found = error.copy()
+        for k in range(len(KINDS)):
+            own = self.frames.kind == k
+            if own.any():
+                size = left[own].size
+                freedom = max(size - leverage[own].sum(), _LEAST_FREEDOM * size)
+                found[k] = max(np.sqrt((left[own] ** 2).sum() / freedom), 1e-12)
+        return found
+
+
+def _information(J: Array, deviation: Array) -> Array:
+    """Inverse covariance of the posterior, (parameters, parameters)."""
+    scaled = (J / deviation[:, None, None]).reshape(-1, J.shape[-1])
+    return scaled.T @ scaled + np.eye(J.shape[-1])
+
+
+def _step(
+    left: Array, J: Array, deviation: Array, x: Array, low: Array, high: Array
+) -> tuple[Array, Array]:
+    """Gauss-Newton step within the bounds, by the method of active sets, and the information."""
+    A = _information(J, deviation)
+    weights = deviation[:, None] ** 2
+    g = np.einsum("rcp,rc->p", J, left / weights) - x
+    free = np.ones(len(x), bool)
+    step = np.zeros_like(x)
+    for _ in range(len(x)):
+        step[:] = 0.0
+        step[free] = np.linalg.solve(A[np.ix_(free, free)], g[free])
+        beyond = free & (((x <= low) & (step < 0.0)) | ((x >= high) & (step > 0.0)))
+        if not beyond.any():
+            break
+        free &= ~beyond
+    return step, A

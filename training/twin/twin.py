@@ -1,0 +1,232 @@
+"""Twin of one sensor: its physical numbers, fitted to labelled frames."""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.datasets.recipe.specimen import Specimen
+from eitskin.datasets.store.dataset import Dataset
+from eitskin.errors import ConfigurationError
+from eitskin.geometry.deformation.fixtures import Clamp, Fixture
+from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.simulator.electrical.resolution import Resolution
+from eitskin.simulator.instrument.meter import FourTerminalMeter
+from eitskin.simulator.instrument.meter_fit import Agreement, agreement, fit_meter
+from eitskin.simulator.mechanics.layer_stack import Mechanics
+from eitskin.training.twin.forward import TwinForward
+from eitskin.training.twin.labelled_frames import FLAT, KINDS, LabelledFrames, labelled_frames
+from eitskin.training.twin.laplace import Laplace, Problem
+from eitskin.training.twin.parameters import (
+    TwinParameter,
+    TwinPrior,
+    instrument_parameters,
+    sensor_parameters,
+)
+from eitskin.training.twin.sensor import centred
+
+Array = NDArray[np.float64]
+
+_UNIT_GAIN = 1e3  # factor of the gain's prior where readings are in no known unit
+_SHOWN = 0.9  # standard deviation, over the prior's, from which frames do not show a number
+_INVOLVED = 0.3  # least component of a parameter in a combination for it to be named
+_METER_STARTS, _DRAWN, _FIRST_STEPS = 4, 2, 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Twin:
+    """Physical numbers behind one sensor, with standard errors.
+
+    Attributes:
+        nominal: sensor, fixture and materials that the prior is about.
+        specimen: fitted sensor, fixture and materials.
+        meter: fitted circuit and reading of the board.
+        parameters: the fitted numbers.
+        posterior: of their coordinates.
+        frames: labelled frames that were fitted.
+        agreements: r and relative residual by kind of frame; kinds without frames are left out.
+    """
+
+    nominal: Specimen
+    specimen: Specimen
+    meter: FourTerminalMeter
+    parameters: tuple[TwinParameter, ...]
+    posterior: Laplace
+    frames: LabelledFrames
+    agreements: dict[str, Agreement]
+    resolution: Resolution
+
+    @classmethod
+    def fit(
+        cls,
+        design: SensorDesign,
+        data: Dataset,
+        fixture: Fixture | None = None,
+        mechanics: Mechanics | None = None,
+        terms: Sequence[str] = (),
+        prior: TwinPrior | None = None,
+        resolution: Resolution = "coarse",
+        seed: int = 0,
+        progress: Callable[[int], None] = lambda _: None,
+    ) -> "Twin":
+        """Twin that explains labelled frames of one sensor, by MAP estimate.
+
+        Whatever is labelled is used: flat, untouched frames at least, known angles, and touches of
+        known place and force or depth. Numbers that the frames do not show stay at their prior.
+
+        Args:
+            design: nominal sensor, the centre of the prior.
+            data: labelled frames of one specimen, in ohms or in any unit proportional to them.
+            fixture: nominal fixture; the default clamp when omitted.
+            mechanics: nominal materials; the reference sensor's when omitted.
+            terms: of the meter to fit, as for `fit_meter`; an ideal one but for its gain when
+                omitted.
+            prior: standard deviations; as wide as what people build when omitted.
+            resolution: of the simulator.
+            seed: of the starting points of the meter.
+            progress: called with the number of each Gauss-Newton step.
+
+        Raises:
+            ConfigurationError: for sensors whose numbers cannot be varied on one mesh, unknown
+                terms, or frames of another number of electrodes.
+            DataError: without frames of the flat, untouched sensor.
+        """
+        nominal = centred(Specimen(design, fixture or Clamp(), mechanics or Mechanics()))
+        frames = labelled_frames(data)
+        if frames.protocol.n_electrodes != len(design.electrodes):
+            raise ConfigurationError(
+                f"the protocol is for {frames.protocol.n_electrodes} electrodes, the design has "
+                f"{len(design.electrodes)}; give the design of the sensor that was recorded"
+            )
+        wide = data.quantity not in ("impedance", "magnitude")
+        forward = _forward(nominal, frames, terms, prior or TwinPrior(), resolution, wide)
+        start = _start(forward, frames, terms, seed)
+        posterior = Problem(forward, frames, progress).estimate(start)
+        twin = cls(
+            nominal,
+            forward.specimen(posterior.x),
+            forward.meter(posterior.x),
+            forward.parameters,
+            posterior,
+            frames,
+            {},
+            resolution,
+        )
+        return dataclasses.replace(twin, agreements=agreements(posterior.predicted, frames))
+
+    @property
+    def values(self) -> Array:
+        """Fitted numbers in their units, (parameters,)."""
+        both = zip(self.parameters, self.posterior.x, strict=True)
+        return np.array([each.number(float(x)) for each, x in both])
+
+    @property
+    def standard_errors(self) -> Array:
+        """Standard errors of the numbers, linearised, (parameters,)."""
+        both = zip(self.parameters, self.posterior.x, strict=True)
+        slopes = np.array([each.slope(float(x)) for each, x in both])
+        return np.asarray(slopes * self.narrowing)
+
+    @property
+    def narrowing(self) -> Array:
+        """Standard deviation of each coordinate over that of the prior, (parameters,)."""
+        return np.sqrt(np.diag(self.posterior.covariance))
+
+    @property
+    def undetermined(self) -> tuple[tuple[str, ...], ...]:
+        """Numbers, and combinations of them, that the frames do not show.
+
+        Along them the posterior is as wide as the prior.
+        """
+        lost = self.narrowing > _SHOWN
+        single = [(str(self.parameters[k]),) for k in np.flatnonzero(lost)]
+        rest = np.flatnonzero(~lost)
+        widths, directions = np.linalg.eigh(self.posterior.covariance[np.ix_(rest, rest)])
+        tied = [
+            tuple(str(self.parameters[rest[k]]) for k in np.flatnonzero(np.abs(v) > _INVOLVED))
+            for v in directions[:, widths > _SHOWN**2].T
+        ]
+        return (*single, *(names for names in tied if names))
+
+    def predicted(self, frames: LabelledFrames) -> Array:
+        """Rows of other labelled frames as this twin has them, (rows, channels)."""
+        forward = TwinForward(
+            self.nominal, self.parameters, frames.protocol, frames.reads, self.resolution
+        )
+        return frames.changes(forward.readings(self.posterior.x, frames.scenes))
+
+    def judged(self, data: Dataset) -> dict[str, Agreement]:
+        """Agreement with frames that were not fitted, by kind."""
+        frames = labelled_frames(data)
+        return agreements(self.predicted(frames), frames)
+
+
+def agreements(predicted: Array, frames: LabelledFrames) -> dict[str, Agreement]:
+    """Agreement of predicted rows (n, C) with measured ones, by kind."""
+    found = {}
+    for number, kind in enumerate(KINDS):
+        own = frames.kind == number
+        if own.any():
+            found[kind] = agreement(predicted[own].ravel(), frames.values[own].ravel())
+    return found
+
+
+def _forward(
+    nominal: Specimen,
+    frames: LabelledFrames,
+    terms: Sequence[str],
+    prior: TwinPrior,
+    resolution: Resolution,
+    wide: bool,
+) -> TwinForward:
+    """Forward model with all parameters; the gain is centred where the flat frame says."""
+    sensor = sensor_parameters(nominal, prior)
+    alone = TwinForward(
+        nominal, (*sensor, _gain(1.0, prior.gain)), frames.protocol, frames.reads, resolution
+    )
+    x = np.zeros(len(alone.parameters))
+    Z = alone.impedances(x, [FLAT])[0]
+    gain = 1.0
+    if wide:
+        nominally, flat = alone.readings(x, [FLAT])[0], frames.values[0]
+        gain = float(nominally @ flat / (nominally @ nominally)) or 1.0
+    n = frames.protocol.n_electrodes
+    typical = float(np.median(np.abs(np.diag(Z))))
+    meter = instrument_parameters(terms, n, prior, typical)
+    spread = _UNIT_GAIN if wide else prior.gain
+    parameters = (*sensor, _gain(gain, spread), *meter)
+    return TwinForward(nominal, parameters, frames.protocol, frames.reads, resolution)
+
+
+def _gain(centre: float, spread: float) -> TwinParameter:
+    return TwinParameter("gain", centre, spread)
+
+
+def _start(forward: TwinForward, frames: LabelledFrames, terms: Sequence[str], seed: int) -> Array:
+    """Start of the fit: the best fit to the flat frame alone, which takes little time.
+
+    It starts from the prior's middle and, where terms of the meter are fitted, also from the meter
+    that suits the nominal sensor, and from meters of chance.
+    """
+    x = np.zeros(len(forward.parameters))
+    starts = [x]
+    meter = [k for k, each in enumerate(forward.parameters) if each.meter is not None]
+    if meter and len(meter) + 2 < len(frames.protocol):
+        Z = forward.impedances(x, [FLAT])[0]
+        flat = frames.values[:1]
+        found = fit_meter(Z, frames.protocol, flat, terms, frames.reads, seed, starts=_METER_STARTS)
+        own = x.copy()
+        for k, value in zip(meter, found.values, strict=True):
+            own[k] = forward.parameters[k].coordinate(float(value))
+        starts.append(own)
+    rng = np.random.default_rng(seed)
+    for _ in range(_DRAWN * bool(meter)):
+        drawn = x.copy()
+        drawn[meter] = np.abs(rng.standard_normal(len(meter)))
+        starts.append(drawn)
+    flat_alone = Problem(forward, frames.only_flat())
+    fits = [flat_alone.estimate(start, _FIRST_STEPS) for start in starts]
+    best = max(fits, key=lambda each: each.log_evidence)
+    return flat_alone.estimate(best.x).x
