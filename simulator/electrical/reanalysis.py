@@ -173,7 +173,9 @@ class Reanalysis:
         for _ in range(_MOST + 1):
             space.extend(potentials, self._product(matrices, potentials))
             found, T, residual = space.solve()
-            yield _Approximation(np.real(impedance_matrix(D, T)), found, D, 0.5 * (T + T.T))
+            yield _Approximation(
+                np.real(impedance_matrix(D, T)), found, np.real(D), 0.5 * (T + T.T)
+            )
             potentials = np.asarray(self._factors.solve(residual), dtype=np.float64)
             self.solutions += 1
 

@@ -185,7 +185,8 @@ def _touched(
 
 def _scenes(data: Dataset) -> Iterator[tuple[int, Scene | None]]:
     """Scene of each frame; None where its labels do not say enough."""
-    finite = ~(data.status & np.uint8(Status.NOT_FINITE)).astype(bool).any(axis=1)
+    lost = (data.status & np.uint8(Status.NOT_FINITE)).astype(bool)
+    finite = np.asarray(~lost.any(axis=1))
     bent = np.isfinite(data.bend_angle_deg)
     unlabelled = (data.state == UNKNOWN_STATE).all() and not data.touch_count.any()
     for row in range(len(data)):

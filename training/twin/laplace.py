@@ -1,5 +1,6 @@
 """MAP estimate of standard normal coordinates by Gauss-Newton steps, and its Laplace posterior."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -90,7 +91,7 @@ class Problem:
         """
         x, taken = np.array(start, dtype=float), []
         error = self._first_error()
-        low, high = np.array([each.bounds for each in self.forward.parameters]).T
+        low, high = np.array([each.bounds for each in self.forward.parameters]).T.astype(float)
         x = np.clip(x, low, high)
         if not np.isfinite(self.objective(x, self._deviation(error))):
             raise ConfigurationError("the design's own numbers cannot be simulated")
@@ -103,17 +104,17 @@ class Problem:
             before, error = error, self._error(left, J, error)
             deviation = self._deviation(error)
             step, A = _step(left, J, deviation, x, low, high)
-            length = float(np.sqrt(max(step @ A @ step, 0.0)))
+            length = math.sqrt(max(float(step @ A @ step), 0.0))
             settled = np.allclose(np.log(before), np.log(error), atol=0.05)
             if length < _DONE * np.sqrt(len(x)) and settled:
                 break
             moved, both = self._searched(x, step, deviation, low, high)
             if both is not None:
                 taken.append(both)
-            elif at is not None and np.array_equal(at, x) and settled:
+            elif not np.array_equal(at, x):
+                J = None  # the derivatives may be too old for this step
+            elif settled:
                 break
-            elif both is None:
-                J = None
             x = moved
         if J is None or at is None or np.abs(x - at).max() > _SAME_SLOPES:
             J = self.slopes(x)
@@ -141,7 +142,7 @@ class Problem:
         error = self._error(left, J, error)
         deviation = self._deviation(error)
         A = _information(J, deviation)
-        covariance = np.linalg.inv(A)
+        covariance = np.asarray(np.linalg.inv(A), np.float64)
         fit = ((left / deviation[:, None]) ** 2).sum() + x @ x
         size = 2.0 * left.shape[1] * np.log(deviation).sum() + left.size * np.log(2.0 * np.pi)
         evidence = -0.5 * (fit + size + np.linalg.slogdet(A)[1])

@@ -80,8 +80,9 @@ def hidden(parameters: tuple[TwinParameter, ...], rng: np.random.Generator) -> A
 
 def recorded(model: TwinForward, x: Array, presses: int, rng: np.random.Generator) -> Dataset:
     """Noisy frames of a hidden sensor: flat, bent by known angles, pressed at known places."""
-    places = np.float32(rng.uniform((0.02, 0.012, 4.0), (0.13, 0.048, 10.0), (presses, 3)))
-    touches = [Touch(*(float(str(value)) for value in row)) for row in places]
+    places = rng.uniform((0.02, 0.012, 4.0), (0.13, 0.048, 10.0), (presses, 3)).astype(np.float32)
+    rounded = [[float(str(value)) for value in row] for row in places]
+    touches = [Touch(x_at, y_at, force) for x_at, y_at, force in rounded]
     scenes = [Scene()] * FLATS + [Scene(bend=Bend(angle)) for angle in ANGLES]
     scenes += [Scene(touches=(touch,)) for touch in touches]
     clean = model.readings(x, scenes)
