@@ -37,6 +37,7 @@ from eitskin.simulator import ForwardModel, Frame, Protocol, Scene
 from eitskin.training import Pipeline, StoredReference
 from eitskin.training.evaluation.evaluate import require_on_sheet
 from eitskin.training.method.calibration import Calibration, KnownBends
+from eitskin.training.pipeline.methods import method_class
 from eitskin.training.pipeline.saved_form import SHIPPED, SUMS, read_pipeline
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "troubleshooting.md"
@@ -240,6 +241,7 @@ PROVOKED = {
         SensorDesign.reference(), ((10,) * 6, Grading(5e-3, 1e-2, 1.0))
     ),
     "expected a path NAME.eitmodel": lambda folder: Pipeline.load(SHIPPED).save(folder / "a.zip"),
+    "this pipeline was trained by": lambda _: method_class("my:Net"),
     "expected a board": lambda _: open_board("tcp:1.2.3.4"),
     "... is not a complete": open_dataset,
     "... is not a whole": changed_shard(lambda path: path.write_bytes(path.read_bytes()[:3000])),
