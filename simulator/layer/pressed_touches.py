@@ -49,10 +49,11 @@ _EDGE, _NEIGHBOUR = 0.005, 0.020
 # Depth over the thickness of the stack, to which presses were compared.
 _DEEP = 0.55
 # Distance from a re-entrant corner, over the thickness of the stack, within which sums over sides
-# leave more than 4 %.
+# leave more than 5 %.
 _CORNER = 1.0
-# Largest errors of the signal found beyond these distances, on a flat and on a bent sensor.
-_FLAT, _BENT = 0.04, 0.05
+# Largest errors of the signal found beyond these distances, on a flat sensor, on a flat polygon
+# and on a bent sensor.
+_FLAT, _POLYGON, _BENT = 0.04, 0.05, 0.05
 _THEN = (
     "pressed and bent, rolled or twisted then, which was not compared; a sensor on a support "
     "'plates' that its clamp bends, without roll and twist, is pressed as one problem"
@@ -282,7 +283,8 @@ def pressed_touches(
     `bent_then` says that the pressed sensor is bent, rolled or twisted afterwards.
     """
     world = _world(touches, design, mechanics, model, bent)
-    error = None if bent_then else _FLAT if bent is None else _BENT
+    flat = _POLYGON if isinstance(design.outline, Polygon) else _FLAT
+    error = None if bent_then else flat if bent is None else _BENT
     known = [_THEN] * bent_then
     return tuple(
         _described(one, below, touches, design, error, known)

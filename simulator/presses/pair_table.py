@@ -96,6 +96,7 @@ class PressPair(NamedTuple):
 
     @classmethod
     def of(cls, first: Place, second: Place) -> "PressPair":
+        """Pair of two presses."""
         (x, y, deep), (x_other, y_other, beside) = first, second
         angle = math.atan2(y_other - y, x_other - x)
         apart = math.dist((x, y), (x_other, y_other))

@@ -240,7 +240,8 @@ class Pipeline:
         if reference is not None:
             self.layout.require_same_measurements(reference.protocol, reference.frequency)
             self.layout.require_same_sensor(reference.impedance)
-        self._session = Session(self.noise, self.method.AVERAGES, reference)
+        bends = self.targets.angle or "bend" in self.targets.states
+        self._session = Session(self.noise, self.method.AVERAGES, reference, bends)
 
     def doubt(self, impedance: ArrayLike) -> str:
         """Reason why an impedance (measurements,) [ohm] is not that of a flat, untouched sensor.

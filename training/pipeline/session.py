@@ -26,6 +26,7 @@ class Session:
         noise: rms relative difference of two frames of a still sensor.
         averages: whether frames of a held touch are averaged.
         stored: stored reference, the zero of all estimates; None where the first frames are.
+        bends: whether the sensor is one that bends, so that its dynamic reference gets out of date.
         references: static and dynamic.
         touched: whether the latest frame was touched.
         doubt: reason why the first frame is not that of a flat, untouched sensor; empty without.
@@ -34,6 +35,7 @@ class Session:
     noise: float
     averages: bool
     stored: StoredReference | None = None
+    bends: bool = True
     references: References = field(init=False)
     touched: bool = field(init=False, default=False)
     doubt: str = field(init=False, default="")
@@ -122,7 +124,7 @@ class Session:
         when = "the session began" if self.stored is None else "the stored reference was taken"
         bad = np.flatnonzero(~np.isfinite(self.references.bend))
         problems += [f"channel {labels[i]} is left out: it was bad when {when}" for i in bad]
-        if self._outdated and self.touched:
+        if self._outdated and self.touched and self.bends:
             problems.append(
                 f"no frames came for more than {LONGEST_GAP:g} s before this touch: its position "
                 "is wrong if the sensor has been bent since"

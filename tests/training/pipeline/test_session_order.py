@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from eitskin.simulator import Frame, Protocol
-from eitskin.training.pipeline.session_order import SessionOrder
+from eitskin.training.pipeline.session import Session
+from eitskin.training.pipeline.session_order import LONGEST_GAP, SessionOrder
 
 PROTOCOL = Protocol.pairwise(3)
 
@@ -60,3 +61,14 @@ def test_a_clock_that_jumps_ahead_is_told():
 @pytest.mark.parametrize("last", [(24, 7.2), (5, 4.0)])
 def test_lost_frames_and_short_pauses_are_no_jump(last):
     assert followed(*STEADY, last)[1].problems == ()
+
+
+@pytest.mark.parametrize("bends", [True, False])
+def test_a_gap_before_a_touch_matters_on_sensors_that_bend(bends):
+    protocol, values = Protocol.pairwise(4), np.ones(6)
+    session = Session(1e-4, averages=False, bends=bends)
+    for number, time in enumerate((0.0, 1.0, 2.0 + LONGEST_GAP)):
+        session.follow(Frame(values, protocol, number=number, time=time))
+        session.references.follow(values)
+        session.renew(values, touched=number == 2)
+    assert bool(session.problems(protocol.labels)) == bends
