@@ -22,7 +22,7 @@ from eitskin.cli.options import (
     Verbose,
     own_method,
 )
-from eitskin.errors import ConfigurationError
+from eitskin.errors import ConfigurationError, FrameError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -180,7 +180,10 @@ def _not_flat(
     from eitskin.hardware.diagnosis.finding import Finding, FindingKind
 
     tell_unjudged(pipeline, output)
-    estimate = [pipeline.process(frame) for frame in frames][-1]
+    try:
+        estimate = [pipeline.process(frame) for frame in frames][-1]
+    except FrameError as error:  # of another sensor, by all channels together
+        return (Finding(FindingKind.MISFIT, (), (), str(error)),)
     if pipeline.stored is None:
         doubt = next((text for text in estimate.problems if "look flat" in text), "")
     elif estimate.state is State.IDLE:

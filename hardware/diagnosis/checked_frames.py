@@ -56,10 +56,14 @@ class CheckedFrames:
     def shorted(self) -> Bools:
         """Channels with nearly no resistance, (measurements,); their current clips on any board.
 
-        A small value is no short where a pair is not sensed where it is driven.
+        One small value is no short where a pair is not sensed where it is driven; small values of
+        all channels, two at least, that drive the pair are.
         """
         small = self.finite.any(axis=0) & (self.ratio < SHORT * self._scale)
-        return np.asarray(small & self.senses_where_it_drives)
+        drives = np.sort(np.array(self.protocol.table)[:, :2], axis=1)
+        alike = (drives[:, None] == drives).all(axis=2)
+        others = np.where(alike, small, True).all(axis=1) & (alike.sum(axis=1) > 1)
+        return np.asarray(small & (self.senses_where_it_drives | others))
 
     @cached_property
     def value(self) -> Complex:
@@ -97,12 +101,14 @@ class CheckedFrames:
         """Ratio of good channels to their expected values.
 
         The lowest fifth of the ratios tells a wrong scale from bad contacts: it stays good with
-        four of eight electrodes open. With all of them open, every channel is capacitive: 1.
+        four of eight electrodes open. With all of them open, every channel is capacitive: 1. Of
+        four terminals, where a bad contact does not show, the median does.
         """
         judged = self.finite.any(axis=0) & ~self._reported_open
         if not judged.any():
             return 1.0
-        low = float(np.quantile(self.ratio[judged], 0.2, method="lower"))
+        share = 0.2 if self.senses_where_it_drives.any() else 0.5
+        low = float(np.quantile(self.ratio[judged], share, method="lower"))
         return 1.0 if low > OPEN and self._capacitive[judged].mean() > 0.5 else low
 
     @cached_property

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from eitskin.frame import Frame, Status
 from eitskin.hardware.diagnosis.checked_frames import (
+    SHORT,
     Bools,
     CheckedFrames,
     checked_frames,
@@ -36,6 +37,8 @@ FACTOR = 2.0
 BAD_CONTACT = 0.12
 """Resistance in series with one electrode, as a share of the median expected resistance."""
 PHASE_DEG = 10.0
+OTHER_VALUES = 1.2
+"""Factor that half of the channels of four terminals are off by in another sensor or wiring."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,19 +108,27 @@ def board_flags(checked: CheckedFrames) -> Iterator[Finding]:
 def _wrong_values(checked: CheckedFrames, rest: Bools) -> Iterator[Finding]:
     """Findings of steady values that are not those of this design."""
     shorted = rest & checked.shorted
-    for k in np.flatnonzero(shorted):
-        a, b, *_ = checked.protocol.table[k]
+    for (a, b), channels in _by_drive_pair(shorted, checked).items():
         text = (
             f"electrodes {a} and {b} are shorted: look for wires that touch, or a bridge of gel "
             f"or solder between plugs {a} and {b}"
         )
-        yield Finding(FindingKind.SHORT, (min(a, b), max(a, b)), (int(k),), text)
+        yield Finding(FindingKind.SHORT, (min(a, b), max(a, b)), tuple(channels), text)
     if (rest := rest & ~shorted).any():
         yield from _wrong_phase(checked, rest)
         # A short changes what all other pairs should be.
         own = not shorted.any() and checked.senses_where_it_drives.all()
         fit = fit_contacts(*checked.magnitudes(rest)) if own else None
         scale = fit.scale if fit and fit.good else float(np.median(checked.ratio[rest]))
+        if not checked.senses_where_it_drives.any():
+            # Small values between neighbours change manifold with the places of electrodes.
+            large = checked.expected > SHORT * float(np.sqrt(np.mean(checked.expected**2)))
+            ratio = checked.ratio[rest & large & (checked.ratio > 0.0)]
+            off = float(np.median(np.abs(np.log(ratio / scale)))) if len(ratio) and scale else 0.0
+            if off > np.log(OTHER_VALUES):
+                if not shorted.any():
+                    yield _other_wiring(off, checked, rest)
+                return
         if not 1.0 / FACTOR <= scale <= FACTOR:
             text = (
                 f"all values are {scale:.2g} times what this design gives: check RTIA and RCAL in "
@@ -128,6 +139,25 @@ def _wrong_values(checked: CheckedFrames, rest: Bools) -> Iterator[Finding]:
             scale = 1.0
         if fit and scale > 0.0:
             yield from _wrong_contacts(checked.divided_by(scale), rest)
+
+
+def _by_drive_pair(wrong: Bools, checked: CheckedFrames) -> dict[tuple[int, int], list[int]]:
+    """Wrong channels by the pair that they drive, in the order of the first of each pair."""
+    found: dict[frozenset[int], list[int]] = {}
+    for k in np.flatnonzero(wrong).tolist():
+        found.setdefault(frozenset(checked.protocol.table[k][:2]), []).append(k)
+    return {checked.protocol.table[ks[0]][:2]: ks for ks in found.values()}
+
+
+def _other_wiring(off: float, checked: CheckedFrames, rest: Bools) -> Finding:
+    """Finding of channels that no common factor brings to the expected values."""
+    text = (
+        f"half of the channels are off by more than {100 * (np.exp(off) - 1):.0f} % after one "
+        f"common factor, most of all {checked.protocol.labels[int(checked.ratio.argmax())]}: "
+        "another sensor or board, or electrodes in another order; compare the order of the plugs "
+        "with the model's"
+    )
+    return Finding(FindingKind.MISFIT, (), channel_numbers(rest), text)
 
 
 def _wrong_contacts(checked: CheckedFrames, rest: Bools) -> Iterator[Finding]:

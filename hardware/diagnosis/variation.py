@@ -74,7 +74,10 @@ def unsteady(checked: CheckedFrames, rest: Bools) -> Iterator[Finding]:
 
 def _moved(checked: CheckedFrames, rest: Bools, noise: Array) -> Iterator[Finding]:
     """Findings of relative changes beyond the noise between quarters of the check."""
-    value = np.where(checked.value == 0.0, 1.0, checked.value)
+    # In the units of `noise`: a value near zero, as between four terminals, is no unit of its own.
+    size = np.abs(checked.value)
+    unit = np.maximum(size, SHORT * checked.expected) / np.where(size == 0.0, 1.0, size)
+    value = np.where(checked.value == 0.0, 1.0, checked.value) * unit
     values = (np.where(checked.finite, checked.impedance, value) / value)[:, rest]
     means = np.array([quarter.mean(axis=0) for quarter in np.array_split(values.real, 4)])
     changes = (means[:, None] - means[None]).reshape(16, -1)

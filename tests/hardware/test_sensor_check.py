@@ -13,6 +13,7 @@ from eitskin.cli.main import app
 from eitskin.datasets import Recipe
 from eitskin.datasets.recipe.frame_sampling import specimen
 from eitskin.errors import ConfigurationError, FrameError
+from eitskin.geometry import SensorDesign
 from eitskin.hardware.boards import port
 from eitskin.hardware.boards.port import PortInfo
 from eitskin.hardware.diagnosis.finding import FindingKind
@@ -269,6 +270,28 @@ def test_of_other_protocols_only_what_can_be_said():
     assert FindingKind.SHORT not in {
         each.what for each in check_sensor([Frame(z, protocol) for z in measured], values).findings
     }
+
+
+@pytest.mark.parametrize("protocol", [Protocol.adjacent(8), Protocol.opposite(8)], ids=str)
+def test_faults_of_electrodes_in_four_terminal_frames(protocol):
+    """A short is named by its pair; a swap only as other values than those of the design."""
+    Z = Simulator(SensorDesign.reference(), "coarse").impedance_matrix(Scene())
+    healthy = protocol.measure(Z)
+    noise = np.random.default_rng(0).standard_normal((FRAMES, len(protocol)))
+
+    def findings(matrix):
+        values = protocol.measure(matrix) + 1e-5 * np.abs(healthy).max() * noise
+        return found(check_sensor([Frame(z, protocol) for z in values], np.abs(healthy)))
+
+    assert findings(Z) == []
+    one, other = protocol.table[0][:2]
+    between = Z[:, one] - Z[:, other]
+    shorted = Z - np.outer(between, between) / (0.1 + between[one] - between[other])
+    assert (FindingKind.SHORT, (one, other)) in findings(shorted)
+    assert {what for what, _ in findings(shorted)} == {FindingKind.SHORT}
+    order = [0, 1, 5, 3, 4, 2, 6, 7]
+    assert (FindingKind.MISFIT, ()) in findings(Z[np.ix_(order, order)])
+    assert findings(6.0 * Z) == [(FindingKind.FACTOR, ())]
 
 
 @pytest.mark.parametrize(
