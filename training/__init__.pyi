@@ -1,5 +1,14 @@
 """Public names of eitskin.training, and where each is defined."""
 
+from eitskin.training.adaptation.opening import (
+    open_pipeline as open_pipeline,
+)
+from eitskin.training.adaptation.recorded_touches import (
+    PositionScore as PositionScore,
+)
+from eitskin.training.adaptation.recorded_touches import (
+    RecordedTouches as RecordedTouches,
+)
 from eitskin.training.evaluation.evaluate import (
     Report as Report,
 )
@@ -41,15 +50,6 @@ from eitskin.training.pipeline.stored_reference import (
 )
 from eitskin.training.pipeline.stored_reference import (
     Zero as Zero,
-)
-from eitskin.training.positions.opening import (
-    open_pipeline as open_pipeline,
-)
-from eitskin.training.positions.recorded_touches import (
-    PositionScore as PositionScore,
-)
-from eitskin.training.positions.recorded_touches import (
-    RecordedTouches as RecordedTouches,
 )
 from eitskin.training.reconstruction.figures_of_merit import (
     FiguresOfMerit as FiguresOfMerit,

@@ -71,9 +71,9 @@ def command(
     Enter. With a dataset: its untouched frames of one specimen are taken. With --reference the
     angles count from the stored state, and the sensor is not asked to be flat.
     """
+    from eitskin.training.adaptation.opening import open_perception
     from eitskin.training.pipeline.saved_form import require_writable
     from eitskin.training.pipeline.session import STORED_AGE
-    from eitskin.training.positions.opening import open_perception
 
     output = Output(as_json, quiet, verbose)
     require_writable(out)

@@ -32,8 +32,8 @@ if TYPE_CHECKING:
     from eitskin.hardware.diagnosis.finding import Finding
     from eitskin.hardware.diagnosis.reading_check import LawCheck
     from eitskin.protocol import Protocol
+    from eitskin.training.adaptation.recorded_touches import RecordedTouches
     from eitskin.training.pipeline.pipeline import Pipeline
-    from eitskin.training.positions.recorded_touches import RecordedTouches
 
 ReferenceModel = Annotated[
     Path | None,
@@ -79,7 +79,7 @@ def command(
     loose, shorted and swapped electrodes, bad contacts, faulty channels and boards; in a recording
     dead, stuck and clipped channels, and boards that are no ideal meters. See docs/boards.md.
     """
-    from eitskin.training.positions.opening import open_pipeline
+    from eitskin.training.adaptation.opening import open_pipeline
 
     output = Output(as_json, quiet, verbose)
     if list_ports:

@@ -10,8 +10,8 @@ from eitskin.cli.options import Json, MethodCode, Output, Quiet, Seed, Verbose, 
 
 if TYPE_CHECKING:
     from eitskin.datasets.store.dataset import Dataset
+    from eitskin.training.adaptation.recorded_touches import PositionScore, RecordedTouches
     from eitskin.training.evaluation.evaluate import Evaluation, Report
-    from eitskin.training.positions.recorded_touches import PositionScore, RecordedTouches
 
 
 def command(
@@ -31,10 +31,10 @@ def command(
     """Evaluate a pipeline; on its own training dataset, only on the held-out frames."""
     from eitskin.datasets.store.folder import open_dataset
     from eitskin.datasets.store.summary import specimens_in_words
+    from eitskin.training.adaptation.opening import open_pipeline
+    from eitskin.training.adaptation.recorded_touches import RecordedTouches
     from eitskin.training.evaluation.evaluate import Evaluation
     from eitskin.training.evaluation.report.folder import require_report_folder
-    from eitskin.training.positions.opening import open_pipeline
-    from eitskin.training.positions.recorded_touches import RecordedTouches
 
     output = Output(as_json, quiet, verbose)
     output.detail(f"nothing is random in an evaluation, seed {seed} is not used")

@@ -102,8 +102,8 @@ def export_onnx(
     verbose: Verbose = False,
 ) -> None:
     """Write the networks of a pipeline as ONNX graphs, checked against the pipeline itself."""
+    from eitskin.training.adaptation.opening import open_perception
     from eitskin.training.export import onnx_export
-    from eitskin.training.positions.opening import open_perception
 
     output = Output(as_json, quiet, verbose)
     _require_empty(out)
@@ -179,7 +179,7 @@ def _readings(board: "ReplayBoard", model: Path | None, method: str | None) -> "
 
     if model is None:
         return (Reading(frame, None, math.nan, math.nan) for frame in board.frames())
-    from eitskin.training.positions.opening import open_pipeline
+    from eitskin.training.adaptation.opening import open_pipeline
 
     pipeline = open_pipeline(model, own_method(method))
     return run_live(board, pipeline, newest=False, clock=lambda: math.nan)

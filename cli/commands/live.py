@@ -42,10 +42,10 @@ if TYPE_CHECKING:
     from eitskin.hardware.boards.board import Board
     from eitskin.hardware.boards.connection import Connection
     from eitskin.hardware.live import FramePipeline, Reading
+    from eitskin.training.adaptation.recorded_touches import RecordedTouches
     from eitskin.training.pipeline.pipeline import Pipeline
     from eitskin.training.pipeline.session_order import SessionOrder
     from eitskin.training.pipeline.stored_reference import StoredReference
-    from eitskin.training.positions.recorded_touches import RecordedTouches
 
 BoardUri = Annotated[
     str, typer.Option("--board", help="serial:PORT, text:PORT, virtual: or replay:DIRECTORY.")
@@ -107,7 +107,7 @@ def command(
     from eitskin.hardware.boards.connection import Connection
     from eitskin.hardware.live import run_live
     from eitskin.hardware.opening import open_board
-    from eitskin.training.positions.opening import open_pipeline
+    from eitskin.training.adaptation.opening import open_pipeline
 
     output = Output(as_json, quiet, verbose)
     pipeline = open_pipeline(model, own_method(method))
@@ -176,7 +176,7 @@ def sheet_of(pipeline: "Pipeline | RecordedTouches") -> "SensorDesign | Region":
     Raises ConfigurationError where a pipeline tells neither.
     """
     from eitskin.cli.page.region import Region
-    from eitskin.training.positions.recorded_touches import RecordedTouches
+    from eitskin.training.adaptation.recorded_touches import RecordedTouches
 
     if not isinstance(pipeline, RecordedTouches):
         return pipeline.layout.design

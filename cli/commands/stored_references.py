@@ -8,8 +8,8 @@ import typer
 if TYPE_CHECKING:
     from eitskin.cli.options import Output
     from eitskin.hardware.protocol.messages import Info
+    from eitskin.training.adaptation.recorded_touches import RecordedTouches
     from eitskin.training.pipeline.pipeline import Pipeline
-    from eitskin.training.positions.recorded_touches import RecordedTouches
 
 ReferenceFile = Annotated[
     Path | None,

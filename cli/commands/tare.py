@@ -24,8 +24,8 @@ from eitskin.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from eitskin.frame import Frame
+    from eitskin.training.adaptation.recorded_touches import RecordedTouches
     from eitskin.training.method.input_spec import InputSpec
-    from eitskin.training.positions.recorded_touches import RecordedTouches
 
 DatasetOption = Annotated[
     Path | None, typer.Option("--dataset", help="Instead of a board: the reference of a specimen.")
@@ -60,9 +60,9 @@ def command(
     The sensor must lie flat, or, with --mounted, be as it is mounted. A recording is a board, too:
     replay:DIRECTORY gives its first frames.
     """
+    from eitskin.training.adaptation.opening import open_pipeline
     from eitskin.training.pipeline.pipeline import Pipeline
     from eitskin.training.pipeline.stored_reference import Zero
-    from eitskin.training.positions.opening import open_pipeline
 
     output = Output(as_json, quiet, verbose)
     if (board is None) == (dataset is None):

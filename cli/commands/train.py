@@ -27,12 +27,12 @@ from eitskin.extras import require_all
 
 if TYPE_CHECKING:
     from eitskin.datasets.store.dataset import Dataset
+    from eitskin.training.adaptation.recorded_touches import RecordedTouches
     from eitskin.training.evaluation.evaluate import Evaluation, Report
     from eitskin.training.evaluation.selection import Selection
     from eitskin.training.method.interface import Method
     from eitskin.training.method.settings import TrainingSettings
     from eitskin.training.pipeline.pipeline import Pipeline
-    from eitskin.training.positions.recorded_touches import RecordedTouches
 
 AUTO = "auto"
 
@@ -79,10 +79,10 @@ def command(
     time.
     """
     from eitskin.datasets.store.folder import open_dataset
+    from eitskin.training.adaptation.recorded_touches import RecordedTouches
     from eitskin.training.evaluation.report.folder import require_report_folder
     from eitskin.training.evaluation.selection import data_warnings
     from eitskin.training.pipeline.saved_form import require_writable
-    from eitskin.training.positions.recorded_touches import RecordedTouches
 
     output = Output(as_json, quiet, verbose)
     require_all(training=TRAINING)
@@ -292,7 +292,7 @@ def _comparison(selection: "Selection") -> Group:
 
 def train_positions(data: "Dataset") -> "RecordedTouches":
     """Regression of touch positions from a recording without geometry, with its metrics."""
-    from eitskin.training.positions.recorded_touches import RecordedTouches
+    from eitskin.training.adaptation.recorded_touches import RecordedTouches
 
     learned = RecordedTouches.fit(data)
     learned.metrics.update(learned.evaluate(data).as_dict())

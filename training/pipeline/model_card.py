@@ -46,7 +46,7 @@ no pickled objects.
 
 **Made for** the one sensor it was recorded from, {channels} channels in the recording's order and
 units. From a frame and a frame of the untouched sensor it estimates the position of one touch, in
-metres.
+metres, with a standard error.
 
 **Trained on** {frames} {source} frames with one touch each.
 

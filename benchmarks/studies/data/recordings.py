@@ -17,8 +17,8 @@ from eitskin.datasets.recordings.form import RecordingNames
 from eitskin.datasets.recordings.recording import read_recording
 from eitskin.errors import FrameError
 from eitskin.provenance import Provenance
+from eitskin.training.adaptation.recorded_touches import RecordedTouches
 from eitskin.training.pipeline.pipeline import Pipeline
-from eitskin.training.positions.recorded_touches import RecordedTouches
 
 PRESSES, BOARD_FRAME = "ohmc8.mat", "openeit_background_8.txt"
 

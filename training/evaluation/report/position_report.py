@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.summary import specimens_in_words
 from eitskin.extras import require
+from eitskin.training.adaptation.recorded_touches import RecordedTouches
 from eitskin.training.evaluation.report.drawing import (
     BLUE,
     DARK,
@@ -21,7 +22,6 @@ from eitskin.training.evaluation.report.drawing import (
 )
 from eitskin.training.evaluation.report.folder import picture_lines, write_folder
 from eitskin.training.method.observations import fingerprint
-from eitskin.training.positions.recorded_touches import RecordedTouches
 
 MOST_VECTORS = 240  # more would hide each other
 

@@ -1,15 +1,12 @@
-"""Gaussian-process regression of one touch's position on a sensor of unknown geometry."""
+"""Touch positions learned by version 0.1: a regression from the direction of a frame's change."""
 
-import warnings
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from eitskin.errors import DataError
-from eitskin.extras import require
-
-FEWEST = 20  # training touches
+from eitskin.training.adaptation.map_grid import Places
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -20,7 +17,7 @@ class PositionRegressor:
     training touches and then by the norm of the vector: to first order a touch changes all channels
     in proportion to its strength, so the direction of the vector depends on position alone. The
     covariance is a Matern 5/2 function of the distance of two directions, plus white noise
-    (Rasmussen and Williams 2006, section 4.2).
+    (Rasmussen and Williams 2006, section 4.2). Loaded from saved pipelines; no longer learned.
 
     Attributes:
         channel_scale: root mean square of the log ratios (C,).
@@ -38,46 +35,6 @@ class PositionRegressor:
     length: float
     variance: float
 
-    @classmethod
-    def fit(cls, ratio: ArrayLike, places: ArrayLike) -> "PositionRegressor":
-        """Fit by maximum marginal likelihood.
-
-        Args:
-            ratio: |V / ref| of the training touches (k, C).
-            places: their positions (k, 2) [m].
-
-        Raises DataError for fewer than `FEWEST` touches.
-        """
-        require("sklearn", "training")
-        from sklearn.exceptions import ConvergenceWarning
-        from sklearn.gaussian_process import GaussianProcessRegressor
-        from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
-
-        logs, xy = log_ratio(ratio), np.asarray(places, dtype=float)
-        if len(logs) < FEWEST:
-            raise DataError(
-                f"learning touch positions needs at least {FEWEST} frames with one touch and an "
-                f"untouched reference, got {len(logs)}; record more"
-            )
-        scale = np.sqrt(np.mean(logs**2, axis=0))
-        scale = np.where(scale > 0, scale, 1.0)
-        directions = _directions(logs / scale)
-        centre, extent = xy.mean(axis=0), float(xy.std())
-        kernel = ConstantKernel(1.0) * Matern(1.0, nu=2.5) + WhiteKernel(1e-2, (1e-6, 1e1))
-        with warnings.catch_warnings():
-            # A parameter at its bound means no noise, or no signal, which every score shows.
-            warnings.simplefilter("ignore", ConvergenceWarning)
-            process = GaussianProcessRegressor(kernel).fit(directions, (xy - centre) / extent)
-        signal = process.kernel_.k1
-        return cls(
-            scale,
-            directions,
-            np.asarray(process.alpha_, dtype=float) * extent,
-            centre,
-            float(signal.k2.length_scale),
-            float(signal.k1.constant_value),
-        )
-
     def apply(self, ratio: ArrayLike) -> NDArray[np.float64]:
         """Positions (n, 2) [m] of one touch in each frame, from |V / ref| (n, C).
 
@@ -92,6 +49,12 @@ class PositionRegressor:
         covariance = self.variance * (1.0 + d + d**2 / 3.0) * np.exp(-d)
         places: NDArray[np.float64] = covariance @ self.weights + self.centre
         return places
+
+    def locate(self, ratio: ArrayLike) -> tuple[Places, NDArray[np.bool_]]:
+        """Places of `apply`, without standard errors, and no channel left out (n, C)."""
+        place, strength = self.apply(ratio), self.strength(ratio)
+        none = np.zeros(np.shape(ratio))
+        return Places(place, np.full(len(place), np.nan), strength, none), none > 0
 
     def strength(self, ratio: ArrayLike) -> NDArray[np.float64]:
         """Strength (n,) of the changes |V / ref| (n, C), relative to the touches trained with.

@@ -16,6 +16,9 @@ from eitskin.errors import ConfigurationError, DataError, FrameError
 from eitskin.frame import Frame
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.protocol import Protocol
+from eitskin.training.adaptation.position_regressor import PositionRegressor
+from eitskin.training.adaptation.press_fit import learn_places
+from eitskin.training.adaptation.press_locator import PressLocator
 from eitskin.training.method.input_spec import FREQUENCY_TOLERANCE, usable_values
 from eitskin.training.method.observations import fingerprint
 from eitskin.training.method.predictions import FoundTouches
@@ -30,7 +33,6 @@ from eitskin.training.pipeline.saved_form import (
     write_pipeline,
 )
 from eitskin.training.pipeline.stored_reference import StoredReference, Zero
-from eitskin.training.positions.position_regressor import PositionRegressor
 
 STILL = 0.1  # rms change of a still sensor, relative to that of the usual touch; see `References`
 WEAKEST = 0.2  # of the usual touch; the direction of a smaller change is mostly noise
@@ -66,7 +68,7 @@ class RecordedTouches:
     session one after another. Neither state nor bend angle nor force is estimated.
 
     Attributes:
-        position: regressor from ratios |V / ref| to positions.
+        position: from ratios |V / ref| to positions; a regressor in pipelines of version 0.1.
         examples: ratios by which a saved copy is checked (k, channels).
         trained_on: fingerprint of the recording and number of frames trained with.
         protocol: of the recording's frames; None where unknown.
@@ -80,7 +82,7 @@ class RecordedTouches:
 
     KIND: ClassVar[str] = "touch position"
 
-    position: PositionRegressor
+    position: PressLocator | PositionRegressor
     examples: NDArray[np.float64]
     trained_on: Mapping[str, Any]
     protocol: Protocol | None = None
@@ -105,18 +107,27 @@ class RecordedTouches:
     def fit(cls, dataset: Dataset) -> "RecordedTouches":
         """Learn from the first 80 % in time of the frames that have exactly one touch.
 
-        Raises DataError for fewer than 20 such frames.
+        Depths or forces are used where all of these frames have them; design and protocol where the
+        dataset has them.
+
+        Raises DataError for fewer than 5 such frames.
         """
         touches = _touches(dataset)
         train = touches[: round(TRAINING_SHARE * len(touches))]
         ratios, places = _ratios(dataset, train), _places(dataset, train)
+        learned = learn_places(
+            ratios, places, _label(dataset, train), dataset.design, dataset.protocol
+        )
         trained_on = {
             "sha256": fingerprint(dataset),
             "frames": len(train),
             "source": dataset.source,
+            "law": None if learned.law is None else asdict(learned.law),
+            "choice": asdict(learned.choice),
+            "validated": asdict(learned.validated),
         }
         return cls(
-            PositionRegressor.fit(ratios, places),
+            learned.locator,
             ratios[:GOLDEN],
             trained_on,
             dataset.protocol,
@@ -196,10 +207,18 @@ class RecordedTouches:
         with np.errstate(invalid="ignore"):  # NaN marks a bad channel
             ratio = np.abs(voltages / self.references.bend)[None]
         strength = self.position.strength(ratio)
-        touched = strength >= WEAKEST
-        found = FoundTouches.of(
-            self.position.apply(ratio)[touched], np.minimum(strength[touched], 1.0)
-        )
+        found = FoundTouches.of(np.zeros((0, 2)), [])
+        if strength[0] >= WEAKEST:
+            located, left_out = self.position.locate(ratio)
+            found = FoundTouches.of(
+                located.place, np.minimum(strength, 1.0), deviation=located.deviation
+            )
+            misfits = left_out[0] & np.isfinite(ratio[0])
+            problems += tuple(
+                f"channel {label} departs from what all others say and is left out"
+                for label, misfit in zip(frame.protocol.labels, misfits, strict=True)
+                if misfit
+            )
         unknown = np.full(len(State), np.nan)
         zero = Zero.FIRST_FRAMES if self.stored is None else self.stored.zero
         return Estimate(
@@ -293,7 +312,9 @@ class RecordedTouches:
         saved = read_pipeline(path)
         require_kind(saved, cls.KIND, path)
         try:
-            position = PositionRegressor.from_arrays(dict(saved.weights))
+            arrays = dict(saved.weights)
+            kind = PositionRegressor if "directions" in arrays else PressLocator
+            position = kind.from_arrays(arrays)
             document, examples = saved.document, saved.golden["input.ratio"]
             protocol, frequency, design, extent = (
                 document.get(name) for name in ("protocol", "frequency", "design", "extent")
@@ -327,6 +348,16 @@ def _places(dataset: Dataset, frames: NDArray[np.int64]) -> NDArray[np.float64]:
     """Positions (k, 2) [m] of the one touch in each of `frames`."""
     x, y = (np.nansum(values[frames], axis=1) for values in (dataset.touch_x, dataset.touch_y))
     return np.stack([x, y], axis=1).astype(float)
+
+
+def _label(dataset: Dataset, frames: NDArray[np.int64]) -> NDArray[np.float64] | None:
+    """Depth [m] or else force [N] of the one touch in each of `frames` (k,); None where unknown."""
+    touched = np.isfinite(dataset.touch_x[frames])
+    for values in (dataset.touch_depth, dataset.touch_force):
+        label: NDArray[np.float64] = np.where(touched, values[frames], 0.0).sum(axis=1, dtype=float)
+        if len(label) and np.isfinite(label).all() and (label > 0).all():
+            return label
+    return None
 
 
 def _ratios(dataset: Dataset, frames: NDArray[np.int64]) -> NDArray[np.float64]:

@@ -3,10 +3,10 @@
 from pathlib import Path
 
 from eitskin.errors import ConfigurationError
+from eitskin.training.adaptation.recorded_touches import RecordedTouches
 from eitskin.training.method.interface import Method
 from eitskin.training.pipeline.pipeline import Pipeline
 from eitskin.training.pipeline.saved_form import OtherKindError
-from eitskin.training.positions.recorded_touches import RecordedTouches
 
 
 def open_pipeline(

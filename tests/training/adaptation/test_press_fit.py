@@ -1,0 +1,115 @@
+"""Places learned from few presses, on a toy skin and on a measured one."""
+
+import dataclasses
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from eitskin.datasets import Dataset, RecordingNames, State, read_recording
+from eitskin.errors import DataError, FrameError
+from eitskin.simulator import Protocol
+from eitskin.training import RecordedTouches
+from eitskin.training.adaptation.press_fit import learn_places
+from eitskin.training.adaptation.press_locator import PressLocator
+from tests.support.toy_skin import toy_presses
+
+DATA = Path(os.environ.get("EITSKIN_DATA", Path(__file__).parents[4] / "shared" / "data"))
+
+
+@pytest.fixture(scope="module")
+def learned():
+    ratio, places, depth = toy_presses()
+    return learn_places(ratio, places, depth)
+
+
+def test_places_strength_and_standard_errors(learned):
+    ratio, places, depth = toy_presses(30, seed=1)
+    found, left_out = learned.locator.locate(ratio)
+    error = np.linalg.norm(found.place - places, axis=1)
+    assert np.median(error) < 1e-3
+    assert 0.4 < np.sqrt(np.mean((error / found.deviation) ** 2)) < 1.5
+    assert not left_out.any()
+    assert abs(learned.law.exponent - 1.5) < 0.1
+    inner = np.abs(places).max(axis=1) < 0.04
+    np.testing.assert_allclose(found.strength[inner], learned.law.strength(depth[inner]), rtol=0.1)
+    np.testing.assert_allclose(learned.law.label(learned.law.strength(depth)), depth, rtol=1e-9)
+
+
+@pytest.mark.slow
+def test_strength_is_learned_where_no_depth_is_known():
+    ratio, places, _ = toy_presses()
+    other, where, _ = toy_presses(60, seed=1)
+    blind = learn_places(ratio, places)
+    assert blind.law is None
+    error = np.linalg.norm(blind.locator.apply(other) - where, axis=1)
+    assert np.median(error) < 1.5e-3
+
+
+def test_a_channel_that_jumps_is_left_out(learned):
+    ratio, places, _ = toy_presses(8, seed=2)
+    ratio[:, 3] *= 0.95
+    ratio[:, 5] = np.nan
+    found, left_out = learned.locator.locate(ratio)
+    assert left_out[:, [3, 5]].all()
+    assert left_out.sum() == 16
+    assert np.median(np.linalg.norm(found.place - places, axis=1)) < 2e-3
+
+
+def test_a_left_out_channel_is_as_if_it_had_never_been(learned):
+    """An unknown offset is marginalised: the values of a bad channel do not matter."""
+    ratio = toy_presses(3, seed=3)[0]
+    bad = np.zeros(ratio.shape, dtype=bool)
+    bad[:, 2] = True
+    answers = np.log(ratio) / learned.locator.gain
+    one = learned.locator.grid.locate(answers, bad)
+    answers[:, 2] += 7.0
+    other = learned.locator.grid.locate(answers, bad)
+    np.testing.assert_allclose(one.place, other.place, atol=1e-9)
+    np.testing.assert_allclose(one.deviation, other.deviation, rtol=1e-6)
+
+
+def test_arrays_restore_the_locator(learned):
+    ratio = toy_presses(5, seed=4)[0]
+    restored = PressLocator.from_arrays(learned.locator.arrays())
+    np.testing.assert_array_equal(restored.apply(ratio), learned.locator.apply(ratio))
+
+
+def test_what_cannot_be_learned_is_refused(learned):
+    ratio, places, _ = toy_presses()
+    with pytest.raises(DataError, match="at least 5"):
+        learn_places(ratio[:4], places[:4])
+    with pytest.raises(DataError, match="different positions"):
+        learn_places(ratio, np.zeros_like(places))
+    with pytest.raises(DataError, match="8 channels, got 7"):
+        learned.locator.apply(ratio[:, :7])
+
+
+def test_learned_positions_keep_the_protocol_of_their_recording(tmp_path):
+    ratio, places, _ = toy_presses(40)
+    x, y = np.full((2, 40, 4), np.nan)
+    x[:, 0], y[:, 0] = places.T
+    touches = {"touch_x": x, "touch_y": y, "state": np.full(40, State.TOUCH)}
+    table = Protocol(Protocol.skip(8, 1).table[:8], 8)
+    recording = Dataset.from_arrays(ratio, np.ones(8), protocol=table, **touches)
+    loaded = RecordedTouches.load(RecordedTouches.fit(recording).save(tmp_path / "a.eitmodel"))
+    assert loaded.protocol == table
+    unknown = dataclasses.replace(recording, protocol=None)
+    assert loaded.evaluate(unknown).frames == 8
+    other = dataclasses.replace(recording, protocol=Protocol(table.table[::-1], 8))
+    with pytest.raises(FrameError, match=r"learned from .* the dataset has"):
+        loaded.evaluate(other)
+
+
+@pytest.mark.slow
+def test_measured_hydrogel_skin():
+    """500 presses of a real skin: places of the last 100 from the first 400, without a design."""
+    if not (DATA / "ohmc8.mat").is_file():
+        pytest.skip(f"no ohmc8.mat in {DATA}; set EITSKIN_DATA to the folder that holds it")
+    names = RecordingNames("responsedowns", "responseups", "positions")
+    recording = read_recording(DATA / "ohmc8.mat", names)
+    score = RecordedTouches.fit(recording).evaluate(recording)
+    assert score.frames == 100
+    assert score.mean_error_mm < 2.5
+    assert score.guess_error_mm > 40.0

@@ -1,0 +1,238 @@
+"""Gaussian-process maps of all channels over the sheet, with one covariance between channels."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import eigh
+
+from eitskin.training.adaptation.place_kernel import KernelFeatures, PlaceKernel
+
+Array = NDArray[np.float64]
+
+ITERATIONS = 20
+BLOCK = 1000  # presses whose features are held at once
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Presses:
+    """Labelled presses: what maps are learned from.
+
+    Attributes:
+        places: (n, 2) [m].
+        strength: relative strength s of each press (n,); a channel answers in proportion to it.
+        answers: of the channels, of order one (n, C).
+        weight: of each press in the fit (n,); the noise variance of a press is divided by it.
+        owner: number of the recorded press that each came from (n,).
+    """
+
+    places: Array
+    strength: Array
+    answers: Array
+    weight: Array
+    owner: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, places: ArrayLike, strength: ArrayLike, answers: ArrayLike) -> "Presses":
+        """Recorded presses, each of weight one."""
+        n = len(np.asarray(strength))
+        return cls(
+            np.asarray(places, dtype=float),
+            np.asarray(strength, dtype=float),
+            np.asarray(answers, dtype=float),
+            np.ones(n),
+            np.arange(n),
+        )
+
+    def select(self, which: NDArray[np.bool_] | NDArray[np.int64]) -> "Presses":
+        """Some of the presses, which keep their owners' numbers."""
+        return Presses(
+            self.places[which],
+            self.strength[which],
+            self.answers[which],
+            self.weight[which],
+            self.owner[which],
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ChannelCovariance:
+    """Covariances between channels, brought to diagonal form together.
+
+    With whitening Z, Z' noise Z = 1 and Z' signal Z = diag(gain): the channels become independent
+    Gaussian processes of noise one (Rakitsch et al. 2013).
+
+    Attributes:
+        whitening: Z (C, C).
+        gain: variances of the independent maps (C,), in units of the noise.
+    """
+
+    whitening: Array
+    gain: Array
+
+    @classmethod
+    def of(cls, signal: Array, noise: Array) -> "ChannelCovariance":
+        """Solve the generalised eigenvalue problem of both covariances (C, C)."""
+        gain, whitening = eigh(signal, noise)
+        return cls(np.ascontiguousarray(whitening), np.maximum(gain, 0.0))
+
+    @property
+    def log_determinant(self) -> float:
+        """log |det Z|."""
+        return float(np.linalg.slogdet(self.whitening)[1])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Normal:
+    """Normal equations of presses in the eigenbasis of their features.
+
+    Attributes:
+        basis: eigenvectors V of sum weight s^2 phi phi' (m, m).
+        values: its eigenvalues w (m,).
+        answers: w^-1/2 V' sum weight s phi y' (m, C).
+        rest: scatter of what no map explains (C, C).
+        presses: number of presses n.
+    """
+
+    basis: Array
+    values: Array
+    answers: Array
+    rest: Array
+    presses: int
+
+    @classmethod
+    def of(cls, features: KernelFeatures, presses: Presses) -> "_Normal":
+        """Sum over the presses, a block at a time."""
+        m, channels = len(features.chosen), presses.answers.shape[1]
+        gram, moment = np.zeros((m, m)), np.zeros((m, channels))
+        scatter = np.zeros((channels, channels))
+        for begin in range(0, len(presses.strength), BLOCK):
+            part = presses.select(np.arange(begin, min(begin + BLOCK, len(presses.strength))))
+            root = np.sqrt(part.weight)[:, None]
+            phi = features(part.places) * part.strength[:, None] * root
+            y = part.answers * root
+            gram, moment, scatter = gram + phi.T @ phi, moment + phi.T @ y, scatter + y.T @ y
+        values, basis = eigh(gram)
+        values = np.maximum(values, 1e-9 * values[-1])
+        answers = (basis.T @ moment) / np.sqrt(values)[:, None]
+        return cls(basis, values, answers, scatter - answers.T @ answers, len(presses.strength))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ChannelMaps:
+    """Maps f of all channels: answers y = s f(p) + noise, y and f of C channels.
+
+    f(p) = W' phi(p), with rows of W independent and of covariance `signal` between channels, and
+    noise of covariance `noise` between channels, both learned from the presses.
+
+    Attributes:
+        features: phi.
+        covariance: of signal and noise.
+        basis: eigenvectors of the presses' features (m, m).
+        values: their eigenvalues (m,).
+        weights: posterior mean of W for the independent maps, in that basis (m, C).
+    """
+
+    features: KernelFeatures
+    covariance: ChannelCovariance
+    basis: Array
+    values: Array
+    weights: Array
+
+    @classmethod
+    def fit(cls, kernel: PlaceKernel, presses: Presses, noise: float) -> "ChannelMaps":
+        """Learn the channels' covariances by expectation maximisation, then the maps.
+
+        Args:
+            kernel: prior covariance over the sheet.
+            presses: what to learn from.
+            noise: prior guess of the noise variance, in units of the answers' variance; it counts
+                as much as one press per channel, as does the prior guess 1 of the signal.
+        """
+        features = KernelFeatures.of(kernel, presses.places)
+        normal = _Normal.of(features, presses)
+        return cls._posterior(features, _learned(normal, noise), normal)
+
+    @classmethod
+    def _posterior(
+        cls, features: KernelFeatures, covariance: ChannelCovariance, normal: _Normal
+    ) -> "ChannelMaps":
+        seen = normal.answers @ covariance.whitening
+        gain, w = covariance.gain, normal.values[:, None]
+        weights = gain * np.sqrt(w) * seen / (gain * w + 1.0)
+        return cls(features, covariance, normal.basis, normal.values, weights)
+
+    def at(self, places: ArrayLike) -> tuple[Array, Array]:
+        """Mean and variance (n, C) each of the independent maps at places (n, 2) [m]."""
+        phi = self.features(places)
+        turned, gain = phi @ self.basis, self.covariance.gain
+        known = (turned**2) @ (gain / (gain * self.values[:, None] + 1.0))
+        missing = np.maximum(self.features.kernel.variance(places) - np.sum(phi**2, axis=1), 0.0)
+        return turned @ self.weights, known + missing[:, None] * gain
+
+    def left_out(self, presses: Presses) -> tuple[Array, Array]:
+        """Mean and variance of the independent answers of each press, it left out of the fit.
+
+        Presses of one owner are left out together; those of weight one are told of. In closed form
+        from the leverages (Rasmussen and Williams 2006, section 5.4.2), (k, C) each.
+        """
+        root = np.sqrt(presses.weight)[:, None]
+        phi = self.features(presses.places) * presses.strength[:, None] * root @ self.basis
+        seen = presses.answers * root @ self.covariance.whitening
+        residual = seen - phi @ self.weights
+        gain = self.covariance.gain
+        shrunk = gain / (gain * self.values[:, None] + 1.0)
+        own = np.flatnonzero(presses.weight == 1.0)
+        mean, variance = np.empty((2, len(own), len(gain)))
+        order = np.argsort(presses.owner, kind="stable")
+        first = np.searchsorted(presses.owner[order], presses.owner[own], "left")
+        last = np.searchsorted(presses.owner[order], presses.owner[own], "right")
+        for row, press in enumerate(own):
+            group = order[first[row] : last[row]]
+            part = phi[group]
+            leverage = np.einsum("am,mc,bm->cab", part, shrunk, part, optimize=True)
+            inverse = np.linalg.inv(np.eye(len(group)) - leverage)
+            at = int(np.flatnonzero(group == press)[0])
+            off = np.einsum("cb,bc->c", inverse[:, at], residual[group])
+            mean[row], variance[row] = seen[press] - off, inverse[:, at, at]
+        return mean, variance
+
+    def density_of(self, presses: Presses) -> Array:
+        """Log predictive density of the answers of other presses (n,)."""
+        mean, variance = self.at(presses.places)
+        s = presses.strength[:, None]
+        off = presses.answers @ self.covariance.whitening - s * mean
+        return self._density(off, s**2 * variance + 1.0)
+
+    def _density(self, off: Array, variance: Array) -> Array:
+        """Log density of deviations (n, C) of independent answers, in the channels' unit (n,)."""
+        density = -0.5 * np.sum(off**2 / variance + np.log(2.0 * np.pi * variance), axis=1)
+        return np.asarray(density + self.covariance.log_determinant, dtype=np.float64)
+
+    def left_out_density(self, presses: Presses) -> Array:
+        """Log predictive density of each press of weight one, it left out of the fit (k,)."""
+        mean, variance = self.left_out(presses)
+        own = presses.weight == 1.0
+        return self._density(presses.answers[own] @ self.covariance.whitening - mean, variance)
+
+
+def _learned(normal: _Normal, noise: float) -> ChannelCovariance:
+    """Covariances between channels at the maximum of their posterior, by EM."""
+    m, channels = normal.answers.shape
+    prior_signal, prior_noise = np.eye(channels), noise * np.eye(channels)
+    signal, error, count = prior_signal, prior_noise, float(channels)
+    w = normal.values[:, None]
+    for _ in range(ITERATIONS):
+        now = ChannelCovariance.of(signal, error)
+        back = np.linalg.inv(now.whitening)
+        seen = normal.answers @ now.whitening
+        variance = w * now.gain / (w * now.gain + 1.0)
+        mean = variance * seen
+        maps = (mean / w).T @ mean + np.diag(np.sum(variance / w, axis=0))
+        off = seen - mean
+        rest = now.whitening.T @ normal.rest @ now.whitening
+        errors = off.T @ off + np.diag(np.sum(variance, axis=0)) + rest
+        signal = (back.T @ maps @ back + count * prior_signal) / (m + count)
+        error = (back.T @ errors @ back + count * prior_noise) / (normal.presses + count)
+        signal, error = 0.5 * (signal + signal.T), 0.5 * (error + error.T)
+    return ChannelCovariance.of(signal, error)

@@ -1,0 +1,227 @@
+"""Maps of all channels on a grid over the sheet, inverted for place and strength of a touch."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+TAIL = 8.0  # degrees of freedom of the misfit: a frame that fits badly is trusted less
+FINE = 6  # parts of a cell's side around the best places
+MODES = 3
+ROUNDS = 2  # of strength against the variance that depends on it
+_SUPPORT = 6  # nodes of the interpolation between grid points
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Places:
+    """Posterior of the place and strength of one touch in each of n frames.
+
+    Attributes:
+        place: posterior mean (n, 2) [m].
+        deviation: posterior standard error, sqrt(var x + var y) (n,) [m].
+        strength: relative strength (n,).
+        misfit: residual of each channel, in standard deviations of it given all others (n, C).
+    """
+
+    place: Array
+    deviation: Array
+    strength: Array
+    misfit: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MapGrid:
+    """Posterior maps of the channels on a regular grid.
+
+    Attributes:
+        low: first grid point (2,) [m].
+        step: of the grid [m].
+        mean: of the independent maps (rows along y, columns along x, C).
+        variance: of the independent maps, of the same shape.
+        log_prior: of a touch at each grid point (rows, columns); -inf where none can be.
+        whitening: from channels to independent answers (C, C).
+        strength: prior mean and standard deviation of the strength (2,).
+    """
+
+    low: Array
+    step: float
+    mean: Array
+    variance: Array
+    log_prior: Array
+    whitening: Array
+    strength: Array
+
+    def locate(self, answers: ArrayLike, bad: NDArray[np.bool_] | None = None) -> Places:
+        """Place and strength of one touch in each frame.
+
+        The posterior of the place is summed over the cells of the grid, with the strength at its
+        best for each place (Laplace), and over finer cells around the best ones.
+
+        Args:
+            answers: of the channels, in the units of the maps (n, C).
+            bad: channels that are left out of a frame (n, C); none when omitted.
+        """
+        y = np.asarray(answers, dtype=float)
+        out = np.zeros(y.shape, dtype=bool) if bad is None else bad
+        found = [
+            self._locate(np.where(skip, 0.0, row), skip) for row, skip in zip(y, out, strict=True)
+        ]
+        place, deviation, strength, misfit = (list(each) for each in zip(*found, strict=True))
+        return Places(np.array(place), np.array(deviation), np.array(strength), np.array(misfit))
+
+    def _locate(self, answer: Array, bad: NDArray[np.bool_]) -> tuple[Array, float, float, Array]:
+        rows, columns, channels = self.mean.shape
+        seen, left = answer @ self.whitening, self.whitening[bad]
+        score = _Score(self.strength, seen, left)
+        allowed = np.flatnonzero(np.isfinite(self.log_prior))
+        log = np.full(rows * columns, -np.inf)
+        log[allowed], _ = score(
+            self.mean.reshape(-1, channels)[allowed], self.variance.reshape(-1, channels)[allowed]
+        )
+        log = (log + self.log_prior.ravel()).reshape(rows, columns)
+        coarse, points, parts = log.copy(), [], []
+        for _ in range(MODES):
+            row, column = np.unravel_index(int(np.argmax(coarse)), coarse.shape)
+            if not coarse[row, column] > log.max() - 12.0:
+                break
+            near = (
+                slice(max(int(row) - 1, 0), int(row) + 2),
+                slice(max(int(column) - 1, 0), int(column) + 2),
+            )
+            fine = self._fine(near, np.isfinite(coarse[near]))
+            points.append(fine.points)
+            parts.append(score(fine.mean, fine.variance)[0] + fine.log_prior - 2 * np.log(FINE))
+            coarse[near] = -np.inf
+        rest = np.argwhere(coarse > log.max() - 12.0)
+        points.append(rest[:, ::-1].astype(float))
+        parts.append(coarse[tuple(rest.T)])
+        at, log_mass = np.concatenate(points), np.concatenate(parts)
+        mass = np.exp(log_mass - log_mass.max())
+        mass /= mass.sum()
+        middle = mass @ at
+        spread = mass @ np.sum((at - middle) ** 2, axis=1) + 1.0 / (6.0 * FINE**2)
+        best = at[int(np.argmax(log_mass))]
+        mean, variance = self._between(best[None])
+        _, strength = score(mean, variance)
+        misfit = np.where(bad, 0.0, self._misfit(seen, left, mean[0], variance[0], strength[0]))
+        return (
+            self.low + self.step * middle,
+            self.step * float(np.sqrt(spread)),
+            float(strength[0]),
+            misfit,
+        )
+
+    def _fine(self, near: tuple[slice, slice], free: NDArray[np.bool_]) -> "_Fine":
+        """Finer points of the free cells of a block of the grid."""
+        rows, columns = self.log_prior.shape
+        inner = (np.arange(FINE) + 0.5) / FINE - 0.5
+        cells = np.argwhere(free) + np.array([near[0].start, near[1].start])
+        offsets = np.stack(np.meshgrid(inner, inner, indexing="ij"), axis=-1).reshape(-1, 2)
+        at = (cells[:, None] + offsets).reshape(-1, 2)[:, ::-1]
+        prior = np.repeat(self.log_prior[tuple(cells.T)], FINE**2)
+        at = np.clip(at, 0.0, [columns - 1.0, rows - 1.0])
+        return _Fine(at, *self._between(at), prior)
+
+    def _between(self, at: Array) -> tuple[Array, Array]:
+        """Mean, by polynomials, and variance, of the nearest point, at grid indices x, y (n, 2)."""
+        rows, columns, _ = self.mean.shape
+        size = (min(_SUPPORT, columns), min(_SUPPORT, rows))
+        starts = [
+            np.clip(np.floor(at[:, axis]).astype(int) - size[axis] // 2 + 1, 0, n - size[axis])
+            for axis, n in enumerate((columns, rows))
+        ]
+        weights = [_lagrange(at[:, axis] - starts[axis], size[axis]) for axis in (0, 1)]
+        mean = np.zeros((len(at), self.mean.shape[2]))
+        for i in range(size[1]):
+            for j in range(size[0]):
+                factor = (weights[1][:, i] * weights[0][:, j])[:, None]
+                mean += factor * self.mean[starts[1] + i, starts[0] + j]
+        nearest = np.rint(at).astype(int)
+        return mean, self.variance[nearest[:, 1], nearest[:, 0]]
+
+    def _misfit(
+        self, seen: Array, left: Array, mean: Array, variance: Array, strength: float
+    ) -> Array:
+        """Residual of each channel given all others, in standard deviations (C,)."""
+        precision = 1.0 / (strength**2 * variance + 1.0)
+        residual = precision * (seen - strength * mean)
+        weighted = self.whitening * precision
+        inverse = weighted @ self.whitening.T
+        pull = self.whitening @ residual
+        if len(left):
+            cross = weighted @ left.T
+            solved = np.linalg.solve((left * precision) @ left.T, cross.T)
+            inverse = inverse - cross @ solved
+            pull = pull - solved.T @ (left @ residual)
+        misfit: Array = pull / np.sqrt(np.maximum(np.diag(inverse), 1e-12))
+        return misfit
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fine:
+    """Points between those of the grid: indices x, y, maps and prior."""
+
+    points: Array
+    mean: Array
+    variance: Array
+    log_prior: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Score:
+    """Log likelihood of places for one frame, with the strength at its best.
+
+    Attributes:
+        prior: mean and standard deviation of the strength (2,).
+        seen: independent answers (C,).
+        left: rows of the whitening of channels that are left out (b, C); an unknown offset of each
+            is marginalised, which leaves the channel out exactly.
+    """
+
+    prior: Array
+    seen: Array
+    left: Array
+
+    def __call__(self, mean: Array, variance: Array) -> tuple[Array, Array]:
+        """Log likelihood and strength (n,) of maps with mean and variance (n, C)."""
+        s = np.full(len(mean), self.prior[0])
+        weight = 1.0 / self.prior[1] ** 2
+        for _ in range(ROUNDS):
+            precision = 1.0 / (s[:, None] ** 2 * variance + 1.0)
+            yy, ym, mm, log = self._products(mean, precision)
+            s = np.maximum((ym + self.prior[0] * weight) / (mm + weight), 0.05 * self.prior[0])
+        square = np.maximum(yy - 2.0 * s * ym + s**2 * mm, 0.0)
+        count = len(self.seen) - len(self.left)
+        likelihood = -0.5 * (TAIL + count) * np.log1p(square / TAIL) + 0.5 * log
+        off = (s - self.prior[0]) ** 2 * weight
+        return likelihood - 0.5 * off - 0.5 * np.log(mm + weight), s
+
+    def _products(self, mean: Array, precision: Array) -> tuple[Array, Array, Array, Array]:
+        """y'Qy, y'Qm, m'Qm and log |Q| of the precision Q of the channels that are left (n,)."""
+        y = self.seen
+        yy, ym = precision @ y**2, np.sum(precision * mean * y, axis=1)
+        mm, log = np.sum(precision * mean**2, axis=1), np.sum(np.log(precision), axis=1)
+        if not len(self.left):
+            return yy, ym, mm, log
+        lost = np.einsum("bc,nc,dc->nbd", self.left, precision, self.left, optimize=True)
+        a, b = (precision * y) @ self.left.T, (precision * mean) @ self.left.T
+        solved_a, solved_b = (np.linalg.solve(lost, v[..., None])[..., 0] for v in (a, b))
+        log = log - np.linalg.slogdet(lost)[1]
+        return (
+            yy - np.sum(a * solved_a, axis=1),
+            ym - np.sum(a * solved_b, axis=1),
+            mm - np.sum(b * solved_b, axis=1),
+            log,
+        )
+
+
+def _lagrange(t: Array, size: int) -> Array:
+    """Weights (n, size) of the nodes 0, 1, ... in the polynomial through them at t (n,)."""
+    nodes = np.arange(size)
+    weights = np.ones((len(t), size))
+    for i in nodes:
+        for j in nodes[nodes != i]:
+            weights[:, i] *= (t - j) / (i - j)
+    return weights

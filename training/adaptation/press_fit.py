@@ -1,0 +1,235 @@
+"""Learning of touch places from few labelled presses of one sensor."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from eitskin.errors import DataError
+from eitskin.geometry.design.outline import PlaneOutline
+from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.protocol import Protocol
+from eitskin.training.adaptation.channel_maps import ChannelMaps, Presses
+from eitskin.training.adaptation.map_choice import MapChoice, SheetKnowledge
+from eitskin.training.adaptation.map_grid import MapGrid, Places
+from eitskin.training.adaptation.place_kernel import DesignSpan
+from eitskin.training.adaptation.position_regressor import log_ratio
+from eitskin.training.adaptation.press_locator import PressLocator
+from eitskin.training.adaptation.press_strength import StrengthLaw, learned_strength, unit_scale
+from eitskin.training.adaptation.sectors import Sectors
+
+Array = NDArray[np.float64]
+
+FEWEST = 5  # labelled presses
+GRID_POINTS = 44  # along the longer side of the sheet
+FOLDS = 5
+MOST_TESTED = 20  # presses of a fold
+MISFIT = 6.0  # standard deviations; a channel that departs further is left out of the frame
+MISFIT_MARGIN = 2.0  # over the usual misfit of presses that were left out
+PRIOR_TESTS = 10.0  # presses that the prior guess 1 of the standard errors' factor counts as
+COVARIANCE_PRESSES = 10.0  # presses at which learned covariances double the error variance
+
+
+@dataclass(frozen=True, slots=True)
+class CrossValidation:
+    """Errors of places in presses that were left out, in blocks of neighbours in time.
+
+    Attributes:
+        presses: number that was tested.
+        mean_error_mm: mean distance from the true place [mm].
+        error_ratio: root mean square of error over standard error, before it is corrected by it.
+    """
+
+    presses: int
+    mean_error_mm: float
+    error_ratio: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LearnedPlaces:
+    """Locator of touches that presses taught, and how good it is.
+
+    Attributes:
+        locator: of touches.
+        law: between strength and depth or force; None where neither was known.
+        choice: how the maps are modelled.
+        validated: errors in presses that were left out.
+    """
+
+    locator: PressLocator
+    law: StrengthLaw | None
+    choice: MapChoice
+    validated: CrossValidation
+
+
+def learn_places(
+    ratio: ArrayLike,
+    places: ArrayLike,
+    label: ArrayLike | None = None,
+    design: SensorDesign | None = None,
+    protocol: Protocol | None = None,
+) -> LearnedPlaces:
+    """Learn places from labelled presses.
+
+    Args:
+        ratio: |V / ref| of the presses, in the order of time (n, C).
+        places: their positions (n, 2) [m].
+        label: depth or force of each (n,); None, or not finite, where unknown.
+        design: of the sensor, whose span of sensitivities then is part of the prior.
+        protocol: of the channels; with the design it tells which sectors are alike.
+
+    Raises DataError for fewer than `FEWEST` presses, or presses all at one place.
+    """
+    logs, xy = log_ratio(ratio), np.asarray(places, dtype=float)
+    extent = float(np.sqrt(np.mean(xy.var(axis=0)))) if len(xy) else 0.0
+    if len(logs) < FEWEST or extent == 0.0:
+        raise DataError(
+            f"learning touch positions needs at least {FEWEST} frames with one touch, at different "
+            f"positions, and an untouched reference, got {len(logs)}; record more"
+        )
+    known = SheetKnowledge(extent, *_of_design(design, protocol, logs.shape[1]))
+    recorded = Presses.of(xy, np.ones(len(xy)), logs)
+    presses, law = _with_strength(known, recorded, label)
+    choice = known.choose(presses)
+    region = _Region.of(xy, design)
+    fitted = _Fitted.of(known, choice, presses)
+    found, errors = _cross_validated(known, choice, presses, region)
+    off = errors / found.deviation
+    square = float(np.sum(np.minimum(off, 5.0) ** 2))
+    variance = (PRIOR_TESTS + square) / (PRIOR_TESTS + len(off))
+    variance *= 1.0 + COVARIANCE_PRESSES / len(xy)
+    usual = float(np.quantile(np.abs(found.misfit).max(axis=1), 0.95))
+    locator = PressLocator(
+        fitted.grid(region),
+        fitted.gains,
+        unit_scale(recorded),
+        xy.mean(axis=0),
+        float(np.sqrt(variance)),
+        max(MISFIT, MISFIT_MARGIN * usual),
+    )
+    validated = CrossValidation(
+        len(off), float(errors.mean()) * 1e3, float(np.sqrt(np.mean(off**2)))
+    )
+    return LearnedPlaces(locator, law, choice, validated)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Region:
+    """Grid over the part of the sheet where touches can be.
+
+    Attributes:
+        low: first point (2,) [m].
+        step: between points [m].
+        shape: rows and columns.
+        log_prior: (rows, columns), uniform within the region.
+    """
+
+    low: Array
+    step: float
+    shape: tuple[int, int]
+    log_prior: Array
+
+    @classmethod
+    def of(cls, places: Array, design: SensorDesign | None) -> "_Region":
+        """Region within reach of the labelled presses, and within the outline where known.
+
+        Reach is 1.5 times the distance of neighbours, were the presses on a square grid.
+        """
+        span = np.ptp(places, axis=0)
+        reach = 1.5 * float(np.sqrt(max(span[0] * span[1], 0.01 * span.max() ** 2) / len(places)))
+        low, high = places.min(axis=0) - reach, places.max(axis=0) + reach
+        outline = None if design is None else design.outline
+        if isinstance(outline, PlaneOutline):
+            low = np.maximum(low, 0.0)
+            high = np.minimum(high, [outline.length, outline.width])
+        step = float((high - low).max()) / (GRID_POINTS - 1)
+        columns, rows = (int(n) for n in np.floor((high - low) / step + 1e-9).astype(int) + 1)
+        x, y = np.meshgrid(low[0] + step * np.arange(columns), low[1] + step * np.arange(rows))
+        points = np.stack([x.ravel(), y.ravel()], axis=1)
+        near = np.min(np.linalg.norm(points[:, None] - places[:2000], axis=2), axis=1) <= reach
+        if isinstance(outline, PlaneOutline):
+            near &= outline.contains(points)
+        log_prior = np.where(near, 0.0, -np.inf).reshape(rows, columns)
+        return cls(low, step, (rows, columns), log_prior)
+
+    @property
+    def points(self) -> Array:
+        """All grid points, row by row (n, 2) [m]."""
+        rows, columns = self.shape
+        x, y = np.meshgrid(np.arange(columns), np.arange(rows))
+        points: Array = self.low + self.step * np.stack([x.ravel(), y.ravel()], axis=1)
+        return points
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fitted:
+    """Maps of a choice, gains of the channels, and mean and deviation of the strength."""
+
+    gains: Array
+    maps: ChannelMaps
+    strength: Array
+
+    @classmethod
+    def of(cls, known: SheetKnowledge, choice: MapChoice, presses: Presses) -> "_Fitted":
+        gains = known.gains(choice, presses)
+        maps = ChannelMaps.fit(
+            known.kernel(choice), known.prepared(choice, presses, gains), choice.noise
+        )
+        s = presses.strength
+        prior = np.array([s.mean(), s.std() + 0.15 * s.mean()])
+        return cls(gains, maps, prior)
+
+    def grid(self, region: _Region) -> MapGrid:
+        """Maps on the grid of a region."""
+        mean, variance = self.maps.at(region.points)
+        shape = (*region.shape, mean.shape[1])
+        return MapGrid(
+            region.low,
+            region.step,
+            mean.reshape(shape),
+            variance.reshape(shape),
+            region.log_prior,
+            self.maps.covariance.whitening,
+            self.strength,
+        )
+
+
+def _of_design(
+    design: SensorDesign | None, protocol: Protocol | None, channels: int
+) -> tuple[DesignSpan | None, Sectors | None]:
+    """Span and sectors of a design; nothing where there is none, or it is no plane one."""
+    if design is None or not isinstance(design.outline, PlaneOutline):
+        return None, None
+    fits = protocol is not None and len(protocol) == channels
+    return DesignSpan.of(design), Sectors.of(design, protocol) if fits else None
+
+
+def _with_strength(
+    known: SheetKnowledge, presses: Presses, label: ArrayLike | None
+) -> tuple[Presses, StrengthLaw | None]:
+    """Presses with their strengths, by a law of depth or force where these are known."""
+    kernel = known.kernel(MapChoice())
+    values = np.full(len(presses.strength), np.nan) if label is None else np.asarray(label, float)
+    if np.isfinite(values).all() and (values > 0).all():
+        law = StrengthLaw.fit(lambda these: known.density(MapChoice(), these), presses, values)
+        return replace(presses, strength=law.strength(values)), law
+    return replace(presses, strength=learned_strength(kernel, presses)), None
+
+
+def _cross_validated(
+    known: SheetKnowledge, choice: MapChoice, presses: Presses, region: _Region
+) -> tuple[Places, Array]:
+    """Places of presses that are left out by blocks in time, and their errors (k,) [m]."""
+    count = len(presses.strength)
+    blocks = np.array_split(np.arange(count), min(FOLDS, count))
+    found, errors = [], []
+    for block in blocks:
+        tested = block[:: -(-len(block) // MOST_TESTED)]
+        rest = presses.select(np.setdiff1d(np.arange(count), block))
+        fewer = _Fitted.of(known, choice, rest)
+        place = fewer.grid(region).locate(presses.answers[tested] / fewer.gains)
+        found.append(place)
+        errors.append(np.linalg.norm(place.place - presses.places[tested], axis=1))
+    names = ("place", "deviation", "strength", "misfit")
+    joined = Places(*(np.concatenate([getattr(each, name) for each in found]) for name in names))
+    return joined, np.concatenate(errors)
