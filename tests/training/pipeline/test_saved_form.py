@@ -278,7 +278,7 @@ def test_recorded_touches_are_saved_in_the_same_format(tmp_path):
     with pytest.raises(DataError, match="'touch position'"):
         Pipeline.load(folder)
     weights = load_file(folder / "weights.safetensors")
-    weights["centre"] += 0.01
+    weights["grid.low"] += 0.01
     save_file(weights, folder / "weights.safetensors")
     reseal(folder)
     with pytest.raises(DataError, match="does not compute"):
