@@ -47,10 +47,13 @@ def use_reference(
 
 def tell_unjudged(pipeline: "Pipeline | RecordedTouches", output: "Output") -> None:
     """Note where a pipeline cannot judge whether a session begins flat and untouched."""
-    few = "it knows too few specimens"
+    from eitskin.training.pipeline.flat_sensors import FEWEST_SPECIMENS
+
     if pipeline.stored is None and getattr(pipeline, "flat_sensors", None) is None:
-        known = "it knows touch positions only" if pipeline.targets.positions_only else few
+        count = f"one of {pipeline.trained_on.get('specimens', 'an unknown number')}"
+        known = "one of touch positions only" if pipeline.targets.positions_only else count
         output.note(
-            "this pipeline cannot judge whether the sensor is flat and untouched: "
-            f"{known}; see to that, or give --reference"
+            "whether the sensor starts flat and untouched is not checked: expected a pipeline "
+            f"trained on {FEWEST_SPECIMENS} specimens or more, got {known}; make sure that it lies "
+            "flat and untouched, or give a reference that was taken so (eitskin tare, --reference)"
         )

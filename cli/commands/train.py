@@ -276,7 +276,7 @@ def _comparison(selection: "Selection") -> Group:
         title=f"{len(judged)} held-out frames of {specimens_in_words(judged)}",
         caption="loss: mean of the relative errors of states, touches and bends; 1 for guesses",
     )
-    refusals = []
+    remarks = []
     for trial in selection.trials:
         figures = [trial.figures.get(name) for name in forms]
         shown = [
@@ -286,8 +286,10 @@ def _comparison(selection: "Selection") -> Group:
         loss = f"{trial.loss:.3f}" if trial.losses else "-"
         table.add_row(trial.preset, *shown, loss, f"{trial.seconds:.0f} s")
         if trial.refusal:
-            refusals.append(f"{trial.preset} cannot be trained here: {trial.refusal}")
-    return Group(table, *refusals, f"chosen: {selection.preset}")
+            remarks.append(f"{trial.preset} cannot be trained here: {trial.refusal}")
+        if trial.stopped:
+            remarks.append(f"{trial.preset} was not trained to the end: {trial.stopped}")
+    return Group(table, *remarks, f"chosen: {selection.preset}")
 
 
 def train_positions(data: "Dataset") -> "RecordedTouches":

@@ -11,6 +11,7 @@ from eitskin.training.joint.bend_curve import (
     BendCurve,
     BendCurvePrior,
 )
+from eitskin.training.joint.combinations import Combinations
 from eitskin.training.joint.prior import TouchPrior
 from eitskin.training.joint.touch_response import InputRanges, TouchResponse
 
@@ -23,6 +24,7 @@ TOUCH_PRIOR = TouchPrior(
 PROTOCOL = Protocol.pairwise(8)
 _ELECTRODES = np.array([[e.x, e.y] for e in SensorDesign.reference().electrodes])
 _PAIRS = np.array([row[:2] for row in PROTOCOL.table])
+MEASUREMENTS = Combinations(np.full(28, NOISE))  # each by itself
 FLAT = 300.0 + 5e3 * np.linalg.norm(_ELECTRODES[_PAIRS[:, 0]] - _ELECTRODES[_PAIRS[:, 1]], axis=1)
 _SOFTNESS = 0.020  # m: how near to an electrode its field no longer grows
 

@@ -21,6 +21,11 @@ from eitskin.training.pipeline.pipeline import Pipeline
 CANDIDATES = ("joint", "quick")
 FEW_SPECIMENS = 10  # below, a choice of other held-out specimens may give other figures
 FEW_FRAMES = 100  # of a state
+BRIEF = 0.15
+"""Share of the epochs after which candidates are compared for the first time."""
+HOPELESS = 2.0
+"""Ratio of a candidate's loss to the least one from which its training is not continued."""
+BRIEFLY_JUDGED = 200  # held-out frames
 WRONG_ERRORS = 2.0  # ratio of errors and their standard errors from which it is reported
 
 
@@ -34,6 +39,8 @@ class Trial:
         refusal: reason why it cannot be trained on the dataset; empty otherwise.
         evaluation: on the held-out frames; None for one that is refused.
         losses: of each target, 0 for no error to 1 for a guess; see `losses_of`.
+        stopped: reason why its training ended early; empty otherwise.
+        share: of the epochs that it was trained for.
     """
 
     preset: str
@@ -41,6 +48,8 @@ class Trial:
     refusal: str
     evaluation: Evaluation | None
     losses: dict[str, float]
+    stopped: str = ""
+    share: float = 1.0
 
     @property
     def loss(self) -> float:
@@ -74,6 +83,7 @@ class Trial:
             "preset": self.preset,
             "seconds": round(self.seconds, 1),
             "refusal": self.refusal,
+            "stopped": self.stopped,
             "loss": self.loss if self.losses else None,
             "losses": self.losses,
             "figures": self.figures,
@@ -103,10 +113,12 @@ class Selection:
         adjust: Callable[[TrainingSettings], TrainingSettings] = lambda settings: settings,
         progress: Progress = silent,
     ) -> "Selection":
-        """Train every candidate on one part of the specimens and judge it on the others.
+        """Train the candidates on one part of the specimens and judge them on the others.
 
-        All candidates see the same frames (`hold_out`). The chosen pipeline is the one that was
-        judged; its figures are of frames that it was chosen by, which favours it a little.
+        All candidates see the same frames (`hold_out`). They are compared after a brief training
+        first: one that errs `HOPELESS` times as much as the best goes no further (successive
+        halving, Jamieson and Talwalkar 2016). The chosen pipeline is the one that was judged; its
+        figures are of frames that it was chosen by, which favours it a little.
 
         Args:
             dataset: as `Pipeline.fit` takes it.
@@ -117,18 +129,13 @@ class Selection:
 
         Raises DataError where no candidate can be trained on the dataset.
         """
-        labels = Targets.of(with_implied_labels(dataset))
-        trials = tuple(
-            _trial(
-                dataset,
-                preset,
-                adjust(replace(TrainingSettings.preset(preset, seed), whole_specimens=True)),
-                labels,
-                progress,
-            )
-            for preset in presets
-        )
-        best = min(trials, key=lambda trial: trial.loss)
+        course = _Course(dataset, seed, adjust, progress)
+        brief: list[Trial] = []
+        for preset in presets:
+            rivals = len(presets) - 1 - sum(bool(trial.refusal) for trial in brief)
+            brief.append(course.trial(preset, BRIEF if rivals else 1.0))
+        trials = tuple(course.continued(trial, brief) for trial in brief)
+        best = min((each for each in trials if not each.stopped), key=lambda each: each.loss)
         if best.evaluation is None:
             reasons = "; ".join(f"{trial.preset}: {trial.refusal}" for trial in trials)
             raise DataError(f"no method can be trained on this dataset: {reasons}")
@@ -136,26 +143,51 @@ class Selection:
         return cls(trials, best.evaluation, best.preset)
 
 
-def _trial(
-    dataset: Dataset,
-    preset: str,
-    settings: TrainingSettings,
-    labels: Targets,
-    progress: Progress,
-) -> Trial:
-    """The candidate, trained and judged, or refused."""
-    start = time.perf_counter()
+@dataclass(frozen=True, slots=True, eq=False)
+class _Course:
+    """What all trials of a selection share; attributes as the arguments of `Selection.of`."""
 
-    def named(stage: str, done: int, total: int) -> None:
-        progress(f"{preset}: {stage}", done, total)
+    dataset: Dataset
+    seed: int
+    adjust: Callable[[TrainingSettings], TrainingSettings]
+    progress: Progress
 
-    try:
-        pipeline = Pipeline.fit(dataset, settings, named)
-    except DataError as error:
-        return Trial(preset, time.perf_counter() - start, str(error), None, {})
-    evaluation = Evaluation.of(pipeline, dataset.select(pipeline.held_out(dataset)))
-    losses = losses_of(evaluation, labels)
-    return Trial(preset, time.perf_counter() - start, "", evaluation, losses)
+    def trial(self, preset: str, share: float = 1.0) -> Trial:
+        """The candidate, trained for a share of its epochs and judged, or refused."""
+        start, words = time.perf_counter(), preset if share == 1.0 else f"{preset}, briefly"
+        settings = replace(TrainingSettings.preset(preset, self.seed), whole_specimens=True)
+        settings = self.adjust(settings)
+
+        def named(stage: str, done: int, total: int) -> None:
+            self.progress(f"{words}: {stage}", done, total)
+
+        try:
+            shortened = settings if share == 1.0 else settings.shortened(share)
+            pipeline = Pipeline.fit(self.dataset, shortened, named)
+        except DataError as error:
+            return Trial(preset, time.perf_counter() - start, str(error), None, {})
+        frames = pipeline.held_out(self.dataset)
+        if share < 1.0 and len(frames) > BRIEFLY_JUDGED:
+            frames = frames[:: -(-len(frames) // BRIEFLY_JUDGED)]
+        evaluation = Evaluation.of(pipeline, self.dataset.select(frames))
+        labels = Targets.of(with_implied_labels(self.dataset))
+        losses = losses_of(evaluation, labels)
+        seconds = time.perf_counter() - start
+        return Trial(preset, seconds, "", evaluation, losses, share=share)
+
+    def continued(self, trial: Trial, brief: Sequence[Trial]) -> Trial:
+        """The candidate trained to the end, unless it is refused, hopeless or trained already."""
+        if trial.refusal or trial.share == 1.0:
+            return trial
+        best = min(brief, key=lambda each: each.loss)
+        if trial.loss > HOPELESS * best.loss:
+            return replace(
+                trial,
+                stopped=f"after {BRIEF:.0%} of the training its loss was {trial.loss:.3f}, that of "
+                f"{best.preset} {best.loss:.3f}",
+            )
+        full = self.trial(trial.preset)
+        return replace(full, seconds=trial.seconds + full.seconds)
 
 
 def losses_of(evaluation: Evaluation, labels: Targets) -> dict[str, float]:

@@ -43,13 +43,14 @@ ANGLE_SCALE = 30.0  # deg, which both networks take as one
 
 def proposals_graph(method: JointMethod, frames: Observations) -> ExportedGraph:
     """`network_inputs` and `ProposalNetwork.map`; checked on `frames` over the range of angles."""
-    stage = method.proposals
+    stage, noise = method.proposals, np.sqrt(2.0) * method.combinations.unit
 
     def build(
         impedance: Value, static_reference: Value, dynamic_reference: Value, angle_deg: Value
     ) -> list[Value]:
         change = (relative_difference(impedance, dynamic_reference) + 1.0).op("Log")
-        sizes = (change / (2.0 * np.sqrt(2.0) * method.noise)).cast("float").op("Asinh")
+        change = change @ method.combinations.matrix.T
+        sizes = (change / (2.0 * noise)).cast("float").op("Asinh")
         flat = (static_reference * static_reference).sum(2).op("Sqrt")
         context = _angle(angle_deg).op("Concat", _features(method, flat), axis=1).cast("float")
         value = sizes.op("Concat", context, axis=1)
@@ -60,8 +61,9 @@ def proposals_graph(method: JointMethod, frames: Observations) -> ExportedGraph:
         return [logits.op("Sigmoid").op("Reshape", [-1, *shape])]
 
     angles = np.linspace(*method.bend_prior.angle_deg, len(frames))
-    noise, features = np.sqrt(2.0) * method.noise, method.features.apply(frames.flat)
-    inputs = network_inputs(np.log1p(frames.dynamic), noise, angles, features)
+    features = method.features.apply(frames.flat)
+    change = method.combinations.of(np.log1p(frames.dynamic))
+    inputs = network_inputs(change, noise, angles, features)
     cells = np.array([stage.map(each) for each in inputs], dtype=np.float32)
     feeds = {**frames_as_inputs(frames), "angle_deg": angles}
     return ExportedGraph.of("proposals", PROPOSALS, build, feeds, {"cells": cells}, PROPOSAL_UNITS)
@@ -84,14 +86,15 @@ def response_graph(method: JointMethod, frames: Observations) -> ExportedGraph:
         shares = features.dense(identity[:, 1:], identity[0])  # [1, features]
         change = (each * shares.op("Reshape", [-1, terms, 1])).sum(1).cast("double")
         force = touches.op("Gather", [2], axis=1)
-        return [change * (force * (stage.scale / stage.ranges.middle_force))]
+        scaled = change * (force * (stage.scale / stage.ranges.middle_force))
+        return [scaled @ method.combinations.changes(np.eye(channels))]
 
     feeds = _touches_to_check(method, frames)
     changes = [
         stage.of(method.features.apply(flat))(touch[None], angle)[0]
         for touch, angle, flat in zip(*feeds.values(), strict=True)
     ]
-    expected = {"change": np.array(changes)}
+    expected = {"change": method.combinations.changes(np.array(changes))}
     return ExportedGraph.of("response", RESPONSE, build, feeds, expected, RESPONSE_UNITS)
 
 

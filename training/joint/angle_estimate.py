@@ -16,6 +16,7 @@ from eitskin.training.joint.channel_faults import (
     PossibleFaults,
     most_likely_fault,
 )
+from eitskin.training.joint.combinations import CombinedChange
 from eitskin.training.joint.objective import BEYOND_DEG, misfit_sigma
 
 Array = NDArray[np.float64]
@@ -47,7 +48,7 @@ def angle_standard_error(curve: BendCurve, angle_deg: float, noise: Array) -> fl
     Args:
         curve: of the specimen.
         angle_deg: of the bend [deg].
-        noise: covariance of the frame's change of log V (C, C).
+        noise: covariance of the frame's change (K, K).
     """
     slope = curve.slope(angle_deg)
     covariance = noise + curve.uncertainty(angle_deg)
@@ -56,7 +57,7 @@ def angle_standard_error(curve: BendCurve, angle_deg: float, noise: Array) -> fl
 
 
 def robust_angle(
-    curve: BendCurve, change: Array, noise: Array, possible: PossibleFaults
+    curve: BendCurve, combined: CombinedChange, possible: PossibleFaults
 ) -> AngleEstimate:
     """Estimate the angle of one frame, leaving out measurements that contradict the others.
 
@@ -66,30 +67,29 @@ def robust_angle(
 
     Args:
         curve: of the specimen.
-        change: of log V from the flat sensor (C,); NaN where a measurement is bad.
-        noise: covariance of the change (C, C).
+        combined: of the change from the flat sensor.
         possible: faults that are considered.
     """
     faults: tuple[ChannelFault, ...] = ()
     while True:
-        angle, deviation = estimate_angle(curve, change, noise)
-        good = np.flatnonzero(np.isfinite(change))
-        whitening = lapack.whitening(_submatrix(noise + curve.uncertainty(angle), good))
+        angle, deviation = estimate_angle(curve, combined.change, combined.noise)
+        whitening = lapack.whitening(combined.noise + curve.uncertainty(angle))
         value, slope = curve.value_and_slope(angle)
-        residual = whitening @ (change - value)[good]
-        sigma = misfit_sigma(float(residual @ residual), len(good) - 1)
+        scale = math.sqrt(combined.frames)
+        rest = combined.rest / scale
+        residual = np.concatenate([whitening @ (combined.change - value), rest])
+        sigma = misfit_sigma(float(residual @ residual), combined.count - 1)
         found = AngleEstimate(angle, deviation, sigma, faults)
         if sigma < SUSPICIOUS_SIGMA or len(faults) == MOST_FAULTS:
             return found
-        jacobian = (whitening @ slope[good])[:, None]
-        directions = whitening @ possible.changes[good]
+        jacobian = np.pad(whitening @ slope, (0, len(rest)))[:, None]
+        seen, left = possible.seen_by(combined)
+        directions = np.concatenate([whitening @ seen, left / scale])
         fault, gain = most_likely_fault(residual, jacobian, directions, possible)
-        rest = np.delete(good, np.isin(good, fault.members))
-        if gain < FAULT_THRESHOLD or len(rest) < len(change) // 2:
+        fewer = combined.without(fault.members)
+        if gain < FAULT_THRESHOLD or fewer.count < len(fewer.good) // 2:
             return found
-        change = change.copy()
-        change[list(fault.members)] = np.nan
-        faults = (*faults, fault)
+        combined, faults = fewer, (*faults, fault)
 
 
 def estimate_angle(curve: BendCurve, change: Array, noise: Array) -> tuple[float, float]:
@@ -100,27 +100,19 @@ def estimate_angle(curve: BendCurve, change: Array, noise: Array) -> tuple[float
 
     Args:
         curve: of the specimen.
-        change: of log V from the flat sensor (C,); NaN where a measurement is bad.
-        noise: covariance of the change (C, C), without the curve's uncertainty.
+        change: from the flat sensor (K,).
+        noise: covariance of the change (K, K), without the curve's uncertainty.
     """
-    good = np.flatnonzero(np.isfinite(change))
-    N = _submatrix(noise, good)
     angles, values = curve.grid(GRID)
-    white = (change - values)[:, good] @ lapack.whitening(N).T
+    white = (change - values) @ lapack.whitening(noise).T
     angle = float(angles[np.einsum("ij,ij->i", white, white).argmin()])
     (low, high), information = curve.angle_deg, 0.0
     for _ in range(STEPS):
         value, slope = curve.value_and_slope(angle)
-        slope, residual = slope[good], (change - value)[good]
-        weighted = lapack.solve(N + _submatrix(curve.uncertainty(angle), good), slope)
+        weighted = lapack.solve(noise + curve.uncertainty(angle), slope)
         information = float(weighted @ slope)
-        step = float(weighted @ residual) / information
+        step = float(weighted @ (change - value)) / information
         angle = min(max(angle + step, low - BEYOND_DEG), high + BEYOND_DEG)
         if abs(step) < TOLERANCE_DEG:
             break
     return angle, 1.0 / math.sqrt(information)
-
-
-def _submatrix(covariance: Array, good: NDArray[np.intp]) -> Array:
-    """Rows and columns `good` of a covariance (C, C)."""
-    return covariance if len(good) == len(covariance) else covariance[good[:, None], good]

@@ -1,4 +1,6 @@
-"""Bend curves: change of log V with the angle, a linear mixed model over specimens.
+"""Bend curves: change with the angle, a linear mixed model over specimens.
+
+Changes are those of log V in K combinations of measurements (`Combinations`).
 
 Every specimen has its own curve. `BendCurvePrior` is the distribution of curves over all
 specimens of a design, given their features; `BendCurve` that of one specimen, before or after a
@@ -32,10 +34,10 @@ class BendCurve:
         B(u) = sum_k u^k b_k + sum_j u^j w_j,   u = angle / 50 deg,   w ~ N(0, covariance)
 
     Attributes:
-        mean: b_k (MEAN_POWERS, C).
-        effects: mean of w, the specimen's random effects (RANDOM_POWERS, C); zero before a
+        mean: b_k (MEAN_POWERS, K).
+        effects: mean of w, the specimen's random effects (RANDOM_POWERS, K); zero before a
             calibration.
-        covariance: of w (RANDOM_POWERS C, RANDOM_POWERS C).
+        covariance: of w (RANDOM_POWERS K, RANDOM_POWERS K).
         angle_deg: smallest and largest angle that the curve was learned from [deg].
     """
 
@@ -43,8 +45,8 @@ class BendCurve:
     effects: Array
     covariance: Array
     angle_deg: tuple[float, float]
-    _coefficients: Array = field(init=False, repr=False)  # b_k + w_k (MEAN_POWERS, C)
-    _blocks: Array = field(init=False, repr=False)  # covariances of w_j, w_k (RANDOM_POWERS^2, C^2)
+    _coefficients: Array = field(init=False, repr=False)  # b_k + w_k (MEAN_POWERS, K)
+    _blocks: Array = field(init=False, repr=False)  # covariances of w_j, w_k (RANDOM_POWERS^2, K^2)
 
     def __post_init__(self) -> None:
         """Arrange coefficients and covariances for evaluation."""
@@ -73,28 +75,28 @@ class BendCurve:
         return cls(values["mean"], values["own"], values["covariance"], (low, high))
 
     def value(self, angle_deg: ArrayLike) -> Array:
-        """Expected change of log V (..., C) at angles (...) [deg]."""
+        """Expected change of log V (..., K) at angles (...) [deg]."""
         u = np.asarray(angle_deg, dtype=float)[..., None] / SCALE
         value: Array = _powers(u, MEAN_POWERS) @ self._coefficients
         return value
 
     def grid(self, count: int) -> tuple[Array, Array]:
-        """Angles (count,) [deg] over the range learned from, and values there (count, C)."""
+        """Angles (count,) [deg] over the range learned from, and values there (count, K)."""
         angles, powers = _grid(*self.angle_deg, count)
         return angles, powers @ self._coefficients
 
     def slope(self, angle_deg: float) -> Array:
-        """Derivative by the angle (C,) [1/deg]."""
+        """Derivative by the angle (K,) [1/deg]."""
         _, slope = self.value_and_slope(angle_deg)
         return slope
 
     def value_and_slope(self, angle_deg: float) -> tuple[Array, Array]:
-        """Value (C,) and derivative (C,) [1/deg] at one angle [deg]."""
+        """Value (K,) and derivative (K,) [1/deg] at one angle [deg]."""
         value, slope = (_FACTORS * (angle_deg / SCALE) ** _EXPONENTS) @ self._coefficients
         return value, slope
 
     def uncertainty(self, angle_deg: float, reference_deg: float = 0.0) -> Array:
-        """Covariance (C, C) of B(angle) - B(reference) that w contributes."""
+        """Covariance (K, K) of B(angle) - B(reference) that w contributes."""
         u, reference, channels = angle_deg / SCALE, reference_deg / SCALE, self.mean.shape[1]
         weights = np.array([u**k - reference**k for k in range(1, RANDOM_POWERS + 1)])
         covariance: Array = (weights[:, None] * weights).reshape(-1) @ self._blocks
@@ -105,8 +107,8 @@ class BendCurve:
 
         Args:
             angle_deg: (n,) [deg].
-            change: of log V from the flat sensor (n, C); NaN where a measurement is bad.
-            noise: covariance (n C, n C) of all changes jointly, or (C, C) of independent ones.
+            change: of log V from the flat sensor (n, K); NaN where a measurement is bad.
+            noise: covariance (n K, n K) of all changes jointly, or (K, K) of independent ones.
         """
         count, channels = change.shape
         if noise.shape == (channels, channels):
@@ -128,8 +130,8 @@ class BendCurvePrior:
 
     Attributes:
         mean: coefficients of the middle specimen, then their derivative by each feature
-            (1 + P, MEAN_POWERS, C).
-        covariance: of the random effects (RANDOM_POWERS C, RANDOM_POWERS C).
+            (1 + P, MEAN_POWERS, K).
+        covariance: of the random effects (RANDOM_POWERS K, RANDOM_POWERS K).
         angle_deg: smallest and largest angle learned from; zero lies between them [deg].
     """
 
@@ -153,10 +155,10 @@ class BendCurvePrior:
 
         Args:
             angle_deg: (n,) [deg].
-            change: of log V from the flat sensor (n, C).
+            change: of log V from the flat sensor (n, K).
             features: of the specimens (n, P).
             specimen: number of the specimen (n,); mirror images count as specimens.
-            noise: covariance of one frame's change (C, C).
+            noise: covariance of one frame's change (K, K).
         """
         powers = _powers(angle_deg[:, None] / SCALE, MEAN_POWERS)
         share = np.concatenate([np.ones((len(change), 1)), features], axis=1)

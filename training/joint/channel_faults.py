@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.protocol import Protocol
+from eitskin.training.joint.combinations import Combinations, CombinedChange
 from eitskin.training.joint.lapack import orthonormal
 from eitskin.training.joint.objective import (
     MapEstimate,
@@ -46,13 +47,21 @@ class PossibleFaults:
     Attributes:
         faults: n of them.
         changes: of log V by each fault, in any unit (C, n).
+        whole: the changes with no measurement left out; see `seen_by`.
     """
 
     faults: tuple[ChannelFault, ...]
     changes: Array
+    whole: tuple[Array, Array]
+
+    def seen_by(self, combined: CombinedChange) -> tuple[Array, Array]:
+        """Combinations of the changes (K, n), and what these leave of them (C or 0, n)."""
+        if combined.good.all():
+            return self.whole
+        return combined.seen(self.changes), combined.remainder(self.changes)
 
 
-def possible_faults(protocol: Protocol, flat: Array) -> PossibleFaults:
+def possible_faults(protocol: Protocol, flat: Array, combinations: Combinations) -> PossibleFaults:
     """Faults of every measurement and every contact of a sensor.
 
     A contact that changes is a resistance in series with every measurement whose current and
@@ -61,6 +70,7 @@ def possible_faults(protocol: Protocol, flat: Array) -> PossibleFaults:
     Args:
         protocol: of the measurements.
         flat: magnitudes of the flat, untouched sensor (C,) [ohm].
+        combinations: of the measurements.
     """
     faults = [
         ChannelFault(f"measurement {label} does not fit the others", (i,))
@@ -77,7 +87,8 @@ def possible_faults(protocol: Protocol, flat: Array) -> PossibleFaults:
     ]
     share = np.nan_to_num(np.nanmedian(flat) / flat)[:, None]
     changes = np.concatenate([np.eye(len(flat)), through[:, shared] * share], axis=1)
-    return PossibleFaults(tuple(faults), changes)
+    whole = combinations.combined(np.zeros(len(flat)), 1.0, 0.0)
+    return PossibleFaults(tuple(faults), changes, (whole.seen(changes), whole.remainder(changes)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,26 +124,25 @@ def fit_with_fault(
     """
     touches = len(found.unknowns.touches)
     for alternative in _alternatives(objective, untouched, found, gains, possible):
-        quadratic = alternative.quadratic
+        rest, misfit, degrees_of_freedom = alternative.whole()
         fault, gain = most_likely_fault(
-            quadratic.residual,
-            quadratic.jacobian,
-            alternative.whitening @ possible.changes,
+            np.concatenate([alternative.quadratic.residual, rest]),
+            _padded(alternative.quadratic.jacobian, len(rest)),
+            _directions(alternative, possible),
             possible,
         )
         # A touch has three unknowns, a fault one: the fault may fit a little worse.
         allowance = 3 * (touches - len(alternative.unknowns.touches)) + ALLOWANCE
         if gain < FAULT_THRESHOLD:
             continue
-        rest = alternative.misfit - gain
-        sigma = misfit_sigma(rest, alternative.degrees_of_freedom - 1)
-        if rest > found.misfit + allowance or sigma > ACCEPTED_SIGMA:
+        sigma = misfit_sigma(misfit - gain, degrees_of_freedom - 1)
+        if misfit - gain > found.whole()[1] + allowance or sigma > ACCEPTED_SIGMA:
             continue
         fewer = objective.without_measurements(fault.members)
-        if len(fewer.good) < len(objective.change) // 2:
+        if fewer.combined.count < len(fewer.combined.good) // 2:
             continue
         again = levenberg_marquardt(fewer, fewer.linearised(alternative.unknowns), STEPS, TOLERANCE)
-        if again.misfit_sigma < ACCEPTED_SIGMA:
+        if again.whole_sigma < ACCEPTED_SIGMA:
             return FaultFit(fault, fewer, again)
     return None
 
@@ -149,15 +159,15 @@ def _alternatives(
     No touch; one touch less; all touches, where their misfit is suspicious.
     """
     touches = len(found.unknowns.touches)
-    if touches or untouched.misfit_sigma > SUSPICIOUS_SIGMA:
+    if touches or untouched.whole_sigma > SUSPICIOUS_SIGMA:
         yield untouched
     if touches > 1:
-        directions = found.whitening @ possible.changes
+        directions = _directions(found, possible)
         for i in np.argsort(gains)[:2].tolist():
             if _gain_instead(found, i, directions, possible) > LEAST_SHARE * gains[i]:
                 others = objective.linearised(found.unknowns.without_touch(i))
                 yield levenberg_marquardt(objective, others, STEPS, TOLERANCE)
-    if touches and found.misfit_sigma > SUSPICIOUS_SIGMA:
+    if touches and found.whole_sigma > SUSPICIOUS_SIGMA:
         yield found
 
 
@@ -168,7 +178,22 @@ def _gain_instead(
     quadratic = found.quadratic
     others = np.delete(quadratic.jacobian, slice(1 + 3 * touch, 4 + 3 * touch), axis=1)
     residual = quadratic.residual + found.whitening @ found.at.changes[touch]
-    return most_likely_fault(residual, others, directions, possible)[1]
+    rest = found.whole()[0]
+    return most_likely_fault(
+        np.concatenate([residual, rest]), _padded(others, len(rest)), directions, possible
+    )[1]
+
+
+def _directions(found: MapEstimate, possible: PossibleFaults) -> Array:
+    """Signatures of the faults, whitened, above what the combinations leave of them, whitened."""
+    seen, rest = possible.seen_by(found.objective.combined)
+    scale = found.objective.remainder_scale(found.at)
+    return np.concatenate([found.whitening @ seen, rest / scale[:, None]])
+
+
+def _padded(jacobian: Array, rows: int) -> Array:
+    """A Jacobian with further rows of zeros: no unknown explains what the combinations leave."""
+    return np.pad(jacobian, ((0, rows), (0, 0))) if rows else jacobian
 
 
 def most_likely_fault(
@@ -180,9 +205,9 @@ def most_likely_fault(
     misfit of a residual r by (u^T P r)^2 / (u^T P u).
 
     Args:
-        residual: whitened (C,).
-        jacobian: of the other unknowns, whitened (C, n).
-        directions: signatures of the faults, whitened (C, faults).
+        residual: whitened (m,), any remainder included.
+        jacobian: of the other unknowns, whitened (m, n).
+        directions: signatures of the faults, whitened (m, faults).
         possible: the faults.
     """
     basis = orthonormal(jacobian)

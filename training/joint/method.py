@@ -18,9 +18,15 @@ from eitskin.training.joint.angle_estimate import (
 )
 from eitskin.training.joint.bend_curve import BendCurve, BendCurvePrior
 from eitskin.training.joint.channel_faults import possible_faults
-from eitskin.training.joint.model_selection import TOUCH_THRESHOLD, FrameFit, fit_frame
-from eitskin.training.joint.objective import STILL_DEG, TouchObjective, misfit_sigma, scan_skew
-from eitskin.training.joint.prior import MOST_TOUCHES, TouchPrior
+from eitskin.training.joint.combinations import Combinations, CombinedChange, log_change
+from eitskin.training.joint.model_selection import (
+    TOUCH_THRESHOLD,
+    FrameFit,
+    fit_frame,
+    fit_problems,
+)
+from eitskin.training.joint.objective import STILL_DEG, TouchObjective
+from eitskin.training.joint.prior import TouchPrior
 from eitskin.training.joint.proposal_model import ProposalNetwork, network_inputs
 from eitskin.training.joint.specimen_features import SpecimenFeatures
 from eitskin.training.joint.specimen_model import CandidateRows, SpecimenModel
@@ -43,7 +49,6 @@ Arrays = dict[str, NDArray[np.generic]]
 NETWORKS = ("response", "proposals")  # parts whose learning curves are kept
 REJECTED = TOUCH_THRESHOLD - 2.0  # highest evidence that a rejected touch may leave
 SAME_SPECIMEN = 0.008  # spread of log ratios of two sessions of a sensor; paths err by 0.4 %
-REPORTED_SIGMA = 6.0  # misfit above its expectation from which it is reported
 
 
 class _Stored(Interface):
@@ -59,8 +64,9 @@ class JointMethod(Method):
     Without bend curves (`BendCurvePrior.bends`) the sensor is taken to stay flat: neither the bend
     angle nor the state bend is estimated. Without `places` it is taken to stay untouched.
 
-    log V = log V_flat + bend curve + sum of touch responses + common drift + noise. Every term is
-    learned (`joint/training.py`). Differences between specimens that their flat resistances do not
+    log V = log V_flat + bend curve + sum of touch responses + common drift + noise, in K
+    combinations of the C measurements (`Combinations`). Every term is learned
+    (`joint/training.py`). Differences between specimens that their flat resistances do not
     show have a learned covariance, which the fit weighs against the noise.
 
     Attributes:
@@ -69,7 +75,7 @@ class JointMethod(Method):
         bend_prior: distribution of the bend curves.
         proposals: network whose positions the fit starts from.
         touch_prior: of positions, forces and distances.
-        noise: standard deviation of log V in one frame (C,).
+        combinations: of the measurements, and the noise of these in one frame.
         drift: standard deviation after four hours of the factor common to all measurements.
         places: positions that are tried for touches (n, 2) [m]; none where no touch was learned.
         radius: of the indenters [m].
@@ -90,7 +96,7 @@ class JointMethod(Method):
     bend_prior: BendCurvePrior
     proposals: ProposalNetwork
     touch_prior: TouchPrior
-    noise: Array
+    combinations: Combinations
     drift: float
     places: Array
     radius: float
@@ -140,18 +146,21 @@ class JointMethod(Method):
         reference; the angle of an untouched frame is estimated from the static reference.
         """
         specimen = self._specimen(frame.flat[0])
-        static, dynamic = _log1p(frame.static[0]), _log1p(frame.dynamic[0])
+        static, dynamic = log_change(frame.static[0]), log_change(frame.dynamic[0])
         static_share, dynamic_share = 1.0 / frame.static_frames[0], 1.0 / frame.dynamic_frames[0]
         reference = AngleEstimate(0.0, 0.0, 0.0)
         bends = self.bend_prior.bends
         if bends and np.nanmax(np.abs(static - dynamic), initial=0.0) > 0:
-            noise = self._noise(static_share + dynamic_share, frame.age[0])
-            reference = specimen.angle(static - dynamic, noise)
+            reference = specimen.angle(
+                self._combined(static - dynamic, static_share + dynamic_share, frame.age[0])
+            )
         reference_deg = reference.angle_deg
-        proposed = self._proposed(dynamic, reference_deg, specimen) if self.touches else None
+        change = self._combined(
+            dynamic, 1.0 / frame.frames[0] + dynamic_share, frame.dynamic_age[0]
+        )
+        proposed = self._proposed(change, reference_deg, specimen) if self.touches else None
         objective = TouchObjective.of(
-            dynamic,
-            self._noise(1.0 / frame.frames[0] + dynamic_share, frame.dynamic_age[0]),
+            change,
             reference_deg,
             specimen.response,
             specimen.curve,
@@ -166,17 +175,20 @@ class JointMethod(Method):
             deviation = float(np.hypot(found.angle_deviation_deg, reference.deviation_deg))
             bend = replace(reference, angle_deg=found.angle_deg, deviation_deg=deviation)
         else:
-            noise = self._noise(1.0 / frame.frames[0] + static_share, frame.age[0])
+            untouched = self._combined(static, 1.0 / frame.frames[0] + static_share, frame.age[0])
             moved = found.angle_deg - reference_deg
             if abs(moved) > STILL_DEG:
-                noise = noise + scan_skew(specimen.curve.slope(found.angle_deg), moved)
-            bend = specimen.angle(static, noise)
+                skew = objective.scan_skew(specimen.curve.slope(found.angle_deg), moved)
+                untouched = untouched.noisier(skew)
+            bend = specimen.angle(untouched)
         return self._prediction(found, bend, specimen.problems)
 
-    def _proposed(self, dynamic: Array, reference_deg: float, specimen: SpecimenModel) -> Array:
+    def _proposed(
+        self, change: CombinedChange, reference_deg: float, specimen: SpecimenModel
+    ) -> Array:
         """Positions (k, 2) [m] from which the fit starts."""
-        deviation = np.sqrt(2.0) * self.noise
-        inputs = network_inputs(dynamic, deviation, reference_deg, specimen.features)
+        deviation = np.sqrt(2.0) * self.combinations.unit
+        inputs = network_inputs(change.change, deviation, reference_deg, specimen.features)
         return self.proposals.places(inputs, self.touch_prior.separation)
 
     def _prediction(
@@ -201,7 +213,7 @@ class JointMethod(Method):
             np.array([deviation_deg]),
             map_[None],
             (FoundTouches.of(found.touches[:, :2], strength, force, spread),),
-            (problems + _fit_problems(found, bend, self.touches),),
+            (problems + fit_problems(found, bend, self.touches),),
         )
 
     def _probabilities(self, found: FrameFit, angle_deg: float, deviation_deg: float) -> Array:
@@ -237,17 +249,19 @@ class JointMethod(Method):
             "the pipeline that was not calibrated",
         )
 
-    def _noise(self, frames: float, age: float) -> Array:
-        """Covariance (C, C) of the difference of two means of frames.
+    def _combined(self, change: Array, frames: float, age: float) -> CombinedChange:
+        """CombinedChange of the difference of two means of frames.
 
         Args:
+            change: of log V (C,); NaN where a measurement is bad.
             frames: sum of the reciprocal numbers of frames in both means.
             age: time between the means [s].
         """
-        drift = self.drift**2 * max(age, 0.0) / DRIFT_TIME
-        covariance = np.full((len(self.noise), len(self.noise)), drift)
-        np.einsum("ii->i", covariance)[:] += self.noise**2 * frames
-        return covariance
+        return self.combinations.combined(change, frames, self._drift(age))
+
+    def _drift(self, age: float) -> float:
+        """Variance, after a time [s], of the change common to all measurements."""
+        return self.drift**2 * max(age, 0.0) / DRIFT_TIME
 
     def _specimen(self, flat: Array) -> SpecimenModel:
         """The model of the specimen with these flat magnitudes (C,) [ohm]; the latest are kept."""
@@ -261,7 +275,7 @@ class JointMethod(Method):
                 p,
                 self.response.of(p),
                 curve,
-                possible_faults(self.protocol, flat),
+                possible_faults(self.protocol, flat, self.combinations),
                 self._calibration_problems(flat),
                 self._rows,
             )
@@ -278,21 +292,30 @@ class JointMethod(Method):
             raise ConfigurationError("expected a method with bend curves, got one without")
         p = self.features.apply(known.flat)
         prior = self.bend_prior.of(p)
-        count, channels = known.change.shape
-        together = np.eye(count) + 1.0 / known.flat_frames  # all share the flat frames' noise
+        # A measurement that is bad at one angle is left out of all: they share the flat frames.
+        good: NDArray[np.bool_] = np.asarray(np.isfinite(known.change).all(axis=0))
+        seen = np.where(good, known.change, np.nan)
+        change = np.array([self._combined(each, 1.0, 0.0).change for each in seen])
+        together = np.eye(len(change)) + 1.0 / known.flat_frames
         walk = np.minimum(known.age[:, None], known.age) / DRIFT_TIME * self.drift**2
-        noise = np.asarray(np.kron(together, np.diag(self.noise**2)), dtype=float)
-        noise = noise + np.kron(walk, np.ones((channels, channels)))
-        curve = prior.conditioned(known.angle_deg, known.change, noise)
+        drift, own = self.combinations.drift, self.combinations.without(good)[1]
+        noise = np.einsum("ij,kl->ikjl", together, own)
+        noise += np.einsum("ij,k,l->ikjl", walk, drift, drift)
+        curve = prior.conditioned(known.angle_deg, change, noise.reshape(change.size, -1))
         adapted = replace(self, calibrated=curve, calibrated_flat=known.flat)
         share = 1.0 + 1.0 / known.flat_frames
+        changes = [
+            self._combined(each, share, age)
+            for each, age in zip(known.change, known.age, strict=True)
+        ]
         residuals = [
-            estimate_angle(curve, change, self._noise(share, age))[0] - angle
-            for change, age, angle in zip(known.change, known.age, known.angle_deg, strict=True)
+            estimate_angle(curve, combined.change, combined.noise)[0] - angle
+            for combined, angle in zip(changes, known.angle_deg, strict=True)
         ]
         low, high = self.bend_prior.angle_deg
         angles = tuple(float(angle) for angle in np.linspace(low, high, 8))
-        noise = self._noise(share, UNKNOWN_AGE)
+        nothing = np.zeros(len(self.combinations.noise))
+        noise = self._combined(nothing, share, UNKNOWN_AGE).noise
         errors = [
             tuple(angle_standard_error(each, angle, noise) for angle in angles)
             for each in (prior, curve)
@@ -313,7 +336,7 @@ class JointMethod(Method):
         """Arrays from which `from_arrays` restores the method, by name."""
         prior = self.touch_prior
         saved: Arrays = {
-            "noise": self.noise,
+            "noise": self.combinations.noise,
             "scalars": np.array([self.drift, self.radius, prior.separation, *prior.force]),
             "bounds": np.array([prior.low, prior.high]),
             "places": self.places,
@@ -324,6 +347,7 @@ class JointMethod(Method):
             "response": self.response,
             "curves": self.bend_prior,
             "proposals": self.proposals,
+            "combinations": self.combinations,
         }
         if self.calibrated is not None:
             parts["calibrated"] = self.calibrated
@@ -350,6 +374,7 @@ class JointMethod(Method):
         drift, radius, separation, *force = arrays["scalars"].astype(float).tolist()
         low, high = arrays["bounds"].astype(float)
         features, calibrated = part("features"), part("calibrated")
+        basis = part("combinations").get("basis")  # version 0.1 has none
         return cls(
             SpecimenFeatures(
                 features["middle"].astype(float), features["directions"].astype(float)
@@ -358,7 +383,9 @@ class JointMethod(Method):
             BendCurvePrior.from_arrays(part("curves")),
             ProposalNetwork.from_arrays(part("proposals")),
             TouchPrior(separation, (force[0], force[1]), low, high),
-            arrays["noise"].astype(float),
+            Combinations(
+                arrays["noise"].astype(float), None if basis is None else basis.astype(float)
+            ),
             drift,
             arrays["places"].astype(float),
             radius,
@@ -370,37 +397,3 @@ class JointMethod(Method):
             arrays["calibrated_flat"].astype(float) if calibrated else None,
             bool(arrays.get("forces", True)),
         )
-
-
-def _log1p(difference: Array) -> Array:
-    """log(V / ref) from dV (C,); NaN for a measurement that is bad or has no logarithm."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        change = np.log1p(difference)
-    return np.where(np.isfinite(change), change, np.nan)
-
-
-def _fit_problems(found: FrameFit, bend: AngleEstimate, touches: bool) -> tuple[str, ...]:
-    """Warnings about faulty measurements and poor fits, in words.
-
-    Whether `touches` were learned: else the poor fit of the angle says all there is to say.
-    """
-    problems = [
-        f"{fault.name} and was left out: look at its contact and wire" for fault in found.faults
-    ]
-    problems += [
-        f"{fault.name} since the session began and was left out of the angle: begin a new "
-        "session with the flat sensor"
-        for fault in bend.faults
-    ]
-    if bend.misfit_sigma > REPORTED_SIGMA:
-        problems.append(
-            f"no angle explains this frame ({bend.misfit_sigma:.0f} standard deviations off): do "
-            "not rely on it, and begin a new session with the flat sensor"
-        )
-    if touches and misfit_sigma(found.misfit, found.degrees_of_freedom) >= REPORTED_SIGMA:
-        problems.append(
-            f"no bend and up to {MOST_TOUCHES} touches explain this frame (misfit "
-            f"{found.misfit:.0f}, expected about {found.degrees_of_freedom}): touches of another "
-            "kind, a bad contact, or a reference that is out of date; do not rely on its touches"
-        )
-    return tuple(problems)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.training.joint import lapack
+from eitskin.training.joint.angle_estimate import AngleEstimate
 from eitskin.training.joint.channel_faults import (
     MOST_FAULTS,
     ChannelFault,
@@ -23,6 +24,7 @@ from eitskin.training.joint.objective import (
     TouchObjective,
     Unknowns,
     levenberg_marquardt,
+    misfit_sigma,
 )
 from eitskin.training.joint.prior import ANGLE_UNIT, MOST_TOUCHES, TOUCH_UNITS
 from eitskin.training.joint.touch_search import (
@@ -43,6 +45,7 @@ COARSE, FINE = (4, 0.5), (8, 0.03)  # Levenberg-Marquardt: most steps, tolerance
 START_THRESHOLD = 0.5  # times the threshold: least gain, to first order, of a start
 PRUNING_LIMIT = 3.0  # times the threshold: gain, to second order, below which a touch is questioned
 CHI2_LOW_SIGMA, CHI2_HIGH_SIGMA = 2.0, 2.0  # the misfit's usual range about its expectation
+REPORTED_SIGMA = 6.0  # misfit above its expectation from which it is reported
 PAIR_TRIALS = 2  # fits that split one touch into two where the misfit is unusually high
 
 
@@ -57,8 +60,9 @@ class FrameFit:
         covariance: of each touch's x, y and force (k, 3, 3).
         evidence: decrease of the misfit by the first touch, even where that was rejected.
         gains: rise of the misfit without each touch, to second order (k,).
-        misfit: sum of squares of the whitened residual and of the prior's terms.
-        degrees_of_freedom: number of residuals minus number of unknowns.
+        misfit: sum of squares of the whitened residual, with what combinations of measurements
+            leave of it, and of the prior's terms.
+        degrees_of_freedom: number of measurements minus number of unknowns.
         faults: whose measurements were left out.
     """
 
@@ -137,9 +141,9 @@ def _initial_angle(objective: TouchObjective) -> float:
     """The angle [deg], of a grid and the reference's, at which the bend alone fits best."""
     angles, values = objective.curve.grid(ANGLE_GRID)
     bend = objective.reference_bend
-    residual = objective.change + bend - np.concatenate([values, bend[None]])
-    weights = 1.0 / np.diagonal(objective.noise)[objective.good]
-    best = int((residual[:, objective.good] ** 2 @ weights).argmin())
+    residual = objective.combined.change + bend - np.concatenate([values, bend[None]])
+    weights = 1.0 / np.diagonal(objective.combined.noise)
+    best = int((residual**2 @ weights).argmin())
     return float(angles[best]) if best < ANGLE_GRID else objective.reference_deg
 
 
@@ -212,7 +216,33 @@ def _frame_fit(found: MapEstimate, evidence: float, faults: tuple[ChannelFault, 
         covariances * (TOUCH_UNITS[:, None] * TOUCH_UNITS),
         evidence,
         _gains(found),
-        found.misfit,
-        found.degrees_of_freedom,
+        *found.whole()[1:],
         faults,
     )
+
+
+def fit_problems(found: FrameFit, bend: AngleEstimate, touches: bool) -> tuple[str, ...]:
+    """Warnings about faulty measurements and poor fits, in words.
+
+    Whether `touches` were learned: else the poor fit of the angle says all there is to say.
+    """
+    problems = [
+        f"{fault.name} and was left out: look at its contact and wire" for fault in found.faults
+    ]
+    problems += [
+        f"{fault.name} since the session began and was left out of the angle: begin a new "
+        "session with the flat sensor"
+        for fault in bend.faults
+    ]
+    if bend.misfit_sigma > REPORTED_SIGMA:
+        problems.append(
+            f"no angle explains this frame ({bend.misfit_sigma:.0f} standard deviations off): do "
+            "not rely on it, and begin a new session with the flat sensor"
+        )
+    if touches and misfit_sigma(found.misfit, found.degrees_of_freedom) >= REPORTED_SIGMA:
+        problems.append(
+            f"no bend and up to {MOST_TOUCHES} touches explain this frame (misfit "
+            f"{found.misfit:.0f}, expected about {found.degrees_of_freedom}): touches of another "
+            "kind, a bad contact, or a reference that is out of date; do not rely on its touches"
+        )
+    return tuple(problems)

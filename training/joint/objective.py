@@ -3,6 +3,8 @@
 The unknowns are a bend angle and the positions and forces of some touches:
 
     misfit = |W (change - bend curve - touch responses)|^2 + prior,   W^T W = covariance^-1
+
+Changes, curves and responses are those of K combinations of measurements (`Combinations`).
 """
 
 import math
@@ -14,6 +16,7 @@ from numpy.typing import NDArray
 
 from eitskin.training.joint import lapack
 from eitskin.training.joint.bend_curve import BendCurve
+from eitskin.training.joint.combinations import CombinedChange
 from eitskin.training.joint.prior import ANGLE_UNIT, TOUCH_UNITS, TouchPrior
 from eitskin.training.joint.touch_response import SpecimenResponse
 
@@ -51,8 +54,8 @@ class Linearisation:
     Attributes:
         unknowns: where the model is linearised.
         rows: the residual, then the derivative of the model by a unit step of each of the n
-            unknowns (1 + n, C).
-        changes: of log V by each touch (k, C).
+            unknowns (1 + n, K).
+        changes: by each touch (k, K).
         hidden: rows of the response network's last layer, from which its uncertainty follows
             (k, hidden + 1).
     """
@@ -64,13 +67,13 @@ class Linearisation:
 
     @property
     def residual(self) -> Array:
-        """Measured minus modelled change of log V (C,)."""
+        """Measured minus modelled change (K,)."""
         residual: Array = self.rows[0]
         return residual
 
     @property
     def bend_slope(self) -> Array:
-        """Derivative of the bend curve (C,) [1/deg]."""
+        """Derivative of the bend curve (K,) [1/deg]."""
         slope: Array = self.rows[1] / ANGLE_UNIT
         return slope
 
@@ -83,8 +86,8 @@ class QuadraticModel:
         misfit: sum of squares of the whitened residual and of the prior's terms.
         gradient: minus half the gradient of the misfit (n,).
         hessian: half the Gauss-Newton Hessian (n, n).
-        residual: whitened (C,).
-        jacobian: of the model, whitened (C, n).
+        residual: whitened (K,).
+        jacobian: of the model, whitened (K, n).
     """
 
     misfit: float
@@ -106,19 +109,15 @@ class TouchObjective:
     """Objective of one frame against its reference, for one specimen.
 
     Attributes:
-        change: of log V since the reference (C,); zero where a measurement is left out.
-        good: numbers of the measurements that are not left out.
-        noise: covariance of the change (C, C).
+        combined: of the change since the reference.
         reference_deg: bend angle at which the reference was taken [deg].
-        reference_bend: value of the bend curve at that angle (C,).
+        reference_bend: value of the bend curve at that angle (K,).
         response: of the specimen to touches.
         curve: of the specimen's bending.
         prior: of touches.
     """
 
-    change: Array
-    good: NDArray[np.intp]
-    noise: Array
+    combined: CombinedChange
     reference_deg: float
     reference_bend: Array
     response: SpecimenResponse
@@ -128,36 +127,24 @@ class TouchObjective:
     @classmethod
     def of(
         cls,
-        change: Array,
-        noise: Array,
+        combined: CombinedChange,
         reference_deg: float,
         response: SpecimenResponse,
         curve: BendCurve,
         prior: TouchPrior,
     ) -> "TouchObjective":
-        """The objective of a change (C,) that is NaN where a measurement is bad."""
-        good = np.isfinite(change)
-        return cls(
-            np.where(good, change, 0.0),
-            np.flatnonzero(good),
-            noise,
-            reference_deg,
-            curve.value(reference_deg),
-            response,
-            curve,
-            prior,
-        )
+        """The objective of a combined."""
+        bend = curve.value(reference_deg)
+        return cls(combined, reference_deg, bend, response, curve, prior)
 
     def without_measurements(self, measurements: Sequence[int]) -> "TouchObjective":
         """The objective with some measurements left out."""
-        change = self.change.copy()
-        change[list(measurements)] = 0.0
-        return replace(self, change=change, good=np.setdiff1d(self.good, measurements))
+        return replace(self, combined=self.combined.without(measurements))
 
     def residual(self, unknowns: Unknowns) -> Array:
-        """Measured minus modelled change of log V (C,)."""
+        """Measured minus modelled change (K,)."""
         bend = self.curve.value(unknowns.angle_deg)
-        residual: Array = self.change - bend + self.reference_bend
+        residual: Array = self.combined.change - bend + self.reference_bend
         if len(unknowns.touches):
             residual -= self.response(unknowns.touches, unknowns.angle_deg).sum(axis=0)
         return residual
@@ -165,9 +152,10 @@ class TouchObjective:
     def linearised(self, unknowns: Unknowns) -> Linearisation:
         """Residual and Jacobian at these unknowns."""
         touches, angle = unknowns.touches, unknowns.angle_deg
-        rows = np.empty((2 + touches.size, len(self.change)))
+        change = self.combined.change
+        rows = np.empty((2 + touches.size, len(change)))
         value, slope = self.curve.value_and_slope(angle)
-        np.subtract(self.change + self.reference_bend, value, out=rows[0])
+        np.subtract(change + self.reference_bend, value, out=rows[0])
         np.multiply(slope, ANGLE_UNIT, out=rows[1])
         if not len(touches):
             return Linearisation(unknowns, rows, touches, touches)
@@ -180,23 +168,52 @@ class TouchObjective:
         return Linearisation(unknowns, rows, changes, hidden)
 
     def whitening(self, at: Linearisation) -> Array:
-        """L^-1 (good, C) of the residual's covariance L L^T; zero columns where left out.
+        """L^-1 (K, K) of the residual's covariance L L^T.
 
         The covariance is the sum of those of the noise, of the bend curve's change since the
         reference, and of the touch response.
         """
-        good, covariance, unknowns = self.good, self.noise, at.unknowns
+        covariance, unknowns = self.combined.noise, at.unknowns
         moved = unknowns.angle_deg - self.reference_deg
         if abs(moved) > STILL_DEG:
             covariance = covariance + self.curve.uncertainty(unknowns.angle_deg, self.reference_deg)
-            covariance += scan_skew(at.bend_slope, moved)
+            covariance += self.scan_skew(at.bend_slope, moved)
         if len(unknowns.touches):
-            covariance = covariance + self.response.uncertainty(at.changes, at.hidden)
-        if len(good) == len(covariance):
-            return lapack.whitening(covariance)
-        whitening = np.zeros((len(good), len(covariance)))
-        whitening[:, good] = lapack.whitening(covariance[good[:, None], good])
-        return whitening
+            covariance = covariance + self.response.uncertainty(at.hidden)
+            mismatch = self._mismatch_variance(at.changes)
+            self.combined.combinations.add_independent(covariance, mismatch)
+        return lapack.whitening(covariance)
+
+    def _mismatch_variance(self, changes: Array) -> Array:
+        """Variance (C,) of each measurement's error of the response, by touches' changes (k, K)."""
+        each = self.combined.combinations.changes(changes)
+        variance: Array = self.response.response.mismatch**2 * np.einsum("kc,kc->c", each, each)
+        return variance
+
+    def remainder_scale(self, at: Linearisation) -> Array:
+        """Standard deviation (C,) of `CombinedChange.rest`, in its units."""
+        combined = self.combined
+        if combined.combinations.basis is None:
+            return np.ones(0)
+        variance = np.full(len(combined.measured), combined.frames)
+        if len(at.unknowns.touches):
+            variance += self._mismatch_variance(at.changes) / combined.combinations.noise**2
+        scale: Array = np.sqrt(variance)
+        return scale
+
+    def scan_skew(self, slope: Array, moved_deg: float) -> Array:
+        """Covariance (K, K) of measuring one after the other while the sensor bends.
+
+        The first and the last of a frame's measurements see different angles. The speed is
+        unknown; the motion since the previous frame bounds it.
+
+        Args:
+            slope: derivative by the angle (K,) [1/deg].
+            moved_deg: motion since the reference [deg].
+        """
+        late = moved_deg * self.combined.combinations.late(slope)
+        covariance: Array = late[:, None] * late
+        return covariance
 
     def misfit(self, at: Linearisation, whitening: Array) -> float:
         """Value of the objective, in the metric of `whitening`."""
@@ -229,32 +246,19 @@ def misfit_sigma(misfit: float, degrees_of_freedom: int) -> float:
     return (misfit - degrees_of_freedom) / math.sqrt(2.0 * max(degrees_of_freedom, 1))
 
 
-def scan_skew(slope: Array, moved_deg: float) -> Array:
-    """Covariance (C, C) of measuring channels one after the other while the sensor bends.
-
-    The first and the last of a frame's C measurements see different angles. The speed is unknown;
-    the motion since the previous frame bounds it.
-
-    Args:
-        slope: derivative of log V by the angle (C,) [1/deg].
-        moved_deg: motion since the reference [deg].
-    """
-    late = moved_deg * slope * (np.arange(len(slope)) / len(slope) - 0.5)
-    covariance: Array = late[:, None] * late
-    return covariance
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class MapEstimate:
     """MAP estimate of the unknowns for a given number of touches.
 
     Attributes:
+        objective: that it minimises.
         at: the model linearised at the estimate.
         quadratic: the objective about the estimate; its inverse Hessian is the covariance, in unit
             steps.
-        whitening: metric of the residual in which the estimate was sought (good, C).
+        whitening: metric of the residual in which the estimate was sought (K, K).
     """
 
+    objective: TouchObjective
     at: Linearisation
     quadratic: QuadraticModel
     whitening: Array
@@ -272,12 +276,28 @@ class MapEstimate:
     @property
     def degrees_of_freedom(self) -> int:
         """Number of residuals minus number of unknowns, at least one."""
-        return max(len(self.quadratic.residual) - len(self.quadratic.gradient), 1)
+        return max(self.objective.combined.told - len(self.quadratic.gradient), 1)
 
     @property
     def misfit_sigma(self) -> float:
         """Misfit above its expectation, in standard deviations."""
         return misfit_sigma(self.misfit, self.degrees_of_freedom)
+
+    def whole(self) -> "tuple[Array, float, int]":
+        """Whitened remainder of the measurements, and misfit and degrees of freedom with it.
+
+        The remainder, which no bend and no touch explains, tells faults (C,); it has no elements
+        where nothing can remain.
+        """
+        combined = self.objective.combined
+        rest = combined.rest / self.objective.remainder_scale(self.at)
+        further = combined.count - combined.told
+        return rest, self.misfit + float(rest @ rest), self.degrees_of_freedom + further
+
+    @property
+    def whole_sigma(self) -> float:
+        """Misfit with the remainder above its expectation, in standard deviations."""
+        return misfit_sigma(*self.whole()[1:])
 
 
 def levenberg_marquardt(
@@ -302,4 +322,4 @@ def levenberg_marquardt(
             damping *= 10.0
             if damping > 1e3:
                 break
-    return MapEstimate(at, now, whitening)
+    return MapEstimate(objective, at, now, whitening)

@@ -83,14 +83,14 @@ class ProposalNetwork:
 
 
 def network_inputs(change: Array, noise: Array, angle_deg: ArrayLike, features: Array) -> Array:
-    """Inputs (..., C + 1 + P) of the network.
+    """Inputs (..., K + 1 + P) of the network.
 
     The change by a touch is one to a hundred times the noise: asinh is linear for small changes
     and logarithmic for large ones.
 
     Args:
-        change: of log V (..., C); bad measurements (not finite) count as unchanged.
-        noise: standard deviation of the change (C,).
+        change: combinations of the change of log V (..., K); those not finite count as unchanged.
+        noise: standard deviation of the change (K,).
         angle_deg: of the reference (...) [deg].
         features: of the specimen (..., P).
     """

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn  # noqa: TID253  see above
 
 from eitskin.training.joint.bend_curve import BendCurvePrior
+from eitskin.training.joint.combinations import Combinations
 from eitskin.training.joint.prior import MOST_TOUCHES, TouchPrior
 from eitskin.training.joint.proposal_model import WIDTH, ProposalNetwork, network_inputs
 from eitskin.training.joint.touch_response import TouchResponse
@@ -35,7 +36,7 @@ class SyntheticFrames:
     response: TouchResponse
     bend_prior: BendCurvePrior
     touch_prior: TouchPrior
-    noise: Array
+    combinations: Combinations
 
     def frames(self, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
         """Draw network inputs (count, inputs) and touch positions (count, MOST_TOUCHES, 2) [m]."""
@@ -46,11 +47,12 @@ class SyntheticFrames:
         touches = self._touches(count, rng)
         change = self.touch_changes(touches, angle, features, rng)
         averaged = 1.0 / 2.0 ** rng.integers(0, 6, count)  # 1 to 32 frames in the reference
-        change += rng.standard_normal(change.shape) * self.noise * np.sqrt(1 + averaged)[:, None]
+        unit = self.combinations.unit
+        change += rng.standard_normal(change.shape) * unit * np.sqrt(1 + averaged)[:, None]
         moved = rng.standard_normal(count) * MOVED_DEG * (rng.uniform(size=count) < 0.5)
         curve = self.bend_prior.of(np.zeros(known))
         change += curve.value(angle + moved) - curve.value(angle)
-        inputs = network_inputs(change, np.sqrt(2.0) * self.noise, angle, features[:, :known])
+        inputs = network_inputs(change, np.sqrt(2.0) * unit, angle, features[:, :known])
         return inputs, touches[..., :2]
 
     def _touches(self, count: int, rng: np.random.Generator) -> Array:
@@ -73,7 +75,7 @@ class SyntheticFrames:
     def touch_changes(
         self, touches: Array, angle: Array, features: Array, rng: np.random.Generator
     ) -> Array:
-        """Change of log V (count, C) by the touches, on specimens that differ."""
+        """Change (count, K) by the touches, on specimens that differ."""
         response = self.response
         hidden = torch.as_tensor(
             np.nan_to_num(response.ranges.inputs(touches, angle[:, None])), dtype=torch.float32
@@ -92,10 +94,10 @@ class SyntheticFrames:
         terms = torch.einsum("nh,pch->npc", summed, output_)
         share_ = torch.as_tensor(share, dtype=torch.float32)
         change: Array = torch.einsum("npc,np->nc", terms, share_).numpy().astype(float)
-        errors = 1.0 + response.mismatch * rng.standard_normal(change.shape)
-        return (
-            change * errors * np.exp(LOG_SENSITIVITY_STD * rng.standard_normal((len(touches), 1)))
-        )
+        each = self.combinations.changes(change)  # the measurements err independently
+        errors = self.combinations.of(each * rng.standard_normal(each.shape))
+        strength = np.exp(LOG_SENSITIVITY_STD * rng.standard_normal((len(touches), 1)))
+        return (change + response.mismatch * errors) * strength
 
 
 def fit_proposals(

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from eitskin.training.joint.angle_estimate import AngleEstimate, robust_angle
 from eitskin.training.joint.bend_curve import BendCurve
 from eitskin.training.joint.channel_faults import PossibleFaults
+from eitskin.training.joint.combinations import CombinedChange
 from eitskin.training.joint.objective import BEYOND_DEG
 from eitskin.training.joint.touch_response import SpecimenResponse, TouchResponse
 from eitskin.training.joint.touch_search import TouchCandidates
@@ -63,18 +64,17 @@ class SpecimenModel:
         self._last: tuple[bytes, AngleEstimate] | None = None
         self._candidates: dict[int, TouchCandidates] = {}
 
-    def angle(self, change: Array, noise: Array) -> AngleEstimate:
+    def angle(self, combined: CombinedChange) -> AngleEstimate:
         """Bend angle of an untouched frame.
 
         The last estimate is kept, because a reference stays the same while a touch lasts.
 
         Args:
-            change: of log V from the flat sensor (C,); NaN where a measurement is bad.
-            noise: covariance of the change (C, C).
+            combined: of the change from the flat sensor.
         """
-        key = change.tobytes() + noise.tobytes()
+        key = combined.change.tobytes() + combined.noise.tobytes()
         if self._last is None or self._last[0] != key:
-            self._last = (key, robust_angle(self.curve, change, noise, self.faults))
+            self._last = (key, robust_angle(self.curve, combined, self.faults))
         return self._last[1]
 
     def candidates(self, angle_deg: float) -> TouchCandidates:

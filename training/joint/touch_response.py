@@ -51,7 +51,9 @@ _ANGLE_SCALE = 30.0  # deg, unit of the network's input
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TouchResponse:
-    """Change of log V by one touch, for any specimen; changes by several touches add up.
+    """Change by one touch, for any specimen; changes by several touches add up.
+
+    The change is that of log V in K combinations of measurements (`Combinations`).
 
         g(x, y, F, theta; p, q) = F / F0 scale (W0 + sum_j p_j Wj + sum_l q_l Wl) [h, 1]
 
@@ -65,12 +67,12 @@ class TouchResponse:
         weights: of the three layers, (hidden, inputs) each.
         biases: of the three layers, (hidden,) each.
         output: last layer for the middle specimen, then its derivative by each feature
-            (1 + P, C, hidden + 1).
-        latent_output: derivative of the last layer by each q (Q, C, hidden + 1).
+            (1 + P, K, hidden + 1).
+        latent_output: derivative of the last layer by each q (Q, K, hidden + 1).
         scale: typical change of log V.
         ranges: of the inputs learned from.
-        mismatch: rms error relative to the rms change, on held-out specimens, after fitting their
-            strength and q.
+        mismatch: rms error of each measurement relative to its rms change, on held-out specimens,
+            after fitting their strength and q.
     """
 
     weights: tuple[Array, ...]
@@ -192,14 +194,14 @@ class SpecimenResponse:
 
     Attributes:
         response: of every specimen.
-        output: last layer of this specimen (C, hidden + 1).
+        output: last layer of this specimen (K, hidden + 1).
     """
 
     response: TouchResponse
     output: Array
 
     def __call__(self, touches: Array, angle_deg: float) -> Array:
-        """Change (k, C) by each touch (k, 3) of x [m], y [m] and force [N]."""
+        """Change (k, K) by each touch (k, 3) of x [m], y [m] and force [N]."""
         change: Array = self.response.hidden(touches, angle_deg) @ self.output.T
         return change
 
@@ -207,28 +209,25 @@ class SpecimenResponse:
         """Changes by touches (k, 3), their derivatives, and inputs of the last layer.
 
         Returns:
-            changes and their derivatives by x, y [1/m] and force [1/N] (k, 4, C).
+            changes and their derivatives by x, y [1/m] and force [1/N] (k, 4, K).
             inputs of the last layer, as `uncertainty` takes them (k, hidden + 1).
         """
         rows = self.response.hidden_with_derivatives(touches, angle_deg)
         changes = rows.reshape(-1, rows.shape[2]) @ self.output.T
         return changes.reshape(len(touches), 4, -1), rows[:, 0]
 
-    def uncertainty(self, changes: Array, hidden: Array) -> Array:
-        """Covariance (C, C) of the touches' summed change, by unknown q and by mismatch.
+    def uncertainty(self, hidden: Array) -> Array:
+        """Covariance (K, K) of the touches' summed change, by unknown q.
 
         Args:
-            changes: by each touch (k, C).
             hidden: inputs of the last layer (k, hidden + 1).
         """
         latent = self.response.latent_output @ hidden.sum(axis=0)
         covariance: Array = latent.T @ latent
-        diagonal = covariance.reshape(-1)[:: len(covariance) + 1]
-        diagonal += self.response.mismatch**2 * np.einsum("kc,kc->c", changes, changes)
         return covariance
 
     def latent_changes(self, touches: Array, angle_deg: float) -> Array:
-        """Derivative of the touches' summed change by each q (Q, C)."""
+        """Derivative of the touches' summed change by each q (Q, K)."""
         hidden = self.response.hidden(touches, angle_deg).sum(axis=0)
         change: Array = self.response.latent_output @ hidden
         return change

@@ -24,7 +24,7 @@ class TouchCandidates:
     Attributes:
         places: (n, 2) [m].
         force: of every candidate [N].
-        change: of log V by each (n, C), at one angle.
+        change: by each (n, K), at one angle.
     """
 
     places: Array

@@ -1,6 +1,6 @@
 """Training of the joint method: its model of the sensor, learned from a dataset."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, TypeVar
 
@@ -8,12 +8,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.datasets.store.dataset import Dataset
-from eitskin.datasets.store.state import State
 from eitskin.errors import DataError
 from eitskin.extras import require
 from eitskin.geometry.design.surface import Surface
 from eitskin.simulator.instrument.drift import DRIFT_TIME
 from eitskin.training.joint.bend_curve import BendCurvePrior
+from eitskin.training.joint.combinations import Combinations
+from eitskin.training.joint.mirrored_frames import (
+    MirroredFrames,
+    is_touched,
+    is_untouched,
+    log_ratio,
+    noise_of,
+)
 from eitskin.training.joint.prior import TouchPrior
 from eitskin.training.joint.proposal_model import ProposalNetwork
 from eitskin.training.joint.specimen_features import SpecimenFeatures
@@ -22,7 +29,7 @@ from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.learning_curve import LearningCurve
 from eitskin.training.method.observations import UNKNOWN_AGE
 from eitskin.training.method.settings import JointSettings, Progress, silent
-from eitskin.training.method.symmetry import Mirror, mirrors
+from eitskin.training.method.symmetry import mirrors
 from eitskin.training.method.targets import NOMINAL_RADIUS
 
 if TYPE_CHECKING:
@@ -34,6 +41,11 @@ Made = TypeVar("Made")
 PITCH = 0.004  # m, between positions that are tried for touches
 FEWEST = 100  # frames of each kind
 WEAKEST = 0.1  # least strength of a touch, in units of the noise
+TOUCHED_FRAMES = 4000
+"""Touched frames from which the proposals are trained for all of their epochs; with fewer, the
+response limits the fit."""
+LEAST_PROPOSALS = 0.25
+"""Share of the epochs that the proposals are trained for at least."""
 HOLD_OUT = 8  # every how many-th specimen is held out to estimate the mismatch
 
 
@@ -58,26 +70,32 @@ def fit_joint(
 
     forces = bool(np.isfinite(dataset.touch_force).any())
     data = _usable(dataset)
-    if not _is_touched(data).any():
+    if not is_touched(data).any():
         return _bend_method(make, data, spec, settings, progress)
     from eitskin.training.joint.proposal_training import SyntheticFrames, fit_proposals
 
     images = mirrors(spec.design, spec.protocol)
     features = SpecimenFeatures.fit(np.abs(data.reference[np.unique(data.specimen)]), images)
-    noise = _noise(data, images)
+    touched, bent = MirroredFrames.touched(data, images), MirroredFrames.bent(data, images)
+    kinds = [(each.change, each.noise) for each in (touched, bent) if len(each.change)]
+    combinations = Combinations.fit(kinds, noise_of(data, images))
     touch_prior, ranges = _touch_prior(data, spec), _ranges(data, spec)
     progress("bend curve", 0, 1)
     curves = (
-        _curves(data, features, images, noise, settings.drift)
-        if data.bend_angle_deg.any()
-        else BendCurvePrior.flat(len(features.directions), len(noise))
+        _curves(bent, features, combinations, settings.drift)
+        if len(bent.change)
+        else BendCurvePrior.flat(len(features.directions), len(combinations))
     )
     progress("bend curve", 1, 1)
     response, response_curve = _response(
-        data, features, images, ranges, noise, settings, seed, progress
+        touched, features, combinations, ranges, settings, seed, progress
     )
+    frames = len(touched.change) // len(images)
     proposals, proposals_curve = fit_proposals(
-        SyntheticFrames(response, curves, touch_prior, noise), settings.proposals, seed, progress
+        SyntheticFrames(response, curves, touch_prior, combinations),
+        settings.proposals.shortened(min(max(frames / TOUCHED_FRAMES, LEAST_PROPOSALS), 1.0)),
+        seed,
+        progress,
     )
     radius = float(np.nanmedian(data.touch_radius))
     return make(
@@ -86,7 +104,7 @@ def fit_joint(
         curves,
         proposals,
         touch_prior,
-        noise,
+        combinations,
         settings.drift,
         _places(spec, touch_prior),
         radius,
@@ -108,17 +126,18 @@ def _bend_method(
     """Method of a sensor that is never touched: its bend curves, and nothing of touches."""
     images = mirrors(spec.design, spec.protocol)
     features = SpecimenFeatures.fit(np.abs(data.reference[np.unique(data.specimen)]), images)
-    noise = _noise(data, images)
+    bent = MirroredFrames.bent(data, images)
+    combinations = Combinations.fit([(bent.change, bent.noise)], noise_of(data, images))
     progress("bend curve", 0, 1)
-    curves = _curves(data, features, images, noise, settings.drift)
+    curves = _curves(bent, features, combinations, settings.drift)
     progress("bend curve", 1, 1)
     return make(
         features,
-        TouchResponse.none(len(features.directions), len(noise), spec.outline),
+        TouchResponse.none(len(features.directions), len(combinations), spec.outline),
         curves,
         ProposalNetwork((), (), np.zeros(0), np.zeros(0)),
         TouchPrior.anywhere(spec.outline, NOMINAL_RADIUS),
-        noise,
+        combinations,
         settings.drift,
         np.zeros((0, 2)),
         NOMINAL_RADIUS,
@@ -144,10 +163,10 @@ def _usable(dataset: Dataset) -> Dataset:
         data = _with_flat_references(data)
     if not np.isfinite(data.touch_force).any():
         data = _with_strengths(data)
-    found = {"untouched frames with a reference": int(_is_untouched(data).sum())}
+    found = {"untouched frames with a reference": int(is_untouched(data).sum())}
     if touched := bool(np.isfinite(data.touch_x).any()):
         kind = "touched frames with known places, forces, radii and a reference"
-        found[kind] = int(_is_touched(data).sum())
+        found[kind] = int(is_touched(data).sum())
     if bent or not touched:
         found["bent frames"] = bent
     if min(found.values()) < FEWEST:
@@ -173,8 +192,8 @@ def _with_strengths(data: Dataset) -> Dataset:
     untouched frames, over the median of the touched frames. k touches at a time share it as equal
     and independent ones do, each 1 / sqrt k.
     """
-    square = np.mean(_log(data.impedance, data.touch_reference) ** 2, axis=1)
-    quiet, placed = square[_is_untouched(data)], np.isfinite(data.touch_x)
+    square = np.mean(log_ratio(data.impedance, data.touch_reference) ** 2, axis=1)
+    quiet, placed = square[is_untouched(data)], np.isfinite(data.touch_x)
     noise = float(np.mean(quiet)) if len(quiet) else 0.0
     strength = np.sqrt(np.maximum(square - noise, WEAKEST**2 * noise))
     strength /= np.sqrt(np.maximum(data.touch_count, 1))
@@ -183,36 +202,10 @@ def _with_strengths(data: Dataset) -> Dataset:
     return replace(data, touch_force=force.astype(np.float32))
 
 
-def _is_touched(data: Dataset) -> NDArray[np.bool_]:
-    """Whether each frame (n,) has touches of known force and radius and a reference."""
-    count = data.touch_count
-    known = [np.isfinite(v).sum(axis=1) == count for v in (data.touch_force, data.touch_radius)]
-    referenced = np.isfinite(data.touch_reference).all(axis=1)
-    touched: NDArray[np.bool_] = (count > 0) & known[0] & known[1] & referenced
-    return touched
-
-
-def _is_untouched(data: Dataset) -> NDArray[np.bool_]:
-    """Whether each frame (n,) is untouched and has a reference at the same bend."""
-    referenced = np.isfinite(data.touch_reference).all(axis=1)
-    untouched: NDArray[np.bool_] = (data.state != State.TOUCH) & referenced
-    return untouched
-
-
-def _noise(data: Dataset, images: Sequence[Mirror]) -> Array:
-    """Standard deviation of log V in one frame (C,), averaged over mirror images."""
-    quiet = _is_untouched(data)
-    change = _log(data.impedance[quiet], data.touch_reference[quiet])
-    variance = np.mean(change**2, axis=0) / (1.0 + 1.0 / data.reference_frames)
-    floor = 1e-12  # noise-free training sets
-    noise: Array = np.sqrt(np.mean([variance[m.order] for m in images], axis=0) + floor)
-    return noise
-
-
 def _touch_prior(data: Dataset, spec: InputSpec) -> TouchPrior:
     """Prior of touches, from the touched frames."""
     columns = (data.touch_x, data.touch_y, data.touch_force)
-    x, y, force = (values[_is_touched(data)] for values in columns)
+    x, y, force = (values[is_touched(data)] for values in columns)
     return TouchPrior.fit(x, y, force, spec.outline, float(np.nanmax(data.touch_radius)))
 
 
@@ -227,41 +220,27 @@ def _ranges(data: Dataset, spec: InputSpec) -> InputRanges:
 
 
 def _curves(
-    data: Dataset,
-    features: SpecimenFeatures,
-    images: Sequence[Mirror],
-    noise: Array,
-    drift: float,
+    bent: MirroredFrames, features: SpecimenFeatures, combinations: Combinations, drift: float
 ) -> BendCurvePrior:
     """Bend curves, from bent frames and the references of touches on the bent sensor."""
-    bent = data.bend_angle_deg != 0
-    untouched = bent & (data.state != State.TOUCH)
-    referenced = bent & _is_touched(data)
-    rows = np.concatenate([np.flatnonzero(untouched), np.flatnonzero(referenced)])
-    values = np.concatenate([data.impedance[untouched], data.touch_reference[referenced]])
-    specimen = data.specimen[rows].astype(np.int64)
-    flat = np.abs(data.reference[specimen]).astype(float)
-    change = _log(values, flat)
-    own_noise = (
-        1.0 if data.source == "simulated" else 2.0
-    )  # references of simulated sets are free of noise
-    covariance = np.diag(own_noise * noise**2) + drift**2 * UNKNOWN_AGE / DRIFT_TIME
-    count = int(specimen.max()) + 1
+    covariance = np.diag(bent.noise * combinations.unit**2)
+    covariance += np.outer(combinations.drift, combinations.drift) * (
+        drift**2 * UNKNOWN_AGE / DRIFT_TIME
+    )
     return BendCurvePrior.fit(
-        np.tile(data.bend_angle_deg[rows].astype(float), len(images)),
-        np.concatenate([change[:, m.order] for m in images]),
-        np.concatenate([features.apply(flat[:, m.order]) for m in images]),
-        np.concatenate([specimen + i * count for i in range(len(images))]),
+        bent.angle_deg,
+        combinations.of(bent.change),
+        features.apply(bent.flat),
+        bent.specimen + bent.image * (int(bent.specimen.max()) + 1),
         covariance,
     )
 
 
 def _response(
-    data: Dataset,
+    touched: MirroredFrames,
     features: SpecimenFeatures,
-    images: Sequence[Mirror],
+    combinations: Combinations,
     ranges: InputRanges,
-    noise: Array,
     settings: JointSettings,
     seed: int,
     progress: Progress,
@@ -269,37 +248,30 @@ def _response(
     """Touch response, from touched frames and their mirror images."""
     from eitskin.training.joint.response_training import TouchFrames, fit_response
 
-    touched = data.select(_is_touched(data))
-    _, specimen = np.unique(touched.specimen, return_inverse=True)
-    flat = np.abs(touched.reference[touched.specimen]).astype(float)
-    change = _log(touched.impedance, touched.touch_reference)
-    parts = []
-    for mirror in images:
-        x, y = mirror.places(touched.touch_x.astype(float), touched.touch_y.astype(float))
-        parts.append(
-            (
-                np.stack([x, y, touched.touch_force.astype(float)], axis=-1),
-                touched.bend_angle_deg.astype(float),
-                features.apply(flat[:, mirror.order]),
-                specimen.astype(np.int64),
-                change[:, mirror.order],
-            )
-        )
-    frames = TouchFrames(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
-    variance = (1.0 + 1.0 / data.reference_frames) * noise**2
+    frames = TouchFrames(
+        touched.touches,
+        touched.angle_deg,
+        features.apply(touched.flat),
+        touched.specimen,
+        combinations.of(touched.change),
+    )
+    variance = touched.noise * combinations.unit**2
     rms = float(np.sqrt(np.mean(variance)))
     held_out = frames.specimen % HOLD_OUT == HOLD_OUT - 1
     kept = frames[~held_out] if held_out.any() else frames
     response, curve = fit_response(kept, ranges, rms, settings.response, seed, progress)
     checked = frames[held_out] if held_out.any() else frames
-    return replace(response, mismatch=_mismatch(response, checked, variance)), curve
+    return replace(response, mismatch=_mismatch(response, checked, variance, combinations)), curve
 
 
-def _mismatch(response: TouchResponse, frames: "TouchFrames", variance: Array) -> float:
-    """Relative rms error of the response on `frames`, over all channels.
+def _mismatch(
+    response: TouchResponse, frames: "TouchFrames", variance: Array, combinations: Combinations
+) -> float:
+    """Relative rms error of the response on `frames`, over all measurements.
 
     The strength of each frame and its q are fitted, because the fit estimates forces and allows for
-    q.
+    q. Independent errors of the measurements, relative to their changes, are to give combinations
+    of the errors that are found.
     """
     squares = size = 0.0
     for i in range(min(len(frames.change), 2000)):
@@ -311,7 +283,8 @@ def _mismatch(response: TouchResponse, frames: "TouchFrames", variance: Array) -
         metric = np.diag(np.append(0.0, np.ones(len(shapes)))) * np.mean(variance)
         fitted = np.linalg.solve(columns @ columns.T + metric, columns @ frames.change[i])
         squares += float(np.sum((frames.change[i] - fitted @ columns) ** 2 - variance))
-        size += float(np.sum((fitted[0] * modelled) ** 2))
+        each = combinations.changes(fitted[0] * modelled)
+        size += combinations.total_variance(np.sum(each**2, axis=0))
     return float(np.sqrt(max(squares / size, 1e-6)))
 
 
@@ -324,9 +297,3 @@ def _places(spec: InputSpec, touch_prior: TouchPrior) -> Array:
     places = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
     outline = spec.design.outline
     return places if isinstance(outline, Surface) else places[outline.contains(places)]
-
-
-def _log(values: NDArray[np.generic], reference: NDArray[np.generic]) -> Array:
-    """log |V / ref|."""
-    change: Array = np.log(np.abs(values) / np.abs(reference)).astype(float)
-    return change

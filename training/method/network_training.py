@@ -68,8 +68,8 @@ def train_network(
     """
     generator = torch.Generator().manual_seed(seed)
     optimiser = torch.optim.Adam(network.parameters(), lr=settings.learning_rate)
-    batch_size = settings.batch_of(count)
-    steps = settings.epochs * -(-count // batch_size)
+    batch_size, epochs = settings.batch_of(count), settings.epochs_of(count)
+    steps = epochs * -(-count // batch_size)
     # Only where asked for: creating the schedule already lowers the learning rate.
     anneal = (
         torch.optim.lr_scheduler.OneCycleLR(optimiser, settings.learning_rate, steps)
@@ -77,7 +77,7 @@ def train_network(
         else None
     )
     fitted, unseen = [], []
-    for epoch in range(settings.epochs):
+    for epoch in range(epochs):
         network.train()
         total = 0.0
         for chosen in torch.split(torch.randperm(count, generator=generator), batch_size):
@@ -93,7 +93,7 @@ def train_network(
         fitted.append(_finite(total / count, epoch, settings))
         if validation is not None:
             unseen.append(_finite(mean_loss(network, validation, loss), epoch, settings))
-        progress(epoch + 1, settings.epochs)
+        progress(epoch + 1, epochs)
     return LearningCurve(tuple(fitted), tuple(unseen))
 
 

@@ -39,6 +39,7 @@ class NetworkSettings:
         noise: rms noise added to dV in every step, relative to the noise of the frames.
         fewest_steps: of the whole training; where frames are few, batches are smaller, down to a
             quarter.
+        least_steps: of the whole training; where frames are few, there are more epochs.
     """
 
     learning_rate: float
@@ -47,6 +48,7 @@ class NetworkSettings:
     one_cycle: bool = True
     noise: float = 0.0
     fewest_steps: int = 0
+    least_steps: int = 0
 
     def batch_of(self, count: int) -> int:
         """Number of frames per step where there are `count` frames."""
@@ -59,6 +61,19 @@ class NetworkSettings:
                 "learning_rate, epochs and batch must be positive and noise not negative, got "
                 f"{self}"
             )
+
+    def epochs_of(self, count: int) -> int:
+        """Number of epochs on `count` training frames."""
+        return max(self.epochs, -(-self.least_steps // -(-count // self.batch_of(count))))
+
+    def shortened(self, share: float) -> "NetworkSettings":
+        """Settings with a share of the epochs and steps, at least one."""
+        return replace(
+            self,
+            epochs=max(1, round(share * self.epochs)),
+            fewest_steps=round(share * self.fewest_steps),
+            least_steps=round(share * self.least_steps),
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +88,7 @@ class JointSettings:
             dries and warms by a percent or two, the electronics drift by 0.2 %.
     """
 
-    response: NetworkSettings = NetworkSettings(6e-3, epochs=60, batch=512)
+    response: NetworkSettings = NetworkSettings(6e-3, epochs=60, batch=512, least_steps=2000)
     proposals: NetworkSettings = NetworkSettings(2e-3, epochs=40, batch=512)
     drift: float = 0.02
 
@@ -185,9 +200,23 @@ class TrainingSettings:
         """
         if self.method not in ("joint", "paper"):
             return replace(self, options={**self.options, "epochs": epochs})
+        response = replace(self.joint.response, epochs=epochs, least_steps=0)
         return replace(
             self,
-            joint=replace(self.joint, response=replace(self.joint.response, epochs=epochs)),
+            joint=replace(self.joint, response=response),
             classifier=replace(self.classifier, epochs=epochs),
             postprocessor=replace(self.postprocessor, epochs=epochs),
+        )
+
+    def shortened(self, share: float) -> "TrainingSettings":
+        """Settings with a share of the epochs of all networks, at least one."""
+        return replace(
+            self,
+            joint=replace(
+                self.joint,
+                response=self.joint.response.shortened(share),
+                proposals=self.joint.proposals.shortened(share),
+            ),
+            classifier=self.classifier.shortened(share),
+            postprocessor=self.postprocessor.shortened(share),
         )

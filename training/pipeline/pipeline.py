@@ -60,7 +60,8 @@ class Pipeline:
         method: the trained method, which estimates frames one by one.
         noise: rms of the relative difference of two frames of a still sensor, dimensionless.
         settings: of the training.
-        trained_on: SHA-256, number of frames and source of the training set.
+        trained_on: SHA-256, source, and numbers of frames and specimens of the training set; those
+            of version 0.1 do not count specimens.
         examples: a few training frames, by which a saved pipeline is checked.
         metrics: results of evaluations, as whoever evaluates writes them here.
         calibration: result of `calibrate`, as `Calibration.as_dict` gives it; empty before.
@@ -140,7 +141,12 @@ class Pipeline:
             fitted,
             frames.noise,
             settings,
-            {"sha256": fingerprint(dataset), "frames": len(train), "source": dataset.source},
+            {
+                "sha256": fingerprint(dataset),
+                "frames": len(train),
+                "specimens": len(np.unique(train.specimen)),
+                "source": dataset.source,
+            },
             examples,
             flat_sensors=FlatSensors.of(train),
         )

@@ -95,7 +95,12 @@ def proposed(method: JointMethod) -> Places:
     def places(frame: Observations) -> Array:
         change = np.log1p(frame.dynamic[0])
         features = method.features.apply(frame.flat[0])
-        inputs = network_inputs(change, np.sqrt(2.0) * method.noise, 0.0, features)
+        inputs = network_inputs(
+            method.combinations.of(change),
+            np.sqrt(2.0) * method.combinations.unit,
+            0.0,
+            features,
+        )
         return method.proposals.places(inputs, method.touch_prior.separation)
 
     return places

@@ -12,6 +12,7 @@ from eitskin.training.joint.bend_curve import (
     BendCurve,
     BendCurvePrior,
 )
+from eitskin.training.joint.combinations import Combinations
 
 CHANNELS = 6
 NOISE = 2e-4**2 * np.eye(CHANNELS)
@@ -148,7 +149,7 @@ def test_calibrated_curve_finds_the_specimen(curve, rng):
     frames = true.value(tried) + 2e-4 * rng.standard_normal((len(tried), CHANNELS))
     errors = {}
     for name, each in (("before", curve), ("after", calibrated)):
-        said = np.array([estimate_angle(each, frame, NOISE) for frame in frames])
+        said = np.array([estimated(each, frame) for frame in frames])
         errors[name] = np.sqrt(np.mean((said[:, 0] - tried) ** 2))
         assert np.sqrt(np.mean(((said[:, 0] - tried) / said[:, 1]) ** 2)) < 1.6
     assert errors["after"] < 0.5 * errors["before"]
@@ -156,6 +157,12 @@ def test_calibrated_curve_finds_the_specimen(curve, rng):
 
 
 # The angle of a frame
+
+
+def estimated(curve, change):
+    """Angle and standard error of a frame, whose bad measurements are NaN."""
+    combined = Combinations(np.full(CHANNELS, 2e-4)).combined(change, 1.0, 0.0)
+    return estimate_angle(curve, combined.change, combined.noise)
 
 
 def unlikeliness(curve, change, noise, angle, uncertain_at=None):
@@ -174,7 +181,7 @@ def test_angle_is_where_the_likelihood_is_greatest(curve, rng):
         change = curve.value(angle) + powers(angle, RANDOM_POWERS) @ own
         change += 2e-4 * rng.standard_normal(CHANNELS)
         change[2] = np.nan
-        found, error = estimate_angle(curve, change, NOISE)
+        found, error = estimated(curve, change)
         near = (found - 3.0, found + 3.0)
         held = minimize_scalar(
             lambda tried, y=change, at=found: unlikeliness(curve, y, NOISE, tried, at),
@@ -189,7 +196,7 @@ def test_angle_is_where_the_likelihood_is_greatest(curve, rng):
 
 def test_clean_frame_gives_its_angle(curve):
     for angle in (-23.0, -20.0, -1.0, 0.0, 17.3, 50.0, 53.0):
-        found, error = estimate_angle(curve, curve.value(angle), NOISE)
+        found, error = estimated(curve, curve.value(angle))
         assert found == pytest.approx(angle, abs=1e-3)
         assert error > 0
     beyond, _ = estimate_angle(curve, curve.value(80.0), NOISE)
@@ -205,7 +212,7 @@ def test_stated_error_is_that_of_many_frames(curve, rng):
         )
         change += 2e-4 * rng.standard_normal(change.shape)
         change[::2, 4] = np.nan
-        said = np.array([estimate_angle(curve, frame, NOISE) for frame in change])
+        said = np.array([estimated(curve, frame) for frame in change])
         z = (said[:, 0] - angle) / said[:, 1]
         assert np.sqrt(np.mean(z**2)) == pytest.approx(1.0, abs=0.15)
         whole = angle_standard_error(curve, angle, NOISE)

@@ -17,6 +17,7 @@ from eitskin.training.method.symmetry import mirrors
 
 from smooth_sensor import (
     FLAT,
+    MEASUREMENTS,
     NOISE,
     PROTOCOL,
     SIZE,
@@ -50,7 +51,7 @@ def method():
         bend_prior=curves(features=1),
         proposals=silent_proposals(),
         touch_prior=TOUCH_PRIOR,
-        noise=np.full(28, NOISE),
+        combinations=MEASUREMENTS,
         drift=0.02,
         places=places(),
         radius=0.0075,
@@ -282,7 +283,7 @@ def test_arrays_make_it_again(method):
         assert set(said) == {"probabilities", "bend_angle_deg", "touch_map"}
         for name, array in expected.items():
             np.testing.assert_allclose(said[name], array, atol=1e-4)
-        np.testing.assert_array_equal(again.noise, one.noise)
+        np.testing.assert_array_equal(again.combinations.noise, one.combinations.noise)
         assert again.drift == one.drift
 
 

@@ -11,11 +11,21 @@ from eitskin.training.joint.objective import TouchObjective, Unknowns, levenberg
 from eitskin.training.joint.prior import ANGLE_UNIT, TOUCH_UNITS
 from eitskin.training.joint.touch_search import TouchCandidates
 
-from smooth_sensor import FLAT, NOISE, PROTOCOL, RANGES, TOUCH_PRIOR, curve, places, response
+from smooth_sensor import (
+    FLAT,
+    MEASUREMENTS,
+    NOISE,
+    PROTOCOL,
+    RANGES,
+    TOUCH_PRIOR,
+    curve,
+    places,
+    response,
+)
 
 RESPONSE = response()
 CURVE = curve()
-FAULTS = possible_faults(PROTOCOL, FLAT)
+FAULTS = possible_faults(PROTOCOL, FLAT, MEASUREMENTS)
 ONE = RESPONSE.of(())
 STIFF = replace(
     RESPONSE, weights=(RESPONSE.weights[0] * [1.0, 1.0, 1.0, 0.0], *RESPONSE.weights[1:])
@@ -41,14 +51,13 @@ def frame(touches=(), angle_deg=0.0, reference_deg=0.0, rng=None, mismatch=0.0):
     if rng is not None:
         change = change + rng.multivariate_normal(np.zeros(28), TWO_FRAMES)
     told = replace(RESPONSE, mismatch=mismatch).of(())
-    return TouchObjective.of(change, TWO_FRAMES, reference_deg, told, CURVE, TOUCH_PRIOR)
+    combined = MEASUREMENTS.combined(change, 2.0, 0.0)
+    return TouchObjective.of(combined, reference_deg, told, CURVE, TOUCH_PRIOR)
 
 
 def changed(objective, change):
     """Objective with another change."""
-    return TouchObjective.of(
-        change, objective.noise, objective.reference_deg, objective.response, CURVE, TOUCH_PRIOR
-    )
+    return replace(objective, combined=MEASUREMENTS.combined(change, 2.0, 0.0))
 
 
 def explained(objective, proposed=None):
@@ -167,9 +176,8 @@ def test_residuals_are_whitened_with_noise_bend_and_mismatch():
     late = CURVE.slope(angle) * (angle - reference) * (np.arange(28) / 28 - 0.5)
     wrong = wrong + rng.standard_normal((4000, 1)) * late
     wrong = wrong + mismatch * size * rng.standard_normal((4000, 28))
-    left = np.array(
-        [whitening @ changed(objective, objective.change + w).residual(unknowns) for w in wrong]
-    )
+    change = objective.combined.change
+    left = np.array([whitening @ changed(objective, change + w).residual(unknowns) for w in wrong])
     np.testing.assert_allclose(np.cov(left.T), np.eye(28), atol=0.12)
 
 
@@ -300,7 +308,7 @@ def test_weak_touch_is_found_from_the_threshold_on():
 def test_bad_channels_are_left_out(bad):
     """One, five, or all measurements of electrode 0 are bad: results as without these."""
     objective = frame(TOUCHES[1], 12.0, 12.0, np.random.default_rng(8))
-    change = objective.change.copy()
+    change = objective.combined.change.copy()
     change[bad] = np.nan
     missing = explained(changed(objective, change))
     assert len(missing.touches) == 1
@@ -324,7 +332,7 @@ def test_one_wrong_channel_is_told_and_is_no_touch(count, size, told):
     rng = np.random.default_rng(9)
     for channel in (0, 9, 17):
         objective = frame(TOUCHES.get(count, ()), 0.0, 0.0, rng)
-        change = objective.change.copy()
+        change = objective.combined.change.copy()
         change[channel] += size
         found = explained(changed(objective, change))
         assert found.faults or misfit_sigma(found) > 6.0
@@ -342,7 +350,7 @@ def test_contact_that_changed_is_told_and_is_no_touch(share, count):
         through = np.array([electrode in row[:2] for row in PROTOCOL.table])
         objective = frame(TOUCHES.get(count, ()), 0.0, 0.0, rng)
         found = explained(
-            changed(objective, objective.change + share * np.median(FLAT) / FLAT * through)
+            changed(objective, objective.combined.change + share * np.median(FLAT) / FLAT * through)
         )
         assert len(found.touches) == count
         (fault,) = found.faults
@@ -371,7 +379,7 @@ def test_frame_that_nothing_explains_has_a_misfit_that_tells():
 def test_any_common_factor_is_survived():
     """A common change of a few percent, as of a reference of another day, is tolerated."""
     for factor in (0.01, 0.1, -0.1, 1.0, -0.7):
-        found = explained(changed(frame(TOUCHES[1]), frame(TOUCHES[1]).change + factor))
+        found = explained(changed(frame(TOUCHES[1]), frame(TOUCHES[1]).combined.change + factor))
         assert np.isfinite(found.angle_deg)
         assert np.isfinite(found.covariance).all()
         assert misfit_sigma(found) > 6.0

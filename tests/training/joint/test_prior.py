@@ -8,7 +8,7 @@ import pytest
 from eitskin.training.joint.objective import TouchObjective, Unknowns, levenberg_marquardt
 from eitskin.training.joint.prior import TouchPrior
 
-from smooth_sensor import NOISE, SIZE, TOUCH_PRIOR, curve, response
+from smooth_sensor import MEASUREMENTS, SIZE, TOUCH_PRIOR, curve, response
 
 NAN = np.nan
 X = np.array([[0.010, 0.050, NAN], [0.001, NAN, NAN], [0.120, 0.120, 0.090]])
@@ -39,9 +39,10 @@ def test_changed_prior_pulls_forces(mean):
     """The estimate of an 8 N touch in large noise approaches the prior's mean force."""
     prior = replace(TOUCH_PRIOR, force=(mean, 0.2))
     assert prior.mean[2] == mean
-    one, covariance = response().of(()), 2.0 * (30 * NOISE) ** 2 * np.eye(28)
+    one = response().of(())
     true = Unknowns(np.array([[0.060, 0.030, 8.0]]), 0.0)
     change = one(true.touches, 0.0)[0]
-    objective = TouchObjective.of(change, covariance, 0.0, one, curve(), prior)
+    combined = MEASUREMENTS.combined(change, 2.0 * 30**2, 0.0)
+    objective = TouchObjective.of(combined, 0.0, one, curve(), prior)
     found = levenberg_marquardt(objective, objective.linearised(true), 30, 1e-9)
     assert found.unknowns.touches[0, 2] == pytest.approx(mean, abs=0.3)

@@ -10,10 +10,10 @@ from eitskin.training.joint.proposal_training import SyntheticFrames, fit_propos
 from eitskin.training.method.settings import NetworkSettings
 from eitskin.training.paper.networks import single_thread
 
-from smooth_sensor import NOISE, TOUCH_PRIOR, curves, response
+from smooth_sensor import MEASUREMENTS, TOUCH_PRIOR, curves, response
 
 MODEL = SyntheticFrames(
-    response(mismatch=0.05, features=1), curves(features=1), TOUCH_PRIOR, np.full(28, NOISE)
+    response(mismatch=0.05, features=1), curves(features=1), TOUCH_PRIOR, MEASUREMENTS
 )
 
 
@@ -112,7 +112,7 @@ def test_arrays_make_them_again(trained):
         assert proposals.map(inputs).shape == (len(proposals.rows), len(proposals.columns))
 
 
-# Reading the map
+# CombinedChange the map
 
 
 def picture(*touches):

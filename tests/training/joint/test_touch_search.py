@@ -16,7 +16,17 @@ from eitskin.training.joint.touch_search import (
     pair_starts,
 )
 
-from smooth_sensor import FLAT, NOISE, PROTOCOL, RANGES, TOUCH_PRIOR, curve, places, response
+from smooth_sensor import (
+    FLAT,
+    MEASUREMENTS,
+    NOISE,
+    PROTOCOL,
+    RANGES,
+    TOUCH_PRIOR,
+    curve,
+    places,
+    response,
+)
 
 ONE, CURVE = response(mismatch=0.05).of(()), curve()
 TWO = np.array([[0.055, 0.030, 7.0], [0.100, 0.020, 9.0]])
@@ -26,11 +36,11 @@ BAD = [4, 11]
 @pytest.fixture(scope="module")
 def objective():
     """Objective of a frame with two touches, motion and two bad channels."""
-    noise = 2.0 * NOISE**2 * np.eye(28) + 1e-8
     change = CURVE.value(14.0) - CURVE.value(10.0) + ONE(TWO, 14.0).sum(axis=0)
     change = change + NOISE * np.random.default_rng(0).standard_normal(28)
     change[BAD] = np.nan
-    return TouchObjective.of(change, noise, 10.0, ONE, CURVE, TOUCH_PRIOR)
+    combined = MEASUREMENTS.combined(change, 2.0, 1e-8)
+    return TouchObjective.of(combined, 10.0, ONE, CURVE, TOUCH_PRIOR)
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +53,9 @@ def candidates():
 def plain_covariance(objective, touches, angle_deg):
     """Covariance as the sum of noise, bend, scan and response."""
     late = CURVE.slope(angle_deg) * (np.arange(28) / 28 - 0.5) * (angle_deg - 10.0)
-    covariance = objective.noise + CURVE.uncertainty(angle_deg, 10.0) + np.outer(late, late)
+    covariance = (
+        objective.combined.noise + CURVE.uncertainty(angle_deg, 10.0) + np.outer(late, late)
+    )
     own = ONE.latent_changes(touches, angle_deg)
     size = 0.05**2 * np.sum(ONE(touches, angle_deg) ** 2, axis=0)
     return covariance + own.T @ own + np.diag(size)
@@ -56,8 +68,9 @@ def test_quadratic_is_that_of_the_plain_formula(objective):
     covariance = plain_covariance(objective, touches, angle)[np.ix_(good, good)]
     expected = np.linalg.inv(np.linalg.cholesky(covariance))
     whitening = objective.whitening(at)
-    np.testing.assert_allclose(whitening[:, good], expected, rtol=1e-7, atol=1e-7)
-    assert not whitening[:, BAD].any()
+    size = np.abs(expected).max()
+    np.testing.assert_allclose(whitening[np.ix_(good, good)], expected, atol=1e-6 * size)
+    assert np.abs(whitening[:, BAD]).max() < 2e-4 * size
     J = [ANGLE_UNIT * CURVE.slope(angle)]
     for touch in touches:
         for axis in range(3):
@@ -74,7 +87,7 @@ def test_quadratic_is_that_of_the_plain_formula(objective):
     off = np.append((angle - 10.0) / 15.0, (touches - mean) / size)
     scale = np.append(ANGLE_UNIT / 15.0, np.tile(TOUCH_UNITS / size, 2))
     said = objective.quadratic(at, whitening)
-    assert said.misfit == pytest.approx(r @ r + off @ off, rel=1e-9)
+    assert said.misfit == pytest.approx(r @ r + off @ off, rel=1e-6)
     gradient, hessian = J.T @ r - scale * off, J.T @ J + np.diag(scale**2)
     np.testing.assert_allclose(said.gradient, gradient, atol=1e-6 * np.abs(gradient).max())
     np.testing.assert_allclose(said.hessian, hessian, atol=1e-6 * np.abs(hessian).max())
@@ -124,7 +137,7 @@ def test_forces_are_the_least_squares_with_their_prior(objective):
 def test_possible_faults_are_every_channel_and_every_contact():
     flat = FLAT.copy()
     flat[3] = np.nan
-    said = possible_faults(PROTOCOL, flat)
+    said = possible_faults(PROTOCOL, flat, MEASUREMENTS)
     assert [fault.members for fault in said.faults[:28]] == [(i,) for i in range(28)]
     np.testing.assert_array_equal(said.changes[:, :28], np.eye(28))
     for electrode in range(8):
@@ -138,7 +151,7 @@ def test_possible_faults_are_every_channel_and_every_contact():
 
 def test_likeliest_fault_is_that_of_a_fit_of_each():
     rng = np.random.default_rng(1)
-    possible = possible_faults(PROTOCOL, FLAT)
+    possible = possible_faults(PROTOCOL, FLAT, MEASUREMENTS)
     known, residual = rng.standard_normal((28, 4)), rng.standard_normal(28)
     gains = []
     for change in possible.changes.T:

@@ -108,7 +108,7 @@ def trained():
 @pytest.mark.slow
 def test_what_is_learned_is_the_sensor(trained):
     method, said = trained
-    np.testing.assert_allclose(method.noise, NOISE, rtol=0.2)
+    np.testing.assert_allclose(method.combinations.noise, NOISE, rtol=0.2)
     assert method.touch_prior.separation == pytest.approx(0.030, abs=0.001)
     assert method.touch_prior.force[0] == pytest.approx(8.0, abs=0.3)
     assert method.radius == pytest.approx(0.0075)

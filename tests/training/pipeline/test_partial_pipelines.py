@@ -15,7 +15,7 @@ from eitskin.training import NetworkSettings, Pipeline, TrainingSettings, evalua
 from eitskin.training.evaluation import selection
 from eitskin.training.evaluation.evaluate import Evaluation
 from eitskin.training.evaluation.report.table import table_rows
-from eitskin.training.evaluation.selection import Selection, data_warnings, losses_of
+from eitskin.training.evaluation.selection import Selection, Trial, data_warnings, losses_of
 from eitskin.training.method import input_spec
 from eitskin.training.method.targets import Targets
 from eitskin.training.paper import method as paper_method
@@ -152,7 +152,7 @@ def test_angles_alone(tmp_path):
         Pipeline.fit(frames([State.IDLE]), SETTINGS)
 
 
-def test_the_method_is_chosen_by_held_out_specimens(monkeypatch):
+def test_the_method_is_chosen_by_held_out_specimens():
     """The joint method is refused for so few frames; what is left is chosen, and doubted."""
     data, told = frames([State.IDLE, State.TOUCH]), []
     found = Selection.of(
@@ -172,14 +172,26 @@ def test_the_method_is_chosen_by_held_out_specimens(monkeypatch):
     assert "3 specimens are few, 1 of them held out" in warnings[0]
     assert "16 frames of the state idle are few" in warnings[1]
 
-    losses = {"joint": 0.2, "quick": 0.1, "paper": 0.3}
 
-    def trial(_, preset, *__):
-        return dataclasses.replace(found.trials[1], preset=preset, losses={"x": losses[preset]})
+def test_candidates_without_hope_are_not_trained_to_the_end(never_touched, monkeypatch):
+    """A brief comparison leaves those that may win, and the last word has the whole training."""
+    data = frames(list(State))
+    evaluation, trained = Evaluation.of(never_touched, data), []
+    brief, whole = {"joint": 0.2, "quick": 0.3, "paper": 0.5}, {"joint": 0.2, "quick": 0.1}
 
-    monkeypatch.setattr(selection, "_trial", trial)
-    assert Selection.of(data, presets=("joint", "quick", "paper")).preset == "quick"
-    losses["joint"] = 0.05
+    def trial(_, preset, share=1.0):
+        trained.append((preset, share < 1.0))
+        loss = (whole if share == 1.0 else brief)[preset]
+        return Trial(preset, 1.0, "", evaluation, {"x": loss}, share=share)
+
+    monkeypatch.setattr(selection._Course, "trial", trial)
+    found = Selection.of(data, presets=("joint", "quick", "paper"))
+    assert found.preset == "quick"
+    assert [preset for preset, briefly in trained if not briefly] == ["joint", "quick"]
+    assert "0.500" in found.trials[2].stopped
+    assert [each.seconds for each in found.trials] == [2.0, 2.0, 1.0]
+    assert found.trials[2].as_dict()["stopped"]
+    brief["quick"], whole["joint"] = 0.5, 0.3
     assert Selection.of(data).preset == "joint"
 
 

@@ -1,0 +1,145 @@
+"""Combinations of measurements: nothing is lost, against fits to all measurements."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from eitskin.protocol import Protocol
+from eitskin.training.joint.bend_curve import RANDOM_POWERS, BendCurve
+from eitskin.training.joint.channel_faults import possible_faults
+from eitskin.training.joint.combinations import Combinations
+from eitskin.training.joint.model_selection import fit_frame
+from eitskin.training.joint.objective import TouchObjective
+from eitskin.training.joint.touch_search import TouchCandidates
+
+from smooth_sensor import RANGES, TOUCH_PRIOR, curve, places, response
+
+PROTOCOL = Protocol.adjacent(10, shared=True)
+COUNT = len(PROTOCOL)  # 100 measurements of a sensor with 28 independent changes
+RNG = np.random.default_rng(3)
+MIX = np.eye(28)[np.arange(COUNT) % 28] + 0.2 * RNG.standard_normal((COUNT, 28))
+NOISES = RNG.uniform(1e-4, 4e-4, COUNT)
+FLAT = RNG.uniform(100.0, 800.0, COUNT)
+RESPONSE, CURVE = response(unseen=2), curve()
+LATE = MIX @ CURVE.slope(15.0) * (np.arange(COUNT) / COUNT - 0.5)  # measured one after the other
+SIGNALS = np.column_stack([MIX, np.ones(COUNT), LATE])  # touches, bends, drift, motion
+ALL = Combinations(NOISES)
+FEW = Combinations(NOISES, np.linalg.qr(SIGNALS / NOISES[:, None])[0])
+TOUCHES = np.array([[0.030, 0.040, 6.0], [0.110, 0.020, 10.0]])
+
+
+def model(combinations, mismatch=0.0):
+    """Response of the specimen and bend curve of the mixed measurements, in combinations."""
+    mix = combinations.of(MIX.T).T
+    output, latent = (
+        np.einsum("kc,pch->pkh", mix, each) for each in (RESPONSE.output, RESPONSE.latent_output)
+    )
+    mixed = replace(RESPONSE, output=output, latent_output=latent, mismatch=mismatch).of(())
+    powers = np.kron(np.eye(RANDOM_POWERS), mix)
+    covariance = powers @ CURVE.covariance @ powers.T
+    effects = np.zeros((RANDOM_POWERS, len(mix)))
+    return mixed, BendCurve(CURVE.mean @ mix.T, effects, covariance, CURVE.angle_deg)
+
+
+def measured(touches=TOUCHES, angle_deg=20.0):
+    """Change of log V (C,) in a frame of a sensor that has moved by 5 deg."""
+    change = CURVE.value(angle_deg) - CURVE.value(angle_deg - 5.0)
+    if len(touches):
+        change = change + RESPONSE.of(())(touches, angle_deg).sum(axis=0)
+    return MIX @ change + 1.4 * NOISES * np.random.default_rng(1).standard_normal(COUNT)
+
+
+def fitted(combinations, change, mismatch=0.0):
+    """Fit of one frame with the possible faults of its measurements."""
+    specimen, bend = model(combinations, mismatch)
+    touches = np.column_stack([places(), np.full(len(places()), RANGES.middle_force)])
+    candidates = TouchCandidates(places(), RANGES.middle_force, specimen(touches, 15.0))
+    objective = TouchObjective.of(
+        combinations.combined(change, 2.0, 1e-8), 15.0, specimen, bend, TOUCH_PRIOR
+    )
+    faults = possible_faults(PROTOCOL, FLAT, combinations)
+    return fit_frame(objective, candidates, TOUCHES[:, :2] + 0.003, faults)
+
+
+def assert_same(one, other):
+    np.testing.assert_allclose(one.touches, other.touches, rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(one.covariance, other.covariance, rtol=1e-3, atol=1e-12)
+    assert one.angle_deg == pytest.approx(other.angle_deg, abs=1e-3)
+    assert one.misfit == pytest.approx(other.misfit, rel=1e-4)
+    assert one.degrees_of_freedom == other.degrees_of_freedom
+    assert [each.name for each in one.faults] == [each.name for each in other.faults]
+
+
+def test_the_fit_to_combinations_is_the_fit_to_all_measurements():
+    assert len(FEW) == 30
+    assert_same(fitted(FEW, measured()), fitted(ALL, measured()))
+
+
+def test_measurements_that_are_left_out_are_left_out_of_their_combinations():
+    change = measured()
+    change[[2, 30, 31, 77]] = np.nan
+    few = fitted(FEW, change)
+    assert_same(few, fitted(ALL, change))
+    assert few.degrees_of_freedom == COUNT - 4 - 7
+    change[[2, 30, 31, 77]] = 5.0  # values that are left out do not matter
+    combined = FEW.combined(change, 2.0, 0.0).without([2, 30, 31, 77])
+    change[[2, 30, 31, 77]] = np.nan
+    np.testing.assert_allclose(combined.change, FEW.combined(change, 2.0, 0.0).change, atol=1e-12)
+
+
+@pytest.mark.parametrize("fault", ["measurement", "contact"])
+def test_faults_that_no_combination_shows_are_found(fault):
+    """The remainder tells them: a changed contact, or one measurement unlike its reciprocal."""
+    expected = {"measurement": "does not fit", "contact": "contact of electrode 3"}[fault]
+    members = [17] if fault == "measurement" else contact_members(3)
+    change = measured()
+    share = np.ones(len(members)) if fault == "measurement" else np.median(FLAT) / FLAT[members]
+    change[members] += 0.005 * share
+    few = fitted(FEW, change)
+    assert [expected in each.name for each in few.faults] == [True]
+    assert_same(few, fitted(ALL, change))
+
+
+def contact_members(electrode):
+    faults = possible_faults(PROTOCOL, FLAT, ALL).faults
+    name = f"the contact of electrode {electrode} "
+    return list(next(each.members for each in faults if name in each.name))
+
+
+def test_combinations_that_nothing_tells_are_unknown():
+    """With fewer good measurements than combinations; where they tell, they are least squares."""
+    good = np.arange(COUNT) % 28 > 9
+    forward, covariance = FEW.without(good)
+    weights = FEW.basis[good].T @ FEW.basis[good]
+    np.testing.assert_allclose(covariance, np.linalg.inv(weights), rtol=1e-4)
+    assert not forward[:, ~good].any()
+    few = np.arange(COUNT) < 10
+    assert np.linalg.eigvalsh(FEW.without(few)[1])[-20:] == pytest.approx(1e8, rel=1e-3)
+
+
+def test_independent_errors_of_measurements_are_carried_over():
+    variance, covariance = RNG.uniform(0.0, 1e-6, COUNT), np.zeros((30, 30))
+    FEW.add_independent(covariance, variance)
+    forward = np.array([FEW.of(row) for row in np.eye(COUNT)]).T
+    np.testing.assert_allclose(covariance, forward @ np.diag(variance) @ forward.T, atol=1e-15)
+    assert FEW.total_variance(variance) == pytest.approx(np.trace(covariance))
+    np.testing.assert_allclose(FEW.of(FEW.changes(np.eye(30))), np.eye(30), atol=1e-12)
+
+
+def test_signals_are_told_from_noise():
+    """Reciprocal measurements: half of them carry nothing of their own."""
+    rng = np.random.default_rng(5)
+    shapes = MIX[:, :9]
+    change = 1e-2 * rng.standard_normal((600, 9)) @ shapes.T
+    change += NOISES * rng.standard_normal(change.shape)
+    found = Combinations.fit([(change, 1.0)], NOISES)
+    assert len(found) == 10  # and the drift
+    for signal in (shapes, np.ones((COUNT, 1))):
+        left = signal - found.changes(found.of(signal.T)).T
+        assert np.abs(left / NOISES[:, None]).max() < 0.02 * np.abs(signal / NOISES[:, None]).max()
+
+
+def test_few_measurements_are_not_combined():
+    change = np.random.default_rng(6).standard_normal((300, 28))
+    assert Combinations.fit([(change @ MIX[:28], 1e-3)], NOISES[:28]).basis is None

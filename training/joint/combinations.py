@@ -1,0 +1,263 @@
+"""Combinations of measurements: the few that carry touches and bends, of however many measured.
+
+Reciprocal measurements tell the same, and hundreds of measurements of one sensor have far fewer
+independent changes. Training and fit work with combinations, at the cost of as many channels.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+MOST = 0.5
+"""Share of the measurements beyond which combinations save too little to be made."""
+LEFT_OUT = 1e8
+"""Variance of a combination that no measurement tells, in units of its variance where all do."""
+
+
+@dataclass(frozen=True, eq=False)
+class Combinations:
+    """K combinations y of the changes of log V in C measurements.
+
+        change = D B y + noise,   y = B^T D^-1 change,   D = diag(noise)
+
+    With orthonormal columns B that span the changes by touches, bends and drift, y is a sufficient
+    statistic: what is left of the change is noise, which tells nothing of them.
+
+    Attributes:
+        noise: standard deviation of log V of each measurement in one frame (C,).
+        basis: B (C, K); None where every measurement is a combination by itself, in its own unit.
+    """
+
+    noise: Array
+    basis: Array | None = None
+
+    @classmethod
+    def fit(cls, changes: Sequence[tuple[Array, float]], noise: Array) -> "Combinations":
+        """Principal components of changes that exceed what noise alone would give.
+
+        The largest eigenvalue of the covariance of white noise in n frames is (1 + sqrt(C / n))^2
+        times its variance (Marchenko and Pastur 1967); larger ones are signals. The drift common to
+        all measurements counts as a signal.
+
+        Args:
+            changes: of log V (n, C) in frames of one kind each, and the variance of their noise in
+                units of that of one frame.
+            noise: standard deviation of log V of each measurement in one frame (C,).
+        """
+        size = len(noise)
+        covariance, limit = np.zeros((size, size)), 0.0
+        for change, variance in changes:
+            white = change / noise
+            covariance += white.T @ white / len(white)
+            limit += variance * (1.0 + np.sqrt(size / len(white))) ** 2
+        values, vectors = np.linalg.eigh(covariance)
+        signals = vectors[:, values > limit][:, ::-1]
+        basis = np.linalg.qr(np.column_stack([signals, 1.0 / noise]))[0]
+        return cls(noise, basis if basis.shape[1] <= MOST * size else None)
+
+    def __len__(self) -> int:
+        """Number of combinations K."""
+        return len(self.noise) if self.basis is None else self.basis.shape[1]
+
+    @cached_property
+    def unit(self) -> Array:
+        """Standard deviation of each combination in one frame (K,)."""
+        return self.noise if self.basis is None else np.ones(len(self))
+
+    @cached_property
+    def drift(self) -> Array:
+        """Each combination of a change by one in all measurements (K,)."""
+        return self.of(np.ones(len(self.noise)))
+
+    @cached_property
+    def matrix(self) -> Array:
+        """Matrix (K, C) from changes of log V to combinations."""
+        return np.eye(len(self)) if self.basis is None else (self.basis / self.noise[:, None]).T
+
+    @cached_property
+    def _backward(self) -> Array:
+        """Matrix (C, K) from combinations to changes."""
+        return np.eye(len(self)) if self.basis is None else self.basis * self.noise[:, None]
+
+    @cached_property
+    def _squares(self) -> Array:
+        """Sum over the combinations of the squared weights of each measurement (C,)."""
+        squares: Array = np.einsum("kc,kc->c", self.matrix, self.matrix)
+        return squares
+
+    @cached_property
+    def _lateness(self) -> Array:
+        """Weights (K, K) of the times at which a frame's measurements are taken, -0.5 to 0.5."""
+        count = len(self.noise)
+        late: Array = self.matrix * (np.arange(count) / count - 0.5) @ self._backward
+        return late
+
+    def of(self, change: Array) -> Array:
+        """Combinations (..., K) of finite changes of log V (..., C)."""
+        return change if self.basis is None else change @ self.matrix.T
+
+    def changes(self, combinations: Array) -> Array:
+        """Changes of log V (..., C) that have these combinations (..., K)."""
+        return combinations if self.basis is None else combinations @ self._backward.T
+
+    def late(self, slope: Array) -> Array:
+        """Combinations (K,) of a change whose measurements (in order) are weighted by their time.
+
+        Args:
+            slope: combinations of the change (K,).
+        """
+        late: Array = self._lateness @ slope
+        return late
+
+    def add_independent(self, covariance: Array, variance: Array) -> None:
+        """Add independent errors of this variance in each measurement (C,) to a (K, K) in place."""
+        if self.basis is None:
+            covariance.reshape(-1)[:: len(covariance) + 1] += variance
+        else:
+            covariance += self.matrix * variance @ self.matrix.T
+
+    def total_variance(self, variance: Array) -> float:
+        """Sum of the variances of the combinations, of independent errors of this variance (C,)."""
+        return float(self._squares @ variance)
+
+    def combined(self, change: Array, frames: float, drift: float) -> "CombinedChange":
+        """Combinations of one frame and their noise.
+
+        Args:
+            change: of log V (C,), NaN where a measurement is bad.
+            frames: sum of the reciprocal numbers of frames in both means that are compared.
+            drift: variance of the change common to all measurements.
+        """
+        good = np.isfinite(change)
+        return CombinedChange(self, np.where(good, change, 0.0), good, frames, drift)
+
+    def without(self, good: NDArray[np.bool_]) -> tuple[Array, Array]:
+        """Combinations where only the measurements `good` (C,) are known.
+
+        They are the least-squares estimate. A combination that these do not tell is zero, with the
+        variance `LEFT_OUT`.
+
+        Returns:
+            matrix (K, C) from changes to combinations.
+            covariance (K, K) of their noise in one frame.
+        """
+        if self.basis is None:
+            return np.diag(good.astype(float)), np.diag(
+                np.where(good, 1.0, LEFT_OUT) * self.noise**2
+            )
+        known = self.basis * good[:, None]
+        information = known.T @ known + np.eye(len(self)) / LEFT_OUT
+        covariance = np.linalg.inv(information)
+        covariance = 0.5 * (covariance + covariance.T)
+        return covariance @ (known / self.noise[:, None]).T, covariance
+
+    def arrays(self) -> dict[str, Array]:
+        """Arrays from which `from_arrays` restores the combinations, beside the noise."""
+        return {} if self.basis is None else {"basis": self.basis}
+
+
+@dataclass(frozen=True, eq=False)
+class CombinedChange:
+    """Combinations of the measured change of log V in one frame, with their noise.
+
+    Attributes:
+        combinations: of the measurements.
+        measured: change of log V (C,), zero where a measurement is left out.
+        good: whether each measurement counts (C,).
+        frames: sum of the reciprocal numbers of frames in both means that are compared.
+        drift: variance of the change common to all measurements.
+        further: covariance (K, K) of further noise, if any.
+    """
+
+    combinations: Combinations
+    measured: Array
+    good: NDArray[np.bool_]
+    frames: float
+    drift: float
+    further: Array | None = None
+    _whole: bool = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Note whether any measurement is left out."""
+        object.__setattr__(self, "_whole", bool(self.good.all()))
+
+    @property
+    def count(self) -> int:
+        """Number of measurements that count."""
+        return int(np.count_nonzero(self.good))
+
+    @property
+    def told(self) -> int:
+        """Number of combinations that they tell at most."""
+        return min(self.count, len(self.combinations))
+
+    def without(self, measurements: Sequence[int]) -> "CombinedChange":
+        """The change with further measurements left out."""
+        measured, good = self.measured.copy(), self.good.copy()
+        measured[list(measurements)], good[list(measurements)] = 0.0, False
+        return replace(self, measured=measured, good=good)
+
+    def noisier(self, covariance: Array) -> "CombinedChange":
+        """The change with a further covariance (K, K) of its noise."""
+        return replace(self, further=covariance)
+
+    @cached_property
+    def _known(self) -> tuple[Array, Array]:
+        return self.combinations.without(self.good)
+
+    @cached_property
+    def change(self) -> Array:
+        """Combinations of the change (K,)."""
+        if self._whole:
+            return self.combinations.of(self.measured)
+        change: Array = self._known[0] @ self.measured
+        return change
+
+    @cached_property
+    def noise(self) -> Array:
+        """Covariance of their noise (K, K)."""
+        drift = self.combinations.drift
+        noise: Array = (self.drift * drift)[:, None] * drift
+        if self._whole:
+            noise.reshape(-1)[:: len(noise) + 1] += self.frames * self.combinations.unit**2
+        else:
+            noise += self.frames * self._known[1]
+        if self.further is not None:
+            noise += self.further
+        return noise
+
+    def remainder(self, changes: Array) -> Array:
+        """Part of changes (C, n) that no combination has, in units of the noise (C, n).
+
+        Zero in measurements that are left out; no rows where every measurement is a combination.
+        """
+        combinations = self.combinations
+        if combinations.basis is None:
+            return changes[:0]
+        seen = combinations.changes(self.seen(changes).T).T
+        rest: Array = np.where(self.good, (changes - seen).T / combinations.noise, 0.0).T
+        return rest
+
+    def seen(self, changes: Array) -> Array:
+        """Combinations (K, n) of changes (C, n), from the measurements that count."""
+        if self._whole:
+            return self.combinations.of(changes.T).T
+        seen: Array = self._known[0] @ changes
+        return seen
+
+    @cached_property
+    def rest(self) -> Array:
+        """`remainder` of the measured change (C,); without elements where nothing can remain."""
+        return self.remainder(self.measured[:, None])[:, 0]
+
+
+def log_change(difference: Array) -> Array:
+    """log(V / ref) from dV (C,); NaN for a measurement that is bad or has no logarithm."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        change = np.log1p(difference)
+    return np.where(np.isfinite(change), change, np.nan)

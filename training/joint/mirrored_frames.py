@@ -1,0 +1,112 @@
+"""Training frames of the joint method: touched, bent, and their mirror images."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.datasets.store.dataset import Dataset
+from eitskin.datasets.store.state import State
+from eitskin.training.method.symmetry import Mirror
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MirroredFrames:
+    """Changes of log V in n frames of one kind, mirror images included.
+
+    Attributes:
+        change: since the reference (n, C).
+        noise: variance of the change, in units of that of one frame.
+        flat: magnitudes of the frame's specimen, flat and untouched (n, C) [ohm].
+        touches: x [m], y [m] and force [N] of up to k touches, NaN where absent (n, k, 3).
+        angle_deg: of the bend (n,) [deg].
+        specimen: number of the specimen, from 0 on (n,); mirror images share it.
+        image: number of the symmetry (n,).
+    """
+
+    change: Array
+    noise: float
+    flat: Array
+    touches: Array
+    angle_deg: Array
+    specimen: NDArray[np.int64]
+    image: NDArray[np.int64]
+
+    @classmethod
+    def touched(cls, data: Dataset, images: Sequence[Mirror]) -> "MirroredFrames":
+        """Touched frames against the untouched sensor at the same bend."""
+        rows = np.flatnonzero(is_touched(data))
+        change = log_ratio(data.impedance[rows], data.touch_reference[rows])
+        return cls._imaged(data, rows, change, 1.0 + 1.0 / data.reference_frames, images)
+
+    @classmethod
+    def bent(cls, data: Dataset, images: Sequence[Mirror]) -> "MirroredFrames":
+        """Bent frames and the references of touches on the bent sensor, against the flat one."""
+        bent = data.bend_angle_deg != 0
+        untouched, referenced = bent & (data.state != State.TOUCH), bent & is_touched(data)
+        rows = np.concatenate([np.flatnonzero(untouched), np.flatnonzero(referenced)])
+        values = np.concatenate([data.impedance[untouched], data.touch_reference[referenced]])
+        change = log_ratio(values, data.reference[data.specimen[rows]])
+        noise = 1.0 if data.source == "simulated" else 2.0  # simulated references are noise-free
+        return cls._imaged(data, rows, change, noise, images)
+
+    @classmethod
+    def _imaged(
+        cls,
+        data: Dataset,
+        rows: NDArray[np.intp],
+        change: Array,
+        noise: float,
+        images: Sequence[Mirror],
+    ) -> "MirroredFrames":
+        """Frames `rows` of a dataset and their mirror images, by the changes (rows, C)."""
+        _, specimen = np.unique(data.specimen[rows], return_inverse=True)
+        flat = np.abs(data.reference[data.specimen[rows]]).astype(float)
+        x, y, force = (
+            values[rows].astype(float) for values in (data.touch_x, data.touch_y, data.touch_force)
+        )
+        touches = [np.stack([*mirror.places(x, y), force], axis=-1) for mirror in images]
+        return cls(
+            np.concatenate([change[:, mirror.order] for mirror in images]),
+            noise,
+            np.concatenate([flat[:, mirror.order] for mirror in images]),
+            np.concatenate(touches),
+            np.tile(data.bend_angle_deg[rows].astype(float), len(images)),
+            np.tile(specimen.astype(np.int64), len(images)),
+            np.repeat(np.arange(len(images)), len(rows)),
+        )
+
+
+def is_touched(data: Dataset) -> NDArray[np.bool_]:
+    """Whether each frame (n,) has touches of known force and radius and a reference."""
+    count = data.touch_count
+    known = [np.isfinite(v).sum(axis=1) == count for v in (data.touch_force, data.touch_radius)]
+    referenced = np.isfinite(data.touch_reference).all(axis=1)
+    touched: NDArray[np.bool_] = (count > 0) & known[0] & known[1] & referenced
+    return touched
+
+
+def is_untouched(data: Dataset) -> NDArray[np.bool_]:
+    """Whether each frame (n,) is untouched and has a reference at the same bend."""
+    referenced = np.isfinite(data.touch_reference).all(axis=1)
+    untouched: NDArray[np.bool_] = (data.state != State.TOUCH) & referenced
+    return untouched
+
+
+def noise_of(data: Dataset, images: Sequence[Mirror]) -> Array:
+    """Standard deviation of log V in one frame (C,), averaged over mirror images."""
+    quiet = is_untouched(data)
+    change = log_ratio(data.impedance[quiet], data.touch_reference[quiet])
+    variance = np.mean(change**2, axis=0) / (1.0 + 1.0 / data.reference_frames)
+    floor = 1e-12  # noise-free training sets
+    noise: Array = np.sqrt(np.mean([variance[m.order] for m in images], axis=0) + floor)
+    return noise
+
+
+def log_ratio(values: NDArray[np.generic], reference: NDArray[np.generic]) -> Array:
+    """log |V / ref|."""
+    change: Array = np.log(np.abs(values) / np.abs(reference)).astype(float)
+    return change
