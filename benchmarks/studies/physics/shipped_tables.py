@@ -4,7 +4,7 @@ Run by `EITSKIN_CACHE=FOLDER python -m eitskin.benchmarks.studies.physics.shippe
 
 Solves the tables that neither the package nor `FOLDER` has, of the reference sensor and of its
 neighbours, and prints how long they took and how large each file is: presses by the 15 mm cylinder,
-with neighbours in thickness and stiffness of the encapsulation, for `simulator/presses/library`;
+with neighbours in thickness and stiffness of the encapsulation, beside one straight side too, for `simulator/presses/library`;
 and bends by the default clamp, both faces held or the bottom, with neighbours in span and offset
 too, for `simulator/bends/library`. With `--bends`, bends only.
 """
@@ -16,6 +16,8 @@ from contextlib import contextmanager
 from dataclasses import replace
 
 from eitskin.geometry.deformation.fixtures import Clamp
+from eitskin.geometry.design.outline import Polygon
+from eitskin.geometry.design.regular_layouts import uniform
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.provenance import Provenance
 from eitskin.simulator.bends import bend_store
@@ -63,6 +65,10 @@ def main(only_bends: bool) -> None:
     with _reported("reference"):
         press_store.press_table(reference, materials, Cylinder())
         correction_store.prepare(reference, materials, Cylinder(), _progress)
+    square = Polygon(((0.0, 0.0), (0.1, 0.0), (0.1, 0.1), (0.0, 0.1)))
+    with _reported("a straight side, for polygons"):
+        polygon = replace(reference, outline=square, electrodes=uniform(square, 8))
+        correction_store.prepare(polygon, materials, Cylinder(), _progress)
     with _reported("neighbours"):
         correction_store.prepare(varied, stiffer, Cylinder(), _progress)
     for factor in _FARTHER:
