@@ -4,9 +4,9 @@ Run by `EITSKIN_CACHE=FOLDER python -m eitskin.benchmarks.studies.physics.shippe
 
 Solves the tables that neither the package nor `FOLDER` has, of the reference sensor and of its
 neighbours, and prints how long they took and how large each file is: presses by the 15 mm cylinder,
-with neighbours in thickness and stiffness of the encapsulation, beside one straight side too, for `simulator/presses/library`;
-and bends by the default clamp, both faces held or the bottom, with neighbours in span and offset
-too, for `simulator/bends/library`. With `--bends`, bends only.
+with neighbours in thickness and stiffness of the encapsulation, and beside one straight side, for
+`simulator/presses/library`; and bends by the default clamp, both faces held or the bottom, with
+neighbours in span and offset too, for `simulator/bends/library`. With `--bends`, bends only.
 """
 
 import sys
