@@ -235,6 +235,20 @@ def _angle_loss(evaluation: Evaluation) -> float:
     return min(1.0, rmse / spread)
 
 
+def _left_out(data: Dataset, evaluation: Evaluation) -> list[str]:
+    """Warning where own sensors, or most of the frames, are in no training part."""
+    kept = data.select(evaluation.pipeline.settings.split(data)[0])
+    unseen = set(data.specimen_names) - set(kept.specimen_names)
+    own = sorted(unseen & set(data.names.specimens.values()))
+    if not own and 2 * len(kept) >= len(data):
+        return []
+    told = f"; {', '.join(own[:8])} not among them" if own else ""
+    return [
+        f"{len(kept)} of {len(data)} frames were trained on, as specimens are held out whole{told}"
+        ": another --seed deals them otherwise"
+    ]
+
+
 def data_warnings(dataset: Dataset, evaluation: Evaluation) -> tuple[str, ...]:
     """Reasons why the figures of an evaluation may not hold for another sensor, in words.
 
@@ -255,6 +269,7 @@ def data_warnings(dataset: Dataset, evaluation: Evaluation) -> tuple[str, ...]:
             f"{specimens} specimens are few, {judged} of them held out: other ones would give "
             f"other figures; {FEW_SPECIMENS} and more make them reliable"
         )
+    warnings += _left_out(data, evaluation)
     for state, name in zip(State, STATES, strict=True):
         count = int(np.sum(data.state == state))
         if 0 < count < FEW_FRAMES:
