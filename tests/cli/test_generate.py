@@ -42,7 +42,8 @@ def recipe(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_recipe_by_its_path(recipe, tmp_path):
+def test_a_recipe_by_its_path(recipe, tmp_path, monkeypatch):
+    in_this_process(monkeypatch)
     found = printed_json("generate", recipe, "--out", tmp_path / "set", "--workers", 1)
     assert (found["frames"], found["made"], found["complete"]) == (24, 24, True)
     assert len(open_dataset(tmp_path / "set")) == 24
