@@ -21,6 +21,7 @@ LARGEST_SPREAD = 0.10  # of log ratios; contacts that scatter by 50 % give 0.07,
 # scatter by 0.12 where these do by 0.5 mm, and wrong wiring gives 1.
 SPREAD_MARGIN = 1.5  # times the largest spread of the specimens trained with
 WIDEST_SPREAD = 0.5
+SMALL = 0.1  # of the rms of all values, below which a channel counts less
 PIXELS = 2560  # of a map; on the reference sensor 32 x 80 squares of 1.875 mm
 FEWEST_CHANNELS = 0.5  # share of a frame that must be usable
 
@@ -52,7 +53,9 @@ class InputSpec:
         reference = np.median(magnitudes, axis=0)
         with np.errstate(divide="ignore", invalid="ignore"):
             logs = np.log(magnitudes / reference)
-        found = [_spread(each[np.isfinite(each)])[0] for each in logs]
+        weights = _weights(reference)
+        known = [np.isfinite(each) for each in logs]
+        found = [_spread(each[k], weights[k])[0] for each, k in zip(logs, known, strict=True)]
         spread = min(max(LARGEST_SPREAD, SPREAD_MARGIN * max(found)), WIDEST_SPREAD)
         return cls(design, protocol, dataset.frequency, reference, spread)
 
@@ -121,7 +124,7 @@ class InputSpec:
         """
         known = np.flatnonzero(np.isfinite(voltages))
         logs = np.log(np.abs(voltages[known] / self.reference[known]))
-        spread, common = _spread(logs)
+        spread, common = _spread(logs, _weights(self.reference)[known])
         worst = self.protocol.labels[known[np.abs(logs - common).argmax()]]
         if abs(common) > np.log(LARGEST_SCALE):
             raise FrameError(
@@ -140,12 +143,22 @@ class InputSpec:
             )
 
 
-def _spread(logs: NDArray[np.float64]) -> tuple[float, float]:
-    """Root mean square of log ratios (m,) about their median, and that median; 0 without any."""
+def _weights(reference: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Weights of channels (m,): smaller values than a tenth of the rms are mostly noise."""
+    share = reference / (SMALL * float(np.sqrt(np.mean(reference**2))))
+    weights: NDArray[np.float64] = np.minimum(share, 1.0) ** 2
+    return weights
+
+
+def _spread(logs: NDArray[np.float64], weights: NDArray[np.float64]) -> tuple[float, float]:
+    """Weighted root mean square of log ratios (m,) about their median, and that median.
+
+    0 without any.
+    """
     if not logs.size:
         return 0.0, 0.0
     common = float(np.median(logs))
-    return float(np.sqrt(np.mean((logs - common) ** 2))), common
+    return float(np.sqrt(np.average((logs - common) ** 2, weights=weights))), common
 
 
 def usable_values(frame: Frame) -> tuple[NDArray[np.complex128], tuple[str, ...]]:

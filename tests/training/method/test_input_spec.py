@@ -37,3 +37,13 @@ def test_the_limit_is_never_lower_than_of_sensors_that_hardly_scatter_and_is_sav
         assert again.spread == each.spread
     old = {key: value for key, value in spec.document().items() if key != "spread"}
     assert InputSpec.from_document(old, spec.reference).spread == LARGEST_SPREAD
+
+
+def test_readings_in_the_noise_hardly_count():
+    """Between neighbours far from the driven electrodes noise is larger than the readings."""
+    flat = np.geomspace(50.0, 1e-3, 208)
+    spec = InputSpec(SensorDesign.reference(), Protocol.adjacent(16), 40e3, flat)
+    noise = 0.01 * np.random.default_rng(0).normal(size=208)
+    spec.require_same_sensor((flat + noise).astype(complex))
+    with pytest.raises(FrameError, match="scatter by"):
+        spec.require_same_sensor(np.roll(flat, 20).astype(complex))
