@@ -145,7 +145,7 @@ class Selection:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Course:
-    """What all trials of a selection share; attributes as the arguments of `Selection.of`."""
+    """Dataset and settings that all trials share; attributes as the arguments of `Selection.of`."""
 
     dataset: Dataset
     seed: int
