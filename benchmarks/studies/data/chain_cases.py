@@ -6,6 +6,7 @@ from urllib.parse import urlencode
 
 DESIGN, RECIPE, OWN_RECIPE = "sensor.toml", "recipe.toml", "own-recipe.toml"
 PRESS, SESSION = "press.toml", "session.toml"
+RIG = "rig.toml"
 FORCES = (6.0, 12.0)  # N, of the presses that are learned from
 PRESS_FORCE = 8.0  # N, of the press that is shown live and pictured
 
@@ -23,6 +24,7 @@ class ChainCase:
         own: presses of one sensor that is in no set.
         specimens: number of sensors in the recipe.
         spread: standard deviations of `[specimens]`, by key.
+        instrument: TOML of its board; empty for white noise alone.
     """
 
     name: str
@@ -34,6 +36,7 @@ class ChainCase:
     own: int = 300
     specimens: int = 10
     spread: str = "conductivity = 0.15\ncontact_impedance = 0.15\nelectrode_place = 0.0005"
+    instrument: str = ""
 
     @property
     def folder(self) -> str:
@@ -50,20 +53,24 @@ class ChainCase:
             SESSION: f"[[steps]]\nframes = 10\n\n[[steps]]\nframes = 10\n"
             f"{self._press('steps.scene.touches')}",
         }
+        if self.instrument:
+            files[RIG] = self.instrument
         for name, text in files.items():
             (folder / name).write_text(text, encoding="utf-8")
 
     def board(self, **options: str) -> str:
         """URI of the virtual board of the sensor."""
         told = {"sensor": DESIGN, "protocol": self.protocol, "speed": "max"} | options
+        told |= {"instrument": RIG} if self.instrument else {}
         return f"virtual:?{urlencode(told)}"
 
     def _recipe(self, specimens: int, idle: int, touched: int, seed: int) -> str:
         untouched = f'[[scenes]]\nstate = "idle"\ncount = {idle}\n\n' if idle else ""
+        board = f'[instrument]\nboard = "{RIG}"\n\n' if self.instrument else ""
         return (
             f'name = "{self.name}"\nseed = {seed}\nsensor = "{DESIGN}"\n'
             f'protocol = "{self.protocol}"\nresolution = "coarse"\nframes_per_shard = 100\n\n'
-            f"[specimens]\ncount = {specimens}\n{self.spread}\n\n{untouched}"
+            f"{board}[specimens]\ncount = {specimens}\n{self.spread}\n\n{untouched}"
             f'[[scenes]]\nstate = "touch"\ncount = {touched}\nforce = [{FORCES[0]}, {FORCES[1]}]\n'
         )
 
@@ -108,5 +115,21 @@ CASES = (
         _rectangle('{ rows = 2, columns = 4, size = 0.006, on = "bottom" }'),
         press=(0.050, 0.020),
         spread=PLACED,
+    ),
+    ChainCase(
+        "L-shaped, 12 electrodes, adjacent",
+        "thickness = 0.005\noutline = { points = [\n    [0.0, 0.0], [0.100, 0.0], [0.100, 0.045], "
+        "[0.045, 0.045], [0.045, 0.100], [0.0, 0.100],\n] }\n"
+        "electrodes = { count = 12, width = 0.004, start = 0.0125 }\n",
+        press=(0.025, 0.060),
+        protocol="adjacent",
+    ),
+    ChainCase(
+        "rectangle, no ideal meter, opposite",
+        _rectangle("{ count = 8, start = 0.0225 }"),
+        press=(0.050, 0.020),
+        protocol="opposite",
+        instrument="snr_db = 70.0\n\n[meter]\nsink = 2e-4\nidle = 2e-5\n"
+        'common_mode = -0.02\nscale = 12.0\nreads = "magnitude"\n',
     ),
 )
