@@ -101,8 +101,8 @@ class CheckedFrames:
         """Ratio of good channels to their expected values.
 
         The lowest fifth of the ratios tells a wrong scale from bad contacts: it stays good with
-        four of eight electrodes open. With all of them open, every channel is capacitive: 1. Of
-        four terminals, where a bad contact does not show, the median does.
+        four of eight electrodes open. With all of them open, every channel is capacitive: 1.
+        With four terminals, where a bad contact does not show, it is the median.
         """
         judged = self.finite.any(axis=0) & ~self._reported_open
         if not judged.any():

@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 from eitskin.config import parse_toml
 from eitskin.datasets import Recipe, State, generate, open_dataset
 from eitskin.datasets.generation import process_pool as processes
-from eitskin.datasets.generation.shard_simulation import simulate_frames, simulate_shard
+from eitskin.datasets.generation.shard_simulation import simulate_shard
 from eitskin.datasets.recipe.frame_sampling import sample, specimen
 from eitskin.datasets.recipe.recipe import with_seed
 from eitskin.datasets.recipe.scene_group import SceneGroup
@@ -25,7 +25,7 @@ from eitskin.datasets.store import worker_processes
 from eitskin.datasets.store.shard import shard_name
 from eitskin.errors import ConfigurationError, PartialError
 from eitskin.geometry import Bend, Plates
-from eitskin.simulator import FourTerminalMeter, Instrument, Protocol, Scene, Simulator
+from eitskin.simulator import Instrument, Scene, Simulator
 
 from killed_writers import killed_in_pool, was_killed
 from shards_here import contents, in_this_process, made_here
@@ -64,48 +64,6 @@ def test_two_workers_make_the_same_bytes_and_report_every_shard(whole, tmp_path)
     assert sorted(reports) == reports
     assert reports[-1] == (14, 14)
     assert contents(tmp_path / "set") == contents(whole)
-
-
-def test_frames_of_a_board_that_is_no_ideal_meter_are_its_readings():
-    meter = FourTerminalMeter(sink=2e-3, idle=1e-3, scale=-4.0, step=0.25, reads="magnitude")
-    recipe = Recipe(
-        "loaded",
-        resolution="coarse",
-        protocol=Protocol.opposite(8),
-        instrument=Instrument(snr_db=0.0, meter=meter),
-        scenes=(SceneGroup("idle", count=1),),
-    )
-    data = simulate_frames(recipe, [0])
-    made = specimen(recipe, 0)
-    Z = Simulator(made.design, "coarse", made.fixture).model.impedance()
-    read, _ = meter.reading(meter.transfer_impedance(Z, recipe.protocol))
-    assert data.impedance[0] == pytest.approx(read, abs=0.26)  # a step of rounding
-    assert data.reference[0] == pytest.approx(data.impedance[0])
-    assert data.quantity == "magnitude"
-    assert parse_toml(Recipe, data.recipe).instrument == recipe.instrument
-    leaking = Instrument(meter=FourTerminalMeter(leaks=(1e-6,)))
-    with pytest.raises(ConfigurationError, match=r"instrument: leaks.*8 electrodes, got 1"):
-        dataclasses.replace(recipe, instrument=leaking)
-
-
-def test_frames_of_the_ad5940_may_be_of_neighbours():
-    """Its current is that of the drive pair, which no measurement of the protocol senses."""
-    board = dataclasses.replace(Instrument.ad5940(), snr_db=0.0, floor=0.0, drift=0.0)
-    recipe = Recipe(
-        "adjacent",
-        resolution="coarse",
-        protocol=Protocol.adjacent(8),
-        instrument=board,
-        scenes=(SceneGroup("idle", count=1),),
-    )
-    data = simulate_frames(recipe, [0])
-    made = specimen(recipe, 0)
-    Z = Simulator(made.design, "coarse", made.fixture).model.impedance()
-    ideal = recipe.protocol.measure(Z)
-    assert data.impedance[0].real == pytest.approx(ideal, rel=0.02)
-    assert (np.abs(data.impedance[0].imag) > 1e-4 * np.abs(ideal)).all()  # of stray capacitance
-    assert data.reference[0] == pytest.approx(data.impedance[0])
-    assert not data.status.any()
 
 
 def test_dataset_holds_what_the_recipe_says(whole):
@@ -382,29 +340,3 @@ def test_an_interrupt_does_not_wait_for_a_scene_that_takes_minutes(tmp_path, mon
     with pytest.raises(KeyboardInterrupt):
         processes.make_shards(RECIPE, tmp_path, [0, 1], 1, interrupt)
     assert time.perf_counter() - start < 30.0
-
-
-def test_frames_are_measured_by_the_protocol_of_the_recipe():
-    plain = Recipe(
-        "own",
-        scenes=(SceneGroup("idle", count=1),),
-        resolution="coarse",
-        instrument=Instrument(0.0),
-    )
-    adjacent = dataclasses.replace(plain, protocol=Protocol.adjacent(8))
-    pairs, found = simulate_shard(plain, 0), simulate_shard(adjacent, 0)
-    assert found.protocol == Protocol.adjacent(8)
-    assert found.reference.shape == found.impedance.shape == (1, 40)
-    z = dict(zip(((a, b) for a, b, *_ in pairs.protocol.table), pairs.impedance[0], strict=True))
-    # Impedance of pairs, z_ab = Z_aa + Z_bb - 2 Z_ab; four terminals by superposition.
-    expected = [
-        (
-            z[min(a, d), max(a, d)]
-            + z[min(b, c), max(b, c)]
-            - z[min(a, c), max(a, c)]
-            - z[min(b, d), max(b, d)]
-        )
-        / 2.0
-        for a, b, c, d in found.protocol.table
-    ]
-    assert found.impedance[0] == pytest.approx(expected, abs=1e-3)  # single precision
