@@ -111,8 +111,8 @@ CASES = (
         spread=PLACED,
     ),
     ChainCase(
-        "rectangle, pads below",
-        _rectangle('{ rows = 2, columns = 4, size = 0.006, on = "bottom" }'),
+        "rectangle, pads on top",
+        _rectangle('{ rows = 2, columns = 4, size = 0.006, on = "top" }'),
         press=(0.050, 0.020),
         spread=PLACED,
     ),
