@@ -58,10 +58,11 @@ def unsteady(checked: CheckedFrames, rest: Bools) -> Iterator[Finding]:
     relative = noise / np.maximum(value, SHORT * checked.expected)
     usual = float(np.median(noise[rest]))
     # White noise is that of the largest values, and far above many of those between neighbours.
-    if (whole := usual / float(np.sqrt(np.mean(value[rest] ** 2)))) > NOISY_BOARD:
+    size = float(np.sqrt(np.mean(value[rest] ** 2)))
+    if usual > NOISY_BOARD * size:
         text = (
-            f"all values scatter by {100 * whole:.1f} % from frame to frame: check ground, shield "
-            "and supply of the board, and that nothing moves"
+            f"all values scatter by {100 * usual / size:.1f} % from frame to frame: check ground, "
+            "shield and supply of the board, and that nothing moves"
         )
         yield Finding(FindingKind.NOISY, (), channel_numbers(rest), text)
     elif (noisy := rest & (noise > NOISY * usual) & (relative > NOISE)).any():

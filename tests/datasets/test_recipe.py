@@ -14,7 +14,7 @@ from eitskin.datasets.recipe.shipped_recipes import shipped_names
 from eitskin.datasets.recipe.specimen import Specimens
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Electrode, Free, Hinge, Plates, SensorDesign, Surface
-from eitskin.simulator import Instrument, Mechanics, Protocol
+from eitskin.simulator import FourTerminalMeter, Instrument, Mechanics, Protocol
 from eitskin.simulator.mechanics.materials import Ogden
 
 IDLE = SceneGroup("idle", count=30)
@@ -236,12 +236,13 @@ def test_the_protocol_of_a_recipe_fits_its_sensor(tmp_path):
 
 
 def test_an_instrument_that_cannot_measure_the_protocol_is_refused_before_the_work():
-    with pytest.raises(ConfigurationError, match="instrument: measurement 0-1/2-3 drives 0-1"):
+    leaks = FourTerminalMeter(leaks=(1e-6, 1e-6))
+    with pytest.raises(ConfigurationError, match="instrument: leaks"):
         Recipe(
             "board",
             scenes=(IDLE,),
             protocol=Protocol.adjacent(8),
-            instrument=Instrument.ad5940(),
+            instrument=Instrument(meter=leaks),
         )
 
 

@@ -37,6 +37,8 @@ class Estimate:
 class FakePipeline:
     """Gives one estimate for every frame; may be slow, or be interrupted."""
 
+    stored, flat_sensors = None, "known"
+
     def __init__(self, estimate=None, interrupt_at=None):
         self.estimate, self.interrupt_at = estimate or Estimate(), interrupt_at
         self.seen = []
@@ -67,7 +69,7 @@ def frame(number=0, **changes):
 
 def run_command(monkeypatch, pipeline, *arguments):
     """Run `eitskin live` with the given pipeline in place of a trained one."""
-    monkeypatch.setattr(Pipeline, "load", lambda _: pipeline)
+    monkeypatch.setattr(Pipeline, "load", lambda *_: pipeline)
     monkeypatch.setattr(
         "eitskin.hardware.virtual.virtual_board.Simulator", lambda *_, **__: FakeSimulator()
     )
