@@ -84,7 +84,7 @@ def test_flat_numbers_on_a_board_with_loads_are_found_within_their_standard_erro
     assert np.abs(off).max() < 4.0
     shown = {str(each): n for each, n in zip(twin.parameters, twin.narrowing, strict=True)}
     assert shown["contact_impedance[1]"] < 0.05
-    assert shown["electrode_place[1]"] < 0.3
+    assert shown["electrode_place[1]"] < 0.5
     assert twin.agreements["flat"].residual < 1e-3
     assert set(twin.agreements) == {"flat"}
 
