@@ -19,13 +19,13 @@ from eitskin.cli.commands import (
     instrument,
     live,
     mesh,
-    reconstruct,
     simulate,
     tare,
     train,
     twin,
 )
 from eitskin.cli.commands.bench import group as bench
+from eitskin.cli.commands.reconstruct import command as reconstruct
 from eitskin.cli.demo import command as demo
 from eitskin.errors import EitskinError
 

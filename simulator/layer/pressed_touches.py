@@ -26,18 +26,18 @@ from eitskin.simulator.presses.correction_store import (
     pair_corrections,
     tabulable,
 )
-from eitskin.simulator.presses.edge_field import re_entrant_distance
+from eitskin.simulator.presses.fields.edge_field import re_entrant_distance
+from eitskin.simulator.presses.fields.smooth_field import SmoothField
+from eitskin.simulator.presses.fields.spline_field import spline_sum
+from eitskin.simulator.presses.fields.turned_field import TurnedField
 from eitskin.simulator.presses.press_store import press_table
-from eitskin.simulator.presses.smooth_field import SmoothField
 from eitskin.simulator.presses.solved_press import (
     Press,
     SolvedField,
     contact_frame,
     solved_presses,
 )
-from eitskin.simulator.presses.spline_field import spline_sum
 from eitskin.simulator.presses.tabulated_dent import TabulatedDent
-from eitskin.simulator.presses.turned_field import TurnedField
 from eitskin.simulator.scene.touch import Touch
 
 Array = NDArray[np.float64]

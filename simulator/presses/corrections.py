@@ -8,13 +8,13 @@ from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.outline import Polygon, Rectangle
 from eitskin.simulator.presses.correction_table import SAME, CorrectionTable, StripTable
 from eitskin.simulator.presses.disc_table import DiscTable
-from eitskin.simulator.presses.edge_field import EdgeField, sides_of
 from eitskin.simulator.presses.edge_table import EdgeTable
+from eitskin.simulator.presses.fields.edge_field import EdgeField, sides_of
+from eitskin.simulator.presses.fields.smooth_field import SmoothField, together
+from eitskin.simulator.presses.fields.spline_field import SplineField
+from eitskin.simulator.presses.fields.turned_field import TurnedField
 from eitskin.simulator.presses.pair_sides import PairSides
 from eitskin.simulator.presses.pair_table import PairTable, Place
-from eitskin.simulator.presses.smooth_field import SmoothField, together
-from eitskin.simulator.presses.spline_field import SplineField
-from eitskin.simulator.presses.turned_field import TurnedField
 
 _BEYOND = 0.02  # of the deepest solved press, by which another may be deeper
 

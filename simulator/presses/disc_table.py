@@ -24,11 +24,11 @@ from eitskin.simulator.presses.correction_table import (
     rising_corrections,
     weights_over_depth,
 )
+from eitskin.simulator.presses.fields.spline_field import SplineField
+from eitskin.simulator.presses.fields.turned_field import TurnedField
 from eitskin.simulator.presses.finite_stack import Correction
-from eitskin.simulator.presses.processes import processes
-from eitskin.simulator.presses.spline_field import SplineField
+from eitskin.simulator.presses.processes import solved_places
 from eitskin.simulator.presses.stack_mesh import Contact, Fineness, stack_mesh
-from eitskin.simulator.presses.turned_field import TurnedField
 from eitskin.simulator.scene.indenters import Indenter
 
 Array = NDArray[np.float64]
@@ -124,13 +124,7 @@ def solve_disc(
         )
     dents = tuple(dents_to(stack, indenter, [part * H for part in DEPTHS]))
     setting = _Setting(outline, stack, mechanics, support, indenter, dents)
-    fields, sunk = [], []
-    with processes(workers) as run:
-        for coefficients, below in run(setting.solved, aside.tolist()):
-            fields.append(coefficients)
-            sunk.append(below)
-            if report:
-                report(len(fields), len(aside))
+    fields, sunk = solved_places(setting.solved, aside.tolist(), report, workers)
     return DiscTable(
         thickness=np.array(H),
         radius=np.array(outline.radius),
@@ -138,8 +132,8 @@ def solve_disc(
         aside=aside,
         depths=np.array([0.0, *(dent.depth for dent in dents)]),
         nodes=setting.nodes,
-        fields=np.array(fields),
-        sunk=np.array(sunk),
+        fields=fields,
+        sunk=sunk,
     )
 
 

@@ -20,9 +20,9 @@ from eitskin.simulator.presses.correction_table import (
     rising_corrections,
     weights_over_depth,
 )
+from eitskin.simulator.presses.fields.spline_field import SplineField
 from eitskin.simulator.presses.finite_stack import Correction
-from eitskin.simulator.presses.processes import processes
-from eitskin.simulator.presses.spline_field import SplineField
+from eitskin.simulator.presses.processes import solved_places
 from eitskin.simulator.presses.stack_mesh import Contact, Fineness, stack_mesh
 from eitskin.simulator.scene.indenters import Indenter
 
@@ -130,13 +130,7 @@ def solve_edge(
     dents = dents_to(stack, indenter, [part * H for part in DEPTHS])
     setting = _Setting(stack, mechanics, support, indenter, tuple(dents))
     aside = least_distance(stack, mechanics, indenter) + H * np.array(_ASIDE)
-    fields, sunk = [], []
-    with processes(workers) as run:
-        for coefficients, below in run(setting.solved, aside.tolist()):
-            fields.append(coefficients)
-            sunk.append(below)
-            if report:
-                report(len(fields), len(aside))
+    fields, sunk = solved_places(setting.solved, aside.tolist(), report, workers)
     along, inward = setting.nodes
     return EdgeTable(
         thickness=np.array(H),
@@ -146,8 +140,8 @@ def solve_edge(
         along=along,
         inward=inward,
         middle=np.array(setting.middle),
-        fields=np.array(fields),
-        sunk=np.array(sunk),
+        fields=fields,
+        sunk=sunk,
     )
 
 

@@ -17,11 +17,11 @@ from eitskin.simulator.presses.correction_table import (
     dents_to,
 )
 from eitskin.simulator.presses.dent_field import DentField
+from eitskin.simulator.presses.fields.spline_field import SplineField
+from eitskin.simulator.presses.fields.turned_field import TurnedField
 from eitskin.simulator.presses.finite_stack import Correction, FiniteStack
 from eitskin.simulator.presses.processes import processes
-from eitskin.simulator.presses.spline_field import SplineField
 from eitskin.simulator.presses.stack_mesh import Contact, Fineness, stack_mesh
-from eitskin.simulator.presses.turned_field import TurnedField
 from eitskin.simulator.scene.indenters import Indenter
 
 Array = NDArray[np.float64]

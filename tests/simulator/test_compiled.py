@@ -11,8 +11,8 @@ from eitskin.geometry.deformation import kinematics
 from eitskin.geometry.deformation.kinematics import Composed, Displaced
 from eitskin.geometry.meshing.grading import Grading
 from eitskin.simulator import Scene, Simulator, Touch
-from eitskin.simulator.presses.smooth_field import Box, SmoothField
-from eitskin.simulator.presses.spline_field import spline_sum
+from eitskin.simulator.presses.fields.smooth_field import Box, SmoothField
+from eitskin.simulator.presses.fields.spline_field import spline_sum
 
 KERNELS = "eitskin.geometry.deformation.tensor_kernels"
 if compiled.loaded(KERNELS) is None:

@@ -16,8 +16,8 @@ from eitskin.simulator.layer.pressed_touches import pressed_touches
 from eitskin.simulator.presses import correction_store as store
 from eitskin.simulator.presses import edge_table
 from eitskin.simulator.presses.corrections import SideCorrections
-from eitskin.simulator.presses.edge_field import re_entrant_distance, sides_of
 from eitskin.simulator.presses.edge_table import EdgeTable, solve_edge
+from eitskin.simulator.presses.fields.edge_field import re_entrant_distance, sides_of
 
 HEIGHT, THICKNESS, DEPTH = 0.005, 0.012, 0.002
 MECHANICS, PUNCH = Mechanics(), Cylinder()

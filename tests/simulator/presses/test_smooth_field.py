@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from eitskin.simulator.presses.smooth_field import Box, SmoothField, together
+from eitskin.simulator.presses.fields.smooth_field import Box, SmoothField, together
 
 BOX = Box((-0.01, 0.0, 0.001), (0.05, 0.03, 0.004))
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from eitskin.simulator.mechanics.cubic_splines import CubicSplines
-from eitskin.simulator.presses.spline_field import SplineField
-from eitskin.simulator.presses.turned_field import TurnedField
+from eitskin.simulator.presses.fields.spline_field import SplineField
+from eitskin.simulator.presses.fields.turned_field import TurnedField
 
 HEIGHT = 0.004
 NODES = (0.03 * np.array([-1.0, -0.4, -0.1, 0.05, 0.3, 1.0]), 0.02 * np.linspace(-1.0, 1.0, 5) ** 3)

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from eitskin.cli.commands.reconstruct_sources import PicturedFrames
+    from eitskin.cli.commands.reconstruct.sources import PicturedFrames
     from eitskin.training.reconstruction.reconstructor import Reconstructor
 
 

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.geometry.design.outline import Polygon, Rectangle
-from eitskin.simulator.presses.spline_field import SplineField
-from eitskin.simulator.presses.turned_field import TurnedField
+from eitskin.simulator.presses.fields.spline_field import SplineField
+from eitskin.simulator.presses.fields.turned_field import TurnedField
 
 Array = NDArray[np.float64]
 

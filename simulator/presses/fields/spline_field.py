@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from eitskin.compiled import compiled
 from eitskin.simulator.mechanics.cubic_splines import CubicSplines, cubic_splines, in_plane
-from eitskin.simulator.presses.smooth_field import Box, SmoothField
+from eitskin.simulator.presses.fields.smooth_field import Box, SmoothField
 
 Array = NDArray[np.float64]
 
@@ -99,7 +99,7 @@ class SplineField:
             half: half the length and width beyond which the field is left out [m].
             columns: of points (n, h, 3) [m].
         """
-        kernels = compiled("eitskin.simulator.presses.spline_field_kernels")
+        kernels = compiled("eitskin.simulator.presses.fields.spline_field_kernels")
         nx, ny, nz, _ = self.coefficients.shape
         even = bool((columns[..., 2] == columns[:1, :, 2]).all())
         if kernels is None or not even or nz > _UPRIGHT:

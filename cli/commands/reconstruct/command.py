@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Annotated, cast, get_args
 import typer
 
 from eitskin.cli.commands.live import LiveSession, PagePort, ShowPage, seeded
-from eitskin.cli.commands.reconstruct_output import (
+from eitskin.cli.commands.reconstruct.output import (
     as_data,
     as_table,
     require_out,
     write_pictures,
 )
-from eitskin.cli.commands.reconstruct_sources import SCHEMES, pictured_frames
+from eitskin.cli.commands.reconstruct.sources import SCHEMES, pictured_frames
 from eitskin.cli.options import (
     Json,
     MeasuredPairs,

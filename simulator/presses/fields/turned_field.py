@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.simulator.presses.spline_field import SplineField
+from eitskin.simulator.presses.fields.spline_field import SplineField
 
 Array = NDArray[np.float64]
 

@@ -1,0 +1,1 @@
+"""Displacement fields of corrections: splines on boxes, turned, mirrored and added."""
