@@ -17,6 +17,8 @@ from eitskin.training.evaluation.evaluate import (
 )
 from eitskin.training.method.input_spec import InputSpec as InputSpec
 from eitskin.training.method.interface import Method as Method
+from eitskin.training.method.known_frames import FrameLabel as FrameLabel
+from eitskin.training.method.known_frames import TouchLabel as TouchLabel
 from eitskin.training.method.observations import Observations as Observations
 from eitskin.training.method.predictions import (
     FoundTouches as FoundTouches,

@@ -112,7 +112,7 @@ def calibrated_scores(
 
     None for a method that cannot be calibrated.
     """
-    if not (pipeline.targets.angle and pipeline.method.calibrates):
+    if not (pipeline.targets.angle and pipeline.method.adapts):
         return {}
     bending, touch = sets["bending"], sets["touch"]
     alone = bending.select(~in_episode(bending) & (bending.state == State.BEND))

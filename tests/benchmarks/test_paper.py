@@ -25,7 +25,7 @@ from eitskin.geometry import Bend, SensorDesign
 from eitskin.simulator import Protocol, Scene, Simulator, Touch
 from eitskin.training import FoundTouches, Pipeline, Predictions, TrainingSettings
 from eitskin.training.evaluation.cramer_rao import scene_derivatives
-from eitskin.training.method.calibration import Calibration
+from eitskin.training.method.calibration import Adaptation, Calibration
 from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.interface import Method
 from eitskin.training.method.observations import Observations
@@ -120,9 +120,11 @@ class Known(Method):
 
     def adapted(self, known):
         """Right to a tenth of what it was."""
-        np.testing.assert_allclose(known.angle_deg, KNOWN_DEG)
+        np.testing.assert_allclose(known.angle_deg[known.bent], KNOWN_DEG)
         better = dataclasses.replace(self, angle_deg=self.angle_deg / 10)
-        return better, Calibration(KNOWN_DEG, (1.0,) * 5, (0.1,) * 5, 0.1)
+        return better, Adaptation(
+            1, 5, calibration=Calibration(KNOWN_DEG, (1,) * 5, (0.1,) * 5, 0.1)
+        )
 
 
 class WithoutAngle(Known):

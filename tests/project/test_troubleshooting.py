@@ -36,7 +36,7 @@ from eitskin.hardware.boards.port import remedy
 from eitskin.simulator import ForwardModel, Frame, Protocol, Scene
 from eitskin.training import Pipeline, StoredReference
 from eitskin.training.evaluation.evaluate import require_on_sheet
-from eitskin.training.method.calibration import Calibration, KnownBends
+from eitskin.training.method.calibration import Calibration
 from eitskin.training.pipeline.methods import method_class
 from eitskin.training.pipeline.saved_form import SHIPPED, SUMS, read_pipeline
 
@@ -161,9 +161,7 @@ def another_sensor(_):
 
 
 def calibrates_without_bending(_):
-    flat = np.full(28, 500.0)
-    known = KnownBends(flat, 1, np.array([20.0]), np.zeros((1, 28)), np.zeros(1))
-    Calibration((20.0,), (1.0,), (1.0,), residual_deg=20.0).require_fit(known)
+    Calibration((20.0,), (1.0,), (1.0,), residual_deg=20.0).require_fit(np.array([20.0]))
 
 
 def bent_reference(_):

@@ -8,14 +8,10 @@ from typing import Protocol as Interface
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.errors import ConfigurationError
 from eitskin.protocol import Protocol
 from eitskin.simulator.instrument.drift import DRIFT_TIME
-from eitskin.training.joint.angle_estimate import (
-    AngleEstimate,
-    angle_standard_error,
-    estimate_angle,
-)
+from eitskin.training.joint.adaptation import adapted_curve, calibration_of
+from eitskin.training.joint.angle_estimate import AngleEstimate
 from eitskin.training.joint.bend_curve import BendCurve, BendCurvePrior
 from eitskin.training.joint.channel_faults import possible_faults
 from eitskin.training.joint.combinations import Combinations, CombinedChange, log_change
@@ -33,11 +29,12 @@ from eitskin.training.joint.specimen_model import CandidateRows, SpecimenModel
 from eitskin.training.joint.touch_map import disc_map
 from eitskin.training.joint.touch_response import TouchResponse
 from eitskin.training.joint.training import fit_joint
-from eitskin.training.method.calibration import Calibration, KnownBends
+from eitskin.training.method.calibration import Adaptation
 from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.interface import Method
+from eitskin.training.method.known_frames import KnownFrames
 from eitskin.training.method.learning_curve import LearningCurve
-from eitskin.training.method.observations import UNKNOWN_AGE, Observations
+from eitskin.training.method.observations import Observations
 from eitskin.training.method.predictions import FoundTouches, Predictions
 from eitskin.training.method.settings import Progress, TrainingSettings
 from eitskin.training.method.targets import Targets
@@ -281,47 +278,21 @@ class JointMethod(Method):
             )
         return self._specimens[key]
 
-    def adapted(self, known: KnownBends) -> "tuple[JointMethod, Calibration]":
-        """The method calibrated to one sensor: its bend curve given known angles, by Bayes' rule.
+    def adapted(self, known: KnownFrames) -> "tuple[JointMethod, Adaptation]":
+        """The method adapted to one sensor by known frames, from what was learned in training.
 
-        The posterior is that of the sensor's random effects, whose prior was learned from the
-        training specimens; hinge, layers and contacts act on it together. The known angles are
-        taken to be exact.
+        An adaptation before has no effect.
         """
-        if not self.bend_prior.bends:
-            raise ConfigurationError("expected a method with bend curves, got one without")
-        p = self.features.apply(known.flat)
-        prior = self.bend_prior.of(p)
-        # A measurement that is bad at one angle is left out of all: they share the flat frames.
-        good: NDArray[np.bool_] = np.asarray(np.isfinite(known.change).all(axis=0))
-        seen = np.where(good, known.change, np.nan)
-        change = np.array([self._combined(each, 1.0, 0.0).change for each in seen])
-        together = np.eye(len(change)) + 1.0 / known.flat_frames
-        walk = np.minimum(known.age[:, None], known.age) / DRIFT_TIME * self.drift**2
-        drift, own = self.combinations.drift, self.combinations.without(good)[1]
-        noise = np.einsum("ij,kl->ikjl", together, own)
-        noise += np.einsum("ij,k,l->ikjl", walk, drift, drift)
-        curve = prior.conditioned(known.angle_deg, change, noise.reshape(change.size, -1))
-        adapted = replace(self, calibrated=curve, calibrated_flat=known.flat)
-        share = 1.0 + 1.0 / known.flat_frames
-        changes = [
-            self._combined(each, share, age)
-            for each, age in zip(known.change, known.age, strict=True)
-        ]
-        residuals = [
-            estimate_angle(curve, combined.change, combined.noise)[0] - angle
-            for combined, angle in zip(changes, known.angle_deg, strict=True)
-        ]
-        low, high = self.bend_prior.angle_deg
-        angles = tuple(float(angle) for angle in np.linspace(low, high, 8))
-        nothing = np.zeros(len(self.combinations.noise))
-        noise = self._combined(nothing, share, UNKNOWN_AGE).noise
-        errors = [
-            tuple(angle_standard_error(each, angle, noise) for angle in angles)
-            for each in (prior, curve)
-        ]
-        rms = float(np.sqrt(np.mean(np.square(residuals))))
-        return adapted, Calibration(angles, errors[0], errors[1], rms)
+        bent = known[known.bent] if self.bend_prior.bends else known[:0]
+        used = int(known.flat.sum()) + len(bent)
+        told = Adaptation(int(known.flat.sum()), len(bent), left_out=len(known) - used)
+        flat = known.observations.flat[0]
+        if not len(bent):
+            return replace(self, calibrated=None, calibrated_flat=flat), told
+        prior = self.bend_prior.of(self.features.apply(flat))
+        curve = adapted_curve(prior, bent, self.combinations, self.drift)
+        told = replace(told, calibration=calibration_of(prior, curve, bent, self._combined))
+        return replace(self, calibrated=curve, calibrated_flat=flat), told
 
     def outputs(self, observations: Observations) -> Arrays:
         """Arrays of predictions for n frames, by which a saved copy is checked."""
@@ -394,6 +365,6 @@ class JointMethod(Method):
             spec.protocol,
             {name: LearningCurve.from_arrays(part(name)) for name in NETWORKS},
             BendCurve.from_arrays(calibrated) if calibrated else None,
-            arrays["calibrated_flat"].astype(float) if calibrated else None,
+            arrays["calibrated_flat"].astype(float) if "calibrated_flat" in arrays else None,
             bool(arrays.get("forces", True)),
         )

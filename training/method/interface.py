@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.errors import ConfigurationError
-from eitskin.training.method.calibration import Calibration, KnownBends
+from eitskin.training.method.calibration import Adaptation
 from eitskin.training.method.input_spec import InputSpec
+from eitskin.training.method.known_frames import KnownFrames
 from eitskin.training.method.learning_curve import LearningCurve
 from eitskin.training.method.observations import Observations
 from eitskin.training.method.predictions import Predictions
@@ -92,17 +93,17 @@ class Method(ABC):
         """
 
     @property
-    def calibrates(self) -> bool:
+    def adapts(self) -> bool:
         """Whether the method defines `adapted`."""
         return type(self).adapted is not Method.adapted
 
-    def adapted(self, known: KnownBends) -> "tuple[Method, Calibration]":  # noqa: ARG002
-        """The method calibrated to one sensor, and the errors before and after.
+    def adapted(self, known: KnownFrames) -> "tuple[Method, Adaptation]":  # noqa: ARG002
+        """The method adapted to one sensor by known frames, and what they changed.
 
-        Raises ConfigurationError for a method that cannot be calibrated, which is the default.
+        Raises ConfigurationError for a method that cannot be adapted, which is the default.
         """
         raise ConfigurationError(
-            f"expected a method that can be calibrated, got '{self.KIND}', which has no `adapted`; "
+            f"expected a method that can be adapted, got '{self.KIND}', which has no `adapted`; "
             "use the pipeline as it is, or train the joint or the paper's method"
         )
 

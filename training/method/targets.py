@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.state import UNKNOWN_STATE, State
 from eitskin.errors import DataError
-from eitskin.training.method.calibration import FLAT_DEG
+from eitskin.training.method.known_frames import FLAT_DEG
 
 NOMINAL_RADIUS = 0.0075  # m, of indenters whose radius no frame tells; the paper's cylinder
 

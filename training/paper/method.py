@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.state import UNKNOWN_STATE, State
 from eitskin.datasets.store.touch_map import touch_maps
-from eitskin.errors import ConfigurationError
-from eitskin.training.method.calibration import Calibration, KnownBends
+from eitskin.training.method.calibration import Adaptation, Calibration
 from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.interface import Method
+from eitskin.training.method.known_frames import KnownFrames
 from eitskin.training.method.learning_curve import LearningCurve
 from eitskin.training.method.missing_channels import MissingChannels
 from eitskin.training.method.observations import Observations, channel_noise
@@ -174,23 +174,28 @@ class PaperMethod(Method):
         networks = {"state classifier": self.classifier, "touch map": self.postprocessor}
         return {name: network.history for name, network in networks.items() if network}
 
-    def adapted(self, known: KnownBends) -> "tuple[PaperMethod, Calibration]":
+    def adapted(self, known: KnownFrames) -> "tuple[PaperMethod, Adaptation]":
         """The method for one sensor: angles times the least-squares factor to the known angles.
 
         The paper has no calibration; a factor is what a regression through zero can learn from a
-        few angles. The stated errors are the root mean squares over the calibration frames.
+        few angles. The stated errors are the root mean squares over the frames at known angles.
         """
-        if self.bend_angle is None:
-            raise ConfigurationError("expected a method with a bend angle, got one without")
-        flat_dV = np.expm1(self.missing_static.fill(known.change))
-        estimated = self.bend_angle.apply(flat_dV)
-        factor = float(estimated @ known.angle_deg) / float(estimated @ estimated)
-        before = float(np.sqrt(np.mean((estimated - known.angle_deg) ** 2)))
-        after = float(np.sqrt(np.mean((factor * estimated - known.angle_deg) ** 2)))
-        angles = tuple(float(angle) for angle in known.angle_deg)
-        count = len(angles)
+        bent = known[known.bent] if self.bend_angle is not None else known[:0]
+        flat = int(known.flat.sum())
+        told = Adaptation(flat, len(bent), left_out=len(known) - flat - len(bent))
+        if self.bend_angle is None or not len(bent):
+            return self, told
+        angle_deg = bent.angle_deg
+        estimated = self.bend_angle.apply(self.missing_static.fill(bent.observations.static))
+        factor = float(estimated @ angle_deg) / float(estimated @ estimated)
+        before = float(np.sqrt(np.mean((estimated - angle_deg) ** 2)))
+        after = float(np.sqrt(np.mean((factor * estimated - angle_deg) ** 2)))
+        count = len(angle_deg)
+        calibration = Calibration(
+            tuple(angle_deg.tolist()), (before,) * count, (after,) * count, after
+        )
         adapted = dataclasses.replace(self, bend_angle=self.bend_angle.times(factor))
-        return adapted, Calibration(angles, (before,) * count, (after,) * count, after)
+        return adapted, dataclasses.replace(told, calibration=calibration)
 
     def reconstructions(
         self, observations: Observations

@@ -14,19 +14,15 @@ from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.state import State
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.frame import Frame
-from eitskin.training.method.calibration import Calibration, KnownBends
+from eitskin.training.method.calibration import Adaptation, Calibration
 from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.interface import Method
+from eitskin.training.method.known_frames import FrameLabel, KnownFrames
 from eitskin.training.method.observations import Observations, fingerprint
 from eitskin.training.method.predictions import Predictions
 from eitskin.training.method.settings import Progress, TrainingSettings, silent
-from eitskin.training.method.targets import (
-    Targets,
-    require_targets,
-    with_implied_labels,
-    with_usual_radius,
-)
-from eitskin.training.method.training_frames import TrainingFrames
+from eitskin.training.method.targets import Targets, with_implied_labels
+from eitskin.training.method.training_frames import TrainingFrames, learnable
 from eitskin.training.pipeline.estimate import Estimate
 from eitskin.training.pipeline.flat_sensors import FlatSensors
 from eitskin.training.pipeline.methods import method_class
@@ -64,7 +60,7 @@ class Pipeline:
             of version 0.1 do not count specimens.
         examples: a few training frames, by which a saved pipeline is checked.
         metrics: results of evaluations, as whoever evaluates writes them here.
-        calibration: result of `calibrate`, as `Calibration.as_dict` gives it; empty before.
+        adaptation: result of `adapt`, as `Adaptation.as_dict` gives it; empty before.
         flat_sensors: distribution of flat, untouched sensors, by which a session's start is judged;
             None where training had too few specimens.
     """
@@ -76,7 +72,7 @@ class Pipeline:
     trained_on: Mapping[str, Any]
     examples: Observations
     metrics: dict[str, Any] = field(default_factory=dict)
-    calibration: dict[str, Any] = field(default_factory=dict)
+    adaptation: dict[str, Any] = field(default_factory=dict)
     flat_sensors: FlatSensors | None = None
     _session: Session = field(init=False, repr=False)
 
@@ -113,18 +109,7 @@ class Pipeline:
         settings = settings or TrainingSettings()
         if method is not None:
             settings = replace(settings, method=method.KIND)
-        if dataset.design is None or dataset.protocol is None:
-            raise DataError(
-                "expected a dataset that names its sensor's design and table of measurements, got "
-                "one without; learn touch positions from it, or save it with a design"
-            )
-        design, protocol = dataset.design, dataset.protocol
-        dataset = with_usual_radius(with_implied_labels(dataset))
-        if require_targets(dataset).positions_only:
-            raise DataError(
-                "expected untouched frames beside the touched ones, got positions of touches alone;"
-                " learn these with RecordedTouches.fit, as eitskin train does"
-            )
+        dataset, design, protocol = learnable(dataset)
         seen, unseen, _ = settings.split(dataset)
         train, validation = dataset.select(seen), dataset.select(unseen)
         layout = InputSpec.of(train, design, protocol)
@@ -162,11 +147,36 @@ class Pipeline:
             return self.settings.split(with_implied_labels(dataset))[2]
         return np.arange(len(dataset))
 
-    def calibrate(self, frames: Sequence[Frame], angles_deg: ArrayLike) -> Calibration:
-        """Calibration to one sensor by untouched frames at known bend angles.
+    def adapt(
+        self, frames: Sequence[Frame] | Dataset, labels: Sequence[FrameLabel] | None = None
+    ) -> Adaptation:
+        """Adaptation to one sensor by frames of which it is known what they show.
 
-        Five angles over the range suffice; several frames at each reduce the error. The session
-        begins anew. Calibrate the pipeline as trained, not one that was calibrated before.
+        Each label tells what is known of its frame: a bend angle, touches with or without forces.
+        The session begins anew. An adaptation replaces the one before: give all frames at once.
+
+        Args:
+            frames: n frames of one session, those of the flat, untouched sensor among them; or a
+                dataset of one specimen, with its labels and references.
+            labels: one for each frame; those of a dataset are its own.
+
+        Raises:
+            ConfigurationError, DataError, FrameError: for frames or labels that cannot be of one
+                sensor, or a method that does not adapt; the pipeline is unchanged then.
+        """
+        known = KnownFrames.of(frames, labels, self.layout)
+        adapted, said = self.method.adapted(known)
+        if said.calibration is not None:
+            said.calibration.require_fit(known.angle_deg[known.bent])
+        self.method = adapted
+        self.adaptation = said.as_dict()
+        self.reset()
+        return said
+
+    def calibrate(self, frames: Sequence[Frame], angles_deg: ArrayLike) -> Calibration:
+        """Adaptation to one sensor by untouched frames at known bend angles.
+
+        Five angles over the range suffice; several frames at each reduce the error.
 
         Args:
             frames: n untouched frames of the sensor.
@@ -177,13 +187,21 @@ class Pipeline:
                 or a pipeline that does not estimate the angle; the pipeline is unchanged then.
         """
         self.require_bends()
-        known = KnownBends.of(frames, angles_deg, self.layout)
-        adapted, calibration = self.method.adapted(known)
-        calibration.require_fit(known)
-        self.method = adapted
-        self.calibration = calibration.as_dict()
-        self.reset()
+        angles = np.asarray(angles_deg, dtype=float).reshape(-1).tolist()
+        labels = [FrameLabel(angle) for angle in angles]
+        if all(label.flat for label in labels):
+            raise ConfigurationError(
+                f"expected a frame of the bent sensor to calibrate by, got {len(labels)} flat ones"
+            )
+        calibration = self.adapt(frames, labels).calibration
+        if calibration is None:
+            raise ConfigurationError(f"'{self.method.KIND}' does not learn from known angles")
         return calibration
+
+    @property
+    def calibration(self) -> dict[str, Any]:
+        """Errors of the angle, as `Calibration.as_dict` gives them; empty without known angles."""
+        return dict(self.adaptation.get("calibration") or {})
 
     def require_bends(self) -> None:
         """Refuse a pipeline that does not estimate the angle; raises ConfigurationError."""
@@ -327,7 +345,7 @@ class Pipeline:
             "estimates": self.targets.as_dict(),
             "trained_on": dict(self.trained_on),
             "metrics": self.metrics,
-            "calibration": self.calibration,
+            "adaptation": self.adaptation,
         }
         saved = SavedPipeline(KIND, document, weights, golden, perception_card(document))
         return write_pipeline(path, saved)
@@ -371,7 +389,7 @@ class Pipeline:
                 dict(document["trained_on"]),
                 examples,
                 dict(document["metrics"]),
-                dict(document.get("calibration", {})),
+                saved.adaptation,
                 FlatSensors.among(weights, FLAT_SENSORS),
             )
             saved.require_golden(outputs)

@@ -64,6 +64,13 @@ class SavedPipeline:
     golden: Arrays
     card: str
 
+    @property
+    def adaptation(self) -> dict[str, Any]:
+        """Result of the adaptation to one sensor; version 0.1 tells of its calibration alone."""
+        calibration = self.document.get("calibration")
+        known = {"calibration": calibration} if calibration else {}
+        return dict(self.document.get("adaptation", known))
+
     def require_golden(self, outputs: Arrays) -> None:
         """Check `outputs` against the golden ones of the same names; raises DataError."""
         for name, value in outputs.items():

@@ -4,13 +4,13 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from known_frames import known_frames
 
 from eitskin.datasets import State
 from eitskin.geometry import SensorDesign
 from eitskin.training.joint.method import JointMethod
 from eitskin.training.joint.proposal_model import ProposalNetwork
 from eitskin.training.joint.specimen_features import SpecimenFeatures
-from eitskin.training.method.calibration import KnownBends
 from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.observations import Observations
 from eitskin.training.method.symmetry import mirrors
@@ -270,8 +270,8 @@ def sample(method):
 def calibrated(method, angles=(-15.0, 10.0, 30.0, 45.0), offset=1e-3):
     """Calibration to a sensor whose channels bend a little more than the mean's."""
     change = method.bend_prior.of([0.0]).value(angles) + offset * powers(angles, 1)
-    known = KnownBends(FLAT, 4, np.array(angles), change, np.zeros(len(angles)))
-    return method.adapted(known)
+    adapted, told = method.adapted(known_frames(FLAT, 4, change, angles))
+    return adapted, told.calibration
 
 
 def test_arrays_make_it_again(method):
@@ -321,7 +321,7 @@ def test_drift_during_calibration_is_not_taken_for_the_curve(method):
     change = method.bend_prior.of([0.0]).value(angles) + 5e-3
     bend = {}
     for name, age in (("fresh", 0.0), ("old", 4 * 3600.0)):
-        known = KnownBends(FLAT, 4, angles, change, np.full(6, age))
+        known = known_frames(FLAT, 4, change, angles, age=age)
         curve = method.adapted(known)[0].calibrated
         bend[name] = np.abs(curve.effects).max()
     assert bend["old"] < 0.3 * bend["fresh"]

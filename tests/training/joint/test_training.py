@@ -5,9 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from known_frames import known_frames
 
 from eitskin.datasets import Dataset, State
-from eitskin.errors import ConfigurationError, DataError
+from eitskin.errors import DataError
 from eitskin.geometry import SensorDesign
 from eitskin.training.joint import (
     proposal_training as proposal_network,
@@ -158,8 +159,9 @@ def test_a_sensor_that_is_never_bent():
         assert np.isnan(unknown).all()
     assert np.isfinite(said.probabilities[:, :2]).all()
     assert all(np.isfinite(found.force).all() for found in said.touches)
-    with pytest.raises(ConfigurationError, match="bend curves"):
-        method.adapted(None)
+    flat = np.abs(data.reference[0]).astype(float)
+    told = method.adapted(known_frames(flat, 1, np.full((1, len(flat)), 0.01), [20.0]))[1]
+    assert (told.bends, told.left_out) == (0, 1)
 
 
 def restored(method):

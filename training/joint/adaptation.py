@@ -1,0 +1,75 @@
+"""Adaptation of the joint method to one sensor: its bend curve, given known frames, by Bayes' rule.
+
+The posterior is that of the sensor's random effects, whose prior was learned from the training
+specimens; hinge, layers and contacts act on it together.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.simulator.instrument.drift import DRIFT_TIME
+from eitskin.training.joint.angle_estimate import angle_standard_error, estimate_angle
+from eitskin.training.joint.bend_curve import BendCurve
+from eitskin.training.joint.combinations import Combinations, CombinedChange, log_change
+from eitskin.training.method.calibration import Calibration
+from eitskin.training.method.known_frames import KnownFrames
+from eitskin.training.method.observations import UNKNOWN_AGE
+
+Array = NDArray[np.float64]
+Combined = Callable[[Array, float, float], CombinedChange]
+
+STATED_ANGLES = 8  # at which standard errors are stated
+
+
+def adapted_curve(
+    prior: BendCurve, known: KnownFrames, combinations: Combinations, drift: float
+) -> BendCurve:
+    """Bend curve of a sensor given untouched frames at known angles, which are taken to be exact.
+
+    Args:
+        prior: of the sensor's curve.
+        known: untouched frames at known angles.
+        combinations: of the measurements.
+        drift: standard deviation after `DRIFT_TIME` of the factor common to all measurements.
+    """
+    seen, age = known.observations, known.observations.age
+    changes = np.array([log_change(each) for each in seen.static])
+    # A measurement that is bad at one angle is left out of all: they share the flat frames.
+    good: NDArray[np.bool_] = np.asarray(np.isfinite(changes).all(axis=0))
+    changes = np.where(good, changes, np.nan)
+    change = np.array([combinations.combined(each, 1.0, 0.0).change for each in changes])
+    together = np.diag(seen.frames**-1) + 1.0 / seen.static_frames[0]
+    walk = np.minimum(age[:, None], age) / DRIFT_TIME * drift**2
+    shared, own = combinations.drift, combinations.without(good)[1]
+    noise = np.einsum("ij,kl->ikjl", together, own)
+    noise += np.einsum("ij,k,l->ikjl", walk, shared, shared)
+    return prior.conditioned(known.angle_deg, change, noise.reshape(change.size, -1))
+
+
+def calibration_of(
+    prior: BendCurve, curve: BendCurve, known: KnownFrames, combined: Combined
+) -> Calibration:
+    """Errors of the angle by the curves before and after, and the residual of the known frames.
+
+    Args:
+        prior: curve before.
+        curve: curve after.
+        known: untouched frames at known angles.
+        combined: combinations of a change of log V (C,), given the sum of the reciprocal numbers of
+            frames in both means that are compared, and the time between these [s].
+    """
+    seen = known.observations
+    share = 1.0 + 1.0 / float(seen.static_frames[0])
+    residuals = []
+    for row, angle in enumerate(known.angle_deg):
+        change = combined(log_change(seen.static[row]), share, float(seen.age[row]))
+        residuals.append(estimate_angle(curve, change.change, change.noise)[0] - angle)
+    angles = tuple(float(angle) for angle in np.linspace(*prior.angle_deg, STATED_ANGLES))
+    noise = combined(np.zeros(seen.static.shape[1]), share, UNKNOWN_AGE).noise
+    before, after = (
+        tuple(angle_standard_error(each, angle, noise) for angle in angles)
+        for each in (prior, curve)
+    )
+    return Calibration(angles, before, after, float(np.sqrt(np.mean(np.square(residuals)))))

@@ -1,0 +1,275 @@
+"""Known frames: labelled frames of one sensor, as a trained method is adapted to it by them."""
+
+import math
+import warnings
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.datasets.store.dataset import Dataset
+from eitskin.datasets.store.state import UNKNOWN_STATE, State
+from eitskin.errors import ConfigurationError, DataError
+from eitskin.frame import Frame
+from eitskin.geometry.design.surface import Surface
+from eitskin.training.method.input_spec import InputSpec
+from eitskin.training.method.observations import Observations
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+FLAT_DEG = 0.05  # angle up to which a sensor counts as flat
+BESIDE = 0.001  # m, by which a place may be told beside the sensor
+
+
+@dataclass(frozen=True, slots=True)
+class TouchLabel:
+    """Known place of a touch, and its force where that is known, too.
+
+    Attributes:
+        x, y: centre of the indenter, in coordinates of the flat sensor [m].
+        force: normal force [N]; None where unknown.
+    """
+
+    x: float
+    y: float
+    force: float | None = None
+
+    def __post_init__(self) -> None:
+        """Raise DataError for a place or force that cannot be."""
+        if not (math.isfinite(self.x) and math.isfinite(self.y)):
+            raise DataError(f"expected the place of a touch in metres, got ({self.x}, {self.y})")
+        if self.force is not None and not (math.isfinite(self.force) and self.force > 0.0):
+            raise DataError(
+                f"expected the force of a touch above 0 N, or None where unknown, got {self.force}"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class FrameLabel:
+    """Known angle and touches of a frame; `FrameLabel()` is the flat, untouched sensor.
+
+    Attributes:
+        angle_deg: bend angle [deg]; None where unknown.
+        touches: all touches, none of an untouched sensor; None where unknown.
+    """
+
+    angle_deg: float | None = 0.0
+    touches: tuple[TouchLabel, ...] | None = ()
+
+    def __post_init__(self) -> None:
+        """Raise DataError for an angle that is not finite."""
+        if self.angle_deg is not None and not math.isfinite(self.angle_deg):
+            raise DataError(
+                f"expected a finite angle in degrees, or None where unknown, got {self.angle_deg}"
+            )
+
+    @property
+    def flat(self) -> bool:
+        """Whether the sensor is known to be flat and untouched."""
+        return self.touches == () and self.angle_deg is not None and abs(self.angle_deg) <= FLAT_DEG
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KnownFrames:
+    """n labelled frames of one sensor with their references; up to k touches in one.
+
+    Attributes:
+        observations: changes from the flat sensor (`static`) and from an untouched frame before the
+            touch (`dynamic`), in n frames; the flat magnitudes are the same in all rows.
+        angle_deg: bend angle (n,) [deg]; NaN where unknown.
+        reference_deg: bend angle of the dynamic reference (n,) [deg]; NaN where unknown.
+        touches: x [m], y [m] and force [N] (n, k, 3); NaN where absent, a force where unknown.
+        told: whether the touches of each frame are known (n,); none are, where it has none.
+    """
+
+    observations: Observations
+    angle_deg: Array
+    reference_deg: Array
+    touches: Array
+    told: Mask
+
+    @classmethod
+    def of(
+        cls,
+        frames: Sequence[Frame] | Dataset,
+        labels: Sequence[FrameLabel] | None,
+        spec: InputSpec,
+    ) -> "KnownFrames":
+        """Compare frames with the mean of the flat ones, and touched ones with untouched ones.
+
+        The dynamic reference of a frame is the mean of the latest untouched frames in succession
+        with its angle; of any one angle where that of the frame is unknown; of the next ones where
+        none came before. Without any it is the flat sensor. A dataset has references of its own.
+
+        Args:
+            frames: of one session, in order; or a dataset of one specimen.
+            labels: one for each frame; None for a dataset, which has its own.
+            spec: of the pipeline.
+
+        Raises:
+            ConfigurationError: without a label for each frame, without a flat frame, or for a
+                dataset of several specimens, without a protocol, or with labels beside its own.
+            FrameError: for a frame of another sensor, table or frequency.
+            DataError: for a touch beside the sensor.
+        """
+        if isinstance(frames, Dataset):
+            if labels is not None:
+                raise ConfigurationError(
+                    "expected no labels beside those of the dataset, got some; label frames, or "
+                    "the dataset"
+                )
+            return cls._of_dataset(frames, spec)
+        labels = labels or ()
+        if len(labels) != len(frames):
+            raise ConfigurationError(
+                f"expected one label for each frame, got {len(labels)} labels and "
+                f"{len(frames)} frames"
+            )
+        flat = np.array([label.flat for label in labels], dtype=bool)
+        if not flat.any():
+            raise ConfigurationError(
+                "expected at least one frame of the flat, untouched sensor among the known frames, "
+                f"got none of {len(frames)}; record the flat sensor first"
+            )
+        _require_on_sensor(labels, spec)
+        logs = np.log(np.abs([spec.voltages(frame)[0] for frame in frames]))
+        reference = _mean(logs[flat])
+        spec.require_same_sensor(np.exp(reference).astype(np.complex128))
+        time = np.array([frame.time for frame in frames])
+        befores = [_reference_rows(labels, row) for row in range(len(labels))]
+        before = np.array([_mean(logs[rows]) if rows else reference for rows in befores])
+        count, since = int(flat.sum()), float(time[flat].min())
+        observations = Observations(
+            static=np.expm1(logs - reference),
+            dynamic=np.expm1(logs - before),
+            flat=np.tile(np.exp(reference), (len(frames), 1)),
+            frames=np.ones(len(frames)),
+            static_frames=np.full(len(frames), float(count)),
+            dynamic_frames=np.array([float(len(rows) or count) for rows in befores]),
+            age=np.maximum(time - since, 0.0),
+            dynamic_age=np.array(
+                [
+                    max(now - (time[rows].max() if rows else since), 0.0)
+                    for now, rows in zip(time, befores, strict=True)
+                ]
+            ),
+        )
+        angles = np.array([_or_nan(label.angle_deg) for label in labels])
+        referred = [angles[rows[0]] if rows else 0.0 for rows in befores]
+        told = np.array([label.touches is not None for label in labels])
+        return cls(observations, angles, np.array(referred), _touches(labels), told)
+
+    @classmethod
+    def _of_dataset(cls, data: Dataset, spec: InputSpec) -> "KnownFrames":
+        """All frames of a dataset of one specimen, with what it has labels for; see `of`."""
+        specimens = np.unique(data.specimen)
+        if len(specimens) != 1 or data.protocol is None:
+            raise ConfigurationError(
+                "expected frames of one specimen, with their protocol, to adapt to, got "
+                f"{len(specimens)} specimens and the protocol {data.protocol}; select those of one"
+            )
+        spec.require_same_measurements(data.protocol, data.frequency)
+        spec.require_same_sensor(data.reference[specimens[0]].astype(np.complex128))
+        own = np.isfinite(data.touch_reference).all(axis=1)
+        idle = data.state == State.IDLE
+        angle = np.where(idle, 0.0, data.bend_angle_deg.astype(float))
+        touches = np.stack([data.touch_x, data.touch_y, data.touch_force], axis=-1).astype(float)
+        placed = data.touch_count > 0
+        told = placed | ((data.state != State.TOUCH) & (data.state != UNKNOWN_STATE))
+        return cls(Observations.of(data), angle, np.where(own, angle, 0.0), touches, told)
+
+    def __len__(self) -> int:
+        """Number of frames."""
+        return len(self.observations)
+
+    def __getitem__(self, rows: slice | NDArray[np.generic]) -> "KnownFrames":
+        """The frames of `rows` (slice, integers or mask)."""
+        return KnownFrames(
+            self.observations[rows],
+            self.angle_deg[rows],
+            self.reference_deg[rows],
+            self.touches[rows],
+            self.told[rows],
+        )
+
+    @property
+    def touched(self) -> Mask:
+        """Whether each frame (n,) has touches at known places."""
+        return np.asarray(np.isfinite(self.touches[..., 0]).any(axis=1))
+
+    @property
+    def bent(self) -> Mask:
+        """Whether each frame (n,) is untouched and bent by a known angle."""
+        return np.asarray(self.told & ~self.touched & (np.abs(self.angle_deg) > FLAT_DEG))
+
+    @property
+    def flat(self) -> Mask:
+        """Whether each frame (n,) is known to be flat and untouched."""
+        return np.asarray(self.told & ~self.touched & (np.abs(self.angle_deg) <= FLAT_DEG))
+
+
+def _or_nan(value: float | None) -> float:
+    return math.nan if value is None else float(value)
+
+
+def _mean(logs: Array) -> Array:
+    """Mean (C,) of logarithms (n, C); NaN where a measurement is bad in all rows."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        mean: Array = np.nanmean(logs, axis=0)
+    return mean
+
+
+def _reference_rows(labels: Sequence[FrameLabel], row: int) -> list[int]:
+    """Numbers of the untouched frames that a frame is compared with; empty without any."""
+    angle = labels[row].angle_deg
+
+    def fits(other: int) -> bool:
+        label = labels[other]
+        return label.touches == () and (angle is None or _same(angle, label.angle_deg))
+
+    def run(rows: Iterable[int]) -> list[int]:
+        """The first in succession that fit, all of one angle."""
+        found: list[int] = []
+        for other in rows:
+            if fits(other) and (
+                not found or _same(labels[found[0]].angle_deg, labels[other].angle_deg)
+            ):
+                found.append(other)
+            elif found:
+                break
+        return found
+
+    return run(range(row - 1, -1, -1)) or run(range(row + 1, len(labels)))
+
+
+def _same(one: float | None, other: float | None) -> bool:
+    """Whether two angles [deg] are known to be the same."""
+    return one is not None and other is not None and abs(one - other) <= FLAT_DEG
+
+
+def _touches(labels: Sequence[FrameLabel]) -> Array:
+    """Table (n, k, 3) of x [m], y [m] and force [N] of all touches, NaN where there is none."""
+    rows = [label.touches or () for label in labels]
+    table = np.full((len(rows), max(1, *map(len, rows)), 3), np.nan)
+    for row, touches in enumerate(rows):
+        for k, touch in enumerate(touches):
+            table[row, k] = touch.x, touch.y, _or_nan(touch.force)
+    return table
+
+
+def _require_on_sensor(labels: Sequence[FrameLabel], spec: InputSpec) -> None:
+    """Raise DataError for a touch beside the sensor."""
+    outline = spec.design.outline
+    if isinstance(outline, Surface):
+        return
+    length, width = spec.outline
+    for label in labels:
+        for touch in label.touches or ():
+            if not (-BESIDE <= touch.x <= length + BESIDE and -BESIDE <= touch.y <= width + BESIDE):
+                raise DataError(
+                    f"expected touches on the sensor of {length:g} x {width:g} m, got one at "
+                    f"({touch.x:g}, {touch.y:g}) m; places are in metres from the corner"
+                )
