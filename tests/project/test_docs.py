@@ -21,6 +21,7 @@ FENCE = re.compile(r"^ *```(\w*)\n(.*?)^ *```$", re.MULTILINE | re.DOTALL)
 INDENTED = re.compile(r"(?:^|(?<=\n\n))((?:(?: {4}.*)?\n)+)", re.MULTILINE)
 CODE_SPAN = re.compile(r"(?<!`)`([^`\n]+)`(?!`)")
 LINK = re.compile(r"\]\(([^)\s]+)\)")
+COMMAND = typer.main.get_command(app)
 USAGE_ERROR = typer.BadParameter.__base__
 COMMENT = re.compile(r"\s+#\s.*$", re.MULTILINE)
 
@@ -57,7 +58,7 @@ def alternatives(line):
 
 def require_known(words):
     """Walk down to the command and have it read its options; raises what it says of wrong ones."""
-    command = typer.main.get_command(app)
+    command = COMMAND
     while hasattr(command, "commands") and words and not words[0].startswith("-"):
         name, *words = words
         assert name in command.commands, f"there is no command {name!r}"
