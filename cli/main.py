@@ -8,6 +8,7 @@ from typer.core import TyperGroup
 
 from eitskin import __version__
 from eitskin.cli.commands import (
+    adapt,
     board,
     calibrate,
     check,
@@ -76,6 +77,7 @@ app.command("generate")(generate.command)
 app.command("import")(import_recording.command)
 app.command("train")(train.command)
 app.command("evaluate")(evaluate.command)
+app.command("adapt")(adapt.command)
 app.command("tare")(tare.command)
 app.command("calibrate")(calibrate.command)
 app.command("check")(check.command)

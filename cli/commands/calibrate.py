@@ -5,19 +5,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.table import Table
 
-from eitskin.cli.commands.live import seeded
+from eitskin.cli.commands.adapt import calibration_table
+from eitskin.cli.commands.live import BoardUri, seeded
 from eitskin.cli.commands.stored_references import ReferenceFile, use_reference
 from eitskin.cli.options import (
-    BoardOption,
     Json,
     MethodCode,
     Model,
     Output,
     Quiet,
     Seed,
-    Specimen,
     Verbose,
     own_method,
 )
@@ -25,7 +23,6 @@ from eitskin.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from eitskin.frame import Frame
-    from eitskin.training.method.calibration import Calibration
     from eitskin.training.method.input_spec import InputSpec
 
 Angles = Annotated[
@@ -41,10 +38,6 @@ NoPrompt = Annotated[
         "--no-prompt", help="Do not wait: the board goes through the angles by itself, in turn."
     ),
 ]
-DatasetOption = Annotated[
-    Path | None, typer.Option("--dataset", help="Instead of a board: untouched, labelled frames.")
-]
-
 STALE = 2  # frames after a prompt that may have begun before it was answered
 
 
@@ -52,9 +45,7 @@ def command(
     model: Model,
     *,
     out: Annotated[Path, typer.Option(help="File of the adapted pipeline, NAME.eitmodel.")],
-    board: BoardOption = None,
-    dataset: DatasetOption = None,
-    specimen: Specimen = 0,
+    board: BoardUri,
     reference: ReferenceFile = None,
     angles: Angles = "-20,-2.5,15,32.5,50",
     frames: PerAngle = 8,
@@ -67,9 +58,9 @@ def command(
 ) -> None:
     """Adapt a trained pipeline to the sensor at hand, from a flat reference and known angles.
 
-    With a board: bring the sensor to each angle when asked, hold it still and untouched, and press
-    Enter. With a dataset: its untouched frames of one specimen are taken. With --reference the
-    angles count from the stored state, and the sensor is not asked to be flat.
+    Bring the sensor to each angle when asked, hold it still and untouched, and press Enter. With
+    --reference the angles count from the stored state, and the sensor is not asked to be flat.
+    Frames that were recorded before are taken by `eitskin adapt`.
     """
     from eitskin.training.adaptation.opening import open_perception
     from eitskin.training.pipeline.saved_form import require_writable
@@ -77,21 +68,14 @@ def command(
 
     output = Output(as_json, quiet, verbose)
     require_writable(out)
-    if (board is None) == (dataset is None):
-        raise ConfigurationError("give either --board or --dataset, the sensor to calibrate for")
     purpose = "a calibration needs a pipeline that estimates the bend angle"
     pipeline = open_perception(model, purpose, own_method(method))
     pipeline.require_bends()
     if reference is not None:
         use_reference(pipeline, reference, None, output)
-    if dataset is not None:
-        taken, known = _from_dataset(dataset, specimen)
-    else:
-        wanted = ([0.0] if pipeline.stored is None else []) + _angles(angles)
-        taken = list(
-            _from_board(str(board), pipeline.layout, wanted, frames, no_prompt, seed, output)
-        )
-        known = [angle for angle in wanted for _ in range(frames)]
+    wanted = ([0.0] if pipeline.stored is None else []) + _angles(angles)
+    taken = list(_from_board(board, pipeline.layout, wanted, frames, no_prompt, seed, output))
+    known = [angle for angle in wanted for _ in range(frames)]
     if pipeline.stored is not None:
         bent = [pair for pair in zip(taken, known, strict=True) if pair[1]]
         begun = taken[0].time - STORED_AGE
@@ -101,7 +85,7 @@ def command(
         output.note(f"{doubt}; calibrating nevertheless, since you said that it is flat")
     calibration = pipeline.calibrate(taken, known)
     saved = pipeline.save(out)
-    output.result({"out": str(saved), **calibration.as_dict()}, _table(calibration))
+    output.result({"out": str(saved), **calibration.as_dict()}, calibration_table(calibration))
     output.note(f"saved {saved}; use it with this sensor only")
 
 
@@ -140,42 +124,3 @@ def _from_board(
                     layout.require_same_sensor(layout.voltages(frame)[0])
                 yield frame
             output.note(f"{angle:g} deg: {frames} frames")
-
-
-def _from_dataset(folder: Path, specimen: int) -> "tuple[list[Frame], list[float]]":
-    import numpy as np
-
-    from eitskin.datasets.store.folder import open_dataset
-    from eitskin.datasets.store.state import State
-    from eitskin.errors import DataError
-    from eitskin.frame import Frame
-
-    data = open_dataset(folder)
-    rows = np.flatnonzero(
-        (data.specimen_number[data.specimen] == specimen)
-        & (data.state != State.TOUCH)
-        & np.isfinite(data.bend_angle_deg)
-        & (data.bend_angle_deg != 0)
-    )
-    if not len(rows) or data.protocol is None:
-        raise DataError(
-            f"expected untouched frames of specimen {specimen} at known angles in {folder}, found "
-            f"{len(rows)}; choose another --specimen, or record some"
-        )
-    reference = data.reference[data.specimen[rows[0]]].astype(np.complex128)
-    flat = Frame(reference, data.protocol, frequency=data.frequency)
-    return [flat, *map(data.frame, rows.tolist())], [0.0, *data.bend_angle_deg[rows].tolist()]
-
-
-def _table(calibration: "Calibration") -> Table:
-    table = Table("angle, deg", "standard error before, deg", "after, deg")
-    rows = zip(
-        calibration.angles_deg,
-        calibration.error_before_deg,
-        calibration.error_after_deg,
-        strict=True,
-    )
-    for angle, before, after in rows:
-        table.add_row(f"{angle:.1f}", f"{before:.2f}", f"{after:.2f}")
-    table.caption = f"residual of the calibration frames {calibration.residual_deg:.2f} deg"
-    return table

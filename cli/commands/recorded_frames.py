@@ -50,6 +50,28 @@ def read_recorded(path: Path, values: str | None, protocol: str | None) -> "Data
     return data if named is None else _with_protocol(data, named)
 
 
+def of_specimen(data: "Dataset", specimen: int) -> "Dataset":
+    """Frames of one specimen of a dataset; raises ConfigurationError where it has none."""
+    own = data.specimen_number[data.specimen] == specimen
+    if not own.any():
+        raise ConfigurationError(
+            f"--specimen {specimen} has no frames; the dataset has specimens "
+            f"{', '.join(map(str, data.specimen_number[:8]))}"
+        )
+    return data.select(own).own_specimens()
+
+
+def of_one_sensor(data: "Dataset", specimen: int | None) -> "Dataset":
+    """Frames of the one specimen, or of that which is chosen; raises ConfigurationError."""
+    if specimen is not None:
+        return of_specimen(data, specimen)
+    if (count := len(set(data.specimen.tolist()))) > 1:
+        raise ConfigurationError(
+            f"a pipeline is adapted to one sensor, got {count} specimens; choose one by --specimen"
+        )
+    return data.own_specimens()
+
+
 def required_protocol(data: "Dataset") -> "Protocol":
     """Protocol of a recording; raises ConfigurationError where it has none."""
     if data.protocol is None:

@@ -7,7 +7,7 @@ import typer
 from rich.console import Group
 from rich.table import Table
 
-from eitskin.cli.commands.recorded_frames import Recorded, Values, read_recorded
+from eitskin.cli.commands.recorded_frames import Recorded, Values, of_specimen, read_recorded
 from eitskin.cli.options import (
     FixtureFile,
     Json,
@@ -22,7 +22,6 @@ from eitskin.cli.options import (
 from eitskin.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from eitskin.datasets.store.dataset import Dataset
     from eitskin.simulator.electrical.resolution import Resolution
     from eitskin.simulator.instrument.meter_fit import Agreement
     from eitskin.training.twin.twin import Twin
@@ -90,7 +89,8 @@ def fit(
     wide = read_toml(TwinPrior, prior) if prior else TwinPrior()
     held = read_toml(cast("type[Any]", Fixture), fixture) if fixture else None
     materials = read_toml(Mechanics, mechanics) if mechanics else None
-    data = _of_specimen(read_recorded(recording, values, protocol), specimen)
+    data = read_recorded(recording, values, protocol)
+    data = data if specimen is None else of_specimen(data, specimen)
     fitted, rest = data, None
     if first is not None:
         if first >= len(data):
@@ -119,19 +119,6 @@ def fit(
     for sentence in _remarks(twin):
         output.note(sentence)
     output.note(f"twin: {out}")
-
-
-def _of_specimen(data: "Dataset", specimen: int | None) -> "Dataset":
-    """Frames of one specimen, where one is chosen."""
-    if specimen is None:
-        return data
-    own = data.specimen_number[data.specimen] == specimen
-    if not own.any():
-        raise ConfigurationError(
-            f"--specimen {specimen} has no frames; the dataset has specimens "
-            f"{', '.join(map(str, data.specimen_number[:8]))}"
-        )
-    return data.select(own).own_specimens()
 
 
 def _shown(twin: "Twin", judged: "dict[str, Agreement]") -> Group:

@@ -10,6 +10,7 @@ from eitskin.geometry.design.outline import PlaneOutline
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.protocol import Protocol
 from eitskin.training.adaptation.channel_maps import ChannelMaps, Presses
+from eitskin.training.adaptation.labelled_presses import LabelledPresses
 from eitskin.training.adaptation.map_choice import MapChoice, SheetKnowledge
 from eitskin.training.adaptation.map_grid import MapGrid, Places
 from eitskin.training.adaptation.place_kernel import DesignSpan
@@ -62,34 +63,24 @@ class LearnedPlaces:
     validated: CrossValidation
 
 
-def learn_places(
-    ratio: ArrayLike,
-    places: ArrayLike,
-    label: ArrayLike | None = None,
-    design: SensorDesign | None = None,
-    protocol: Protocol | None = None,
-) -> LearnedPlaces:
+def learn_places(labelled: LabelledPresses) -> LearnedPlaces:
     """Learn places from labelled presses.
 
-    Args:
-        ratio: |V / ref| of the presses, in the order of time (n, C).
-        places: their positions (n, 2) [m].
-        label: depth or force of each (n,); None, or not finite, where unknown.
-        design: of the sensor, whose span of sensitivities then is part of the prior.
-        protocol: of the channels; with the design it tells which sectors are alike.
+    With the sensor's design the span of its sensitivities is part of the prior, and with the
+    protocol it tells which sectors are alike.
 
     Raises DataError for fewer than `FEWEST` presses, or presses all at one place.
     """
-    logs, xy = log_ratio(ratio), np.asarray(places, dtype=float)
+    logs, xy, design = log_ratio(labelled.ratios), labelled.places, labelled.design
     extent = float(np.sqrt(np.mean(xy.var(axis=0)))) if len(xy) else 0.0
     if len(logs) < FEWEST or extent == 0.0:
         raise DataError(
             f"learning touch positions needs at least {FEWEST} frames with one touch, at different "
             f"positions, and an untouched reference, got {len(logs)}; record more"
         )
-    known = SheetKnowledge(extent, *_of_design(design, protocol, logs.shape[1]))
+    known = SheetKnowledge(extent, *_of_design(design, labelled.protocol, logs.shape[1]))
     recorded = Presses.of(xy, np.ones(len(xy)), logs)
-    presses, law = _with_strength(known, recorded, label)
+    presses, law = _with_strength(known, recorded, labelled.label)
     choice = known.choose(presses)
     region = _Region.of(xy, design)
     fitted = _Fitted.of(known, choice, presses)

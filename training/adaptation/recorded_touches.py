@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -16,6 +16,7 @@ from eitskin.errors import ConfigurationError, DataError, FrameError
 from eitskin.frame import Frame
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.protocol import Protocol
+from eitskin.training.adaptation.labelled_presses import LabelledPresses, single_touches
 from eitskin.training.adaptation.position_regressor import PositionRegressor
 from eitskin.training.adaptation.press_fit import learn_places
 from eitskin.training.adaptation.press_locator import PressLocator
@@ -104,20 +105,23 @@ class RecordedTouches:
         return Targets((), angle=False, force=False)
 
     @classmethod
-    def fit(cls, dataset: Dataset) -> "RecordedTouches":
-        """Learn from the first 80 % in time of the frames that have exactly one touch.
+    def fit(cls, dataset: Dataset, share: float = TRAINING_SHARE) -> "RecordedTouches":
+        """Learn from the first frames in time of those that have exactly one touch.
 
         Depths or forces are used where all of these frames have them; design and protocol where the
         dataset has them.
 
+        Args:
+            dataset: labelled frames of one sensor.
+            share: of the frames that is learned from; with 1 none is left to `evaluate` by.
+
         Raises DataError for fewer than 5 such frames.
         """
-        touches = _touches(dataset)
-        train = touches[: round(TRAINING_SHARE * len(touches))]
-        ratios, places = _ratios(dataset, train), _places(dataset, train)
-        learned = learn_places(
-            ratios, places, _label(dataset, train), dataset.design, dataset.protocol
-        )
+        touches = single_touches(dataset)
+        train = touches[: round(share * len(touches))]
+        presses = LabelledPresses.of(dataset, train)
+        ratios, places = presses.ratios, presses.places
+        learned = learn_places(presses)
         trained_on = {
             "sha256": fingerprint(dataset),
             "frames": len(train),
@@ -135,6 +139,16 @@ class RecordedTouches:
             design=dataset.design,
             extent=np.array([places.min(axis=0), places.max(axis=0)]),
         )
+
+    def described(self, dataset: Dataset) -> Dataset:
+        """Dataset of another recording with this one's design and protocol, where it has none.
+
+        Raises FrameError for other measurements.
+        """
+        protocol = dataset.protocol or self.protocol
+        if protocol is not None:
+            self.require_same_measurements(protocol, dataset.frequency)
+        return replace(dataset, protocol=protocol, design=dataset.design or self.design)
 
     @property
     def still(self) -> float:
@@ -256,7 +270,7 @@ class RecordedTouches:
                 "the dataset has",
                 "train on recordings of this protocol",
             )
-        touches = _touches(dataset)
+        touches = single_touches(dataset)
         own = fingerprint(dataset) == self.trained_on["sha256"]
         return touches[self.trained_on["frames"] :] if own else touches
 
@@ -270,7 +284,8 @@ class RecordedTouches:
             raise DataError(
                 "expected frames with exactly one touch to evaluate on, got none; record more"
             )
-        return _places(dataset, frames), self.position.apply(_ratios(dataset, frames))
+        presses = LabelledPresses.of(dataset, frames)
+        return presses.places, self.position.apply(presses.ratios)
 
     def evaluate(self, dataset: Dataset) -> PositionScore:
         """Score on the held-out frames of `dataset`; raises DataError where there are none."""
@@ -335,35 +350,3 @@ class RecordedTouches:
         except (KeyError, TypeError, ValueError) as error:
             raise DataError(f"{path} is not whole: {error}; save it again") from error
         return loaded
-
-
-def _touches(dataset: Dataset) -> NDArray[np.int64]:
-    """Numbers of the frames with exactly one touch, in the order of time (n,)."""
-    one = np.flatnonzero(dataset.touch_count == 1)
-    order = np.lexsort((one, dataset.time[one], dataset.episode[one]))
-    return one[order]
-
-
-def _places(dataset: Dataset, frames: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Positions (k, 2) [m] of the one touch in each of `frames`."""
-    x, y = (np.nansum(values[frames], axis=1) for values in (dataset.touch_x, dataset.touch_y))
-    return np.stack([x, y], axis=1).astype(float)
-
-
-def _label(dataset: Dataset, frames: NDArray[np.int64]) -> NDArray[np.float64] | None:
-    """Depth [m] or else force [N] of the one touch in each of `frames` (k,); None where unknown."""
-    touched = np.isfinite(dataset.touch_x[frames])
-    for values in (dataset.touch_depth, dataset.touch_force):
-        label: NDArray[np.float64] = np.where(touched, values[frames], 0.0).sum(axis=1, dtype=float)
-        if len(label) and np.isfinite(label).all() and (label > 0).all():
-            return label
-    return None
-
-
-def _ratios(dataset: Dataset, frames: NDArray[np.int64]) -> NDArray[np.float64]:
-    """|V / ref| (k, C) of `frames`; ref is flat where the untouched sensor was not recorded."""
-    free = dataset.touch_reference[frames]
-    known = np.isfinite(free).all(axis=1, keepdims=True)
-    reference = np.where(known, free, dataset.reference[dataset.specimen[frames]])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.abs(dataset.impedance[frames] / reference).astype(float)

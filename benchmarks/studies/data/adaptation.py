@@ -14,6 +14,7 @@ the method was made. Writes results and a plot, and prints the table as Markdown
 import argparse
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,15 +24,15 @@ from numpy.typing import NDArray
 from eitskin.benchmarks.results import Results, write_results
 from eitskin.datasets.recordings.form import RecordingForm, RecordingNames
 from eitskin.datasets.recordings.recording import read_recording
-from eitskin.datasets.store.dataset import Dataset
 from eitskin.extras import require
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.protocol import Protocol
 from eitskin.provenance import Provenance
+from eitskin.training.adaptation.labelled_presses import LabelledPresses
 from eitskin.training.adaptation.press_fit import learn_places
 
 Array = NDArray[np.float64]
-Method = Callable[["Skin", NDArray[np.int64], NDArray[np.int64]], tuple[Array, Array]]
+Method = Callable[[LabelledPresses, NDArray[np.int64], NDArray[np.int64]], tuple[Array, Array]]
 
 NAME, RECORDING = "adaptation", "ohmc8.mat"
 DESCRIPTIONS = Path(__file__).parents[3] / "docs" / "guides" / "recordings"
@@ -39,41 +40,27 @@ COUNTS = (5, 20, 50, 200, 400)
 DRAWS, TESTED = 7, 100
 
 
-class Skin:
-    """Presses of the recording: ratios (n, C), places (n, 2) [m] and depths (n,) [m]."""
-
-    def __init__(self, recording: Dataset) -> None:
-        """Take the one touch of each frame."""
-        self.design, self.protocol = recording.design, recording.protocol
-        ratio = recording.impedance / recording.touch_reference
-        self.ratio: Array = np.abs(ratio).astype(float)
-        places = [recording.touch_x[:, 0], recording.touch_y[:, 0]]
-        self.places: Array = np.stack(places, axis=1).astype(float)
-        self.depth: Array = recording.touch_depth[:, 0].astype(float)
-
-    @classmethod
-    def read(cls, folder: Path) -> "Skin":
-        """The recording in a folder."""
-        design = SensorDesign.from_toml(DESCRIPTIONS / "round-skin.toml")
-        names = RecordingNames(
-            "responsedowns", "responseups", "positions", columns={"depth": "positions:2"}
-        )
-        protocol = Protocol.from_file(DESCRIPTIONS / "round-skin.csv", 8)
-        form = RecordingForm(origin="centre")
-        return cls(read_recording(folder / RECORDING, names, protocol, design=design, form=form))
+def read_skin(folder: Path) -> LabelledPresses:
+    """The presses of the recording in a folder."""
+    design = SensorDesign.from_toml(DESCRIPTIONS / "round-skin.toml")
+    names = RecordingNames(
+        "responsedowns", "responseups", "positions", columns={"depth": "positions:2"}
+    )
+    protocol = Protocol.from_file(DESCRIPTIONS / "round-skin.csv", 8)
+    form = RecordingForm(origin="centre")
+    recording = read_recording(folder / RECORDING, names, protocol, design=design, form=form)
+    return LabelledPresses.of(recording)
 
 
 def maps(design: bool) -> Method:
     """Maps of the channels, with or without the sensor's design."""
 
     def learned(
-        skin: Skin, train: NDArray[np.int64], test: NDArray[np.int64]
+        skin: LabelledPresses, train: NDArray[np.int64], test: NDArray[np.int64]
     ) -> tuple[Array, Array]:
-        known: dict[str, Any] = {"design": skin.design, "protocol": skin.protocol}
-        places = learn_places(
-            skin.ratio[train], skin.places[train], skin.depth[train], **(known if design else {})
-        )
-        found, _ = places.locator.locate(skin.ratio[test])
+        presses = skin.select(train)
+        places = learn_places(presses if design else replace(presses, design=None))
+        found, _ = places.locator.locate(skin.ratios[test])
         return found.place, found.deviation
 
     return learned
@@ -83,9 +70,9 @@ def regression(make: Callable[[int], Any]) -> Method:
     """Regressor of scikit-learn on the logarithms of the ratios."""
 
     def learned(
-        skin: Skin, train: NDArray[np.int64], test: NDArray[np.int64]
+        skin: LabelledPresses, train: NDArray[np.int64], test: NDArray[np.int64]
     ) -> tuple[Array, Array]:
-        x, rows = np.log(skin.ratio), len(test)
+        x, rows = np.log(skin.ratios), len(test)
         scale = x[train].std(axis=0)
         fitted = make(len(train)).fit(x[train] / scale, skin.places[train])
         return fitted.predict(x[test] / scale), np.full(rows, np.nan)
@@ -94,7 +81,7 @@ def regression(make: Callable[[int], Any]) -> Method:
 
 
 def mean_place(
-    skin: Skin, train: NDArray[np.int64], test: NDArray[np.int64]
+    skin: LabelledPresses, train: NDArray[np.int64], test: NDArray[np.int64]
 ) -> tuple[Array, Array]:
     """The mean of the labelled places, whatever the frame."""
     return np.tile(skin.places[train].mean(axis=0), (len(test), 1)), np.full(len(test), np.nan)
@@ -114,7 +101,9 @@ def methods() -> dict[str, Method]:
     }
 
 
-def rows(skin: Skin, until: int, draws: int, counts: tuple[int, ...]) -> Iterator[dict[str, Any]]:
+def rows(
+    skin: LabelledPresses, until: int, draws: int, counts: tuple[int, ...]
+) -> Iterator[dict[str, Any]]:
     """Errors [mm] of each method, number of presses and draw, as they are made."""
     first = until - TESTED
     test = np.arange(first, until)
@@ -195,7 +184,7 @@ def main() -> None:
             "DSHardman/HydrogelEIT"
         )
     began, found = time.perf_counter(), []
-    skin = Skin.read(options.folder)
+    skin = read_skin(options.folder)
     for row in rows(skin, options.tested_until, options.draws, tuple(options.counts)):
         print(
             f"{row['presses']:4d} {row['draw']} {row['method']:22s} {row['error_mm']:6.2f} mm, "

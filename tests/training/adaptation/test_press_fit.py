@@ -11,6 +11,7 @@ from eitskin.datasets import Dataset, RecordingNames, State, read_recording
 from eitskin.errors import DataError, FrameError
 from eitskin.simulator import Protocol
 from eitskin.training import RecordedTouches
+from eitskin.training.adaptation.labelled_presses import LabelledPresses
 from eitskin.training.adaptation.press_fit import learn_places
 from eitskin.training.adaptation.press_locator import PressLocator
 from tests.support.toy_skin import toy_presses
@@ -21,7 +22,7 @@ DATA = Path(os.environ.get("EITSKIN_DATA", Path(__file__).parents[4] / "shared" 
 @pytest.fixture(scope="module")
 def learned():
     ratio, places, depth = toy_presses()
-    return learn_places(ratio, places, depth)
+    return learn_places(LabelledPresses(ratio, places, depth))
 
 
 def test_places_strength_and_standard_errors(learned):
@@ -41,7 +42,7 @@ def test_places_strength_and_standard_errors(learned):
 def test_strength_is_learned_where_no_depth_is_known():
     ratio, places, _ = toy_presses()
     other, where, _ = toy_presses(60, seed=1)
-    blind = learn_places(ratio, places)
+    blind = learn_places(LabelledPresses(ratio, places))
     assert blind.law is None
     error = np.linalg.norm(blind.locator.apply(other) - where, axis=1)
     assert np.median(error) < 1.5e-3
@@ -79,9 +80,9 @@ def test_arrays_restore_the_locator(learned):
 def test_what_cannot_be_learned_is_refused(learned):
     ratio, places, _ = toy_presses()
     with pytest.raises(DataError, match="at least 5"):
-        learn_places(ratio[:4], places[:4])
+        learn_places(LabelledPresses(ratio[:4], places[:4]))
     with pytest.raises(DataError, match="different positions"):
-        learn_places(ratio, np.zeros_like(places))
+        learn_places(LabelledPresses(ratio, np.zeros_like(places)))
     with pytest.raises(DataError, match="8 channels, got 7"):
         learned.locator.apply(ratio[:, :7])
 

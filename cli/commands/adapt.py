@@ -1,0 +1,211 @@
+"""`eitskin adapt`: a pipeline for one sensor, from labelled frames of it."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.table import Table
+
+from eitskin.cli.commands.recorded_frames import Recorded, Values, of_one_sensor, read_recorded
+from eitskin.cli.options import (
+    TRAINING,
+    Json,
+    MeasuredPairs,
+    MethodCode,
+    Output,
+    Quiet,
+    Seed,
+    Verbose,
+    own_method,
+)
+from eitskin.extras import require_all
+
+if TYPE_CHECKING:
+    from eitskin.datasets.store.dataset import Dataset
+    from eitskin.training.adaptation.recorded_touches import RecordedTouches
+    from eitskin.training.evaluation.adaptation_curve import CurvePoint
+    from eitskin.training.method.calibration import Calibration
+    from eitskin.training.method.interface import Method
+    from eitskin.training.pipeline.pipeline import Pipeline
+
+NOTHING = "none"
+"""Name in place of a pipeline, where nothing was trained before."""
+
+StartModel = Annotated[
+    Path,
+    typer.Argument(
+        help="The trained pipeline, NAME.eitmodel; none, to learn touch positions anew.",
+        metavar="MODEL",
+    ),
+]
+
+
+def command(
+    model: StartModel,
+    recording: Recorded,
+    *,
+    out: Annotated[Path, typer.Option(help="File of the adapted pipeline, NAME.eitmodel.")],
+    specimen: Annotated[
+        int | None, typer.Option(min=0, help="Number of the specimen in the dataset.")
+    ] = None,
+    values: Values = None,
+    protocol: MeasuredPairs = None,
+    method: MethodCode = None,
+    no_table: Annotated[
+        bool, typer.Option("--no-table", help="Do not tell errors by frames used; faster.")
+    ] = False,
+    seed: Seed = 0,
+    as_json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Adapt a pipeline to one sensor, from frames of which it is known what they show.
+
+    Whatever is labelled counts: angles, places, forces, or just untouched. The table tells errors
+    against the number of labelled frames, in blocks of time that were left out; the saved pipeline
+    has learned from all frames.
+    """
+    from eitskin.training.pipeline.saved_form import require_writable
+
+    output = Output(as_json, quiet, verbose)
+    output.detail(f"nothing is drawn at random here, seed {seed} is not used")
+    require_all(training=TRAINING)
+    require_writable(out)
+    before = open_start(model, own_method(method))
+    data = of_one_sensor(read_recorded(recording, values, protocol), specimen)
+    curve = () if no_table else curve_of(before, data, output)
+    if curve:
+        output.show(curve_table(curve))
+    adapted = adapt(before, data)
+    saved = adapted.save(out)
+    told = said(adapted)
+    result = {"out": str(saved), "errors": [point.as_dict() for point in curve], **told}
+    output.result(result, f"{saved}: {in_words(adapted)}")
+    output.note("use it with this sensor only")
+
+
+def open_start(model: Path, method: "type[Method] | None") -> "Pipeline | RecordedTouches | None":
+    """The pipeline to start from; None for the word `none`, unless a folder has that name."""
+    from eitskin.training.adaptation.opening import open_pipeline
+
+    if str(model) == NOTHING and not model.exists():
+        return None
+    return open_pipeline(model, method)
+
+
+def adapt(
+    before: "Pipeline | RecordedTouches | None", data: "Dataset"
+) -> "Pipeline | RecordedTouches":
+    """Pipeline for the one sensor of a dataset; touch positions are learned from its presses alone.
+
+    Raises the errors of `Pipeline.adapt`, `RecordedTouches.described` and `RecordedTouches.fit`.
+    """
+    from eitskin.training.adaptation.recorded_touches import RecordedTouches
+
+    if before is None:
+        return RecordedTouches.fit(data, share=1.0)
+    if isinstance(before, RecordedTouches):
+        return RecordedTouches.fit(before.described(data), share=1.0)
+    before.adapt(data)
+    return before
+
+
+def curve_of(
+    before: "Pipeline | RecordedTouches | None", data: "Dataset", output: Output
+) -> "tuple[CurvePoint, ...]":
+    """Errors against the number of labelled frames; none, with a note, where these are too few."""
+    from eitskin.errors import DataError
+    from eitskin.training.adaptation.labelled_presses import LabelledPresses
+    from eitskin.training.adaptation.recorded_touches import RecordedTouches
+    from eitskin.training.evaluation.adaptation_curve import pipeline_curve, press_curve
+
+    with output.progress() as bar:
+        task = bar.add_task("errors by frames", total=None, rate="")
+
+        def show(done: int, total: int) -> None:
+            bar.update(task, completed=done, total=total)
+
+        try:
+            if before is None or isinstance(before, RecordedTouches):
+                known = data if before is None else before.described(data)
+                return press_curve(LabelledPresses.of(known), show)
+            return pipeline_curve(before, data, show)
+        except DataError as error:
+            output.note(f"no table of errors: {error}")
+            return ()
+
+
+def curve_table(curve: "Sequence[CurvePoint]") -> Table:
+    """Table of errors, a row for each number of frames and a column for each method."""
+    from eitskin.training.evaluation.adaptation_curve import BLOCKS
+
+    methods = tuple(dict.fromkeys(point.method for point in curve))
+    shown: list[tuple[str, Callable[[CurvePoint], float | None], str]] = [
+        ("angle, deg rms", lambda point: point.angle_deg, "{:.2f}"),
+        ("place, mm", lambda point: point.place_mm, "{:.1f}"),
+        ("lost, %", _lost, "{:.0f}"),
+    ]
+    title = f"errors in blocks of time that were left out, {BLOCKS} in turn"
+    table = Table("labelled frames", title=title)
+    columns = [
+        (name, what, read, form)
+        for what, read, form in shown
+        for name in methods
+        if any(read(point) is not None for point in curve if point.method == name)
+    ]
+    for name, what, _, _ in columns:
+        table.add_column(f"{name}:\n{what}", justify="right")
+    for count in sorted({point.frames for point in curve}):
+        row = {point.method: point for point in curve if point.frames == count}
+        cells = []
+        for name, _, read, form in columns:
+            value = read(row[name]) if name in row else None
+            cells.append("" if value is None else form.format(value))
+        table.add_row(str(count), *cells)
+    return table
+
+
+def _lost(point: "CurvePoint") -> float | None:
+    """Share of the touches that were not found [%]; None where all were."""
+    return None if point.found is None or point.found == 1.0 else 100.0 * (1.0 - point.found)
+
+
+def said(adapted: "Pipeline | RecordedTouches") -> dict[str, object]:
+    """Facts of an adaptation for JSON."""
+    from eitskin.training.pipeline.pipeline import Pipeline
+
+    known = adapted.adaptation if isinstance(adapted, Pipeline) else adapted.trained_on["validated"]
+    return {"estimates": adapted.targets.as_dict(), "adaptation": dict(known)}
+
+
+def in_words(adapted: "Pipeline | RecordedTouches") -> str:
+    """A sentence about an adapted pipeline: what it learned from."""
+    from eitskin.training.pipeline.pipeline import Pipeline
+
+    if not isinstance(adapted, Pipeline):
+        error = adapted.trained_on["validated"]["mean_error_mm"]
+        return (
+            f"touch positions from {adapted.trained_on['frames']} presses, {error:.1f} mm off in "
+            "presses that were left out"
+        )
+    known = adapted.adaptation
+    return (
+        f"adapted by {known['flat']} flat frames, {known['bends']} at known angles and "
+        f"{known['touches']} with known touches; {known['left_out']} not used"
+    )
+
+
+def calibration_table(calibration: "Calibration") -> Table:
+    """Table of the standard errors of the angle before and after known angles were seen."""
+    table = Table("angle, deg", "standard error before, deg", "after, deg")
+    rows = zip(
+        calibration.angles_deg,
+        calibration.error_before_deg,
+        calibration.error_after_deg,
+        strict=True,
+    )
+    for angle, before, after in rows:
+        table.add_row(f"{angle:.1f}", f"{before:.2f}", f"{after:.2f}")
+    table.caption = f"residual of the calibration frames {calibration.residual_deg:.2f} deg"
+    return table

@@ -1,0 +1,136 @@
+"""`eitskin adapt`: pipelines of both kinds, errors by frames used, and what is refused."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from command_line import printed_json, run
+from toy_skin import toy_presses
+
+from eitskin.datasets import Dataset, State, save_dataset
+from eitskin.errors import ConfigurationError, DataError, FrameError
+from eitskin.simulator import Protocol
+from eitskin.training import Pipeline, RecordedTouches
+from eitskin.training.adaptation.labelled_presses import LabelledPresses
+from eitskin.training.evaluation import adaptation_curve
+from eitskin.training.evaluation.adaptation_curve import pipeline_curve, press_curve
+
+GAIN = 1.1  # by which the sensor of the test answers bends more than the usual one
+
+
+@pytest.fixture(scope="module")
+def pipeline():
+    return Pipeline.load("reference.eitmodel")
+
+
+@pytest.fixture(scope="module")
+def bends(pipeline):
+    """Untouched frames of one sensor at known angles."""
+    rng, known = np.random.default_rng(0), pipeline.flat_sensors
+    angles = rng.permutation(np.linspace(-18.0, 48.0, 21))
+    share = GAIN * angles[:, None] / 45.0
+    flat = pipeline.layout.reference
+    frames = flat * np.exp(share * known.bend[0] + share**2 * known.bend[1])
+    return Dataset.from_arrays(
+        frames * (1.0 + 2e-4 * rng.normal(size=frames.shape)),
+        flat,
+        specimen=np.zeros(len(angles)),
+        state=np.full(len(angles), State.BEND),
+        bend_angle_deg=angles,
+        time=np.arange(len(angles)),
+        protocol=pipeline.layout.protocol,
+        frequency=pipeline.layout.frequency,
+        design=pipeline.layout.design,
+    )
+
+
+def toy_recording(count=25):
+    ratio, places, depth = toy_presses(count)
+    x, y, travel = np.full((3, count, 4), np.nan)
+    x[:, 0], y[:, 0], travel[:, 0] = *places.T, depth
+    return Dataset.from_arrays(
+        ratio,
+        np.ones(8),
+        touch_x=x,
+        touch_y=y,
+        touch_depth=travel,
+        state=np.full(count, State.TOUCH),
+        time=np.arange(count),
+    )
+
+
+def nearest(presses):
+    """Places of the press that is most alike, in place of maps, which take seconds."""
+
+    def apply(ratios):
+        away = np.linalg.norm(np.log(ratios)[:, None] - np.log(presses.ratios), axis=2)
+        return presses.places[away.argmin(axis=1)]
+
+    return SimpleNamespace(locator=SimpleNamespace(apply=apply))
+
+
+@pytest.fixture(autouse=True)
+def few_trees(monkeypatch):
+    monkeypatch.setattr(adaptation_curve, "TREES", 10)
+
+
+@pytest.mark.slow
+def test_known_angles_of_a_recording_adapt_a_pipeline_and_errors_fall(bends, pipeline, tmp_path):
+    save_dataset(bends, tmp_path / "bends")
+    mine = tmp_path / "mine.eitmodel"
+    said = printed_json("adapt", "reference.eitmodel", tmp_path / "bends", "--out", mine)
+    assert said["adaptation"]["bends"] == len(bends)
+    points = {(each["method"], each["frames"]): each for each in said["errors"]}
+    before, after = points["as trained", 0]["angle_deg"], points["adapted", 14]["angle_deg"]
+    assert after < 0.5 * before
+    assert points["ExtraTrees", 14]["angle_deg"] < points["ExtraTrees", 5]["angle_deg"]
+    adapted = Pipeline.load(mine)
+    off = adapted.perceive(bends).bend_angle_deg - bends.bend_angle_deg
+    assert np.sqrt(np.mean(off**2)) < 0.5 * before
+    assert pipeline.adaptation == {}  # curve and command leave the pipeline itself alone
+
+
+def test_blocks_of_time_are_tested_with_frames_of_the_others(monkeypatch):
+    """Presses of each third of the time are alike; from the others none can be found."""
+    places = np.repeat([[0.0, 0.0], [0.1, 0.0], [0.0, 0.1]], 5, axis=0)
+    ratios = np.exp(places @ np.ones((2, 3)) + places @ np.array([[1.0, 2, 3], [3, 2, 1]]))
+    monkeypatch.setattr(adaptation_curve, "learn_places", nearest)
+    points = press_curve(LabelledPresses(ratios, places))
+    assert {(each.method, each.frames) for each in points} == {
+        (method, count) for method in ("adapted", "ExtraTrees") for count in (5, 10)
+    }
+    assert all(each.place_mm > 70.0 and each.found == 1.0 for each in points)
+
+
+def test_touch_positions_are_learned_where_nothing_was_before(monkeypatch, tmp_path):
+    monkeypatch.setattr(adaptation_curve, "learn_places", nearest)
+    save_dataset(toy_recording(), tmp_path / "presses")
+    first, second = tmp_path / "first.eitmodel", tmp_path / "second.eitmodel"
+    said = printed_json("adapt", "none", tmp_path / "presses", "--out", first)
+    assert said["adaptation"]["mean_error_mm"] < 3.0
+    assert {each["method"] for each in said["errors"]} == {"adapted", "ExtraTrees"}
+    assert RecordedTouches.load(first).trained_on["frames"] == 25
+    shown = run("adapt", first, tmp_path / "presses", "--out", second, "--no-table")
+    assert "touch positions from 25 presses" in shown.stdout
+
+
+def test_what_cannot_be_adapted_to_is_refused(bends, pipeline, tmp_path):
+    two = Dataset.from_arrays(np.ones((4, 28)), np.ones((2, 28)), specimen=[0, 0, 1, 1])
+    save_dataset(two, tmp_path / "two")
+    with pytest.raises(ConfigurationError, match="2 specimens"):
+        run("adapt", "none", tmp_path / "two", "--out", tmp_path / "a.eitmodel")
+    with pytest.raises(ConfigurationError, match="--specimen 7"):
+        run("adapt", "none", tmp_path / "two", "--specimen", 7, "--out", tmp_path / "a.eitmodel")
+    with pytest.raises(DataError, match="at least 5"):
+        run("adapt", "none", tmp_path / "two", "--specimen", 0, "--out", tmp_path / "a.eitmodel")
+    with pytest.raises(DataError, match="labelled frames"):
+        pipeline_curve(pipeline, bends.select(slice(1)))
+    assert not (tmp_path / "a.eitmodel").exists()
+
+
+def test_recordings_of_other_measurements_are_refused():
+    known = RecordedTouches.fit(toy_recording(), share=1.0)
+    assert known.described(toy_recording(5)).protocol is None
+    other = Dataset.from_arrays(np.ones((2, 6)), np.ones(6), protocol=Protocol.pairwise(4))
+    with pytest.raises(FrameError, match="8 channels, got 6"):
+        known.described(other)
