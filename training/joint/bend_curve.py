@@ -22,10 +22,6 @@ RANDOM_POWERS = 3  # of the angle, in a specimen's departure from the mean (rand
 SCALE = 50.0  # deg, the unit of the angle in both polynomials
 EM_ITERATIONS = 15
 
-# Exponents and factors of the value (u^1, u^2, ...) and of the slope (u^0, 2 u^1, ... over SCALE)
-_EXPONENTS = np.arange(1.0, MEAN_POWERS + 1) - [[0.0], [1.0]]
-_FACTORS = np.array([np.ones(MEAN_POWERS), np.arange(1, MEAN_POWERS + 1) / SCALE])
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BendCurve:
@@ -34,10 +30,9 @@ class BendCurve:
         B(u) = sum_k u^k b_k + sum_j u^j w_j,   u = angle / 50 deg,   w ~ N(0, covariance)
 
     Attributes:
-        mean: b_k (MEAN_POWERS, K).
-        effects: mean of w, the specimen's random effects (RANDOM_POWERS, K); zero before a
-            calibration.
-        covariance: of w (RANDOM_POWERS K, RANDOM_POWERS K).
+        mean: b_k (M, K).
+        effects: mean of w, the specimen's random effects (R, K); zero before a calibration.
+        covariance: of w (R K, R K).
         angle_deg: smallest and largest angle that the curve was learned from [deg].
     """
 
@@ -45,15 +40,15 @@ class BendCurve:
     effects: Array
     covariance: Array
     angle_deg: tuple[float, float]
-    _coefficients: Array = field(init=False, repr=False)  # b_k + w_k (MEAN_POWERS, K)
-    _blocks: Array = field(init=False, repr=False)  # covariances of w_j, w_k (RANDOM_POWERS^2, K^2)
+    _coefficients: Array = field(init=False, repr=False)  # b_k + w_k (M, K)
+    _blocks: Array = field(init=False, repr=False)  # covariances of w_j, w_k (R^2, K^2)
 
     def __post_init__(self) -> None:
         """Arrange coefficients and covariances for evaluation."""
-        coefficients, channels = self.mean.copy(), self.mean.shape[1]
-        coefficients[:RANDOM_POWERS] += self.effects
-        powers = self.covariance.reshape(RANDOM_POWERS, channels, RANDOM_POWERS, channels)
-        blocks = powers.transpose(0, 2, 1, 3).reshape(RANDOM_POWERS**2, channels**2)
+        coefficients, (random, channels) = self.mean.copy(), self.effects.shape
+        coefficients[:random] += self.effects
+        powers = self.covariance.reshape(random, channels, random, channels)
+        blocks = powers.transpose(0, 2, 1, 3).reshape(random**2, channels**2)
         object.__setattr__(self, "_coefficients", coefficients)
         object.__setattr__(self, "_blocks", blocks)
 
@@ -77,12 +72,12 @@ class BendCurve:
     def value(self, angle_deg: ArrayLike) -> Array:
         """Expected change of log V (..., K) at angles (...) [deg]."""
         u = np.asarray(angle_deg, dtype=float)[..., None] / SCALE
-        value: Array = _powers(u, MEAN_POWERS) @ self._coefficients
+        value: Array = _powers(u, len(self.mean)) @ self._coefficients
         return value
 
     def grid(self, count: int) -> tuple[Array, Array]:
         """Angles (count,) [deg] over the range learned from, and values there (count, K)."""
-        angles, powers = _grid(*self.angle_deg, count)
+        angles, powers = _grid(*self.angle_deg, count, len(self.mean))
         return angles, powers @ self._coefficients
 
     def slope(self, angle_deg: float) -> Array:
@@ -92,13 +87,15 @@ class BendCurve:
 
     def value_and_slope(self, angle_deg: float) -> tuple[Array, Array]:
         """Value (K,) and derivative (K,) [1/deg] at one angle [deg]."""
-        value, slope = (_FACTORS * (angle_deg / SCALE) ** _EXPONENTS) @ self._coefficients
+        exponents, factors = _value_and_slope(len(self.mean))
+        value, slope = (factors * (angle_deg / SCALE) ** exponents) @ self._coefficients
         return value, slope
 
     def uncertainty(self, angle_deg: float, reference_deg: float = 0.0) -> Array:
         """Covariance (K, K) of B(angle) - B(reference) that w contributes."""
-        u, reference, channels = angle_deg / SCALE, reference_deg / SCALE, self.mean.shape[1]
-        weights = np.array([u**k - reference**k for k in range(1, RANDOM_POWERS + 1)])
+        u, reference = angle_deg / SCALE, reference_deg / SCALE
+        random, channels = self.effects.shape
+        weights = np.array([u**k - reference**k for k in range(1, random + 1)])
         covariance: Array = (weights[:, None] * weights).reshape(-1) @ self._blocks
         return covariance.reshape(channels, channels)
 
@@ -113,7 +110,8 @@ class BendCurve:
         count, channels = change.shape
         if noise.shape == (channels, channels):
             noise = np.asarray(np.kron(np.eye(count), noise), dtype=float)
-        weights = np.kron(_powers(angle_deg[:, None] / SCALE, RANDOM_POWERS), np.eye(channels))
+        powers = _powers(angle_deg[:, None] / SCALE, len(self.effects))
+        weights = np.kron(powers, np.eye(channels))
         residual = (change - self.value(angle_deg)).ravel()
         good = np.isfinite(residual)
         weights, residual = weights[good], residual[good]
@@ -130,8 +128,8 @@ class BendCurvePrior:
 
     Attributes:
         mean: coefficients of the middle specimen, then their derivative by each feature
-            (1 + P, MEAN_POWERS, K).
-        covariance: of the random effects (RANDOM_POWERS K, RANDOM_POWERS K).
+            (1 + P, M, K).
+        covariance: of the random effects (R K, R K).
         angle_deg: smallest and largest angle learned from; zero lies between them [deg].
     """
 
@@ -188,7 +186,8 @@ class BendCurvePrior:
         """Prior of the curve of a specimen with features (P,)."""
         p = np.concatenate([[1.0], np.asarray(features, dtype=float)])
         mean = np.tensordot(p, self.mean, axes=1)
-        effects = np.zeros((RANDOM_POWERS, mean.shape[1]))
+        channels = mean.shape[1]
+        effects = np.zeros((len(self.covariance) // channels, channels))
         return BendCurve(mean, effects, self.covariance, self.angle_deg)
 
     def arrays(self) -> dict[str, Array]:
@@ -211,10 +210,17 @@ def _powers(u: Array, count: int) -> Array:
 
 
 @lru_cache(maxsize=16)
-def _grid(low: float, high: float, count: int) -> tuple[Array, Array]:
-    """Angles (count,) [deg] and their powers (count, MEAN_POWERS)."""
+def _grid(low: float, high: float, count: int, powers: int) -> tuple[Array, Array]:
+    """Angles (count,) [deg] and their powers (count, powers)."""
     angles = np.linspace(low, high, count)
-    return angles, _powers(angles[:, None] / SCALE, MEAN_POWERS)
+    return angles, _powers(angles[:, None] / SCALE, powers)
+
+
+@lru_cache(maxsize=16)
+def _value_and_slope(powers: int) -> tuple[Array, Array]:
+    """Exponents and factors (2, powers): u^1, u^2, ... and, over SCALE, u^0, 2 u^1, ..."""
+    orders = np.arange(1.0, powers + 1)
+    return orders - [[0.0], [1.0]], np.array([np.ones(powers), orders / SCALE])
 
 
 def _mixed_model(

@@ -12,6 +12,7 @@ from eitskin.protocol import Protocol
 from eitskin.simulator.instrument.drift import DRIFT_TIME
 from eitskin.training.joint.adaptation import adapted_curve, calibration_of
 from eitskin.training.joint.angle_estimate import AngleEstimate
+from eitskin.training.joint.angle_networks import AngleNetworks
 from eitskin.training.joint.bend_curve import BendCurve, BendCurvePrior
 from eitskin.training.joint.channel_faults import possible_faults
 from eitskin.training.joint.combinations import Combinations, CombinedChange, log_change
@@ -43,7 +44,7 @@ from eitskin.training.method.training_frames import TrainingFrames
 Array = NDArray[np.float64]
 Arrays = dict[str, NDArray[np.generic]]
 
-NETWORKS = ("response", "proposals")  # parts whose learning curves are kept
+NETWORKS = ("response", "proposals", "angles")  # parts whose learning curves are kept
 REJECTED = TOUCH_THRESHOLD - 2.0  # highest evidence that a rejected touch may leave
 SAME_SPECIMEN = 0.008  # spread of log ratios of two sessions of a sensor; paths err by 0.4 %
 
@@ -82,6 +83,8 @@ class JointMethod(Method):
         learning_curves: losses of the networks during training, by the names in `NETWORKS`.
         calibrated: bend curve of the calibrated specimen, if any.
         calibrated_flat: magnitudes of that specimen, flat and untouched (C,) [ohm].
+        angles: networks of the bend angle, for sensors that are not calibrated; None where the bend
+            curve alone tells it as well.
         forces: whether touches have forces; else these are strengths, relative to the usual touch.
     """
 
@@ -103,6 +106,7 @@ class JointMethod(Method):
     learning_curves: Mapping[str, LearningCurve] = field(default_factory=dict)
     calibrated: BendCurve | None = None
     calibrated_flat: Array | None = None
+    angles: AngleNetworks | None = None
     forces: bool = True
     _specimens: dict[bytes, SpecimenModel] = field(default_factory=dict, init=False, repr=False)
     _rows: CandidateRows = field(init=False, repr=False)
@@ -275,6 +279,7 @@ class JointMethod(Method):
                 possible_faults(self.protocol, flat, self.combinations),
                 self._calibration_problems(flat),
                 self._rows,
+                self.angles if self.calibrated is None else None,
             )
         return self._specimens[key]
 
@@ -320,6 +325,8 @@ class JointMethod(Method):
             "proposals": self.proposals,
             "combinations": self.combinations,
         }
+        if self.angles is not None:
+            parts["angles"] = self.angles
         if self.calibrated is not None:
             parts["calibrated"] = self.calibrated
         if self.calibrated_flat is not None:
@@ -366,5 +373,6 @@ class JointMethod(Method):
             {name: LearningCurve.from_arrays(part(name)) for name in NETWORKS},
             BendCurve.from_arrays(calibrated) if calibrated else None,
             arrays["calibrated_flat"].astype(float) if "calibrated_flat" in arrays else None,
+            AngleNetworks.from_arrays(angles) if "unit" in (angles := part("angles")) else None,
             bool(arrays.get("forces", True)),
         )

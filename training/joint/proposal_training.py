@@ -4,7 +4,6 @@ The frames are drawn from the learned touch response, bend curves and touch prio
 """
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 import torch  # noqa: TID253  see above
@@ -17,7 +16,7 @@ from eitskin.training.joint.prior import MOST_TOUCHES, TouchPrior
 from eitskin.training.joint.proposal_model import WIDTH, ProposalNetwork, network_inputs
 from eitskin.training.joint.touch_response import TouchResponse
 from eitskin.training.method.learning_curve import LearningCurve
-from eitskin.training.method.network_training import seeded_network
+from eitskin.training.method.network_training import dense_layers, seeded_network
 from eitskin.training.method.settings import NetworkSettings, Progress
 
 Array = NDArray[np.float64]
@@ -111,7 +110,7 @@ def fit_proposals(
     rng = np.random.default_rng(seed)
     inputs, _ = model.frames(2, rng)
     sizes = [inputs.shape[1], *HIDDEN, len(columns) * len(rows)]
-    network = seeded_network(lambda: _layers(sizes), seed)
+    network = seeded_network(lambda: dense_layers(sizes), seed)
     steps = settings.epochs * STEPS_PER_EPOCH
     optimiser = torch.optim.Adam(network.parameters(), settings.learning_rate)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, settings.learning_rate, steps)
@@ -139,14 +138,6 @@ def fit_proposals(
         rows,
     )
     return proposals, LearningCurve(tuple(losses))
-
-
-def _layers(sizes: list[int]) -> nn.Sequential:
-    """Linear layers with SiLU between."""
-    layers: list[nn.Module] = []
-    for inputs, outputs in pairwise(sizes):
-        layers += [nn.Linear(inputs, outputs), nn.SiLU()]
-    return nn.Sequential(*layers[:-1])
 
 
 def _bumps(places: Tensor, cells: list[Tensor]) -> Tensor:

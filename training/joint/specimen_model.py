@@ -1,11 +1,13 @@
 """Model of one specimen: its response, bend curve, possible faults and touch candidates."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.training.joint.angle_estimate import AngleEstimate, robust_angle
+from eitskin.training.joint.angle_networks import AngleNetworks, blended
 from eitskin.training.joint.bend_curve import BendCurve
 from eitskin.training.joint.channel_faults import PossibleFaults
 from eitskin.training.joint.combinations import CombinedChange
@@ -56,11 +58,12 @@ class SpecimenModel:
         faults: PossibleFaults,
         problems: tuple[str, ...],
         rows: CandidateRows,
+        networks: AngleNetworks | None = None,
     ) -> None:
         """Take the parts of the model; candidates follow when they are asked for."""
         self.features, self.response, self.curve = features, response, curve
         self.faults, self.problems = faults, problems
-        self._rows = rows
+        self._rows, self._networks = rows, networks
         self._last: tuple[bytes, AngleEstimate] | None = None
         self._candidates: dict[int, TouchCandidates] = {}
 
@@ -74,8 +77,17 @@ class SpecimenModel:
         """
         key = combined.change.tobytes() + combined.noise.tobytes()
         if self._last is None or self._last[0] != key:
-            self._last = (key, robust_angle(self.curve, combined, self.faults))
+            self._last = (key, self._angle(combined))
         return self._last[1]
+
+    def _angle(self, combined: CombinedChange) -> AngleEstimate:
+        """Angle by the curve, and by the networks where all measurements are good."""
+        found = robust_angle(self.curve, combined, self.faults)
+        if self._networks is None or found.faults or not combined.good.all():
+            return found
+        by_networks = self._networks.estimate(combined.change, self.features)
+        angle, deviation = blended((found.angle_deg, found.deviation_deg), by_networks)
+        return replace(found, angle_deg=angle, deviation_deg=deviation)
 
     def candidates(self, angle_deg: float) -> TouchCandidates:
         """Touch candidates at the step nearest to an angle [deg]."""

@@ -12,6 +12,8 @@ from eitskin.errors import DataError
 from eitskin.extras import require
 from eitskin.geometry.design.surface import Surface
 from eitskin.simulator.instrument.drift import DRIFT_TIME
+from eitskin.training.joint.angle_estimate import estimate_angle
+from eitskin.training.joint.angle_networks import AngleNetworks
 from eitskin.training.joint.bend_curve import BendCurvePrior
 from eitskin.training.joint.combinations import Combinations
 from eitskin.training.joint.mirrored_frames import (
@@ -46,6 +48,8 @@ TOUCHED_FRAMES = 4000
 response limits the fit."""
 LEAST_PROPOSALS = 0.25
 """Share of the epochs that the proposals are trained for at least."""
+FEWEST_SPECIMENS = 100  # from which on networks of the angle are tried
+COMPARED = 2000  # frames, by which networks and bend curves are compared
 HOLD_OUT = 8  # every how many-th specimen is held out to estimate the mismatch
 
 
@@ -71,7 +75,7 @@ def fit_joint(
     forces = bool(np.isfinite(dataset.touch_force).any())
     data = _usable(dataset)
     if not is_touched(data).any():
-        return _bend_method(make, data, spec, settings, progress)
+        return _bend_method(make, data, spec, settings, seed, progress)
     from eitskin.training.joint.proposal_training import SyntheticFrames, fit_proposals
 
     images = mirrors(spec.design, spec.protocol)
@@ -87,6 +91,7 @@ def fit_joint(
         else BendCurvePrior.flat(len(features.directions), len(combinations))
     )
     progress("bend curve", 1, 1)
+    angles, angles_curve = _angles(bent, features, combinations, curves, settings, seed, progress)
     response, response_curve = _response(
         touched, features, combinations, ranges, settings, seed, progress
     )
@@ -111,7 +116,8 @@ def fit_joint(
         spec.outline,
         spec.pixels,
         spec.protocol,
-        {"response": response_curve, "proposals": proposals_curve},
+        {"response": response_curve, "proposals": proposals_curve, "angles": angles_curve},
+        angles=angles,
         forces=forces,
     )
 
@@ -121,6 +127,7 @@ def _bend_method(
     data: Dataset,
     spec: InputSpec,
     settings: JointSettings,
+    seed: int,
     progress: Progress,
 ) -> Made:
     """Method of a sensor that is never touched: its bend curves, and nothing of touches."""
@@ -131,6 +138,7 @@ def _bend_method(
     progress("bend curve", 0, 1)
     curves = _curves(bent, features, combinations, settings.drift)
     progress("bend curve", 1, 1)
+    angles, angles_curve = _angles(bent, features, combinations, curves, settings, seed, progress)
     return make(
         features,
         TouchResponse.none(len(features.directions), len(combinations), spec.outline),
@@ -144,6 +152,8 @@ def _bend_method(
         spec.outline,
         spec.pixels,
         spec.protocol,
+        {"angles": angles_curve},
+        angles=angles,
         forces=False,
     )
 
@@ -223,17 +233,59 @@ def _curves(
     bent: MirroredFrames, features: SpecimenFeatures, combinations: Combinations, drift: float
 ) -> BendCurvePrior:
     """Bend curves, from bent frames and the references of touches on the bent sensor."""
-    covariance = np.diag(bent.noise * combinations.unit**2)
-    covariance += np.outer(combinations.drift, combinations.drift) * (
-        drift**2 * UNKNOWN_AGE / DRIFT_TIME
-    )
     return BendCurvePrior.fit(
         bent.angle_deg,
         combinations.of(bent.change),
         features.apply(bent.flat),
         bent.specimen + bent.image * (int(bent.specimen.max()) + 1),
-        covariance,
+        _bend_noise(bent, combinations, drift),
     )
+
+
+def _bend_noise(bent: MirroredFrames, combinations: Combinations, drift: float) -> Array:
+    """Covariance (K, K) of the noise of one bent frame's change."""
+    noise = np.diag(bent.noise * combinations.unit**2)
+    noise += np.outer(combinations.drift, combinations.drift) * _shared_variance(drift)
+    return noise
+
+
+def _shared_variance(drift: float) -> float:
+    """Variance of the change common to all measurements, at an unknown age of the reference."""
+    return drift**2 * UNKNOWN_AGE / DRIFT_TIME
+
+
+def _angles(
+    bent: MirroredFrames,
+    features: SpecimenFeatures,
+    combinations: Combinations,
+    curves: BendCurvePrior,
+    settings: JointSettings,
+    seed: int,
+    progress: Progress,
+) -> tuple[AngleNetworks | None, LearningCurve]:
+    """Networks of the bend angle, where they tell it better than the bend curves.
+
+    They are compared by the likelihood of the angles of specimens that they were trained without;
+    the curves were not fitted without these, and are a little the better for it.
+    """
+    if len(np.unique(bent.specimen)) < FEWEST_SPECIMENS:
+        return None, LearningCurve()
+    from eitskin.training.joint.angle_training import BentFrames, fit_angles, mean_loss
+
+    frames = BentFrames(
+        combinations.of(bent.change),
+        bent.angle_deg,
+        features.apply(bent.flat),
+        bent.specimen,
+        combinations,
+        float(np.sqrt(_shared_variance(settings.drift))),
+    )
+    networks, curve = fit_angles(frames, settings.angles, seed, progress)
+    few = frames[:: -(-len(frames.change) // COMPARED)]
+    noise = _bend_noise(bent, combinations, settings.drift)
+    pairs = zip(few.change, few.features, strict=True)
+    by_curves = np.array([estimate_angle(curves.of(p), change, noise) for change, p in pairs])
+    return networks if curve.validation[-1] < mean_loss(few, by_curves) else None, curve
 
 
 def _response(

@@ -3,8 +3,9 @@
 Stages import this module inside the functions that need it, so that torch stays optional.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from math import isfinite
 from typing import TypeVar
 
@@ -27,6 +28,14 @@ def seeded_network(make: Callable[[], Network], seed: int) -> Network:
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         return make()
+
+
+def dense_layers(sizes: Sequence[int]) -> nn.Sequential:
+    """Linear layers of these sizes, with SiLU between."""
+    layers: list[nn.Module] = []
+    for inputs, outputs in pairwise(sizes):
+        layers += [nn.Linear(inputs, outputs), nn.SiLU()]
+    return nn.Sequential(*layers[:-1])
 
 
 @dataclass(frozen=True, slots=True)

@@ -84,12 +84,14 @@ class JointSettings:
         response: of the network of the touch response.
         proposals: of the network that proposes positions; an epoch is a hundred steps on synthetic
             frames.
+        angles: of the networks of the bend angle.
         drift: standard deviation after four hours of the factor common to all measurements: the gel
             dries and warms by a percent or two, the electronics drift by 0.2 %.
     """
 
     response: NetworkSettings = NetworkSettings(6e-3, epochs=60, batch=512, least_steps=2000)
     proposals: NetworkSettings = NetworkSettings(2e-3, epochs=40, batch=512)
+    angles: NetworkSettings = NetworkSettings(3e-3, epochs=12, batch=256)
     drift: float = 0.02
 
     def __post_init__(self) -> None:

@@ -1,0 +1,179 @@
+"""Angle networks: their formulae, and what they learn of sensors whose clamps differ."""
+
+import numpy as np
+import pytest
+
+from eitskin.training.joint import angle_training
+from eitskin.training.joint import training as joint_training
+from eitskin.training.joint.angle_estimate import estimate_angle
+from eitskin.training.joint.angle_networks import NEAR_DEG, AngleNetworks, blended
+from eitskin.training.joint.angle_training import BentFrames, fit_angles, groups_of_specimens
+from eitskin.training.joint.bend_curve import BendCurvePrior
+from eitskin.training.joint.combinations import Combinations
+from eitskin.training.joint.mirrored_frames import MirroredFrames
+from eitskin.training.method.settings import JointSettings, NetworkSettings, silent
+from eitskin.training.paper.networks import single_thread
+
+CHANNELS, NOISE = 6, 1e-4
+COMBINATIONS = Combinations(np.full(CHANNELS, NOISE))
+SETTINGS = NetworkSettings(1e-2, epochs=30, batch=128)
+
+
+def bent(specimens, seed, tightness=0.35):
+    """Bent frames of sensors in clamps of random tightness; that at zero is the same for all.
+
+    The change is a nonlinear function of the angle times a factor, with a part of its own shape
+    that tells the factor.
+    """
+    rng = np.random.default_rng(seed)
+    number = np.repeat(np.arange(specimens), 6)
+    factor = np.exp(tightness * rng.standard_normal(specimens))[number]
+    angle = rng.uniform(-20.0, 50.0, len(number))
+    u = factor * angle / 50.0
+    ways = np.random.default_rng(0).standard_normal((3, CHANNELS)) * 0.02
+    change = np.tanh(u)[:, None] * ways[0] + (u**2)[:, None] * ways[1]
+    change += (np.log(factor) * u)[:, None] * ways[2]
+    change += NOISE * rng.standard_normal(change.shape)
+    return change, angle, number
+
+
+def frames(specimens=150, seed=1, tightness=0.35):
+    change, angle, number = bent(specimens, seed, tightness)
+    return BentFrames(change, angle, np.zeros((len(change), 0)), number, COMBINATIONS, 0.0)
+
+
+@pytest.fixture(scope="module")
+def trained():
+    said = []
+    with single_thread(), pytest.MonkeyPatch.context() as patch:
+        patch.setattr(angle_training, "HIDDEN", (32, 32))
+        found = fit_angles(frames(), SETTINGS, 0, lambda *told: said.append(told))
+    return *found, said
+
+
+def random_networks(members=3, inputs=4):
+    rng = np.random.default_rng(3)
+    sizes = [(5, inputs), (2, 5)]
+    return AngleNetworks(
+        tuple(0.3 * rng.standard_normal((members, *size)) for size in sizes),
+        tuple(0.3 * rng.standard_normal((members, size[0])) for size in sizes),
+        np.array([0.1, 0.2]),
+        (-20.0, 50.0),
+    )
+
+
+# The formulae
+
+
+def test_each_member_is_a_dense_network():
+    networks = random_networks()
+    change, features = np.array([0.05, -0.1]), np.array([0.7, 9.0])
+    means, deviations = networks.members(change, features)
+    x = np.array([0.5, -0.5, 0.7, 4.0])
+    for k in range(3):
+        before = networks.weights[0][k] @ x + networks.biases[0][k]
+        last = networks.weights[1][k] @ (before / (1 + np.exp(-before))) + networks.biases[1][k]
+        np.testing.assert_allclose([means[k], deviations[k]], [20 * last[0], 20 * np.exp(last[1])])
+
+
+def test_variance_is_that_within_and_a_jackknife_of_that_between():
+    networks = random_networks()
+    of = (np.array([0.05, -0.1]), np.zeros(2))
+    means, deviations = networks.members(*of)
+    angle, deviation = networks.estimate(*of)
+    assert angle == pytest.approx(means.mean())
+    jackknife = 2 / 3 * np.sum((means - means.mean()) ** 2)
+    assert deviation**2 == pytest.approx(np.mean(deviations**2) + jackknife)
+
+
+@pytest.mark.parametrize(("by_networks", "expected"), [(0.0, 1.0), (NEAR_DEG / 2, 2.0), (8.0, 8.0)])
+def test_the_curve_counts_near_zero(by_networks, expected):
+    curve = (1.0, 0.1) if by_networks != NEAR_DEG / 2 else (4.0 - by_networks, 0.1)
+    angle, deviation = blended(curve, (by_networks, 0.5))
+    assert angle == pytest.approx(expected)
+    share = min(by_networks / NEAR_DEG, 1.0)
+    assert deviation == pytest.approx(0.1 + share * 0.4)
+
+
+def test_stored_networks_estimate_the_same(trained):
+    networks = trained[0]
+    again = AngleNetworks.from_arrays(networks.arrays())
+    change = frames(1, seed=5).change[0]
+    np.testing.assert_allclose(
+        again.estimate(change, np.zeros(0)), networks.estimate(change, np.zeros(0)), rtol=1e-6
+    )
+    assert again.angle_deg == networks.angle_deg
+
+
+# Learned
+
+
+def test_networks_tell_angles_of_clamps_never_seen(trained):
+    networks, curve, said = trained
+    unseen = frames(60, seed=9)
+    found = np.array([networks.estimate(each, np.zeros(0)) for each in unseen.change])
+    error = found[:, 0] - unseen.angle_deg
+    prior = BendCurvePrior.fit(
+        unseen.angle_deg,
+        unseen.change,
+        unseen.features,
+        unseen.specimen,
+        NOISE**2 * np.eye(CHANNELS),
+    )  # fitted to the very frames, and yet worse
+    by_curve = [
+        estimate_angle(prior.of(()), each, NOISE**2 * np.eye(CHANNELS)) for each in unseen.change
+    ]
+    rms = np.sqrt(np.mean(error**2))
+    assert rms < 0.6 * np.sqrt(np.mean((np.array(by_curve)[:, 0] - unseen.angle_deg) ** 2))
+    assert 0.4 < np.sqrt(np.mean((error / found[:, 1]) ** 2)) < 1.4
+    assert curve.validation[-1] < curve.validation[0]
+    assert said[-1] == ("angles", 150, 150)
+
+
+def test_specimens_of_one_clamp_are_left_out_together():
+    """Groups gather specimens that bend alike: far fewer factors in each than over all."""
+    data = frames(100)
+    factors = np.array(
+        [
+            np.abs(
+                data.change[data.specimen == k] / data.angle_deg[data.specimen == k, None]
+            ).mean()
+            for k in range(100)
+        ]
+    )
+    group = groups_of_specimens(data, 0)
+    within = [factors[group == g].std() for g in np.unique(group) if (group == g).sum() > 2]
+    assert np.mean(within) < 0.5 * factors.std()
+
+
+@pytest.mark.parametrize(("tightness", "kept"), [(0.35, True), (0.0, False)])
+def test_networks_are_kept_where_they_tell_more_than_the_curves(tightness, kept):
+    change, angle, number = bent(120, 1, tightness)
+    data = MirroredFrames(
+        change,
+        1.0,
+        np.ones_like(change),
+        np.zeros((len(change), 0, 3)),
+        angle,
+        number,
+        np.zeros(len(change), np.int64),
+    )
+    settings = JointSettings(angles=SETTINGS, drift=1e-6)
+    features = _no_features()
+    curves = joint_training._curves(data, features, COMBINATIONS, 1e-6)
+    with single_thread(), pytest.MonkeyPatch.context() as patch:
+        patch.setattr(angle_training, "HIDDEN", (24, 24))
+        networks, _ = joint_training._angles(
+            data, features, COMBINATIONS, curves, settings, 0, silent
+        )
+    assert (networks is not None) == kept
+
+
+def _no_features():
+    class NoFeatures:
+        directions = np.zeros((0, CHANNELS))
+
+        def apply(self, flat):
+            return np.zeros((len(flat), 0))
+
+    return NoFeatures()

@@ -1,0 +1,105 @@
+"""Angle networks: an ensemble that estimates the bend angle of sensors in clamps of any kind.
+
+One Gaussian distribution of bend curves (`BendCurvePrior`) holds the sensors of one clamp. Where
+the clamps of the training set differ, a curve's shape depends nonlinearly on the clamp, and the
+networks tell the angle from the shape of the change. They estimate it as long as a sensor is not
+calibrated; the curve of a calibrated one is known better than that.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import expit
+
+Array = NDArray[np.float64]
+
+UNIT_DEG = 20.0  # deg, of the networks' outputs
+LOG_DEVIATION = (-5.0, 3.0)  # bounds of the logarithm of the standard deviation, in units
+NEAR_DEG = 5.0
+"""Angle below which the bend curve counts the more, the nearer: it meets zero exactly."""
+FEATURE_LIMIT = 4.0  # standard deviations; features of stranger sensors count as so strange
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AngleNetworks:
+    """Ensemble of M networks, each from a change of log V and features to a normal distribution.
+
+    The mean of their means is the estimate. Each was trained without one of M groups of similar
+    specimens, so that their differences are a jackknife of what the training set lacks: with m_i
+    their means and s_i their standard deviations, the variance is
+
+        mean(s_i^2) + (M - 1) / M sum_i (m_i - mean(m))^2
+
+    (Efron and Stein 1981; Lakshminarayanan et al. 2017 for ensembles of such networks).
+
+    Attributes:
+        weights: of each layer (M, outputs, inputs).
+        biases: of each layer (M, outputs).
+        unit: rms of each combination of the change in training (K,).
+        angle_deg: smallest and largest angle learned from [deg].
+    """
+
+    weights: tuple[Array, ...]
+    biases: tuple[Array, ...]
+    unit: Array
+    angle_deg: tuple[float, float]
+
+    def inputs(self, change: Array, features: Array) -> Array:
+        """Inputs (..., K + P) from combinations of the change (..., K) and features (..., P)."""
+        held = np.clip(features, -FEATURE_LIMIT, FEATURE_LIMIT)
+        return np.concatenate([change / self.unit, held], axis=-1)
+
+    def members(self, change: Array, features: Array) -> tuple[Array, Array]:
+        """Means and standard deviations (M,) of one frame [deg].
+
+        Args:
+            change: combinations of the change from the flat sensor (K,).
+            features: of the specimen (P,).
+        """
+        hidden = np.repeat(self.inputs(change, features)[None], len(self.biases[0]), axis=0)
+        for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
+            before = np.einsum("moi,mi->mo", weight, hidden) + bias
+            hidden = before * expit(before)
+        last = np.einsum("moi,mi->mo", self.weights[-1], hidden) + self.biases[-1]
+        return UNIT_DEG * last[:, 0], UNIT_DEG * np.exp(np.clip(last[:, 1], *LOG_DEVIATION))
+
+    def estimate(self, change: Array, features: Array) -> tuple[float, float]:
+        """Angle [deg] and its standard error [deg] of one frame; arguments as of `members`."""
+        means, deviations = self.members(change, features)
+        lacking = (len(means) - 1) * float(np.var(means))
+        return float(np.mean(means)), float(np.sqrt(np.mean(deviations**2) + lacking))
+
+    def arrays(self) -> dict[str, NDArray[np.floating]]:
+        """Arrays from which `from_arrays` restores the networks; weights in single precision."""
+        arrays: dict[str, NDArray[np.floating]] = {"unit": self.unit}
+        arrays["angle_deg"] = np.array(self.angle_deg)
+        for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            arrays[f"weight{i}"] = weight.astype(np.float32)
+            arrays[f"bias{i}"] = bias.astype(np.float32)
+        return arrays
+
+    @classmethod
+    def from_arrays(cls, arrays: dict[str, NDArray[np.generic]]) -> "AngleNetworks":
+        """Restore the networks that `arrays` came from."""
+        values = {name: array.astype(float) for name, array in arrays.items()}
+        layers = range(sum(name.startswith("weight") for name in values))
+        low, high = values["angle_deg"].tolist()
+        return cls(
+            tuple(values[f"weight{i}"] for i in layers),
+            tuple(values[f"bias{i}"] for i in layers),
+            values["unit"],
+            (low, high),
+        )
+
+
+def blended(curve: tuple[float, float], networks: tuple[float, float]) -> tuple[float, float]:
+    """Angle and its standard error [deg] from those by the bend curve and by the networks.
+
+    Near zero the curve counts, from `NEAR_DEG` on the networks alone.
+    """
+    share = min(abs(networks[0]) / NEAR_DEG, 1.0)
+    angle, deviation = (
+        (1.0 - share) * one + share * other for one, other in zip(curve, networks, strict=True)
+    )
+    return angle, deviation
