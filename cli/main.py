@@ -20,6 +20,7 @@ from eitskin.cli.commands import (
     instrument,
     live,
     mesh,
+    setup,
     simulate,
     tare,
     train,
@@ -79,6 +80,7 @@ app.command("train")(train.command)
 app.command("evaluate")(evaluate.command)
 app.command("adapt")(adapt.command)
 app.command("tare")(tare.command)
+app.command("setup")(setup.command)
 app.command("calibrate")(calibrate.command)
 app.command("check")(check.command)
 app.command("board")(board.command)

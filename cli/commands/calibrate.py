@@ -8,6 +8,7 @@ import typer
 
 from eitskin.cli.commands.adapt import calibration_table
 from eitskin.cli.commands.live import BoardUri, seeded
+from eitskin.cli.commands.poses import asked, bent, frames_in_poses, left_alone
 from eitskin.cli.commands.stored_references import ReferenceFile, use_reference
 from eitskin.cli.options import (
     Json,
@@ -38,7 +39,6 @@ NoPrompt = Annotated[
         "--no-prompt", help="Do not wait: the board goes through the angles by itself, in turn."
     ),
 ]
-STALE = 2  # frames after a prompt that may have begun before it was answered
 
 
 def command(
@@ -73,7 +73,7 @@ def command(
     pipeline.require_bends()
     if reference is not None:
         use_reference(pipeline, reference, None, output)
-    wanted = ([0.0] if pipeline.stored is None else []) + _angles(angles)
+    wanted = ([0.0] if pipeline.stored is None else []) + angles_of(angles)
     taken = list(_from_board(board, pipeline.layout, wanted, frames, no_prompt, seed, output))
     known = [angle for angle in wanted for _ in range(frames)]
     if pipeline.stored is not None:
@@ -89,7 +89,8 @@ def command(
     output.note(f"saved {saved}; use it with this sensor only")
 
 
-def _angles(text: str) -> list[float]:
+def angles_of(text: str) -> list[float]:
+    """Angles in degrees from text, without 0; raises ConfigurationError for other text."""
     try:
         return [angle for angle in map(float, text.split(",")) if angle]
     except ValueError as error:
@@ -111,16 +112,12 @@ def _from_board(
 
     with open_board(uri, **seeded(uri, seed)) as board:
         layout.require_same_measurements(board.protocol, board.info.frequency)
-        stream = board.frames(newest=not no_prompt)
-        for angle in angles:
-            if not no_prompt:
-                what = "lay it flat" if angle == 0 else f"bend it by {angle:g} deg"
-                typer.prompt(f"{what}, untouched, and press Enter", "", show_default=False)
-                for _ in range(STALE):
-                    next(stream)
-            for _ in range(frames):
-                frame = next(stream)
-                if angle == 0:  # refused now, not after the work of all angles
-                    layout.require_same_sensor(layout.voltages(frame)[0])
-                yield frame
-            output.note(f"{angle:g} deg: {frames} frames")
+        hand = left_alone if no_prompt else asked
+        poses = [bent(angle) for angle in angles]
+        taken = frames_in_poses(
+            board, poses, frames, hand, lambda pose: output.note(f"{frames} frames: {pose.words}")
+        )
+        for frame, label in taken:
+            if label.flat:  # refused now, not after the work of all angles
+                layout.require_same_sensor(layout.voltages(frame)[0])
+            yield frame

@@ -95,7 +95,7 @@ def command(
         if values or protocol:
             raise ConfigurationError("--values and --protocol describe a --recording; name one")
         pipeline = open_pipeline(model or SHIPPED, own_method(method))
-        _check_board(
+        check_board(
             pipeline,
             board,
             frames,
@@ -107,7 +107,7 @@ def command(
         )
 
 
-def _check_board(
+def check_board(
     pipeline: "Pipeline | RecordedTouches",
     board: str,
     frames: int,

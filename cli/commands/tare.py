@@ -25,7 +25,8 @@ from eitskin.errors import ConfigurationError
 if TYPE_CHECKING:
     from eitskin.frame import Frame
     from eitskin.training.adaptation.recorded_touches import RecordedTouches
-    from eitskin.training.method.input_spec import InputSpec
+    from eitskin.training.pipeline.pipeline import Pipeline
+    from eitskin.training.pipeline.stored_reference import StoredReference, Zero
 
 DatasetOption = Annotated[
     Path | None, typer.Option("--dataset", help="Instead of a board: the reference of a specimen.")
@@ -61,39 +62,44 @@ def command(
     replay:DIRECTORY gives its first frames.
     """
     from eitskin.training.adaptation.opening import open_pipeline
-    from eitskin.training.pipeline.pipeline import Pipeline
     from eitskin.training.pipeline.stored_reference import Zero
 
     output = Output(as_json, quiet, verbose)
     if (board is None) == (dataset is None):
         raise ConfigurationError("give either --board or --dataset, the sensor of the reference")
     pipeline = open_pipeline(model, own_method(method))
-    spec = pipeline.layout if isinstance(pipeline, Pipeline) else pipeline
     zero = Zero.MOUNTED if mounted else Zero.FLAT
     if zero is Zero.FLAT:
         tell_unjudged(pipeline, output)
     if dataset is not None:
-        taken, number = [reference_frame(dataset, specimen)], ""
+        reference = pipeline.tare([reference_frame(dataset, specimen)], zero, "", str(dataset))
     else:
-        taken, number = _from_board(str(board), spec, frames, zero, seed, output)
-    reference = pipeline.tare(taken, zero, number, str(dataset or board))
+        reference = taken_from_board(pipeline, str(board), frames, zero, seed, output)
     reference.write(out)
     facts = {"frames": reference.frames, "noise": reference.noise, "taken": reference.taken}
-    result = {"out": str(out), "zero": str(zero), **facts, "board": number}
+    result = {"out": str(out), "zero": str(zero), **facts, "board": reference.board}
     output.result(result, f"{out}: the sensor {zero}, mean of {reference.frames} frames")
     output.note(f"use it by --reference {out}, with this sensor on this board only")
 
 
-def _from_board(
-    uri: str, spec: "InputSpec | RecordedTouches", frames: int, zero: str, seed: int, output: Output
-) -> "tuple[list[Frame], str]":
-    """Frames of a board, and its number."""
+def taken_from_board(
+    pipeline: "Pipeline | RecordedTouches",
+    uri: str,
+    frames: int,
+    zero: "Zero",
+    seed: int,
+    output: Output,
+) -> "StoredReference":
+    """Stored reference from frames of a board, which the pipeline uses from now on."""
     from eitskin.hardware.opening import open_board
+    from eitskin.training.pipeline.pipeline import Pipeline
 
+    spec = pipeline.layout if isinstance(pipeline, Pipeline) else pipeline
     with open_board(uri, **seeded(uri, seed)) as board:
         spec.require_same_measurements(board.protocol, board.info.frequency)
         output.note(f"measuring {frames} frames; keep the sensor {zero}, still and untouched")
-        return list(islice(board.frames(), frames)), board_number(board.info)
+        taken, number = list(islice(board.frames(), frames)), board_number(board.info)
+    return pipeline.tare(taken, zero, number, uri)
 
 
 def reference_frame(folder: Path, specimen: int) -> "Frame":

@@ -1,0 +1,232 @@
+"""Poses that a sensor is brought into, by hand or on a virtual board, and the frames of each."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import typer
+
+if TYPE_CHECKING:
+    from eitskin.datasets.store.dataset import Dataset
+    from eitskin.frame import Frame
+    from eitskin.geometry.design.outline import PlaneOutline
+    from eitskin.geometry.design.sensor import SensorDesign
+    from eitskin.hardware.boards.board import Board
+    from eitskin.training.method.known_frames import FrameLabel
+
+STALE = 2  # frames after a prompt that may have begun before it was answered
+
+Hand = Callable[["Board", "Pose", "Iterator[Frame]"], None]
+"""Way of bringing a sensor into a pose; frames that began before are taken from the iterator."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """State that a sensor is brought into.
+
+    Attributes:
+        words: what to do, for a person.
+        label: what is known of its frames.
+    """
+
+    words: str
+    label: "FrameLabel"
+
+
+def bent(angle_deg: float) -> Pose:
+    """Pose of the untouched sensor at an angle."""
+    from eitskin.training.method.known_frames import FrameLabel
+
+    words = "lay it flat" if angle_deg == 0 else f"bend it by {angle_deg:g} deg"
+    return Pose(f"{words}, untouched", FrameLabel(angle_deg))
+
+
+def pressed(name: str, x: float, y: float) -> Pose:
+    """Pose of the flat sensor with a press at a place [m]."""
+    from eitskin.training.method.known_frames import FrameLabel, TouchLabel
+
+    words = f"press at {name}: x {1e3 * x:.0f} mm, y {1e3 * y:.0f} mm, and hold"
+    return Pose(words, FrameLabel(touches=(TouchLabel(x, y),)))
+
+
+def asked(_board: "Board", pose: Pose, stream: "Iterator[Frame]") -> None:
+    """Ask a person, and wait for Enter."""
+    typer.prompt(f"{pose.words}, and press Enter", "", show_default=False)
+    for _ in range(STALE):
+        next(stream)
+
+
+def left_alone(_board: "Board", _pose: Pose, _stream: "Iterator[Frame]") -> None:
+    """Do nothing: the board goes through the poses by itself."""
+
+
+def staged(force: float) -> Hand:
+    """Bring the simulated sensor of a virtual board into its poses, pressed by a force [N]."""
+
+    def moved(board: "Board", pose: Pose, stream: "Iterator[Frame]") -> None:
+        from eitskin.errors import ConfigurationError
+        from eitskin.geometry.deformation.fixtures import Bend
+        from eitskin.hardware.virtual.virtual_board import VirtualBoard
+        from eitskin.simulator.scene.scene import Scene
+        from eitskin.simulator.scene.touch import Touch
+
+        if not isinstance(board, VirtualBoard):
+            raise ConfigurationError(
+                "--no-prompt is for a virtual: board, whose sensor moves by itself, got another "
+                "board; leave it out"
+            )
+        touches = tuple(Touch(each.x, each.y, force) for each in pose.label.touches or ())
+        scene = Scene(Bend(pose.label.angle_deg or 0.0), touches)
+        board.stage.set(scene)
+        while board.stage.truth(next(stream).number) != scene:
+            pass
+
+    return moved
+
+
+def frames_in_poses(
+    board: "Board",
+    poses: Sequence[Pose],
+    count: int,
+    hand: Hand,
+    done: Callable[[Pose], None] = lambda _: None,
+) -> "Iterator[tuple[Frame, FrameLabel]]":
+    """So many frames in each pose, with what is known of them.
+
+    Args:
+        board: open.
+        poses: in their order.
+        count: number of frames in each.
+        hand: way of bringing the sensor into a pose.
+        done: called after the frames of a pose.
+    """
+    stream = board.frames(newest=hand is asked)
+    for pose in poses:
+        hand(board, pose, stream)
+        for _ in range(count):
+            yield next(stream), pose.label
+        done(pose)
+
+
+def as_dataset(
+    taken: "Sequence[tuple[Frame, FrameLabel]]", design: "SensorDesign | None"
+) -> "Dataset":
+    """Labelled frames of one sensor as a dataset.
+
+    A touched frame is compared with the mean of the latest untouched frames, in succession and of
+    its angle, before it. The flat reference is the mean of all flat frames.
+
+    Raises DataError where no frame is flat and untouched.
+    """
+    import numpy as np
+
+    from eitskin.datasets.store.dataset import Dataset
+    from eitskin.datasets.store.schema import MAX_TOUCHES
+    from eitskin.datasets.store.state import State
+    from eitskin.errors import DataError
+
+    values = np.array([frame.impedance for frame, _ in taken])
+    labels = [label for _, label in taken]
+    flat = [row for row, label in enumerate(labels) if label.flat]
+    if not flat:
+        raise DataError(
+            "expected frames of the flat, untouched sensor among the labelled ones, got none; "
+            "repeat the step that lays it flat"
+        )
+    before = np.full(values.shape, np.nan, complex)
+    x, y = np.full((2, len(taken), MAX_TOUCHES), np.nan)
+    latest: list[int] = []
+    for row, label in enumerate(labels):
+        if not label.touches:
+            same = latest and labels[latest[-1]] == label and latest[-1] == row - 1
+            latest = [*latest, row] if same else [row]
+            continue
+        for k, touch in enumerate(label.touches):
+            x[row, k], y[row, k] = touch.x, touch.y
+        if latest and labels[latest[-1]].angle_deg == label.angle_deg:
+            before[row] = values[latest].mean(axis=0)
+    states = [
+        State.TOUCH if label.touches else State.IDLE if label.flat else State.BEND
+        for label in labels
+    ]
+    first = taken[0][0]
+    return Dataset.from_arrays(
+        values,
+        values[flat].mean(axis=0),
+        touch_reference=before,
+        specimen=np.zeros(len(taken)),
+        state=states,
+        bend_angle_deg=[label.angle_deg for label in labels],
+        touch_x=x,
+        touch_y=y,
+        time=np.arange(len(taken)) * _period(taken),
+        status=np.array([frame.status for frame, _ in taken]),
+        protocol=first.protocol,
+        frequency=first.frequency,
+        design=design,
+    )
+
+
+def _period(taken: "Sequence[tuple[Frame, FrameLabel]]") -> float:
+    """Mean time from frame to frame [s]; the clock of a board may begin anew at each step."""
+    steps = [b.time - a.time for (a, _), (b, _) in pairwise(taken)]
+    forward = [step for step in steps if step > 0.0]
+    return sum(forward) / len(forward) if forward else 1.0
+
+
+def press_places(design: "SensorDesign", count: int) -> list[tuple[float, float]]:
+    """Places (x, y) [m] spread over a plane sensor, each as far from all others as can be.
+
+    Raises ConfigurationError for an outline that is no plane one.
+    """
+    import numpy as np
+
+    outline = _plane(design)
+    inset = 0.12 * min(outline.length, outline.width)
+    x, y = np.meshgrid(*(np.linspace(0.0, size, 61) for size in (outline.length, outline.width)))
+    points = np.stack([x.ravel(), y.ravel()], axis=1)
+    around = inset * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
+    inner = np.all([outline.contains(points + step) for step in around], axis=0)
+    points = points[inner & np.asarray(outline.contains(points))]
+    middle = points.mean(axis=0)
+    chosen = [int(np.argmax(np.linalg.norm(points - middle, axis=1)))]
+    away = np.linalg.norm(points - points[chosen[0]], axis=1)
+    while len(chosen) < count:
+        chosen.append(int(np.argmax(away)))
+        away = np.minimum(away, np.linalg.norm(points - points[chosen[-1]], axis=1))
+    return [(float(a), float(b)) for a, b in points[chosen]]
+
+
+def place_map(
+    design: "SensorDesign", places: Sequence[tuple[float, float]], width: int = 48
+) -> str:
+    """Small map of a plane sensor, y upwards, with the numbers of places from 1."""
+    import numpy as np
+
+    outline = _plane(design)
+    rows = max(5, round(0.5 * width * outline.width / outline.length))
+    x = (np.arange(width) + 0.5) / width * outline.length
+    y = (np.arange(rows) + 0.5) / rows * outline.width
+    grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    inside = np.asarray(outline.contains(grid)).reshape(rows, width)
+    drawn = np.where(inside, ".", " ").astype(object)
+    for number, (a, b) in enumerate(places, 1):
+        row = min(int(b / outline.width * rows), rows - 1)
+        column = min(int(a / outline.length * width), width - 1)
+        for k, digit in enumerate(str(number)):
+            drawn[row, min(column + k, width - 1)] = digit
+    return "\n".join("".join(line) for line in drawn[::-1])
+
+
+def _plane(design: "SensorDesign") -> "PlaneOutline":
+    """Outline of a plane sensor; raises ConfigurationError for any other."""
+    from eitskin.errors import ConfigurationError
+    from eitskin.geometry.design.outline import PlaneOutline
+
+    if not isinstance(design.outline, PlaneOutline):
+        raise ConfigurationError(
+            "places are named on plane sensors, got a surface; label own presses with eitskin "
+            "import, and use eitskin adapt"
+        )
+    return design.outline
