@@ -18,7 +18,7 @@ from scipy.linalg import cho_factor, cho_solve
 Array = NDArray[np.float64]
 
 MEAN_POWERS = 5  # of the angle, in the mean curve (fixed effects)
-RANDOM_POWERS = 3  # of the angle, in a specimen's departure from the mean (random effects)
+RANDOM_POWERS = 5  # in a specimen's departure from the mean (random effects); 3 in version 0.1
 SCALE = 50.0  # deg, the unit of the angle in both polynomials
 EM_ITERATIONS = 15
 
