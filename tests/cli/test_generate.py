@@ -52,7 +52,8 @@ def test_a_recipe_by_its_path(recipe, tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_one_shard_says_what_is_missing(recipe, tmp_path):
+def test_one_shard_says_what_is_missing(recipe, tmp_path, monkeypatch):
+    in_this_process(monkeypatch)
     ran = run("generate", recipe, "--out", tmp_path / "set", "--shard", 2)
     assert "8 frames" in ran.stdout
     made = simulate_shard(parse_toml(Recipe, recipe.read_text()), 2)

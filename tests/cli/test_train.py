@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pytest
 import torch
+from matplotlib.figure import Figure
 
 from eitskin.cli.commands import evaluate, train
 from eitskin.datasets import State, save_dataset
@@ -41,6 +42,12 @@ def trained(dataset, tmp_path_factory):
     return folder
 
 
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Pictures are not written as images, which takes most of a report and has tests elsewhere."""
+    monkeypatch.setattr(Figure, "savefig", lambda _, path: path.write_bytes(b"PNG"))
+
+
 def read(folder):
     return json.loads((folder / "report.json").read_text())
 
@@ -64,6 +71,7 @@ def test_training_writes_a_report_with_curves_and_reconstructions(trained, datas
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_a_saved_pipeline_gives_the_same_report(trained, tmp_path, capsys):
     evaluate.command(trained / "some.eitmodel", trained / "data", out=tmp_path / "again")
     said = capsys.readouterr()
@@ -88,6 +96,7 @@ def test_a_place_for_no_report_is_refused_before_the_work(trained, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("undrawn")
 def test_touch_positions_alone_make_a_report(dataset, tmp_path):
     recording = dataclasses.replace(dataset, design=None).select(dataset.state == State.TOUCH)
     recording.touch_x[:, 0] += np.linspace(0.0, 0.05, len(recording))  # pressed at one place before
