@@ -1,5 +1,6 @@
 """Set-up shared by all tests."""
 
+import gc
 import os
 from collections import Counter
 from pathlib import Path
@@ -15,8 +16,29 @@ os.environ.setdefault("EITSKIN_CACHE", str(Path(__file__).parents[1] / ".pytest_
 
 
 def pytest_addoption(parser):
-    """How often `tests/datasets/test_crashes.py` kills and starves a run; 200 for the long run."""
+    """Options beside those of pytest.
+
+    `--crashes`: how often `tests/datasets/test_crashes.py` kills and starves a run; 200 for the
+    long run.
+    """
     parser.addoption("--crashes", type=int, default=1, help="trials of each kind of crash")
+    parser.addoption(
+        "--processor-times", action="store_true", help="files and tests that take most, at the end"
+    )
+
+
+def pytest_configure(config):
+    """Collect garbage seldom: many thousand objects of packages are looked through each time."""
+    gc.set_threshold(20_000, 10, 10)
+    if config.getoption("--processor-times"):
+        from processor_times import ProcessorTimes
+
+        config.pluginmanager.register(ProcessorTimes())
+
+
+def pytest_collection_finish():
+    """Leave what has been imported out of later collections of garbage."""
+    gc.freeze()
 
 
 @pytest.hookimpl(wrapper=True)
