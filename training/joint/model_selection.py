@@ -167,13 +167,20 @@ def _pruned(objective: TouchObjective, found: MapEstimate) -> MapEstimate:
         weakest = int(gains.argmin())
         if gains[weakest] > PRUNING_LIMIT * TOUCH_THRESHOLD:
             break
-        fewer = levenberg_marquardt(
-            objective, objective.linearised(found.unknowns.without_touch(weakest)), *FINE
-        )
+        fewer = _without(objective, found, weakest)
         if _gain(objective, fewer, found) > TOUCH_THRESHOLD:
             break
         found = fewer
     return found
+
+
+def _without(objective: TouchObjective, found: MapEstimate, touch: int) -> MapEstimate:
+    """The estimate without one touch; one that has not converged where the touch is needed."""
+    others = objective.linearised(found.unknowns.without_touch(touch))
+    whitening = objective.whitening(others)
+    goal = found.misfit + TOUCH_THRESHOLD  # in the metric of `found`
+    goal *= objective.misfit(others, whitening) / objective.misfit(others, found.whitening)
+    return levenberg_marquardt(objective, others, *FINE, whitening, goal)
 
 
 def _split(
@@ -189,9 +196,12 @@ def _split(
     pairs = pair_starts(objective, left_out, found, candidates)
     best = found
     for _, start in sorted(pairs, key=lambda pair: pair[0])[:PAIR_TRIALS]:
-        trial = levenberg_marquardt(objective, objective.linearised(start), *FINE)
-        more = len(trial.unknowns.touches) - len(best.unknowns.touches)
-        if _gain(objective, best, trial) > TOUCH_THRESHOLD * more:
+        at = objective.linearised(start)
+        whitening = objective.whitening(at)
+        more = len(start.touches) - len(best.unknowns.touches)
+        goal = objective.misfit(best.at, whitening) - TOUCH_THRESHOLD * more
+        trial = levenberg_marquardt(objective, at, *FINE, whitening, goal)
+        if trial.misfit < goal:
             best = trial
     return best if best is found else _pruned(objective, best)
 

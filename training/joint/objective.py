@@ -23,6 +23,8 @@ from eitskin.training.joint.touch_response import SpecimenResponse
 Array = NDArray[np.float64]
 
 BEYOND_DEG = 5.0  # by which an angle may lie outside of those the bend curve was learned from
+OPTIMISM = 10.0
+"""Most that is hoped for, in decreases of the misfit that its quadratic model promises."""
 STILL_DEG = 0.01  # motion below which the uncertainty of the bend curve is negligible
 
 
@@ -56,8 +58,7 @@ class Linearisation:
         rows: the residual, then the derivative of the model by a unit step of each of the n
             unknowns (1 + n, K).
         changes: by each touch (k, K).
-        hidden: rows of the response network's last layer, from which its uncertainty follows
-            (k, hidden + 1).
+        hidden: output of the response network, from which its uncertainty follows (k, hidden).
     """
 
     unknowns: Unknowns
@@ -159,12 +160,10 @@ class TouchObjective:
         np.multiply(slope, ANGLE_UNIT, out=rows[1])
         if not len(touches):
             return Linearisation(unknowns, rows, touches, touches)
-        modelled, hidden = self.response.with_derivatives(touches, angle)
-        changes = modelled[:, 0]
+        modelled, hidden = self.response.with_derivatives(touches, angle, TOUCH_UNITS)
+        changes = modelled[0]
         rows[0] -= np.add.reduce(changes)
-        np.multiply(
-            modelled[:, 1:], TOUCH_UNITS[:, None], out=rows[2:].reshape(len(touches), 3, -1)
-        )
+        rows[2:].reshape(len(touches), 3, -1)[:] = modelled[1:].transpose(1, 0, 2)
         return Linearisation(unknowns, rows, changes, hidden)
 
     def whitening(self, at: Linearisation) -> Array:
@@ -179,7 +178,7 @@ class TouchObjective:
             covariance = covariance + self.curve.uncertainty(unknowns.angle_deg, self.reference_deg)
             covariance += self.scan_skew(at.bend_slope, moved)
         if len(unknowns.touches):
-            covariance = covariance + self.response.uncertainty(at.hidden)
+            covariance = covariance + self.response.uncertainty(unknowns.touches, at.hidden)
             mismatch = self._mismatch_variance(at.changes)
             self.combined.combinations.add_independent(covariance, mismatch)
         return lapack.whitening(covariance)
@@ -301,16 +300,36 @@ class MapEstimate:
 
 
 def levenberg_marquardt(
-    objective: TouchObjective, start: Linearisation, steps: int, tolerance: float
+    objective: TouchObjective,
+    start: Linearisation,
+    steps: int,
+    tolerance: float,
+    whitening: Array | None = None,
+    goal: float = math.inf,
 ) -> MapEstimate:
-    """Minimise the objective from `start`, in the metric that belongs to the start.
+    """Minimise the objective from `start`.
 
-    Iterations end after `steps`, or with one that gains less than `tolerance` of misfit.
+    Iterations end after `steps`, with one that gains less than `tolerance` of misfit, or where the
+    goal is out of reach: where `OPTIMISM` times the decrease that the quadratic model promises
+    would leave more.
+
+    Args:
+        objective: that is minimised.
+        start: the model where the search begins.
+        steps: most iterations.
+        tolerance: of the misfit.
+        whitening: metric of the residual (K, K); that of the start by default.
+        goal: misfit above which the result is of no use.
     """
-    whitening = objective.whitening(start)
+    if whitening is None:
+        whitening = objective.whitening(start)
     at, now, damping = start, objective.quadratic(start, whitening), 1e-3
     for _ in range(steps):
-        moved = objective.linearised(objective.stepped(at.unknowns, now.step(damping)))
+        step = now.step(damping)
+        promised = float(step @ now.gradient)
+        if now.misfit - OPTIMISM * promised > goal:
+            break
+        moved = objective.linearised(objective.stepped(at.unknowns, step))
         trial = objective.quadratic(moved, whitening)
         if trial.misfit < now.misfit:
             gain = now.misfit - trial.misfit

@@ -118,21 +118,21 @@ class TouchPrior:
             touches: x [m], y [m] and force [N] of each (k, 3).
             motion_deg: bend angle of the reference minus that of the frame [deg].
         """
-        diagonal = products.reshape(-1)[:: len(products) + 1]
-        turn = ANGLE_UNIT / ANGLE_PRIOR_STD_DEG
         moved = motion_deg / ANGLE_PRIOR_STD_DEG
-        diagonal[0] += moved**2
-        diagonal[1] += turn**2
+        turn = ANGLE_UNIT / ANGLE_PRIOR_STD_DEG
+        penalty = moved**2
         products[0, 1] += turn * moved
-        if not len(touches):
-            return
-        departure = (self.mean - touches) / TOUCH_UNITS
-        pull = departure * self.stiffness
-        products[0, 2:] += pull.reshape(-1)
-        diagonal[0] += departure.reshape(-1) @ pull.reshape(-1)
-        diagonal[2:].reshape(-1, 3)[:] += self.stiffness
+        products[1, 1] += turn**2
+        if len(touches):
+            departure = (self.mean - touches) / TOUCH_UNITS
+            pull = departure * self.stiffness
+            products[0, 2:] += pull.reshape(-1)
+            penalty += float(np.vdot(departure, pull))
+            diagonal = products.reshape(-1)[2 * len(products) + 2 :: len(products) + 1]
+            diagonal.reshape(-1, 3)[:] += self.stiffness
         if len(touches) > 1:
-            diagonal[0] += self._repulsion(touches, products[0, 1:], products[1:, 1:])
+            penalty += self._repulsion(touches, products[0, 1:], products[1:, 1:])
+        products[0, 0] += penalty
 
     def _repulsion(self, touches: Array, gradient: Array, hessian: Array) -> float:
         """Penalty of touches closer than `separation`; adds to gradient and Hessian in place."""

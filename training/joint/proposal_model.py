@@ -9,6 +9,7 @@ from scipy.special import expit
 from eitskin.training.joint.prior import MOST_TOUCHES
 
 Array = NDArray[np.float64]
+Single = NDArray[np.float32]
 
 THRESHOLD = 0.08  # least value of a cell from which a touch is proposed
 WIDTH = 0.004  # m, standard deviation of the bump that represents a touch in the target map
@@ -29,19 +30,24 @@ class ProposalNetwork:
     columns: Array
     rows: Array
     _centres: Array = field(init=False, repr=False)  # x, y of all cells (rows x columns, 2) [m]
+    _layers: tuple[tuple[Single, Single], ...] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Compute the centres of the cells."""
+        """Compute the centres of the cells, and round the layers as they are saved."""
+        layers = zip(self.weights, self.biases, strict=True)
+        single = tuple((w.astype(np.float32), b.astype(np.float32)) for w, b in layers)
+        object.__setattr__(self, "_layers", single)
         x, y = np.meshgrid(self.columns, self.rows)
         object.__setattr__(self, "_centres", np.column_stack([x.ravel(), y.ravel()]))
 
     def map(self, inputs: Array) -> Array:
         """Map (rows, columns), 0 to 1, from `network_inputs` (inputs,)."""
-        hidden = inputs
-        for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
+        hidden = inputs.astype(np.float32)
+        for weight, bias in self._layers[:-1]:
             before = weight @ hidden + bias
             hidden = before * expit(before)
-        values: Array = expit(self.weights[-1] @ hidden + self.biases[-1])
+        weight, bias = self._layers[-1]
+        values: Array = expit(weight @ hidden + bias).astype(float)
         return values.reshape(len(self.rows), len(self.columns))
 
     def places(self, inputs: Array, separation: float) -> Array:

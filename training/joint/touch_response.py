@@ -87,19 +87,14 @@ class TouchResponse:
     _bias_by_angle: Array = field(init=False, repr=False)  # of the first layer [1/deg]
 
     def __post_init__(self) -> None:
-        """Fold the input scales into the first layer; append a constant to the last."""
-        first, last = self.weights[0], len(self.weights) - 1
+        """Fold the input scales into the first layer."""
+        first = self.weights[0]
         layers = [weight.T for weight in self.weights]
         layers[0] = (first[:, :3] * self.ranges.input_scale).T
-        biases = [self.biases[0] - first[:, :3].sum(axis=1), *self.biases[1:]]
-        by_angle = first[:, 3] / _ANGLE_SCALE
-        layers[last] = np.pad(layers[last], ((0, 0), (0, 1)))
-        biases[last] = np.pad(biases[last], (0, 1))
-        if not last:
-            by_angle = np.pad(by_angle, (0, 1))
+        biases = (self.biases[0] - first[:, :3].sum(axis=1), *self.biases[1:])
         object.__setattr__(self, "_layers", tuple(map(np.ascontiguousarray, layers)))
-        object.__setattr__(self, "_biases", tuple(biases))
-        object.__setattr__(self, "_bias_by_angle", by_angle)
+        object.__setattr__(self, "_biases", biases)
+        object.__setattr__(self, "_bias_by_angle", first[:, 3] / _ANGLE_SCALE)
 
     def hidden(self, touches: Array, angle_deg: float) -> Array:
         """Input of the last layer, [h, 1] F / F0 scale, for touches (k, 3): (k, hidden + 1)."""
@@ -108,30 +103,29 @@ class TouchResponse:
         for layer, bias in zip(self._layers[1:], self._biases[1:], strict=True):
             before = hidden @ layer + bias
             hidden = before * expit(before)
-        hidden[:, -1] = 1.0
-        rows: Array = self._unit * touches[:, 2:] * hidden
-        return rows
+        factor = self.unit * touches[:, 2:]
+        return np.concatenate([factor * hidden, factor], axis=1)
 
-    def hidden_with_derivatives(self, touches: Array, angle_deg: float) -> Array:
-        """`hidden` and its derivatives by x, y [1/m] and force [1/N] (k, 4, hidden + 1).
+    def network(self, touches: Array, angle_deg: float, units: Array) -> Array:
+        """Output h of the network and its derivatives by x, y and force (4, k, hidden).
 
         Forward-mode differentiation: one matrix product a layer for values and derivatives.
+
+        Args:
+            touches: x [m], y [m] and force [N] of each (k, 3).
+            angle_deg: of the bend [deg].
+            units: steps of x, y [m] and force [N] that derivatives are by (3,).
         """
         count, first = len(touches), self._layers[0]
-        rows = np.empty((count, 4, first.shape[1]))
-        value = touches @ first
+        rows = np.empty((4, count, first.shape[1]))
+        value = np.dot(touches, first, out=rows[0])
         value += self._biases[0] + angle_deg * self._bias_by_angle
-        np.multiply(_activated(value)[:, None], first, out=rows[:, 1:])
-        rows[:, 0] = value
+        np.multiply(_activated(value), (first * units[:, None])[:, None], out=rows[1:])
         for layer, bias in zip(self._layers[1:], self._biases[1:], strict=True):
-            rows = rows.reshape(4 * count, -1).dot(layer).reshape(count, 4, -1)
-            value = rows[:, 0]
+            rows = rows.reshape(4 * count, -1).dot(layer).reshape(4, count, -1)
+            value = rows[0]
             value += bias
-            rows[:, 1:] *= _activated(value)[:, None]
-        rows[:, 0, -1] = 1.0
-        by_force = self._unit * rows[:, 0]
-        rows *= self._unit * touches[:, 2:, None]
-        rows[:, 3] += by_force
+            rows[1:] *= _activated(value)
         return rows
 
     @classmethod
@@ -148,7 +142,7 @@ class TouchResponse:
         return cls((np.zeros((1, 4)),), (np.zeros(1),), output, latent, 1.0, ranges, 0.0)
 
     @property
-    def _unit(self) -> float:
+    def unit(self) -> float:
         """Factor of a touch divided by its force [1/N]."""
         return self.scale / self.ranges.middle_force
 
@@ -199,30 +193,51 @@ class SpecimenResponse:
 
     response: TouchResponse
     output: Array
+    _weights: Array = field(init=False, repr=False)  # of h in the last layer (hidden, K)
+    _constant: Array = field(init=False, repr=False)  # of the last layer (K,)
+
+    def __post_init__(self) -> None:
+        """Arrange the last layer for evaluation."""
+        object.__setattr__(self, "_weights", np.ascontiguousarray(self.output[:, :-1].T))
+        object.__setattr__(self, "_constant", self.output[:, -1].copy())
 
     def __call__(self, touches: Array, angle_deg: float) -> Array:
         """Change (k, K) by each touch (k, 3) of x [m], y [m] and force [N]."""
         change: Array = self.response.hidden(touches, angle_deg) @ self.output.T
         return change
 
-    def with_derivatives(self, touches: Array, angle_deg: float) -> tuple[Array, Array]:
-        """Changes by touches (k, 3), their derivatives, and inputs of the last layer.
+    def with_derivatives(
+        self, touches: Array, angle_deg: float, units: Array
+    ) -> tuple[Array, Array]:
+        """Changes by touches (k, 3), their derivatives, and the network's output.
+
+        Args:
+            touches: x [m], y [m] and force [N] of each (k, 3).
+            angle_deg: of the bend [deg].
+            units: steps of x, y [m] and force [N] that derivatives are by (3,).
 
         Returns:
-            changes and their derivatives by x, y [1/m] and force [1/N] (k, 4, K).
-            inputs of the last layer, as `uncertainty` takes them (k, hidden + 1).
+            changes and their derivatives by x, y and force (4, k, K).
+            output h of the network, as `uncertainty` takes it (k, hidden).
         """
-        rows = self.response.hidden_with_derivatives(touches, angle_deg)
-        changes = rows.reshape(-1, rows.shape[2]) @ self.output.T
-        return changes.reshape(len(touches), 4, -1), rows[:, 0]
+        rows, unit = self.response.network(touches, angle_deg, units), self.response.unit
+        changes = rows.reshape(-1, rows.shape[2]).dot(self._weights).reshape(4, len(touches), -1)
+        changes[0] += self._constant
+        by_force = (unit * units[2]) * changes[0]
+        changes *= unit * touches[:, 2:]
+        changes[3] += by_force
+        return changes, rows[0]
 
-    def uncertainty(self, hidden: Array) -> Array:
+    def uncertainty(self, touches: Array, hidden: Array) -> Array:
         """Covariance (K, K) of the touches' summed change, by unknown q.
 
         Args:
-            hidden: inputs of the last layer (k, hidden + 1).
+            touches: x [m], y [m] and force [N] of each (k, 3).
+            hidden: output h of the network for them (k, hidden).
         """
-        latent = self.response.latent_output @ hidden.sum(axis=0)
+        factor, latent_output = self.response.unit * touches[:, 2], self.response.latent_output
+        latent = latent_output[:, :, :-1] @ (factor @ hidden)
+        latent += factor.sum() * latent_output[:, :, -1]
         covariance: Array = latent.T @ latent
         return covariance
 

@@ -162,6 +162,29 @@ def test_two_touches_at_one_place_can_be_told_apart():
     assert apart > 0.5 * TOUCH_PRIOR.separation
 
 
+def test_fits_end_where_their_goal_is_out_of_reach_and_nowhere_else(monkeypatch):
+    """One touch cannot explain two; two that start a few millimetres off can."""
+    objective = frame(TOUCHES[2], 0.0, 0.0, np.random.default_rng(12))
+    counted, linearised = [], TouchObjective.linearised
+
+    def counting(self, unknowns):
+        counted.append(unknowns)
+        return linearised(self, unknowns)
+
+    monkeypatch.setattr(TouchObjective, "linearised", counting)
+    for touches, reached in ((TOUCHES[2][:1], False), (np.array(TOUCHES[2]) + 0.003, True)):
+        start = objective.linearised(Unknowns(np.array(touches), 0.0))
+        counted.clear()
+        free = levenberg_marquardt(objective, start, 8, 0.03)
+        steps, goal = len(counted), free.misfit + 10.0 if reached else 100.0
+        counted.clear()
+        found = levenberg_marquardt(objective, start, 8, 0.03, objective.whitening(start), goal)
+        assert (found.misfit < goal) == reached == (free.misfit < goal)
+        assert (len(counted) == steps) if reached else (len(counted) < steps)
+        if reached:
+            np.testing.assert_array_equal(found.unknowns.touches, free.unknowns.touches)
+
+
 def test_residuals_are_whitened_with_noise_bend_and_mismatch():
     """Whitened residuals of many specimens are uncorrelated, with unit variance."""
     rng = np.random.default_rng(4)

@@ -1,5 +1,7 @@
 """Proposal network: synthetic frames, training, and positions read from its map."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -150,3 +152,19 @@ def test_inputs_take_what_is_not_finite_for_no_change():
     np.testing.assert_allclose(said, [0.0, 0.0, np.arcsinh(1.0), 0.5, 0.5, -1.0])
     many = network_inputs(np.zeros((4, 3)), noise, np.zeros(4), np.zeros((4, 2)))
     assert many.shape == (4, 6)
+
+
+def test_map_is_that_of_the_plain_formula_in_double_precision():
+    rng = np.random.default_rng(7)
+    sizes = (30, 64, 64, 40)
+    weights = tuple(rng.standard_normal((m, n)) / n**0.5 for n, m in pairwise(sizes))
+    biases = tuple(rng.standard_normal(m) for m in sizes[1:])
+    network = ProposalNetwork(weights, biases, np.arange(8.0), np.arange(5.0))
+    inputs = hidden = rng.standard_normal(30)
+    for weight, bias in zip(weights[:-1], biases[:-1], strict=True):
+        before = weight @ hidden + bias
+        hidden = before / (1.0 + np.exp(-before))
+    expected = 1.0 / (1.0 + np.exp(-(weights[-1] @ hidden + biases[-1])))
+    said = network.map(inputs)
+    assert said.shape == (5, 8)
+    np.testing.assert_allclose(said.ravel(), expected, atol=1e-5)

@@ -35,15 +35,17 @@ def touches():
 
 def test_derivatives_are_those_of_finite_differences(learned, touches):
     one = learned.of([0.5, -1.0])
-    said, _ = one.with_derivatives(touches, 20.0)
-    values, slopes = said[:, 0], said[:, 1:]
+    units = np.array([0.01, 0.02, 3.0])
+    said, _ = one.with_derivatives(touches, 20.0, units)
+    values, slopes = said[0], said[1:]
     np.testing.assert_allclose(values, one(touches, 20.0), rtol=1e-10)
-    assert slopes.shape == (6, 3, 28)
+    assert slopes.shape == (3, 6, 28)
     for axis in range(3):
         step = np.eye(3)[axis] * STEPS[axis]
-        numeric = (one(touches + step, 20.0) - one(touches - step, 20.0)) / (2 * STEPS[axis])
+        rise = one(touches + step, 20.0) - one(touches - step, 20.0)
+        numeric = units[axis] * rise / (2 * STEPS[axis])
         np.testing.assert_allclose(
-            slopes[:, axis], numeric, atol=1e-6 * np.abs(numeric).max(), rtol=1e-5
+            slopes[axis], numeric, atol=1e-6 * np.abs(numeric).max(), rtol=1e-5
         )
 
 
@@ -72,9 +74,11 @@ def test_response_is_that_of_the_plain_formula(learned, touches, layers):
     expected = np.array(list(plain(deep, p, touches, 33.0)))
     size = np.abs(expected).max()
     np.testing.assert_allclose(one(touches, 33.0), expected, rtol=0, atol=1e-12 * size)
-    said, hidden = one.with_derivatives(touches, 33.0)
-    np.testing.assert_allclose(said[:, 0], expected, rtol=0, atol=1e-12 * size)
-    np.testing.assert_allclose(hidden @ one.output.T, expected, rtol=0, atol=1e-12 * size)
+    said, hidden = one.with_derivatives(touches, 33.0, np.ones(3))
+    np.testing.assert_allclose(said[0], expected, rtol=0, atol=1e-12 * size)
+    rows = np.pad(hidden, ((0, 0), (0, 1)), constant_values=1.0) * touches[:, 2:]
+    rows *= deep.scale / deep.ranges.middle_force
+    np.testing.assert_allclose(rows @ one.output.T, expected, rtol=0, atol=1e-12 * size)
 
 
 def test_no_force_changes_nothing_and_angle_changes_the_response(learned, touches):
@@ -85,7 +89,7 @@ def test_no_force_changes_nothing_and_angle_changes_the_response(learned, touche
 
 
 def uncertainty(one, touches, angle_deg):
-    return one.uncertainty(one.with_derivatives(touches, angle_deg)[1])
+    return one.uncertainty(touches, one.with_derivatives(touches, angle_deg, np.ones(3))[1])
 
 
 def test_uncertainty_is_the_covariance_of_what_is_not_known(learned, touches):
