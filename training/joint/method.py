@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from eitskin.protocol import Protocol
 from eitskin.simulator.instrument.drift import DRIFT_TIME
-from eitskin.training.joint.adaptation import adapted_curve, calibration_of
+from eitskin.training.joint.adaptation import adapted_curve, calibration_of, error_scale
 from eitskin.training.joint.angle_estimate import AngleEstimate
 from eitskin.training.joint.angle_networks import AngleNetworks
 from eitskin.training.joint.bend_curve import BendCurve, BendCurvePrior
@@ -86,6 +86,8 @@ class JointMethod(Method):
         angles: networks of the bend angle, for sensors that are not calibrated; None where the bend
             curve alone tells it as well.
         forces: whether touches have forces; else these are strengths, relative to the usual touch.
+        error_scale: factor of the standard errors of places, from known touches of the sensor that
+            the method is adapted to; 1 before.
     """
 
     KIND: ClassVar[str] = "joint"
@@ -108,6 +110,7 @@ class JointMethod(Method):
     calibrated_flat: Array | None = None
     angles: AngleNetworks | None = None
     forces: bool = True
+    error_scale: float = 1.0
     _specimens: dict[bytes, SpecimenModel] = field(default_factory=dict, init=False, repr=False)
     _rows: CandidateRows = field(init=False, repr=False)
 
@@ -213,7 +216,7 @@ class JointMethod(Method):
             np.array([angle_deg]),
             np.array([deviation_deg]),
             map_[None],
-            (FoundTouches.of(found.touches[:, :2], strength, force, spread),),
+            (FoundTouches.of(found.touches[:, :2], strength, force, self.error_scale * spread),),
             (problems + fit_problems(found, bend, self.touches),),
         )
 
@@ -289,15 +292,19 @@ class JointMethod(Method):
         An adaptation before has no effect.
         """
         bent = known[known.bent] if self.bend_prior.bends else known[:0]
-        used = int(known.flat.sum()) + len(bent)
-        told = Adaptation(int(known.flat.sum()), len(bent), left_out=len(known) - used)
-        flat = known.observations.flat[0]
-        if not len(bent):
-            return replace(self, calibrated=None, calibrated_flat=flat), told
-        prior = self.bend_prior.of(self.features.apply(flat))
-        curve = adapted_curve(prior, bent, self.combinations, self.drift)
-        told = replace(told, calibration=calibration_of(prior, curve, bent, self._combined))
-        return replace(self, calibrated=curve, calibrated_flat=flat), told
+        touched = known[known.touched & self.touches]
+        flat, count = known.observations.flat[0], int(known.flat.sum())
+        left_out = len(known) - count - len(bent) - len(touched)
+        told = Adaptation(count, len(bent), len(touched), left_out)
+        prior, curve = self.bend_prior.of(self.features.apply(flat)), None
+        if len(bent):
+            curve = adapted_curve(prior, bent, self.combinations, self.drift)
+            told = replace(told, calibration=calibration_of(prior, curve, bent, self._combined))
+        adapted = replace(self, calibrated=curve, calibrated_flat=flat, error_scale=1.0)
+        if len(touched):
+            found = adapted.predict(touched.observations).touches
+            adapted = replace(adapted, error_scale=error_scale(touched.touches, found))
+        return adapted, replace(told, error_scale=adapted.error_scale)
 
     def outputs(self, observations: Observations) -> Arrays:
         """Arrays of predictions for n frames, by which a saved copy is checked."""
@@ -317,6 +324,7 @@ class JointMethod(Method):
             "bounds": np.array([prior.low, prior.high]),
             "places": self.places,
             "forces": np.array(self.forces),
+            "error_scale": np.array(self.error_scale),
         }
         parts: dict[str, _Stored] = {
             "features": self.features,
@@ -375,4 +383,5 @@ class JointMethod(Method):
             arrays["calibrated_flat"].astype(float) if "calibrated_flat" in arrays else None,
             AngleNetworks.from_arrays(angles) if "unit" in (angles := part("angles")) else None,
             bool(arrays.get("forces", True)),
+            float(arrays.get("error_scale", np.ones(()))),
         )

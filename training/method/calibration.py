@@ -68,6 +68,7 @@ class Adaptation:
         left_out: number of frames that were not used: not enough is known of them, or the method
             has no use for it.
         calibration: errors of the angle; None without known angles.
+        error_scale: factor by which known touches changed the standard errors of places; 1 without.
     """
 
     flat: int
@@ -75,6 +76,7 @@ class Adaptation:
     touches: int = 0
     left_out: int = 0
     calibration: Calibration | None = None
+    error_scale: float = 1.0
 
     def as_dict(self) -> dict[str, Any]:
         """Plain data for JSON."""

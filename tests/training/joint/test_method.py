@@ -8,11 +8,13 @@ from known_frames import known_frames
 
 from eitskin.datasets import State
 from eitskin.geometry import SensorDesign
+from eitskin.training.joint.adaptation import error_scale
 from eitskin.training.joint.method import JointMethod
 from eitskin.training.joint.proposal_model import ProposalNetwork
 from eitskin.training.joint.specimen_features import SpecimenFeatures
 from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.observations import Observations
+from eitskin.training.method.predictions import FoundTouches
 from eitskin.training.method.symmetry import mirrors
 
 from smooth_sensor import (
@@ -355,3 +357,31 @@ def test_a_static_reference_that_nothing_explains_is_told(method):
     noise = 0.01 * np.random.default_rng(6).standard_normal(28)
     said = method.predict(replace(right, static=np.expm1(np.log1p(right.static) + noise)))
     assert any("no angle explains" in problem for problem in said.problems[0])
+
+
+def test_known_touches_tell_how_far_to_trust_standard_errors(method):
+    rng = np.random.default_rng(4)
+    touches = rng.uniform(TOUCH_PRIOR.low, TOUCH_PRIOR.high, (12, 3))
+    change = method.response.of(method.features.apply(FLAT))(touches, 0.0)
+    change *= 1.0 + 0.1 * np.random.default_rng(5).standard_normal(28)  # of another sensor
+    known = known_frames(FLAT, 4, change, np.zeros(12), touches=touches[:, None])
+    one, told = method.adapted(known)
+    assert (told.touches, told.left_out) == (12, 0)
+    assert told.error_scale == one.error_scale > 1.0
+    before, after = (each.predict(known.observations).touches for each in (method, one))
+    for plain, scaled in zip(before, after, strict=True):
+        np.testing.assert_allclose(scaled.deviation, one.error_scale * plain.deviation)
+        np.testing.assert_array_equal(scaled.place, plain.place)
+    again = JointMethod.from_arrays(one.arrays(), LAYOUT)
+    assert again.error_scale == one.error_scale
+    assert method.adapted(known_frames(FLAT, 4, np.zeros((1, 28)), [0.0]))[0].error_scale == 1.0
+
+
+def test_the_scale_of_standard_errors_is_the_rms_of_their_ratios():
+    touches = np.array([[[0.05, 0.03, 8.0]], [[0.10, 0.03, np.nan]], [[0.02, 0.02, 5.0]]])
+    found = [
+        FoundTouches.of([[0.053, 0.034]], [1.0], None, [0.001]),  # 5 mm, five standard errors
+        FoundTouches.of([[0.10, 0.028]], [1.0], None, [0.001]),  # two
+        FoundTouches.of([[0.10, 0.028]], [1.0], None, [0.001]),  # another touch
+    ]
+    assert error_scale(touches, found) == pytest.approx(np.sqrt((4 + 25 + 4) / (4 + 2)))
