@@ -77,7 +77,7 @@ def train_network(
     """
     generator = torch.Generator().manual_seed(seed)
     optimiser = torch.optim.Adam(network.parameters(), lr=settings.learning_rate)
-    batch_size, epochs = settings.batch_of(count), settings.epochs_of(count)
+    batch_size, epochs = settings.batch, settings.epochs_of(count)
     steps = epochs * -(-count // batch_size)
     # Only where asked for: creating the schedule already lowers the learning rate.
     anneal = (

@@ -1,12 +1,13 @@
 """Settings of a training run: method, hyper-parameters of the networks, seed."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from eitskin.config import from_dict
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.errors import ConfigurationError
 from eitskin.training.method.hold_out import hold_out
@@ -37,9 +38,7 @@ class NetworkSettings:
         batch: frames per step.
         one_cycle: warm up to the learning rate and anneal to zero.
         noise: rms noise added to dV in every step, relative to the noise of the frames.
-        fewest_steps: of the whole training; where frames are few, batches are smaller, down to a
-            quarter.
-        least_steps: of the whole training; where frames are few, there are more epochs.
+        fewest_steps: of the whole training; where frames are few, there are more epochs.
     """
 
     learning_rate: float
@@ -48,12 +47,6 @@ class NetworkSettings:
     one_cycle: bool = True
     noise: float = 0.0
     fewest_steps: int = 0
-    least_steps: int = 0
-
-    def batch_of(self, count: int) -> int:
-        """Number of frames per step where there are `count` frames."""
-        wanted = count * self.epochs // self.fewest_steps if self.fewest_steps else self.batch
-        return min(self.batch, max(self.batch // 4, wanted, 1))
 
     def __post_init__(self) -> None:
         if not (self.learning_rate > 0 and self.epochs > 0 and self.batch > 0 and self.noise >= 0):
@@ -64,7 +57,7 @@ class NetworkSettings:
 
     def epochs_of(self, count: int) -> int:
         """Number of epochs on `count` training frames."""
-        return max(self.epochs, -(-self.least_steps // -(-count // self.batch_of(count))))
+        return max(self.epochs, -(-self.fewest_steps // -(-count // self.batch)))
 
     def shortened(self, share: float) -> "NetworkSettings":
         """Settings with a share of the epochs and steps, at least one."""
@@ -72,7 +65,6 @@ class NetworkSettings:
             self,
             epochs=max(1, round(share * self.epochs)),
             fewest_steps=round(share * self.fewest_steps),
-            least_steps=round(share * self.least_steps),
         )
 
 
@@ -89,7 +81,7 @@ class JointSettings:
             dries and warms by a percent or two, the electronics drift by 0.2 %.
     """
 
-    response: NetworkSettings = NetworkSettings(6e-3, epochs=60, batch=512, least_steps=2000)
+    response: NetworkSettings = NetworkSettings(6e-3, epochs=60, batch=512, fewest_steps=2000)
     proposals: NetworkSettings = NetworkSettings(2e-3, epochs=40, batch=512)
     angles: NetworkSettings = NetworkSettings(3e-3, epochs=12, batch=256)
     drift: float = 0.02
@@ -168,6 +160,11 @@ class TrainingSettings:
         return kept, held_out, held_out
 
     @classmethod
+    def from_document(cls, document: Mapping[str, Any]) -> "TrainingSettings":
+        """Settings as a saved pipeline has them, with one number of steps in place of two."""
+        return from_dict(cls, _with_one_number_of_steps(document), "settings")
+
+    @classmethod
     def preset(cls, name: str, seed: int = 0) -> "TrainingSettings":
         """Settings by name: "joint", "quick", "paper", or one of `BASELINES`.
 
@@ -202,12 +199,15 @@ class TrainingSettings:
         """
         if self.method not in ("joint", "paper"):
             return replace(self, options={**self.options, "epochs": epochs})
-        response = replace(self.joint.response, epochs=epochs, least_steps=0)
+        response, classifier, postprocessor = (
+            replace(network, epochs=epochs, fewest_steps=0)
+            for network in (self.joint.response, self.classifier, self.postprocessor)
+        )
         return replace(
             self,
             joint=replace(self.joint, response=response),
-            classifier=replace(self.classifier, epochs=epochs),
-            postprocessor=replace(self.postprocessor, epochs=epochs),
+            classifier=classifier,
+            postprocessor=postprocessor,
         )
 
     def shortened(self, share: float) -> "TrainingSettings":
@@ -222,3 +222,14 @@ class TrainingSettings:
             classifier=self.classifier.shortened(share),
             postprocessor=self.postprocessor.shortened(share),
         )
+
+
+def _with_one_number_of_steps(document: Mapping[str, Any]) -> dict[str, Any]:
+    """The document, networks of which once had `least_steps` beside `fewest_steps`."""
+    read: dict[str, Any] = {
+        key: _with_one_number_of_steps(value) if isinstance(value, dict) else value
+        for key, value in document.items()
+    }
+    if "learning_rate" in read and "least_steps" in read:
+        read["fewest_steps"] = max(read.get("fewest_steps", 0), read.pop("least_steps"))
+    return read

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from eitskin.config import from_dict
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.state import State
 from eitskin.errors import ConfigurationError, DataError
@@ -373,7 +372,7 @@ class Pipeline:
         try:
             document, weights = saved.document, saved.weights
             layout = InputSpec.from_document(document["layout"], weights["layout.reference"])
-            settings = from_dict(TrainingSettings, document["settings"], "settings")
+            settings = TrainingSettings.from_document(document["settings"])
             inputs = {name: saved.golden[f"input.{name}"] for name in Observations.__slots__}
             examples = Observations(**inputs)
             arrays = {n: array for n, array in weights.items() if not n.startswith(FOREIGN)}

@@ -3,8 +3,9 @@
     python -m eitskin.benchmarks.studies.data.ablation DATASET [--pipeline NAME] [--frames 400]
 
 DATASET holds touched frames, such as `seed-0/unseen-touch` in the folder of `eitskin bench paper`.
-Prints two tables in Markdown: errors and times without each part, and the time of each stage; times
-are of the processor, which other programs on the machine do not lengthen.
+Prints three tables in Markdown: errors and times without each part, the time of each stage, and
+the time of a frame by its number of touches, the least of some runs; times are of the processor,
+which other programs on the machine lengthen only by what they take of its caches.
 """
 
 import argparse
@@ -26,13 +27,15 @@ from eitskin.training.joint.touch_map import disc_map
 from eitskin.training.method.observations import Observations
 from eitskin.training.pipeline.pipeline import Pipeline
 
+REPEATS = 3
+
 Array = NDArray[np.float64]
 Places = Callable[[Observations], Array]
 """Places (k, 2) [m] of the touches in one frame."""
 
 
 def main() -> None:
-    """Print both tables."""
+    """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("dataset", help="of touched frames")
     parser.add_argument("--pipeline", default="reference.eitmodel")
@@ -54,6 +57,11 @@ def main() -> None:
     for name, seconds in stages(method, data).items():
         p50, p99 = metrics.percentiles([1e3 * value for value in seconds])
         print(f"| {name} | {p50:.2f} | {p99:.2f} |")
+    print("\n## touches\n\n| touches | frames | median ms | p99 ms |\n| --- | --- | --- | --- |")
+    for count in np.unique(data.touch_count).tolist():
+        some = data.select(np.flatnonzero(data.touch_count == count))
+        p50, p99 = metrics.percentiles([1e3 * value for value in least_seconds(method, some)])
+        print(f"| {count} | {len(some)} | {p50:.2f} | {p99:.2f} |")
 
 
 def variants(method: JointMethod) -> Iterator[tuple[str, Places]]:
@@ -123,6 +131,21 @@ def measured(places: Places, data: Dataset) -> tuple[float, float, float, float,
     error = 1e3 * float(np.mean(score.errors)) if score.errors else float("nan")
     share = 100.0 / score.true
     return error, share * len(score.errors), share * score.false, 1e3 * p50, 1e3 * p99
+
+
+def least_seconds(method: JointMethod, data: Dataset) -> list[float]:
+    """Least time of each frame among `REPEATS` runs."""
+    observations = Observations.of(data)
+    runs = []
+    for _ in range(REPEATS):
+        seconds = []
+        for i in range(len(data)):
+            frame = observations[i : i + 1]
+            start = time.process_time()
+            method.predict(frame)
+            seconds.append(time.process_time() - start)
+        runs.append(seconds)
+    return [min(times) for times in zip(*runs, strict=True)]
 
 
 def stages(method: JointMethod, data: Dataset) -> dict[str, list[float]]:

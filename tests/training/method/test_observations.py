@@ -1,11 +1,14 @@
 """Noise of channels, as training learns it from frames that differ by nothing else."""
 
+from dataclasses import asdict
+
 import numpy as np
 import pytest
 
 from eitskin.datasets import Dataset
+from eitskin.errors import ConfigurationError
 from eitskin.training.method.observations import Observations, channel_noise, frame_noise
-from eitskin.training.method.settings import NetworkSettings
+from eitskin.training.method.settings import NetworkSettings, TrainingSettings
 
 TRUE = np.geomspace(1e-3, 1e-1, 8)
 
@@ -40,7 +43,26 @@ def test_a_channel_that_never_differs_has_a_floor():
     ).all()
 
 
-def test_batches_are_smaller_where_frames_are_few():
+def test_there_are_more_epochs_where_frames_are_few():
     settings = NetworkSettings(1e-3, epochs=40, batch=32, fewest_steps=800)
-    assert [settings.batch_of(count) for count in (40, 240, 640, 6400)] == [8, 12, 32, 32]
-    assert NetworkSettings(1e-3, epochs=40, batch=32).batch_of(5) == 32
+    assert [settings.epochs_of(count) for count in (5, 40, 240, 640, 6400)] == [
+        800,
+        400,
+        100,
+        40,
+        40,
+    ]
+    assert NetworkSettings(1e-3, epochs=40, batch=32).epochs_of(5) == 40
+    assert TrainingSettings.preset("quick").with_epochs(3).postprocessor.epochs_of(5) == 3
+
+
+def test_settings_that_were_saved_with_two_numbers_of_steps_are_read():
+    settings = TrainingSettings.preset("quick")
+    document = asdict(settings)
+    assert TrainingSettings.from_document(document) == settings
+    for network in (document["joint"]["response"], document["postprocessor"]):
+        network |= {"fewest_steps": 0, "least_steps": network["fewest_steps"]}
+    document["classifier"]["least_steps"] = 0
+    assert TrainingSettings.from_document(document) == settings
+    with pytest.raises(ConfigurationError, match="stepss"):
+        TrainingSettings.from_document({"joint": {"stepss": 3}})
