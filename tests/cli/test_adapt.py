@@ -1,5 +1,6 @@
 """`eitskin adapt`: pipelines of both kinds, errors by frames used, and what is refused."""
 
+import dataclasses
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,6 +10,7 @@ from toy_skin import toy_presses
 
 from eitskin.datasets import Dataset, State, save_dataset
 from eitskin.errors import ConfigurationError, DataError, FrameError
+from eitskin.frame import Status
 from eitskin.simulator import Protocol
 from eitskin.training import Pipeline, RecordedTouches
 from eitskin.training.adaptation.labelled_presses import LabelledPresses
@@ -134,3 +136,23 @@ def test_recordings_of_other_measurements_are_refused():
     other = Dataset.from_arrays(np.ones((2, 6)), np.ones(6), protocol=Protocol.pairwise(4))
     with pytest.raises(FrameError, match="8 channels, got 6"):
         known.described(other)
+
+
+def test_a_channel_that_dies_or_drifts_after_the_adaptation_is_left_out(bends, pipeline):
+    adapted = dataclasses.replace(pipeline)
+    adapted.adapt(bends)
+    asked = bends.select(np.flatnonzero(np.abs(bends.bend_angle_deg - 20.0) < 15.0)[:3])
+    asked = dataclasses.replace(asked, touch_reference=asked.impedance)  # before the fault
+    whole = adapted.perceive(asked)
+    drifted, dead = asked.impedance.copy(), asked.impedance.copy()
+    drifted[:, 5] *= 1.05
+    dead[:, 9] = 0.0
+    lost = asked.status.copy()
+    lost[:, 9] = Status.NOT_FINITE
+    label = pipeline.layout.protocol.labels[5]
+    for values, status in ((drifted, asked.status), (dead, lost)):
+        said = adapted.perceive(dataclasses.replace(asked, impedance=values, status=status))
+        np.testing.assert_allclose(said.bend_angle_deg, whole.bend_angle_deg, atol=1.0)
+        assert not any(len(touches) for touches in said.touches)
+        if values is drifted:
+            assert all(any(label in text for text in each) for each in said.problems)
