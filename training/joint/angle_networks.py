@@ -18,6 +18,8 @@ UNIT_DEG = 20.0  # deg, of the networks' outputs
 LOG_DEVIATION = (-5.0, 3.0)  # bounds of the logarithm of the standard deviation, in units
 NEAR_DEG = 5.0
 """Angle below which the bend curve counts the more, the nearer: it meets zero exactly."""
+DRIFT = (1e-4, 0.1)
+"""Bounds of the standard deviation of the common change, from one of seconds to one of days."""
 FEATURE_LIMIT = 4.0  # standard deviations; features of stranger sensors count as so strange
 
 
@@ -45,28 +47,31 @@ class AngleNetworks:
     unit: Array
     angle_deg: tuple[float, float]
 
-    def inputs(self, change: Array, features: Array) -> Array:
-        """Inputs (..., K + P) from combinations of the change (..., K) and features (..., P)."""
-        held = np.clip(features, -FEATURE_LIMIT, FEATURE_LIMIT)
-        return np.concatenate([change / self.unit, held], axis=-1)
-
-    def members(self, change: Array, features: Array) -> tuple[Array, Array]:
-        """Means and standard deviations (M,) of one frame [deg].
+    def inputs(self, change: Array, features: Array, drift: Array) -> Array:
+        """Inputs (..., K + P + 1).
 
         Args:
-            change: combinations of the change from the flat sensor (K,).
-            features: of the specimen (P,).
+            change: combinations of the change from the flat sensor (..., K).
+            features: of the specimen (..., P).
+            drift: standard deviation of the change common to all measurements (...).
         """
-        hidden = np.repeat(self.inputs(change, features)[None], len(self.biases[0]), axis=0)
+        held = np.clip(features, -FEATURE_LIMIT, FEATURE_LIMIT)
+        size = np.log(np.clip(drift, *DRIFT) / DRIFT[0])
+        return np.concatenate([change / self.unit, held, np.asarray(size)[..., None]], axis=-1)
+
+    def members(self, change: Array, features: Array, drift: float) -> tuple[Array, Array]:
+        """Means and standard deviations (M,) of one frame [deg]; arguments as of `inputs`."""
+        values = self.inputs(change, features, np.array(drift))
+        hidden = np.repeat(values[None], len(self.biases[0]), axis=0)
         for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
             before = np.einsum("moi,mi->mo", weight, hidden) + bias
             hidden = before * expit(before)
         last = np.einsum("moi,mi->mo", self.weights[-1], hidden) + self.biases[-1]
         return UNIT_DEG * last[:, 0], UNIT_DEG * np.exp(np.clip(last[:, 1], *LOG_DEVIATION))
 
-    def estimate(self, change: Array, features: Array) -> tuple[float, float]:
-        """Angle [deg] and its standard error [deg] of one frame; arguments as of `members`."""
-        means, deviations = self.members(change, features)
+    def estimate(self, change: Array, features: Array, drift: float) -> tuple[float, float]:
+        """Angle [deg] and its standard error [deg] of one frame; arguments as of `inputs`."""
+        means, deviations = self.members(change, features, drift)
         lacking = (len(means) - 1) * float(np.var(means))
         return float(np.mean(means)), float(np.sqrt(np.mean(deviations**2) + lacking))
 

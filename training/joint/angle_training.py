@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.cluster.vq import kmeans2
 from torch import Tensor, nn  # noqa: TID253  see above
 
-from eitskin.training.joint.angle_networks import LOG_DEVIATION, UNIT_DEG, AngleNetworks
+from eitskin.training.joint.angle_networks import DRIFT, LOG_DEVIATION, UNIT_DEG, AngleNetworks
 from eitskin.training.joint.bend_curve import SCALE
 from eitskin.training.joint.combinations import Combinations
 from eitskin.training.method.learning_curve import LearningCurve
@@ -44,7 +44,6 @@ class BentFrames:
         features: of the specimens (n, P).
         specimen: number of the specimen (n,); mirror images share it.
         combinations: of the measurements.
-        shared: standard deviation of the change common to all measurements.
     """
 
     change: Array
@@ -52,7 +51,6 @@ class BentFrames:
     features: Array
     specimen: Integers
     combinations: Combinations
-    shared: float
 
     def __getitem__(self, rows: slice) -> "BentFrames":
         """Some of the frames."""
@@ -70,20 +68,22 @@ def fit_angles(
 ) -> tuple[AngleNetworks, LearningCurve]:
     """Networks trained by maximum likelihood of the angle, each without a share of the specimens.
 
-    Every step adds the noise of a frame and of its reference, the common drift, and further noise,
-    with which networks overfit less.
+    Every step adds the noise of a frame and of its reference, a common drift of any size, which the
+    networks are told, and further noise, with which they overfit less.
 
     Returns:
         the networks.
         means of their losses; validation is on the specimens that each goes without.
     """
-    unit = np.sqrt(np.mean(frames.change**2, axis=0))
+    count, unit = len(frames.change), np.sqrt(np.mean(frames.change**2, axis=0))
     ends = (float(frames.angle_deg.min()), float(frames.angle_deg.max()))
     part = groups_of_specimens(frames, seed)[frames.specimen] % MEMBERS
-    inputs = _tensor(AngleNetworks((), (), unit, ends).inputs(frames.change, frames.features))
+    empty = AngleNetworks((), (), unit, ends)
+    inputs = _tensor(empty.inputs(frames.change, frames.features, np.full(count, DRIFT[0])))
     target = _tensor(frames.angle_deg[:, None] / UNIT_DEG)
     noise = _tensor(np.sqrt(2.0) * frames.combinations.unit / unit)
-    drift = _tensor(frames.shared * frames.combinations.drift / unit)
+    drift = _tensor(DRIFT[0] * frames.combinations.drift / unit)
+    largest = float(np.log(DRIFT[1] / DRIFT[0]))
     sizes = [inputs.shape[1], *HIDDEN, 2]
     trained, curves = [], []
     for member in range(MEMBERS):
@@ -94,15 +94,17 @@ def fit_angles(
         def noisy(
             chosen: Tensor, generator: torch.Generator, rows: Tensor = seen
         ) -> tuple[Tensor, Tensor]:
-            values = inputs[rows[chosen]]
-            each = torch.randn(len(chosen), len(noise), generator=generator)
-            common = torch.randn(len(chosen), 1, generator=generator)
-            combinations = len(noise)
-            relative = torch.randn(len(chosen), combinations, generator=generator)
-            others = torch.randn(len(chosen), inputs.shape[1] - combinations, generator=generator)
-            values[:, :combinations] *= 1.0 + RELATIVE_NOISE * relative
-            values[:, :combinations] += each * noise + common * drift
-            values[:, combinations:] += FEATURE_NOISE * others
+            values, combinations = inputs[rows[chosen]], len(noise)
+
+            def normal(columns: int) -> Tensor:
+                return torch.randn(len(chosen), columns, generator=generator)
+
+            size = largest * torch.rand(len(chosen), 1, generator=generator)
+            values[:, :combinations] *= 1.0 + RELATIVE_NOISE * normal(combinations)
+            values[:, :combinations] += normal(combinations) * noise
+            values[:, :combinations] += size.exp() * normal(1) * drift
+            values[:, combinations:-1] += FEATURE_NOISE * normal(inputs.shape[1] - combinations - 1)
+            values[:, -1:] = size
             return values, target[rows[chosen]]
 
         def plain(chosen: Tensor, _: torch.Generator, rows: Tensor = left) -> tuple[Tensor, Tensor]:

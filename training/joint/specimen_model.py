@@ -1,5 +1,6 @@
 """Model of one specimen: its response, bend curve, possible faults and touch candidates."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -85,7 +86,9 @@ class SpecimenModel:
         found = robust_angle(self.curve, combined, self.faults)
         if self._networks is None or found.faults or not combined.good.all():
             return found
-        by_networks = self._networks.estimate(combined.change, self.features)
+        by_networks = self._networks.estimate(
+            combined.change, self.features, math.sqrt(combined.drift)
+        )
         angle, deviation = blended((found.angle_deg, found.deviation_deg), by_networks)
         return replace(found, angle_deg=angle, deviation_deg=deviation)
 

@@ -245,13 +245,9 @@ def _curves(
 def _bend_noise(bent: MirroredFrames, combinations: Combinations, drift: float) -> Array:
     """Covariance (K, K) of the noise of one bent frame's change."""
     noise = np.diag(bent.noise * combinations.unit**2)
-    noise += np.outer(combinations.drift, combinations.drift) * _shared_variance(drift)
+    shared = drift**2 * UNKNOWN_AGE / DRIFT_TIME
+    noise += np.outer(combinations.drift, combinations.drift) * shared
     return noise
-
-
-def _shared_variance(drift: float) -> float:
-    """Variance of the change common to all measurements, at an unknown age of the reference."""
-    return drift**2 * UNKNOWN_AGE / DRIFT_TIME
 
 
 def _angles(
@@ -278,7 +274,6 @@ def _angles(
         features.apply(bent.flat),
         bent.specimen,
         combinations,
-        float(np.sqrt(_shared_variance(settings.drift))),
     )
     networks, curve = fit_angles(frames, settings.angles, seed, progress)
     few = frames[:: -(-len(frames.change) // COMPARED)]

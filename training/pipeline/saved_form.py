@@ -27,6 +27,7 @@ FORMAT = "eitskin-pipeline"
 FORMAT_VERSION = 1
 SUFFIX = ".eitmodel"
 SHIPPED = Path(__file__).parents[1] / f"reference{SUFFIX}"
+WIDE = SHIPPED.with_name(f"wide{SUFFIX}")
 GOLDEN_TOLERANCE = 1e-3  # relative to the largest output; float32 sums depend on their order
 
 DOCUMENT, WEIGHTS, GOLDEN, CARD, SUMS = (
@@ -122,8 +123,9 @@ def read_pipeline(path: str | Path) -> SavedPipeline:
     safetensors = require("safetensors.numpy", "training")
     damaged = require("safetensors", "training").SafetensorError
     path = Path(path)
-    if str(path) == SHIPPED.name and not path.exists():
-        path = SHIPPED
+    for shipped in (SHIPPED, WIDE):
+        if str(path) == shipped.name and not path.exists():
+            path = shipped
     files = _checked_files(path)
     try:
         document = json.loads(files[DOCUMENT])
