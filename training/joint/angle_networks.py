@@ -15,7 +15,7 @@ from scipy.special import expit
 Array = NDArray[np.float64]
 
 UNIT_DEG = 20.0  # deg, of the networks' outputs
-LOG_DEVIATION = (-5.0, 3.0)  # bounds of the logarithm of the standard deviation, in units
+LOG_DEVIATION = (-5.0, 0.0)  # bounds of the logarithm of the standard deviation, in units
 NEAR_DEG = 5.0
 """Angle below which the bend curve counts the more, the nearer: it meets zero exactly."""
 DRIFT = (1e-4, 0.1)

@@ -99,7 +99,7 @@ def fit_angles(
             def normal(columns: int) -> Tensor:
                 return torch.randn(len(chosen), columns, generator=generator)
 
-            size = largest * torch.rand(len(chosen), 1, generator=generator)
+            size = largest * torch.rand(len(chosen), 1, generator=generator).square()
             values[:, :combinations] *= 1.0 + RELATIVE_NOISE * normal(combinations)
             values[:, :combinations] += normal(combinations) * noise
             values[:, :combinations] += size.exp() * normal(1) * drift

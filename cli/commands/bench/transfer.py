@@ -17,7 +17,7 @@ def command(
     pipelines: Annotated[
         list[Path] | None,
         typer.Argument(
-            help="Pipelines, NAME.eitmodel; the one that comes with eitskin if omitted."
+            help="Pipelines, NAME.eitmodel; those that come with eitskin if omitted."
         ),
     ] = None,
     out: Out = Path("build/bench"),
@@ -33,14 +33,14 @@ def command(
 
     Each as it is, and calibrated by one and by five known angles. Frames are kept.
     """
-    from eitskin.benchmarks.paper.run import REFERENCE
     from eitskin.benchmarks.transfer.report import HEADINGS, NAME, figures, table, write
     from eitskin.benchmarks.transfer.run import run
     from eitskin.datasets.store.folder import make_folder
+    from eitskin.training.pipeline.saved_form import SHIPPED, WIDE
 
     output = Output(as_json, quiet, verbose)
     require_all(training=TRAINING)
-    named = {path.stem: path for path in pipelines or [REFERENCE]}
+    named = {path.stem: path for path in pipelines or (SHIPPED, WIDE)}
     if len(named) < len(pipelines or []):
         raise ConfigurationError("expected pipelines of different names; rename one")
     make_folder(out / NAME)

@@ -1,4 +1,4 @@
-"""The pipeline that comes with eitskin, on frames of the simulator."""
+"""The pipelines that come with eitskin, on frames of the simulator."""
 
 import subprocess
 import sys
@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from eitskin.datasets import State
-from eitskin.geometry import Bend, SensorDesign
+from eitskin.geometry import Bend, Clamp, SensorDesign
 from eitskin.simulator import Frame, Instrument, Scene, Simulator, Touch
 from eitskin.training import Pipeline
 
@@ -99,3 +99,27 @@ def test_it_runs_without_torch():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["IDLE", "False"]
+
+
+def test_the_wide_one_tells_angles_of_another_clamp_and_how_surely():
+    """A sensor held below: the reference pipeline is sure of angles that are wrong."""
+    held_below = Simulator(SensorDesign.reference(), "coarse", fixture=Clamp(faces="bottom"))
+    angles = np.array([-15.0, 10.0, 20.0, 30.0, 40.0])
+    ratio = {}
+    for name in ("reference", "wide"):
+        pipeline, rng = Pipeline.load(f"{name}.eitmodel"), np.random.default_rng(0)
+        scenes = [Scene(), *(Scene(Bend(angle)) for angle in angles)]
+        said = []
+        for number, scene in enumerate(scenes):
+            frame = held_below.measure(scene, Instrument(), rng)
+            said.append(
+                pipeline.process(
+                    Frame(frame.impedance, frame.protocol, time=float(number), number=number)
+                )
+            )
+        assert all(each.state is State.BEND for each in said[1:])
+        error = np.array([each.bend_angle_deg for each in said[1:]]) - angles
+        deviation = np.array([each.bend_deviation_deg for each in said[1:]])
+        ratio[name] = np.sqrt(np.mean((error / deviation) ** 2))
+    assert ratio["wide"] < 1.5
+    assert ratio["wide"] < 0.5 * ratio["reference"]
