@@ -69,7 +69,7 @@ def test_steps_are_skipped_and_what_ends_early_is_told(tmp_path, monkeypatch):
     words = ("reference.eitmodel", "--out", mine, "--board", BOARD, "--angles", "20")
     ended = run(*words, typed="s\ns\n\n\n\n\n\n", code=None)
     assert ended.exit_code != 0
-    assert "mine-frames" in ended.output
+    assert "mine-frames" in "".join(ended.output.split())  # lines end anywhere in a long path
     assert "eitskin adapt reference.eitmodel" in ended.output
     assert not mine.exists()
     assert len(open_dataset(tmp_path / "mine-frames")) == 16
