@@ -9,7 +9,7 @@ WORKERS := --numprocesses 2 --dist loadfile --no-loadscope-reorder
 # Hundreds of processes start in the tests; what one has compiled the others need not.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test quick coverage mutations lint docs reference gallery bench bench-long figures clean
+.PHONY: demo test quick coverage mutations lint docs wide gallery bench bench-long figures clean
 
 demo: $(VENV)/installed
 	$(BIN)/eitskin demo --out build/demo --data $(DATA)
@@ -53,15 +53,15 @@ docs: $(VENV)/installed
 	$(BIN)/python -m pdoc --docformat google --output-directory build/docs \
 		$(addprefix eitskin.,$(REFERENCE))
 
-# The pipeline that comes with eitskin, trained again: an hour on two cores, half of it for clamps
-# that have not been bent on this machine.
+# The wide pipeline that comes with eitskin, trained again: an hour on two cores, half of it for
+# clamps that have not been bent on this machine.
 RECIPES = training wide wide_bends
-reference: $(VENV)/installed
+wide: $(VENV)/installed
 	for recipe in $(RECIPES); do \
-		$(BIN)/eitskin generate $$recipe --out build/reference/$$recipe --resume || exit 1; done
-	test -e build/reference/all || $(BIN)/eitskin dataset combine \
-		$(addprefix build/reference/,$(RECIPES)) --out build/reference/all
-	$(BIN)/eitskin train build/reference/all --preset joint --out training/reference.eitmodel $(ARGS)
+		$(BIN)/eitskin generate $$recipe --out build/wide/$$recipe --resume || exit 1; done
+	test -e build/wide/all || $(BIN)/eitskin dataset combine \
+		$(addprefix build/wide/,$(RECIPES)) --out build/wide/all
+	$(BIN)/eitskin train build/wide/all --preset joint --out training/wide.eitmodel $(ARGS)
 
 # The pictures in docs/gallery, each by the script of its name.
 gallery: $(VENV)/installed
