@@ -16,9 +16,7 @@ from eitskin.extras import require_all
 def command(
     pipelines: Annotated[
         list[Path] | None,
-        typer.Argument(
-            help="Pipelines, NAME.eitmodel; those that come with eitskin if omitted."
-        ),
+        typer.Argument(help="Pipelines, NAME.eitmodel; those that come with eitskin if omitted."),
     ] = None,
     out: Out = Path("build/bench"),
     *,
