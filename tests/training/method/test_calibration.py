@@ -1,7 +1,5 @@
 """Calibration of a pipeline to one sensor: inputs, effect, and the command."""
 
-import json
-import re
 from contextlib import nullcontext
 
 import numpy as np
@@ -108,17 +106,6 @@ def bends(sensor, folder, angles=ANGLES[2:]):
 
 
 @pytest.mark.slow
-def test_the_command_calibrates_from_labelled_frames(saved, sensor, tmp_path):
-    folder, out = bends(sensor, tmp_path / "bends"), tmp_path / "mine.eitmodel"
-    done = run(saved, "--dataset", folder, "--out", out, "--json")
-    assert done.exit_code == 0, done.output
-    said = json.loads(done.stdout)
-    assert said["out"] == str(out)
-    assert said["residual_deg"] < 0.5
-    assert rmse(Pipeline.load(out), sensor) < 0.5
-
-
-@pytest.mark.slow
 def test_the_command_asks_for_each_angle_of_a_board(saved, tmp_path):
     """The virtual board's sensor stays flat at every angle asked for."""
     out = tmp_path / "mine.eitmodel"
@@ -165,23 +152,8 @@ def test_the_residual_is_judged_by_the_size_of_the_angles(scale, residual, fits)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ((), r"--board.*--dataset"),
-        (("--board", "virtual:", "--dataset", "x"), r"--board.*--dataset"),
-        (("--board", "virtual:", "--angles", "ten"), "apart by commas"),
-    ],
-)
-def test_the_command_says_what_it_needs(saved, tmp_path, arguments, message):
-    done = run(saved, "--out", tmp_path / "mine.eitmodel", *arguments)
+def test_the_command_says_how_angles_are_written(saved, tmp_path):
+    words = ("--board", "virtual:", "--angles", "ten", "--out", tmp_path / "mine.eitmodel")
+    done = run(saved, *words)
     assert isinstance(done.exception, ConfigurationError)
-    assert re.search(message, str(done.exception))
-
-
-@pytest.mark.slow
-def test_a_dataset_without_bends_is_named(saved, sensor, tmp_path):
-    folder = bends(sensor, tmp_path / "bends")
-    done = run(saved, "--dataset", folder, "--specimen", 1, "--out", tmp_path / "m.eitmodel")
-    assert isinstance(done.exception, DataError)
-    assert "specimen 1" in str(done.exception)
+    assert "apart by commas" in str(done.exception)
