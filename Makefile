@@ -53,8 +53,7 @@ docs: $(VENV)/installed
 	$(BIN)/python -m pdoc --docformat google --output-directory build/docs \
 		$(addprefix eitskin.,$(REFERENCE))
 
-# The wide pipeline that comes with eitskin, trained again: an hour on two cores, half of it for
-# clamps that have not been bent on this machine.
+# The wide pipeline that comes with eitskin, trained again.
 RECIPES = training wide wide_bends
 wide: $(VENV)/installed
 	for recipe in $(RECIPES); do \

@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
+from eitskin.training.joint.objective import BEYOND_DEG
+
 Array = NDArray[np.float64]
 
 UNIT_DEG = 20.0  # deg, of the networks' outputs
@@ -70,10 +72,15 @@ class AngleNetworks:
         return UNIT_DEG * last[:, 0], UNIT_DEG * np.exp(np.clip(last[:, 1], *LOG_DEVIATION))
 
     def estimate(self, change: Array, features: Array, drift: float) -> tuple[float, float]:
-        """Angle [deg] and its standard error [deg] of one frame; arguments as of `inputs`."""
+        """Angle [deg] and its standard error [deg] of one frame; arguments as of `inputs`.
+
+        The angle is at most `BEYOND_DEG` outside of those learned from, as that of a bend curve.
+        """
         means, deviations = self.members(change, features, drift)
         lacking = (len(means) - 1) * float(np.var(means))
-        return float(np.mean(means)), float(np.sqrt(np.mean(deviations**2) + lacking))
+        low, high = self.angle_deg
+        angle = min(max(float(np.mean(means)), low - BEYOND_DEG), high + BEYOND_DEG)
+        return angle, float(np.sqrt(np.mean(deviations**2) + lacking))
 
     def arrays(self) -> dict[str, NDArray[np.floating]]:
         """Arrays from which `from_arrays` restores the networks; weights in single precision."""

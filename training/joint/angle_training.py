@@ -163,7 +163,7 @@ def groups_of_specimens(frames: BentFrames, seed: int) -> Integers:
     return np.asarray(group, dtype=np.int64)
 
 
-def mean_loss(frames: BentFrames, estimates: Array) -> float:
+def loss_of_estimates(frames: BentFrames, estimates: Array) -> float:
     """Loss of the networks for estimates of other origin.
 
     Args:

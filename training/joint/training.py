@@ -266,7 +266,7 @@ def _angles(
     """
     if len(np.unique(bent.specimen)) < FEWEST_SPECIMENS:
         return None, LearningCurve()
-    from eitskin.training.joint.angle_training import BentFrames, fit_angles, mean_loss
+    from eitskin.training.joint.angle_training import BentFrames, fit_angles, loss_of_estimates
 
     frames = BentFrames(
         combinations.of(bent.change),
@@ -280,7 +280,7 @@ def _angles(
     noise = _bend_noise(bent, combinations, settings.drift)
     pairs = zip(few.change, few.features, strict=True)
     by_curves = np.array([estimate_angle(curves.of(p), change, noise) for change, p in pairs])
-    return networks if curve.validation[-1] < mean_loss(few, by_curves) else None, curve
+    return networks if curve.validation[-1] < loss_of_estimates(few, by_curves) else None, curve
 
 
 def _response(

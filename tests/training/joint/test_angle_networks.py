@@ -11,6 +11,7 @@ from eitskin.training.joint.angle_training import BentFrames, fit_angles, groups
 from eitskin.training.joint.bend_curve import BendCurvePrior
 from eitskin.training.joint.combinations import Combinations
 from eitskin.training.joint.mirrored_frames import MirroredFrames
+from eitskin.training.joint.objective import BEYOND_DEG
 from eitskin.training.method.settings import JointSettings, NetworkSettings, silent
 from eitskin.training.paper.networks import single_thread
 
@@ -87,6 +88,15 @@ def test_variance_is_that_within_and_a_jackknife_of_that_between():
     assert angle == pytest.approx(means.mean())
     jackknife = 2 / 3 * np.sum((means - means.mean()) ** 2)
     assert deviation**2 == pytest.approx(np.mean(deviations**2) + jackknife)
+
+
+@pytest.mark.parametrize("size", [-1e3, 1e3])
+def test_angles_stay_near_those_learned_from(size):
+    """Whatever a frame shows: candidates of touches are kept for these angles alone."""
+    networks = random_networks()
+    angle, _ = networks.estimate(np.array([size, size]), np.zeros(2), 1e-3)
+    assert abs(networks.members(np.array([size, size]), np.zeros(2), 1e-3)[0].mean()) > 100.0
+    assert angle in (-20.0 - BEYOND_DEG, 50.0 + BEYOND_DEG)
 
 
 @pytest.mark.parametrize(("by_networks", "expected"), [(0.0, 1.0), (NEAR_DEG / 2, 2.0), (8.0, 8.0)])
