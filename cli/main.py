@@ -8,9 +8,7 @@ from typer.core import TyperGroup
 
 from eitskin import __version__
 from eitskin.cli.commands import (
-    adapt,
     board,
-    calibrate,
     check,
     dataset,
     evaluate,
@@ -20,13 +18,13 @@ from eitskin.cli.commands import (
     instrument,
     live,
     mesh,
-    setup,
     simulate,
     tare,
     train,
     twin,
 )
 from eitskin.cli.commands.bench import group as bench
+from eitskin.cli.commands.own_sensor import adapt, calibrate, setup
 from eitskin.cli.commands.reconstruct import command as reconstruct
 from eitskin.cli.demo import command as demo
 from eitskin.errors import EitskinError

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from eitskin.cli.commands import setup as setup_command
-from eitskin.cli.commands.poses import as_dataset, bent, place_map, press_places, pressed
+from eitskin.cli.commands.own_sensor import setup as setup_command
+from eitskin.cli.commands.own_sensor.poses import as_dataset, bent, place_map, press_places, pressed
 from eitskin.cli.main import app
 from eitskin.datasets import State, open_dataset
 from eitskin.errors import ConfigurationError, DataError

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.simulator.instrument.drift import DRIFT_TIME
-from eitskin.training.joint.angle_estimate import angle_standard_error, estimate_angle
+from eitskin.training.joint.angles.estimate import angle_standard_error, estimate_angle
 from eitskin.training.joint.bend_curve import BendCurve
 from eitskin.training.joint.combinations import Combinations, CombinedChange, log_change
 from eitskin.training.method.calibration import Calibration

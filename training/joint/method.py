@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from eitskin.protocol import Protocol
 from eitskin.simulator.instrument.drift import DRIFT_TIME
 from eitskin.training.joint.adaptation import adapted_curve, calibration_of, error_scale
-from eitskin.training.joint.angle_estimate import AngleEstimate
-from eitskin.training.joint.angle_networks import AngleNetworks
+from eitskin.training.joint.angles.estimate import AngleEstimate
+from eitskin.training.joint.angles.networks import AngleNetworks
 from eitskin.training.joint.bend_curve import BendCurve, BendCurvePrior
 from eitskin.training.joint.channel_faults import possible_faults
 from eitskin.training.joint.combinations import Combinations, CombinedChange, log_change

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.training.joint import lapack
-from eitskin.training.joint.angle_estimate import AngleEstimate
+from eitskin.training.joint.angles.estimate import AngleEstimate
 from eitskin.training.joint.channel_faults import (
     MOST_FAULTS,
     ChannelFault,

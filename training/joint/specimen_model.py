@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.training.joint.angle_estimate import AngleEstimate, robust_angle
-from eitskin.training.joint.angle_networks import AngleNetworks, blended
+from eitskin.training.joint.angles.estimate import AngleEstimate, robust_angle
+from eitskin.training.joint.angles.networks import AngleNetworks, blended
 from eitskin.training.joint.bend_curve import BendCurve
 from eitskin.training.joint.channel_faults import PossibleFaults
 from eitskin.training.joint.combinations import CombinedChange

@@ -12,8 +12,8 @@ from eitskin.errors import DataError
 from eitskin.extras import require
 from eitskin.geometry.design.surface import Surface
 from eitskin.simulator.instrument.drift import DRIFT_TIME
-from eitskin.training.joint.angle_estimate import estimate_angle
-from eitskin.training.joint.angle_networks import AngleNetworks
+from eitskin.training.joint.angles.estimate import estimate_angle
+from eitskin.training.joint.angles.networks import AngleNetworks
 from eitskin.training.joint.bend_curve import BendCurvePrior
 from eitskin.training.joint.combinations import Combinations
 from eitskin.training.joint.mirrored_frames import (
@@ -266,7 +266,7 @@ def _angles(
     """
     if len(np.unique(bent.specimen)) < FEWEST_SPECIMENS:
         return None, LearningCurve()
-    from eitskin.training.joint.angle_training import BentFrames, fit_angles, loss_of_estimates
+    from eitskin.training.joint.angles.training import BentFrames, fit_angles, loss_of_estimates
 
     frames = BentFrames(
         combinations.of(bent.change),

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from eitskin.training.joint import angle_training
 from eitskin.training.joint import training as joint_training
-from eitskin.training.joint.angle_estimate import estimate_angle
-from eitskin.training.joint.angle_networks import NEAR_DEG, AngleNetworks, blended
-from eitskin.training.joint.angle_training import BentFrames, fit_angles, groups_of_specimens
+from eitskin.training.joint.angles import training as angle_training
+from eitskin.training.joint.angles.estimate import estimate_angle
+from eitskin.training.joint.angles.networks import NEAR_DEG, AngleNetworks, blended
+from eitskin.training.joint.angles.training import BentFrames, fit_angles, groups_of_specimens
 from eitskin.training.joint.bend_curve import BendCurvePrior
 from eitskin.training.joint.combinations import Combinations
 from eitskin.training.joint.mirrored_frames import MirroredFrames

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
-from eitskin.training.joint.angle_estimate import angle_standard_error, estimate_angle
+from eitskin.training.joint.angles.estimate import angle_standard_error, estimate_angle
 from eitskin.training.joint.bend_curve import (
     MEAN_POWERS,
     RANDOM_POWERS,

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.cluster.vq import kmeans2
 from torch import Tensor, nn  # noqa: TID253  see above
 
-from eitskin.training.joint.angle_networks import DRIFT, LOG_DEVIATION, UNIT_DEG, AngleNetworks
+from eitskin.training.joint.angles.networks import DRIFT, LOG_DEVIATION, UNIT_DEG, AngleNetworks
 from eitskin.training.joint.bend_curve import SCALE
 from eitskin.training.joint.combinations import Combinations
 from eitskin.training.method.learning_curve import LearningCurve

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from eitskin.cli.commands.adapt import calibration_table
 from eitskin.cli.commands.live import BoardUri, seeded
-from eitskin.cli.commands.poses import asked, bent, frames_in_poses, left_alone
+from eitskin.cli.commands.own_sensor.adapt import calibration_table
+from eitskin.cli.commands.own_sensor.poses import asked, bent, frames_in_poses, left_alone
 from eitskin.cli.commands.stored_references import ReferenceFile, use_reference
 from eitskin.cli.options import (
     Json,

@@ -9,10 +9,10 @@ import click
 import typer
 
 from eitskin.cli.commands import check, tare
-from eitskin.cli.commands.adapt import StartModel, adapt, in_words, open_start, said
-from eitskin.cli.commands.calibrate import Angles, angles_of
 from eitskin.cli.commands.live import seeded
-from eitskin.cli.commands.poses import (
+from eitskin.cli.commands.own_sensor.adapt import StartModel, adapt, in_words, open_start, said
+from eitskin.cli.commands.own_sensor.calibrate import Angles, angles_of
+from eitskin.cli.commands.own_sensor.poses import (
     as_dataset,
     asked,
     bent,
@@ -26,7 +26,7 @@ from eitskin.cli.options import BoardOption, Json, Output, Quiet, Seed, SensorFi
 from eitskin.errors import ConfigurationError, EitskinError
 
 if TYPE_CHECKING:
-    from eitskin.cli.commands.poses import Pose
+    from eitskin.cli.commands.own_sensor.poses import Pose
     from eitskin.frame import Frame
     from eitskin.geometry.design.sensor import SensorDesign
     from eitskin.hardware.boards.board import Board
