@@ -28,6 +28,7 @@ from eitskin.cli.commands.own_sensor import adapt, calibrate, setup
 from eitskin.cli.commands.reconstruct import command as reconstruct
 from eitskin.cli.demo import command as demo
 from eitskin.errors import EitskinError
+from eitskin.input_files import printable
 
 EXIT_USAGE = 2
 
@@ -92,11 +93,14 @@ app.add_typer(twin.app, name="twin")
 
 
 def run() -> None:
-    """Entry point: exit codes 0 ok, 2 usage, 3 data, 4 device, 5 partial, 130 interrupted."""
+    """Entry point: exit codes 0 ok, 2 usage, 3 data, 4 device, 5 partial, 130 interrupted.
+
+    Other exceptions are for `entry`, which ends with 70.
+    """
     try:
         app(standalone_mode=True)
     except EitskinError as error:
-        typer.secho(f"eitskin: {error}", fg=typer.colors.RED, err=True)
+        typer.secho(f"eitskin: {printable(error)}", fg=typer.colors.RED, err=True)
         sys.exit(error.exit_code)
     except ImportError as error:
         typer.secho(f"eitskin: {error}", fg=typer.colors.RED, err=True)

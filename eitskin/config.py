@@ -20,12 +20,16 @@ import typing
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeGuard, TypeVar
+from typing import Any, Final, TypeGuard, TypeVar
 
 import msgspec
 
 from eitskin.errors import ConfigurationError
 from eitskin.files import atomic_file
+from eitskin.input_files import quoted, read_text, shortened
+
+MOST_TOML: Final = 16 << 20
+"""Largest size of a TOML file [bytes]: a recipe with a table of 16,384 channels has 0.5 MB."""
 
 T = TypeVar("T")
 
@@ -65,11 +69,7 @@ def read_toml(kind: type[T], path: str | Path) -> T:
     Raises ConfigurationError where the file is missing, is not TOML, or does not fit.
     """
     path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigurationError(f"cannot read {path}: {error}") from error
-    return parse_toml(kind, text, str(path), path.parent)
+    return parse_toml(kind, read_text(path, MOST_TOML), str(path), path.parent)
 
 
 def parse_toml(kind: type[T], text: str, where: str = "TOML text", folder: Path | None = None) -> T:
@@ -83,11 +83,18 @@ def parse_toml(kind: type[T], text: str, where: str = "TOML text", folder: Path 
 
     Raises ConfigurationError where the text is not TOML or does not fit.
     """
+    return from_dict(kind, toml_table(text, where), where, folder)
+
+
+def toml_table(text: str, where: str) -> dict[str, Any]:
+    """Table of a TOML text; raises ConfigurationError, naming `where`, for text that is not TOML.
+
+    Brackets nested beyond Python's calls and integers of thousands of digits are not TOML either.
+    """
     try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
         raise ConfigurationError(f"{where} is not valid TOML: {error}") from error
-    return from_dict(kind, data, where, folder)
 
 
 def from_dict(kind: type[T], data: Mapping[str, Any], where: str, folder: Path | None = None) -> T:
@@ -114,7 +121,7 @@ def build(make: Callable[..., T], data: Any, location: Location) -> T:
     for key in data:
         if key not in known:
             hint = _nearest(key, known) or f"; known: {', '.join(known)}"
-            raise location.error(f"unknown key '{key}'{hint}")
+            raise location.error(f"unknown key {quoted(key)}{hint}")
     arguments = {
         key: read(known[key].annotation, value, location.under(key)) for key, value in data.items()
     }
@@ -138,7 +145,7 @@ def choose(makers: Iterable[Callable[..., T]], data: Any, location: Location) ->
             return make
     known = list(itertools.chain.from_iterable(_parameters(make) for make in makers))
     hints = "".join(_nearest(key, known) for key in data if key not in known)
-    given = ", ".join(data) if data else "no keys"
+    given = shortened(", ".join(data)) if data else "no keys"
     raise location.error(f"expected the keys of one of {listed}, got {given}{hints}")
 
 
@@ -182,7 +189,9 @@ def _named(makers: tuple[Callable[..., T], ...], name: str, location: Location) 
         return named[name]()
     names = " or ".join(f"'{each}'" for each in named)
     hint = _nearest(name, named)
-    raise location.error(f"expected {names} or a table, {_listed(makers)}, got '{name}'{hint}")
+    raise location.error(
+        f"expected {names} or a table, {_listed(makers)}, got {quoted(name)}{hint}"
+    )
 
 
 def _nameable(makers: Iterable[Callable[..., T]]) -> dict[str, Callable[..., T]]:
@@ -203,10 +212,10 @@ def _plain(kind: Any, data: Any, location: Location) -> Any:
     """Value checked by msgspec; its numbers must be finite."""
     if typing.get_origin(kind) is typing.Literal and data not in typing.get_args(kind):
         known = " or ".join(f"'{choice}'" for choice in typing.get_args(kind))
-        raise location.error(f"expected {known}, got {data!r}")
+        raise location.error(f"expected {known}, got {quoted(data)}")
     try:
         value = msgspec.convert(data, kind)
-    except msgspec.ValidationError as error:
+    except (msgspec.ValidationError, OverflowError) as error:  # integers beyond the largest float
         raise location.error(error) from error
     for number in value if isinstance(value, tuple | list) else (value,):
         if isinstance(number, float) and not math.isfinite(number):
@@ -223,7 +232,10 @@ def _complex(data: Any, location: Location) -> Any:
 def _path(data: Any, location: Location) -> Path:
     if location.folder is None:
         raise location.error("names a file, which is possible only in a TOML file of its own")
-    return location.folder / str(_plain(str, data, location))
+    name = str(_plain(str, data, location))
+    if "\0" in name:
+        raise location.error(f"expected the name of a file, got {quoted(name)}")
+    return location.folder / name
 
 
 def _parameters(make: Callable[..., Any]) -> Mapping[str, inspect.Parameter]:

@@ -2,6 +2,7 @@
 
 import contextlib
 import csv
+import io
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from eitskin.errors import ConfigurationError, FrameError
 from eitskin.files import atomic_file
+from eitskin.input_files import read_text
 
 Row: TypeAlias = tuple[int, int, int, int]
 
@@ -100,10 +102,10 @@ class Protocol:
         measurements.
         """
         try:
-            with Path(path).open(encoding="utf-8-sig", newline="") as file:
-                reader = csv.reader(file, strict=True)
-                lines = [(reader.line_num, row) for row in reader if any(row)]
-        except (OSError, UnicodeDecodeError, csv.Error) as error:
+            text = read_text(path).removeprefix("\ufeff")
+            reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+            lines = [(reader.line_num, row) for row in reader if any(row)]
+        except (ConfigurationError, csv.Error) as error:
             raise ConfigurationError(f"cannot read the protocol {path}: {error}") from error
         header = tuple(name.strip() for name in lines[0][1]) if lines else ()
         if header != HEADER:

@@ -220,7 +220,7 @@ def read_options(texts: Sequence[str]) -> dict[str, Any]:
             raise ConfigurationError(f"expected --set NAME=VALUE, got '{text}'")
         try:
             values[name] = json.loads(value, parse_constant=str)
-        except ValueError:
+        except (ValueError, RecursionError):
             values[name] = value
     return values
 

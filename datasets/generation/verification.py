@@ -13,6 +13,7 @@ from eitskin.datasets.store.references import SpecimenReferences
 from eitskin.datasets.store.shard_reader import read_shard
 from eitskin.datasets.store.worker_processes import each_in_turn, worthwhile
 from eitskin.errors import DataError
+from eitskin.input_files import read_bytes
 
 SHARDS = "shard-*.h5"
 _REPAIR = "copy it again, or delete it and generate with --resume"
@@ -138,7 +139,7 @@ def _around(folder: Path, manifest: Manifest) -> Iterator[DamagedFile]:
     """Damage of the recipe beside the shards, and shards that the manifest does not name."""
     recipe = folder / RECIPE
     if manifest.source == "simulated" and recipe.is_file():
-        found = hashlib.sha256(recipe.read_bytes()).hexdigest()
+        found = hashlib.sha256(read_bytes(recipe, failure=DataError)).hexdigest()
         if found != manifest.recipe_sha256:
             yield DamagedFile(
                 RECIPE,

@@ -16,7 +16,7 @@ from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.datasets.recipe.shipped_recipes import SHIPPED, shipped_names
 from eitskin.datasets.recipe.specimen import Specimen, Specimens
 from eitskin.datasets.recipe.support_problems import support_problems
-from eitskin.datasets.store.schema import LIMITS
+from eitskin.datasets.store.schema import LIMITS, MOST_REFERENCE_FRAMES
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.fixtures import Bend, Clamp, Fixture, FreeArc, Hinge
 from eitskin.geometry.design.outline import PlaneOutline
@@ -29,7 +29,8 @@ from eitskin.simulator.electrical.resolution import Resolution
 from eitskin.simulator.instrument.instrument import Instrument
 from eitskin.simulator.mechanics.layer_stack import Mechanics
 
-MOST_REFERENCE_FRAMES = 1000
+MOST_FRAMES = 10**9
+MOST_SHARDS = 10**6
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,6 +191,7 @@ class Recipe:
                 f"reference_frames must be from 1 to {MOST_REFERENCE_FRAMES}, got "
                 f"{self.reference_frames}"
             )
+        yield from self._size_problems()
         yield from self._protocol_problems()
         if self.mounts.count and self.fixture != Clamp():
             yield "mounts take the place of the fixture, got both; leave one out"
@@ -215,6 +217,16 @@ class Recipe:
             problems += support_problems(None, self.sensor, self.fixture, bent)
             for problem in problems:
                 yield f"episodes[{number}]: {problem}"
+
+    def _size_problems(self) -> Iterator[str]:
+        if self.frames > MOST_FRAMES:
+            yield f"scenes and episodes must have at most {MOST_FRAMES} frames, got {self.frames}"
+        elif self.frames > MOST_SHARDS * self.frames_per_shard:
+            yield (
+                f"frames_per_shard must be at least {-(-self.frames // MOST_SHARDS)} for "
+                f"{self.frames} frames, got {self.frames_per_shard}: a dataset has at most "
+                f"{MOST_SHARDS} files"
+            )
 
     def _specimen_problems(self) -> Iterator[str]:
         impossible = list(self.mounts.problems())

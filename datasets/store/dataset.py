@@ -3,7 +3,6 @@
 import dataclasses
 import itertools
 import math
-import tomllib
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
@@ -11,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from eitskin.config import toml_table
 from eitskin.datasets.store.names import Names
 from eitskin.datasets.store.references import SpecimenReferences
 from eitskin.datasets.store.schema import (
@@ -18,12 +18,14 @@ from eitskin.datasets.store.schema import (
     FRAME_FIELDS,
     LIMITS,
     MAX_TOUCHES,
+    MOST_REFERENCE_FRAMES,
     QUANTITIES,
 )
 from eitskin.datasets.store.state import UNKNOWN_STATE, State
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.frame import Frame, Status
 from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.input_files import quoted
 from eitskin.protocol import Protocol
 
 # Attributes that all parts of a dataset share.
@@ -178,7 +180,13 @@ class Dataset:
     @property
     def reference_frames(self) -> int:
         """Number of frames averaged for each `touch_reference`, from the recipe."""
-        return int(tomllib.loads(self.recipe).get("reference_frames", 1))
+        stated = toml_table(self.recipe, "the recipe of the dataset").get("reference_frames", 1)
+        if not (isinstance(stated, int) and 1 <= stated <= MOST_REFERENCE_FRAMES):
+            raise DataError(
+                "the recipe of the dataset: reference_frames must be from 1 to "
+                f"{MOST_REFERENCE_FRAMES}, got {quoted(stated)}; generate the dataset again"
+            )
+        return stated
 
     @property
     def touch_count(self) -> NDArray[np.int64]:

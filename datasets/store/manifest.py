@@ -7,11 +7,13 @@ from pathlib import Path
 import msgspec
 
 from eitskin.datasets.store.names import Names
-from eitskin.datasets.store.schema import FORMAT, FORMAT_VERSION
+from eitskin.datasets.store.schema import FORMAT, FORMAT_VERSION, LIMITS, MOST_SHARD_BYTES
 from eitskin.errors import DataError, PartialError
 from eitskin.files import write_file
+from eitskin.input_files import parse_json, quoted, read_bytes
 
 MANIFEST = "manifest.json"
+MOST_BYTES = 1 << 28  # of a manifest; a million shards take 150 MB
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,11 +55,13 @@ def read_manifest(folder: Path) -> Manifest:
             else "give the folder that eitskin generate or eitskin import wrote"
         )
         raise DataError(f"{folder} is not a complete dataset, it has no {MANIFEST}; {remedy}")
+    content = read_bytes(path, MOST_BYTES, DataError)
     try:
-        content = path.read_bytes()
         _check_version(path, content)
-        manifest = msgspec.json.decode(content, type=Manifest)
-    except (OSError, msgspec.MsgspecError) as error:
+        manifest: Manifest = parse_json(content, Manifest)
+    except DataError:
+        raise
+    except ValueError as error:
         raise DataError(f"{path} is not a manifest: {error}; make the dataset again") from error
     _check_shards(path, manifest)
     return manifest
@@ -79,10 +83,10 @@ def manifest_bytes(manifest: Manifest) -> bytes:
 def shard_entry(folder: Path, name: str, first_index: int, count: int) -> ShardEntry:
     """Manifest entry of a shard in `folder`; raises PartialError where the shard is missing."""
     try:
-        content = (folder / name).read_bytes()
-    except OSError as error:
+        content = read_bytes(folder / name, MOST_SHARD_BYTES, PartialError)
+    except PartialError as error:
         raise PartialError(
-            f"cannot read back {folder / name}: {error.strerror}; where workers run on other "
+            f"cannot read back {folder / name}: {error}; where workers run on other "
             "machines, they must see the same folder under the same path; then continue with "
             "--resume"
         ) from error
@@ -95,10 +99,7 @@ def shard_content(folder: Path, entry: ShardEntry) -> bytes:
     Damage can crash the HDF5 library, which is to be given this content only.
     """
     path = folder / entry.name
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise DataError(f"cannot read {path}, which the manifest names: {error}") from error
+    content = read_bytes(path, MOST_SHARD_BYTES, DataError)
     found = hashlib.sha256(content).hexdigest()
     if found != entry.sha256:
         raise DataError(
@@ -110,14 +111,14 @@ def shard_content(folder: Path, entry: ShardEntry) -> bytes:
 
 def _check_version(path: Path, content: bytes) -> None:
     """Check format and version first: a newer manifest may have unknown keys."""
-    head = msgspec.json.decode(content)
+    head = parse_json(content)
     if not isinstance(head, dict):
         raise DataError(f"{path} is not a manifest: expected an object, got {type(head).__name__}")
     name, version = head.get("format"), head.get("format_version")
     if name != FORMAT:
-        raise DataError(f"{path}: expected format '{FORMAT}', got {name!r}")
+        raise DataError(f"{path}: expected format '{FORMAT}', got {quoted(name)}")
     if not isinstance(version, int) or version < 1:
-        raise DataError(f"{path}: expected a format version of 1 or more, got {version!r}")
+        raise DataError(f"{path}: expected a format version of 1 or more, got {quoted(version)}")
     if version > FORMAT_VERSION:
         raise DataError(
             f"{path}: format version {version} is newer than {FORMAT_VERSION}, the last that this "
@@ -127,13 +128,20 @@ def _check_version(path: Path, content: bytes) -> None:
 
 def _check_shards(path: Path, manifest: Manifest) -> None:
     """Raise DataError for shards outside the folder, gaps and overlaps."""
+    if not 0 <= manifest.seed < 1 << 63:
+        raise DataError(f"{path} is not a manifest: its seed is not from 0 to 2^63 - 1")
     following = 0
     for entry in manifest.shards:
-        if Path(entry.name).name != entry.name or entry.name.startswith("."):
-            raise DataError(f"{path}: a shard must lie beside the manifest, got {entry.name!r}")
+        name = quoted(entry.name)
+        if Path(entry.name).name != entry.name or entry.name.startswith(".") or "\0" in entry.name:
+            raise DataError(f"{path}: a shard must lie beside the manifest, got {name}")
         if entry.first_index != following:
             raise DataError(
-                f"{path}: {entry.name} must start at frame {following}, got {entry.first_index}"
+                f"{path}: {name} must start at frame {following}, got {entry.first_index}"
+            )
+        if not 1 <= entry.count <= LIMITS["frame"]:
+            raise DataError(
+                f"{path}: {name} must hold 1 to {LIMITS['frame']} frames, got {entry.count}"
             )
         following += entry.count
     if not manifest.shards or following != manifest.frames:

@@ -8,10 +8,12 @@ import numpy as np
 FORMAT: Final = "eitskin-dataset"
 FORMAT_VERSION: Final = 2
 MAX_TOUCHES: Final = 4
+MOST_REFERENCE_FRAMES: Final = 1000
 
 # Larger sizes are refused before memory is allocated: a foreign shard may claim any size.
 LIMITS: Final = {"frame": 1 << 20, "channel": 1 << 14, "specimen": 1 << 16, "touch": MAX_TOUCHES}
 MAX_VALUES: Final = 1 << 26
+MOST_SHARD_BYTES: Final = 1 << 31
 
 
 @dataclass(frozen=True, slots=True)

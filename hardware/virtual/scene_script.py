@@ -1,12 +1,12 @@
 """Scripts of scenes for a virtual board, frame by frame."""
 
-import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from eitskin.config import read_toml
+from eitskin.config import read_toml, toml_table
 from eitskin.errors import ConfigurationError
+from eitskin.input_files import read_text
 from eitskin.simulator.scene.scene import Scene
 
 SceneSource = Callable[[int], Scene]
@@ -64,6 +64,6 @@ class Script:
 def _top_keys(path: Path) -> set[str]:
     """Keys at the top of a TOML file; none for other files, an error when they are read."""
     try:
-        return set(tomllib.loads(path.read_text(encoding="utf-8")))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError):
+        return set(toml_table(read_text(path), str(path)))
+    except ConfigurationError:
         return set()

@@ -300,42 +300,6 @@ def test_a_huge_claim_costs_no_memory(shard):
         read_shard(shard)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"format_version": FORMAT_VERSION + 1, "new": 1}, "newer than .* upgrade"),
-        ({"format": "other"}, "expected format"),
-        ({"frames": 41}, r"41 frames.*40"),
-        ({"shards": []}, r"40 frames.*0"),
-        ({"seed": "x"}, "not a manifest"),
-    ],
-)
-def test_manifests_that_do_not_fit_are_refused(tmp_path, change, message):
-    save_dataset(make(), tmp_path / "set")
-    path = tmp_path / "set" / "manifest.json"
-    path.write_text(json.dumps(json.loads(path.read_text()) | change))
-    with pytest.raises(DataError, match=message):
-        open_dataset(tmp_path / "set")
-
-
-def test_manifest_may_not_lead_out_of_its_folder(tmp_path):
-    save_dataset(make(), tmp_path / "set")
-    write_shard(tmp_path / "elsewhere.h5", make())
-    path = tmp_path / "set" / "manifest.json"
-    content = json.loads(path.read_text())
-    content["shards"][0]["name"] = "../elsewhere.h5"
-    path.write_text(json.dumps(content))
-    with pytest.raises(DataError, match="manifest"):
-        open_dataset(tmp_path / "set")
-
-
-@pytest.mark.parametrize("content", [b"", b"[]", b"7", b"{", b"\xff"])
-def test_rubbish_for_a_manifest_is_refused(tmp_path, content):
-    (tmp_path / "manifest.json").write_bytes(content)
-    with pytest.raises(DataError, match="manifest"):
-        open_dataset(tmp_path)
-
-
 def test_unfinished_and_absent_datasets_say_what_to_do(tmp_path, shard):
     shard.rename(tmp_path / "shard-000000.h5")
     with pytest.raises(DataError, match=r"1 finished shards .*--resume"):

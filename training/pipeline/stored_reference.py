@@ -15,6 +15,7 @@ from eitskin.config import from_dict
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.files import atomic_file
 from eitskin.frame import Frame
+from eitskin.input_files import parse_json, read_bytes
 from eitskin.protocol import Protocol
 from eitskin.training.method.observations import relative_difference
 from eitskin.training.pipeline.references import RunningMean
@@ -128,11 +129,7 @@ class StoredReference:
         """
         path = Path(path)
         try:
-            if path.stat().st_size > LARGEST_FILE:
-                raise DataError(
-                    f"{path} is too large for a reference; name the file of eitskin tare"
-                )
-            data = json.loads(path.read_text(encoding="utf-8"))
+            data = parse_json(read_bytes(path, LARGEST_FILE))
             if not isinstance(data, dict) or data.pop("format", None) != FORMAT:
                 raise DataError(f"{path} is no reference; make one with eitskin tare")
             if (found := data.pop("format_version", None)) != FORMAT_VERSION:
@@ -141,11 +138,8 @@ class StoredReference:
                     "install a newer eitskin, or make the reference again with eitskin tare"
                 )
             return from_dict(_Document, data, str(path)).reference()
-        except OSError as error:
-            raise DataError(
-                f"cannot read the reference {path}: {error.strerror or error}; make one with "
-                "eitskin tare"
-            ) from error
+        except DataError:
+            raise
         except (ConfigurationError, ValueError) as error:
             raise DataError(
                 f"{path} is no whole reference: {error}; make it again with eitskin tare"

@@ -1,0 +1,1 @@
+../../eitskin/input_files.py

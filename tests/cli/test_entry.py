@@ -1,0 +1,64 @@
+"""The outer boundary of the program: unexpected exceptions, and messages made for a terminal."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from eitskin.cli import entry, main
+from eitskin.cli.failure_report import report
+from eitskin.errors import DataError
+
+
+def ended(monkeypatch, tmp_path, error, *words):
+    """Exit code of the program whose command raises `error`."""
+
+    def raising():
+        raise error
+
+    monkeypatch.setattr(main, "app", lambda **_: raising())
+    monkeypatch.setattr("sys.argv", ["eitskin", *words])
+    monkeypatch.setattr("sys.warnoptions", ["default"])
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    with pytest.raises(SystemExit) as ending:
+        entry.run()
+    return ending.value.code
+
+
+def test_an_unexpected_exception_is_one_sentence_and_a_report(monkeypatch, tmp_path, capsys):
+    error = KeyError("secret " * 1000)
+    assert ended(monkeypatch, tmp_path, error, "train", "a file") == entry.EXIT_UNEXPECTED
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "Traceback" not in said
+    (path,) = tmp_path.iterdir()
+    assert str(path) in said
+    written = path.read_text()
+    assert "command: eitskin train 'a file'" in written
+    assert "KeyError" in written
+    assert max(map(len, written.splitlines())) <= 300
+
+
+def test_a_report_that_cannot_be_written_is_said(monkeypatch, tmp_path, capsys):
+    code = ended(monkeypatch, tmp_path / "none", RuntimeError("x"))
+    assert code == entry.EXIT_UNEXPECTED
+    assert re.search(r"RuntimeError.* in raising, line \d+", capsys.readouterr().err)
+
+
+def test_memory_that_ends_is_no_fault_of_the_program(monkeypatch, tmp_path, capsys):
+    assert ended(monkeypatch, tmp_path, MemoryError()) == entry.EXIT_UNEXPECTED
+    assert "memory" in capsys.readouterr().err
+    assert not list(Path(tmp_path).iterdir())
+
+
+def test_messages_neither_control_the_terminal_nor_fill_it(monkeypatch, tmp_path, capsys):
+    hostile = DataError("\x1b]0;owned\x07" + "x" * 100_000 + "\nremedy")
+    assert ended(monkeypatch, tmp_path, hostile) == DataError.exit_code
+    said = capsys.readouterr().err
+    assert "\\x1b]0;owned\\x07" in said
+    assert said.endswith("\nremedy\n")
+    assert len(said) < 5000
+
+
+def test_lines_of_reports_hold_no_control_characters():
+    assert "\x1b" not in report(ValueError("\x1b[2J"))
