@@ -5,7 +5,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import click
 import typer
 
 from eitskin.cli.commands import check, tare
@@ -72,7 +71,7 @@ def command(
     setup = Setup(model, start, design, out, board or "", frames, no_prompt, seed, output)
     try:
         setup.run(wanted, presses)
-    except (KeyboardInterrupt, click.Abort):
+    except (KeyboardInterrupt, typer.Abort):
         output.note(setup.kept)
         raise KeyboardInterrupt from None
 
