@@ -6,15 +6,23 @@ networks (docs/interoperability.md).
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from eitskin.extras import require
-
-if TYPE_CHECKING:
-    from torch import nn
+from eitskin.training.paper.layers import (
+    EPSILON,
+    BatchNorm,
+    Convolution,
+    Dense,
+    Layer,
+    Layers,
+    MaxPool,
+    Rectifier,
+    TransposedConvolution,
+)
 
 OPSET = 17
 IR_VERSION = 8  # the file format that came with this opset
@@ -189,46 +197,32 @@ def relative_difference(impedance: Value, reference: Value) -> Value:
     return ((impedance - reference) * reference).sum(2) / (reference * reference).sum(2)
 
 
-def network(module: "nn.Module", value: Value) -> Value:
-    """Output of a torch network in evaluation mode, layer by layer.
-
-    Raises TypeError for a layer without a translation.
-    """
-    from torch import nn
-
-    match module:
-        case nn.Sequential():
-            for layer in module:
-                value = network(layer, value)
-        case nn.Conv2d():
-            value = value.op("Conv", *_arrays(module, "weight", "bias"), **_steps(module))
-        case nn.ConvTranspose2d():
-            steps = {"output_padding": module.output_padding, **_steps(module)}
-            value = value.op("ConvTranspose", *_arrays(module, "weight", "bias"), **steps)
-        case nn.BatchNorm2d():
-            arrays = _arrays(module, "weight", "bias", "running_mean", "running_var")
-            value = value.op("BatchNormalization", *arrays, epsilon=module.eps)
-        case nn.Linear():
-            value = value.dense(*_arrays(module, "weight", "bias"))
-        case nn.MaxPool2d():
-            size = [module.kernel_size] * 2
-            value = value.op("MaxPool", kernel_shape=size, strides=size)
-        case nn.ReLU():
-            value = value.op("Relu")
-        case nn.Flatten():
-            value = value.op("Flatten")
-        case _:
-            raise TypeError(f"expected a layer with an ONNX operator, got {type(module).__name__}")
+def network(layers: Layers, value: Value) -> Value:
+    """Output of the last layer of a network."""
+    for layer in layers:
+        value = _output(layer, value)
     return value
 
 
-def _steps(layer: "nn.Conv2d | nn.ConvTranspose2d") -> dict[str, Any]:
-    """Strides, dilations and paddings at the beginning and end of both axes."""
-    pads = (*layer.padding, *layer.padding)
-    return {"strides": layer.stride, "dilations": layer.dilation, "pads": pads}
-
-
-def _arrays(layer: "nn.Module", *names: str) -> list[NDArray[Any]]:
-    """Trained tensors of a layer, without those that the layer was made without."""
-    tensors = (getattr(layer, name) for name in names)
-    return [tensor.detach().numpy() for tensor in tensors if tensor is not None]
+def _output(layer: Layer, value: Value) -> Value:
+    """Output of a layer by the ONNX operator of its kind."""
+    if isinstance(layer, Convolution):
+        arrays = [layer.weight] if layer.bias is None else [layer.weight, layer.bias]
+        steps = {
+            "strides": [layer.stride] * 2,
+            "dilations": [layer.dilation] * 2,
+            "pads": [layer.dilation] * 4,
+        }
+        return value.op("Conv", *arrays, **steps)
+    if isinstance(layer, TransposedConvolution):
+        odd = layer.weight.shape[2] % 2
+        steps = {"strides": [2, 2], "pads": [1, 1, 1, 1], "output_padding": [odd, odd]}
+        return value.op("ConvTranspose", layer.weight, layer.bias, **steps)
+    if isinstance(layer, BatchNorm):
+        arrays = [layer.weight, layer.bias, layer.running_mean, layer.running_var]
+        return value.op("BatchNormalization", *arrays, epsilon=EPSILON)
+    if isinstance(layer, Dense):
+        return value.dense(layer.weight, layer.bias)
+    if isinstance(layer, MaxPool):
+        return value.op("MaxPool", kernel_shape=[2, 2], strides=[2, 2])
+    return value.op("Relu" if isinstance(layer, Rectifier) else "Flatten")

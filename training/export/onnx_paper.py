@@ -15,6 +15,7 @@ from eitskin.training.export.onnx_graph import (
 from eitskin.training.method.observations import Observations
 from eitskin.training.paper.bend_angle import BendAngle
 from eitskin.training.paper.classifier import Classifier
+from eitskin.training.paper.layers import coordinates
 from eitskin.training.paper.method import PaperMethod
 from eitskin.training.paper.postprocessor import PostProcessor
 
@@ -96,7 +97,7 @@ def _probabilities(stage: Classifier, static: Value) -> Value:
     embedded = static @ stage.embedding.reshape(maps * pixels, channels).T
     value = embedded.op("Reshape", [-1, maps, *stage.shape]).cast("float")
     value = value.op("Asinh") if stage.compress else value
-    logits = network(stage.network.layers, value).cast("double")
+    logits = network(stage.layers, value).cast("double")
     states = np.array(stage.states, dtype=np.int64)
     return logits.op("Gather", states, axis=1).op("Softmax", axis=1)
 
@@ -122,7 +123,7 @@ def _touch_map(
     """Zero where a frame is not touched."""
     maps = (picture / stage.scale).op("Reshape", [-1, 1, *shape]).cast("float")
     size = maps.op("Shape", start=0, end=1).op("Concat", [2, *shape], axis=0)
-    place = maps.graph.node("Expand", stage.network.place.numpy(), size)
-    logits = network(stage.network.layers, maps.op("Concat", place, axis=1))
+    place = maps.graph.node("Expand", coordinates(shape)[None], size)
+    logits = network(stage.layers, maps.op("Concat", place, axis=1))
     values = logits.op("Reshape", [-1, *shape]).op("Sigmoid")
     return touched.op("Unsqueeze", [1, 2]).op("Where", values, np.float32(0.0))

@@ -1,7 +1,7 @@
 """Classifier of idle, touch and bend: the paper's encoder-decoder network."""
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,9 +10,7 @@ from eitskin.datasets.store.state import State
 from eitskin.extras import require
 from eitskin.training.method.learning_curve import LearningCurve
 from eitskin.training.method.settings import NetworkSettings, Progress, silent
-
-if TYPE_CHECKING:
-    from eitskin.training.paper.networks import StateNetwork
+from eitskin.training.paper.layers import layer_arrays, logits_of, state_layers
 
 
 class Classifier:
@@ -24,7 +22,8 @@ class Classifier:
     for small values and logarithmic for large ones.
 
     Attributes:
-        network: trained, in evaluation mode.
+        weights: trained weights and batch statistics of the network, by name.
+        layers: of the network with these weights.
         embedding: linear map from dV to scaled maps, (maps, pixels, measurements).
         shape: rows and columns of a map.
         compress: whether asinh is taken of the maps.
@@ -34,15 +33,16 @@ class Classifier:
 
     def __init__(
         self,
-        network: "StateNetwork",
+        weights: Mapping[str, NDArray[Any]],
         embedding: NDArray[np.float64],
         shape: tuple[int, int],
         compress: bool,
         history: LearningCurve | None = None,
         states: Sequence[State] = tuple(State),
     ) -> None:
-        """A classifier around a trained network."""
-        self.network = network
+        """A classifier with a trained network; raises DataError for weights of another one."""
+        self.weights = weights
+        self.layers = state_layers(weights, shape, len(embedding))
         self.embedding = embedding
         self.shape = shape
         self.compress = compress
@@ -83,7 +83,7 @@ class Classifier:
         import torch
 
         from eitskin.training.method.network_training import Samples, seeded_network, train_network
-        from eitskin.training.paper.networks import StateNetwork, noisy_maps
+        from eitskin.training.paper.networks import StateNetwork, noisy_maps, weights_of
 
         states = np.asarray(state, dtype=np.int64)
         scaled = _scaled(
@@ -114,20 +114,18 @@ class Classifier:
             None if validation is None else samples(*validation, 0.0),
         )
         present = [state for state in State if np.any(states == state)]
-        return cls(network, scaled, shape, compress, history, present)
+        return cls(weights_of(network), scaled, shape, compress, history, present)
 
     def apply(self, difference: ArrayLike) -> NDArray[np.float64]:
         """Probabilities (n, 3) of idle, touch and bend for dV (n, measurements).
 
         NaN for a state that was not trained for.
         """
-        from eitskin.training.paper.networks import logits_of
-
         dV = np.asarray(difference, dtype=float)
         maps = np.stack([dV @ layer.T for layer in self.embedding], axis=1)
         if self.compress:
             maps = np.arcsinh(maps)
-        logits = logits_of(self.network, maps.reshape(len(dV), -1, *self.shape))
+        logits = logits_of(self.layers, maps.reshape(len(dV), -1, *self.shape))
         known = logits[:, self.states]
         odds = np.exp(known - known.max(axis=1, keepdims=True))
         probabilities = np.full(logits.shape, np.nan)
@@ -136,29 +134,27 @@ class Classifier:
 
     def arrays(self) -> dict[str, NDArray[np.generic]]:
         """Trained arrays of the stage, as `from_arrays` takes them."""
-        from eitskin.training.paper.networks import weights_of
-
         return {
             "embedding": self.embedding,
             "compress": np.array(self.compress),
             "states": np.array(self.states, dtype=np.int64),
             **self.history.arrays(),
-            **weights_of(self.network),
+            **self.weights,
         }
 
     @classmethod
     def from_arrays(
         cls, arrays: dict[str, NDArray[np.generic]], shape: tuple[int, int]
     ) -> "Classifier":
-        """The stage with the trained `arrays`, for maps of `shape`."""
-        require("torch", "training")
-        from eitskin.training.paper.networks import StateNetwork, with_weights
+        """The stage with the trained `arrays`, for maps of `shape`.
 
+        Raises DataError for arrays of another network.
+        """
         embedding = arrays["embedding"].astype(float)
-        network = with_weights(StateNetwork(shape, len(embedding)), arrays)
         compress = bool(arrays["compress"])
         states = [State(int(state)) for state in arrays.get("states", np.arange(len(State)))]
-        return cls(network, embedding, shape, compress, LearningCurve.from_arrays(arrays), states)
+        history = LearningCurve.from_arrays(arrays)
+        return cls(layer_arrays(arrays), embedding, shape, compress, history, states)
 
 
 def _scaled(

@@ -137,12 +137,6 @@ class PaperMethod(Method):
         so the angle of a touched frame is that of its dynamic reference, the sensor just before
         the touch: V/ref_bend over V/ref_touch is ref_touch/ref_bend.
         """
-        from eitskin.training.paper.networks import single_thread
-
-        with single_thread():  # networks this small are slower on several
-            return self._predict(observations)
-
-    def _predict(self, observations: Observations) -> Predictions:
         flat = self.missing_static.fill(observations.static)
         free = self.missing_dynamic.fill(observations.dynamic)
         count = len(flat)
@@ -259,7 +253,7 @@ class PaperMethod(Method):
             reconstruction,
             Classifier.from_arrays(classifier, reconstruction.shape) if classifier else None,
             BendAngle.from_arrays(angle) if angle else None,
-            PostProcessor.from_arrays(maps, reconstruction.shape) if maps else None,
+            PostProcessor.from_arrays(maps) if maps else None,
             MissingChannels(arrays["missing_static.covariance"].astype(float)),
             MissingChannels(arrays["missing_dynamic.covariance"].astype(float)),
             spec.outline,

@@ -1,21 +1,19 @@
-"""Networks of the paper's method: state classifier and post-processor. Imports torch at its top.
+"""Networks of the paper's method, for training: state classifier and post-processor.
 
-The stages import this module inside the functions that need it, so that torch stays optional.
+Imports torch at its top. The stages import this module inside the functions that need it, so that
+torch stays optional; `training/paper/layers.py` evaluates trained networks without it.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, TypeVar
 
 import numpy as np
 import torch  # noqa: TID253  see above
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor, nn  # noqa: TID253  see above
 
-from eitskin.errors import DataError
-from eitskin.training.method.network_training import EVALUATED_AT_ONCE, Batch
+from eitskin.training.method.network_training import Batch
 
-Network = TypeVar("Network", bound=nn.Module)
 Maps = Callable[[Tensor, torch.Generator], Tensor]
 
 
@@ -133,38 +131,9 @@ def mirrored(batch: Batch, flips: Sequence[tuple[bool, bool]]) -> Batch:
     return drawn
 
 
-def logits_of(network: nn.Module, maps: ArrayLike) -> NDArray[np.float64]:
-    """Logits of `network` for maps (n, maps, rows, columns), in batches."""
-    inputs = torch.as_tensor(np.asarray(maps, dtype=np.float32))
-    with torch.inference_mode():
-        parts = [network(part).numpy() for part in torch.split(inputs, EVALUATED_AT_ONCE)]
-    return np.concatenate(parts).astype(np.float64)
-
-
 def weights_of(network: nn.Module) -> dict[str, NDArray[np.generic]]:
     """All weights and batch statistics, by name."""
     return {name: tensor.numpy().copy() for name, tensor in network.state_dict().items()}
-
-
-def with_weights(network: Network, arrays: Mapping[str, NDArray[Any]]) -> Network:
-    """`network` with the weights in `arrays`, in evaluation mode.
-
-    Raises DataError where arrays are missing or of another shape.
-    """
-    names = network.state_dict().keys()
-    missing = sorted(names - arrays.keys())
-    if missing:
-        raise DataError(
-            f"a saved {type(network).__name__} must hold {len(names)} arrays, {', '.join(missing)} "
-            "missing; save the pipeline again"
-        )
-    try:
-        network.load_state_dict({name: torch.tensor(arrays[name]) for name in names})
-    except RuntimeError as error:
-        raise DataError(
-            f"the saved {type(network).__name__} has other shapes than this version's: {error}"
-        ) from error
-    return network.eval()
 
 
 @contextmanager

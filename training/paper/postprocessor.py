@@ -1,35 +1,39 @@
 """Convolutional post-processor, from a blurred reconstruction to the touch map."""
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from eitskin.errors import DataError
 from eitskin.extras import require
 from eitskin.training.method.learning_curve import LearningCurve
 from eitskin.training.method.settings import NetworkSettings, Progress, silent
+from eitskin.training.paper.layers import coordinates, layer_arrays, logits_of, touch_map_layers
 from eitskin.training.paper.reconstruction import Reconstruction
-
-if TYPE_CHECKING:
-    from eitskin.training.paper.networks import TouchMapNetwork
 
 
 class PostProcessor:
     """Convolutional network for the probability of each pixel to lie under an indenter.
 
     Attributes:
-        network: trained, in evaluation mode.
+        weights: trained weights and batch statistics of the network, by name.
+        layers: of the network with these weights.
         scale: divisor of the reconstructions before the network, their standard deviation over
             the training frames.
         history: losses in training.
     """
 
     def __init__(
-        self, network: "TouchMapNetwork", scale: float, history: LearningCurve | None = None
+        self,
+        weights: Mapping[str, NDArray[Any]],
+        scale: float,
+        history: LearningCurve | None = None,
     ) -> None:
-        """A post-processor around a trained network."""
-        self.network = network
+        """A post-processor with a trained network; raises DataError for weights of another one."""
+        self.weights = weights
+        self.layers = touch_map_layers(weights)
         self.scale = scale
         self.history = history or LearningCurve()
 
@@ -65,7 +69,12 @@ class PostProcessor:
         import torch
 
         from eitskin.training.method.network_training import Samples, seeded_network, train_network
-        from eitskin.training.paper.networks import TouchMapNetwork, mirrored, noisy_maps
+        from eitskin.training.paper.networks import (
+            TouchMapNetwork,
+            mirrored,
+            noisy_maps,
+            weights_of,
+        )
 
         scale = float(np.std(reconstruction.apply(difference))) or 1.0
         network = seeded_network(lambda: TouchMapNetwork(reconstruction.shape), seed)
@@ -89,33 +98,33 @@ class PostProcessor:
             lambda done, total: progress("touch map", done, total),
             None if validation is None else samples(*validation, 0.0),
         )
-        return cls(network, scale, history)
+        return cls(weights_of(network), scale, history)
 
     def apply(self, maps: ArrayLike) -> NDArray[np.float32]:
         """Touch maps, 0 to 1, from reconstructions, both (n, rows, columns)."""
-        from eitskin.training.paper.networks import logits_of
-
-        logits = logits_of(self.network, np.asarray(maps)[:, None] / self.scale)[:, 0]
+        pictures = np.asarray(maps, dtype=np.float32)[:, None] / np.float32(self.scale)
+        place = np.broadcast_to(
+            coordinates(pictures.shape[2:]), (len(pictures), 2, *pictures.shape[2:])
+        )
+        logits = logits_of(self.layers, np.concatenate([pictures, place], axis=1))[:, 0]
         touch_map: NDArray[np.float32] = (0.5 * (1 + np.tanh(0.5 * logits))).astype(np.float32)
         return touch_map
 
     def arrays(self) -> dict[str, NDArray[np.generic]]:
         """Trained arrays of the stage, as `from_arrays` takes them."""
-        from eitskin.training.paper.networks import weights_of
-
         return {
             "scale": np.array(self.scale),
             **self.history.arrays(),
-            **weights_of(self.network),
+            **self.weights,
         }
 
     @classmethod
-    def from_arrays(
-        cls, arrays: dict[str, NDArray[np.generic]], shape: tuple[int, int]
-    ) -> "PostProcessor":
-        """The stage with the trained `arrays`, for maps of `shape`."""
-        require("torch", "training")
-        from eitskin.training.paper.networks import TouchMapNetwork, with_weights
-
-        network = with_weights(TouchMapNetwork(shape), arrays)
-        return cls(network, float(arrays["scale"].astype(float)), LearningCurve.from_arrays(arrays))
+    def from_arrays(cls, arrays: dict[str, NDArray[np.generic]]) -> "PostProcessor":
+        """The stage with the trained `arrays`; raises DataError for those of another network."""
+        if "scale" not in arrays:
+            raise DataError(
+                "expected the scale of a saved post-processor, which is missing; save the pipeline "
+                "again"
+            )
+        history = LearningCurve.from_arrays(arrays)
+        return cls(layer_arrays(arrays), float(arrays["scale"].astype(float)), history)

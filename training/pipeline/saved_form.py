@@ -120,8 +120,8 @@ def read_pipeline(path: str | Path) -> SavedPipeline:
     Raises DataError for a path that is no pipeline, or one that is damaged, changed, or newer than
     this eitskin.
     """
-    safetensors = require("safetensors.numpy", "training")
-    damaged = require("safetensors", "training").SafetensorError
+    safetensors = require("safetensors.numpy", "live")
+    damaged = require("safetensors", "live").SafetensorError
     path = Path(path)
     for shipped in (SHIPPED, WIDE):
         if str(path) == shipped.name and not path.exists():
@@ -169,7 +169,7 @@ def require_writable(path: Path) -> None:
 
 
 def _files(saved: SavedPipeline) -> dict[str, bytes]:
-    safetensors = require("safetensors.numpy", "training")
+    safetensors = require("safetensors.numpy", "live")
     document = {
         "format": FORMAT,
         "format_version": FORMAT_VERSION,

@@ -9,7 +9,7 @@ from eitskin.training import NetworkSettings
 from eitskin.training.method.learning_curve import LearningCurve
 from eitskin.training.method.network_training import Samples, mean_loss, train_network
 from eitskin.training.paper.classifier import Classifier
-from eitskin.training.paper.networks import single_thread, weights_of
+from eitskin.training.paper.networks import single_thread
 from eitskin.training.paper.postprocessor import PostProcessor
 from eitskin.training.paper.reconstruction import Reconstruction
 
@@ -105,11 +105,11 @@ def test_stages_keep_their_history_beside_their_weights():
         2,
     ]
     assert (len(classifier.history.validation), alone.history.validation) == (2, ())
-    ours, theirs = weights_of(classifier.network), weights_of(alone.network)
+    ours, theirs = classifier.weights, alone.weights
     assert all(np.array_equal(ours[name], theirs[name]) for name in ours)
     assert Classifier.from_arrays(classifier.arrays(), SHAPE).history == classifier.history
 
     maps = (reconstruction.apply(dV) > 0).astype(float)
     processor = PostProcessor.fit(dV, maps, reconstruction, brief, validation=(dV[:9], maps[:9]))
     assert len(processor.history.training) == len(processor.history.validation) == 2
-    assert PostProcessor.from_arrays(processor.arrays(), SHAPE).history == processor.history
+    assert PostProcessor.from_arrays(processor.arrays()).history == processor.history

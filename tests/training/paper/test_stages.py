@@ -12,7 +12,22 @@ from eitskin.training.method.missing_channels import MissingChannels
 from eitskin.training.method.settings import NetworkSettings, TrainingSettings
 from eitskin.training.paper.bend_subspace import bend_free_projection
 from eitskin.training.paper.classifier import Classifier
-from eitskin.training.paper.networks import mirrored, single_thread, weights_of
+from eitskin.training.paper.layers import (
+    Convolution,
+    Dense,
+    MaxPool,
+    TransposedConvolution,
+    logits_of,
+    state_layers,
+    touch_map_layers,
+)
+from eitskin.training.paper.networks import (
+    StateNetwork,
+    TouchMapNetwork,
+    mirrored,
+    single_thread,
+    weights_of,
+)
 from eitskin.training.paper.postprocessor import PostProcessor
 from eitskin.training.paper.reconstruction import Reconstruction
 from eitskin.training.paper.touch_regions import find_touches
@@ -119,11 +134,11 @@ def test_classifier_learns_and_generalises(states, embedding):
 def test_classifier_is_the_papers(embedding):
     settings = NetworkSettings(1e-3, epochs=1)
     stage = Classifier.fit(np.eye(30)[:4], [0, 1, 2, 0], embedding, SHAPE, settings)
-    kinds = [type(m).__name__ for m in stage.network.modules()]
-    assert [kinds.count(k) for k in ("Conv2d", "MaxPool2d", "ConvTranspose2d")] == [3, 3, 3]
-    widths = [m.out_channels for m in stage.network.modules() if isinstance(m, torch.nn.Conv2d)]
+    kinds = [type(layer) for layer in stage.layers]
+    assert [kinds.count(k) for k in (Convolution, MaxPool, TransposedConvolution)] == [3, 3, 3]
+    widths = [len(layer.weight) for layer in stage.layers if isinstance(layer, Convolution)]
     assert widths == [16, 32, 64]
-    assert stage.network.layers[-3].out_features == 16
+    assert [len(layer.bias) for layer in stage.layers if isinstance(layer, Dense)] == [64, 16, 3]
     paper = TrainingSettings.preset("paper").classifier
     assert (paper.learning_rate, paper.epochs, paper.batch) == (1e-5, 150, 64)
     assert not paper.one_cycle
@@ -146,9 +161,9 @@ def test_classifier_sees_standardised_maps_or_compressed_ones(states, embedding)
     assert np.std(dV[state == 0] @ compressed.embedding[0].T) == pytest.approx(0.5)
     again = Classifier.from_arrays(plain.arrays(), SHAPE)
     np.testing.assert_array_equal(again.apply(dV), plain.apply(dV))
-    with torch.inference_mode():
-        logits = plain.network(torch.tensor(maps.reshape(-1, 1, *SHAPE), dtype=torch.float32))
-    np.testing.assert_allclose(plain.apply(dV), logits.softmax(dim=1).numpy(), atol=1e-6)
+    logits = by_torch(StateNetwork(SHAPE, 1), plain.weights, maps.reshape(-1, 1, *SHAPE))
+    odds = np.exp(logits - logits.max(axis=1, keepdims=True))
+    np.testing.assert_allclose(plain.apply(dV), odds / odds.sum(axis=1, keepdims=True), atol=1e-6)
 
 
 def test_training_is_the_seeds_alone_and_leaves_torch_as_it_was(states, embedding):
@@ -157,7 +172,7 @@ def test_training_is_the_seeds_alone_and_leaves_torch_as_it_was(states, embeddin
 
     def weights(seed):
         stage = Classifier.fit(dV, state, embedding, SHAPE, settings, noise=0.01, seed=seed)
-        return np.concatenate([w.ravel() for w in weights_of(stage.network).values()])
+        return np.concatenate([w.ravel() for w in stage.weights.values()])
 
     torch.manual_seed(5)
     before = torch.random.get_rng_state()
@@ -175,8 +190,39 @@ def test_constant_learning_rate_is_the_one_asked_for(states, embedding):
     for rate in (1e-5, 1e-3):
         settings = NetworkSettings(rate, epochs=1, batch=64, one_cycle=False)
         stage = Classifier.fit(dV, state, embedding, SHAPE, settings)
-        moved.append(stage.network.layers[-1].bias.detach().numpy())
+        moved.append(stage.weights["layers.11.bias"])
     assert np.max(np.abs(moved[0] - moved[1])) == pytest.approx(1e-3 - 1e-5, rel=0.01)
+
+
+def by_torch(network, weights, maps):
+    """Logits of torch's own evaluation of a network."""
+    network.load_state_dict({name: torch.tensor(array) for name, array in weights.items()})
+    with torch.inference_mode():
+        return network.eval()(torch.tensor(maps, dtype=torch.float32)).numpy()
+
+
+@pytest.mark.parametrize("kind", [StateNetwork, TouchMapNetwork])
+def test_networks_evaluated_by_numpy_are_torchs(kind):
+    """Weights and batch statistics that were drawn, on maps of other sides than the toy sensor."""
+    shape, maps = (16, 40), 2 if kind is StateNetwork else 1
+    network = kind(shape, *([maps] if kind is StateNetwork else []))
+    rng = np.random.default_rng(1)
+    weights = {
+        name: rng.uniform(0.5, 1.5, array.shape).astype(np.float32)
+        if name.endswith(("running_var", "1.weight"))
+        else rng.normal(0.0, 0.1, array.shape).astype(array.dtype)
+        for name, array in weights_of(network).items()
+    }
+    inputs = rng.normal(size=(70, maps, *shape)).astype(np.float32)  # more than one batch
+    expected = by_torch(network, weights, inputs)
+    if kind is StateNetwork:
+        found = logits_of(state_layers(weights, shape, maps), inputs)
+    else:
+        y, x = np.meshgrid(np.linspace(-1, 1, 16), np.linspace(-1, 1, 40), indexing="ij")
+        place = np.broadcast_to(np.stack([y, x]), (70, 2, *shape))
+        found = logits_of(touch_map_layers(weights), np.concatenate([inputs, place], axis=1))
+    assert np.ptp(expected) > 0.01
+    np.testing.assert_allclose(found, expected, atol=2e-6 * np.abs(expected).max())
 
 
 @pytest.mark.slow
@@ -216,11 +262,11 @@ def test_networks_survive_their_arrays(presses, reconstruction, embedding):
     dV, maps, _ = presses
     settings = NetworkSettings(1e-3, epochs=1)
     stage = PostProcessor.fit(dV[:32], maps[:32], reconstruction, settings)
-    again = PostProcessor.from_arrays(stage.arrays(), SHAPE)
+    again = PostProcessor.from_arrays(stage.arrays())
     pictures = reconstruction.apply(dV[:5])
     np.testing.assert_array_equal(again.apply(pictures), stage.apply(pictures))
     with pytest.raises(DataError, match="missing"):
-        PostProcessor.from_arrays({"scale": np.array(1.0)}, SHAPE)
+        PostProcessor.from_arrays({"scale": np.array(1.0)})
     classifier = Classifier.fit(dV[:4], [0, 1, 2, 0], embedding, SHAPE, settings)
     with pytest.raises(DataError, match="other shapes"):
         Classifier.from_arrays(classifier.arrays(), (16, 16))
