@@ -16,7 +16,13 @@ from rich.live import Live
 from rich.text import Text
 
 from eitskin.cli.commands.live_recording import FrameRecording, MessageRecording, Recording
-from eitskin.cli.commands.stored_references import ReferenceFile, tell_unjudged, use_reference
+from eitskin.cli.commands.live_ros2 import Ros2, Ros2Domain, Ros2Namespace
+from eitskin.cli.commands.stored_references import (
+    ReferenceFile,
+    board_number,
+    tell_unjudged,
+    use_reference,
+)
 from eitskin.cli.options import (
     Json,
     MethodCode,
@@ -42,6 +48,7 @@ if TYPE_CHECKING:
     from eitskin.hardware.boards.board import Board
     from eitskin.hardware.boards.connection import Connection
     from eitskin.hardware.live import FramePipeline, Reading
+    from eitskin.hardware.ros2.skin_node import SkinNode
     from eitskin.training.adaptation.recorded_touches import RecordedTouches
     from eitskin.training.pipeline.pipeline import Pipeline
     from eitskin.training.pipeline.session_order import SessionOrder
@@ -93,6 +100,9 @@ def command(
     reference: ReferenceFile = None,
     method: MethodCode = None,
     picture: PictureMethod = None,
+    ros2: Ros2 = False,
+    ros2_domain: Ros2Domain = 0,
+    ros2_namespace: Ros2Namespace = "eitskin",
     seed: Seed = 0,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -140,6 +150,12 @@ def command(
                 closing(LivePage(session.connection, sheet_of(pipeline), page_port))
             )
             output.note(f"page: {session.page.url}")
+        if ros2:
+            from eitskin.hardware.ros2.skin_node import SkinNode
+
+            node = SkinNode(ros2_namespace, ros2_domain, partial(session.tare, pipeline))
+            session.node = stack.enter_context(node)
+            output.note(f"ROS 2: topics of /{node.name} in domain {ros2_domain}")
         newest = not (every_frame or recordings)
         followed = pipeline if picture is None else _pictured(pipeline, opened, picture)
         session.follow(run_live(session.connection, followed, newest=newest), frames)
@@ -225,6 +241,7 @@ class LiveSession:
     output: Output
     recordings: Sequence[Recording] = ()
     page: "LivePage | None" = None
+    node: "SkinNode | None" = None
     expected: "NDArray[np.float64] | None" = None
     stored: "StoredReference | None" = None
     order: "SessionOrder | None" = None
@@ -263,6 +280,8 @@ class LiveSession:
         self.latencies.append(reading.latency)
         if self.page is not None:
             self.page.publish(reading)
+        if self.node is not None:
+            self.node.publish(reading)
         self.record(reading)
         if self.output.as_json:
             from eitskin.cli.live_view import plain
@@ -277,6 +296,16 @@ class LiveSession:
             recording.append(reading)
             if recording.problem != known:
                 self.say(f"recording stopped: {recording.problem}")
+
+    def tare(self, pipeline: "Pipeline | RecordedTouches", frames: Sequence["Frame"]) -> str:
+        """Take the sensor, as it is now, for a zero of the kind that the session has; says so."""
+        from eitskin.training.pipeline.stored_reference import Zero
+
+        zero, board = Zero.FLAT if self.stored is None else self.stored.zero, self.connection.board
+        self.stored = pipeline.tare(frames, zero, board_number(board.info), board.uri)
+        text = f"zero: the sensor {zero}, mean of {len(frames)} frames"
+        self.say(text)
+        return text
 
     def notice_session(self, frame: "Frame") -> None:
         """Note the beginning of a session, and findings on the sensor there."""
@@ -343,4 +372,6 @@ class LiveSession:
         if self.latencies:
             half, most = np.percentile(self.latencies, (50, 99)) * 1e3
             text += f"; latency {half:.1f} ms median, {most:.1f} ms p99"
+        if self.node is not None and self.node.refused:
+            text += f"; {self.node.refused} ROS 2 messages found no room"
         self.output.note(text)

@@ -10,7 +10,7 @@ from eitskin.closeable import Closeable
 from eitskin.errors import ConfigurationError, PartialError
 from eitskin.files import atomic_file
 from eitskin.frame import Frame
-from eitskin.hardware.export.ros_messages import TOPICS, RosMessages
+from eitskin.hardware.export.ros_messages import RosMessages
 from eitskin.hardware.live import Reading
 
 SUFFIX = ".mcap"
@@ -95,7 +95,7 @@ class McapWriter(Closeable):
         stamp, begins = self._stamps.of(reading.frame)
         said = self._messages.of(reading, stamp)
         if begins:
-            said = {"/eitskin/sensor": self._messages.sensor(reading.frame)} | said
+            said = self._messages.sensor(reading.frame) | said
         try:
             for topic, message in said.items():
                 data = self._messages.serialised(topic, message)
@@ -140,7 +140,7 @@ class McapWriter(Closeable):
         """Connection of `topic` in the file, made with its first message."""
         if topic not in self._topics:
             self._topics[topic] = self._bag.add_connection(
-                topic, TOPICS[topic], typestore=self._messages.store
+                topic, self._messages.types[topic], typestore=self._messages.store
             )
         return self._topics[topic]
 

@@ -12,17 +12,20 @@ from eitskin.extras import require
 from eitskin.frame import Frame, Status
 from eitskin.hardware.live import Estimate, Reading
 
-FRAME_ID = "eitskin"
-"""Frame of all headers: the flat sensor, x along, y across, z = 0 at the touched side."""
+NAME = "eitskin"
+"""Name of a skin that has no other: of its topics, and of its frame of coordinates in headers (the
+flat sensor, x along, y across, z = 0 at the touched side)."""
 
 TOPICS = {
-    "/eitskin/sensor": "std_msgs/msg/String",
-    "/eitskin/impedance": "std_msgs/msg/Float64MultiArray",
-    "/eitskin/bend": "sensor_msgs/msg/JointState",
-    "/eitskin/touch_map": "sensor_msgs/msg/Image",
-    "/eitskin/touches": "sensor_msgs/msg/PointCloud2",
+    "sensor": "std_msgs/msg/String",
+    "impedance": "std_msgs/msg/Float64MultiArray",
+    "bend": "sensor_msgs/msg/JointState",
+    "touch_map": "sensor_msgs/msg/Image",
+    "touches": "sensor_msgs/msg/PointCloud2",
+    "/tf": "tf2_msgs/msg/TFMessage",
     "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
 }
+"""Types by topic; those without a slash stand under the name of the skin."""
 
 TOUCH_FIELDS = ("x", "y", "z", "strength", "force", "deviation")
 _FLOAT32 = 7  # sensor_msgs/PointField
@@ -33,34 +36,43 @@ class RosMessages:
     """Maker of ROS 2 messages of readings, and of their serialised form (CDR).
 
     Attributes:
+        name: name of the skin.
+        types: types of the messages by topic.
         store: definitions of the standard messages in rosbags; the same in every ROS 2.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, name: str = NAME) -> None:
         """Load the definitions; raises ImportError, naming the extra, where rosbags is missing."""
         require("rosbags", "ros")
         from rosbags.typesys import Stores, get_typestore
 
+        self.name = name
+        self.types = {self.topic(topic): kind for topic, kind in TOPICS.items()}
         self.store: Any = get_typestore(Stores.ROS2_HUMBLE)
+
+    def topic(self, topic: str) -> str:
+        """Full name of one of `TOPICS`."""
+        return topic if topic.startswith("/") else f"/{self.name}/{topic}"
 
     def serialised(self, topic: str, message: Any) -> bytes:
         """Bytes of `message` for `topic`."""
-        return bytes(self.store.serialize_cdr(message, TOPICS[topic]))
+        return bytes(self.store.serialize_cdr(message, self.types[topic]))
 
-    def sensor(self, frame: Frame) -> Any:
-        """Message of /eitskin/sensor: measurement pattern and units of every topic, as JSON."""
+    def sensor(self, frame: Frame) -> dict[str, Any]:
+        """Message of the topic `sensor`: measurement pattern and units of every topic, as JSON."""
         text = {
             "measurements": frame.protocol.labels,
             "protocol": asdict(frame.protocol),
             "frequency_Hz": frame.frequency,
             "units": {
-                "/eitskin/impedance": "ohm; real, imaginary",
-                "/eitskin/bend": "rad",
-                "/eitskin/touch_map": "probability 0 to 1; rows and columns grow with y and x",
-                "/eitskin/touches": "x, y, z, deviation: m; force: N; strength: 0 to 1",
+                self.topic("impedance"): "ohm; real, imaginary",
+                self.topic("bend"): "rad",
+                self.topic("touch_map"): "probability 0 to 1; rows and columns grow with y and x",
+                self.topic("touches"): "x, y, z, deviation: m; force: N; strength: 0 to 1",
             },
         }
-        return self._make("std_msgs/msg/String", data=json.dumps(text))
+        said = self._make("std_msgs/msg/String", data=json.dumps(text))
+        return {self.topic("sensor"): said}
 
     def of(self, reading: Reading, stamp: int) -> dict[str, Any]:
         """Messages of one reading at `stamp` [ns], by topic.
@@ -71,7 +83,7 @@ class RosMessages:
         """
         frame, estimate = reading.frame, reading.estimate
         header = self._header(stamp)
-        said = {"/eitskin/impedance": self._impedance(frame)}
+        said = {self.topic("impedance"): self._impedance(frame)}
         if estimate is not None:
             said |= self._estimated(header, estimate)
         statuses = [self._sensor_status(reading), self._channel_status(frame)]
@@ -84,7 +96,7 @@ class RosMessages:
         """Messages of the quantities that the pipeline estimates, by topic."""
         said = {}
         if estimate.bend_angle_deg is not None:
-            said["/eitskin/bend"] = self._make(
+            said[self.topic("bend")] = self._make(
                 "sensor_msgs/msg/JointState",
                 header=header,
                 name=["bend"],
@@ -93,9 +105,11 @@ class RosMessages:
                 effort=np.zeros(0),
             )
         if estimate.touch_map is not None:
-            said["/eitskin/touch_map"] = self._image(header, estimate.touch_map)
+            said[self.topic("touch_map")] = self._image(header, estimate.touch_map)
         if estimate.touches is not None:
-            said["/eitskin/touches"] = self._points(header, touch_rows(estimate))
+            rows = touch_rows(estimate)
+            said[self.topic("touches")] = self._points(header, rows)
+            said |= self._transforms(header, rows)
         return said
 
     def _make(self, kind: str, **fields: Any) -> Any:
@@ -104,7 +118,7 @@ class RosMessages:
     def _header(self, stamp: int) -> Any:
         seconds, nanoseconds = divmod(stamp, 10**9)
         time = self._make("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds)
-        return self._make("std_msgs/msg/Header", stamp=time, frame_id=FRAME_ID)
+        return self._make("std_msgs/msg/Header", stamp=time, frame_id=self.name)
 
     def _impedance(self, frame: Frame) -> Any:
         channels = len(frame.protocol)
@@ -153,6 +167,26 @@ class RosMessages:
             is_dense=bool(np.isfinite(rows).all()),
         )
 
+    def _transforms(self, header: Any, rows: NDArray[np.float32]) -> dict[str, Any]:
+        """Message of /tf: a frame of coordinates at each touch, in the order of `touches`."""
+        unturned = self._make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0)
+        transforms = []
+        for number, (x, y, z) in enumerate(rows[:, :3].astype(float).tolist()):
+            place = self._make("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
+            transforms.append(
+                self._make(
+                    "geometry_msgs/msg/TransformStamped",
+                    header=header,
+                    child_frame_id=f"{self.name}/touch_{number}",
+                    transform=self._make(
+                        "geometry_msgs/msg/Transform", translation=place, rotation=unturned
+                    ),
+                )
+            )
+        if not transforms:
+            return {}
+        return {"/tf": self._make("tf2_msgs/msg/TFMessage", transforms=transforms)}
+
     def _sensor_status(self, reading: Reading) -> Any:
         """Status of the sensor: state and doubts; unknown values are left out."""
         frame, estimate = reading.frame, reading.estimate
@@ -183,14 +217,14 @@ class RosMessages:
             for name, value in values.items()
             if not (value is None or (isinstance(value, float) and math.isnan(value)))
         }
-        return self._status("eitskin: sensor", level, message, known)
+        return self._status(f"{self.name}: sensor", level, message, known)
 
     def _channel_status(self, frame: Frame) -> Any:
         """Status of each measurement, by its label."""
         health = [Status(int(bits)).name or str(bits) if bits else "good" for bits in frame.status]
         bad = sum(each != "good" for each in health)
         return self._status(
-            "eitskin: channels",
+            f"{self.name}: channels",
             _WARN if bad else _OK,
             f"{bad} of {len(health)} channels are bad" if bad else "all channels are good",
             dict(zip(frame.protocol.labels, health, strict=True)),
@@ -206,7 +240,7 @@ class RosMessages:
             level=level,
             name=name,
             message=message,
-            hardware_id=FRAME_ID,
+            hardware_id=self.name,
             values=pairs,
         )
 

@@ -17,7 +17,7 @@ from eitskin.datasets import Dataset, State, save_dataset
 from eitskin.errors import ConfigurationError, PartialError
 from eitskin.hardware import Reading
 from eitskin.hardware.export.mcap import GAP, McapWriter, Stamps
-from eitskin.hardware.export.ros_messages import FRAME_ID, TOPICS, TOUCH_FIELDS
+from eitskin.hardware.export.ros_messages import NAME, TOUCH_FIELDS, RosMessages
 from eitskin.simulator import Frame, Protocol, Status
 from eitskin.training import Estimate, FoundTouches, Pipeline
 
@@ -90,7 +90,7 @@ def test_frames_come_back_to_the_last_bit(tmp_path) -> None:
         assert [(d.size, d.stride) for d in impedance.layout.dim] == [(28, 56), (2, 2)]
         header = diagnostics.header
         assert header.stamp.sec * 10**9 + header.stamp.nanosec == stamp
-        assert header.frame_id == FRAME_ID
+        assert header.frame_id == NAME
         _, _, about = values_of(diagnostics, "eitskin: sensor")
         assert float(about["time [s]"]) == frame.time
         assert (int(about["session"]), int(about["number"])) == (frame.session, frame.number)
@@ -119,10 +119,8 @@ def test_estimates_come_back_to_the_last_bit(tmp_path) -> None:
     estimate = an_estimate(problems=("channel 0-1 is left out",))
     path = tmp_path / "run.mcap"
     found = written(path, Reading(a_frame(), estimate, 0.004, 3.3, unusable=2))
-    (_, bend), (_, picture), (_, touches), (_, diagnostics) = (
-        found[topic][0]
-        for topic in ("/eitskin/bend", "/eitskin/touch_map", "/eitskin/touches", "/diagnostics")
-    )
+    topics = ("/eitskin/bend", "/eitskin/touch_map", "/eitskin/touches", "/tf", "/diagnostics")
+    bend, picture, touches, transforms, diagnostics = (found[topic][0][1] for topic in topics)
     assert bend.name == ["bend"]
     assert bend.position.tolist() == [np.radians(-12.3456789)]
     assert (picture.height, picture.width, picture.step) == (32, 80, 320)
@@ -134,6 +132,12 @@ def test_estimates_come_back_to_the_last_bit(tmp_path) -> None:
     expected = [[0.05, 0.02, 0, 0.9, 9.5, 1e-3], [0.1, 0.04, 0, 0.7, np.nan, 2e-3]]
     assert np.array_equal(rows, np.array(expected, np.float32), equal_nan=True)
     assert not touches.is_dense
+    at = [
+        (each.header.frame_id, each.child_frame_id, each.transform.translation.x)
+        for each in transforms.transforms
+    ]
+    assert at == [(NAME, f"{NAME}/touch_{i}", rows[i, 0]) for i in range(2)]
+    assert transforms.transforms[0].transform.rotation.w == 1.0
     level, text, values = values_of(diagnostics, "eitskin: sensor")
     assert (level, text) == (1, "touch; channel 0-1 is left out")
     assert values["bend angle [deg]"] == "-12.3456789"
@@ -147,6 +151,7 @@ def test_a_frame_without_touches_has_an_empty_cloud_and_no_doubts(tmp_path) -> N
     found = written(tmp_path / "run.mcap", Reading(a_frame(), estimate, 0.0, UNKNOWN))
     touches = found["/eitskin/touches"][0][1]
     assert (touches.width, len(touches.data)) == (0, 0)
+    assert "/tf" not in found
     assert values_of(found["/diagnostics"][0][1], "eitskin: sensor")[:2] == (0, "idle")
 
 
@@ -159,7 +164,7 @@ def test_a_frame_that_was_too_damaged_says_why(tmp_path) -> None:
 
 def test_the_page_names_every_topic_type_and_field() -> None:
     page = (Path(__file__).parents[2] / "docs" / "interoperability.md").read_text()
-    for topic, kind in TOPICS.items():
+    for topic, kind in RosMessages().types.items():
         assert f"| `{topic}` | `{kind.replace('/msg', '')}` |" in page
     for name in TOUCH_FIELDS:
         assert f"`{name}`" in page
@@ -289,7 +294,7 @@ def test_the_command_writes_what_the_pipeline_says(recording, pipeline, tmp_path
     result = CliRunner().invoke(app, [*words, "--model", "reference.eitmodel"])
     assert result.exit_code == 0, result.output
     said = json.loads(result.stdout)
-    assert (said["frames"], said["estimates"], said["messages"]) == (3, 3, 16)
+    assert (said["frames"], said["estimates"], said["messages"]) == (3, 3, 17)
     found = read(out)
     pipeline.reset()
     for i in range(3):

@@ -3,8 +3,9 @@
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
-from eitskin.hardware.export.ros_messages import TOPICS
+from eitskin.hardware.export.ros_messages import RosMessages
 
+TYPES = RosMessages().types
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 
 
@@ -13,7 +14,7 @@ def read(path):
     found = {}
     with Reader(path) as bag:
         for connection, stamp, data in bag.messages():
-            assert connection.msgtype == TOPICS[connection.topic]
+            assert connection.msgtype == TYPES[connection.topic]
             message = STORE.deserialize_cdr(data, connection.msgtype)
             found.setdefault(connection.topic, []).append((stamp, message))
     return found

@@ -1,0 +1,222 @@
+"""Live ROS 2 topics, heard in another process by types written from ROS 2's own definitions."""
+
+import json
+import os
+import select
+import signal
+import subprocess
+import sys
+import uuid
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from eitskin.errors import ConfigurationError, DataError
+from eitskin.hardware import Reading
+from eitskin.hardware.export.ros_messages import TOUCH_FIELDS, RosMessages
+from eitskin.hardware.ros2.names import dds_service, dds_type_name, require_domain, require_name
+from eitskin.simulator import Frame, Protocol
+from eitskin.training import FoundTouches
+
+from live_fakes import Estimate
+
+pytest.importorskip("cyclonedds")
+
+from eitskin.hardware.ros2.skin_node import SkinNode
+
+pytestmark = pytest.mark.slow
+LISTENER = Path(__file__).parents[1] / "support" / "ros2_listener.py"
+NAME = "left_hand/skin"
+FRAMES = 6
+PROTOCOL = Protocol.pairwise(8)
+
+
+def loopback_only(tag):
+    """Configuration of Cyclone DDS by which only this test's processes hear each other."""
+    return (
+        "<CycloneDDS><Domain><General><Interfaces><NetworkInterface name='lo' multicast='true'/>"
+        "</Interfaces></General><Discovery>"
+        f"<ParticipantIndex>auto</ParticipantIndex><Tag>{tag}</Tag>"
+        "<Peers><Peer address='localhost'/></Peers></Discovery></Domain></CycloneDDS>"
+    )
+
+
+def reading(number, session=0):
+    rng = np.random.default_rng(number)
+    estimate = Estimate(touch_map=rng.random((32, 80), dtype=np.float32))
+    estimate.touches = ((0.05, 0.02, 0.9), (0.1, 0.04, 0.7))
+    places = [touch[:2] for touch in estimate.touches]
+    estimate.found = FoundTouches.of(places, [0.9, 0.7], [9.5, np.nan], [1e-3, 2e-3])
+    values = rng.random(28) + 1j * rng.random(28)
+    return Reading(Frame(values, PROTOCOL, 0.3 * number, number, session), estimate, 0.004, 3.3)
+
+
+class Heard:
+    """Listener in another process, to which readings are published until it says something."""
+
+    def __init__(self, node):
+        self.node, self.number = node, 0
+        self.process = subprocess.Popen(
+            [sys.executable, str(LISTENER), "0", NAME, str(FRAMES)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+        )
+
+    def publish(self, session=0):
+        self.node.publish(reading(self.number, session))
+        self.number += 1
+
+    def next(self):
+        """The next line that the listener says."""
+        for _ in range(1500):
+            if select.select([self.process.stdout], [], [], 0.01)[0]:
+                break
+            self.publish()
+        else:
+            pytest.fail("the listener hears nothing")
+        line = self.process.stdout.readline()
+        assert line, "the listener ended"
+        return json.loads(line)
+
+
+@pytest.fixture(scope="module")
+def session():
+    """What a listener heard of a node, was answered, and got after it had been stopped."""
+    taken = []
+
+    def tare(frames):
+        taken.append([frame.number for frame in frames])
+        if len(taken) == 2:
+            raise DataError("the sensor moves")
+        return "mean of 4 frames"
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("CYCLONEDDS_URI", loopback_only(uuid.uuid4()))
+        patch.delenv("ROS_DISTRO", raising=False)
+        clock = iter(range(10**18, 2 * 10**18, 10**8))
+        node = SkinNode(NAME, tare=tare, tare_frames=4, now=lambda: next(clock))
+        listener = Heard(node)
+        try:
+            facts = listener.next()
+            facts["answers"] = [listener.next()["answer"] for _ in range(2)]
+            assert listener.next()["gone"]
+            os.kill(listener.process.pid, signal.SIGSTOP)
+            for _ in range(300):
+                listener.publish()
+            listener.publish(session=9)
+            os.kill(listener.process.pid, signal.SIGCONT)
+            facts["end"] = json.loads(listener.process.stdout.readline())
+            listener.process.kill()
+            listener.process.communicate()
+            for _ in range(50):
+                listener.publish()
+            facts |= {"taken": taken, "refused": node.refused}
+        finally:
+            listener.process.kill()
+            listener.process.communicate()
+            node.close()
+    return facts
+
+
+def test_every_message_arrives_as_it_was_written(session) -> None:
+    heard = session["heard"]
+    numbers = [int(number) for number in heard["numbers"]]
+    assert numbers == list(range(numbers[0], numbers[0] + FRAMES))
+    last = reading(numbers[-1])
+    assert heard["impedance"] == last.frame.impedance.view(float).tolist()
+    assert heard["dimensions"] == [["measurement", 28, 56], ["real, imaginary [ohm]", 2, 2]]
+    assert heard["bend"] == [["bend"], [np.radians(-12.5)]]
+    assert heard["image"] == [32, 80, "32FC1", last.estimate.touch_map.tobytes().hex()]
+    width, fields, data = heard["points"]
+    assert (width, tuple(fields)) == (2, TOUCH_FIELDS)
+    rows = np.frombuffer(bytes.fromhex(data), "<f4").reshape(2, -1)
+    expected = [[0.05, 0.02, 0, 0.9, 9.5, 1e-3], [0.1, 0.04, 0, 0.7, np.nan, 2e-3]]
+    assert np.array_equal(rows, np.array(expected, np.float32), equal_nan=True)
+    assert heard["frame_id"] == NAME
+    place = dict(zip("xyz", rows[1, :3].astype(float).tolist(), strict=True))
+    unturned = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
+    at = {"translation": place, "rotation": unturned}
+    assert heard["tf"][1] == [NAME, f"{NAME}/touch_1", at]
+    assert heard["status"] == [
+        [0, f"{NAME}: sensor", "touch", NAME],
+        [0, f"{NAME}: channels", "all channels are good", NAME],
+    ]
+
+
+def test_stamps_are_when_the_frame_came(session) -> None:
+    first, *others = session["heard"]["stamps"]
+    assert (first + 4_000_000) % 10**8 == 0  # the clock, less the latency
+    assert np.diff([first, *others]).tolist() == [10**8] * (FRAMES - 1)
+
+
+def test_the_table_of_measurements_reaches_who_comes_late(session) -> None:
+    (text,) = session["heard"]["sensor"]
+    assert json.loads(text)["protocol"]["table"] == [list(row) for row in PROTOCOL.table]
+    assert f"/{NAME}/bend" in json.loads(text)["units"]
+
+
+def test_the_graph_has_the_names_types_and_hashes_of_ros(session) -> None:
+    offered = {each["topic"]: each for each in session["publications"]}
+    types = RosMessages(NAME).types
+    expected = {f"rt{topic}": dds_type_name(kind) for topic, kind in types.items()}
+    expected["ros_discovery_info"] = "rmw_dds_common::msg::dds_::ParticipantEntitiesInfo_"
+    expected[f"rr/{NAME}/tareReply"] = "std_srvs::srv::dds_::Trigger_Response_"
+    assert {topic: each["type"] for topic, each in offered.items()} == expected
+    assert all(each["reliable"] and each["cdr"] for each in offered.values())
+    assert {each["waits"] for each in offered.values()} == {0}
+    latched = {topic for topic, each in offered.items() if each["latched"]}
+    assert latched == {f"rt/{NAME}/sensor", "ros_discovery_info"}
+    # The hash that ROS 2 itself gives std_msgs/msg/String.
+    known = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
+    assert offered[f"rt/{NAME}/sensor"]["data"] == f"typehash={known};"
+    (request,) = session["subscriptions"]
+    assert (request["topic"], request["type"]) == (
+        f"rq/{NAME}/tareRequest",
+        "std_srvs::srv::dds_::Trigger_Request_",
+    )
+    assert request["data"] == offered[f"rr/{NAME}/tareReply"]["data"] != ""
+
+
+def test_the_node_owns_its_writers_and_readers(session) -> None:
+    ((participant, data),) = session["participants"]
+    assert data == "enclave=/;"
+    (node,) = session["heard"]["nodes"]
+    assert node["name"] == f"/{NAME}/skin"
+    keys = {each["key"] for each in session["publications"] if each["topic"][0] == "r"}
+    keys -= {each["key"] for each in session["publications"] if "discovery" in each["topic"]}
+    assert set(node["writers"]) == keys
+    assert node["readers"] == [each["key"] for each in session["subscriptions"]]
+    assert all(key.startswith(participant[:24]) for key in keys)
+
+
+def test_the_service_answers_with_the_frames_that_came_since(session) -> None:
+    first, second = session["taken"]
+    assert [np.diff(each).tolist() for each in (first, second)] == [[1, 1, 1]] * 2
+    assert second[0] > first[-1]
+    assert session["answers"] == [
+        {"client": 7, "sequence_number": 41, "success": True, "message": "mean of 4 frames"},
+        {"client": 7, "sequence_number": 42, "success": False, "message": "the sensor moves"},
+    ]
+
+
+def test_a_stopped_and_a_killed_subscriber_hold_nothing_up(session) -> None:
+    assert session["end"]
+    assert session["refused"] == 0
+
+
+def test_names_follow_the_design_of_ros() -> None:
+    assert require_name("/left_hand/skin/") == NAME
+    assert dds_service("/a/tare") == ("rq/a/tareRequest", "rr/a/tareReply")
+    for name in ("", "/", "2nd", "a b", "a//b", "a__b", "a-b", "ä"):
+        with pytest.raises(ConfigurationError, match="namespace"):
+            require_name(name)
+    for domain in (-1, 233):
+        with pytest.raises(ConfigurationError, match="ROS_DOMAIN_ID"):
+            require_domain(domain)
+
+
+def test_the_missing_extra_is_named(monkeypatch) -> None:
+    monkeypatch.setitem(sys.modules, "cyclonedds", None)
+    with pytest.raises(ImportError, match=r"eitskin\[ros2\]"):
+        SkinNode()
