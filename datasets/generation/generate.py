@@ -22,11 +22,14 @@ from eitskin.datasets.store.manifest import (
     shard_entry,
     write_manifest,
 )
+from eitskin.datasets.store.schema import MOST_SHARD_BYTES
+from eitskin.datasets.store.seal import unsealed
 from eitskin.datasets.store.shard import shard_name
 from eitskin.datasets.store.shard_reader import shard_of
 from eitskin.datasets.store.worker_processes import each_in_turn, worthwhile
 from eitskin.errors import ConfigurationError, DataError, PartialError
 from eitskin.files import TEMPORARY, remove_file, remove_leftovers, write_file
+from eitskin.input_files import read_bytes
 
 RECIPE = "recipe.toml"
 # Lower bound for any frame: noise does not compress, and each channel is stored twice.
@@ -182,7 +185,7 @@ def _begin(recipe: Recipe, folder: Path, resume: bool, shared: bool) -> None:
     if not shared:
         remove_leftovers(folder)
     if path.is_file():
-        if path.read_bytes() != text:
+        if read_bytes(path) != text:
             raise ConfigurationError(
                 f"cannot resume in {folder}: {path} is another recipe or seed; give that recipe, "
                 "or choose another folder"
@@ -242,12 +245,14 @@ def _examine(folder: Path, recipe: str, wanted: ShardEntry) -> ShardEntry | None
     """Entry of a shard that is whole and of this recipe; None where it has to be made."""
     path = folder / wanted.name
     try:
-        content = path.read_bytes()
+        content = read_bytes(path, MOST_SHARD_BYTES, DataError)
         found = hashlib.sha256(content).hexdigest()
         if wanted.sha256 not in ("", found):
             return None
-        data = shard_of(content, path, wanted.first_index)
-    except (OSError, DataError):
+        # This folder is being made here: a whole seal tells that the file is as it was written.
+        _, whole = unsealed(content)
+        data = shard_of(content, path, wanted.first_index, known=whole)
+    except DataError:
         return None
     sound = len(data) == wanted.count and data.recipe == recipe
     return dataclasses.replace(wanted, sha256=found) if sound else None

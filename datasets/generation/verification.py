@@ -8,7 +8,13 @@ from pathlib import Path
 from eitskin.datasets.generation.generate import RECIPE
 from eitskin.datasets.store.dataset import Dataset, require_same_origin
 from eitskin.datasets.store.folder import read_entry
-from eitskin.datasets.store.manifest import MANIFEST, Manifest, ShardEntry, read_manifest
+from eitskin.datasets.store.manifest import (
+    MANIFEST,
+    Manifest,
+    ShardEntry,
+    note_known,
+    read_manifest,
+)
 from eitskin.datasets.store.references import SpecimenReferences
 from eitskin.datasets.store.shard_reader import read_shard
 from eitskin.datasets.store.worker_processes import each_in_turn, worthwhile
@@ -55,6 +61,7 @@ def verify(
     """
     folder = Path(folder)
     damage: list[DamagedFile] = []
+    manifest = None
     try:
         manifest = read_manifest(folder)
         origin = (manifest.source, manifest.seed, manifest.recipe_sha256)
@@ -76,6 +83,8 @@ def verify(
             sound, frames = sound + 1, frames + found.frames
         if watch:
             watch(number, len(shards))
+    if manifest and not damage:
+        note_known(manifest)
     return Verdict(sound, frames, tuple(damage))
 
 

@@ -13,6 +13,7 @@ from eitskin.datasets.store.manifest import (
     Manifest,
     ShardEntry,
     manifest_bytes,
+    note_known,
     read_manifest,
 )
 from eitskin.datasets.store.schema import LIMITS
@@ -78,6 +79,7 @@ def compact(
             names=manifest.names,
         )
         (temporary / MANIFEST).write_bytes(manifest_bytes(made))
+    note_known(made)
     return made
 
 

@@ -11,6 +11,7 @@ from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.manifest import (
     Manifest,
     ShardEntry,
+    note_known,
     read_manifest,
     shard_content,
     shard_entry,
@@ -53,7 +54,9 @@ def open_dataset(path: str | Path, progress: Progress | None = None) -> Dataset:
     if size > READ_AT_ONCE:
         return StoredDataset.of_folder(path, manifest, first.select([]), progress)
     require_memory(path, manifest.frames * first.bytes_per_frame)
-    return Dataset.collect(itertools.chain((first,), parts), manifest.frames)
+    data = Dataset.collect(itertools.chain((first,), parts), manifest.frames)
+    note_known(manifest)
+    return data
 
 
 def read_shards(path: str | Path, progress: Progress | None = None) -> Iterator[Dataset]:
@@ -158,7 +161,8 @@ def make_folder(folder: Path) -> frozenset[str]:
 
 def read_entry(folder: Path, entry: ShardEntry) -> Dataset:
     """Dataset of a shard that the manifest names; raises DataError for any damage."""
-    data = shard_of(shard_content(folder, entry), folder / entry.name, entry.first_index)
+    content = shard_content(folder, entry)
+    data = shard_of(content, folder / entry.name, entry.first_index, entry.known)
     if len(data) != entry.count:
         raise DataError(f"{folder / entry.name} must hold {entry.count} frames, got {len(data)}")
     return data

@@ -1,11 +1,12 @@
 """Manifest of a dataset: the shards of a complete folder, with their checksums."""
 
 import hashlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import msgspec
 
+from eitskin.datasets.store import known_shards
 from eitskin.datasets.store.names import Names
 from eitskin.datasets.store.schema import FORMAT, FORMAT_VERSION, LIMITS, MOST_SHARD_BYTES
 from eitskin.errors import DataError, PartialError
@@ -18,12 +19,16 @@ MOST_BYTES = 1 << 28  # of a manifest; a million shards take 150 MB
 
 @dataclass(frozen=True, slots=True)
 class ShardEntry:
-    """Entry of a shard in a manifest: file name, frames, SHA-256."""
+    """Entry of a shard in a manifest: file name, frames, SHA-256.
+
+    `known` says that this content is known to do no harm; a file has no say in it.
+    """
 
     name: str
     first_index: int
     count: int
     sha256: str
+    known: bool = field(default=False, compare=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,17 +69,36 @@ def read_manifest(folder: Path) -> Manifest:
     except ValueError as error:
         raise DataError(f"{path} is not a manifest: {error}; make the dataset again") from error
     _check_shards(path, manifest)
-    return manifest
+    known = known_shards.known(entry.sha256 for entry in manifest.shards)
+    return _marked(manifest, known)
 
 
 def write_manifest(folder: Path, manifest: Manifest) -> None:
     """Write the manifest, after all shards: a manifest marks a complete dataset."""
     write_file(folder / MANIFEST, manifest_bytes(manifest))
+    note_known(manifest)
+
+
+def note_known(manifest: Manifest) -> Manifest:
+    """Note that the shards of a manifest do no harm, since they were made or read here.
+
+    Returns the manifest with entries that say so.
+    """
+    if not all(entry.known for entry in manifest.shards):
+        known_shards.note(entry.sha256 for entry in manifest.shards)
+    return _marked(manifest, True)
+
+
+def _marked(manifest: Manifest, known: bool) -> Manifest:
+    shards = tuple(replace(entry, known=known) for entry in manifest.shards)
+    return replace(manifest, shards=shards)
 
 
 def manifest_bytes(manifest: Manifest) -> bytes:
     """Content of the manifest's file."""
     document = msgspec.to_builtins(manifest, str_keys=True)
+    for entry in document["shards"]:
+        del entry["known"]
     if not manifest.names:
         del document["names"]
     return bytes(msgspec.json.format(msgspec.json.encode(document), indent=2)) + b"\n"

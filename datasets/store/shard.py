@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.schema import FIELDS, FORMAT, FORMAT_VERSION, Field
+from eitskin.datasets.store.seal import sealed
 from eitskin.datasets.store.state import UNKNOWN_STATE, State
 from eitskin.files import write_file
 
@@ -79,7 +80,7 @@ def shard_bytes(data: Dataset, first_index: int = 0) -> bytes:
         _attach_time(file)
         file.flush()
         image: bytes = file.id.get_file_image()
-        return image
+    return sealed(image)
 
 
 def _root_attributes(data: Dataset, first_index: int) -> dict[str, Any]:

@@ -5,7 +5,6 @@ half the time of the high-level one.
 """
 
 import hashlib
-import itertools
 import math
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
@@ -19,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.config import parse_toml
+from eitskin.contained import Answer, Limits, contained
 from eitskin.datasets.store.dataset import ORIGIN, Dataset, check_values, known_quantity
 from eitskin.datasets.store.schema import (
     FIELDS,
@@ -27,20 +27,25 @@ from eitskin.datasets.store.schema import (
     LIMITS,
     MAX_TOUCHES,
     MAX_VALUES,
+    MOST_SHARD_BYTES,
     Field,
 )
+from eitskin.datasets.store.seal import unsealed
+from eitskin.datasets.store.stored_arrays import all_arrays, one_array
 from eitskin.errors import DataError
 from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.input_files import MOST_TEXT, quoted, read_bytes
 from eitskin.protocol import Protocol
 
 Columns = dict[str, NDArray[Any]]
 
-_FILTERS = {
-    h5py.h5z.FILTER_DEFLATE,
-    h5py.h5z.FILTER_SHUFFLE,
-    h5py.h5z.FILTER_FLETCHER32,
-    h5py.h5z.FILTER_LZF,
-}
+SECONDS = 5
+"""Processor time for the smallest of shards of unknown origin [s]."""
+
+_BYTES_PER_SECOND = 2 << 20
+_MEMORY, _MEMORY_PER_BYTE = 400 << 20, 24  # [bytes]
+_TRIAL = f"{__name__}:try_shard"
+
 _TYPES = {field.name: h5py.h5t.py_create(field.dtype, logical=True) for field in FIELDS}
 
 
@@ -54,27 +59,56 @@ def read_shard(path: str | Path, first_index: int | None = None) -> Dataset:
     Raises DataError for any violation of the format.
     """
     path = Path(path)
-    with _as_data_errors(path), h5py.File(path, "r") as file:
-        return OpenShard(file.id, first_index).dataset()
+    return shard_of(read_bytes(path, MOST_SHARD_BYTES, DataError), path, first_index)
 
 
-def shard_of(content: bytes, path: Path, first_index: int | None = None) -> Dataset:
-    """Dataset of the shard whose file has this content; `path` and errors as for `read_shard`."""
-    with opened_shard(content, path, first_index) as shard:
+def shard_of(
+    content: bytes, path: Path, first_index: int | None = None, known: bool = False
+) -> Dataset:
+    """Dataset of the shard whose file has this content; arguments as for `opened_shard`."""
+    with opened_shard(content, path, first_index, known) as shard:
         return shard.dataset()
 
 
 @contextmanager
 def opened_shard(
-    content: bytes, path: Path, first_index: int | None = None
+    content: bytes, path: Path, first_index: int | None = None, known: bool = False
 ) -> "Iterator[OpenShard]":
-    """Open shard whose file has this content; `path`, `first_index`, errors as for `read_shard`."""
-    with _as_data_errors(path):
-        file = h5py.h5f.open_file_image(content)
+    """Open shard whose file has this content.
+
+    Args:
+        content: of the file.
+        path: of the file, for messages.
+        first_index: expected number of the first frame within the whole dataset, where known.
+        known: whether the content does no harm to HDF5. Else it is read in a child first, which
+            damage may end or keep busy; what a child has read can be read here.
+
+    Raises DataError for any violation of the format.
+    """
+    with _named_errors(path):
+        image, _ = unsealed(content)
+        if not known:
+            for _ in contained(_TRIAL, None, image, _limits(len(image))):
+                pass
+        file = h5py.h5f.open_file_image(image)
         try:
             yield OpenShard(file, first_index)
         finally:
             file.close()
+
+
+def try_shard(argument: None, content: bytes) -> Iterator[Answer]:  # noqa: ARG001
+    """Read every array of a shard, as a reader for `contained`; raises what that raises."""
+    with _as_data_errors():
+        file = h5py.h5f.open_file_image(content)
+        OpenShard(file, None).dataset()
+        file.close()
+    return iter(())
+
+
+def _limits(size: int) -> Limits:
+    """Limits of a child that reads a shard of `size` bytes, ten times of what most take."""
+    return Limits(SECONDS + size // _BYTES_PER_SECOND, _MEMORY + _MEMORY_PER_BYTE * size)
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +140,9 @@ class OpenShard:
 
     def dataset(self) -> Dataset:
         """The whole shard, in which every array of the file is checked."""
-        stored = dict(_all_arrays(self._root))
+        stored = dict(all_arrays(self._root))
+        if sum(array.get_storage_size() for array in stored.values()) > self._file.get_filesize():
+            raise DataError("its arrays claim more than the file holds; it is damaged")
         origin = self._origin(stored["impedance"].shape[-1], stored.get("protocol"))
         known: dict[str, Any] = {name: getattr(origin, name) for name in ORIGIN}
         names = [field.name for field in FIELDS]
@@ -114,8 +150,8 @@ class OpenShard:
 
     def origin(self) -> Origin:
         """Data that the shard must share with the others of its dataset."""
-        channels = _array(self._root, "impedance").shape[-1]
-        return self._origin(channels, _array(self._root, "protocol", required=False))
+        channels = one_array(self._root, "impedance").shape[-1]
+        return self._origin(channels, one_array(self._root, "protocol", required=False))
 
     def columns(self, frames: int, channels: int, names: Collection[str]) -> Columns:
         """Some columns; arrays of the file that these do not need are not looked at.
@@ -132,7 +168,7 @@ class OpenShard:
             raise DataError(f"must hold {frames} frames, got {self._count}")
         wanted = (field for field in FIELDS if field.name in names)
         found = {
-            field.path: _array(self._root, field.path, required=self._holds(field))
+            field.path: one_array(self._root, field.path, required=self._holds(field))
             for field in wanted
         }
         stored = {path: array for path, array in found.items() if array is not None}
@@ -190,15 +226,25 @@ class OpenShard:
 
 
 @contextmanager
-def _as_data_errors(path: Path) -> Iterator[None]:
+def _named_errors(path: Path) -> Iterator[None]:
+    """Raise all errors of reading a file as DataError that begins with its name."""
+    try:
+        with _as_data_errors():
+            yield
+    except DataError as error:
+        raise DataError(f"{path}: {error}") from error
+
+
+@contextmanager
+def _as_data_errors() -> Iterator[None]:
     """Raise all errors of reading a file as DataError."""
     try:
         yield
-    except DataError as error:
-        raise DataError(f"{path}: {error}") from error
+    except DataError:
+        raise
     except (OSError, KeyError, ValueError, TypeError, RuntimeError, AttributeError) as error:
         raise DataError(
-            f"{path} is not a whole shard of an eitskin dataset: {error}; make or copy it again"
+            f"this is not a whole shard of an eitskin dataset: {error}; make or copy it again"
         ) from error
 
 
@@ -206,7 +252,9 @@ def _checked_version(file: h5py.h5f.FileID) -> int:
     """Format version of a file; raises DataError for other formats and newer versions."""
     found = _attribute(file, "format") if h5py.h5a.exists(file, b"format") else None
     if found != FORMAT:
-        raise DataError(f"expected format '{FORMAT}', got {found!r}; this is another kind of file")
+        raise DataError(
+            f"expected format '{FORMAT}', got {quoted(found)}; this is another kind of file"
+        )
     version = _integer(file, "format_version")
     if version > FORMAT_VERSION:
         raise DataError(
@@ -224,6 +272,8 @@ def _checked_version(file: h5py.h5f.FileID) -> int:
 def _attribute(place: Any, name: str) -> Any:
     """Attribute of a file or array: one number, or text; errors where it is missing or longer."""
     stored = h5py.h5a.open(place, name.encode())
+    if math.prod(stored.shape) != 1 or stored.dtype.itemsize > MOST_TEXT:
+        raise DataError(f"attribute '{name}' must be one number or text; it is damaged")
     values = np.empty(stored.shape, stored.dtype)
     stored.read(values)
     value = values.item()
@@ -236,78 +286,6 @@ def _integer(place: Any, name: str) -> int:
 
 def _text(place: Any, name: str) -> str:
     return str(_attribute(place, name))
-
-
-def _all_arrays(group: h5py.h5g.GroupID, inside: str = "") -> Iterator[tuple[str, Any]]:
-    """Arrays of a file by path; raises DataError for links, data elsewhere, foreign filters."""
-    for raw in group:
-        item, name = _plain(group, raw), raw.decode()
-        if not isinstance(item, h5py.h5g.GroupID):
-            _check_chunks(item, inside + name)
-            yield inside + name, item
-        elif inside:
-            raise DataError(f"'{name}' is nested, virtual or elsewhere; only plain data are read")
-        else:
-            yield from _all_arrays(item, f"{name}/")
-
-
-def _array(root: h5py.h5g.GroupID, path: str, *, required: bool = True) -> Any:
-    """One array of a file, checked as by `_all_arrays`; None where a file need not have it."""
-    *groups, name = path.split("/")
-    for group in groups:
-        root = _plain(root, group.encode())
-    if not (required or name.encode() in root):
-        return None
-    return _plain(root, name.encode())
-
-
-def _plain(group: h5py.h5g.GroupID, name: bytes) -> Any:
-    """Group or array whose values lie in the file itself, behind known filters."""
-    if group.links.get_info(name).type != h5py.h5l.TYPE_HARD:
-        raise DataError(
-            f"'{name.decode()}' is a soft or external link, and only plain data are read"
-        )
-    item = h5py.h5o.open(group, name)
-    if isinstance(item, h5py.h5g.GroupID):
-        return item
-    properties = item.get_create_plist() if isinstance(item, h5py.h5d.DatasetID) else None
-    if (
-        properties is None
-        or properties.get_layout() == h5py.h5d.VIRTUAL
-        or properties.get_external_count()
-    ):
-        raise DataError(
-            f"'{name.decode()}' is nested, virtual or elsewhere; only plain data are read"
-        )
-    for number in range(properties.get_nfilters()):
-        code = properties.get_filter(number)[0]
-        if code not in _FILTERS:
-            raise DataError(f"'{name.decode()}' uses filter {code}; expected gzip or lzf")
-    return item
-
-
-def _check_chunks(array: h5py.h5d.DatasetID, path: str) -> None:
-    """Raise DataError where a flipped bit of the file's tables would change values unnoticed.
-
-    Tables have no checksum. Where the list of filters is lost, or a chunk is marked as one to which
-    some were not applied, compressed bytes would pass for values; where a chunk is listed at
-    another place, values would be missing.
-    """
-    properties = array.get_create_plist()
-    if properties.get_layout() != h5py.h5d.CHUNKED:
-        return
-    found: list[Any] = []
-    array.chunk_iter(found.append)
-    shape = properties.get_chunk()
-    grid = [range(0, size, step) for size, step in zip(array.shape, shape, strict=True)]
-    complete = len(found) == math.prod(map(len, grid)) and {
-        chunk.chunk_offset for chunk in found
-    } == set(itertools.product(*grid))
-    size = math.prod(shape) * array.get_type().get_size()
-    raw = not properties.get_nfilters()
-    sound = all(not chunk.filter_mask and (not raw or chunk.size == size) for chunk in found)
-    if found and not (complete and sound):
-        raise DataError(f"'{path}' is stored in other chunks than its filters make; it is damaged")
 
 
 def _values(stored: h5py.h5d.DatasetID, field: Field, sizes: Mapping[str, int]) -> NDArray[Any]:

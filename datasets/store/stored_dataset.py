@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from eitskin.datasets.store.dataset import ORIGIN, Dataset, frame_bytes, require_same_origin
-from eitskin.datasets.store.manifest import Manifest, ShardEntry, shard_content
+from eitskin.datasets.store.manifest import Manifest, ShardEntry, note_known, shard_content
 from eitskin.datasets.store.references import SpecimenReferences
 from eitskin.datasets.store.schema import FIELDS, FRAME_FIELDS
 from eitskin.datasets.store.shard_reader import Columns, opened_shard
@@ -110,6 +110,7 @@ class StoredDataset(Dataset):
         for name, column in columns.items():
             object.__setattr__(self, name, column)
         self._held.update(missing)
+        object.__setattr__(self, "_manifest", note_known(self._manifest))
 
     def frame(self, index: int) -> Frame:
         self.read("impedance", "time", "number", "episode", "status")
@@ -149,7 +150,8 @@ class StoredDataset(Dataset):
     def _part(self, entry: ShardEntry, names: Collection[str]) -> Columns:
         """Columns of one shard; raises DataError for damage and shards of another dataset."""
         content = shard_content(self._folder, entry)
-        with opened_shard(content, self._folder / entry.name, entry.first_index) as shard:
+        path = self._folder / entry.name
+        with opened_shard(content, path, entry.first_index, entry.known) as shard:
             if entry.name not in self._compared:
                 require_same_origin(self._head, shard.origin())
                 self._compared.add(entry.name)

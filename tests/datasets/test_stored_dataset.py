@@ -130,7 +130,7 @@ def link(file):
     [
         (attribute("seed", 8), "state", "not made together"),
         (attribute("frequency", 1e3), "time", "not made together"),
-        (attribute("count", 11), "state", "must hold 12 frames, got 11"),
+        (attribute("count", 11), "state", "must hold 12 frames, got 11|shape"),
         (attribute("first_index", 0), "state", "frames from 24 on, got 0"),
         (value("reference", 0, 1.0), "specimen", "reference of a specimen"),
         (value("specimen", 0, 9), "specimen", "specimen 9 has no reference"),

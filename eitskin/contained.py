@@ -1,0 +1,209 @@
+"""Reading of files from elsewhere in a process of its own, which may crash, loop or fill up alone.
+
+HDF5, SciPy and the readers of other formats are large, and damage can end the process, keep it
+busy for ever or fill its memory. A reader is a function of a module that yields `Answer`s; it is
+called in a child with limits on processor time and memory, and its answers come back as JSON and
+plain arrays, of which nothing is executed. A child that has answered is used again.
+
+The child has the rights of its user: it contains accidents and malformed files, not an attacker
+who gains control of a reader.
+"""
+
+import contextlib
+import io
+import json
+import os
+import signal
+import struct
+import subprocess
+import sys
+import threading
+from collections.abc import Generator, Mapping
+from dataclasses import dataclass, field
+from typing import IO, Any, ClassVar, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.errors import ConfigurationError, DataError
+from eitskin.input_files import parse_json
+
+HEAD: Final = struct.Struct("<QI")
+"""Begin of a message: size of its JSON text [bytes], and number of its arrays."""
+
+SIZE: Final = struct.Struct("<Q")
+"""Begin of an array: its size [bytes]."""
+
+_CHILD: Final = "from eitskin.contained_child import main; main()"
+_ERRORS: Final = {"ConfigurationError": ConfigurationError, "ImportError": ImportError}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Answer:
+    """Part of what a reader found: data as JSON takes them, and arrays by name."""
+
+    data: Any = None
+    arrays: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Limits of a reader, beyond which it is ended.
+
+    Attributes:
+        seconds: of processor time for each answer.
+        memory: beside that of the program itself [bytes]; kept to on Linux.
+    """
+
+    seconds: int
+    memory: int
+
+
+def contained(
+    reader: str, argument: Any, content: bytes, limits: Limits
+) -> Generator[Answer, None, None]:
+    """Answers of a reader that is called in a child.
+
+    Args:
+        reader: "module:function" of a function of `argument` and `content` that yields `Answer`s.
+        argument: as JSON takes it.
+        content: bytes for the reader.
+        limits: of the child.
+
+    Raises:
+        DataError: where the reader raises anything but a ConfigurationError or an ImportError, ends
+            its process, or is ended at its limits.
+    """
+    child = _Child.idle()
+    clean = False
+    try:
+        yield from child.answers(reader, argument, content, limits)
+        clean = True
+    except (ConfigurationError, ImportError):
+        clean = True
+        raise
+    except DataError:
+        clean = child.running()
+        raise
+    finally:
+        child.release(clean)
+
+
+def write_message(stream: IO[bytes], data: Any, arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Write JSON data and arrays, none of which is an object, to a stream."""
+    text = json.dumps([data, list(arrays)]).encode()
+    buffers = [io.BytesIO() for _ in arrays]
+    for buffer, array in zip(buffers, arrays.values(), strict=True):
+        np.lib.format.write_array(buffer, np.asarray(array), allow_pickle=False)
+    stream.write(HEAD.pack(len(text), len(arrays)) + text)
+    for buffer in buffers:
+        stream.write(SIZE.pack(buffer.tell()))
+        stream.write(buffer.getbuffer())
+    stream.flush()
+
+
+def read_message(stream: IO[bytes]) -> Answer:
+    """Read what `write_message` wrote; raises EOFError where the stream ends."""
+    size, count = HEAD.unpack(_exactly(stream, HEAD.size))
+    data, names = parse_json(_exactly(stream, size))
+    if len(names) != count:
+        raise ValueError("expected a name for each array")
+    arrays = {}
+    for name in names:
+        (length,) = SIZE.unpack(_exactly(stream, SIZE.size))
+        buffer = io.BytesIO(_exactly(stream, length))
+        arrays[name] = np.lib.format.read_array(buffer, allow_pickle=False)
+    return Answer(data, arrays)
+
+
+def _exactly(stream: IO[bytes], size: int) -> bytes:
+    content = stream.read(size)
+    if len(content) != size:
+        raise EOFError
+    return content
+
+
+class _Child:
+    """Process that calls readers, one at a time."""
+
+    _idle: ClassVar["list[_Child]"] = []
+    _lock: ClassVar = threading.Lock()
+
+    def __init__(self) -> None:
+        environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+        try:
+            self._process = subprocess.Popen(  # noqa: S603 - this interpreter
+                [sys.executable, "-P", "-c", _CHILD],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                env=environment,
+                start_new_session=True,  # Ctrl-C is answered by this process
+            )
+        except OSError as error:
+            raise DataError(
+                f"cannot start a process that reads the file: {error}; close other programs"
+            ) from error
+        self._owner = os.getpid()
+
+    @classmethod
+    def idle(cls) -> "_Child":
+        """A child that waits, or a new one; those of the parent of a fork are not used."""
+        with cls._lock:
+            while cls._idle:
+                child = cls._idle.pop()
+                if child._owner == os.getpid() and child.running():
+                    return child
+        return cls()
+
+    def running(self) -> bool:
+        """Whether the process lives."""
+        return self._process.poll() is None
+
+    def release(self, clean: bool) -> None:
+        """Keep the child for the next file, or end it where it is still busy."""
+        if clean and self.running():
+            with self._lock:
+                self._idle.append(self)
+            return
+        self._process.kill()
+        self._process.wait()
+        for stream in (self._process.stdin, self._process.stdout):
+            with contextlib.suppress(OSError):
+                stream.close()  # type: ignore[union-attr]
+
+    def answers(
+        self, reader: str, argument: Any, content: bytes, limits: Limits
+    ) -> Generator[Answer, None, None]:
+        """Answers of a reader; errors as for `contained`."""
+        task = [reader, argument, limits.seconds, limits.memory]
+        sent = np.frombuffer(content, dtype=np.uint8)
+        to, back = self._process.stdin, self._process.stdout
+        assert to is not None  # noqa: S101 - pipes, as asked for
+        assert back is not None  # noqa: S101
+        try:
+            write_message(to, task, {"content": sent})
+            while True:
+                answer = read_message(back)
+                if answer.data is None:
+                    return
+                kind, data = answer.data
+                if kind != "answer":
+                    raise _ERRORS.get(kind, DataError)(data)
+                yield Answer(data, answer.arrays)
+        except (EOFError, OSError) as error:
+            raise DataError(_ending(self._process.wait(), limits)) from error
+
+
+def _ending(code: int, limits: Limits) -> str:
+    """Reason why a child ended while it read."""
+    if code == -getattr(signal, "SIGXCPU", 0):
+        return (
+            f"reading it takes more than {limits.seconds} s of processor time; it is damaged, or "
+            "not the file that it seems to be"
+        )
+    how = f"by signal {-code}" if code < 0 else f"with code {code}"
+    return (
+        f"the process that read it ended {how}; it is damaged, or not the file that it seems to "
+        "be: copy it again"
+    )
