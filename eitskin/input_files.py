@@ -32,18 +32,22 @@ def read_bytes(
     try:
         # Opening a pipe without a writer would wait for one.
         handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | _BINARY)
-        try:
-            size = _regular_size(os.fstat(handle), path, most, failure)
-            with open(handle, "rb", closefd=False) as file:
-                content = file.read(size + 1)
-                if len(content) > size:  # a file that grows meanwhile
-                    content += file.read(most - len(content) + 1)
-        finally:
-            os.close(handle)
     except OSError as error:
         raise failure(f"cannot read {path}: {error.strerror or error}") from error
     except ValueError as error:  # a NUL in the name
         raise failure(f"cannot read {path}: {error}; give the name of a file") from error
+    try:
+        size = _regular_size(os.fstat(handle), path, most, failure)
+        with open(handle, "rb", closefd=False) as file:
+            content = file.read(size + 1)
+            if len(content) > size:  # a file that grows meanwhile
+                content += file.read(most - len(content) + 1)
+    except OSError as error:
+        if isinstance(error, failure):
+            raise
+        raise failure(f"cannot read {path}: {error.strerror or error}") from error
+    finally:
+        os.close(handle)
     if len(content) > most:
         raise failure(f"{path} is larger than {most} bytes; is this the file that was meant?")
     return content
@@ -54,9 +58,10 @@ def require_regular(
 ) -> None:
     """Raise `failure` as `read_bytes` does, without reading; a missing file is left to others."""
     try:
-        _regular_size(Path(path).stat(), path, most, failure)
+        status = Path(path).stat()
     except (OSError, ValueError):
         return
+    _regular_size(status, path, most, failure)
 
 
 def _regular_size(

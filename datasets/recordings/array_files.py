@@ -10,7 +10,8 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.datasets.recordings.source import BLOCK_ROWS, Source, Tables, Wanted
+from eitskin.datasets.recordings.source import Source, Tables, Wanted
+from eitskin.datasets.store.stored_arrays import require_stored
 from eitskin.errors import DataError
 
 _MATLAB_NUMBERS: Final = {"double", "single", "logical"} | {
@@ -48,8 +49,8 @@ class ArraySource(Source):
                 name: _label(np.asarray(self.array(file, name)[()]), name, rows, wanted.paired)
                 for name in wanted.labels
             }
-            for start in range(0, rows, BLOCK_ROWS):
-                chosen = slice(start, min(start + BLOCK_ROWS, rows))
+            for start in range(0, rows, wanted.block_rows):
+                chosen = slice(start, min(start + wanted.block_rows, rows))
                 yield {name: matrix.read(chosen) for name, matrix in values.items()} | {
                     name: label[chosen] for name, label in labels.items()
                 }
@@ -75,7 +76,14 @@ class NpzSource(ArraySource):
                 yield file
         except DataError:
             raise
-        except (ValueError, BadZipFile, zlib.error, AttributeError, EOFError) as error:
+        except (  # encrypted or compressed otherwise, too: RuntimeError
+            ValueError,
+            BadZipFile,
+            zlib.error,
+            AttributeError,
+            EOFError,
+            RuntimeError,
+        ) as error:
             raise DataError(
                 f"not an .npz file of plain arrays: {error}; save it with numpy.savez"
             ) from error
@@ -142,10 +150,12 @@ class Hdf5Source(ArraySource):
     def array(self, file: Any, name: str) -> Any:
         if name in file:
             stored = file[name]
+            require_stored(stored.id, name)
             if h5py.check_string_dtype(stored.dtype) is not None:
                 return np.asarray(stored.asstr()[()], dtype=np.str_)
             return _Transposed(stored) if "MATLAB_class" in stored.attrs else stored
         path, _, field = name.rpartition("/")
+        require_stored(file[path].id, path)
         return file[path].fields(field)[()]
 
 

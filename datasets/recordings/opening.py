@@ -13,8 +13,8 @@ from eitskin.errors import ConfigurationError, DataError
 _HDF5_MARK: Final = b"MATLAB 7.3"
 
 
-def open_source(path: Path, sheet: str | None = None) -> Source:
-    """Source of the file.
+def open_here(path: Path, sheet: str | None = None) -> Source:
+    """Source of the file, read in this process; see `contained_source`.
 
     Args:
         path: of the file.
@@ -24,11 +24,7 @@ def open_source(path: Path, sheet: str | None = None) -> Source:
         DataError: where the file is missing, cannot be read, or is damaged.
         ConfigurationError: for another kind of file.
     """
-    ending = path.suffix.lower()
-    if ending not in _SOURCES:
-        raise ConfigurationError(
-            f"cannot tell the format of {path.name} from its ending; expected {', '.join(_SOURCES)}"
-        )
+    ending = known_ending(path)
     if ending in _SHEETS:
         return SpreadsheetSource(path, sheet)
     if sheet is not None:
@@ -36,6 +32,16 @@ def open_source(path: Path, sheet: str | None = None) -> Source:
             f"{path.name} has no sheets; leave --sheet out, which is for {', '.join(_SHEETS)}"
         )
     return _SOURCES[ending](path)
+
+
+def known_ending(path: Path) -> str:
+    """Ending of a file, in lower case; raises ConfigurationError for another kind of file."""
+    ending = path.suffix.lower()
+    if ending not in _SOURCES:
+        raise ConfigurationError(
+            f"cannot tell the format of {path.name} from its ending; expected {', '.join(_SOURCES)}"
+        )
+    return ending
 
 
 def _open_mat(path: Path) -> Source:

@@ -1,6 +1,5 @@
 """One file of a recording: its tables, and their rows as checked blocks of frames."""
 
-import csv
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,12 +13,12 @@ from eitskin.datasets.recordings.blocks import (
     rows_during,
     without_bad_values,
 )
+from eitskin.datasets.recordings.contained_source import open_source
 from eitskin.datasets.recordings.form import LENGTHS, RecordingForm, RecordingNames
 from eitskin.datasets.recordings.labels import NAMES, find_labels, names_of_origin, read_labels
-from eitskin.datasets.recordings.opening import open_source
 from eitskin.datasets.recordings.patterns import protocol_of_patterns
 from eitskin.datasets.recordings.plausibility import origin_on, require_plausible
-from eitskin.datasets.recordings.source import Tables, Wanted
+from eitskin.datasets.recordings.source import BLOCK_ROWS, Tables, Wanted
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.protocol import Protocol
@@ -74,11 +73,7 @@ class RecordedFile:
             raise DataError(f"{self.path}: {error}") from error
         except FileNotFoundError as error:
             raise DataError(f"there is no file {self.path}") from error
-        except UnicodeDecodeError as error:
-            raise DataError(
-                f"cannot read {self.path}: {error}; save it as text in UTF-8"
-            ) from error
-        except (OSError, csv.Error) as error:
+        except OSError as error:
             raise DataError(f"cannot read {self.path}: {error}") from error
 
     def _open(self) -> None:
@@ -106,7 +101,11 @@ class RecordedFile:
         self._places = find_labels(source, names.columns, names.positions)
         labels = {place.table for place in self._places.values() if place.table}
         self._wanted = Wanted(
-            tuple(values), tuple(sorted(labels)), form.transpose, form.rows != "frames"
+            tuple(values),
+            tuple(sorted(labels)),
+            form.transpose,
+            form.rows != "frames",
+            BLOCK_ROWS,
         )
         used = {*values, *labels, *(names.patterns or ())}
         self.unused = tuple(name for name in source.names if name not in used)

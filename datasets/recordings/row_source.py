@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.datasets.recordings.source import BLOCK_ROWS, Source, Tables, Wanted
+from eitskin.datasets.recordings.source import Source, Tables, Wanted
 from eitskin.errors import ConfigurationError, DataError
 
 _TEXT_ROWS: Final = 256  # held as text at a time, which takes ten times the memory of numbers
@@ -57,7 +57,7 @@ class RowSource(Source):
             )
         rows, names = self.rows(), (*wanted.values, *wanted.labels)
         while True:
-            block = itertools.islice(rows, BLOCK_ROWS)
+            block = itertools.islice(rows, wanted.block_rows)
             pieces: list[Tables] = []
             while cells := list(itertools.islice(block, _TEXT_ROWS)):
                 pieces.append(self._tables(wanted, cells))

@@ -14,7 +14,7 @@ from eitskin.errors import ConfigurationError, DataError
 Tables = Mapping[str, NDArray[Any]]
 """Tables of equally many rows by name, each (rows, columns)."""
 
-BLOCK_ROWS: Final = 8192  # even, so that readings before and during a press stay together
+BLOCK_ROWS: Final = 8192
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,12 +26,15 @@ class Wanted:
         labels: tables with a row for each row of the values.
         transposed: whether the measurements have frames along their second axis.
         paired: whether a table of labels may have one row for each pair of rows of the values.
+        block_rows: number of rows of a block; even, so that readings before and during a press stay
+            together.
     """
 
     values: tuple[str, ...]
     labels: tuple[str, ...] = ()
     transposed: bool = False
     paired: bool = False
+    block_rows: int = BLOCK_ROWS
 
 
 class Source(ABC):
@@ -61,7 +64,7 @@ class Source(ABC):
 
     @abstractmethod
     def blocks(self, wanted: Wanted) -> Iterator[Tables]:
-        """Tables of consecutive rows, `BLOCK_ROWS` in all but the last ones.
+        """Tables of consecutive rows, `wanted.block_rows` in all but the last ones.
 
         Raises:
             DataError: where the content cannot be used.

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.datasets.recordings.row_source import RowSource
-from eitskin.datasets.recordings.source import BLOCK_ROWS, Tables, Wanted
+from eitskin.datasets.recordings.source import Tables, Wanted
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.extras import require
 
@@ -87,7 +87,7 @@ class ParquetSource(RowSource):
         names = (*wanted.values, *wanted.labels)
         columns = sorted({self.header[column] for name in names for column in self.columns[name]})
         done = 0
-        for batch in self._file.iter_batches(BLOCK_ROWS, columns=columns):
+        for batch in self._file.iter_batches(wanted.block_rows, columns=columns):
             arrays = {name: _parquet_column(batch.column(name), name, done) for name in columns}
             done += batch.num_rows
             yield {

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from eitskin.datasets.recordings.row_source import RowSource, is_number
-from eitskin.datasets.recordings.source import BLOCK_ROWS, Source, Tables, Wanted
+from eitskin.datasets.recordings.source import Source, Tables, Wanted
 from eitskin.errors import ConfigurationError, DataError
 
 OPENEIT: Final = "magnitudes"
@@ -91,7 +91,7 @@ class OpenEitSource(Source):
         if wanted.transposed:
             raise ConfigurationError("OpenEIT's lines are frames; leave --transpose out")
         frames = self._frames()
-        while block := list(itertools.islice(frames, BLOCK_ROWS)):
+        while block := list(itertools.islice(frames, wanted.block_rows)):
             yield {OPENEIT: np.array(block)}
 
     def _frames(self) -> Iterator[list[float]]:

@@ -80,7 +80,12 @@ def _check_claims(array: h5py.h5d.DatasetID, properties: Any, name: str) -> None
         step > max(size, 1) for step, size in zip(properties.get_chunk(), shape, strict=True)
     ):
         raise DataError(f"'{name}' has chunks larger than itself; it is damaged")
-    claimed = math.prod(shape) * array.get_type().get_size()
+    require_stored(array, name)
+
+
+def require_stored(array: h5py.h5d.DatasetID, name: str) -> None:
+    """Raise DataError for an array that claims more than any compression leaves of it."""
+    claimed = math.prod(array.shape) * array.get_type().get_size()
     if claimed > _MOST_EXPANSION * array.get_storage_size():
         raise DataError(
             f"'{name}' claims {claimed} bytes and stores {array.get_storage_size()}, fewer than "

@@ -8,7 +8,8 @@ import pytest
 from scipy.io import savemat
 
 from eitskin.datasets import Recording, RecordingForm, RecordingNames, State, read_recording
-from eitskin.datasets.recordings import array_files, row_source, table_files
+from eitskin.datasets.recordings import recorded_file
+from eitskin.datasets.recordings.opening import open_here
 from eitskin.errors import ConfigurationError, DataError
 from eitskin.geometry import SensorDesign
 from eitskin.simulator import Protocol, Status
@@ -83,8 +84,7 @@ def newest_mat_file(path):
     ],
 )
 def test_every_kind_of_file_gives_the_same_dataset(tmp_path, monkeypatch, name, write):
-    for module in (array_files, row_source, table_files):
-        monkeypatch.setattr(module, "BLOCK_ROWS", 2)
+    monkeypatch.setattr(recorded_file, "BLOCK_ROWS", 2)
     write(tmp_path / name)
     names = RecordingNames("v", columns={"specimen": "who", "radius": "0.004"})
     recording = Recording(tmp_path / name, names, Protocol.pairwise(3))
@@ -114,7 +114,7 @@ def test_a_missing_package_is_named_with_its_extra(tmp_path, monkeypatch, packag
     monkeypatch.setitem(__import__("sys").modules, package, None)
     monkeypatch.setitem(__import__("sys").modules, f"{package}.parquet", None)
     with pytest.raises(ImportError, match=rf"{package}.*eitskin\[{ending}\]"):
-        read_recording(tmp_path / f"a.{ending}")
+        open_here(tmp_path / f"a.{ending}")
 
 
 # Rows before and during a press
@@ -134,7 +134,7 @@ def test_rows_before_and_during_a_press_alternate(tmp_path, order):
 
 
 def test_readings_before_a_press_are_kept_as_idle_frames(tmp_path, monkeypatch):
-    monkeypatch.setattr(array_files, "BLOCK_ROWS", 2)
+    monkeypatch.setattr(recorded_file, "BLOCK_ROWS", 2)
     np.savez(tmp_path / "a.npz", v=PRESSED, r=UNTOUCHED, x=X, y=Y, session=[1, 1, 1, 2])
     form = RecordingForm(keep_before=True)
     data = read_recording(tmp_path / "a.npz", RecordingNames("v", "r"), form=form)
