@@ -9,7 +9,7 @@ WORKERS := --numprocesses 2 --dist loadfile --no-loadscope-reorder
 # Hundreds of processes start in the tests; what one has compiled the others need not.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test quick coverage mutations lint docs wide gallery bench bench-long figures clean
+.PHONY: demo test quick coverage mutations lint docs wide firmware gallery bench bench-long figures clean
 
 demo: $(VENV)/installed
 	$(BIN)/eitskin demo --out build/demo --data $(DATA)
@@ -61,6 +61,10 @@ wide: $(VENV)/installed
 	test -e build/wide/all || $(BIN)/eitskin dataset combine \
 		$(addprefix build/wide/,$(RECIPES)) --out build/wide/all
 	$(BIN)/eitskin train build/wide/all --preset joint --out training/wide.eitmodel $(ARGS)
+
+# The image of a NUCLEO-F411RE, in build/firmware; needs arm-none-eabi-gcc and no Python.
+firmware:
+	$(MAKE) --no-print-directory -C hardware/firmware/nucleo_f411 BUILD=$(CURDIR)/build/firmware
 
 # The pictures in docs/gallery, each by the script of its name.
 gallery: $(VENV)/installed

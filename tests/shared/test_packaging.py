@@ -38,6 +38,8 @@ def test_the_wheel_holds_every_module_of_the_tree(tmp_path) -> None:
         "*.toml",
         "library/*.npz",
         "firmware/*.[ch]",
+        "nucleo_f411/*.*",
+        "include/*.h",
         "*.css",
         "web/*",
     )
