@@ -1,0 +1,179 @@
+"""The image that is flashed on a NUCLEO-F411RE, run in QEMU, against the host's build."""
+
+import struct
+import time
+
+import numpy as np
+import pytest
+
+from eitskin.hardware.protocol.frame_parts import FrameData
+from eitskin.hardware.protocol.messages import (
+    Ack,
+    AckStatus,
+    Calibrate,
+    Event,
+    GetTable,
+    Hello,
+    Info,
+    Start,
+    Stop,
+    Table,
+    pack,
+    unpack,
+)
+from eitskin.hardware.protocol.packets import Decoder, MessageType, Packet, encode
+from eitskin.simulator import Status
+
+from compiled_firmware import booted, frames, sensor
+from emulator.board import EmulatedBoard
+from emulator.chip import UID
+from emulator.usart import Line
+from loopback import FLAT, PROTOCOL
+from simulated_afe import SimulatedAfe
+
+pytestmark = pytest.mark.slow
+
+START_AND_TWO_FRAMES = 1.5e6  # us
+STRAY = 1.0 / (2j * np.pi * 40e3 * 100e-12)  # ohm of the capacitance of an open pair
+
+
+def every_status():
+    """Phases all around, and pairs that are open, without current and clipped."""
+    values = FLAT * np.exp(2j * np.pi * np.arange(28) / 28.0)
+    values[[3, 11, 19]] = STRAY, 1e12, 150.0
+    return values
+
+
+@pytest.fixture(scope="module")
+def running():
+    """One emulated board, booted, and what it said of itself."""
+    with EmulatedBoard(SimulatedAfe(sensor(every_status()))) as board:
+        info, before = board.wait_for(Info)
+        assert before == []
+        yield board, info
+
+
+def no_complaints(board):
+    return not board.chip.complaints and not board.chip.afe.complaints and not board.chip.faults
+
+
+# ---- the same as on the host ----
+
+
+def test_eitskin_reads_the_frames_of_the_hosts_build_to_the_last_bit(running):
+    board, _ = running
+    (expected,) = frames(booted(every_status()), 1)
+    device = board.serial_board()
+    found = next(device.frames())
+    board.ask(Stop(), Ack)
+    assert found.impedance.astype(np.complex64).tobytes() == expected.impedance.tobytes()
+    assert found.status.tobytes() == expected.status.tobytes()
+    assert {Status(int(status)) for status in found.status} == {
+        Status(0),
+        Status.OPEN,
+        Status.OPEN | Status.LOW_CURRENT,
+        Status.CLIPPED,
+    }
+    assert device.protocol == PROTOCOL
+    assert no_complaints(board)
+
+
+def test_it_says_who_it_is(running):
+    board, info = running
+    assert (info.firmware, info.uid, info.boot_count) == ("eitskin-f411 1.0", UID, 1)
+    assert board.ask(Hello(), Info) == info
+    assert board.ask(GetTable(), Table) == Table.of(PROTOCOL)
+
+
+def test_garbage_is_dropped_and_wrong_requests_are_told_so(running):
+    board, info = running
+    board.write(bytes(range(256)) * 8 + b"\0")
+    board.write(encode(Packet(0x7F, 300, b"")) + encode(Packet(MessageType.START, 301, b"12")))
+    refused = [board.wait_for(Ack)[0] for _ in range(2)]
+    assert refused == [
+        Ack(300, 0x7F, AckStatus.UNKNOWN_TYPE),
+        Ack(301, MessageType.START, AckStatus.MALFORMED),
+    ]
+    assert board.ask(Hello(), Info) == info
+
+
+def test_a_transform_that_never_ends_is_a_timeout_of_its_row_alone(running):
+    board, info = running
+    board.chip.afe.stuck = {PROTOCOL.table[5]}
+    board.ask(Start(1), Ack)
+    frame, _ = board.wait_for(FrameData)
+    board.chip.afe.stuck = set()
+    assert np.isnan(frame.impedance[5])
+    assert frame.status[5] == Status.DFT_TIMEOUT
+    assert np.count_nonzero(np.isnan(frame.impedance)) == 1
+    assert frame.duration < info.period
+    assert no_complaints(board)
+
+
+# ---- a board of its own each ----
+
+
+def test_a_part_that_is_not_there_is_said_and_start_refused():
+    afe = SimulatedAfe(sensor())
+    afe.present = False
+    with EmulatedBoard(afe) as board:
+        event, _ = board.wait_for(Event)
+        assert (event.level, event.code) == (2, 1)
+        assert board.ask(Start(1), Ack) == Ack(1, MessageType.START, AckStatus.FAILED)
+        assert board.ask(Calibrate(), Ack) == Ack(2, MessageType.CALIBRATE, AckStatus.FAILED)
+        assert board.ask(Stop(), Ack) == Ack(3, MessageType.STOP)
+        afe.present = True
+        while board.ask(Calibrate(), Ack).status == AckStatus.FAILED:
+            pass  # it looks for the part each second
+        assert no_complaints(board)
+
+
+def test_the_watchdog_ends_a_hang_and_the_boot_is_counted():
+    with EmulatedBoard() as board:
+        first, _ = board.wait_for(Info)
+        board.ask(Start(0), Ack)
+        board.chip.spi_hangs = True
+        while board.chip.resets == 0:
+            assert not board.chip.complaints
+        board.chip.spi_hangs = False
+        second, _ = board.wait_for(Info)
+        assert (first.boot_count, second.boot_count) == (1, 2)
+        assert board.chip.resets == 1
+        records = struct.unpack("<4I", board.chip.store[:16])
+        assert records == (1, 0xFFFFFFFE, 2, 0xFFFFFFFD)
+        assert board.ask(Start(1), Ack).status == AckStatus.DONE
+
+
+def received(board):
+    """Messages that a board on a `Line` sends, as they come; a damaged packet fails."""
+    decoder = Decoder()
+    while True:
+        time.sleep(0.01)
+        sent, board.chip.line.sent = board.chip.line.sent, bytearray()
+        for packet in decoder.feed(bytes(sent)):
+            yield unpack(packet)
+        assert not decoder.drops
+
+
+def test_a_frame_that_finds_the_line_busy_is_left_out_whole():
+    """By the interrupts of a USART whose first byte takes longer than two frames."""
+    with EmulatedBoard(line=Line()) as board:
+        came, line = received(board), board.chip.line
+        assert isinstance(next(came), Info)
+        line.slower = 60_000.0
+        line.waiting += encode(pack(Start(2), 1))
+        while board.chip.now < START_AND_TWO_FRAMES:
+            time.sleep(0.01)
+        line.slower = 1.0
+        line.waiting += encode(pack(Hello(), 2))
+        assert [type(next(came)) for _ in range(3)] == [Ack, FrameData, Info]
+        assert line.baud == pytest.approx(921_600, rel=0.005)
+        assert no_complaints(board)
+
+
+def test_without_the_crystal_it_runs_from_the_internal_clock():
+    with EmulatedBoard(line=Line(), crystal=False) as board:
+        assert isinstance(next(received(board)), Info)
+        assert board.chip.sysclk == 96e6
+        assert board.chip.line.baud == pytest.approx(921_600, rel=0.005)
+        assert no_complaints(board)
