@@ -27,6 +27,7 @@ from eitskin.training.method.targets import Targets
 from eitskin.training.pipeline.estimate import Estimate
 from eitskin.training.pipeline.model_card import position_card
 from eitskin.training.pipeline.references import References
+from eitskin.training.pipeline.saved_checks import DAMAGE, require_possible
 from eitskin.training.pipeline.saved_form import (
     SavedPipeline,
     read_pipeline,
@@ -327,6 +328,7 @@ class RecordedTouches:
         saved = read_pipeline(path)
         require_kind(saved, cls.KIND, path)
         try:
+            require_possible(saved.weights, saved.golden)
             arrays = dict(saved.weights)
             kind = PositionRegressor if "directions" in arrays else PressLocator
             position = kind.from_arrays(arrays)
@@ -347,6 +349,6 @@ class RecordedTouches:
             saved.require_golden({"place": position.apply(examples)})
         except DataError:
             raise
-        except (KeyError, TypeError, ValueError) as error:
+        except DAMAGE as error:
             raise DataError(f"{path} is not whole: {error}; save it again") from error
         return loaded

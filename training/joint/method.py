@@ -8,6 +8,7 @@ from typing import Protocol as Interface
 import numpy as np
 from numpy.typing import NDArray
 
+from eitskin.errors import DataError
 from eitskin.protocol import Protocol
 from eitskin.simulator.instrument.drift import DRIFT_TIME
 from eitskin.training.joint.adaptation import adapted_curve, calibration_of, error_scale
@@ -358,6 +359,9 @@ class JointMethod(Method):
             return {key.removeprefix(f"{name}."): arrays[key] for key in mine}
 
         drift, radius, separation, *force = arrays["scalars"].astype(float).tolist()
+        positive = np.array([drift, radius, separation, force[1], *arrays["noise"].ravel()])
+        if not np.all((positive > 0) & (positive < 1e3)):
+            raise DataError("expected drift, sizes, forces and noise above zero; train it again")
         low, high = arrays["bounds"].astype(float)
         features, calibrated = part("features"), part("calibrated")
         basis = part("combinations").get("basis")  # version 0.1 has none

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from eitskin.config import from_dict, to_dict
 from eitskin.datasets.store.dataset import Dataset
-from eitskin.errors import FrameError, UnusableFrameError
+from eitskin.errors import DataError, FrameError, UnusableFrameError
 from eitskin.frame import Frame
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.protocol import Protocol
@@ -71,10 +71,22 @@ class InputSpec:
 
     @classmethod
     def from_document(cls, document: Mapping[str, Any], reference: NDArray[Any]) -> "InputSpec":
-        """Restore the specification; raises ConfigurationError where `document` is not valid."""
+        """Restore the specification; raises ConfigurationError or DataError for
+        what no training gives.
+        """
         design = from_dict(SensorDesign, document["design"], "layout.design")
         protocol = from_dict(Protocol, document["protocol"], "layout.protocol")
         frequency, spread = float(document["frequency"]), document.get("spread", LARGEST_SPREAD)
+        if reference.shape != (len(protocol),) or not np.all(reference >= 0) or not reference.any():
+            raise DataError(
+                f"expected {len(protocol)} magnitudes of the flat sensor, got an array of shape "
+                f"{reference.shape} or others than positive numbers; train the pipeline again"
+            )
+        if not (0 < frequency < np.inf and 0 < float(spread) <= WIDEST_SPREAD):
+            raise DataError(
+                f"expected a frequency and a spread of up to {WIDEST_SPREAD:g}, got {frequency:g} "
+                f"Hz and {float(spread):g}; train the pipeline again"
+            )
         return cls(design, protocol, frequency, reference.astype(float), float(spread))
 
     @property

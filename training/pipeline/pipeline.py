@@ -28,6 +28,7 @@ from eitskin.training.pipeline.methods import method_class
 from eitskin.training.pipeline.model_card import perception_card
 from eitskin.training.pipeline.own_methods import MethodCodeError, require_sound, told_errors
 from eitskin.training.pipeline.references import References
+from eitskin.training.pipeline.saved_checks import DAMAGE, number, require_possible
 from eitskin.training.pipeline.saved_form import (
     SavedPipeline,
     read_pipeline,
@@ -364,13 +365,13 @@ class Pipeline:
         Raises:
             ConfigurationError: for a pipeline of somebody's own method without its code, or with
                 other code.
-            DataError: for a pipeline that is damaged, changed, newer than this eitskin, or whose
-                outputs here differ from the saved ones.
+            DataError: for one that is damaged, changed, impossible, too new, or computes otherwise.
         """
         saved = read_pipeline(path)
         require_kind(saved, KIND, path)
         try:
             document, weights = saved.document, saved.weights
+            require_possible(weights, saved.golden, noise := number(document, "noise"))
             layout = InputSpec.from_document(document["layout"], weights["layout.reference"])
             settings = TrainingSettings.from_document(document["settings"])
             inputs = {name: saved.golden[f"input.{name}"] for name in Observations.__slots__}
@@ -383,7 +384,7 @@ class Pipeline:
             pipeline = cls(
                 layout,
                 restored,
-                float(document["noise"]),
+                noise,
                 settings,
                 dict(document["trained_on"]),
                 examples,
@@ -394,6 +395,6 @@ class Pipeline:
             saved.require_golden(outputs)
         except (DataError, MethodCodeError):
             raise
-        except (KeyError, TypeError, ValueError, IndexError) as error:
+        except DAMAGE as error:
             raise DataError(f"{path} is not whole: {error}; save the pipeline again") from error
         return pipeline

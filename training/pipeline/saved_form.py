@@ -22,12 +22,14 @@ from numpy.typing import NDArray
 from eitskin.errors import ConfigurationError, DataError, PartialError
 from eitskin.extras import require
 from eitskin.files import atomic_folder
+from eitskin.input_files import parse_json, quoted, read_bytes, read_text
 
 FORMAT = "eitskin-pipeline"
 FORMAT_VERSION = 1
 SUFFIX = ".eitmodel"
 SHIPPED = Path(__file__).parents[1] / f"reference{SUFFIX}"
 WIDE = SHIPPED.with_name(f"wide{SUFFIX}")
+MOST_BYTES = 1 << 32  # of one file
 GOLDEN_TOLERANCE = 1e-3  # relative to the largest output; float32 sums depend on their order
 
 DOCUMENT, WEIGHTS, GOLDEN, CARD, SUMS = (
@@ -128,9 +130,9 @@ def read_pipeline(path: str | Path) -> SavedPipeline:
             path = shipped
     files = _checked_files(path)
     try:
-        document = json.loads(files[DOCUMENT])
+        document = parse_json(files[DOCUMENT])
         if document["format"] != FORMAT:
-            raise DataError(f"{path}: expected format '{FORMAT}', got '{document['format']}'")
+            raise DataError(f"{path}: expected format '{FORMAT}', got {quoted(document['format'])}")
         if document["format_version"] > FORMAT_VERSION:
             raise DataError(
                 f"{path} has format version {document['format_version']}, this eitskin reads up to "
@@ -196,10 +198,13 @@ def _checked_files(path: Path) -> dict[str, bytes]:
     if not path.is_dir():
         raise DataError(f"there is no pipeline {path}; make one with eitskin train")
     try:
-        lines = (path / SUMS).read_text(encoding="utf-8").splitlines()
+        lines = read_text(path / SUMS, failure=DataError).splitlines()
         sums = {line[66:]: line[:64] for line in lines}
-        files = {name: (path / name).read_bytes() for name in (DOCUMENT, WEIGHTS, GOLDEN, CARD)}
-    except (OSError, UnicodeDecodeError) as error:
+        files = {
+            name: read_bytes(path / name, MOST_BYTES, DataError)
+            for name in (DOCUMENT, WEIGHTS, GOLDEN, CARD)
+        }
+    except DataError as error:
         raise DataError(f"{path} is not a whole pipeline: {error}; copy it again") from error
     for name, data in files.items():
         if _sha256(data) != sums.get(name):
