@@ -1,0 +1,178 @@
+"""Skin in MuJoCo: weights at known places as touches, and frames that are due as frames."""
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from eitskin.errors import ConfigurationError
+from eitskin.geometry import Disc, SensorDesign
+from eitskin.geometry.design.regular_layouts import uniform
+from eitskin.simulator import Cylinder, Instrument, Scene, Simulator, Sphere
+
+pytest.importorskip("mujoco")
+
+import mujoco
+
+from eitskin.simulator.robots.mujoco_skin import MujocoSkin
+from eitskin.simulator.robots.touch_rules import TouchRules
+
+SCRIPT = Path(__file__).parents[3] / "docs" / "guides" / "mujoco" / "press.py"
+SKIN = '<geom name="skin" type="box" size=".075 .03 .006" mass="1"/>'
+WEIGHT = 9.81  # N of one kilogram
+
+
+@pytest.fixture(scope="module")
+def simulator():
+    return Simulator(SensorDesign.reference(), "coarse")
+
+
+def loaded(bodies, skin=SKIN, pose="", time=1.5):
+    """Model of a skin with bodies on it, and its state after they have come to rest."""
+    model = mujoco.MjModel.from_xml_string(
+        f'<mujoco><option timestep="0.002"/><worldbody><body name="pad" {pose}>{skin}</body>'
+        f'<geom name="floor" type="plane" size="1 1 1" pos="0 0 -.3"/>{bodies}</worldbody></mujoco>'
+    )
+    data = mujoco.MjData(model)
+    while data.time < time:
+        mujoco.mj_step(model, data)
+    return model, data
+
+
+def weight(geom, x, y, z, mass):
+    """Free body that only slides along z, with one geom, over a place of the pad [m]."""
+    return (
+        f'<body pos="{x} {y} {z}"><joint type="slide" axis="0 0 1" damping="20"/>'
+        f'<geom {geom} mass="{mass}"/></body>'
+    )
+
+
+def test_a_ball_presses_with_its_weight_where_it_lies(simulator) -> None:
+    model, data = loaded(weight('type="sphere" size=".0075"', 0.02, -0.01, 0.014, 0.5))
+    skin = MujocoSkin(simulator, model, "skin")
+    (touch,) = skin.touches(data)
+    assert touch.force == pytest.approx(0.5 * WEIGHT, rel=1e-3)
+    assert (touch.x, touch.y) == (pytest.approx(0.095, abs=1e-5), pytest.approx(0.02, abs=1e-5))
+    assert touch.indenter == Cylinder()
+    own = MujocoSkin(simulator, model, "skin", rules=TouchRules(indenter=None))
+    assert own.touches(data)[0].indenter == Sphere(0.0075)
+
+
+def test_the_corners_of_a_box_are_one_touch_in_its_middle(simulator) -> None:
+    model, data = loaded(weight('type="box" size=".004 .003 .01"', -0.03, 0.005, 0.017, 0.4))
+    assert data.ncon == 4
+    (touch,) = MujocoSkin(simulator, model, "skin").touches(data)
+    assert touch.force == pytest.approx(0.4 * WEIGHT, rel=1e-3)
+    assert (touch.x, touch.y) == (pytest.approx(0.045, abs=1e-4), pytest.approx(0.035, abs=1e-4))
+
+
+def test_places_and_forces_are_those_of_the_face_however_the_skin_stands(simulator) -> None:
+    """A skin tilted by 20 degrees about x and turned about z feels the part along its normal."""
+    tilt = np.radians(20.0)
+    pose = 'pos=".1 .2 .3" euler="20 0 0"'
+    ball = (
+        '<body pos=".1 .2 .3" euler="20 0 0"><body pos=".02 .01 .0135">'
+        '<joint type="slide" axis="0 0 1" damping="20"/><geom type="sphere" size=".0075" mass=".3" '
+        'friction="0 0 0"/></body></body>'
+    )
+    model, data = loaded(ball, pose=pose)
+    (touch,) = MujocoSkin(simulator, model, "skin").touches(data)
+    assert touch.force == pytest.approx(0.3 * WEIGHT * np.cos(tilt), rel=1e-3)
+    assert (touch.x, touch.y) == (pytest.approx(0.095, abs=1e-4), pytest.approx(0.04, abs=1e-4))
+
+
+def test_only_the_upper_face_feels(simulator) -> None:
+    """The skin lies on a table and a ball leans on its side: neither is a touch."""
+    table = '<geom type="box" size=".2 .2 .01" pos="0 0 -.016"/>'
+    beside = (
+        '<body pos=".0822 0 0"><joint type="slide" axis="1 0 0"/>'
+        '<geom type="sphere" size=".0075" mass=".1"/></body>'
+    )
+    model, data = loaded(table + beside, SKIN + '<joint type="slide" axis="0 0 1"/>', time=0.2)
+    assert (data.contact.geom == model.geom("skin").id).any(axis=1).sum() > 1
+    assert not MujocoSkin(simulator, model, "skin").touches(data)
+
+
+def frames_of(skin, model, simulations, steps):
+    """Frames by simulation, of so many steps."""
+    found = [[] for _ in simulations]
+    for _ in range(steps):
+        for data in simulations:
+            mujoco.mj_step(model, data)
+        for into, frame in zip(found, skin.update(simulations), strict=True):
+            if frame is not None:
+                into.append(frame)
+    return found
+
+
+@pytest.mark.slow
+def test_frames_come_at_their_rate_and_are_those_of_the_simulator(simulator) -> None:
+    """Two simulations at once: their frames are what `measure` gives of the touches."""
+    ball = weight('type="sphere" size=".0075"', 0.02, -0.01, 0.1, 0.8)
+    model, resting = loaded(ball)
+    falling = mujoco.MjData(model)
+    skin = MujocoSkin(simulator, model, "skin", period=0.05)
+    first, second = frames_of(skin, model, [falling, resting], 126)
+    assert [frame.number for frame in first] == list(range(6))
+    assert [frame.time for frame in second] == pytest.approx(0.05 * np.arange(6))
+    flat = simulator.measure_all([Scene()])[0]
+    assert np.array_equal(first[0].impedance, flat)
+    lying = Scene(touches=skin.touches(resting))
+    assert len(lying.touches) == 1
+    change = simulator.measure_all([lying], tolerance=0.0)[0] - flat
+    found = second[-1].impedance - flat
+    assert np.abs(found - change).max() < 1e-3 * np.abs(change).max()
+
+
+def test_a_simulation_that_starts_again_has_a_new_session(simulator) -> None:
+    model, data = loaded("", time=0.0)
+    skin = MujocoSkin(simulator, model, "skin", period=0.01)
+    frames_of(skin, model, [data], 12)
+    mujoco.mj_resetData(model, data)
+    ((frame, *_),) = frames_of(skin, model, [data], 1)
+    assert (frame.session, frame.number, frame.time) == (1, 0, 0.0)
+    with pytest.raises(ConfigurationError, match="1 simulations"):
+        skin.update([data, data])
+
+
+def test_each_simulation_has_a_board_with_errors_of_its_own(simulator) -> None:
+    model, one = loaded("", time=0.0)
+    other = mujoco.MjData(model)
+
+    def measured(seed):
+        instrument = Instrument.ad5940()
+        skin = MujocoSkin(simulator, model, "skin", instrument=instrument, seed=seed)
+        return [frame.impedance for frame in skin.update([one, other])]
+
+    first, second = measured(1)
+    flat = simulator.measure(Scene()).impedance
+    assert 1e-4 < np.abs(first / second - 1.0).max() < 0.05
+    assert np.abs(first / flat - 1.0).max() < 0.1
+    assert np.array_equal(measured(1), [first, second])
+    assert not np.array_equal(measured(2)[0], first)
+
+
+def test_wrong_geoms_sizes_and_sensors_are_refused(simulator) -> None:
+    model, _ = loaded("", time=0.0)
+    with pytest.raises(ConfigurationError, match="the model has floor, skin"):
+        MujocoSkin(simulator, model, "pad")
+    with pytest.raises(ConfigurationError, match="is none"):
+        MujocoSkin(simulator, model, "floor")
+    half, _ = loaded("", '<geom name="skin" type="box" size=".15 .06 .006"/>', time=0.0)
+    with pytest.raises(ConfigurationError, match="half of that"):
+        MujocoSkin(simulator, half, "skin")
+    with pytest.raises(ConfigurationError, match="period"):
+        MujocoSkin(simulator, model, "skin", period=0.0)
+    disc = SensorDesign(Disc(0.04), 0.005, uniform(Disc(0.04), 8, 0.005))
+    with pytest.raises(ConfigurationError, match="disc"):
+        MujocoSkin(Simulator(disc, "coarse"), model, "skin")
+
+
+@pytest.mark.slow
+def test_the_arm_of_the_guide_presses_where_the_pipeline_finds_it() -> None:
+    spec = importlib.util.spec_from_file_location("press", SCRIPT)
+    script = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(script)
+    (error,) = script.main(places=script.PLACES[3:4])
+    assert error < 3.0
