@@ -35,14 +35,14 @@ from simulated_afe import SimulatedAfe
 ABSENCE = Event(2, 1, "no AD5940 answers: check its SPI and its supply")
 
 
-def quantisation(values, amplitude=0.607, full_range=0.9, rtia=200.0):
-    """Bound of the rounding to codes [ohm]: of V, of I, and of both on RCAL = 200 ohm."""
+def quantisation(values, amplitude=0.607, full_range=0.9, rtia=200.0, rcal=200.0):
+    """Bound of the rounding to codes [ohm]: of V, of I, and of both on RCAL."""
     step = full_range / CODES
     half_codes = step * np.sqrt(0.5)
     of_v = half_codes / amplitude
     of_i = half_codes / (amplitude / np.abs(values) * rtia)
-    at_rcal = min(amplitude, 0.48, 0.8 * full_range / rtia * 200.0)
-    of_rcal = half_codes / at_rcal + half_codes / (at_rcal / 200.0 * rtia)
+    at_rcal = min(amplitude, 0.8 * 3e-3 * rcal, 0.8 * full_range / rtia * rcal, 0.8 * full_range)
+    of_rcal = half_codes / at_rcal + half_codes / (at_rcal / rcal * rtia)
     return np.abs(values) * (of_v + of_i + of_rcal + 1e-6)
 
 
@@ -109,6 +109,17 @@ def test_other_gains_measure_the_same(changes, amplitude, full_range, rtia):
     assert not board.afe.complaints
     assert not frame.status.any()
     assert (np.abs(frame.impedance - FLAT) <= quantisation(FLAT, amplitude, full_range, rtia)).all()
+
+
+@pytest.mark.parametrize("factor", [0.9, 1.0, 1.0037, 1.1])
+def test_the_resistor_of_an_evaluation_board_will_do(factor):
+    board = compiled_board(rcal_ohm=10e3)
+    board.afe.rcal, board.afe.rtia_factor = 10e3, factor
+    board.boot()
+    (frame,) = frames(board, 1)
+    bound = quantisation(FLAT, rcal=10e3)
+    assert (np.abs(frame.impedance - FLAT) <= 1.2 * bound).all()
+    assert 3e-4 < (bound / FLAT).max() < 6e-4
 
 
 def test_calibration_takes_out_what_the_part_is_off():

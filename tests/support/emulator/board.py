@@ -69,6 +69,7 @@ class EmulatedBoard:
 
     Attributes:
         chip: the parts that QEMU lacks.
+        folder: folder that QEMU runs in.
     """
 
     def __init__(self, afe=None, line=None, options=(), crystal=True):
@@ -80,7 +81,8 @@ class EmulatedBoard:
         self._stack = contextlib.ExitStack()
 
     def __enter__(self):
-        images, folder = image(), self._stack.enter_context(tempfile.TemporaryDirectory())
+        images = image()
+        folder = self.folder = self._stack.enter_context(tempfile.TemporaryDirectory())
         for name in ("asks", "told"):
             os.mkfifo(Path(folder) / name)
         # Open both ways: neither side then waits for the other, or sees an end.
