@@ -34,13 +34,14 @@ class BendCurve:
         effects: mean of w, the specimen's random effects (R, K); zero before a calibration.
         covariance: of w (R K, R K).
         angle_deg: smallest and largest angle that the curve was learned from [deg].
+        coefficients: of the expected curve, b_k + w_k (M, K); follow from the above.
     """
 
     mean: Array
     effects: Array
     covariance: Array
     angle_deg: tuple[float, float]
-    _coefficients: Array = field(init=False, repr=False)  # b_k + w_k (M, K)
+    coefficients: Array = field(init=False, repr=False)
     _blocks: Array = field(init=False, repr=False)  # covariances of w_j, w_k (R^2, K^2)
 
     def __post_init__(self) -> None:
@@ -49,7 +50,7 @@ class BendCurve:
         coefficients[:random] += self.effects
         powers = self.covariance.reshape(random, channels, random, channels)
         blocks = powers.transpose(0, 2, 1, 3).reshape(random**2, channels**2)
-        object.__setattr__(self, "_coefficients", coefficients)
+        object.__setattr__(self, "coefficients", coefficients)
         object.__setattr__(self, "_blocks", blocks)
 
     def arrays(self) -> dict[str, Array]:
@@ -72,13 +73,13 @@ class BendCurve:
     def value(self, angle_deg: ArrayLike) -> Array:
         """Expected change of log V (..., K) at angles (...) [deg]."""
         u = np.asarray(angle_deg, dtype=float)[..., None] / SCALE
-        value: Array = _powers(u, len(self.mean)) @ self._coefficients
+        value: Array = _powers(u, len(self.mean)) @ self.coefficients
         return value
 
     def grid(self, count: int) -> tuple[Array, Array]:
         """Angles (count,) [deg] over the range learned from, and values there (count, K)."""
         angles, powers = _grid(*self.angle_deg, count, len(self.mean))
-        return angles, powers @ self._coefficients
+        return angles, powers @ self.coefficients
 
     def slope(self, angle_deg: float) -> Array:
         """Derivative by the angle (K,) [1/deg]."""
@@ -88,7 +89,7 @@ class BendCurve:
     def value_and_slope(self, angle_deg: float) -> tuple[Array, Array]:
         """Value (K,) and derivative (K,) [1/deg] at one angle [deg]."""
         exponents, factors = _value_and_slope(len(self.mean))
-        value, slope = (factors * (angle_deg / SCALE) ** exponents) @ self._coefficients
+        value, slope = (factors * (angle_deg / SCALE) ** exponents) @ self.coefficients
         return value, slope
 
     def uncertainty(self, angle_deg: float, reference_deg: float = 0.0) -> Array:

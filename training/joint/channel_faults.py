@@ -15,6 +15,7 @@ from eitskin.training.joint.objective import (
     levenberg_marquardt,
     misfit_sigma,
 )
+from eitskin.training.joint.pruning import gains_of, pruned
 
 Array = NDArray[np.float64]
 
@@ -110,7 +111,6 @@ def fit_with_fault(
     objective: TouchObjective,
     untouched: MapEstimate,
     found: MapEstimate,
-    gains: Array,
     possible: PossibleFaults,
 ) -> FaultFit | None:
     """Explain the frame by one fault and fewer touches; None where that fits worse.
@@ -119,11 +119,10 @@ def fit_with_fault(
         objective: of the frame.
         untouched: its estimate without touches.
         found: its best estimate.
-        gains: of the touches found, to second order (k,).
         possible: faults that are considered.
     """
     touches = len(found.unknowns.touches)
-    for alternative in _alternatives(objective, untouched, found, gains, possible):
+    for alternative in _alternatives(objective, untouched, found, possible):
         rest, misfit, degrees_of_freedom = alternative.whole()
         fault, gain = most_likely_fault(
             np.concatenate([alternative.quadratic.residual, rest]),
@@ -131,17 +130,22 @@ def fit_with_fault(
             _directions(alternative, possible),
             possible,
         )
-        # A touch has three unknowns, a fault one: the fault may fit a little worse.
-        allowance = 3 * (touches - len(alternative.unknowns.touches)) + ALLOWANCE
         if gain < FAULT_THRESHOLD:
             continue
-        sigma = misfit_sigma(misfit - gain, degrees_of_freedom - 1)
-        if misfit - gain > found.whole()[1] + allowance or sigma > ACCEPTED_SIGMA:
+        if alternative is found:
+            likely = gain > LEAST_SHARE * (misfit - degrees_of_freedom)
+        else:
+            # A touch has three unknowns, a fault one: the fault may fit a little worse.
+            allowance = 3 * (touches - len(alternative.unknowns.touches)) + ALLOWANCE
+            sigma = misfit_sigma(misfit - gain, degrees_of_freedom - 1)
+            likely = misfit - gain <= found.whole()[1] + allowance and sigma <= ACCEPTED_SIGMA
+        if not likely:
             continue
         fewer = objective.without_measurements(fault.members)
         if fewer.combined.count < len(fewer.combined.good) // 2:
             continue
-        again = levenberg_marquardt(fewer, fewer.linearised(alternative.unknowns), STEPS, TOLERANCE)
+        start = fewer.linearised(alternative.unknowns)
+        again = pruned(fewer, levenberg_marquardt(fewer, start, STEPS, TOLERANCE))
         if again.whole_sigma < ACCEPTED_SIGMA:
             return FaultFit(fault, fewer, again)
     return None
@@ -151,7 +155,6 @@ def _alternatives(
     objective: TouchObjective,
     untouched: MapEstimate,
     found: MapEstimate,
-    gains: Array,
     possible: PossibleFaults,
 ) -> Iterator[MapEstimate]:
     """Estimates to which a fault may be added, the simplest first.
@@ -162,7 +165,7 @@ def _alternatives(
     if touches or untouched.whole_sigma > SUSPICIOUS_SIGMA:
         yield untouched
     if touches > 1:
-        directions = _directions(found, possible)
+        directions, gains = _directions(found, possible), gains_of(found)
         for i in np.argsort(gains)[:2].tolist():
             if _gain_instead(found, i, directions, possible) > LEAST_SHARE * gains[i]:
                 others = objective.linearised(found.unknowns.without_touch(i))

@@ -8,6 +8,7 @@ from typing import Protocol as Interface
 import numpy as np
 from numpy.typing import NDArray
 
+from eitskin.compiled import kernels
 from eitskin.errors import DataError
 from eitskin.protocol import Protocol
 from eitskin.simulator.instrument.drift import DRIFT_TIME
@@ -17,15 +18,11 @@ from eitskin.training.joint.angles.networks import AngleNetworks
 from eitskin.training.joint.bend_curve import BendCurve, BendCurvePrior
 from eitskin.training.joint.channel_faults import possible_faults
 from eitskin.training.joint.combinations import Combinations, CombinedChange, log_change
-from eitskin.training.joint.model_selection import (
-    TOUCH_THRESHOLD,
-    FrameFit,
-    fit_frame,
-    fit_problems,
-)
+from eitskin.training.joint.model_selection import FrameFit, fit_frame, fit_problems
 from eitskin.training.joint.objective import STILL_DEG, TouchObjective
 from eitskin.training.joint.prior import TouchPrior
 from eitskin.training.joint.proposal_model import ProposalNetwork, network_inputs
+from eitskin.training.joint.pruning import TOUCH_THRESHOLD
 from eitskin.training.joint.specimen_features import SpecimenFeatures
 from eitskin.training.joint.specimen_model import CandidateRows, SpecimenModel
 from eitskin.training.joint.touch_map import disc_map
@@ -93,6 +90,7 @@ class JointMethod(Method):
 
     KIND: ClassVar[str] = "joint"
     AVERAGES: ClassVar[bool] = True
+    FITTED: ClassVar[bool] = True
 
     features: SpecimenFeatures
     response: TouchResponse
@@ -142,7 +140,8 @@ class JointMethod(Method):
     def predict(self, observations: Observations) -> Predictions:
         """Predictions for n frames, each independent of the others."""
         frames = (observations[i : i + 1] for i in range(len(observations)))
-        return Predictions.joined([self._predict(frame) for frame in frames])
+        with kernels():
+            return Predictions.joined([self._predict(frame) for frame in frames])
 
     def _predict(self, frame: Observations) -> Predictions:
         """Predictions for one frame.

@@ -27,6 +27,7 @@ from eitskin.training.joint.objective import (
     misfit_sigma,
 )
 from eitskin.training.joint.prior import ANGLE_UNIT, MOST_TOUCHES, TOUCH_UNITS
+from eitskin.training.joint.pruning import FINE, TOUCH_THRESHOLD, gain_of, gains_of, pruned
 from eitskin.training.joint.touch_search import (
     TouchCandidates,
     initial_touches,
@@ -37,13 +38,8 @@ from eitskin.training.joint.touch_search import (
 Array = NDArray[np.float64]
 
 ANGLE_GRID = 15  # angles among which the initial one is chosen
-TOUCH_THRESHOLD = 25.0
-"""Least decrease of the misfit by a touch. The decrease by a touch that is not there is the largest
-of some fifty chi-square variables of three degrees of freedom, above this once in 1000 frames."""
-
-COARSE, FINE = (4, 0.5), (8, 0.03)  # Levenberg-Marquardt: most steps, tolerance of the misfit
+COARSE = (4, 0.5)  # as `FINE`, of fits that are continued
 START_THRESHOLD = 0.5  # times the threshold: least gain, to first order, of a start
-PRUNING_LIMIT = 3.0  # times the threshold: gain, to second order, below which a touch is questioned
 CHI2_LOW_SIGMA, CHI2_HIGH_SIGMA = 2.0, 2.0  # the misfit's usual range about its expectation
 REPORTED_SIGMA = 6.0  # misfit above its expectation from which it is reported
 PAIR_TRIALS = 2  # fits that split one touch into two where the misfit is unusually high
@@ -94,13 +90,13 @@ def fit_frame(
     untouched, found, evidence = _fit(objective, candidates, proposed)
     faults: list[ChannelFault] = []
     while possible and len(faults) < MOST_FAULTS:
-        better = fit_with_fault(objective, untouched, found, _gains(found), possible)
+        better = fit_with_fault(objective, untouched, found, possible)
         if better is None:
             break
         faults.append(better.fault)
         objective, found = better.objective, better.found
         untouched = levenberg_marquardt(objective, objective.linearised(untouched.unknowns), *FINE)
-        evidence = _gain(objective, untouched, found)
+        evidence = gain_of(objective, untouched, found)
     return _frame_fit(found, evidence, tuple(faults))
 
 
@@ -114,7 +110,7 @@ def _fit(
     if proposed is not None and len(proposed):
         start = initial_touches(objective, proposed, untouched.at)
         started = levenberg_marquardt(objective, objective.linearised(start), *COARSE)
-        evidence = _gain(objective, untouched, started)
+        evidence = gain_of(objective, untouched, started)
         if evidence > TOUCH_THRESHOLD:
             found = started
     most = MOST_TOUCHES if len(candidates.places) else 0  # none where no touch was learned
@@ -126,12 +122,12 @@ def _fit(
             levenberg_marquardt(objective, objective.linearised(start), *COARSE) for start in starts
         ]
         more = min(trials, key=lambda trial: trial.misfit)
-        gain = _gain(objective, found, more)
+        gain = gain_of(objective, found, more)
         evidence = max(evidence, gain)
         if gain < TOUCH_THRESHOLD:
             break
         found = more
-    found = _pruned(objective, found)
+    found = pruned(objective, found)
     if found.misfit_sigma > CHI2_HIGH_SIGMA and len(found.unknowns.touches) < most:
         found = _split(objective, found, candidates)
     return untouched, found, evidence
@@ -147,40 +143,11 @@ def _initial_angle(objective: TouchObjective) -> float:
     return float(angles[best]) if best < ANGLE_GRID else objective.reference_deg
 
 
-def _gain(objective: TouchObjective, before: MapEstimate, after: MapEstimate) -> float:
-    """Decrease of the misfit from one estimate to another, in the metric of the latter."""
-    return objective.misfit(before.at, after.whitening) - after.misfit
-
-
 def _may_gain(found: MapEstimate) -> bool:
     """Whether a further touch could gain enough and leave a misfit that noise could cause."""
     degrees_of_freedom = max(found.degrees_of_freedom - 3, 1)
     lowest = max(degrees_of_freedom - CHI2_LOW_SIGMA * math.sqrt(2.0 * degrees_of_freedom), 0.0)
     return found.misfit - lowest > TOUCH_THRESHOLD
-
-
-def _pruned(objective: TouchObjective, found: MapEstimate) -> MapEstimate:
-    """The converged estimate without touches that the others make superfluous."""
-    while len(found.unknowns.touches):
-        found = levenberg_marquardt(objective, found.at, *FINE)
-        gains = _gains(found)
-        weakest = int(gains.argmin())
-        if gains[weakest] > PRUNING_LIMIT * TOUCH_THRESHOLD:
-            break
-        fewer = _without(objective, found, weakest)
-        if _gain(objective, fewer, found) > TOUCH_THRESHOLD:
-            break
-        found = fewer
-    return found
-
-
-def _without(objective: TouchObjective, found: MapEstimate, touch: int) -> MapEstimate:
-    """The estimate without one touch; one that has not converged where the touch is needed."""
-    others = objective.linearised(found.unknowns.without_touch(touch))
-    whitening = objective.whitening(others)
-    goal = found.misfit + TOUCH_THRESHOLD  # in the metric of `found`
-    goal *= objective.misfit(others, whitening) / objective.misfit(others, found.whitening)
-    return levenberg_marquardt(objective, others, *FINE, whitening, goal)
 
 
 def _split(
@@ -203,29 +170,23 @@ def _split(
         trial = levenberg_marquardt(objective, at, *FINE, whitening, goal)
         if trial.misfit < goal:
             best = trial
-    return best if best is found else _pruned(objective, best)
-
-
-def _gains(found: MapEstimate) -> Array:
-    """Rise of the misfit, to second order, were each touch's force zero (k,)."""
-    variance = np.diagonal(lapack.inverse(found.quadratic.hessian))
-    gains: Array = (found.unknowns.touches[:, 2] / TOUCH_UNITS[2]) ** 2 / variance[3::3]
-    return gains
+    return best if best is found else pruned(objective, best)
 
 
 def _frame_fit(found: MapEstimate, evidence: float, faults: tuple[ChannelFault, ...]) -> FrameFit:
     """The estimate in physical units, with its covariances."""
-    touches = found.unknowns.touches
+    unknowns = found.minimum(FINE[1])
+    touches = unknowns.touches
     covariance = lapack.inverse(found.quadratic.hessian)
     blocks = [slice(1 + 3 * i, 4 + 3 * i) for i in range(len(touches))]
     covariances = np.array([covariance[s, s] for s in blocks]).reshape(-1, 3, 3)
     return FrameFit(
-        found.unknowns.angle_deg,
+        unknowns.angle_deg,
         ANGLE_UNIT * math.sqrt(covariance[0, 0]),
         touches,
         covariances * (TOUCH_UNITS[:, None] * TOUCH_UNITS),
         evidence,
-        _gains(found),
+        gains_of(found),
         *found.whole()[1:],
         faults,
     )

@@ -9,19 +9,30 @@ Changes, curves and responses are those of K combinations of measurements (`Comb
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from types import ModuleType
 
 import numpy as np
 from numpy.typing import NDArray
 
+from eitskin.compiled import compiled
 from eitskin.training.joint import lapack
 from eitskin.training.joint.bend_curve import BendCurve
 from eitskin.training.joint.combinations import CombinedChange
 from eitskin.training.joint.prior import ANGLE_UNIT, TOUCH_UNITS, TouchPrior
+from eitskin.training.joint.quadratic_model import (
+    GOOD,
+    GROWTH,
+    POOR,
+    RADIUS,
+    SHRINKING,
+    QuadraticModel,
+)
 from eitskin.training.joint.touch_response import SpecimenResponse
 
 Array = NDArray[np.float64]
 
+KERNELS = "eitskin.training.joint.fit_kernels"
 BEYOND_DEG = 5.0  # by which an angle may lie outside of those the bend curve was learned from
 OPTIMISM = 10.0
 """Most that is hoped for, in decreases of the misfit that its quadratic model promises."""
@@ -66,6 +77,18 @@ class Linearisation:
     changes: Array
     hidden: Array
 
+    @classmethod
+    def of(cls, point: tuple[Array, float, Array, Array, Array]) -> "Linearisation":
+        """The linearisation that `fit_kernels` found."""
+        touches, angle_deg, rows, changes, hidden = point
+        return cls(Unknowns(touches, angle_deg), rows, changes, hidden)
+
+    @property
+    def point(self) -> tuple[Array, float, Array, Array, Array]:
+        """The linearisation as `fit_kernels` take it."""
+        unknowns = self.unknowns
+        return unknowns.touches, unknowns.angle_deg, self.rows, self.changes, self.hidden
+
     @property
     def residual(self) -> Array:
         """Measured minus modelled change (K,)."""
@@ -80,32 +103,6 @@ class Linearisation:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class QuadraticModel:
-    """Gauss-Newton model of the misfit in unit steps: the angle, then x, y, force of each touch.
-
-    Attributes:
-        misfit: sum of squares of the whitened residual and of the prior's terms.
-        gradient: minus half the gradient of the misfit (n,).
-        hessian: half the Gauss-Newton Hessian (n, n).
-        residual: whitened (K,).
-        jacobian: of the model, whitened (K, n).
-    """
-
-    misfit: float
-    gradient: Array
-    hessian: Array
-    residual: Array
-    jacobian: Array
-
-    def step(self, damping: float) -> Array:
-        """Levenberg-Marquardt step (n,) to the minimum."""
-        damped = self.hessian.copy()
-        diagonal = damped.reshape(-1)[:: len(damped) + 1]
-        diagonal += damping * (1.0 + diagonal)
-        return lapack.solve(damped, self.gradient)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class TouchObjective:
     """Objective of one frame against its reference, for one specimen.
 
@@ -116,6 +113,7 @@ class TouchObjective:
         response: of the specimen to touches.
         curve: of the specimen's bending.
         prior: of touches.
+        kernels: `fit_kernels` where they are wanted, installed, and can evaluate the response.
     """
 
     combined: CombinedChange
@@ -124,6 +122,8 @@ class TouchObjective:
     response: SpecimenResponse
     curve: BendCurve
     prior: TouchPrior
+    kernels: ModuleType | None = field(init=False, repr=False)
+    _arrays: tuple[tuple[Array, ...], tuple[Array, ...]] = field(init=False, repr=False)
 
     @classmethod
     def of(
@@ -137,6 +137,19 @@ class TouchObjective:
         """The objective of a combined."""
         bend = curve.value(reference_deg)
         return cls(combined, reference_deg, bend, response, curve, prior)
+
+    def __post_init__(self) -> None:
+        """Arrange the arrays that the kernels take, where these are wanted."""
+        weights, curve, prior = self.response.stacked, self.curve, self.prior
+        kernels = compiled(KERNELS) if weights is not None else None
+        object.__setattr__(self, "kernels", kernels)
+        if weights is None or kernels is None:
+            return
+        low, high = curve.angle_deg
+        numbers = [self.response.response.unit, self.reference_deg, low - BEYOND_DEG]
+        numbers += [high + BEYOND_DEG, prior.separation]
+        frame = self.combined.change + self.reference_bend, np.array(numbers), prior.box
+        object.__setattr__(self, "_arrays", ((*weights, curve.coefficients), frame))
 
     def without_measurements(self, measurements: Sequence[int]) -> "TouchObjective":
         """The objective with some measurements left out."""
@@ -152,6 +165,10 @@ class TouchObjective:
 
     def linearised(self, unknowns: Unknowns) -> Linearisation:
         """Residual and Jacobian at these unknowns."""
+        if self.kernels is not None:
+            touches = np.ascontiguousarray(unknowns.touches)
+            point = self.kernels.linearise(touches, unknowns.angle_deg, *self._arrays)
+            return Linearisation.of(point)
         touches, angle = unknowns.touches, unknowns.angle_deg
         change = self.combined.change
         rows = np.empty((2 + touches.size, len(change)))
@@ -220,13 +237,23 @@ class TouchObjective:
 
     def quadratic(self, at: Linearisation, whitening: Array) -> QuadraticModel:
         """Misfit, gradient and Hessian, in the metric of `whitening`."""
+        if self.kernels is not None:
+            metric = np.ascontiguousarray(whitening.T)
+            return QuadraticModel.of(*self.kernels.quadratic(at.point, metric, self._arrays[1]))
         white = at.rows @ whitening.T
         # Inner products of residual and Jacobian: misfit, gradient and Hessian are its blocks.
         products = white @ white.T
         unknowns = at.unknowns
         self.prior.add_to(products, unknowns.touches, self.reference_deg - unknowns.angle_deg)
-        misfit, gradient, hessian = float(products[0, 0]), products[0, 1:], products[1:, 1:]
-        return QuadraticModel(misfit, gradient, hessian, white[0], white[1:].T)
+        return QuadraticModel.of(products, white)
+
+    def held(self, unknowns: Unknowns, gradient: Array) -> NDArray[np.bool_]:
+        """Which unknowns are at a bound that their gradient (n,), downhill, would cross (n,)."""
+        touches, prior = unknowns.touches, self.prior
+        below = np.concatenate([[False], (touches <= prior.low).ravel()])
+        above = np.concatenate([[False], (touches >= prior.high).ravel()])
+        held: NDArray[np.bool_] = (below & (gradient < 0.0)) | (above & (gradient > 0.0))
+        return held
 
     def stepped(self, unknowns: Unknowns, step: Array) -> Unknowns:
         """Unknowns after a step (n,) in unit steps, clipped to their bounds."""
@@ -238,6 +265,33 @@ class TouchObjective:
         moved = unknowns.touches + step[1:].reshape(-1, 3) * TOUCH_UNITS
         clipped = np.minimum(np.maximum(moved, self.prior.low), self.prior.high)
         return Unknowns(clipped, angle)
+
+    def minimised(
+        self, start: Linearisation, whitening: Array, steps: int, tolerance: float, goal: float
+    ) -> tuple[Linearisation, QuadraticModel]:
+        """End of the iterations of `levenberg_marquardt`."""
+        if self.kernels is not None:
+            metric = np.ascontiguousarray(whitening.T)
+            found = self.kernels.minimise(
+                start.point, metric, *self._arrays, steps, tolerance, goal
+            )
+            return Linearisation.of(found[0]), QuadraticModel.of(*found[1:])
+        at, now, radius = start, self.quadratic(start, whitening), RADIUS
+        for _ in range(steps):
+            step = now.step(radius, self.held(at.unknowns, now.gradient))
+            promised = now.promised(step)
+            if promised < tolerance or now.misfit - OPTIMISM * promised > goal:
+                break
+            moved = self.linearised(self.stepped(at.unknowns, step))
+            trial = self.quadratic(moved, whitening)
+            gain, length = now.misfit - trial.misfit, float(np.abs(step).max())
+            if gain < POOR * promised:
+                radius = SHRINKING * length
+            elif gain > GOOD * promised:
+                radius = max(radius, GROWTH * length)
+            if gain > 0.0:
+                at, now = moved, trial
+        return at, now
 
 
 def misfit_sigma(misfit: float, degrees_of_freedom: int) -> float:
@@ -271,6 +325,17 @@ class MapEstimate:
     def misfit(self) -> float:
         """Value of the objective."""
         return self.quadratic.misfit
+
+    def minimum(self, tolerance: float) -> Unknowns:
+        """Unknowns after the step at which the fit ended, which promised less than `tolerance`.
+
+        A fit does not evaluate that step. Where it ended for another reason, the estimate itself.
+        """
+        held = self.objective.held(self.unknowns, self.quadratic.gradient)
+        step = self.quadratic.step(RADIUS, held)
+        if self.quadratic.promised(step) > tolerance:
+            return self.unknowns
+        return self.objective.stepped(self.unknowns, step)
 
     @property
     def degrees_of_freedom(self) -> int:
@@ -309,9 +374,9 @@ def levenberg_marquardt(
 ) -> MapEstimate:
     """Minimise the objective from `start`.
 
-    Iterations end after `steps`, with one that gains less than `tolerance` of misfit, or where the
-    goal is out of reach: where `OPTIMISM` times the decrease that the quadratic model promises
-    would leave more.
+    A step stays within a trust region, which shrinks where it gains much less than promised.
+    Iterations end after `steps`, where the next one promises less than `tolerance` of misfit, or
+    where the goal is out of reach: where `OPTIMISM` times the promise would leave more.
 
     Args:
         objective: that is minimised.
@@ -323,22 +388,5 @@ def levenberg_marquardt(
     """
     if whitening is None:
         whitening = objective.whitening(start)
-    at, now, damping = start, objective.quadratic(start, whitening), 1e-3
-    for _ in range(steps):
-        step = now.step(damping)
-        promised = float(step @ now.gradient)
-        if now.misfit - OPTIMISM * promised > goal:
-            break
-        moved = objective.linearised(objective.stepped(at.unknowns, step))
-        trial = objective.quadratic(moved, whitening)
-        if trial.misfit < now.misfit:
-            gain = now.misfit - trial.misfit
-            at, now = moved, trial
-            damping *= 0.2
-            if gain < tolerance:
-                break
-        else:
-            damping *= 10.0
-            if damping > 1e3:
-                break
+    at, now = objective.minimised(start, whitening, steps, tolerance, goal)
     return MapEstimate(objective, at, now, whitening)

@@ -44,6 +44,7 @@ class TouchPrior:
     high: Array
     mean: Array = field(init=False)
     stiffness: Array = field(init=False)
+    box: Array = field(init=False, repr=False)  # mean, stiffness, low and high, for `fit_kernels`
 
     def __post_init__(self) -> None:
         """Derive mean and stiffness."""
@@ -51,7 +52,9 @@ class TouchPrior:
         deviation = (self.high - self.low) / math.sqrt(12.0)
         mean[2], deviation[2] = self.force
         object.__setattr__(self, "mean", mean)
-        object.__setattr__(self, "stiffness", (TOUCH_UNITS / deviation) ** 2)
+        stiffness = (TOUCH_UNITS / deviation) ** 2
+        object.__setattr__(self, "stiffness", stiffness)
+        object.__setattr__(self, "box", np.array([mean, stiffness, self.low, self.high]))
 
     @classmethod
     def fit(

@@ -85,6 +85,7 @@ class TouchResponse:
     _layers: tuple[Array, ...] = field(init=False, repr=False)  # weights (inputs, hidden), scaled
     _biases: tuple[Array, ...] = field(init=False, repr=False)
     _bias_by_angle: Array = field(init=False, repr=False)  # of the first layer [1/deg]
+    _stacked: tuple[Array, Array] | None = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Fold the input scales into the first layer."""
@@ -95,6 +96,11 @@ class TouchResponse:
         object.__setattr__(self, "_layers", tuple(map(np.ascontiguousarray, layers)))
         object.__setattr__(self, "_biases", biases)
         object.__setattr__(self, "_bias_by_angle", first[:, 3] / _ANGLE_SCALE)
+        width, stacked = len(first), None
+        if all(weight.shape == (width, width) for weight in self.weights[1:]):
+            inner = np.array(layers[1:]).reshape(-1, width, width)
+            stacked = inner, np.array(biases)
+        object.__setattr__(self, "_stacked", stacked)
 
     def hidden(self, touches: Array, angle_deg: float) -> Array:
         """Input of the last layer, [h, 1] F / F0 scale, for touches (k, 3): (k, hidden + 1)."""
@@ -200,6 +206,16 @@ class SpecimenResponse:
         """Arrange the last layer for evaluation."""
         object.__setattr__(self, "_weights", np.ascontiguousarray(self.output[:, :-1].T))
         object.__setattr__(self, "_constant", self.output[:, -1].copy())
+
+    @property
+    def stacked(self) -> tuple[Array, ...] | None:
+        """Weights as `fit_kernels` takes them; None where the layers differ in width."""
+        response = self.response
+        if response._stacked is None:
+            return None
+        inner, biases = response._stacked
+        first, by_angle = response._layers[0], response._bias_by_angle
+        return first, inner, biases, by_angle, self._weights, self._constant
 
     def __call__(self, touches: Array, angle_deg: float) -> Array:
         """Change (k, K) by each touch (k, 3) of x [m], y [m] and force [N]."""

@@ -88,35 +88,61 @@ def pair_starts(
     found: MapEstimate,
     candidates: TouchCandidates,
 ) -> list[tuple[float, Unknowns]]:
-    """For each of `others`, the best pair of further touches and the misfit that remains.
+    """For each of `others` that has room, the best pair of further touches and the misfit left.
 
     Two shapes with Gram matrix G and projections p of the residual lower the misfit by p^T G^-1 p.
 
     Returns:
         misfit to first order, and unknowns with the pair.
     """
-    prior, places = objective.prior, candidates.places[::PAIR_STRIDE]
+    places = np.ascontiguousarray(candidates.places[::PAIR_STRIDE])
     shapes = candidates.change[::PAIR_STRIDE] @ found.whitening.T
     gram = shapes @ shapes.T
-    size = np.diagonal(gram)
-    sizes = size[:, None] * size
-    determinant = np.maximum(sizes - gram**2, 1e-9 * sizes)
-    low, high = prior.low[2] / candidates.force, prior.high[2] / candidates.force
-    apart = np.hypot(*(places[:, None] - places).T) > prior.separation
+    limits = objective.prior.low[2], objective.prior.high[2]
+    least, most = (limit / candidates.force for limit in limits)
+    across, along = (axis[:, None] - axis for axis in places.T)
+    apart = across**2 + along**2 > objective.prior.separation**2
+    best_pair = _best_pair if objective.kernels is None else objective.kernels.best_pair
     pairs = []
     for unknowns in others:
         residual = found.whitening @ objective.residual(unknowns)
-        p = shapes @ residual
-        first = (p[:, None] * size - gram * p) / determinant
-        allowed = apart & (first > low) & (first < high)
-        gain = first * p[:, None]
         free = _is_apart(objective, places, unknowns)
-        gain = np.where(allowed & allowed.T & free[:, None] & free, gain + gain.T, 0.0)
-        a, b = np.unravel_index(int(gain.argmax()), gain.shape)
-        forces = candidates.force * np.array([first[a, b], first[b, a]])
-        pair = np.column_stack([places[[a, b]], forces])
-        pairs.append((float(residual @ residual - gain[a, b]), unknowns.with_touches(pair)))
+        gain, *pair = best_pair(gram, shapes @ residual, apart, free, least, most)
+        if gain <= 0.0:
+            continue
+        touches = [[*places[i], candidates.force * strength] for i, strength in pair]
+        pairs.append((float(residual @ residual) - gain, unknowns.with_touches(np.array(touches))))
     return pairs
+
+
+def _best_pair(
+    gram: Array,
+    projections: Array,
+    apart: NDArray[np.bool_],
+    free: NDArray[np.bool_],
+    least: float,
+    most: float,
+) -> tuple[float, tuple[int, float], tuple[int, float]]:
+    """The pair of shapes that lowers the misfit most, each of a strength within limits.
+
+    Args:
+        gram: products of the shapes (n, n).
+        projections: products of the shapes with the residual (n,).
+        apart: whether two places are far enough from each other (n, n).
+        free: whether a place is far enough from other touches (n,).
+        least, most: strengths.
+
+    Returns:
+        decrease of the misfit, zero for no pair; number and strength of each shape.
+    """
+    size, p = np.diagonal(gram), projections
+    sizes = size[:, None] * size
+    first = (p[:, None] * size - gram * p) / np.maximum(sizes - gram**2, 1e-9 * sizes)
+    allowed = apart & (first > least) & (first < most)
+    gain = first * p[:, None]
+    gain = np.where(allowed & allowed.T & free[:, None] & free, gain + gain.T, 0.0)
+    a, b = map(int, np.unravel_index(int(gain.argmax()), gain.shape))
+    return float(gain[a, b]), (a, float(first[a, b])), (b, float(first[b, a]))
 
 
 def _is_apart(objective: TouchObjective, places: Array, unknowns: Unknowns) -> NDArray[np.bool_]:

@@ -38,6 +38,9 @@ class Method(ABC):
     AVERAGES: ClassVar[bool] = False
     """Whether frames of a held touch are averaged for this method."""
 
+    FITTED: ClassVar[bool] = False
+    """Whether an iterative fit finds the outputs, so that a saved copy may differ by its ends."""
+
     if TYPE_CHECKING:  # fields, properties or constants of the class, as suits the method
 
         @property

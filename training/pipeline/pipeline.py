@@ -392,7 +392,7 @@ class Pipeline:
                 saved.adaptation,
                 FlatSensors.among(weights, FLAT_SENSORS),
             )
-            saved.require_golden(outputs)
+            saved.require_golden(outputs, restored.FITTED)
         except (DataError, MethodCodeError):
             raise
         except DAMAGE as error:

@@ -18,7 +18,12 @@ from eitskin.errors import ConfigurationError, DataError, PartialError
 from eitskin.geometry import SensorDesign
 from eitskin.simulator import Frame, Protocol
 from eitskin.training import NetworkSettings, Pipeline, RecordedTouches, TrainingSettings
-from eitskin.training.pipeline.saved_form import SUMS, read_pipeline, require_writable
+from eitskin.training.pipeline.saved_form import (
+    SUMS,
+    SavedPipeline,
+    read_pipeline,
+    require_writable,
+)
 
 FLAT = np.linspace(400.0, 820.0, 28)
 FILES = ["README.md", "SHA256SUMS", "golden.safetensors", "pipeline.json", "weights.safetensors"]
@@ -293,3 +298,31 @@ def test_a_place_that_may_not_be_written_to_is_refused_before_the_work(tmp_path,
     monkeypatch.setattr(os, "access", lambda *_: False)
     with pytest.raises(ConfigurationError, match="may not be written"):
         require_writable(tmp_path / "a.eitmodel")
+
+
+def fitted(outputs):
+    """Whether outputs of a fit of four frames count as golden ones, the last of which is zero."""
+    golden = np.array([[3.0, 4.0], [5.0, 0.0], [0.0, 5.0], [0.0, 0.0]])
+    saved = SavedPipeline("perception", {}, {}, {"output.map": golden}, "")
+    try:
+        saved.require_golden({"map": golden + outputs}, fitted=True)
+    except DataError:
+        return False
+    return True
+
+
+def test_ends_of_fits_may_differ_a_little_and_in_few_frames_by_more():
+    changed = np.zeros((4, 2))
+    for row, change, same in (
+        (0, 0.2, True),
+        (0, 4.0, True),  # another explanation of one frame
+        (1, 4.0, False),  # and of another: most frames differ
+    ):
+        changed[row] = change
+        assert fitted(changed) == same
+    assert not fitted(np.array([[0.0, 0.0]] * 3 + [[0.3, 0.3]]))  # where there was no touch
+    assert not fitted(np.full((4, 2), np.nan))
+    with pytest.raises(DataError, match="does not compute"):
+        SavedPipeline("", {}, {}, {"output.map": np.ones(3)}, "").require_golden(
+            {"map": np.array([1.0, 1.0, 1.01])}
+        )

@@ -1,0 +1,120 @@
+"""Compiled fits against their plain twins."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from one_frame import FAULTS, RESPONSE, TOUCHES, candidates, frame
+
+from eitskin import compiled
+from eitskin.compiled import kernels
+from eitskin.training.joint.model_selection import fit_frame
+from eitskin.training.joint.objective import KERNELS, Unknowns, levenberg_marquardt
+from eitskin.training.joint.touch_search import pair_starts
+
+from smooth_sensor import TOUCH_PRIOR
+
+if compiled.loaded(KERNELS) is None:
+    pytest.skip("needs the extra `fast`, without EITSKIN_PLAIN", allow_module_level=True)
+
+NEAR = [[0.050, 0.030, 6.0], [0.062, 0.036, 11.0], [0.055, 0.020, 8.0]]
+STARTS = {"untouched": [], **TOUCHES, "near": NEAR, "at bounds": [TOUCH_PRIOR.low] * 2}
+
+
+def compiled_one(objective):
+    """The same objective with compiled kernels."""
+    with kernels():
+        return replace(objective)
+
+
+def three_layers():
+    """Specimen response of three layers, the last of which mixes."""
+    rng = np.random.default_rng(8)
+    mixing = np.eye(160) + 0.01 * rng.standard_normal((160, 160))
+    weights, biases = (*RESPONSE.weights, mixing), (*RESPONSE.biases, 0.1 * np.ones(160))
+    return replace(RESPONSE, weights=weights, biases=biases).of(())
+
+
+@pytest.mark.parametrize("layers", [2, 3])
+def test_linearisations_are_those_of_plain_numpy(layers):
+    objective = frame(TOUCHES[3], 20.0, 12.0, np.random.default_rng(0))
+    if layers == 3:
+        objective = replace(objective, response=three_layers())
+    fast = compiled_one(objective)
+    for name, touches in STARTS.items():
+        unknowns = Unknowns(np.array(touches, dtype=float).reshape(-1, 3), 17.0)
+        plain, found = objective.linearised(unknowns), fast.linearised(unknowns)
+        np.testing.assert_allclose(found.rows, plain.rows, rtol=1e-10, atol=1e-15, err_msg=name)
+        if len(touches):
+            np.testing.assert_allclose(found.changes, plain.changes, rtol=1e-10, atol=1e-15)
+            np.testing.assert_allclose(found.hidden, plain.hidden, rtol=1e-10, atol=1e-12)
+        whitening = objective.whitening(plain)
+        one, other = objective.quadratic(plain, whitening), fast.quadratic(found, whitening)
+        assert other.misfit == pytest.approx(one.misfit, rel=1e-10)
+        size = np.abs(one.hessian).max()
+        np.testing.assert_allclose(other.gradient, one.gradient, rtol=1e-8, atol=1e-10 * size)
+        np.testing.assert_allclose(other.hessian, one.hessian, rtol=1e-8, atol=1e-10 * size)
+        np.testing.assert_allclose(other.jacobian, one.jacobian, rtol=1e-8, atol=1e-10 * size)
+
+
+@pytest.mark.parametrize("steps", [1, 3, 8])
+def test_fits_end_where_those_of_plain_numpy_do(steps):
+    """Starts near and far, steps that shrink, bounds that hold, and a goal out of reach."""
+    objective = frame(TOUCHES[3], 20.0, 12.0, np.random.default_rng(1))
+    fast = compiled_one(objective)
+    for name, touches in STARTS.items():
+        for away, goal in ((0.0, np.inf), (0.009, np.inf), (0.003, 500.0)):
+            start = np.array(touches, dtype=float).reshape(-1, 3)
+            start = np.add(start, [away, -away, 0.0])
+            start = np.clip(start, TOUCH_PRIOR.low, TOUCH_PRIOR.high)
+            at = objective.linearised(Unknowns(start, 14.0))
+            whitening = objective.whitening(at)
+            one, other = (
+                levenberg_marquardt(each, at, steps, 0.03, whitening, goal)
+                for each in (objective, fast)
+            )
+            assert other.misfit == pytest.approx(one.misfit, rel=1e-6), name
+            assert other.unknowns.angle_deg == pytest.approx(one.unknowns.angle_deg, abs=1e-5)
+            np.testing.assert_allclose(other.unknowns.touches, one.unknowns.touches, atol=1e-6)
+
+
+def test_frames_are_explained_as_by_plain_numpy():
+    rng = np.random.default_rng(2)
+    for count, angle in ((0, 10.0), (1, 0.0), (2, 35.0), (4, -10.0)):
+        objective = frame(TOUCHES.get(count, ()), angle, angle - 3.0, rng)
+        tried = candidates(angle)
+        one = fit_frame(objective, tried, None, FAULTS)
+        other = fit_frame(compiled_one(objective), tried, None, FAULTS)
+        assert len(one.touches) == count
+        np.testing.assert_allclose(other.touches, one.touches, atol=1e-6)
+        np.testing.assert_allclose(other.covariance, one.covariance, rtol=1e-4)
+        assert other.evidence == pytest.approx(one.evidence, rel=1e-6)
+        assert other.misfit == pytest.approx(one.misfit, rel=1e-6)
+
+
+def test_a_network_whose_layers_differ_in_width_is_evaluated_by_plain_numpy():
+    wide = np.concatenate([np.eye(160), np.eye(160)])
+    weights, biases = (RESPONSE.weights[0], wide), (RESPONSE.biases[0], np.zeros(320))
+    output = np.concatenate([RESPONSE.output[..., :-1]] * 2 + [RESPONSE.output[..., -1:]], axis=2)
+    latent = np.zeros((0, *output.shape[1:]))
+    wider = replace(RESPONSE, weights=weights, biases=biases, output=output, latent_output=latent)
+    objective = compiled_one(replace(frame(TOUCHES[2]), response=wider.of(())))
+    unknowns = Unknowns(np.array(TOUCHES[2]), 0.0)
+    np.testing.assert_allclose(
+        objective.linearised(unknowns).residual, objective.residual(unknowns), atol=1e-14
+    )
+
+
+def test_pairs_are_those_of_plain_numpy():
+    objective = frame(TOUCHES[4], 5.0, 5.0, np.random.default_rng(3))
+    start = objective.linearised(Unknowns(np.array(TOUCHES[4])[:3], 5.0))
+    found = levenberg_marquardt(objective, start, 8, 0.03)
+    others = [found.unknowns.without_touch(i) for i in range(3)]
+    one, other = (
+        pair_starts(each, others, found, candidates(5.0))
+        for each in (objective, compiled_one(objective))
+    )
+    assert len(one) == len(other) == 3
+    for (misfit, unknowns), (promised, tried) in zip(one, other, strict=True):
+        assert promised == pytest.approx(misfit, rel=1e-9)
+        np.testing.assert_allclose(tried.touches, unknowns.touches, rtol=1e-9)

@@ -1,0 +1,55 @@
+"""Gains of touches, and estimates without the touches that the others make superfluous."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.training.joint import lapack
+from eitskin.training.joint.objective import MapEstimate, TouchObjective, levenberg_marquardt
+from eitskin.training.joint.prior import TOUCH_UNITS
+
+Array = NDArray[np.float64]
+
+TOUCH_THRESHOLD = 25.0
+"""Least decrease of the misfit by a touch. The decrease by a touch that is not there is the largest
+of some fifty chi-square variables of three degrees of freedom, above this once in 1000 frames."""
+
+FINE = (8, 0.03)  # Levenberg-Marquardt: most steps, tolerance of the misfit
+PRUNING_LIMIT = 3.0  # times the threshold: gain, to second order, below which a touch is questioned
+
+
+def pruned(objective: TouchObjective, found: MapEstimate) -> MapEstimate:
+    """The converged estimate without touches that the others make superfluous."""
+    while len(found.unknowns.touches):
+        found = levenberg_marquardt(objective, found.at, *FINE)
+        # A touch that is held at the least force would rather be weaker, or not there.
+        faint = found.unknowns.touches[:, 2] <= objective.prior.low[2]
+        gains = np.where(faint, 0.0, gains_of(found))
+        weakest = int(gains.argmin())
+        if gains[weakest] > PRUNING_LIMIT * TOUCH_THRESHOLD:
+            break
+        fewer = _without(objective, found, weakest)
+        if gain_of(objective, fewer, found) > TOUCH_THRESHOLD:
+            break
+        found = fewer
+    return found
+
+
+def _without(objective: TouchObjective, found: MapEstimate, touch: int) -> MapEstimate:
+    """The estimate without one touch; one that has not converged where the touch is needed."""
+    others = objective.linearised(found.unknowns.without_touch(touch))
+    whitening = objective.whitening(others)
+    goal = found.misfit + TOUCH_THRESHOLD  # in the metric of `found`
+    goal *= objective.misfit(others, whitening) / objective.misfit(others, found.whitening)
+    return levenberg_marquardt(objective, others, *FINE, whitening, goal)
+
+
+def gain_of(objective: TouchObjective, before: MapEstimate, after: MapEstimate) -> float:
+    """Decrease of the misfit from one estimate to another, in the metric of the latter."""
+    return objective.misfit(before.at, after.whitening) - after.misfit
+
+
+def gains_of(found: MapEstimate) -> Array:
+    """Rise of the misfit, to second order, were each touch's force zero (k,)."""
+    variance = np.diagonal(lapack.inverse(found.quadratic.hessian))
+    gains: Array = (found.unknowns.touches[:, 2] / TOUCH_UNITS[2]) ** 2 / variance[3::3]
+    return gains
