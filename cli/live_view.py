@@ -1,7 +1,7 @@
-"""Readings of the live loop as plain data and as a panel in the terminal."""
+"""Readings of the live loop as a panel in the terminal."""
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,71 +10,14 @@ from rich.rule import Rule
 from rich.table import Table
 from rich.text import Text
 
+from eitskin.hardware.streams.reading_record import bad_channels, state_name, zero_name
+
 if TYPE_CHECKING:
-    from eitskin.frame import Frame
     from eitskin.hardware.boards.board import Counts
     from eitskin.hardware.live import Estimate, Reading
 
 NOT_ESTIMATED = "not estimated"
 SHOWN = 0.3  # least value of the touch map that is drawn
-
-
-def plain(reading: "Reading", counts: "Counts") -> dict[str, Any]:
-    """Reading as plain data; null stands for unknown values."""
-    frame, estimate = reading.frame, reading.estimate
-    return {
-        "number": frame.number,
-        "session": frame.session,
-        "time": frame.time,
-        **(_nothing(reading) if estimate is None else _perceived(estimate)),
-        "bad_channels": bad_channels(frame),
-        "latency_ms": reading.latency * 1e3,
-        "rate_hz": known(reading.rate),
-        "lost": counts.lost,
-        "skipped": counts.skipped,
-        "unusable": reading.unusable,
-        "reconnections": counts.reconnections,
-        "dropped": dict(counts.dropped),
-    }
-
-
-def _perceived(estimate: "Estimate") -> dict[str, Any]:
-    return {
-        "state": state_name(estimate),
-        "probabilities": [known(p) for p in np.asarray(estimate.probabilities).tolist()],
-        "bend_angle_deg": known(estimate.bend_angle_deg),
-        "touches": None
-        if estimate.touches is None
-        else [[known(value) for value in touch] for touch in estimate.touches],
-        "zero": zero_name(estimate),
-        "problems": list(estimate.problems),
-    }
-
-
-def zero_name(estimate: "Estimate") -> str:
-    """State of the sensor that an estimate is relative to, in words."""
-    return str(getattr(estimate, "zero", "first frames"))
-
-
-def _nothing(reading: "Reading") -> dict[str, Any]:
-    """Plain data of a frame without an estimate."""
-    return {
-        "state": None,
-        "probabilities": None,
-        "bend_angle_deg": None,
-        "touches": None,
-        "zero": None,
-        "problems": [reading.problem],
-    }
-
-
-def bad_channels(frame: "Frame") -> dict[str, str]:
-    """Status of each bad measurement, by its label."""
-    return {
-        label: _status_text(int(bits))
-        for label, bits in zip(frame.protocol.labels, frame.status, strict=True)
-        if bits
-    }
 
 
 def draw(reading: "Reading", counts: "Counts", silence: str = "") -> RenderableType:
@@ -145,23 +88,3 @@ def losses(counts: "Counts", unusable: int) -> str:
         f"{counts.lost} lost, {counts.skipped} skipped, {unusable} unusable, "
         f"{counts.reconnections} reconnections, dropped: {dropped or 'none'}"
     )
-
-
-def state_name(estimate: "Estimate") -> str | None:
-    """Name of the state in lower case; None where the pipeline does not estimate it."""
-    state = estimate.state
-    if state is None:
-        return None
-    return (state if isinstance(state, str) else state.name).lower()
-
-
-def _status_text(bits: int) -> str:
-    from eitskin.frame import Status
-
-    names = [flag.name.lower().replace("_", " ") for flag in Status if flag.name and flag & bits]
-    return ", ".join(names) or f"status {bits:#04x}"
-
-
-def known(value: float | None) -> float | None:
-    """`value`, None where it is unknown or not finite, which JSON cannot say."""
-    return float(value) if value is not None and math.isfinite(value) else None

@@ -33,6 +33,7 @@ from eitskin.hardware.live import (
 from eitskin.hardware.live import (
     run_live as run_live,
 )
+from eitskin.hardware.live_readings import LiveReadings as LiveReadings
 from eitskin.hardware.opening import open_board as open_board
 from eitskin.hardware.protocol.messages import Info as Info
 from eitskin.hardware.virtual.scene_script import (

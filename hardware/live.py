@@ -1,5 +1,6 @@
 """Live loop: frames of a board through a pipeline, with latency, rate and damaged frames."""
 
+import math
 import time
 import typing
 from collections import deque
@@ -60,6 +61,8 @@ class Reading:
         rate: mean frame rate over the last 20 frames [Hz]; NaN for the first.
         unusable: frames so far that were too damaged for an estimate.
         problem: reason for a missing estimate; empty otherwise.
+        wall_time: when the frame came, by the clock of this machine [s since 1970]; NaN where
+            unknown.
     """
 
     frame: Frame
@@ -68,6 +71,7 @@ class Reading:
     rate: float
     unusable: int = 0
     problem: str = ""
+    wall_time: float = math.nan
 
 
 class FrameSource(typing.Protocol):
@@ -104,6 +108,7 @@ def run_live(
     arrivals: deque[float] = deque(maxlen=20)
     for frame in board.frames(newest=newest):
         arrivals.append(clock())
+        wall_time = time.time()
         estimate, problem = None, ""
         try:
             estimate = pipeline.process(frame)
@@ -113,7 +118,7 @@ def run_live(
                 raise
             problem, unusable = str(error), unusable + 1
         latency = clock() - arrivals[-1]
-        yield Reading(frame, estimate, latency, _rate(arrivals), unusable, problem)
+        yield Reading(frame, estimate, latency, _rate(arrivals), unusable, problem, wall_time)
 
 
 def _rate(arrivals: deque[float]) -> float:

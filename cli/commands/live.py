@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from eitskin.hardware.boards.connection import Connection
     from eitskin.hardware.live import FramePipeline, Reading
     from eitskin.hardware.ros2.skin_node import SkinNode
+    from eitskin.hardware.streams.publisher import ReadingPublisher
     from eitskin.training.adaptation.recorded_touches import RecordedTouches
     from eitskin.training.pipeline.pipeline import Pipeline
     from eitskin.training.pipeline.session_order import SessionOrder
@@ -76,6 +77,18 @@ PagePort = Annotated[
     int, typer.Option(min=0, max=65535, help="Port of the page; 0 for a free one.")
 ]
 
+UdpAddress = Annotated[
+    str | None,
+    typer.Option("--udp", metavar="[HOST:]PORT", help="Also send every reading by UDP."),
+]
+WebSocketAddress = Annotated[
+    str | None,
+    typer.Option(
+        "--websocket",
+        metavar="[HOST:]PORT",
+        help="Also serve readings by WebSocket; 0 for a free port.",
+    ),
+]
 PictureMethod = Annotated[
     str | None,
     typer.Option(help="Also picture every frame by this method, such as greit, for the page."),
@@ -97,6 +110,8 @@ def command(
     every_frame: EveryFrame = False,
     page: ShowPage = False,
     page_port: PagePort = 8940,
+    udp: UdpAddress = None,
+    websocket: WebSocketAddress = None,
     reference: ReferenceFile = None,
     method: MethodCode = None,
     picture: PictureMethod = None,
@@ -117,6 +132,7 @@ def command(
     from eitskin.hardware.boards.connection import Connection
     from eitskin.hardware.live import run_live
     from eitskin.hardware.opening import open_board
+    from eitskin.hardware.streams.opening import open_publisher
     from eitskin.training.adaptation.opening import open_pipeline
 
     output = Output(as_json, quiet, verbose)
@@ -156,6 +172,11 @@ def command(
             node = SkinNode(ros2_namespace, ros2_domain, partial(session.tare, pipeline))
             session.node = stack.enter_context(node)
             output.note(f"ROS 2: topics of /{node.name} in domain {ros2_domain}")
+        if udp is not None or websocket is not None:
+            publisher = open_publisher(session.connection, udp, websocket)
+            session.publisher = stack.enter_context(publisher)
+            for address in publisher.addresses:
+                output.note(f"readings: {address}")
         newest = not (every_frame or recordings)
         followed = pipeline if picture is None else _pictured(pipeline, opened, picture)
         session.follow(run_live(session.connection, followed, newest=newest), frames)
@@ -242,6 +263,7 @@ class LiveSession:
     recordings: Sequence[Recording] = ()
     page: "LivePage | None" = None
     node: "SkinNode | None" = None
+    publisher: "ReadingPublisher | None" = None
     expected: "NDArray[np.float64] | None" = None
     stored: "StoredReference | None" = None
     order: "SessionOrder | None" = None
@@ -278,16 +300,15 @@ class LiveSession:
         self.newest, self.newest_at = reading, self.clock()
         self.processed += 1
         self.latencies.append(reading.latency)
-        if self.page is not None:
-            self.page.publish(reading)
-        if self.node is not None:
-            self.node.publish(reading)
+        for listener in (self.page, self.node, self.publisher):
+            if listener is not None:
+                listener.publish(reading)
         self.record(reading)
         if self.output.as_json:
-            from eitskin.cli.live_view import plain
+            from eitskin.hardware.streams.reading_record import reading_record
 
             counts = self.connection.board.counts
-            typer.echo(json.dumps(plain(reading, counts), allow_nan=False))
+            typer.echo(json.dumps(reading_record(reading, counts), allow_nan=False))
 
     def record(self, reading: "Reading") -> None:
         """Write the reading; a recording that fails is noted and ended."""

@@ -9,10 +9,10 @@ import numpy as np
 from eitskin.cli.commands.train import train_positions
 from eitskin.cli.demo.pictures import found_presses, two_sensors
 from eitskin.cli.demo.results import StageResult, as_pictures
-from eitskin.cli.live_view import state_name
 from eitskin.datasets.recordings.form import RecordingNames
 from eitskin.datasets.recordings.recording import read_recording
 from eitskin.errors import DataError, FrameError
+from eitskin.hardware.streams.reading_record import state_name
 from eitskin.protocol import Protocol
 
 if TYPE_CHECKING:

@@ -11,10 +11,10 @@ from eitskin.cli.page.commands import execute
 from eitskin.cli.page.region import Region
 from eitskin.cli.page.server import HOST, ClientLimits, Server
 from eitskin.cli.page.state import PageContent, Snapshot, filled
-from eitskin.cli.page.stream import LatestMessage
 from eitskin.closeable import Closeable
 from eitskin.frame import Frame
 from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.latest import Latest
 
 if TYPE_CHECKING:
     from eitskin.hardware.boards.board import Counts
@@ -65,7 +65,7 @@ class LivePage(Closeable):
         self._reference: Frame | None = None
         self._arrived = self._closed = False
         self._changed = threading.Condition()
-        self._events = LatestMessage()
+        self._events = Latest[bytes]()
         hello = b"retry: 1000\n" + event("sensor", self._content.sensor())
         self.server = Server(
             port,

@@ -14,8 +14,8 @@ from importlib import resources
 from typing import Any, cast
 
 from eitskin.cli.page.commands import COMMANDS
-from eitskin.cli.page.stream import LatestMessage
 from eitskin.errors import ConfigurationError
+from eitskin.latest import Latest
 
 log = logging.getLogger(__name__)
 
@@ -76,7 +76,7 @@ class Server(ThreadingHTTPServer):
     def __init__(
         self,
         port: int,
-        events: LatestMessage,
+        events: Latest[bytes],
         hello: bytes,
         execute: Callable[[str, bytes], None],
         controlled: bool,

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.cli.live_view import bad_channels, state_name, zero_name
 from eitskin.cli.page.commands import LARGEST, LEAST, MOST_TOUCHES
 from eitskin.cli.page.plan import electrodes_of, grid_of, outline_of
 from eitskin.cli.page.region import Region
 from eitskin.cli.page.shape import DrawnPress, GelDrawing
 from eitskin.frame import Frame
 from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.hardware.streams.reading_record import bad_channels, state_name, zero_name
 
 if TYPE_CHECKING:
     from eitskin.cli.live_pictures import Picture

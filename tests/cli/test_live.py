@@ -1,6 +1,7 @@
 """The command `eitskin live`, on fake pipelines."""
 
 import json
+import time
 import types
 from functools import partial
 
@@ -9,13 +10,14 @@ import pytest
 from rich.console import Console
 
 from eitskin import files as files_module
-from eitskin.cli import live_view
 from eitskin.cli.commands import live as cli
 from eitskin.cli.commands.live_recording import FrameRecording
+from eitskin.cli.live_view import touch_picture
 from eitskin.cli.options import Output
 from eitskin.datasets import ShardWriter, open_dataset
 from eitskin.errors import ConfigurationError, DeviceError, PartialError
 from eitskin.hardware import Connection, Counts, Reading
+from eitskin.hardware.streams.reading_record import bad_channels, reading_record
 from eitskin.simulator import Status
 
 from live_fakes import PROTOCOL, Estimate, FakePipeline, frame, run_command
@@ -34,7 +36,9 @@ def test_json_is_one_object_per_frame(run):
     lines = [json.loads(line) for line in result.stdout.splitlines()]
     assert len(lines) == 4
     assert lines[0]["state"] == "touch"
-    assert lines[0]["touches"] == [[0.05, 0.02, 0.9]]
+    (touch,) = lines[0]["touches"]
+    assert touch == {"x": 0.05, "y": 0.02, "strength": 0.9, "force": None, "deviation": None}
+    assert lines[0]["wall_time"] == pytest.approx(time.time(), abs=60.0)
     assert lines[0]["bend_angle_deg"] == -12.5
     assert lines[0]["rate_hz"] is None
     assert lines[-1]["bad_channels"] == {}
@@ -57,7 +61,7 @@ def test_what_a_pipeline_does_not_estimate_is_null_and_said(run):
     pipeline, board = FakePipeline(unknown), ("--board", "virtual:?speed=max", "--frames", "1")
     line = json.loads(run(pipeline, *board, "--json").stdout)
     assert [line[name] for name in ("state", "bend_angle_deg", "touches")] == [None] * 3
-    assert line["probabilities"] == [None, 0.9, 0.1]
+    assert line["probabilities"] == {"idle": None, "touch": 0.9, "bend": 0.1}
     shown = run(pipeline, *board).stdout
     assert shown.count("not estimated") == 3
     assert "touch map" not in shown
@@ -137,10 +141,10 @@ def test_a_frame_without_estimate_says_why():
     session = session_of(QuietBoard())
     session.take(Reading(frame(), None, 0.001, 3.0, 4, "all channels are open"))
     assert "unknown" in shown(session)
-    data = live_view.plain(session.newest, Counts())
+    data = reading_record(session.newest, Counts())
     assert (data["state"], data["problems"]) == (None, ["all channels are open"])
     estimate = Estimate(state="idle", bend_angle_deg=float("nan"), problems=("no reference",))
-    unknown = live_view.plain(Reading(frame(), estimate, 0.001, float("nan")), Counts())
+    unknown = reading_record(Reading(frame(), estimate, 0.001, float("nan")), Counts())
     for each in (data, unknown):
         assert json.loads(json.dumps(each, allow_nan=False))["bend_angle_deg"] is None
     assert (unknown["state"], unknown["problems"]) == ("idle", ["no reference"])
@@ -237,7 +241,7 @@ def test_the_touch_map_is_drawn_with_y_up():
     touch_map[0, 0] = 1.0  # (0, 0) mm, lower left
     touch_map[31, 79] = 1.0  # (150, 60) mm, upper right
     touch_map[16:18, 40] = 1.0
-    lines = live_view.touch_picture(touch_map).plain.split("\n")
+    lines = touch_picture(touch_map).plain.split("\n")
     assert [len(line) for line in lines] == [80] * 16
     assert (lines[15][0], lines[0][79], lines[7][40]) == ("▄", "▀", "█")
     assert sum(line.count(" ") for line in lines) == 80 * 16 - 3
@@ -246,7 +250,7 @@ def test_the_touch_map_is_drawn_with_y_up():
 def test_channel_health_names_what_is_wrong():
     status = np.zeros(28, np.uint8)
     status[[0, 27]] = Status.OPEN | Status.CLIPPED, 128
-    assert live_view.bad_channels(frame(status=status)) == {
+    assert bad_channels(frame(status=status)) == {
         "0-1": "clipped, open",
         "6-7": "status 0x80",
     }

@@ -123,7 +123,7 @@ def test_a_recording_replays_to_identical_lines(tmp_path):
         result = CliRunner().invoke(app, ["live", "reference.eitmodel", "--json", *arguments])
         assert result.exit_code == 0, result.output
         found = [json.loads(line) for line in result.stdout.splitlines()]
-        moment = ("latency_ms", "rate_hz", "dropped", "skipped", "reconnections")
+        moment = ("wall_time", "latency_ms", "rate_hz", "dropped", "skipped", "reconnections")
         return [{k: v for k, v in line.items() if k not in moment} for line in found]
 
     folder = tmp_path / "run"

@@ -1,24 +1,18 @@
 """Rate and latency of the live loop.
 
-Run by `python -m eitskin.benchmarks.studies.boards.live_rate [--hours H]`.
+Run by `python -m eitskin.benchmarks.studies.boards.live_rate`.
 
 Frames cross a pseudo-terminal as packets, from a board in a process of its own, and go through the
 pipeline that ships. Prints frames per second and the time of each stage, for boards as fast as they
-are read and for paced ones; with --hours, what a live session with a page holds while it goes on.
+are read and for paced ones.
 """
 
 import argparse
 import contextlib
-import json
 import multiprocessing
-import os
-import subprocess
-import sys
-import tempfile
 import time
 from collections.abc import Iterator, MutableSequence
-from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -165,62 +159,14 @@ def codec_rate(frames: int = 20000) -> float:
     return count / (time.perf_counter() - began)
 
 
-def endure(hours: float, seed: int) -> Iterator[str]:
-    """Resources of `eitskin live --page`, minute by minute, at full rate through all states."""
-    run = "from eitskin.cli.main import run; run()"
-    yield "| minute | frames | frames/s | lost | resident, MiB | open files | threads |"
-    yield "|---|---|---|---|---|---|---|"
-    with tempfile.TemporaryDirectory() as folder:
-        scene = Path(folder) / "scenes.toml"
-        scene.write_text(MIXED, encoding="utf-8")
-        board = f"virtual:?speed=max&instrument=ad5940&seed={seed}&scene={scene}"
-        live = ["live", "reference.eitmodel", "--board", board, "--json", "--every-frame"]
-        process = subprocess.Popen(  # noqa: S603
-            [sys.executable, "-c", run, *live, "--page", "--page-port", "0", "--quiet"],
-            stdout=subprocess.PIPE,
-        )
-        try:
-            assert process.stdout is not None  # noqa: S101
-            yield from _watched(process.stdout, process.pid, round(60 * hours))
-        finally:
-            process.terminate()
-            process.wait()
-
-
-def _watched(lines: IO[bytes], pid: int, minutes: int) -> Iterator[str]:
-    """One row a minute while a live session prints its lines."""
-    count, began = 0, time.perf_counter()
-    due, before = began + 60.0, 0
-    for line in lines:
-        count += 1
-        if time.perf_counter() < due:
-            continue
-        minute = round((due - began) / 60.0)
-        rate, lost = (count - before) / 60.0, json.loads(line)["lost"]
-        yield f"| {minute} | {count} | {rate:.1f} | {lost} | {_holds(pid)} |"
-        due, before = due + 60.0, count
-        if minute >= minutes:
-            return
-
-
-def _holds(pid: int) -> str:
-    process = Path(f"/proc/{pid}")
-    pages = int((process / "statm").read_text(encoding="ascii").split()[1])
-    resident = pages * os.sysconf("SC_PAGE_SIZE") / 2**20
-    files, threads = (len(list((process / name).iterdir())) for name in ("fd", "task"))
-    return f"{resident:.1f} | {files} | {threads}"
-
-
 def main() -> None:
     """Print the report."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--frames", type=int, default=600, help="of each board and scene")
-    parser.add_argument("--hours", type=float, default=0.0)
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
     print(f"Measured on {Provenance.now(given.seed)}\n")
-    hours, frames, seed = given.hours, given.frames, given.seed
-    for line in endure(hours, seed) if hours else rates(frames, seed):
+    for line in rates(given.frames, given.seed):
         print(line, flush=True)
 
 

@@ -15,9 +15,9 @@ import pytest
 from eitskin.cli.page.live_page import LivePage, event
 from eitskin.cli.page.region import Region
 from eitskin.cli.page.server import ASSETS, MOST_CLIENTS, ClientLimits
-from eitskin.cli.page.stream import LatestMessage
 from eitskin.errors import ConfigurationError
 from eitskin.hardware import Reading
+from eitskin.latest import Latest
 from eitskin.simulator import Frame
 from eitskin.training.method.predictions import FoundTouches
 
@@ -128,7 +128,7 @@ def test_messages_are_small(page, stream) -> None:
 
 
 def test_readers_get_the_newest_only() -> None:
-    newest = LatestMessage()
+    newest = Latest[bytes]()
     for number in range(1, 6):
         newest.put(b"%d" % number)
     assert newest.after(0) == (5, b"5")
@@ -136,7 +136,9 @@ def test_readers_get_the_newest_only() -> None:
     newest.put(b"6")
     assert newest.after(2) == (6, b"6")
     newest.close()
-    assert newest.after(0) is None
+    newest.put(b"7")
+    assert newest.after(5) == (6, b"6")  # who has not seen the last one still may
+    assert newest.after(6) is None
 
 
 def test_a_slow_browser_misses_frames_and_never_gets_old_ones(page, stream) -> None:

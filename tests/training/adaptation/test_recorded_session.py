@@ -102,7 +102,7 @@ def test_commands_run_it_live_and_evaluate_it(folder, capsys):
     lines = [json.loads(line) for line in said.out.splitlines()]
     assert "does not estimate the state, the bend angle, forces" in " ".join(said.err.split())
     assert [line["state"] for line in lines] == [None] * 4
-    assert lines[0]["probabilities"] == [None] * 3
+    assert list(lines[0]["probabilities"].values()) == [None] * 3
     assert lines[0]["touches"] == []
     assert len(lines[-1]["touches"]) == 1
     live.command(model, board=f"replay:{data}", frames=2)

@@ -1,0 +1,277 @@
+"""Streams: records by UDP and WebSocket, and clients that are slow or vanish."""
+
+import json
+import re
+import shlex
+import shutil
+import socket
+import subprocess
+import sys
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import connect
+
+from eitskin.cli.main import app
+from eitskin.errors import ConfigurationError
+from eitskin.hardware import Connection, Reading
+from eitskin.hardware.streams.opening import address_of, open_publisher
+from eitskin.hardware.streams.publisher import ReadingPublisher
+from eitskin.hardware.streams.reading_record import reading_record, silence_record
+from eitskin.hardware.streams.udp import UdpOutlet
+from eitskin.hardware.streams.websocket import MOST_CLIENTS, WebSocketOutlet
+from eitskin.training.method.predictions import FoundTouches
+
+from live_fakes import Estimate, FakeBoard, frame
+
+CLIENTS = Path(__file__).parents[2] / "docs" / "clients"
+PAGE = Path(__file__).parents[2] / "docs" / "robot.md"
+
+
+def reading(number=0, **changes):
+    return Reading(frame(number), Estimate(**changes), 0.001, 3.0, wall_time=1.7e9)
+
+
+@pytest.fixture
+def listener():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as opened:
+        opened.bind(("127.0.0.1", 0))
+        opened.settimeout(20.0)
+        yield opened
+
+
+@pytest.fixture
+def udp(listener):
+    outlet = UdpOutlet(*listener.getsockname())
+    yield outlet
+    outlet.close()
+
+
+@pytest.fixture
+def served():
+    outlet = WebSocketOutlet("127.0.0.1", 0)
+    yield outlet
+    outlet.close()
+
+
+# Records
+
+
+def test_a_record_has_forces_and_standard_errors():
+    found = FoundTouches.of([[0.05, 0.02], [0.1, 0.03]], [0.9, 0.5], [7.5, np.nan], [1e-3, 2e-3])
+    estimate = Estimate(touches=found.triples)
+    estimate.found, estimate.bend_deviation_deg = found, 0.4
+    record = reading_record(Reading(frame(), estimate, 0.001, 3.0), FakeBoard.counts)
+    assert [touch["force"] for touch in record["touches"]] == [7.5, None]
+    assert [touch["deviation"] for touch in record["touches"]] == [1e-3, 2e-3]
+    assert (record["bend_deviation_deg"], record["wall_time"]) == (0.4, None)
+
+
+def test_the_page_lists_every_key_in_its_order():
+    text = PAGE.read_text()
+    section = text[text.index("## Records") : text.index("## Clients")]
+    rows = re.findall(r"^\| `(\w+)` \|", section, re.MULTILINE)
+    record = reading_record(reading(), FakeBoard.counts)
+    (touch,) = record["touches"]
+    assert rows == [*record, *touch, "seconds", "problem"]
+
+
+# UDP
+
+
+def test_each_reading_is_one_datagram_and_silence_is_told(listener, udp):
+    connection = Connection(FakeBoard([]))
+    connection.problem = "the cable is out"
+    with ReadingPublisher(connection, [udp], heartbeat=0.02) as publisher:
+        publisher.publish(reading(7))
+        said = json.loads(listener.recv(65536))
+        assert said == reading_record(reading(7), FakeBoard.counts)
+        silent = json.loads(listener.recv(65536))
+        assert (silent["kind"], silent["problem"]) == ("silence", "the cable is out")
+        assert silent["seconds"] >= 0.02
+
+
+def test_nobody_listening_and_messages_too_long_are_no_error(udp, listener):
+    listener.close()
+    for _ in range(3):
+        udp.send("{}")
+    udp.send("x" * 70_000)
+    assert udp.refused == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "address"),
+    [("5005", ("127.0.0.1", 5005)), ("robot:1", ("robot", 1)), ("[::1]:9", ("::1", 9))],
+)
+def test_an_address_is_of_this_machine_unless_it_says_so(text, address):
+    assert address_of("--udp", text) == address
+
+
+@pytest.mark.parametrize("text", ["", "robot", "robot:", "robot:x", "70000", "-1"])
+def test_other_addresses_are_refused(text):
+    with pytest.raises(ConfigurationError, match="--udp must be PORT or HOST:PORT"):
+        address_of("--udp", text)
+
+
+def test_an_unknown_host_is_refused():
+    with pytest.raises(ConfigurationError, match="cannot find"):
+        UdpOutlet("no host", 1)
+
+
+# WebSocket
+
+
+def test_clients_get_the_newest_and_no_old_reading(served):
+    with connect(served.url) as one, connect(served.url) as other:
+        served.send("1")
+        assert (one.recv(20.0), other.recv(20.0)) == ("1", "1")
+        for number in range(2, 500):
+            served.send(str(number))
+        got = [int(one.recv(20.0))]
+        while got[-1] != 499:
+            got.append(int(one.recv(20.0)))
+        assert got == sorted(set(got))
+
+
+def test_a_client_that_reads_nothing_holds_nobody_up_and_is_let_go(served, monkeypatch):
+    monkeypatch.setattr("eitskin.hardware.streams.websocket.STALLED", 0.05)
+    big = "x" * 2**20  # more than the system keeps for a client that does not read
+    with ExitStack() as stack:
+        stalled = stack.enter_context(connect(served.url, max_queue=1, max_size=None))
+        (stuck,) = served._server.handler_threads
+        lively = stack.enter_context(connect(served.url, max_size=None))
+        for _ in range(20):
+            served.send(big)
+            assert len(lively.recv(20.0)) == 2**20
+        stuck.join(20.0)
+        assert not stuck.is_alive()
+        stalled.socket.close()
+
+
+def test_a_client_that_vanishes_frees_its_seat_and_one_too_many_is_told(served):
+    with ExitStack() as stack:
+        clients = [stack.enter_context(connect(served.url)) for _ in range(MOST_CLIENTS)]
+        served.send("1")
+        assert [client.recv(20.0) for client in clients] == ["1"] * MOST_CLIENTS
+        late = stack.enter_context(connect(served.url))
+        with pytest.raises(ConnectionClosed) as closed:
+            late.recv(20.0)
+        assert closed.value.rcvd.code == 1013
+        for client in clients:
+            client.socket.shutdown(socket.SHUT_RDWR)
+        while threads := list(served._server.handler_threads):  # each notices when it next sends
+            served.send("2")
+            threads[0].join(0.01)
+        served.send("3")
+        again = stack.enter_context(connect(served.url))
+        assert again.recv(20.0) == "3"
+
+
+def test_pages_from_elsewhere_may_not_listen(served):
+    for origin in ("http://127.0.0.1:8000", "http://localhost"):
+        with connect(served.url, origin=origin):
+            pass
+    for origin in ("http://evil.example", "http://127.0.0.1.evil.example", "null"):
+        with pytest.raises(InvalidStatus, match="403"), connect(served.url, origin=origin):
+            pass
+
+
+def test_a_port_in_use_is_refused_and_nothing_stays_open(served, listener):
+    port, connection = served.url.rpartition(":")[2].strip("/"), Connection(FakeBoard([]))
+    with pytest.raises(ConfigurationError, match=port):
+        open_publisher(connection, str(listener.getsockname()[1]), port)
+
+
+def test_both_outlets_send_the_same(listener):
+    udp = str(listener.getsockname()[1])
+    with open_publisher(Connection(FakeBoard([])), udp, "0") as publisher:
+        publisher.publish(reading(7))
+        assert publisher.addresses[0] == f"udp://127.0.0.1:{udp}"
+        with connect(publisher.addresses[1]) as client:
+            assert json.loads(client.recv(20.0))["version"] == 1
+        assert json.loads(listener.recv(65536))["number"] == 7
+
+
+def test_the_missing_extra_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "websockets.sync.server", None)
+    with pytest.raises(ImportError, match=r"eitskin\[websocket\]"):
+        WebSocketOutlet("127.0.0.1", 0)
+
+
+# Clients
+
+
+@pytest.fixture(scope="module")
+def compiled(tmp_path_factory):
+    compiler = shutil.which("cc")
+    if compiler is None:
+        pytest.skip("no C compiler here")
+    program = tmp_path_factory.mktemp("clients") / "listen"
+    strict = ["-std=c11", "-Wall", "-Wextra", "-Werror", "-pedantic"]
+    subprocess.run([compiler, *strict, "-o", program, CLIENTS / "listen.c", "-lm"], check=True)
+    return [str(program)]
+
+
+def messages():
+    tricky = ('an electrode is "open": "state": "bend", {[',)
+    found = FoundTouches.of([[0.05, 0.02], [0.1, 0.03]], [0.9, 0.5], [7.5, np.nan])
+    two = Estimate(touches=found.triples)
+    two.found = found
+    none = Estimate(None, (np.nan,) * 3, float("nan"), None, None, tricky)
+    each = (
+        reading(touches=()),
+        Reading(frame(4), two, 0.1, 3.0),
+        Reading(frame(5), none, 0.1, 3.0),
+    )
+    yield from (reading_record(reading, FakeBoard.counts) for reading in each)
+    yield reading_record(Reading(frame(6), None, 0.1, 3.0, 1, "all are open"), FakeBoard.counts)
+    yield {"version": 2, "kind": "reading"}
+    yield silence_record(3.2, "the cable is out")
+
+
+SHOWN = [
+    "0: touch, -12.5 deg",
+    "4: touch, -12.5 deg, touch at (50.0, 20.0) mm with 7.5 N"
+    ", touch at (100.0, 30.0) mm with nan N",
+    "5: unknown, nan deg",
+    "6: unknown, nan deg",
+    "nothing for 3 s",
+]
+
+
+@pytest.mark.parametrize("language", ["C", "Python"])
+def test_the_clients_of_the_page_read_every_record(language, request):
+    python = [sys.executable, str(CLIENTS / "listen.py")]
+    command = request.getfixturevalue("compiled") if language == "C" else python
+    sent = [json.dumps(each) for each in messages()]
+    with subprocess.Popen(
+        [*command, "0", str(len(sent))], stdout=subprocess.PIPE, text=True
+    ) as client:
+        port = int(client.stdout.readline().split()[-1])
+        outlet = UdpOutlet("127.0.0.1", port)
+        for message in sent:
+            outlet.send(message)
+        outlet.close()
+        lines = client.stdout.read().replace("+nan", "nan").splitlines()
+    assert (client.returncode, lines) == (0, SHOWN)
+
+
+def test_the_lines_of_the_page_read_the_websocket(served, capsys):
+    (lines,) = re.findall(r"```python\n(import json\n.*?)```", PAGE.read_text(), re.DOTALL)
+    for number in range(2):
+        served.send(json.dumps({"kind": "reading", "state": "idle", "number": number}))
+    lines = lines.replace("ws://127.0.0.1:8941/", served.url)
+    exec(lines + "        break\n", {})  # noqa: S102
+    assert capsys.readouterr().out == "reading idle\n"
+
+
+def test_the_service_is_one_of_this_command():
+    text = (CLIENTS / "eitskin-live.service").read_text()
+    program, *arguments = shlex.split(re.search("^ExecStart=(.*)$", text, re.MULTILINE)[1])
+    assert program.endswith("/eitskin")
+    known = re.findall(r"--[\w-]+", CliRunner().invoke(app, ["live", "--help"]).output)
+    assert {each for each in arguments if each.startswith("--")} <= {*known}
