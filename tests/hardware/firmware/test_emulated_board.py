@@ -46,8 +46,8 @@ def every_status():
 
 @pytest.fixture(scope="module")
 def running():
-    """One emulated board, booted, and what it said of itself."""
-    with EmulatedBoard(SimulatedAfe(sensor(every_status()))) as board:
+    """One emulated board on a flat sensor, booted, and what it said of itself."""
+    with EmulatedBoard() as board:
         info, before = board.wait_for(Info)
         assert before == []
         yield board, info
@@ -60,12 +60,13 @@ def no_complaints(board):
 # ---- the same as on the host ----
 
 
-def test_eitskin_reads_the_frames_of_the_hosts_build_to_the_last_bit(running):
-    board, _ = running
+def test_eitskin_reads_the_frames_of_the_hosts_build_to_the_last_bit():
     (expected,) = frames(booted(every_status()), 1)
-    device = board.serial_board()
-    found = next(device.frames())
-    board.ask(Stop(), Ack)
+    with EmulatedBoard(SimulatedAfe(sensor(every_status()))) as board:
+        device = board.serial_board()
+        found = next(device.frames())
+        assert no_complaints(board)
+    assert device.protocol == PROTOCOL
     assert found.impedance.astype(np.complex64).tobytes() == expected.impedance.tobytes()
     assert found.status.tobytes() == expected.status.tobytes()
     assert {Status(int(status)) for status in found.status} == {
@@ -74,8 +75,6 @@ def test_eitskin_reads_the_frames_of_the_hosts_build_to_the_last_bit(running):
         Status.OPEN | Status.LOW_CURRENT,
         Status.CLIPPED,
     }
-    assert device.protocol == PROTOCOL
-    assert no_complaints(board)
 
 
 def test_it_says_who_it_is(running):
@@ -87,7 +86,9 @@ def test_it_says_who_it_is(running):
 
 def test_garbage_is_dropped_and_wrong_requests_are_told_so(running):
     board, info = running
-    board.write(bytes(range(256)) * 8 + b"\0")
+    for start in range(0, 256, 64):  # QEMU's bytes come at once: no more than the ring holds
+        board.write(bytes(range(start, start + 64)) * 2)
+        assert board.ask(Hello(), Info) == info
     board.write(encode(Packet(0x7F, 300, b"")) + encode(Packet(MessageType.START, 301, b"12")))
     refused = [board.wait_for(Ack)[0] for _ in range(2)]
     assert refused == [
@@ -123,8 +124,10 @@ def test_a_part_that_is_not_there_is_said_and_start_refused():
         assert board.ask(Calibrate(), Ack) == Ack(2, MessageType.CALIBRATE, AckStatus.FAILED)
         assert board.ask(Stop(), Ack) == Ack(3, MessageType.STOP)
         afe.present = True
-        while board.ask(Calibrate(), Ack).status == AckStatus.FAILED:
-            pass  # it looks for the part each second
+        looked_for = board.chip.now + 1.1e6  # us: it looks for the part each second
+        while board.chip.now < looked_for:
+            time.sleep(0.01)
+        assert board.ask(Calibrate(), Ack) == Ack(4, MessageType.CALIBRATE)
         assert no_complaints(board)
 
 
