@@ -9,7 +9,8 @@ WORKERS := --numprocesses 2 --dist loadfile --no-loadscope-reorder
 # Hundreds of processes start in the tests; what one has compiled the others need not.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test quick coverage mutations lint docs wide firmware gallery bench bench-long figures clean
+.PHONY: demo test quick coverage mutations lint docs reference narrow firmware gallery bench \
+	bench-long figures clean
 
 demo: $(VENV)/installed
 	$(BIN)/eitskin demo --out build/demo --data $(DATA)
@@ -53,14 +54,17 @@ docs: $(VENV)/installed
 	$(BIN)/python -m pdoc --docformat google --output-directory build/docs \
 		$(addprefix eitskin.,$(REFERENCE))
 
-# The wide pipeline that comes with eitskin, trained again.
+# The pipeline that comes with eitskin, trained again; and one for the default clamp alone, with
+# which `eitskin bench transfer` compares it.
 RECIPES = training wide wide_bends
-wide: $(VENV)/installed
+SETS = build/reference
+reference narrow: $(SETS)/all
+	$(BIN)/eitskin train $(SETS)/$(if $(filter narrow,$@),training,all) --preset joint \
+		--out $(if $(filter narrow,$@),build/narrow.eitmodel,training/reference.eitmodel) $(ARGS)
+$(SETS)/all: $(VENV)/installed
 	for recipe in $(RECIPES); do \
-		$(BIN)/eitskin generate $$recipe --out build/wide/$$recipe --resume || exit 1; done
-	test -e build/wide/all || $(BIN)/eitskin dataset combine \
-		$(addprefix build/wide/,$(RECIPES)) --out build/wide/all
-	$(BIN)/eitskin train build/wide/all --preset joint --out training/wide.eitmodel $(ARGS)
+		$(BIN)/eitskin generate $$recipe --out $(SETS)/$$recipe --resume || exit 1; done
+	$(BIN)/eitskin dataset combine $(addprefix $(SETS)/,$(RECIPES)) --out $@
 
 # The image of a NUCLEO-F411RE, in build/firmware; needs arm-none-eabi-gcc and no Python.
 firmware:

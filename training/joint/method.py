@@ -1,20 +1,19 @@
 """The joint method: bend and touches of a frame as the MAP estimate of a learned sensor model."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import ClassVar
-from typing import Protocol as Interface
 
 import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.compiled import kernels
-from eitskin.errors import DataError
 from eitskin.protocol import Protocol
 from eitskin.simulator.instrument.drift import DRIFT_TIME
 from eitskin.training.joint.adaptation import adapted_curve, calibration_of, error_scale
 from eitskin.training.joint.angles.estimate import AngleEstimate
 from eitskin.training.joint.angles.networks import AngleNetworks
+from eitskin.training.joint.angles.usual import LOG_ODDS
 from eitskin.training.joint.bend_curve import BendCurve, BendCurvePrior
 from eitskin.training.joint.channel_faults import possible_faults
 from eitskin.training.joint.combinations import Combinations, CombinedChange, log_change
@@ -25,9 +24,10 @@ from eitskin.training.joint.proposal_model import ProposalNetwork, network_input
 from eitskin.training.joint.pruning import TOUCH_THRESHOLD
 from eitskin.training.joint.specimen_features import SpecimenFeatures
 from eitskin.training.joint.specimen_model import CandidateRows, SpecimenModel
+from eitskin.training.joint.stored_method import restored_fields, stored_arrays
 from eitskin.training.joint.touch_map import disc_map
 from eitskin.training.joint.touch_response import TouchResponse
-from eitskin.training.joint.training import fit_joint
+from eitskin.training.joint.training import fit_joint, held_out_touches
 from eitskin.training.method.calibration import Adaptation
 from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.interface import Method
@@ -42,15 +42,9 @@ from eitskin.training.method.training_frames import TrainingFrames
 Array = NDArray[np.float64]
 Arrays = dict[str, NDArray[np.generic]]
 
-NETWORKS = ("response", "proposals", "angles")  # parts whose learning curves are kept
 REJECTED = TOUCH_THRESHOLD - 2.0  # highest evidence that a rejected touch may leave
+MOVED_DEG = 1.0  # by which a fit must differ from its flat reference to need a second one
 SAME_SPECIMEN = 0.008  # spread of log ratios of two sessions of a sensor; paths err by 0.4 %
-
-
-class _Stored(Interface):
-    """A part that is saved as arrays."""
-
-    def arrays(self) -> Mapping[str, NDArray[np.floating]]: ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,14 +72,18 @@ class JointMethod(Method):
         size: length and width of the sensor [m].
         shape: rows and columns of touch maps.
         protocol: of the measurements.
-        learning_curves: losses of the networks during training, by the names in `NETWORKS`.
+        learning_curves: losses of the networks during training, by their names.
         calibrated: bend curve of the calibrated specimen, if any.
         calibrated_flat: magnitudes of that specimen, flat and untouched (C,) [ohm].
         angles: networks of the bend angle, for sensors that are not calibrated; None where the bend
             curve alone tells it as well.
+        usual: bend curves of the clamp that most sensors have, if training found one.
         forces: whether touches have forces; else these are strengths, relative to the usual touch.
-        error_scale: factor of the standard errors of places, from known touches of the sensor that
-            the method is adapted to; 1 before.
+        error_scale: factor of the standard errors of places, from training specimens that the
+            response was learned without: errors of the response are not as independent as the fit
+            takes them to be.
+        own_error_scale: a further one, from known touches of the sensor that the method is adapted
+            to; 1 before.
     """
 
     KIND: ClassVar[str] = "joint"
@@ -108,8 +106,10 @@ class JointMethod(Method):
     calibrated: BendCurve | None = None
     calibrated_flat: Array | None = None
     angles: AngleNetworks | None = None
+    usual: BendCurvePrior | None = None
     forces: bool = True
     error_scale: float = 1.0
+    own_error_scale: float = 1.0
     _specimens: dict[bytes, SpecimenModel] = field(default_factory=dict, init=False, repr=False)
     _rows: CandidateRows = field(init=False, repr=False)
 
@@ -122,7 +122,15 @@ class JointMethod(Method):
     def fit(
         cls, frames: TrainingFrames, settings: TrainingSettings, progress: Progress
     ) -> "JointMethod":
-        return fit_joint(cls, frames.dataset, frames.spec, settings.joint, settings.seed, progress)
+        method = fit_joint(
+            cls, frames.dataset, frames.spec, settings.joint, settings.seed, progress
+        )
+        unseen = held_out_touches(frames.dataset) if method.touches else None
+        if unseen is None:
+            return method
+        found = method.predict(Observations.of(unseen)).touches
+        known = np.stack([unseen.touch_x, unseen.touch_y], axis=-1).astype(float)
+        return replace(method, error_scale=error_scale(known, found))
 
     @property
     def targets(self) -> Targets:
@@ -162,15 +170,7 @@ class JointMethod(Method):
         change = self._combined(
             dynamic, 1.0 / frame.frames[0] + dynamic_share, frame.dynamic_age[0]
         )
-        proposed = self._proposed(change, reference_deg, specimen) if self.touches else None
-        objective = TouchObjective.of(
-            change,
-            reference_deg,
-            specimen.response,
-            specimen.curve,
-            self.touch_prior,
-        )
-        found = fit_frame(objective, specimen.candidates(reference_deg), proposed, specimen.faults)
+        found = self._fitted(change, reference, specimen)
         for fault in found.faults:
             static[list(fault.members)] = np.nan
         if not bends:
@@ -182,10 +182,39 @@ class JointMethod(Method):
             untouched = self._combined(static, 1.0 / frame.frames[0] + static_share, frame.age[0])
             moved = found.angle_deg - reference_deg
             if abs(moved) > STILL_DEG:
-                skew = objective.scan_skew(specimen.curve.slope(found.angle_deg), moved)
+                objective = found.estimate.objective
+                skew = objective.scan_skew(objective.curve.slope(found.angle_deg), moved)
                 untouched = untouched.noisier(skew)
             bend = specimen.angle(untouched)
         return self._prediction(found, bend, specimen.problems)
+
+    def _fitted(
+        self, change: CombinedChange, reference: AngleEstimate, specimen: SpecimenModel
+    ) -> FrameFit:
+        """The fit to one frame, with the bend curve that the reference tells or the frame itself.
+
+        A reference of the bent sensor tells whether that bends as usual. One of the flat sensor
+        does not: where the sensor has moved since, the likelier of both fits is taken.
+        """
+        angle_deg = reference.angle_deg
+        proposed = self._proposed(change, angle_deg, specimen) if self.touches else None
+        candidates = specimen.candidates(angle_deg)
+
+        def fit(curve: BendCurve) -> FrameFit:
+            parts = (specimen.response, curve, self.touch_prior)
+            objective = TouchObjective.of(change, angle_deg, *parts)
+            return fit_frame(objective, candidates, proposed, specimen.faults)
+
+        if specimen.usual is None:
+            return fit(specimen.curve)
+        if angle_deg != 0.0:
+            return fit(specimen.usual if reference.usual > 0.5 else specimen.curve)
+        found = fit(specimen.curve)
+        if abs(found.angle_deg) < MOVED_DEG:
+            return found
+        usual = fit(specimen.usual)
+        gain = found.improbability - usual.improbability
+        return usual if gain > -2.0 * LOG_ODDS else found
 
     def _proposed(
         self, change: CombinedChange, reference_deg: float, specimen: SpecimenModel
@@ -211,12 +240,13 @@ class JointMethod(Method):
         surplus = np.maximum(found.gains - TOUCH_THRESHOLD, 0.0)
         strength = 1.0 - 0.5 * np.exp(-surplus / (2 * TOUCH_THRESHOLD))
         force = found.touches[:, 2] if self.forces else None
+        scale = self.error_scale * self.own_error_scale
         return Predictions(
             self._probabilities(found, angle_deg, deviation_deg)[None],
             np.array([angle_deg]),
             np.array([deviation_deg]),
             map_[None],
-            (FoundTouches.of(found.touches[:, :2], strength, force, self.error_scale * spread),),
+            (FoundTouches.of(found.touches[:, :2], strength, force, scale * spread),),
             (problems + fit_problems(found, bend, self.touches),),
         )
 
@@ -275,6 +305,7 @@ class JointMethod(Method):
                 self._specimens.clear()
             p = self.features.apply(flat)
             curve = self.calibrated or self.bend_prior.of(p)
+            usual = self.usual if self.calibrated is None else None
             self._specimens[key] = SpecimenModel(
                 p,
                 self.response.of(p),
@@ -283,6 +314,7 @@ class JointMethod(Method):
                 self._calibration_problems(flat),
                 self._rows,
                 self.angles if self.calibrated is None else None,
+                usual.of(p) if usual else None,
             )
         return self._specimens[key]
 
@@ -296,15 +328,18 @@ class JointMethod(Method):
         flat, count = known.observations.flat[0], int(known.flat.sum())
         left_out = len(known) - count - len(bent) - len(touched)
         told = Adaptation(count, len(bent), len(touched), left_out)
-        prior, curve = self.bend_prior.of(self.features.apply(flat)), None
+        p, curve = self.features.apply(flat), None
         if len(bent):
-            curve = adapted_curve(prior, bent, self.combinations, self.drift)
+            priors = [(self.bend_prior.of(p), 0.0)]
+            priors += [(self.usual.of(p), LOG_ODDS)] if self.usual else []
+            prior, curve = adapted_curve(priors, bent, self.combinations, self.drift)
             told = replace(told, calibration=calibration_of(prior, curve, bent, self._combined))
-        adapted = replace(self, calibrated=curve, calibrated_flat=flat, error_scale=1.0)
+        adapted = replace(self, calibrated=curve, calibrated_flat=flat, own_error_scale=1.0)
         if len(touched):
             found = adapted.predict(touched.observations).touches
-            adapted = replace(adapted, error_scale=error_scale(touched.touches, found))
-        return adapted, replace(told, error_scale=adapted.error_scale)
+            scale = error_scale(touched.touches, found)
+            adapted = replace(adapted, own_error_scale=scale)
+        return adapted, replace(told, error_scale=adapted.own_error_scale)
 
     def outputs(self, observations: Observations) -> Arrays:
         """Arrays of predictions for n frames, by which a saved copy is checked."""
@@ -317,33 +352,7 @@ class JointMethod(Method):
 
     def arrays(self) -> Arrays:
         """Arrays from which `from_arrays` restores the method, by name."""
-        prior = self.touch_prior
-        saved: Arrays = {
-            "noise": self.combinations.noise,
-            "scalars": np.array([self.drift, self.radius, prior.separation, *prior.force]),
-            "bounds": np.array([prior.low, prior.high]),
-            "places": self.places,
-            "forces": np.array(self.forces),
-            "error_scale": np.array(self.error_scale),
-        }
-        parts: dict[str, _Stored] = {
-            "features": self.features,
-            "response": self.response,
-            "curves": self.bend_prior,
-            "proposals": self.proposals,
-            "combinations": self.combinations,
-        }
-        if self.angles is not None:
-            parts["angles"] = self.angles
-        if self.calibrated is not None:
-            parts["calibrated"] = self.calibrated
-        if self.calibrated_flat is not None:
-            saved["calibrated_flat"] = self.calibrated_flat
-        for name, curve in self.learning_curves.items():
-            saved |= {f"{name}.{key}": array for key, array in curve.arrays().items()}
-        for name, part in parts.items():
-            saved |= {f"{name}.{key}": array for key, array in part.arrays().items()}
-        return saved
+        return stored_arrays({each.name: getattr(self, each.name) for each in fields(self)})
 
     @classmethod
     def from_arrays(
@@ -352,39 +361,4 @@ class JointMethod(Method):
         spec: InputSpec,
         settings: TrainingSettings | None = None,  # noqa: ARG003  the arrays say all
     ) -> "JointMethod":
-
-        def part(name: str) -> dict[str, NDArray[np.generic]]:
-            mine = (key for key in arrays if key.startswith(f"{name}."))
-            return {key.removeprefix(f"{name}."): arrays[key] for key in mine}
-
-        drift, radius, separation, *force = arrays["scalars"].astype(float).tolist()
-        positive = np.array([drift, radius, separation, force[1], *arrays["noise"].ravel()])
-        if not np.all((positive > 0) & (positive < 1e3)):
-            raise DataError("expected drift, sizes, forces and noise above zero; train it again")
-        low, high = arrays["bounds"].astype(float)
-        features, calibrated = part("features"), part("calibrated")
-        basis = part("combinations").get("basis")  # version 0.1 has none
-        return cls(
-            SpecimenFeatures(
-                features["middle"].astype(float), features["directions"].astype(float)
-            ),
-            TouchResponse.from_arrays(part("response")),
-            BendCurvePrior.from_arrays(part("curves")),
-            ProposalNetwork.from_arrays(part("proposals")),
-            TouchPrior(separation, (force[0], force[1]), low, high),
-            Combinations(
-                arrays["noise"].astype(float), None if basis is None else basis.astype(float)
-            ),
-            drift,
-            arrays["places"].astype(float),
-            radius,
-            spec.outline,
-            spec.pixels,
-            spec.protocol,
-            {name: LearningCurve.from_arrays(part(name)) for name in NETWORKS},
-            BendCurve.from_arrays(calibrated) if calibrated else None,
-            arrays["calibrated_flat"].astype(float) if "calibrated_flat" in arrays else None,
-            AngleNetworks.from_arrays(angles) if "unit" in (angles := part("angles")) else None,
-            bool(arrays.get("forces", True)),
-            float(arrays.get("error_scale", np.ones(()))),
-        )
+        return cls(**restored_fields(arrays, spec))

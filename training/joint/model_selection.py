@@ -60,6 +60,7 @@ class FrameFit:
             leave of it, and of the prior's terms.
         degrees_of_freedom: number of measurements minus number of unknowns.
         faults: whose measurements were left out.
+        estimate: from which they follow.
     """
 
     angle_deg: float
@@ -71,6 +72,15 @@ class FrameFit:
     misfit: float
     degrees_of_freedom: int
     faults: tuple[ChannelFault, ...]
+    estimate: MapEstimate
+
+    @property
+    def improbability(self) -> float:
+        """Minus twice the logarithm of the model's posterior density, but for a constant.
+
+        Every touch is as improbable as its threshold says.
+        """
+        return self.estimate.improbability + TOUCH_THRESHOLD * len(self.touches)
 
 
 def fit_frame(
@@ -189,6 +199,7 @@ def _frame_fit(found: MapEstimate, evidence: float, faults: tuple[ChannelFault, 
         gains_of(found),
         *found.whole()[1:],
         faults,
+        found,
     )
 
 

@@ -359,6 +359,13 @@ class MapEstimate:
         return rest, self.misfit + float(rest @ rest), self.degrees_of_freedom + further
 
     @property
+    def improbability(self) -> float:
+        """Minus twice the logarithm of the density of frame and touches, but for a constant."""
+        whitening = self.objective.whitening(self.at)
+        width = 2.0 * float(np.sum(np.log(np.diagonal(whitening))))
+        return self.objective.misfit(self.at, whitening) - width
+
+    @property
     def whole_sigma(self) -> float:
         """Misfit with the remainder above its expectation, in standard deviations."""
         return misfit_sigma(*self.whole()[1:])

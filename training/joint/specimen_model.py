@@ -7,10 +7,16 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.training.joint.angles.estimate import AngleEstimate, robust_angle
+from eitskin.training.joint.angles.estimate import (
+    AngleEstimate,
+    mixed,
+    mixture_moments,
+    robust_angle,
+)
 from eitskin.training.joint.angles.networks import AngleNetworks, blended
+from eitskin.training.joint.angles.usual import LOG_ODDS
 from eitskin.training.joint.bend_curve import BendCurve
-from eitskin.training.joint.channel_faults import PossibleFaults
+from eitskin.training.joint.channel_faults import FAULT_THRESHOLD, PossibleFaults
 from eitskin.training.joint.combinations import CombinedChange
 from eitskin.training.joint.objective import BEYOND_DEG
 from eitskin.training.joint.touch_response import SpecimenResponse, TouchResponse
@@ -18,6 +24,7 @@ from eitskin.training.joint.touch_search import TouchCandidates
 
 Array = NDArray[np.float64]
 
+CONTRADICTION = 3.0  # standard errors between angles that contradict each other
 STEP_DEG = 10.0  # of the angles at which touch candidates are kept
 
 
@@ -49,6 +56,8 @@ class SpecimenModel:
         curve: of bending.
         faults: that are considered.
         problems: reasons to doubt the model, in words.
+        usual: bend curve, should the specimen bend as usual; None where nothing is usual or the
+            curve is known.
     """
 
     def __init__(
@@ -60,8 +69,10 @@ class SpecimenModel:
         problems: tuple[str, ...],
         rows: CandidateRows,
         networks: AngleNetworks | None = None,
+        usual: BendCurve | None = None,
     ) -> None:
         """Take the parts of the model; candidates follow when they are asked for."""
+        self.usual = usual
         self.features, self.response, self.curve = features, response, curve
         self.faults, self.problems = faults, problems
         self._rows, self._networks = rows, networks
@@ -82,14 +93,36 @@ class SpecimenModel:
         return self._last[1]
 
     def _angle(self, combined: CombinedChange) -> AngleEstimate:
-        """Angle by the curve, and by the networks where all measurements are good."""
+        """Angle of a sensor that bends as usual or in any other way, by the evidence for each."""
+        if self.usual is None:
+            return self._angle_of_any(combined)
+        usual = robust_angle(self.usual, combined, self.faults)
+        # Densities of the same measurements are compared; faults have the price of being found.
+        fewer = combined.without(usual.left_out) if usual.faults else combined
+        price = 0.5 * FAULT_THRESHOLD * len(usual.faults)
+        found = mixed(self._angle_of_any(fewer), usual, LOG_ODDS - price)
+        return self._angle_of_any(combined) if usual.faults and found.usual < 0.5 else found
+
+    def _angle_of_any(self, combined: CombinedChange) -> AngleEstimate:
+        """Angle by the curve, and by the networks where all measurements are good.
+
+        Where the curve leaves out a measurement that the networks take for the bend of some clamp,
+        nothing tells which of both is right.
+        """
         found = robust_angle(self.curve, combined, self.faults)
-        if self._networks is None or found.faults or not combined.good.all():
+        if self._networks is None or not combined.good.all():
             return found
         by_networks = self._networks.estimate(
             combined.change, self.features, math.sqrt(combined.drift)
         )
-        angle, deviation = blended((found.angle_deg, found.deviation_deg), by_networks)
+        by_curve = (found.angle_deg, found.deviation_deg)
+        apart = abs(by_networks[0] - by_curve[0]) / math.hypot(by_networks[1], by_curve[1])
+        if found.faults and apart < CONTRADICTION:
+            return found
+        if found.faults:
+            angle, deviation = mixture_moments(by_curve, by_networks, 0.5)
+        else:
+            angle, deviation = blended(by_curve, by_networks)
         return replace(found, angle_deg=angle, deviation_deg=deviation)
 
     def candidates(self, angle_deg: float) -> TouchCandidates:

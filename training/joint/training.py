@@ -11,10 +11,7 @@ from eitskin.datasets.store.dataset import Dataset
 from eitskin.errors import DataError
 from eitskin.extras import require
 from eitskin.geometry.design.surface import Surface
-from eitskin.simulator.instrument.drift import DRIFT_TIME
-from eitskin.training.joint.angles.estimate import estimate_angle
-from eitskin.training.joint.angles.networks import AngleNetworks
-from eitskin.training.joint.bend_curve import BendCurvePrior
+from eitskin.training.joint.angles.bends import fit_bends
 from eitskin.training.joint.combinations import Combinations
 from eitskin.training.joint.mirrored_frames import (
     MirroredFrames,
@@ -29,7 +26,6 @@ from eitskin.training.joint.specimen_features import SpecimenFeatures
 from eitskin.training.joint.touch_response import InputRanges, TouchResponse
 from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.learning_curve import LearningCurve
-from eitskin.training.method.observations import UNKNOWN_AGE
 from eitskin.training.method.settings import JointSettings, Progress, silent
 from eitskin.training.method.symmetry import mirrors
 from eitskin.training.method.targets import NOMINAL_RADIUS
@@ -48,9 +44,8 @@ TOUCHED_FRAMES = 4000
 response limits the fit."""
 LEAST_PROPOSALS = 0.25
 """Share of the epochs that the proposals are trained for at least."""
-FEWEST_SPECIMENS = 100  # from which on networks of the angle are tried
-COMPARED = 2000  # frames, by which networks and bend curves are compared
-HOLD_OUT = 8  # every how many-th specimen is held out to estimate the mismatch
+HOLD_OUT = 8  # every how many-th specimen is held out, to tell how far errors are larger there
+CHECKED = 500  # frames of these, by which standard errors of places are scaled
 
 
 def fit_joint(
@@ -84,20 +79,13 @@ def fit_joint(
     kinds = [(each.change, each.noise) for each in (touched, bent) if len(each.change)]
     combinations = Combinations.fit(kinds, noise_of(data, images))
     touch_prior, ranges = _touch_prior(data, spec), _ranges(data, spec)
-    progress("bend curve", 0, 1)
-    curves = (
-        _curves(bent, features, combinations, settings.drift)
-        if len(bent.change)
-        else BendCurvePrior.flat(len(features.directions), len(combinations))
-    )
-    progress("bend curve", 1, 1)
-    angles, angles_curve = _angles(bent, features, combinations, curves, settings, seed, progress)
+    bends = fit_bends(bent, features, combinations, settings, seed, progress)
     response, response_curve = _response(
         touched, features, combinations, ranges, settings, seed, progress
     )
     frames = len(touched.change) // len(images)
     proposals, proposals_curve = fit_proposals(
-        SyntheticFrames(response, curves, touch_prior, combinations),
+        SyntheticFrames(response, bends.curves, touch_prior, combinations),
         settings.proposals.shortened(min(max(frames / TOUCHED_FRAMES, LEAST_PROPOSALS), 1.0)),
         seed,
         progress,
@@ -106,7 +94,7 @@ def fit_joint(
     return make(
         features,
         response,
-        curves,
+        bends.curves,
         proposals,
         touch_prior,
         combinations,
@@ -116,8 +104,9 @@ def fit_joint(
         spec.outline,
         spec.pixels,
         spec.protocol,
-        {"response": response_curve, "proposals": proposals_curve, "angles": angles_curve},
-        angles=angles,
+        {"response": response_curve, "proposals": proposals_curve, "angles": bends.losses},
+        angles=bends.networks,
+        usual=bends.usual,
         forces=forces,
     )
 
@@ -135,14 +124,11 @@ def _bend_method(
     features = SpecimenFeatures.fit(np.abs(data.reference[np.unique(data.specimen)]), images)
     bent = MirroredFrames.bent(data, images)
     combinations = Combinations.fit([(bent.change, bent.noise)], noise_of(data, images))
-    progress("bend curve", 0, 1)
-    curves = _curves(bent, features, combinations, settings.drift)
-    progress("bend curve", 1, 1)
-    angles, angles_curve = _angles(bent, features, combinations, curves, settings, seed, progress)
+    bends = fit_bends(bent, features, combinations, settings, seed, progress)
     return make(
         features,
         TouchResponse.none(len(features.directions), len(combinations), spec.outline),
-        curves,
+        bends.curves,
         ProposalNetwork((), (), np.zeros(0), np.zeros(0)),
         TouchPrior.anywhere(spec.outline, NOMINAL_RADIUS),
         combinations,
@@ -152,8 +138,9 @@ def _bend_method(
         spec.outline,
         spec.pixels,
         spec.protocol,
-        {"angles": angles_curve},
-        angles=angles,
+        {"angles": bends.losses},
+        angles=bends.networks,
+        usual=bends.usual,
         forces=False,
     )
 
@@ -212,6 +199,26 @@ def _with_strengths(data: Dataset) -> Dataset:
     return replace(data, touch_force=force.astype(np.float32))
 
 
+def held_out_touches(dataset: Dataset) -> Dataset | None:
+    """Some touched frames of the specimens that the response was learned without, if there are any.
+
+    By the rule of `_response`.
+    """
+    data = _usable(dataset)
+    rows = np.flatnonzero(is_touched(data))
+    _, specimen = np.unique(data.specimen[rows], return_inverse=True)
+    rows = rows[_is_held_out(specimen)]
+    chosen = np.zeros(len(data), dtype=bool)
+    chosen[rows[:: max(1, -(-len(rows) // CHECKED))]] = True
+    return data.select(chosen) if len(rows) else None
+
+
+def _is_held_out(specimen: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Whether the specimens of frames (n,) are held out of the training of the response."""
+    held_out: NDArray[np.bool_] = specimen % HOLD_OUT == HOLD_OUT - 1
+    return held_out
+
+
 def _touch_prior(data: Dataset, spec: InputSpec) -> TouchPrior:
     """Prior of touches, from the touched frames."""
     columns = (data.touch_x, data.touch_y, data.touch_force)
@@ -227,60 +234,6 @@ def _ranges(data: Dataset, spec: InputSpec) -> InputRanges:
         (float(np.nanmin(force)), float(np.nanmax(force))),
         (float(angle.min()), float(angle.max())),
     )
-
-
-def _curves(
-    bent: MirroredFrames, features: SpecimenFeatures, combinations: Combinations, drift: float
-) -> BendCurvePrior:
-    """Bend curves, from bent frames and the references of touches on the bent sensor."""
-    return BendCurvePrior.fit(
-        bent.angle_deg,
-        combinations.of(bent.change),
-        features.apply(bent.flat),
-        bent.specimen + bent.image * (int(bent.specimen.max()) + 1),
-        _bend_noise(bent, combinations, drift),
-    )
-
-
-def _bend_noise(bent: MirroredFrames, combinations: Combinations, drift: float) -> Array:
-    """Covariance (K, K) of the noise of one bent frame's change."""
-    noise = np.diag(bent.noise * combinations.unit**2)
-    shared = drift**2 * UNKNOWN_AGE / DRIFT_TIME
-    noise += np.outer(combinations.drift, combinations.drift) * shared
-    return noise
-
-
-def _angles(
-    bent: MirroredFrames,
-    features: SpecimenFeatures,
-    combinations: Combinations,
-    curves: BendCurvePrior,
-    settings: JointSettings,
-    seed: int,
-    progress: Progress,
-) -> tuple[AngleNetworks | None, LearningCurve]:
-    """Networks of the bend angle, where they tell it better than the bend curves.
-
-    They are compared by the likelihood of the angles of specimens that they were trained without;
-    the curves were not fitted without these, and are a little the better for it.
-    """
-    if len(np.unique(bent.specimen)) < FEWEST_SPECIMENS:
-        return None, LearningCurve()
-    from eitskin.training.joint.angles.training import BentFrames, fit_angles, loss_of_estimates
-
-    frames = BentFrames(
-        combinations.of(bent.change),
-        bent.angle_deg,
-        features.apply(bent.flat),
-        bent.specimen,
-        combinations,
-    )
-    networks, curve = fit_angles(frames, settings.angles, seed, progress)
-    few = frames[:: -(-len(frames.change) // COMPARED)]
-    noise = _bend_noise(bent, combinations, settings.drift)
-    pairs = zip(few.change, few.features, strict=True)
-    by_curves = np.array([estimate_angle(curves.of(p), change, noise) for change, p in pairs])
-    return networks if curve.validation[-1] < loss_of_estimates(few, by_curves) else None, curve
 
 
 def _response(
@@ -304,7 +257,7 @@ def _response(
     )
     variance = touched.noise * combinations.unit**2
     rms = float(np.sqrt(np.mean(variance)))
-    held_out = frames.specimen % HOLD_OUT == HOLD_OUT - 1
+    held_out = _is_held_out(frames.specimen)
     kept = frames[~held_out] if held_out.any() else frames
     response, curve = fit_response(kept, ranges, rms, settings.response, seed, progress)
     checked = frames[held_out] if held_out.any() else frames

@@ -71,8 +71,9 @@ class InputSpec:
 
     @classmethod
     def from_document(cls, document: Mapping[str, Any], reference: NDArray[Any]) -> "InputSpec":
-        """Restore the specification; raises ConfigurationError or DataError for
-        what no training gives.
+        """Restore the specification.
+
+        Raises ConfigurationError or DataError for values that no training gives.
         """
         design = from_dict(SensorDesign, document["design"], "layout.design")
         protocol = from_dict(Protocol, document["protocol"], "layout.protocol")

@@ -28,7 +28,6 @@ FORMAT = "eitskin-pipeline"
 FORMAT_VERSION = 1
 SUFFIX = ".eitmodel"
 SHIPPED = Path(__file__).parents[1] / f"reference{SUFFIX}"
-WIDE = SHIPPED.with_name(f"wide{SUFFIX}")
 MOST_BYTES = 1 << 32  # of one file
 GOLDEN_TOLERANCE = 1e-3  # relative to the largest output; float32 sums depend on their order
 FIT_TOLERANCE = 0.05
@@ -157,9 +156,8 @@ def read_pipeline(path: str | Path) -> SavedPipeline:
     safetensors = require("safetensors.numpy", "live")
     damaged = require("safetensors", "live").SafetensorError
     path = Path(path)
-    for shipped in (SHIPPED, WIDE):
-        if str(path) == shipped.name and not path.exists():
-            path = shipped
+    if str(path) == SHIPPED.name and not path.exists():
+        path = SHIPPED
     files = _checked_files(path)
     try:
         document = parse_json(files[DOCUMENT])

@@ -4,13 +4,11 @@ Run by `python -m eitskin.benchmarks.studies.data.session_starts`, for `docs/pip
 
 Simulates flat specimens of the recipe `training`, each on an AD5940 of its own, and held-out ones
 flat, bent and pressed. Prints, as Markdown, the share of each that is doubted, for several numbers
-of known specimens. `--store` writes the distribution of all known specimens, with the bend curve
-that the pipeline has learned, into a saved joint pipeline; nothing else there changes.
+of known specimens, and by the pipeline that ships, which knows sensors of many clamps.
 """
 
 import argparse
-from dataclasses import replace
-from pathlib import Path
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +26,7 @@ from eitskin.simulator.simulator import Simulator
 from eitskin.training.joint.method import JointMethod
 from eitskin.training.pipeline.flat_sensors import FlatSensors
 from eitskin.training.pipeline.pipeline import Pipeline
-from eitskin.training.pipeline.saved_form import SHIPPED, read_pipeline, write_pipeline
+from eitskin.training.pipeline.saved_form import SHIPPED
 
 FIRST_HELD_OUT = 2000
 PLACES = ((0.02, 0.012), (0.13, 0.048))
@@ -82,11 +80,14 @@ def bend_curve(pipeline: Pipeline) -> Array:
     return method.bend_prior.of(np.zeros(len(method.features.directions))).value(ANGLES_DEG)
 
 
-def store(path: Path, known: FlatSensors) -> None:
-    """Write the distribution into a saved pipeline."""
-    saved = read_pipeline(path)
-    arrays = {f"flat_sensors.{name}": array for name, array in known.arrays().items()}
-    write_pipeline(path, replace(saved, weights={**saved.weights, **arrays}))
+def _print_row(
+    name: str, known: FlatSensors, held: Mapping[str, list[Complex]], others: Complex
+) -> None:
+    """Print the shares of held-out starts, by name, and of other flat sensors that are doubted."""
+    shares = [np.mean([bool(known.judge(v).doubt) for v in values]) for values in held.values()]
+    rest = [bool(known.judge(values).doubt) for values in others]
+    cells = [name, *(f"{100 * share:.0f} %" for share in shares)]
+    print("| " + " | ".join([*cells, f"{sum(rest)} of {len(rest)}" if rest else "-"]) + " |")
 
 
 def main() -> None:
@@ -94,9 +95,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--specimens", type=int, default=500)
     parser.add_argument("--held-out", type=int, default=60)
-    parser.add_argument("--store", type=Path, help="saved joint pipeline")
     options = parser.parse_args()
-    recipe, change = Recipe.shipped("training"), bend_curve(Pipeline.load(options.store or SHIPPED))
+    pipeline, recipe = Pipeline.load(SHIPPED), Recipe.shipped("training")
+    change = bend_curve(pipeline)
     numbers = range(options.specimens)
     flat = np.array([SimulatedSensor(recipe, n).first(Scene()) for n in numbers])
     held: dict[str, list[Complex]] = {}
@@ -108,15 +109,11 @@ def main() -> None:
     print("|---" * (len(held) + 2) + "|")
     for count in sorted({8, 16, 40, 100, 200, options.specimens}):
         known = FlatSensors.fit(flat[:count], ANGLES_DEG, change)
-        if count > options.specimens or known is None:
-            continue
-        shares = [np.mean([bool(known.judge(v).doubt) for v in values]) for values in held.values()]
-        rest = [bool(known.judge(values).doubt) for values in flat[count:]]
-        others = f"{sum(rest)} of {len(rest)}" if rest else "-"
-        cells = [str(count), *(f"{100 * share:.0f} %" for share in shares), others]
-        print("| " + " | ".join(cells) + " |", flush=True)
-        if count == options.specimens and options.store:
-            store(options.store, known)
+        if count <= options.specimens and known is not None:
+            _print_row(str(count), known, held, flat[count:])
+    if pipeline.flat_sensors is not None:
+        name = f"pipeline, {pipeline.flat_sensors.specimens}"
+        _print_row(name, pipeline.flat_sensors, held, flat[:0])
     print("\n", Provenance.now(recipe.seed))
 
 

@@ -16,7 +16,7 @@ from eitskin.extras import require_all
 def command(
     pipelines: Annotated[
         list[Path] | None,
-        typer.Argument(help="Pipelines, NAME.eitmodel; those that come with eitskin if omitted."),
+        typer.Argument(help="Pipelines, NAME.eitmodel; that which comes with eitskin if omitted."),
     ] = None,
     out: Out = Path("build/bench"),
     *,
@@ -34,11 +34,11 @@ def command(
     from eitskin.benchmarks.transfer.report import HEADINGS, NAME, figures, table, write
     from eitskin.benchmarks.transfer.run import run
     from eitskin.datasets.store.folder import make_folder
-    from eitskin.training.pipeline.saved_form import SHIPPED, WIDE
+    from eitskin.training.pipeline.saved_form import SHIPPED
 
     output = Output(as_json, quiet, verbose)
     require_all(training=TRAINING)
-    named = {path.stem: path for path in pipelines or (SHIPPED, WIDE)}
+    named = {path.stem: path for path in pipelines or [SHIPPED]}
     if len(named) < len(pipelines or []):
         raise ConfigurationError("expected pipelines of different names; rename one")
     make_folder(out / NAME)

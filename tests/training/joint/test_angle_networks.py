@@ -1,13 +1,16 @@
 """Angle networks: their formulae, and what they learn of sensors whose clamps differ."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from eitskin.training.joint import training as joint_training
 from eitskin.training.joint.angles import training as angle_training
+from eitskin.training.joint.angles.bends import fit_bends
+from eitskin.training.joint.angles.bent_frames import BentFrames
 from eitskin.training.joint.angles.estimate import estimate_angle
 from eitskin.training.joint.angles.networks import NEAR_DEG, AngleNetworks, blended
-from eitskin.training.joint.angles.training import BentFrames, fit_angles, groups_of_specimens
+from eitskin.training.joint.angles.training import fit_angles, groups_of_specimens
 from eitskin.training.joint.bend_curve import BendCurvePrior
 from eitskin.training.joint.combinations import Combinations
 from eitskin.training.joint.mirrored_frames import MirroredFrames
@@ -41,7 +44,8 @@ def bent(specimens, seed, tightness=0.35):
 
 def frames(specimens=150, seed=1, tightness=0.35):
     change, angle, number = bent(specimens, seed, tightness)
-    return BentFrames(change, angle, np.zeros((len(change), 0)), number, COMBINATIONS)
+    image, noise = np.zeros(len(change), np.int64), NOISE**2 * np.eye(CHANNELS)
+    return BentFrames(change, angle, np.zeros((len(change), 0)), number, image, COMBINATIONS, noise)
 
 
 @pytest.fixture(scope="module")
@@ -61,6 +65,8 @@ def random_networks(members=3, inputs=5):
         tuple(0.3 * rng.standard_normal((members, *size)) for size in sizes),
         tuple(0.3 * rng.standard_normal((members, size[0])) for size in sizes),
         np.array([0.1, 0.2]),
+        np.array([1.0, 0.5]),
+        np.array([3.0, -1.0]),
         (-20.0, 50.0),
     )
 
@@ -72,12 +78,27 @@ def test_each_member_is_a_dense_network():
     networks = random_networks()
     change, features = np.array([0.05, -0.1]), np.array([0.7, 9.0])
     means, deviations = networks.members(change, features, 1e-3)
-    x = np.array([0.5, -0.5, 0.7, 4.0, np.log(10.0)])
+    common = 1e-6 * (3.0 * 0.5 + 1.0 * 0.5) / (1.0 + 1e-6 * (3.0 - 0.5))
+    x = np.array([0.5 - common, -0.5 - 0.5 * common, 0.7, 4.0, np.log(10.0)])
     for k in range(3):
         before = networks.weights[0][k] @ x + networks.biases[0][k]
         last = networks.weights[1][k] @ (before / (1 + np.exp(-before))) + networks.biases[1][k]
         told = [20 * last[0], 20 * np.exp(min(last[1], 0.0))]
         np.testing.assert_allclose([means[k], deviations[k]], told)
+
+
+def test_a_common_change_is_taken_out_as_far_as_it_is_likely():
+    """The linear estimate of least mean square, beside regression on draws of the same model."""
+    rng, networks = np.random.default_rng(2), random_networks()
+    ways = np.array([[1.0, -0.4], [0.0, 0.2]])
+    bend = rng.standard_normal((200_000, 2)) @ ways
+    common = 0.3 * rng.standard_normal(len(bend))
+    seen = bend + common[:, None] * networks.drift
+    networks = replace(networks, filter=np.linalg.solve(ways.T @ ways, networks.drift))
+    least = np.linalg.lstsq(seen, common, rcond=None)[0]
+    expected = seen[:5] - (seen[:5] @ least)[:, None] * networks.drift
+    found = networks.without_drift(seen[:5], np.full(5, 0.3**2))
+    np.testing.assert_allclose(found, expected, atol=0.02)
 
 
 def test_variance_is_that_within_and_a_jackknife_of_that_between():
@@ -129,7 +150,7 @@ def test_networks_tell_angles_of_clamps_never_seen(trained):
     found = np.array([networks.estimate(each, np.zeros(0), 1e-4) for each in unseen.change])
     error = found[:, 0] - unseen.angle_deg
     noise, known = NOISE**2 * np.eye(CHANNELS), frames()
-    columns = (known.angle_deg, known.change, known.features, known.specimen)
+    columns = (known.angle_deg, known.change, known.features, known.curve)
     curve_of_all = BendCurvePrior.fit(*columns, noise).of(())
     by_curve = np.array([estimate_angle(curve_of_all, each, noise)[0] for each in unseen.change])
     rms = np.sqrt(np.mean(error**2))
@@ -168,15 +189,11 @@ def test_networks_are_kept_where_they_tell_more_than_the_curves(tightness, kept)
         np.zeros(len(change), np.int64),
     )
     settings = JointSettings(angles=SETTINGS, drift=1e-6)
-    features = _no_features()
-    curves = joint_training._curves(data, features, COMBINATIONS, 1e-6)
     with single_thread(), pytest.MonkeyPatch.context() as patch:
         patch.setattr(angle_training, "HIDDEN", (24, 24))
         patch.setattr(angle_training, "DRIFT", (1e-4, 1e-3))
-        networks, _ = joint_training._angles(
-            data, features, COMBINATIONS, curves, settings, 0, silent
-        )
-    assert (networks is not None) == kept
+        learned = fit_bends(data, _no_features(), COMBINATIONS, settings, 0, silent)
+    assert (learned.networks is not None) == kept
 
 
 def _no_features():

@@ -367,14 +367,14 @@ def test_known_touches_tell_how_far_to_trust_standard_errors(method):
     known = known_frames(FLAT, 4, change, np.zeros(12), touches=touches[:, None])
     one, told = method.adapted(known)
     assert (told.touches, told.left_out) == (12, 0)
-    assert told.error_scale == one.error_scale > 1.0
+    assert told.error_scale == one.own_error_scale > 1.0
     before, after = (each.predict(known.observations).touches for each in (method, one))
     for plain, scaled in zip(before, after, strict=True):
-        np.testing.assert_allclose(scaled.deviation, one.error_scale * plain.deviation)
+        np.testing.assert_allclose(scaled.deviation, one.own_error_scale * plain.deviation)
         np.testing.assert_array_equal(scaled.place, plain.place)
     again = JointMethod.from_arrays(one.arrays(), LAYOUT)
-    assert again.error_scale == one.error_scale
-    assert method.adapted(known_frames(FLAT, 4, np.zeros((1, 28)), [0.0]))[0].error_scale == 1.0
+    assert again.own_error_scale == one.own_error_scale
+    assert method.adapted(known_frames(FLAT, 4, np.zeros((1, 28)), [0.0]))[0].own_error_scale == 1.0
 
 
 def test_the_scale_of_standard_errors_is_the_rms_of_their_ratios():

@@ -19,12 +19,14 @@ from eitskin.training.joint import (
 from eitskin.training.joint import (
     training as joint_training,
 )
+from eitskin.training.joint.adaptation import error_scale
 from eitskin.training.joint.method import JointMethod
-from eitskin.training.joint.training import fit_joint
+from eitskin.training.joint.training import fit_joint, held_out_touches
 from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.observations import Observations
-from eitskin.training.method.settings import JointSettings, NetworkSettings
+from eitskin.training.method.settings import JointSettings, NetworkSettings, TrainingSettings
 from eitskin.training.method.targets import Targets
+from eitskin.training.method.training_frames import TrainingFrames
 from eitskin.training.paper.networks import single_thread
 
 from smooth_sensor import (
@@ -100,9 +102,9 @@ def trained():
             response=NetworkSettings(1e-2, epochs=18, batch=48),
             proposals=NetworkSettings(1e-2, epochs=2, batch=64),
         )
-        method = fit_joint(
-            JointMethod, dataset(), LAYOUT, settings, 0, lambda *told: said.append(told)
-        )
+        frames = TrainingFrames.of(dataset(), LAYOUT)
+        whole = TrainingSettings(joint=settings)
+        method = JointMethod.fit(frames, whole, lambda *told: said.append(told))
     return method, said
 
 
@@ -137,6 +139,24 @@ def test_learned_method_perceives_frames_never_seen(trained):
         true = [unseen.touch_x[i, 0], unseen.touch_y[i, 0]]
         away.append(np.hypot(*(found - true).T).min() if len(found) else np.inf)
     assert np.median(away) < 0.005
+
+
+@pytest.mark.slow
+def test_standard_errors_of_places_are_scaled_by_specimens_held_out(trained):
+    """To the scale that an unscaled method has there; no other specimen takes part."""
+    method, _ = trained
+    checked = held_out_touches(dataset())
+    specimens = np.unique(dataset().specimen[dataset().state == State.TOUCH])
+    numbers = checked.specimen_number[checked.specimen]
+    assert set(numbers.tolist()) == set(specimens[7::8].tolist())
+    assert (checked.touch_count > 0).all()
+    plain = replace(method, error_scale=1.0).predict(Observations.of(checked)).touches
+    known = np.stack([checked.touch_x, checked.touch_y], axis=-1)
+    assert method.error_scale == pytest.approx(error_scale(known, plain))
+    assert method.error_scale != 1.0
+    scaled = method.predict(Observations.of(checked)).touches
+    for before, after in zip(plain, scaled, strict=True):
+        np.testing.assert_allclose(after.deviation, method.error_scale * before.deviation)
 
 
 def test_a_sensor_that_is_never_bent():

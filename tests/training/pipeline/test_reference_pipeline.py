@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -101,26 +102,44 @@ def test_it_runs_without_torch():
     assert done.stdout.split() == ["IDLE", "False"]
 
 
-def test_the_wide_one_tells_angles_of_another_clamp_and_how_surely():
-    """A sensor held below: the reference pipeline is sure of angles that are wrong."""
+def test_it_tells_angles_of_another_clamp_and_how_surely():
+    """A sensor held below: the default clamp's bend curves are sure of angles that are wrong."""
     held_below = Simulator(SensorDesign.reference(), "coarse", fixture=Clamp(faces="bottom"))
     angles = np.array([-15.0, 10.0, 20.0, 30.0, 40.0])
-    ratio = {}
-    for name in ("reference", "wide"):
-        pipeline, rng = Pipeline.load(f"{name}.eitmodel"), np.random.default_rng(0)
-        scenes = [Scene(), *(Scene(Bend(angle)) for angle in angles)]
-        said = []
-        for number, scene in enumerate(scenes):
-            frame = held_below.measure(scene, Instrument(), rng)
-            said.append(
-                pipeline.process(
-                    Frame(frame.impedance, frame.protocol, time=float(number), number=number)
-                )
-            )
-        bends = all(each.state is State.BEND for each in said[1:])
-        assert bends or name == "reference"
+    pipeline, rng = Pipeline.load("reference.eitmodel"), np.random.default_rng(0)
+    known = pipeline.method
+    sure = replace(known, bend_prior=known.usual, usual=None, angles=None)
+    ratio = []
+    for method in (known, sure):
+        pipeline.method = method
+        pipeline.use(None)
+        frames = [
+            held_below.measure(scene, Instrument(), rng)
+            for scene in (Scene(), *(Scene(Bend(angle)) for angle in angles))
+        ]
+        said = [
+            pipeline.process(replace(frame, time=float(number), number=number))
+            for number, frame in enumerate(frames)
+        ]
         error = np.array([each.bend_angle_deg for each in said[1:]]) - angles
         deviation = np.array([each.bend_deviation_deg for each in said[1:]])
-        ratio[name] = np.sqrt(np.mean((error / deviation) ** 2))
-    assert ratio["wide"] < 1.5
-    assert ratio["wide"] < 0.5 * ratio["reference"]
+        ratio.append(np.sqrt(np.mean((error / deviation) ** 2)))
+        assert method is sure or all(each.state is State.BEND for each in said[1:])
+    assert ratio[0] < 1.5
+    assert ratio[0] < 0.5 * ratio[1]
+
+
+def test_a_stored_reference_tells_a_sensor_that_starts_bent_and_touched(simulator):
+    """By the bend curves of the usual clamp: where any is possible, some bend explains a touch."""
+    pipeline, rng = Pipeline.load("reference.eitmodel"), np.random.default_rng(0)
+
+    def measured(scene, number):
+        frame = simulator.measure(scene, Instrument(), rng)
+        return replace(frame, time=0.3 * number, number=number)
+
+    pipeline.use(pipeline.tare([measured(Scene(), number) for number in range(8)]))
+    touched = Scene(Bend(30.0), (Touch(0.050, 0.020, 10.0),))
+    said = [pipeline.process(measured(touched, number)) for number in range(8, 11)][-1]
+    assert said.state is State.TOUCH
+    assert abs(said.bend_angle_deg - 30.0) < 3.0 * said.bend_deviation_deg
+    assert np.hypot(*(said.found.place[0] - (0.050, 0.020))) < 5e-3

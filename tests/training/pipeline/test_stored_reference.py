@@ -35,7 +35,7 @@ def truth(simulator):
         "flat": Scene(),
         "bent": Scene(Bend(30.0)),
         "pressed": Scene(Bend(30.0), touch),
-        "further": Scene(Bend(40.0)),
+        "back": Scene(Bend(20.0)),
     }
     return {name: simulator.measure(scene).impedance for name, scene in scenes.items()}
 
@@ -115,9 +115,9 @@ def test_a_mounted_sensor_is_estimated_from_its_own_shape(pipeline, truth):
     pipeline.tare(frames(truth["bent"]), Zero.MOUNTED)
     estimate = last(pipeline, frames(truth["bent"], seed=2))
     assert (estimate.state, estimate.zero, estimate.problems) == (State.IDLE, Zero.MOUNTED, ())
-    estimate = last(pipeline, frames(truth["further"], first=8))
+    estimate = last(pipeline, frames(truth["back"], first=8))
     assert estimate.state is State.BEND
-    assert estimate.bend_angle_deg == pytest.approx(10.0, abs=9.0)
+    assert estimate.bend_angle_deg == pytest.approx(-10.0, abs=9.0)
     assert estimate.bend_deviation_deg is None
 
 

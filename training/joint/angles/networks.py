@@ -41,12 +41,16 @@ class AngleNetworks:
         weights: of each layer (M, outputs, inputs).
         biases: of each layer (M, outputs).
         unit: rms of each combination of the change in training (K,).
+        drift: combinations of a common change of log V by one, in units (K,).
+        filter: weights of the change, in units, in the estimate of the common change (K,).
         angle_deg: smallest and largest angle learned from [deg].
     """
 
     weights: tuple[Array, ...]
     biases: tuple[Array, ...]
     unit: Array
+    drift: Array
+    filter: Array
     angle_deg: tuple[float, float]
 
     def inputs(self, change: Array, features: Array, drift: Array) -> Array:
@@ -59,7 +63,21 @@ class AngleNetworks:
         """
         held = np.clip(features, -FEATURE_LIMIT, FEATURE_LIMIT)
         size = np.log(np.clip(drift, *DRIFT) / DRIFT[0])
-        return np.concatenate([change / self.unit, held, np.asarray(size)[..., None]], axis=-1)
+        shape = self.without_drift(change / self.unit, np.square(drift))
+        return np.concatenate([shape, held, np.asarray(size)[..., None]], axis=-1)
+
+    def without_drift(self, change: Array, variance: Array) -> Array:
+        """Change, in units, less the linear estimate of the part common to all measurements.
+
+        Where the change by bending has the second moments C and the common one the variance v,
+        its estimate of least mean square is v d C^-1 c / (1 + v d C^-1 d).
+
+        Args:
+            change: in units (..., K).
+            variance: of the common change (...).
+        """
+        told = variance * (change @ self.filter) / (1.0 + variance * (self.drift @ self.filter))
+        return change - np.asarray(told)[..., None] * self.drift
 
     def members(self, change: Array, features: Array, drift: float) -> tuple[Array, Array]:
         """Means and standard deviations (M,) of one frame [deg]; arguments as of `inputs`."""
@@ -84,8 +102,8 @@ class AngleNetworks:
 
     def arrays(self) -> dict[str, NDArray[np.floating]]:
         """Arrays from which `from_arrays` restores the networks; weights in single precision."""
-        arrays: dict[str, NDArray[np.floating]] = {"unit": self.unit}
-        arrays["angle_deg"] = np.array(self.angle_deg)
+        parts = {"unit": self.unit, "drift": self.drift, "filter": self.filter}
+        arrays: dict[str, NDArray[np.floating]] = {**parts, "angle_deg": np.array(self.angle_deg)}
         for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             arrays[f"weight{i}"] = weight.astype(np.float32)
             arrays[f"bias{i}"] = bias.astype(np.float32)
@@ -101,6 +119,8 @@ class AngleNetworks:
             tuple(values[f"weight{i}"] for i in layers),
             tuple(values[f"bias{i}"] for i in layers),
             values["unit"],
+            values["drift"],
+            values["filter"],
             (low, high),
         )
 

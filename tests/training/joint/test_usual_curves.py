@@ -1,0 +1,138 @@
+"""Usual bend curves: the group of specimens that bend alike, and what a frame says of it."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from eitskin.protocol import Protocol
+from eitskin.training.joint.angles.bent_frames import BentFrames
+from eitskin.training.joint.angles.estimate import AngleEstimate, mixed
+from eitskin.training.joint.angles.usual import usual_curves
+from eitskin.training.joint.bend_curve import RANDOM_POWERS, SCALE, BendCurvePrior
+from eitskin.training.joint.channel_faults import possible_faults
+from eitskin.training.joint.combinations import Combinations
+from eitskin.training.joint.specimen_model import SpecimenModel
+
+CHANNELS, NOISE = 6, 2e-4
+COMBINATIONS = Combinations(np.full(CHANNELS, NOISE))
+WAYS = np.random.default_rng(0).standard_normal((3, CHANNELS)) * 0.03
+ANGLES = np.array([-15.0, 5.0, 15.0, 25.0, 35.0, 45.0])
+
+
+def frames(alike, various, seed=1, spread=0.03):
+    """Bent frames of `alike` specimens of one clamp, then of `various` in clamps of their own."""
+    rng = np.random.default_rng(seed)
+    count = alike + various
+    usual = np.arange(count) < alike
+    factor = np.where(usual, 1.0, np.exp(0.4 * rng.standard_normal(count)))
+    turned = np.where(usual, 0.0, rng.standard_normal(count))
+    own = spread * rng.standard_normal((count, CHANNELS)) * 0.03
+    number = np.repeat(np.arange(count), len(ANGLES))
+    u = np.tile(ANGLES, count)[:, None] / SCALE
+    change = u * (factor[:, None] * WAYS[0] + turned[:, None] * WAYS[1] + own)[number]
+    change += u**2 * WAYS[2] + NOISE * rng.standard_normal((len(number), CHANNELS))
+    return BentFrames(
+        change,
+        np.tile(ANGLES, count),
+        np.zeros((len(number), 0)),
+        number,
+        np.zeros(len(number), np.int64),
+        COMBINATIONS,
+        NOISE**2 * np.eye(CHANNELS),
+    )
+
+
+def learned(data):
+    return BendCurvePrior.fit(data.angle_deg, data.change, data.features, data.curve, data.noise)
+
+
+@pytest.fixture(scope="module")
+def mixture():
+    return frames(160, 140)
+
+
+@pytest.fixture(scope="module")
+def everywhere(mixture):
+    return learned(mixture)
+
+
+@pytest.fixture(scope="module")
+def usual(mixture, everywhere):
+    return usual_curves(mixture, everywhere)
+
+
+# Likelihoods
+
+
+def test_likelihood_of_a_specimen_is_that_of_a_normal_vector(mixture, everywhere):
+    """Beside the whole covariance of its frames, written out."""
+    told = everywhere.log_likelihood(
+        mixture.angle_deg, mixture.change, mixture.features, mixture.specimen, mixture.noise
+    )
+    powers = (ANGLES[:, None] / SCALE) ** np.arange(1, RANDOM_POWERS + 1)
+    weights = np.kron(powers, np.eye(CHANNELS))
+    whole = weights @ everywhere.covariance @ weights.T + NOISE**2 * np.eye(len(weights))
+    curve = everywhere.of(())
+    for number in (0, 200):
+        change = mixture.change[mixture.specimen == number]
+        normal = multivariate_normal(curve.value(ANGLES).ravel(), whole)
+        assert told[number] == pytest.approx(normal.logpdf(change.ravel()), rel=1e-6)
+        by_curve = curve.log_likelihood(ANGLES, change, mixture.noise)
+        assert by_curve == pytest.approx(told[number], rel=1e-6)
+
+
+# The group
+
+
+def test_the_group_that_bends_alike_is_found(mixture, usual):
+    alike = mixture[mixture.specimen < 160]
+    by_hand = learned(alike)
+    size = np.trace(by_hand.covariance)
+    assert np.trace(usual.covariance) == pytest.approx(size, rel=0.1)
+    np.testing.assert_allclose(
+        usual.of(()).value(30.0), by_hand.of(()).value(30.0), atol=0.02 * np.abs(WAYS).max()
+    )
+
+
+@pytest.mark.parametrize(("alike", "various"), [(60, 240), (300, 0), (0, 300), (110, 60)])
+def test_no_group_is_found_where_none_is(alike, various):
+    """Too few alike, all of one clamp, none alike, or too few specimens altogether."""
+    data = frames(alike, various)
+    assert usual_curves(data, learned(data)) is None
+
+
+# Two hypotheses of one frame
+
+
+def test_a_mixture_has_the_moments_of_its_parts():
+    rng = np.random.default_rng(4)
+    other = AngleEstimate(20.0, 3.0, 0.0, log_evidence=-5.0)
+    usual = AngleEstimate(24.0, 0.5, 1.0, log_evidence=-4.0)
+    log_odds = math.log(0.25)
+    found = mixed(other, usual, log_odds)
+    share = 0.25 * math.exp(-4.0) / (0.25 * math.exp(-4.0) + math.exp(-5.0))
+    which = rng.random(400_000) < share
+    drawn = np.where(which, rng.normal(24.0, 0.5, len(which)), rng.normal(20.0, 3.0, len(which)))
+    assert found.usual == pytest.approx(share)
+    assert found.angle_deg == pytest.approx(drawn.mean(), abs=0.03)
+    assert found.deviation_deg == pytest.approx(drawn.std(), rel=0.01)
+    assert found.misfit_sigma == 0.0
+
+
+@pytest.mark.parametrize("alike", [True, False])
+def test_a_bent_frame_tells_whether_its_sensor_bends_as_usual(everywhere, usual, alike):
+    unseen = frames(1, 0, seed=7) if alike else frames(0, 1, seed=8)
+    none = possible_faults(Protocol.pairwise(4), np.ones(CHANNELS), COMBINATIONS)
+    both = SpecimenModel(np.zeros(0), None, everywhere.of(()), none, (), None, None, usual.of(()))
+    alone = SpecimenModel(np.zeros(0), None, everywhere.of(()), none, (), None)
+    for change, angle in list(zip(unseen.change, ANGLES, strict=True))[3:]:
+        combined = COMBINATIONS.combined(change, 1.0, 0.0)
+        found, before = both.angle(combined), alone.angle(combined)
+        assert (found.usual > 0.5) == alike
+        if alike:
+            assert abs(found.angle_deg - angle) < 4.0 * found.deviation_deg
+            assert found.deviation_deg < before.deviation_deg
+        else:
+            assert found.angle_deg == pytest.approx(before.angle_deg, abs=0.1)
