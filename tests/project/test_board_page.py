@@ -1,6 +1,7 @@
 """The board that can be built: page, schematic, wiring and parts agree."""
 
 import csv
+import re
 import runpy
 from pathlib import Path
 
@@ -29,6 +30,16 @@ def test_the_page_has_the_wires_of_the_multiplexers():
         cells = [f"{row['pin']}, {row['header']}" for row in lines]
         table_row = f"| {part} ({role}) | {' | '.join(cells)} | {COMMON[part]} |"
         assert table_row in PAGE.read_text(encoding="utf-8")
+
+
+def test_the_firmware_drives_the_wires_of_the_multiplexers():
+    source = (FOLDER / "front_end.c").read_text(encoding="utf-8")
+    names = {"F+": "DRIVE_PLUS", "F-": "DRIVE_MINUS", "S+": "SENSE_PLUS", "S-": "SENSE_MINUS"}
+    pins = {row["signal"]: row["pin"] for row in rows("wiring.csv")}
+    for role, name in names.items():
+        (line,) = re.findall(rf"\[EIT_{name}\] = (.*),", source)
+        driven = [f"P{port}{number}" for port, number in re.findall(r"GPIO(\w), (\d+)", line)]
+        assert driven == [pins[f"{role} A{line}"] for line in range(4)]
 
 
 def test_no_pin_is_taken_twice():

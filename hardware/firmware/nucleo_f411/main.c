@@ -8,7 +8,7 @@
 
 #include <string.h>
 
-/* The reset value of the watchdog's clock is 32 kHz, good to 17 to 47 kHz. */
+/* The watchdog has an oscillator of its own, of 32 kHz, anywhere from 17 to 47 kHz. */
 #define WATCHDOG_TICKS 500 /* of 2 ms: 1 s, or 0.7 to 1.9 s */
 
 static eit_board board; /* 4.2 kB: not on the stack */
