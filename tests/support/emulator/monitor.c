@@ -44,6 +44,9 @@ enum { RAISE_EXTI_10 = 1, RAISE_TIM5 = 2, RAISE_USART2 = 4, FORBID_USART2 = 8, R
 
 #define AHEAD 8 /* bytes of SPI that are exchanged without a question */
 
+enum { OPEN_FILE = 1, WRITE_FILE = 5, READ_FILE = 6, EXIT = 0x18 }; /* of semihosting */
+#define EXIT_REASON ((const void *)0x20026)
+
 typedef struct {
     uint32_t kind, address, size, value, now_us, pc;
     uint32_t sent; /* bytes by SPI since the question before */
@@ -72,7 +75,7 @@ static int semihosting(int operation, const void *parameters) {
 
 static int open_pipe(const char *name, int mode) {
     const uint32_t parameters[] = {(uint32_t)name, (uint32_t)mode, 4};
-    return semihosting(1, parameters);
+    return semihosting(OPEN_FILE, parameters);
 }
 
 static void raise(int interrupt) { NVIC_ISPR[interrupt / 32] = 1u << interrupt % 32; }
@@ -99,8 +102,8 @@ static answer ask(uint32_t kind, uint32_t address, uint32_t size, uint32_t value
     const uint32_t out[] = {(uint32_t)to_host, (uint32_t)&asked, sizeof asked};
     const uint32_t in[] = {(uint32_t)from_host, (uint32_t)&given, sizeof given};
     for (uint32_t i = 0; i < sent; i++) asked.bytes[i] = bytes_sent[i];
-    semihosting(5, out);
-    semihosting(6, in);
+    semihosting(WRITE_FILE, out);
+    if (semihosting(READ_FILE, in) != 0) semihosting(EXIT, EXIT_REASON); /* the host is gone */
     sent = known = 0;
     if (given.actions & RESET) {
         AIRCR = 0x05FA0004;
