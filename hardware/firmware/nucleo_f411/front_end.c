@@ -73,7 +73,8 @@ static void begin_spi(void) {
 static void begin_interrupt(void) {
     RCC->APB2ENR |= RCC_APB2_SYSCFG;
     (void)RCC->APB2ENR;
-    set_field(&SYSCFG->EXTICR[interrupt_low.number / 4], interrupt_low.number % 4, 4, 0); /* port A */
+    /* The line of this number is that of port A. */
+    set_field(&SYSCFG->EXTICR[interrupt_low.number / 4], interrupt_low.number % 4, 4, 0);
     EXTI->FTSR |= BIT(interrupt_low.number);
     EXTI->IMR |= BIT(interrupt_low.number);
     enable_interrupt(EXTI15_10_IRQ);

@@ -1,5 +1,6 @@
 """The image that is flashed, run in QEMU beside a `Chip` that plays what QEMU lacks."""
 
+import atexit
 import contextlib
 import functools
 import os
@@ -52,6 +53,7 @@ def image():
     """Folder with the firmware and the monitor, built."""
     require("make", f"{CROSS}gcc")
     folder = Path(tempfile.mkdtemp(prefix="eitskin-f411-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
     run("make", "-C", FIRMWARE, f"BUILD={folder}")
     monitor = ("-T", HERE / "monitor.ld", HERE / "monitor.c", "-o", folder / "monitor.elf")
     run(f"{CROSS}gcc", *MONITOR_OPTIONS, *monitor)
