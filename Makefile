@@ -9,7 +9,7 @@ WORKERS := --numprocesses 2 --dist loadfile --no-loadscope-reorder
 # Hundreds of processes start in the tests; what one has compiled the others need not.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test quick coverage mutations lint docs reference narrow firmware gallery bench \
+.PHONY: demo test quick coverage mutations fuzz lint docs reference narrow firmware gallery bench \
 	bench-long figures clean
 
 demo: $(VENV)/installed
@@ -35,6 +35,10 @@ coverage: $(VENV)/installed
 # Core formulas broken one by one in a copy: tests must fail.
 mutations: $(VENV)/installed
 	$(BIN)/python tests/mutations/run.py $(ARGS)
+
+# Hostile inputs of all kinds, read in processes that are watched; SECURITY.md has the table.
+fuzz: $(VENV)/installed
+	$(BIN)/python -m eitskin.benchmarks.studies.data.hostile $(ARGS)
 
 lint: $(VENV)/installed
 	$(BIN)/ruff check .

@@ -8,13 +8,23 @@ import math
 from eitskin.errors import ConfigurationError
 
 SHORTEST, LONGEST = 1e-6, 10.0
+LEAST, MOST = 1e-15, 1e15
+"""Bounds of positive quantities in SI units, beyond which sums of them lose all digits."""
+
+LEAST_READING, LARGEST_READING = 1e-12, 1e12
+"""Magnitudes of a reading [ohm], or of another quantity; the square of others may overflow."""
+
 MOST_ELECTRODES, MOST_POINTS = 1024, 4096
 
 
 def require_positive(name: str, value: float, unit: str) -> None:
-    """Raise ConfigurationError unless `value` is finite and above zero."""
+    """Raise ConfigurationError unless `value` is above zero, and within `LEAST` and `MOST`."""
     if not (math.isfinite(value) and value > 0):
         raise ConfigurationError(f"{name} must be a positive number of {unit}, got {value!r}")
+    if not LEAST <= value <= MOST:
+        raise ConfigurationError(
+            f"{name} must be between {LEAST:g} and {MOST:g} {unit}, got {value!r}"
+        )
 
 
 def require_length(name: str, value: float, longest: float = LONGEST) -> None:

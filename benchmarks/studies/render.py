@@ -58,8 +58,9 @@ class Figure:
 
 
 def pages(root: Path = ROOT) -> list[Path]:
-    """Paths of the README and of all pages of docs."""
-    return [root / "README.md", *sorted((root / "docs").rglob("*.md"))]
+    """Paths of the README, the page on security and all pages of docs."""
+    first = (root / "README.md", root / "SECURITY.md")
+    return [*filter(Path.is_file, first), *sorted((root / "docs").rglob("*.md"))]
 
 
 def figures_in(text: str) -> list[Figure]:

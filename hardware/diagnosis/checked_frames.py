@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from eitskin.bounds import LARGEST_READING, LEAST_READING
 from eitskin.errors import ConfigurationError, FrameError
 from eitskin.frame import Frame, Status
 from eitskin.protocol import Protocol
@@ -158,13 +159,23 @@ def checked_frames(frames: tuple[Frame, ...], expected: Array) -> CheckedFrames:
             f"expected {len(protocol)} positive resistances, one for each measurement of the "
             f"frames, got shape {expected.shape}; take a model of this sensor and its protocol"
         )
-    if not np.isfinite(expected).all():
-        raise ConfigurationError("the expected resistances must be finite")
-    impedance = np.array([frame.impedance for frame in frames])
-    impedance[~np.isfinite(impedance)] = np.nan
+    if not ((expected >= LEAST_READING) & (expected <= LARGEST_READING)).all():
+        raise ConfigurationError(
+            f"the expected resistances must be from {LEAST_READING:g} to {LARGEST_READING:g} ohm; "
+            "take a model of this sensor"
+        )
+    impedance = readings(np.array([frame.impedance for frame in frames]))
     return CheckedFrames(
         protocol, impedance, np.array([frame.status for frame in frames]), expected
     )
+
+
+def readings(values: Complex) -> Complex:
+    """Values with NaN where they are immense or not finite, and zero where they are minute."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        size = np.abs(values)
+    made = np.where(size <= LARGEST_READING, values, np.nan)
+    return np.where(size < LEAST_READING, 0.0, made)
 
 
 def electrodes_at_fault(wrong: Bools, protocol: Protocol) -> tuple[list[int], list[int]]:

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from eitskin.errors import DataError, FrameError
 from eitskin.frame import Frame
-from eitskin.hardware.diagnosis.checked_frames import FLAGGED, Bools, CheckedFrames
+from eitskin.hardware.diagnosis.checked_frames import FLAGGED, Bools, CheckedFrames, readings
 from eitskin.hardware.diagnosis.finding import (
     Finding,
     FindingKind,
@@ -121,7 +121,7 @@ def check_readings(
             f"expected readings of {len(protocol)} channels, one row for each frame, got shape "
             f"{values.shape}; name the protocol of the recording"
         )
-    values[~np.isfinite(values)] = np.nan
+    values = readings(values)
     bits = np.zeros(values.shape, np.uint8) if status is None else np.asarray(status, np.uint8)
     checked = CheckedFrames(protocol, values, bits, np.ones(len(protocol)))
     typical = np.maximum(np.abs(checked.value), np.finfo(float).tiny)

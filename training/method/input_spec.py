@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from eitskin.bounds import LARGEST_READING, LEAST_READING
 from eitskin.config import from_dict, to_dict
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.errors import DataError, FrameError, UnusableFrameError
@@ -179,7 +180,9 @@ def usable_values(frame: Frame) -> tuple[NDArray[np.complex128], tuple[str, ...]
 
     Raises UnusableFrameError for a frame with too few good channels.
     """
-    good = np.isfinite(frame.impedance) & (frame.status == 0) & (frame.impedance != 0)
+    size = np.abs(frame.impedance)
+    # Others are no readings, and their squares would overflow.
+    good = (LEAST_READING <= size) & (size <= LARGEST_READING) & (frame.status == 0)
     labels = frame.protocol.labels
     problems = tuple(
         f"channel {labels[i]} is left out: "

@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 FLAT_DEG = 0.05  # angle up to which a sensor counts as flat
+WIDEST_DEG = 360.0  # of a bend; a roll turns no further than once
 BESIDE = 0.001  # m, by which a place may be told beside the sensor
 
 
@@ -59,10 +60,11 @@ class FrameLabel:
     touches: tuple[TouchLabel, ...] | None = ()
 
     def __post_init__(self) -> None:
-        """Raise DataError for an angle that is not finite."""
-        if self.angle_deg is not None and not math.isfinite(self.angle_deg):
+        """Raise DataError for an angle that no bend has."""
+        if self.angle_deg is not None and not abs(self.angle_deg) <= WIDEST_DEG:
             raise DataError(
-                f"expected a finite angle in degrees, or None where unknown, got {self.angle_deg}"
+                f"expected an angle up to {WIDEST_DEG:g} deg, or None where unknown, got "
+                f"{self.angle_deg:g}"
             )
 
     @property
