@@ -29,6 +29,7 @@ from eitskin.datasets.store.shard_reader import shard_of
 from eitskin.errors import DataError
 from eitskin.geometry.deformation.fixtures import Bend
 from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.hardware.protocol.frame_parts import FrameData
 from eitskin.hardware.protocol.messages import pack, unpack
 from eitskin.hardware.protocol.packets import Decoder, MessageError, encode
 from eitskin.protocol import Protocol
@@ -186,9 +187,9 @@ def _recording(ending: str, good: bytes) -> Trial:
 
 
 def _port(rng: random.Random, folder: Path) -> object:  # noqa: ARG001
-    from eitskin.benchmarks.studies.boards.fuzz_codec import _frame
-
-    packet = encode(pack(_frame(rng.randrange(100), 28), 1))
+    values = np.array([complex(rng.uniform(400, 800), 1.0) for _ in range(28)], np.complex64)
+    frame = FrameData(1, 0.3, 0.297, values, np.zeros(28, np.uint8))
+    packet = encode(pack(frame, 1))
     decoder, found = Decoder(), []
     for payload in decoder.feed(damaged(rng, packet) + packet):
         try:
