@@ -10,7 +10,7 @@ NAME = "transfer"
 HEADINGS = (
     "pipeline",
     "world",
-    "angles",
+    "labelled",
     "states [%]",
     "angle [deg]",
     "/ SE",
@@ -43,7 +43,7 @@ def write(found: Transfer, out: Path) -> list[Path]:
         figures=dict(figures(found)),
     )
     rows = [
-        {"pipeline": row.pipeline, "world": row.world, "angles": row.angles}
+        {"pipeline": row.pipeline, "world": row.world, "labelled": str(row.labelled)}
         | {name: row.figures.get(name) for name, _ in _CELLS}
         for row in found.rows
     ]
@@ -54,7 +54,7 @@ def figures(found: Transfer) -> Iterator[tuple[str, float]]:
     """All figures by name."""
     for row in found.rows:
         for name, value in row.figures.items():
-            yield f"{row.pipeline} / {row.world}, {row.angles} angles / {name}", value
+            yield f"{row.pipeline} / {row.world}, {row.labelled} / {name}", value
 
 
 def table(found: Transfer) -> Iterator[tuple[str, ...]]:
@@ -64,4 +64,4 @@ def table(found: Transfer) -> Iterator[tuple[str, ...]]:
             f"{factor * row.figures[name]:.3g}" if name in row.figures else "-"
             for name, factor in _CELLS
         )
-        yield row.pipeline, row.world, str(row.angles), *given
+        yield row.pipeline, row.world, str(row.labelled), *given

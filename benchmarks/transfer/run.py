@@ -1,4 +1,4 @@
-"""Run of `bench transfer`: every pipeline in every world, by the number of known angles."""
+"""Run of `bench transfer`: every pipeline in every world, by the labelled frames."""
 
 import time
 from collections.abc import Iterator, Mapping
@@ -6,22 +6,22 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from eitskin.benchmarks.paper.sets import Progress
-from eitskin.benchmarks.transfer.scores import Figures, scores
+from eitskin.benchmarks.transfer.scores import Figures, Labelled, scores
 from eitskin.benchmarks.transfer.worlds import make
 from eitskin.provenance import Provenance
 from eitskin.training.pipeline.pipeline import Pipeline
 
-ANGLES = (0, 1, 5)
-"""Numbers of known angles that a sensor is calibrated with."""
+LABELLED = tuple(Labelled(*each) for each in ((0, 0), (1, 0), (5, 0), (5, 15), (20, 80)))
+"""Labelled frames that a sensor is adapted by."""
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """Figures of one pipeline in one world after some known angles."""
+    """Figures of one pipeline in one world, adapted by some labelled frames."""
 
     pipeline: str
     world: str
-    angles: int
+    labelled: Labelled
     figures: Figures
 
 
@@ -33,7 +33,7 @@ class Transfer:
         provenance: of the measurement.
         seconds: that the run took [s], less where frames were kept from an earlier one.
         quick: whether fewer sensors had to do.
-        rows: one for each pipeline, world and number of known angles.
+        rows: one for each pipeline, world and number of labelled frames.
     """
 
     provenance: Provenance
@@ -73,6 +73,6 @@ def _rows(
         pipeline = Pipeline.load(path)
         for place, world in enumerate(worlds):
             progress("scores", number * len(worlds) + place, total)
-            for angles in ANGLES:
-                yield Row(name, world.name, angles, scores(pipeline, world, angles))
+            for labelled in LABELLED:
+                yield Row(name, world.name, labelled, scores(pipeline, world, labelled))
     progress("scores", total, total)

@@ -1,11 +1,13 @@
-"""Scores of a pipeline in one world, as it is and calibrated by known angles."""
+"""Scores of a pipeline in one world, as it is and adapted by labelled frames."""
 
 import dataclasses
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from eitskin.benchmarks.paper.sets import KNOWN_DEG
 from eitskin.benchmarks.transfer.worlds import World
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.state import State
@@ -19,7 +21,38 @@ Array = NDArray[np.float64]
 Figures = dict[str, float]
 
 
-@dataclasses.dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True)
+class Labelled:
+    """Numbers of labelled frames that a sensor is adapted by, beside one of the flat sensor."""
+
+    angles: int
+    presses: int
+
+    def __str__(self) -> str:
+        """Name in rows of the results."""
+        return f"{self.angles} angles" + f", {self.presses} presses" * bool(self.presses)
+
+    def rows(self, mine: Dataset) -> list[int]:
+        """Rows of the flat frame, of bent ones and of presses among the known frames of a sensor.
+
+        The fixed angles come first, the largest of them before the others. All presses are taken
+        where there are fewer.
+
+        Raises DataError where there are too few angles.
+        """
+        flat = np.flatnonzero(mine.state == State.IDLE)
+        bent = np.flatnonzero(mine.state == State.BEND)
+        if len(bent) < self.angles or not len(flat):
+            raise DataError(
+                f"expected {self.angles} known angles and a flat frame, got {len(bent)} angles"
+            )
+        angles = mine.bend_angle_deg[bent]
+        order = bent[np.lexsort((-np.abs(angles), ~np.isin(angles, KNOWN_DEG)))]
+        presses = np.flatnonzero(mine.state == State.TOUCH)[: self.presses]
+        return [int(flat[0]), *order[: self.angles].tolist(), *presses.tolist()]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Judged:
     """Predictions of one sensor's frames beside the truth.
 
@@ -65,42 +98,28 @@ class Judged:
         )
 
 
-def scores(pipeline: Pipeline, world: World, angles: int) -> Figures:
-    """Figures of a pipeline in a world, each sensor calibrated by some of its known angles.
+def scores(pipeline: Pipeline, world: World, labelled: Labelled) -> Figures:
+    """Figures of a pipeline in a world, adapted to each sensor by some of its known frames.
 
-    A sensor that the calibration refuses is judged uncalibrated, and counted.
+    A sensor that is refused is judged with the pipeline as trained, and counted.
 
     Args:
         pipeline: as trained.
         world: the sensors.
-        angles: number of known angles to calibrate with; 0 for none.
+        labelled: numbers of the frames to adapt by; of none, the pipeline stays as trained.
     """
     judged, refused = [], 0
     for number in np.unique(world.frames.specimen):
         own = dataclasses.replace(pipeline)
-        if angles:
+        if labelled.angles or labelled.presses:
             mine = world.known.select(world.known.specimen == number)
-            rows = _spread_angles(mine, angles)
             try:
-                own.calibrate([mine.frame(row) for row in rows], mine.bend_angle_deg[rows])
+                own.adapt(mine.select(labelled.rows(mine)))
             except EitskinError:
                 refused += 1
         data = world.frames.select(world.frames.specimen == number)
         judged.append(Judged.of(data, own.perceive(data)))
     return dict(_figures(judged)) | {"sensors refused": refused / len(judged)}
-
-
-def _spread_angles(mine: Dataset, count: int) -> list[int]:
-    """Rows of the flat frame and of `count` bent ones, the largest angles first.
-
-    Raises DataError where there are too few.
-    """
-    flat = np.flatnonzero(mine.state == State.IDLE)
-    bent = np.flatnonzero(mine.state == State.BEND)
-    if len(bent) < count or not len(flat):
-        raise DataError(f"expected {count} known angles and a flat frame, got {len(bent)}")
-    order = bent[np.argsort(-np.abs(mine.bend_angle_deg[bent]), kind="stable")]
-    return [*flat.tolist(), *order[:count].tolist()]
 
 
 def _figures(judged: list[Judged]) -> Iterator[tuple[str, float]]:

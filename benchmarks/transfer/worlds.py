@@ -4,6 +4,8 @@ import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+
 from eitskin.benchmarks.paper.sets import KNOWN_DEG, Progress
 from eitskin.datasets.generation.generate import generate
 from eitskin.datasets.recipe.mounts import Mounts
@@ -12,6 +14,7 @@ from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.datasets.recipe.specimen import Specimens
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.folder import open_dataset
+from eitskin.datasets.store.state import State
 from eitskin.simulator.instrument.instrument import Instrument
 from eitskin.simulator.instrument.meter import FourTerminalMeter
 
@@ -25,6 +28,13 @@ SENSOR_FRAMES = (
     SceneGroup("touch", count=6, force=(4.0, 12.0), angle_deg=(-20.0, 50.0), per_bend=3),
 )
 """Frames of each sensor. The state of bends below 5 deg, which are nearly flat, is not asked."""
+KNOWN_FRAMES = (
+    SceneGroup("idle", count=1),
+    *(SceneGroup("bend", count=1, angle_deg=(angle, angle)) for angle in KNOWN_DEG),
+    SceneGroup("bend", count=15, angle_deg=(-20.0, 50.0)),
+    SceneGroup("touch", count=80, force=(4.0, 12.0)),
+)
+"""Labelled frames of each sensor, to adapt by: angles, and presses on the flat sensor."""
 
 
 def _as_trained(recipe: Recipe) -> Recipe:
@@ -88,7 +98,7 @@ class World:
     Attributes:
         name: of the world.
         frames: flat, bent and touched, to be judged.
-        known: the same sensors in the same sessions, flat and at `KNOWN_DEG`.
+        known: labelled frames of the same sensors in the same sessions, to adapt by.
     """
 
     name: str
@@ -113,12 +123,23 @@ def make(folder: Path, seed: int, quick: bool, workers: int, progress: Progress)
 
             generate(recipe, place, workers, show, resume=(place / "recipe.toml").is_file())
             sets.append(open_dataset(place))
-        made.append(World(name, *sets))
+        made.append(World(name, sets[0], _apart(*sets)))
     return made
 
 
+def _apart(frames: Dataset, known: Dataset) -> Dataset:
+    """Known frames less presses whose place and noise were drawn as those of a judged frame.
+
+    Draws follow from a frame's number; only the first sensor has the same numbers in both sets.
+    """
+    judged = dict(zip(frames.number.tolist(), frames.specimen.tolist(), strict=True))
+    pairs = zip(known.number.tolist(), known.specimen.tolist(), strict=True)
+    same = np.array([judged.get(number) == specimen for number, specimen in pairs])
+    return known.select(np.flatnonzero(~same | (known.state != State.TOUCH)))
+
+
 def recipes(world: str, seed: int, quick: bool) -> tuple[Recipe, Recipe]:
-    """Recipes of the frames to be judged and of the known angles of a world."""
+    """Recipes of the frames to be judged and of the known frames of a world."""
     count = QUICK_SENSORS if quick else SENSORS
     training = Recipe.shipped("training")
     spread: Specimens = dataclasses.replace(training.specimens, count=count)
@@ -132,8 +153,7 @@ def recipes(world: str, seed: int, quick: bool) -> tuple[Recipe, Recipe]:
         scenes=tuple(_times(group, count) for group in SENSOR_FRAMES),
     )
     frames = WORLDS[world](base)
-    angles = (SceneGroup("bend", count=count, angle_deg=(angle, angle)) for angle in KNOWN_DEG)
-    scenes = (SceneGroup("idle", count=count), *angles)
+    scenes = tuple(_times(group, count) for group in KNOWN_FRAMES)
     return frames, dataclasses.replace(frames, name=f"{world}, known", scenes=scenes)
 
 

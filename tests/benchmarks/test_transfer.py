@@ -9,27 +9,55 @@ import pytest
 from command_line import printed_json
 
 from eitskin.benchmarks.results import read_results
-from eitskin.benchmarks.transfer import worlds
-from eitskin.benchmarks.transfer.scores import Judged
+from eitskin.benchmarks.transfer import run, worlds
+from eitskin.benchmarks.transfer.scores import Judged, Labelled
 from eitskin.datasets.recipe.frame_sampling import sample, specimen
 from eitskin.datasets.recipe.specimen import Specimens
 from eitskin.datasets.store.state import State
+from eitskin.errors import DataError
 from eitskin.training.method.predictions import FoundTouches
 
 
 @pytest.mark.parametrize("world", worlds.WORLDS)
-def test_the_known_angles_are_of_the_sensors_that_are_judged(world):
+def test_the_known_frames_are_of_the_sensors_that_are_judged(world):
     frames, known = worlds.recipes(world, 0, quick=True)
     assert frames.seed == known.seed
     assert frames.specimens == known.specimens
     assert [specimen(frames, n) for n in range(2)] == [specimen(known, n) for n in range(2)]
-    told = [(each.specimen, each.scene.bend.angle_deg) for each in map_samples(known)]
-    assert sorted(set(told)) == sorted(told)
-    assert {angle for _, angle in told} == {0.0, *worlds.KNOWN_DEG}
+    told = [sample(known, index) for index in range(known.frames)]
+    for number in range(2):
+        mine = [each for each in told if each.specimen == number]
+        untouched = [each.scene.bend.angle_deg for each in mine if not each.scene.touches]
+        assert {0.0, *worlds.KNOWN_DEG} <= set(untouched)
+        assert (len(untouched), len(mine)) == (21, 101)
+        assert all(each.scene.bend.angle_deg == 0.0 for each in mine if each.scene.touches)
 
 
-def map_samples(recipe):
-    return [sample(recipe, index) for index in range(recipe.frames)]
+def numbered(numbers, specimens, states):
+    arrays = SimpleNamespace(
+        number=np.array(numbers), specimen=np.array(specimens), state=np.array(states)
+    )
+    arrays.select = lambda rows: arrays.number[rows].tolist()
+    return arrays
+
+
+def test_presses_that_were_drawn_as_judged_frames_are_left_out():
+    judged = numbered([0, 1, 2, 3], [0, 0, 1, 1], [State.TOUCH] * 4)
+    states = [State.BEND, State.TOUCH, State.TOUCH, State.TOUCH, State.TOUCH]
+    known = numbered([0, 1, 2, 3, 4], [0, 0, 0, 1, 1], states)
+    assert worlds._apart(judged, known) == [0, 2, 4]
+
+
+def test_fixed_angles_are_known_first_and_the_largest_of_them_before_the_others():
+    mine = SimpleNamespace(
+        state=np.array([State.TOUCH, State.BEND, State.IDLE, *[State.BEND] * 5, State.TOUCH]),
+        bend_angle_deg=np.array([0.0, 49.0, 0.0, *worlds.KNOWN_DEG, 0.0], dtype=np.float32),
+    )
+    assert Labelled(1, 0).rows(mine) == [2, 7]
+    assert Labelled(6, 1).rows(mine) == [2, 7, 6, 3, 5, 4, 1, 0]
+    assert Labelled(5, 9).rows(mine)[-2:] == [0, 8]
+    with pytest.raises(DataError):
+        Labelled(7, 0).rows(mine)
 
 
 def test_worlds_differ_from_training_and_from_each_other():
@@ -71,10 +99,18 @@ def test_the_command_measures_the_shipped_pipeline(tmp_path, monkeypatch):
     nominal = {"nominal": lambda recipe: replace(recipe, specimens=Specimens(2, conductivity=0.1))}
     monkeypatch.setattr(worlds, "WORLDS", nominal)
     monkeypatch.setattr(worlds, "SENSOR_FRAMES", worlds.SENSOR_FRAMES[::2])
-    found = printed_json("bench", "transfer", "--quick", "--workers", 1, "--out", tmp_path)[
-        "figures"
-    ]
+    few = (*worlds.KNOWN_FRAMES[:6], replace(worlds.KNOWN_FRAMES[-1], count=6))
+    monkeypatch.setattr(worlds, "KNOWN_FRAMES", few)
+    monkeypatch.setattr(run, "LABELLED", (Labelled(0, 0), Labelled(5, 6)))
+    found = printed_json(
+        "bench", "transfer", "reference.eitmodel", "--quick", "--workers", 1, "--out", tmp_path
+    )["figures"]
     assert read_results(tmp_path / "transfer" / "results.json").figures == pytest.approx(found)
-    free = "reference / nominal, 0 angles / angle, rms [deg]"
-    assert found["reference / nominal, 5 angles / angle, rms [deg]"] < found[free] < 10.0
-    assert found["reference / nominal, 0 angles / untouched states right"] > 0.9
+    free, adapted = "reference / nominal, 0 angles", "reference / nominal, 5 angles, 6 presses"
+    error = "angle, rms [deg]"
+    assert found[f"{adapted} / {error}"] < found[f"{free} / {error}"] < 10.0
+    # Known presses change the standard errors of places, not the places.
+    ratio, place = "place, error over standard error", "place, mean [mm]"
+    assert found[f"{adapted} / {ratio}"] != found[f"{free} / {ratio}"]
+    assert found[f"{adapted} / {place}"] == pytest.approx(found[f"{free} / {place}"], rel=0.05)
+    assert found[f"{free} / untouched states right"] > 0.9

@@ -29,7 +29,7 @@ def command(
 ) -> None:
     """Measure pipelines on sensors with other clamps, layers, contacts and boards.
 
-    Each as it is, and calibrated by one and by five known angles. Frames are kept.
+    Each as it is, and adapted by 1 to 100 labelled frames, angles and presses. Frames are kept.
     """
     from eitskin.benchmarks.transfer.report import HEADINGS, NAME, figures, table, write
     from eitskin.benchmarks.transfer.run import run
