@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from eitskin.datasets.recordings.source import Source, Tables, Wanted
 from eitskin.errors import ConfigurationError, DataError
+from eitskin.input_files import shortened
 
 _TEXT_ROWS: Final = 256  # held as text at a time, which takes ten times the memory of numbers
 _NUMBERED: Final = re.compile(r"(.*\D)(\d+)")
@@ -92,7 +93,7 @@ class RowSource(Source):
                     title = self.header[self.columns[name][column]]
                     raise DataError(
                         f"row {numbers[row]}, column {title}: expected a number such as 530.1 or "
-                        f"530.1-2j, got '{cell.strip()}'"
+                        f"530.1-2j, got '{shortened(cell.strip())}'"
                     ) from None
         return found
 
