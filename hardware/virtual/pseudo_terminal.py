@@ -12,7 +12,9 @@ from typing import Generic, Self, TypeVar
 
 from eitskin.closeable import Closeable
 from eitskin.errors import ConfigurationError
+from eitskin.hardware.boards.port import SerialPort, open_port
 from eitskin.hardware.virtual.fault import Unplugged
+from eitskin.hardware.virtual.memory_line import unplugged
 
 _CHUNK = 4096  # bytes
 _BACKLOG = 16384  # bytes waiting to be sent, beyond which requests wait too
@@ -134,6 +136,12 @@ class PseudoTerminal(Closeable, Generic[FirmwareType]):
                     self._wait_for_cable(unplugged.back_after)
         finally:
             self._hang_up()
+
+    def connect(self, uri: str) -> SerialPort:
+        """Port at the host's end; raises DeviceError while the cable is pulled."""
+        if not self.path:
+            raise unplugged(uri)
+        return open_port(self.path, uri)
 
     def wake(self) -> None:
         """Wake the serving thread, to look at its firmware again."""

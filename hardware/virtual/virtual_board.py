@@ -1,8 +1,9 @@
-"""Virtual board: simulated measurements behind a pseudo-terminal.
+"""Virtual board: simulated measurements behind a pseudo-terminal, or a line in memory.
 
-The host opens the terminal as it opens a real board's port, so both share all of the host's code.
+The host speaks with it as with a real board's port, so both share the host's code.
 """
 
+import typing
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, cast, get_args
@@ -10,13 +11,14 @@ from typing import Any, cast, get_args
 import numpy as np
 
 from eitskin.config import read_toml
-from eitskin.errors import ConfigurationError, DeviceError
+from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.fixtures import Fixture
 from eitskin.geometry.design.sensor import SensorDesign
-from eitskin.hardware.boards.port import SerialPort, open_port
+from eitskin.hardware.boards.port import SerialPort
 from eitskin.hardware.boards.serial_board import SerialBoard
 from eitskin.hardware.virtual.fault import Fault
 from eitskin.hardware.virtual.fault_table import read_faults
+from eitskin.hardware.virtual.memory_line import MemoryLine
 from eitskin.hardware.virtual.pseudo_terminal import Pace, PseudoTerminal
 from eitskin.hardware.virtual.scene_script import SceneSource, Script, Step
 from eitskin.hardware.virtual.simulated_sensor import SceneSolver, SimulatedSensor
@@ -33,9 +35,8 @@ SPEEDS = ("real", "max")
 LONGEST_PERIOD = 3600.0  # s
 
 
-def virtual_terminal(
+def virtual_firmware(
     *,
-    speed: str = "real",
     resolution: str = "fast",
     scene: str | Path | Scene | SceneSource | None = None,
     seed: int = 0,
@@ -48,12 +49,10 @@ def virtual_terminal(
     fixture: str | Path | Fixture | None = None,
     mechanics: str | Path | Mechanics | None = None,
     period: float | None = None,
-    link: str | Path | None = None,
-) -> PseudoTerminal[VirtualFirmware]:
-    """Pseudo-terminal of a virtual board, not yet served.
+) -> VirtualFirmware:
+    """Firmware of a virtual board that has not booted yet.
 
     Args:
-        speed: "real", paced as the AD5940 is, or "max", as fast as it is read.
         resolution: resolution of the simulator: "coarse", "fast", "standard" or "fine".
         scene: a scene, a `Script`, a function from frame number to scene, or the path of a TOML
             file that holds one of the first two; the flat untouched sensor when omitted.
@@ -70,12 +69,9 @@ def virtual_terminal(
             omitted.
         mechanics: materials, or the path of their TOML file; gel in Ecoflex when omitted.
         period: time from frame to frame [s]; the AD5940's when omitted.
-        link: path of a symbolic link to the terminal, kept over a pulled and replugged cable.
 
     Raises ConfigurationError for an option out of range.
     """
-    if speed not in SPEEDS:
-        raise ConfigurationError(f"speed must be one of {', '.join(SPEEDS)}, got {speed!r}")
     if period is not None and not 1e-6 <= period <= LONGEST_PERIOD:
         raise ConfigurationError(
             f"period must be from 1e-06 to {LONGEST_PERIOD:g} s, as the wire can say it, got "
@@ -96,16 +92,48 @@ def virtual_terminal(
     simulated = SimulatedSensor(simulator, instrument, seed, period)
     chosen = read_faults(faults) if isinstance(faults, str) else faults
     stage = Stage(simulated.solve, _scenes(scene), chosen)
-    firmware = VirtualFirmware(stage, simulated.protocol, simulated.measure, period)
-    terminal = PseudoTerminal(
-        firmware, Pace(firmware.info.period if speed == "real" else 0.0), link
-    )
-    stage.changed = terminal.wake
+    return VirtualFirmware(stage, simulated.protocol, simulated.measure, period)
+
+
+def virtual_terminal(
+    *, speed: str = "real", link: str | Path | None = None, **options: Any
+) -> PseudoTerminal[VirtualFirmware]:
+    """Pseudo-terminal of a virtual board, not yet served.
+
+    Args:
+        speed: "real", paced as the AD5940 is, or "max", as fast as it is read.
+        link: path of a symbolic link to the terminal, kept over a pulled and replugged cable.
+        options: as for `virtual_firmware`.
+
+    Raises ConfigurationError for an option out of range.
+    """
+    _require_speed(speed)
+    firmware = virtual_firmware(**options)
+    pace = Pace(firmware.info.period if speed == "real" else 0.0)
+    terminal = PseudoTerminal(firmware, pace, link)
+    firmware.stage.changed = terminal.wake
     return terminal
 
 
+class Line(typing.Protocol):
+    """Line between a virtual board and its host."""
+
+    @property
+    def firmware(self) -> VirtualFirmware:
+        """Firmware of the board."""
+
+    def start(self) -> None:
+        """Serve the board from now on."""
+
+    def connect(self, uri: str) -> SerialPort:
+        """Port at the host's end; raises DeviceError where there is none now."""
+
+    def close(self) -> None:
+        """End the board."""
+
+
 class VirtualBoard(SerialBoard):
-    """Board on a pseudo-terminal in this process; closing the board closes the terminal.
+    """Board of this process; closing the board closes its line.
 
     Attributes:
         stage: scene and faults, which may be changed while the board runs.
@@ -113,35 +141,42 @@ class VirtualBoard(SerialBoard):
 
     stage: Stage
 
-    def __init__(self, terminal: PseudoTerminal[VirtualFirmware], uri: str = "virtual:") -> None:
-        """Serve `terminal` in a thread and connect to it.
+    def __init__(self, line: Line, uri: str = "virtual:") -> None:
+        """Start the board at the other end of `line` and connect to it.
 
         Raises DeviceError where the board does not answer as expected, because of its faults.
         """
-
-        def connect() -> SerialPort:
-            if not terminal.path:
-                raise DeviceError(f"{uri}: the virtual board is unplugged; clear its faults")
-            return open_port(terminal.path, uri)
-
-        self._terminal, self.stage = terminal, terminal.firmware.stage
-        terminal.start()
+        self._line, self.stage = line, line.firmware.stage
+        line.start()
         try:
-            super().__init__(connect, uri)
+            super().__init__(lambda: line.connect(uri), uri)
         except BaseException:
-            terminal.close()
+            line.close()
             raise
 
     def close(self) -> None:
         try:
             super().close()
         finally:
-            self._terminal.close()
+            self._line.close()
 
 
-def open_virtual(uri: str = "virtual:", **options: Any) -> VirtualBoard:
-    """Open a virtual board; the options are `virtual_terminal`'s."""
-    return VirtualBoard(virtual_terminal(**options), uri)
+def open_virtual(uri: str = "virtual:", *, speed: str = "real", **options: Any) -> VirtualBoard:
+    """Open a virtual board; the options are `virtual_terminal`'s.
+
+    At speed "max" it has no terminal unless a link to one is asked for: each frame is measured when
+    it is read, and the same requests give the same frames on any machine.
+    """
+    _require_speed(speed)
+    if speed == "max" and options.get("link") is None:
+        options.pop("link", None)
+        return VirtualBoard(MemoryLine(virtual_firmware(**options)), uri)
+    return VirtualBoard(virtual_terminal(speed=speed, **options), uri)
+
+
+def _require_speed(speed: str) -> None:
+    if speed not in SPEEDS:
+        raise ConfigurationError(f"speed must be one of {', '.join(SPEEDS)}, got {speed!r}")
 
 
 def _simulator(

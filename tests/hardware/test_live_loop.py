@@ -7,6 +7,7 @@ import pytest
 
 from eitskin.errors import FrameError, UnusableFrameError
 from eitskin.hardware import open_board, run_live
+from eitskin.hardware.virtual.virtual_board import virtual_terminal
 
 from live_fakes import FakeBoard, FakePipeline, FakeSimulator, frame
 
@@ -58,7 +59,8 @@ def test_every_frame_comes_with_its_estimate_latency_and_rate():
 
 def test_a_slow_pipeline_sees_new_frames_and_the_rest_is_counted():
     # The board fills the terminal's queue while the pipeline works; what is then waiting goes.
-    with open_board("virtual:?speed=max", simulator=FakeSimulator()) as board:
+    terminal = virtual_terminal(speed="max", simulator=FakeSimulator())
+    with terminal, open_board(f"serial:{terminal.path}") as board:
         numbers = []
         for reading in run_live(board, FakePipeline()):
             numbers.append(reading.frame.number)
