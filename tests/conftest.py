@@ -2,7 +2,7 @@
 
 import gc
 import os
-from collections import Counter
+from collections import Counter, deque
 from pathlib import Path
 
 import pytest
@@ -13,6 +13,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 # Solved presses are kept between runs, apart from the user's own.
 os.environ.setdefault("EITSKIN_CACHE", str(Path(__file__).parents[1] / ".pytest_cache" / "kernels"))
+
+KEPT_MESHES = 8
 
 
 def pytest_addoption(parser):
@@ -62,6 +64,25 @@ def pytest_collection_modifyitems(items):
     """
     slow = Counter(item.path for item in items if item.get_closest_marker("slow"))
     items.sort(key=lambda item: (-slow[item.path], item.path))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def kept_meshes():
+    """Meshes of the latest designs, kept as by whoever keeps a simulator of each."""
+    from eitskin.simulator.electrical import sensor_impedances
+
+    kept, found = deque(maxlen=KEPT_MESHES), sensor_impedances.model_family
+
+    def keeping(*asked):
+        family = found(*asked)
+        if family in kept:
+            kept.remove(family)
+        kept.append(family)
+        return family
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sensor_impedances, "model_family", keeping)
+        yield
 
 
 @pytest.fixture

@@ -2,7 +2,13 @@
 
 from collections.abc import Iterable, Sequence
 from functools import lru_cache
+from typing import Any
+from weakref import WeakValueDictionary
 
+import numpy as np
+from numpy.typing import NDArray
+
+from eitskin.geometry.design.outline import PlaneOutline
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.simulator.electrical.forward_model import ForwardModel
 from eitskin.simulator.electrical.reanalysis import Reanalysis
@@ -16,6 +22,8 @@ from eitskin.simulator.electrical.resolution import (
 from eitskin.simulator.layer.deformed_layer import DeformedLayer
 from eitskin.simulator.mechanics.layer_stack import Piezoresistivity
 from eitskin.simulator.scene.indenters import Indenter
+
+Numbers = NDArray[np.inexact]
 
 
 class ModelFamily:
@@ -38,6 +46,7 @@ class ModelFamily:
         self.base = ForwardModel(design, coarsest, breaks, self._cells)
         self._models = {coarsest: self.base}
         self._reanalyses: dict[ForwardModel, Reanalysis] = {}
+        self._flat: dict[ForwardModel, Numbers] = {}
 
     def suited(self, indenters: Iterable[Indenter]) -> ForwardModel:
         """Forward model whose cells suit the smallest of the indenters.
@@ -53,6 +62,15 @@ class ModelFamily:
             self._models[wanted] = ForwardModel(self._design, wanted, self._breaks, self._cells)
         return self._models[wanted]
 
+    def flat_impedance(self, model: ForwardModel) -> Numbers:
+        """Impedance matrix of the flat sensor [ohm] on one of the models, solved once.
+
+        Shape (electrodes, electrodes).
+        """
+        if model not in self._flat:
+            self._flat[model] = model.impedance()
+        return self._flat[model]
+
     def reanalysis(self, model: ForwardModel) -> Reanalysis:
         """Reanalysis with the factors of the flat sensor, for one of the models."""
         if model not in self._reanalyses:
@@ -61,7 +79,26 @@ class ModelFamily:
         return self._reanalyses[model]
 
 
+_families: WeakValueDictionary[Any, ModelFamily] = WeakValueDictionary()
+
+
+def model_family(
+    design: SensorDesign, resolution: Resolution | Discretisation, breaks: tuple[float, ...] = ()
+) -> ModelFamily:
+    """Forward models of a design, which all simulators of it share while one of them lives.
+
+    Bodies from files have their own: a file may change. Arguments as of `ForwardModel`.
+    """
+    if not isinstance(design.outline, PlaneOutline):
+        return ModelFamily(design, resolution, breaks)
+    asked = design, resolution, breaks
+    found = _families.get(asked)
+    if found is None:
+        found = _families[asked] = ModelFamily(design, resolution, breaks)
+    return found
+
+
 @lru_cache(maxsize=4)
-def shared_family(design: SensorDesign, resolution: Resolution | Discretisation) -> ModelFamily:
-    """Forward models that several sensors share, with their factors."""
-    return ModelFamily(design, resolution)
+def nominal_family(design: SensorDesign, resolution: Resolution | Discretisation) -> ModelFamily:
+    """Forward models of a nominal sensor, kept for those that differ from it a little."""
+    return model_family(design, resolution)

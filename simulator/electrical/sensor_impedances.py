@@ -11,7 +11,11 @@ from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.electrode_shift import ElectrodeShift, electrode_shift
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.simulator.electrical.forward_model import ForwardModel
-from eitskin.simulator.electrical.model_family import ModelFamily, shared_family
+from eitskin.simulator.electrical.model_family import (
+    ModelFamily,
+    model_family,
+    nominal_family,
+)
 from eitskin.simulator.electrical.reanalysis import Reanalysis, is_possible
 from eitskin.simulator.electrical.resolution import Discretisation, Resolution
 from eitskin.simulator.layer.deformed_layer import DeformedLayer
@@ -51,7 +55,7 @@ class SensorImpedances:
         self._shared = (
             self.own
             if nominal is None or self._shift is None
-            else shared_family(nominal, resolution)
+            else nominal_family(nominal, resolution)
         )
         self._untouched: dict[tuple[ForwardModel, float], tuple[Scene, Numbers]] = {}
         self._reanalyses: dict[ForwardModel, Reanalysis | None] = {}
@@ -59,7 +63,7 @@ class SensorImpedances:
     @cached_property
     def own(self) -> ModelFamily:
         """Forward models on meshes of the sensor itself."""
-        return ModelFamily(self._design, self._resolution, self._breaks)
+        return model_family(self._design, self._resolution, self._breaks)
 
     def at(self, scene: Scene, tolerance: float = 0.0) -> Numbers:
         """Impedance [ohm] on the base mesh, by reanalysis where a tolerance allows.
@@ -117,7 +121,7 @@ class SensorImpedances:
             flat = layer.deformation is None
             return solved.base if flat else solved.impedance(layer, tolerance)
         if layer.is_flat:
-            return model.impedance()
+            return self.own.flat_impedance(model)
         return model.impedance(layer.conductivity, layer.area_ratio, layer.contact_impedance)
 
     def reanalysis(self, model: ForwardModel) -> Reanalysis | None:

@@ -202,16 +202,18 @@ def test_a_scene_that_differs_too_much_is_solved_by_itself(small) -> None:
 
 
 def test_many_scenes_of_many_bends_share_one_factorisation() -> None:
-    sim = Simulator(SensorDesign.reference(), COARSE)
+    never_seen = dataclasses.replace(SensorDesign.reference(), conductivity=0.987)
+    sim = Simulator(never_seen, COARSE)
     some = scenes()[::3]
     found = sim.measure_all([*some, *some])
     assert sim.model.factorisations == 1
     assert np.array_equal(found[: len(some)], found[len(some) :])
     sim.measure_all([*some, Scene(Bend(31.0))])
     assert sim.model.factorisations == 1
-    alone = Simulator(SensorDesign.reference(), COARSE)
+    alone = Simulator(never_seen, COARSE)
+    assert alone.model is sim.model
     alone.measure_all([*some, *some], tolerance=EXACT)
-    assert alone.model.factorisations == len(some)
+    assert alone.model.factorisations == 1 + len(some)
 
 
 def test_one_or_two_touches_take_two_or_three_solutions_with_the_factors(small) -> None:
@@ -296,4 +298,4 @@ def test_specimens_share_a_mesh_and_factors(small) -> None:
     assert family is twin._impedances._shared
     before = family.base.factorisations
     assert np.array_equal(twin.measure_all(some[::-1])[::-1].real, bent)
-    assert family.base.factorisations == before == 1
+    assert family.base.factorisations == before
