@@ -11,6 +11,8 @@ from eitskin.errors import ConfigurationError
 from eitskin.geometry.deformation.flexure import Flexure
 from eitskin.geometry.design.sensor import SensorDesign
 
+_SEARCH_STEP = 5  # deg, of the search for the last possible angle
+
 
 @dataclass(frozen=True, slots=True)
 class Bend:
@@ -226,11 +228,12 @@ def _within_limits(
         return flexure(design, math.radians(bend.angle_deg))
     sign = math.copysign(1.0, bend.angle_deg)
     good, bad = 0.0, min(abs(bend.angle_deg), 361.0)
-    for step in range(1, 361):
+    for step in range(_SEARCH_STEP, math.ceil(bad), _SEARCH_STEP):
         if not possible(sign * step):
-            good, bad = step - 1.0, float(step)
+            bad = float(step)
             break
-    while bad - good > 1e-9:
+        good = float(step)
+    while bad - good > 1e-7:
         middle = 0.5 * (good + bad)
         good, bad = (middle, bad) if possible(sign * middle) else (good, middle)
     last = sign * math.floor(good * 10.0 + 1e-6) / 10.0
