@@ -6,9 +6,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from eitskin.errors import DataError
-from eitskin.extras import require
 
 FOLDS = 5
+_CUT = float(np.finfo(float).eps)  # singular value, over the largest, that counts as zero
+_DEPENDENT = 1e-9  # part of a feature, over all of it, that others leave where it depends on them
+_DEPENDENT = 1e-9  # part of a feature, over all of it, that others leave where it depends on them
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,24 +57,17 @@ class BendAngle:
         Raises:
             DataError: for fewer than two frames per fold.
         """
-        require("sklearn", "training")
-        from sklearn.linear_model import LinearRegression
-        from sklearn.model_selection import GroupKFold, KFold
-
         dV, angle, group = (np.asarray(array) for array in (difference, angle_deg, groups))
         if len(dV) < 2 * FOLDS:
             raise DataError(
                 f"expected at least {2 * FOLDS} frames with a known bend angle and "
                 f"no touch, got {len(dV)}; generate more bend frames"
             )
-        by_group = len(np.unique(group)) >= FOLDS
-        folds = GroupKFold(FOLDS) if by_group else KFold(FOLDS, shuffle=True, random_state=seed)
         features = _features(dV) if squares else dV
-        splits = folds.split(features, angle, group if by_group else None)
-        error = np.mean([_errors(features, angle, *split) for split in splits], axis=0)
+        error = np.mean([_errors(features, angle, out) for out in _folds(group, seed)], axis=0)
         chosen = np.sort(_ranked(features, angle)[: np.argmin(error) + 1])
-        regression = LinearRegression().fit(features[:, chosen], angle)
-        return cls(chosen, regression.coef_.astype(float), float(regression.intercept_))
+        coefficients, intercept = _fitted(features[:, chosen], angle)
+        return cls(chosen, coefficients, intercept)
 
     def apply(self, difference: ArrayLike) -> NDArray[np.float64]:
         """Angles (...) [deg] of dV from the static reference (..., measurements)."""
@@ -108,31 +103,64 @@ def _features(dV: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.concatenate([dV, dV**2], axis=-1)
 
 
-def _ranked(features: NDArray[np.float64], angle: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Indices of the features by falling F-statistic (features,)."""
-    from sklearn.feature_selection import f_regression
+def _folds(group: NDArray[np.generic], seed: int) -> list[NDArray[np.bool_]]:
+    """Frames held out in each fold, (n,); whole groups where there are enough, else drawn ones.
 
-    statistic, _ = f_regression(features, angle)
-    return np.argsort(statistic, kind="stable")[::-1].astype(np.int64)
+    The largest groups are dealt out first, each to the fold that has the fewest frames by then.
+    """
+    _, number, sizes = np.unique(group, return_inverse=True, return_counts=True)
+    if len(sizes) >= FOLDS:
+        fold_of, filled = np.empty(len(sizes), np.int64), np.zeros(FOLDS, np.int64)
+        for each in np.argsort(sizes)[::-1]:
+            fold_of[each] = np.argmin(filled)
+            filled[fold_of[each]] += sizes[each]
+        fold = fold_of[number]
+    else:
+        drawn = np.random.RandomState(seed).permutation(len(group))
+        fold = np.empty(len(group), np.int64)
+        for k, part in enumerate(np.array_split(drawn, FOLDS)):
+            fold[part] = k
+    return [fold == k for k in range(FOLDS)]
+
+
+def _ranked(features: NDArray[np.float64], angle: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Indices of the features by falling F-statistic, that is, squared correlation (features,)."""
+    moved, turned = features - features.mean(axis=0), angle - angle.mean()
+    variance = np.einsum("nk,nk->k", moved, moved)
+    explained = (moved.T @ turned) ** 2 / np.where(variance > 0.0, variance, np.inf)
+    return np.argsort(explained, kind="stable")[::-1].astype(np.int64)
+
+
+def _fitted(
+    features: NDArray[np.float64], angle: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], float]:
+    """Coefficients (features,) and intercept of the least-squares fit of least norm."""
+    middle, mean = features.mean(axis=0), float(angle.mean())
+    coefficients = np.linalg.lstsq(features - middle, angle - mean, _CUT)[0]
+    return coefficients, mean - float(middle @ coefficients)
 
 
 def _errors(
-    features: NDArray[np.float64],
-    angle: NDArray[np.float64],
-    training: NDArray[np.int64],
-    held_out: NDArray[np.int64],
+    features: NDArray[np.float64], angle: NDArray[np.float64], held_out: NDArray[np.bool_]
 ) -> NDArray[np.float64]:
     """Mean squared error [deg2] of the held-out frames for 1, 2, ... selected features.
 
-    The ranking uses the training frames only and serves all numbers of features; scikit-learn's
-    GridSearchCV gives the same errors, but ranks anew for each number.
+    The ranking uses the training frames only and serves all numbers of features. All fits share
+    one QR decomposition: with X = Q R, a fit to the first k features adds to that to k - 1 the
+    k-th column of X R^-1 times the k-th entry of Q^T y.
     """
-    from sklearn.linear_model import LinearRegression
-
-    ranked = _ranked(features[training], angle[training])
-    errors = []
-    for k in range(1, len(ranked) + 1):
-        chosen = features[:, np.sort(ranked[:k])]
-        regression = LinearRegression().fit(chosen[training], angle[training])
-        errors.append(np.mean((regression.predict(chosen[held_out]) - angle[held_out]) ** 2))
-    return np.array(errors)
+    ranked = _ranked(features[~held_out], angle[~held_out])
+    training, others = features[~held_out][:, ranked], features[held_out][:, ranked]
+    middle, mean = training.mean(axis=0), angle[~held_out].mean()
+    others, wanted = others - middle, angle[held_out] - mean
+    Q, R = np.linalg.qr(training - middle)
+    turned = Q.T @ (angle[~held_out] - mean)
+    apart = np.abs(np.diag(R)) > _DEPENDENT * np.linalg.norm(R, axis=0)[: len(R)]
+    rank = len(R) if apart.all() else int(np.argmin(apart))
+    directions = np.linalg.solve(R[:rank, :rank].T, others[:, :rank].T)
+    said = list(np.cumsum(directions * turned[:rank, None], axis=0))
+    # Dependent features, and more of them than frames, have fits of least norm.
+    for k in range(rank + 1, len(ranked) + 1):
+        said.append(others[:, :k] @ np.linalg.lstsq(R[:, :k], turned, _CUT)[0])
+    errors: NDArray[np.float64] = np.mean((np.array(said) - wanted) ** 2, axis=1)
+    return errors
