@@ -74,6 +74,8 @@ sys.modules.update(dict.fromkeys({[*blocked, "h5py"]!r}))
 from eitskin.training.adaptation.opening import open_pipeline
 for name in ("paper", "positions"):
     print(sorted(open_pipeline(f"{{name}}.eitmodel").targets.states))
+open_pipeline("reference.eitmodel")
+assert "skfem" not in sys.modules, "an estimate needs no finite elements"
 sys.argv = "eitskin live reference.eitmodel --board virtual:?speed=max --frames 1 --json -q".split()
 from eitskin.cli.entry import run
 run()

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -9,9 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 from eitskin.geometry.deformation.fixtures import Bend, Hinge
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.protocol import Protocol
-from eitskin.simulator.electrical.resolution import Discretisation, Resolution
-from eitskin.simulator.scene.scene import Scene
-from eitskin.simulator.simulator import Simulator
+
+if TYPE_CHECKING:
+    from eitskin.simulator.electrical.resolution import Discretisation, Resolution
 
 Array = NDArray[np.float64]
 
@@ -41,7 +42,7 @@ def linear_model(
     pixels: tuple[int, int],
     angle_deg: float = 0.0,
     hinge: Hinge | None = None,
-    resolution: Resolution | Discretisation = "fast",
+    resolution: "Resolution | Discretisation" = "fast",
 ) -> LinearModel:
     """Linear model of the untouched nominal sensor at a bend.
 
@@ -70,9 +71,13 @@ def _linear_model(
     pixels: tuple[int, int],
     angle_deg: float,
     hinge: Hinge | None,
-    resolution: Resolution | Discretisation,
+    resolution: "Resolution | Discretisation",
 ) -> LinearModel:
     """Linear model of a design; all callers share the arrays."""
+    # A trained pipeline runs without: these take longer to import than all the rest of it.
+    from eitskin.simulator.scene.scene import Scene
+    from eitskin.simulator.simulator import Simulator
+
     simulator = Simulator(design, resolution, hinge, protocol)
     layer, model = simulator.deformed_layer(Scene(Bend(angle_deg))), simulator.model
     sensitivity = model.sensitivity(
