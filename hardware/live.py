@@ -1,5 +1,6 @@
 """Live loop: frames of a board through a pipeline, with latency, rate and damaged frames."""
 
+import logging
 import math
 import time
 import typing
@@ -13,6 +14,11 @@ from numpy.typing import NDArray
 from eitskin.datasets.store.state import State
 from eitskin.errors import FrameError, UnusableFrameError
 from eitskin.frame import Frame
+from eitskin.input_files import printable
+
+LONGEST_REASON = 200  # letters
+
+log = logging.getLogger(__name__)
 
 
 class Estimate(typing.Protocol):
@@ -96,7 +102,8 @@ def run_live(
             old; the board counts the skipped frames.
         clock: time for latency and rate [s].
 
-    A damaged frame is counted, and its reading has the reason instead of an estimate.
+    A damaged frame is counted, and its reading has the reason instead of an estimate. So is any
+    other frame by which the pipeline fails.
 
     Raises:
         DeviceError: where the board falls silent or goes away.
@@ -117,8 +124,17 @@ def run_live(
             if not (known or isinstance(error, UnusableFrameError)):
                 raise
             problem, unusable = str(error), unusable + 1
+        except Exception as error:  # a session must outlive whatever one frame brings about
+            log.debug("frame %d", frame.number, exc_info=True)
+            problem, unusable = _failure(error), unusable + 1
         latency = clock() - arrivals[-1]
         yield Reading(frame, estimate, latency, _rate(arrivals), unusable, problem, wall_time)
+
+
+def _failure(error: Exception) -> str:
+    """Sentence on an error of a pipeline, on one line; the log has its traceback."""
+    said = printable(" ".join(str(error).split())[:LONGEST_REASON])
+    return f"the pipeline failed on this frame ({type(error).__name__}: {said})"
 
 
 def _rate(arrivals: deque[float]) -> float:

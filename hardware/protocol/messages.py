@@ -223,7 +223,7 @@ def _pack_info(info: Info) -> bytes:
 def _unpack_info(packet: Packet) -> Info:
     form = _INFO[packet.version]
     magic, name, uid, boots, n_el, n_meas, crc, *analog, period_us = form.unpack(packet.payload)
-    firmware = name.rstrip(b"\0").decode("ascii")
+    firmware = _shown(name.rstrip(b"\0").decode("ascii"))
     frequency, amplitude, rtia, rcal = analog
     period = period_us * 1e-6
     info = Info(firmware, uid, boots, n_el, n_meas, crc, frequency, amplitude, rtia, rcal, period)
@@ -249,7 +249,12 @@ def _unpack_event(packet: Packet) -> Event:
     payload = packet.payload
     level, code = _EVENT.unpack_from(payload)
     # The text is for people: a damaged letter is no reason to lose the other letters.
-    return Event(level, code, payload[_EVENT.size :].decode("utf-8", errors="replace"))
+    return Event(level, code, _shown(payload[_EVENT.size :].decode("utf-8", errors="replace")))
+
+
+def _shown(text: str) -> str:
+    """Text with a question mark for each control character: it could command the terminal."""
+    return "".join(c if c.isprintable() else "?" for c in text)
 
 
 def _pack_table(table: Table) -> bytes:

@@ -287,24 +287,24 @@ class Pipeline:
         Without a stored reference the first frame becomes the static and the dynamic reference:
         the sensor must then be flat and untouched. Up to 32 further such frames are averaged into
         the references. Where the first frame is implausible for a flat, untouched sensor, angle,
-        idle and bend are unknown throughout the session, and `problems` says so. A frame of
-        another session or with a smaller number begins a new session, which is told; a time that
-        runs backwards or jumps is told and changes nothing.
+        idle and bend are unknown throughout the session, and `problems` says so. New sessions
+        and faults of number and time are told; `SessionOrder` has the rules.
 
         Raises:
-            FrameError: for a frame of another sensor, table or frequency, or with too few good
-                channels; the references are unchanged then.
+            FrameError: for a frame of another sensor, table or frequency, with too few good
+                channels, or most of reversed sign; the references are unchanged then.
         """
         voltages, problems = self.layout.voltages(frame)
         session = self._session
         problems += session.follow(frame)
-        if first := session.references.empty:
-            self.layout.require_same_sensor(voltages)
-            session.references.follow(voltages)
-            session.doubt = self.doubt(voltages)
-        perceived = self.method.predict(session.observed(voltages))
-        touched = perceived.touched(self.targets)
-        if touched or not first:
+        with session.kept_without_error():
+            if first := session.references.empty:
+                self.layout.require_same_sensor(voltages)
+                session.references.follow(voltages)
+                session.doubt = self.doubt(voltages)
+            session.require_same_sign(voltages)
+            perceived = self.method.predict(session.observed(voltages))
+        if (touched := perceived.touched(self.targets)) or not first:
             session.renew(voltages, touched)
         problems += (*perceived.problems[0], *session.problems(self.layout.protocol.labels))
         estimate = Estimate.of(perceived, self.targets, problems, frame, session.zero)

@@ -1,9 +1,12 @@
 """Session of a pipeline: references, a held touch, and doubts about both."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from eitskin.errors import UnusableFrameError
 from eitskin.frame import Frame
 from eitskin.training.method.observations import Observations, relative_difference
 from eitskin.training.pipeline.references import References, RunningMean, Voltages
@@ -77,6 +80,32 @@ class Session:
             self._begin()
         self._outdated = self._outdated or step.gap
         return step.problems
+
+    @contextmanager
+    def kept_without_error(self) -> Iterator[None]:
+        """Drop references that began with a frame for which an error followed."""
+        empty = self.references.empty
+        try:
+            yield
+        except Exception:
+            if empty:
+                self.references.drop()
+            raise
+
+    def require_same_sign(self, voltages: Voltages) -> None:
+        """Refuse a frame (measurements,) [ohm] most of whose values changed sign in the session.
+
+        No bend or touch turns a positive resistance into a negative one. Methods that work with
+        magnitudes would see a sensor at rest. Raises UnusableFrameError.
+        """
+        change = relative_difference(voltages, self.references.bend)
+        known = np.isfinite(change)
+        reversed_ = int((change[known] < -1.0).sum())
+        if 2 * reversed_ > known.sum():
+            raise UnusableFrameError(
+                f"{reversed_} of {known.sum()} values changed their sign since the reference: the "
+                "board has failed or its wires were swapped; mend them and begin a new session"
+            )
 
     def observed(self, voltages: Voltages) -> Observations:
         """Relative differences of a frame (measurements,) [ohm] to both references.

@@ -182,7 +182,7 @@ def mutated(rng, packet):
     st.sampled_from([Hello(), Stop(), GetTable(), Calibrate()])
     | st.builds(Start, u32)
     | st.builds(Ack, u16, u8, u8)
-    | st.builds(Event, u8, u16, st.text("µVé日\n\0", max_size=200))
+    | st.builds(Event, u8, u16, st.text("µVé日 ", max_size=200))
     | st.builds(
         Info,
         st.text("eit 1.0-", max_size=16),
@@ -249,6 +249,13 @@ def test_frames_survive_the_wire_bit_for_bit(number, time, duration, n, data):
 def test_whole_packets_that_are_no_message_are_refused(type_, payload, complaint):
     with pytest.raises(MessageError, match=complaint):
         unpack(Packet(type_, 0, payload))
+
+
+def test_control_characters_of_a_firmware_do_not_reach_the_terminal():
+    event = unpack(pack(Event(0, 0, "clear \x1b[2J\x9b1m and\rwrite\n"), 0))
+    assert event.text == "clear ?[2J?1m and?write?"
+    info = unpack(pack(dataclasses.replace(INFO, firmware="\x1b]0;me\x07 1.0"), 0))
+    assert info.firmware == "?]0;me? 1.0"
 
 
 @pytest.mark.parametrize("name", ["frequency", "amplitude", "rtia", "rcal"])
