@@ -136,7 +136,7 @@ def test_stages_alone_say_what_the_session_says(pipeline, session, sensor):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("change", [{"session": 1}, {"number": 0}])
+@pytest.mark.parametrize("change", [{"session": 1}, {"number": 0, "time": 0.0}])
 def test_new_session_begins_with_new_references_and_is_told(session, change):
     session()
     assert session(30.0).state is State.BEND
