@@ -135,6 +135,8 @@ ALL = (
     Benchmark("recordings", "data", 1, ("{data}",), needs="{data}/ohmc8.mat"),
     Benchmark("recipes", "data", 6, OWN, (*OWN, "--frames", "10", "--only", "paper_demo")),
     Benchmark("sensor_check", "boards", 5, (), ("--specimens", "10", "--faulty", "2"), seeded=True),
+    Benchmark("ros2_topics", "boards", 1, (), ("--frames", "40")),
+    Benchmark("robots", "physics", 2, (), ("--presses", "4", "--seconds", "2"), seeded=True),
     Benchmark("live_rate", "boards", 4, (), ("--frames", "60"), seeded=True),
     Benchmark("realtime", "boards", 3, OWN, (*OWN, "--speed", "max"), seeded=True),
     Benchmark(

@@ -11,6 +11,7 @@ from eitskin.hardware.boards.text_lines import Line, Mark, Measurement
 
 PAUSE = 3.0
 """Shortest pause, in usual intervals between lines."""
+RUNS = 4  # frames' worth of runs of intervals, whose median tells the usual one
 
 
 class FrameDrop(StrEnum):
@@ -62,6 +63,7 @@ class FrameFinder:
     def forget(self) -> None:
         """Begin with another stream: forget intervals and periods."""
         self._usual = math.nan
+        self._means: deque[float] = deque(maxlen=RUNS * self._size)
         self._periods: deque[float] = deque(maxlen=9)
         self._counts.clear()
         self.restart()
@@ -122,7 +124,9 @@ class FrameFinder:
             # Any run of as many intervals as a frame has lines holds one pause. The mean of the
             # others is their usual value, although many lines may come at once, by way of USB.
             others = sum(self._distances) - max(self._distances)
-            self._usual = others / max(self._size - 1, 1)
+            self._means.append(others / max(self._size - 1, 1))
+            # Lines that are lost put several pauses into a run, for as long as it is.
+            self._usual = float(median(self._means))
 
     def _end(self) -> FrameLines | None:
         """Frame that has ended, None for an incomplete one; the next begins."""

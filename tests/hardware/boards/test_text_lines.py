@@ -172,7 +172,7 @@ def test_lines_that_usb_delays_and_bundles_are_no_pause():
     assert groups(found)[-3:] == [{2}, {3}, {4}]
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100, deadline=None, derandomize=True)
 @given(st.sets(st.tuples(st.integers(0, 19), st.integers(0, 5))), st.booleans())
 def test_whatever_lines_are_lost_no_value_stands_for_another(lost, marked):
     finder = FrameFinder(6, marked)

@@ -66,7 +66,7 @@ def test_a_sensor_of_another_gain_is_calibrated(saved, sensor, tmp_path):
         ((0.0, 10.0), ConfigurationError, r"2 labels.*3 frames"),
         ((5.0, 10.0, 20.0), ConfigurationError, "flat"),
         ((0.0, 0.0, 0.0), ConfigurationError, r"bent.*3 flat"),
-        ((0.0, float("nan"), 1.0), DataError, "finite angle"),
+        ((0.0, float("nan"), 1.0), DataError, "angle up to 360"),
         ((0.0, 50.0, -20.0), DataError, r"do not fit.* for angles of"),
     ],
 )

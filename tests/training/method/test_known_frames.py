@@ -93,7 +93,7 @@ def test_frames_that_cannot_be_known_are_refused(labels, error, message):
 
 
 def test_labels_that_cannot_be_are_refused():
-    with pytest.raises(DataError, match="finite angle"):
+    with pytest.raises(DataError, match="angle up to 360"):
         FrameLabel(float("inf"))
     with pytest.raises(DataError, match="above 0 N"):
         TouchLabel(0.1, 0.03, 0.0)
