@@ -1,5 +1,5 @@
 """The joint method: bend and touches as the MAP estimate of a learned sensor model.
 
 Learned by `training`: features, touch response, bend curves, priors, proposal network. A frame
-passes `method`, `proposal_model`, `model_selection`, `objective`, and `touch_map`.
+passes `method`, `proposal_model`, `fit`, and `touch_map`; `angles` tells that of an untouched one.
 """

@@ -15,13 +15,14 @@ from eitskin.training.joint.angles.estimate import AngleEstimate
 from eitskin.training.joint.angles.networks import AngleNetworks
 from eitskin.training.joint.angles.usual import LOG_ODDS
 from eitskin.training.joint.bend_curve import BendCurve, BendCurvePrior
-from eitskin.training.joint.channel_faults import possible_faults
 from eitskin.training.joint.combinations import Combinations, CombinedChange, log_change
-from eitskin.training.joint.model_selection import FrameFit, fit_frame, fit_problems
-from eitskin.training.joint.objective import STILL_DEG, TouchObjective
+from eitskin.training.joint.fit.channel_faults import possible_faults
+from eitskin.training.joint.fit.model_selection import FrameFit, fit_frame
+from eitskin.training.joint.fit.objective import STILL_DEG, TouchObjective
+from eitskin.training.joint.fit.pruning import TOUCH_THRESHOLD
 from eitskin.training.joint.prior import TouchPrior
+from eitskin.training.joint.problems import fit_problems
 from eitskin.training.joint.proposal_model import ProposalNetwork, network_inputs
-from eitskin.training.joint.pruning import TOUCH_THRESHOLD
 from eitskin.training.joint.specimen_features import SpecimenFeatures
 from eitskin.training.joint.specimen_model import CandidateRows, SpecimenModel
 from eitskin.training.joint.stored_method import restored_fields, stored_arrays

@@ -16,11 +16,11 @@ from eitskin.training.joint.angles.estimate import (
 from eitskin.training.joint.angles.networks import AngleNetworks, blended
 from eitskin.training.joint.angles.usual import LOG_ODDS
 from eitskin.training.joint.bend_curve import BendCurve
-from eitskin.training.joint.channel_faults import FAULT_THRESHOLD, PossibleFaults
 from eitskin.training.joint.combinations import CombinedChange
-from eitskin.training.joint.objective import BEYOND_DEG
+from eitskin.training.joint.fit.channel_faults import FAULT_THRESHOLD, PossibleFaults
+from eitskin.training.joint.fit.objective import BEYOND_DEG
+from eitskin.training.joint.fit.touch_search import TouchCandidates
 from eitskin.training.joint.touch_response import SpecimenResponse, TouchResponse
-from eitskin.training.joint.touch_search import TouchCandidates
 
 Array = NDArray[np.float64]
 

@@ -13,8 +13,8 @@ from eitskin.training.joint.angles.networks import NEAR_DEG, AngleNetworks, blen
 from eitskin.training.joint.angles.training import fit_angles, groups_of_specimens
 from eitskin.training.joint.bend_curve import BendCurvePrior
 from eitskin.training.joint.combinations import Combinations
+from eitskin.training.joint.fit.objective import BEYOND_DEG
 from eitskin.training.joint.mirrored_frames import MirroredFrames
-from eitskin.training.joint.objective import BEYOND_DEG
 from eitskin.training.method.settings import JointSettings, NetworkSettings, silent
 from eitskin.training.paper.networks import single_thread
 

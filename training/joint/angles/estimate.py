@@ -7,9 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from eitskin.training.joint import lapack
 from eitskin.training.joint.bend_curve import BendCurve
-from eitskin.training.joint.channel_faults import (
+from eitskin.training.joint.combinations import CombinedChange
+from eitskin.training.joint.fit import lapack
+from eitskin.training.joint.fit.channel_faults import (
     FAULT_THRESHOLD,
     MOST_FAULTS,
     SUSPICIOUS_SIGMA,
@@ -17,8 +18,7 @@ from eitskin.training.joint.channel_faults import (
     PossibleFaults,
     most_likely_fault,
 )
-from eitskin.training.joint.combinations import CombinedChange
-from eitskin.training.joint.objective import BEYOND_DEG, misfit_sigma
+from eitskin.training.joint.fit.objective import BEYOND_DEG, misfit_sigma
 
 Array = NDArray[np.float64]
 

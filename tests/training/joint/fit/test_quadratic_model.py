@@ -7,8 +7,8 @@ import pytest
 from one_frame import STIFF, TOUCHES, frame
 from scipy.optimize import minimize
 
-from eitskin.training.joint.objective import Unknowns, levenberg_marquardt
-from eitskin.training.joint.quadratic_model import QuadraticModel
+from eitskin.training.joint.fit.objective import Unknowns, levenberg_marquardt
+from eitskin.training.joint.fit.quadratic_model import QuadraticModel
 
 from smooth_sensor import TOUCH_PRIOR
 

@@ -16,11 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eitskin.compiled import compiled
-from eitskin.training.joint import lapack
 from eitskin.training.joint.bend_curve import BendCurve
 from eitskin.training.joint.combinations import CombinedChange
-from eitskin.training.joint.prior import ANGLE_UNIT, TOUCH_UNITS, TouchPrior
-from eitskin.training.joint.quadratic_model import (
+from eitskin.training.joint.fit import lapack
+from eitskin.training.joint.fit.quadratic_model import (
     GOOD,
     GROWTH,
     POOR,
@@ -28,11 +27,12 @@ from eitskin.training.joint.quadratic_model import (
     SHRINKING,
     QuadraticModel,
 )
+from eitskin.training.joint.prior import ANGLE_UNIT, TOUCH_UNITS, TouchPrior
 from eitskin.training.joint.touch_response import SpecimenResponse
 
 Array = NDArray[np.float64]
 
-KERNELS = "eitskin.training.joint.fit_kernels"
+KERNELS = "eitskin.training.joint.fit.fit_kernels"
 BEYOND_DEG = 5.0  # by which an angle may lie outside of those the bend curve was learned from
 OPTIMISM = 10.0
 """Most that is hoped for, in decreases of the misfit that its quadratic model promises."""

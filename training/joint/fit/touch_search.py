@@ -6,8 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.training.joint import lapack
-from eitskin.training.joint.objective import Linearisation, MapEstimate, TouchObjective, Unknowns
+from eitskin.training.joint.fit import lapack
+from eitskin.training.joint.fit.objective import (
+    Linearisation,
+    MapEstimate,
+    TouchObjective,
+    Unknowns,
+)
 from eitskin.training.joint.prior import ANGLE_PRIOR_STD_DEG
 
 Array = NDArray[np.float64]

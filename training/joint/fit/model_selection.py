@@ -11,29 +11,27 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.training.joint import lapack
-from eitskin.training.joint.angles.estimate import AngleEstimate
-from eitskin.training.joint.channel_faults import (
+from eitskin.training.joint.fit import lapack
+from eitskin.training.joint.fit.channel_faults import (
     MOST_FAULTS,
     ChannelFault,
     PossibleFaults,
     fit_with_fault,
 )
-from eitskin.training.joint.objective import (
+from eitskin.training.joint.fit.objective import (
     MapEstimate,
     TouchObjective,
     Unknowns,
     levenberg_marquardt,
-    misfit_sigma,
 )
-from eitskin.training.joint.prior import ANGLE_UNIT, MOST_TOUCHES, TOUCH_UNITS
-from eitskin.training.joint.pruning import FINE, TOUCH_THRESHOLD, gain_of, gains_of, pruned
-from eitskin.training.joint.touch_search import (
+from eitskin.training.joint.fit.pruning import FINE, TOUCH_THRESHOLD, gain_of, gains_of, pruned
+from eitskin.training.joint.fit.touch_search import (
     TouchCandidates,
     initial_touches,
     pair_starts,
     single_starts,
 )
+from eitskin.training.joint.prior import ANGLE_UNIT, MOST_TOUCHES, TOUCH_UNITS
 
 Array = NDArray[np.float64]
 
@@ -41,7 +39,6 @@ ANGLE_GRID = 15  # angles among which the initial one is chosen
 COARSE = (4, 0.5)  # as `FINE`, of fits that are continued
 START_THRESHOLD = 0.5  # times the threshold: least gain, to first order, of a start
 CHI2_LOW_SIGMA, CHI2_HIGH_SIGMA = 2.0, 2.0  # the misfit's usual range about its expectation
-REPORTED_SIGMA = 6.0  # misfit above its expectation from which it is reported
 PAIR_TRIALS = 2  # fits that split one touch into two where the misfit is unusually high
 
 
@@ -201,30 +198,3 @@ def _frame_fit(found: MapEstimate, evidence: float, faults: tuple[ChannelFault, 
         faults,
         found,
     )
-
-
-def fit_problems(found: FrameFit, bend: AngleEstimate, touches: bool) -> tuple[str, ...]:
-    """Warnings about faulty measurements and poor fits, in words.
-
-    Whether `touches` were learned: else the poor fit of the angle says all there is to say.
-    """
-    problems = [
-        f"{fault.name} and was left out: look at its contact and wire" for fault in found.faults
-    ]
-    problems += [
-        f"{fault.name} since the session began and was left out of the angle: begin a new "
-        "session with the flat sensor"
-        for fault in bend.faults
-    ]
-    if bend.misfit_sigma > REPORTED_SIGMA:
-        problems.append(
-            f"no angle explains this frame ({bend.misfit_sigma:.0f} standard deviations off): do "
-            "not rely on it, and begin a new session with the flat sensor"
-        )
-    if touches and misfit_sigma(found.misfit, found.degrees_of_freedom) >= REPORTED_SIGMA:
-        problems.append(
-            f"no bend and up to {MOST_TOUCHES} touches explain this frame (misfit "
-            f"{found.misfit:.0f}, expected about {found.degrees_of_freedom}): touches of another "
-            "kind, a bad contact, or a reference that is out of date; do not rely on its touches"
-        )
-    return tuple(problems)

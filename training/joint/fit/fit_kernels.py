@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from eitskin.compiled import kernel
 from eitskin.training.joint.bend_curve import SCALE
-from eitskin.training.joint.objective import OPTIMISM
-from eitskin.training.joint.prior import ANGLE_PRIOR_STD_DEG, ANGLE_UNIT, TOUCH_UNITS
-from eitskin.training.joint.quadratic_model import (
+from eitskin.training.joint.fit.objective import OPTIMISM
+from eitskin.training.joint.fit.quadratic_model import (
     FIRST_DAMPING,
     GOOD,
     GROWTH,
@@ -25,6 +24,7 @@ from eitskin.training.joint.quadratic_model import (
     RAISED,
     SHRINKING,
 )
+from eitskin.training.joint.prior import ANGLE_PRIOR_STD_DEG, ANGLE_UNIT, TOUCH_UNITS
 
 Array = NDArray[np.float64]
 Sensor: TypeAlias = tuple[Array, Array, Array, Array, Array, Array, Array]

@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.training.joint import lapack
-from eitskin.training.joint.objective import MapEstimate, TouchObjective, levenberg_marquardt
+from eitskin.training.joint.fit import lapack
+from eitskin.training.joint.fit.objective import MapEstimate, TouchObjective, levenberg_marquardt
 from eitskin.training.joint.prior import TOUCH_UNITS
 
 Array = NDArray[np.float64]

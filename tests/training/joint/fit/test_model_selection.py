@@ -19,10 +19,10 @@ from one_frame import (
     matched,
 )
 
-from eitskin.training.joint.model_selection import TOUCH_THRESHOLD, fit_frame
-from eitskin.training.joint.objective import TouchObjective, Unknowns, levenberg_marquardt
+from eitskin.training.joint.fit.model_selection import TOUCH_THRESHOLD, fit_frame
+from eitskin.training.joint.fit.objective import TouchObjective, Unknowns, levenberg_marquardt
+from eitskin.training.joint.fit.touch_search import TouchCandidates
 from eitskin.training.joint.prior import ANGLE_UNIT, TOUCH_UNITS
-from eitskin.training.joint.touch_search import TouchCandidates
 
 from smooth_sensor import (
     RANGES,

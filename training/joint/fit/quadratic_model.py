@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.training.joint import lapack
+from eitskin.training.joint.fit import lapack
 
 Array = NDArray[np.float64]
 

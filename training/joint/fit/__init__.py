@@ -1,0 +1,1 @@
+"""Fit of bend and touches to one frame: the objective, its minimisation, and model selection."""

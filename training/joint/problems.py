@@ -1,0 +1,35 @@
+"""Warnings about faulty measurements and frames that the model does not explain, in words."""
+
+from eitskin.training.joint.angles.estimate import AngleEstimate
+from eitskin.training.joint.fit.model_selection import FrameFit
+from eitskin.training.joint.fit.objective import misfit_sigma
+from eitskin.training.joint.prior import MOST_TOUCHES
+
+REPORTED_SIGMA = 6.0  # misfit above its expectation from which it is reported
+
+
+def fit_problems(found: FrameFit, bend: AngleEstimate, touches: bool) -> tuple[str, ...]:
+    """Warnings about one frame.
+
+    Whether `touches` were learned: else the poor fit of the angle says all there is to say.
+    """
+    problems = [
+        f"{fault.name} and was left out: look at its contact and wire" for fault in found.faults
+    ]
+    problems += [
+        f"{fault.name} since the session began and was left out of the angle: begin a new "
+        "session with the flat sensor"
+        for fault in bend.faults
+    ]
+    if bend.misfit_sigma > REPORTED_SIGMA:
+        problems.append(
+            f"no angle explains this frame ({bend.misfit_sigma:.0f} standard deviations off): do "
+            "not rely on it, and begin a new session with the flat sensor"
+        )
+    if touches and misfit_sigma(found.misfit, found.degrees_of_freedom) >= REPORTED_SIGMA:
+        problems.append(
+            f"no bend and up to {MOST_TOUCHES} touches explain this frame (misfit "
+            f"{found.misfit:.0f}, expected about {found.degrees_of_freedom}): touches of another "
+            "kind, a bad contact, or a reference that is out of date; do not rely on its touches"
+        )
+    return tuple(problems)
