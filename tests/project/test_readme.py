@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from eitskin.config import parse_toml
-from eitskin.datasets import Recipe, open_dataset
+from eitskin.datasets import Recipe, State, open_dataset
 from eitskin.geometry import Bend
 from eitskin.hardware import Script, Step, open_board, run_live
 from eitskin.simulator import Scene
@@ -70,12 +70,15 @@ def test_the_saved_pipeline_says_on_a_board_what_it_says_offline(folder) -> None
 
 
 @pytest.mark.slow
-def test_the_example_in_the_readme_runs(folder, monkeypatch, capsys) -> None:
-    (example,) = re.findall(r"```python\n(.*?)```", README.read_text(), re.DOTALL)
-    monkeypatch.chdir(folder)
+def test_the_example_in_the_readme_finds_the_touch_that_it_simulates(capsys) -> None:
+    page = README.read_text()
+    (example,) = re.findall(r"```python\n(.*?)```\n", page, re.DOTALL)
     scope: dict[str, object] = {}
     exec(compile(example, str(README), "exec"), scope)  # noqa: S102
-    resistances = np.asarray(scope["frame"].impedance.real)
-    assert resistances.shape == (28,)
-    assert resistances[0] == pytest.approx(618.2, rel=2e-3)  # pair 0-1, bent and pressed
-    assert capsys.readouterr().out.splitlines()[-1].startswith("IDLE")
+    felt, (touch,) = scope["felt"], scope["pressed"].touches
+    assert felt.state is State.TOUCH
+    assert felt.bend_angle_deg == pytest.approx(scope["pressed"].bend.angle_deg, abs=1.0)
+    (found,) = felt.touches
+    assert found[:2] == pytest.approx((touch.x, touch.y), abs=3e-3)
+    shown = "".join(f"    {line}\n" for line in capsys.readouterr().out.splitlines())
+    assert f"```\n\n{shown}\n" in page, "the page shows what the example prints"
