@@ -1,5 +1,6 @@
 """Public names of eitskin.datasets, and where each is defined."""
 
+from eitskin.datasets.export.export import export_dataset as export_dataset
 from eitskin.datasets.generation.generate import generate as generate
 from eitskin.datasets.generation.verification import verify as verify
 from eitskin.datasets.recipe.recipe import Recipe as Recipe

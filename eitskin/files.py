@@ -67,7 +67,7 @@ def atomic_folder(
         temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
         try:
             yield temporary
-            for file in temporary.iterdir():
+            for file in temporary.rglob("*"):
                 sync(file)
             temporary.chmod(0o755)  # mkdtemp's 0700 would keep others out
             _put_in_place(temporary, path)

@@ -1,4 +1,4 @@
-"""`eitskin dataset`: contents, verification, compaction and combination of datasets."""
+"""`eitskin dataset`: contents, verification, compaction, combination and export of datasets."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,7 +15,7 @@ from eitskin.errors import DataError
 if TYPE_CHECKING:
     from eitskin.datasets.generation.verification import DamagedFile
 
-app = typer.Typer(help="Show, verify, compact or combine datasets.", no_args_is_help=True)
+app = typer.Typer(help="Show, verify, compact, combine or export datasets.", no_args_is_help=True)
 
 Folder = Annotated[Path, typer.Argument(help="The dataset's folder.")]
 Workers = Annotated[int, typer.Option(min=1, help="Processes that read the shards.")]
@@ -169,6 +169,48 @@ def combination(
     output.result(
         {"out": str(out), "frames": manifest.frames, "source": manifest.source},
         f"{manifest.frames} frames of {len(datasets)} datasets in {out}",
+    )
+
+
+@app.command("export")
+def export(
+    dataset: Folder,
+    *,
+    out: Annotated[Path, typer.Option(help="Folder to write to; new or empty.")],
+    form: Annotated[
+        str, typer.Option("--format", help="parquet, huggingface or lerobot.")
+    ] = "parquet",
+    license_name: Annotated[
+        str, typer.Option("--license", help="Licence of the frames, such as cc-by-4.0.")
+    ] = "unknown",
+    seed: Seed = 0,  # noqa: ARG001 - every command takes it
+    as_json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Write a dataset for pandas, torch, Hugging Face or LeRobot, split by specimen.
+
+    docs/interoperability.md has the columns, and how they are read.
+    """
+    from eitskin.datasets.export.export import export_dataset
+
+    output = Output(as_json, quiet, verbose)
+    with output.progress() as bar:
+        task = bar.add_task("shards", total=None, rate="")
+        done = export_dataset(
+            dataset,
+            out,
+            form,
+            license_name,
+            lambda n, total: bar.update(task, completed=n, total=total),
+        )
+    megabytes = round(done.size / 1e6, 3)
+    found = {"out": str(out), "format": form, "frames": done.frames, "files": done.files}
+    splits = ", ".join(f"{name} {count}" for name, count in done.frames.items())
+    output.result(
+        found | {"megabytes": megabytes},
+        f"{sum(done.frames.values())} frames ({splits}) in {done.files} files in {out}, "
+        f"{megabytes:.1f} MB",
     )
 
 

@@ -1,0 +1,248 @@
+"""Datasets as Parquet files and as Hugging Face sets: others read what was there."""
+
+import dataclasses
+import hashlib
+import itertools
+import json
+
+import numpy as np
+import pandas as pd
+import pyarrow.parquet as pq
+import pytest
+import yaml
+from command_line import printed_json, run
+
+from eitskin.datasets import State, export_dataset, open_dataset, save_dataset
+from eitskin.datasets.export.splits import SPLITS, specimen_splits, split_of
+from eitskin.datasets.export.statistics import RunningStatistics
+from eitskin.datasets.store.names import Names
+from eitskin.errors import ConfigurationError, DataError, PartialError
+
+from small_dataset import make
+
+FRAMES, SPECIMENS = 90, 30
+PUBLISHED = [  # of the specimens 0 to 11 of seed 7: others may have split their sets by these
+    *("train", "train", "train", "validation", "train", "train"),
+    *("train", "train", "train", "test", "train", "validation"),
+]
+FLOATS = ("impedance", "touch_reference", "reference")
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory):
+    """Folder of a dataset with something unknown in every column that may have it."""
+    data = make(FRAMES, SPECIMENS)
+    data.touch_depth[::4] = np.nan
+    data.bend_angle_deg[3] = np.nan
+    data.touch_reference[5] = np.nan
+    data.state[[7, 8, 9]] = [State.IDLE, 255, 255]
+    data.touch_x[8] = data.touch_y[8] = np.nan
+    data.state[9], data.touch_x[9], data.touch_y[9] = State.TOUCH, np.nan, np.nan
+    folder = tmp_path_factory.mktemp("sets") / "small"
+    save_dataset(data, folder, frames_per_shard=17)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def parquet(saved, tmp_path_factory):
+    out = tmp_path_factory.mktemp("out") / "parquet"
+    export_dataset(saved, out, "parquet")
+    return out
+
+
+@pytest.fixture(scope="module")
+def huggingface(saved, tmp_path_factory):
+    out = tmp_path_factory.mktemp("out") / "huggingface"
+    export_dataset(saved, out, "huggingface", "cc-by-4.0")
+    return out
+
+
+def in_order(frames):
+    return frames.sort_values("number").reset_index(drop=True)
+
+
+class TestParquet:
+    def test_pandas_reads_the_same_numbers(self, saved, parquet):
+        data, frames = open_dataset(saved), pd.read_parquet(parquet / "data")
+        for name, part in itertools.product(FLOATS, ("real", "imag")):
+            values = getattr(data, name)
+            values = values[data.specimen] if name == "reference" else values
+            rows = [np.full(28, np.nan) if row is None else row for row in frames[f"{name}_{part}"]]
+            np.testing.assert_array_equal(np.stack(rows), getattr(values, part))
+        np.testing.assert_array_equal(np.stack(frames["status"]), data.status)
+        for name in ("bend_angle_deg", "time", "episode", "number"):
+            np.testing.assert_array_equal(frames[name], getattr(data, name))
+        np.testing.assert_array_equal(frames["specimen"], data.specimen_number[data.specimen])
+
+    def test_touches_are_lists_of_those_that_are_there(self, saved, parquet):
+        data, frames = open_dataset(saved), pd.read_parquet(parquet / "data")
+        for row, touches in enumerate(frames["touches"]):
+            there = np.isfinite(data.touch_x[row])
+            if row in (8, 9):
+                assert touches is None, row  # nobody knows whether, or where, there are any
+                continue
+            assert len(touches) == there.sum(), row
+            for touch, place in zip(touches, np.flatnonzero(there), strict=True):
+                for name in ("x", "y", "force", "radius", "depth"):
+                    true = getattr(data, f"touch_{name}")[row, place]
+                    found = np.nan if touch[name] is None else np.float32(touch[name])
+                    np.testing.assert_array_equal(found, true)
+
+    def test_states_are_words_and_unknown_is_null(self, saved, parquet):
+        data, frames = open_dataset(saved), pd.read_parquet(parquet / "data")
+        names = {0: "idle", 1: "touch", 2: "bend", 255: None}
+        read = frames["state"].astype(object).where(frames["state"].notna(), None)
+        assert read.tolist() == [names[state] for state in data.state.tolist()]
+
+    def test_lists_have_a_fixed_length_and_columns_their_units(self, parquet):
+        schema = pq.read_schema(next((parquet / "data").iterdir()))
+        assert schema.field("impedance_real").type.list_size == 28
+        assert schema.field("impedance_real").metadata[b"units"] == b"ohm"
+        about = json.loads(schema.metadata[b"eitskin"])
+        assert (about["n_electrodes"], about["frequency_hz"], about["seed"]) == (8, 50e3, 7)
+        assert about["protocol"][0] == [0, 1, 0, 1]
+
+    def test_torch_reads_a_column_of_arrow(self, saved, parquet):
+        torch = pytest.importorskip("torch")
+        table = pq.read_table(parquet / "data", columns=["impedance_real"])
+        values = table["impedance_real"].combine_chunks().flatten().to_numpy()
+        tensor = torch.tensor(values).reshape(len(table), -1)
+        assert torch.equal(tensor, torch.tensor(open_dataset(saved).impedance.real))
+
+    def test_small_files_hold_the_same_rows_as_one(self, saved, parquet, tmp_path):
+        export_dataset(saved, tmp_path / "out", "parquet", file_bytes=20_000)
+        files = sorted((tmp_path / "out" / "data").iterdir())
+        assert len(files) > 2
+        assert files[1].name == f"frames-00001-of-{len(files):05d}.parquet"
+        assert all(pq.read_table(file).nbytes < 40_000 for file in files)
+        many, one = pq.read_table(tmp_path / "out" / "data"), pq.read_table(parquet / "data")
+        assert many.equals(one)
+
+    def test_equal_sets_give_equal_bytes_and_sums_that_fit(self, saved, parquet, tmp_path):
+        export_dataset(saved, tmp_path / "again", "parquet")
+        sums = (parquet / "SHA256SUMS").read_text()
+        assert (tmp_path / "again" / "SHA256SUMS").read_text() == sums
+        for line in sums.splitlines():
+            digest, name = line.split("  ")
+            assert hashlib.sha256((parquet / name).read_bytes()).hexdigest() == digest
+        assert (parquet / "recipe.toml").read_text() == open_dataset(saved).recipe
+
+
+class TestHuggingFace:
+    def test_its_files_hold_all_frames_once(self, parquet, huggingface):
+        parts = [pd.read_parquet(path) for path in (huggingface / "data").iterdir()]
+        whole = pd.read_parquet(parquet / "data").drop(columns="split")
+        both = [in_order(each).to_json() for each in (pd.concat(parts), whole)]
+        assert both[0] == both[1]
+
+    def test_its_card_says_what_the_files_hold(self, huggingface):
+        _, head, text = (huggingface / "README.md").read_text().split("---\n", 2)
+        told = yaml.safe_load(head)
+        assert told["license"] == "cc-by-4.0"
+        for split in told["dataset_info"]["splits"]:
+            (file,) = (huggingface / "data").glob(f"{split['name']}-*")
+            assert pq.read_metadata(file).num_rows == split["num_examples"] > 0
+        stored = pq.read_schema(file)
+        assert [each["name"] for each in told["dataset_info"]["features"]] == stored.names
+        for each in told["dataset_info"]["features"]:
+            kind = stored.field(each["name"]).type
+            if "length" in each:
+                assert (str(kind.value_type), kind.list_size) == (
+                    each["list"].replace("float32", "float"),
+                    each["length"],
+                )
+        paths = [each["path"] for each in told["configs"][0]["data_files"]]
+        assert paths == [f"data/{name}-*" for name in SPLITS]
+        assert 'name = "made for a test"' in text
+
+    def test_no_specimen_is_in_two_splits(self, parquet):
+        frames = pd.read_parquet(parquet / "data", columns=["specimen", "split"])
+        assert frames.groupby("specimen")["split"].nunique().max() == 1
+        assert set(frames["split"]) == set(SPLITS)
+
+
+class TestSplits:
+    def test_a_name_or_a_seed_decides_and_no_other_specimen(self):
+        few = specimen_splits(range(20), Names(), 3)
+        many = specimen_splits(range(200), Names(), 3)
+        assert many.items() >= few.items()
+        assert specimen_splits(range(200), Names(), 4) != many
+        named = specimen_splits([5, 6], Names({5: "left hand", 6: "right arm"}), 3)
+        assert named == specimen_splits([5, 6], Names({5: "left hand", 6: "right arm"}), 9)
+
+    def test_they_stay_as_they_were_published(self):
+        assert [split_of(f"7:{n}") for n in range(12)] == PUBLISHED
+
+    def test_shares_are_as_told(self):
+        found = [split_of(f"0:{n}") for n in range(20_000)]
+        shares = [found.count(name) / len(found) for name in SPLITS]
+        assert shares == pytest.approx([0.8, 0.1, 0.1], abs=4 * 0.4 / 20_000**0.5)
+
+    def test_without_one_for_training_all_are(self):
+        lone = next(n for n in range(99) if split_of(f"0:{n}") == "test")
+        assert specimen_splits([lone], Names(), 0) == {lone: "train"}
+
+
+class TestStatistics:
+    def test_parts_give_what_numpy_gives_for_all(self):
+        rng = np.random.default_rng(0)
+        values = rng.normal(1e6, 1e-2, (1000, 3))
+        found = RunningStatistics()
+        for part in np.split(values, [1, 30, 400]):
+            found.add(part)
+        told = found.document()
+        assert told["count"] == [1000]
+        np.testing.assert_allclose(told["mean"], values.mean(axis=0), rtol=1e-14)
+        np.testing.assert_allclose(told["std"], values.std(axis=0), rtol=1e-6)
+        assert told["min"] == values.min(axis=0).tolist()
+        assert told["max"] == values.max(axis=0).tolist()
+
+
+class TestMistakes:
+    def test_what_is_there_stays(self, saved, parquet):
+        before = (parquet / "SHA256SUMS").read_bytes()
+        with pytest.raises(ConfigurationError, match="not empty"):
+            export_dataset(saved, parquet, "parquet")
+        assert (parquet / "SHA256SUMS").read_bytes() == before
+
+    @pytest.mark.parametrize(
+        ("form", "license_name"), [("csv", "mit"), ("parquet", "CC BY"), ("parquet", "a\nb: c")]
+    )
+    def test_other_formats_and_licences_are_refused(self, saved, tmp_path, form, license_name):
+        with pytest.raises(ConfigurationError):
+            export_dataset(saved, tmp_path / "out", form, license_name)
+        assert not (tmp_path / "out").exists()
+
+    def test_damage_leaves_nothing(self, saved, tmp_path):
+        copy = tmp_path / "copy"
+        save_dataset(open_dataset(saved), copy, frames_per_shard=40)
+        last = sorted(copy.glob("shard-*"))[-1]
+        last.write_bytes(last.read_bytes()[:-100])
+        with pytest.raises(DataError, match=last.name):
+            export_dataset(copy, tmp_path / "out", "parquet")
+        assert [path.name for path in tmp_path.iterdir()] == ["copy"]
+
+    def test_a_full_disk_leaves_nothing(self, saved, tmp_path, monkeypatch):
+        def full(*_, **__):
+            raise OSError(28, "No space left on device")
+
+        monkeypatch.setattr(pq.ParquetWriter, "write_table", full)
+        with pytest.raises(PartialError, match="No space left"):
+            export_dataset(saved, tmp_path / "out", "parquet")
+        assert not list(tmp_path.iterdir())
+
+
+class TestCommand:
+    def test_it_tells_frames_of_each_split(self, saved, tmp_path):
+        told = printed_json("dataset", "export", saved, "--out", tmp_path / "out")
+        assert sum(told["frames"].values()) == FRAMES
+        assert list(told["frames"]) == list(SPLITS)
+
+    def test_measured_voltages_say_so(self, tmp_path):
+        data = dataclasses.replace(make(6), source="measured", recipe="", quantity="voltage")
+        save_dataset(data, tmp_path / "set")
+        words = ["--out", tmp_path / "out", "--format", "huggingface"]
+        assert run("dataset", "export", tmp_path / "set", *words).exit_code == 0
+        text = (tmp_path / "out" / "README.md").read_text()
+        assert "| `impedance_real` | float32 x 28 | V |" in text
+        assert not (tmp_path / "out" / "recipe.toml").exists()
