@@ -16,7 +16,6 @@ from eitskin.cli.commands import (
     generate,
     import_recording,
     instrument,
-    live,
     mesh,
     simulate,
     tare,
@@ -24,6 +23,7 @@ from eitskin.cli.commands import (
     twin,
 )
 from eitskin.cli.commands.bench import group as bench
+from eitskin.cli.commands.live import command as live
 from eitskin.cli.commands.own_sensor import adapt, calibrate, setup
 from eitskin.cli.commands.reconstruct import command as reconstruct
 from eitskin.cli.demo import command as demo

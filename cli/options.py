@@ -26,6 +26,9 @@ BoardOption = Annotated[
     str | None,
     typer.Option("--board", help="serial:PORT, text:PORT, virtual: or replay:DIRECTORY."),
 ]
+BoardUri = Annotated[
+    str, typer.Option("--board", help="serial:PORT, text:PORT, virtual: or replay:DIRECTORY.")
+]
 Specimen = Annotated[int, typer.Option(min=0, help="Number of the specimen in the dataset.")]
 Model = Annotated[Path, typer.Argument(help="The trained pipeline, NAME.eitmodel.")]
 MethodCode = Annotated[
@@ -89,6 +92,11 @@ def one_of(option: str, text: str, kind: Any) -> str:
     return text
 
 
+def seeded(uri: str, seed: int) -> dict[str, Any]:
+    """Seed as an option of a virtual board whose URI has none."""
+    return {"seed": seed} if uri.startswith("virtual:") and "seed=" not in uri else {}
+
+
 @contextlib.contextmanager
 def ended_by_signals() -> Iterator[None]:
     """Context in which SIGTERM acts as Ctrl-C, so that open files are closed and kept."""
@@ -132,10 +140,10 @@ class Output:
         if not self.as_json:
             self.console.print(shown, highlight=False)
 
-    def note(self, text: str) -> None:
-        """Print a note on stderr, unless quiet."""
+    def note(self, text: str, *, whole: bool = False) -> None:
+        """Print a note on stderr, unless quiet; `whole` without line breaks, to be copied."""
         if not self.quiet:
-            self.notes.print(text, highlight=False, markup=False)
+            self.notes.print(text, highlight=False, markup=False, soft_wrap=whole)
 
     def detail(self, text: str) -> None:
         """Print a note on stderr with --verbose."""

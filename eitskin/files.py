@@ -23,7 +23,10 @@ _RESUME = (
 
 @contextmanager
 def atomic_file(
-    path: str | Path, failure: type[EitskinError] = ConfigurationError, remedy: str = _REMEDY
+    path: str | Path,
+    failure: type[EitskinError] = ConfigurationError,
+    remedy: str = _REMEDY,
+    mode: int = 0o644,
 ) -> Iterator[Path]:
     """Context manager of a temporary file beside `path`, which is renamed to `path` at the end.
 
@@ -34,6 +37,7 @@ def atomic_file(
         path: of the file.
         failure: class of the error that is raised where the file cannot be written.
         remedy: end of that error's message.
+        mode: permissions of the file; until the end only its owner can read it.
     """
     path = Path(path)
     try:
@@ -43,7 +47,7 @@ def atomic_file(
         try:
             yield temporary
             sync(temporary)
-            temporary.chmod(0o644)  # mkstemp's 0600 would keep others from reading the file
+            temporary.chmod(mode)  # mkstemp's 0600 would keep others from reading the file
             temporary.replace(path)
         finally:
             temporary.unlink(missing_ok=True)

@@ -1,18 +1,18 @@
 """`eitskin check`: diagnosis of boards and recordings, and a list of serial ports."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 from rich.table import Table
 
-from eitskin.cli.commands.live import BoardUri, seeded
 from eitskin.cli.commands.recorded_frames import Values
 from eitskin.cli.commands.stored_references import ReferenceFile, tell_unjudged, use_reference
 from eitskin.cli.options import (
+    BoardUri,
     Json,
     MeasuredPairs,
     MethodCode,
@@ -21,6 +21,7 @@ from eitskin.cli.options import (
     Seed,
     Verbose,
     own_method,
+    seeded,
 )
 from eitskin.errors import ConfigurationError, FrameError
 
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from eitskin.frame import Frame
     from eitskin.hardware.diagnosis.finding import Finding
     from eitskin.hardware.diagnosis.reading_check import LawCheck
+    from eitskin.hardware.live import Estimate
     from eitskin.protocol import Protocol
     from eitskin.training.adaptation.recorded_touches import RecordedTouches
     from eitskin.training.pipeline.pipeline import Pipeline
@@ -53,6 +55,11 @@ Calibrate = Annotated[
 List = Annotated[bool, typer.Option("--list", help="Only list the serial ports of this machine.")]
 
 EXIT_UNHEALTHY = 4
+FRAMES = 16  # that are measured
+NO_EXPECTED = (
+    "touch positions tell no impedances: checking without expected values; give a stored "
+    "--reference (eitskin tare) to compare with"
+)
 SHIPPED = Path("reference.eitmodel")
 
 
@@ -60,7 +67,7 @@ def command(
     model: ReferenceModel = None,
     *,
     board: BoardUri = "virtual:",
-    frames: FrameCount = 16,
+    frames: FrameCount = FRAMES,
     recording: Recording = None,
     values: Values = None,
     protocol: MeasuredPairs = None,
@@ -119,8 +126,6 @@ def check_board(
     seed: int,
 ) -> None:
     """Check a board by a pipeline, which was `named`, or is the shipped one."""
-    from eitskin.hardware.diagnosis.reading_check import LAW_FINDINGS, check_frames
-    from eitskin.hardware.diagnosis.sensor_check import check_sensor
     from eitskin.hardware.opening import open_board
     from eitskin.training.pipeline.pipeline import Pipeline
 
@@ -140,21 +145,63 @@ def check_board(
             opened.calibrate()
         output.note(f"measuring {frames} frames; keep the sensor flat and untouched")
         taken = list(islice(opened.frames(), frames))
+    if suits and _expected(pipeline) is None:
+        output.note(NO_EXPECTED)
+    if suits and isinstance(pipeline, Pipeline):
+        tell_unjudged(pipeline, output)
+    found = sensor_findings(
+        pipeline if suits else None, taken, lambda: [pipeline.process(each) for each in taken][-1]
+    )
+    _report({"board": board}, found.findings, found.laws, taken[0].protocol, len(taken), output)
+
+
+class SensorFindings(NamedTuple):
+    """Findings on a sensor, and the laws that its frames were compared with."""
+
+    findings: "tuple[Finding, ...]"
+    laws: "Sequence[LawCheck]"
+
+    @property
+    def sentences(self) -> "Iterator[str]":
+        """A sentence on each law, or that none applies to the measurements."""
+        for law in self.laws:
+            yield (
+                f"{law.kind}: {law.relations} compared, median difference "
+                f"{100.0 * law.median:.2g} %, largest {100.0 * law.largest:.2g} %"
+            )
+        if not self.laws:
+            yield (
+                "this protocol measures nothing twice: neither reciprocity, swapped pairs nor "
+                "loop sums"
+            )
+
+
+def sensor_findings(
+    pipeline: "Pipeline | RecordedTouches | None",
+    taken: "Sequence[Frame]",
+    estimate: "Callable[[], Estimate]",
+) -> SensorFindings:
+    """Findings on the flat, untouched sensor in frames that were taken of it.
+
+    Args:
+        pipeline: knows the sensor's values; None where it is for another protocol.
+        taken: frames.
+        estimate: gives the pipeline's estimate of the last one; may raise FrameError.
+    """
+    from eitskin.hardware.diagnosis.reading_check import LAW_FINDINGS, check_frames
+    from eitskin.hardware.diagnosis.sensor_check import check_sensor
+    from eitskin.training.pipeline.pipeline import Pipeline
+
     readings = check_frames(taken)
     findings = readings.findings
-    expected = _expected(pipeline) if suits else None
-    if suits and expected is None:
-        output.note(
-            "touch positions tell no impedances: checking without expected values; give a stored "
-            "--reference (eitskin tare) to compare with"
-        )
+    expected = None if pipeline is None else _expected(pipeline)
     if expected is not None:
         known = check_sensor(taken, expected).findings
         findings = (*known, *(each for each in findings if each.what in LAW_FINDINGS))
         # Other faults make a sensor look bent or pressed.
         if isinstance(pipeline, Pipeline):
-            findings = findings or _not_flat(pipeline, taken, output)
-    _report({"board": board}, findings, readings.laws, taken[0].protocol, len(taken), output)
+            findings = findings or _not_flat(pipeline, estimate)
+    return SensorFindings(findings, readings.laws)
 
 
 def _expected(pipeline: "Pipeline | RecordedTouches") -> "NDArray[np.float64] | None":
@@ -172,16 +219,13 @@ def _expected(pipeline: "Pipeline | RecordedTouches") -> "NDArray[np.float64] | 
     return np.abs(stored.impedance)
 
 
-def _not_flat(
-    pipeline: "Pipeline", frames: "Sequence[Frame]", output: Output
-) -> "tuple[Finding, ...]":
+def _not_flat(pipeline: "Pipeline", estimated: "Callable[[], Estimate]") -> "tuple[Finding, ...]":
     """Finding of a sensor that is bent or pressed, by its stored reference or by other sensors."""
     from eitskin.datasets.store.state import State
     from eitskin.hardware.diagnosis.finding import Finding, FindingKind
 
-    tell_unjudged(pipeline, output)
     try:
-        estimate = [pipeline.process(frame) for frame in frames][-1]
+        estimate = estimated()
     except FrameError as error:  # of another sensor, by all channels together
         return (Finding(FindingKind.MISFIT, (), (), str(error)),)
     if pipeline.stored is None:
@@ -218,15 +262,8 @@ def _report(
     output: Output,
 ) -> None:
     """Print the findings, or that there are none; raises Exit where there are."""
-    for law in laws:
-        output.note(
-            f"{law.kind}: {law.relations} compared, median difference "
-            f"{100.0 * law.median:.2g} %, largest {100.0 * law.largest:.2g} %"
-        )
-    if not laws:
-        output.note(
-            "this protocol measures nothing twice: neither reciprocity, swapped pairs nor loop sums"
-        )
+    for sentence in SensorFindings(tuple(findings), laws).sentences:
+        output.note(sentence)
     healthy = f"healthy: nothing was found in {frames} frames"
     shown = "\n".join(each.message for each in findings) or healthy
     checked = [{**dataclasses.asdict(law), "kind": str(law.kind)} for law in laws]

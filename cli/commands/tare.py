@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from eitskin.cli.commands.live import seeded
 from eitskin.cli.commands.stored_references import board_number, tell_unjudged
 from eitskin.cli.options import (
     BoardOption,
@@ -19,11 +18,13 @@ from eitskin.cli.options import (
     Specimen,
     Verbose,
     own_method,
+    seeded,
 )
 from eitskin.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from eitskin.frame import Frame
+    from eitskin.hardware.boards.board import Board
     from eitskin.training.adaptation.recorded_touches import RecordedTouches
     from eitskin.training.pipeline.pipeline import Pipeline
     from eitskin.training.pipeline.stored_reference import StoredReference, Zero
@@ -40,6 +41,8 @@ Mounted = Annotated[
     ),
 ]
 
+FRAMES = 32  # that are averaged
+
 
 def command(
     model: Model,
@@ -48,7 +51,7 @@ def command(
     board: BoardOption = None,
     dataset: DatasetOption = None,
     specimen: Specimen = 0,
-    frames: FrameCount = 32,
+    frames: FrameCount = FRAMES,
     mounted: Mounted = False,
     method: MethodCode = None,
     seed: Seed = 0,
@@ -74,7 +77,11 @@ def command(
     if dataset is not None:
         reference = pipeline.tare([reference_frame(dataset, specimen)], zero, "", str(dataset))
     else:
-        reference = taken_from_board(pipeline, str(board), frames, zero, seed, output)
+        from eitskin.hardware.opening import open_board
+
+        with open_board(str(board), **seeded(str(board), seed)) as opened:
+            output.note(f"measuring {frames} frames; keep the sensor {zero}, still and untouched")
+            reference = taken_from_board(pipeline, opened, frames, zero)
     reference.write(out)
     facts = {"frames": reference.frames, "noise": reference.noise, "taken": reference.taken}
     result = {"out": str(out), "zero": str(zero), **facts, "board": reference.board}
@@ -83,23 +90,20 @@ def command(
 
 
 def taken_from_board(
-    pipeline: "Pipeline | RecordedTouches",
-    uri: str,
-    frames: int,
-    zero: "Zero",
-    seed: int,
-    output: Output,
+    pipeline: "Pipeline | RecordedTouches", board: "Board", frames: int, zero: "Zero"
 ) -> "StoredReference":
     """Stored reference from frames of a board, which the pipeline uses from now on."""
-    from eitskin.hardware.opening import open_board
+    require_same_measurements(pipeline, board)
+    taken = list(islice(board.frames(), frames))
+    return pipeline.tare(taken, zero, board_number(board.info), board.uri)
+
+
+def require_same_measurements(pipeline: "Pipeline | RecordedTouches", board: "Board") -> None:
+    """Raise DataError where a board measures otherwise than a pipeline was trained."""
     from eitskin.training.pipeline.pipeline import Pipeline
 
     spec = pipeline.layout if isinstance(pipeline, Pipeline) else pipeline
-    with open_board(uri, **seeded(uri, seed)) as board:
-        spec.require_same_measurements(board.protocol, board.info.frequency)
-        output.note(f"measuring {frames} frames; keep the sensor {zero}, still and untouched")
-        taken, number = list(islice(board.frames(), frames)), board_number(board.info)
-    return pipeline.tare(taken, zero, number, uri)
+    spec.require_same_measurements(board.protocol, board.info.frequency)
 
 
 def reference_frame(folder: Path, specimen: int) -> "Frame":

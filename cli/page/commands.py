@@ -1,9 +1,9 @@
-"""Commands of the live page to a virtual board: scene, faults, and the paper's episode."""
+"""Commands of the live page: its protocol, and those to a virtual board."""
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import msgspec
 import numpy as np
@@ -21,6 +21,8 @@ from eitskin.simulator.scene.touch import Touch
 
 if TYPE_CHECKING:
     from eitskin.hardware.boards.board import Board
+
+Kind = TypeVar("Kind")
 
 MOST_TOUCHES = 4
 STEP = 3.0  # duration of each step of the episode [s]
@@ -88,19 +90,82 @@ class PlayCommand:
     play: bool
 
 
-def execute(board: "Board", sheet: SensorDesign | Region, path: str, body: bytes) -> None:
-    """Execute the command that was posted to `path`.
+@dataclass(frozen=True, slots=True)
+class EnterCommand:
+    """POST /enter: the token from the page's address."""
 
-    Raises ConfigurationError for invalid or impossible commands, KeyError for an unknown path.
-    """
-    command, act = COMMANDS[path]
+    token: str
+
+
+class ConflictError(ConfigurationError):
+    """A command that is valid, but not possible now or with this board."""
+
+
+class PageCommands(Protocol):
+    """Commands that the page's server takes by POST."""
+
+    @property
+    def paths(self) -> Sequence[str]:
+        """Paths of all commands."""
+
+    def execute(self, path: str, body: bytes) -> None:
+        """Execute the command of a path; raises ConfigurationError, KeyError for other paths."""
+
+
+class SessionCommands(PageCommands, Protocol):
+    """Commands to a live session."""
+
+    def state(self) -> Mapping[str, Any]:
+        """Plain data of what is being done, and of what may be asked for."""
+
+
+@dataclass(frozen=True, slots=True)
+class CommandsOfBoth(PageCommands):
+    """Commands to a virtual board and to a session."""
+
+    stage: PageCommands
+    session: PageCommands
+
+    @property
+    def paths(self) -> Sequence[str]:
+        return (*self.stage.paths, *self.session.paths)
+
+    def execute(self, path: str, body: bytes) -> None:
+        (self.session if path in self.session.paths else self.stage).execute(path, body)
+
+
+@dataclass(frozen=True, slots=True)
+class StageCommands(PageCommands):
+    """Commands to the scene and faults of a virtual board; conflicts with every other board."""
+
+    board: "Board"
+    sheet: SensorDesign | Region
+
+    @property
+    def paths(self) -> Sequence[str]:
+        return tuple(COMMANDS)
+
+    def execute(self, path: str, body: bytes) -> None:
+        command, act = COMMANDS[path]
+        if _stage(self.board) is None:
+            raise ConflictError("this board is not a virtual one and takes no commands")
+        act(self.board, self.sheet, read_command(command, path, body))
+
+
+def entered(body: bytes) -> str:
+    """Token that was posted; raises ConfigurationError for anything else."""
+    return read_command(EnterCommand, "/enter", body).token
+
+
+def read_command(kind: type[Kind], path: str, body: bytes) -> Kind:
+    """Command that was posted to `path`; raises ConfigurationError for another body."""
     try:
         data = msgspec.json.decode(body)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise ConfigurationError(f"expected JSON, got what is not: {error}") from error
     if not isinstance(data, Mapping):
         raise ConfigurationError(f"expected a JSON object, got {type(data).__name__}")
-    act(board, sheet, from_dict(command, data, path.lstrip("/")))
+    return from_dict(kind, data, path.lstrip("/"))
 
 
 def _set_scene(board: "Board", sheet: SensorDesign | Region, command: SceneCommand) -> None:

@@ -1,4 +1,4 @@
-"""The live page of `eitskin live --page`, for browsers on this machine."""
+"""The live page of `eitskin live --page`."""
 
 import json
 import logging
@@ -7,9 +7,10 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from eitskin.cli.page.commands import execute
+from eitskin.cli.page.access import Access
+from eitskin.cli.page.commands import CommandsOfBoth, SessionCommands, StageCommands
 from eitskin.cli.page.region import Region
-from eitskin.cli.page.server import HOST, ClientLimits, Server
+from eitskin.cli.page.server import ClientLimits, Server
 from eitskin.cli.page.state import PageContent, Snapshot, filled
 from eitskin.closeable import Closeable
 from eitskin.frame import Frame
@@ -35,7 +36,8 @@ class LivePage(Closeable):
     cannot slow the loop.
 
     Attributes:
-        url: address of the page.
+        url: address of the page, without a token.
+        invitations: what may be done, and the address for it.
     """
 
     def __init__(
@@ -43,6 +45,8 @@ class LivePage(Closeable):
         connection: "Connection",
         sheet: SensorDesign | Region,
         port: int = 0,
+        access: Access | None = None,
+        session: SessionCommands | None = None,
         limits: ClientLimits | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -52,7 +56,9 @@ class LivePage(Closeable):
             connection: to the board whose readings will be published; a virtual one can be
                 commanded by the page.
             sheet: design of its sensor, or the region of positions where that is not known.
-            port: of 127.0.0.1; 0 for any that is free.
+            port: 0 for any that is free.
+            access: address to serve at, and who may use the page; without it this machine.
+            session: takes what is asked of the live session; without it nothing is.
             limits: with browsers.
             clock: [s].
 
@@ -63,19 +69,25 @@ class LivePage(Closeable):
         self._content = PageContent.of(board, sheet)
         self._published: tuple[Reading, Counts, float] | None = None
         self._reference: Frame | None = None
-        self._arrived = self._closed = False
+        self._arrived = self._told = self._closed = False
         self._changed = threading.Condition()
         self._events = Latest[bytes]()
-        hello = b"retry: 1000\n" + event("sensor", self._content.sensor())
+        hello = b"retry: 1000\n" + event(
+            "sensor",
+            self._content.sensor() | {"tasks": None if session is None else list(session.paths)},
+        )
+        self._session = session
+        stage = StageCommands(board, sheet)
         self.server = Server(
             port,
+            access or Access(),
             self._events,
             hello,
-            lambda path, body: execute(board, sheet, path, body),
-            getattr(board, "stage", None) is not None,
+            stage if session is None else CommandsOfBoth(stage, session),
             limits or ClientLimits(),
         )
-        self.url = f"http://{HOST}:{self.server.server_port}/"
+        self.url = self.server.access.url(self.server.port)
+        self.invitations = self.server.access.invitations(self.server.port)
         self._thread = threading.Thread(target=self._send_events, name="page", daemon=True)
         self._thread.start()
         self.server.start()
@@ -89,6 +101,12 @@ class LivePage(Closeable):
             elif self._reference.status.any():
                 self._reference = filled(self._reference, reading.frame)
             self._published, self._arrived = (reading, counts, self._clock()), True
+            self._changed.notify()
+
+    def tell(self) -> None:
+        """Send what has changed beside the readings; returns at once."""
+        with self._changed:
+            self._told = True
             self._changed.notify()
 
     def close(self) -> None:
@@ -120,7 +138,10 @@ class LivePage(Closeable):
             pause = sent + 1.0 / MOST_PER_SECOND - self._clock()
             if pause > 0.0:
                 self._changed.wait_for(lambda: self._closed, pause)
-            self._changed.wait_for(lambda: self._closed or self._arrived, self._heartbeat_delay())
+            self._changed.wait_for(
+                lambda: self._closed or self._arrived or self._told, self._heartbeat_delay()
+            )
+            self._told = False
             return not self._closed
 
     def _heartbeat_delay(self) -> float:
@@ -154,6 +175,7 @@ class LivePage(Closeable):
             "age": None if age is None else round(age, 3),
             "stale": age is None or age >= self.stale_after(),
             "connection": self._connection.problem,
+            "tasks": None if self._session is None else self._session.state(),
         }
         if snapshot is None:
             return event("health", {**health, "stage": self._content.stage()})

@@ -1,27 +1,32 @@
-"""HTTP server of the live page: files, events and commands, for this machine only."""
+"""HTTP server of the live page: files, events and commands, for those who may have them."""
 
+import io
 import json
 import logging
 import socket
-import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
 from http import HTTPStatus
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from http.cookies import CookieError, SimpleCookie
+from http.server import BaseHTTPRequestHandler
 from importlib import resources
 from typing import Any, cast
 
-from eitskin.cli.page.commands import COMMANDS
+from eitskin.cli.page.access import Access, Role, resolved
+from eitskin.cli.page.arrivals import LARGEST_BODY, MOST_ARRIVING, Arrivals
+from eitskin.cli.page.commands import ConflictError, PageCommands, entered
 from eitskin.errors import ConfigurationError
 from eitskin.latest import Latest
 
 log = logging.getLogger(__name__)
 
-HOST = "127.0.0.1"
 MOST_CLIENTS = 8
-LARGEST_BODY = 4096  # bytes
+MOST_REPLIES = 4  # requests that are answered at once, beside the streams
+_TOO_LONG = b"HTTP/1.0 431 Request Header Fields Too Large\r\nContent-Length: 0\r\n\r\n"
+_LOCKED = "this page needs its whole address, as the terminal shows it, with what follows #"
 ASSETS = {
     "index.html": "text/html; charset=utf-8",
     "style.css": "text/css; charset=utf-8",
@@ -30,8 +35,10 @@ ASSETS = {
     "channels.js": "text/javascript; charset=utf-8",
     "colours.js": "text/javascript; charset=utf-8",
     "controls.js": "text/javascript; charset=utf-8",
+    "door.js": "text/javascript; charset=utf-8",
     "map.js": "text/javascript; charset=utf-8",
     "sensor.js": "text/javascript; charset=utf-8",
+    "tasks.js": "text/javascript; charset=utf-8",
     "trace.js": "text/javascript; charset=utf-8",
 }
 HEADERS = {
@@ -59,27 +66,29 @@ class ClientLimits:
     buffer: int = 1 << 16
 
 
-class Server(ThreadingHTTPServer):
-    """Server of one page, with a thread for each request, all ended by `close`.
+class Server:
+    """Server of one page, with a bounded number of threads and connections.
+
+    One thread reads requests. At most `MOST_CLIENTS` streams and `MOST_REPLIES` other answers are
+    sent at once, each by a thread; other whole requests wait, up to a number.
 
     Attributes:
         files: content type and bytes of each file, by path.
         events: messages that `/events` streams.
         hello: the first event of each stream.
-        execute: takes path and body of a command; raises ConfigurationError.
-        controlled: whether the board takes commands.
+        commands: executes what is posted.
+        access: who may see and command.
+        port: listened at.
         watching: number of open streams.
     """
-
-    daemon_threads = True
 
     def __init__(
         self,
         port: int,
+        access: Access,
         events: Latest[bytes],
         hello: bytes,
-        execute: Callable[[str, bytes], None],
-        controlled: bool,
+        commands: PageCommands,
         limits: ClientLimits,
     ) -> None:
         """Take the port, 0 for any; raises ConfigurationError where it cannot be had."""
@@ -88,39 +97,34 @@ class Server(ThreadingHTTPServer):
             f"/{name}": (kind, (folder / name).read_bytes()) for name, kind in ASSETS.items()
         }
         self.files["/"] = self.files["/index.html"]
-        self.events, self.hello, self.execute = events, hello, execute
-        self.controlled, self.limits = controlled, limits
+        self.access, self.events, self.hello = access, events, hello
+        self.commands, self.limits = commands, limits
         self.watching = 0
-        self._open: dict[Any, threading.Thread] = {}
+        self._open: set[socket.socket] = set()
         self._lock = threading.Lock()
-        try:
-            super().__init__((HOST, port), _Handler)
-        except (OSError, OverflowError) as error:
-            raise ConfigurationError(
-                f"cannot serve the page on port {port}: {error}; choose another port, or 0 for "
-                "any that is free"
-            ) from error
-        # Names by which the page's own browser calls it; anything else came by another way.
-        self.hosts = {f"{name}:{self.server_port}" for name in (HOST, "localhost")}
-        self.origins = {f"http://{host}" for host in self.hosts}
-        self._thread = threading.Thread(target=self._serve, name="page server", daemon=True)
+        listener = _listener(access.host, port)
+        self.port: int = listener.getsockname()[1]
+        self.cookie = f"eitskin-{self.port}"  # cookies of one name are shared by all ports
+        self._workers = ThreadPoolExecutor(MOST_CLIENTS + MOST_REPLIES, "page request")
+        self._arrivals = Arrivals(listener, self._take, limits.receive)
+
+    @property
+    def arriving(self) -> int:
+        """Number of connections whose requests are not whole yet."""
+        return self._arrivals.count
 
     def start(self) -> None:
         """Start to serve, in a thread."""
-        self._thread.start()
+        self._arrivals.start()
 
     def close(self) -> None:
         """End every request and free the port."""
-        self.shutdown()
-        self._thread.join()
-        self.server_close()
+        self._arrivals.close()
         with self._lock:
-            left = list(self._open.items())
-        for request, _ in left:
-            with suppress(OSError):  # the browser may be faster
-                request.shutdown(socket.SHUT_RDWR)
-        for _, thread in left:
-            thread.join()
+            for connection in self._open:
+                with suppress(OSError):  # the browser may be faster
+                    connection.shutdown(socket.SHUT_RDWR)
+        self._workers.shutdown()
 
     def admit(self) -> bool:
         """Count a new stream; False where there are too many."""
@@ -135,27 +139,70 @@ class Server(ThreadingHTTPServer):
         with self._lock:
             self.watching -= 1
 
-    def process_request(self, request: Any, client_address: Any) -> None:
-        """Handle a request in a new thread, which `close` waits for."""
-        thread = threading.Thread(
-            target=self.process_request_thread,
-            args=(request, client_address),
-            name="page request",
-            daemon=True,
-        )
+    def _take(self, connection: socket.socket, request: bytes) -> None:
+        """Answer a request when a thread is free; refuse it where too many wait."""
         with self._lock:
-            # Forgotten when their threads have ended, and no sooner: `close` waits for them.
-            self._open = {each: by for each, by in self._open.items() if by.is_alive()}
-            self._open[request] = thread
-            thread.start()
+            room = len(self._open) < MOST_ARRIVING
+            if room:
+                self._open.add(connection)
+        if room:
+            self._workers.submit(self._answer, connection, request)
+        else:
+            connection.close()
 
-    def handle_error(self, request: Any, client_address: Any) -> None:  # noqa: ARG002
-        """Log an error, unless the browser disconnected."""
-        if not isinstance(sys.exception(), OSError):
+    def _answer(self, connection: socket.socket, request: bytes) -> None:
+        try:
+            if not request:
+                connection.settimeout(self.limits.send)
+                connection.sendall(_TOO_LONG)
+                return
+            received = _Received(connection, request)
+            _Handler(cast(Any, received), connection.getpeername(), cast(Any, self))
+        except OSError:
+            pass  # the browser has gone
+        except Exception:
             log.exception("the page's server failed")
+        finally:
+            with self._lock:
+                self._open.discard(connection)
+            with suppress(OSError):  # what is left of an answer is still sent
+                connection.shutdown(socket.SHUT_WR)
+            connection.close()
 
-    def _serve(self) -> None:
-        self.serve_forever(poll_interval=0.05)
+
+def _listener(host: str, port: int) -> socket.socket:
+    """Socket bound to an address of this machine; raises ConfigurationError where it cannot be."""
+    family, address = resolved(host)
+    listener = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind((address, port))
+    except (OSError, OverflowError) as error:
+        listener.close()
+        raise ConfigurationError(
+            f"cannot serve the page at {host}, port {port}: {error}; choose another port, or 0 for "
+            "any that is free, and an address of this machine"
+        ) from error
+    return listener
+
+
+@dataclass(frozen=True, slots=True)
+class _Received:
+    """Connection with its whole request."""
+
+    connection: socket.socket
+    request: bytes
+
+
+class _Sent(io.RawIOBase):
+    """Writer that sends everything at once."""
+
+    def __init__(self, connection: socket.socket) -> None:
+        self._connection = connection
+
+    def write(self, data: Any) -> int:
+        self._connection.sendall(data)
+        return len(data)
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -168,17 +215,25 @@ class _Handler(BaseHTTPRequestHandler):
         return cast(Server, self.server)
 
     def setup(self) -> None:
-        limits = self.page.limits
-        self.request.settimeout(limits.receive)
-        self.request.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, limits.buffer)
-        super().setup()
+        received = cast(_Received, self.request)
+        self.connection, limits = received.connection, self.page.limits
+        self.connection.settimeout(limits.send)
+        self.connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, limits.buffer)
+        self.rfile = io.BytesIO(received.request)
+        self.wfile = _Sent(self.connection)  # type: ignore[assignment]
+
+    def finish(self) -> None:
+        pass  # the server closes the connection
 
     def do_GET(self) -> None:
         path = self.path.partition("?")[0]
         if self._refused(path):
             return
-        if path == "/events":
-            self._stream()
+        if path == "/access":
+            self._reply_json(HTTPStatus.OK, {"role": self._role.name.lower()})
+        elif path == "/events":
+            if self._allowed(Role.VIEWER):
+                self._stream()
         elif path in self.page.files:
             self._reply(HTTPStatus.OK, *self.page.files[path])
         else:
@@ -187,64 +242,102 @@ class _Handler(BaseHTTPRequestHandler):
     def do_POST(self) -> None:
         path = self.path.partition("?")[0]
         length = self.headers.get("Content-Length", "")
-        counted = length.isascii() and length.isdigit() and len(length) < 10
-        # Read before anything is answered: closing with bytes unread would cut the answer off.
-        body = self.rfile.read(min(int(length), LARGEST_BODY + 1)) if counted else b""
-        if self._refused(path):
+        body = self.rfile.read()
+        if self._refused(path) or not (path == "/enter" or self._allowed(Role.COMMANDER)):
             return
         kind = self.headers.get("Content-Type", "").partition(";")[0].strip().lower()
-        if path not in COMMANDS:
+        known = ("/enter", *self.page.commands.paths)
+        if path not in known:
             self._reply_error(
-                HTTPStatus.NOT_FOUND, f"expected a POST to {', '.join(COMMANDS)}, got {path}"
-            )
-        elif not self.page.controlled:
-            self._reply_error(
-                HTTPStatus.CONFLICT, "this board is not a virtual one and takes no commands"
+                HTTPStatus.NOT_FOUND, f"expected a POST to {', '.join(known)}, got {path}"
             )
         elif kind != "application/json":
             self._reply_error(
                 HTTPStatus.UNSUPPORTED_MEDIA_TYPE,
                 f"expected Content-Type application/json, got {kind or 'none'}",
             )
-        elif not counted:
+        elif not (length.isascii() and length.isdigit() and len(length) < 10):
             self._reply_error(HTTPStatus.LENGTH_REQUIRED, "a command needs a Content-Length")
         elif len(body) > LARGEST_BODY:
             self._reply_error(
                 HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
                 f"a command has at most {LARGEST_BODY} bytes, got {length}",
             )
+        elif path == "/enter":
+            self._enter(body)
         else:
             self._execute(path, body)
 
     def _execute(self, path: str, body: bytes) -> None:
         try:
-            self.page.execute(path, body)
+            self.page.commands.execute(path, body)
+        except ConflictError as error:
+            self._reply_error(HTTPStatus.CONFLICT, str(error))
         except ConfigurationError as error:
             self._reply_error(HTTPStatus.BAD_REQUEST, str(error))
         else:
-            self._reply(HTTPStatus.OK, "application/json", b'{"done":true}')
+            self._reply_json(HTTPStatus.OK, {"done": True})
+
+    def _enter(self, body: bytes) -> None:
+        """Keep a token that was shown in a cookie, which scripts of no page can read."""
+        try:
+            token = entered(body)
+        except ConfigurationError as error:
+            self._reply_error(HTTPStatus.BAD_REQUEST, str(error))
+            return
+        role = self.page.access.role(token)
+        if role is Role.STRANGER:
+            self._reply_error(HTTPStatus.UNAUTHORIZED, _LOCKED)
+            return
+        cookie = f"{self.page.cookie}={token}; Path=/; HttpOnly; SameSite=Strict"
+        answer = {"role": role.name.lower()}
+        # Whoever needs no token has shown what may not be one, and gets no cookie of it.
+        kept = {} if self.page.access.tokens is None else {"Set-Cookie": cookie}
+        self._reply_json(HTTPStatus.OK, answer, kept)
+
+    @property
+    def _role(self) -> Role:
+        """Role of who asks, by the token in a header or in the page's cookie."""
+        scheme, _, token = self.headers.get("Authorization", "").partition(" ")
+        if scheme.lower() == "bearer":
+            return self.page.access.role(token.strip())
+        try:
+            kept = SimpleCookie(self.headers.get("Cookie", "")).get(self.page.cookie)
+        except CookieError:
+            kept = None
+        return self.page.access.role(kept.value if kept else "")
+
+    def _allowed(self, least: Role) -> bool:
+        """Refuse who may not; whether the request goes on."""
+        role = self._role
+        if role is Role.STRANGER:
+            self._reply_error(HTTPStatus.UNAUTHORIZED, _LOCKED)
+        elif role < least:
+            self._reply_error(
+                HTTPStatus.FORBIDDEN, "this address only views; commands need the other"
+            )
+        return role >= least
 
     def _refused(self, path: str) -> bool:
         """Refuse a request that is not from this page itself; whether it was refused.
 
-        A name other than this machine's means that a foreign one was made to point here (DNS
+        A name that is none of this machine means that a foreign one was made to point here (DNS
         rebinding); an Origin other than the page's, that a foreign page asks.
         """
-        host, origin = self.headers.get("Host", ""), self.headers.get("Origin")
+        host, origin = self.headers.get("Host", "").lower(), self.headers.get("Origin")
         site = self.headers.get("Sec-Fetch-Site", "none")
-        if host not in self.page.hosts:
-            wrong = f"this page is called {self._url()}, not {host!r}"
-        elif origin not in self.page.origins and not (origin is None and self.command == "GET"):
-            wrong = f"only the page at {self._url()} may ask, not {origin or 'one without Origin'}"
+        names = self.page.access.names(self.connection.getsockname()[0])
+        url = self.page.access.url(self.page.port)
+        if host not in {f"{name}:{self.page.port}" for name in names}:
+            wrong = f"this page is called {url}, not {host!r}"
+        elif origin != f"http://{host}" and not (origin is None and self.command == "GET"):
+            wrong = f"only the page at {url} may ask, not {origin or 'one without Origin'}"
         elif site not in ("none", "same-origin") and path != "/":
-            wrong = f"only the page at {self._url()} may ask, not a {site} one"
+            wrong = f"only the page at {url} may ask, not a {site} one"
         else:
             return False
         self._reply_error(HTTPStatus.FORBIDDEN, wrong)
         return True
-
-    def _url(self) -> str:
-        return f"http://{HOST}:{self.page.server_port}/"
 
     def _stream(self) -> None:
         """Send each newest event until the browser disconnects or stalls."""
@@ -254,10 +347,9 @@ class _Handler(BaseHTTPRequestHandler):
             )
             return
         try:
-            self.connection.settimeout(self.page.limits.send)
             self.connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             number = self.page.events.number
-            self._head(HTTPStatus.OK, "text/event-stream")
+            self._head(HTTPStatus.OK, "text/event-stream", {})
             self.wfile.write(self.page.hello)
             while (newest := self.page.events.after(number)) is not None:
                 number, message = newest
@@ -268,18 +360,23 @@ class _Handler(BaseHTTPRequestHandler):
             self.page.dismiss()
 
     def _reply_error(self, status: HTTPStatus, message: str) -> None:
-        self._reply(status, "application/json", json.dumps({"error": message}).encode())
+        self._reply_json(status, {"error": message})
 
-    def _reply(self, status: HTTPStatus, kind: str, body: bytes) -> None:
-        self._head(status, kind, len(body))
+    def _reply_json(
+        self, status: HTTPStatus, data: dict[str, Any], headers: Mapping[str, str] | None = None
+    ) -> None:
+        body = json.dumps(data, separators=(",", ":")).encode()
+        self._reply(status, "application/json", body, headers)
+
+    def _reply(
+        self, status: HTTPStatus, kind: str, body: bytes, headers: Mapping[str, str] | None = None
+    ) -> None:
+        self._head(status, kind, {"Content-Length": str(len(body))} | dict(headers or {}))
         self.wfile.write(body)
 
-    def _head(self, status: HTTPStatus, kind: str, length: int | None = None) -> None:
+    def _head(self, status: HTTPStatus, kind: str, headers: Mapping[str, str]) -> None:
         self.send_response(status)
-        self.send_header("Content-Type", kind)
-        if length is not None:
-            self.send_header("Content-Length", str(length))
-        for name, value in HEADERS.items():
+        for name, value in {"Content-Type": kind, **headers, **HEADERS}.items():
             self.send_header(name, value)
         self.end_headers()
 

@@ -10,8 +10,8 @@ import pytest
 from rich.console import Console
 
 from eitskin import files as files_module
-from eitskin.cli.commands import live as cli
-from eitskin.cli.commands.live_recording import FrameRecording
+from eitskin.cli.commands.live import session as cli
+from eitskin.cli.commands.live.recordings import FrameRecording
 from eitskin.cli.live_view import touch_picture
 from eitskin.cli.options import Output
 from eitskin.datasets import ShardWriter, open_dataset

@@ -9,8 +9,8 @@ from mcap_reader import read
 from rich.console import Console
 from rosbags.rosbag2 import Writer
 
-from eitskin.cli.commands import live
-from eitskin.cli.commands.live_recording import MessageRecording
+from eitskin.cli.commands.live import session as live
+from eitskin.cli.commands.live.recordings import MessageRecording
 from eitskin.cli.options import Output
 from eitskin.datasets import open_dataset
 from eitskin.errors import ConfigurationError, DeviceError, PartialError

@@ -4,7 +4,7 @@ import types
 
 import pytest
 
-from eitskin.cli.commands.live import LiveSession
+from eitskin.cli.commands.live.session import LiveSession
 from eitskin.cli.options import Output
 from eitskin.errors import ConfigurationError
 from eitskin.hardware import Connection

@@ -6,7 +6,7 @@ import numpy as np
 import typer
 from typer.testing import CliRunner
 
-from eitskin.cli.commands import live
+from eitskin.cli.commands.live import command as live
 from eitskin.datasets import State
 from eitskin.hardware import Counts
 from eitskin.simulator import Frame, Protocol

@@ -115,9 +115,9 @@ def post(page, path, data, **headers):
 class Stream:
     """A browser's event source."""
 
-    def __init__(self, page):
+    def __init__(self, page, headers=None):
         self.client = http.client.HTTPConnection("127.0.0.1", port_of(page), timeout=10)
-        self.client.request("GET", "/events")
+        self.client.request("GET", "/events", headers=headers or {})
         self.answer = self.client.getresponse()
 
     def next(self):

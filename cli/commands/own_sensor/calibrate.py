@@ -6,11 +6,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from eitskin.cli.commands.live import BoardUri, seeded
 from eitskin.cli.commands.own_sensor.adapt import calibration_table
+from eitskin.cli.commands.own_sensor.dialogue import TerminalDialogue
 from eitskin.cli.commands.own_sensor.poses import asked, bent, frames_in_poses, left_alone
 from eitskin.cli.commands.stored_references import ReferenceFile, use_reference
 from eitskin.cli.options import (
+    BoardUri,
     Json,
     MethodCode,
     Model,
@@ -19,6 +20,7 @@ from eitskin.cli.options import (
     Seed,
     Verbose,
     own_method,
+    seeded,
 )
 from eitskin.errors import ConfigurationError
 
@@ -112,10 +114,15 @@ def _from_board(
 
     with open_board(uri, **seeded(uri, seed)) as board:
         layout.require_same_measurements(board.protocol, board.info.frequency)
-        hand = left_alone if no_prompt else asked
+        hand = left_alone if no_prompt else asked(TerminalDialogue(output))
         poses = [bent(angle) for angle in angles]
         taken = frames_in_poses(
-            board, poses, frames, hand, lambda pose: output.note(f"{frames} frames: {pose.words}")
+            board,
+            poses,
+            frames,
+            hand,
+            lambda pose: output.note(f"{frames} frames: {pose.words}"),
+            newest=not no_prompt,
         )
         for frame, label in taken:
             if label.flat:  # refused now, not after the work of all angles

@@ -5,9 +5,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
-import typer
-
 if TYPE_CHECKING:
+    from eitskin.cli.commands.own_sensor.dialogue import Dialogue
     from eitskin.datasets.store.dataset import Dataset
     from eitskin.frame import Frame
     from eitskin.geometry.design.outline import PlaneOutline
@@ -50,11 +49,17 @@ def pressed(name: str, x: float, y: float) -> Pose:
     return Pose(words, FrameLabel(touches=(TouchLabel(x, y),)))
 
 
-def asked(_board: "Board", pose: Pose, stream: "Iterator[Frame]") -> None:
-    """Ask a person, and wait for Enter."""
-    typer.prompt(f"{pose.words}, and press Enter", "", show_default=False)
-    for _ in range(STALE):
-        next(stream)
+def asked(dialogue: "Dialogue") -> Hand:
+    """Ask a person for each pose, and wait until it is held."""
+
+    def wait(_board: "Board", pose: Pose, stream: "Iterator[Frame]") -> None:
+        touches = pose.label.touches or ()
+        place = next(((touch.x, touch.y) for touch in touches), None)
+        dialogue.ask(pose.words, {"": "it is so"}, place)
+        for _ in range(STALE):
+            next(stream)
+
+    return wait
 
 
 def left_alone(_board: "Board", _pose: Pose, _stream: "Iterator[Frame]") -> None:
@@ -67,11 +72,10 @@ def staged(force: float) -> Hand:
     def moved(board: "Board", pose: Pose, stream: "Iterator[Frame]") -> None:
         from eitskin.errors import ConfigurationError
         from eitskin.geometry.deformation.fixtures import Bend
-        from eitskin.hardware.virtual.virtual_board import VirtualBoard
         from eitskin.simulator.scene.scene import Scene
         from eitskin.simulator.scene.touch import Touch
 
-        if not isinstance(board, VirtualBoard):
+        if board.stage is None:
             raise ConfigurationError(
                 "--no-prompt is for a virtual: board, whose sensor moves by itself, got another "
                 "board; leave it out"
@@ -91,6 +95,8 @@ def frames_in_poses(
     count: int,
     hand: Hand,
     done: Callable[[Pose], None] = lambda _: None,
+    *,
+    newest: bool = False,
 ) -> "Iterator[tuple[Frame, FrameLabel]]":
     """So many frames in each pose, with what is known of them.
 
@@ -100,8 +106,9 @@ def frames_in_poses(
         count: number of frames in each.
         hand: way of bringing the sensor into a pose.
         done: called after the frames of a pose.
+        newest: skip frames that came while the hand was at it.
     """
-    stream = board.frames(newest=hand is asked)
+    stream = board.frames(newest=newest)
     for pose in poses:
         hand(board, pose, stream)
         for _ in range(count):

@@ -2,15 +2,17 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from eitskin.cli.commands import check, tare
-from eitskin.cli.commands.live import seeded
 from eitskin.cli.commands.own_sensor.adapt import StartModel, adapt, in_words, open_start, said
 from eitskin.cli.commands.own_sensor.calibrate import Angles, angles_of
+from eitskin.cli.commands.own_sensor.dialogue import Dialogue, TerminalDialogue
 from eitskin.cli.commands.own_sensor.poses import (
     as_dataset,
     asked,
@@ -21,11 +23,20 @@ from eitskin.cli.commands.own_sensor.poses import (
     pressed,
     staged,
 )
-from eitskin.cli.options import BoardOption, Json, Output, Quiet, Seed, SensorFile, Verbose
-from eitskin.errors import ConfigurationError, EitskinError
+from eitskin.cli.options import (
+    BoardOption,
+    Json,
+    Output,
+    Quiet,
+    Seed,
+    SensorFile,
+    Verbose,
+    seeded,
+)
+from eitskin.errors import ConfigurationError, DataError, DeviceError, PartialError
 
 if TYPE_CHECKING:
-    from eitskin.cli.commands.own_sensor.poses import Pose
+    from eitskin.cli.commands.own_sensor.poses import Hand, Pose
     from eitskin.frame import Frame
     from eitskin.geometry.design.sensor import SensorDesign
     from eitskin.hardware.boards.board import Board
@@ -66,14 +77,89 @@ def command(
     output = Output(as_json, quiet, verbose)
     require_writable(out)
     start = open_start(model, None)
-    design = SensorDesign.from_toml(sensor) if sensor else _design(start)
-    wanted = angles_of(angles)
-    setup = Setup(model, start, design, out, board or "", frames, no_prompt, seed, output)
+    design = SensorDesign.from_toml(sensor) if sensor else design_of(start)
+    wanted = Wanted(angles_of(angles), presses, frames)
+    dialogue = TerminalDialogue(output)
+    hand = staged(FORCE) if no_prompt else asked(dialogue)
+    setup = Setup(model, start, design, out, wanted, dialogue, hand, asks=not no_prompt)
     try:
-        setup.run(wanted, presses)
+        uri = board or ("virtual:?speed=max" if no_prompt else _chosen_board(dialogue))
+        done = setup.run(partial(_opened, uri, seed))
     except (KeyboardInterrupt, typer.Abort):
         output.note(setup.kept)
         raise KeyboardInterrupt from None
+    following = f"eitskin live {done.saved} --board '{uri}'{done.reference_option} --page"
+    result = {**done.as_dict(), "next": following}
+    output.result(result, f"{done.saved}: {done.words}\nnext: {following}")
+
+
+def _opened(uri: str, seed: int) -> "Board":
+    from eitskin.hardware.opening import open_board
+
+    return open_board(uri, **seeded(uri, seed))
+
+
+def _chosen_board(dialogue: Dialogue) -> str:
+    """Port of this machine that a person chooses, or a board by its URI."""
+    from eitskin.hardware.boards.port import serial_ports
+
+    ports = serial_ports()
+    for number, port in enumerate(ports, 1):
+        dialogue.note(f"{number}: {port}")
+    known = "a number, " if ports else "no serial port was found here; "
+    while True:
+        text = dialogue.ask(f"board: {known}or a URI such as virtual: or serial:PORT", {})
+        if text.isdigit() and 1 <= int(text) <= len(ports):
+            return ports[int(text) - 1].uri
+        if ":" in text:
+            return text
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """Frames that a set-up takes of a sensor.
+
+    Attributes:
+        angles: known bend angles [deg].
+        presses: number of presses at named places.
+        frames: number in each pose.
+    """
+
+    angles: list[float]
+    presses: int
+    frames: int
+
+
+@dataclass(frozen=True, slots=True)
+class SetupResult:
+    """Result of a set-up.
+
+    Attributes:
+        saved: folder of the sensor's own pipeline.
+        recorded: folder of its labelled frames.
+        zero: file of its stored reference; None where that was skipped.
+        adapted: the pipeline.
+    """
+
+    saved: Path
+    recorded: Path
+    zero: Path | None
+    adapted: "Pipeline | RecordedTouches"
+
+    @property
+    def words(self) -> str:
+        """Frames that the pipeline learned from."""
+        return in_words(self.adapted)
+
+    @property
+    def reference_option(self) -> str:
+        """Option of `eitskin live`, after a space; empty without a stored reference."""
+        return f" --reference {self.zero}" if self.zero else ""
+
+    def as_dict(self) -> dict[str, object]:
+        """Plain data."""
+        files = {"out": str(self.saved), "frames": str(self.recorded)}
+        return {**files, "reference": str(self.zero or ""), **said(self.adapted)}
 
 
 @dataclass
@@ -85,11 +171,10 @@ class Setup:
         start: that pipeline; None for none.
         design: of the sensor; None where nothing tells it.
         out: of the sensor's own pipeline.
-        board: URI; empty before a port was chosen.
-        frames: number in each pose.
-        no_prompt: whether nothing is asked.
-        seed: of a virtual board.
-        output: of the command.
+        wanted: what is taken of the sensor.
+        dialogue: with the person at it.
+        hand: way of bringing it into a pose.
+        asks: whether steps can be repeated and skipped.
         taken: labelled frames by the step that took them.
         zero: file of the stored reference; None before it was taken.
     """
@@ -98,11 +183,10 @@ class Setup:
     start: "Pipeline | RecordedTouches | None"
     design: "SensorDesign | None"
     out: Path
-    board: str
-    frames: int
-    no_prompt: bool
-    seed: int
-    output: Output
+    wanted: Wanted
+    dialogue: Dialogue
+    hand: "Hand"
+    asks: bool = True
     taken: "dict[str, list[tuple[Frame, FrameLabel]]]" = field(default_factory=dict)
     zero: Path | None = None
 
@@ -121,129 +205,112 @@ class Setup:
         again = f"; go on by: eitskin adapt {self.model} {self.recorded} --out {self.out}"
         return f"kept: {', '.join(files)}{again if self.taken else ''}"
 
-    def run(self, angles: list[float], presses: int) -> None:
-        """Go through all steps."""
-        if not self.board:
-            self._choose_board()
-        if self.start is not None:
-            self._step("check", "is the sensor on the board healthy?", self._check)
-            self._step("zero", "its flat, untouched state is stored", self._tare)
-        if self.start is not None and self.start.targets.angle and angles:
-            self._step("angles", f"{len(angles)} known bend angles", lambda: self._bend(angles))
-        if presses:
-            self._step(
-                "presses", f"{presses} presses at named places", lambda: self._press(presses)
-            )
-        self._finish()
+    def run(self, opened: "Callable[[], Board]") -> SetupResult:
+        """Go through all steps with a board, which each opens and closes.
 
-    def _step(self, name: str, what: str, run: Callable[[], None]) -> None:
+        Raises ConfigurationError where no step took frames to learn from.
+        """
+        angles, presses = self.wanted.angles, self.wanted.presses
+
+        def step(name: str, what: str, work: "Callable[[Board], str]") -> None:
+            self._step(name, what, lambda: self._with_board(opened, work))
+
+        if self.start is not None:
+            step("check", "is the sensor on the board healthy?", self._check)
+            step("zero", "its flat, untouched state is stored", self._tare)
+        if self.start is not None and self.start.targets.angle and angles:
+            step("angles", f"{len(angles)} known bend angles", self._bend)
+        if presses:
+            step("presses", f"{presses} presses at named places", self._press)
+        return self._finish()
+
+    def _step(self, name: str, what: str, run: Callable[[], str]) -> None:
         """Run a step, as often as wanted; its errors are told, and it may be repeated."""
-        if self.no_prompt:
-            self.output.note(f"{name}: {what}")
-            run()
+        if not self.asks:
+            self.dialogue.note(f"{name}: {what}")
+            self.dialogue.note(f"{name}: {run()}")
             return
-        answer = self._ask(f"{name}: {what}. Enter to begin, {SKIP} to skip")
+        answer = self.dialogue.ask(f"{name}: {what}", {"": "begin", SKIP: "skip"})
         while answer != SKIP:
             try:
-                run()
-                answer = self._ask(f"{name}: done. Enter to go on, {REPEAT} to repeat")
-            except EitskinError as error:
-                self.output.note(f"{name}: {error}")
-                answer = self._ask(f"{name}: Enter to go on without it, {REPEAT} to repeat")
+                answer = self.dialogue.ask(f"{name}: {run()}", {"": "go on", REPEAT: "repeat"})
+            except (ConfigurationError, DataError, DeviceError, PartialError) as error:
+                self.dialogue.note(f"{name}: {error}")
+                choices = {"": "go on without it", REPEAT: "repeat"}
+                answer = self.dialogue.ask(f"{name}: failed", choices)
             if answer != REPEAT:
                 return
 
-    def _ask(self, text: str) -> str:
-        return str(typer.prompt(text, "", show_default=False, err=True)).strip().lower()
+    def _with_board(self, opened: "Callable[[], Board]", work: "Callable[[Board], str]") -> str:
+        with opened() as board:
+            return work(board)
 
-    def _choose_board(self) -> None:
-        """Choose a port of this machine, or a board by its URI."""
-        from eitskin.hardware.boards.port import serial_ports
-
-        if self.no_prompt:
-            self.board = "virtual:?speed=max"
-            return
-        ports = serial_ports()
-        for number, port in enumerate(ports, 1):
-            self.output.note(f"{number}: {port}")
-        known = "a number, " if ports else "no serial port was found here; "
-        while not self.board:
-            text = self._ask(f"board: {known}or a URI such as virtual: or serial:PORT")
-            if text.isdigit() and 1 <= int(text) <= len(ports):
-                self.board = ports[int(text) - 1].uri
-            elif ":" in text:
-                self.board = text
-
-    def _open(self) -> "Board":
-        from eitskin.hardware.opening import open_board
-
-        return open_board(self.board, **seeded(self.board, self.seed))
-
-    def _check(self) -> None:
+    def _check(self, board: "Board") -> str:
         """The sensor check; findings are told, and the step may be repeated."""
-        if self.start is None:
-            return
-        try:
-            check.check_board(
-                self.start, self.board, 16, self._quiet, None,
-                named=True, calibrate=False, seed=self.seed,
-            )  # fmt: skip
-        except typer.Exit as found:
-            if found.exit_code and self.no_prompt:
-                raise
+        start = self.start
+        if start is None:
+            return "skipped"
+        tare.require_same_measurements(start, board)
+        taken = list(islice(board.frames(), check.FRAMES))
+        found = check.sensor_findings(
+            start, taken, lambda: [start.process(frame) for frame in taken][-1]
+        )
+        text = "\n".join(each.message for each in found.findings)
+        if text and not self.asks:
+            self.dialogue.note(text)
+            raise typer.Exit(check.EXIT_UNHEALTHY)
+        return text or "healthy"
 
-    @property
-    def _quiet(self) -> Output:
-        """Output of steps, whose results are notes of this command."""
-        return Output(False, self.output.quiet, self.output.verbose, self.output.notes)
-
-    def _tare(self) -> None:
+    def _tare(self, board: "Board") -> str:
         pipeline = self.start
         if pipeline is None:
-            return
+            return "skipped"
         from eitskin.training.pipeline.stored_reference import Zero
 
-        path = self.out.with_suffix(".json")
-        reference = tare.taken_from_board(
-            pipeline, self.board, 32, Zero.FLAT, self.seed, self._quiet
-        )
-        reference.write(path)
+        reference = tare.taken_from_board(pipeline, board, tare.FRAMES, Zero.FLAT)
         pipeline.use(None)
-        self.zero = path
-        self.output.note(f"{path}: the zero of this sensor, for --reference")
+        self.zero = reference.write(self.out.with_suffix(".json"))
+        return f"{self.zero} is the zero of this sensor, for --reference"
 
-    def _bend(self, angles: list[float]) -> None:
-        self._take("angles", [bent(0.0), *(bent(angle) for angle in angles)])
+    def _bend(self, board: "Board") -> str:
+        return self._take(
+            board, "angles", [bent(0.0), *(bent(angle) for angle in self.wanted.angles)]
+        )
 
-    def _press(self, count: int) -> None:
+    def _press(self, board: "Board") -> str:
+        count = self.wanted.presses
         if self.design is None:
             raise ConfigurationError(
                 "expected the sensor's outline, to name places on it, got none; give --sensor"
             )
         places = press_places(self.design, count)
-        self.output.note(place_map(self.design, places))
+        self.dialogue.sketch(place_map(self.design, places))
         half = (count + 1) // 2
         named = [pressed(str(number), x, y) for number, (x, y) in enumerate(places, 1)]
-        self._take("presses", [bent(0.0), *named[:half], bent(0.0), *named[half:]])
+        return self._take(board, "presses", [bent(0.0), *named[:half], bent(0.0), *named[half:]])
 
-    def _take(self, name: str, poses: "list[Pose]") -> None:
+    def _take(self, board: "Board", name: str, poses: "list[Pose]") -> str:
         """Frames in poses, kept in the folder of labelled frames once all are taken."""
         from eitskin.datasets.store.folder import save_dataset
         from eitskin.files import atomic_folder
 
-        hand = staged(FORCE) if self.no_prompt else asked
-        with self._open() as board:
-            done = frames_in_poses(
-                board, poses, self.frames, hand, lambda pose: self.output.detail(pose.words)
-            )
-            taken = {**self.taken, name: list(done)}
+        done = frames_in_poses(
+            board,
+            poses,
+            self.wanted.frames,
+            self.hand,
+            lambda pose: self.dialogue.note(f"taken: {pose.words}"),
+            newest=self.asks,
+        )
+        taken = {**self.taken, name: list(done)}
         data = as_dataset([each for step in taken.values() for each in step], self.design)
         with atomic_folder(self.recorded) as made:
             save_dataset(data, made)
         self.taken = taken
+        return f"{len(taken[name])} frames in {len(poses)} poses"
 
-    def _finish(self) -> None:
-        """Adapt to the labelled frames, save, and say the next command."""
+    def _finish(self) -> SetupResult:
+        """Adapt to the labelled frames, and save."""
         from eitskin.datasets.store.folder import open_dataset
 
         if not self.taken:
@@ -251,21 +318,12 @@ class Setup:
                 "no labelled frames to adapt to, all steps that take them were skipped; "
                 f"{self.kept}"
             )
+        self.dialogue.note("learning from the labelled frames")
         adapted = adapt(self.start, open_dataset(self.recorded))
-        saved = adapted.save(self.out)
-        zero = f" --reference {self.zero}" if self.zero else ""
-        following = f"eitskin live {saved} --board '{self.board}'{zero} --page"
-        result = {
-            "out": str(saved),
-            "frames": str(self.recorded),
-            "reference": str(self.zero or ""),
-            "next": following,
-            **said(adapted),
-        }
-        self.output.result(result, f"{saved}: {in_words(adapted)}\nnext: {following}")
+        return SetupResult(adapted.save(self.out), self.recorded, self.zero, adapted)
 
 
-def _design(start: "Pipeline | RecordedTouches | None") -> "SensorDesign | None":
+def design_of(start: "Pipeline | RecordedTouches | None") -> "SensorDesign | None":
     """Design of a pipeline's sensor; None where it has none."""
     from eitskin.training.pipeline.pipeline import Pipeline
 

@@ -1,13 +1,21 @@
 """`eitskin reconstruct SOURCE`: pictures of the conductivity change, without training."""
 
 from collections.abc import Callable
-from contextlib import ExitStack, closing
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast, get_args
 
 import typer
 
-from eitskin.cli.commands.live import LiveSession, PagePort, ShowPage, seeded
+from eitskin.cli.commands.live.page_options import (
+    PageHost,
+    PagePort,
+    PageTokenFile,
+    ShowPage,
+    page_access,
+    tell_page,
+)
+from eitskin.cli.commands.live.session import LiveSession
 from eitskin.cli.commands.reconstruct.output import (
     as_data,
     as_table,
@@ -25,10 +33,12 @@ from eitskin.cli.options import (
     Verbose,
     ended_by_signals,
     one_of,
+    seeded,
 )
 from eitskin.errors import ConfigurationError
 
 if TYPE_CHECKING:
+    from eitskin.cli.page.access import Access
     from eitskin.geometry.design.sensor import SensorDesign
     from eitskin.protocol import Protocol
     from eitskin.simulator.electrical.resolution import Resolution
@@ -86,6 +96,8 @@ def command(
     out: Out = None,
     page: ShowPage = False,
     page_port: PagePort = 8940,
+    page_host: PageHost = "127.0.0.1",
+    page_token_file: PageTokenFile = None,
     seed: Seed = 0,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -117,7 +129,8 @@ def command(
         )
 
     if page:
-        _follow_live(source, sensor, protocol, names, maker, page_port, seed, output)
+        access = page_access(page_host, page_token_file)
+        _follow_live(source, sensor, protocol, names, maker, (page_port, access), seed, output)
         return
     taken = pictured_frames(
         source, sensor, protocol, frames, reference, average, detail, seed, output
@@ -137,7 +150,7 @@ def _follow_live(
     protocol: str | None,
     methods: list[str],
     maker: "Callable[[SensorDesign, Protocol, str], Reconstructor]",
-    page_port: int,
+    served: "tuple[int, Access]",
     seed: int,
     output: Output,
 ) -> None:
@@ -169,6 +182,7 @@ def _follow_live(
         pipeline = PicturePipeline(LivePictures(maker(design, board.protocol, methods[0])))
         session = LiveSession(Connection(board), output)
         session.connection.tell = session.say
-        session.page = stack.enter_context(closing(LivePage(session.connection, design, page_port)))
-        output.note(f"page: {session.page.url}; keep the sensor untouched at first")
+        session.page = stack.enter_context(LivePage(session.connection, design, *served))
+        tell_page(session.page, output)
+        output.note("keep the sensor untouched at first")
         session.follow(run_live(session.connection, pipeline), None)

@@ -1,6 +1,8 @@
 // What a virtual board can be told: bend, press, play, break. One request at a time; of those
 // that come meanwhile only the newest is sent.
 
+import { post } from "./tasks.js";
+
 const $ = (id) => document.getElementById(id);
 const SETTLES = 1000; // ms after which the board's own scene is shown again
 
@@ -64,18 +66,7 @@ export class Controls {
   }
 
   async post(path, body) {
-    let said = "";
-    try {
-      const answer = await fetch(path, {
-        method: "POST",
-        headers: { "Content-Type": "application/json" },
-        body: JSON.stringify(body),
-      });
-      if (!answer.ok) said = (await answer.json()).error;
-    } catch {
-      said = "the page's server does not answer";
-    }
-    $("said").textContent = said;
+    $("said").textContent = await post(path, body);
   }
 
   // Show what the board was told, by whomever, unless a finger is at it here.

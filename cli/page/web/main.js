@@ -1,12 +1,15 @@
 // The live page: the newest reading, drawn once for each picture of the screen.
 import { Channels } from "./channels.js";
 import { Controls } from "./controls.js";
+import { admitted } from "./door.js";
 import { TouchMap } from "./map.js";
 import { Sensor } from "./sensor.js";
+import { Tasks } from "./tasks.js";
 import { Trace } from "./trace.js";
 
 const SILENT = 2000; // ms without any event after which the server is gone
 const LATE = 1000; // ms by which an event may come later than the fastest one
+const REFUSED = 2000; // ms after which a refused browser asks again
 const UNKNOWN = "not estimated";
 const STATES = ["idle", "touch", "bend"];
 
@@ -14,6 +17,7 @@ const $ = (id) => document.getElementById(id);
 const page = { updates: 0, number: null, largest: 0 };
 window.eitskin = page; // what has been drawn, for measurements
 
+let role = null;
 let parts = null;
 let newest = null;
 let drawn = null;
@@ -38,14 +42,16 @@ function build(sensor) {
     if (JSON.stringify(sensor) !== parts.known) location.reload();
     return;
   }
+  const known = JSON.stringify(sensor), commands = role === "commander";
   let controls = null;
-  const press = sensor.controls && ((touches) => controls.press(touches));
+  const press = commands && sensor.controls && ((touches) => controls.press(touches));
   const map = new TouchMap($("map"), sensor, press);
-  if (sensor.controls) controls = new Controls(sensor, map);
+  if (press) controls = new Controls(sensor, map);
   parts = {
-    known: JSON.stringify(sensor),
+    known,
     map,
     controls,
+    tasks: sensor.tasks && new Tasks(commands ? sensor.tasks : [], (place) => map.point(place)),
     trace: new Trace($("trace")),
     sensor: new Sensor($("sensor"), $("electrodes"), $("sensor-note"), sensor),
     channels: new Channels($("channels"), $("channel"), $("bad"), sensor.labels),
@@ -194,6 +200,7 @@ function hear(event) {
   const delay = heard - 1000 * data.sent;
   // Two clocks drift apart: what was fastest is forgotten, by a tenth of a millisecond a second.
   fastest = Math.min(fastest + 1e-4 * (heard - last), delay);
+  if (parts && parts.tasks && data.tasks) parts.tasks.show(data.tasks);
   health = { stale: data.stale, connection: data.connection, age: data.age, late: delay - fastest > LATE };
   if (event.type === "frame") newest = data;
   else if (parts) quiet(data);
@@ -212,12 +219,31 @@ function turn() {
   judge();
 }
 
-const source = new EventSource("/events");
-source.addEventListener("sensor", (event) => {
-  fastest = Infinity; // a new connection, maybe of a new server with another clock
-  build(JSON.parse(event.data));
-});
-source.addEventListener("frame", hear);
-source.addEventListener("health", hear);
+function follow() {
+  const source = new EventSource("/events");
+  source.addEventListener("sensor", (event) => {
+    fastest = Infinity; // a new connection, maybe of a new server with another clock
+    build(JSON.parse(event.data));
+  });
+  source.addEventListener("frame", hear);
+  source.addEventListener("health", hear);
+  // A browser comes back by itself, unless the server refuses it: then there may be a new one with
+  // other tokens, or too many watch.
+  source.addEventListener("error", () => {
+    if (source.readyState === EventSource.CLOSED) setTimeout(begin, REFUSED);
+  });
+}
+
+async function begin() {
+  try {
+    role = await admitted();
+  } catch {
+    setTimeout(begin, REFUSED); // no server, for now
+    return;
+  }
+  follow();
+}
+
+begin();
 // Silence makes no event, and a hidden tab no pictures.
 setInterval(judge, 500);

@@ -12,12 +12,13 @@ export class TouchMap {
     Object.assign(this, { canvas, sensor, press });
     const aspect = Math.min(WIDEST, Math.max(1, sensor.length / sensor.width));
     canvas.parentElement.style.setProperty("--aspect", aspect); // on a phone
-    this.colours = { text: colour("text"), truth: colour("truth"), dim: colour("dim"), edge: colour("edge"), ground: colour("raised") };
+    this.colours = { text: colour("text"), truth: colour("truth"), dim: colour("dim"), estimate: colour("estimate"), edge: colour("edge"), ground: colour("raised") };
     this.found = [];
     this.truth = [];
     this.pins = []; // presses that stay: {x, y, force}
     this.fingers = new Map(); // by pointer: {press, pinned, moved}
     this.cursor = null;
+    this.asked = null;
     this.force = () => 8;
     this.pinned = () => false;
     this.picture = document.createElement("canvas");
@@ -26,6 +27,12 @@ export class TouchMap {
     this.colourOf = palette;
     this.surface = new Surface(canvas, (c, w, h) => this.draw(c, w, h));
     if (press) this.listen();
+  }
+
+  // Where somebody is asked to press, or null.
+  point(place) {
+    this.asked = place && { x: place[0], y: place[1] };
+    this.surface.paint();
   }
 
   // `picture` is shown instead of the map where there is one.
@@ -86,6 +93,7 @@ export class TouchMap {
     for (const touch of this.truth) this.circle(c, at, touch, this.colours.truth, [6, 5], 2);
     for (const touch of this.pressing()) this.circle(c, at, touch, "#ffffff66", [], 1);
     for (const touch of this.found) this.drawFound(c, at, touch);
+    if (this.asked) this.drawAsked(c, at);
     if (this.cursor && document.activeElement === this.canvas) this.drawCursor(c, at);
   }
 
@@ -154,6 +162,18 @@ export class TouchMap {
     c.strokeText(label, px + (right ? aside : -aside), py);
     c.fillStyle = "#fff";
     c.fillText(label, px + (right ? aside : -aside), py);
+  }
+
+  drawAsked(c, at) {
+    this.circle(c, at, this.asked, this.colours.estimate, [], 4);
+    const px = at.x(this.asked.x), py = at.y(this.asked.y), reach = INDENTER * at.scale + 8;
+    c.beginPath();
+    for (const [dx, dy] of [[1, 0], [0, 1], [-1, 0], [0, -1]]) {
+      c.moveTo(px + 4 * dx, py + 4 * dy);
+      c.lineTo(px + reach * dx, py + reach * dy);
+    }
+    c.lineWidth = 2;
+    c.stroke();
   }
 
   drawCursor(c, at) {

@@ -251,7 +251,7 @@ def test_a_port_in_use_is_named(page, connection) -> None:
 
 def test_only_this_machine_is_served(page) -> None:
     assert page.url.startswith("http://127.0.0.1:")
-    assert page.server.server_address[0] == "127.0.0.1"
+    assert page.server.access.host == "127.0.0.1"
 
 
 def test_every_asset_is_shipped_served_and_of_this_page_alone(page) -> None:

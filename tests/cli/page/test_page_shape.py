@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from eitskin.cli.page.body import FACE, INSIDE, DrawnBody
-from eitskin.cli.page.commands import execute
+from eitskin.cli.page.commands import StageCommands
 from eitskin.cli.page.plan import electrodes_of, grid_of, outline_of
 from eitskin.cli.page.region import Region
 from eitskin.cli.page.shape import GelDrawing, GelShape
@@ -121,7 +121,7 @@ def test_a_body_from_a_file_is_drawn_with_its_electrodes(tmp_path) -> None:
     assert np.allclose([region.low, region.high], [(0.17, 0.07), (0.23, 0.13)], atol=1e-4)
     beside = b'{"touches": [{"x": 0.172, "y": 0.072, "force": 5}]}'  # in the rectangle's corner
     with pytest.raises(ConfigurationError, match="above the body"):
-        execute(FakeBoard(), design, "/scene", beside)
+        StageCommands(FakeBoard(), design).execute("/scene", beside)
     points = decoded(base64.b64decode(GelDrawing.of(design).as_dict()["points"]), 2 * 0.06 / 32000)
     assert points.min() == pytest.approx(0.0, abs=1e-3)  # counted from its least corner
     assert points.max() == pytest.approx(0.06, abs=1e-3)

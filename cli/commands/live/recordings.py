@@ -58,17 +58,22 @@ class Recording(ABC):
 
 
 class FrameRecording(Recording):
-    """Recording of frames as a dataset that can be replayed."""
+    """Recording of frames as a dataset that can be replayed.
+
+    Attributes:
+        folder: of the dataset.
+        given: number of frames so far.
+    """
 
     def __init__(self, writer: "ShardWriter", folder: Path) -> None:
         """Write into `folder` by `writer`, which `close` closes."""
         super().__init__()
-        self._writer, self._folder, self._given = writer, folder, 0
+        self._writer, self.folder, self.given = writer, folder, 0
 
     @property
     def missing(self) -> int:
         """Number of frames that cannot be read back, among them frames not yet written."""
-        return self._given - self._writer.readable
+        return self.given - self._writer.readable
 
     @property
     def loss(self) -> str:
@@ -76,13 +81,13 @@ class FrameRecording(Recording):
         if not self.missing:
             return ""
         return (
-            f"{self.missing} frames are not in {self._folder}: {self.problem}; those before are "
+            f"{self.missing} frames are not in {self.folder}: {self.problem}; those before are "
             "there and can be replayed"
         )
 
     def append(self, reading: "Reading") -> None:
         """Count and write the frame."""
-        self._given += 1
+        self.given += 1
         super().append(reading)
 
     def _write(self, reading: "Reading") -> None:

@@ -1,0 +1,1 @@
+"""The command `eitskin live`: options, the session, recordings, tasks asked for meanwhile."""

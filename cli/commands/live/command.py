@@ -1,0 +1,236 @@
+"""`eitskin live`: live estimates of a board's sensor, in the terminal and on a page."""
+
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, closing
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, cast
+
+import typer
+
+from eitskin.cli.commands.live.page_options import (
+    PageFolder,
+    PageHost,
+    PagePort,
+    PageTokenFile,
+    ShowPage,
+    page_access,
+    tell_page,
+)
+from eitskin.cli.commands.live.recordings import FrameRecording, MessageRecording, Recording
+from eitskin.cli.commands.live.ros2_options import Ros2, Ros2Domain, Ros2Namespace
+from eitskin.cli.commands.live.session import LiveSession
+from eitskin.cli.commands.stored_references import ReferenceFile, tell_unjudged, use_reference
+from eitskin.cli.options import (
+    BoardUri,
+    Json,
+    MethodCode,
+    Model,
+    Output,
+    Quiet,
+    Seed,
+    Verbose,
+    ended_by_signals,
+    one_of,
+    own_method,
+    seeded,
+)
+from eitskin.errors import ConfigurationError, PartialError
+
+if TYPE_CHECKING:
+    from eitskin.cli.page.region import Region
+    from eitskin.geometry.design.sensor import SensorDesign
+    from eitskin.hardware.boards.board import Board
+    from eitskin.hardware.live import FramePipeline
+    from eitskin.training.adaptation.recorded_touches import RecordedTouches
+    from eitskin.training.pipeline.pipeline import Pipeline
+
+FrameCount = Annotated[
+    int | None, typer.Option(min=1, help="Number of frames; until Ctrl-C when omitted.")
+]
+Record = Annotated[
+    Path | None, typer.Option(help="Also write every frame into a new dataset in this folder.")
+]
+Mcap = Annotated[
+    Path | None,
+    typer.Option(help="Also write frames and estimates, as ROS 2 messages, into this .mcap file."),
+]
+EveryFrame = Annotated[
+    bool,
+    typer.Option("--every-frame", help="Process all frames, not only the newest."),
+]
+UdpAddress = Annotated[
+    str | None,
+    typer.Option("--udp", metavar="[HOST:]PORT", help="Also send every reading by UDP."),
+]
+WebSocketAddress = Annotated[
+    str | None,
+    typer.Option(
+        "--websocket",
+        metavar="[HOST:]PORT",
+        help="Also serve readings by WebSocket; 0 for a free port.",
+    ),
+]
+PictureMethod = Annotated[
+    str | None,
+    typer.Option(help="Also picture every frame by this method, such as greit, for the page."),
+]
+
+MARGIN = 0.0075  # m, shown around the positions on a sensor of unknown geometry
+
+
+def command(
+    model: Model,
+    *,
+    board: BoardUri = "virtual:",
+    frames: FrameCount = None,
+    record: Record = None,
+    mcap: Mcap = None,
+    every_frame: EveryFrame = False,
+    page: ShowPage = False,
+    page_port: PagePort = 8940,
+    page_host: PageHost = "127.0.0.1",
+    page_token_file: PageTokenFile = None,
+    page_folder: PageFolder = Path("page-files"),
+    udp: UdpAddress = None,
+    websocket: WebSocketAddress = None,
+    reference: ReferenceFile = None,
+    method: MethodCode = None,
+    picture: PictureMethod = None,
+    ros2: Ros2 = False,
+    ros2_domain: Ros2Domain = 0,
+    ros2_namespace: Ros2Namespace = "eitskin",
+    seed: Seed = 0,
+    as_json: Json = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
+) -> None:
+    """Show state, angle and touches of a board's sensor; with --json, one JSON object per frame.
+
+    The sensor must be flat and untouched when a session begins: at the start, and whenever the
+    board has started anew; with its stored reference it may be bent and touched. A board that goes
+    away is connected to again until it is back.
+    """
+    from eitskin.hardware.boards.connection import Connection
+    from eitskin.hardware.live import run_live
+    from eitskin.hardware.opening import open_board
+    from eitskin.hardware.streams.opening import open_publisher
+    from eitskin.training.adaptation.opening import open_pipeline
+
+    output = Output(as_json, quiet, verbose)
+    access = page_access(page_host, page_token_file) if page else None
+    own = own_method(method)
+    pipeline = open_pipeline(model, own)
+    tell_missing(pipeline, output)
+    recordings: list[Recording] = []
+    with ExitStack() as stack:
+        # Asked last, when all are closed: most sessions are ended by Ctrl-C.
+        stack.push(partial(_tell_losses, recordings))
+        stack.enter_context(ended_by_signals())
+        for each in _recordings(record, mcap):
+            recordings.append(stack.enter_context(closing(each)))
+        opened = stack.enter_context(open_board(board, **seeded(board, seed)))
+        output.detail(f"{opened.uri}: firmware {opened.info.firmware}, {opened.protocol.labels}")
+        if reference is not None:
+            use_reference(pipeline, reference, opened.info, output)
+        tell_unjudged(pipeline, output)
+        session = LiveSession(Connection(opened), output, recordings)
+        session.stored = getattr(pipeline, "stored", None)
+        session.connection.tell = session.say
+        layout = getattr(pipeline, "layout", None)
+        # A recording was checked when it was made, and need not begin flat.
+        if layout is not None and not board.startswith("replay:"):
+            session.expected = layout.reference
+            if session.stored is not None:
+                session.expected = session.stored.magnitudes(layout.reference)
+        if page:
+            from eitskin.cli.commands.live.tasks import SessionTasks
+            from eitskin.cli.page.live_page import LivePage
+
+            tasks = stack.enter_context(SessionTasks(session, pipeline, page_folder, model, own))
+            session.page = stack.enter_context(
+                LivePage(session.connection, sheet_of(pipeline), page_port, access, tasks)
+            )
+            tell_page(session.page, output)
+        if ros2:
+            from eitskin.hardware.ros2.skin_node import SkinNode
+
+            node = SkinNode(ros2_namespace, ros2_domain, partial(session.tare, pipeline))
+            session.node = stack.enter_context(node)
+            output.note(f"ROS 2: topics of /{node.name} in domain {ros2_domain}")
+        if udp is not None or websocket is not None:
+            publisher = open_publisher(session.connection, udp, websocket)
+            session.publisher = stack.enter_context(publisher)
+            for address in publisher.addresses:
+                output.note(f"readings: {address}")
+        newest = not (every_frame or recordings)
+        followed = pipeline if picture is None else _pictured(pipeline, opened, picture)
+        session.follow(run_live(session.connection, followed, newest=newest), frames)
+
+
+def _pictured(
+    pipeline: "Pipeline | RecordedTouches", board: "Board", method: str
+) -> "FramePipeline":
+    """Pipeline with a picture of each frame, of the sensor that the pipeline was trained for."""
+    from eitskin.cli.live_pictures import LivePictures, PicturedPipeline
+    from eitskin.cli.page.region import Region
+    from eitskin.training.reconstruction.reconstructor import Method
+
+    sheet = sheet_of(pipeline)
+    if isinstance(sheet, Region):
+        raise ConfigurationError(
+            "expected a pipeline that knows its sensor's geometry, for pictures, got one trained "
+            "without; leave out --picture, or train it on a recording imported with --sensor"
+        )
+    name = cast("Method", one_of("--picture", method, Method))
+    return PicturedPipeline(pipeline, LivePictures.of(sheet, board.protocol, name))
+
+
+def tell_missing(pipeline: "Pipeline | RecordedTouches", output: Output) -> None:
+    """Note what a pipeline does not estimate."""
+    targets = getattr(pipeline, "targets", None)
+    if targets is not None and targets.missing:
+        output.note(f"this pipeline does not estimate {', '.join(targets.missing)}")
+
+
+def sheet_of(pipeline: "Pipeline | RecordedTouches") -> "SensorDesign | Region":
+    """Sensor of a pipeline, or the region of the positions that it was trained with.
+
+    Raises ConfigurationError where a pipeline tells neither.
+    """
+    from eitskin.cli.page.region import Region
+    from eitskin.training.adaptation.recorded_touches import RecordedTouches
+
+    if not isinstance(pipeline, RecordedTouches):
+        return pipeline.layout.design
+    if pipeline.design is not None:
+        return pipeline.design
+    if pipeline.extent is None:
+        raise ConfigurationError(
+            "expected a pipeline that knows its sensor, for the page, got touch positions of "
+            "version 0.1; leave out --page, or train them again"
+        )
+    return Region.of_positions(pipeline.extent, MARGIN)
+
+
+def _tell_losses(recordings: Sequence[Recording], _: object, ended: object, __: object) -> None:
+    """Raise PartialError for what could not be written, unless another error ended the session."""
+    lost = [each.loss for each in recordings if each.loss]
+    if lost and (ended is None or isinstance(ended, KeyboardInterrupt)):
+        raise PartialError("; ".join(lost))
+
+
+def _recordings(record: Path | None, mcap: Path | None) -> Iterator[Recording]:
+    """Recordings of the session; existing files are never replaced.
+
+    The file comes first: where it cannot be, no folder has been made.
+    """
+    if mcap is not None:
+        from eitskin.hardware.export.mcap import McapWriter
+
+        yield MessageRecording(McapWriter(mcap, now=time.time_ns))
+    if record is not None:
+        from eitskin.datasets.store.writer import ShardWriter
+
+        yield FrameRecording(ShardWriter(record), record)

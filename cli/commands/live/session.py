@@ -1,0 +1,219 @@
+"""One live session: what becomes of its readings, and what is asked of it meanwhile."""
+
+import json
+import queue
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, TypeVar
+
+import typer
+from rich.console import Group, RenderableType
+from rich.live import Live
+from rich.text import Text
+
+from eitskin.cli.commands.live.recordings import Recording
+from eitskin.cli.commands.stored_references import board_number
+from eitskin.cli.options import Output
+from eitskin.latest import Latest
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from eitskin.cli.page.live_page import LivePage
+    from eitskin.frame import Frame
+    from eitskin.hardware.boards.connection import Connection
+    from eitskin.hardware.live import Reading
+    from eitskin.hardware.ros2.skin_node import SkinNode
+    from eitskin.hardware.streams.publisher import ReadingPublisher
+    from eitskin.training.adaptation.recorded_touches import RecordedTouches
+    from eitskin.training.pipeline.pipeline import Pipeline
+    from eitskin.training.pipeline.session_order import SessionOrder
+    from eitskin.training.pipeline.stored_reference import StoredReference
+
+T = TypeVar("T")
+
+REFRESH = 10  # per second
+CHECKED = 16  # frames of a session's beginning that say how the sensor is
+SHORTEST_SILENCE = 1.0  # s, before what is shown is called old
+
+
+@dataclass
+class LiveSession:
+    """Live session: shows, records and summarises readings."""
+
+    connection: "Connection"
+    output: Output
+    recordings: list[Recording] = field(default_factory=list)
+    page: "LivePage | None" = None
+    node: "SkinNode | None" = None
+    publisher: "ReadingPublisher | None" = None
+    expected: "NDArray[np.float64] | None" = None
+    stored: "StoredReference | None" = None
+    order: "SessionOrder | None" = None
+    clock: Callable[[], float] = time.monotonic
+    processed: int = 0
+    latencies: deque[float] = field(default_factory=lambda: deque(maxlen=10_000))
+    newest: "Reading | None" = None
+    newest_at: float = 0.0
+    beginning: "list[Frame]" = field(default_factory=list)
+    notes: deque[str] = field(default_factory=lambda: deque(maxlen=3))
+    latest: Latest["Reading"] = field(default_factory=Latest)
+    _recording: threading.Lock = field(default_factory=threading.Lock)
+    _asked: queue.SimpleQueue[Callable[[], None]] = field(default_factory=queue.SimpleQueue)
+
+    def follow(self, readings: Iterator["Reading"], frames: int | None) -> None:
+        """Show readings until they end or `frames` of them were processed, then summarise."""
+        view = Live(
+            get_renderable=self.view,
+            console=self.output.console,
+            refresh_per_second=REFRESH,
+            auto_refresh=self.output.console.is_terminal,
+        )
+        try:
+            with ExitStack() as stack:
+                if not (self.output.as_json or self.output.quiet):
+                    stack.enter_context(view)
+                for reading in readings:
+                    self.take(reading)
+                    if self.processed == frames:
+                        break
+        finally:
+            self.sum_up()
+
+    def take(self, reading: "Reading") -> None:
+        """Keep, show, record and print one reading."""
+        self.notice_session(reading.frame)
+        self.newest, self.newest_at = reading, self.clock()
+        self.processed += 1
+        self.latencies.append(reading.latency)
+        for listener in (self.page, self.node, self.publisher):
+            if listener is not None:
+                listener.publish(reading)
+        self.record(reading)
+        self.latest.put(reading)
+        while not self._asked.empty():
+            self._asked.get()()
+        if self.output.as_json:
+            from eitskin.hardware.streams.reading_record import reading_record
+
+            counts = self.connection.board.counts
+            typer.echo(json.dumps(reading_record(reading, counts), allow_nan=False))
+
+    def record(self, reading: "Reading") -> None:
+        """Write the reading; a recording that fails is noted and ended."""
+        with self._recording:
+            for recording in self.recordings:
+                known = recording.problem
+                recording.append(reading)
+                if recording.problem != known:
+                    self.say(f"recording stopped: {recording.problem}")
+
+    def begin(self, recording: Recording) -> None:
+        """Record from the next reading on; from any thread."""
+        with self._recording:
+            self.recordings.append(recording)
+
+    def end(self, recording: Recording) -> None:
+        """Write what a recording has left, and no more; from any thread."""
+        with self._recording:
+            self.recordings.remove(recording)
+            recording.close()
+
+    def between_frames(self, function: Callable[[], T]) -> "Future[T]":
+        """Have a function called by the live loop, after the next reading; from any thread."""
+        future: Future[T] = Future()
+
+        def call() -> None:
+            if future.set_running_or_notify_cancel():
+                try:
+                    future.set_result(function())
+                except Exception as error:  # raised where the result is asked for
+                    future.set_exception(error)
+
+        self._asked.put(call)
+        return future
+
+    def tare(self, pipeline: "Pipeline | RecordedTouches", frames: Sequence["Frame"]) -> str:
+        """Take the sensor, as it is now, for a zero of the kind that the session has; says so."""
+        from eitskin.training.pipeline.stored_reference import Zero
+
+        zero, board = Zero.FLAT if self.stored is None else self.stored.zero, self.connection.board
+        self.stored = pipeline.tare(frames, zero, board_number(board.info), board.uri)
+        text = f"zero: the sensor {zero}, mean of {len(frames)} frames"
+        self.say(text)
+        return text
+
+    def notice_session(self, frame: "Frame") -> None:
+        """Note the beginning of a session, and findings on the sensor there."""
+        from eitskin.training.pipeline.session_order import SessionOrder
+
+        self.order = self.order or SessionOrder()
+        step = self.order.follow(frame)
+        for problem in step.problems:
+            self.say(problem)
+        if step.new_session:
+            zero = "the sensor must be flat and untouched now"
+            if self.stored is not None:
+                zero = "the stored reference stays in use"
+            self.say(f"session {frame.session} begins: the board has started anew, and {zero}")
+            self.beginning = []
+        if self.expected is None or len(self.beginning) >= CHECKED:
+            return
+        self.beginning.append(frame)
+        if len(self.beginning) == CHECKED:
+            from eitskin.hardware.diagnosis.sensor_check import check_sensor
+
+            for finding in check_sensor(self.beginning, self.expected).findings:
+                self.say(f"sensor check: {finding.message}")
+
+    def say(self, text: str) -> None:
+        """Show a note beside the live view, or on stderr where there is no view."""
+        if self.output.console.is_terminal and not (self.output.as_json or self.output.quiet):
+            self.notes.append(text)
+        else:
+            self.output.note(text)
+
+    def silence(self) -> str:
+        """Reason why the newest reading is old; empty while it is recent."""
+        from eitskin.hardware.boards.board import longest_silence
+
+        period = self.connection.board.info.period
+        age = self.clock() - self.newest_at
+        # A machine that is busy for a moment is no silence.
+        if age < longest_silence(period, SHORTEST_SILENCE):
+            return ""
+        return f"nothing for {age:.0f} s" + f"; {self.connection.problem}" * bool(
+            self.connection.problem
+        )
+
+    def view(self) -> RenderableType:
+        """Panel of the newest reading and notes."""
+        from eitskin.cli.live_view import draw
+
+        notes = [Text(note, style="yellow") for note in self.notes]
+        if self.newest is None:
+            waiting = self.connection.problem or "waiting for the first frame"
+            return Group(*notes, Text(waiting))
+        return Group(*notes, draw(self.newest, self.connection.board.counts, self.silence()))
+
+    def sum_up(self) -> None:
+        """Note totals of the session: frames, losses, latency."""
+        import numpy as np
+
+        from eitskin.cli.live_view import losses
+
+        unusable = self.newest.unusable if self.newest is not None else 0
+        text = f"{self.processed} frames processed, "
+        text += losses(self.connection.board.counts, unusable)
+        if self.latencies:
+            half, most = np.percentile(self.latencies, (50, 99)) * 1e3
+            text += f"; latency {half:.1f} ms median, {most:.1f} ms p99"
+        if self.node is not None and self.node.refused:
+            text += f"; {self.node.refused} ROS 2 messages found no room"
+        self.output.note(text)

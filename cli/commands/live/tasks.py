@@ -1,0 +1,234 @@
+"""Tasks of a live session that its page asks for: zero, check, set-up and recordings."""
+
+import contextlib
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from eitskin.cli.commands.check import FRAMES, sensor_findings
+from eitskin.cli.commands.live.guided_setup import guided_setup
+from eitskin.cli.commands.live.recordings import FrameRecording
+from eitskin.cli.commands.live.task import Task
+from eitskin.cli.commands.own_sensor.calibrate import angles_of
+from eitskin.cli.commands.own_sensor.setup import Wanted
+from eitskin.cli.commands.tare import FRAMES as TARE_FRAMES
+from eitskin.cli.page.commands import ConflictError, SessionCommands, read_command
+from eitskin.closeable import Closeable
+from eitskin.errors import ConfigurationError, DeviceError, FrameError
+
+if TYPE_CHECKING:
+    from eitskin.cli.commands.live.session import LiveSession
+    from eitskin.hardware.live import Estimate, Reading
+    from eitskin.training.adaptation.recorded_touches import RecordedTouches
+    from eitskin.training.method.interface import Method
+    from eitskin.training.pipeline.pipeline import Pipeline
+
+MOST = 1000
+ENDS_WITHIN = 5.0  # s, after which a task is left alone: its files are whole or absent
+
+
+@dataclass(frozen=True, slots=True)
+class Plain:
+    """A command that needs no more than its path."""
+
+
+@dataclass(frozen=True, slots=True)
+class RecordCommand:
+    """POST /record: begin a recording, or end it."""
+
+    record: bool
+
+
+@dataclass(frozen=True, slots=True)
+class AnswerCommand:
+    """POST /answer: one of the choices that a task gives."""
+
+    answer: str
+
+
+@dataclass(frozen=True, slots=True)
+class SetupCommand:
+    """POST /setup: begin the steps of `eitskin setup`.
+
+    Attributes:
+        angles: known bend angles [deg], separated by commas.
+        presses: number of presses that are asked for.
+        frames: number in each pose.
+    """
+
+    angles: str = "-20,-2.5,15,32.5,50"
+    presses: int = 10
+    frames: int = 8
+
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        if not (0 <= self.presses <= MOST and 1 <= self.frames <= MOST):
+            raise ConfigurationError(
+                f"expected 0 to {MOST} presses and 1 to {MOST} frames in each pose, got "
+                f"{self.presses} and {self.frames}"
+            )
+
+
+class SessionTasks(Closeable, SessionCommands):
+    """Tasks that a page may ask of a live session, one at a time, and a recording beside them.
+
+    Attributes:
+        folder: of the files that are made.
+    """
+
+    def __init__(
+        self,
+        session: "LiveSession",
+        pipeline: "Pipeline | RecordedTouches",
+        folder: Path,
+        model: Path,
+        method: "type[Method] | None" = None,
+    ) -> None:
+        """Take what is asked from now on.
+
+        Args:
+            session: live session.
+            pipeline: of the session.
+            folder: of files that are made, itself made when it is needed.
+            model: that the pipeline was opened from, for a set-up to begin with.
+            method: class of the user's own method; None for one of eitskin's.
+        """
+        self.folder = folder
+        self._session, self._pipeline = session, pipeline
+        self._model, self._method = model, method
+        self._lock = threading.Lock()
+        self._task: Task | None = None
+        self._thread: threading.Thread | None = None
+        self._recording: FrameRecording | None = None
+        self._recorded = ""
+        self._commands: dict[str, tuple[Any, Callable[[Any], None]]] = {
+            "/tare": (Plain, lambda _: self._start("zero", self._tare)),
+            "/check": (Plain, lambda _: self._start("check", self._check)),
+            "/record": (RecordCommand, lambda command: self._record(command.record)),
+            "/setup": (SetupCommand, self._set_up),
+            "/answer": (AnswerCommand, lambda command: self._give(command.answer)),
+            "/cancel": (Plain, lambda _: self._cancel()),
+        }
+
+    @property
+    def paths(self) -> tuple[str, ...]:
+        return tuple(self._commands)
+
+    def execute(self, path: str, body: bytes) -> None:
+        kind, act = self._commands[path]
+        command = read_command(kind, path, body)
+        with self._lock:
+            act(command)
+        self._tell()
+
+    def state(self) -> Mapping[str, Any]:
+        recording, task = self._recording, self._task
+        return {
+            "task": None if task is None else asdict(task.state) | {"over": task.state.over},
+            "recording": recording
+            and {
+                "folder": str(recording.folder),
+                "frames": recording.given,
+                "problem": recording.problem,
+            },
+            "recorded": self._recorded,
+        }
+
+    def close(self) -> None:
+        with self._lock:
+            if self._task is not None:
+                self._task.cancel()
+            with contextlib.suppress(ConfigurationError):
+                self._record(False)
+        if self._thread is not None:
+            self._thread.join(ENDS_WITHIN)
+
+    def _tell(self) -> None:
+        if self._session.page is not None:
+            self._session.page.tell()
+
+    def _start(self, name: str, work: Callable[[Task], str]) -> None:
+        if self._task is not None and not self._task.state.over:
+            raise ConflictError(
+                f"{self._task.state.name} is not finished; wait for its end, or cancel it"
+            )
+        task = self._task = Task(name, self._session.latest, self._tell)
+        self._thread = threading.Thread(target=task.run, args=(work,), name="task", daemon=True)
+        self._thread.start()
+
+    def _give(self, answer: str) -> None:
+        if self._task is None or not self._task.answer(answer):
+            raise ConflictError(f"nothing is asked that {answer!r} would answer")
+
+    def _cancel(self) -> None:
+        if self._task is None or self._task.state.over:
+            raise ConflictError("nothing is being done that could be cancelled")
+        self._task.cancel()
+
+    def _tare(self, task: Task) -> str:
+        taken = task.take(TARE_FRAMES, "hold the sensor still and untouched")
+        frames = [reading.frame for reading in taken]
+        asked = self._session.between_frames(lambda: self._session.tare(self._pipeline, frames))
+        for _ in task.readings():  # the live loop tares after one of them
+            if asked.done():
+                return asked.result()
+        raise DeviceError("expected a further frame, got none; begin again")
+
+    def _check(self, task: Task) -> str:
+        taken = task.take(FRAMES, "keep the sensor flat and untouched")
+        frames = [reading.frame for reading in taken]
+        found = sensor_findings(self._pipeline, frames, lambda: _estimate(taken[-1]))
+        for sentence in found.sentences:
+            task.say(sentence)
+        healthy = f"healthy: nothing was found in {len(taken)} frames"
+        return "\n".join(each.message for each in found.findings) or healthy
+
+    def _set_up(self, command: SetupCommand) -> None:
+        wanted = Wanted(angles_of(command.angles), command.presses, command.frames)
+        out = self._fresh("setup", ".eitmodel")
+        board = self._session.connection.board
+        self._start(
+            "set up",
+            lambda task: guided_setup(task, board, self._model, self._method, out, wanted),
+        )
+
+    def _record(self, begin: bool) -> None:
+        """Begin or end the recording; raises ConflictError where there is nothing to do."""
+        if begin == (self._recording is not None):
+            now = "one is being made" if begin else "none is being made"
+            raise ConflictError(f"expected a recording to {'begin' if begin else 'end'}, but {now}")
+        if self._recording is None:
+            from eitskin.datasets.store.writer import ShardWriter
+
+            folder = self._fresh("recording")
+            self._recording = FrameRecording(ShardWriter(folder), folder)
+            self._session.begin(self._recording)
+            return
+        ended, self._recording = self._recording, None
+        self._session.end(ended)
+        self._recorded = ended.loss or f"{ended.folder}: {ended.given} frames"
+        self._session.say(f"recorded: {self._recorded}")
+
+    def _fresh(self, name: str, ending: str = "") -> Path:
+        """Path of this second in the page's folder, which does not exist yet."""
+        name = f"{name}-{time.strftime('%Y%m%d-%H%M%S')}"
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ConfigurationError(
+                f"cannot make {self.folder}: {error.strerror or error}; name another --page-folder"
+            ) from error
+        number, path = 1, self.folder / f"{name}{ending}"
+        while path.exists():
+            number += 1
+            path = self.folder / f"{name}-{number}{ending}"
+        return path
+
+
+def _estimate(reading: "Reading") -> "Estimate":
+    if reading.estimate is None:
+        raise FrameError(reading.problem)
+    return reading.estimate

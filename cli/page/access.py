@@ -1,0 +1,185 @@
+"""Who may see the live page and who may command it: addresses, names and tokens."""
+
+import hmac
+import ipaddress
+import os
+import re
+import secrets
+import socket
+import stat
+from dataclasses import dataclass, field
+from enum import IntEnum
+from pathlib import Path
+
+from eitskin.errors import ConfigurationError
+from eitskin.files import atomic_file
+
+LOOPBACK = "127.0.0.1"
+_TOKEN_BYTES = 18
+_TOKEN = re.compile(r"[A-Za-z0-9_-]{16,128}")
+_LARGEST_FILE = 4096  # bytes
+
+
+class Role(IntEnum):
+    """What a browser may do; each may do what the ones before it may."""
+
+    STRANGER = 0
+    VIEWER = 1
+    COMMANDER = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Tokens:
+    """Secrets of a page: who has one may view it, who has the other may command it, too.
+
+    Attributes:
+        view, command: letters, digits, `-` and `_`, at least 16.
+    """
+
+    view: str = field(repr=False)
+    command: str = field(repr=False)
+
+    def __post_init__(self) -> None:
+        """Check both."""
+        for name in ("view", "command"):
+            if not _TOKEN.fullmatch(getattr(self, name)):
+                raise ConfigurationError(
+                    f"expected a token of 16 to 128 letters, digits, - and _ for {name}, got "
+                    "another text; leave the file out to have one made"
+                )
+        if self.view == self.command:
+            raise ConfigurationError("expected two tokens, got the same for view and command")
+
+    @classmethod
+    def made(cls) -> "Tokens":
+        """New tokens from the system's randomness."""
+        return cls(secrets.token_urlsafe(_TOKEN_BYTES), secrets.token_urlsafe(_TOKEN_BYTES))
+
+    @classmethod
+    def kept(cls, path: Path) -> "Tokens":
+        """Tokens of a file, which is made where there is none.
+
+        The file has the lines `view TOKEN` and `command TOKEN`. Raises ConfigurationError for
+        another file, and for one that others may read.
+        """
+        if not path.exists():
+            tokens = cls.made()
+            with atomic_file(path, mode=0o600) as temporary:
+                temporary.write_text(f"view {tokens.view}\ncommand {tokens.command}\n")
+            return tokens
+        found = path.stat()
+        if not stat.S_ISREG(found.st_mode) or found.st_size > _LARGEST_FILE:
+            raise ConfigurationError(f"{path}: expected a file of two tokens, got something else")
+        if os.name == "posix" and found.st_mode & 0o077:
+            raise ConfigurationError(
+                f"{path}: expected a file that only you may read, got one that others may; "
+                f"chmod 600 {path}"
+            )
+        try:
+            lines = dict(line.split() for line in path.read_text().splitlines() if line.strip())
+            return cls(lines["view"], lines["command"])
+        except (ConfigurationError, KeyError, OSError, ValueError) as error:
+            told = f": {error}" if isinstance(error, ConfigurationError) else ""
+            raise ConfigurationError(
+                f"{path}: expected the lines `view TOKEN` and `command TOKEN`{told}; name a file "
+                "that does not exist, to have it made"
+            ) from error
+
+    def role(self, token: str) -> Role:
+        """Role of who shows a token, compared in constant time."""
+        shown = token.encode()
+        commands = hmac.compare_digest(shown, self.command.encode())
+        views = hmac.compare_digest(shown, self.view.encode())
+        return Role.COMMANDER if commands else Role.VIEWER if views else Role.STRANGER
+
+
+@dataclass(frozen=True, slots=True)
+class Access:
+    """Address that a page is served at, and who may use it.
+
+    Attributes:
+        host: name or address of a network interface of this machine.
+        tokens: None where everybody may command who reaches the page from this machine.
+    """
+
+    host: str = LOOPBACK
+    tokens: Tokens | None = None
+
+    @classmethod
+    def of(cls, host: str = LOOPBACK, token_file: Path | None = None) -> "Access":
+        """Access for options of a command: without a token only on the loopback interface.
+
+        Raises ConfigurationError for a host that is none, and those of `Tokens.kept`.
+        """
+        if token_file is not None:
+            return cls(host, Tokens.kept(token_file))
+        loopback = ipaddress.ip_address(resolved(host)[1]).is_loopback
+        return cls(host, None if loopback else Tokens.made())
+
+    def role(self, token: str) -> Role:
+        """Role of who shows this token, or an empty one."""
+        return Role.COMMANDER if self.tokens is None else self.tokens.role(token)
+
+    def names(self, local: str) -> set[str]:
+        """Names that a request may call the page by, which came to an address of this machine.
+
+        An address that it came to was not looked up, so that no foreign name can have been pointed
+        at it; of names only those of this machine count.
+        """
+        at = plain_address(local)
+        names = {_bracketed(str(at)), _bracketed(self.host)}
+        if at.is_loopback:
+            names.add("localhost")
+        if self.tokens is not None:
+            names |= {socket.gethostname(), f"{socket.gethostname()}.local"}
+        return {name.lower() for name in names}
+
+    def url(self, port: int) -> str:
+        """Address of the page without a token."""
+        return f"http://{_bracketed(self._shown())}:{port}/"
+
+    def invitations(self, port: int) -> tuple[tuple[str, str], ...]:
+        """What may be done, and the address for it; a token follows `#`, which no request shows."""
+        if self.tokens is None:
+            return (("page", self.url(port)),)
+        return (
+            ("page, to view", f"{self.url(port)}#{self.tokens.view}"),
+            ("page, to view and command", f"{self.url(port)}#{self.tokens.command}"),
+        )
+
+    def _shown(self) -> str:
+        """Host of the page's address; one that the network reaches where all are listened at."""
+        family, address = resolved(self.host)
+        if not ipaddress.ip_address(address).is_unspecified:
+            return self.host
+        foreign = "192.0.2.1" if family == socket.AF_INET else "2001:db8::1"  # for documentation
+        with socket.socket(family, socket.SOCK_DGRAM) as asked:
+            try:
+                asked.connect((foreign, 9))  # sends nothing; the system chooses the interface
+                return str(asked.getsockname()[0])
+            except OSError:
+                return socket.gethostname()
+
+
+def resolved(host: str) -> tuple[socket.AddressFamily, str]:
+    """Family and address of a host; raises ConfigurationError for a host that is none."""
+    try:
+        found = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)[0]
+    except (OSError, UnicodeError) as error:
+        raise ConfigurationError(
+            f"expected an address or a name of this machine for the page, got {host!r}: {error}; "
+            f"{LOOPBACK} serves this machine only, 0.0.0.0 every network that it is in"
+        ) from error
+    return found[0], str(found[4][0]).partition("%")[0]
+
+
+def plain_address(text: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address:
+    """Address; the IPv4 one where an IPv6 socket shows it mapped."""
+    address = ipaddress.ip_address(text.partition("%")[0])
+    mapped = getattr(address, "ipv4_mapped", None)
+    return mapped or address
+
+
+def _bracketed(host: str) -> str:
+    """Host as it stands in an address: IPv6 in brackets."""
+    return f"[{host}]" if ":" in host else host

@@ -1,0 +1,254 @@
+"""Tasks of a live session: a new zero, the sensor check, recordings, and the set-up."""
+
+import json
+import threading
+import types
+from functools import lru_cache
+from itertools import count
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from eitskin.cli.commands.live.command import LiveSession
+from eitskin.cli.commands.live.task import Progress, Task
+from eitskin.cli.commands.live.tasks import SessionTasks
+from eitskin.cli.options import Output
+from eitskin.cli.page.commands import ConflictError
+from eitskin.datasets import open_dataset
+from eitskin.errors import ConfigurationError, DataError
+from eitskin.hardware import Connection, Counts, Reading, open_board, run_live
+from eitskin.hardware.virtual import virtual_board
+from eitskin.latest import Latest
+from eitskin.simulator import Frame, Simulator
+from eitskin.training import Pipeline
+
+from live_fakes import PROTOCOL, Estimate, FakePipeline
+
+OHM = np.linspace(400.0, 820.0, 28)
+
+
+class Board:
+    uri, protocol, stage, counts, lost = "fake:", PROTOCOL, None, Counts(), 0
+
+    def __init__(self):
+        self.info = types.SimpleNamespace(period=0.3, uid=b"")
+
+
+class TaredPipeline(FakePipeline):
+    """Remembers the thread that tared it, and may find the sensor moving."""
+
+    moves, tared_by = False, None
+
+    def tare(self, frames, *_):
+        if self.moves:
+            raise DataError("expected frames of a still sensor")
+        self.tared_by = threading.current_thread()
+        return types.SimpleNamespace(zero="flat", frames=len(frames))
+
+
+class Running:
+    """A session whose readings come as often as they are asked for."""
+
+    def __init__(self, folder, pipeline):
+        output = Output(quiet=True, notes=Console(width=200))
+        self.session = LiveSession(Connection(Board()), output)
+        self.numbers, self.bad = count(), []
+        self.tasks = SessionTasks(self.session, pipeline, folder, "fake.eitmodel")
+
+    def ask(self, path, **body):
+        self.tasks.execute(path, json.dumps(body).encode())
+
+    def take(self):
+        number = next(self.numbers)
+        noise = 1e-4 * np.random.default_rng(number).standard_normal(28)
+        ohm = np.where(np.isin(np.arange(28), self.bad), 300.0, OHM * (1.0 + noise))
+        shown = Frame(ohm, PROTOCOL, 0.3 * number, number)
+        self.session.take(Reading(shown, Estimate(), 0.001, 3.0))
+
+    @property
+    def task(self):
+        return self.tasks.state()["task"]
+
+    def finish(self):
+        """Last state of the task, with as many readings as that needs."""
+        while not self.task["over"]:
+            self.take()
+        return self.task["progress"], self.task["text"]
+
+
+@pytest.fixture
+def pipeline():
+    return TaredPipeline()
+
+
+@pytest.fixture
+def running(tmp_path, pipeline):
+    made = Running(tmp_path / "files", pipeline)
+    with made.tasks:
+        yield made
+
+
+def test_the_live_loop_tares_when_enough_frames_have_come(running, pipeline):
+    running.ask("/tare")
+    assert running.task["progress"] == "working"
+    progress, text = running.finish()
+    assert (progress, text) == ("done", "zero: the sensor flat, mean of 32 frames")
+    assert pipeline.tared_by is threading.current_thread()
+
+
+def test_a_sensor_that_moves_is_told_and_can_be_tared_again(running, pipeline):
+    pipeline.moves = True
+    running.ask("/tare")
+    assert running.finish() == ("failed", "expected frames of a still sensor")
+    pipeline.moves = False
+    running.ask("/tare")
+    assert running.finish()[0] == "done"
+
+
+def test_the_check_says_what_the_command_would(running):
+    running.ask("/check")
+    assert running.finish() == ("done", "healthy: nothing was found in 16 frames")
+    assert "nothing twice" in running.task["lines"][0]
+    running.bad = [0, 1, 2]
+    running.ask("/check")
+    progress, text = running.finish()
+    assert progress == "done"
+    assert "healthy" not in text
+
+
+def test_one_task_at_a_time_which_can_be_cancelled(running):
+    for path in ("/cancel", "/answer"):
+        with pytest.raises(ConflictError):
+            running.ask(path, **({"answer": ""} if path == "/answer" else {}))
+    running.ask("/check")
+    with pytest.raises(ConflictError, match="check is not finished"):
+        running.ask("/tare")
+    running.ask("/cancel")
+    assert running.finish()[0] == "cancelled"
+    running.ask("/tare")
+    assert running.finish()[0] == "done"
+
+
+def test_frames_are_recorded_between_two_commands(running, tmp_path):
+    running.take()
+    running.ask("/record", record=True)
+    for _ in range(5):
+        running.take()
+    recording = running.tasks.state()["recording"]
+    assert (recording["frames"], recording["problem"]) == (5, "")
+    with pytest.raises(ConflictError):
+        running.ask("/record", record=True)
+    running.ask("/record", record=False)
+    running.take()
+    assert len(open_dataset(recording["folder"])) == 5
+    assert running.tasks.state()["recording"] is None
+    assert running.tasks.state()["recorded"].endswith("5 frames")
+    with pytest.raises(ConflictError):
+        running.ask("/record", record=False)
+    for _ in range(2):  # in one second, perhaps
+        running.ask("/record", record=True)
+        running.take()
+        running.ask("/record", record=False)
+    assert len(list((tmp_path / "files").iterdir())) == 3
+
+
+def test_a_recording_is_whole_when_the_session_ends(tmp_path, pipeline):
+    with (made := Running(tmp_path, pipeline)).tasks:
+        made.ask("/record", record=True)
+        made.take()
+        made.ask("/check")
+    assert len(open_dataset(next(tmp_path.iterdir()))) == 1
+    assert made.task["progress"] == "cancelled"
+
+
+def test_a_folder_that_cannot_be_made_is_told(tmp_path, pipeline):
+    (tmp_path / "file").touch()
+    with (made := Running(tmp_path / "file" / "folder", pipeline)).tasks:
+        for path, body in (("/record", {"record": True}), ("/setup", {})):
+            with pytest.raises(ConfigurationError, match="--page-folder"):
+                made.ask(path, **body)
+
+
+@pytest.mark.parametrize(
+    ("path", "body"),
+    [
+        ("/record", {}),
+        ("/record", {"record": 1}),
+        ("/answer", {"answer": 3}),
+        ("/tare", {"frames": 3}),
+        ("/setup", {"presses": -1}),
+        ("/setup", {"frames": 10**9}),
+        ("/setup", {"angles": "ten"}),
+    ],
+)
+def test_other_commands_are_refused(running, path, body):
+    with pytest.raises(ConfigurationError):
+        running.ask(path, **body)
+    assert running.task is None
+
+
+def test_a_task_without_frames_fails_in_words():
+    now = [0.0]
+
+    def later():
+        now[0] += 1.0
+        return now[0]
+
+    task = Task("check", Latest(), lambda: None, patience=3.0, clock=later)
+    task.run(lambda task: str(task.take(1, "wait")))
+    assert task.state.progress is Progress.FAILED
+    assert "none for 3 s" in task.state.text
+
+
+def test_only_answers_that_are_offered_count():
+    task = Task("set up", Latest(), lambda: None)
+    assert not task.answer("")
+    thread = threading.Thread(
+        target=task.run, args=(lambda task: task.ask("well?", {"": "yes", "s": "no"}, (0.1, 0.2)),)
+    )
+    thread.start()
+    while task.state.progress is not Progress.ASKING:
+        pass
+    assert task.state.place == (0.1, 0.2)
+    assert not task.answer("r")
+    assert task.answer("s")
+    assert not task.answer("s")
+    thread.join()
+    assert (task.state.progress, task.state.text, task.state.place) == (Progress.DONE, "s", None)
+
+
+def test_an_error_that_nobody_expected_is_told(monkeypatch):
+    monkeypatch.setattr(threading, "excepthook", lambda _: None)
+    task = Task("check", Latest(), lambda: None)
+    with pytest.raises(ZeroDivisionError):
+        task.run(lambda _: str(1 / 0))
+    assert task.state.progress is Progress.FAILED
+    assert "ZeroDivisionError" in task.state.text
+
+
+@pytest.mark.slow
+def test_a_virtual_sensor_is_set_up_from_the_page(tmp_path, monkeypatch):
+    """The steps of the command, with frames of a session that goes on meanwhile."""
+    monkeypatch.setattr(virtual_board, "Simulator", lru_cache(Simulator))
+    pipeline = Pipeline.load("reference.eitmodel")
+    with open_board("virtual:?speed=max") as board:
+        session = LiveSession(Connection(board), Output(quiet=True))
+        with SessionTasks(session, pipeline, tmp_path, "reference.eitmodel") as tasks:
+            tasks.execute("/setup", b'{"angles": "25", "presses": 2, "frames": 3}')
+            asked = []
+            for reading in run_live(session.connection, pipeline):
+                session.take(reading)
+                task = tasks.state()["task"]
+                if task["over"]:
+                    break
+                if task["progress"] == "asking":
+                    asked.append(task["text"].partition(":")[0])
+                    begun = task["text"].startswith("check: is")
+                    tasks.execute("/answer", b'{"answer": "s"}' if begun else b'{"answer": ""}')
+    assert task["progress"] == "done", task
+    assert asked == ["check", "zero", "zero", "angles", "angles", "presses", "presses"]
+    (saved,) = tmp_path.glob("*.eitmodel")
+    assert Pipeline.load(saved).adaptation["bends"] == 3
+    assert f"eitskin live {saved}" in task["text"]
+    assert [each.suffix for each in sorted(tmp_path.iterdir())].count(".json") == 1
