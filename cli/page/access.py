@@ -21,7 +21,7 @@ _LARGEST_FILE = 4096  # bytes
 
 
 class Role(IntEnum):
-    """What a browser may do; each may do what the ones before it may."""
+    """Permission of a browser; each has those before it."""
 
     STRANGER = 0
     VIEWER = 1
@@ -139,7 +139,7 @@ class Access:
         return f"http://{_bracketed(self._shown())}:{port}/"
 
     def invitations(self, port: int) -> tuple[tuple[str, str], ...]:
-        """What may be done, and the address for it; a token follows `#`, which no request shows."""
+        """Permissions and their addresses; a token follows `#`, which no request shows."""
         if self.tokens is None:
             return (("page", self.url(port)),)
         return (
