@@ -8,6 +8,7 @@ import pytest
 from command_line import printed_json, run
 from toy_skin import toy_presses
 
+from eitskin.cli.commands.own_sensor.adapt import twin_in_words
 from eitskin.datasets import Dataset, State, save_dataset
 from eitskin.errors import ConfigurationError, DataError, FrameError
 from eitskin.frame import Status
@@ -16,6 +17,7 @@ from eitskin.training import Pipeline, RecordedTouches
 from eitskin.training.adaptation.labelled_presses import LabelledPresses
 from eitskin.training.evaluation import adaptation_curve
 from eitskin.training.evaluation.adaptation_curve import pipeline_curve, press_curve
+from eitskin.training.method.calibration import TwinTrial
 
 GAIN = 1.1  # by which the sensor of the test answers bends more than the usual one
 
@@ -127,7 +129,19 @@ def test_what_cannot_be_adapted_to_is_refused(bends, pipeline, tmp_path):
         run("adapt", "none", tmp_path / "two", "--specimen", 0, "--out", tmp_path / "a.eitmodel")
     with pytest.raises(DataError, match="labelled frames"):
         pipeline_curve(pipeline, bends.select(slice(1)))
+    presses = ("none", tmp_path / "toy", "--twin", tmp_path, "--out", tmp_path / "a.eitmodel")
+    save_dataset(toy_recording(), tmp_path / "toy")
+    with pytest.raises(ConfigurationError, match="--twin"):
+        run("adapt", *presses, "--no-table")
     assert not (tmp_path / "a.eitmodel").exists()
+
+
+def test_the_sentence_tells_whether_the_twin_was_taken():
+    alone, better, worse = TwinTrial(0), TwinTrial(6, 0.15, 0.08), TwinTrial(6, 0.10, 0.12)
+    assert "no known touch" in twin_in_words(dataclasses.asdict(alone))
+    assert "15%" in twin_in_words(dataclasses.asdict(better))
+    assert "not taken" not in twin_in_words(dataclasses.asdict(better))
+    assert "not taken" in twin_in_words(dataclasses.asdict(worse))
 
 
 def test_recordings_of_other_measurements_are_refused():

@@ -20,6 +20,7 @@ from eitskin.training.joint.fit.channel_faults import possible_faults
 from eitskin.training.joint.fit.model_selection import FrameFit, fit_frame
 from eitskin.training.joint.fit.objective import STILL_DEG, TouchObjective
 from eitskin.training.joint.fit.pruning import TOUCH_THRESHOLD
+from eitskin.training.joint.own_response import own_output, own_response, relative_residual
 from eitskin.training.joint.prior import TouchPrior
 from eitskin.training.joint.problems import fit_problems
 from eitskin.training.joint.proposal_model import ProposalNetwork, network_inputs
@@ -27,12 +28,12 @@ from eitskin.training.joint.specimen_features import SpecimenFeatures
 from eitskin.training.joint.specimen_model import CandidateRows, SpecimenModel
 from eitskin.training.joint.stored_method import restored_fields, stored_arrays
 from eitskin.training.joint.touch_map import disc_map
-from eitskin.training.joint.touch_response import TouchResponse
+from eitskin.training.joint.touch_response import SpecimenResponse, TouchResponse
 from eitskin.training.joint.training import fit_joint, held_out_touches
-from eitskin.training.method.calibration import Adaptation
+from eitskin.training.method.calibration import Adaptation, TwinTrial
 from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.interface import Method
-from eitskin.training.method.known_frames import KnownFrames
+from eitskin.training.method.known_frames import KnownFrames, TwinPresses
 from eitskin.training.method.learning_curve import LearningCurve
 from eitskin.training.method.observations import Observations
 from eitskin.training.method.predictions import FoundTouches, Predictions
@@ -85,6 +86,8 @@ class JointMethod(Method):
             takes them to be.
         own_error_scale: a further one, from known touches of the sensor that the method is adapted
             to; 1 before.
+        own_output: last layer of the response of that sensor, from its twin (K, hidden + 1); None
+            without.
     """
 
     KIND: ClassVar[str] = "joint"
@@ -111,6 +114,7 @@ class JointMethod(Method):
     forces: bool = True
     error_scale: float = 1.0
     own_error_scale: float = 1.0
+    own_output: Array | None = None
     _specimens: dict[bytes, SpecimenModel] = field(default_factory=dict, init=False, repr=False)
     _rows: CandidateRows = field(init=False, repr=False)
 
@@ -309,7 +313,7 @@ class JointMethod(Method):
             usual = self.usual if self.calibrated is None else None
             self._specimens[key] = SpecimenModel(
                 p,
-                self.response.of(p),
+                self.response_of(flat),
                 curve,
                 possible_faults(self.protocol, flat, self.combinations),
                 self._calibration_problems(flat),
@@ -318,6 +322,11 @@ class JointMethod(Method):
                 usual.of(p) if usual else None,
             )
         return self._specimens[key]
+
+    def response_of(self, flat: Array) -> SpecimenResponse:
+        """Response to touches of the sensor with these flat magnitudes (C,) [ohm]."""
+        learned = self.response.of(self.features.apply(flat))
+        return learned if self.own_output is None else own_response(learned, self.own_output)
 
     def adapted(self, known: KnownFrames) -> "tuple[JointMethod, Adaptation]":
         """The method adapted to one sensor by known frames, from what was learned in training.
@@ -335,12 +344,31 @@ class JointMethod(Method):
             priors += [(self.usual.of(p), LOG_ODDS)] if self.usual else []
             prior, curve = adapted_curve(priors, bent, self.combinations, self.drift)
             told = replace(told, calibration=calibration_of(prior, curve, bent, self._combined))
-        adapted = replace(self, calibrated=curve, calibrated_flat=flat, own_error_scale=1.0)
+        adapted = replace(
+            self, calibrated=curve, calibrated_flat=flat, own_error_scale=1.0, own_output=None
+        )
+        if known.twin is not None and self.touches and self.forces:
+            output, trial = adapted._with_twin(known.twin, flat, touched)
+            adapted = replace(adapted, own_output=output if trial.kept else None)
+            told = replace(told, twin=trial)
         if len(touched):
             found = adapted.predict(touched.observations).touches
             scale = error_scale(touched.touches, found)
             adapted = replace(adapted, own_error_scale=scale)
         return adapted, replace(told, error_scale=adapted.own_error_scale)
+
+    def _with_twin(
+        self, twin: TwinPresses, flat: Array, touched: KnownFrames
+    ) -> tuple[Array, TwinTrial]:
+        """Last layer with which the response is a twin's, and how known touches judge it."""
+        learned = self.response_of(flat)
+        parts = (self.touch_prior, self.radius, self.combinations, twin, self.bend_prior.bends)
+        output = own_output(learned, *parts)
+        if not len(touched):
+            return output, TwinTrial(0)
+        both = (learned, own_response(learned, output))
+        left = (relative_residual(each, touched, self.combinations) for each in both)
+        return output, TwinTrial(len(touched), *left)
 
     def outputs(self, observations: Observations) -> Arrays:
         """Arrays of predictions for n frames, by which a saved copy is checked."""

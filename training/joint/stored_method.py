@@ -20,6 +20,7 @@ from eitskin.training.method.learning_curve import LearningCurve
 
 Arrays = dict[str, NDArray[np.generic]]
 
+OWN = ("calibrated_flat", "own_output")  # arrays of the sensor that the method is adapted to
 NETWORKS = ("response", "proposals", "angles")  # parts whose learning curves are kept
 
 
@@ -52,8 +53,9 @@ def stored_arrays(fields: Mapping[str, Any]) -> Arrays:
         "usual": fields["usual"],
         "calibrated": fields["calibrated"],
     }
-    if fields["calibrated_flat"] is not None:
-        saved["calibrated_flat"] = fields["calibrated_flat"]
+    for name in OWN:
+        if fields[name] is not None:
+            saved[name] = fields[name]
     for name, curve in fields["learning_curves"].items():
         saved |= {f"{name}.{key}": array for key, array in curve.arrays().items()}
     for name, part in parts.items():
@@ -97,12 +99,10 @@ def restored_fields(arrays: Mapping[str, NDArray[np.generic]], spec: InputSpec) 
         "protocol": spec.protocol,
         "learning_curves": {name: LearningCurve.from_arrays(part(name)) for name in NETWORKS},
         "calibrated": BendCurve.from_arrays(calibrated) if calibrated else None,
-        "calibrated_flat": (
-            arrays["calibrated_flat"].astype(float) if "calibrated_flat" in arrays else None
-        ),
         "angles": AngleNetworks.from_arrays(angles) if "unit" in angles else None,
         "usual": BendCurvePrior.from_arrays(usual) if usual else None,
         "forces": bool(arrays.get("forces", one)),
         "error_scale": float(arrays.get("error_scale", one)),
         "own_error_scale": float(arrays.get("own_error_scale", one)),
+        **{name: arrays[name].astype(float) if name in arrays else None for name in OWN},
     }

@@ -1,15 +1,17 @@
 """Adaptation of a trained pipeline to one sensor: what it was given, and errors before and after.
 
-`Calibration` tells of the bend angle.
+`Calibration` tells of the bend angle, `TwinTrial` of the response with a twin.
 """
 
+import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from eitskin.errors import DataError
+from eitskin.errors import ConfigurationError, DataError
+from eitskin.training.method.known_frames import KnownFrames
 
 Array = NDArray[np.float64]
 
@@ -58,6 +60,27 @@ class Calibration:
 
 
 @dataclass(frozen=True, slots=True)
+class TwinTrial:
+    """Response to touches without and with a twin, in known touches that the twin is judged by.
+
+    Attributes:
+        touches: number of frames with known touches.
+        without: residual of their changes by the response as trained, relative to the changes; NaN
+            without such frames.
+        with_twin: the same by the twin's response.
+    """
+
+    touches: int
+    without: float = math.nan
+    with_twin: float = math.nan
+
+    @property
+    def kept(self) -> bool:
+        """Whether the twin's response is taken: unless known touches contradict it."""
+        return not self.without <= self.with_twin
+
+
+@dataclass(frozen=True, slots=True)
 class Adaptation:
     """Result of an adaptation to one sensor by known frames.
 
@@ -69,6 +92,7 @@ class Adaptation:
             has no use for it.
         calibration: errors of the angle; None without known angles.
         error_scale: factor by which known touches changed the standard errors of places; 1 without.
+        twin: residuals of known touches without and with a twin; None without one.
     """
 
     flat: int
@@ -77,6 +101,20 @@ class Adaptation:
     left_out: int = 0
     calibration: Calibration | None = None
     error_scale: float = 1.0
+    twin: TwinTrial | None = None
+
+    def require_fit(self, known: KnownFrames) -> None:
+        """Refuse known angles that contradict the frames, and a twin that nothing was done with.
+
+        Raises DataError, as `Calibration.require_fit`, and ConfigurationError.
+        """
+        if self.calibration is not None:
+            self.calibration.require_fit(known.angle_deg[known.bent])
+        if known.twin is not None and self.twin is None:
+            raise ConfigurationError(
+                "expected a pipeline that knows the forces of touches to take a twin's response "
+                "(`--preset joint`), got another one; adapt it without a twin"
+            )
 
     def as_dict(self) -> dict[str, Any]:
         """Plain data for JSON."""

@@ -4,6 +4,7 @@ import math
 import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Protocol as Interface
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,6 +74,22 @@ class FrameLabel:
         return self.touches == () and self.angle_deg is not None and abs(self.angle_deg) <= FLAT_DEG
 
 
+class TwinPresses(Interface):
+    """Presses on the twin of a sensor; `PressedTwin` simulates them."""
+
+    def changes(self, touches: Array, angle_deg: float, radius: float) -> Array:
+        """Changes of log V (n, C) by single touches (n, 3) of x [m], y [m] and force [N].
+
+        Args:
+            touches: one in each row.
+            angle_deg: of the bend, before and during the touches [deg].
+            radius: of the indenter [m].
+        """
+
+    def inside(self, places: Array) -> Mask:
+        """Whether places (n, 2) [m] are on the sensor (n,)."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class KnownFrames:
     """n labelled frames of one sensor with their references; up to k touches in one.
@@ -84,6 +101,7 @@ class KnownFrames:
         reference_deg: bend angle of the dynamic reference (n,) [deg]; NaN where unknown.
         touches: x [m], y [m] and force [N] (n, k, 3); NaN where absent, a force where unknown.
         told: whether the touches of each frame are known (n,); none are, where it has none.
+        twin: of the sensor; None without one.
     """
 
     observations: Observations
@@ -91,6 +109,7 @@ class KnownFrames:
     reference_deg: Array
     touches: Array
     told: Mask
+    twin: TwinPresses | None = None
 
     @classmethod
     def of(
@@ -194,6 +213,7 @@ class KnownFrames:
             self.reference_deg[rows],
             self.touches[rows],
             self.told[rows],
+            self.twin,
         )
 
     @property

@@ -16,7 +16,7 @@ from eitskin.frame import Frame
 from eitskin.training.method.calibration import Adaptation, Calibration
 from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.interface import Method
-from eitskin.training.method.known_frames import FrameLabel, KnownFrames
+from eitskin.training.method.known_frames import FrameLabel, KnownFrames, TwinPresses
 from eitskin.training.method.observations import Observations, fingerprint
 from eitskin.training.method.predictions import Predictions
 from eitskin.training.method.settings import Progress, TrainingSettings, silent
@@ -48,8 +48,7 @@ GOLDEN_PER_STATE = 2
 class Pipeline:
     """A trained perception method and the references of the current session.
 
-    `fit` trains a pipeline, `load` reads one. `process` takes the frames of a session one after
-    another, `perceive` those of a dataset each by itself.
+    `process` takes the frames of a session in turn, `perceive` those of a dataset each by itself.
 
     Attributes:
         layout: sensor, measurements and frequency of the training frames.
@@ -91,8 +90,7 @@ class Pipeline:
         """A pipeline trained on the training part of a dataset; `held_out` gives the test part.
 
         The pipeline estimates what the dataset has labels for (`targets`). Losses on the validation
-        part are recorded and select nothing. The result is reproducible on one machine with the
-        same seed and number of torch threads.
+        part select nothing. The result is reproducible with the same seed and torch threads.
 
         Args:
             dataset: frames of two states and more or at several bend angles, of a known design and
@@ -148,7 +146,10 @@ class Pipeline:
         return np.arange(len(dataset))
 
     def adapt(
-        self, frames: Sequence[Frame] | Dataset, labels: Sequence[FrameLabel] | None = None
+        self,
+        frames: Sequence[Frame] | Dataset,
+        labels: Sequence[FrameLabel] | None = None,
+        twin: TwinPresses | None = None,
     ) -> Adaptation:
         """Adaptation to one sensor by frames of which it is known what they show.
 
@@ -156,18 +157,17 @@ class Pipeline:
         The session begins anew. An adaptation replaces the one before: give all frames at once.
 
         Args:
-            frames: n frames of one session, those of the flat, untouched sensor among them; or a
-                dataset of one specimen, with its labels and references.
-            labels: one for each frame; those of a dataset are its own.
+            frames: n frames of one session, flat ones among them; or a dataset of one specimen.
+            labels: one for each frame; a dataset has its own, and its own references.
+            twin: `PressedTwin`, whose response is taken unless known touches contradict it.
 
         Raises:
             ConfigurationError, DataError, FrameError: for frames or labels that cannot be of one
                 sensor, or a method that does not adapt; the pipeline is unchanged then.
         """
-        known = KnownFrames.of(frames, labels, self.layout)
+        known = replace(KnownFrames.of(frames, labels, self.layout), twin=twin)
         adapted, said = self.method.adapted(known)
-        if said.calibration is not None:
-            said.calibration.require_fit(known.angle_deg[known.bent])
+        said.require_fit(known)
         self.method = adapted
         self.adaptation = said.as_dict()
         self.reset()

@@ -1,8 +1,8 @@
 """`eitskin adapt`: a pipeline for one sensor, from labelled frames of it."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.table import Table
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from eitskin.training.method.calibration import Calibration
     from eitskin.training.method.interface import Method
     from eitskin.training.pipeline.pipeline import Pipeline
+    from eitskin.training.twin.pressed_twin import PressedTwin
 
 NOTHING = "none"
 """Name in place of a pipeline, where nothing was trained before."""
@@ -52,6 +53,10 @@ def command(
     values: Values = None,
     protocol: MeasuredPairs = None,
     method: MethodCode = None,
+    twin: Annotated[
+        Path | None,
+        typer.Option(help="Folder of `twin fit`, whose response to touches is taken."),
+    ] = None,
     no_table: Annotated[
         bool, typer.Option("--no-table", help="Do not tell errors by frames used; faster.")
     ] = False,
@@ -77,7 +82,7 @@ def command(
     curve = () if no_table else curve_of(before, data, output)
     if curve:
         output.show(curve_table(curve))
-    adapted = adapt(before, data)
+    adapted = adapt(before, data, twin)
     saved = adapted.save(out)
     told = said(adapted)
     result = {"out": str(saved), "errors": [point.as_dict() for point in curve], **told}
@@ -95,20 +100,34 @@ def open_start(model: Path, method: "type[Method] | None") -> "Pipeline | Record
 
 
 def adapt(
-    before: "Pipeline | RecordedTouches | None", data: "Dataset"
+    before: "Pipeline | RecordedTouches | None", data: "Dataset", twin: Path | None = None
 ) -> "Pipeline | RecordedTouches":
     """Pipeline for the one sensor of a dataset; touch positions are learned from its presses alone.
 
-    Raises the errors of `Pipeline.adapt`, `RecordedTouches.described` and `RecordedTouches.fit`.
+    Raises the errors of `Pipeline.adapt`, `RecordedTouches.described`, `RecordedTouches.fit` and
+    `PressedTwin.read`, and ConfigurationError for a twin beside touch positions.
     """
+    from eitskin.errors import ConfigurationError
     from eitskin.training.adaptation.recorded_touches import RecordedTouches
 
+    if twin is not None and (before is None or isinstance(before, RecordedTouches)):
+        raise ConfigurationError(
+            "expected a pipeline that knows the forces of touches with --twin, got one of touch "
+            "positions, which learns from presses alone; leave out --twin"
+        )
     if before is None:
         return RecordedTouches.fit(data, share=1.0)
     if isinstance(before, RecordedTouches):
         return RecordedTouches.fit(before.described(data), share=1.0)
-    before.adapt(data)
+    before.adapt(data, twin=_pressed(twin, before) if twin else None)
     return before
+
+
+def _pressed(folder: Path, pipeline: "Pipeline") -> "PressedTwin":
+    """Twin in a folder, read before frames are."""
+    from eitskin.training.twin.pressed_twin import PressedTwin
+
+    return PressedTwin.read(folder, pipeline.layout.protocol)
 
 
 def curve_of(
@@ -190,10 +209,22 @@ def in_words(adapted: "Pipeline | RecordedTouches") -> str:
             "presses that were left out"
         )
     known = adapted.adaptation
-    return (
+    words = (
         f"adapted by {known['flat']} flat frames, {known['bends']} at known angles and "
         f"{known['touches']} with known touches; {known['left_out']} not used"
     )
+    return words + twin_in_words(known["twin"]) if known.get("twin") else words
+
+
+def twin_in_words(trial: "Mapping[str, Any]") -> str:
+    """End of the sentence: whether the twin's response was taken."""
+    from eitskin.training.method.calibration import TwinTrial
+
+    judged = TwinTrial(**trial)
+    if not judged.touches:
+        return "; touches answer as on the twin, which no known touch has judged"
+    left = f"{judged.without:.0%} of the known touches' changes unexplained, {judged.with_twin:.0%}"
+    return f"; {left} with the twin, which is {'taken' if judged.kept else 'not taken'}"
 
 
 def calibration_table(calibration: "Calibration") -> Table:

@@ -5,62 +5,29 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 from known_frames import known_frames
+from smooth_joint import LAYOUT, smooth_method
 
 from eitskin.datasets import State
-from eitskin.geometry import SensorDesign
 from eitskin.training.joint.adaptation import error_scale
 from eitskin.training.joint.method import JointMethod
-from eitskin.training.joint.proposal_model import ProposalNetwork
-from eitskin.training.joint.specimen_features import SpecimenFeatures
-from eitskin.training.method.input_spec import InputSpec
 from eitskin.training.method.observations import Observations
 from eitskin.training.method.predictions import FoundTouches
-from eitskin.training.method.symmetry import mirrors
 
 from smooth_sensor import (
     FLAT,
-    MEASUREMENTS,
     NOISE,
     PROTOCOL,
-    SIZE,
     TOUCH_PRIOR,
-    curves,
-    places,
     powers,
-    response,
 )
 
-LAYOUT = InputSpec(SensorDesign.reference(), PROTOCOL, 40e3, FLAT)
 TOUCH = (0.045, 0.021, 8.0)
 ELECTRODE = [i for i, row in enumerate(PROTOCOL.table) if 3 in row[:2]]
 
 
-def silent_proposals():
-    """Network without proposals: the search alone finds the touches."""
-    columns, rows = np.array([0.05, 0.10]), np.array([0.02, 0.04])
-    return ProposalNetwork((np.zeros((4, 30)),), (np.full(4, -9.0),), columns, rows)
-
-
 @pytest.fixture(scope="module")
 def method():
-    """Method whose model is exactly the sensor's."""
-    rng = np.random.default_rng(0)
-    flat = FLAT * np.exp(0.02 * rng.standard_normal((40, 28)))
-    features = SpecimenFeatures.fit(flat, mirrors(LAYOUT.design, PROTOCOL), count=1)
-    return JointMethod(
-        features=features,
-        response=response(mismatch=0.03, features=1),
-        bend_prior=curves(features=1),
-        proposals=silent_proposals(),
-        touch_prior=TOUCH_PRIOR,
-        combinations=MEASUREMENTS,
-        drift=0.02,
-        places=places(),
-        radius=0.0075,
-        size=SIZE,
-        shape=(32, 80),
-        protocol=PROTOCOL,
-    )
+    return smooth_method()
 
 
 def observed(method, touches=(), angle_deg=0.0, rng=None, flat=FLAT, wrong=None, age=5.0):

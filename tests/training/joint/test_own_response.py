@@ -1,0 +1,140 @@
+"""Response of a sensor by its twin: nearer to the truth, judged by known touches, saved."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from known_frames import known_frames
+from smooth_joint import LAYOUT, smooth_method
+
+from eitskin.training.joint.method import JointMethod
+from eitskin.training.joint.own_response import FLAT_PRESSES, own_output, own_response
+
+from smooth_sensor import FLAT, MEASUREMENTS, NOISE, TOUCH_PRIOR
+
+RADIUS = 0.0075
+
+
+class Twin:
+    """Twin of a sensor whose channels answer by other gains, and more where they answer much."""
+
+    def __init__(self, learned, size):
+        self.learned, self.pressed = learned, []
+        self.gains = 1.0 + size * np.random.default_rng(3).standard_normal(28)
+
+    def inside(self, places):
+        return places[:, 0] < 0.120
+
+    def changes(self, touches, angle_deg, radius):
+        assert radius == RADIUS
+        self.pressed.append((angle_deg, touches))
+        change = self.learned(touches, angle_deg)
+        return self.gains * change * (1.0 + 0.2 * np.tanh(200.0 * np.abs(change)))
+
+
+@pytest.fixture(scope="module")
+def method():
+    return smooth_method()
+
+
+@pytest.fixture(scope="module")
+def learned(method):
+    return method.response.of(method.features.apply(FLAT))
+
+
+def touches(count, rng):
+    return rng.uniform([0.02, 0.015, 4.0], [0.11, 0.045, 12.0], (count, 3))
+
+
+def pressed(twin, count, seed, *, forces=True):
+    rng = np.random.default_rng(seed)
+    known = touches(count, rng)
+    change = twin.changes(known, 0.0, RADIUS) + NOISE * rng.standard_normal((count, 28))
+    if not forces:
+        known[:, 2] = np.nan
+    return known_frames(FLAT, 4, change, np.zeros(count), touches=known[:, None])
+
+
+def mean_error(method, known):
+    found = method.predict(known.observations).touches
+    places = known.touches[:, 0, :2]
+    return np.mean([np.linalg.norm(f.place[0] - p) for f, p in zip(found, places, strict=True)])
+
+
+def rms(values):
+    return np.sqrt(np.mean(np.square(values)))
+
+
+@pytest.mark.parametrize("angle_deg", [0.0, 30.0])
+def test_the_last_layer_follows_the_twin_at_presses_and_bends_that_it_was_not_fitted_to(
+    learned, angle_deg
+):
+    twin = Twin(learned, 0.15)
+    output = own_output(learned, TOUCH_PRIOR, RADIUS, MEASUREMENTS, twin, bends=True)
+    seen = touches(60, np.random.default_rng(5))
+    exact = twin.changes(seen, angle_deg, RADIUS)
+    left = [each(seen, angle_deg) - exact for each in (own_response(learned, output), learned)]
+    assert rms(left[0]) < 0.15 * rms(left[1])
+
+
+@pytest.mark.parametrize("bends", [True, False])
+def test_a_twin_is_pressed_where_the_response_was_learned(learned, bends):
+    twin = Twin(learned, 0.1)
+    own_output(learned, TOUCH_PRIOR, RADIUS, MEASUREMENTS, twin, bends=bends)
+    assert [angle for angle, _ in twin.pressed] == ([0.0, -20.0, 15.0, 50.0] if bends else [0.0])
+    every = np.concatenate([each for _, each in twin.pressed])
+    assert 0.7 * FLAT_PRESSES < len(every) < 1.5 * FLAT_PRESSES
+    assert (every[:, :2] > TOUCH_PRIOR.low[:2]).all()
+    assert (every[:, 0] < 0.120).all()
+    assert (every[:, 2] >= 4.0).all()
+    assert (every[:, 2] <= 12.0).all()
+
+
+def test_the_twin_of_the_sensor_makes_places_better_by_the_flat_frame_alone(method, learned):
+    twin = Twin(learned, 0.15)
+    held_out = pressed(twin, 12, 1)
+    flat = known_frames(FLAT, 4, np.zeros((1, 28)), [0.0])
+    one, told = method.adapted(replace(flat, twin=twin))
+    assert (told.twin.touches, told.twin.kept) == (0, True)
+    assert mean_error(one, held_out) < 0.6 * mean_error(method, held_out)
+    again = JointMethod.from_arrays(one.arrays(), LAYOUT)
+    places = [each.predict(held_out.observations).touches[0].place for each in (one, again)]
+    np.testing.assert_allclose(*places, atol=1e-6)
+    assert one.adapted(flat)[0].own_output is None
+
+
+@pytest.mark.parametrize("forces", [True, False])
+def test_known_touches_keep_the_twin_of_the_sensor_and_refuse_that_of_another(
+    method, learned, forces
+):
+    twin, other = Twin(learned, 0.15), Twin(learned, 0.3)
+    other.gains = 2.0 - twin.gains
+    known = pressed(twin, 6, 0, forces=forces)
+    one, told = method.adapted(replace(known, twin=twin))
+    assert told.twin.kept
+    assert told.twin.with_twin < 0.5 * told.twin.without
+    assert one.own_output is not None
+    refused, told = method.adapted(replace(known, twin=other))
+    assert not told.twin.kept
+    assert refused.own_output is None
+
+
+def test_candidates_of_the_search_have_the_twins_response(method, learned):
+    twin = Twin(learned, 0.15)
+    flat = known_frames(FLAT, 4, np.zeros((1, 28)), [0.0])
+    one = method.adapted(replace(flat, twin=twin))[0]
+    candidates = one._specimen(FLAT).candidates(0.0)
+    seen = np.column_stack([candidates.places, np.full(len(candidates.places), candidates.force)])
+    inside = (seen[:, 0] < 0.115) & (seen[:, 0] > 0.012) & (np.abs(seen[:, 1] - 0.030) < 0.017)
+    exact = twin.changes(seen, 0.0, RADIUS)
+    left = candidates.change[inside] - exact[inside]
+    assert rms(left) < 0.04 * rms(exact[inside])
+
+
+def test_a_method_without_forces_leaves_a_twin_alone(method, learned):
+    flat = known_frames(FLAT, 4, np.zeros((1, 28)), [0.0])
+    twin = Twin(learned, 0.1)
+    one, told = replace(method, forces=False).adapted(replace(flat, twin=twin))
+    assert told.twin is None
+    assert one.own_output is None
+    assert not twin.pressed
