@@ -25,7 +25,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from eitskin.benchmarks.markdown_tables import NUMBER, tables
-from eitskin.benchmarks.results import Results, found_results
+from eitskin.benchmarks.results import RESULTS, Results, found_results
+from eitskin.benchmarks.skinbench import fill
+from eitskin.benchmarks.skinbench.tracks import TRACKS
 from eitskin.errors import ConfigurationError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -117,6 +119,10 @@ def main(folders: Sequence[str]) -> None:
         if new != text:
             page.write_text(new, encoding="utf-8")
             print(f"changed: {page.relative_to(ROOT)}")
+    board = ROOT / "docs" / "leaderboard.json"
+    if not folders and board.is_file():
+        files = [str(PUBLISHED / track.results / RESULTS) for track in TRACKS]
+        fill.main([str(board), *files, "--page", str(board.with_suffix(".md"))])
 
 
 def _of_table(match: re.Match[str]) -> Iterator[Figure]:

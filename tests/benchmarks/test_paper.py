@@ -17,6 +17,7 @@ from eitskin.benchmarks.paper import sets as paper_sets
 from eitskin.benchmarks.paper.limits import SignalToNoise
 from eitskin.benchmarks.paper.sets import KNOWN_DEG, SPECIMENS, Sets, in_episode, recipes
 from eitskin.benchmarks.results import read_results
+from eitskin.benchmarks.skinbench.leaderboard import read_leaderboard
 from eitskin.cli.main import app
 from eitskin.datasets import Dataset, Recipe, State
 from eitskin.datasets.recipe.frame_sampling import sample, specimen
@@ -158,14 +159,24 @@ def folder(tmp_path_factory):
         patch.setattr(paper, "_pipeline", lambda *_args: further)
         patch.setattr(paper.Pipeline, "load", lambda _path: pipeline(1e-3, 0.5))
         patch.setattr(paper_limits, "bounds", lambda *_args: limits)
-        options = ("--pipeline", str(out / "ours.eitmodel"), "--seeds", "2", "--quick", "--json")
-        options = (*options, "--preset", "ridge")
+        options = ("--pipeline", str(out / "ours.eitmodel"), "--seeds", "2", "--json")
+        options = (*options, "--preset", "ridge", "--leaderboard", str(out / "board.json"))
         ran = CliRunner().invoke(app, ["bench", "paper", "--out", str(out), *options, "--quiet"])
     if ran.exception is not None:
         raise ran.exception
     folder = out / "paper"
     (folder / "printed.json").write_text(ran.stdout)
     return folder
+
+
+@pytest.mark.slow
+def test_its_methods_are_entered_into_a_leaderboard(folder):
+    board = read_leaderboard(folder.parent / "board.json")
+    scores = {each.name: each.scores for each in board.entries}
+    assert list(scores) == ["ours", "ridge", "paper's"]  # by the error of four touches
+    assert scores["ours"]["four touches: error"] == pytest.approx(1.0)
+    assert scores["ours"]["angle"] == pytest.approx(0.5)
+    assert "angle" not in scores["ridge"]
 
 
 @pytest.mark.slow
@@ -213,7 +224,7 @@ def test_files_hold_the_table_and_what_it_was_made_with(folder):
     assert float(one[0]["value"]) == pytest.approx(1.0, rel=1e-4)
     assert json.loads((folder / "paper.json").read_text())["seeds"] == [0, 1]
     results = read_results(folder / "results.json")
-    assert (results.quick, results.provenance.seed) == (True, 0)
+    assert (results.quick, results.provenance.seed) == (False, 0)
     assert results.figures[f"{paper.OURS}: indentation.error_mm"] == pytest.approx(1.0, rel=1e-4)
     assert results.figures[f"{paper.OURS}: touch.4.found"] == 100.0
     cell = f"&emsp;standard deviation [mm] (2) / {paper.OWN}"

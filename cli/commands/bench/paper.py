@@ -7,6 +7,7 @@ import typer
 from rich import box
 from rich.table import Table
 
+from eitskin.cli.commands.bench.skinbench import LeaderboardFile, entered, opened
 from eitskin.cli.options import TRAINING, Json, Output, Quiet, Verbose, own_method
 from eitskin.extras import require_all
 
@@ -50,6 +51,7 @@ def command(
         ),
     ] = None,
     method: MethodCodes = None,
+    leaderboard: LeaderboardFile = None,
     quick: Annotated[bool, typer.Option("--quick", help="A tenth of the frames.")] = False,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -69,6 +71,7 @@ def command(
     contenders += [Contender(method=own_method(each)) for each in method or ()]
     for each in contenders:
         each.settings(0)  # unknown names are told before the work
+    board = opened(leaderboard, quick)
     make_folder(out / NAME)
     with output.progress() as bar:
         tasks: dict[str, Any] = {}
@@ -90,6 +93,8 @@ def command(
             contenders=contenders,
         )
     paths = write(found, out)
+    codes = zip(contenders[len(preset or ()) :], method or (), strict=True)
+    paths += entered(board, out / NAME, {each.name: code for each, code in codes})
     output.result(as_data(found) | {"files": [str(path) for path in paths]}, _as_table(found))
     for line in sentences(found):
         output.show(line)

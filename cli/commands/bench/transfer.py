@@ -8,6 +8,7 @@ from rich import box
 from rich.table import Table
 
 from eitskin.cli.commands.bench.accuracy import Out, Quick
+from eitskin.cli.commands.bench.skinbench import LeaderboardFile, entered, opened
 from eitskin.cli.options import TRAINING, Json, Output, Quiet, Seed, Verbose
 from eitskin.errors import ConfigurationError
 from eitskin.extras import require_all
@@ -23,6 +24,7 @@ def command(
     quick: Quick = False,
     seed: Seed = 0,
     workers: Annotated[int, typer.Option(min=1, help="Processes that make frames.")] = 2,
+    leaderboard: LeaderboardFile = None,
     as_json: Json = False,
     quiet: Quiet = False,
     verbose: Verbose = False,
@@ -41,6 +43,7 @@ def command(
     named = {path.stem: path for path in pipelines or [SHIPPED]}
     if len(named) < len(pipelines or []):
         raise ConfigurationError("expected pipelines of different names; rename one")
+    board = opened(leaderboard, quick, seed)
     make_folder(out / NAME)
     with output.progress() as bar:
         tasks: dict[str, Any] = {}
@@ -51,7 +54,7 @@ def command(
             bar.update(tasks[part], completed=done, total=total)
 
         found = run(named, out / NAME, seed, quick, workers, show)
-    paths = [str(path) for path in write(found, out)]
+    paths = [str(path) for path in (*write(found, out), *entered(board, out / NAME))]
     drawn = Table(*HEADINGS, box=box.SIMPLE, pad_edge=False)
     for column in drawn.columns[2:]:
         column.justify = "right"

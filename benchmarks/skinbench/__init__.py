@@ -1,0 +1,1 @@
+"""Benchmark set `skinbench`: frozen recipes, scores by definition, and a leaderboard."""

@@ -1,0 +1,185 @@
+"""skinbench: frozen recipes, scores from figures, and a leaderboard that only results fill."""
+
+import hashlib
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from command_line import run
+
+from eitskin.benchmarks.results import Results, read_results
+from eitskin.benchmarks.skinbench import fill
+from eitskin.benchmarks.skinbench.leaderboard import (
+    Leaderboard,
+    code_digest,
+    frames_digest,
+    read_leaderboard,
+    write_leaderboard,
+)
+from eitskin.benchmarks.skinbench.tracks import TRACKS, VERSION, digest, recipes, track_of
+from eitskin.benchmarks.studies.data.methods import small_recipe
+from eitskin.benchmarks.studies.render import PUBLISHED
+from eitskin.benchmarks.transfer import run as transfer
+from eitskin.benchmarks.transfer.run import Row, Transfer
+from eitskin.benchmarks.transfer.scores import Labelled
+from eitskin.benchmarks.transfer.worlds import WORLDS
+from eitskin.errors import ConfigurationError, DataError
+from eitskin.provenance import Provenance
+
+ROOT = Path(__file__).parents[2]
+DATA = Path(os.environ.get("EITSKIN_DATA", ROOT.parent / "shared" / "data"))
+CHANGED = (
+    "recipes of skinbench changed: where its frames stay as they were, as by a new key with its "
+    "default, give tracks.py this digest; else raise its VERSION, and begin a leaderboard"
+)
+
+
+def results(figures, name="adaptation", **changes):
+    made = Results(name, f"eitskin bench {name}", Provenance.now(0), 1.0, False, figures)
+    return replace(made, **changes)
+
+
+@pytest.mark.parametrize("name", ["unseen", "transfer"])
+def test_recipes_are_frozen(name):
+    (track,) = (each for each in TRACKS if each.name == name)
+    assert digest(recipes(name)) == track.digest, CHANGED
+
+
+def test_the_common_frames_are_frozen():
+    assert digest({"common": small_recipe(2000, 40)}) == track_of("methods").digest, CHANGED
+
+
+def test_the_recording_is_frozen():
+    path = DATA / "ohmc8.mat"
+    if not path.is_file():
+        pytest.skip(f"{path} is not there; set EITSKIN_DATA to the folder of real recordings")
+    found = hashlib.sha256(path.read_bytes()).hexdigest()
+    assert found == track_of("adaptation").digest
+
+
+def test_another_seed_gives_another_digest():
+    made = recipes("unseen")
+    other = made | {"unseen-touch": replace(made["unseen-touch"], seed=1)}
+    assert digest(other) != digest(made)
+
+
+def test_figures_become_scores_in_their_units_and_the_worst_of_all_worlds():
+    figures = {}
+    for number, world in enumerate(WORLDS):
+        start = f"my:Net / {world}, 0 angles / "
+        figures[f"{start}angle, rms [deg]"] = 2.0 + number
+        figures[f"{start}touches found"] = 0.9 - 0.1 * number
+        figures[f"{start}place, error over standard error"] = 9.0
+    ((name, scores),) = track_of("transfer").rows(figures)
+    assert name == "my:Net"
+    assert scores["as it is: angle"] == 2.0 + len(WORLDS) - 1
+    assert scores["as it is: found"] == pytest.approx(90.0 - 10.0 * (len(WORLDS) - 1))
+    assert set(scores) == {"as it is: angle", "as it is: found"}
+
+
+def test_a_run_again_replaces_its_entries_and_no_others():
+    first = Leaderboard().with_results(results({"50 / maps": 3.0, "50 / ridge": 19.0}))
+    other = first.with_results(results({"50 / maps": 4.0}, command="eitskin bench other"))
+    assert len(other.entries) == 3
+    again = other.with_results(results({"50 / maps": 2.0, "50 / ridge": 19.0}))
+    assert sorted(each.scores["50 presses"] for each in again.entries) == [2.0, 4.0, 19.0]
+
+
+def test_the_best_come_first_and_unknown_is_last():
+    figures = {"400 / worse": 9.0, "400 / best": 1.5, "5 / few": 3.0}
+    board = Leaderboard().with_results(results(figures))
+    assert [each.name for each in board.entries] == ["best", "worse", "few"]
+    table = board.table(track_of("adaptation")).splitlines()
+    assert table[2].startswith("| best | 1.50 |  |")
+    assert all(line.count("|") == table[0].count("|") for line in table)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"quick": True},
+        {"provenance": Provenance.now(3)},
+        {"name": "speed"},
+    ],
+)
+def test_other_runs_are_no_entries(changes):
+    with pytest.raises(ConfigurationError):
+        Leaderboard().with_results(results({"50 / maps": 3.0}, **changes))
+
+
+def test_a_file_is_read_as_it_was_written_and_others_are_refused(tmp_path):
+    path = tmp_path / "board.json"
+    board = Leaderboard().with_results(results({"50 / maps": 3.0}), "f00d", {"maps": "c0de"})
+    write_leaderboard(path, board)
+    assert read_leaderboard(path) == board
+    assert (board.entries[0].frames, board.entries[0].code) == ("f00d", "c0de")
+    document = json.loads(path.read_text())
+    for wrong in (document | {"version": VERSION + 1}, {"entries": 3}, ["no"]):
+        path.write_text(json.dumps(wrong))
+        with pytest.raises(DataError):
+            read_leaderboard(path)
+
+
+def test_digests_tell_frames_and_code_apart(tmp_path):
+    (tmp_path / "a").mkdir()
+    manifest, code = tmp_path / "a" / "manifest.json", tmp_path / "my.py"
+    manifest.write_text("{}")
+    code.write_text("class Net: ...\n")
+    before = frames_digest(tmp_path), code_digest(f"{code}:Net")
+    manifest.write_text("{ }")
+    code.write_text("class Net: pass\n")
+    assert frames_digest(tmp_path) != before[0]
+    assert code_digest(f"{code}:Net") != before[1]
+    assert code_digest("installed") == ""
+
+
+def test_bench_transfer_enters_its_pipelines(tmp_path, monkeypatch):
+    figures = {"place, mean [mm]": 2.5, "touches found": 1.0, "angle, rms [deg]": 4.0}
+    rows = tuple(Row("mine", world, Labelled(0, 0), figures) for world in WORLDS)
+    found = Transfer(Provenance.now(0), 1.0, False, rows)
+    monkeypatch.setattr(transfer, "run", lambda *_: found)
+    (tmp_path / "transfer").mkdir()
+    (tmp_path / "transfer" / "manifest.json").write_text("{}")
+    board = tmp_path / "board.json"
+    words = ["bench", "transfer", "mine.eitmodel", "--out", tmp_path, "--leaderboard", board]
+    assert run(*words).exit_code == 0
+    (entry,) = read_leaderboard(board).entries
+    assert entry.scores == {
+        "as it is: place": 2.5,
+        "as it is: found": 100.0,
+        "as it is: angle": 4.0,
+    }
+    assert entry.frames == frames_digest(tmp_path / "transfer")
+
+
+@pytest.mark.parametrize("words", [["--quick"], ["--seed", "1"]])
+def test_a_run_that_is_no_entry_is_refused_before_the_work(tmp_path, words):
+    options = ["--out", tmp_path / "out", "--leaderboard", tmp_path / "board.json"]
+    with pytest.raises(ConfigurationError):
+        run("bench", "transfer", *options, *words)
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_page_and_the_file_are_those_of_the_published_results():
+    board = read_leaderboard(ROOT / "docs" / "leaderboard.json")
+    files = [PUBLISHED / track.results / "results.json" for track in TRACKS]
+    assert fill.fill(board, files) == board
+    page = (ROOT / "docs" / "leaderboard.md").read_text()
+    assert fill.page_with(page, board) == page
+    published = {read_results(path).command for path in files}
+    assert published <= {entry.command for entry in board.entries}
+
+
+def test_the_script_fills_both_files(tmp_path):
+    board, page = tmp_path / "board.json", tmp_path / "page.md"
+    page.write_text("# A page\n\n<!-- leaderboard real -->\n| old |\n\nend\n")
+    published = str(PUBLISHED / "adaptation" / "results.json")
+    fill.main([str(board), published, "--page", str(page)])
+    text = page.read_text()
+    assert read_leaderboard(board).table(track_of("adaptation")) in text
+    assert "| old |" not in text
+    assert text.endswith("|\n\nend\n")
+    with pytest.raises(ConfigurationError):
+        fill.page_with("<!-- leaderboard other -->\n", Leaderboard())
