@@ -17,9 +17,15 @@ from typing import Any
 import numpy as np
 
 from eitskin.extras import require
+from eitskin.geometry.design.outline import Rectangle
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.provenance import Provenance
 from eitskin.simulator.robots.mujoco_skin import MujocoSkin
+from eitskin.simulator.robots.touch_rules import TouchRules
+from eitskin.simulator.robots.touch_table import TouchTable
+from eitskin.simulator.scene.indenters import Cylinder
+from eitskin.simulator.scene.scene import Scene
+from eitskin.simulator.scene.touch import Touch
 from eitskin.simulator.simulator import Simulator
 from eitskin.training.pipeline.pipeline import Pipeline
 
@@ -27,7 +33,8 @@ SCRIPT = Path(__file__).parents[3] / "docs" / "guides" / "mujoco" / "press.py"
 MARGIN = 0.010  # m, of the random places
 PERIOD = 0.1  # s, between frames
 CYCLE = 1.0  # s, of one press and one release
-SKINS = ((), ("coarse",), ("fast",))
+SKINS = (("none", False), ("coarse", False), ("coarse", True), ("fast", False))
+CHECKED = 200  # touches of the table beside the simulator's
 
 
 def arm() -> Any:
@@ -87,8 +94,36 @@ def pressing(script: Any, model: Any, data: Any, place: tuple[float, float], lat
     mujoco.mj_step(model, data)
 
 
-def steps(script: Any, count: int, resolution: tuple[Any, ...], seconds: float, seed: int) -> str:
-    """Row of one number of simulations and one skin, or none."""
+def table_errors(count: int, seed: int) -> str:
+    """Errors of a table of touches over their signals, in words."""
+    sensor, rng = SensorDesign.reference(), np.random.default_rng(seed)
+    simulator, rules, outline = Simulator(sensor, "coarse"), TouchRules(), Rectangle(0.150, 0.060)
+    began = time.process_time()
+    table = TouchTable.solved(simulator, outline, Cylinder(), rules)
+    took = time.process_time() - began
+    touches = [
+        Touch(
+            rng.uniform(rules.margin, outline.length - rules.margin),
+            rng.uniform(rules.margin, outline.width - rules.margin),
+            rng.uniform(0.5, rules.most),
+        )
+        for _ in range(count)
+    ]
+    scenes = [Scene(touches=(touch,)) for touch in touches]
+    flat, *solved = simulator.measure_all([Scene(), *scenes])
+    signals = np.array(solved) / flat
+    errors = np.linalg.norm(table.factors(touches) - signals, axis=1)
+    errors *= 100.0 / np.linalg.norm(signals - 1.0, axis=1)
+    return (
+        f"Table of touches beside the simulator, {count} touches: {np.median(errors):.2f} % of the "
+        f"signal in the median, {np.quantile(errors, 0.9):.2f} % at the 90th percentile, "
+        f"{errors.max():.1f} % at most; solved or read in {took:.0f} s"
+    )
+
+
+def steps(script: Any, count: int, kind: tuple[Any, bool], seconds: float, seed: int) -> str:
+    """Row of one number of simulations and one skin, with or without a table, or none."""
+    resolution, table = kind
     model, first = begun(script)
     mujoco = require("mujoco", "mujoco")
     simulations = [first, *(mujoco.MjData(model) for _ in range(count - 1))]
@@ -96,8 +131,9 @@ def steps(script: Any, count: int, resolution: tuple[Any, ...], seconds: float, 
         mujoco.mj_resetDataKeyframe(model, data, 0)
         mujoco.mj_forward(model, data)
     wanted, skin = places(count, seed), None
-    if resolution:
-        skin = MujocoSkin(Simulator(SensorDesign.reference(), *resolution), model, "skin", PERIOD)
+    if resolution != "none":
+        simulator = Simulator(SensorDesign.reference(), resolution)
+        skin = MujocoSkin(simulator, model, "skin", PERIOD, touch_table=table)
         warm_up(skin)
     done, frames, touched, of_skin = 0, 0, 0, 0.0
     began = time.process_time()
@@ -112,18 +148,14 @@ def steps(script: Any, count: int, resolution: tuple[Any, ...], seconds: float, 
                 touched += frame is not None and bool(data.ncon and skin.touches(data))
             of_skin += time.process_time() - start
     rate = done / (time.process_time() - began)
-    each = f"{1e3 * of_skin / touched:.1f}" if touched else "-"
+    each = f"{1e3 * of_skin / touched:.2f}" if touched else "-"
     share = f"{100 * touched / frames:.0f}" if frames else "-"
-    return (
-        f"| {count} | {resolution[0] if resolution else 'none'} | {rate:.0f} | {share} | {each} |"
-    )
+    name = f"{resolution}, table" if table else resolution
+    return f"| {count} | {name} | {rate:.0f} | {share} | {each} |"
 
 
 def warm_up(skin: MujocoSkin) -> None:
     """Load tables, factors and kernels, which a long run pays once."""
-    from eitskin.simulator.scene.scene import Scene
-    from eitskin.simulator.scene.touch import Touch
-
     skin.simulator.measure_all([Scene(touches=(Touch(x, 0.03, 8.0),)) for x in (0.05, 0.06)])
 
 
@@ -137,13 +169,13 @@ def main() -> None:
     script = arm()
     for line in errors(script, given.presses, given.seed):
         print(line)
-    print()
+    print(f"\n{table_errors(CHECKED, given.seed)}\n")
     print("| simulations | skin | steps/s | frames touched [%] | ms a touched frame |")
     print("|---|---|---|---|---|")
     for count in (1, 32):
-        for resolution in SKINS:
+        for skin in SKINS:
             seconds = given.seconds if count == 1 else given.seconds / 4
-            print(steps(script, count, resolution, seconds, given.seed), flush=True)
+            print(steps(script, count, skin, seconds, given.seed), flush=True)
     print(f"\nMeasured on {Provenance.now(given.seed)}")
 
 

@@ -17,6 +17,7 @@ import mujoco
 
 from eitskin.simulator.robots.mujoco_skin import MujocoSkin
 from eitskin.simulator.robots.touch_rules import TouchRules
+from eitskin.simulator.robots.touch_table import TouchTable
 
 SCRIPT = Path(__file__).parents[3] / "docs" / "guides" / "mujoco" / "press.py"
 SKIN = '<geom name="skin" type="box" size=".075 .03 .006" mass="1"/>'
@@ -123,6 +124,30 @@ def test_frames_come_at_their_rate_and_are_those_of_the_simulator(simulator) -> 
     change = simulator.measure_all([lying], tolerance=0.0)[0] - flat
     found = second[-1].impedance - flat
     assert np.abs(found - change).max() < 1e-3 * np.abs(change).max()
+
+
+def test_a_table_gives_frames_of_one_touch_and_the_simulator_those_of_more(
+    simulator, monkeypatch
+) -> None:
+    two = weight('type="sphere" size=".0075"', -0.03, 0.0, 0.014, 0.5)
+    model, data = loaded(weight('type="sphere" size=".0075"', 0.03, 0.0, 0.014, 0.5) + two)
+    _, alone = loaded(weight('type="sphere" size=".0075"', 0.03, 0.0, 0.014, 0.5))
+    bare = mujoco.MjData(model)
+
+    class Table:
+        def factors(self, touches):
+            return np.array([np.full(28, 1.0 + 0.01 * touch.force) for touch in touches])
+
+    monkeypatch.setattr(TouchTable, "solved", lambda *_: Table())
+    skin = MujocoSkin(simulator, model, "skin", touch_table=True)
+    ((touch,), pair) = skin.touches(alone), skin.touches(data)
+    found = [frame.impedance for frame in skin.update([alone, data, bare])]
+    flat, both = simulator.measure_all([Scene(), Scene(touches=pair)])
+    assert len(pair) == 2
+    np.testing.assert_allclose(found, [flat * (1.0 + 0.01 * touch.force), both, flat], rtol=1e-12)
+    rules = TouchRules(indenter=None)
+    with pytest.raises(ConfigurationError, match="leave out touch_table"):
+        MujocoSkin(simulator, model, "skin", rules=rules, touch_table=True)
 
 
 def test_a_simulation_that_starts_again_has_a_new_session(simulator) -> None:
