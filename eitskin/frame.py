@@ -1,5 +1,6 @@
 """Frame of measurements, the common output of simulators and boards."""
 
+import math
 from dataclasses import dataclass, field
 from enum import IntFlag
 
@@ -34,6 +35,7 @@ class Frame:
         session: changes when a board has restarted; references of another session are not valid.
         frequency: of the excitation [Hz].
         status: `Status` bits, (measurements,) uint8; zeros where nothing is wrong.
+        duration: time that its measurements took [s]; NaN where unknown.
     """
 
     impedance: NDArray[np.complex128]
@@ -43,6 +45,7 @@ class Frame:
     session: int = 0
     frequency: float = 40e3
     status: NDArray[np.uint8] = field(default_factory=lambda: np.zeros(0, np.uint8))
+    duration: float = math.nan
 
     def __post_init__(self) -> None:
         """Check the shapes; an omitted status is all good."""

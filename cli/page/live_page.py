@@ -15,6 +15,7 @@ from eitskin.cli.page.state import PageContent, Snapshot, filled
 from eitskin.closeable import Closeable
 from eitskin.frame import Frame
 from eitskin.geometry.design.sensor import SensorDesign
+from eitskin.hardware.boards.acquisition_clock import AcquisitionClock
 from eitskin.latest import Latest
 
 if TYPE_CHECKING:
@@ -67,7 +68,8 @@ class LivePage(Closeable):
         board = connection.board
         self._connection, self._clock = connection, clock
         self._content = PageContent.of(board, sheet)
-        self._published: tuple[Reading, Counts, float] | None = None
+        self._acquired = AcquisitionClock()
+        self._published: tuple[Reading, Counts, float, float] | None = None
         self._reference: Frame | None = None
         self._arrived = self._told = self._closed = False
         self._changed = threading.Condition()
@@ -95,12 +97,14 @@ class LivePage(Closeable):
     def publish(self, reading: "Reading") -> None:
         """Make this reading the next one that the page shows; returns at once."""
         counts = self._connection.board.counts
+        now = self._clock()
+        begun = self._acquired.begun(reading.frame, now - reading.latency)
         with self._changed:
             if self._reference is None or self._reference.session != reading.frame.session:
                 self._reference = reading.frame
             elif self._reference.status.any():
                 self._reference = filled(self._reference, reading.frame)
-            self._published, self._arrived = (reading, counts, self._clock()), True
+            self._published, self._arrived = (reading, counts, now, begun), True
             self._changed.notify()
 
     def tell(self) -> None:
@@ -166,7 +170,8 @@ class LivePage(Closeable):
             if not self._arrived or self._published is None or self._reference is None:
                 return None
             self._arrived = False
-            return Snapshot(*self._published[:2], self._reference)
+            reading, counts, _, begun = self._published
+            return Snapshot(reading, counts, self._reference, begun)
 
     def _message(self, snapshot: Snapshot | None) -> bytes:
         age = self._age()

@@ -32,11 +32,13 @@ class Snapshot:
         reading: from the live loop.
         counts: of the board at that moment.
         reference: first frame of the session, from which changes of channels count.
+        begun: when the frame's measurement began, by the page's clock [s]; NaN where unknown.
     """
 
     reading: "Reading"
     counts: "Counts"
     reference: Frame
+    begun: float = math.nan
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,6 +111,7 @@ class PageContent:
             "session": frame.session,
             "rate": _known(reading.rate, 2),
             "latency_ms": _known(1e3 * reading.latency, 2),
+            "begun": _known(snapshot.begun, 4),
             "unusable": reading.unusable,
             "frames": counts.frames,
             "lost": counts.lost,

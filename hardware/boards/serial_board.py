@@ -302,6 +302,7 @@ class SerialBoard(Closeable):
             session=self.info.boot_count,
             frequency=self.info.frequency,
             status=status,
+            duration=data.duration,
         )
 
     def _note(self, message: Message) -> None:

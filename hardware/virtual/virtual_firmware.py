@@ -117,7 +117,7 @@ class VirtualFirmware:
         data = FrameData(
             number=self.number,
             time=(now - self._started) * self.info.period + self._late,
-            duration=len(self._protocol) * MEASUREMENT_TIME,
+            duration=min(len(self._protocol) * MEASUREMENT_TIME, self.info.period),
             impedance=self._changed(Hook.IMPEDANCE, impedance.astype(np.complex64), now, faults),
             status=self._changed(Hook.STATUS, status, now, faults),
         )

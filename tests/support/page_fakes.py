@@ -3,10 +3,12 @@
 import dataclasses
 import http.client
 import json
+import threading
 from contextlib import closing
 
 import numpy as np
 
+from eitskin.cli.page.commands import ConflictError
 from eitskin.datasets import State
 from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend, SensorDesign
@@ -141,3 +143,28 @@ class Stream:
     def close(self):
         self.answer.close()
         self.client.close()
+
+
+class FakeSession:
+    """Remembers what it was asked for, and has the state that the test wants."""
+
+    paths = ("/tare", "/check", "/record", "/setup", "/answer", "/cancel")
+
+    def __init__(self):
+        self.asked, self.task, self.busy = [], None, False
+        self.came = threading.Event()
+
+    def execute(self, path, body):
+        if self.busy:
+            raise ConflictError("check is not finished")
+        self.asked.append((path, body.decode()))
+        self.came.set()
+
+    def state(self):
+        return {"task": self.task, "recording": None, "recorded": ""}
+
+    def pressed(self):
+        """The next command; ends by the tests' limit of time where none comes."""
+        self.came.wait()
+        self.came.clear()
+        return self.asked.pop(0)

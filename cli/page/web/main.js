@@ -9,12 +9,13 @@ import { Trace } from "./trace.js";
 
 const SILENT = 2000; // ms without any event after which the server is gone
 const LATE = 1000; // ms by which an event may come later than the fastest one
+const KEPT = 4096; // delays, for measurements
 const REFUSED = 2000; // ms after which a refused browser asks again
 const UNKNOWN = "not estimated";
 const STATES = ["idle", "touch", "bend"];
 
 const $ = (id) => document.getElementById(id);
-const page = { updates: 0, number: null, largest: 0 };
+const page = { updates: 0, number: null, largest: 0, delays: [] };
 window.eitskin = page; // what has been drawn, for measurements
 
 let role = null;
@@ -138,6 +139,7 @@ function numbers(data) {
   const dropped = Object.entries(data.dropped).map(([why, count]) => `${count} ${why}`).join(", ");
   number("rate", data.rate === null ? "–" : `${data.rate.toFixed(1)} /s`);
   number("latency", data.latency_ms === null ? "–" : `${data.latency_ms.toFixed(1)} ms`);
+  number("end to end", data.begun === null ? "–" : `${(performance.now() - fastest - 1000 * data.begun).toFixed(0)} ms`);
   number("frames", data.frames);
   number("lost", data.lost, true);
   number("skipped", data.skipped);
@@ -215,6 +217,8 @@ function turn() {
     draw(newest);
     page.updates += 1;
     page.number = newest.number;
+    if (newest.begun !== null) page.delays.push(performance.now() - fastest - 1000 * newest.begun);
+    if (page.delays.length > KEPT) page.delays.shift();
   }
   judge();
 }

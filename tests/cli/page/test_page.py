@@ -1,5 +1,6 @@
 """The live page: what is sent, and to whom. No browser is needed."""
 
+import dataclasses
 import json
 import shutil
 import socket
@@ -119,6 +120,20 @@ def test_changes_are_from_the_first_frame_of_the_session(page, stream) -> None:
         page.publish(reading(7, impedance=np.full(28, ohm), session=session))
         changes.append(stream.until("frame")["channels"][0])
     assert changes == [0.0, 2.0, 0.0, -1.0]
+
+
+def test_the_page_knows_when_a_frame_was_begun(connection) -> None:
+    now = [50.0]
+    with (
+        LivePage(connection, DESIGN, clock=lambda: now[0]) as page,
+        closing(Stream(page)) as stream,
+    ):
+        stream.until("sensor")
+        page.publish(reading(1))
+        assert stream.until("frame")["begun"] is None  # a board that tells no duration
+        known = dataclasses.replace(reading(2).frame, duration=0.03, time=7.0)
+        page.publish(dataclasses.replace(reading(2), frame=known, latency=0.004))
+        assert stream.until("frame")["begun"] == pytest.approx(50.0 - 0.004 - 0.03)
 
 
 def test_messages_are_small(page, stream) -> None:

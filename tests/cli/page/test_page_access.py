@@ -14,7 +14,7 @@ from eitskin.errors import ConfigurationError
 from eitskin.geometry import Bend
 from eitskin.simulator import Scene
 
-from page_fakes import DESIGN, JSON, Stream, ask, post
+from page_fakes import DESIGN, JSON, FakeSession, Stream, ask, post
 
 TOKENS = Tokens("view-" + 12 * "v", "command-" + 12 * "c")
 
@@ -65,6 +65,24 @@ def test_each_token_does_what_it_is_for(guarded, connection, token, role, status
         with closing(Stream(guarded, headers)) as stream:
             assert stream.until("sensor")["length"] == 0.15
     assert connection.board.stage.scene == (Scene(Bend(5.0)) if status == 200 else Scene())
+
+
+def test_the_session_is_asked_by_who_may_command(connection):
+    session = FakeSession()
+    with LivePage(connection, DESIGN, access=Access(tokens=TOKENS), session=session) as page:
+        own = bearer(TOKENS.command)
+        assert post(page, "/tare", {}, **bearer(TOKENS.view))[0] == 403
+        assert post(page, "/tare", {})[0] == 401
+        assert session.asked == []
+        assert post(page, "/tare", {}, **own) == (200, {"done": True})
+        assert session.asked == [("/tare", "{}")]
+        session.busy = True
+        assert post(page, "/check", {}, **own) == (409, {"error": "check is not finished"})
+        with closing(Stream(page, own)) as stream:
+            assert stream.until("sensor")["tasks"] == list(session.paths)
+            session.task = {"progress": "working"}
+            page.tell()
+            assert stream.until("health")["tasks"]["task"] == session.task
 
 
 def test_a_wrong_token_is_kept_nowhere(guarded, caplog):
