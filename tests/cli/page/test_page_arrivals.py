@@ -6,7 +6,13 @@ from contextlib import ExitStack, closing
 
 import pytest
 
-from eitskin.cli.page.arrivals import LARGEST_BODY, LARGEST_HEAD, MOST_ARRIVING, whole_request
+from eitskin.cli.page.arrivals import (
+    LARGEST_BODY,
+    LARGEST_HEAD,
+    MOST_ARRIVING,
+    Arrivals,
+    whole_request,
+)
 from eitskin.cli.page.live_page import LivePage
 from eitskin.cli.page.server import MOST_CLIENTS, MOST_REPLIES, ClientLimits
 
@@ -47,12 +53,6 @@ def ended(client):
         return True
 
 
-def trickle(client):
-    """Send a byte and another; ends by the tests' limit of time where nobody disconnects."""
-    while True:
-        client.sendall(b"x")
-
-
 @pytest.fixture
 def hasty(connection):
     """A page that waits a twentieth of a second for a request."""
@@ -67,11 +67,22 @@ def test_who_sends_nothing_or_half_a_request_is_disconnected(hasty):
             assert ended(client)
 
 
-def test_trickling_bytes_do_not_put_the_deadline_off(hasty):
-    with closing(connected(hasty)) as client:
-        client.sendall(b"GET / HTTP/1.0\r\nX: ")
-        with pytest.raises(ConnectionError):
-            trickle(client)
+def test_trickling_bytes_do_not_put_the_deadline_off():
+    """A clock that is moved by hand: a byte in time is read, one at the deadline too late."""
+    now, listener = [0.0], socket.create_server(("127.0.0.1", 0))
+    arrivals = Arrivals(listener, pytest.fail, 10.0, clock=lambda: now[0])
+    arrivals.start()
+    with closing(arrivals), closing(socket.create_connection(listener.getsockname())) as client:
+        client.sendall(b"GET / HTTP/1.0\r\n")
+        while not arrivals.count:
+            pass
+        for now[0] in (3.0, 6.0, 9.0, 9.9):
+            client.sendall(b"x")
+            assert arrivals.count == 1
+        now[0] = 10.0
+        client.sendall(b"x")
+        assert ended(client)
+        assert arrivals.count == 0
 
 
 def test_a_head_without_end_is_refused(page):
