@@ -52,6 +52,9 @@ class Firmware(typing.Protocol):
     def skip(self) -> None:
         """Leave out one frame."""
 
+    def fall_behind(self, seconds: float) -> None:
+        """Note time that passed without a frame, because the machine was busy [s]."""
+
 
 FirmwareType = TypeVar("FirmwareType", bound=Firmware)
 
@@ -73,12 +76,14 @@ class Pace:
         """Set the next frame due one period from now."""
         self._due = self._clock() + self.period
 
-    def advance(self, late: float = 0.0) -> None:
+    def advance(self, late: float = 0.0) -> float:
         """Set the next frame due one period and `late` [s] after the last.
 
-        A time that has passed counts as now.
+        A time that has passed counts as now; returns the time that was lost by that [s].
         """
-        self._due = max(self._due + self.period, self._clock()) + late
+        wanted, now = self._due + self.period, self._clock()
+        self._due = max(wanted, now) + late
+        return max(0.0, now - wanted) if self.period else 0.0
 
     def remaining(self) -> float:
         """Time until the next frame is due [s], 0 for one that is due."""
@@ -257,7 +262,7 @@ class PseudoTerminal(Closeable, Generic[FirmwareType]):
             self.firmware.skip()
         else:
             return
-        self.pace.advance(late)
+        self.firmware.fall_behind(self.pace.advance(late))
 
     def _exchange(self, selector: selectors.BaseSelector) -> None:
         """Wait for something to do, and pass bytes both ways."""

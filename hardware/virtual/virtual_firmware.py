@@ -129,6 +129,10 @@ class VirtualFirmware:
         sent = self._changed(Hook.PACKET, b"".join(map(encode, packets)), now, faults)
         return self._changed(Hook.LINE, sent, now)
 
+    def fall_behind(self, seconds: float) -> None:
+        """Let the clock of later frames show time in which none was measured [s]."""
+        self._late += seconds
+
     def skip(self) -> None:
         """Leave out one frame, for which the host is too slow."""
         self.stage.frames += 1

@@ -1,13 +1,14 @@
 """`eitskin live` as a subprocess, and rates of its loop and page over time windows."""
 
 import json
+import math
 import re
 import signal
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -30,6 +31,8 @@ class Window:
         frames: rate of processed frames [Hz].
         updates: rate of drawings with a new frame [Hz]; None without a page.
         latency_p50_ms, latency_p99_ms: latency of the pipeline.
+        drawn_p50_ms, drawn_p99_ms: from the beginning of a frame's measurement to its drawing; NaN
+            without a page.
     """
 
     name: str
@@ -38,6 +41,21 @@ class Window:
     updates: float | None
     latency_p50_ms: float
     latency_p99_ms: float
+    drawn_p50_ms: float = math.nan
+    drawn_p99_ms: float = math.nan
+
+    @classmethod
+    def together(cls, parts: Sequence["Window"]) -> "Window":
+        """Windows in succession as one: rates are means, percentiles the largest ones."""
+        seconds = sum(part.seconds for part in parts)
+
+        def rate(read: Callable[[Window], float | None]) -> float:
+            return sum((read(part) or 0.0) * part.seconds for part in parts) / seconds
+
+        updates = None if parts[0].updates is None else rate(lambda part: part.updates)
+        percentiles = ("latency_p50_ms", "latency_p99_ms", "drawn_p50_ms", "drawn_p99_ms")
+        most = {name: max(getattr(part, name) for part in parts) for name in percentiles}
+        return cls(parts[0].name, seconds, rate(lambda part: part.frames), updates, **most)
 
 
 class LiveLoop:
@@ -73,13 +91,24 @@ class LiveLoop:
     def watch(self, name: str, seconds: float, tab: Tab | None = None) -> Window:
         """Measure a window of `seconds`."""
         first, drawn = len(self.latencies), updates(tab)
+        if tab is not None:
+            tab.run("(eitskin.delays.length = 0)")
         start = time.monotonic()
         time.sleep(seconds)
         last, drawn_then = len(self.latencies), updates(tab)
         passed = time.monotonic() - start
         half, most = np.percentile(self.latencies[first:last] or [np.nan], (50, 99))
         drawn_rate = None if tab is None else (drawn_then - drawn) / passed
-        return Window(name, passed, (last - first) / passed, drawn_rate, float(half), float(most))
+        delays = [math.nan] if tab is None else tab.run("eitskin.delays") or [math.nan]
+        return Window(
+            name,
+            passed,
+            (last - first) / passed,
+            drawn_rate,
+            float(half),
+            float(most),
+            *(float(value) for value in np.percentile(delays, (50, 99))),
+        )
 
 
 def updates(tab: Tab | None) -> int:
@@ -88,10 +117,13 @@ def updates(tab: Tab | None) -> int:
 
 
 @contextmanager
-def live_loop(seed: int, command: Sequence[str] = EITSKIN) -> Iterator[LiveLoop]:
-    """Context of the shipped pipeline on a virtual board with its page."""
-    board = f"virtual:?period={1 / RATE:.6f}&seed={seed}"
-    arguments = ("live", "reference.eitmodel", "--board", board, "--page", "--page-port", "0")
+def live_loop(
+    seed: int, command: Sequence[str] = EITSKIN, board: str = "", *options: str
+) -> Iterator[LiveLoop]:
+    """Context of the shipped pipeline with its page, on a board or a virtual one at `RATE`."""
+    board = board or f"virtual:?period={1 / RATE:.6f}&seed={seed}"
+    page = ("--page", "--page-port", "0", *options)
+    arguments = ("live", "reference.eitmodel", "--board", board, *page)
     process = subprocess.Popen(  # noqa: S603
         [*command, *arguments, "--json"],
         stdout=subprocess.PIPE,

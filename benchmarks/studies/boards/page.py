@@ -1,4 +1,4 @@
-"""The live page in a real browser: updates per second, refusals, stalls, and screenshots.
+"""The live page in a real browser: updates, delays, refusals, stalls, floods, and screenshots.
 
 `python -m eitskin.benchmarks.studies.boards.page --out DIR` runs `eitskin live --page` on a virtual
 board at 30 frames per second and opens it in a headless Chromium, which must be installed.
@@ -9,22 +9,30 @@ import functools
 import http.client
 import http.server
 import json
+import math
 import os
 import signal
+import subprocess
 import tempfile
 import threading
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from eitskin.benchmarks.studies.boards.chromium import BrowserError, Size, Tab, chromium
 from eitskin.benchmarks.studies.boards.live_windows import EITSKIN, RATE, Window, live_loop, updates
+from eitskin.benchmarks.studies.boards.trickling import CONNECTIONS, Held, trickle
+from eitskin.cli.page.server import ASSETS
 from eitskin.provenance import Provenance
 
 DESKTOP, PHONE = Size(1440, 900), Size(390, 844, phone=True)
+TRIALS = 60
+HELD = ("no browser", "one browser", "one browser and trickling connections")
 BENT = {"bend_deg": 25, "touches": []}
 TOUCHED = BENT | {
     "touches": [{"x": 0.05, "y": 0.03, "force": 8}, {"x": 0.115, "y": 0.02, "force": 10}]
@@ -37,6 +45,10 @@ class Found:
 
     Attributes:
         windows: in the order in which they were measured.
+        stimulus: from a bend that is commanded to its drawing, of each trial [ms].
+        held: threads, open files and memory of the process: no browser, one, trickling connections.
+        trickling: how many of the trickling connections were open in the end.
+        page_bytes: all that a browser loads before the first frame.
         refusals: answer to each attempt from a foreign page.
         back_after_s: from waking the stalled browser to its next update [s].
         stale_after_s: from unplugging the board to the page's message [s].
@@ -47,6 +59,10 @@ class Found:
     """
 
     windows: tuple[Window, ...]
+    stimulus: tuple[float, ...]
+    held: tuple[Held, ...]
+    trickling: int
+    page_bytes: int
     refusals: dict[str, str]
     back_after_s: float
     stale_after_s: float
@@ -108,6 +124,43 @@ def refused(tab: Tab, url: str) -> dict[str, str]:
     return found
 
 
+def from_command_to_drawing(tab: Tab) -> float:
+    """Time from a command of another bend to the page's drawing of its truth [ms].
+
+    It does not depend on any clock but the browser's.
+    """
+    return float(
+        tab.run(
+            """new Promise((done) => {
+            const shown = document.getElementById("true-angle"), begun = performance.now();
+            const bend = shown.textContent.startsWith("true +20") ? 10 : 20;
+            const look = () => shown.textContent.startsWith(`true +${bend}`)
+              ? done(performance.now() - begun) : requestAnimationFrame(look);
+            fetch("/scene", { method: "POST", headers: { "Content-Type": "application/json" },
+              body: JSON.stringify({ bend_deg: bend, touches: [] }) });
+            look();
+            })"""
+        )
+    )
+
+
+def loaded_bytes(url: str) -> int:
+    """Bytes that a browser loads: all files with their heads, and the event on the sensor."""
+    client = http.client.HTTPConnection(url.removeprefix("http://").rstrip("/"), timeout=10)
+    total = 0
+    for path in ("", *ASSETS):
+        if path != "index.html":
+            client.request("GET", f"/{path}")
+            answer = client.getresponse()
+            total += len(str(answer.headers)) + len(answer.read())
+    client.request("GET", "/events")
+    stream = client.getresponse()
+    while not (line := stream.readline()).startswith(b"data: "):
+        total += len(line)
+    client.close()
+    return total + len(line)
+
+
 def pictures(tab: Tab, out: Path, name: str) -> None:
     """Save screenshots on a desktop, and of the whole page on a phone."""
     tab.screenshot(out / f"live-page-{name}.png")
@@ -125,15 +178,47 @@ def pictures(tab: Tab, out: Path, name: str) -> None:
     time.sleep(1.0)
 
 
+def set_up_pictures(out: Path, seed: int, command: Sequence[str] = EITSKIN) -> None:
+    """Save screenshots of a set-up that asks for a press, of a board that cannot move itself."""
+    with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
+        link = Path(folder) / "board"
+        serve = [*command, "board", "--link", str(link), "--period", f"{1 / RATE:.6f}"]
+        board = subprocess.Popen(  # noqa: S603
+            [*serve, "--seed", str(seed), "-q"], stdout=subprocess.DEVNULL
+        )
+        stack.callback(board.wait)
+        stack.callback(board.send_signal, signal.SIGINT)
+        while not link.exists():
+            time.sleep(0.1)
+        options = ("--page-folder", folder)
+        live = stack.enter_context(live_loop(seed, command, f"serial:{link}", *options))
+        tab = stack.enter_context(chromium()).open(live.url, DESKTOP)
+        tab.until(f"window.eitskin && eitskin.updates > {RATE}", 60.0)
+        tab.run("document.querySelector('[data-path=\"/setup\"]').click()")
+        # Check, zero and angles are skipped; of the presses the flat sensor is taken first.
+        for question, answer in (
+            ("check:", 1), ("zero:", 1), ("angles:", 1), ("presses:", 0), ("lay it flat", 0)
+        ):  # fmt: skip
+            asked = f"document.getElementById('task-text').textContent.startsWith({question!r})"
+            tab.until(f"{asked} && document.querySelectorAll('#choices button').length", 60.0)
+            tab.run(f"document.querySelectorAll('#choices button')[{answer}].click()")
+        tab.until("document.getElementById('task-text').textContent.startsWith('press at 1')")
+        time.sleep(1.0)
+        pictures(tab, out, "setup")
+
+
 def run(out: Path, seed: int = 0, seconds: float = 20.0, command: Sequence[str] = EITSKIN) -> Found:
     """Run the study, with screenshots in the folder `out`."""
     load = os.getloadavg()[0]
     with live_loop(seed, command) as live, chromium() as browser, foreign_page() as elsewhere:
         time.sleep(5.0)  # the first frames wait for imports
         windows = [live.watch("idle, no browser", seconds)]
+        held = [Held.by(live.process.pid)]
+        loaded = loaded_bytes(live.url)
         tab = browser.open(live.url, DESKTOP)
         tab.until(f"window.eitskin && eitskin.updates > {RATE}", 30.0)
         windows.append(live.watch("idle", seconds, tab))
+        held.append(Held.by(live.process.pid))
         pictures(tab, out, "idle")
         command_board(tab, "/scene", BENT)
         time.sleep(2.0)
@@ -141,6 +226,8 @@ def run(out: Path, seed: int = 0, seconds: float = 20.0, command: Sequence[str] 
         time.sleep(2.0)
         windows.append(live.watch("bent and touched", seconds, tab))
         pictures(tab, out, "touched")
+        stimulus = tuple(from_command_to_drawing(tab) for _ in range(TRIALS))
+        command_board(tab, "/scene", TOUCHED)
         complaints = browser.console_errors(live.url)
         foreign = browser.open(elsewhere, DESKTOP)
         foreign.until("document.readyState === 'complete' && location.protocol === 'http:'")
@@ -159,12 +246,29 @@ def run(out: Path, seed: int = 0, seconds: float = 20.0, command: Sequence[str] 
         windows.append(live.watch("bent and touched, browser awake again", seconds, tab))
         complaints += browser.console_errors(live.url)
         largest = int(tab.run("eitskin.largest"))
+        window, most, trickling = trickle(live, tab, seconds)
+        windows.append(window)
+        held.append(most)
         command_board(tab, "/fault", {"fault": "unplug"})
         stale = _seconds_until(tab, "document.body.dataset.link !== 'live'")
         time.sleep(1.0)
         pictures(tab, out, "unplugged")
     now = Provenance.now(seed)
-    return Found(tuple(windows), refusals, back, stale, tuple(complaints), largest, load, now)
+    set_up_pictures(out, seed, command)
+    return Found(
+        windows=tuple(windows),
+        stimulus=stimulus,
+        held=tuple(held),
+        trickling=trickling,
+        page_bytes=loaded,
+        refusals=refusals,
+        back_after_s=back,
+        stale_after_s=stale,
+        complaints=tuple(complaints),
+        event_bytes=largest,
+        load=load,
+        provenance=now,
+    )
 
 
 def _seconds_until(tab: Tab, condition: str) -> float:
@@ -176,28 +280,44 @@ def _seconds_until(tab: Tab, condition: str) -> float:
 def as_markdown(found: Found) -> str:
     """Windows and refusals as tables, other results as sentences."""
     lines = [
-        "| | frames/s | page updates/s | latency p50, ms | p99, ms |",
-        "|---|---|---|---|---|",
+        "| | frames/s | page updates/s | pipeline p50, ms | p99, ms | end to end p50, ms "
+        "| p99, ms |",
+        "|---|---|---|---|---|---|---|",
     ]
     for window in found.windows:
-        updates = "" if window.updates is None else f"{window.updates:.1f}"
-        lines.append(
-            f"| {window.name} | {window.frames:.1f} | {updates} | "
-            f"{window.latency_p50_ms:.1f} | {window.latency_p99_ms:.1f} |"
+        numbers = (
+            window.frames,
+            window.updates,
+            window.latency_p50_ms,
+            window.latency_p99_ms,
+            window.drawn_p50_ms,
+            window.drawn_p99_ms,
         )
+        cells = ["" if x is None or math.isnan(x) else f"{x:.1f}" for x in numbers]
+        lines.append(f"| {' | '.join((window.name, *cells))} |")
+    lines += ["", "| process | threads | open files | memory, MB |", "|---|---|---|---|"]
+    for name, held in zip(HELD, found.held, strict=True):
+        lines.append(f"| {name} | {held.threads} | {held.files} | {held.memory_mb:.0f} |")
     lines += ["", "| from a foreign page | came of it |", "|---|---|"]
     lines += [f"| {name} | {what} |" for name, what in found.refusals.items()]
     lines += [
         "",
         f"Browser stopped for {found.windows[3].seconds:.0f} s: its next update came "
         f"{found.back_after_s:.1f} s after it was woken. Plug pulled: the page said so after "
-        f"{found.stale_after_s:.1f} s. Largest event {found.event_bytes} bytes. Console errors: "
-        f"{len(found.complaints)}.",
+        f"{found.stale_after_s:.1f} s. The page is {found.page_bytes} bytes, its largest event "
+        f"{found.event_bytes}. Console errors: {len(found.complaints)}. From a commanded bend to "
+        f"its drawing: {_percentiles(found.stimulus)}. Of {CONNECTIONS:,} trickling connections "
+        f"{found.trickling} were open in the end.",
         "",
         f"{found.provenance}; both cores of the machine shared by the browser, which renders in "
         f"software, the board and the pipeline; load average before it began {found.load:.1f}",
     ]
     return "\n".join(lines) + "\n"
+
+
+def _percentiles(values: Sequence[float]) -> str:
+    half, most = np.percentile(values, (50, 99))
+    return f"{half:.0f} ms p50, {most:.0f} ms p99 of {len(values)}"
 
 
 def main() -> None:

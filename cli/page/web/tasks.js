@@ -53,6 +53,7 @@ export class Tasks {
     for (const button of $("asked").querySelectorAll("button[data-path]")) button.disabled = busy;
     $("cancel").hidden = !busy || !this.commands;
     $("task").hidden = !task;
+    $("tasks").classList.toggle("busy", busy); // on a phone beside the map
     this.place(busy ? task.place : null);
     if (task) this.detail(task);
   }

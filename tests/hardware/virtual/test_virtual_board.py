@@ -157,9 +157,22 @@ def test_pace_is_one_frame_a_period_without_bursts():
     pace.advance()
     assert pace.remaining() == pytest.approx(0.2)  # due at 0.6: late once, not late for ever
     now[0] = 9.0
-    pace.advance()
-    pace.advance()
+    assert pace.advance() == pytest.approx(9.0 - 0.9)
+    assert pace.advance() == 0.0
     assert pace.remaining() == pytest.approx(0.3)  # what was missed is not caught up
+
+
+def test_the_clock_of_a_board_shows_time_without_frames():
+    board = firmware()
+
+    def told():
+        (packet,) = Decoder().feed(board.frame())
+        return unpack(packet).time
+
+    assert told() == 0.0
+    period = told()
+    board.fall_behind(7.0)
+    assert told() == pytest.approx(2 * period + 7.0)
 
 
 def test_a_paced_board_sends_no_frame_before_it_is_due():
