@@ -27,7 +27,6 @@ import numpy as np
 from eitskin.benchmarks.studies.boards.chromium import BrowserError, Size, Tab, chromium
 from eitskin.benchmarks.studies.boards.live_windows import EITSKIN, RATE, Window, live_loop, updates
 from eitskin.benchmarks.studies.boards.trickling import CONNECTIONS, Held, trickle
-from eitskin.cli.page.server import ASSETS
 from eitskin.provenance import Provenance
 
 DESKTOP, PHONE = Size(1440, 900), Size(390, 844, phone=True)
@@ -144,21 +143,19 @@ def from_command_to_drawing(tab: Tab) -> float:
     )
 
 
-def loaded_bytes(url: str) -> int:
+def loaded_bytes(tab: Tab, url: str) -> int:
     """Bytes that a browser loads: all files with their heads, and the event on the sensor."""
+    files = tab.run(
+        "performance.getEntriesByType('navigation').concat(performance.getEntriesByType("
+        "'resource')).map((each) => each.transferSize).reduce((sum, size) => sum + size, 0)"
+    )
     client = http.client.HTTPConnection(url.removeprefix("http://").rstrip("/"), timeout=10)
-    total = 0
-    for path in ("", *ASSETS):
-        if path != "index.html":
-            client.request("GET", f"/{path}")
-            answer = client.getresponse()
-            total += len(str(answer.headers)) + len(answer.read())
     client.request("GET", "/events")
     stream = client.getresponse()
     while not (line := stream.readline()).startswith(b"data: "):
-        total += len(line)
+        pass
     client.close()
-    return total + len(line)
+    return int(files) + len(line)
 
 
 def pictures(tab: Tab, out: Path, name: str) -> None:
@@ -214,9 +211,9 @@ def run(out: Path, seed: int = 0, seconds: float = 20.0, command: Sequence[str] 
         time.sleep(5.0)  # the first frames wait for imports
         windows = [live.watch("idle, no browser", seconds)]
         held = [Held.by(live.process.pid)]
-        loaded = loaded_bytes(live.url)
         tab = browser.open(live.url, DESKTOP)
         tab.until(f"window.eitskin && eitskin.updates > {RATE}", 30.0)
+        loaded = loaded_bytes(tab, live.url)
         windows.append(live.watch("idle", seconds, tab))
         held.append(Held.by(live.process.pid))
         pictures(tab, out, "idle")
