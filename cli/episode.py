@@ -36,7 +36,7 @@ def run_episode(pipeline: "FramePipeline", seed: int, frames: int = FRAMES) -> l
 
     Every frame crosses the pseudo-terminal as packets, as from a real board. A row holds the state
     estimated in most frames of its step, the median angle, the touches of the last frame, and
-    state, angle and time of each frame.
+    state, angle, touches and time of each frame.
     """
     from eitskin.hardware.live import run_live
     from eitskin.hardware.opening import open_board
@@ -80,7 +80,8 @@ def _row(scene: Scene, readings: Sequence["Reading"]) -> dict[str, Any]:
     names = [str(getattr(e.state, "name", e.state)).lower() for e in estimates]
     truth = "touch" if scene.touches else "bend" if scene.bend.angle_deg else "idle"
     true = [(touch.x, touch.y) for touch in scene.touches]
-    found = [(float(x), float(y)) for x, y, _ in estimates[-1].touches or ()]
+    places = [[(float(x), float(y)) for x, y, _ in each.touches or ()] for each in estimates]
+    found = places[-1]
     errors = matching.localisation([(np.array(true).reshape(-1, 2), found)]).errors if true else []
     angles = [np.nan if e.bend_angle_deg is None else e.bend_angle_deg for e in estimates]
     latencies = [1e3 * float(reading.latency) for reading in readings]
@@ -90,14 +91,19 @@ def _row(scene: Scene, readings: Sequence["Reading"]) -> dict[str, Any]:
         "right_frames": names.count(truth),
         "true_angle_deg": scene.bend.angle_deg,
         "angle_deg": float(np.median(angles)),
-        "true_touches_mm": [[1e3 * x, 1e3 * y] for x, y in true],
-        "touches_mm": [[1e3 * x, 1e3 * y] for x, y in found],
+        "true_touches_mm": _millimetres(true),
+        "touches_mm": _millimetres(found),
         "errors_mm": [1e3 * float(error) for error in errors],
         "latency_ms": float(np.median(latencies)),
         "states": names,
         "angles_deg": angles,
+        "found_mm": [_millimetres(each) for each in places],
         "latencies_ms": latencies,
     }
+
+
+def _millimetres(places: Sequence[tuple[float, float]]) -> list[list[float]]:
+    return [[1e3 * x, 1e3 * y] for x, y in places]
 
 
 def _places(places: Sequence[Sequence[float]]) -> str:

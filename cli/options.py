@@ -99,7 +99,11 @@ def seeded(uri: str, seed: int) -> dict[str, Any]:
 
 @contextlib.contextmanager
 def ended_by_signals() -> Iterator[None]:
-    """Context in which SIGTERM acts as Ctrl-C, so that open files are closed and kept."""
+    """Context in which SIGTERM acts as Ctrl-C, so that open files are closed and kept.
+
+    A KeyboardInterrupt that struck compiled code, which reports it as the cause of a SystemError,
+    is raised as a KeyboardInterrupt.
+    """
 
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
@@ -107,8 +111,18 @@ def ended_by_signals() -> Iterator[None]:
     before = signal.signal(signal.SIGTERM, interrupt)
     try:
         yield
+    except SystemError as error:
+        if not _was_interrupted(error):
+            raise
+        raise KeyboardInterrupt from error
     finally:
         signal.signal(signal.SIGTERM, before)
+
+
+def _was_interrupted(error: BaseException | None) -> bool:
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__
+    return error is not None
 
 
 @dataclass

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
+from eitskin.cli.demo.film import episode_film
 from eitskin.cli.demo.pictures import raw_frames, touch_positions, tracked_angle
 from eitskin.cli.demo.results import StageResult, as_pictures
 from eitskin.cli.episode import run_episode
@@ -15,6 +16,7 @@ from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.store.dataset import Dataset
 from eitskin.datasets.store.state import State
 from eitskin.frame import Frame
+from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.training.evaluation.evaluate import Evaluation, Report
 from eitskin.training.evaluation.metrics import percentiles
 from eitskin.training.evaluation.report.curves import loss_curves
@@ -160,7 +162,7 @@ def _numbered(frame: Frame, number: int) -> Frame:
     return dataclasses.replace(frame, number=number, time=0.1 * number, session=0)
 
 
-def live(pipeline: "Pipeline", seed: int, frames: int) -> StageResult:
+def live(pipeline: "Pipeline", design: SensorDesign, seed: int, frames: int) -> StageResult:
     """The live episode on a virtual board, with `frames` frames in each step."""
     rows = run_episode(pipeline, seed, frames)
     angles = np.concatenate([row["angles_deg"] for row in rows])
@@ -178,4 +180,4 @@ def live(pipeline: "Pipeline", seed: int, frames: int) -> StageResult:
         "steps": rows,
     }
     drawn = {"episode": (tracked_angle(rows), "True and estimated bend angle of each frame")}
-    return StageResult(numbers, as_pictures(drawn))
+    return StageResult(numbers, {"film": episode_film(rows, design), **as_pictures(drawn)})

@@ -38,7 +38,8 @@ def touch_positions(data: Dataset, name: str) -> CaptionedFigure:
     positions = 1e3 * np.stack([data.touch_x, data.touch_y], axis=2)
     for touches, colour, label in ((count == 1, ORANGE, "one"), (count > 1, BLUE, "several")):
         x, y = positions[touches][np.isfinite(positions[touches][:, :, 0])].T[:, :MOST_TOUCHES]
-        axes.scatter(x, y, s=7, color=colour, alpha=0.55, linewidths=0, label=f"{label} at once")
+        look = {"s": 7, "color": colour, "alpha": 0.55, "linewidths": 0, "rasterized": True}
+        axes.scatter(x, y, label=f"{label} at once", **look)
     axes.set(xlabel="x [mm]", ylabel="y [mm]")
     figure.legend(loc="outside upper center", ncols=2, markerscale=2.5)
     return CaptionedFigure(

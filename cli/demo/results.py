@@ -15,8 +15,11 @@ from eitskin.extras import require
 from eitskin.files import atomic_file
 from eitskin.training.evaluation.report.drawing import EXTRA, CaptionedFigure, NoFigure
 
-PNG, SVG = "image/png", "image/svg+xml"
+SVG, WEBP = "image/svg+xml", "image/webp"
 REMEDY = "make room or give write permission, then give the same command again to go on from here"
+
+# Words as text instead of outlines of glyphs, and the same bytes each time.
+_PLAIN = {"svg.hashsalt": "eitskin", "svg.fonttype": "none"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +29,7 @@ class Picture:
     Attributes:
         alt: short text for readers who do not see the picture.
         caption: full text: content and how it was made.
-        media: `PNG` or `SVG`.
+        media: `SVG` or `WEBP`.
         data: bytes of the file.
         width: width where there is room [inch].
     """
@@ -119,6 +122,6 @@ def as_pictures(drawn: Mapping[str, tuple[CaptionedFigure | NoFigure, str]]) -> 
 def _svg(figure: Any) -> bytes:
     """SVG file of a figure; equal figures give equal bytes."""
     file = io.BytesIO()
-    with require("matplotlib", EXTRA).rc_context({"svg.hashsalt": "eitskin"}):
+    with require("matplotlib", EXTRA).rc_context(_PLAIN):
         figure.savefig(file, format="svg", metadata={"Date": None, "Creator": None})
     return file.getvalue()

@@ -1,17 +1,20 @@
 """The stages about the sensor itself: its electric field, and its change in three scenes."""
 
+import io
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
-from eitskin.cli.demo.results import PNG, Picture, StageResult
+from eitskin.cli.demo.results import WEBP, Picture, StageResult
+from eitskin.extras import require
 from eitskin.geometry.deformation.fixtures import Bend
 from eitskin.geometry.design.sensor import SensorDesign
 from eitskin.simulator.scene.scene import Scene
 from eitskin.simulator.scene.touch import Touch
 from eitskin.simulator.simulator import Simulator
+from eitskin.training.evaluation.report.drawing import EXTRA
 
 DRIVE = (0, 4)
 SCENES = (
@@ -50,7 +53,7 @@ def flat_sensor(design: SensorDesign) -> StageResult:
     )
     image = rendered(lambda path: draw_drive(model, DRIVE, path))
     alt = "Sensor with numbered electrodes, its mesh, potential and current"
-    return StageResult(numbers, {"sensor": Picture(alt, caption, PNG, image, 10.0)})
+    return StageResult(numbers, {"sensor": Picture(alt, caption, WEBP, image, 10.0)})
 
 
 def deformed_sensor(design: SensorDesign) -> StageResult:
@@ -77,13 +80,15 @@ def deformed_sensor(design: SensorDesign) -> StageResult:
         }
         for title, change in changes.items()
     ]
-    scenes = Picture("The sensor " + "; ".join(changes), caption, PNG, image, 6.4)
+    scenes = Picture("The sensor " + "; ".join(changes), caption, WEBP, image, 6.4)
     return StageResult({"scenes": numbers}, {"scenes": scenes})
 
 
 def rendered(render: Callable[[Path], None]) -> bytes:
-    """Bytes of the PNG file that `render` writes."""
+    """Picture that `render` writes as a PNG, as bytes of a WebP file a seventh as large."""
+    image, file = require("PIL.Image", EXTRA), io.BytesIO()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "picture.png"
         render(path)
-        return path.read_bytes()
+        image.open(path).convert("RGB").save(file, "WEBP", quality=85, method=6)
+    return file.getvalue()

@@ -60,16 +60,16 @@ def run_stages(demo: Workspace) -> dict[str, StoredResult]:
 
 def _of_sensor(name: str, heading: str, make: Callable[[SensorDesign], StageResult]) -> DemoStage:
     """A stage that depends on the sensor's design only."""
-
-    def design(demo: Workspace) -> SensorDesign:
-        return demo.plan.recipes["quick"].sensor
-
     return DemoStage(
         name,
         heading,
-        lambda demo: {"design": dataclasses.asdict(design(demo))},
-        lambda demo: make(design(demo)),
+        lambda demo: {"design": dataclasses.asdict(_design(demo))},
+        lambda demo: make(_design(demo)),
     )
+
+
+def _design(demo: Workspace) -> SensorDesign:
+    return demo.plan.recipes["quick"].sensor
 
 
 def _evaluation(name: str, heading: str, frames: str, which: str) -> DemoStage:
@@ -121,7 +121,7 @@ STAGES = (
         "The saved pipeline, unchanged, on a virtual board over a serial link",
         lambda demo: {**_weights(demo, TRAINED), "step": demo.plan.episode_frames},
         lambda demo: measured.live(
-            demo.pipeline(TRAINED), demo.plan.seed, demo.plan.episode_frames
+            demo.pipeline(TRAINED), _design(demo), demo.plan.seed, demo.plan.episode_frames
         ),
         lambda result: episode_table(result.numbers["steps"]),
     ),

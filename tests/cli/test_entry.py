@@ -7,6 +7,7 @@ import pytest
 
 from eitskin.cli import entry, main
 from eitskin.cli.failure_report import report
+from eitskin.cli.options import ended_by_signals
 from eitskin.errors import DataError
 
 
@@ -62,3 +63,13 @@ def test_messages_neither_control_the_terminal_nor_fill_it(monkeypatch, tmp_path
 
 def test_lines_of_reports_hold_no_control_characters():
     assert "\x1b" not in report(ValueError("\x1b[2J"))
+
+
+def test_an_interrupt_of_compiled_code_is_an_interrupt():
+    with pytest.raises(KeyboardInterrupt), ended_by_signals():
+        try:
+            raise KeyboardInterrupt
+        except KeyboardInterrupt as struck:
+            raise SystemError("returned a result with an exception set") from struck
+    with pytest.raises(SystemError, match="another"), ended_by_signals():
+        raise SystemError("another fault")
