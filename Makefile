@@ -46,17 +46,10 @@ lint: $(VENV)/installed
 	$(BIN)/mypy
 	cd .types && ../$(BIN)/lint-imports --config ../pyproject.toml
 
-# The reference as HTML that needs no network, in build/docs: every public name, and the modules
-# that pages tell of beside them.
-REFERENCE := geometry geometry.deformation.fixtures geometry.deformation.kinematics \
-	geometry.deformation.twist geometry.design.regular_layouts \
-	simulator simulator.bends.bend_3d simulator.bends.bend_table \
-	simulator.mechanics.materials simulator.presses.finite_stack \
-	simulator.mechanics.viscoelasticity simulator.view.vtu \
-	datasets training training.evaluation.cramer_rao hardware
+# Pages, gallery and reference as one site that needs no network, in build/docs: begin with
+# build/docs/index.html. A link that leads nowhere fails.
 docs: $(VENV)/installed
-	$(BIN)/python -m pdoc --docformat google --output-directory build/docs \
-		$(addprefix eitskin.,$(REFERENCE))
+	$(BIN)/python -m sphinx -W --keep-going -q -c docs/site -d build/doctrees . build/docs
 
 # The pipeline that comes with eitskin, trained again; and one for the default clamp alone, with
 # which `eitskin bench transfer` compares it.

@@ -21,6 +21,7 @@ FENCE = re.compile(r"^ *```(\w*)\n(.*?)^ *```$", re.MULTILINE | re.DOTALL)
 INDENTED = re.compile(r"(?:^|(?<=\n\n))((?:(?: {4}.*)?\n)+)", re.MULTILINE)
 CODE_SPAN = re.compile(r"(?<!`)`([^`\n]+)`(?!`)")
 LINK = re.compile(r"\]\(([^)\s]+)\)")
+ROOMS = ("geometry", "simulator", "datasets", "training", "hardware")
 COMMAND = typer.main.get_command(app)
 USAGE_ERROR = typer.BadParameter.__base__
 COMMENT = re.compile(r"\s+#\s.*$", re.MULTILINE)
@@ -135,8 +136,10 @@ def test_what_the_physics_names_is_there():
         assert not test or re.search(rf"^ *def {test}\(", source, re.MULTILINE), f"{module}.{test}"
 
 
-def test_what_make_docs_shows_is_there():
-    makefile = (ROOT / "Makefile").read_text().replace("\\\n", " ")
-    (names,) = re.findall(r"^REFERENCE := (.*)$", makefile, re.MULTILINE)
-    for name in names.split():
-        assert importlib.util.find_spec(f"eitskin.{name}"), name
+def test_the_reference_of_the_site_names_every_room_and_modules_that_exist():
+    names = []
+    for page in sorted((ROOT / "docs" / "site").glob("*.rst")):
+        names += re.findall(r"^\.\. automodule:: (eitskin[\w.]*)$", page.read_text(), re.MULTILINE)
+    assert {f"eitskin.{room}" for room in ROOMS} <= set(names)
+    for name in names:
+        assert importlib.util.find_spec(name), name

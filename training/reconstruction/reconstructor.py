@@ -38,11 +38,11 @@ class Reconstructor:
 
     To first order in the change, data are y = J x for the picture x. The methods:
 
-    back-projection: x_p = (J^T y)_p / (J^T J)_pp, sensitivities projected back (Kotre 1989), scaled
-        so that a change of the whole sensor is shown by its size in the mean.
-    tikhonov, noser, laplace: one-step Gauss-Newton, with the prior of that name.
-    total-variation: least total variation at the misfit of the laplace picture.
-    greit: trained on simulated targets (Adler et al. 2009).
+    - back-projection: x_p = (J^T y)_p / (J^T J)_pp, sensitivities projected back (Kotre 1989),
+      scaled so that a change of the whole sensor is shown by its size in the mean.
+    - tikhonov, noser, laplace: one-step Gauss-Newton, with the prior of that name.
+    - total-variation: least total variation at the misfit of the laplace picture.
+    - greit: trained on simulated targets (Adler et al. 2009).
 
     Attributes:
         design: the nominal sensor.
