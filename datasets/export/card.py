@@ -75,15 +75,15 @@ class Card:
 
     def _summary(self) -> str:
         told = self.origin
-        made = "Simulated by eitskin"
+        made = "simulated by eitskin"
         if told["source"] == "measured":
-            made = "Measured, and imported by eitskin"
+            made = "measured, and exported by eitskin"
         frames = sum(count for count, _ in self.splits.values())
         electrodes = told["n_electrodes"]
         of_what = told["quantity"] or "values of a kind that the recording does not name"
         sensor = f"{electrodes} electrodes, " if electrodes else ""
         return (
-            f"Frames of electrical-impedance robot skin: {made} {self.version}. {frames} frames; "
+            f"Frames of electrical-impedance robot skin, {made} {self.version}. {frames} frames; "
             f"{sensor}{told['frequency_hz']:g} Hz; {of_what}. SI units; degrees where a name ends "
             "in `_deg`. Places are those of the flat sensor, from a corner of its conductive layer."
         )

@@ -4,6 +4,8 @@ import dataclasses
 import hashlib
 import itertools
 import json
+import re
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -57,6 +59,13 @@ def huggingface(saved, tmp_path_factory):
     return out
 
 
+def page_code(heading):
+    """Python on the page of other programs, between a heading and the next one of its level."""
+    page = (Path(__file__).parents[2] / "docs" / "interoperability.md").read_text()
+    section = page.split(f"\n{heading}\n")[1].split("\n## ")[0]
+    return re.findall(r"```python\n(.*?)```", section, re.DOTALL)
+
+
 def in_order(frames):
     return frames.sort_values("number").reset_index(drop=True)
 
@@ -102,12 +111,17 @@ class TestParquet:
         assert (about["n_electrodes"], about["frequency_hz"], about["seed"]) == (8, 50e3, 7)
         assert about["protocol"][0] == [0, 1, 0, 1]
 
-    def test_torch_reads_a_column_of_arrow(self, saved, parquet):
-        torch = pytest.importorskip("torch")
-        table = pq.read_table(parquet / "data", columns=["impedance_real"])
-        values = table["impedance_real"].combine_chunks().flatten().to_numpy()
-        tensor = torch.tensor(values).reshape(len(table), -1)
-        assert torch.equal(tensor, torch.tensor(open_dataset(saved).impedance.real))
+    def test_the_lines_of_the_page_read_it_with_pandas_and_with_torch(self, saved, parquet):
+        data = open_dataset(saved)
+        pandas_lines, torch_lines = page_code("## Parquet")
+        names = {}
+        exec(pandas_lines.replace("DIR", str(parquet)), names)  # noqa: S102
+        train = names["frames"]["number"].to_numpy()
+        assert 0 < len(train) < len(data)
+        np.testing.assert_array_equal(names["resistance"], data.impedance.real[train])
+        pytest.importorskip("torch")
+        exec(torch_lines.replace("DIR", str(parquet)), names)  # noqa: S102
+        np.testing.assert_array_equal(names["resistance"].numpy(), data.impedance.real)
 
     def test_small_files_hold_the_same_rows_as_one(self, saved, parquet, tmp_path):
         export_dataset(saved, tmp_path / "out", "parquet", file_bytes=20_000)
