@@ -70,20 +70,21 @@ class Tokens:
         found = path.stat()
         if not stat.S_ISREG(found.st_mode) or found.st_size > _LARGEST_FILE:
             raise ConfigurationError(f"{path}: expected a file of two tokens, got something else")
-        if os.name == "posix" and found.st_mode & 0o077:
-            raise ConfigurationError(
-                f"{path}: expected a file that only you may read, got one that others may; "
-                f"chmod 600 {path}"
-            )
         try:
             lines = dict(line.split() for line in path.read_text().splitlines() if line.strip())
-            return cls(lines["view"], lines["command"])
+            tokens = cls(lines["view"], lines["command"])
         except (ConfigurationError, KeyError, OSError, ValueError) as error:
             told = f": {error}" if isinstance(error, ConfigurationError) else ""
             raise ConfigurationError(
                 f"{path}: expected the lines `view TOKEN` and `command TOKEN`{told}; name a file "
                 "that does not exist, to have it made"
             ) from error
+        if os.name == "posix" and found.st_mode & 0o077:
+            raise ConfigurationError(
+                f"{path}: expected a file that only you may read, got one that others may; "
+                f"chmod 600 {path}"
+            )
+        return tokens
 
     def role(self, token: str) -> Role:
         """Role of who shows a token, compared in constant time."""

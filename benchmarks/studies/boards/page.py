@@ -9,7 +9,6 @@ import functools
 import http.client
 import http.server
 import json
-import math
 import os
 import signal
 import subprocess
@@ -18,57 +17,23 @@ import threading
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
+from eitskin.benchmarks.results import Results, write_results
 from eitskin.benchmarks.studies.boards.chromium import BrowserError, Size, Tab, chromium
-from eitskin.benchmarks.studies.boards.live_windows import EITSKIN, RATE, Window, live_loop, updates
-from eitskin.benchmarks.studies.boards.trickling import CONNECTIONS, Held, trickle
+from eitskin.benchmarks.studies.boards.live_windows import EITSKIN, RATE, live_loop, updates
+from eitskin.benchmarks.studies.boards.page_report import Found, as_markdown, figures_of
+from eitskin.benchmarks.studies.boards.trickling import Held, trickle
 from eitskin.provenance import Provenance
 
 DESKTOP, PHONE = Size(1440, 900), Size(390, 844, phone=True)
 TRIALS = 60
-HELD = ("no browser", "one browser", "one browser and trickling connections")
+COMMAND = "python -m eitskin.benchmarks.studies.boards.page"
 BENT = {"bend_deg": 25, "touches": []}
 TOUCHED = BENT | {
     "touches": [{"x": 0.05, "y": 0.03, "force": 8}, {"x": 0.115, "y": 0.02, "force": 10}]
 }
-
-
-@dataclass(frozen=True, slots=True)
-class Found:
-    """Results of the study.
-
-    Attributes:
-        windows: in the order in which they were measured.
-        stimulus: from a bend that is commanded to its drawing, of each trial [ms].
-        held: threads, open files and memory of the process: no browser, one, trickling connections.
-        trickling: how many of the trickling connections were open in the end.
-        page_bytes: all that a browser loads before the first frame.
-        refusals: answer to each attempt from a foreign page.
-        back_after_s: from waking the stalled browser to its next update [s].
-        stale_after_s: from unplugging the board to the page's message [s].
-        complaints: errors of the page's console.
-        event_bytes: size of the largest event.
-        load: load average of the last minute before the study.
-        provenance: where, when and with what.
-    """
-
-    windows: tuple[Window, ...]
-    stimulus: tuple[float, ...]
-    held: tuple[Held, ...]
-    trickling: int
-    page_bytes: int
-    refusals: dict[str, str]
-    back_after_s: float
-    stale_after_s: float
-    complaints: tuple[str, ...]
-    event_bytes: int
-    load: float
-    provenance: Provenance
 
 
 @contextmanager
@@ -274,60 +239,20 @@ def _seconds_until(tab: Tab, condition: str) -> float:
     return time.monotonic() - start
 
 
-def as_markdown(found: Found) -> str:
-    """Windows and refusals as tables, other results as sentences."""
-    lines = [
-        "| | frames/s | page updates/s | pipeline p50, ms | p99, ms | end to end p50, ms "
-        "| p99, ms |",
-        "|---|---|---|---|---|---|---|",
-    ]
-    for window in found.windows:
-        numbers = (
-            window.frames,
-            window.updates,
-            window.latency_p50_ms,
-            window.latency_p99_ms,
-            window.drawn_p50_ms,
-            window.drawn_p99_ms,
-        )
-        cells = ["" if x is None or math.isnan(x) else f"{x:.1f}" for x in numbers]
-        lines.append(f"| {' | '.join((window.name, *cells))} |")
-    lines += ["", "| process | threads | open files | memory, MB |", "|---|---|---|---|"]
-    for name, held in zip(HELD, found.held, strict=True):
-        lines.append(f"| {name} | {held.threads} | {held.files} | {held.memory_mb:.0f} |")
-    lines += ["", "| from a foreign page | came of it |", "|---|---|"]
-    lines += [f"| {name} | {what} |" for name, what in found.refusals.items()]
-    lines += [
-        "",
-        f"Browser stopped for {found.windows[3].seconds:.0f} s: its next update came "
-        f"{found.back_after_s:.1f} s after it was woken. Plug pulled: the page said so after "
-        f"{found.stale_after_s:.1f} s. The page is {found.page_bytes} bytes, its largest event "
-        f"{found.event_bytes}. Console errors: {len(found.complaints)}. From a commanded bend to "
-        f"its drawing: {_percentiles(found.stimulus)}. Of {CONNECTIONS:,} trickling connections "
-        f"{found.trickling} were open in the end.",
-        "",
-        f"{found.provenance}; both cores of the machine shared by the browser, which renders in "
-        f"software, the board and the pipeline; load average before it began {found.load:.1f}",
-    ]
-    return "\n".join(lines) + "\n"
-
-
-def _percentiles(values: Sequence[float]) -> str:
-    half, most = np.percentile(values, (50, 99))
-    return f"{half:.0f} ms p50, {most:.0f} ms p99 of {len(values)}"
-
-
 def main() -> None:
     """Run the study from the command line."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path("build/bench/page"))
+    parser.add_argument("--out", type=Path, default=Path("build/bench"))
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--seconds", type=float, default=20.0, help="of each measurement")
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
+    begun = time.monotonic()
     found = run(given.out, given.seed, given.seconds)
-    (given.out / "page.json").write_text(json.dumps(asdict(found), indent=1) + "\n")
-    (given.out / "page.md").write_text(as_markdown(found))
+    seconds = time.monotonic() - begun
+    write_results(
+        Results("page", COMMAND, found.provenance, seconds, figures=figures_of(found)), given.out
+    )
     print(as_markdown(found))
 
 

@@ -31,9 +31,15 @@ PageFolder = Annotated[
 
 
 def tell_page(page: "LivePage", output: Output) -> None:
-    """Note the addresses of a page; with their tokens, which are told nowhere else."""
+    """Note the addresses of a page.
+
+    Those with tokens are told nowhere else, and therefore when a command is quiet, too.
+    """
     for what, address in page.invitations:
-        output.note(f"{what}: {address}", whole=True)
+        if output.quiet and "#" in address:
+            typer.echo(f"{what}: {address}", err=True)
+        else:
+            output.note(f"{what}: {address}", whole=True)
 
 
 def page_access(host: str, token_file: Path | None) -> "Access":
