@@ -251,7 +251,14 @@ def main() -> None:
     found = run(given.out, given.seed, given.seconds)
     seconds = time.monotonic() - begun
     write_results(
-        Results("page", COMMAND, found.provenance, seconds, figures=figures_of(found)), given.out
+        Results(
+            "page",
+            f"{COMMAND} --seconds {given.seconds:g}",
+            found.provenance,
+            seconds,
+            figures=figures_of(found),
+        ),
+        given.out,
     )
     print(as_markdown(found))
 
