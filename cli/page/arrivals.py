@@ -17,9 +17,36 @@ _CHUNK = 65536  # bytes
 _BACKLOG = 128
 _NO_DESCRIPTOR = 0.05  # s, until others may have closed one
 _END_OF_HEAD = re.compile(rb"\r?\n\r?\n")
+_LONGEST_END = 3  # bytes of an end whose last is still to come
 _LENGTH = re.compile(
     rb"^content-length[ \t]*:[ \t]*(\d{1,9})[ \t]*\r?$", re.IGNORECASE | re.MULTILINE
 )
+
+
+class Incoming:
+    """Bytes of one HTTP request as they come; each byte is looked at once."""
+
+    def __init__(self) -> None:
+        """Begin without a byte."""
+        self._data = bytearray()
+        self._seen = 0  # bytes that hold no end of the head
+        self._length = 0  # of the whole request; 0 before the end of its head
+
+    def add(self, data: bytes) -> bytes | None:
+        """Head and body of the request, as soon as they are whole; None before that.
+
+        A body is cut where the limit lies, so that its size is known to be too large; a head that
+        is too long gives no bytes.
+        """
+        self._data += data
+        if not self._length:
+            end = _END_OF_HEAD.search(self._data, self._seen, LARGEST_HEAD)
+            if end is None:
+                self._seen = max(0, len(self._data) - _LONGEST_END)
+                return b"" if len(self._data) >= LARGEST_HEAD else None
+            told = _LENGTH.search(self._data, 0, end.end())
+            self._length = end.end() + (min(int(told[1]), LARGEST_BODY + 1) if told else 0)
+        return bytes(self._data[: self._length]) if len(self._data) >= self._length else None
 
 
 @dataclass(eq=False, slots=True)
@@ -29,7 +56,7 @@ class _Arriving:
     connection: socket.socket
     address: str
     until: float
-    data: bytearray = field(default_factory=bytearray)
+    request: Incoming = field(default_factory=Incoming)
 
 
 class Arrivals:
@@ -50,8 +77,8 @@ class Arrivals:
 
         Args:
             listener: bound socket, which `close` closes.
-            handle: takes a connection and its `whole_request`; returns at once, and closes the
-                connection some time.
+            handle: takes a connection and its request, as `Incoming` gives it; returns at once,
+                and closes the connection some time.
             deadline: time from a connection to the end of its request [s].
             clock: [s].
         """
@@ -138,8 +165,7 @@ class Arrivals:
         if not data:
             self._close(arriving)
             return
-        arriving.data += data
-        whole = whole_request(arriving.data)
+        whole = arriving.request.add(data)
         if whole is not None:
             self._forget(arriving)
             arriving.connection.setblocking(True)
@@ -153,17 +179,3 @@ class Arrivals:
     def _forget(self, arriving: _Arriving) -> None:
         del self._arriving[arriving.connection]
         self._selector.unregister(arriving.connection)
-
-
-def whole_request(data: bytes | bytearray) -> bytes | None:
-    """Head and body of an HTTP request, None before its end.
-
-    A body is cut where the limit lies, so that its size is known to be too large; a head that is
-    too long gives no bytes.
-    """
-    end = _END_OF_HEAD.search(data, 0, LARGEST_HEAD)
-    if end is None:
-        return b"" if len(data) >= LARGEST_HEAD else None
-    told = _LENGTH.search(data, 0, end.end())
-    length = min(int(told[1]), LARGEST_BODY + 1) if told else 0
-    return bytes(data[: end.end() + length]) if len(data) >= end.end() + length else None

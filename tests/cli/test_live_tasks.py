@@ -17,13 +17,14 @@ from eitskin.cli.options import Output
 from eitskin.cli.page.commands import ConflictError
 from eitskin.datasets import open_dataset
 from eitskin.errors import ConfigurationError, DataError
+from eitskin.geometry import SensorDesign
 from eitskin.hardware import Connection, Counts, Reading, open_board, run_live
 from eitskin.hardware.virtual import virtual_board
 from eitskin.latest import Latest
 from eitskin.simulator import Frame, Simulator
 from eitskin.training import Pipeline
 
-from live_fakes import PROTOCOL, Estimate, FakePipeline
+from live_fakes import PROTOCOL, Estimate, FakePipeline, run_command
 
 OHM = np.linspace(400.0, 820.0, 28)
 
@@ -252,3 +253,24 @@ def test_a_virtual_sensor_is_set_up_from_the_page(tmp_path, monkeypatch):
     assert Pipeline.load(saved).adaptation["bends"] == 3
     assert f"eitskin live {saved}" in task["text"]
     assert [each.suffix for each in sorted(tmp_path.iterdir())].count(".json") == 1
+
+
+@pytest.mark.parametrize("quiet", [(), ("-q",)])
+def test_addresses_with_tokens_are_told_once_and_whole(monkeypatch, tmp_path, quiet):
+    pipeline = FakePipeline()
+    pipeline.layout = types.SimpleNamespace(design=SensorDesign.reference(), reference=OHM)
+    served = ("--page", "--page-port", "0", "--page-token-file", str(tmp_path / "tokens"))
+    board = ("--board", "virtual:?speed=max", "--frames", "2")
+    ran = run_command(monkeypatch, pipeline, *board, *served, *quiet)
+    assert ran.exit_code == 0, ran.output
+    for line in (tmp_path / "tokens").read_text().splitlines():
+        (told,) = [each for each in ran.stderr.splitlines() if line.split()[1] in each]
+        assert f"/#{line.split()[1]}" in told
+
+
+def test_a_wrong_page_is_told_before_the_board_is_opened(monkeypatch, tmp_path):
+    (tmp_path / "tokens").write_text("none")
+    for wrong in (("--page-host", "no.invalid"), ("--page-token-file", str(tmp_path / "tokens"))):
+        board = ("--board", "serial:/dev/none", "--page", *wrong)
+        ran = run_command(monkeypatch, FakePipeline(), *board)
+        assert isinstance(ran.exception, ConfigurationError)

@@ -11,7 +11,7 @@ from eitskin.cli.page.arrivals import (
     LARGEST_HEAD,
     MOST_ARRIVING,
     Arrivals,
-    whole_request,
+    Incoming,
 )
 from eitskin.cli.page.live_page import LivePage
 from eitskin.cli.page.server import MOST_CLIENTS, MOST_REPLIES, ClientLimits
@@ -19,6 +19,15 @@ from eitskin.cli.page.server import MOST_CLIENTS, MOST_REPLIES, ClientLimits
 from page_fakes import DESIGN, Stream, ask, port_of
 
 REQUEST = b"POST /scene HTTP/1.0\r\nHost: a\r\ncontent-LENGTH: 5\r\n\r\n12345"
+
+
+def whole_request(data):
+    """The request in bytes that come at once; one byte after the other they give the same."""
+    found, incoming = Incoming().add(data), Incoming()
+    single = (incoming.add(data[k : k + 1]) for k in range(len(data)))
+    first = next((each for each in single if each is not None), None)
+    assert first == found
+    return found
 
 
 def test_a_request_is_whole_at_its_last_byte():
