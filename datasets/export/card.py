@@ -9,9 +9,13 @@ from eitskin.datasets.store.state import State
 
 PAPER = """@article{chen2026multitouch,
   title = {Multi-Touch and Bending Sensing Using Electrical Impedance Tomography for Robotics},
-  author = {Chen and others},
+  author = {Chen, Haofeng and Himmel, Bedrich and Li, Bin and Wang, Xiaojie and Hoffmann, Matej},
   journal = {IEEE Robotics and Automation Letters},
-  year = {2026}
+  volume = {11},
+  number = {8},
+  pages = {9851--9858},
+  year = {2026},
+  doi = {10.1109/LRA.2026.3709063}
 }"""
 _SIZES = ((10**3, "n<1K"), (10**4, "1K<n<10K"), (10**5, "10K<n<100K"), (10**6, "100K<n<1M"))
 

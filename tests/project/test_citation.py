@@ -27,6 +27,8 @@ def test_cards_cite_the_same_software_and_paper() -> None:
     (paper,) = CITATION["references"]
     assert paper["title"] in PAPER
     assert paper["journal"] in PAPER
+    assert paper["doi"] in PAPER
+    assert all(each["family-names"] in PAPER for each in paper["authors"])
     origin = {"source": "simulated", "quantity": None, "frequency_hz": 1.0, "n_electrodes": None}
     card = Card("set", "mit", {"train": (1, 1)}, origin | {"seed": 0}, "", (), "1.2.3")
     assert CITATION["title"] in card.text()
