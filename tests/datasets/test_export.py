@@ -14,7 +14,7 @@ import pytest
 import yaml
 from command_line import printed_json, run
 
-from eitskin.datasets import State, export_dataset, open_dataset, save_dataset
+from eitskin.datasets import State, StoredDataset, export_dataset, open_dataset, save_dataset
 from eitskin.datasets.export.splits import SPLITS, specimen_splits, split_of
 from eitskin.datasets.export.statistics import RunningStatistics
 from eitskin.datasets.store.names import Names
@@ -140,6 +140,15 @@ class TestParquet:
             digest, name = line.split("  ")
             assert hashlib.sha256((parquet / name).read_bytes()).hexdigest() == digest
         assert (parquet / "recipe.toml").read_text() == open_dataset(saved).recipe
+
+    def test_a_dataset_read_column_by_column_gives_the_same_bytes(
+        self, saved, parquet, tmp_path, monkeypatch
+    ):
+        monkeypatch.setattr("eitskin.datasets.store.folder.READ_AT_ONCE", 0)
+        assert isinstance(open_dataset(saved), StoredDataset)
+        export_dataset(saved, tmp_path / "large", "parquet")
+        sums = [(each / "SHA256SUMS").read_text() for each in (parquet, tmp_path / "large")]
+        assert sums[0] == sums[1]
 
 
 class TestHuggingFace:
