@@ -19,7 +19,7 @@ from eitskin.benchmarks.skinbench.leaderboard import (
     write_leaderboard,
 )
 from eitskin.benchmarks.skinbench.tracks import TRACKS, VERSION, digest, recipes, track_of
-from eitskin.benchmarks.studies.data.methods import small_recipe
+from eitskin.benchmarks.studies.data.methods import FRAMES, SPECIMENS, enter, small_recipe
 from eitskin.benchmarks.studies.render import PUBLISHED
 from eitskin.benchmarks.transfer import run as transfer
 from eitskin.benchmarks.transfer.run import Row, Transfer
@@ -48,7 +48,9 @@ def test_recipes_are_frozen(name):
 
 
 def test_the_common_frames_are_frozen():
-    assert digest({"common": small_recipe(2000, 40)}) == track_of("methods").digest, CHANGED
+    assert digest({"common": small_recipe(FRAMES, SPECIMENS)}) == track_of("methods").digest, (
+        CHANGED
+    )
 
 
 def test_the_recording_is_frozen():
@@ -152,6 +154,22 @@ def test_bench_transfer_enters_its_pipelines(tmp_path, monkeypatch):
         "as it is: angle": 4.0,
     }
     assert entry.frames == frames_digest(tmp_path / "transfer")
+
+
+def test_rows_of_the_study_of_methods_are_entered(tmp_path):
+    table = """| | states right, % | touches: error, mm | found, % | training, s |
+| --- | --- | --- | --- | --- |
+| ridge | 94.4 | 8.33 | 63.7 | 0.1 |
+| my:Net |  | 2.50 | 91.0 | 7.0 |
+"""
+    code, board = tmp_path / "my.py", tmp_path / "board.json"
+    code.write_text("class Net: ...\n")
+    enter(board, table, "--methods my.py:Net", {"my:Net": f"{code}:Net"}, tmp_path)
+    first, second = read_leaderboard(board).entries
+    assert (first.name, first.track) == ("my:Net", "common")
+    assert first.scores == {"touches: error": 2.5, "found": 91.0}
+    assert first.code == hashlib.sha256(code.read_bytes()).hexdigest()
+    assert (second.name, second.code, second.scores["states right"]) == ("ridge", "", 94.4)
 
 
 @pytest.mark.parametrize("words", [["--quick"], ["--seed", "1"]])

@@ -1,22 +1,32 @@
 """Methods side by side: the same frames to learn from, the same unseen specimens to be judged by.
 
     python -m eitskin.benchmarks.studies.data.methods --out FOLDER [--frames 2000] [--specimens 40]
-        [--presets ridge ... quick joint] [--methods FILE.py:CLASS ...]
+        [--presets ridge ... quick joint] [--methods FILE.py:CLASS ...] [--leaderboard FILE]
 
 The baselines are trained where no presets are named. FOLDER keeps the frames: a small part of the
 recipe `training`, on a coarse mesh. Prints a table in Markdown; its last row is the pipeline that
 comes with eitskin, which has learned from other frames, of 500 other specimens. Times are of the
-processor, which other programs do not lengthen.
+processor, which other programs do not lengthen. With a leaderboard of skinbench the rows are
+entered there, too, where all frames are asked for.
 """
 
 import argparse
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from eitskin.benchmarks.markdown_tables import figures
+from eitskin.benchmarks.results import Results
+from eitskin.benchmarks.skinbench.leaderboard import (
+    code_digest,
+    frames_digest,
+    read_leaderboard,
+    write_leaderboard,
+)
+from eitskin.benchmarks.skinbench.tracks import SEED
 from eitskin.datasets.generation.generate import generate
 from eitskin.datasets.recipe.recipe import Recipe
 from eitskin.datasets.store.dataset import Dataset
@@ -29,6 +39,8 @@ from eitskin.training.method.settings import BASELINES, TrainingSettings
 from eitskin.training.pipeline.own_methods import named_method
 from eitskin.training.pipeline.pipeline import Pipeline
 
+MODULE = "eitskin.benchmarks.studies.data.methods"
+FRAMES, SPECIMENS = 2000, 40
 PRESETS = (*BASELINES, "paper", "quick", "joint")
 SHIPPED = "reference.eitmodel"
 TIMED = 100  # frames
@@ -45,13 +57,17 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, required=True, help="folder of the frames")
-    parser.add_argument("--frames", type=int, default=2000)
-    parser.add_argument("--specimens", type=int, default=40)
+    parser.add_argument("--frames", type=int, default=FRAMES)
+    parser.add_argument("--specimens", type=int, default=SPECIMENS)
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--presets", nargs="*", default=BASELINES, choices=PRESETS)
     parser.add_argument("--methods", nargs="*", default=(), help="FILE.py:CLASS")
+    parser.add_argument("--leaderboard", type=Path, help="of skinbench, a JSON file")
     options = parser.parse_args()
+    quick = (options.frames, options.specimens) != (FRAMES, SPECIMENS)
+    if options.leaderboard is not None and (quick or options.seed):
+        parser.error("a leaderboard takes all frames, with seed 0")
     place = options.out / "frames"
     recipe = small_recipe(options.frames, options.specimens)
     generate(recipe, place, options.workers, resume=(place / "recipe.toml").is_file())
@@ -61,20 +77,50 @@ def main() -> None:
         *((name, TrainingSettings.preset(name, options.seed), None) for name in options.presets),
         *((each.KIND, TrainingSettings(seed=options.seed), each) for each in own),
     ]
-    print(f"| | {' | '.join(HEADINGS.values())} | training, s | frame, ms |")
-    print("| --- " * (len(HEADINGS) + 3) + "|")
+    lines = [f"| | {' | '.join(HEADINGS.values())} | training, s | frame, ms |"]
+    lines.append("| --- " * (len(HEADINGS) + 3) + "|")
+    print("\n".join(lines))
     for name, settings, method in asked:
         start = time.process_time()
         pipeline = Pipeline.fit(data, replace(settings, whole_specimens=True), method=method)
         seconds = time.process_time() - start
         unseen = data.select(pipeline.held_out(data))
-        print(row(name, pipeline, unseen, f"{seconds:.1f}"), flush=True)
-    print(row("shipped", Pipeline.load(SHIPPED), unseen, ""))
+        lines.append(row(name, pipeline, unseen, f"{seconds:.1f}"))
+        print(lines[-1], flush=True)
+    lines.append(row("shipped", Pipeline.load(SHIPPED), unseen, ""))
+    print(lines[-1])
     specimens = len(np.unique(unseen.specimen))
     print(
         f"\n{len(data) - len(unseen)} frames to learn from, {len(unseen)} of {specimens} other "
         f"specimens to be judged by; {Provenance.now(options.seed)}"
     )
+    if options.leaderboard is not None:
+        words = ["--presets", *options.presets, "--methods", *options.methods]
+        codes = {method.KIND: code for method, code in zip(own, options.methods, strict=True)}
+        enter(options.leaderboard, "\n".join(lines), " ".join(words), codes, place)
+
+
+def enter(
+    leaderboard: Path, table: str, words: str, codes: Mapping[str, str], frames: Path
+) -> None:
+    """Enter the rows of a table into a leaderboard of skinbench.
+
+    Args:
+        leaderboard: its file.
+        table: Markdown.
+        words: options that it was measured with.
+        codes: FILE.py:CLASS of own methods, by their names.
+        frames: folder of the dataset.
+    """
+    results = Results(
+        name="methods",
+        command=f"python -m {MODULE} {words}",
+        provenance=Provenance.now(SEED),
+        figures=figures(table),
+    )
+    digests = {name: code_digest(code) for name, code in codes.items()}
+    board = read_leaderboard(leaderboard)
+    write_leaderboard(leaderboard, board.with_results(results, frames_digest(frames), digests))
 
 
 def small_recipe(frames: int, specimens: int) -> Recipe:
@@ -96,9 +142,9 @@ def small_recipe(frames: int, specimens: int) -> Recipe:
 
 def row(name: str, pipeline: Pipeline, unseen: Dataset, seconds: str) -> str:
     """Row of the table: figures of a pipeline on unseen frames."""
-    figures = Trial(name, 0.0, "", Evaluation.of(pipeline, unseen), {}).figures
+    found = Trial(name, 0.0, "", Evaluation.of(pipeline, unseen), {}).figures
     cells: Sequence[str] = [
-        "" if (value := figures[key]) is None else f"{factor * value:.{digits}f}"
+        "" if (value := found[key]) is None else f"{factor * value:.{digits}f}"
         for key, factor, digits in (
             ("states", 100.0, 1),
             ("error_mm", 1.0, 2),
