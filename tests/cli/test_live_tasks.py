@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from eitskin.cli.commands.live.command import LiveSession
+from eitskin.cli.commands.live.session import LiveSession, SessionPipeline
 from eitskin.cli.commands.live.task import Progress, Task
 from eitskin.cli.commands.live.tasks import SessionTasks
 from eitskin.cli.options import Output
@@ -55,7 +55,7 @@ class Running:
         output = Output(quiet=True, notes=Console(width=200))
         self.session = LiveSession(Connection(Board()), output)
         self.numbers, self.bad = count(), []
-        self.tasks = SessionTasks(self.session, pipeline, folder, "fake.eitmodel")
+        self.tasks = SessionTasks(self.session, SessionPipeline(pipeline), folder, "fake.eitmodel")
 
     def ask(self, path, **body):
         self.tasks.execute(path, json.dumps(body).encode())
@@ -235,10 +235,11 @@ def test_a_virtual_sensor_is_set_up_from_the_page(tmp_path, monkeypatch):
     pipeline = Pipeline.load("reference.eitmodel")
     with open_board("virtual:?speed=max") as board:
         session = LiveSession(Connection(board), Output(quiet=True))
-        with SessionTasks(session, pipeline, tmp_path, "reference.eitmodel") as tasks:
+        held = SessionPipeline(pipeline)
+        with SessionTasks(session, held, tmp_path, "reference.eitmodel") as tasks:
             tasks.execute("/setup", b'{"angles": "25", "presses": 2, "frames": 3}')
             asked = []
-            for reading in run_live(session.connection, pipeline):
+            for reading in run_live(session.connection, held):
                 session.take(reading)
                 task = tasks.state()["task"]
                 if task["over"]:
@@ -248,9 +249,11 @@ def test_a_virtual_sensor_is_set_up_from_the_page(tmp_path, monkeypatch):
                     begun = task["text"].startswith("check: is")
                     tasks.execute("/answer", b'{"answer": "s"}' if begun else b'{"answer": ""}')
     assert task["progress"] == "done", task
-    assert asked == ["check", "zero", "zero", "angles", "angles", "presses", "presses"]
     (saved,) = tmp_path.glob("*.eitmodel")
+    assert asked == ["check", "zero", "zero", "angles", "angles", "presses", "presses", str(saved)]
     assert Pipeline.load(saved).adaptation["bends"] == 3
+    assert held.current is not pipeline  # which the answer wanted
+    assert str(session.stored.zero) == "flat"
     assert f"eitskin live {saved}" in task["text"]
     assert [each.suffix for each in sorted(tmp_path.iterdir())].count(".json") == 1
 

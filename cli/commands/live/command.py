@@ -20,7 +20,7 @@ from eitskin.cli.commands.live.page_options import (
 )
 from eitskin.cli.commands.live.recordings import FrameRecording, MessageRecording, Recording
 from eitskin.cli.commands.live.ros2_options import Ros2, Ros2Domain, Ros2Namespace
-from eitskin.cli.commands.live.session import LiveSession
+from eitskin.cli.commands.live.session import LiveSession, SessionPipeline, expected_magnitudes
 from eitskin.cli.commands.stored_references import ReferenceFile, tell_unjudged, use_reference
 from eitskin.cli.options import (
     BoardUri,
@@ -40,6 +40,7 @@ from eitskin.errors import ConfigurationError, PartialError
 
 if TYPE_CHECKING:
     from eitskin.cli.page.region import Region
+    from eitskin.frame import Frame
     from eitskin.geometry.design.sensor import SensorDesign
     from eitskin.hardware.boards.board import Board
     from eitskin.hardware.live import FramePipeline
@@ -138,17 +139,15 @@ def command(
         session = LiveSession(Connection(opened), output, recordings)
         session.stored = getattr(pipeline, "stored", None)
         session.connection.tell = session.say
-        layout = getattr(pipeline, "layout", None)
         # A recording was checked when it was made, and need not begin flat.
-        if layout is not None and not board.startswith("replay:"):
-            session.expected = layout.reference
-            if session.stored is not None:
-                session.expected = session.stored.magnitudes(layout.reference)
+        if not board.startswith("replay:"):
+            session.expected = expected_magnitudes(pipeline)
+        held = SessionPipeline(pipeline)
         if page:
             from eitskin.cli.commands.live.tasks import SessionTasks
             from eitskin.cli.page.live_page import LivePage
 
-            tasks = stack.enter_context(SessionTasks(session, pipeline, page_folder, model, own))
+            tasks = stack.enter_context(SessionTasks(session, held, page_folder, model, own))
             session.page = stack.enter_context(
                 LivePage(session.connection, sheet_of(pipeline), page_port, access, tasks)
             )
@@ -156,7 +155,10 @@ def command(
         if ros2:
             from eitskin.hardware.ros2.skin_node import SkinNode
 
-            node = SkinNode(ros2_namespace, ros2_domain, partial(session.tare, pipeline))
+            def tare(taken: "Sequence[Frame]") -> str:
+                return session.tare(held.current, taken)
+
+            node = SkinNode(ros2_namespace, ros2_domain, tare)
             session.node = stack.enter_context(node)
             output.note(f"ROS 2: topics of /{node.name} in domain {ros2_domain}")
         if udp is not None or websocket is not None:
@@ -165,26 +167,24 @@ def command(
             for address in publisher.addresses:
                 output.note(f"readings: {address}")
         newest = not (every_frame or recordings)
-        followed = pipeline if picture is None else _pictured(pipeline, opened, picture)
+        followed = held if picture is None else _pictured(held, opened, picture)
         session.follow(run_live(session.connection, followed, newest=newest), frames)
 
 
-def _pictured(
-    pipeline: "Pipeline | RecordedTouches", board: "Board", method: str
-) -> "FramePipeline":
+def _pictured(held: SessionPipeline, board: "Board", method: str) -> "FramePipeline":
     """Pipeline with a picture of each frame, of the sensor that the pipeline was trained for."""
     from eitskin.cli.live_pictures import LivePictures, PicturedPipeline
     from eitskin.cli.page.region import Region
     from eitskin.training.reconstruction.reconstructor import Method
 
-    sheet = sheet_of(pipeline)
+    sheet = sheet_of(held.current)
     if isinstance(sheet, Region):
         raise ConfigurationError(
             "expected a pipeline that knows its sensor's geometry, for pictures, got one trained "
             "without; leave out --picture, or train it on a recording imported with --sensor"
         )
     name = cast("Method", one_of("--picture", method, Method))
-    return PicturedPipeline(pipeline, LivePictures.of(sheet, board.protocol, name))
+    return PicturedPipeline(held, LivePictures.of(sheet, board.protocol, name))
 
 
 def tell_missing(pipeline: "Pipeline | RecordedTouches", output: Output) -> None:

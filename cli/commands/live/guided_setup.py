@@ -9,7 +9,7 @@ from eitskin.cli.commands.live.task import Task
 from eitskin.cli.commands.own_sensor.adapt import open_start
 from eitskin.cli.commands.own_sensor.dialogue import Dialogue
 from eitskin.cli.commands.own_sensor.poses import asked, staged
-from eitskin.cli.commands.own_sensor.setup import FORCE, Setup, Wanted, design_of
+from eitskin.cli.commands.own_sensor.setup import FORCE, Setup, SetupResult, Wanted, design_of
 from eitskin.closeable import Closeable
 
 if TYPE_CHECKING:
@@ -79,8 +79,8 @@ def guided_setup(
     method: "type[Method] | None",
     out: Path,
     wanted: Wanted,
-) -> str:
-    """Go through the steps of a set-up; returns what was saved, and the next command.
+) -> SetupResult:
+    """Go through the steps of a set-up.
 
     Args:
         task: with the frames of the session.
@@ -96,16 +96,12 @@ def guided_setup(
     hand = staged(FORCE) if virtual else asked(dialogue)
     setup = Setup(model, start, design_of(start), out, wanted, dialogue, hand)
     try:
-        done = setup.run(lambda: SessionBoard(board, task))
+        return setup.run(lambda: SessionBoard(board, task))
     finally:
         if virtual:
             _flatten(board)
         if setup.taken:
             task.say(setup.kept)
-    return (
-        f"{done.saved}: {done.words}\n"
-        f"next: eitskin live {done.saved} --board '{board.uri}'{done.reference_option} --page"
-    )
 
 
 def _flatten(board: "Board") -> None:

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from eitskin.cli.page.live_page import LivePage
     from eitskin.frame import Frame
     from eitskin.hardware.boards.connection import Connection
-    from eitskin.hardware.live import Reading
+    from eitskin.hardware.live import Estimate, Reading
     from eitskin.hardware.ros2.skin_node import SkinNode
     from eitskin.hardware.streams.publisher import ReadingPublisher
     from eitskin.training.adaptation.recorded_touches import RecordedTouches
@@ -41,6 +41,32 @@ T = TypeVar("T")
 REFRESH = 10  # per second
 CHECKED = 16  # frames of a session's beginning that say how the sensor is
 SHORTEST_SILENCE = 1.0  # s, before what is shown is called old
+
+
+@dataclass
+class SessionPipeline:
+    """Pipeline of a live session, which may be exchanged for another between two frames.
+
+    Attributes:
+        current: pipeline of the next frame.
+    """
+
+    current: "Pipeline | RecordedTouches"
+
+    def process(self, frame: "Frame") -> "Estimate":
+        """Estimate of the current pipeline."""
+        return self.current.process(frame)
+
+
+def expected_magnitudes(
+    pipeline: "Pipeline | RecordedTouches",
+) -> "NDArray[np.float64] | None":
+    """Magnitudes (measurements,) [ohm] of the sensor as its session begins; None where unknown."""
+    layout, stored = getattr(pipeline, "layout", None), getattr(pipeline, "stored", None)
+    if layout is None:
+        return None
+    usual: NDArray[np.float64] = layout.reference
+    return usual if stored is None else stored.magnitudes(usual)
 
 
 @dataclass

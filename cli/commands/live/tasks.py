@@ -11,22 +11,22 @@ from typing import TYPE_CHECKING, Any
 from eitskin.cli.commands.check import FRAMES, sensor_findings
 from eitskin.cli.commands.live.guided_setup import guided_setup
 from eitskin.cli.commands.live.recordings import FrameRecording
+from eitskin.cli.commands.live.session import SessionPipeline, expected_magnitudes
 from eitskin.cli.commands.live.task import Task
 from eitskin.cli.commands.own_sensor.calibrate import angles_of
-from eitskin.cli.commands.own_sensor.setup import Wanted
+from eitskin.cli.commands.own_sensor.setup import SetupResult, Wanted
 from eitskin.cli.commands.tare import FRAMES as TARE_FRAMES
 from eitskin.cli.page.commands import ConflictError, SessionCommands, read_command
 from eitskin.closeable import Closeable
-from eitskin.errors import ConfigurationError, DeviceError, FrameError
+from eitskin.errors import ConfigurationError, FrameError
 
 if TYPE_CHECKING:
     from eitskin.cli.commands.live.session import LiveSession
     from eitskin.hardware.live import Estimate, Reading
-    from eitskin.training.adaptation.recorded_touches import RecordedTouches
     from eitskin.training.method.interface import Method
-    from eitskin.training.pipeline.pipeline import Pipeline
 
 MOST = 1000
+USE = "use it in this session? Lay the sensor flat, untouched, first"
 ENDS_WITHIN = 5.0  # s, after which a task is left alone: its files are whole or absent
 
 
@@ -82,7 +82,7 @@ class SessionTasks(Closeable, SessionCommands):
     def __init__(
         self,
         session: "LiveSession",
-        pipeline: "Pipeline | RecordedTouches",
+        pipeline: SessionPipeline,
         folder: Path,
         model: Path,
         method: "type[Method] | None" = None,
@@ -171,16 +171,20 @@ class SessionTasks(Closeable, SessionCommands):
     def _tare(self, task: Task) -> str:
         taken = task.take(TARE_FRAMES, "hold the sensor still and untouched")
         frames = [reading.frame for reading in taken]
-        asked = self._session.between_frames(lambda: self._session.tare(self._pipeline, frames))
-        for _ in task.readings():  # the live loop tares after one of them
+        return self._in_loop(task, lambda: self._session.tare(self._pipeline.current, frames))
+
+    def _in_loop(self, task: Task, function: Callable[[], str]) -> str:
+        """Result of a function that the live loop calls between two frames."""
+        asked = self._session.between_frames(function)
+        for _ in task.readings():
             if asked.done():
-                return asked.result()
-        raise DeviceError("expected a further frame, got none; begin again")
+                break
+        return asked.result()
 
     def _check(self, task: Task) -> str:
         taken = task.take(FRAMES, "keep the sensor flat and untouched")
         frames = [reading.frame for reading in taken]
-        found = sensor_findings(self._pipeline, frames, lambda: _estimate(taken[-1]))
+        found = sensor_findings(self._pipeline.current, frames, lambda: _estimate(taken[-1]))
         for sentence in found.sentences:
             task.say(sentence)
         healthy = f"healthy: nothing was found in {len(taken)} frames"
@@ -190,10 +194,30 @@ class SessionTasks(Closeable, SessionCommands):
         wanted = Wanted(angles_of(command.angles), command.presses, command.frames)
         out = self._fresh("setup", ".eitmodel")
         board = self._session.connection.board
-        self._start(
-            "set up",
-            lambda task: guided_setup(task, board, self._model, self._method, out, wanted),
-        )
+
+        def work(task: Task) -> str:
+            done = guided_setup(task, board, self._model, self._method, out, wanted)
+            text = (
+                f"{done.saved}: {done.words}\nfor later: eitskin live {done.saved} "
+                f"--board '{board.uri}'{done.reference_option} --page"
+            )
+            if task.ask(f"{text}\n{USE}", {"": "use it now", "n": "not now"}):
+                return text
+            return f"{text}\n{self._in_loop(task, lambda: self._exchange(done))}"
+
+        self._start("set up", work)
+
+    def _exchange(self, done: SetupResult) -> str:
+        """Go on with the pipeline that was set up; between two frames."""
+        from eitskin.training.pipeline.stored_reference import StoredReference
+
+        done.adapted.use(None if done.zero is None else StoredReference.read(done.zero))
+        self._pipeline.current = done.adapted
+        self._session.stored = done.adapted.stored
+        self._session.expected = expected_magnitudes(done.adapted)
+        text = "this session goes on with it"
+        self._session.say(f"{done.saved}: {text}")
+        return text
 
     def _record(self, begin: bool) -> None:
         """Begin or end the recording; raises ConflictError where there is nothing to do."""
