@@ -7,9 +7,10 @@ import shlex
 from collections.abc import Mapping
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
 
 from eitskin.cli.demo.measured import report_of
-from eitskin.cli.demo.results import REMEDY, Picture, StoredResult
+from eitskin.cli.demo.results import REMEDY, SVG, Picture, StoredResult
 from eitskin.cli.demo.stages import STAGES
 from eitskin.cli.demo.workspace import SETS, SHIPPED, TRAINED, Workspace
 from eitskin.cli.episode import COLUMNS, episode_cells
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
 PAGE, DOCUMENT, TEMPLATE = "report.html", "report.json", "report.html.j2"
 GRID = "one touch at 27 positions, flat: error"
+_PLAIN = " !$()*+,-./:;=?@[]^_`{|}~"  # what an address within quotation marks may hold as it is
 
 Results = Mapping[str, StoredResult]
 Document = dict[str, Any]
@@ -137,6 +139,9 @@ def _grid_figures(report: Report) -> dict[tuple[str, str], tuple[str, str]]:
 
 
 def _data_url(picture: Picture) -> str:
+    """The picture itself as an address; SVG stays text, which is shorter than base64."""
+    if picture.media == SVG:
+        return f"data:{SVG},{quote(picture.data, safe=_PLAIN)}"
     return f"data:{picture.media};base64,{base64.b64encode(picture.data).decode()}"
 
 
