@@ -18,6 +18,7 @@ from eitskin.simulator.mechanics.layer_stack import Mechanics
 from eitskin.simulator.presses import correction_store, press_store
 from eitskin.simulator.presses.correction_store import corrections, tabulable
 from eitskin.simulator.scene.indenters import Cylinder
+from eitskin.simulator.scene.touch import AnyIndenter
 
 Progress = Callable[[int, int], None]
 
@@ -35,14 +36,12 @@ def missing_bend_tables(recipe: Recipe, specimens: Sequence[int] | None = None) 
 
 def missing_press_tables(recipe: Recipe, specimens: Sequence[int] | None = None) -> set[Path]:
     """Paths of the press tables that `prepare` would solve."""
-    if not recipe.largest_force:
-        return set()
     found: set[Path] = set()
-    for design, mechanics in _pressed(recipe, specimens):
-        found |= press_store.missing(design, mechanics, Cylinder())
-        found |= correction_store.missing(
-            design, mechanics, Cylinder(), pairs=_touches_together(recipe)
-        )
+    pairs = _touches_together(recipe)
+    for indenter in _indenters(recipe):
+        for design, mechanics in _pressed(recipe, indenter, specimens):
+            found |= press_store.missing(design, mechanics, indenter)
+            found |= correction_store.missing(design, mechanics, indenter, pairs=pairs)
     return found
 
 
@@ -84,15 +83,25 @@ def prepare(
         bend_store.prepare(*bent, progress)
         for angle in recipe.extreme_angles:
             bend_store.bend_table(*bent).check(angle)
-    if recipe.largest_force:
-        press_store.prepare(_pressed(recipe, specimens), Cylinder(), progress, workers)
-        for design, mechanics in _pressed(recipe, specimens):
-            table = press_store.press_table(design, mechanics, Cylinder())
-            deepest = table.at_force(recipe.largest_force).depth
+    pairs = _touches_together(recipe)
+    for indenter, force in _indenters(recipe).items():
+        pressed = list(_pressed(recipe, indenter, specimens))
+        press_store.prepare(pressed, indenter, progress, workers)
+        for design, mechanics in pressed:
+            deepest = press_store.press_table(design, mechanics, indenter).at_force(force).depth
             if tabulable(design):
-                pairs = _touches_together(recipe)
-                correction_store.prepare(design, mechanics, Cylinder(), progress, pairs=pairs)
-                corrections(design, mechanics, Cylinder()).check_depth(deepest)
+                correction_store.prepare(design, mechanics, indenter, progress, pairs=pairs)
+                corrections(design, mechanics, indenter).check_depth(deepest)
+
+
+def _indenters(recipe: Recipe) -> dict[AnyIndenter, float]:
+    """Indenters that press, each with the largest force of its touches [N]."""
+    found: dict[AnyIndenter, float] = {}
+    groups = [(group.indenter, group.force[1]) for group in recipe.scenes if group.state == "touch"]
+    episodes = [(Cylinder(), each.largest_force) for each in recipe.episodes if each.largest_force]
+    for indenter, force in (*groups, *episodes):
+        found[indenter] = max(force, found.get(indenter, 0.0))
+    return found
 
 
 def _touches_together(recipe: Recipe) -> bool:
@@ -145,11 +154,12 @@ def _clamped(
 
 
 def _pressed(
-    recipe: Recipe, specimens: Sequence[int] | None
+    recipe: Recipe, indenter: AnyIndenter, specimens: Sequence[int] | None
 ) -> Iterator[tuple[SensorDesign, Mechanics]]:
-    """Designs and materials of specimens on all supports on which they are pressed."""
-    groups = [group.support for group in recipe.scenes if group.state == "touch"]
-    given = [None] * bool(recipe.episodes) + groups
+    """Designs and materials of specimens on all supports on which the indenter presses them."""
+    touched = [group for group in recipe.scenes if group.state == "touch"]
+    groups = [group.support for group in touched if group.indenter == indenter]
+    given = [None] * (bool(recipe.episodes) and indenter == Cylinder()) + groups
     for made in _specimens(recipe, specimens):
         for support in dict.fromkeys(each or made.design.support for each in given):
             yield dataclasses.replace(made.design, support=support), made.mechanics

@@ -12,6 +12,7 @@ from eitskin.datasets.store.schema import LIMITS, MAX_TOUCHES
 from eitskin.geometry.deformation.fixtures import Bend
 from eitskin.geometry.design.outline import PlaneOutline
 from eitskin.simulator.mechanics.viscoelasticity import Prony, elastic_force
+from eitskin.simulator.scene.indenters import Cylinder
 from eitskin.simulator.scene.scene import Scene
 from eitskin.simulator.scene.touch import Touch
 
@@ -227,7 +228,9 @@ class RandomEpisodes:
             low, high = getattr(self, name)
             if not 0.0 < low <= high:
                 yield f"{name} must be a rising range above 0, got [{low}, {high}]"
-        yield from touch_problems(self.force, self.touches, self.margin, self.spacing, outline)
+        yield from touch_problems(
+            self.force, self.touches, self.margin, self.spacing, outline, Cylinder()
+        )
 
     def draw(self, outline: PlaneOutline, rng: np.random.Generator) -> Timeline:
         """Random timeline, drawn from `rng`."""

@@ -117,9 +117,9 @@ def _snapshot(recipe: Recipe, index: int) -> Sample:
     block = int(np.searchsorted(order.starts, index, side="right")) - 1
     group = recipe.scenes[order.groups[block]]
     number = int(order.numbers[block]) * group.per_bend + index - int(order.starts[block])
-    bend = group.draw_bend(generator(recipe, Stream.BEND, block))
+    untouched = group.draw_untouched(generator(recipe, Stream.BEND, block))
     rng = generator(recipe, Stream.SCENE, index)
-    scene = group.draw(number, bend, recipe.outline, rng)
+    scene = group.draw(number, untouched, recipe.outline, rng)
     count, blocks = recipe.specimens.count, len(order.groups)
     made = int(_dealt(recipe, np.array(block), blocks))
     first = int(order.starts[-(-made * blocks // count)])

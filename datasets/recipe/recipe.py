@@ -31,6 +31,10 @@ from eitskin.simulator.mechanics.layer_stack import Mechanics
 
 MOST_FRAMES = 10**9
 MOST_SHARDS = 10**6
+_ROLLED = (
+    "a rolled sensor needs a kinematic fixture, got clamps; give fixture = { length = 0.1 } for a "
+    "free arc, or a hinge, and no mounts"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,8 +209,9 @@ class Recipe:
             return
         for number, group in enumerate(self.scenes):
             problems = [*group.problems(outline), *self._bend_problems(group.angle_deg)]
-            bent = group.angle_deg != (0.0, 0.0)
-            problems += support_problems(group.support, self.sensor, self.fixture, bent)
+            if group.rolls and isinstance(self.fixture, Clamp):
+                problems.append(_ROLLED)
+            problems += support_problems(group.support, self.sensor, self.fixture, group.bends)
             for problem in problems:
                 yield f"scenes[{number}] ({group.state}): {problem}"
         for number, each in enumerate(self.episodes):

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -10,12 +10,14 @@ import numpy as np
 from eitskin.datasets.recipe.touch_sampling import draw_positions, position_problems, touch_problems
 from eitskin.datasets.store.state import State
 from eitskin.geometry.deformation.fixtures import Bend
+from eitskin.geometry.deformation.twist import Roll
 from eitskin.geometry.design.outline import PlaneOutline
 from eitskin.geometry.design.support import Support
+from eitskin.simulator.scene.indenters import Cylinder, Profile, Sphere
 from eitskin.simulator.scene.scene import Scene
 from eitskin.simulator.scene.touch import Touch
 
-_TOUCH_ONLY = ("touches", "force", "margin", "spacing", "positions", "repeats")
+_TOUCH_ONLY = ("touches", "force", "margin", "spacing", "positions", "repeats", "indenter")
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +36,8 @@ class SceneGroup:
         repeats: number of frames for each of `positions`.
         per_bend: number of consecutive frames with one angle, whose untouched frame is solved once.
         support: of the sensor in these scenes; the design's when omitted.
+        roll_deg: range of the roll across the width, about the other axis than the bend.
+        indenter: of all touches, a cylinder, ball or profile.
     """
 
     state: Literal["idle", "bend", "touch"]
@@ -47,6 +51,8 @@ class SceneGroup:
     repeats: int = 1
     per_bend: int = 1
     support: Support | None = None
+    roll_deg: tuple[float, float] = (0.0, 0.0)
+    indenter: Cylinder | Sphere | Profile = field(default_factory=Cylinder)
 
     @property
     def frames(self) -> int:
@@ -60,7 +66,7 @@ class SceneGroup:
 
     def problems(self, outline: PlaneOutline) -> Iterator[str]:
         """Contradictions within the group, or with the sensor's `outline`, a sentence each."""
-        for name in ("angle_deg", "touches", "force"):
+        for name in ("angle_deg", "roll_deg", "touches", "force"):
             low, high = getattr(self, name)
             if not (math.isfinite(low) and math.isfinite(high) and low <= high):
                 yield f"{name} must be [lowest, highest], got [{low}, {high}]"
@@ -73,46 +79,57 @@ class SceneGroup:
         if self.per_bend < 1:
             yield f"per_bend must be at least 1, got {self.per_bend}"
         if self.state == "touch":
-            yield from touch_problems(self.force, self.touches, self.margin, self.spacing, outline)
+            yield from touch_problems(
+                self.force, self.touches, self.margin, self.spacing, outline, self.indenter
+            )
         else:
-            defaults = {field.name: field.default for field in fields(self)}
-            given = [name for name in _TOUCH_ONLY if getattr(self, name) != defaults[name]]
+            plain = SceneGroup(self.state)
+            given = [each for each in _TOUCH_ONLY if getattr(self, each) != getattr(plain, each)]
             if given:
                 yield f"state '{self.state}' has no touches, so leave out {', '.join(given)}"
-        if self.state == "idle" and self.angle_deg != (0.0, 0.0):
-            yield 'an idle sensor is flat: leave out angle_deg, or say state = "bend"'
-        if self.state == "bend" and self.angle_deg == (0.0, 0.0):
-            yield "state 'bend' needs a range of angle_deg other than [0, 0]"
+        if self.state == "idle" and self.bends:
+            yield 'an idle sensor is flat: leave out angle_deg and roll_deg, or say state = "bend"'
+        if self.state == "bend" and not self.bends:
+            yield "state 'bend' needs a range of angle_deg or roll_deg other than [0, 0]"
 
     @property
     def blocks(self) -> int:
         """Number of blocks of consecutive frames with one angle."""
         return -(-self.frames // self.per_bend)
 
-    def draw_bend(self, rng: np.random.Generator) -> Bend:
-        """Random bend of one block of frames."""
-        return Bend(float(rng.uniform(*self.angle_deg)))
+    @property
+    def bends(self) -> bool:
+        """Whether the sensor is bent or rolled in these scenes."""
+        return self.angle_deg != (0.0, 0.0) or self.rolls
+
+    @property
+    def rolls(self) -> bool:
+        """Whether the sensor is rolled in these scenes."""
+        return self.roll_deg != (0.0, 0.0)
+
+    def draw_untouched(self, rng: np.random.Generator) -> Scene:
+        """Random bend and roll of one block of frames."""
+        bend = Bend(float(rng.uniform(*self.angle_deg)))
+        roll = Roll(float(rng.uniform(*self.roll_deg))) if self.rolls else None
+        return Scene(bend=bend, roll=roll, support=self.support)
 
     def draw(
-        self, number: int, bend: Bend, outline: PlaneOutline, rng: np.random.Generator
+        self, number: int, untouched: Scene, outline: PlaneOutline, rng: np.random.Generator
     ) -> Scene:
-        """Scene `number` of the group at a bend, with touches drawn from `rng`."""
+        """Scene `number` of the group: the untouched one, with touches drawn from `rng`."""
         if self.state != "touch":
-            return Scene(bend=bend, support=self.support)
+            return untouched
         if self.positions:
             positions = np.array([self.positions[number % len(self.positions)]])
         else:
             amount = int(rng.integers(self.touches[0], self.touches[1], endpoint=True))
             positions = draw_positions(amount, outline, self.margin, self.spacing, rng)
         forces = rng.uniform(*self.force, size=len(positions))
-        return Scene(
-            bend=bend,
-            touches=tuple(
-                Touch(float(x), float(y), float(force))
-                for (x, y), force in zip(positions, forces, strict=True)
-            ),
-            support=self.support,
+        touches = tuple(
+            Touch(float(x), float(y), float(force), self.indenter)
+            for (x, y), force in zip(positions, forces, strict=True)
         )
+        return replace(untouched, touches=touches)
 
     def _position_problems(self, outline: PlaneOutline) -> Iterator[str]:
         if self.count:

@@ -8,9 +8,8 @@ from numpy.typing import NDArray
 from eitskin.datasets.store.schema import MAX_TOUCHES
 from eitskin.errors import ConfigurationError
 from eitskin.geometry.design.outline import PlaneOutline
-from eitskin.simulator.scene.indenters import Cylinder
+from eitskin.simulator.scene.indenters import Indenter
 
-_INDENTER = 2.0 * Cylinder().radius
 _SETS_AT_ONCE = 16
 _TRIES = 1600
 
@@ -66,9 +65,11 @@ def touch_problems(
     margin: float,
     spacing: float,
     outline: PlaneOutline,
+    indenter: Indenter,
 ) -> Iterator[str]:
     """Reasons why touches in these ranges cannot be drawn, a sentence each; see `SceneGroup`."""
     few, many = touches
+    across = 2.0 * indenter.rims[1]
     if not 0.0 < force[0] <= force[1]:
         yield f"force must be a rising range above 0 N, got {list(force)}"
     if not 1 <= few <= many <= MAX_TOUCHES:
@@ -78,8 +79,8 @@ def touch_problems(
             f"margin must be at least 0 and leave room on the {outline.length:g} x "
             f"{outline.width:g} m sensor, got {margin:g} m"
         )
-    elif not spacing >= _INDENTER:
-        yield f"spacing must be at least the indenter's {_INDENTER:g} m, got {spacing:g}"
+    elif not spacing >= across:
+        yield f"spacing must be at least the indenter's {across:g} m, got {spacing:g}"
     elif not _has_room(many, outline, margin, spacing):
         yield (
             f"{many} touches {spacing:g} m apart and {margin:g} m from the rim do "

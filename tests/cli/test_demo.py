@@ -171,7 +171,7 @@ def report(finished):
 def test_the_report_refers_to_nothing_outside_itself(finished, report):
     assert all(each.startswith("data:image/") for each in report.references)
     assert not re.search(r"url\(|@import", report.style)
-    text = (finished / PAGE).read_text()
+    text = re.sub(r'src="data:[^"]*"', "", (finished / PAGE).read_text())
     assert not re.search(r"<(script|link|iframe|object|embed|base)\b|\bon\w+=", text)
     assert not re.search(r"https?:", text)
     assert not report.open

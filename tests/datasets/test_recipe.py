@@ -7,15 +7,26 @@ import pytest
 
 from eitskin.config import parse_toml
 from eitskin.datasets import Recipe
+from eitskin.datasets.generation.preparation import missing_press_tables
 from eitskin.datasets.recipe.episode import EpisodeTouch, Keyframe, RandomEpisodes, ScriptedEpisode
 from eitskin.datasets.recipe.frame_sampling import sample, specimen
 from eitskin.datasets.recipe.scene_group import SceneGroup
 from eitskin.datasets.recipe.shipped_recipes import shipped_names
 from eitskin.datasets.recipe.specimen import Specimens
 from eitskin.errors import ConfigurationError
-from eitskin.geometry import Electrode, Free, Hinge, Plates, SensorDesign, Surface
+from eitskin.geometry import (
+    Clamp,
+    Electrode,
+    Free,
+    FreeArc,
+    Hinge,
+    Plates,
+    SensorDesign,
+    Surface,
+)
 from eitskin.simulator import FourTerminalMeter, Instrument, Mechanics, Protocol
 from eitskin.simulator.mechanics.materials import Ogden
+from eitskin.simulator.scene.indenters import Cylinder, Sphere
 
 IDLE = SceneGroup("idle", count=30)
 BENT = SceneGroup("bend", count=60, angle_deg=(-20.0, 50.0))
@@ -300,3 +311,48 @@ def test_episodes_are_on_the_support_of_the_sensor():
     free = dataclasses.replace(MIXED.sensor, support=Free())
     with pytest.raises(ConfigurationError, match=r"episodes\[0\]: a free membrane"):
         dataclasses.replace(EPISODES, sensor=free, scenes=())
+
+
+ROLLED = SceneGroup(
+    "touch", 12, (0.0, 30.0), per_bend=4, roll_deg=(20.0, 60.0), indenter=Sphere(8e-3)
+)
+ON_AN_ARC = dataclasses.replace(MIXED, scenes=(ROLLED,), fixture=FreeArc(0.1))
+
+
+def test_a_group_may_be_rolled_and_pressed_by_another_indenter(tmp_path):
+    assert Recipe.from_toml(write(tmp_path, ON_AN_ARC.to_toml())) == ON_AN_ARC
+    drawn = [sample(ON_AN_ARC, index).scene for index in range(12)]
+    rolls = [scene.roll.angle_deg for scene in drawn]
+    assert all(20.0 <= roll <= 60.0 for roll in rolls)
+    assert [len(set(rolls[k : k + 4])) for k in (0, 4, 8)] == [1, 1, 1], "one in a block"
+    assert len(set(rolls)) == 3
+    assert {touch.indenter for scene in drawn for touch in scene.touches} == {Sphere(8e-3)}
+    plain = dataclasses.replace(ROLLED, roll_deg=(0.0, 0.0), indenter=Cylinder())
+    for index, scene in enumerate(drawn):  # all else is drawn as it is without them
+        other = sample(dataclasses.replace(ON_AN_ARC, scenes=(plain,)), index).scene
+        assert (scene.bend, scene.touches[0].force) == (other.bend, other.touches[0].force)
+
+
+@pytest.mark.parametrize(
+    ("group", "fixture", "message"),
+    [
+        (ROLLED, Clamp(), "kinematic fixture"),
+        (dataclasses.replace(IDLE, roll_deg=(0.0, 5.0)), FreeArc(0.1), "an idle sensor is flat"),
+        (dataclasses.replace(ROLLED, roll_deg=(5.0, 0.0)), FreeArc(0.1), "roll_deg must be"),
+        (dataclasses.replace(BENT, indenter=Sphere(8e-3)), FreeArc(0.1), "leave out indenter"),
+        (dataclasses.replace(TOUCHED, indenter=Sphere(0.02)), FreeArc(0.1), "indenter's 0.04 m"),
+    ],
+)
+def test_rolls_and_indenters_that_do_not_fit_are_refused(group, fixture, message):
+    with pytest.raises(ConfigurationError, match=message):
+        dataclasses.replace(MIXED, scenes=(group,), fixture=fixture)
+
+
+def test_tables_of_every_indenter_are_solved_before_the_work(tmp_path, monkeypatch):
+    monkeypatch.setenv("EITSKIN_CACHE", str(tmp_path))
+    balls = dataclasses.replace(ON_AN_ARC, scenes=(TOUCHED, ROLLED))
+    smaller = dataclasses.replace(ROLLED, indenter=Sphere(5e-3))
+    more = dataclasses.replace(balls, scenes=(TOUCHED, ROLLED, smaller))
+    needed, also = missing_press_tables(balls), missing_press_tables(more)
+    assert needed  # those of the cylinder come with eitskin
+    assert needed < also
