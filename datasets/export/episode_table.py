@@ -46,6 +46,7 @@ class EpisodeTable:
 
         Raises DataError where no two frames follow each other in time.
         """
+        data.read("episode", "time", "specimen")  # of a large dataset, in one pass
         episode = data.episode.astype(np.int64)
         specimen = data.specimen_number[data.specimen].astype(np.int64)
         change = (np.diff(episode) != 0) | (np.diff(specimen) != 0)

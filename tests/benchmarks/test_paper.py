@@ -2,6 +2,7 @@
 
 import csv
 import dataclasses
+import hashlib
 import json
 from collections import Counter
 from pathlib import Path
@@ -36,6 +37,13 @@ FLAT = np.linspace(400.0, 820.0, 28)
 NOISE, SIGNAL = 1e-4, 1e-2  # of a frame and of a touch, relative
 PLACES = [(0.02, 0.02), (0.06, 0.04), (0.09, 0.02), (0.13, 0.04)]
 SETS: list[Dataset] = []
+OWN_CODE = """
+from eitskin.training import Method
+
+
+class Net(Method):
+    fit = predict = arrays = from_arrays = None
+"""
 
 
 def dataset(frames, seed=0, episode=None):
@@ -161,6 +169,8 @@ def folder(tmp_path_factory):
         patch.setattr(paper_limits, "bounds", lambda *_args: limits)
         options = ("--pipeline", str(out / "ours.eitmodel"), "--seeds", "2", "--json")
         options = (*options, "--preset", "ridge", "--leaderboard", str(out / "board.json"))
+        (out / "my.py").write_text(OWN_CODE)
+        options = (*options, "--method", f"{out / 'my.py'}:Net")
         ran = CliRunner().invoke(app, ["bench", "paper", "--out", str(out), *options, "--quiet"])
     if ran.exception is not None:
         raise ran.exception
@@ -173,7 +183,9 @@ def folder(tmp_path_factory):
 def test_its_methods_are_entered_into_a_leaderboard(folder):
     board = read_leaderboard(folder.parent / "board.json")
     scores = {each.name: each.scores for each in board.entries}
-    assert list(scores) == ["ours", "ridge", "paper's"]  # by the error of four touches
+    assert list(scores) == ["ours", "my:Net", "ridge", "paper's"]  # by the error of four touches
+    codes = {each.name: each.code for each in board.entries if each.code}
+    assert codes == {"my:Net": hashlib.sha256(OWN_CODE.encode()).hexdigest()}
     assert scores["ours"]["four touches: error"] == pytest.approx(1.0)
     assert scores["ours"]["angle"] == pytest.approx(0.5)
     assert "angle" not in scores["ridge"]
@@ -210,7 +222,7 @@ def test_a_further_method_has_columns_and_no_figures_of_what_it_does_not_estimat
             assert figures["demo.20deg.3.found"] == 1
             assert not [name for name in figures if name.endswith(("_deg", ".r2"))]
     heads = (folder / "paper.md").read_text().splitlines()[0]
-    assert "ours, unseen | ridge, own sensor | ridge, unseen | to reach" in heads
+    assert "ours, unseen | ridge, own sensor | ridge, unseen | my:Net, own sensor" in heads
     assert "--preset ridge" in read_results(folder / "results.json").command
 
 
