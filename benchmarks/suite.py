@@ -132,6 +132,7 @@ ALL = (
         own_results=True,
         needs="{data}/ohmc8.mat",
     ),
+    Benchmark("twin_maps", "data", 3, ("{data}", *OUT), own_results=True, needs="{data}/ohmc8.mat"),
     Benchmark("recordings", "data", 1, ("{data}",), needs="{data}/ohmc8.mat"),
     Benchmark("recipes", "data", 6, OWN, (*OWN, "--frames", "10", "--only", "paper_demo")),
     Benchmark("sensor_check", "boards", 5, (), ("--specimens", "10", "--faulty", "2"), seeded=True),
@@ -144,6 +145,7 @@ ALL = (
     ),
     _command("paper", 40, "--seeds", "2", "--paper-seeds", "1", seeded=False),
     _command("transfer", 8),
+    Benchmark("twin_response", "data", 8, OUT, (*OUT, "--sensors", "1"), own_results=True),
     Benchmark(
         "methods",
         "data",

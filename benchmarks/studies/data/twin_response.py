@@ -1,6 +1,6 @@
 """Places found with the touch response of a twin, in sensors of `eitskin bench transfer`.
 
-Run by `python -m eitskin.benchmarks.studies.data.twin_response MODEL --out OUT`.
+Run by `python -m eitskin.benchmarks.studies.data.twin_response [MODEL] --out OUT`.
 
 OUT has the folder `transfer` of `eitskin bench transfer`; frames that it lacks are generated. For
 each sensor a twin is fitted to its one flat frame, with the terms of the meter that its board has,
@@ -34,6 +34,7 @@ from eitskin.training.joint.method import JointMethod
 from eitskin.training.joint.own_response import relative_residual
 from eitskin.training.method.known_frames import KnownFrames
 from eitskin.training.pipeline.pipeline import Pipeline
+from eitskin.training.pipeline.saved_form import SHIPPED
 from eitskin.training.twin.pressed_twin import PressedTwin
 from eitskin.training.twin.twin import Twin
 
@@ -41,11 +42,10 @@ NAME = "twin_response"
 BOARDS: dict[str, tuple[str, ...]] = {
     "rough electrodes": (),
     "other board": ("source", "sink", "idle", "common_mode"),
-    "as trained": (),
 }
 """Worlds, and the terms of the meter that are fitted there."""
 LABELLED = (Labelled(0, 0), Labelled(5, 15))
-SENSORS, SEED = 16, 0
+SENSORS, SEED = 8, 0
 
 Array = NDArray[np.float64]
 
@@ -161,7 +161,7 @@ def figures(found: list[Located]) -> dict[str, float]:
 def main() -> None:
     """Run, write and print."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("model", type=Path, help="a pipeline of the joint method")
+    parser.add_argument("model", type=Path, nargs="?", help="of the joint method; that which ships")
     parser.add_argument("--out", type=Path, default=Path("build/bench"))
     parser.add_argument("--frames", type=Path, help="folder `transfer` of the benchmark's frames")
     parser.add_argument("--worlds", nargs="+", choices=list(BOARDS), default=list(BOARDS))
@@ -169,7 +169,7 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=1)
     options = parser.parse_args()
     began, rows = time.perf_counter(), []
-    pipeline, found = Pipeline.load(options.model), []
+    pipeline, found = Pipeline.load(options.model or SHIPPED), []
     for name in options.worlds:
         world = world_of(name, options.frames or options.out / "transfer", options.workers)
         for sensor in np.unique(world.frames.specimen)[: options.sensors].tolist():
