@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from eitskin.training.method.interface import Method
 
 MOST = 1000
-USE = "use it in this session? Lay the sensor flat, untouched, first"
+USE = "use the new pipeline in this session? Lay the sensor flat, untouched, first"
 ENDS_WITHIN = 5.0  # s, after which a task is left alone: its files are whole or absent
 
 
@@ -201,7 +201,8 @@ class SessionTasks(Closeable, SessionCommands):
                 f"{done.saved}: {done.words}\nfor later: eitskin live {done.saved} "
                 f"--board '{board.uri}'{done.reference_option} --page"
             )
-            if task.ask(f"{text}\n{USE}", {"": "use it now", "n": "not now"}):
+            task.say(text)
+            if task.ask(USE, {"": "use it now", "n": "not now"}):
                 return text
             return f"{text}\n{self._in_loop(task, lambda: self._exchange(done))}"
 

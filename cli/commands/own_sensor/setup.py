@@ -235,9 +235,8 @@ class Setup:
             try:
                 answer = self.dialogue.ask(f"{name}: {run()}", {"": "go on", REPEAT: "repeat"})
             except (ConfigurationError, DataError, DeviceError, PartialError) as error:
-                self.dialogue.note(f"{name}: {error}")
                 choices = {"": "go on without it", REPEAT: "repeat"}
-                answer = self.dialogue.ask(f"{name}: failed", choices)
+                answer = self.dialogue.ask(f"{name}: {error}", choices)
             if answer != REPEAT:
                 return
 

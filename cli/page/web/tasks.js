@@ -62,7 +62,7 @@ export class Tasks {
     $("task").dataset.progress = task.progress;
     $("task-name").textContent = [task.name, HEADINGS[task.progress]].filter(Boolean).join(": ");
     $("task-text").textContent = task.text;
-    $("task-lines").replaceChildren(...task.lines.map((text) => Object.assign(document.createElement("li"), { textContent: text })));
+    $("task-lines").replaceChildren(...[...task.lines].reverse().map((text) => Object.assign(document.createElement("li"), { textContent: text })));
     const offered = this.commands ? task.choices : [];
     $("choices").replaceChildren(...offered.map(([answer, words], number) => {
       const button = Object.assign(document.createElement("button"), { type: "button", textContent: words });
