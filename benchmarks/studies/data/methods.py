@@ -95,7 +95,8 @@ def main() -> None:
         f"specimens to be judged by; {Provenance.now(options.seed)}"
     )
     if options.leaderboard is not None:
-        words = ["--presets", *options.presets, "--methods", *options.methods]
+        words = ["--presets", *options.presets]
+        words += ["--methods", *options.methods] if own else []
         codes = {method.KIND: code for method, code in zip(own, options.methods, strict=True)}
         enter(options.leaderboard, "\n".join(lines), " ".join(words), codes, place)
 
