@@ -97,7 +97,9 @@ def prepare(
 def _indenters(recipe: Recipe) -> dict[AnyIndenter, float]:
     """Indenters that press, each with the largest force of its touches [N]."""
     found: dict[AnyIndenter, float] = {}
-    groups = [(group.indenter, group.force[1]) for group in recipe.scenes if group.state == "touch"]
+    groups = [
+        (group.pressed_by, group.force[1]) for group in recipe.scenes if group.state == "touch"
+    ]
     episodes = [(Cylinder(), each.largest_force) for each in recipe.episodes if each.largest_force]
     for indenter, force in (*groups, *episodes):
         found[indenter] = max(force, found.get(indenter, 0.0))

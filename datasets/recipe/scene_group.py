@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -36,8 +36,9 @@ class SceneGroup:
         repeats: number of frames for each of `positions`.
         per_bend: number of consecutive frames with one angle, whose untouched frame is solved once.
         support: of the sensor in these scenes; the design's when omitted.
-        roll_deg: range of the roll across the width, about the other axis than the bend.
-        indenter: of all touches, a cylinder, ball or profile.
+        roll_deg: range of the roll across the width, about the other axis than the bend; none when
+            omitted.
+        indenter: of all touches, a cylinder, ball or profile; the default one when omitted.
     """
 
     state: Literal["idle", "bend", "touch"]
@@ -51,8 +52,8 @@ class SceneGroup:
     repeats: int = 1
     per_bend: int = 1
     support: Support | None = None
-    roll_deg: tuple[float, float] = (0.0, 0.0)
-    indenter: Cylinder | Sphere | Profile = field(default_factory=Cylinder)
+    roll_deg: tuple[float, float] | None = None
+    indenter: Cylinder | Sphere | Profile | None = None
 
     @property
     def frames(self) -> int:
@@ -67,7 +68,7 @@ class SceneGroup:
     def problems(self, outline: PlaneOutline) -> Iterator[str]:
         """Contradictions within the group, or with the sensor's `outline`, a sentence each."""
         for name in ("angle_deg", "roll_deg", "touches", "force"):
-            low, high = getattr(self, name)
+            low, high = getattr(self, name) or (0.0, 0.0)
             if not (math.isfinite(low) and math.isfinite(high) and low <= high):
                 yield f"{name} must be [lowest, highest], got [{low}, {high}]"
         if self.positions:
@@ -80,7 +81,7 @@ class SceneGroup:
             yield f"per_bend must be at least 1, got {self.per_bend}"
         if self.state == "touch":
             yield from touch_problems(
-                self.force, self.touches, self.margin, self.spacing, outline, self.indenter
+                self.force, self.touches, self.margin, self.spacing, outline, self.pressed_by
             )
         else:
             plain = SceneGroup(self.state)
@@ -105,12 +106,17 @@ class SceneGroup:
     @property
     def rolls(self) -> bool:
         """Whether the sensor is rolled in these scenes."""
-        return self.roll_deg != (0.0, 0.0)
+        return self.roll_deg not in (None, (0.0, 0.0))
+
+    @property
+    def pressed_by(self) -> Cylinder | Sphere | Profile:
+        """Indenter of all touches."""
+        return self.indenter or Cylinder()
 
     def draw_untouched(self, rng: np.random.Generator) -> Scene:
         """Random bend and roll of one block of frames."""
         bend = Bend(float(rng.uniform(*self.angle_deg)))
-        roll = Roll(float(rng.uniform(*self.roll_deg))) if self.rolls else None
+        roll = Roll(float(rng.uniform(*self.roll_deg))) if self.roll_deg and self.rolls else None
         return Scene(bend=bend, roll=roll, support=self.support)
 
     def draw(
@@ -126,7 +132,7 @@ class SceneGroup:
             positions = draw_positions(amount, outline, self.margin, self.spacing, rng)
         forces = rng.uniform(*self.force, size=len(positions))
         touches = tuple(
-            Touch(float(x), float(y), float(force), self.indenter)
+            Touch(float(x), float(y), float(force), self.pressed_by)
             for (x, y), force in zip(positions, forces, strict=True)
         )
         return replace(untouched, touches=touches)

@@ -1,6 +1,7 @@
 """Recipes: what is refused, what is drawn, and that a frame depends on its number alone."""
 
 import dataclasses
+import tomllib
 
 import numpy as np
 import pytest
@@ -237,6 +238,15 @@ def test_a_recipe_with_a_table_of_its_own_needs_no_other_file(tmp_path):
     recipe = Recipe.from_toml(write(tmp_path, ADJACENT.format("pairs.csv")))
     assert recipe.protocol == table
     assert parse_toml(Recipe, recipe.to_toml()) == recipe
+
+
+def test_a_group_writes_what_it_wrote_before_it_could_do_more():
+    """Sets that were begun then are resumed by their recipe's text."""
+    (group,) = tomllib.loads(Recipe("one", scenes=(IDLE,)).to_toml())["scenes"]
+    assert list(group) == [
+        *("state", "count", "angle_deg", "touches", "force", "margin", "spacing", "positions"),
+        *("repeats", "per_bend"),
+    ]
 
 
 def test_the_protocol_of_a_recipe_fits_its_sensor(tmp_path):
