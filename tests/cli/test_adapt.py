@@ -139,7 +139,7 @@ def test_what_cannot_be_adapted_to_is_refused(bends, pipeline, tmp_path):
 def test_the_sentence_tells_whether_the_twin_was_taken():
     alone, better, worse = TwinTrial(0), TwinTrial(6, 0.15, 0.08), TwinTrial(6, 0.10, 0.12)
     assert "no known touch" in twin_in_words(dataclasses.asdict(alone))
-    assert "15%" in twin_in_words(dataclasses.asdict(better))
+    assert "15.0%" in twin_in_words(dataclasses.asdict(better))
     assert "not taken" not in twin_in_words(dataclasses.asdict(better))
     assert "not taken" in twin_in_words(dataclasses.asdict(worse))
 

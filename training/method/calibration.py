@@ -3,7 +3,6 @@
 `Calibration` tells of the bend angle, `TwinTrial` of the response with a twin.
 """
 
-import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -65,19 +64,21 @@ class TwinTrial:
 
     Attributes:
         touches: number of frames with known touches.
-        without: residual of their changes by the response as trained, relative to the changes; NaN
+        without: residual of their changes by the response as trained, relative to the changes; None
             without such frames.
         with_twin: the same by the twin's response.
     """
 
     touches: int
-    without: float = math.nan
-    with_twin: float = math.nan
+    without: float | None = None
+    with_twin: float | None = None
 
     @property
     def kept(self) -> bool:
         """Whether the twin's response is taken: unless known touches contradict it."""
-        return not self.without <= self.with_twin
+        if self.without is None or self.with_twin is None:
+            return True
+        return self.with_twin < self.without
 
 
 @dataclass(frozen=True, slots=True)

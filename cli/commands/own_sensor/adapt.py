@@ -221,9 +221,9 @@ def twin_in_words(trial: "Mapping[str, Any]") -> str:
     from eitskin.training.method.calibration import TwinTrial
 
     judged = TwinTrial(**trial)
-    if not judged.touches:
+    if judged.without is None or judged.with_twin is None:
         return "; touches answer as on the twin, which no known touch has judged"
-    left = f"{judged.without:.0%} of the known touches' changes unexplained, {judged.with_twin:.0%}"
+    left = f"{judged.without:.1%} of the known touches' changes unexplained, {judged.with_twin:.1%}"
     return f"; {left} with the twin, which is {'taken' if judged.kept else 'not taken'}"
 
 

@@ -1,5 +1,6 @@
 """Response of a sensor by its twin: nearer to the truth, judged by known touches, saved."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -96,6 +97,7 @@ def test_the_twin_of_the_sensor_makes_places_better_by_the_flat_frame_alone(meth
     flat = known_frames(FLAT, 4, np.zeros((1, 28)), [0.0])
     one, told = method.adapted(replace(flat, twin=twin))
     assert (told.twin.touches, told.twin.kept) == (0, True)
+    json.dumps(told.as_dict(), allow_nan=False)
     assert mean_error(one, held_out) < 0.6 * mean_error(method, held_out)
     again = JointMethod.from_arrays(one.arrays(), LAYOUT)
     places = [each.predict(held_out.observations).touches[0].place for each in (one, again)]
