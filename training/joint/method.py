@@ -308,7 +308,7 @@ class JointMethod(Method):
         if key not in self._specimens:
             if len(self._specimens) > 64:
                 self._specimens.clear()
-            p = self.features.apply(flat)
+            p = self.features.bounded(flat)
             curve = self.calibrated or self.bend_prior.of(p)
             usual = self.usual if self.calibrated is None else None
             self._specimens[key] = SpecimenModel(
@@ -338,7 +338,7 @@ class JointMethod(Method):
         flat, count = known.observations.flat[0], int(known.flat.sum())
         left_out = len(known) - count - len(bent) - len(touched)
         told = Adaptation(count, len(bent), len(touched), left_out)
-        p, curve = self.features.apply(flat), None
+        p, curve = self.features.bounded(flat), None
         if len(bent):
             priors = [(self.bend_prior.of(p), 0.0)]
             priors += [(self.usual.of(p), LOG_ODDS)] if self.usual else []

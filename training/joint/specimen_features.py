@@ -11,6 +11,7 @@ from eitskin.training.method.symmetry import Mirror
 Array = NDArray[np.float64]
 
 COUNT = 8  # most features; each costs weights that the specimens must determine
+FARTHEST = 5.0  # standard deviations of the training specimens
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,6 +54,15 @@ class SpecimenFeatures:
         """Features (..., P) of flat magnitudes (..., C) [ohm]; bad channels (NaN) are ignored."""
         departure = _without_common(np.log(np.asarray(flat, dtype=float)) - self.middle)
         return np.where(np.isfinite(departure), departure, 0.0) @ self.directions.T
+
+    def bounded(self, flat: ArrayLike) -> Array:
+        """Features (..., P), each at most `FARTHEST` standard deviations from the middle.
+
+        Bend curves are linear in the features and networks smooth, so far outside of the training
+        specimens both are wrong without a sign of it; at the bound they are merely of another
+        specimen, as their standard errors tell.
+        """
+        return np.clip(self.apply(flat), -FARTHEST, FARTHEST)
 
     def arrays(self) -> dict[str, Array]:
         """Attributes by name."""

@@ -10,6 +10,7 @@ from smooth_joint import LAYOUT, smooth_method
 from eitskin.datasets import State
 from eitskin.training.joint.adaptation import error_scale
 from eitskin.training.joint.method import JointMethod
+from eitskin.training.joint.specimen_features import FARTHEST
 from eitskin.training.method.observations import Observations
 from eitskin.training.method.predictions import FoundTouches
 
@@ -89,6 +90,14 @@ def test_idle_bent_and_touched_frames(method):
         assert len(said.touches[0]) == 0
         assert not said.touch_map.any()
         assert said.problems == ((),)
+
+
+def test_curves_do_not_extrapolate_to_sensors_far_from_all_that_were_learned(method):
+    direction = np.linalg.pinv(method.features.directions)[:, 0]
+    middle = np.exp(method.features.middle)
+    far, bound = (method._specimen(middle * np.exp(size * direction)) for size in (12.0, FARTHEST))
+    np.testing.assert_allclose(far.features, bound.features, atol=1e-9)
+    np.testing.assert_allclose(far.curve.value(30.0), bound.curve.value(30.0), atol=1e-12)
 
 
 def test_touch_map_is_where_the_touch_is(method):

@@ -5,7 +5,7 @@ import pytest
 
 from eitskin.geometry import SensorDesign
 from eitskin.simulator import Protocol
-from eitskin.training.joint.specimen_features import COUNT, SpecimenFeatures
+from eitskin.training.joint.specimen_features import COUNT, FARTHEST, SpecimenFeatures
 from eitskin.training.method.symmetry import mirrors
 
 IMAGES = mirrors(SensorDesign.reference(), Protocol.pairwise(8))
@@ -95,3 +95,12 @@ def test_specimens_that_are_all_the_same_have_none(rng):
     assert features.apply(MIDDLE).shape == (0,)
     two = SpecimenFeatures.fit(specimens(50, rng, directions=2), TRIVIAL)
     assert len(two.directions) == 2
+
+
+def test_bounded_features_are_those_of_a_specimen_at_the_bound(rng):
+    features = SpecimenFeatures.fit(specimens(50, rng), IMAGES)
+    near = specimens(1, rng)[0]
+    np.testing.assert_array_equal(features.bounded(near), features.apply(near))
+    far = np.exp(features.middle + 12.0 * np.linalg.pinv(features.directions)[:, 0])
+    assert features.apply(far)[0] == pytest.approx(12.0)
+    assert features.bounded(far)[0] == FARTHEST
