@@ -54,6 +54,20 @@ def test_it_says_where_a_bent_sensor_is_touched(session):
     assert session(Scene(bend)).state is State.BEND
 
 
+def test_four_touches_that_look_like_a_large_bend_leave_the_angle_what_it_was(session):
+    """The frames' likeliest bends without touches lie at the end of the range."""
+    for angle_deg, places in (
+        (18.0, [(27, 49), (81, 48), (132, 50), (38, 12)]),
+        (29.7, [(121, 21), (39, 27), (66, 15), (73, 48)]),
+        (19.6, [(62, 11), (117, 14), (18, 45), (76, 49)]),
+    ):
+        bend = Bend(angle_deg)
+        session(Scene(bend))
+        said = session(Scene(bend, tuple(Touch(x / 1e3, y / 1e3, 10.0) for x, y in places)))
+        assert len(said.touches) == 4, angle_deg
+        assert abs(said.bend_angle_deg - angle_deg) < 3 * said.bend_deviation_deg < 8.0, angle_deg
+
+
 def test_a_held_touch_becomes_surer(session):
     scene = Scene(touches=(Touch(0.060, 0.030, 10.0),))
     first, *_, last = (session(scene) for _ in range(6))

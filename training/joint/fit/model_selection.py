@@ -6,7 +6,7 @@ than chance would.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from eitskin.training.joint.fit.channel_faults import (
     fit_with_fault,
 )
 from eitskin.training.joint.fit.objective import (
+    Linearisation,
     MapEstimate,
     TouchObjective,
     Unknowns,
@@ -39,6 +40,9 @@ ANGLE_GRID = 15  # angles among which the initial one is chosen
 COARSE = (4, 0.5)  # as `FINE`, of fits that are continued
 START_THRESHOLD = 0.5  # times the threshold: least gain, to first order, of a start
 CHI2_LOW_SIGMA, CHI2_HIGH_SIGMA = 2.0, 2.0  # the misfit's usual range about its expectation
+# Motion since the reference from which touches are fitted from there as well, where the first fit
+# explains the frame and where it does not.
+FAR_DEG, NEAR_DEG = 5.0, 1.0
 PAIR_TRIALS = 2  # fits that split one touch into two where the misfit is unusually high
 
 
@@ -77,7 +81,7 @@ class FrameFit:
 
         Every touch is as improbable as its threshold says.
         """
-        return self.estimate.improbability + TOUCH_THRESHOLD * len(self.touches)
+        return _improbability(self.estimate)
 
 
 def fit_frame(
@@ -94,7 +98,7 @@ def fit_frame(
         proposed: positions (k, 2) [m] from which the fit starts.
         possible: faults that are considered; none by default.
     """
-    untouched, found, evidence = _fit(objective, candidates, proposed)
+    untouched, found, evidence = _likeliest(objective, candidates, proposed)
     faults: list[ChannelFault] = []
     while possible and len(faults) < MOST_FAULTS:
         better = fit_with_fault(objective, untouched, found, possible)
@@ -107,15 +111,52 @@ def fit_frame(
     return _frame_fit(found, evidence, tuple(faults))
 
 
-def _fit(
+def _improbability(found: MapEstimate) -> float:
+    """Minus twice the logarithm of a model's posterior density, but for a constant."""
+    return found.improbability + TOUCH_THRESHOLD * len(found.unknowns.touches)
+
+
+def _likeliest(
     objective: TouchObjective, candidates: TouchCandidates, proposed: Array | None
 ) -> tuple[MapEstimate, MapEstimate, float]:
-    """The estimate without touches, the best one, and the evidence of any touch."""
+    """The estimate without touches, the best one, and the evidence of any touch.
+
+    Touches that look like a large bend draw the fit far away, where the bend curve is uncertain
+    and nothing leads back. So a fit that ends far from the reference, or explains the frame badly,
+    is begun again at the reference's angle: a fit that explains the frame is better than one that
+    does not, else the likelier one is.
+    """
     nothing = Unknowns(np.zeros((0, 3)), _initial_angle(objective))
     untouched = levenberg_marquardt(objective, objective.linearised(nothing), *FINE)
+
+    def proposal(at: Linearisation) -> list[Unknowns]:
+        if proposed is None or not len(proposed):
+            return []
+        return [initial_touches(objective, proposed, at)]
+
+    (start,) = proposal(untouched.at) or [nothing]
+    found, evidence = _fit(objective, candidates, untouched, start)
+    moved = abs(found.unknowns.angle_deg - objective.reference_deg)
+    least = NEAR_DEG if found.misfit_sigma > CHI2_HIGH_SIGMA else FAR_DEG
+    if not len(found.unknowns.touches) or moved < least:
+        return untouched, found, evidence
+    still = replace(nothing, angle_deg=objective.reference_deg)
+    starts = [replace(found.unknowns, angle_deg=objective.reference_deg)]
+    starts += proposal(objective.linearised(still))
+    trials = [found, *(_fit(objective, candidates, untouched, each)[0] for each in starts)]
+    best = min(
+        trials,
+        key=lambda trial: (trial.misfit_sigma > CHI2_HIGH_SIGMA, _improbability(trial)),
+    )
+    return untouched, best, evidence if best is found else gain_of(objective, untouched, best)
+
+
+def _fit(
+    objective: TouchObjective, candidates: TouchCandidates, untouched: MapEstimate, start: Unknowns
+) -> tuple[MapEstimate, float]:
+    """The best estimate from a start, with touches or without, and the evidence of any touch."""
     found, evidence = untouched, 0.0
-    if proposed is not None and len(proposed):
-        start = initial_touches(objective, proposed, untouched.at)
+    if len(start.touches):
         started = levenberg_marquardt(objective, objective.linearised(start), *COARSE)
         evidence = gain_of(objective, untouched, started)
         if evidence > TOUCH_THRESHOLD:
@@ -137,7 +178,7 @@ def _fit(
     found = pruned(objective, found)
     if found.misfit_sigma > CHI2_HIGH_SIGMA and len(found.unknowns.touches) < most:
         found = _split(objective, found, candidates)
-    return untouched, found, evidence
+    return found, evidence
 
 
 def _initial_angle(objective: TouchObjective) -> float:
