@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import qmc
 
 from eitskin.training.joint.combinations import Combinations, log_change
 from eitskin.training.joint.prior import MARGIN, TouchPrior
@@ -79,6 +78,8 @@ def own_response(learned: SpecimenResponse, output: Array) -> SpecimenResponse:
 
 def _spread(bounds: Array, force: tuple[float, float], count: int) -> Array:
     """Touches (n, 3) spread evenly, by a Halton sequence, between bounds (2, 2) [m] and forces."""
+    from scipy.stats import qmc  # takes half a second, which a live session has no use for
+
     low, high = (np.append(bounds[end], force[end]) for end in (0, 1))
     return np.asarray(low + (high - low) * qmc.Halton(3, seed=0).random(count))
 

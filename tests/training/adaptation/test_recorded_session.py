@@ -6,7 +6,8 @@ import json
 import numpy as np
 import pytest
 
-from eitskin.cli.commands import evaluate, live, train
+from eitskin.cli.commands import evaluate, train
+from eitskin.cli.commands.live import command as live
 from eitskin.datasets import Dataset, State, save_dataset
 from eitskin.errors import DataError, FrameError, UnusableFrameError
 from eitskin.geometry import SensorDesign
